@@ -38,8 +38,8 @@ from jaxilc import Actuator, Disturbance, Machine, Task
 from jaxilc.learning import learn
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import named_leaves, replaced
-from jaxilc.theory.affine import known_as, view_of
 from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, long_run
+from jaxilc.theory.learning_map import known_as, view_of
 
 jaxilc.setup()  # before the cases make their plants
 sys.path.append(str(Path(__file__).parents[1] / "tests"))

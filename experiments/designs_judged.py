@@ -40,7 +40,7 @@ from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import Filtered, PIDType
 from jaxilc.signals.references import multisine, s_curve, sinusoid
 from jaxilc.sweeps.summary import summarise
-from jaxilc.theory.filtered_law import low_pass
+from jaxilc.theory.on_lines import low_pass
 from jaxilc.uncertainty import draw, drawn_machines
 
 DT, SAMPLES, TRIALS = 1e-3, 1000, 20

@@ -27,9 +27,9 @@ from jaxilc.design.tuned import tuned
 from jaxilc.filters import ZeroPhaseButterworth, stable_inverse, zpetc
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import FFDLMFAILC, ErrorFiltered, Filtered, PIDType, Scheme
-from jaxilc.theory.filtered_law import low_pass
 from jaxilc.theory.law import law_of
 from jaxilc.theory.loop import minimal
+from jaxilc.theory.on_lines import low_pass
 from jaxilc.tuning import Tuning
 from jaxilc.tuning.objectives import EveryTrial, Holding
 from jaxilc.tuning.risks import CVaR

@@ -263,8 +263,8 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
             * len(of("designs_judged.CUTOFFS"))
             * of("designs_judged.LEADS")
         ),
-        r"drawn ones and, up to (\w+) uncertain": lambda: of(f"{THEORY}.family.CORNERS"),
-        r"affine in each of up to (\w+) uncertain": lambda: of(f"{THEORY}.family.CORNERS"),
+        r"drawn ones and, up to (\w+) uncertain": lambda: of(f"{THEORY}.frequency.CORNERS"),
+        r"affine in each of up to (\w+) uncertain": lambda: of(f"{THEORY}.frequency.CORNERS"),
         r"up to (\w+) of its zeros, poles": lambda: of(f"{THEORY}.whole_set.MOST_NUMBERS"),
         r"At the start, (\d+) machines are drawn": lambda: of(f"{BAND}.MACHINES"),
         r"band of a trial holds (\d+) % of them": lambda: 100 * (1 - 2 * of(f"{BAND}.OUTSIDE")),
@@ -320,8 +320,8 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
     },
     "differing.md": {
         r"beside it stand (\d+) simulated runs": lambda: of(f"{THEORY}.certificates.SEEDS"),
-        r"learning moves more than (\d+) numbers": lambda: of(f"{THEORY}.outlook.DENSE"),
-        r"the input has more than (\d+) values": lambda: of(f"{THEORY}.outlook.DENSE"),
+        r"learning moves more than (\d+) numbers": lambda: of(f"{THEORY}.learning_map.DENSE"),
+        r"the input has more than (\d+) values": lambda: of(f"{THEORY}.learning_map.DENSE"),
     },
     "library.md": {
         r"compares (\d+) such derivatives": lambda: math.prod(

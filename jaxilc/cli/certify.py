@@ -32,7 +32,7 @@ from .verdicts.next_command import Asked
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
-    from ..theory.of_schemes import OfScheme
+    from ..theory.certificates import OfScheme
     from .titled_table import Table
 
 
@@ -117,7 +117,7 @@ def _certified(
     chosen: Scenario, drawn: dict[str, Any], told: Callable[..., None]
 ) -> dict[str, OfScheme]:
     """What theory says of each scheme; `told` shows how far it is."""
-    from ..theory.of_schemes import certify_schemes
+    from ..theory.certificates import certify_schemes
 
     learning = sum(one.learns for one in chosen.schemes.values())
     return certify_schemes(

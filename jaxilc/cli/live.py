@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ..scenarios import Scenario
     from ..sweeps.points import BestPoint
     from ..sweeps.summary import SchemeSummary
-    from ..theory.of_schemes import OfScheme
+    from ..theory.certificates import OfScheme
     from ..tuning.worst_machine import WorstMachine
 
 # Figures by the beginning of their names, which interactive ones replace on a page.

@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from ..scenarios import Published, Scenario
     from ..sweeps.points import BestPoint
     from ..sweeps.summary import SchemeSummary
-    from ..theory.bounds_of_machines import Checked
-    from ..theory.certificates import Certificate
-    from ..theory.of_schemes import OfScheme
+    from ..theory.bounds import Checked
+    from ..theory.certificates import Certificate, OfScheme
 
 GREW = 1e-9  # of an error, below which it is rounding that has grown
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
@@ -324,7 +323,7 @@ def watched_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, dict[s
         of those before which it was above rounding
     The other numbers are those of `bounds_numbers`.
     """
-    from ..theory.bounds_of_machines import checked
+    from ..theory.bounds import checked
 
     found = {}
     for name in (name for name, scheme in scenario.schemes.items() if scheme.learns):

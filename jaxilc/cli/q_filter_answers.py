@@ -15,9 +15,8 @@ from .titled_table import Table
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
-    from ..theory.filtered_law import Change
-    from ..theory.measured_law import MeasuredQuestion, RecordTest
-    from ..theory.q_filter import Curves, Offer, Question
+    from ..theory.on_lines import Change
+    from ..theory.q_filter import Curves, MeasuredQuestion, Offer, Question, RecordTest
 
 LINES_A_TAP = 4  # of the grid on which filters are synthesised
 UNSEEN = 0.05  # |Q| beyond the last line that is worth a warning
@@ -54,8 +53,7 @@ def scenario_answer(
 
 def _scheme_answer(source, chosen, name, scheme, asked, place):
     from .. import figures
-    from ..theory.offers import offers_of
-    from ..theory.q_filter import question
+    from ..theory.q_filter import offers_of, question
 
     how = {key: asked[key] for key in ("machines", "sampling", "seed")}
     machine, task, uncertainty = chosen.machine, chosen.task, chosen.uncertainty
@@ -92,7 +90,7 @@ def _scheme_answer(source, chosen, name, scheme, asked, place):
 def _with_filter(source, name, scheme, answered: Question, best: Offer, folder: Path):
     """Write the law with the filter that is offered; the next command, and the file."""
     from ..scenarios.scheme_table import write_with_scheme
-    from ..theory.offers import scheme_of
+    from ..theory.q_filter import scheme_of
 
     filtered, named = scheme_of(scheme, answered.places, best.change), f"{name}-filtered"
     path, ready = write_with_scheme(folder / f"{named}.toml", source, named, filtered)
@@ -208,10 +206,9 @@ def _unit_of_plant(task) -> str:
 def _scheme_synthesised(source, chosen, name, scheme, answered, inner, best, asked, folder):
     """Synthesise filters, test them, and write them: numbers, question and file."""
     from ..scenarios.scheme_table import write_with_scheme
-    from ..theory.filtered_law import Lines
     from ..theory.loop import responses
-    from ..theory.parts_of_law import with_law
-    from ..theory.q_filter import question
+    from ..theory.on_lines import Lines
+    from ..theory.q_filter import question, with_law
     from ..tuning.synthesis import synthesised
 
     dt, tried = float(chosen.task.dt), answered.tried
@@ -275,7 +272,7 @@ def records_answer(
     """
     from .. import figures
     from ..identification.frequency_response import read_frequency_response
-    from ..theory.measured_law import PLaw, lines_of, measured_question
+    from ..theory.q_filter import PLaw, lines_of, measured_question
 
     missing = [f"--{name}" for name in ("gain", "cutoff", "dt") if law_options[name] is None]
     if missing:

@@ -10,12 +10,10 @@ from ..learning.machine import Machine
 from ..schemes import Scheme
 from ..schemes.learning_filter import segments_of
 from ..signals.task import Task
-from ..theory.by_frequency import largest_of
 from ..theory.certificates import DIVERGES, NOTHING, long_run
-from ..theory.family import Tried
+from ..theory.frequency import Tried, largest_of
 from ..theory.law import law_of
-from ..theory.loop import minimal
-from ..theory.over_frequency import lines, radius_of
+from ..theory.loop import minimal, radius_of
 from ..theory.whole_set import WholeSet, bound_of_set
 from ..uncertainty import Uncertainty, drawn_machines
 from .responses import Family
@@ -92,8 +90,7 @@ def proof_of(
     found = []
     for i in which:
         loop = minimal(family.loops[i], task.N)
-        at = lines(task, None, [loop])
-        found.append(max((largest_of(law, loop, task, at) for law in laws), key=lambda x: x.value))
+        found.append(max((largest_of(law, loop, task) for law in laws), key=lambda x: x.value))
     top = max(range(len(which)), key=lambda i: found[i].value)
     both = {name: values[[0, which[top]]] for name, values in family.drawn.items()}
     told = long_run(drawn_machines(machine, uncertainty, both), scheme, task)

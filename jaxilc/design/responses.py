@@ -27,10 +27,9 @@ from ..learning.machine import Machine
 from ..learning.within_trial import run_trial
 from ..schemes import PIDType, Scheme, WithFeedback
 from ..signals.task import Task
-from ..theory.frequency import Loop, grid, linear_loop, response
+from ..theory.frequency import Loop, grid, linear_loop, radius_of, response
 from ..theory.law import Law, Taps
 from ..theory.loop import minimal, pole_radius
-from ..theory.over_frequency import radius_of
 from ..uncertainty import Uncertainty, draw, drawn_machines
 
 CORNERS = 5  # uncertain numbers up to which all corners of their intervals are taken

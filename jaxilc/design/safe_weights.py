@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..signals.task import Task
-from ..theory.filtered_law import Change, Lines, largest_cutoff, low_pass
+from ..theory.on_lines import Change, Lines, largest_cutoff, low_pass
 from .responses import Family
 from .simulated import notch_of, rms_of
 

@@ -19,8 +19,8 @@ import numpy as np
 import scipy.fft
 
 from ..filters import ZeroPhaseBandStop
-from ..theory.filtered_law import low_pass
 from ..theory.loop import Loop
+from ..theory.on_lines import low_pass
 
 
 def rms_of(

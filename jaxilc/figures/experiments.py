@@ -10,7 +10,7 @@ from .style import COLOURS, grid, labelled, legend_beside, new_axes
 
 if TYPE_CHECKING:
     from ..identification import Identified, Record
-    from ..theory.measured import MeasuredResponse
+    from ..theory.on_lines import MeasuredResponse
 
 
 def record_figure(

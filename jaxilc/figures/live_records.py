@@ -12,7 +12,7 @@ from .style import COLOURS, labelled
 
 if TYPE_CHECKING:
     from ..identification import Identified, Record
-    from ..theory.measured import MeasuredResponse
+    from ..theory.on_lines import MeasuredResponse
 
 POINTS = 4000  # of a signal
 GREY = "#999999"

@@ -28,7 +28,7 @@ def q_filter_figure(
     The band is from the least to the largest value of the family; of a measured response it is its
     scatter. The largest value is marked. The frequencies shown end where |Q| has fallen to 0.01.
 
-    families: curves by name, from `theory.q_filter` or `theory.measured_law`
+    families: curves by name, from `theory.q_filter`
     margin:   that was asked for; 0 for no line
     unit:     of P, output per input
     """

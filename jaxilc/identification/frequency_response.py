@@ -24,7 +24,7 @@ import numpy as np
 from ..pytree.closest import listed
 from ..pytree.ranges import require
 from ..storage.columns import numbers_in, read_columns
-from ..theory.measured import MeasuredResponse
+from ..theory.on_lines import MeasuredResponse
 
 # The names of each kind of column, in lower case.
 NAMES = {

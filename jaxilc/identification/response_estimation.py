@@ -12,7 +12,7 @@ import scipy
 from ..plants import ProcessModel
 from ..plants.process_model import LONGEST_DELAY
 from ..pytree.ranges import SEEDS, require
-from ..theory.measured import MeasuredResponse
+from ..theory.on_lines import MeasuredResponse
 from .estimation import MOST
 from .orders import STRUCTURES, Order, information
 from .problem import SAMPLES_PER_PARAMETER, Minimum

@@ -10,7 +10,7 @@ import numpy as np
 from ..plants import ProcessModel
 from ..plants.process_model import LONGEST_DELAY
 from ..pytree.named_paths import get_at, replaced
-from ..theory.measured import MeasuredResponse
+from ..theory.on_lines import MeasuredResponse
 from .many_starts import REFINED, drawn_plants, with_numerator
 from .model_response import response_and_slopes
 from .problem import Coordinates, Minimum, free_elements, least_squares_from

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import jax
@@ -53,6 +53,12 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callabl
         return filled(lanes_of(common, batch) if lanes is None else lanes)(common, batch)
 
     return run
+
+
+@lru_cache(maxsize=64)
+def tiled_with(fn: Callable[..., Any], *, lanes: int | None = None, **options: Any):
+    """`tiled` of `fn` with these options: the same function for the same ones, compiled once."""
+    return tiled(partial(fn, **options), lanes=lanes)
 
 
 def _filled(fn, mesh: Mesh, lanes: int):

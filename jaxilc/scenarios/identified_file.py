@@ -25,7 +25,7 @@ from ..pytree.named_paths import interval_at
 from ..storage.files import atomically
 from ..storage.printable import printable
 from ..storage.reading import LARGEST_TREE, read_text, tree_of
-from ..theory.measured import MeasuredResponse
+from ..theory.on_lines import MeasuredResponse
 from ..uncertainty import Uniform
 from .starting_law import ORDER, StartingLaw, StartingTask, starting_law, starting_task
 

@@ -13,12 +13,10 @@ from ..plants import ProcessModel
 from ..schemes import Filtered, PIDType
 from ..signals import references
 from ..signals.task import Task
-from ..theory.by_frequency import largest_of
-from ..theory.filtered_law import Lines, low_pass, widest
-from ..theory.frequency import Loop, grid, linear_loop, response
+from ..theory.frequency import Largest, Loop, grid, largest_of, linear_loop, response
 from ..theory.law import law_of
 from ..theory.loop import minimal
-from ..theory.over_frequency import Largest, lines
+from ..theory.on_lines import Lines, low_pass, widest
 from ..uncertainty import Uncertainty, draw, drawn_machines
 
 ORDER = 2  # of the filter, in one pass
@@ -182,7 +180,7 @@ def _enclosed(loops: list[Loop], which, law: StartingLaw, dt: float) -> list[Lar
     task = Task(np.zeros(max(64, 2 * law.lead)), dt=dt)
     taps = law_of(law.scheme, task)
     reduced = [minimal(loops[i], task.N) for i in which]
-    return [largest_of(taps, loop, task, lines(task, None, [loop])) for loop in reduced]
+    return [largest_of(taps, loop, task) for loop in reduced]
 
 
 def _response_of(plant: ProcessModel, s: complex) -> complex:

@@ -23,7 +23,7 @@ def largest_eigenvalue(f: Callable, like, steps: int = STEPS) -> jax.Array:
 
     f: from the shape of `like` to the same
     steps: at most so many, and at most the number of elements
-    Unlike `theory.iteration`, which looks at the residual to decide when to stop, this has a fixed
+    Unlike `theory.spectrum`, which looks at the residual to decide when to stop, this has a fixed
     number of steps, and so derivatives, backward and of any order.
     """
     n = like.size

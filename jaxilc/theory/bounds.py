@@ -25,15 +25,19 @@ from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.metrics import largest
+from ..learning.over_trials import learn
 from ..learning.watch import Watch, Watched
+from ..plants.structure import obstacle
 from ..pytree.in_short import in_short
+from ..runtime.tiles import tiled_with
 from ..schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAC, FFDLMFAILC, PFDLMFAILC, Scheme
 from ..signals.task import Task, Trial
-from .iteration import SingularValue, singular_value
+from ..uncertainty import Uncertainty, drawn_machines
+from .chance import noise_of
+from .contraction import error_map
+from .linearity import output_alone
 from .loop import tick_of
-from .maps import error_map
-from .structure import obstacle
-from .trials import played
+from .spectrum import SingularValue, singular_value
 
 RIDGE = 500.0  # last places of the variance of a window, whose increments may follow from others
 ROUNDING = 1e3  # in units of the last place of the largest output
@@ -259,7 +263,7 @@ def frozen_growth(
 
     It is sigma_max of I - G diag(gamma), found without the matrix; `lifted.mfailc_map` has it.
 
-    steps, tolerance: as for `iteration.singular_value`
+    steps, tolerance: as for `spectrum.singular_value`
     """
     at = error_map(machine, scheme.frozen(), task)
     return singular_value(*at, steps=steps, tolerance=tolerance, row=0)
@@ -335,12 +339,9 @@ class BoundsWatch(Watch):
     ) -> dict[str, jax.Array]:
         L_y, L_u = _window(scheme)
         dy, du = (trial.y - before.y)[:, 0], (trial.u - before.u)[:, 0]
-        moved = jnp.linalg.norm(
-            jnp.stack(
-                [_earlier(dy[:-1], i) for i in range(L_y)] + [_earlier(du, i) for i in range(L_u)]
-            ),
-            axis=0,
-        )
+        window = [_earlier(dy[:-1], i) for i in range(L_y)]
+        window += [_earlier(du, i) for i in range(L_u)]
+        moved = jnp.linalg.norm(jnp.stack(window), axis=0)
         dy, now, last = dy[1:], jnp.abs(trial.e[1:, 0]), jnp.abs(before.e[1:, 0])
         slack = ROUNDING * jnp.finfo(dy.dtype).eps * (jnp.max(jnp.abs(trial.y)) + jnp.max(last))
         clear = last > CLEAR * slack
@@ -370,6 +371,93 @@ class BoundsWatch(Watch):
 def compact(scheme: Scheme) -> bool:
     """Whether a scheme is MFAILC with a window of one, of which d2 is proved."""
     return isinstance(scheme, FFDLMFAILC) and scheme.L_y + scheme.L_u == 1
+
+
+# Over many machines
+# ------------------------------------------------------------------------------
+
+PREMISES = {
+    "linear": "machine linear, without limit, rounding, noise or change",
+    "alone": "y(k+1) depends on u(k) alone",
+    "signs": "constant sign of phi, and of the estimate",
+    "damped": "lam > b^2 / 4",
+    "printed": "the law as printed: no lead, no limit",
+    "share_lipschitz": "Lipschitz in the run: |Dy(k+1)| <= b |DH(k)|",
+    "share_sign": "sign of phi in the run: that of the plant",
+    "share_excited": "|DH| >= epsilon in the run, for d1",
+}
+
+
+class PremiseShare(NamedTuple):
+    """A premise over S machines.
+
+    name:         of the premise
+    held:         number of machines on which it held throughout
+    share_broken: mean share of samples and trials that broke it; of a premise on the plant or on
+                  the law, the share of machines
+    """
+
+    name: str
+    held: int
+    share_broken: float
+
+
+class Checked(NamedTuple):
+    """The premises of the bounds over S machines, and the bounds beside what was observed.
+
+    premises: those that the scheme has
+    verdicts: on how many machines |e_j| <= d2 |e_(j-1)| is claimed and holds at every sample of
+              every trial, is claimed and fails, and is not claimed
+    care:     median over the machines with a claim of d2 / the largest ratio observed, which is 1
+              where the bound is met exactly; None without a claim
+    """
+
+    premises: list[PremiseShare]
+    verdicts: dict[str, int]
+    care: float | None
+
+
+def checked(found: Mapping[Any, Any]) -> Checked:
+    """The premises and the bounds of machines, from what a `BoundsWatch` found of them.
+
+    found: (S,) and (S, J) by the names of the watch
+    """
+    shares = []
+    for key, name in PREMISES.items():
+        values = np.asarray(found[key], float)
+        values = values[:, 1:] if values.ndim == 2 else values[:, None]
+        if not np.all(np.isnan(values)):
+            held, broken = int(np.sum(np.all(values == 1.0, axis=1))), 1.0 - np.nanmean(values)
+            shares.append(PremiseShare(name, held, float(broken)))
+    claimed = np.asarray(found["claimed"]) == 1.0
+    holds = claimed & np.all(np.asarray(found["share_kept"])[:, 1:] == 1.0, axis=1)
+    verdicts = {"holds": holds, "fails": claimed & ~holds, "not claimed": ~claimed}
+    counts = {verdict: int(np.sum(of)) for verdict, of in verdicts.items()}
+    if not np.any(claimed):
+        return Checked(shares, counts, None)
+    worst = np.nanmax(np.asarray(found["contraction_worst"])[claimed, 1:], axis=1)
+    return Checked(shares, counts, float(np.median(np.asarray(found["d2"])[claimed] / worst)))
+
+
+def checked_machines(
+    machine: Machine,
+    scheme: Scheme,
+    task: Task,
+    trials: int,
+    uncertainty: Uncertainty,
+    drawn: Mapping[str, Any],
+) -> Checked:
+    """The premises and the bounds on each machine's run without noise.
+
+    trials: J >= 2, as two trials are compared
+    drawn: machines of `uncertainty.draw`
+    """
+    run = tiled_with(_watched, trials=trials)
+    return checked(run((scheme, task), drawn_machines(machine, uncertainty, drawn)))
+
+
+def _watched(common, machine, *, trials):
+    return learn(machine.noiseless(), *common, trials, watch=BoundsWatch()).watched
 
 
 # How it is done
@@ -406,18 +494,8 @@ def _linear(machine: Machine, task: Task) -> bool:
     """Whether the output of every trial is the same affine function of its input."""
     if machine.variation is not None:
         return False
-    noises = (
-        getattr(machine.sensor, "noise", None),
-        getattr(machine.disturbance, "input_noise", None),
-        getattr(machine.disturbance, "output_noise", None),
-    )
-    quiet = all(noise is None for noise in noises)
-    return quiet and not obstacle(_output, (machine, task), jnp.zeros((task.N, 1)))
-
-
-def _output(fixed, u):
-    machine, task = fixed
-    return played(machine, None, task, None, u).y
+    at = jnp.zeros((task.N, 1))
+    return not noise_of(machine) and not obstacle(output_alone, (machine, task), at)
 
 
 def _ranked(x, ranks):

@@ -11,13 +11,13 @@ from jax.flatten_util import ravel_pytree
 
 from ..learning.machine import Machine
 from ..learning.within_trial import first_start, run_and_measure
+from ..plants.structure import obstacle
 from ..schemes import Scheme
 from ..schemes.experiments import trials_of_step
 from ..signals.task import Task
 from .certificates import CONVERGES, DIVERGES, NOTHING
 from .record_moments import RecordMoments
 from .spectrum import radius_with_doubt
-from .structure import obstacle
 
 MOST = 4000  # numbers of a memory and a state together, whose map is made as a matrix
 

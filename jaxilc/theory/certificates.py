@@ -37,7 +37,8 @@ trial. That is a prediction, and the confusion table says how good it is:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -48,17 +49,27 @@ from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..pytree.in_short import in_short
 from ..runtime.capacity import check_size
-from ..schemes import Scheme
+from ..schemes import FFDLMFAILC, Scheme
 from ..schemes.experiments import trials_of_step
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, draw, drawn_machines
-from .affine import changes_nothing, limit_names, view_of
-from .as_map import Maps
-from .as_matrix import Matrices
+from .bounds import Checked, checked_machines
 from .chance import EVERY, SQUARE, STILL, SURELY, UnderChance, draws, learned_alike, under_chance
 from .forecast import follow, growth_of, peaks, predict, simulate, simulate_runs
+from .learning_map import (
+    DENSE,
+    LearningMaps,
+    changes_nothing,
+    count_of,
+    first_of,
+    joined,
+    limit_names,
+    maps_of,
+    that_fit,
+    view_of,
+)
 from .linearity import keeps_all, learning_premises
-from .outlook import DENSE, Outlook, joined, maps_of, outlooks, that_fit
+from .outlook import Outlook, outlook_of
 from .rounding import LARGEST, Ball, ball_of, linear_part
 from .trials import starts_off
 
@@ -81,6 +92,7 @@ MANY = f"what {{}} adds is followed for up to {LARGEST} inputs"
 SEEDS = 16  # runs that are simulated of each machine of which something is drawn
 BEYOND = 1e3  # times its root mean square; a positive number is 10^6 times its mean once in 10^6
 DOUBTED = 0.6  # share of the runs above what 95 % stay below; 10 of 16 are it once in 10^9
+NEEDED = 2  # trials: the bounds compare one with the one before it
 COPIES = 64  # bytes for each trial of each machine: three curves, with what lies between
 
 
@@ -196,11 +208,12 @@ class LongRun(NamedTuple):
     sigma: np.ndarray
     ball: Ball | None
     outlook: Outlook | None
+    __repr__ = in_short
 
 
 def long_run(machines: Machine, scheme: Scheme, task: Task, *, steps: int = 300) -> LongRun:
     """The claims alone, without the prediction and the simulation of trials; see `certify_each`."""
-    check(jax.tree.map(lambda leaf: leaf[0], machines), scheme, task)
+    check(first_of(machines), scheme, task)
     return _long_run(machines, scheme, task, steps)[0]
 
 
@@ -240,17 +253,11 @@ def certify_each(
     Raises as `learn` does, and ValueError, before anything runs, for more machines or trials than
     fit into memory.
     """
-    check(jax.tree.map(lambda leaf: leaf[0], machines), scheme, task)
-    count = len(jax.tree.leaves(machines)[0])
-    check_size(
-        "certify",
-        lambda machines, trials: COPIES * machines * trials,
-        machines=count,
-        trials=trials,
-    )
-    return joined(
-        [_certified(some, scheme, task, trials, steps) for some in that_fit(machines, task)]
-    )
+    check(first_of(machines), scheme, task)
+    bytes_of = lambda machines, trials: COPIES * machines * trials  # noqa: E731
+    check_size("certify", bytes_of, machines=count_of(machines), trials=trials)
+    groups = that_fit(machines, task)
+    return joined([_certified(some, scheme, task, trials, steps) for some in groups])
 
 
 def _certified(
@@ -260,30 +267,24 @@ def _certified(
     bounded = run.ball is not None and bool(np.any(np.isfinite(run.ball.error)))
     exact = linear_part(machines) if bounded else machines.unrounded()
     predicted = predict(exact, scheme, task, trials)
-    runs, variation = None, machines.variation
+    runs, distance, variation = None, None, machines.variation
     if course_of_draws is not None or (variation is not None and variation.draws):
         runs = simulate_runs(machines, scheme, task, trials, SEEDS)
-        simulated, distance = np.sqrt(np.mean(runs**2, axis=1)), None
+        simulated = np.sqrt(np.mean(runs**2, axis=1))
         if course_of_draws is not None:
             unknown = np.all(np.isnan(course_of_draws), axis=1, keepdims=True)
             predicted = np.where(unknown, predicted, course_of_draws)
-        floor, doubt = np.full((2, len(simulated)), np.nan)
-        if run.outlook is not None:
-            lasts = np.isin(run.claim, (MONOTONE, CONVERGES))
-            floor = np.where(lasts, run.outlook.floor, np.nan)
-            doubt = np.where(lasts, run.outlook.doubt, np.nan)
     elif run.outlook is None:
-        simulated, distance = simulate(machines, scheme, task, trials), None
-        floor, doubt = np.full((2, len(simulated)), np.nan)
+        simulated = simulate(machines, scheme, task, trials)
     else:
-        simulated, distance = follow(
-            machines, scheme, task, trials, run.outlook.limit, view_of(scheme, task)
-        )
+        limit, view = run.outlook.limit, view_of(scheme, task)
+        simulated, distance = follow(machines, scheme, task, trials, limit, view)
+    floor, doubt = np.full((2, len(simulated)), np.nan)
+    if run.outlook is not None:
         lasts = np.isin(run.claim, (MONOTONE, CONVERGES))
-        floor, doubt = (
-            np.where(lasts, np.where(run.of_error, 0.0, x), np.nan)
-            for x in (run.outlook.floor, run.outlook.doubt)
-        )
+        none_left = run.of_error & (runs is None)
+        found = run.outlook.floor, run.outlook.doubt
+        floor, doubt = (np.where(lasts, np.where(none_left, 0.0, x), np.nan) for x in found)
     powers = np.ones(len(predicted), int) if run.outlook is None else run.outlook.decay.power
     ahead = np.where(run.of_error, np.nan, floor)
     peak, peak_trial = peaks(exact, scheme, task, predicted, powers, ahead)
@@ -313,12 +314,12 @@ def _long_run(
 ) -> tuple[LongRun, np.ndarray | None]:
     """The claims, and (S, J) root mean square errors of trials over all that is drawn for them."""
     rounding, machines = machines, linear_part(machines)
-    machine = jax.tree.map(lambda leaf: leaf[0], machines)
+    machine = first_of(machines)
     broken = [p.detail for p in learning_premises(machine, scheme, task) if not p.held]
     if not broken and changes_nothing(scheme, task):
         broken = ["the law changes nothing of what is played, so every trial is like the first"]
     if broken:
-        size = len(jax.tree.leaves(machines)[0])
+        size = count_of(machines)
         reason = np.full(size, broken[0], object)
         nothing, unknown = np.full(size, NOTHING), np.full(size, np.nan)
         no = np.zeros(size, bool), np.full(size, np.inf)
@@ -327,8 +328,8 @@ def _long_run(
     maps = maps_of(machines, scheme, task, steps)
     ball = ball_of(rounding, scheme, task, view_of(scheme, task))
     astray = None if ball is None else ball.limits
-    ahead = outlooks(machines, scheme, task, maps=maps, astray=astray)
-    claim, reason, of_error, sigma = _claims(machines, scheme, task, ahead, maps)
+    ahead = outlook_of(maps, astray)
+    claim, reason, of_error, sigma = _claims(maps, ahead)
     sense, left = np.full(len(claim), SURELY, object), np.full(len(claim), np.nan)
     found, rms = LongRun(claim, reason, sense, left, left, of_error, sigma, ball, ahead), None
     if draws(machine):
@@ -338,16 +339,17 @@ def _long_run(
     return found._replace(reason=machine.said_of_claims() + found.reason), rms
 
 
-def _of_runs(machines, scheme, task, means: LongRun, trials: int) -> tuple[LongRun, Any]:
+def _of_runs(
+    machines, scheme, task, means: LongRun, trials: int
+) -> tuple[LongRun, np.ndarray | None]:
     """The claims on single runs, where something is drawn, from those on the mean of all runs."""
     view, size = view_of(scheme, task), len(means.claim)
     alike, inputs = learned_alike(machines), len(view.moving)
     if inputs > LARGEST:
         if alike:
             said = f"; noise is followed for up to {LARGEST} inputs, not for {inputs}"
-            return means._replace(
-                sense=np.full(size, STILL, object), reason=means.reason + said
-            ), None
+            sense = np.full(size, STILL, object)
+            return means._replace(sense=sense, reason=means.reason + said), None
         said = f"what is drawn for each trial is followed for up to {LARGEST} inputs, not for "
         reason = np.full(size, f"{said}{inputs}", object)
         no = np.zeros(size, bool)
@@ -424,26 +426,80 @@ def course(errors) -> str:
     return NOT_ALWAYS if _rises(errors, errors[0]) else FALLS
 
 
+# Of the schemes of a scenario
+# --------------------------------------------------------------------------------------------------
+
+
+class OfScheme(NamedTuple):
+    """What theory says of one scheme.
+
+    certificate: of each machine
+    checked: the bounds of Cao 2019 and their premises; None for a scheme that has no such bounds
+    seconds: that the certificate took
+    """
+
+    certificate: Certificate
+    checked: Checked | None
+    seconds: float
+
+
+def certify_schemes(
+    machine: Machine,
+    schemes: Mapping[str, Scheme],
+    task: Task,
+    trials: int,
+    uncertainty: Uncertainty,
+    drawn: Mapping[str, Any],
+    *,
+    progress: Callable[[int, str], object] | None = None,
+) -> dict[str, OfScheme]:
+    """The certificate of every scheme that learns, with the premises of its bounds, by name.
+
+    drawn: machines of `uncertainty.draw`
+    progress: called with the number of schemes done and the name of the next one
+    Raises ValueError, before anything runs, where no scheme learns, or where the trials are too few
+    for bounds to be checked, and whatever `certify` raises.
+    """
+    learning = {name: scheme for name, scheme in schemes.items() if scheme.learns}
+    if not learning:
+        raise ValueError(
+            f"certify: none of {', '.join(schemes)} learns; there is nothing to certify"
+        )
+    for name, scheme in learning.items():
+        if isinstance(scheme, FFDLMFAILC) and trials < NEEDED:
+            allowed = f"[{NEEDED}, inf) of {name}, whose bounds are checked"
+            raise ValueError(f"--trials {trials} is outside its allowed range {allowed}")
+    found = {}
+    for name, scheme in learning.items():
+        if progress is not None:
+            progress(len(found), name)
+        start = time.perf_counter()
+        certificate = certify(machine, scheme, task, trials, uncertainty, drawn)
+        seconds, bounds = time.perf_counter() - start, None
+        if isinstance(scheme, FFDLMFAILC):
+            bounds = checked_machines(machine, scheme, task, trials, uncertainty, drawn)
+        found[name] = OfScheme(certificate, bounds, seconds)
+    return found
+
+
 # How it is done
 # --------------------------------------------------------------------------------------------------
 
 
-def _claims(machines, scheme, task, ahead: Outlook, maps: Matrices | Maps):
+def _claims(maps: LearningMaps, ahead: Outlook):
     """(S,) claims and their reasons, whether they are of the error, and the deciding values."""
     size, decay = len(ahead.met), ahead.decay
     of_errors = np.full(size, np.inf)
+    scheme, task = maps.scheme, maps.task
     if keeps_all(scheme, task):
-        ends_at_zero = keeps_all(scheme, task, off=True) | ~np.asarray(
-            jax.vmap(starts_off, in_axes=(0, None, None))(machines, scheme, task)
-        )
-        of_errors = np.where(
-            ends_at_zero, maps.error_norm(scheme, task, view_of(scheme, task)), np.inf
-        )
+        off = jax.vmap(starts_off, in_axes=(0, None, None))(maps.machines, scheme, task)
+        ends_at_zero = keeps_all(scheme, task, off=True) | ~np.asarray(off)
+        of_errors = np.where(ends_at_zero, maps.error_norm(), np.inf)
     of_error = (of_errors < 1) & ahead.clear
     monotone = of_error | (decay.monotone & ahead.clear)
     converges = decay.converges & ahead.clear & ~monotone
     diverges = np.zeros(size, bool)
-    if not np.all(monotone | converges) and not limit_names(machines, scheme, task):
+    if not np.all(monotone | converges) and not limit_names(maps.machines, scheme, task):
         radius, doubt = maps.radius()
         diverges = ~monotone & ~converges & (radius - doubt > 1)
     claim = np.select([monotone, converges, diverges], [MONOTONE, CONVERGES, DIVERGES], NOTHING)

@@ -38,8 +38,8 @@ from it. Else only the mean of Q is known, and by Markov's inequality q = E[Q] /
 from __future__ import annotations
 
 import dataclasses
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -49,15 +49,16 @@ import scipy.sparse.linalg
 import scipy.special
 from jax.flatten_util import ravel_pytree
 
-from ..learning.machine import Disturbance, Machine
+from ..learning.machine import Machine
 from ..learning.variation import Variation
-from ..runtime.tiles import tiled
+from ..pytree.in_short import in_short
+from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
 from ..signals.task import Task
-from .affine import View, learning_of
-from .reached import reachable
+from .learning_map import View, alone, count_of, first_of, learning_of, slopes
 from .record_moments import RecordMoments
-from .spectrum import triangular_radius
+from .spectrum import reachable, triangular_radius
+from .trials import with_input, with_offset, with_output
 
 SENSES = SURELY, STILL, EVERY, SQUARE, ALMOST, MEAN = (
     "",
@@ -82,6 +83,14 @@ RARE = 0.05  # chance with which a late trial may have more error than is told
 TILTS = np.geomspace(1e-9, 0.95, 512)  # 2 s max l; each gives a bound, of which the least counts
 WHOLE = 1e-10  # share of squares above which a direction is surely one of all that are moved
 DOUBLINGS = 40  # of the number of trials that are summed, at most
+# the part of a machine that draws a noise, the field of its size, and how it is added to a trial;
+# the law sees that of the sensor as it sees noise of the output
+NOISE = {
+    "sensor": ("sensor", "noise", with_output),
+    "output": ("disturbance", "output_noise", with_output),
+    "input": ("disturbance", "input_noise", with_input),
+    "start": ("variation", "scatter", with_offset),
+}
 
 
 class Parts(NamedTuple):
@@ -156,6 +165,7 @@ class UnderChance(NamedTuple):
     left: float
     most: float
     rms: np.ndarray
+    __repr__ = in_short
 
 
 def draws(machines: Machine) -> bool:
@@ -184,12 +194,12 @@ def under_chance(
     in_norm: whether errors are bounded in norm alone, and nothing is claimed but that E|d_j|^2
         falls in every trial, where there is no limit: for many inputs, unless all is certain
     """
-    parts_of, found = _compiled(view, noise_of(machines)), []
-    for i in range(len(jax.tree.leaves(machines)[0])):  # the matrices of one alone are large
-        alone = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i : i + 1], machines)
-        machine = jax.tree.map(lambda leaf: leaf[0], alone)
+    parts_of, found = tiled_with(_parts, lanes=1, view=view, noise=noise_of(machines)), []
+    for i in range(count_of(machines)):  # the matrices of one alone are large
+        one = alone(machines, i)
+        machine = first_of(one)
         drawn = partial(_products, machine, scheme, task, view)
-        parts = Parts(*(np.asarray(part[0]) for part in parts_of((scheme, task), alone)))
+        parts = Parts(*(np.asarray(part[0]) for part in parts_of((scheme, task), one)))
         parts = parts if astray is None else parts.closer(astray[i])
         variation = machine.variation or Variation()
         found.append(_judged(parts, variation, task, trials, drawn, in_norm=in_norm))
@@ -496,40 +506,19 @@ def _norm(matrix) -> float:
 # --------------------------------------------------------------------------------------------------
 
 
-@lru_cache(maxsize=4)  # what `tiled` returns compiles anew each time it is made
-def _compiled(view: View, noise: tuple[str, ...]):
-    return tiled(partial(_parts, view=view, noise=noise), lanes=1)
-
-
 def noise_of(machines: Machine) -> tuple[str, ...]:
-    """What adds noise to a trial of these machines."""
-    parts = machines.sensor, machines.disturbance, machines.disturbance, machines.variation
-    names = {"sensor": "noise", "output": "output_noise", "input": "input_noise"}
-    names["start"] = "scatter"
-    there = zip(names.items(), parts, strict=True)
-    return tuple(name for (name, field), of in there if getattr(of, field, None) is not None)
+    """What adds noise to a trial of these machines: names of `NOISE`."""
+    parts = ((name, getattr(machines, of), size) for name, (of, size, _) in NOISE.items())
+    return tuple(name for name, of, size in parts if getattr(of, size, None) is not None)
 
 
 def _noisy(machine: Machine, noise: dict[str, jax.Array]) -> Machine:
     """The machine with this noise, of variance 1, in place of what it draws."""
-    sensor: Any = machine.sensor
-    disturbance: Any = Disturbance() if machine.disturbance is None else machine.disturbance
-    variation: Any = Variation() if machine.variation is None else machine.variation
-    added = {"output": disturbance.output, "input": disturbance.input, "start": variation.offset}
-    sizes = {
-        "sensor": lambda: sensor.noise,  # the law sees it as it sees noise of the output
-        "output": lambda: disturbance.output_noise,
-        "input": lambda: disturbance.input_noise,
-        "start": lambda: variation.scatter,
-    }
+    one = machine
     for name, x in noise.items():
-        of = "output" if name == "sensor" else name
-        added[of] = (0.0 if added[of] is None else added[of]) + sizes[name]() * x
-    return dataclasses.replace(
-        machine,
-        disturbance=dataclasses.replace(disturbance, input=added["input"], output=added["output"]),
-        variation=dataclasses.replace(variation, offset=added["start"]),
-    )
+        of, size, added = NOISE[name]
+        one = added(one, getattr(getattr(machine, of), size) * x)
+    return one
 
 
 def _parts(common, machine, *, view: View, noise: tuple[str, ...]) -> tuple:
@@ -546,16 +535,11 @@ def _parts(common, machine, *, view: View, noise: tuple[str, ...]) -> tuple:
 
     def at(w, d):
         one = _noisy(machine, unravel(d))
-        variation: Any = one.variation
-        drawn = dataclasses.replace(variation, shortest=None)
+        drawn = dataclasses.replace(one.variation or Variation(), shortest=None)
         seen = learning_of(dataclasses.replace(one, variation=drawn), scheme, task, view)
         of_one = learning_of(one, scheme, task, view)
         limited = [jnp.zeros(1), *of_one.limits(w).values()]
         return of_one.following(w), seen.output(w), jnp.concatenate(limited)
-
-    def slopes(f, x):
-        value, push = jax.linearize(f, x)
-        return value, jax.tree.map(lambda rows: rows.T, jax.vmap(push)(jnp.eye(x.size)))
 
     (c, y, t), (M, Y, T) = slopes(lambda w: at(w, still), start)
     of_noise = [jnp.zeros((len(x), 1)) for x in (c, y, t)]
@@ -571,7 +555,8 @@ def _products(machine, scheme, task, view: View) -> float:
     if len(view.moving) > PRODUCTS:
         return np.inf
     keys = jax.random.split(jax.random.key(5), BLOCKS)
-    logs = np.asarray(_drawn_products(view)((machine, scheme, task), keys))
+    run = tiled_with(_drawn_product, lanes=1, view=view)
+    logs = np.asarray(run((machine, scheme, task), keys))
     with np.errstate(divide="ignore"):
         sizes = logs / np.array(LENGTHS)
     t = scipy.special.stdtrit(BLOCKS - 1, 1 - SURE / len(LENGTHS))
@@ -579,25 +564,19 @@ def _products(machine, scheme, task, view: View) -> float:
     return float(np.min(np.nan_to_num(above, nan=np.inf)))
 
 
-@lru_cache(maxsize=4)
-def _drawn_products(view: View):
+def _drawn_product(common, key, *, view: View):
     """log ||M_k ... M_1|| of drawn maps for k of `LENGTHS`, by key."""
+    machine, scheme, task = common
 
-    def one(common, key):
-        machine, scheme, task = common
+    def turn(now, key):
+        product, size = now
+        found = learning_of(machine, scheme, task, view, key)
+        _, push = jax.linearize(found.following, found.start)
+        product = jax.vmap(push, in_axes=1, out_axes=1)(product)
+        length = jnp.linalg.norm(product)
+        grown = size + jnp.log(length)
+        return (product / jnp.where(length > 0, length, 1.0), grown), grown
 
-        def turn(now, key):
-            product, size = now
-            found = learning_of(machine, scheme, task, view, key)
-            _, push = jax.linearize(found.following, found.start)
-            product = jax.vmap(push, in_axes=1, out_axes=1)(product)
-            length = jnp.linalg.norm(product)
-            grown = size + jnp.log(length)
-            return (product / jnp.where(length > 0, length, 1.0), grown), grown
-
-        unit = jnp.eye(len(view.moving))
-        keys = jax.random.split(key, LENGTHS[-1])
-        _, logs = jax.lax.scan(turn, (unit, jnp.zeros(())), keys)
-        return logs[np.array(LENGTHS) - 1]  # Frobenius norms, never below ||M_k ... M_1||
-
-    return tiled(one, lanes=1)
+    unit = jnp.eye(len(view.moving))
+    _, logs = jax.lax.scan(turn, (unit, jnp.zeros(())), jax.random.split(key, LENGTHS[-1]))
+    return logs[np.array(LENGTHS) - 1]  # Frobenius norms, never below ||M_k ... M_1||

@@ -90,10 +90,8 @@ def condition(
     is 1 in theory, as of a law that leaves a sample alone, may be computed as 1 - 1e-15.
     """
     value, premises = np.asarray(value), tuple(premises)
-    rounding = (
-        ROUNDING * np.finfo(value.dtype if value.dtype.kind == "f" else float).eps * abs(limit)
-    )
-    value = value.astype(float)
+    of_type = value.dtype if value.dtype.kind == "f" else float
+    rounding, value = ROUNDING * np.finfo(of_type).eps * abs(limit), value.astype(float)
     claimed = ~np.isnan(value)
     for p in premises:
         claimed = claimed & p.held

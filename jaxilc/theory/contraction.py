@@ -1,16 +1,24 @@
 """Contraction of any scheme without a matrix: the gain and the growth of its learning maps.
 
-The maps (`maps`) are differentiated through the simulator, and their gain and growth are found by
-the methods of Lanczos and Arnoldi (`iteration`). The scheme may adapt, switch and be nonlinear.
-What is found is then true near the memory at which it was found, as far as the simulation has the
-derivative that JAX gives it; a rounding has none. It is true everywhere where the map is affine,
-which is read off its program (`structure`).
+    learning_map   memory -> trial -> next memory, of all that a scheme knows, estimates included,
+                   or of the parts of it that are named
+    error_map      e_j -> e_{j+1}, ..., e_{j+J}, what becomes of the error of a trial; I - G L for
+                   a linear law, and defined for any scheme
+
+Both are differentiated through the simulator, forward (`jvp`) and backward (`vjp`), each at the
+cost of a trial, and their gain and growth are found by the methods of Lanczos and Arnoldi
+(`spectrum`). The maps are pure functions and may be vmapped over machines; the conditions are not
+for use inside compiled code. The scheme may adapt, switch and be nonlinear. What is found is then
+true near the memory at which it was found, as far as the simulation has the derivative that JAX
+gives it; a rounding has none. It is true everywhere where the map is affine, which is read off its
+program (`structure`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,14 +26,24 @@ from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..plants.structure import blind, followers, obstacle
+from ..pytree.named_paths import named_leaves
+from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
+from ..uncertainty import Uncertainty, drawn_machine
 from .condition import Condition, Premise, condition, premise
-from .iteration import SingularValue, SpectralRadius, singular_value, spectral_radius_of
 from .linearity import linear_law
-from .maps import Map, error_growth, error_map, learning_map, over_plants
-from .structure import blind, obstacle
-from .trials import LEARNED, learned_memory
+from .spectrum import SingularValue, SpectralRadius, singular_value, spectral_radius_of
+from .trials import (
+    LEARNED,
+    Prescribed,
+    learned_from,
+    learned_memory,
+    step,
+    trial_of,
+    with_output,
+)
 
 __all__ = [
     "LEARNED",
@@ -44,6 +62,9 @@ __all__ = [
     "spectral_radius_of",
 ]
 
+# leaves of a memory that are no state: they only tell the first trial from the others
+FLAGS = ("seen",)
+OF_OUTPUT = ("y",)  # leaves of a memory that have the unit of the output
 FIXED = 1e-6  # by how much of itself a trial may move a memory that counts as a fixed point
 
 CONTRACTION = (
@@ -63,8 +84,183 @@ RESOLVED = "iteration converged"
 DIFFERENTIABLE = "the derivative is that of the simulation"
 
 
-# Conditions: not for use inside compiled code
-# ------------------------------------------------------------------------------
+# The maps
+# --------------------------------------------------------------------------------------------------
+
+
+class Map(NamedTuple):
+    """A map and where to linearise it: f from (n,) to (m,) or (J, m), at a point (n,)."""
+
+    f: Callable[[jax.Array], jax.Array]
+    at: jax.Array
+
+
+def learning_map(
+    machine: Machine,
+    scheme: Scheme,
+    task: Task,
+    memory: Any = None,
+    *,
+    leaves: tuple[str, ...] | None = None,
+    weights: Mapping[str, Any] | None = None,
+) -> Map:
+    """One trial and its learning, as a map on the weighted memory.
+
+    memory:  where to linearise; None for the memory after 3 trials
+    leaves:  names of what varies, while all else is held: "u", or "learning.phi", which is all of
+             phi[0], phi[1], ...; None for all on which a trial to come depends, but flags. What
+             only tells of the past is no state: a counter would be an eigenvalue 1. ("u", "y") of
+             MFAILC leaves out its estimates. That matters: at a fixed point without error
+             nothing moves phi, so the full map has the eigenvalue 1 there, once for each phi that
+             no reset holds. u alone says nothing, as y goes with it
+    weights: {name: number} by which leaves are multiplied before they are compared, as u, y and phi
+             have different units. Spectral radii do not depend on them, singular values do. A leaf
+             without a weight is brought to the size of the output by rms(y) / rms(leaf), or by 1 if
+             either is zero; `y` keeps its unit. Of several names that fit a leaf, the longest
+             counts
+
+    Raises ValueError for a name that is not in the memory, or a memory without anything that
+    varies.
+    """
+    scheme = scheme.prepared(task)
+    memory = learned_memory(machine, scheme, task) if memory is None else memory
+    found = named_leaves(memory)
+    names, values = list(found), [jnp.asarray(v) for v in found.values()]
+    for name in (*(leaves or ()), *(weights or ())):
+        if not any(_names(name, of) for of in names):
+            known = ", ".join(names) or "nothing"
+            raise ValueError(f"learning_map: {name!r} is not in this memory; known: {known}")
+    if leaves is not None:
+        varies = [any(_names(name, of) for name in leaves) for of in names]
+    else:
+        acting = zip(names, _acting(machine, scheme, task, memory), strict=True)
+        varies = [acts and of.split(".")[-1] not in FLAGS for of, acts in acting]
+    floating = [jnp.issubdtype(value.dtype, jnp.floating) for value in values]
+    varies = [v and floats for v, floats in zip(varies, floating, strict=True)]
+    if not any(varies):
+        raise ValueError(
+            f"learning_map: the memory of {type(scheme).__name__} has no floating leaf that varies"
+        )
+    size_y = _rms(trial_of(machine, scheme, task, memory).y)
+    named = zip(names, values, strict=True)
+    scales = [_weight(of, value, weights or {}, size_y) for of, value in named]
+    shape = jax.tree.structure(memory)
+
+    def flat(of_memory):
+        leaves = zip(jax.tree.leaves(of_memory), scales, varies, strict=True)
+        return jnp.concatenate([(w * v).ravel() for v, w, free in leaves if free])
+
+    def unflat(x):
+        rest, at = [], 0
+        for value, w, free in zip(values, scales, varies, strict=True):
+            rest.append(x[at : at + value.size].reshape(value.shape) / w if free else value)
+            at += value.size if free else 0
+        return shape.unflatten(rest)
+
+    return Map(lambda x: flat(step(machine, scheme, task, unflat(x))), flat(memory))
+
+
+def error_map(
+    machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1
+) -> Map:
+    """From the error of a trial, (N n_y,), to those of the next `trials` trials, (J, N n_y).
+
+    Another error e[1..N] is brought about by the repetitive disturbance of the output that causes
+    it, which then stays. So it is the error that is prescribed, not the input: that trial is run
+    with the prescribed output fed back, and nothing has to be inverted. For a linear law under a
+    linear loop G the derivative is (I - G L)^j. A scheme that adapts also learns from the change,
+    which is part of the derivative.
+
+    memory: with which the trial is entered; None for the memory after 3 trials
+    """
+    scheme = scheme.prepared(task)
+    memory = learned_memory(machine, scheme, task) if memory is None else memory
+    r, first = jnp.asarray(task.reference), trial_of(machine, scheme, task, memory)
+
+    def f(e):
+        y = jnp.concatenate([first.y[:1], r[1:] - e.reshape(task.N, -1)])
+        trial = trial_of(machine, Prescribed(scheme), task, (memory, y))
+        disturbed = with_output(machine, y - trial.y)
+
+        def following(memory, _):
+            trial = trial_of(disturbed, scheme, task, memory)
+            return learned_from(disturbed, scheme, memory, trial), trial.e[1:].ravel()
+
+        known = learned_from(machine, scheme, memory, trial._replace(y=y))
+        return lax.scan(following, known, length=trials)[1]
+
+    return Map(f, first.e[1:].ravel())
+
+
+def error_growth(
+    f: Callable, at, trials: int, *, steps: int = 300, tolerance: float = 1e-6
+) -> SingularValue:
+    """The largest |e_{j+i}| / |e_j| for i = 1..J: fields with a leading axis of J.
+
+    f, at: an `error_map` over J `trials`
+    """
+    how: dict[str, Any] = {"steps": steps, "tolerance": tolerance}
+    return lax.map(lambda row: singular_value(f, at, row=row, **how), jnp.arange(trials))
+
+
+def over_plants(
+    quantity: Callable[[Machine], Any],
+    machine: Machine,
+    uncertainty: Uncertainty,
+    drawn: Mapping[str, Any],
+    lanes: int = 4,
+):
+    """quantity(machine) for every plant drawn, tiled over devices.
+
+    drawn: as from `uncertainty.draw`
+    """
+    run = tiled(
+        lambda common, values: quantity(drawn_machine(common, uncertainty, values)), lanes=lanes
+    )
+    return run(machine, {name: jnp.asarray(values) for name, values in drawn.items()})
+
+
+def _acting(machine: Machine, scheme: Scheme, task: Task, memory) -> list[bool]:
+    """Of each leaf of a memory, whether a trial to come may depend on it, as the program tells."""
+
+    def turn(fixed, memory):
+        machine, scheme, task = fixed
+        trial = trial_of(machine, scheme, task, memory)
+        return scheme.learn(memory, trial), trial.y, trial.u
+
+    found = followers(turn, (machine, scheme, task), memory)
+    leaves = len(found)
+    acting = [any(of_leaf[leaves:]) for of_leaf in found]
+    while True:
+        grown = [
+            acts or any(follows and acting[i] for i, follows in enumerate(of_leaf[:leaves]))
+            for acts, of_leaf in zip(acting, found, strict=True)
+        ]
+        if grown == acting:
+            return acting
+        acting = grown
+
+
+def _names(name: str, leaf: str) -> bool:
+    """Whether a name means this leaf, or an object that this leaf is a part of."""
+    return leaf == name or leaf.startswith((f"{name}.", f"{name}["))
+
+
+def _weight(leaf: str, value, weights: Mapping[str, Any], size_y):
+    named = [name for name in weights if _names(name, leaf)]
+    if named:
+        return weights[max(named, key=len)]
+    size = _rms(value)
+    usable = (size > 0) & (size_y > 0) & (leaf.split(".")[-1] not in OF_OUTPUT)
+    return jnp.where(usable, size_y / jnp.where(size > 0, size, 1.0), 1.0)
+
+
+def _rms(signal):
+    return jnp.sqrt(jnp.mean(signal**2))
+
+
+# Conditions on them
+# --------------------------------------------------------------------------------------------------
 
 
 def contracting(
@@ -73,7 +269,7 @@ def contracting(
     """The learning map contracts in the norm of the weighted memory.
 
     weights: as for `learning_map`
-    options: `leaves` as for `learning_map`; `steps`, `tolerance` as for `iteration.singular_value`
+    options: `leaves` as for `learning_map`; `steps`, `tolerance` as for `spectrum.singular_value`
 
     Raises ValueError where machine, scheme and task do not fit, or for a name that is not in the
     memory.
@@ -81,9 +277,8 @@ def contracting(
     check(machine, scheme, task)
     found, distance = _singular_of_memory(machine, scheme, task, memory, weights, **options)
     premises, where = _where(machine, scheme, task, memory, options.get("leaves"), distance)
-    return condition(
-        found.value, CONTRACTION.format(where=where), premises=(*premises, _bounded(found))
-    )
+    theorem = CONTRACTION.format(where=where)
+    return condition(found.value, theorem, premises=(*premises, _bounded(found)))
 
 
 def attracting(
@@ -117,7 +312,7 @@ def error_contracting(
 ) -> Condition:
     """A change of the error, whatever its shape, is smaller `trials` trials later; see `error_map`.
 
-    options: `steps`, `tolerance` of `iteration.singular_value`
+    options: `steps`, `tolerance` of `spectrum.singular_value`
 
     Raises ValueError where machine, scheme and task do not fit.
     """
@@ -125,13 +320,11 @@ def error_contracting(
     found = _singular_of_error(machine, scheme, task, memory, trials=trials, **options)
     memory = _like_learned(machine, scheme, task) if memory is None else memory
     fixed, at = (machine, scheme, task, memory), jnp.zeros(task.N * task.outputs)
-    affine = bool(linear_law(scheme, task, memory).held) and not obstacle(
-        partial(_errors, trials=trials), fixed, at
-    )
-    theorem = ERROR.format(
-        n=trials, which="" if affine else "small ", where=EVERYWHERE if affine else NEARBY
-    )
-    smooth = affine or not blind(partial(_errors, trials=trials), fixed, at)
+    errors = partial(_errors, trials=trials)
+    affine = bool(linear_law(scheme, task, memory).held) and not obstacle(errors, fixed, at)
+    where, which = (EVERYWHERE, "") if affine else (NEARBY, "small ")
+    theorem = ERROR.format(n=trials, which=which, where=where)
+    smooth = affine or not blind(errors, fixed, at)
     return condition(found.value, theorem, premises=(_differentiable(smooth), _bounded(found)))
 
 
@@ -153,19 +346,14 @@ def _radius_of_memory(machine, scheme, task, memory, *, leaves=None, steps=100):
 def _singular_of_power(machine, scheme, task, memory, *, leaves=None, steps=100):
     map_ = learning_map(machine, scheme, task, memory, leaves=leaves)
     _, push = jax.linearize(*map_)
-    return singular_value(
-        lambda x: lax.fori_loop(0, 8, lambda _, x: push(x), x), jnp.zeros_like(map_.at), steps=steps
-    )
+    eighth = lambda x: lax.fori_loop(0, 8, lambda _, x: push(x), x)  # noqa: E731
+    return singular_value(eighth, jnp.zeros_like(map_.at), steps=steps)
 
 
 @partial(jax.jit, static_argnames=("trials", "steps", "tolerance"))
 def _singular_of_error(machine, scheme, task, memory, *, trials, steps=300, tolerance=0.0):
-    return singular_value(
-        *error_map(machine, scheme, task, memory, trials=trials),
-        steps=steps,
-        tolerance=tolerance,
-        row=trials - 1,
-    )
+    at = error_map(machine, scheme, task, memory, trials=trials)
+    return singular_value(*at, steps=steps, tolerance=tolerance, row=trials - 1)
 
 
 def _distance(map_: Map):
@@ -182,10 +370,8 @@ def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premi
     law = linear_law(scheme, task, memory)
     why = "" if law.held else law.detail
     why = obstacle(partial(_learned, leaves=leaves), fixed, at) or why
-    found = (
-        f"{why or 'affine, read off its program'}; another trial moves the memory by "
-        f"{float(distance):.1e} of itself"
-    )
+    moved = f"another trial moves the memory by {float(distance):.1e} of itself"
+    found = f"{why or 'affine, read off its program'}; {moved}"
     local = premise("map affine, or taken at its fixed point", not why or distance <= FIXED, found)
     smooth = not why or not blind(partial(_learned, leaves=leaves), fixed, at)
     return (local, _differentiable(smooth)), NEARBY if why else EVERYWHERE
@@ -197,11 +383,8 @@ def _like_learned(machine, scheme, task) -> Any:
 
 
 def _differentiable(smooth: bool) -> Premise:
-    return premise(
-        DIFFERENTIABLE,
-        smooth,
-        "read off its program" if smooth else "something is rounded, and its derivative made up",
-    )
+    found = "read off its program" if smooth else "something is rounded, and its derivative made up"
+    return premise(DIFFERENTIABLE, smooth, found)
 
 
 def _learned(fixed, at, *, leaves):
@@ -215,6 +398,5 @@ def _errors(fixed, at, *, trials):
 def _bounded(found: SingularValue) -> Premise:
     """The premise that the iteration came close enough to tell whether the value is below 1."""
     clear = found.bound < 1 or found.value >= 1
-    return premise(
-        RESOLVED, clear, f"{float(found.value):.9g}, and at most {float(found.bound):.9g}"
-    )
+    told = f"{float(found.value):.9g}, and at most {float(found.bound):.9g}"
+    return premise(RESOLVED, clear, told)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,10 +9,10 @@ from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.over_trials import learn
-from ..runtime.tiles import tiled
+from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
 from ..signals.task import Task
-from .affine import View, known_as
+from .learning_map import View, known_as
 from .trials import learned_from, trial_of
 
 # trials simulated before the prediction takes over: from the third on a law of two-trial
@@ -35,7 +33,7 @@ def predict(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.nd
     """
     law = scheme.frozen().unlimited()
     repeats = scheme.trials_a_step // law.trials_a_step
-    found = np.asarray(_predicting(-(-trials // repeats))((law, task), machines))
+    found = np.asarray(tiled_with(_predict, trials=-(-trials // repeats))((law, task), machines))
     return np.repeat(found, repeats, axis=1)[:, :trials]
 
 
@@ -86,7 +84,7 @@ def _finite_or_infinite(errors) -> np.ndarray:
 
 def simulate(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:
     """(S, J) root mean square errors as `learn` simulates them, without noise."""
-    return np.asarray(_simulating(trials)((scheme, task), machines))
+    return np.asarray(tiled_with(_simulate, trials=trials)((scheme, task), machines))
 
 
 def simulate_runs(
@@ -97,7 +95,7 @@ def simulate_runs(
     As theory does, they begin when machine and reference have changed for the last time.
     """
     keys = jax.random.split(jax.random.key(11), runs)
-    return np.asarray(_simulating_runs(trials)((scheme, task, keys), machines))
+    return np.asarray(tiled_with(_simulate_runs, trials=trials)((scheme, task, keys), machines))
 
 
 def follow(
@@ -105,34 +103,15 @@ def follow(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(S, J) root mean square errors as simulated, and (S, J) distances from a limit.
 
-    The distance is that of what is played from a limit (S, n), see `affine`.
+    The distance is that of what is played from a limit (S, n), see `learning_map`.
     """
-    errors, distance = _following(trials, view)((scheme, task), (machines, jnp.asarray(limit)))
+    run = tiled_with(_follow, trials=trials, view=view)
+    errors, distance = run((scheme, task), (machines, jnp.asarray(limit)))
     return np.asarray(errors), np.asarray(distance)
 
 
 # One machine at a time
 # --------------------------------------------------------------------------------------------------
-
-
-@lru_cache(maxsize=16)  # what `tiled` returns compiles anew each time it is made
-def _predicting(trials):
-    return tiled(partial(_predict, trials=trials))
-
-
-@lru_cache(maxsize=16)
-def _simulating(trials):
-    return tiled(partial(_simulate, trials=trials))
-
-
-@lru_cache(maxsize=16)
-def _simulating_runs(trials):
-    return tiled(partial(_simulate_runs, trials=trials))
-
-
-@lru_cache(maxsize=16)
-def _following(trials, view):
-    return tiled(partial(_follow, trials=trials, view=view))
 
 
 def _predict(common, machine, *, trials):

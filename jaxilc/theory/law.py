@@ -61,9 +61,8 @@ class Law(NamedTuple):
             f"taps differ by {self.departure:.1e} over the trial; {self.tail:.1e} of the largest "
             "is left after half of it"
         )
-        return premise(
-            INVARIANT_LAW, self.departure <= ALIKE and self.tail <= FORGOTTEN**0.5, found
-        )
+        held = self.departure <= ALIKE and self.tail <= FORGOTTEN**0.5
+        return premise(INVARIANT_LAW, held, found)
 
     @property
     def causal(self) -> bool:
@@ -76,17 +75,11 @@ class Law(NamedTuple):
         As the law is linear, it is enough to look at a random trial.
         """
         random = np.random.default_rng(5)
-        u, e = (
-            random.standard_normal((task.N, _width(scheme, task))),
-            random.standard_normal((task.N, task.outputs)),
-        )
-        seen, expected = (
-            np.asarray(_pushed(scheme, task, u, e)),
-            _convolved(self.keep, u) + _convolved(self.L, e, 1),
-        )
-        return bool(
-            np.max(np.abs(seen - expected)) <= ALIKE * np.max(np.abs(expected), initial=1e-300)
-        )
+        u = random.standard_normal((task.N, _width(scheme, task)))
+        e = random.standard_normal((task.N, task.outputs))
+        expected = _convolved(self.keep, u) + _convolved(self.L, e, 1)
+        off = np.max(np.abs(np.asarray(_pushed(scheme, task, u, e)) - expected))
+        return bool(off <= ALIKE * np.max(np.abs(expected), initial=1e-300))
 
 
 def law_of(scheme: Scheme, task: Task) -> Law:
@@ -155,12 +148,8 @@ def learning_law(scheme: Scheme, task: Task, memory: Any = None) -> LawMatrices:
     Raises ValueError for a scheme that learns no feedforward.
     """
     _width(scheme, task)
-    return LawMatrices(
-        *map(
-            np.asarray,
-            _matrices(scheme, task, scheme.initial_memory(task) if memory is None else memory),
-        )
-    )
+    memory = scheme.initial_memory(task) if memory is None else memory
+    return LawMatrices(*map(np.asarray, _matrices(scheme, task, memory)))
 
 
 class LawResponse(NamedTuple):
@@ -183,16 +172,12 @@ def traced_response(scheme: Scheme, task: Task, frequencies) -> LawResponse:
     reach beyond half of the trial is cut off there; `law_of` tells whether that is so. Raises
     ValueError for a scheme that learns no feedforward.
     """
-    N, middle = task.N, task.N // 2
-    lags = middle - np.arange(N)
-    found = []
-    for rows, late, seen in zip(
-        _impulses(scheme, task, middle), (0, 1), (_width(scheme, task), task.outputs), strict=True
-    ):
-        taps = rows.reshape(N, -1, seen).astype(complex)
-        powers = jnp.exp(
-            2j * jnp.pi * task.dt * jnp.outer(jnp.asarray(frequencies), jnp.asarray(lags + late))
-        )
+    N, middle, f = task.N, task.N // 2, jnp.asarray(frequencies)
+    lags, found = middle - np.arange(N), []
+    width = _width(scheme, task), task.outputs
+    for late, rows in enumerate(_impulses(scheme, task, middle)):
+        taps = rows.reshape(N, -1, width[late]).astype(complex)
+        powers = jnp.exp(2j * jnp.pi * task.dt * jnp.outer(f, jnp.asarray(lags + late)))
         found.append(jnp.tensordot(powers, taps, axes=1))
     return LawResponse(*found)
 
@@ -209,9 +194,8 @@ def filter_response(q: Filter, task: Task, frequencies) -> jax.Array:
     """
     N = max(LONG, task.N)
     answer = np.asarray(_filtered(q, jnp.zeros((N, 1)).at[N // 2].set(1.0), task.dt))
-    return at_points(
-        _trimmed(N // 2 - np.arange(N), answer[:, :, None]), on_circle(frequencies, task.dt)
-    )[:, 0, 0]
+    taps = _trimmed(N // 2 - np.arange(N), answer[:, :, None])
+    return at_points(taps, on_circle(frequencies, task.dt))[:, 0, 0]
 
 
 # How it is done

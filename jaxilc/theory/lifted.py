@@ -25,9 +25,9 @@ from ..learning.over_trials import check
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..uncertainty import drawn_machines
-from .affine import limit_names
 from .condition import Condition, premise
 from .law import learning_law
+from .learning_map import limit_names
 from .linearity import keeps_all, linear_law, linear_trial
 from .outlook import outlooks
 from .spectrum import asymptotic, monotone, sigma_max, spectral_radius, transient, transient_growth
@@ -122,9 +122,8 @@ def mfailc_map(G, phi, lam, rho=1.0, *, lead: int = 0) -> np.ndarray:
     """
     G, phi = np.asarray(G), np.asarray(phi, float)
     size = G.shape[-1]
-    if G.shape != (size, size) or not (
-        phi.shape[-1:] == (size,) or (phi.ndim > 1 and phi.shape[-2] * phi.shape[-1] == size)
-    ):
+    fits = phi.shape[-1:] == (size,) or (phi.ndim > 1 and phi.shape[-2] * phi.shape[-1] == size)
+    if G.shape != (size, size) or not fits:
         raise ValueError(
             f"mfailc_map: phi has shape {phi.shape}, G {G.shape}; allowed are (..., N) and (..., "
             "N, n) with G (N n, N n)"
@@ -132,9 +131,8 @@ def mfailc_map(G, phi, lam, rho=1.0, *, lead: int = 0) -> np.ndarray:
     phi = phi[..., None] if phi.shape[-1] == size else phi
     gamma = np.asarray(rho * phi / (lam + phi**2)).reshape(*phi.shape[:-2], 1, size)
     weighted, shift = G * gamma, lead * phi.shape[-1]
-    return np.eye(size) - np.concatenate(
-        [np.zeros_like(weighted[..., :shift]), weighted[..., : size - shift]], axis=-1
-    )
+    shifted = np.zeros_like(weighted[..., :shift]), weighted[..., : size - shift]
+    return np.eye(size) - np.concatenate(shifted, axis=-1)
 
 
 def learning_conditions(
@@ -149,33 +147,21 @@ def learning_conditions(
     about, memory: where a machine or law that is not linear is linearised; a premise then says that
                   it is not linear
     """
-    G, law = (
-        lifted_plant(machine, scheme, task, about=about, memory=memory),
-        learning_law(scheme, task, memory),
-    )
-    premises = [
-        linear_trial(machine, scheme, task, memory=memory),
-        linear_law(scheme, task, memory),
-    ]
-    if limit_names(drawn_machines(machine, {}, {}), scheme, task):
-        premises.append(outlooks(drawn_machines(machine, {}, {}), scheme, task).of_limits(0))
+    G = lifted_plant(machine, scheme, task, about=about, memory=memory)
+    law, one = learning_law(scheme, task, memory), drawn_machines(machine, {}, {})
+    of_trial = linear_trial(machine, scheme, task, memory=memory)
+    premises = [of_trial, linear_law(scheme, task, memory)]
+    if limit_names(one, scheme, task):
+        premises.append(outlooks(one, scheme, task).of_limits(0))
     M = input_map(G, law.L, keep=law.keep)
     found = {
         "monotone": monotone(M, premises=premises),
         "asymptotic": asymptotic(M, premises=premises),
     }
     if np.array_equal(law.keep, np.eye(len(law.keep))):
-        ends_at_zero = keeps_all(scheme, task, off=True) or not bool(
-            starts_off(machine, scheme, task)
-        )
-        premises = [
-            *premises,
-            premise(
-                NO_REST,
-                ends_at_zero,
-                "" if ends_at_zero else "the law reads e[0], which no input reaches",
-            ),
-        ]
+        off = not keeps_all(scheme, task, off=True) and bool(starts_off(machine, scheme, task))
+        said = "the law reads e[0], which no input reaches" if off else ""
+        premises.append(premise(NO_REST, not off, said))
         found["monotone_error"] = monotone(error_map(G, law.L), premises=premises)
     return found
 

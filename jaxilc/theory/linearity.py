@@ -22,13 +22,13 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.playback import replay
 from ..learning.variation import Variation
+from ..plants.structure import CONSTANT, dependence, obstacle
 from ..schemes import Scheme
 from ..schemes.experiments import trials_of_step
 from ..schemes.scheme import with_all_parts
 from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import tick_of
-from .structure import CONSTANT, dependence, obstacle
 from .trials import learned_shape, next_learned, played, step
 
 ONE_LAW = "learning law linear and the same in each trial"
@@ -52,30 +52,17 @@ def linear_law(scheme: Scheme, task: Task, memory: Any = None) -> Premise:
         found = f"{what} makes experiments between its steps; a GradientILC can be certified"
         return premise(ONE_LAW, False, found)
     trial = free.record(jnp.zeros(shape), jnp.zeros((task.N + 1, task.outputs)), task)
-    signals = {
-        "u": trial.u,
-        "y": trial.y,
-        **{f"signals.{name}": s for name, s in trial.signals.items()},
-    }
+    signals = {"u": trial.u, "y": trial.y, "signals": trial.signals}
 
     def learned(fixed, varying):
-        scheme, task = fixed
-        memory, signals = varying
-        of_scheme = {
-            name.removeprefix("signals."): s
-            for name, s in signals.items()
-            if name.startswith("signals.")
-        }
-        r = jnp.asarray(task.reference)
-        following = scheme.learn(
-            memory, trial._replace(r=r, y=signals["y"], u=signals["u"], signals=of_scheme)
-        )
+        (scheme, task), (memory, signals) = fixed, varying
+        shown = trial._replace(r=jnp.asarray(task.reference), **signals)
+        following = scheme.learn(memory, shown)
         return following, scheme.feedforward(following, task)
 
     why = obstacle(learned, (free.prepared(task), task), (memory, signals))
-    return premise(
-        ONE_LAW, not why, f"{what} learns by {why}" if why else f"{what}, read off its program"
-    )
+    found = f"{what} learns by {why}" if why else f"{what}, read off its program"
+    return premise(ONE_LAW, not why, found)
 
 
 def linear_trial(
@@ -93,15 +80,14 @@ def linear_trial(
 
 def nonlinear_part(machine: Machine, scheme: Scheme | None, task: Task, memory: Any = None) -> str:
     """Which part of a trial is not linear, and by what, in words; empty if every part is."""
-    why = obstacle(_output_open, (machine.unlimited(), task), jnp.zeros((task.N, task.inputs)))
+    why = obstacle(output_alone, (machine.unlimited(), task), jnp.zeros((task.N, task.inputs)))
     if why:
         return f"the machine ({type(machine.plant).__name__}) answers its input by {why}"
     if scheme is None:
         return ""
     memory = scheme.initial_memory(task) if memory is None else memory
-    why = obstacle(
-        _input_replayed, (scheme.unlimited(), task, memory), jnp.zeros((task.N + 1, task.outputs))
-    )
+    fixed, y = (scheme.unlimited(), task, memory), jnp.zeros((task.N + 1, task.outputs))
+    why = obstacle(_input_replayed, fixed, y)
     return f"{type(scheme).__name__} acts within the trial by {why}" if why else ""
 
 
@@ -114,10 +100,8 @@ def invariant_loop(machine: Machine, scheme: Scheme | None, task: Task) -> Premi
     tick, fixed, varying = tick_of(machine.unlimited(), free, task)
     why = obstacle(tick, fixed, varying)
     if why:
-        why = (
-            nonlinear_part(machine, scheme, task)
-            or f"{why}, which makes it another loop at each sample"
-        )
+        part = nonlinear_part(machine, scheme, task)
+        why = part or f"{why}, which makes it another loop at each sample"
     return premise(INVARIANT, not why, why or "read off the program of a sample")
 
 
@@ -131,15 +115,11 @@ def learning_premises(machine: Machine, scheme: Scheme, task: Task) -> tuple[Pre
     differs = "" if machine.variation is None else _differing(machine.variation, scheme, task)
     if differs:
         return found[0], premise(ONE_LAW, False, differs)
-    whole = obstacle(
-        _step,
-        (machine.unlimited(), scheme.unlimited().prepared(task), task),
-        scheme.initial_memory(task),
-    )
+    fixed = machine.unlimited(), scheme.unlimited().prepared(task), task
+    whole = obstacle(_step, fixed, scheme.initial_memory(task))
     if whole and all(p.held for p in found):
-        return found[0], premise(
-            ONE_LAW, False, f"a trial and learning from it is no linear map, by {whole}"
-        )
+        said = f"a trial and learning from it is no linear map, by {whole}"
+        return found[0], premise(ONE_LAW, False, said)
     return found
 
 
@@ -175,10 +155,8 @@ def remembers(scheme: Scheme, task: Task) -> bool:
         following = scheme.learn(memory, trial._replace(r=jnp.asarray(task.reference)))
         return scheme.feedforward(following, task)
 
-    return (
-        dependence(learned, (free.prepared(task), task), scheme.initial_memory(task)).order
-        != CONSTANT
-    )
+    fixed, memory = (free.prepared(task), task), scheme.initial_memory(task)
+    return dependence(learned, fixed, memory).order != CONSTANT
 
 
 def of_last_trial(scheme: Scheme, task: Task) -> Premise:
@@ -205,10 +183,8 @@ def keeps_all(scheme: Scheme, task: Task, *, off: bool = False) -> bool:
         return False
     free = scheme.unlimited().prepared(task)
     random = np.random.default_rng(6)
-    w, e0 = (
-        random.standard_normal(learned_shape(scheme, task)),
-        random.standard_normal(task.outputs) * off,
-    )
+    w = random.standard_normal(learned_shape(scheme, task))
+    e0 = random.standard_normal(task.outputs) * off
     kept = np.asarray(_after_no_error(free, task, w, e0))
     return bool(np.max(np.abs(kept - w)) <= 1e-12 * np.max(np.abs(w)))
 
@@ -224,7 +200,8 @@ def _output_played(fixed, learned):
     return played(*fixed, learned).y
 
 
-def _output_open(fixed, u):
+def output_alone(fixed, u):
+    """(N+1, n_y) the output of a machine without a scheme."""
     machine, task = fixed
     return played(machine, None, task, None, u).y
 

@@ -80,12 +80,11 @@ def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
         The first row would know nothing of the sample before.
         """
         memory = scheme.initial_memory(short)
-        return jax.tree.map(
-            lambda rows: rows[1],
-            scheme.schedule(memory, short)
-            if shape is None
-            else scheme.play(learned, memory, short),
-        )
+        if shape is None:
+            rows = scheme.schedule(memory, short)
+        else:
+            rows = scheme.play(learned, memory, short)
+        return jax.tree.map(lambda of: of[1], rows)
 
     if shape is not None and preview > 1 and _looks_ahead(row_of, scheme, zeros):
         raise ValueError(
@@ -138,9 +137,8 @@ def linear_loop(machine: Machine, scheme: Scheme | None, task: Task) -> Loop:
 def response(loop: Loop, frequencies, dt: float) -> jax.Array:
     """(F, n_y, n_w) P(z) = C (z I - A)^-1 B at frequencies (F,) [Hz]."""
     z = on_circle(frequencies, dt)[:, None, None]
-    return loop.C @ jnp.linalg.solve(
-        z * jnp.eye(len(loop.A)) - loop.A, jnp.broadcast_to(loop.B, (len(z), *loop.B.shape)) + 0j
-    )
+    B = jnp.broadcast_to(loop.B, (len(z), *loop.B.shape)) + 0j
+    return loop.C @ jnp.linalg.solve(z * jnp.eye(len(loop.A)) - loop.A, B)
 
 
 def responses(loops: list[Loop], frequencies, dt: float) -> np.ndarray:
@@ -185,12 +183,19 @@ def pole_radius(loop: Loop, samples: int = 2000) -> float:
 
     See `minimal`.
     """
-    A = minimal(loop, samples).A
-    return (
-        float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
-        if np.all(np.isfinite(A))
-        else np.inf
-    )
+    return radius_of(minimal(loop, samples))
+
+
+def radius_of(loop: Loop) -> float:
+    """Largest |eigenvalue| of A; infinite where A is not finite."""
+    if not np.all(np.isfinite(loop.A)):
+        return np.inf
+    return float(np.max(np.abs(np.linalg.eigvals(loop.A)), initial=0.0))
+
+
+def stable(radius):
+    """Whether the largest |pole| of a loop is clearly within the unit circle."""
+    return radius < 1 - 1e-9
 
 
 # How it is done

@@ -1,7 +1,7 @@
 """All trials to come of a linear law on a linear machine.
 
 The questions are where learning goes, how fast, and which limits it meets on the way. One trial and
-its learning take what is played, w, to F(w) = M w + c, with limits left out (`affine`). So
+its learning take what is played, w, to F(w) = M w + c, with limits left out (`learning_map`). So
 w_j - w_inf = M^(j-1) (w_1 - w_inf), and
 
     ||M^i|| <= growth * factor^(i // trials)    with factor < 1
@@ -15,33 +15,27 @@ A limit that no trial within that distance can meet is never met. Otherwise the 
 meets one is told, or that one cannot be excluded. Where no power of M is seen to contract, its
 spectral radius tells whether learning converges in the end, however far it strays before: exactly
 if M is triangular, as that of a causal law is, and else with its doubt. M is taken as a matrix up
-to 512 rows, and beyond as a map whose norms are bounded from above (`iteration.largest`). Noise is
+to 512 rows, and beyond as a map whose norms are bounded from above (`spectrum.largest`). Noise is
 left out, and what is drawn for each trial has its mean; `chance` is on single runs.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from ..learning.machine import Machine
 from ..pytree.in_short import in_short
 from ..schemes import Scheme
 from ..signals.task import Task
-from .affine import limit_names, view_of
-from .as_map import Maps
-from .as_matrix import Matrices
 from .condition import Premise, premise
+from .learning_map import LearningMaps, joined, limit_names, maps_of, that_fit
 from .spectrum import LONGEST
 
 POWERS = (1, 4, 16, 64)  # of M that are looked at, until one contracts
-STEPS = 300  # of the Lanczos process, at most
-DENSE = 512  # rows up to which M is taken as a matrix
 ROUNDING = 1e3  # in units of the last place
 SURELY = 1 - 1e-6  # of eigenvalues on the diagonal of a triangular map, also in single precision
-ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
 NO_LIMIT = "no limit is met in any trial to come"
 WHOLE = "the whole trial converges, its ends included"
 
@@ -86,11 +80,7 @@ class Decay(NamedTuple):
 
     def told(self, machine: int) -> str:
         """The decay of one machine in a sentence."""
-        k, factor, growth = (
-            int(self.trials[machine]),
-            float(self.factor[machine]),
-            float(self.growth[machine]),
-        )
+        k, growth = int(self.trials[machine]), float(self.growth[machine])
         if not k and self.radius[machine] < SURELY:
             far = f"about {growth:.3g} times" if np.isfinite(growth) else "far"
             beyond = "" if self.converges[machine] else ", beyond the digits of the numbers"
@@ -108,10 +98,8 @@ class Decay(NamedTuple):
             )
         before = f", and grows at most {growth:.3g} times before" if growth > 1 else ""
         within = "every trial" if k == 1 else f"{k} trials"
-        return (
-            f"the distance from the limit falls to {factor:.6g} of itself in {within}, "
-            f"or below{before}"
-        )
+        falls = f"the distance from the limit falls to {self.factor[machine]:.6g} of itself"
+        return f"{falls} in {within}, or below{before}"
 
     @property
     def reach(self) -> np.ndarray:
@@ -156,114 +144,53 @@ class Outlook(NamedTuple):
         if self.clear[machine]:
             return "none can be"
         name = self.which[machine] or "a limit"
-        return (
-            f"{name} is met in trial {self.met[machine]}"
-            if self.met[machine]
-            else f"that {name} is met later cannot be excluded"
-        )
+        if self.met[machine]:
+            return f"{name} is met in trial {self.met[machine]}"
+        return f"that {name} is met later cannot be excluded"
 
 
-def maps_of(machines: Machine, scheme: Scheme, task: Task, steps: int = STEPS) -> Matrices | Maps:
-    """The learning maps of each machine drawn: M, c and what belongs to them."""
-    view = view_of(scheme, task)
-    dense = len(view.moving) <= DENSE
-    return (
-        Matrices.of(machines, scheme, task, view)
-        if dense
-        else Maps(machines, scheme, task, view, steps)
-    )
-
-
-def that_fit(machines: Machine, task: Task) -> list[Machine]:
-    """The machines in groups, so that the dense matrices of each group fit into `ROOM`."""
-    count, rows = len(jax.tree.leaves(machines)[0]), task.N * max(task.inputs, task.outputs)
-    chunk = max(1, ROOM // (8 * rows**2)) if rows <= DENSE else count
-    return [
-        jax.tree.map(lambda leaf, at=at: leaf[at : at + chunk], machines)
-        for at in range(0, count, chunk)
-    ]
-
-
-def joined(parts: list[Any]) -> Any:
-    """The results of groups of machines, as one result for all."""
-    return (
-        parts[0]
-        if len(parts) == 1
-        else jax.tree.map(lambda *several: np.concatenate(several), *parts)
-    )
-
-
-def outlooks(
-    machines: Machine,
-    scheme: Scheme,
-    task: Task,
-    *,
-    maps: Matrices | Maps | None = None,
-    astray: np.ndarray | None = None,
-) -> Outlook:
-    """The outlook of each machine.
+def outlooks(machines: Machine, scheme: Scheme, task: Task) -> Outlook:
+    """The outlook of each machine. machines: with a leading axis.
 
     Its premises are left to `linearity`: here everything is taken to be linear.
+    """
+    return joined([outlook_of(maps_of(some, scheme, task)) for some in that_fit(machines, task)])
+
+
+def outlook_of(maps: LearningMaps, astray: np.ndarray | None = None) -> Outlook:
+    """The outlook of each machine of these maps.
 
     astray: (S, K) by how much what limits act on may differ from this, in units of the bounds
     """
-    if maps is None:
-        return joined(
-            [
-                outlooks(some, scheme, task, maps=maps_of(some, scheme, task))
-                for some in that_fit(machines, task)
-            ]
-        )
-    decay = decays(machines, scheme, task, maps=maps)
+    decay = decay_of(maps)
     limit, left, floor, gain = maps.limit()
     # w_inf - w = (I - M)^-1 (F(w) - w), of which the last digit of w is rounded
     left = left + np.finfo(limit.dtype).eps * np.linalg.norm(limit, axis=1)
     strays = np.minimum(decay.reach, decay.inverse)
     radius = np.where(left > 0, strays * np.where(left > 0, left, 1.0), 0.0)
-    names = limit_names(machines, scheme, task)
-    met, clear, which = (
-        maps.first_met(decay.reach, None if astray is None else _room(astray))
-        if names
-        else (np.zeros(len(left), int), np.ones(len(left), bool), [])
-    )
+    names = limit_names(maps.machines, maps.scheme, maps.task)
+    met, clear, which = np.zeros(len(left), int), np.ones(len(left), bool), np.zeros(0, int)
+    if names:  # of a bound of which nothing is left there is NaN, below which nothing lies
+        room = None if astray is None else np.where(astray < 1, 1 - astray, np.nan)
+        met, clear, which = maps.first_met(decay.reach, room)
     if astray is not None:
         met = np.zeros_like(met)  # the trial is that of the machine that does not go astray
     labels = np.array([names[i] for i in which] if names else [""] * len(left))
-    return Outlook(
-        decay,
-        limit,
-        radius,
-        floor,
-        gain * radius / np.sqrt(task.N * task.outputs),
-        met,
-        clear,
-        labels,
-    )
+    doubt = gain * radius / np.sqrt(maps.task.N * maps.task.outputs)
+    return Outlook(decay, limit, radius, floor, doubt, met, clear, labels)
 
 
-def _room(astray) -> np.ndarray:
-    """What is left of each bound; NaN, below which nothing lies, where nothing is."""
-    return np.where(astray < 1, 1 - astray, np.nan)
+def decays(machines: Machine, scheme: Scheme, task: Task) -> Decay:
+    """How the distance from the limit falls on each machine. machines: with a leading axis."""
+    return joined([decay_of(maps_of(some, scheme, task)) for some in that_fit(machines, task)])
 
 
-def decays(
-    machines: Machine, scheme: Scheme, task: Task, *, maps: Matrices | Maps | None = None
-) -> Decay:
-    """How the distance from the limit falls on each machine."""
-    if maps is None:
-        return joined(
-            [
-                decays(some, scheme, task, maps=maps_of(some, scheme, task))
-                for some in that_fit(machines, task)
-            ]
-        )
+def decay_of(maps: LearningMaps) -> Decay:
+    """How the distance from the limit falls on each machine of these maps."""
     norm, late = maps.norm(1), maps.late(POWERS[-1])
-    trials, factor, growth = (
-        np.zeros(len(norm), int),
-        np.full(len(norm), np.inf),
-        np.full(len(norm), np.inf),
-    )
-    between, eps = np.ones(len(norm)), np.finfo(norm.dtype).eps
+    trials, between = np.zeros(len(norm), int), np.ones(len(norm))
+    factor, growth = np.full((2, len(norm)), np.inf)
+    eps = np.finfo(norm.dtype).eps
     for power, following in zip(POWERS, (*POWERS[1:], 0), strict=True):
         of_power = norm if power == 1 else maps.norm(power)
         found = (trials == 0) & (of_power < 1 - ROUNDING * eps * between)

@@ -1,110 +1,63 @@
 """Is a Q-filter safe, and how far may one go: |Q (1 - L P)| of a family of machines or of records.
 
 A machine that is simulated has a loop, and its curve is enclosed between the lines of the grid. A
-machine that was measured has lines with a scatter, and between them nothing is proved.
+machine that was measured has lines with a scatter: on the line k of a record the plant lies within
+s_k = sigmas std_k of what was measured, and
+
+    |Q (1 - L P_k)| + |Q L| s_k < 1
+
+is enough for all these plants. Between the lines, below the first and above the last, nothing is
+proved: a resonance that is narrower than the spacing of the lines does not show.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.signal import find_peaks
 
+from ..filters import ZeroPhaseButterworth
 from ..learning.machine import Machine
-from ..pytree.named_paths import get_at
-from ..schemes import Scheme
+from ..pytree.named_paths import child_of, get_at, replaced
+from ..pytree.ranges import require
+from ..schemes import Filtered, LearningFilter, PIDType, Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machines
-from .affine import view_of
-from .family import Tried, tried_plants
-from .filtered_law import (
-    Change,
-    Lines,
-)
+from .frequency import Tried, grid, largest_of, tried_plants
 from .law import law_of, law_response
+from .learning_map import maps_of, view_of
 from .linearity import invariant_loop, linear_law, of_last_trial
 from .loop import Loop, responses
-from .outlook import maps_of
-from .over_frequency import grid
-from .parts_of_law import Places, places_in, without_low_pass
+from .on_lines import (
+    Change,
+    Curves,
+    Lines,
+    MeasuredResponse,
+    best_lead,
+    curves_of,
+    largest_cutoff,
+    largest_gain,
+    low_pass,
+)
 from .rounding import ball_of
 from .whole_set import WholeSet, bound_of_set
 
+CUTOFF, GAIN, LEAD = "largest cutoff", "largest gain", "best lead, largest cutoff"
+GAINS = {PIDType: ("gamma_p", "gamma_i", "gamma_d"), LearningFilter: ("L",)}
 POINTS = 600  # lines of the grid, beside those around the poles
-BLOCKED = 1e-6  # |Q| below which Q (1 - L P) says nothing of 1 - L P
-TENTH = 0.1
 RESONANT = 0.5  # damping ratio below which a pair of poles is a resonance
-
-
-class Resonance(NamedTuple):
-    """A pair of poles of the nominal loop.
-
-    frequency: [Hz]
-    damping:   ratio
-    """
-
-    frequency: float
-    damping: float
-
-
-class Curves(NamedTuple):
-    """What a figure shows of a law on the nominal plant and on a family, at F frequencies [Hz].
-
-    P, Q, LP: (F,) complex, of the nominal plant
-    nominal:  (F,) |Q (1 - L P)|
-    low, high: (F,) least and largest of the family, the scatter of a record included
-    without:  (F,) largest |1 - L P| of the family, without the filter
-    """
-
-    f: np.ndarray
-    P: np.ndarray
-    Q: np.ndarray
-    LP: np.ndarray
-    nominal: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    without: np.ndarray
-
-    @property
-    def first_above(self) -> float:
-        """The first frequency at which |1 - L P| exceeds 1 without Q [Hz]; inf if it never does."""
-        above = np.flatnonzero(self.without > 1)
-        return float(self.f[above[0]]) if len(above) else np.inf
-
-    @property
-    def left(self) -> np.ndarray:
-        """(F,) |1 - Q| / |1 - Q (1 - L P)|: the share of a repeated error that is never learned."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.abs(1 - self.Q) / np.abs(1 - self.Q + self.Q * self.LP)
-        return np.where(np.isnan(share), 0.0, share)
-
-    @property
-    def learned_up_to(self) -> float:
-        """The frequency up to which a repeated error falls to a tenth or less [Hz]."""
-        worse = np.flatnonzero(self.left > TENTH)
-        if not len(worse):
-            return float(self.f[-1])
-        return float(self.f[worse[0] - 1]) if worse[0] else 0.0
-
-
-def curves_of(whole: Lines) -> Curves:
-    """The curves of a law, its filter included: Q is what it keeps, and L P the rest by Q."""
-    Q = whole.keep
-    seen = np.abs(Q) > BLOCKED
-    L = whole.L / np.where(seen, Q, 1.0)
-    sizes = np.abs(whole.keep - whole.L * whole.P)
-    spread = np.abs(whole.L) * whole.scatter
-    without = np.max(np.abs(1 - L * whole.P) + np.abs(L) * whole.scatter, axis=0)
-    return Curves(
-        whole.f,
-        whole.P[0],
-        Q,
-        L * whole.P[0],
-        sizes[0],
-        np.min(np.maximum(sizes - spread, 0), axis=0),
-        np.max(sizes + spread, axis=0),
-        np.where(seen, without, np.nan),
-    )
+ATTEMPTS = 5  # to keep the margin between the lines too
+FINENESS = 1e-4
+NEAREST = 4  # of the worst plants on the grid, whose largest value is enclosed for an offer
+LEADS = 30  # longest change of the lead that is tried, at least [samples]
+DIGITS = 3  # of cutoffs and gains that are offered
+LINES_IN_WIDTH = 4  # lines within the half-power width of a resonance that show it well
+HEIGHT = 3.0  # dB by which a peak stands out
+UNSEEN = 0.05  # |Q| above the last line that is worth a warning
+FEWEST = 3  # lines below the cutoff
 
 
 class Offer(NamedTuple):
@@ -126,6 +79,135 @@ class Offer(NamedTuple):
     learned_up_to: float
     floor: float
     adds_filter: bool = False
+
+
+class Resonance(NamedTuple):
+    """A pair of poles of the nominal loop.
+
+    frequency: [Hz]
+    damping:   ratio
+    """
+
+    frequency: float
+    damping: float
+
+
+# Where cutoff, gain and lead stand in a scheme, and the scheme with other ones
+# --------------------------------------------------------------------------------------------------
+
+
+class Places(NamedTuple):
+    """The paths of the numbers that a change of the law sets; empty where there is no such number.
+
+    cutoff: of the zero-phase Butterworth filter
+    gains:  all the gains of the learning
+    lead:   of the learning
+    order:  of the filter
+    """
+
+    cutoff: str
+    gains: tuple[str, ...]
+    lead: str
+    order: int
+
+    def of(self, scheme: Scheme, change: Change) -> dict[str, Any]:
+        """The values by path that make a change: only those that differ from the scheme's."""
+        values: dict[str, Any] = {}
+        if self.cutoff and np.isfinite(change.cutoff):
+            values[self.cutoff] = change.cutoff
+        for path in self.gains if change.gain != 1 else ():
+            values[path] = np.asarray(get_at(scheme, path)) * change.gain
+        if self.lead and change.lead:
+            values[self.lead] = get_at(scheme, self.lead) + change.lead
+        return {p: v for p, v in values.items() if not np.array_equal(v, get_at(scheme, p))}
+
+
+def places_in(scheme: Scheme) -> Places:
+    """Where cutoff, gain and lead of a scheme stand."""
+    path, found = _first(scheme, _is_low_pass)
+    of_law, law = _first(scheme, lambda one: isinstance(one, tuple(GAINS)))
+    names = () if law is None else next(v for k, v in GAINS.items() if isinstance(law, k))
+    gains = tuple(f"{of_law}{name}" for name in names if np.any(np.asarray(getattr(law, name))))
+    return Places(
+        "" if found is None else f"{path}filter.cutoff",
+        gains,
+        f"{of_law}lead" if law is not None else "",
+        2 if found is None else found.filter.order,
+    )
+
+
+def without_low_pass(scheme: Scheme) -> Scheme:
+    """The scheme without its zero-phase Butterworth filter on what is learned."""
+    if _is_low_pass(scheme):
+        return child_of(scheme, "scheme")
+    for name, part in scheme._fields_that_are_schemes().items():
+        changed = without_low_pass(part)
+        if changed is not part:
+            return dataclasses.replace(scheme, **{name: changed})
+    return scheme
+
+
+def with_low_pass(scheme: Scheme, q: ZeroPhaseButterworth) -> Scheme | None:
+    """The scheme with a filter around its learning part; None where it has no part known here."""
+    if isinstance(scheme, tuple(GAINS)):
+        return Filtered(scheme, q)
+    for name, part in scheme._fields_that_are_schemes().items():
+        made = with_low_pass(part, q)
+        if made is not None:
+            return dataclasses.replace(scheme, **{name: made})
+    return None
+
+
+def with_law(scheme: Scheme, law: Scheme) -> Scheme:
+    """The scheme with another learning law in place of its own and the filter around that.
+
+    Raises ValueError where the scheme has no part of a kind that is known here.
+    """
+    if _is_low_pass(scheme) or isinstance(scheme, tuple(GAINS)):
+        return law
+    for name, part in scheme._fields_that_are_schemes().items():
+        if part.learns:
+            return dataclasses.replace(scheme, **{name: with_law(part, law)})
+    known = ", ".join(kind.__name__ for kind in GAINS)
+    raise ValueError(
+        f"{type(scheme).__name__} has no learning part that can be replaced; allowed is one of "
+        f"{known}, or a Filtered around it"
+    )
+
+
+def rounded(value: float) -> float:
+    """The value rounded towards 0 to three significant digits."""
+    if not value or not np.isfinite(value):
+        return value
+    unit = 10.0 ** (np.floor(np.log10(abs(value))) - DIGITS + 1)
+    return float(f"{np.trunc(value / unit * (1 + 1e-12)) * unit:.{DIGITS}g}")
+
+
+def scheme_of(scheme: Scheme, places: Places, change: Change) -> Scheme:
+    """The scheme with a change; with a filter around its learning part where it has none."""
+    made = replaced(scheme, places.of(scheme, change))
+    if places.cutoff or not np.isfinite(change.cutoff):
+        return made
+    return with_low_pass(made, ZeroPhaseButterworth(change.cutoff, order=change.order)) or made
+
+
+def _is_low_pass(scheme) -> bool:
+    return isinstance(scheme, Filtered) and isinstance(scheme.filter, ZeroPhaseButterworth)
+
+
+def _first(scheme: Scheme, wanted, at: str = "") -> tuple[str, Any]:
+    """The first part that is wanted, from the outside in, with the path before its fields."""
+    if wanted(scheme):
+        return at, scheme
+    for name, part in scheme._fields_that_are_schemes().items():
+        path, found = _first(part, wanted, f"{at}{name}.")
+        if found is not None:
+            return path, found
+    return "", None
+
+
+# Of a machine that is simulated
+# --------------------------------------------------------------------------------------------------
 
 
 class Question(NamedTuple):
@@ -174,16 +256,8 @@ def question(
     machine, scheme and task do not fit.
     """
     need_linear(machine, scheme, task)
-    tried = tried_plants(
-        machine,
-        uncertainty,
-        scheme,
-        task,
-        machines=machines,
-        sampling=sampling,
-        seed=seed,
-        climbers=0,
-    )
+    how: dict[str, Any] = {"machines": machines, "sampling": sampling, "seed": seed}
+    tried = tried_plants(machine, uncertainty, scheme, task, climbers=0, **how)
     law = law_of(scheme, task)
     f = grid(task, points=POINTS, near=np.linalg.eigvals(tried.loops[0].A))
     f = np.unique(np.concatenate([f, tried.worst[np.isfinite(tried.worst)]]))
@@ -194,17 +268,12 @@ def question(
     )
     curves = curves_of(whole)
     proof = bound_of_set(machine, scheme, task, law, uncertainty, tried)
-    top = float(tried.values[tried.top])
-    places = places_in(scheme)
+    top, places = float(tried.values[tried.top]), places_in(scheme)
     cutoff = float(get_at(scheme, places.cutoff)) if places.cutoff else np.inf
-    change = Change(1.0, 0, cutoff, places.order)
-    now = Offer(
-        "as it is", {}, change, top, curves.learned_up_to, floor_of(machine, scheme, task, top)
-    )
-    left = rounding_of(machine, scheme, task, top)
-    return Question(
-        tried, curves, proof, resonances_of(tried.loops[0], task.dt), places, now, left
-    ), inner
+    change, floor = Change(1.0, 0, cutoff, places.order), floor_of(machine, scheme, task, top)
+    now = Offer("as it is", {}, change, top, curves.learned_up_to, floor)
+    left, light = rounding_of(machine, scheme, task, top), resonances_of(tried.loops[0], task.dt)
+    return Question(tried, curves, proof, light, places, now, left), inner
 
 
 def floor_of(machine: Machine, scheme: Scheme, task: Task, top: float) -> float:
@@ -261,3 +330,271 @@ def law_on(scheme: Scheme, task: Task, f) -> tuple[np.ndarray, np.ndarray]:
     """(F,) keep and L of a law with one channel, at frequencies f (F,) [Hz]."""
     keep, L = (np.asarray(part)[:, 0, 0] for part in law_response(scheme, task, f))
     return keep, L
+
+
+# How far a law may go with a margin
+# --------------------------------------------------------------------------------------------------
+
+
+def offers_of(
+    found: Question, inner: Lines, machine: Machine, scheme: Scheme, task: Task, margin: float
+) -> list[Offer]:
+    """The largest cutoff, the largest gain and the best lead that keep a margin.
+
+    Each is changed alone, except that the best lead comes with the largest cutoff that it allows.
+    Where the scheme has no filter, one is offered on top of it. What the lines of the grid allow is
+    enclosed between them on the worst plants, and reduced until the margin is kept there too.
+    """
+    places, offers, allowed = found.places, [], 1 - margin
+    lead = int(get_at(scheme, places.lead)) if places.lead else 0
+    for what in kinds(places):
+        target = allowed
+        for _ in range(ATTEMPTS):
+            change = changed(what, [inner], found.now.change, target, 2 / task.duration, lead)
+            if change is None:
+                break
+            offer = _offer(what, change, found, inner, scheme, task)
+            if offer.peak <= allowed:
+                made = scheme_of(scheme, places, change)
+                offers.append(offer._replace(floor=floor_of(machine, made, task, offer.peak)))
+                break
+            target -= 2 * (offer.peak - allowed) + FINENESS
+    return offers
+
+
+def kinds(places: Places | None = None) -> list[str]:
+    """What can be changed in a law."""
+    if places is None:
+        return [CUTOFF, GAIN, LEAD]
+    filtered = bool(places.cutoff or places.gains)
+    return [CUTOFF] * filtered + [GAIN] * bool(places.gains) + [LEAD] * bool(places.lead)
+
+
+def changed(
+    what: str, several: Sequence[Lines], now: Change, allowed: float, lowest: float, lead: int
+) -> Change | None:
+    """The change that is offered, on lines of laws without their filter; None if there is none.
+
+    what:   CUTOFF, GAIN or LEAD
+    lowest: [Hz] least cutoff that is offered
+    lead:   of the law as it is, which the change must not make negative [samples]
+    """
+    if what == GAIN:
+        gain = largest_gain(several, now, allowed)
+        return None if gain is None else now._replace(gain=rounded(gain))
+    if what == CUTOFF:
+        cutoff = largest_cutoff(several, now, allowed, lowest)
+        return None if cutoff is None else now._replace(cutoff=rounded(cutoff))
+    tried = range(-lead, max(LEADS, 2 * lead) + 1)
+    best = best_lead(several, now, allowed, tried, lowest)
+    return None if best is None else now._replace(lead=best[0], cutoff=rounded(best[1]))
+
+
+def _offer(
+    what: str, change: Change, found: Question, inner: Lines, scheme: Scheme, task: Task
+) -> Offer:
+    """The offer of a change, without its floor."""
+    made = scheme_of(scheme, found.places, change)
+    law, (keep, L) = law_of(made, task), law_on(made, task, inner.f)
+    sizes = np.max(np.abs(keep - L * inner.P), axis=1)
+    worst = {0, *np.argsort(-sizes)[:NEAREST].tolist()}
+    top = max(float(largest_of(law, found.tried.loops[i], task).value) for i in worst)
+    reach = curves_of(inner._replace(keep=keep, L=L)).learned_up_to
+    settings = found.places.of(scheme, change)
+    adds = not found.places.cutoff and bool(np.isfinite(change.cutoff))
+    return Offer(what, settings, change, top, reach, np.nan, adds)
+
+
+# Of a machine that was measured
+# --------------------------------------------------------------------------------------------------
+
+
+class PLaw(NamedTuple):
+    """u_{j+1} = Q (u_j + gain e_j[k+1+lead]), with Q as `ZeroPhaseButterworth`.
+
+    gain:   [unit of u per unit of y]
+    lead:   [samples]
+    cutoff: [Hz]
+    order:  of one pass of Q
+    dt:     sample time [s]
+    """
+
+    gain: float
+    lead: int
+    cutoff: float
+    order: int
+    dt: float
+
+    @property
+    def scheme(self) -> Filtered:
+        learning = PIDType(gamma_p=self.gain, lead=self.lead)
+        return Filtered(learning, ZeroPhaseButterworth(self.cutoff, order=self.order))
+
+    def check(self) -> None:
+        """Raises ValueError for a number that is not allowed."""
+        require("", "dt", self.dt, "(0, inf)")
+        require("", "lead", self.lead, "[0, inf)", whole=True)
+        require("", "order", self.order, "[1, 100]", whole=True)
+        if not np.isfinite(self.gain) or self.gain == 0:
+            raise ValueError(f"gain = {self.gain:g} is not allowed; allowed is any other number")
+        if not 0 < self.cutoff < 0.5 / self.dt:
+            raise ValueError(
+                f"cutoff = {self.cutoff:g} Hz is outside its allowed range (0, {0.5 / self.dt:g}), "
+                f"Nyquist at dt = {self.dt:g} s"
+            )
+
+
+class Spacing(NamedTuple):
+    """A resonance of a record, and how many of its lines lie within its half-power width.
+
+    frequency, width: [Hz]
+    lines: number of lines within the width
+    """
+
+    frequency: float
+    width: float
+    lines: float
+
+    @property
+    def fine(self) -> bool:
+        return self.lines >= LINES_IN_WIDTH
+
+
+class RecordTest(NamedTuple):
+    """The answer for one record.
+
+    curves: on its lines; `high` is the robust value |Q (1 - L P)| + |Q L| s
+    peak:   the largest robust value
+    worst:  its frequency [Hz]
+    resonances: of the record
+    ends:   first and last line [Hz]
+    unseen: largest |Q| beyond the last line
+    """
+
+    curves: Curves
+    peak: float
+    worst: float
+    resonances: list[Spacing]
+    ends: tuple[float, float]
+    unseen: float
+
+
+class MeasuredQuestion(NamedTuple):
+    """The answer over several records: a test of each, the largest of them, and offers."""
+
+    tests: list[RecordTest]
+    offers: list[Offer]
+    now: Offer
+
+    @property
+    def peak(self) -> float:
+        return max(test.peak for test in self.tests)
+
+    @property
+    def top(self) -> int:
+        """The index of the worst record."""
+        return int(np.argmax([test.peak for test in self.tests]))
+
+
+def measured_question(
+    records: Sequence[MeasuredResponse], law: PLaw, *, sigmas: float = 3.0, margin: float = 0.1
+) -> MeasuredQuestion:
+    """The test of a law on records, and how far it may go with a margin on every line.
+
+    sigmas: s_k in units of the standard deviation of a line. For a complex normal scatter a line
+            lies further away with the probability exp(-sigmas^2)
+
+    Raises ValueError for a number outside its range, a line above the Nyquist frequency, and a
+    record that starts above the cutoff or has fewer than 3 lines below it.
+    """
+    law.check()
+    require("", "sigmas", sigmas, "[0, inf)")
+    for i, record in enumerate(records):
+        need_lines(record, law, f"record {i + 1}" if len(records) > 1 else "the record")
+    inner = [lines_of(record, law, sigmas) for record in records]
+    tests = [_tested(lines, law, record) for lines, record in zip(inner, records, strict=True)]
+    now = Change(1.0, 0, law.cutoff, law.order)
+    lowest = max(float(record.frequencies[0]) for record in records)
+    offers = []
+    for what in kinds():
+        change = changed(what, inner, now, 1 - margin, lowest, law.lead)
+        if change is not None:
+            offers.append(_offer_on_records(what, change, law, records, sigmas))
+    peak = max(test.peak for test in tests)
+    reach = min(test.curves.learned_up_to for test in tests)
+    return MeasuredQuestion(tests, offers, Offer("as it is", {}, now, peak, reach, np.nan))
+
+
+def need_lines(record: MeasuredResponse, law: PLaw, name: str) -> None:
+    """Raises ValueError where a record has no lines that a law can be tested on."""
+    f, nyquist = record.frequencies, 0.5 / law.dt
+    if f[-1] > nyquist * (1 + 1e-9):
+        raise ValueError(
+            f"{name} has a line at {f[-1]:g} Hz; allowed is up to {nyquist:g} Hz, Nyquist at dt = "
+            f"{law.dt:g} s"
+        )
+    below = int(np.sum(f <= law.cutoff))
+    if below < FEWEST:
+        raise ValueError(
+            f"{name} starts at {f[0]:g} Hz and has {below} lines up to the cutoff of "
+            f"{law.cutoff:g} Hz; needed are {FEWEST} at least"
+        )
+
+
+def lines_of(record: MeasuredResponse, law: PLaw, sigmas: float) -> Lines:
+    """The lines of a record with the law without its filter."""
+    f = np.asarray(record.frequencies, float)
+    L = law.gain * np.exp(2j * np.pi * f * law.dt * (1 + law.lead))
+    P, scatter = np.asarray(record.response)[None], sigmas * np.asarray(record.std)[None]
+    return Lines(f, P, scatter, np.ones(len(f), complex), L, law.dt)
+
+
+def spacings(record: MeasuredResponse) -> list[Spacing]:
+    """The resonances of a record, by peaks of |P| that stand out by 3 dB, with their widths."""
+    f, size = record.frequencies, np.abs(record.response)
+    level = 20 * np.log10(np.maximum(size, 1e-300))
+    peaks, _ = find_peaks(level, prominence=HEIGHT)
+    if not len(peaks):
+        return []
+    left, right = np.array([_half_power(size**2, peak) for peak in peaks]).T
+    at = np.arange(len(f))
+    return [
+        Spacing(float(f[p]), float(np.interp(b, at, f) - np.interp(a, at, f)), float(b - a))
+        for p, a, b in zip(peaks, left, right, strict=True)
+    ]
+
+
+def _tested(inner: Lines, law: PLaw, record: MeasuredResponse) -> RecordTest:
+    Q = low_pass(inner.f, law.cutoff, law.dt, law.order)
+    curves = curves_of(inner._replace(keep=Q * inner.keep, L=Q * inner.L))
+    top = int(np.argmax(curves.high))
+    ends = float(inner.f[0]), float(inner.f[-1])
+    unseen = float(Q[-1]) if ends[1] < 0.499 / law.dt else 0.0
+    return RecordTest(
+        curves, float(curves.high[top]), float(inner.f[top]), spacings(record), ends, unseen
+    )
+
+
+def _half_power(power, peak: int) -> tuple[float, float]:
+    """Where the power first falls to half of a peak on either side, in units of lines."""
+    ends = []
+    for step in (-1, 1):
+        i = peak
+        while 0 <= i + step < len(power) and power[i] > power[peak] / 2:
+            i += step
+        above, below = power[i - step], power[i]
+        share = (above - power[peak] / 2) / (above - below) if below < above else 1.0
+        ends.append(i - step + step * min(share, 1.0))
+    return ends[0], ends[1]
+
+
+def _offer_on_records(what, change: Change, law: PLaw, records, sigmas: float) -> Offer:
+    made = law._replace(
+        gain=law.gain * change.gain, lead=law.lead + change.lead, cutoff=change.cutoff
+    )
+    tests = [_tested(lines_of(record, made, sigmas), made, record) for record in records]
+    now = {"gain": law.gain, "lead": law.lead, "cutoff": law.cutoff}
+    then = {"gain": made.gain, "lead": made.lead, "cutoff": made.cutoff}
+    settings = {name: value for name, value in then.items() if value != now[name]}
+    reach = min(test.curves.learned_up_to for test in tests)
+    return Offer(what, settings, change, max(test.peak for test in tests), reach, np.nan)

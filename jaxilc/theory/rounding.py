@@ -23,22 +23,21 @@ p / (1 - p) times the sum so far. What the rounding of these numbers themselves 
 from __future__ import annotations
 
 import dataclasses
-from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..learning.machine import Machine
 from ..plants import Dahl, InputHysteresis
 from ..pytree.fields import Leaf, child, leaf, pytree
-from ..runtime.tiles import tiled
+from ..pytree.in_short import in_short
+from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
 from ..schemes.wrapper import Wrapper
 from ..signals.task import Task
-from .affine import View, learning_of
-from .reached import reached
+from .learning_map import View, alone, count_of, learning_of, slopes
+from .spectrum import reached
 from .trials import with_input, with_output
 
 OF = {"sensor": "rounding", "converter": "rounding", "hysteresis": "hysteresis"}
@@ -72,6 +71,7 @@ class Ball(NamedTuple):
     of_learning: np.ndarray
     of_error: np.ndarray
     shown: np.ndarray
+    __repr__ = in_short
 
     def until(self, of_error, sigma) -> np.ndarray:
         """(S,) the size down to which the error, or the distance from the limit, surely falls.
@@ -109,17 +109,16 @@ def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball |
 
     The premises of `linearity` are to hold of the linear part of the machines.
     """
-    names, count = off_linear(machines), len(jax.tree.leaves(machines)[0])
+    names, count = off_linear(machines), count_of(machines)
     if not names:
         return None
     of = np.full(count, " with ".join(dict.fromkeys(OF[name] for name in names)), object)
     if len(view.moving) > LARGEST:
         unknown = np.full(count, np.inf)
         return Ball(of, unknown, unknown, np.full((count, 1), np.inf), unknown, unknown, unknown)
-    found = []
+    parts_of, found = tiled_with(_parts, lanes=1, view=view, names=names), []
     for i in range(count):  # the matrices of one alone are large
-        one = jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i : i + 1], machines)
-        parts = _compiled(view, names)((scheme, task), one)
+        parts = parts_of((scheme, task), alone(machines, i))
         with np.errstate(over="ignore", invalid="ignore"):
             found.append(_ball(_sizes(names, task), *(np.asarray(part[0]) for part in parts)))
     return Ball(of, *map(np.array, zip(*found, strict=True)))
@@ -211,7 +210,7 @@ def _norm(*factors) -> float:
 def _top(*factors) -> float:
     """A bound of the largest eigenvalue of a product that is symmetric, with none below zero.
 
-    Large ones are bounded by Lanczos's method from a random start, as in `iteration.largest`.
+    Large ones are bounded by Lanczos's method from a random start, as in `spectrum.largest`.
     """
     n = len(factors[0])
     if not n or not all(np.all(np.isfinite(factor)) for factor in factors):
@@ -275,11 +274,6 @@ class _Adding(Wrapper):
         return self.scheme.limits(task, memory, trial)
 
 
-@lru_cache(maxsize=4)  # what `tiled` returns compiles anew each time it is made
-def _compiled(view: View, names: tuple[str, ...]):
-    return tiled(partial(_parts, view=view, names=names), lanes=1)
-
-
 def _sizes(names: tuple[str, ...], task: Task) -> dict[str, int]:
     of_input, of_output = task.N * task.inputs, (task.N + 1) * task.outputs
     return {name: of_output if name == "sensor" else of_input for name in names}
@@ -309,13 +303,6 @@ def _parts(common, machine, *, view: View, names: tuple[str, ...]) -> tuple:
         return found.following(w), found.error(w), jnp.concatenate(limits)
 
     none = jnp.zeros(sum(sizes.values()))
-    (following, *_), push = jax.linearize(at, start, none)
-    slopes = [
-        jax.vmap(lambda v, of=of: push(*of(v)), out_axes=-1)(jnp.eye(size))
-        for size, of in (
-            (start.size, lambda v: (v, jnp.zeros_like(none))),
-            (none.size, lambda v: (jnp.zeros_like(start), v)),
-        )
-    ]
-    (M, E, T), (D, F, G) = slopes
+    (following, *_), (M, E, T) = slopes(lambda w: at(w, none), start)
+    _, (D, F, G) = slopes(lambda d: at(start, d), none)
     return following - start, M, D, E, F, T, G

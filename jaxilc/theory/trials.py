@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..learning.machine import Disturbance, Machine
+from ..learning.variation import Variation
 from ..learning.within_trial import run_trial
 from ..plants import InBlocks
 from ..pytree.fields import child, pytree
@@ -22,9 +23,10 @@ from ..signals.task import Task, Trial
 # trials before a scheme that adapts is looked at: by then one of two-trial increments has seen
 # data
 LEARNED = 3
+Key = jax.Array | None  # of what is drawn of the record of a trial; None for its mean
 
 
-def trial_of(machine: Machine, scheme: Scheme, task: Task, memory, key: Any = None) -> Trial:
+def trial_of(machine: Machine, scheme: Scheme, task: Task, memory, key: Key = None) -> Trial:
     """One trial without noise, sample by sample, in which a linear plant is seen to be linear.
 
     `InBlocks` would choose by its signals between its blocks and these same steps.
@@ -41,13 +43,13 @@ def step(machine: Machine, scheme: Scheme, task: Task, memory):
     return learned_from(machine, scheme, memory, trial_of(machine, scheme, task, memory))
 
 
-def shown_of(machine: Machine, trial: Trial, key: Any = None) -> Trial:
+def shown_of(machine: Machine, trial: Trial, key: Key = None) -> Trial:
     """The record of a trial as it reaches the law. key: as for `trial_of`"""
     quiet = machine.noiseless(averaged=key is None)
     return quiet.shown(trial, jax.random.key(0) if key is None else key)
 
 
-def learned_from(machine: Machine, scheme: Scheme, memory, trial: Trial, key: Any = None):
+def learned_from(machine: Machine, scheme: Scheme, memory, trial: Trial, key: Key = None):
     """The memory after a trial of the machine, of which the law sees what the machine shows."""
     return scheme.learn(memory, shown_of(machine, trial, key))
 
@@ -56,12 +58,8 @@ def learned_from(machine: Machine, scheme: Scheme, memory, trial: Trial, key: An
 def learned_memory(machine: Machine, scheme: Scheme, task: Task, trials: int = LEARNED):
     """The memory after so many trials from the start, without noise."""
     scheme = scheme.prepared(task)
-    return lax.fori_loop(
-        0,
-        trials,
-        lambda _, memory: step(machine, scheme, task, memory),
-        scheme.initial_memory(task),
-    )
+    turn = lambda _, memory: step(machine, scheme, task, memory)  # noqa: E731
+    return lax.fori_loop(0, trials, turn, scheme.initial_memory(task))
 
 
 def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
@@ -75,7 +73,12 @@ def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
 
 
 def played(
-    machine: Machine, scheme: Scheme | None, task: Task, memory, learned, key: Any = None
+    machine: Machine,
+    scheme: Scheme | None,
+    task: Task,
+    memory,
+    learned,
+    key: Key = None,
 ) -> Trial:
     """A trial that plays `learned` (N, m) in place of what the scheme learned.
 
@@ -110,30 +113,32 @@ def starts_off(machine: Machine, scheme: Scheme, task: Task):
 
 def shortened(task: Task, samples: int) -> Task:
     """The first so many samples of the task, or the task with its reference held at its end."""
-    r = jnp.asarray(task.reference)
-    r = (
-        r[: samples + 1]
-        if samples <= task.N
-        else jnp.pad(r, ((0, samples - task.N), (0, 0)), mode="edge")
-    )
+    r = jnp.asarray(task.reference)[: samples + 1]
+    r = jnp.pad(r, ((0, max(samples - task.N, 0)), (0, 0)), mode="edge")
     return dataclasses.replace(task, reference=r, settle=None)
 
 
 def with_output(machine: Machine, d) -> Machine:
     """The machine with the repetitive disturbance d (N+1, n_y) of its output on top of its own."""
-    return _with(machine, "output", d)
+    return _with(machine, "disturbance", "output", d)
 
 
 def with_input(machine: Machine, d) -> Machine:
     """The machine with the repetitive disturbance d (N, n_u) of its input on top of its own."""
-    return _with(machine, "input", d)
+    return _with(machine, "disturbance", "input", d)
 
 
-def _with(machine: Machine, name: str, d) -> Machine:
-    disturbance = Disturbance() if machine.disturbance is None else machine.disturbance
-    own = getattr(disturbance, name)
-    changed = {name: d if own is None else own + d}
-    return dataclasses.replace(machine, disturbance=dataclasses.replace(disturbance, **changed))
+def with_offset(machine: Machine, d) -> Machine:
+    """The machine whose trials start with its states d off, on top of its own offset."""
+    return _with(machine, "variation", "offset", d)
+
+
+def _with(machine: Machine, part: str, name: str, d) -> Machine:
+    found: Any = getattr(machine, part)
+    found = {"disturbance": Disturbance, "variation": Variation}[part]() if found is None else found
+    own = getattr(found, name)
+    changed = dataclasses.replace(found, **{name: d if own is None else own + d})
+    return dataclasses.replace(machine, **{part: changed})
 
 
 @pytree

@@ -28,7 +28,7 @@ import numpy as np
 
 from ..pytree.ranges import require
 from ..schemes import LearningFilter
-from ..theory.filtered_law import Lines
+from ..theory.on_lines import Lines
 
 SPEED = 0.1  # weight of what a trial leaves against what is never learned
 EFFORT = 1e-2  # weight of the size of M, against noise

@@ -9,15 +9,24 @@ import pytest
 
 from jaxilc.cli import main
 from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.pytree.named_paths import replaced
 from jaxilc.scenarios.scheme_table import toml_of, write_with_scheme
 from jaxilc.schemes import Filtered, LearningFilter, PIDType, WithFeedback
 from jaxilc.schemes.pid import PID
-from jaxilc.theory import offers, q_filter
-from jaxilc.theory.family import Tried
-from jaxilc.theory.filtered_law import Change, Lines
+from jaxilc.theory import q_filter
+from jaxilc.theory.frequency import Tried
 from jaxilc.theory.loop import Loop
-from jaxilc.theory.parts_of_law import Places, places_in, with_change, with_law, without_low_pass
-from jaxilc.theory.q_filter import Offer, Question, Resonance, curves_of
+from jaxilc.theory.on_lines import Change, Lines
+from jaxilc.theory.q_filter import (
+    Offer,
+    Places,
+    Question,
+    Resonance,
+    curves_of,
+    places_in,
+    with_law,
+    without_low_pass,
+)
 from jaxilc.theory.whole_set import WholeSet
 
 AXIS = """
@@ -91,7 +100,7 @@ def test_the_answer_for_a_machine(command, here, monkeypatch, value, proof, said
     better = {"filter.cutoff": 50.0, "scheme.lead": 4}
     offer = Offer("largest cutoff", better, Change(1.0, 1, 50.0, 2), 0.89, 30.0, 0.002)
     monkeypatch.setattr(q_filter, "question", lambda *_, **__: answer(value, proof))
-    monkeypatch.setattr(offers, "offers_of", lambda *_: [offer])
+    monkeypatch.setattr(q_filter, "offers_of", lambda *_: [offer])
     asked = ("--vary", "machine.plant.gain=15%", "--json", "o.json", "--out", "o")
     code, out, _ = command("filter", "axis.toml", *asked)
     assert code == 0
@@ -156,7 +165,7 @@ def test_where_cutoff_gain_and_lead_stand():
     assert places.cutoff == "learning.filter.cutoff"
     assert places.gains == ("learning.scheme.gamma_p", "learning.scheme.gamma_d")
     assert (places.lead, places.order) == ("learning.scheme.lead", 3)
-    changed = with_change(whole, places.of(whole, Change(2.0, -1, 35.0, 3)))
+    changed = replaced(whole, places.of(whole, Change(2.0, -1, 35.0, 3)))
     assert (changed.learning.scheme.gamma_d, changed.learning.scheme.lead) == (0.4, 2)
     assert changed.learning.filter.cutoff == 35.0
     assert without_low_pass(whole).learning is law.scheme

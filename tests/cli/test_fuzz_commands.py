@@ -22,7 +22,7 @@ from jaxilc.identification import estimation
 from jaxilc.learning import over_trials
 from jaxilc.scenarios import reproduction
 from jaxilc.sweeps import Sweep
-from jaxilc.theory import measured_law, of_schemes, q_filter
+from jaxilc.theory import certificates, q_filter
 from jaxilc.tuning import Tuning, worst_machine
 
 PLANT = """
@@ -178,10 +178,10 @@ def folder(tmp_path, monkeypatch):
             (Design, "safe"),
             (LearnedLaw, "learned_taps"),
             (reproduction, "_of_scenario"),
-            (of_schemes, "certify"),
+            (certificates, "certify"),
             (worst_machine, "worst_case_search"),
             (q_filter, "question"),
-            (measured_law, "measured_question"),
+            (q_filter, "measured_question"),
         ),
         *(
             (estimation, "problem_of"),

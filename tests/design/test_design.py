@@ -20,8 +20,8 @@ from jaxilc.learning import learn
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import PID, ErrorFiltered, Filtered, PIDType, WithFeedback
 from jaxilc.sweeps.summary import SchemeSummary
-from jaxilc.theory.filtered_law import low_pass
 from jaxilc.theory.law import learning_law
+from jaxilc.theory.on_lines import low_pass
 from jaxilc.uncertainty import drawn_machine
 
 DT, N, TRIALS = 1e-3, 120, 6

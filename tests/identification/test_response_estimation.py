@@ -7,7 +7,7 @@ import scipy.signal
 from jaxilc.identification import compare_response_orders, identify_response
 from jaxilc.identification.model_response import response_and_slopes
 from jaxilc.identification.orders import best_order, not_significant
-from jaxilc.theory.measured import MeasuredResponse
+from jaxilc.theory.on_lines import MeasuredResponse
 
 DT = 1e-3
 F = np.linspace(2.0, 400.0, 90)

@@ -13,12 +13,18 @@ import jaxilc
 from jaxilc.plants import StateSpace
 from jaxilc.pytree.in_short import LINES, WIDTH
 from jaxilc.schemes import PIDType
-from jaxilc.theory.outlook import Maps, Matrices
+from jaxilc.theory.learning_map import LearningMaps
 
 ROOMS = (
     *("learning", "signals", "sweeps", "tuning", "design", "hardware", "identification"),
     *("scenarios", "filters", "plants", "schemes", "uncertainty"),
-    *("theory", "theory.outlook", "theory.frequency", "theory.of_schemes", "tuning.worst_machine"),
+    *(
+        "theory",
+        "theory.outlook",
+        "theory.frequency",
+        "theory.certificates",
+        "tuning.worst_machine",
+    ),
 )
 SMALL = (int, float, str, bool, type(None))
 
@@ -28,7 +34,7 @@ def public():
     rooms = [jaxilc, *(importlib.import_module(f"jaxilc.{name}") for name in ROOMS)]
     named = [getattr(room, n) for room in rooms for n in getattr(room, "__all__", dir(room))]
     classes = {one for one in named if inspect.isclass(one) and one.__module__[:6] == "jaxilc"}
-    classes -= {Maps, Matrices}  # theory.outlook only uses them
+    classes -= {LearningMaps}  # theory.outlook only uses them
     have = [one for one in classes if hasattr(one, "_fields") or dataclasses.is_dataclass(one)]
     return sorted(have, key=lambda one: (one.__module__, one.__name__))
 

@@ -11,7 +11,7 @@ from jaxilc.plants import ProcessModel
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.identified_file import intervals, write_plant_file
 from jaxilc.scenarios.starting_law import starting_law
-from jaxilc.theory.measured import MeasuredResponse
+from jaxilc.theory.on_lines import MeasuredResponse
 from jaxilc.uncertainty import Uniform
 
 DT = 1e-3

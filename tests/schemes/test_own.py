@@ -22,7 +22,7 @@ from jaxilc.schemes.wrapper import Wrapper
 from jaxilc.signals import Task
 from jaxilc.sweeps import Sweep
 from jaxilc.theory import certify
-from jaxilc.theory.by_frequency import learning_condition
+from jaxilc.theory.frequency import learning_condition
 from jaxilc.tuning import Tuning
 from jaxilc.tuning.objectives import Final
 from jaxilc.uncertainty import Uniform, draw

@@ -31,8 +31,7 @@ from jaxilc.schemes import (
     WithFeedback,
 )
 from jaxilc.theory import certify, outlook
-from jaxilc.theory.certificates import certify_each, course, long_run
-from jaxilc.theory.of_schemes import OfScheme
+from jaxilc.theory.certificates import OfScheme, certify_each, course, long_run
 from jaxilc.uncertainty import draw, drawn_machines
 
 DT, N = 1e-3, 100

@@ -25,8 +25,7 @@ from jaxilc.schemes import NormOptimal, PIDType
 from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Task, Trial
 from jaxilc.theory import carried_radius, certificates, certify
-from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING
-from jaxilc.theory.of_schemes import OfScheme
+from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, OfScheme
 from jaxilc.theory.record_moments import RecordMoments
 
 DT, N = 1e-3, 40

@@ -28,8 +28,8 @@ from jaxilc.schemes import (
 )
 from jaxilc.signals import Task
 from jaxilc.theory import BoundsWatch, bounds_of, contraction, frequency, lifted, sliding
-from jaxilc.theory.as_matrix import Matrices
 from jaxilc.theory.enclosure import arc_of_loop, size, supremum
+from jaxilc.theory.learning_map import Matrices
 from jaxilc.theory.loop import Loop
 from jaxilc.uncertainty import Uniform
 
@@ -360,6 +360,6 @@ def test_a_norm_that_overflows_is_infinite():
     Infinity was replaced by the largest number that there is, which then overflowed again.
     """
     M, none = np.full((1, 1, 1), 1e90), np.zeros((1, 1))
-    maps = Matrices(none, M, none, M, none, {}, {})
+    maps = Matrices(*(None,) * 4, none, M, none, M, none, {}, {})
     assert maps.norm(4) == np.inf
     assert maps.norm(1) == pytest.approx(1e90)

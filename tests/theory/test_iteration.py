@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxilc.theory.iteration import largest
+from jaxilc.theory.spectrum import largest
 
 
 @pytest.mark.parametrize("rate", [0.02, 1.0, 30.0, 300.0])

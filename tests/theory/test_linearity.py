@@ -15,6 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.plants.structure import AFFINE, OTHERWISE, blind, dependence, obstacle
 from jaxilc.pytree import child, leaf, pytree
 from jaxilc.schemes import (
     CFDLMFAC,
@@ -34,7 +35,6 @@ from jaxilc.schemes import (
 )
 from jaxilc.theory import linearity
 from jaxilc.theory.certificates import certify_each
-from jaxilc.theory.structure import AFFINE, OTHERWISE, blind, dependence, obstacle
 from jaxilc.theory.trials import step, trial_of
 from jaxilc.uncertainty import drawn_machines
 

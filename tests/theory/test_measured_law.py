@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxilc.theory.measured import MeasuredResponse
-from jaxilc.theory.measured_law import PLaw, measured_question, spacings
+from jaxilc.theory.on_lines import MeasuredResponse
+from jaxilc.theory.q_filter import PLaw, measured_question, spacings
 
 DT = 1e-3
 F = np.arange(1.0, 300.0)

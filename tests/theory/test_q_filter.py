@@ -7,10 +7,11 @@ from jaxilc import Machine, Task
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import CFDLMFAILC, Filtered, HigherOrder, PIDType
-from jaxilc.theory.by_frequency import learning_condition
-from jaxilc.theory.discs import Disc
-from jaxilc.theory.family import tried_plants
-from jaxilc.theory.filtered_law import (
+from jaxilc.theory.enclosure import Disc
+from jaxilc.theory.frequency import learning_condition, tried_plants
+from jaxilc.theory.law import law_of
+from jaxilc.theory.loop import linear_loop, responses
+from jaxilc.theory.on_lines import (
     Change,
     Lines,
     best_lead,
@@ -18,10 +19,7 @@ from jaxilc.theory.filtered_law import (
     largest_gain,
     peak,
 )
-from jaxilc.theory.law import law_of
-from jaxilc.theory.loop import linear_loop, responses
-from jaxilc.theory.offers import offers_of
-from jaxilc.theory.q_filter import question
+from jaxilc.theory.q_filter import offers_of, question
 from jaxilc.theory.whole_set import bound_of_set
 from jaxilc.uncertainty import Uniform
 

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from jaxilc.theory.filtered_law import Lines
+from jaxilc.theory.on_lines import Lines
 from jaxilc.tuning import synthesis
 from jaxilc.tuning.synthesis import synthesised
 

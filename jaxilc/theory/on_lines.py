@@ -1,4 +1,4 @@
-"""How far a filtered law may go: cutoff, gain and lead, on the lines of a frequency response.
+"""A law on the lines of a frequency response: its curve, and how far cutoff, gain and lead may go.
 
 A law with a zero-phase low-pass Q in front of a learning law K u + L e learns on a plant P where
 
@@ -11,15 +11,31 @@ or measured responses. Everything here is arithmetic on lines: between them noth
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+BLOCKED = 1e-6  # |Q| below which Q (1 - L P) says nothing of 1 - L P
+TENTH = 0.1
 LARGEST_SHARE = 0.98  # of the Nyquist frequency, beyond which no cutoff is looked for
 FINENESS = 1e-4  # relative, of the largest gain
 SCAN = 0.8  # factor from gain to gain, in the search for one that is allowed
 SCANNED = 60
+
+
+class MeasuredResponse(NamedTuple):
+    """The response of one output to one input, measured at some frequencies.
+
+    frequencies: (F,) ascending, above 0 [Hz]
+    response:    (F,) complex P(j w) [unit of the output per unit of the input]
+    std:         (F,) sqrt(E |measured - true|^2) of each line [the same unit]; 0 where not known
+    """
+
+    frequencies: np.ndarray
+    response: np.ndarray
+    std: np.ndarray
 
 
 class Lines(NamedTuple):
@@ -55,6 +71,66 @@ class Change(NamedTuple):
     order: int
 
 
+class Curves(NamedTuple):
+    """What a figure shows of a law on the nominal plant and on a family, at F frequencies [Hz].
+
+    P, Q, LP: (F,) complex, of the nominal plant
+    nominal:  (F,) |Q (1 - L P)|
+    low, high: (F,) least and largest of the family, the scatter of a record included
+    without:  (F,) largest |1 - L P| of the family, without the filter
+    """
+
+    f: np.ndarray
+    P: np.ndarray
+    Q: np.ndarray
+    LP: np.ndarray
+    nominal: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    without: np.ndarray
+
+    @property
+    def first_above(self) -> float:
+        """The first frequency at which |1 - L P| exceeds 1 without Q [Hz]; inf if it never does."""
+        above = np.flatnonzero(self.without > 1)
+        return float(self.f[above[0]]) if len(above) else np.inf
+
+    @property
+    def left(self) -> np.ndarray:
+        """(F,) |1 - Q| / |1 - Q (1 - L P)|: the share of a repeated error that is never learned."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.abs(1 - self.Q) / np.abs(1 - self.Q + self.Q * self.LP)
+        return np.where(np.isnan(share), 0.0, share)
+
+    @property
+    def learned_up_to(self) -> float:
+        """The frequency up to which a repeated error falls to a tenth or less [Hz]."""
+        worse = np.flatnonzero(self.left > TENTH)
+        if not len(worse):
+            return float(self.f[-1])
+        return float(self.f[worse[0] - 1]) if worse[0] else 0.0
+
+
+def curves_of(whole: Lines) -> Curves:
+    """The curves of a law, its filter included: Q is what it keeps, and L P the rest by Q."""
+    Q = whole.keep
+    seen = np.abs(Q) > BLOCKED
+    L = whole.L / np.where(seen, Q, 1.0)
+    sizes = np.abs(whole.keep - whole.L * whole.P)
+    spread = np.abs(whole.L) * whole.scatter
+    without = np.max(np.abs(1 - L * whole.P) + np.abs(L) * whole.scatter, axis=0)
+    return Curves(
+        whole.f,
+        whole.P[0],
+        Q,
+        L * whole.P[0],
+        sizes[0],
+        np.min(np.maximum(sizes - spread, 0), axis=0),
+        np.max(sizes + spread, axis=0),
+        np.where(seen, without, np.nan),
+    )
+
+
 def low_pass(f, cutoff, dt: float, order: int) -> np.ndarray:
     """Q as `ZeroPhaseButterworth` has it; 1 for an infinite cutoff."""
     if np.ndim(cutoff) == 0 and np.isinf(cutoff):
@@ -72,15 +148,12 @@ def unfiltered(lines: Lines, gain: float = 1.0, lead: int = 0) -> np.ndarray:
 
 def peak(several: Sequence[Lines], change: Change) -> float:
     """The largest |Q (K - L P)| + |Q L| s of all lines and plants under a changed law."""
-    return max(
-        float(
-            np.max(
-                low_pass(lines.f, change.cutoff, lines.dt, change.order)
-                * unfiltered(lines, change.gain, change.lead)
-            )
-        )
-        for lines in several
-    )
+
+    def of_one(lines: Lines) -> float:
+        Q = low_pass(lines.f, change.cutoff, lines.dt, change.order)
+        return float(np.max(Q * unfiltered(lines, change.gain, change.lead)))
+
+    return max(map(of_one, several))
 
 
 def largest_cutoff(
@@ -147,19 +220,14 @@ def widest(
     allowed.
     """
     found = []
-    for lead in leads:
-        for gain in gains:
-            change = Change(float(gain), int(lead), np.inf, order)
-            cutoff = largest_cutoff(several, change, allowed, lowest)
-            if cutoff is not None:
-                slow = max(
-                    np.max(
-                        unfiltered(lines, change.gain, change.lead)[lines.f <= cutoff / 5],
-                        initial=0.0,
-                    )
-                    for lines in several
-                )
-                found.append((cutoff, float(slow), change._replace(cutoff=cutoff)))
+    for lead, gain in itertools.product(leads, gains):
+        change = Change(float(gain), int(lead), np.inf, order)
+        cutoff = largest_cutoff(several, change, allowed, lowest)
+        if cutoff is None:
+            continue
+        kept = [unfiltered(one, change.gain, change.lead)[one.f <= cutoff / 5] for one in several]
+        slow = max(float(np.max(one, initial=0.0)) for one in kept)
+        found.append((cutoff, slow, change._replace(cutoff=cutoff)))
     if not found:
         return None
     most = max(cutoff for cutoff, _, _ in found)

@@ -1,0 +1,632 @@
+"""Learning as a map of what is played: one trial and its learning take w to F(w) = M w + c.
+
+The map takes w_j, what is learned so far, to w_{j+1} = F(w_j). Limits are left out. Where learning
+depends on the last trial alone, w is what the scheme plays back, its `feedforward`, as far as
+learning ever changes it: under a law with a lead, the last samples are never learned and do not
+deviate from anything. A scheme that remembers more, as learning of higher order does, has all that
+it knows for w. For a linear law on a linear machine F is affine; see `linearity`.
+
+`learning_of` is this map of one machine. `LearningMaps` says what can be asked of those of many.
+`Matrices` answers for trials of a few hundred samples, by LAPACK; `Maps` answers for trials of any
+length without a matrix: norms are bounded by Lanczos's method, and the limit of learning is found
+by minimal residuals.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.flatten_util import ravel_pytree
+
+from ..learning.machine import Machine
+from ..runtime.lanes import usual_lanes
+from ..runtime.tiles import tiled_with
+from ..schemes import Scheme
+from ..signals.task import Task
+from .law import learning_law
+from .linearity import remembers
+from .spectrum import (
+    growth_about,
+    krylov,
+    largest,
+    radius_with_doubt,
+    reachable,
+    reached,
+    spectral_radius_of,
+    triangular_radius,
+)
+from .trials import Key, learned_from, learned_shape, next_learned, played, shown_of, trial_of
+
+DENSE = 512  # rows up to which M is taken as a matrix
+STEPS = 300  # of the Lanczos process, at most
+FEW = 60  # Lanczos steps where a bound need not be sharp
+LARGEST = 1024  # rows up to which a matrix is made where it decides
+MOST = 4000  # trials over which a limit is looked for
+WIDE = 1e-12  # relative width that covers the rounding of a norm
+TILE = 2**28  # bytes of Lanczos vectors in a tile
+ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
+
+Whole = TypeVar("Whole")
+
+
+class View(NamedTuple):
+    """What the vector w of a scheme consists of.
+
+    whole:  whether w is all that the scheme knows, in place of its feedforward
+    moving: (n,) which entries of it learning ever changes; all, where it changes none
+    """
+
+    whole: bool
+    moving: tuple[int, ...]
+
+
+class Learning(NamedTuple):
+    """The learning map and what belongs to it, as functions of the flat vector w (n,).
+
+    start:     (n,) the w of the first trial
+    following: F, from w to the w of the next trial
+    error:     from w to (N n_y,), the errors e[1..N] of its trial
+    output:    from w to ((N+1) n_y,), the output of its trial
+    from_record: from w and ((N+1) n_y,), the errors that the record shows, to the w of the next
+               trial
+    limits:    from w to {name: what a limit acts on, in the trial of w and in learning from it}, in
+               units of its bound
+    """
+
+    start: jax.Array
+    following: Callable[[jax.Array], jax.Array]
+    error: Callable[[jax.Array], jax.Array]
+    output: Callable[[jax.Array], jax.Array]
+    from_record: Callable[[jax.Array, jax.Array], jax.Array]
+    limits: Callable[[jax.Array], dict[str, jax.Array]]
+
+
+def learning_of(
+    machine: Machine, scheme: Scheme, task: Task, view: View, key: Key = None
+) -> Learning:
+    """The learning map F of a machine and a scheme. The function is pure.
+
+    key: of what is drawn of the record of a trial; None for its mean
+    """
+    bounded = machine, scheme
+    machine, scheme = machine.unlimited(), scheme.unlimited().prepared(task)
+    first, moving = scheme.initial_memory(task), np.array(view.moving)
+    start, unravel = ravel_pytree(first if view.whole else scheme.feedforward(first, task))
+
+    def trial(w):
+        known = unravel(start.at[moving].set(w))
+        if view.whole:
+            return known, trial_of(machine, scheme, task, known, key)
+        return first, played(machine, scheme, task, first, known, key)
+
+    def following(w):
+        known = learned_from(machine, scheme, *trial(w), key)
+        return known_as(known, scheme, task, view)
+
+    def from_record(w, e):
+        known, record = trial(w)
+        record = shown_of(machine, record, key)
+        shown = record._replace(y=record.r - e.reshape(record.r.shape))
+        return known_as(scheme.learn(known, shown), scheme, task, view)
+
+    def limits(w):
+        known, record = trial(w)
+        found = bounded[0].limits(record) | bounded[1].limits(task, known, record)
+        return {name: (signal / bound).ravel() for name, (signal, bound) in found.items()}
+
+    return Learning(
+        start[moving],
+        following,
+        lambda w: trial(w)[1].e[1:].ravel(),
+        lambda w: trial(w)[1].y.ravel(),
+        from_record,
+        limits,
+    )
+
+
+def known_as(memory, scheme: Scheme, task: Task, view: View) -> jax.Array:
+    """(n,) the vector w of a memory."""
+    known = memory if view.whole else scheme.feedforward(memory, task)
+    return ravel_pytree(known)[0][np.array(view.moving)]
+
+
+def view_of(scheme: Scheme, task: Task) -> View:
+    """What w is for a linear law."""
+    if remembers(scheme, task):
+        leaves = jax.tree.leaves(jax.eval_shape(lambda: scheme.initial_memory(task)))
+        return View(True, tuple(range(sum(leaf.size for leaf in leaves))))
+    moves = _moves(scheme, task)
+    return View(False, tuple(np.flatnonzero(moves if np.any(moves) else ~moves).tolist()))
+
+
+def changes_nothing(scheme: Scheme, task: Task) -> bool:
+    """Whether a linear law leaves what is played as it is, as one with a gain of 0 does."""
+    return not remembers(scheme, task) and not np.any(_moves(scheme, task))
+
+
+def _moves(scheme: Scheme, task: Task) -> np.ndarray:
+    """(N n_w,) which samples learning changes.
+
+    That is seen at a random input, where rounding counts as nothing, and at a random error, where
+    nothing does: how much an error moves depends on units. For a linear law one such look at each
+    is enough.
+    """
+    random = np.random.default_rng(7)
+    w = random.standard_normal(learned_shape(scheme, task))
+    e = random.standard_normal((task.N, task.outputs))
+    both = (w, 0 * e), (0 * w, e)
+    forgotten, learned = (np.ravel(_moved(scheme.unlimited(), task, *of)) for of in both)
+    return (np.abs(forgotten) > 1e-14 * np.abs(w).max()) | (learned != 0)
+
+
+@jax.jit
+def _moved(scheme, task, w, e):
+    scheme = scheme.prepared(task)
+    memory = scheme.initial_memory(task)
+    return (
+        next_learned(scheme, task, memory, w, e)
+        - next_learned(scheme, task, memory, 0 * w, 0 * e)
+        - w
+    )
+
+
+def limit_names(machines: Machine, scheme: Scheme, task: Task) -> list[str]:
+    """The names of the limits that machines and scheme have. machines: with a leading axis."""
+
+    def one(machine, scheme, task):
+        first = scheme.initial_memory(task)
+        trial = trial_of(machine.unlimited(), scheme.unlimited(), task, first)
+        return machine.limits(trial) | scheme.limits(task, first, trial)
+
+    return list(jax.eval_shape(jax.vmap(one, in_axes=(0, None, None)), machines, scheme, task))
+
+
+def limits_as_one(limits: dict[str, jax.Array]) -> jax.Array:
+    """What all limits act on, one after the other in one row."""
+    return jnp.concatenate(list(limits.values()))
+
+
+def slopes(f: Callable[[jax.Array], Any], x: jax.Array) -> tuple[Any, Any]:
+    """f at x (n,), and how each array (m,) of its result depends on x there, as (m, n)."""
+    here, push = jax.linearize(f, x)
+    return here, jax.vmap(push, out_axes=-1)(jnp.eye(x.size))
+
+
+# The maps of many machines
+# --------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LearningMaps(abc.ABC):
+    """What is asked of the learning maps F of S machines, whose derivative is M.
+
+    machines: with a leading axis of S
+    view: what w is
+    """
+
+    machines: Machine
+    scheme: Scheme
+    task: Task
+    view: View
+
+    @abc.abstractmethod
+    def norm(self, power: int) -> np.ndarray:
+        """(S,) an upper bound of ||M^power||."""
+
+    @abc.abstractmethod
+    def late(self, power: int) -> np.ndarray:
+        """(S,) a lower bound of ||M^power||."""
+
+    @abc.abstractmethod
+    def error_norm(self) -> np.ndarray:
+        """(S,) an upper bound of ||I - G L||, of a scheme that keeps all that it has learned."""
+
+    @abc.abstractmethod
+    def limit(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Where learning goes: w_inf (S, n), |F(w_inf) - w_inf| (S,), the error there and its gain.
+
+        The error is its root mean square (S,). The gain (S,) is an upper bound of how the error
+        changes with w.
+        """
+
+    @abc.abstractmethod
+    def radius(self) -> tuple[np.ndarray, np.ndarray]:
+        """(S,) spectral radius of M where learning moves w, and its doubt (S,).
+
+        An axis at rest, whose map stands apart from that of the others, does not count.
+        """
+
+    @abc.abstractmethod
+    def by_radius(self, which) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What is known of M by its spectral radius, each (S,).
+
+        It is this radius, about max_i ||M^i||, the first power that is seen to contract, and
+        ||(I - M)^-1||. The radius is exact where M is triangular; otherwise it has its doubt added.
+        The power is 0 where none is seen, and the others are infinite where the radius is not below
+        1, and where `which` (S,) does not ask for them. The last one is infinite, too, where no
+        power contracts, and where the growth is beyond the digits of the numbers, so that nobody
+        could see learning converge.
+        """
+
+    @abc.abstractmethod
+    def first_met(self, reach, room=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The first trial that meets a limit, whether none ever is met, and which limit it is.
+
+        Each is (S,). The trial is 0 where none was seen to meet a limit. reach: (S,) of `Decay`;
+        room: (S, K) of the bounds that counts as all of them; None for all of it
+        """
+
+
+def maps_of(machines: Machine, scheme: Scheme, task: Task, steps: int = STEPS) -> LearningMaps:
+    """The learning maps of each machine drawn. steps: of the Lanczos process, at most."""
+    view = view_of(scheme, task)
+    if len(view.moving) <= DENSE:
+        return Matrices.of(machines, scheme, task, view)
+    return Maps(machines, scheme, task, view, steps)
+
+
+def that_fit(machines: Machine, task: Task) -> list[Machine]:
+    """The machines in groups, so that the dense matrices of each group fit into `ROOM`."""
+    count, rows = count_of(machines), task.N * max(task.inputs, task.outputs)
+    chunk = max(1, ROOM // (8 * rows**2)) if rows <= DENSE else count
+    groups = [slice(at, at + chunk) for at in range(0, count, chunk)]
+    return [jax.tree.map(lambda leaf, at=at: leaf[at], machines) for at in groups]
+
+
+def joined(parts: list[Whole]) -> Whole:
+    """The results of groups of machines, as one result for all."""
+    if len(parts) == 1:
+        return parts[0]
+    return jax.tree.map(lambda *several: np.concatenate(several), *parts)
+
+
+def count_of(machines: Machine) -> int:
+    """S of machines with a leading axis."""
+    return len(jax.tree.leaves(machines)[0])
+
+
+def first_of(machines: Machine) -> Machine:
+    """The first of several machines."""
+    return jax.tree.map(lambda leaf: leaf[0], machines)
+
+
+def alone(machines: Machine, i: int) -> Machine:
+    """The machine i of several, with a leading axis of one."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[i : i + 1], machines)
+
+
+# As matrices
+# --------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Matrices(LearningMaps):
+    """F(w) = M w + c, e(w) = E w + e0, and what limits act on, T w + t, as matrices.
+
+    start: (S, n) the w of the first trial
+    M:     (S, n, n)
+    c:     (S, n)
+    E:     (S, N n_y, n)
+    e0:    (S, N n_y)
+    T:     {name: (S, K, n)} of each limit, in units of its bound
+    t:     {name: (S, K)} likewise
+    basis: (S, n', n) where learning does not reach every input, see `reached`: the w above is then
+           z of w_1 + basis z, for the w (n',) that is played; columns of zeros fill up; else None
+    origin: (S, n') this w_1; else None
+    """
+
+    start: np.ndarray
+    M: np.ndarray
+    c: np.ndarray
+    E: np.ndarray
+    e0: np.ndarray
+    T: dict[str, np.ndarray]
+    t: dict[str, np.ndarray]
+    basis: np.ndarray | None = None
+    origin: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, machines: Machine, scheme: Scheme, task: Task, view: View) -> Matrices:
+        """The matrices, by linearising each trial and its learning at the start."""
+        found = tiled_with(_of_one, lanes=1, view=view)((scheme, task), machines)
+        start, M, c, E, e0, T, t = jax.tree.map(np.asarray, found)
+        both = zip(M, E, strict=True)
+        usable = np.array([np.isfinite(M).all() and np.isfinite(E).all() for M, E in both])
+        # nothing can be claimed of a machine whose numbers overflow
+        huge = np.sqrt(np.finfo(M.dtype).max)
+        M = np.where(usable[:, None, None], M, huge)
+        E, c = np.where(usable[:, None, None], E, 0.0), np.nan_to_num(c)
+        return cls(machines, scheme, task, view, start, M, c, E, e0, T, t)._reached()
+
+    def _reached(self) -> Matrices:
+        """These maps of the inputs that learning reaches, if some machine does not reach all."""
+        moved = _apply(self.M, self.start) + self.c - self.start
+        found = [reached(M, d) for M, d in zip(self.M, moved, strict=True)]
+        if all(V is None for V in found):
+            return self
+        bases = [np.eye(self.M.shape[1]) if V is None else V for V in found]
+        most = max(V.shape[1] for V in bases)
+        basis = np.stack([np.pad(V, ((0, 0), (0, most - V.shape[1]))) for V in bases])
+        back = basis.swapaxes(1, 2)
+        return dataclasses.replace(
+            self,
+            start=np.zeros((len(basis), most), self.start.dtype),
+            M=back @ self.M @ basis,
+            c=_apply(back, moved),
+            E=self.E @ basis,
+            e0=self.e0 + _apply(self.E, self.start),
+            T={name: T @ basis for name, T in self.T.items()},
+            t={name: t + _apply(self.T[name], self.start) for name, t in self.t.items()},
+            basis=basis,
+            origin=self.start,
+        )
+
+    def norm(self, power: int) -> np.ndarray:
+        with np.errstate(over="ignore", invalid="ignore"):
+            powers = np.linalg.matrix_power(self.M, power)
+        return _norms(powers) * (1 + WIDE)
+
+    def late(self, power: int) -> np.ndarray:
+        return self.norm(power) * (1 - 2 * WIDE)
+
+    def error_norm(self) -> np.ndarray:
+        L = learning_law(self.scheme.unlimited(), self.task).L[list(self.view.moving)]
+        L = L if self.basis is None else self.basis.swapaxes(1, 2) @ L
+        return _norms(np.eye(self.E.shape[1]) + self.E @ L) * (1 + WIDE)
+
+    def limit(self):
+        unit, limit = np.eye(self.M.shape[1]), np.zeros_like(self.c)
+        for i, (M, c) in enumerate(zip(self.M, self.c, strict=True)):
+            limit[i] = np.linalg.lstsq(unit - M, c)[0]
+        left = np.linalg.norm(_apply(self.M, limit) + self.c - limit, axis=1)
+        error = np.sqrt(np.mean((_apply(self.E, limit) + self.e0) ** 2, axis=1))
+        if self.basis is not None:
+            limit = self.origin + _apply(self.basis, limit)
+        return limit, left, error, _norms(self.E)
+
+    def radius(self):
+        moved = _apply(self.M, self.start) + self.c != self.start
+        at = [reachable(M, moves) for M, moves in zip(self.M, moved, strict=True)]
+        found = [radius_with_doubt(M[np.ix_(k, k)]) for M, k in zip(self.M, at, strict=True)]
+        radius, doubt = np.array(found).T
+        return radius, doubt
+
+    def by_radius(self, which):
+        eps = np.finfo(self.M.dtype).eps
+        radius, growth, inverse = np.full((3, len(self.M)), np.inf)
+        fallen = np.zeros(len(self.M), int)
+        for i in np.flatnonzero(which):
+            radius[i] = triangular_radius(self.M[i])
+            if not np.isfinite(radius[i]):
+                above = sum(radius_with_doubt(self.M[i]))
+                radius[i] = above if above < 1 else np.inf
+            if radius[i] < 1:
+                growth[i], fallen[i] = growth_about(self.M[i])
+            if fallen[i] and growth[i] * eps < 1:
+                with np.errstate(divide="ignore"):
+                    inverse[i] = 1 / np.linalg.norm(np.eye(len(self.M[i])) - self.M[i], -2)
+        return radius, growth, fallen, inverse
+
+    def first_met(self, reach, room=None):
+        T, t = (np.concatenate(list(of.values()), axis=1) for of in (self.T, self.t))
+        if room is not None:
+            T, t = T / room[:, :, None], t / room
+        owner = np.repeat(np.arange(len(self.t)), [one.shape[1] for one in self.t.values()])
+        rows, size = np.linalg.norm(T, axis=2), len(self.start)
+        met, clear, which = np.zeros(size, int), np.zeros(size, bool), np.zeros(size, int)
+        w, open_ = self.start, np.arange(size)
+        for j in range(1, MOST + 1):
+            with np.errstate(over="ignore", invalid="ignore"):
+                following = _apply(self.M[open_], w) + self.c[open_]
+                now = np.abs(_apply(T[open_], w) + t[open_])
+                moved = np.linalg.norm(following - w, axis=1)
+                later = now + np.where(moved > 0, reach[open_] * moved, 0.0)[:, None] * rows[open_]
+            top, beyond = np.max(now, axis=1), ~(np.max(now, axis=1) <= 1)
+            which[open_] = owner[np.argmax(np.nan_to_num(now, nan=np.inf), axis=1)]
+            met[open_[beyond]] = j
+            clear[open_] = ~beyond & np.all(later <= 1, axis=1) & np.isfinite(top)
+            left = ~beyond & ~clear[open_]
+            open_, w = open_[left], following[left]
+            if not len(open_):
+                break
+        return met, clear, which
+
+
+def _of_one(common, machine, *, view: View):
+    scheme, task = common
+    found = learning_of(machine, scheme, task, view)
+    w = found.start
+    here, steep = slopes(lambda w: (found.following(w), found.error(w), found.limits(w)), w)
+    offset = jax.tree.map(lambda value, slope: value - slope @ w, here, steep)
+    (M, E, T), (c, e0, t) = steep, offset
+    return w, M, c, E, e0, T, t
+
+
+def _apply(matrices, vectors) -> np.ndarray:
+    """(S, m) the products of S matrices (S, m, n) and vectors (S, n)."""
+    return np.einsum("sij,sj->si", matrices, vectors)
+
+
+def _norms(matrices) -> np.ndarray:
+    """(S,) largest singular values; infinite where a matrix overflows."""
+    found = np.full(len(matrices), np.inf)
+    for i, M in enumerate(matrices):
+        if np.all(np.isfinite(M)) and M.size:
+            found[i] = np.linalg.norm(M, 2)
+    return found
+
+
+# Without a matrix
+# --------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Maps(LearningMaps):
+    """The learning maps by what they do to a vector.
+
+    steps: largest number of steps of the Lanczos process
+    """
+
+    steps: int = STEPS
+
+    def norm(self, power: int) -> np.ndarray:
+        most = self.steps if power == 1 else FEW
+        return self._bounded(_norm_of_power, most, jnp.asarray(power))
+
+    def late(self, power: int) -> np.ndarray:  # the length that a random unit vector gets
+        return np.nan_to_num(self._asked(_of_random, jnp.asarray(power)), nan=np.inf)
+
+    def error_norm(self) -> np.ndarray:
+        about = self.scheme, self.task
+        return self._bounded(_error_norm, self.steps, about, moving=self.view.moving)
+
+    def limit(self):
+        return tuple(map(np.asarray, self._asked(_limit)))
+
+    def radius(self):
+        # Where it seems to be above 1, a doubt of first order says little of an M far from normal,
+        # as that of a causal law is: its matrix decides. The doubt is infinite where that would
+        # have more than 1024 rows, and on a backend without `eig`.
+        count = count_of(self.machines)
+        if jax.default_backend() != "cpu":
+            return np.zeros(count), np.full(count, np.inf)
+        radius, doubt = map(np.array, self._asked(_radius, lanes=4))
+        for i in np.flatnonzero(radius - doubt > 1):
+            doubt[i] = np.inf
+            if len(self.view.moving) <= LARGEST:
+                one = alone(self.machines, i)
+                matrix = Matrices.of(one, self.scheme, self.task, self.view)
+                radius[i], doubt[i] = (float(x[0]) for x in matrix.radius())
+        return radius, doubt
+
+    def by_radius(self, which):  # without the matrix the radius is no proof
+        unknown = np.full(len(which), np.inf)
+        return unknown, unknown, np.zeros(len(which), int), unknown
+
+    def first_met(self, reach, room=None):
+        room = np.ones((count_of(self.machines), 1)) if room is None else room
+        each = jnp.asarray(reach), jnp.asarray(room)
+        return tuple(map(np.asarray, self._asked(_first_met, None, *each)))
+
+    def _bounded(self, function, most: int, about, **options) -> np.ndarray:
+        """(S,) upper bounds of a norm.
+
+        They are computed in few steps, and in more where these do not tell whether the norm is
+        below 1.
+        """
+        bound = np.zeros(0)
+        for steps in (FEW, most):
+            found = self._asked(function, about, steps=steps, **options)
+            value, bound = (np.nan_to_num(x, nan=np.inf) for x in found)
+            if most <= FEW or not np.any((value < 1) & (bound >= 1)):
+                break
+        return bound
+
+    def _asked(self, function, about=None, *of_each, lanes: int | None = None, **options):
+        """What a function answers for each machine.
+
+        about: its second argument, the same for all machines, after the `Learning` of one
+        of_each: further ones, with a leading axis of S
+        """
+        size = len(self.view.moving)
+        room = max(1, TILE // (16 * min(options.get("steps", FEW), size) * size))
+        options |= {"lanes": lanes or min(usual_lanes() or room, room), "function": function}
+        run = tiled_with(_answer, view=self.view, **options)
+        return run((self.scheme, self.task, about), (self.machines, *of_each))
+
+
+def _answer(common, one, *, function: Callable, view: View, **options):
+    (scheme, task, about), (machine, *of_it) = common, one
+    return function(learning_of(machine, scheme, task, view), about, *of_it, **options)
+
+
+def _norm_of_power(found: Learning, power, *, steps: int):
+    _, push = jax.linearize(found.following, found.start)
+    pull = jax.linear_transpose(push, found.start)
+    forth = lambda v: lax.fori_loop(0, power, lambda _, v: push(v), v)  # noqa: E731
+    back = lambda w: lax.fori_loop(0, power, lambda _, w: pull(w)[0], w)  # noqa: E731
+    return _value_and_bound(forth, back, found.start, steps)
+
+
+def _of_random(found: Learning, power):
+    _, push = jax.linearize(found.following, found.start)
+    v = jax.random.normal(jax.random.key(2), found.start.shape, found.start.dtype)
+    return jnp.linalg.norm(lax.fori_loop(0, power, lambda _, v: push(v), v / jnp.linalg.norm(v)))
+
+
+def _error_norm(found: Learning, about, *, steps: int, moving: tuple[int, ...]):
+    scheme, task = about
+    free, at = scheme.unlimited().prepared(task), jnp.zeros((task.N, task.outputs))
+    memory = free.initial_memory(task)
+    learned = free.feedforward(memory, task)
+    _, of_error = jax.linearize(
+        lambda e: next_learned(free, task, memory, learned, e).ravel()[np.array(moving)], at
+    )
+    _, to_error = jax.linearize(found.error, found.start)
+    forth = lambda e: e + to_error(of_error(e.reshape(at.shape)))  # noqa: E731
+    back = jax.linear_transpose(forth, at.ravel())
+    return _value_and_bound(forth, lambda w: back(w)[0], at.ravel(), steps)
+
+
+def _value_and_bound(forth, back, like, steps: int):
+    found = largest(forth, back, like, like.size, steps=steps, tolerance=0.0)
+    return found.value, found.bound
+
+
+def _limit(found: Learning, _, *, rounds: int = 4):
+    """Where the map goes: the residual over a Krylov space is minimised a few times in turn."""
+    _, push = jax.linearize(found.following, found.start)
+
+    def closer(_, w):
+        residual = found.following(w) - w
+        V, H = krylov(lambda v: v - push(v), residual, min(FEW, w.size))
+        first = jnp.zeros(len(H)).at[0].set(jnp.linalg.norm(residual))
+        return w + jnp.linalg.lstsq(H, first)[0] @ V[:-1]
+
+    w = lax.fori_loop(0, rounds, closer, found.start)
+    left = jnp.linalg.norm(found.following(w) - w)
+    return w, left, jnp.sqrt(jnp.mean(found.error(w) ** 2)), _gain(found.error, found.start)
+
+
+def _radius(found: Learning, _):
+    moved = found.following(found.start) - found.start  # what lies apart from it never moves
+    radius = spectral_radius_of(found.following, found.start, steps=FEW, begin=moved)
+    return radius.value, radius.doubt
+
+
+def _first_met(found: Learning, _, reach, room):
+    sizes = [signal.size for signal in jax.eval_shape(found.limits, found.start).values()]
+    acted = lambda w: limits_as_one(found.limits(w)) / room  # noqa: E731
+    gain = _gain(acted, found.start)
+
+    def look(now):
+        j, w, met, _, _ = now
+        following = found.following(w)
+        of_each = jnp.split(jnp.abs(acted(w)), np.cumsum(sizes)[:-1])
+        top = jnp.stack([jnp.max(one) for one in of_each])
+        moved = jnp.linalg.norm(following - w)
+        later = jnp.max(top) + gain * jnp.where(moved > 0, reach * moved, 0.0)
+        met = jnp.where(~(jnp.max(top) <= 1), j, met)
+        return j + 1, following, met, later <= 1, jnp.argmax(top)
+
+    def going_on(now):
+        j, _, met, clear, _ = now
+        return (met == 0) & ~clear & (j <= MOST)
+
+    start = (jnp.asarray(1), found.start, jnp.asarray(0), jnp.asarray(False), jnp.asarray(0))
+    _, _, met, clear, which = lax.while_loop(going_on, look, start)
+    return met, clear & (met == 0), which
+
+
+def _gain(f, w):
+    """An upper bound of the norm of the derivative of f at w."""
+    here, push = jax.linearize(f, w)
+    pull = jax.linear_transpose(push, w)
+    return largest(push, lambda v: pull(v)[0], w, here.size, steps=FEW, tolerance=0.0).bound
