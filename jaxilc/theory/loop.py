@@ -74,7 +74,7 @@ def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
     )
     flat, unravel = ravel_pytree(state)
 
-    def row_of(scheme, learned):
+    def row_of(scheme, learned, short=short):
         """The second row of a trial that plays `learned`.
 
         The first row would know nothing of the sample before.
@@ -86,7 +86,7 @@ def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
             rows = scheme.play(learned, memory, short)
         return jax.tree.map(lambda of: of[1], rows)
 
-    if shape is not None and preview > 1 and _looks_ahead(row_of, scheme, zeros):
+    if shape is not None and preview > 1 and _looks_ahead(row_of, scheme, zeros, short):
         raise ValueError(
             f"linear_loop: {type(scheme).__name__} with preview = {preview} plays several samples "
             "of what it learned at once; "
@@ -202,14 +202,14 @@ def stable(radius):
 # --------------------------------------------------------------------------------------------------
 
 
-def _looks_ahead(row_of, scheme, zeros) -> bool:
+def _looks_ahead(row_of, *of) -> bool:
     """Whether the row of a sample depends on what is learned for later samples.
 
-    It is looked at with all weights 1, as the weights themselves may be traced.
+    It is looked at with all numbers 1, as those of scheme and task may be traced.
     """
     with jax.ensure_compile_time_eval():
-        ones = jax.tree.map(lambda leaf: np.ones(np.shape(leaf), leaf.dtype), scheme)
-        slopes = jax.tree.leaves(jax.jacfwd(row_of, 1)(ones, zeros))
+        ones = jax.tree.map(lambda leaf: np.ones(np.shape(leaf), jnp.result_type(leaf)), of)
+        slopes = jax.tree.leaves(jax.jacfwd(row_of, 1)(*ones))
         return any(np.any(np.asarray(slope)[..., 2:, :]) for slope in slopes)
 
 

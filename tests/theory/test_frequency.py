@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 import scipy.signal
-from cases import ARX, DT, PLANTS, task_for
+from cases import ARX, DT, PLANTS, case, task_for
 
 from jaxilc.filters import Filter, ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Actuator, Machine, learn
@@ -516,6 +516,9 @@ BAD = {
     "learns no feedforward": lambda task: frequency.learning_condition(ARX_MACHINE, PID(), task),
     "preview = 10": lambda task: frequency.linear_loop(
         ARX_MACHINE, OnReference(PIDType(), Previewing()), task
+    ),
+    "allowed is a feedback of preview 1": lambda _: frequency.learning_condition(
+        *case("p_type_on_reference")
     ),
 }
 
