@@ -10,8 +10,7 @@ import numpy as np
 from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.plants import ProcessModel
 from jaxilc.plants.plant import Plant
-from jaxilc.pytree import child, leaf, pytree
-from jaxilc.pytree.fields import Leaf
+from jaxilc.pytree import Leaf, child, leaf, pytree
 from jaxilc.scenarios import load
 from jaxilc.schemes import Scheme, WithFeedback
 from jaxilc.uncertainty import Uncertainty

@@ -24,8 +24,9 @@ from .sweeps.store import open_dataset
 from .sweeps.summary import summarise
 from .sweeps.sweep import Sweep
 from .tuning import objectives, risks
-from .tuning.problem import Tuned, Tuning
+from .tuning.problem import Tuning
 from .tuning.trade_off import pareto
+from .tuning.weights import Tuned
 from .tuning.worst_case import monte_carlo_search, worst_case_search
 from .uncertainty import LogUniform, Normal, Uniform
 

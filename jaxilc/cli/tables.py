@@ -10,7 +10,7 @@ import numpy as np
 from ..learning.divergence import CEILING, GROWTH
 from ..learning.known_metrics import ERRORS
 from ..scenarios.loading import with_reading
-from ..schemes.experiments import trials_of_step
+from ..schemes.parts import trials_of_step
 from .numbers import shown_trials
 from .titled_table import Table
 

@@ -18,10 +18,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..pytree.fields import Leaf, leaf, pytree, static
+from ..pytree.aliases import Leaf
+from ..pytree.fields import leaf, pytree, static
 from ..schemes import LearningFilter, Scheme
 from ..schemes.scheme import Feedforward
-from ..signals.task import Limit, Task, Trial
+from ..signals.task import Task, Trial
 from ..theory.law import Law, Taps
 from .responses import Family
 
@@ -243,14 +244,8 @@ class ShapedFilter(Scheme):
     def check(self, task: Task) -> None:
         self.taps().check(task)
 
-    def initial_memory(self, task: Task) -> Feedforward:
-        return self.taps().initial_memory(task)
-
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         return self.taps().learn(memory, trial)
-
-    def limits(self, task: Task, memory: Feedforward, trial: Trial) -> dict[str, Limit]:
-        return self.taps().limits(task, memory, trial)
 
 
 def _places(taps: int) -> np.ndarray:

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree.fields import Leaf, leaf, pytree, static
+from ..pytree.aliases import Leaf
+from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known
 from .zero_phase import Filter, half_angles, mirrored
 

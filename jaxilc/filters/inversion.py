@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from ..pytree.fields import Leaf, leaf, pytree, static
+from ..pytree.aliases import Leaf
+from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known
 from ..pytree.ranges import Interval, require
 from .zero_phase import Filter, run_sections

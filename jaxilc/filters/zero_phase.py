@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import Leaf, leaf, pytree, static
+from ..pytree.aliases import Leaf
+from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known
 
 

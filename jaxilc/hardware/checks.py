@@ -10,7 +10,7 @@ import numpy as np
 from ..learning.machine import Actuator
 from ..pytree.ranges import require
 from ..schemes import Scheme
-from ..schemes.experiments import trials_of_step
+from ..schemes.parts import trials_of_step
 from ..signals.task import Task, Trial
 from .journal import METRICS
 

@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..pytree.aliases import Array, Leaf
 from ..runtime.jax_internals import once
 
 
-def there_until(shortest, N: int, key) -> jax.Array:
+def there_until(shortest: Array, N: int, key: Array | None) -> Array:
     """(N+1,) 1 up to the end of a trial that is drawn uniformly from [shortest, 1] of N samples."""
     k = np.arange(N + 1) / N
     if key is None:
@@ -25,7 +26,7 @@ def there_until(shortest, N: int, key) -> jax.Array:
     return jnp.where(k * N <= last + 0.5, 1.0, 0.0)
 
 
-def not_lost(dropped, N: int, key) -> jax.Array:
+def not_lost(dropped: Array, N: int, key: Array | None) -> Array:
     """(N+1,) 1 where a sample arrives, 0 where it is lost, with a chance, after k = 0."""
     if key is None:
         kept = jnp.full(N + 1, 1 - dropped)
@@ -34,7 +35,7 @@ def not_lost(dropped, N: int, key) -> jax.Array:
     return kept.at[0].set(1.0)
 
 
-def shifted(y, late: int, key) -> jax.Array:
+def shifted(y: Array, late: int, key: Array | None) -> Array:
     """(N+1, n_y) the record y, late as a whole by 0 .. late samples; at its start it is y[0]."""
     held = jnp.pad(y, ((late, 0), (0, 0)), mode="edge")
     if key is None:
@@ -44,7 +45,7 @@ def shifted(y, late: int, key) -> jax.Array:
     )
 
 
-def newest(y, delayed, most: int, key) -> jax.Array:
+def newest(y: Array, delayed: Array, most: int, key: Array | None) -> Array:
     """(N+1, n_y) the newest sample of y that has arrived at each instant, held until the next one.
 
     Sample k needs delta_k samples to arrive: 0 with the chance 1 - delayed, else 1 .. most, all
@@ -53,7 +54,8 @@ def newest(y, delayed, most: int, key) -> jax.Array:
     """
     rows = len(y)
     if key is None:
-        held, mean, still = jnp.pad(y, ((most, 0), (0, 0)), mode="edge"), jnp.zeros_like(y), 1.0
+        held, mean = jnp.pad(y, ((most, 0), (0, 0)), mode="edge"), jnp.zeros_like(y)
+        still: Leaf = 1.0
         for age in range(most + 1):  # still: the chance that no sample newer than k - age is there
             missing = delayed * (most - age) / most
             mean = mean + still * (1 - missing) * held[most - age : most - age + rows]
@@ -68,7 +70,7 @@ def newest(y, delayed, most: int, key) -> jax.Array:
     return jnp.asarray(y)[jax.lax.cummax(at)]
 
 
-def without_slope(chance) -> jax.Array:
+def without_slope(chance: Array) -> Array:
     """The chance itself; raises ValueError where it is differentiated."""
     return once(
         jnp.asarray(chance),

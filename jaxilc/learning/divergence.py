@@ -14,11 +14,11 @@ precision, except for rounding at the limit.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
+from ..pytree.aliases import Array, Tree, Value
 from ..signals.task import Task
 from .known_metrics import Metrics
 
@@ -35,12 +35,12 @@ class Course(NamedTuple):
         least error; 0 if it does not stay there, or if a trial diverged
     """
 
-    diverged: jax.Array
-    diverged_at: jax.Array
-    grown_from: jax.Array
+    diverged: Array
+    diverged_at: Array
+    grown_from: Array
 
 
-def course(metrics: Metrics, task: Task, first: Any = 1, every: int = 1) -> Course:
+def course(metrics: Metrics, task: Task, first: Tree = 1, every: int = 1) -> Course:
     """The `Course` of J trials of a task.
 
     Growth is that of the rms error of the output with the largest rms error.
@@ -60,7 +60,7 @@ def course(metrics: Metrics, task: Task, first: Any = 1, every: int = 1) -> Cour
     )
 
 
-def _of_learned(errors, first, every: int) -> jax.Array:
+def _of_learned(errors: Array, first: Array, every: int) -> Array:
     """(J,) the error of the trial of each step that played what was learned; inf is kept.
 
     Before the first of these trials, the errors are those of that one.
@@ -72,7 +72,7 @@ def _of_learned(errors, first, every: int) -> jax.Array:
     return jnp.where(jnp.isfinite(errors), held, errors)
 
 
-def peak(task: Task) -> jax.Array:
+def peak(task: Task) -> Array:
     """The largest |r| of each output, as (n_y,).
 
     For an output whose reference is zero it is the largest |r| of all outputs, and 1 if the
@@ -83,7 +83,7 @@ def peak(task: Task) -> jax.Array:
     return jnp.where(largest > 0, largest, jnp.where(overall > 0, overall, 1.0))
 
 
-def grown_from(errors, growth: float = GROWTH) -> Any:
+def grown_from(errors: Value, growth: float = GROWTH) -> Tree:
     """The trial from which on the errors stay above 1 + growth times the least error, as (...).
 
     Trials are counted from 1. The result is 0 if the last error is not above that level, and if a

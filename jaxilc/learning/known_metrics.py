@@ -18,9 +18,9 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-if TYPE_CHECKING:
-    import jax
+from ..pytree.aliases import Array
 
+if TYPE_CHECKING:
     from ..signals.task import Task
 
 
@@ -103,11 +103,11 @@ class Metrics(NamedTuple):
     finite: () whether all of these, and every y and u, are finite
     """
 
-    max_error: jax.Array
-    rms: jax.Array
-    settled_error: jax.Array
-    effort: jax.Array
-    finite: jax.Array
+    max_error: Array
+    rms: Array
+    settled_error: Array
+    effort: Array
+    finite: Array
 
     def __repr__(self) -> str:
         from ..pytree.in_short import in_short  # imports JAX

@@ -6,13 +6,14 @@ Each of these parts is optional and takes no time when it is absent.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from ..plants import Plant
-from ..pytree.fields import Leaf, child, leaf, pytree
+from ..pytree.aliases import Array, Leaf, Tree, Value
+from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_channels, need_scalars
 from ..signals.task import Limit, Task, Trial, quantise
 from .variation import Variation
@@ -36,7 +37,7 @@ class Actuator:
     rate: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     resolution: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
 
-    def apply(self, u, v_last, dt) -> tuple[jax.Array, jax.Array]:
+    def apply(self, u: Array, v_last: Array, dt: float) -> tuple[Array, Array]:
         """The state v (n_u,) of the actuator and the applied input (n_u,).
 
         u: (n_u,) commanded input [unit of u]
@@ -51,7 +52,7 @@ class Actuator:
         v = self._within_limit(v)
         return v, v if self.resolution is None else self._within_limit(quantise(v, self.resolution))
 
-    def limits(self, u, dt) -> dict[str, Limit]:
+    def limits(self, u: Array, dt: float) -> dict[str, Limit]:
         """The signals that must stay within their bounds so that no limit has an effect, by name.
 
         u: (N, n_u) input commanded in a trial [unit of u]
@@ -65,7 +66,7 @@ class Actuator:
             if bound is not None
         }
 
-    def _within_limit(self, u):
+    def _within_limit(self, u: Array) -> Array:
         return u if self.limit is None else jnp.clip(u, -self.limit, self.limit)
 
 
@@ -79,9 +80,9 @@ class Sensor:
     """
 
     resolution: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
-    noise: Leaf | None = leaf(default=None, interval="[0, inf)", optional=True)
+    noise: Leaf = leaf(default=None, interval="[0, inf)", optional=True)
 
-    def measure(self, y, noise) -> jax.Array:
+    def measure(self, y: Array, noise: Array | None) -> Array:
         if noise is not None:
             y = y + self.noise * noise
         return y if self.resolution is None else quantise(y, self.resolution)
@@ -114,9 +115,9 @@ class Draws(NamedTuple):
     sensor: (N+1, n_y) sensor noise of variance 1
     """
 
-    input: jax.Array | None
-    output: jax.Array | None
-    sensor: jax.Array | None
+    input: Array | None
+    output: Array | None
+    sensor: Array | None
 
 
 @pytree
@@ -153,7 +154,7 @@ class Machine:
     def unrounded(self) -> Machine:
         """This machine without the steps of its converter and of its sensors."""
         parts = {"actuator": self.actuator, "sensor": self.sensor}
-        fine = {
+        fine: dict[str, Value] = {
             name: None if part is None else dataclasses.replace(part, resolution=None)
             for name, part in parts.items()
         }
@@ -185,7 +186,7 @@ class Machine:
         variation = None if variation is None else variation.sampled(dt)
         return dataclasses.replace(self, plant=plant, variation=variation)
 
-    def at_trial(self, task: Task, j: Any) -> tuple[Machine, Task]:
+    def at_trial(self, task: Task, j: Tree) -> tuple[Machine, Task]:
         """This machine, sampled, and the task, as they are in trial j; None for the long run."""
         if self.variation is None:
             return self, task
@@ -207,7 +208,7 @@ class Machine:
         )
         return dataclasses.replace(machine, variation=variation), task if turns else at_last
 
-    def shown(self, trial: Trial, key) -> Trial:
+    def shown(self, trial: Trial, key: Array) -> Trial:
         """The record of a trial as it reaches the learning law. key: as for the trial"""
         return trial if self.variation is None else self.variation.shown(trial, key)
 
@@ -220,14 +221,14 @@ class Machine:
         """Whether a trial starts from the state in which the one before has ended."""
         return self.variation is not None and self.variation.carried is not None
 
-    def actuate(self, u, v_last, dt) -> tuple[jax.Array, jax.Array]:
+    def actuate(self, u: Array, v_last: Array, dt: float) -> tuple[Array, Array]:
         """The state of the actuator and the applied input, see `Actuator.apply`."""
         return (u, u) if self.actuator is None else self.actuator.apply(u, v_last, dt)
 
-    def measure(self, y, noise) -> jax.Array:
+    def measure(self, y: Array, noise: Array | None) -> Array:
         return y if self.sensor is None else self.sensor.measure(y, noise)
 
-    def draws(self, key, task: Task) -> Draws:
+    def draws(self, key: Array, task: Task) -> Draws:
         """The disturbances and the noise of one trial, drawn with the random key `key`."""
         of_input, of_output, of_sensor = jax.random.split(key, 3)
         d, shape_u, shape_y = self.disturbance, (task.N, task.inputs), (task.N + 1, task.outputs)
@@ -272,7 +273,9 @@ class Machine:
                 )
 
 
-def _total(name, repetitive, std, key, shape):
+def _total(
+    name: str, repetitive: Leaf | None, std: Leaf | None, key: Array, shape: tuple[int, ...]
+) -> Leaf | None:
     if std is None:
         return repetitive
     noise = std * jax.random.normal(key, shape)

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..pytree.aliases import Array, Tree
 from ..runtime.jax_internals import with_slope
-from ..signals.sample_layout import for_scan
+from ..signals.rows import for_scan
 from ..signals.task import Task, Trial
 from .known_metrics import GATHERED, METRICS, Gathering, Metrics
 
@@ -29,10 +30,10 @@ class Tally(NamedTuple):
         squares so far
     """
 
-    gathered: tuple[jax.Array, ...]
+    gathered: tuple[Array, ...]
 
     @classmethod
-    def start(cls, e, inputs: int, settled: bool) -> Tally:
+    def start(cls, e: Array, inputs: int, settled: bool) -> Tally:
         """The tally after sample 0, which no input can reach.
 
         Sample 0 counts only in metrics of the settled window, if this window begins with it.
@@ -50,7 +51,7 @@ class Tally(NamedTuple):
             )
         )
 
-    def add(self, e, u, settled) -> Tally:
+    def add(self, e: Array, u: Array, settled: Array) -> Tally:
         """The tally with one more sample.
 
         e: (n_y,) error of the sample [unit of y]
@@ -77,7 +78,7 @@ class Tally(NamedTuple):
             found[name] = value
         return Metrics(**found, finite=finite)
 
-    def _samples(self, how: Gathering, trial: Trial, task: Task) -> Any:
+    def _samples(self, how: Gathering, trial: Trial, task: Task) -> Tree:
         """The number of samples that count in a metric, one at least, for each channel."""
         if how.signal == "u" or trial.weight is None:
             return len(_rows(how, trial.e, trial.u, task.settled))
@@ -86,7 +87,7 @@ class Tally(NamedTuple):
         return jnp.maximum(jnp.sum(there, axis=0), 1.0)
 
 
-def _rows(how: Gathering, e, u, settled: slice):
+def _rows(how: Gathering, e: Array, u: Array, settled: slice) -> Array:
     """The rows of e (N+1, n_y) or u (N, n_u) that a metric uses."""
     return {"e": e, "u": u}[how.signal][_window(how, len(u), settled)]
 
@@ -99,16 +100,18 @@ def _window(how: Gathering, N: int, settled: slice) -> slice:
     return slice(max(start - 1, 0), stop - 1) if how.settled else slice(None)
 
 
-def _of_signals(gathered: tuple, e, u, settled: slice) -> tuple:
+def _of_signals(
+    gathered: tuple[Array, ...], e: Array, u: Array, settled: slice
+) -> tuple[Array, ...]:
     """The values gathered from e (N+1, n_y) and u (N, n_u), with a derivative rule of their own.
 
     The rule uses the whole signals. A derivative sample by sample would store every intermediate
     value.
     """
 
-    def slope(at: tuple, by: tuple) -> tuple:
+    def slope(at: Tree, by: Tree) -> tuple[Array, ...]:
         (_, e, u), (_, de, du) = at, by
-        slopes = {}
+        slopes: dict[str, Array] = {}
         for signal, x, dx in (("e", e, de), ("u", u, du)):
             of_signal = {name: how for name, how in GATHERED if how.signal == signal}
             counted = [np.zeros(len(x), bool) for _ in of_signal]
@@ -121,21 +124,21 @@ def _of_signals(gathered: tuple, e, u, settled: slice) -> tuple:
     return with_slope(lambda gathered, e, u: gathered, slope)(gathered, e, u)
 
 
-def _slopes(x, dx, counted: list[np.ndarray], largest: list[bool]) -> list[jax.Array]:
+def _slopes(x: Array, dx: Array, counted: list[np.ndarray], largest: list[bool]) -> list[Array]:
     """The derivatives along dx of several values that are gathered from one signal x (K, n).
 
     counted: (K,) each, whether a value uses a row
     largest: whether a value is the largest |x|; otherwise it is the sum of x^2
 
     The slopes, (n,) each, are gathered in a scan over the samples for the reason that
-    `signals.by_row` gives. The place of a largest value is found anew: the value in the tally may
+    `signals.rows` gives. The place of a largest value is found anew: the value in the tally may
     be rounded differently from the same error here, and would then be equal to none of the errors.
     """
     rows = np.arange(len(x)), np.stack(counted, axis=1)
     x, dx = for_scan((x, dx))
     zero = jnp.zeros_like(x[0])
 
-    def place(best, now):
+    def place(best: Tree, now: Tree) -> tuple[Tree, Tree]:
         (k, counts), x = now
         better = [(jnp.abs(x) > size) & c for (size, _), c in zip(best, counts, strict=True)]
         return [
@@ -144,7 +147,7 @@ def _slopes(x, dx, counted: list[np.ndarray], largest: list[bool]) -> list[jax.A
         ], None
 
     @jax.checkpoint  # so that a gradient stores nothing for each row
-    def slopes_of_row(places, now, dx):
+    def slopes_of_row(places: list[Array], now: Tree, dx: Array) -> list[Array]:
         (k, counts), x = now
         slopes = [
             jnp.where(k == at, jnp.sign(x), 0.0) if is_largest else 2.0 * x
@@ -152,7 +155,7 @@ def _slopes(x, dx, counted: list[np.ndarray], largest: list[bool]) -> list[jax.A
         ]
         return [jnp.where(c, slope, 0.0) * dx for slope, c in zip(slopes, counts, strict=True)]
 
-    def tick(sums, now):
+    def tick(sums: Tree, now: Tree) -> tuple[Tree, Tree]:
         return jax.tree.map(jnp.add, sums, slopes_of_row(places, *now)), None
 
     first = [(zero, zero.astype(int))] * len(largest)
@@ -160,7 +163,7 @@ def _slopes(x, dx, counted: list[np.ndarray], largest: list[bool]) -> list[jax.A
     return lax.scan(tick, [zero] * len(largest), ((rows, x), dx))[0]
 
 
-def _dot(a, b):
+def _dot(a: Array, b: Array) -> Array:
     """The sum of a b over time, as (n,); `jnp.sum` would add the products one after another."""
     return jnp.einsum("kn,kn->n", a, b)
 
@@ -172,7 +175,7 @@ def measure(trial: Trial, task: Task) -> Metrics:
     """
     e, u = lax.stop_gradient((trial.e, trial.u))
 
-    def gathered(how: Gathering):
+    def gathered(how: Gathering) -> Array:
         x = _rows(how, e, u, task.settled)
         return jnp.max(jnp.abs(x), axis=0) if how.of == "largest" else _dot(x, x)
 
@@ -191,10 +194,10 @@ class Keep:
     """
 
     signals: tuple[str, ...] = ()
-    quantities: tuple[tuple[str, Callable[[Trial], jax.Array]], ...] = ()
+    quantities: tuple[tuple[str, Callable[[Trial], Array]], ...] = ()
 
     @classmethod
-    def of(cls, quantities: Mapping[str, Callable[[Trial], jax.Array]], *signals: str) -> Keep:
+    def of(cls, quantities: Mapping[str, Callable[[Trial], Array]], *signals: str) -> Keep:
         """The `Keep` of these quantities and signals.
 
         Raises ValueError for a quantity with the name of a metric or of a signal.
@@ -206,13 +209,13 @@ class Keep:
                 )
         return cls(signals, tuple(quantities.items()))
 
-    def __call__(self, trial: Trial) -> dict[str, jax.Array]:
+    def __call__(self, trial: Trial) -> dict[str, Array]:
         return {name: getattr(trial, name) for name in self.signals} | {
             name: of(trial) for name, of in self.quantities
         }
 
 
-def largest(x, axis: int | None = None) -> jax.Array:
+def largest(x: Array, axis: int | None = None) -> Array:
     """The largest value of x, or those along an axis, with a derivative that uses its index.
 
     Where several values are equal, the first of them has the derivative. The derivative of
@@ -230,7 +233,7 @@ def largest(x, axis: int | None = None) -> jax.Array:
     )
 
 
-def best_trial(rms) -> np.ndarray:
+def best_trial(rms: Array) -> np.ndarray:
     """The number of the best trial among the first j trials, for j = 1..J, as (J,).
 
     The best trial has the smallest error of the output with the largest error. A trial that is not
@@ -251,12 +254,12 @@ class Repeatability(NamedTuple):
     share: (n_y,) spread / mean
     """
 
-    mean: jax.Array
-    spread: jax.Array
-    share: jax.Array
+    mean: Array
+    spread: Array
+    share: Array
 
 
-def repeatability(rms) -> Repeatability:
+def repeatability(rms: Array) -> Repeatability:
     """How well the same input leads to the same error in each run (Li 2020, section 6.1).
 
     Learning assumes that it does. Li found a spread of 0.0003 mm over 10 runs.
@@ -274,12 +277,12 @@ def repeatability(rms) -> Repeatability:
     return Repeatability(mean, spread, spread / mean)
 
 
-def total_variation(signal) -> jax.Array:
+def total_variation(signal: Array) -> Array:
     """The total variation sum_k |x[k+1] - x[k]| of a (N, n) signal, as (n,)."""
     return jnp.sum(jnp.abs(jnp.diff(signal, axis=0)), axis=0)
 
 
-def chattering(trial: Trial) -> jax.Array:
+def chattering(trial: Trial) -> Array:
     """The total variation of u per second, as (n_u,) [unit of u per s].
 
     For a smooth u it is about the mean of |u'|. For a u that switches it is much larger.
@@ -287,10 +290,10 @@ def chattering(trial: Trial) -> jax.Array:
     return total_variation(trial.u) / (trial.u.shape[0] * trial.dt)
 
 
-def root_mean_square(signal) -> jax.Array:
+def root_mean_square(signal: Array) -> Array:
     """The root mean square (n,) of a (N, n) signal; where it is zero, its gradient is also zero."""
     return _root(jnp.mean(signal**2, axis=0))
 
 
-def _root(mean):
+def _root(mean: Array) -> Array:
     return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), 0.0 * mean)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.core
@@ -14,13 +14,14 @@ import numpy as np
 from jax import lax
 
 from ..plants import Plant
+from ..pytree.aliases import Array, Tree, Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import brief, require
 from ..runtime.capacity import check_size
 from ..runtime.lanes import usual_stored
 from ..schemes import Scheme
-from ..schemes.experiments import trials_of_step
-from ..signals.sample_layout import for_carry
+from ..schemes.parts import trials_of_step
+from ..signals.rows import for_carry
 from ..signals.task import Task, Trial
 from .divergence import course
 from .known_metrics import Metrics, bytes_of_metrics
@@ -50,17 +51,19 @@ class History(NamedTuple):
     """
 
     metrics: Metrics
-    saved: Any
-    diverged: jax.Array
-    diverged_at: jax.Array
-    grown_from: jax.Array
+    saved: Tree
+    diverged: Array
+    diverged_at: Array
+    grown_from: Array
     final: Trial
-    memory: Any
-    start: Any = None
-    watched: Any = None
-    __repr__ = in_short
+    memory: Tree
+    start: Tree = None
+    watched: Tree = None
 
-    def __getattr__(self, name: str) -> jax.Array:
+    def __repr__(self) -> str:
+        return in_short(self)
+
+    def __getattr__(self, name: str) -> Array:
         """A metric of each trial by its name, such as `rms` (J, n_y), see `metrics.Metrics`."""
         if name in Metrics._fields:
             return getattr(self.metrics, name)
@@ -73,11 +76,11 @@ def learn(
     task: Task,
     trials: int,
     *,
-    key: jax.Array | None = None,
-    memory: Any = None,
+    key: Array | None = None,
+    memory: Tree = None,
     first: int = 1,
-    save: Callable[[Trial], Any] | None = None,
-    start: Any = None,
+    save: Callable[[Trial], Tree] | None = None,
+    start: Tree = None,
     trials_a_pass: int = 1,
     watch: Watch | None = None,
 ) -> History:
@@ -146,7 +149,7 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
 
 
 @lru_cache(maxsize=PROGRAMS)
-def _program(save: Callable[[Trial], Any], trials_a_pass: int, watch: Watch | None = None) -> Any:
+def _program(save: Callable[[Trial], Tree], trials_a_pass: int, watch: Watch | None = None) -> Tree:
     """The compiled `_learn` for this `save` and this `watch`.
 
     Each new lambda is another `save`, so the programs that were not used for longest are dropped.
@@ -167,7 +170,18 @@ def check_length(task: Task, scheme: Scheme) -> None:
 
 
 def _learn(
-    machine, scheme, task, trials, key, memory, first, start, *, save, watch, trials_a_pass
+    machine: Machine,
+    scheme: Scheme,
+    task: Task,
+    trials: int,
+    key: Array,
+    memory: Tree,
+    first: Array,
+    start: Tree,
+    *,
+    save: Callable[[Trial], Tree],
+    watch: Watch | None,
+    trials_a_pass: int,
 ) -> History:
     machine, scheme = machine.sampled(task.dt), scheme.prepared(task)
     known = {} if watch is None else watch.known(machine, scheme, task)
@@ -177,17 +191,17 @@ def _learn(
         start = first_start(machine, scheme, task, jax.random.fold_in(key, first))
 
     @jax.checkpoint
-    def trial_and_learning(memory, start, j):
+    def trial_and_learning(memory: Tree, start: Tree, j: Array) -> Tree:
         now = jax.random.fold_in(key, j)
         trial, metrics, start = run_and_measure(machine, scheme, task, memory, now, j, start)
         learned = scheme.learn(memory, machine.shown(trial, now))
         return learned, trial, start, (metrics, save(trial))
 
-    def body(carry, j):
+    def body(carry: Tree, j: Array) -> tuple[Tree, Tree]:
         memory, trial, start, kept = trial_and_learning(for_carry(carry[0]), carry[2], j)
         return (for_carry(memory), trial, start), (*kept, compared(carry[1], trial, j))
 
-    def compared(before, trial, j):
+    def compared(before: Tree, trial: Trial, j: Array) -> dict[str, Value]:
         if watch is None:
             return {}
         seen = watch.seen(known, scheme, *lax.stop_gradient((before, trial)))
@@ -212,7 +226,7 @@ def _learn(
     return History(metrics, saved, *judged, final, memory, start, dict(known) | seen)
 
 
-def _blocks(trials: int, memory: Any) -> int:
+def _blocks(trials: int, memory: Tree) -> int:
     """The number B of blocks of trials for which a gradient stores the memory at the start.
 
     It is 1 where the memories of all trials may be stored.
@@ -227,7 +241,7 @@ def _nothing(trial: Trial) -> None:
 
 
 def truncated(
-    machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options
+    machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options: Value
 ) -> History:
     """Learning with truncated back-propagation (Williams and Peng 1990).
 
@@ -239,7 +253,7 @@ def truncated(
     """
     first = trials - last + 1
     before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
-    goes_on: dict[str, Any] = options | {"memory": before.memory, "start": before.start}
+    goes_on: dict[str, Tree] = options | {"memory": before.memory, "start": before.start}
     goes_on["first"] = first
     after = learn(machine, scheme, task, last, **goes_on)
     metrics, saved = jax.tree.map(
@@ -250,7 +264,7 @@ def truncated(
     return after._replace(metrics=metrics, saved=saved, **course(metrics, task)._asdict())
 
 
-def measured_trial(task: Task, y, u, **signals) -> Trial:
+def measured_trial(task: Task, y: Value, u: Value, **signals: Value) -> Trial:
     """The record of a trial measured on a real machine.
 
     y: (N+1, n_y) or (N+1,) output, with y[0] measured before the first input [unit of y]
@@ -283,7 +297,9 @@ def measured_trial(task: Task, y, u, **signals) -> Trial:
     )
 
 
-def next_memory(scheme: Scheme, task: Task, memory, y, u, **signals) -> Any:
+def next_memory(
+    scheme: Scheme, task: Task, memory: Tree, y: Value, u: Value, **signals: Value
+) -> Tree:
     """The memory of the scheme after a measured trial: one step of learning on a real machine.
 
     `feedforward` then gives the next input. The arguments are those of `measured_trial`, which also
@@ -292,7 +308,7 @@ def next_memory(scheme: Scheme, task: Task, memory, y, u, **signals) -> Any:
     return scheme.learn(memory, measured_trial(task, y, u, **signals))
 
 
-def feedforward(scheme: Scheme, task: Task, memory) -> jax.Array:
+def feedforward(scheme: Scheme, task: Task, memory: Tree) -> Array:
     """The input (N, n_u) that the scheme will play back in the next trial.
 
     Feedback within the trial is added to it. For `OnReference` it is the correction of the

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..pytree.aliases import Array, Tree, Value
 from ..schemes import Scheme
+from ..signals.rows import ahead_of
 from ..signals.task import Sample, Task
 from .machine import Actuator
 
 
-def schedules(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:
+def schedules(scheme: Scheme, memory: Tree, task: Task) -> dict[str, np.ndarray]:
     """The signals that the machine plays in the next trial, by name.
 
     u: (N, n_u) whole input, for a scheme that only plays back [unit of u]
@@ -40,7 +40,7 @@ def schedules(scheme: Scheme, memory, task: Task) -> dict[str, np.ndarray]:
 
 
 @jax.jit
-def _compiled(scheme: Scheme, memory, task: Task) -> dict[str, Any]:
+def _compiled(scheme: Scheme, memory: Tree, task: Task) -> dict[str, Tree]:
     return scheme.played(scheme.schedule(memory, task), task)
 
 
@@ -55,7 +55,9 @@ def unit_of(name: str, task: Task) -> str:
 
 
 @jax.jit
-def replay(scheme: Scheme, task: Task, memory, y, actuator: Actuator | None = None):
+def replay(
+    scheme: Scheme, task: Task, memory: Tree, y: Value, actuator: Actuator | None = None
+) -> tuple[Array, dict[str, Array]]:
     """The input and the signals of a scheme, computed from a measured output.
 
     The input (N, n_u) is that which the actuator would have applied. The signals are by name.
@@ -70,18 +72,15 @@ def replay(scheme: Scheme, task: Task, memory, y, actuator: Actuator | None = No
     """
     scheme = scheme.prepared(task)
     r = jnp.asarray(task.reference)
-    future = jnp.pad(r[1:], ((0, scheme.preview - 1), (0, 0)), mode="edge")
-    windows = jnp.stack([future[i : i + task.N] for i in range(scheme.preview)], axis=1)
 
-    def tick(carry, now):
-        state, v_last, u_last = carry
-        state, u = scheme.act(state, Sample(*now, task.dt, u_last))
+    def tick(carry: Tree, now: Tree) -> tuple[Tree, Tree]:
+        (r, seen, y, row), (state, v_last, u_last) = now, carry
+        state, u = scheme.act(state, Sample(r, seen, y, row, task.dt, u_last))
         v, u = (u, u) if actuator is None else actuator.apply(u, v_last, task.dt)
         return (state, v, None if actuator is None else u), (u, scheme.signals(state))
 
-    rows, rest = (
-        (r[:-1], windows, jnp.asarray(y)[:-1], scheme.schedule(memory, task)),
-        jnp.zeros(task.inputs),
-    )
+    ahead, schedule = ahead_of(r[1:], scheme.preview), scheme.schedule(memory, task)
+    rows, rest = (r[:-1], ahead, jnp.asarray(y)[:-1], schedule), jnp.zeros(task.inputs)
     start = (scheme.initial_state(task), rest, None if actuator is None else rest)
-    return lax.scan(tick, start, rows, length=task.N)[1]
+    found: tuple[Array, dict[str, Array]] = lax.scan(tick, start, rows, length=task.N)[1]
+    return found

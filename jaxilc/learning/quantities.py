@@ -8,10 +8,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..pytree.aliases import Array, Value
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..signals.contour import contour_error
@@ -43,11 +43,11 @@ class ContourMetric:
     of: Literal["largest", "root mean square"]
     window: int
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _need_known("ContourMetric", self.of)
         require("ContourMetric", "window", self.window, "[1, inf)", whole=True)
 
-    def __call__(self, trial: Trial) -> jax.Array:
+    def __call__(self, trial: Trial) -> Array:
         distance = contour_error(trial.y, trial.r, window=self.window)[1:]
         return _in_one_number(self.of, distance[:, None])
 
@@ -81,15 +81,15 @@ class CountedMetric:
     of: Literal["largest", "root mean square"]
     samples: tuple[tuple[int, int], ...]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _need_known("CountedMetric", self.of)
 
-    def __call__(self, trial: Trial) -> jax.Array:
+    def __call__(self, trial: Trial) -> Array:
         rows = np.unique(np.concatenate([np.arange(*pair) for pair in self.samples]))
         return _in_one_number(self.of, trial.e[rows].reshape(-1, 1))
 
 
-def counted_metrics(task: Task, windows: tuple[tuple[float, float], ...]) -> dict:
+def counted_metrics(task: Task, windows: tuple[tuple[float, float], ...]) -> dict[str, Value]:
     """`counted_max` and `counted_rms`, the error of a task within windows (start, stop) [s].
 
     Raises ValueError for a window that is not within the task.
@@ -107,6 +107,6 @@ def _need_known(owner: str, of: str) -> None:
         raise ValueError(not_one_of(f"{owner}: of = {of!r}", str(of), WAYS))
 
 
-def _in_one_number(of: str, e) -> jax.Array:
+def _in_one_number(of: str, e: Array) -> Array:
     """() the largest |e| or the root mean square of errors (n, 1)."""
     return largest(jnp.abs(e)) if of == "largest" else root_mean_square(e)[0]

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numbers
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from ..plants import Plant
+from ..pytree.aliases import Tree
 from ..pytree.named_paths import named_leaves
 from ..pytree.ranges import brief
 from ..schemes import Scheme
@@ -22,7 +22,7 @@ from ..signals.task import Sample, Task, Trial
 from .machine import Machine
 
 
-def need_pytrees(*trees: Any) -> None:
+def need_pytrees(*trees: Tree) -> None:
     """Raises ValueError for an object that is neither a number nor a pytree.
 
     An example is an object whose class lacks `@pytree`.
@@ -59,7 +59,7 @@ def _rehearse_plant(plant: Plant, dt: float) -> None:
 
 
 @partial(jax.jit, static_argnames="dt")
-def _step(plant: Plant, dt: float) -> Any:
+def _step(plant: Plant, dt: float) -> Tree:
     """The state at rest, the state after one step, and the output."""
     plant = plant.sampled(dt)
     x = plant.initial_state()
@@ -92,7 +92,7 @@ def _turn(scheme: Scheme, task: Task, *, actuated: bool) -> None:
     _need_learned_alike(scheme, task, memory, scheme.learn(memory, trial))
 
 
-def _need_rows(scheme: Scheme, task: Task, memory) -> None:
+def _need_rows(scheme: Scheme, task: Task, memory: Tree) -> None:
     """Raises ValueError unless the schedule of the scheme, and of each of its parts, has N rows."""
     for part in scheme.parts(task, memory).values():
         _need_rows(*part)
@@ -118,7 +118,7 @@ def _need_rows(scheme: Scheme, task: Task, memory) -> None:
             )
 
 
-def _need_learned_alike(scheme: Scheme, task: Task, before, after) -> None:
+def _need_learned_alike(scheme: Scheme, task: Task, before: Tree, after: Tree) -> None:
     """Raises ValueError unless `learn` gave each part a memory of the same structure as before."""
     name = type(scheme).__name__
     if type(before) is type(after):
@@ -129,9 +129,9 @@ def _need_learned_alike(scheme: Scheme, task: Task, before, after) -> None:
     _need_alike(f"{name}: learn", "memory", before, after, "initial_memory gives")
 
 
-def _need_alike(who: str, what: str, before, after, allowed: str) -> None:
+def _need_alike(who: str, what: str, before: Tree, after: Tree, allowed: str) -> None:
     """Raises ValueError unless two pytrees agree in structure, and in shape and type of leaves."""
-    if jax.tree.structure(before) != jax.tree.structure(after):
+    if jax.tree.structure(before) != jax.tree.structure(after):  # type: ignore[operator]  # of JAX
         raise ValueError(
             f"{who} makes a {what} {_in_words(after)} of {_in_words(before)}; allowed is what "
             f"{allowed}"
@@ -147,6 +147,6 @@ def _need_alike(who: str, what: str, before, after, allowed: str) -> None:
             )
 
 
-def _in_words(tree) -> str:
+def _in_words(tree: Tree) -> str:
     names = ", ".join(name for name in named_leaves(tree) if name)
     return type(tree).__name__ + (f" ({names})" if names else "")

@@ -9,7 +9,7 @@ and gradients go through it as through any machine.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..plants import Plant
-from ..pytree.fields import Leaf, child, leaf, pytree, static
+from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.fields import child, leaf, pytree, static
 from ..schemes.weights import weighed
 from ..signals.task import Task, Trial
 from .arrival import newest, not_lost, shifted, there_until
@@ -44,7 +45,7 @@ class PlantChange:
     over: int = static(default=1, interval="[1, inf)", whole=True)
     before: Plant | None = child(default=None)
 
-    def plant_at(self, plant: Plant, j) -> Plant:
+    def plant_at(self, plant: Plant, j: Array) -> Plant:
         """The plant of trial j, None for the long run."""
         share = 1.0 if j is None else jnp.clip((j - self.first + 1) / self.over, 0.0, 1.0)
         before = plant if self.before is None else self.before
@@ -63,7 +64,7 @@ class References:
     values: Leaf = leaf(interval="[-1e12, 1e12]")
     first: tuple[int, ...] = static(default=())
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.values.ndim != 3:
             raise ValueError(
                 f"References: values has shape {self.values.shape}; allowed is (M, N+1, n_y)"
@@ -78,7 +79,7 @@ class References:
                 "numbers of trials from 2, one for each reference but the first, or none"
             )
 
-    def at(self, j):
+    def at(self, j: Array) -> Array:
         """(N+1, n_y) the reference of trial j, None for the long run."""
         values = jnp.asarray(self.values)
         if j is None:
@@ -91,10 +92,10 @@ class References:
 class Start(NamedTuple):
     """Where a trial starts: the states of plant and scheme, and of the actuator."""
 
-    plant: Any
-    scheme: Any
-    v: Any
-    u: Any
+    plant: Tree
+    scheme: Tree
+    v: Tree
+    u: Tree
 
 
 @pytree
@@ -217,15 +218,15 @@ class Variation:
     # Of a trial
     # ----------------------------------------------------------------------------------------------
 
-    def plant_at(self, plant: Plant, j) -> Plant:
+    def plant_at(self, plant: Plant, j: Array) -> Plant:
         return plant if self.change is None else self.change.plant_at(plant, j)
 
-    def task_at(self, task: Task, j) -> Task:
+    def task_at(self, task: Task, j: Array) -> Task:
         if self.references is None:
             return task
         return dataclasses.replace(task, reference=self.references.at(j))
 
-    def initial_state(self, plant: Plant, key) -> Any:
+    def initial_state(self, plant: Plant, key: Array) -> Tree:
         """The state at the start of a trial, of a machine that does not carry it."""
         rest = plant.initial_state()
         if self.offset is None and self.scatter is None:
@@ -241,19 +242,21 @@ class Variation:
     def following(self, start: Start, end: Start) -> Start:
         """The start of the next trial: the share `carried` of the way from a start to an end."""
 
-        def between(a, b):
+        share: Leaf = self.carried
+
+        def between(a: Array, b: Array) -> Array:
             floating = jnp.issubdtype(jnp.result_type(a), jnp.floating)
-            return a + self.carried * (b - a) if floating else a
+            return a + share * (b - a) if floating else a
 
         return jax.tree.map(between, start, end)
 
-    def measured(self, task: Task, key) -> Any:
+    def measured(self, task: Task, key: Array) -> Array | None:
         """(N+1,) 1 up to the end of the trial, 0 after it; None where trials have one length."""
         if self.shortest is None:
             return None
         return there_until(self.shortest, task.N, self._of(key, 1))
 
-    def shown(self, trial: Trial, key) -> Trial:
+    def shown(self, trial: Trial, key: Array) -> Trial:
         """The record of a trial as it reaches the learning law."""
         if self.late or self.delayed is not None:
             trial = self._at_last(trial, key)
@@ -262,7 +265,7 @@ class Variation:
         kept = not_lost(self.dropped, len(trial.u), self._of(key, 2))
         return weighed(trial, jnp.broadcast_to(kept[:, None], trial.r.shape))
 
-    def _at_last(self, trial: Trial, key) -> Trial:
+    def _at_last(self, trial: Trial, key: Array) -> Trial:
         """The record with the samples that are there at each instant."""
         W, e = trial.weight, trial.e
         if W is not None:  # of trials that end early, a number for each sample
@@ -276,6 +279,6 @@ class Variation:
         e = trial.r - y
         return trial._replace(y=trial.r - (e if W is None else jnp.einsum("kij,kj->ki", W, e)))
 
-    def _of(self, key, number: int):
+    def _of(self, key: Array, number: int) -> Array | None:
         """The random key of one kind of draw of a trial; None for the mean."""
         return None if self.averaged else jax.random.fold_in(key, SALT + number)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-import jax
-
+from ..pytree.aliases import Array
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 
@@ -33,13 +32,13 @@ class Watch:
         """What is found, by name."""
         raise NotImplementedError
 
-    def known(self, machine: Machine, scheme: Scheme, task: Task) -> Mapping[str, jax.Array]:
+    def known(self, machine: Machine, scheme: Scheme, task: Task) -> Mapping[str, Array]:
         """Numbers () by name that are computed once, before the first trial."""
         raise NotImplementedError
 
     def seen(
-        self, known: Mapping[str, jax.Array], scheme: Scheme, before: Trial, trial: Trial
-    ) -> Mapping[str, jax.Array]:
+        self, known: Mapping[str, Array], scheme: Scheme, before: Trial, trial: Trial
+    ) -> Mapping[str, Array]:
         """Numbers () by name of a trial and the one before it.
 
         The first trial that `learn` runs has none before it; there `learn` keeps NaN.

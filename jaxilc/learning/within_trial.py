@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..pytree.aliases import Array, Tree, Value
 from ..runtime.lanes import usual_unroll
 from ..schemes import Scheme
 from ..schemes.weights import weighed
-from ..signals.sample_layout import for_scan
+from ..signals.rows import for_scan
 from ..signals.task import Sample, Task, Trial
+from .known_metrics import Metrics
 from .machine import Machine
-from .metrics import Metrics, Tally, measure
+from .metrics import Tally, measure
 from .variation import Start
 
 
 def run_trial(
-    machine: Machine, scheme: Scheme, task: Task, memory, key, number: Any = None
+    machine: Machine,
+    scheme: Scheme,
+    task: Task,
+    memory: Tree,
+    key: Array,
+    number: Array | int | None = None,
 ) -> Trial:
     """The record of one trial of the machine under the scheme, from rest.
 
@@ -38,7 +44,13 @@ def run_trial(
 
 
 def run_and_measure(
-    machine: Machine, scheme: Scheme, task: Task, memory, key, number: Any = None, start: Any = None
+    machine: Machine,
+    scheme: Scheme,
+    task: Task,
+    memory: Tree,
+    key: Array,
+    number: Array | int | None = None,
+    start: Tree = None,
 ) -> tuple[Trial, Metrics, Start | None]:
     """The record of `run_trial`, its metrics, which are computed in the same pass, and its end.
 
@@ -49,7 +61,7 @@ def run_and_measure(
     return _run(machine, scheme, task, memory, key, number, start, measured=True)
 
 
-def first_start(machine: Machine, scheme: Scheme, task: Task, key) -> Start:
+def first_start(machine: Machine, scheme: Scheme, task: Task, key: Array) -> Start:
     """The `Start` of a trial of a machine, sampled, that is at rest."""
     plant = machine.plant
     x = (
@@ -67,7 +79,7 @@ def bytes_of_trial(scheme: Scheme, task: Task) -> int:
     They are those of the memory, the schedule, and the record of a trial. Nothing is computed.
     """
 
-    def signals():
+    def signals() -> Tree:
         ready = scheme.prepared(task)
         memory = ready.initial_memory(task)
         beside = ready.signals(ready.initial_state(task))
@@ -83,13 +95,13 @@ def _run(
     machine: Machine,
     scheme: Scheme,
     task: Task,
-    memory,
-    key,
-    number: Any,
+    memory: Tree,
+    key: Array,
+    number: Array | int | None,
     start: Start | None,
     *,
     measured: bool,
-) -> tuple[Trial, Any, Start | None]:
+) -> tuple[Trial, Tree, Start | None]:
     """The record of a trial, its metrics, or None in their place, and the start of the next trial.
 
     XLA would drop metrics that nobody reads, but tracing and differentiating them takes time.
@@ -107,7 +119,7 @@ def _run(
     future = jnp.pad(r[1:], ((0, preview - 1), (0, 0)), mode="edge")
     there = None if machine.variation is None else machine.variation.measured(task, key)
 
-    def tick(carry, now):
+    def tick(carry: Tree, now: Tree) -> tuple[Tree, Tree]:
         x, state, v_last, u_last, y, tally = carry
         k, r_k, next_r, row, d_u, d_y, noise, settled, counted = now
         ahead = next_r[None] if preview == 1 else lax.dynamic_slice_in_dim(future, k, preview)
@@ -123,7 +135,7 @@ def _run(
     d_y, noise, unaltered = draws.output, draws.sensor, machine.actuator is None
     begun = first_start(machine, scheme, task, key) if start is None else start
     y = machine.measure(_plus(plant.output(begun.plant), _at(d_y, 0)), _at(noise, 0))
-    tally: Any = None
+    tally: Tree = None
     if measured:
         tally = Tally.start(lax.stop_gradient(r[0] - y), task.inputs, task.settled.start == 0)
     carry = (begun.plant, begun.scheme, begun.v, begun.u, y, tally)
@@ -151,7 +163,7 @@ def _run(
     return trial, metrics, machine.variation.following(rest, Start(*carry[:4]))
 
 
-def _at_once(machine: Machine, command, task: Task, key) -> Trial:
+def _at_once(machine: Machine, command: Array, task: Task, key: Array) -> Trial:
     """The trial of a plant that computes all outputs at once from all inputs.
 
     command: (N, n_u) input that the scheme plays back [unit of u]
@@ -171,9 +183,9 @@ def _is_settled(task: Task) -> np.ndarray:
     return settled
 
 
-def _plus(signal, d):
+def _plus(signal: Array, d: Array | None) -> Array:
     return signal if d is None else signal + d
 
 
-def _at(rows, index):
+def _at(rows: Array | None, index: Value) -> Tree:
     return None if rows is None else rows[index]

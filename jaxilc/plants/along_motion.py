@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.flatten_util import ravel_pytree
 
+from ..pytree.aliases import Array, Tree
 from .linear import TimeVaryingStateSpace
 from .plant import Plant
 
 
-def motion(plant: Plant, u, dt: float) -> jax.Array:
+def motion(plant: Plant, u: Array, dt: float) -> Array:
     """(N+1, n_y) the output of the plant from rest under the input u (N, n_u).
 
     The plant is prepared for dt [s] here. Where it knows its outputs from all inputs at once
@@ -24,7 +23,7 @@ def motion(plant: Plant, u, dt: float) -> jax.Array:
     if plant.response is not None:
         return plant.response(u, dt)
 
-    def step(x, u_k):
+    def step(x: Tree, u_k: Array) -> tuple[Tree, Tree]:
         x = plant.step(x, u_k, dt)
         return x, plant.output(x)
 
@@ -32,7 +31,7 @@ def motion(plant: Plant, u, dt: float) -> jax.Array:
     return jnp.concatenate([plant.output(start)[None], lax.scan(step, start, u)[1]])
 
 
-def linearised(plant: Plant, u, dt: float) -> TimeVaryingStateSpace:
+def linearised(plant: Plant, u: Array, dt: float) -> TimeVaryingStateSpace:
     """The plant for small changes of the input u (N, n_u), along its motion from rest.
 
         x[k+1] = A[k] x[k] + B[k] u[k],    y[k+1] = C[k] x[k+1]
@@ -43,13 +42,13 @@ def linearised(plant: Plant, u, dt: float) -> TimeVaryingStateSpace:
     plant = plant.sampled(dt)
     start, unravel = ravel_pytree(plant.initial_state())
 
-    def step(x, u_k):
+    def step(x: Tree, u_k: Array) -> Array:
         return ravel_pytree(plant.step(unravel(x), u_k, dt))[0]
 
-    def output(x):
+    def output(x: Tree) -> Array:
         return plant.output(unravel(x))
 
-    def along(x, u_k) -> tuple[jax.Array, Any]:
+    def along(x: Tree, u_k: Array) -> tuple[Array, Tree]:
         A, B = jax.jacfwd(step, (0, 1))(x, u_k)
         x = step(x, u_k)
         return x, (A, B, jax.jacfwd(output)(x))

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..pytree.fields import Leaf, child, leaf, pytree, scalar, static
+from ..pytree.aliases import Array, Leaf, Tree, Value
+from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
 from ..signals.task import product, quantise
 from .friction import StribeckFriction
@@ -31,9 +32,9 @@ class DriveState(NamedTuple):
     measured:  () motor position as measured a sample ago [mm]
     """
 
-    mechanics: jax.Array
-    integral: jax.Array
-    measured: jax.Array
+    mechanics: Array
+    integral: Array
+    measured: Array
 
 
 @pytree
@@ -51,7 +52,7 @@ class LeadError:
     period: Leaf = scalar(interval="(0, inf)")
     phase: Leaf = scalar(default=0.0)
 
-    def at(self, position) -> tuple[jax.Array, jax.Array]:
+    def at(self, position: Array) -> tuple[Array, Array]:
         """l () [m] and dl/dx () at a position () [m]."""
         k = 2 * jnp.pi / self.period
         angle = k * position + self.phase
@@ -73,7 +74,7 @@ class FrictionTable:
     velocity: Leaf = leaf()
     force: Leaf = leaf()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if (
             self.velocity.ndim != 1
             or self.velocity.shape != self.force.shape
@@ -86,12 +87,12 @@ class FrictionTable:
         if known(self) and np.any(np.diff(self.velocity) <= 0):
             raise ValueError(f"FrictionTable: velocity = {np.asarray(self.velocity)} must increase")
 
-    def at(self, velocity) -> jax.Array:
+    def at(self, velocity: Array) -> Array:
         """The force () [N] at a velocity () [m/s]."""
         return jnp.interp(velocity, self.velocity, self.force)
 
     @classmethod
-    def of(cls, friction: StribeckFriction, velocity) -> FrictionTable:
+    def of(cls, friction: StribeckFriction, velocity: Leaf) -> FrictionTable:
         """The table that an identification experiment at given velocities (M,) [m/s] leaves."""
         velocity = np.asarray(velocity, float)
         return cls(velocity, np.asarray(friction.force(velocity)))
@@ -165,7 +166,7 @@ class BallScrewDrive(Plant):
     linear_part: Propagator | None = child(default=None)
     dt: float = static(default=0.0, interval="[0, inf)")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not known(self):
             return
         for name, mass in (
@@ -187,7 +188,7 @@ class BallScrewDrive(Plant):
                 )
 
     @property
-    def antiresonance(self) -> jax.Array:
+    def antiresonance(self) -> Array:
         """() sqrt(k_s / m_T) / 2 pi [Hz], undamped.
 
         There the table takes all of the motor's force.
@@ -195,7 +196,7 @@ class BallScrewDrive(Plant):
         return jnp.sqrt(self.stiffness / self.table_mass) / (2 * jnp.pi)
 
     @property
-    def resonance(self) -> jax.Array:
+    def resonance(self) -> Array:
         """() sqrt(k_s (m_T + m_M) / (m_M m_T)) / 2 pi [Hz], undamped, of the free drive."""
         m_M, m_T = self.motor_mass, self.table_mass
         return jnp.sqrt(self.stiffness * (m_T + m_M) / (m_M * m_T)) / (2 * jnp.pi)
@@ -223,7 +224,7 @@ class BallScrewDrive(Plant):
             C,
         )
 
-    def transmission(self) -> tuple[jax.Array, jax.Array]:
+    def transmission(self) -> tuple[Array, Array]:
         """Numerator (2,) and denominator (3,) of P_Z(s), from x_M to x_T, high order first.
 
             P_Z = (c_s s + k_s) / (m_T s^2 + (c_s + c_T) s + k_s)
@@ -241,7 +242,7 @@ class BallScrewDrive(Plant):
         loop open. This is what a model-based scheme is given. It is differentiable in every
         parameter.
         """
-        absent = dict.fromkeys(
+        absent: dict[str, Value] = dict.fromkeys(
             (
                 "force_limit",
                 "encoder_step",
@@ -284,7 +285,7 @@ class BallScrewDrive(Plant):
             jnp.zeros_like(self.table_mass, shape=(n,)), *(jnp.zeros_like(self.table_mass),) * 2
         )
 
-    def step(self, x: DriveState, u, dt: float) -> DriveState:
+    def step(self, x: DriveState, u: Array, dt: float) -> DriveState:
         force, integral, measured = self._speed_loop(x, u[0], dt)
         linear = cast(Propagator, self.linear_part)
         if self.motor_friction is None and self.table_friction is None and self.lead_error is None:
@@ -296,10 +297,10 @@ class BallScrewDrive(Plant):
             measured,
         )
 
-    def output(self, x: DriveState) -> jax.Array:
+    def output(self, x: DriveState) -> Array:
         return 1e3 * jnp.stack([x.mechanics[0], x.mechanics[2]])
 
-    def _speed_loop(self, x: DriveState, u, dt):
+    def _speed_loop(self, x: DriveState, u: Array, dt: float) -> Tree:
         """The force commanded at a sample [N], the integral and the measured position."""
         position = 1e3 * x.mechanics[0]
         if self.encoder_step is not None:
@@ -315,7 +316,7 @@ class BallScrewDrive(Plant):
             force = jnp.clip(force, -self.force_limit, self.force_limit)
         return force, integral, position
 
-    def _nonlinear(self, mechanics):
+    def _nonlinear(self, mechanics: Array) -> Array:
         """What friction and lead error add to the rates of the mechanics."""
         x_M, v_M, x_T, v_T = mechanics[:4]
         on_motor, on_table = jnp.zeros_like(v_M), jnp.zeros_like(v_T)

@@ -5,7 +5,7 @@ There is a chain from block to block, and matrix products for all that lies betw
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
 
+from ..pytree.aliases import Array, Tree
 from ..pytree.fields import child, pytree, static
 from ..runtime.capacity import check_size
 from ..signals.task import Task, product
@@ -38,11 +39,11 @@ class Block(NamedTuple):
           after the other
     """
 
-    A: jax.Array
-    R: jax.Array
-    O: jax.Array  # noqa: E741
-    H: jax.Array
-    lost: jax.Array
+    A: Array
+    R: Array
+    O: Array  # noqa: E741
+    H: Array
+    lost: Array
 
 
 @pytree
@@ -98,7 +99,7 @@ class InBlocks(Plant):
             )
         return InBlocks(plant, self.length)
 
-    def continuous(self) -> Any:
+    def continuous(self) -> StateSpace | None:
         return self.plant.continuous()
 
     @property
@@ -109,16 +110,16 @@ class InBlocks(Plant):
     def output_names(self) -> tuple[str, ...]:
         return self.plant.output_names
 
-    def initial_state(self) -> Any:
+    def initial_state(self) -> Tree:
         return self.plant.initial_state()
 
-    def step(self, x, u, dt) -> Any:
+    def step(self, x: Tree, u: Array, dt: float) -> Tree:
         return self.plant.step(x, u, dt)
 
-    def output(self, x) -> jax.Array:
+    def output(self, x: Tree) -> Array:
         return self.plant.output(x)
 
-    def response(self, u, dt: float) -> jax.Array:
+    def response(self, u: Array, dt: float) -> Array:
         N, L, block = len(u), self.length, _block(self.plant, dt, self.length)
         U = jnp.pad(u, ((0, L - N % L), (0, 0))).reshape(-1, L * self.n_u)
         x = ravel_pytree(self.plant.initial_state())[0]
@@ -149,10 +150,10 @@ def _block(plant: Plant, dt: float, L: int) -> Block:
     rest, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, plant.initial_state()))
     n, n_u = len(rest), plant.n_u
 
-    def step(x, u):
+    def step(x: Tree, u: Array) -> Array:
         return ravel_pytree(plant.step(unravel(x), u, dt))[0]
 
-    def free(x, _):
+    def free(x: Tree, _: object) -> tuple[Tree, Tree]:
         x = jax.vmap(lambda x: step(x, jnp.zeros(n_u)))(x)
         return x, x
 
@@ -173,13 +174,13 @@ def _block(plant: Plant, dt: float, L: int) -> Block:
     )
 
 
-def _chain(A, x, f):
+def _chain(A: Array, x: Array, f: Array) -> Array:
     """(M, n) the states x[0] = x, x[i+1] = x[i] A + f[i]."""
     columns = A.T
     return lax.scan(lambda x, f: (product(columns, x) + f, x), x, f)[1]
 
 
-def _stepped(plant: Plant, u, dt: float):
+def _stepped(plant: Plant, u: Array, dt: float) -> Array:
     """The outputs y[k] at the inputs u[k], step by step."""
     return lax.scan(lambda x, u: (plant.step(x, u, dt), plant.output(x)), plant.initial_state(), u)[
         1

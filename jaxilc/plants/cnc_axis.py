@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
 
+from ..pytree.aliases import Array, Tree
 from ..pytree.fields import child, pytree
 from .linear import StateSpace
 from .plant import Plant
@@ -100,22 +101,22 @@ class Axes(Plant):
             return ()
         return tuple(f"{axis}_{name}" for axis, names in each for name in names)
 
-    def initial_state(self) -> Any:
+    def initial_state(self) -> Tree:
         return self._state(axis.initial_state() for axis in self.axes.values())
 
-    def step(self, x: Any, u, dt: float) -> Any:
+    def step(self, x: Tree, u: Array, dt: float) -> Tree:
         after, first = [], 0
         for axis, state in zip(self.axes.values(), x, strict=True):
             after.append(axis.step(state, u[first : first + axis.n_u], dt))
             first += axis.n_u
         return self._state(after)
 
-    def output(self, x: Any) -> jax.Array:
+    def output(self, x: Tree) -> Array:
         return jnp.concatenate(
             [axis.output(state) for axis, state in zip(self.axes.values(), x, strict=True)]
         )
 
-    def _state(self, states: Iterable) -> Any:
+    def _state(self, states: Iterable[Tree]) -> AxesState | SpaceState:
         return (AxesState if len(self.axes) == 2 else SpaceState)(*states)
 
 

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple, TypeVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import Leaf, child, leaf, pytree, scalar, static
+from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .integration import Propagator, exponential_runge_kutta, propagator
@@ -36,9 +37,9 @@ class ServoCoefficients(NamedTuple):
     b:  () [um/(V s^2)]
     """
 
-    a1: jax.Array
-    a2: jax.Array
-    b: jax.Array
+    a1: Array
+    a2: Array
+    b: Array
 
 
 @pytree
@@ -77,7 +78,7 @@ class Creep:
     shares: Leaf = leaf()
     time_constants: Leaf = leaf(interval="(0, inf)")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _need_alike(self, "shares", "time_constants")
 
 
@@ -96,7 +97,7 @@ class PeriodicForce:
     frequencies: Leaf = leaf(interval="(0, inf)")
     phases: Leaf = leaf()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _need_alike(self, "amplitudes", "frequencies", "phases")
 
 
@@ -118,7 +119,7 @@ class CuttingForce:
     depth: Leaf = scalar()
     blur: Leaf = scalar(default=0.5, interval="(0, inf)")
 
-    def force(self, position) -> jax.Array:
+    def force(self, position: Array) -> Array:
         """The force () [N] at a position () [um]."""
         d = self.depth + position
         return self.stiffness * (d + jnp.sqrt(d * d + self.blur**2)) / 2
@@ -190,7 +191,7 @@ class FastToolServo(Plant):
     substeps: int = static(default=1, interval="[1, 1e4]", whole=True)
     longest_dt: float = static(default=2e-4, interval="(0, inf)")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not known(self):
             return
         parts = (
@@ -243,8 +244,9 @@ class FastToolServo(Plant):
         gain, per_newton = b / a1, 1e6 / self.mass / w
         new = itertools.count(2).__next__
         u = -1  # the last column of [A B]
-        A: dict[tuple[int, int], Any] = {(0, 1): w, (1, 0): -w, (1, 1): -a2}
-        start, outputs = {}, [0]
+        A: dict[tuple[int, int], Leaf] = {(0, 1): w, (1, 0): -w, (1, 1): -a2}
+        start: dict[tuple[int], Leaf] = {}
+        outputs = [0]
         if self.friction is not None:
             z = new()
             A |= {(1, z): -per_newton, (z, 1): w * self.friction.initial_slope}
@@ -305,11 +307,11 @@ class FastToolServo(Plant):
                 f"FastToolServo: dt = {dt:g} s is outside its allowed range (0, "
                 f"{self.longest_dt:g}], see longest_dt"
             )
-        plant = self.linear()
-        if self.friction is None and self.cutting is None:
-            plant = plant.sampled(dt)
-        else:
-            plant = ForcedServo(plant, propagator(plant.A, plant.B, dt / self.substeps), self, dt)
+        linear = self.linear()
+        plant: StateSpace | ForcedServo = linear.sampled(dt)
+        if self.friction is not None or self.cutting is not None:
+            steps = propagator(linear.A, linear.B, dt / self.substeps)
+            plant = ForcedServo(linear, steps, self, dt)
         return plant if self.hysteresis is None else InputHysteresis(plant, self.hysteresis)
 
 
@@ -329,19 +331,19 @@ class ForcedServo(Plant):
     def sampled(self, dt: float) -> ForcedServo:
         return matching(self, self.dt, dt)
 
-    def initial_state(self) -> Any:
+    def initial_state(self) -> Tree:
         return self.linear.initial_state()
 
-    def step(self, x, u, dt) -> Any:
+    def step(self, x: Tree, u: Array, dt: float) -> Tree:
         n, h = self.servo.substeps, self.dt / self.servo.substeps
         return lax.fori_loop(
             0, n, lambda _, x: exponential_runge_kutta(self.propagator, self._nonlinear, x, u, h), x
         )
 
-    def output(self, x) -> jax.Array:
+    def output(self, x: Tree) -> Array:
         return self.linear.output(x)
 
-    def _nonlinear(self, x):
+    def _nonlinear(self, x: Tree) -> Array:
         """(n,) what friction and cutting force add to the rates of the linear part."""
         servo, rates, w = self.servo, jnp.zeros_like(x), jnp.sqrt(self.servo.coefficients.a1)
         if servo.cutting is not None:
@@ -380,7 +382,10 @@ def fast_tool_servo(form: str = "identified") -> FastToolServo:
     raise ValueError(f"fast_tool_servo: form = {form!r} is not one of 'identified', 'full'")
 
 
-def _filled(entries, shape, like):
+Index = TypeVar("Index", bound=tuple[int, ...])
+
+
+def _filled(entries: Mapping[Index, Leaf], shape: tuple[int, ...], like: Array) -> Array:
     """Zeros of that shape and the type of `like`, with the entries {index: value}."""
     blank = jnp.zeros_like(like, shape=shape)
     return blank.at[tuple(np.array(list(entries)).T)].set(
@@ -388,7 +393,7 @@ def _filled(entries, shape, like):
     )
 
 
-def _need_alike(tree, *names):
+def _need_alike(tree: Tree, *names: str) -> None:
     """Raises ValueError unless the named fields have one shape (n,)."""
     shapes = {name: np.shape(getattr(tree, name)) for name in names}
     if len(set(shapes.values())) > 1 or not shapes[names[0]]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree.fields import Leaf, pytree, scalar
+from ..pytree.aliases import Array, Leaf
+from ..pytree.fields import pytree, scalar
 from ..pytree.needs import known
 
 
@@ -38,7 +38,7 @@ class StribeckFriction:
     viscous: Leaf = scalar(default=0.0, interval="[0, inf)")
     transition_velocity: Leaf = scalar(default=5e-4, interval="(0, inf)")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if known(self) and np.any(np.asarray(self.static_force) < np.asarray(self.coulomb_force)):
             raise ValueError(
                 f"StribeckFriction: static_force = {self.static_force} is below coulomb_force = "
@@ -47,14 +47,14 @@ class StribeckFriction:
             )
 
     @property
-    def damping_at_rest(self) -> jax.Array:
+    def damping_at_rest(self) -> Array:
         """() dF/dv at v = 0, where F is steepest [N s/m].
 
         An explicit integrator must be able to follow it.
         """
         return self.static_force / self.transition_velocity + self.viscous
 
-    def force(self, velocity) -> jax.Array:
+    def force(self, velocity: Leaf) -> Array:
         """The force to subtract from the driving one [N] at a velocity [m/s], both of any shape."""
         v, F_c, F_s = velocity, self.coulomb_force, self.static_force
         level = F_c + (F_s - F_c) * jnp.exp(-((v / self.stribeck_velocity) ** 2))

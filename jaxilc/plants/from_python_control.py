@@ -6,13 +6,14 @@ a command: it imports Matplotlib.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy.linalg
 
+from ..pytree.aliases import Leaf, Numbers, Value
 from .linear import LARGEST_ORDER, StateSpace
-from .nonlinear_system import nonlinear_system
+from .nonlinear_system import NonlinearSystem, nonlinear_system
 
 BALANCED = 8  # order above which the states of a polynomial are scaled
 TINY = 1e-14  # first coefficient of a numerator, below which SciPy warns that it may be rounding
@@ -21,16 +22,16 @@ TINY = 1e-14  # first coefficient of a numerator, below which SciPy warns that i
 class Linear(NamedTuple):
     """The matrices of a linear system, and its sample time [s], 0 for continuous time."""
 
-    A: Any
-    B: Any
-    C: Any
-    D: Any
+    A: Numbers
+    B: Numbers
+    C: Numbers
+    D: Numbers
     dt: float
 
 
 def from_control(
-    system: Any, *, allow_unstable: bool = False, x0: Any = None, substep: float | None = None
-) -> Any:
+    system: Value, *, allow_unstable: bool = False, x0: Value = None, substep: float | None = None
+) -> StateSpace | NonlinearSystem:
     """A plant from a system of python-control or of scipy.signal, with one or several channels.
 
     system: `control.StateSpace`, `control.TransferFunction` or `control.nlsys`; or `lti`, `dlti`,
@@ -69,10 +70,14 @@ def from_control(
         return nonlinear_system(system, x0, substep)
     if substep is not None:
         raise ValueError("from_control: substep is for a nonlinear system; this one is linear")
-    return from_linear(Linear(*system_matrices(system), system.dt), allow_unstable, x0)
+    A, B, C, D = system_matrices(system)
+    return from_linear(Linear(A, B, C, D, system.dt), allow_unstable, x0)
 
 
-def from_linear(system: Linear, allow_unstable: bool = False, x0: Any = None) -> StateSpace:
+Matrices: TypeAlias = tuple[Numbers, Numbers, Numbers, Numbers]  # A, B, C, D
+
+
+def from_linear(system: Linear, allow_unstable: bool = False, x0: Value = None) -> StateSpace:
     """A plant from matrices, with the arguments and the errors of `from_control`."""
     A, B, C, D, dt = system
     if np.any(D):
@@ -85,7 +90,7 @@ def from_linear(system: Linear, allow_unstable: bool = False, x0: Any = None) ->
     return StateSpace(A, B, C, x0, dt=float(dt))
 
 
-def canonical_form(num, den, dt: float) -> Linear | None:
+def canonical_form(num: Leaf, den: Leaf, dt: float) -> Linear | None:
     """The controllable canonical form of a strictly proper transfer function of one channel.
 
         x' = [[-a1, ..., -an], [I, 0]] x + [1, 0, ...] u,    y = [b1, ..., bn] x
@@ -104,10 +109,11 @@ def canonical_form(num, den, dt: float) -> Linear | None:
     n = len(den) - 1
     A, B, C = np.eye(n, k=-1), np.eye(n, 1), np.zeros((1, n))
     A[0], C[0, n - len(num) :] = -den[1:] / den[0], num / den[0]
-    return Linear(*_balanced(A, B, C), np.zeros((1, 1)), dt)
+    A, B, C = _balanced(A, B, C)
+    return Linear(A, B, C, np.zeros((1, 1)), dt)
 
 
-def _balanced(A, B, C):
+def _balanced(A: Numbers, B: Numbers, C: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     """The matrices of a polynomial with each state divided by a power of two: no digit is lost."""
     if len(A) <= BALANCED:
         return A, B, C
@@ -116,14 +122,14 @@ def _balanced(A, B, C):
     return balanced, B / np.diag(scale)[:, None], C * np.diag(scale)
 
 
-def _of_scipy(system: Any):
+def _of_scipy(system: Value) -> Value:
     """A linear system of scipy.signal as a `control.StateSpace`."""
     import control
     from scipy.signal import dlti, lti
 
     if not isinstance(system, lti | dlti):
         return system
-    _need_order(getattr(system, "den", ()))
+    _need_order(np.asarray(getattr(system, "den", ())))
     try:
         found = system.to_ss()
     except ValueError as error:
@@ -132,7 +138,7 @@ def _of_scipy(system: Any):
     return control.ss(found.A, found.B, found.C, found.D, dt, remove_useless_states=False)
 
 
-def _need_order(den) -> None:
+def _need_order(den: Numbers) -> None:
     """Raises ValueError for a denominator whose matrices would fill the memory."""
     order = np.shape(den)[-1] - 1
     if order > LARGEST_ORDER:
@@ -142,7 +148,7 @@ def _need_order(den) -> None:
         )
 
 
-def _need_stable(A, continuous: bool) -> None:
+def _need_stable(A: Numbers, continuous: bool) -> None:
     if not A.size:
         return
     poles, left, right = scipy.linalg.eig(A, left=True)
@@ -163,7 +169,7 @@ def _need_stable(A, continuous: bool) -> None:
         )
 
 
-def system_matrices(system):
+def system_matrices(system: Value) -> Matrices:
     """A, B, C, D of a python-control system. Raises ValueError for an improper one."""
     import control
 
@@ -180,12 +186,12 @@ def system_matrices(system):
                     "the denominator)"
                 )
             block = control.tf2ss(num, den)
-            blocks[i, j] = Linear(*_balanced(block.A, block.B, block.C), block.D, 0.0)
+            blocks[i, j] = (*_balanced(block.A, block.B, block.C), block.D)
     return _side_by_side(blocks, system.noutputs, system.ninputs)
 
 
-def _side_by_side(blocks, n_y, n_u):
-    order = sum(len(b.A) for b in blocks.values())
+def _side_by_side(blocks: dict[tuple[int, int], Matrices], n_y: int, n_u: int) -> Matrices:
+    order = sum(len(b[0]) for b in blocks.values())
     A, B, C, D = (
         np.zeros((order, order)),
         np.zeros((order, n_u)),
@@ -193,13 +199,8 @@ def _side_by_side(blocks, n_y, n_u):
         np.zeros((n_y, n_u)),
     )
     at = 0
-    for (i, j), block in blocks.items():
-        here = slice(at, at + len(block.A))
-        A[here, here], B[here, j], C[i, here], D[i, j] = (
-            block.A,
-            block.B[:, 0],
-            block.C[0],
-            block.D[0, 0],
-        )
+    for (i, j), (a, b, c, d) in blocks.items():
+        here = slice(at, at + len(a))
+        A[here, here], B[here, j], C[i, here], D[i, j] = a, b[:, 0], c[0], d[0, 0]
         at = here.stop
     return A, B, C, D

@@ -13,14 +13,14 @@ dx = 0 it is that of a travel upward. All gradients are finite.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import Leaf, child, pytree, scalar, static
+from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.fields import child, pytree, scalar, static
 from ..pytree.needs import known
 from .integration import runge_kutta
 from .plant import Plant
@@ -52,7 +52,7 @@ class BoucWen:
     exponent: Leaf | None = scalar(default=None, interval="[1, inf)", optional=True)
     substeps: int = static(default=4, interval="[1, 1e4]", whole=True)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if known(self) and not np.all((-self.beta < self.gamma) & (self.gamma <= self.beta)):
             raise ValueError(
                 f"BoucWen: gamma = {self.gamma} is outside its allowed range (-beta, beta], beta = "
@@ -60,12 +60,12 @@ class BoucWen:
             )
 
     @property
-    def limit(self) -> jax.Array:
+    def limit(self) -> Array:
         """() z_max, the largest |z|."""
         ratio = self.initial_slope / (self.beta + self.gamma)
         return ratio if self.exponent is None else ratio ** (1 / self.exponent)
 
-    def slope(self, z, direction) -> jax.Array:
+    def slope(self, z: Array, direction: Array | float) -> Array:
         """dz/dx at z on a travel in `direction`, 1 or -1. Both of any shape."""
         size = jnp.abs(z)
         drag = self.beta * direction * z + self.gamma * size
@@ -73,7 +73,7 @@ class BoucWen:
             drag if self.exponent is None else drag * _power(size, self.exponent - 1)
         )
 
-    def over(self, z, dx) -> jax.Array:
+    def over(self, z: Array, dx: Array) -> Array:
         """z after the monotonic travel dx from z. Both of any shape."""
         s = _direction(dx)
         w, way = s * z, s * dx  # mirrored, so that the way leads up
@@ -83,7 +83,7 @@ class BoucWen:
             else self._numerically(w, way, self.exponent)
         )
 
-    def _exactly(self, w, way):
+    def _exactly(self, w: Array, way: Array) -> Array:
         """The case n = 1, in which dw/dx is linear on either side of w = 0.
 
         Its rate is beta - gamma below 0 and beta + gamma above.
@@ -97,7 +97,7 @@ class BoucWen:
         w = jnp.where(ends_below, w, w + depth)
         return w + (A - rate * w) * way * _decay_ratio(rate * way)
 
-    def _numerically(self, w, way, n):
+    def _numerically(self, w: Array, way: Array, n: int) -> Array:
         stiffest = n * (self.beta + jnp.abs(self.gamma)) * self.limit ** (n - 1)
         h = jnp.minimum(way / self.substeps, 1.5 / stiffest)
         return lax.fori_loop(
@@ -123,14 +123,14 @@ class Dahl:
     limit: Leaf = scalar(interval="(0, inf)")
     exponent: Leaf | None = scalar(default=None, interval="[1, inf)", optional=True)
 
-    def slope(self, z, direction) -> jax.Array:
+    def slope(self, z: Array, direction: Array | float) -> Array:
         """dz/dx at z on a travel in `direction`, 1 or -1. Both of any shape."""
         left = 1.0 - direction * z / self.limit
         return self.initial_slope * (
             left if self.exponent is None else left * _power(jnp.abs(left), self.exponent - 1)
         )
 
-    def over(self, z, dx) -> jax.Array:
+    def over(self, z: Array, dx: Array) -> Array:
         """z after the monotonic travel dx from z, |z| <= F_c. Both of any shape."""
         s = _direction(dx)
         left, way = 1.0 - s * z / self.limit, self.initial_slope / self.limit * s * dx
@@ -148,9 +148,9 @@ class HystereticState(NamedTuple):
     u, z:  (n_u,) input of the sample before, and its hysteresis
     """
 
-    plant: Any
-    u: jax.Array
-    z: jax.Array
+    plant: Tree
+    u: Array
+    z: Array
 
 
 @pytree
@@ -179,15 +179,15 @@ class InputHysteresis(Plant):
         rest = jnp.zeros_like(self.hysteresis.initial_slope, shape=(self.n_u,))
         return HystereticState(self.plant.initial_state(), rest, rest)
 
-    def step(self, x: HystereticState, u, dt) -> HystereticState:
+    def step(self, x: HystereticState, u: Array, dt: float) -> HystereticState:
         z = self.hysteresis.over(x.z, u - x.u)
         return HystereticState(self.plant.step(x.plant, u - z, dt), u, z)
 
-    def output(self, x: HystereticState) -> jax.Array:
+    def output(self, x: HystereticState) -> Array:
         return self.plant.output(x.plant)
 
 
-def _direction(dx):
+def _direction(dx: Array) -> Array:
     """1 or -1, and 1 at rest.
 
     So a gradient at dx = 0 is the slope of a travel upward and not 0.
@@ -195,7 +195,7 @@ def _direction(dx):
     return jnp.where(dx < 0, -1.0, 1.0)
 
 
-def _power(size, exponent):
+def _power(size: Array, exponent: Leaf) -> Array:
     """size^exponent for size >= 0, with finite derivatives also at size 0.
 
     There the derivative by the exponent would be 0 log 0.
@@ -204,14 +204,14 @@ def _power(size, exponent):
     return jnp.where(positive, jnp.where(positive, size, 1.0) ** exponent, 0.0)
 
 
-def _decay_ratio(x):
+def _decay_ratio(x: Array) -> Array:
     """(1 - exp(-x)) / x, smooth through x = 0."""
     small = jnp.abs(x) < 1e-5
     safe = jnp.where(small, 1.0, x)
     return jnp.where(small, 1.0 - x / 2 + x * x / 6, -jnp.expm1(-safe) / safe)
 
 
-def _log1p_ratio(x):
+def _log1p_ratio(x: Array) -> Array:
     """log(1 + x) / x, smooth through x = 0."""
     small = jnp.abs(x) < 1e-5
     safe = jnp.where(small, 1.0, x)

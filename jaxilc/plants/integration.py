@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 
+from ..pytree.aliases import Array, Function, Leaf, Tree
 from ..signals.task import product
 from .linear import zoh
 
@@ -15,14 +15,14 @@ from .linear import zoh
 RK4_RADIUS = 2.6
 
 
-def runge_kutta(rates: Callable, x, h) -> Any:
+def runge_kutta(rates: Function, x: Tree, h: Leaf) -> Tree:
     """One step of length h [s] by the classical Runge-Kutta method of order 4.
 
     rates: x -> dx/dt
     x:     any pytree
     """
 
-    def moved(by, k):
+    def moved(by: float, k: Tree) -> Tree:
         return jax.tree.map(lambda a, b: a + by * b, x, k)
 
     k1 = rates(x)
@@ -40,11 +40,11 @@ class Propagator(NamedTuple):
     Each is exp(A h) (n, n) and what an input held over the step adds (n, n_u).
     """
 
-    whole: tuple[jax.Array, jax.Array]
-    half: tuple[jax.Array, jax.Array]
+    whole: tuple[Array, Array]
+    half: tuple[Array, Array]
 
 
-def propagator(A, B, h) -> Propagator:
+def propagator(A: Array, B: Array, h: float) -> Propagator:
     """The linear part of x' = A x + B u + f(x), computed once for steps of length h [s].
 
     A: (n, n)
@@ -53,7 +53,7 @@ def propagator(A, B, h) -> Propagator:
     return Propagator(zoh(A, B, h), zoh(A, B, h / 2))
 
 
-def exponential_runge_kutta(linear: Propagator, f: Callable, x, u, h) -> Any:
+def exponential_runge_kutta(linear: Propagator, f: Function, x: Tree, u: Array, h: float) -> Tree:
     """One step of x' = A x + B u + f(x) with u held, by Lawson's (1967) method of order 4.
 
         E = exp(A h), z(s) the solution of the linear part from x at time s

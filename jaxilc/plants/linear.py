@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 
-from ..pytree.fields import Leaf, child, leaf, pytree, static
+from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.fields import child, leaf, pytree, static
 from ..signals.task import Task, product
 from .plant import Plant
 
@@ -19,7 +20,7 @@ MOST_TERMS = 500  # of a difference equation; compiling takes time in their squa
 AnyPlant = TypeVar("AnyPlant", bound=Plant)
 
 
-def zoh(A, B, dt) -> tuple[jax.Array, jax.Array]:
+def zoh(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     """Exact zero-order hold: exp([[A, B], [0, 0]] dt) = [[A_d, B_d], [0, I]].
 
     A: (n, n) [1/s], B: (n, n_u), dt [s] -> A_d (n, n), B_d (n, n_u)
@@ -60,7 +61,7 @@ class StateSpace(Plant):
     x0: Leaf | None = leaf(default=None, optional=True)
     dt: float = static(default=0.0, interval="[0, inf)")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         n = len(self.A) if self.A.ndim else 0
         fits = (
             self.A.shape == (n, n)
@@ -93,17 +94,17 @@ class StateSpace(Plant):
     def continuous(self) -> StateSpace | None:
         return None if self.dt else self
 
-    def initial_state(self) -> Any:
+    def initial_state(self) -> Tree:
         return (
             jnp.zeros_like(self.A, shape=self.A.shape[-1:])
             if self.x0 is None
             else jnp.asarray(self.x0)
         )
 
-    def step(self, x, u, dt) -> Any:
+    def step(self, x: Tree, u: Array, dt: float) -> Tree:
         return product(self.A, x) + product(self.B, u)
 
-    def output(self, x) -> jax.Array:
+    def output(self, x: Tree) -> Array:
         return product(self.C, x)
 
 
@@ -127,7 +128,7 @@ class TimeVaryingStateSpace(Plant):
     C: Leaf = leaf()
     dt: float = static(interval="(0, inf)")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         shapes = [np.shape(M) for M in (self.A, self.B, self.C)]
         (N, n), fits = (
             shapes[0][:2] if len(shapes[0]) == 3 else (0, 0),
@@ -164,15 +165,15 @@ class TimeVaryingStateSpace(Plant):
     def sampled(self, dt: float) -> TimeVaryingStateSpace:
         return matching(self, self.dt, dt)
 
-    def initial_state(self) -> Any:
+    def initial_state(self) -> Tree:
         """The sample's number and the state."""
         return jnp.zeros((), int), jnp.zeros_like(self.A, shape=self.A.shape[-1:])
 
-    def step(self, x, u, dt) -> Any:
+    def step(self, x: Tree, u: Array, dt: float) -> Tree:
         k, state = x
         return k + 1, product(self.A[k], state) + product(self.B[k], u)
 
-    def output(self, x) -> jax.Array:
+    def output(self, x: Tree) -> Array:
         k, state = x
         return jnp.where(k > 0, product(self.C[jnp.maximum(k - 1, 0)], state), 0.0)
 
@@ -192,7 +193,7 @@ class DifferenceEquation(Plant):
     b: Leaf = leaf()
     dt: float = static(interval="(0, inf)")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.a.shape != self.b.shape or self.a.ndim < 1:
             raise ValueError(
                 f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape "
@@ -207,16 +208,16 @@ class DifferenceEquation(Plant):
     def sampled(self, dt: float) -> DifferenceEquation:
         return _Taken(tuple(self.a), tuple(self.b), dt=matching(self, self.dt, dt).dt)
 
-    def initial_state(self) -> Any:
+    def initial_state(self) -> Tree:
         return tuple(jnp.zeros_like(a) for a in self.a)
 
-    def step(self, x, u, dt) -> Any:
+    def step(self, x: Tree, u: Array, dt: float) -> Tree:
         # registers one by one: as an array, shifting them would cost a copy a sample
         return tuple(
             s + a * x[0] + b * u[0] for s, a, b in zip((*x[1:], 0.0), self.a, self.b, strict=True)
         )
 
-    def output(self, x) -> jax.Array:
+    def output(self, x: Tree) -> Array:
         return x[0][None]
 
 
@@ -227,10 +228,10 @@ class _Taken(DifferenceEquation):
     Picked from an array in a loop over samples, they would keep a batch from being vectorised.
     """
 
-    a: tuple[Any, ...] = child()
-    b: tuple[Any, ...] = child()
+    a: tuple[Leaf, ...] = child()
+    b: tuple[Leaf, ...] = child()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Nothing to check: they were, as arrays."""
 
     def sampled(self, dt: float) -> DifferenceEquation:

@@ -6,14 +6,16 @@ It has a coil, a carriage with the forces on it, and the current loop and speed 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import Leaf, child, pytree, scalar, static
+from ..pytree.aliases import Array, Leaf, Numbers, Tree
+from ..pytree.fields import child, pytree, scalar, static
 from ..pytree.needs import known
 from ..signals.task import Task
 from .friction import StribeckFriction
@@ -47,11 +49,11 @@ class MotorState(NamedTuple):
     delay:    () state of the delay [V]; None where there is no delay
     """
 
-    position: jax.Array
-    speed: jax.Array
-    current: jax.Array
-    integral: jax.Array
-    delay: Any
+    position: Array
+    speed: Array
+    current: Array
+    integral: Array
+    delay: Tree
 
 
 class DriveSignals(NamedTuple):
@@ -63,10 +65,10 @@ class DriveSignals(NamedTuple):
     voltage:        () at the terminals [V]
     """
 
-    speed: jax.Array
-    wanted_current: jax.Array
-    current: jax.Array
-    voltage: jax.Array
+    speed: Array
+    wanted_current: Array
+    current: Array
+    voltage: Array
 
 
 @pytree
@@ -84,7 +86,7 @@ class Cogging:
     pitch: Leaf = scalar(interval="(0, inf)")
     phase: Leaf = scalar(default=0.0)
 
-    def force(self, position) -> jax.Array:
+    def force(self, position: Array) -> Array:
         """The force () [N] at a position () [m]."""
         return -self.amplitude * jnp.sin(2 * jnp.pi * position / self.pitch + self.phase)
 
@@ -107,11 +109,11 @@ class EndEffect:
     drop: Leaf = scalar(interval="[0, 1)")
     buffer_stiffness: Leaf | None = scalar(default=None, interval="(0, inf)", optional=True)
 
-    def factor(self, position) -> jax.Array:
+    def factor(self, position: Array) -> Array:
         """The share () of the force constant that is left at a position () [m]."""
         return 1.0 - self.drop * (jnp.clip(position, -self.stroke, self.stroke) / self.stroke) ** 2
 
-    def force(self, position) -> jax.Array | float:
+    def force(self, position: Array) -> Array | float:
         """The force () of the buffer [N] at a position () [m]."""
         beyond = position - jnp.clip(position, -self.stroke, self.stroke)
         return 0.0 if self.buffer_stiffness is None else -self.buffer_stiffness * beyond
@@ -200,7 +202,7 @@ class VoiceCoilMotor(Plant):
     end_effect: EndEffect | None = child(default=None)
     substep: float = static(default=1.25e-4, interval="(0, inf)")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if known(self):
             fastest = _fastest_pole(self)
             if fastest * self.substep > RK4_RADIUS:
@@ -223,13 +225,13 @@ class VoiceCoilMotor(Plant):
         rest = jnp.zeros_like(self.mass, shape=())
         return MotorState(rest, rest, rest, rest, None if self.command_delay is None else rest)
 
-    def step(self, x: MotorState, u, dt) -> MotorState:
+    def step(self, x: MotorState, u: Array, dt: float) -> MotorState:
         steps = max(math.ceil(dt / self.substep - 1e-9), 1)
 
         # a gradient recomputes the substeps of a sample instead of storing their 4 stages for every
         # sample of the trial
         @jax.checkpoint
-        def sample(motor, x, u):
+        def sample(motor: VoiceCoilMotor, x: MotorState, u: Array) -> Tree:
             return lax.scan(
                 lambda x, _: (runge_kutta(lambda z: motor._rates(z, u), x, dt / steps), None),
                 x,
@@ -238,10 +240,10 @@ class VoiceCoilMotor(Plant):
 
         return sample(self, x, u[0])
 
-    def output(self, x: MotorState) -> jax.Array:
+    def output(self, x: MotorState) -> Array:
         return 1e3 * x.position[None]
 
-    def drive(self, x: MotorState, u) -> DriveSignals:
+    def drive(self, x: MotorState, u: Array) -> DriveSignals:
         """The drive's commands in state x under the command u () [V]."""
         b, K_p = self.setpoint_weight, self.speed_gain
         w = u if self.command_delay is None else 2 * x.delay - u
@@ -255,7 +257,7 @@ class VoiceCoilMotor(Plant):
             _clip(self.current_gain * (current - x.current), self.voltage_limit),
         )
 
-    def _rates(self, x: MotorState, u) -> MotorState:
+    def _rates(self, x: MotorState, u: Array) -> MotorState:
         """Time derivatives of the state."""
         k_f, K_p, K_i = self.force_constant, self.speed_gain, self.speed_integral_gain
         if self.end_effect is not None:
@@ -359,7 +361,7 @@ def voice_coil_motor(form: str = "identified") -> VoiceCoilMotor:
     raise ValueError(f"voice_coil_motor: form = {form!r} is not one of 'identified', 'printed'")
 
 
-def _clip(x, limit):
+def _clip(x: Array, limit: Leaf) -> Array:
     return x if limit is None else jnp.clip(x, -limit, limit)
 
 
@@ -367,7 +369,7 @@ def _clip(x, limit):
 # --------------------------------------------------------------------------------------------------
 
 
-def _matrices(xp, motor, d, k):
+def _matrices(xp: ModuleType, motor: VoiceCoilMotor, d: Leaf, k: Leaf) -> tuple[Leaf, Leaf, Leaf]:
     """A (..., n, n), B (..., n), C (n,) of the linear motor with damping d and stiffness k.
 
     xp: NumPy or jax.numpy, which computes them
@@ -388,7 +390,8 @@ def _matrices(xp, motor, d, k):
     )
     delayed = motor.command_delay is not None
     # the Padé form has a feedthrough: w = 2 z - u
-    of_z, of_u, lag = (2.0, -1.0, 2 / motor.command_delay) if delayed else (0.0, 1.0, 0.0)
+    delay: Leaf = motor.command_delay
+    of_z, of_u, lag = (2.0, -1.0, 2 / delay) if delayed else (0.0, 1.0, 0.0)
     A = [
         [0.0, 1.0, 0.0, 0.0, 0.0],
         [-k / m, -d / m, k_f / m, 0.0, 0.0],
@@ -416,7 +419,7 @@ def _matrices(xp, motor, d, k):
     )
 
 
-def _fastest_pole(motor) -> float:
+def _fastest_pole(motor: VoiceCoilMotor) -> float:
     """Largest |pole| [rad/s], over all elements of batched leaves.
 
     It is looked for in free motion, and where friction, cogging and buffer are stiffest.
@@ -433,7 +436,7 @@ def _fastest_pole(motor) -> float:
     return max(float(np.max(np.abs(np.linalg.eigvals(A)))) for A in cases)
 
 
-def _polynomials(motor):
+def _polynomials(motor: VoiceCoilMotor) -> tuple[Numbers, Numbers]:
     """N (high order first) and D of the full-order transfer function [mm/V], in closed form.
 
         N = 1000 S k_f K_c (b K_p s + K_i) (2/T - s)
@@ -442,21 +445,15 @@ def _polynomials(motor):
 
     The last factors are absent where there is no delay.
     """
-    names = (
-        "mass",
-        "resistance",
-        "inductance",
-        "force_constant",
-        "viscous_damping",
-        "current_gain",
-        "speed_gain",
+    m, R, L, k_f = map(
+        float, (motor.mass, motor.resistance, motor.inductance, motor.force_constant)
     )
-    m, R, L, k_f, d, K_c, K_p = (float(getattr(motor, name)) for name in names)
-    names = ("speed_integral_gain", "setpoint_weight", "command_scale", "holding_gain")
-    K_i, b, S, k_h = (float(getattr(motor, name)) for name in names)
+    d, K_c, K_p = map(float, (motor.viscous_damping, motor.current_gain, motor.speed_gain))
+    K_i, b = float(motor.speed_integral_gain), float(motor.setpoint_weight)
+    S, k_h = float(motor.command_scale), float(motor.holding_gain)
     k = 0.0 if motor.stiffness is None else float(motor.stiffness)
-    N = 1e3 * S * k_f * K_c * np.array([b * K_p, K_i])
-    D = np.polymul([L, R + K_c, 0.0], [m, d, k])
+    N: Numbers = 1e3 * S * k_f * K_c * np.array([b * K_p, K_i])
+    D: Numbers = np.polymul([L, R + K_c, 0.0], [m, d, k])
     D[2:] += np.array(
         [k_f**2 + k_f * K_c * K_p, k_f * K_c * (K_i + b * K_p * k_h), k_f * K_c * K_i * k_h]
     )

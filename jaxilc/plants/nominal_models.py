@@ -15,11 +15,12 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from .from_python_control import system_matrices
+from ..pytree.aliases import Tree, Value
+from .from_python_control import Matrices, system_matrices
 from .linear import StateSpace
 
 
-def cascade(P_M, P_Z, dt: float) -> StateSpace:
+def cascade(P_M: Value, P_Z: Value, dt: float) -> StateSpace:
     """The drive u -> (y_M, y_T) from its motor side and its transmission.
 
     P_M: strictly proper, velocity command to motor position, one input and one output
@@ -43,7 +44,7 @@ def cascade(P_M, P_Z, dt: float) -> StateSpace:
     return StateSpace(A, B, C, dt=dt)
 
 
-def direct_model(C_P, P: StateSpace) -> StateSpace:
+def direct_model(C_P: Value, P: StateSpace) -> StateSpace:
     """H_D = S P_M P_Z from u to y_T: what learning on the table's error sees (MILC 2024, Lemma A1).
 
     C_P: position controller, a gain or a discrete system of one input and one output
@@ -55,7 +56,7 @@ def direct_model(C_P, P: StateSpace) -> StateSpace:
     return StateSpace(A, B[:, :1], C_T, dt=P.dt)
 
 
-def multivariable_model(C_P, P: StateSpace) -> StateSpace:
+def multivariable_model(C_P: Value, P: StateSpace) -> StateSpace:
     """H_M from (u, r) to (y_M - r, y_T) (MILC 2024, eq. 27 and Lemma 1).
 
         H_M = [[P_M S, -S], [P_Z P_M S, C_P P_Z P_M S]]
@@ -68,7 +69,7 @@ def multivariable_model(C_P, P: StateSpace) -> StateSpace:
     return StateSpace(A, B, np.vstack([-C_e, C_T]), dt=P.dt)
 
 
-def _loop(function: str, C_P, P: StateSpace):
+def _loop(function: str, C_P: Value, P: StateSpace) -> Tree:
     """The closed loop of the states (controller, drive, held reference).
 
     It returns A and B of (u, r), and the rows of e = r - y_M and of y_T.
@@ -112,7 +113,7 @@ def _loop(function: str, C_P, P: StateSpace):
     )
 
 
-def _block(name: str, system, dt: float):
+def _block(name: str, system: Value, dt: float) -> Matrices:
     """A, B, C, D of a block of one input and one output, sampled at dt [s]."""
     import control
 

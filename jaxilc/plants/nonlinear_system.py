@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import Leaf, child, leaf, pytree, static
+from ..pytree.aliases import Array, Function, Leaf, Tree, Value
+from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.ranges import as_numbers, brief
 from .integration import runge_kutta
 from .linear import matching
@@ -23,9 +23,9 @@ from .structure import CONSTANT, Dependence, dependence
 class TimedState(NamedTuple):
     """The number k of the sample (), the time t = k dt () [s] and the state x (n,)."""
 
-    k: jax.Array
-    t: jax.Array
-    x: jax.Array
+    k: Array
+    t: Array
+    x: Array
 
 
 @pytree
@@ -48,10 +48,10 @@ class NonlinearSystem(Plant):
     substep:    longest step of the integrator [s]; 0 for a discrete system
     """
 
-    parameters: Any = child()
+    parameters: Tree = child()
     x0: Leaf = leaf()
-    update: Callable = static()
-    read: Callable = static()
+    update: Function = static()
+    read: Function = static()
     n_in: int = static(interval="[1, inf)", whole=True)
     n_out: int = static(interval="[1, inf)", whole=True)
     timed: bool = static(default=False)
@@ -69,36 +69,36 @@ class NonlinearSystem(Plant):
     def sampled(self, dt: float) -> NonlinearSystem:
         return matching(self, self.dt, dt) if self.dt else self
 
-    def initial_state(self) -> Any:
+    def initial_state(self) -> Tree:
         x = jnp.asarray(self.x0)
         return TimedState(jnp.zeros((), int), jnp.zeros((), x.dtype), x) if self.timed else x
 
-    def step(self, x, u, dt) -> Any:
+    def step(self, x: Tree, u: Array, dt: float) -> Tree:
         if self.timed:
             k = x.k + 1
             return TimedState(k, (k * dt).astype(x.t.dtype), self._next(x.t, x.x, u, dt))
         return self._next(jnp.zeros((), x.dtype), x, u, dt)
 
-    def output(self, x) -> jax.Array:
+    def output(self, x: Tree) -> Array:
         t, x = (x.t, x.x) if self.timed else (jnp.zeros((), x.dtype), x)
         return vector(self.read(t, x, self.parameters), x.dtype)
 
-    def _next(self, t, x, u, dt):
+    def _next(self, t: Array, x: Tree, u: Array, dt: float) -> Array:
         if self.dt:
             return vector(self.update(t, x, u, self.parameters), x.dtype)
         steps = max(math.ceil(dt / self.substep - 1e-9), 1)
 
-        def rates(now):
+        def rates(now: Tree) -> tuple[Tree, Tree]:
             t, x = now
             return jnp.ones_like(t), vector(self.update(t, x, u, self.parameters), x.dtype)
 
-        def one(_, now):
+        def one(_: object, now: Tree) -> Array:
             return runge_kutta(rates, now, dt / steps)
 
         return lax.fori_loop(0, steps, one, (t, x))[1]
 
 
-def nonlinear_system(system, x0, substep: float | None) -> NonlinearSystem:
+def nonlinear_system(system: Value, x0: Array, substep: float | None) -> NonlinearSystem:
     """The plant of a `control.NonlinearIOSystem`; see `plants.from_control`.
 
     x0:      (n,) initial state; None is rest
@@ -125,10 +125,10 @@ def nonlinear_system(system, x0, substep: float | None) -> NonlinearSystem:
     if plant.x0.shape != (n,):
         raise ValueError(f"from_control: x0 has shape {plant.x0.shape}; allowed is ({n},)")
 
-    def update(parameters, given):
+    def update(parameters: Value, given: Value) -> Array:
         return vector(system.updfcn(given["t"], given["x"], given["u"], parameters))
 
-    def read(parameters, given):
+    def read(parameters: Value, given: Value) -> Array:
         x, outfcn = given["x"], system.outfcn
         return vector(x if outfcn is None else outfcn(given["t"], x, given["u"], parameters))
 
@@ -144,12 +144,12 @@ def nonlinear_system(system, x0, substep: float | None) -> NonlinearSystem:
     return dataclasses.replace(plant, timed=timed)
 
 
-def vector(values, dtype=None) -> jax.Array:
+def vector(values: Value, dtype: Value = None) -> Array:
     """What a function of the system returns, a list of numbers or an array, as one array."""
     return jnp.asarray(values, dtype)
 
 
-def _reading(system, n_u: int) -> Callable:
+def _reading(system: Value, n_u: int) -> Function:
     """The output as a function of (t, x, parameters); it is the state where none is given."""
     outfcn = system.outfcn
     if outfcn is None:
@@ -157,7 +157,7 @@ def _reading(system, n_u: int) -> Callable:
     return lambda t, x, parameters: outfcn(t, x, jnp.zeros(n_u, x.dtype), parameters)
 
 
-def _the_state(t, x, parameters):
+def _the_state(t: Array, x: Tree, parameters: Value) -> Array:
     return x
 
 
@@ -171,7 +171,7 @@ def _check_substep(discrete: bool, substep: float | None) -> None:
         )
 
 
-def _number(name: str, value) -> jax.Array:
+def _number(name: str, value: Value) -> Array:
     found = as_numbers(value)
     if found is None:
         raise ValueError(
@@ -181,7 +181,9 @@ def _number(name: str, value) -> jax.Array:
     return jnp.asarray(found, float)
 
 
-def _traced(what: str, f: Callable, parameters, given, shape: tuple[int, ...]) -> None:
+def _traced(
+    what: str, f: Function, parameters: Value, given: Value, shape: tuple[int, ...]
+) -> None:
     """Raises ValueError unless JAX can trace f and it returns an array of that shape."""
     try:
         found = jax.eval_shape(f, parameters, given).shape
@@ -196,10 +198,10 @@ def _traced(what: str, f: Callable, parameters, given, shape: tuple[int, ...]) -
         )
 
 
-def _depends(f: Callable, parameters, given: dict[str, Any], name: str) -> bool:
+def _depends(f: Function, parameters: Value, given: dict[str, Tree], name: str) -> bool:
     """Whether the value of f depends on the argument of that name."""
 
-    def of_one(fixed, value):
+    def of_one(fixed: Tree, value: Value) -> Array:
         parameters, others = fixed
         return f(parameters, others | {name: value})
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import Leaf, pytree, scalar
+from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.fields import pytree, scalar
 from .plant import Plant
 
 
@@ -37,16 +37,16 @@ class Pendulum(Plant):
     length: Leaf = scalar(default=0.3, interval="(0, inf)")
     gravity: Leaf = scalar(default=9.81)
 
-    def initial_state(self) -> jax.Array:
+    def initial_state(self) -> Array:
         """(2,) angle and speed, at rest."""
         return jnp.zeros(2)
 
-    def step(self, x, u, dt) -> jax.Array:
+    def step(self, x: Tree, u: Array, dt: float) -> Array:
         angle, speed = x
         weight = self.gravity * self.mass * self.length * jnp.sin(angle)
         inertia = self.inertia + self.mass * self.length**2
         rate = (u[0] - self.damping * speed - weight) / inertia
         return jnp.stack([angle + dt * speed, speed + dt * rate])
 
-    def output(self, x) -> jax.Array:
+    def output(self, x: Tree) -> Array:
         return x[:1]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
-import jax
-
+from ..pytree.aliases import Array, Tree, Value
 from ..pytree.fields import need_decorated
 from ..signals.task import Task
 
-State = Any
+State: TypeAlias = Tree
 
 
 class Plant:
@@ -28,21 +27,21 @@ class Plant:
     """
 
     # `@pytree` makes a dataclass of each subclass
-    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
     n_u: int = 1
     n_y: int = 1
-    response: Any = None
+    response: Value = None
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
 
-    def __init__(self, *values: Any, **named: Any):
+    def __init__(self, *values: Any, **named: Any) -> None:
         need_decorated(type(self))
 
     def sampled(self, dt: float) -> Plant:
         """The plant prepared for sample time dt [s]."""
         return self
 
-    def continuous(self) -> Any:
+    def continuous(self) -> Tree:
         """The continuous `StateSpace` of a linear plant that has one; None for other plants.
 
         A plant that has nonlinear parts may return its linear form without them.
@@ -56,10 +55,10 @@ class Plant:
         """The state at rest before the first sample."""
         raise NotImplementedError
 
-    def step(self, x: State, u, dt: float) -> State:
+    def step(self, x: State, u: Array, dt: float) -> State:
         """The state one sample later under the input u (n_u,), held over the sample."""
         raise NotImplementedError
 
-    def output(self, x: State) -> jax.Array:
+    def output(self, x: State) -> Array:
         """(n_y,) the output in state x. There is no feedthrough: u[k] acts on y[k+1]."""
         raise NotImplementedError

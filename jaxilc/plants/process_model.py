@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree.fields import Leaf, leaf, pytree, scalar, static
+from ..pytree.aliases import Array, Function, Leaf, Value
+from ..pytree.fields import leaf, pytree, scalar, static
 from .linear import LARGEST_ORDER, StateSpace, zoh
 from .plant import Plant
 
@@ -50,7 +48,7 @@ class ProcessModel(Plant):
     dampings: Leaf = leaf(default=(), interval="(0, inf)")
     delay: float = static(default=0.0, interval="[0, inf)")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("zeros", "poles", "frequencies", "dampings"):
             if not np.ndim(getattr(self, name)):
                 raise ValueError(
@@ -81,7 +79,7 @@ class ProcessModel(Plant):
         return self.poles.shape[-1] + 2 * self.frequencies.shape[-1]
 
     @property
-    def all_poles(self) -> jax.Array:
+    def all_poles(self) -> Array:
         """(n + 2 q,) complex poles [rad/s], in the left half-plane.
 
         Those of a pair are -frequency (damping -+ sqrt(damping^2 - 1)).
@@ -141,15 +139,21 @@ class ProcessModel(Plant):
         """
         return None if self.delay else StateSpace(*self._cascade())
 
-    def _cascade(self) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def _cascade(self) -> tuple[Array, Array, Array]:
         """A, B, C of the cascade of lags."""
         leaves = (self.gain, self.zeros, self.poles, self.frequencies, self.dampings)
         return cascade(*leaves, dtype=jnp.result_type(self.gain, self.poles, self.frequencies))
 
 
 def cascade(
-    gain, zeros, poles, frequencies, dampings, array: Callable[..., Any] = jnp.array, dtype=None
-) -> tuple[Any, Any, Any]:
+    gain: Leaf,
+    zeros: Leaf,
+    poles: Leaf,
+    frequencies: Leaf,
+    dampings: Leaf,
+    array: Function = jnp.array,
+    dtype: Value = None,
+) -> tuple[Leaf, Leaf, Leaf]:
     """A (n, n), B (n, 1), C (1, n) of a cascade of lags with the transfer function of the model.
 
     Its last state w has the derivatives w^(k) = C0 A^k x for k < order, since C0 A^k B = 0 for
@@ -160,7 +164,7 @@ def cascade(
     """
     n, order = len(poles), len(poles) + 2 * len(frequencies)
     rates = [*poles, *(w for w in frequencies for _ in range(2))]
-    A: list[list[Any]] = [[0.0] * order for _ in range(order)]
+    A: list[list[Leaf]] = [[0.0] * order for _ in range(order)]
     for i, rate in enumerate(rates):
         pair, second = divmod(i - n, 2)
         if i < n:
@@ -196,7 +200,7 @@ def samples_of(delay: float, dt: float) -> tuple[int, float]:
     return int(np.floor(samples)), delay - np.floor(samples) * dt
 
 
-def _behind_register(A, Bs: list, C, delay: int, dt: float) -> StateSpace:
+def _behind_register(A: Array, Bs: list[Array], C: Array, delay: int, dt: float) -> StateSpace:
     """x[k+1] = A x[k] + sum_i Bs[i] u[k-delay-i], y = C x, with the register of u as states."""
     n, length = A.shape[0], delay + len(Bs) - 1
     A_all = jnp.zeros((n + length, n + length), A.dtype).at[:n, :n].set(A)

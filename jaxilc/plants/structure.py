@@ -15,13 +15,18 @@ An operation that is not known to keep a value affine counts as one that does no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 
+from ..pytree.aliases import Function, Tree, Value
+
 CONSTANT, AFFINE, OTHERWISE = 0, 1, 2
+
+
+Step: TypeAlias = Value  # a `jax.core.JaxprEqn`
 
 
 class Dependence(NamedTuple):
@@ -83,7 +88,7 @@ WORDS = {
 }
 
 
-def dependence(f: Callable, fixed: Any, varying: Any) -> Any:
+def dependence(f: Function, fixed: Tree, varying: Tree) -> Tree:
     """The `Dependence` of each output of f(fixed, varying) on `varying`, in the output's shape.
 
     f: a pure function, as for `jax.jit`
@@ -98,7 +103,7 @@ def dependence(f: Callable, fixed: Any, varying: Any) -> Any:
     )
 
 
-def obstacle(f: Callable, fixed: Any, varying: Any) -> str:
+def obstacle(f: Function, fixed: Tree, varying: Tree) -> str:
     """What keeps f(fixed, varying) from being affine in `varying`, in words; empty if it is.
 
     Whole numbers and flags must be constant.
@@ -114,7 +119,7 @@ def obstacle(f: Callable, fixed: Any, varying: Any) -> str:
     return ""
 
 
-def blind(f: Callable, fixed: Any, varying: Any) -> bool:
+def blind(f: Function, fixed: Tree, varying: Tree) -> bool:
     """Whether the derivative of f by `varying` misses a part, such as rounding."""
     found = jax.tree.leaves(
         dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence)
@@ -122,7 +127,7 @@ def blind(f: Callable, fixed: Any, varying: Any) -> bool:
     return any(one.blind for one in found)
 
 
-def followers(f: Callable, fixed: Any, varying: Any) -> list[list[bool]]:
+def followers(f: Function, fixed: Tree, varying: Tree) -> list[list[bool]]:
     """For each leaf of `varying`, which leaves of f(fixed, varying) may depend on it."""
     closed = jax.make_jaxpr(f)(fixed, varying)
     of_fixed, leaves = len(jax.tree.leaves(fixed)), len(jax.tree.leaves(varying))
@@ -140,12 +145,12 @@ def followers(f: Callable, fixed: Any, varying: Any) -> list[list[bool]]:
 
 
 def _through(
-    program, of_consts: Sequence[Dependence], of_inputs: Sequence[Dependence]
+    program: Value, of_consts: Sequence[Dependence], of_inputs: Sequence[Dependence]
 ) -> list[Dependence]:
     """The dependence of the results of a jaxpr, from that of its inputs."""
     known = dict(zip([*program.constvars, *program.invars], [*of_consts, *of_inputs], strict=True))
 
-    def look(variable) -> Dependence:
+    def look(variable: Value) -> Dependence:
         # a literal has its value with it
         return Dependence() if hasattr(variable, "val") else known[variable]
 
@@ -154,7 +159,7 @@ def _through(
     return [look(v) for v in program.outvars]
 
 
-def _after(step, operands: list[Dependence]) -> list[Dependence]:
+def _after(step: Step, operands: list[Dependence]) -> list[Dependence]:
     """The dependence of each result of an operation, from that of its operands."""
     name, results = step.primitive.name, len(step.outvars)
     if all(one.order == CONSTANT for one in operands):
@@ -199,7 +204,7 @@ def _joined(several: Sequence[Dependence]) -> Dependence:
     return worst._replace(blind=any(one.blind for one in several))
 
 
-def _to_float(step) -> bool:
+def _to_float(step: Step) -> bool:
     kinds = (
         [v.aval.dtype for v in (*step.invars, *step.outvars)]
         if step.primitive.name == "convert_element_type"
@@ -208,7 +213,7 @@ def _to_float(step) -> bool:
     return bool(kinds) and all(jnp.issubdtype(kind, jnp.inexact) for kind in kinds)
 
 
-def _called(step):
+def _called(step: Step) -> Tree:
     """The program that an operation only calls; None for other operations.
 
     Such operations are jit, checkpoint, and a function with a derivative of its own.
@@ -220,14 +225,14 @@ def _called(step):
     return fits[0] if len(inner) == 1 and fits else None
 
 
-def _scan(step, operands):
+def _scan(step: Step, operands: list[Dependence]) -> list[Dependence]:
     """Shapes tell constants, carry and rows apart: the body sees a row without its first axis.
 
     The parameters that count them have other names since JAX 0.12.
     """
     body = step.params["jaxpr"]
 
-    def whole(outside, inside) -> int:
+    def whole(outside: list[Value], inside: list[Value]) -> int:
         pairs = zip(outside, inside, strict=True)
         return sum(one.aval.ndim == other.aval.ndim for one, other in pairs)
 
@@ -236,7 +241,7 @@ def _scan(step, operands):
     return _repeated(body, operands[:fixed], operands[fixed:until_rows], operands[until_rows:])
 
 
-def _while(step, operands):
+def _while(step: Step, operands: list[Dependence]) -> list[Dependence]:
     of_condition, of_body = step.params["cond_nconsts"], step.params["body_nconsts"]
     carry = operands[of_condition + of_body :]
     following = _repeated(
@@ -253,7 +258,9 @@ def _while(step, operands):
     )
 
 
-def _repeated(body, fixed, carry, rows):
+def _repeated(
+    body: Value, fixed: list[Dependence], carry: list[Dependence], rows: list[Dependence]
+) -> list[Dependence]:
     """The dependence of the results of a loop.
 
     What is carried is joined with what a turn makes of it, until nothing changes.
@@ -266,7 +273,7 @@ def _repeated(body, fixed, carry, rows):
         carry = grown
 
 
-def _cond(step, operands):
+def _cond(step: Step, operands: list[Dependence]) -> list[Dependence]:
     decides, *rest = operands
     branches = [
         _through(b.jaxpr, [Dependence()] * len(b.consts), rest) for b in step.params["branches"]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ..pytree.aliases import Array, Leaf, Numbers, Tree, Value
 from ..pytree.fields import kind_of
 from .linear import TimeVaryingStateSpace
 from .plant import Plant
@@ -20,7 +20,7 @@ from .structure import obstacle
 SHORT = 1e-9  # [s] sample time at which the program of a plant in continuous time is looked at
 
 
-def to_control(plant: Plant, dt: float | None = None) -> Any:
+def to_control(plant: Plant, dt: float | None = None) -> Value:
     """The `control.StateSpace` of a linear, time-invariant plant.
 
         x' = A x + B u  or  x[k+1] = A x[k] + B u[k],    y = C x
@@ -52,7 +52,8 @@ def to_control(plant: Plant, dt: float | None = None) -> Any:
             f"to_control: {type(plant).__name__} has no form in continuous time and no sample time "
             "of its own; give dt, the sample time in s"
         )
-    return as_system(*_matrices(plant, dt or own_dt), dt or own_dt, **names_of(plant))
+    A, B, C = _matrices(plant, dt or own_dt)
+    return as_system(A, B, C, dt or own_dt, **names_of(plant))
 
 
 def initial_state(plant: Plant, dt: float | None = None) -> np.ndarray:
@@ -63,7 +64,7 @@ def initial_state(plant: Plant, dt: float | None = None) -> np.ndarray:
     return np.asarray(ravel_pytree(start.initial_state())[0])
 
 
-def as_system(A, B, C, dt: float, **names: Any) -> Any:
+def as_system(A: Leaf, B: Leaf, C: Leaf, dt: float, **names: Value) -> Value:
     """A `control.StateSpace` without feedthrough; dt = 0 is continuous time."""
     import control
 
@@ -95,9 +96,8 @@ def need_linear(plant: Plant, dt: float) -> None:
 
 def _own_sample_time(plant: Plant) -> float:
     """The sample time [s] that the plant, or a plant within it, is given for; 0 for none."""
-    if getattr(plant, "dt", 0.0):
-        return plant.dt  # ty: ignore[missing-attribute]
-    return max(map(_own_sample_time, _plants_within(plant).values()), default=0.0)
+    own: float = getattr(plant, "dt", 0.0)
+    return own or max(map(_own_sample_time, _plants_within(plant).values()), default=0.0)
 
 
 def _plants_within(plant: Plant) -> dict[str, Plant]:
@@ -140,10 +140,10 @@ def _nonlinear_parts(plant: Plant, dt: float) -> list[str]:
 def _obstacle(plant: Plant, dt: float) -> str:
     """What keeps a step or the output from being affine, in words; empty if nothing does."""
 
-    def start(plant):
+    def start(plant: Plant) -> Array:
         return plant.sampled(dt).initial_state()
 
-    def sample(plant, now):
+    def sample(plant: Plant, now: Tree) -> tuple[Tree, Tree]:
         plant, (x, u) = plant.sampled(dt), now
         return plant.step(x, u, dt), plant.output(x)
 
@@ -151,7 +151,7 @@ def _obstacle(plant: Plant, dt: float) -> str:
     return obstacle(sample, plant, (x, jnp.zeros(plant.n_u)))
 
 
-def _matrices(plant: Plant, dt: float):
+def _matrices(plant: Plant, dt: float) -> tuple[Numbers, ...]:
     """A (n, n), B (n, n_u), C (n_y, n) of a linear plant, from its own step and output."""
     *matrices, moved, shown = _linearised(plant, dt=dt)
     if np.any(np.asarray(moved)) or np.any(np.asarray(shown)):
@@ -159,20 +159,20 @@ def _matrices(plant: Plant, dt: float):
             f"to_control: {type(plant).__name__} adds a constant to its state or its output; "
             "allowed are plants that stay at rest without an input"
         )
-    return matrices
+    return tuple(matrices)
 
 
 @partial(jax.jit, static_argnames="dt")
-def _linearised(plant: Plant, dt: float):
+def _linearised(plant: Plant, dt: float) -> Tree:
     """A, B and C, and what step and output give for a state and an input of zeros."""
     plant = plant.sampled(dt)
     rest, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, plant.initial_state()))
     u = jnp.zeros(plant.n_u)
 
-    def step(x, u):
+    def step(x: Tree, u: Array) -> Array:
         return ravel_pytree(plant.step(unravel(x), u, dt))[0]
 
-    def output(x):
+    def output(x: Tree) -> Array:
         return plant.output(unravel(x))
 
     A, B = jax.jacfwd(step, (0, 1))(rest, u)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from ..pytree.fields import Leaf, leaf, pytree, scalar
+from ..pytree.aliases import Leaf, Tree
+from ..pytree.fields import leaf, pytree, scalar
 from .linear import DifferenceEquation, StateSpace, zoh
 from .plant import Plant
 
@@ -33,7 +34,7 @@ class VoiceCoil(Plant):
     zero: Leaf = scalar(default=928.2)
     poles: Leaf = leaf(default=(474.0, 474.0, 6.404), interval="(0, inf)")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.poles.shape != (3,):
             raise ValueError(f"VoiceCoil: poles has shape {self.poles.shape}; allowed is (3,)")
 
@@ -57,7 +58,7 @@ class VoiceCoil(Plant):
         A, B, C = self._cascade()
         return StateSpace(A, B, C[None])
 
-    def _cascade(self):
+    def _cascade(self) -> Tree:
         """A (3, 3), B (3, 1), C (3,): well scaled, and nothing is singular where poles coincide."""
         p1, p2, p3 = self.poles[0], self.poles[1], self.poles[2]
         A = jnp.array([[-p1, 0.0, 0.0], [p2, -p2, 0.0], [0.0, p3, -p3]])

@@ -1,4 +1,5 @@
-from .fields import Leaf, child, leaf, pytree, scalar, static
+from .aliases import Leaf
+from .fields import child, leaf, pytree, scalar, static
 from .named_paths import allowed_at, get_at, interval_at, kind_at, named_leaves, replaced, settable
 from .needs import known, need_channels, need_scalars
 from .ranges import Interval

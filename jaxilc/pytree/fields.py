@@ -10,11 +10,12 @@ bypasses `__init__`, so tracers are never inspected.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, TypeAlias, TypeVar, dataclass_transform
+from typing import Any, TypeVar, dataclass_transform
 
 import jax.core
 import numpy as np
 
+from .aliases import Tree, Value
 from .in_short import in_short
 from .ranges import (
     Interval,
@@ -28,13 +29,12 @@ from .ranges import (
     shown,
 )
 
-Leaf: TypeAlias = Any  # a float array as stored; a number, a list or an array when constructed
 T = TypeVar("T")
 
 
 def leaf(
-    default: Any = dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional: bool = False
-) -> Any:
+    default: Value = dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional: bool = False
+) -> Value:
     """A float leaf, which is a scalar or an array.
 
     default: default value; a type checker sees it only if it is given by name: `leaf(default=0.5)`
@@ -46,8 +46,8 @@ def leaf(
 
 
 def scalar(
-    default: Any = dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional: bool = False
-) -> Any:
+    default: Value = dataclasses.MISSING, interval: str = "(-inf, inf)", *, optional: bool = False
+) -> Value:
     """A float leaf that is one number, such as a mass; `need_scalars` refuses an array.
 
     default, interval, optional: as for `leaf`
@@ -57,13 +57,13 @@ def scalar(
 
 
 def static(
-    default: Any = dataclasses.MISSING,
+    default: Value = dataclasses.MISSING,
     interval: str | None = None,
     *,
-    choices: tuple = (),
+    choices: tuple[Value, ...] = (),
     whole: bool = False,
     optional: bool = False,
-) -> Any:
+) -> Value:
     """A static field, such as a length, a window or a mode; another value needs another program.
 
     The value must have the type with which the field is annotated. Lists become tuples.
@@ -85,7 +85,7 @@ def static(
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def child(default: Any = dataclasses.MISSING) -> Any:
+def child(default: Value = dataclasses.MISSING) -> Value:
     """A nested pytree, such as a plant in a machine or a scheme in a scheme.
 
     The value must be of the class, or of one of the classes, with which the field is annotated. If
@@ -103,11 +103,11 @@ def pytree(cls: type[T]) -> type[T]:
     ValueError for a value that is not allowed. The message names the class, the field, its value
     and the allowed range.
     """
-    made: Any = cls
+    made: Value = cls
     if "__post_init__" in cls.__dict__:
         made._own_check = made.__post_init__
 
-    def __post_init__(self):
+    def __post_init__(self: Value) -> None:
         need_decorated(type(self))
         for field in dataclasses.fields(self):
             object.__setattr__(
@@ -125,14 +125,14 @@ def pytree(cls: type[T]) -> type[T]:
     children = tuple(f.name for f in fields if kind_of(f) != "static")
     statics = tuple(f.name for f in fields if kind_of(f) == "static")
 
-    def flatten(tree):
+    def flatten(tree: Tree) -> tuple[Tree, Tree]:
         return tuple(getattr(tree, n) for n in children), tuple(getattr(tree, n) for n in statics)
 
-    def flatten_with_keys(tree):
+    def flatten_with_keys(tree: Tree) -> tuple[Tree, Tree]:
         values, aux = flatten(tree)
         return tuple(zip(map(jax.tree_util.GetAttrKey, children), values, strict=True)), aux
 
-    def unflatten(aux, values):
+    def unflatten(aux: Value, values: Value) -> Value:
         tree = object.__new__(made)
         for name, value in zip(children, values, strict=True):
             object.__setattr__(tree, name, value)
@@ -144,7 +144,7 @@ def pytree(cls: type[T]) -> type[T]:
     return made
 
 
-def kind_of(field) -> str:
+def kind_of(field: dataclasses.Field[Value]) -> str:
     return field.metadata.get("kind", "child")
 
 
@@ -162,7 +162,7 @@ def need_decorated(cls: type) -> None:
         )
 
 
-def _settled(cls: type, field, value):
+def _settled(cls: type, field: dataclasses.Field[Value], value: Value) -> Value:
     """The value that a field stores, after it was checked; floats become strongly typed arrays."""
     owner, kind = cls.__name__, kind_of(field)
     if kind == "leaf":
@@ -189,7 +189,7 @@ def _settled(cls: type, field, value):
     return value
 
 
-def _without_loose_leaves(value):
+def _without_loose_leaves(value: Value) -> Value:
     """A pytree of another library in which functions and floats of Python are converted.
 
     Functions, such as an activation, become `jax.tree_util.Partial` and so part of the structure.
@@ -198,7 +198,7 @@ def _without_loose_leaves(value):
     if is_decorated(type(value)) or jax.tree_util.all_leaves([value]):
         return value
 
-    def settled(leaf):
+    def settled(leaf: Value) -> Value:
         if isinstance(leaf, float):
             return np.asarray(leaf, float)
         is_function = callable(leaf) and not hasattr(leaf, "dtype")
@@ -207,7 +207,7 @@ def _without_loose_leaves(value):
     return jax.tree.map(settled, value)
 
 
-def _checked_leaf(owner: str, field, value):
+def _checked_leaf(owner: str, field: dataclasses.Field[Value], value: Value) -> Value:
     value = _as_float(owner, field.name, value)
     if not isinstance(value, jax.core.Tracer) and not field.metadata["interval"].contains(value):
         raise ValueError(
@@ -217,7 +217,7 @@ def _checked_leaf(owner: str, field, value):
     return value
 
 
-def _check_static(owner: str, field, value, wanted) -> None:
+def _check_static(owner: str, field: dataclasses.Field[Value], value: Value, wanted: Value) -> None:
     choices, interval, whole = (field.metadata[k] for k in ("choices", "interval", "whole"))
     if value is None and field.metadata["optional"]:
         return
@@ -238,7 +238,7 @@ def _check_static(owner: str, field, value, wanted) -> None:
         )
 
 
-def _as_float(owner: str, name: str, value):
+def _as_float(owner: str, name: str, value: Value) -> Value:
     if (
         isinstance(value, jax.Array)
         and jax.numpy.issubdtype(value.dtype, jax.numpy.number)

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
 
 import jax
 import jax.core
 import numpy as np
 
+from .aliases import Value
 from .ranges import brief
 
 WIDTH, LINES = 100, 20  # of the text of an object, at most
 FEW = 6  # numbers of an array that are shown
 
 
-def in_short(thing: Any) -> str:
+def in_short(thing: Value) -> str:
     """The text of a dataclass or a named tuple, of at most 20 lines of 100 characters.
 
     Fields that have their default values are left out of the objects within, and of one that has
-    more fields than lines. A class takes it by the line `__repr__ = in_short`.
+    more fields than lines. A class takes it by the line `__repr__ = in_short`,
+    a named tuple by a method that returns it.
     """
     name, rows = type(thing).__name__, _fields(thing, all_of_them=True)
     if len(rows) > LINES - 2:
@@ -34,7 +35,7 @@ def in_short(thing: Any) -> str:
     return "\n".join([f"{name}(", *(f"    {row}," for row in rows), ")"])
 
 
-def _fields(thing: Any, *, all_of_them: bool = False) -> list[str]:
+def _fields(thing: Value, *, all_of_them: bool = False) -> list[str]:
     """`name=value` of each field; of a dataclass only where it is not the default, if not asked."""
     if not dataclasses.is_dataclass(thing):
         return [f"{name}={_value(of)}" for name, of in zip(thing._fields, thing, strict=True)]
@@ -42,7 +43,7 @@ def _fields(thing: Any, *, all_of_them: bool = False) -> list[str]:
     return [f"{f.name}={_value(of)}" for f, of in pairs if all_of_them or not _is_default(of, f)]
 
 
-def _is_default(value: Any, field: dataclasses.Field) -> bool:
+def _is_default(value: Value, field: dataclasses.Field[Value]) -> bool:
     made = field.default_factory
     default = field.default if made is dataclasses.MISSING else made()
     if default is dataclasses.MISSING or isinstance(value, jax.core.Tracer):
@@ -52,7 +53,7 @@ def _is_default(value: Any, field: dataclasses.Field) -> bool:
     return type(value) is type(default) and repr(value) == repr(default)
 
 
-def _value(value: Any) -> str:
+def _value(value: Value) -> str:
     """A value in one line, which may be long."""
     if isinstance(value, jax.Array | np.ndarray | np.generic):
         if isinstance(value, jax.core.Tracer) or value.size > FEW:

@@ -17,13 +17,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from .aliases import Tree, Value
 from .closest import known_names
 from .fields import is_decorated, kind_of
 from .ranges import Interval, annotations_of, as_numbers, brief, named
 
 _INDEX = re.compile(r"^(\w[\w-]*)((?:\[\d+\])*)$")
 _ANY = Interval.parse("(-inf, inf)")
-_READ: dict[Any, Callable[[str], Any]] = {
+_READ: dict[Value, Callable[[str], Value]] = {
     int: int,
     bool: lambda text: {"true": True, "1": True, "false": False, "0": False}[text.lower()],
 }
@@ -31,7 +32,7 @@ _READ: dict[Any, Callable[[str], Any]] = {
 Key = str | int  # a name, or the number of an element
 
 
-def named_leaves(tree) -> dict[str, Any]:
+def named_leaves(tree: Tree) -> dict[str, Value]:
     """All leaves by their paths, for instance `{"plant.gain": ..., "sensor.resolution": ...}`."""
     return {
         _path_of(map(_key, path)): value
@@ -39,12 +40,12 @@ def named_leaves(tree) -> dict[str, Any]:
     }
 
 
-def settable(tree) -> dict[str, Any]:
+def settable(tree: Tree) -> dict[str, Value]:
     """All leaves and all static fields by their paths, which are those that `replaced` accepts."""
     return {_path_of(keys): value for keys, value in _settable(tree).items()}
 
 
-def interval_at(tree, path: str) -> Interval | None:
+def interval_at(tree: Tree, path: str) -> Interval | None:
     """The allowed range of the field at `path`, or None for a field without an allowed range.
 
     A leaf of a pytree of another library may be any number.
@@ -55,14 +56,14 @@ def interval_at(tree, path: str) -> Interval | None:
     return field.metadata.get("interval") if field is not None else None
 
 
-def allowed_at(tree, path: str) -> str:
+def allowed_at(tree: Tree, path: str) -> str:
     """The allowed range or the allowed choices of the field at `path`, as text."""
     _, field = _field_at(tree, path)
     choices = field.metadata.get("choices") if field is not None else None
     return " | ".join(map(str, choices)) if choices else str(interval_at(tree, path) or "")
 
 
-def kind_at(tree, path: str) -> tuple[str, Any]:
+def kind_at(tree: Tree, path: str) -> tuple[str, Value]:
     """The kind (`leaf`, `static` or `child`) and the annotation of the field at `path`.
 
     An element has the kind of its field.
@@ -72,10 +73,11 @@ def kind_at(tree, path: str) -> tuple[str, Any]:
         return "leaf", Any
     if field is None:
         return "child", Any
-    return kind_of(field), annotations_of(type(owner)).get(field.name, Any)
+    kind: type = type(owner)
+    return kind_of(field), annotations_of(kind).get(field.name, Any)
 
 
-def get_at(tree, path: str) -> Any:
+def get_at(tree: Tree, path: str) -> Value:
     """The leaf, element or static field at `path`, such as `"plant.poles[2]"`.
 
     Raises KeyError for a path that does not exist; the message names those that exist.
@@ -100,7 +102,7 @@ def get_at(tree, path: str) -> Any:
     return value
 
 
-def replaced(tree, changes: Mapping[str, Any]) -> Any:
+def replaced(tree: Tree, changes: Mapping[str, Value]) -> Value:
     """A copy of `tree` with the fields or elements at the given paths replaced together.
 
     The new values are validated as in a constructor. A leaf of a pytree of another library keeps
@@ -121,7 +123,7 @@ def owner_of(path: str, owners: Iterable[str]) -> tuple[str, str]:
     return (head, rest) if head in ("machine", *owners) else ("machine", path)
 
 
-def unit_at(tree, path: str) -> str:
+def unit_at(tree: Tree, path: str) -> str:
     """The unit of the field at `path`, as the docstring of its class has it; empty if it has none.
 
     It is the first text in square brackets behind the name that is no interval: `[N/m]`.
@@ -133,7 +135,7 @@ def unit_at(tree, path: str) -> str:
     return unit[1] if unit else ""
 
 
-def read_at(tree, path: str, value, shown: str) -> Any:
+def read_at(tree: Tree, path: str, value: Value, shown: str) -> Value:
     """The value, which may be text, converted to the type of the field at the path.
 
     A static field has the type of its annotation; all others are numbers.
@@ -155,7 +157,8 @@ def read_at(tree, path: str, value, shown: str) -> Any:
         return None
     parts = [part.strip() for part in value.strip("()[] ").split(",")]
     try:
-        if kind == "leaf" or typing.get_origin(annotation) is not tuple:
+        origin: Value = typing.get_origin(annotation)
+        if kind == "leaf" or origin is not tuple:
             read = float if kind == "leaf" else _READ.get(choices[0], float)
             numbers = [read(part) for part in parts]
             return numbers if len(numbers) > 1 else numbers[0]
@@ -167,41 +170,41 @@ def read_at(tree, path: str, value, shown: str) -> Any:
         raise ValueError(f"{shown} = {brief(value)} is not {said}") from None
 
 
-def field_names(tree) -> list[str]:
+def field_names(tree: Tree) -> list[str]:
     if isinstance(tree, dict):
         return list(tree)
     return [f.name for f in dataclasses.fields(tree)] if dataclasses.is_dataclass(tree) else []
 
 
-def field_of(tree, name):
+def field_of(tree: Tree, name: Key) -> dataclasses.Field[Value] | None:
     """The declaration of a field; None if it has none, such as an entry of a dictionary."""
     if isinstance(tree, dict) or not dataclasses.is_dataclass(tree) or _is_foreign(tree):
         return None
     return next((f for f in dataclasses.fields(tree) if f.name == name), None)
 
 
-def child_of(tree, name):
-    return tree[name] if isinstance(tree, dict) else getattr(tree, name)
+def child_of(tree: Tree, name: Key) -> Value:
+    return tree[name] if isinstance(tree, dict) else getattr(tree, str(name))
 
 
 # Implementation
 # --------------------------------------------------------------------------------------------------
 
 
-def _is_foreign(tree) -> bool:
+def _is_foreign(tree: Tree) -> bool:
     """Whether `tree` is a pytree that another library registered with JAX, or a list or a tuple."""
     if isinstance(tree, dict) or is_decorated(type(tree)):
         return False
     return not jax.tree_util.all_leaves([tree])
 
 
-def _one_level(tree) -> tuple[list[Key], list[Any], Any]:
+def _one_level(tree: Tree) -> tuple[list[Key], list[Value], Value]:
     """The keys and values of the children of a pytree, and its structure with these as leaves."""
     pairs, structure = jax.tree_util.tree_flatten_with_path(tree, lambda node: node is not tree)
     return [_key(path[0]) for path, _ in pairs], [value for _, value in pairs], structure
 
 
-def _below(tree) -> dict[Key, Any]:
+def _below(tree: Tree) -> dict[Key, Value]:
     """The children of a pytree, by name or number; an array has none."""
     if not _is_foreign(tree):
         return {name: child_of(tree, name) for name in field_names(tree)}
@@ -209,8 +212,8 @@ def _below(tree) -> dict[Key, Any]:
     return dict(zip(keys, values, strict=True))
 
 
-def _settable(tree) -> dict[tuple[Key, ...], Any]:
-    found: dict[tuple[Key, ...], Any] = {}
+def _settable(tree: Tree) -> dict[tuple[Key, ...], Value]:
+    found: dict[tuple[Key, ...], Value] = {}
     for key, value in _below(tree).items():
         field = field_of(tree, key)
         is_child = field is None or kind_of(field) == "child"
@@ -222,7 +225,7 @@ def _settable(tree) -> dict[tuple[Key, ...], Any]:
     return found
 
 
-def _field_at(tree, path: str):
+def _field_at(tree: Tree, path: str) -> tuple[Tree, Tree]:
     """The object that has the field at `path`, and that field."""
     node, owner, field = tree, tree, None
     for key in _keys(path):
@@ -234,7 +237,7 @@ def _field_at(tree, path: str):
     return owner, field
 
 
-def _rebuilt(tree, changes: dict[tuple[Key, ...], Any]) -> Any:
+def _rebuilt(tree: Tree, changes: dict[tuple[Key, ...], Value]) -> Value:
     """The tree with new values at the given keys."""
     if not _below(tree):
         if _are_all_elements(tree, changes):
@@ -242,8 +245,8 @@ def _rebuilt(tree, changes: dict[tuple[Key, ...], Any]) -> Any:
         for index, value in changes.items():
             tree = _with_element(tree, index, value)
         return tree
-    whole: dict[Key, Any] = {}
-    parts: dict[Key, dict[tuple[Key, ...], Any]] = {}
+    whole: dict[Key, Value] = {}
+    parts: dict[Key, dict[tuple[Key, ...], Value]] = {}
     for (key, *rest), value in changes.items():
         if rest:
             parts.setdefault(key, {})[tuple(rest)] = value
@@ -259,7 +262,9 @@ def _rebuilt(tree, changes: dict[tuple[Key, ...], Any]) -> Any:
     return dataclasses.replace(tree, **{str(name): value for name, value in new.items()})
 
 
-def _rebuilt_foreign(tree, whole, parts):
+def _rebuilt_foreign(
+    tree: Tree, whole: dict[Key, Value], parts: dict[Key, dict[tuple[Key, ...], Value]]
+) -> Tree:
     keys, values, structure = _one_level(tree)
     for i, key in enumerate(keys):
         if key in whole:
@@ -269,7 +274,7 @@ def _rebuilt_foreign(tree, whole, parts):
     return jax.tree.unflatten(structure, values)
 
 
-def _like(old, new, name: str):
+def _like(old: Value, new: Value, name: str) -> Value:
     """The new value for a leaf, with the shape and the precision of the old one.
 
     What is not a leaf may be replaced by anything.
@@ -295,7 +300,7 @@ def _split_index(head: str) -> tuple[Key, ...]:
     return match.group(1), *(int(i) for i in re.findall(r"\d+", match.group(2)))
 
 
-def _with_element(old, index, value):
+def _with_element(old: Value, index: Value, value: Value) -> Value:
     if isinstance(old, jax.Array) or isinstance(value, jax.Array):
         return jax.numpy.asarray(old).at[index].set(value)
     new = np.array(old)
@@ -306,7 +311,7 @@ def _with_element(old, index, value):
     return new
 
 
-def _are_all_elements(old, changes) -> bool:
+def _are_all_elements(old: Value, changes: Value) -> bool:
     """Whether the changes are numbers for all elements of an array, at least one within JAX."""
     return (
         len(changes) == np.size(old) > 1
@@ -315,13 +320,13 @@ def _are_all_elements(old, changes) -> bool:
     )
 
 
-def _of_elements(old, changes):
+def _of_elements(old: Value, changes: Value) -> Value:
     """The array of these elements: one operation, where as many replacements compile for long."""
     values = [jax.numpy.asarray(changes[index], old.dtype) for index in np.ndindex(np.shape(old))]
     return jax.numpy.stack(values).reshape(np.shape(old))
 
 
-def _key(entry) -> Key:
+def _key(entry: Value) -> Key:
     """The name or number by which JAX identifies a child."""
     match entry:
         case jax.tree_util.GetAttrKey(name=name) | jax.tree_util.DictKey(key=name):
@@ -331,6 +336,6 @@ def _key(entry) -> Key:
     return str(entry)
 
 
-def _path_of(keys) -> str:
+def _path_of(keys: Value) -> str:
     text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys)
     return text.removeprefix(".")

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .aliases import Value
+
 _INTERVAL = re.compile(r"^([\[(])\s*(\S+)\s*,\s*(\S+)\s*([\])])$")
 _LONG = 60  # number of characters of a value that a message shows
 SEEDS = "[0, 9e18]"  # what random generators accept, with room for the seeds that follow
@@ -32,7 +34,7 @@ class Interval(NamedTuple):
         left, low, high, right = match.groups()
         return cls(float(low), float(high), left == "[", right == "]")
 
-    def contains(self, value) -> bool:
+    def contains(self, value: Value) -> bool:
         """Whether every element is in the interval; NaN never is."""
         value = np.asarray(value)
         # the bounds may be beyond the largest number of half precision, 65,504
@@ -49,7 +51,7 @@ class Interval(NamedTuple):
 def require(
     owner: str,
     name: str,
-    values: Any,
+    values: Value,
     interval: str,
     unit: str = "",
     *,
@@ -83,7 +85,7 @@ def require(
             )
 
 
-def as_numbers(value: Any) -> np.ndarray | None:
+def as_numbers(value: Value) -> np.ndarray | None:
     """The value as an array of floats, or None if it does not consist of real numbers.
 
     An array of half to double precision keeps its precision.
@@ -102,7 +104,7 @@ def as_numbers(value: Any) -> np.ndarray | None:
     return array if kept else array.astype(float)
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: Value) -> bool:
     """Whether the value is one real number in the range of a float; True and False are not."""
     try:
         return (
@@ -114,12 +116,12 @@ def is_number(value: Any) -> bool:
         return False
 
 
-def is_whole(value: Any) -> bool:
+def is_whole(value: Value) -> bool:
     """Whether the value is of a type of whole numbers: 2 is, and 2.0 is not."""
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 
 
-def brief(value: Any) -> str:
+def brief(value: Value) -> str:
     """The value as one short line of text."""
     try:
         text = repr(value)
@@ -129,7 +131,7 @@ def brief(value: Any) -> str:
     return text if len(text) <= _LONG else f"{text[: _LONG - 4]} ..."
 
 
-def shown(values: Any) -> str:
+def shown(values: Value) -> str:
     """A number, or the numbers of an array, in a few characters."""
     values = np.asarray(values)
     return (
@@ -144,7 +146,7 @@ def shown(values: Any) -> str:
 
 
 @functools.cache
-def annotations_of(cls: type) -> dict[str, Any]:
+def annotations_of(cls: type) -> dict[str, Value]:
     """The annotations of the fields of a class, by name.
 
     The result is empty if a name in them cannot be resolved, such as one defined in a function.
@@ -155,12 +157,13 @@ def annotations_of(cls: type) -> dict[str, Any]:
         return {}
 
 
-def fits(value: Any, kind: Any) -> bool:
+def fits(value: Value, kind: Value) -> bool:
     """Whether a value agrees with an annotation.
 
     Any value agrees with Any, and with an annotation that is not understood as a type.
     """
-    origin, inside = typing.get_origin(kind), typing.get_args(kind)
+    origin: Value = typing.get_origin(kind)
+    inside = typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         return any(fits(value, one) for one in inside)
     if origin is tuple:
@@ -179,15 +182,16 @@ def fits(value: Any, kind: Any) -> bool:
         return True
 
 
-def allowed(kind: Any) -> str:
+def allowed(kind: Value) -> str:
     """The end of a message about a value of a wrong type, such as `allowed is Scheme`."""
     words = named(kind)
     return f"allowed {'are' if ' and ' in words else 'is'} {words}"
 
 
-def named(kind: Any) -> str:
+def named(kind: Value) -> str:
     """The name of a type in words."""
-    origin, inside = typing.get_origin(kind), typing.get_args(kind)
+    origin: Value = typing.get_origin(kind)
+    inside = typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         return " and ".join(map(named, inside))
     if origin is tuple:
@@ -199,4 +203,4 @@ def named(kind: Any) -> str:
         bool: "True or False",
         type(None): "None",
     }
-    return words.get(kind) or getattr(kind, "__name__", str(kind))
+    return words.get(kind) or str(getattr(kind, "__name__", kind))

@@ -32,7 +32,7 @@ SWITCH = "JAXILC_JAX_INTERNALS"
 COLUMNS = 8  # of a matrix, up to which their sum is faster than a matrix product
 
 
-def rows_together(x, *, turned: bool):
+def rows_together(x: Any, *, turned: bool) -> Any:
     """The array x unchanged, but under `vmap` equal rows of all members are adjacent in RAM.
 
     x: (N, ...) an array or tracer, whose rows are along the leading axis
@@ -43,7 +43,7 @@ def rows_together(x, *, turned: bool):
     return x if known is None else known.rows(x, axis=0, turned=turned)
 
 
-def product_by_columns(matrix, vector):
+def product_by_columns(matrix: jax.Array, vector: jax.Array) -> jax.Array:
     """matrix (m, n) @ vector (n,) as the sum of the n columns, n >= 1, each times its number.
 
     The derivatives by matrix and vector are products of this kind, too. JAX would put together the

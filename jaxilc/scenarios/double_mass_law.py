@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..plants import StateSpace
-from ..pytree.fields import Leaf, child, leaf, pytree
+from ..pytree.aliases import Leaf
+from ..pytree.fields import child, leaf, pytree
 from ..schemes import Scheme
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial, product

@@ -79,8 +79,14 @@ def butterfly_path(width: float = WIDTH) -> np.ndarray:
 
     width: width of the butterfly [mm]; feed, acceleration and jerk are proportional to it
     """
-    limits = {"feed": width / 4.793, "acceleration": width / 0.09716, "jerk": width / 0.0009716}
-    planned = paths.plan(paths.butterfly(width), (0.0, 1.0), dt=SAMPLE_TIME, **limits)
+    planned = paths.plan(
+        paths.butterfly(width),
+        (0.0, 1.0),
+        feed=width / 4.793,
+        acceleration=width / 0.09716,
+        jerk=width / 0.0009716,
+        dt=SAMPLE_TIME,
+    )
     return np.concatenate([np.zeros((REST, 2)), planned.reference])
 
 

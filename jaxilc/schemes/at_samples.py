@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from types import ModuleType
 
 import jax.numpy as jnp
 import numpy as np
 
 from ..plants import Plant, StateSpace
-from ..pytree.fields import Leaf, child, leaf, pytree, static
-from ..pytree.needs import known
+from ..pytree.aliases import Array, Leaf, Tree, Value
+from ..pytree.fields import child, leaf, pytree, static
+from ..pytree.needs import known, need_numbers
 from ..signals.sample_times import samples_within
 from ..signals.task import Task, Trial
-from .experiments import need_no_comparing
 from .gradient import Ready
-from .scheme import Part, Scheme, with_all_parts
+from .parts import need_no_comparing, with_all_parts
+from .scheme import Part, Scheme
 from .weights import weighed
 from .wrapper import Wrapper
 
@@ -50,24 +51,21 @@ class AtSamples(Wrapper):
     """
 
     scheme: Scheme = child()
-    windows: tuple = static(default=())
+    windows: tuple[Value, ...] = static(default=())
     weight: Leaf | None = leaf(default=None, interval="[0, inf)", optional=True)
     jerk_time: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     solved: Ready | None = child(default=None)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "windows", windows_of("AtSamples", self.windows))
         if bool(self.windows) == (self.weight is not None):
             raise ValueError(
                 f"AtSamples: windows = {self.windows} and weight = {self.weight}; allowed is one "
                 "of them"
             )
-        if self.jerk_time is not None and self.jerk_time.shape:
-            raise ValueError(
-                f"AtSamples: jerk_time has shape {self.jerk_time.shape}; allowed is one number"
-            )
+        need_numbers(self, "jerk_time")
 
-    def parts(self, task: Task, memory) -> dict[str, Part]:
+    def parts(self, task: Task, memory: Tree) -> dict[str, Part]:
         if self.jerk_time is not None:
             r = jnp.asarray(task.reference)
             both = jnp.concatenate([r, jnp.zeros_like(r)], axis=-1)
@@ -127,13 +125,13 @@ class AtSamples(Wrapper):
         inner, seen, _ = self.parts(task, None)["scheme"]
         return dataclasses.replace(self, scheme=inner.prepared(seen), solved=Ready(dt=task.dt))
 
-    def record(self, learned, e, task: Task) -> Trial:
+    def record(self, learned: Array, e: Array, task: Task) -> Trial:
         inner, seen, _ = self.parts(task, None)["scheme"]
         wide = jnp.zeros((task.N + 1, seen.outputs))
         r = jnp.asarray(task.reference)
         return inner.record(learned, wide, seen)._replace(r=r, y=r - e)
 
-    def _weights(self, shape, dt):
+    def _weights(self, shape: tuple[int, ...], dt: float) -> Array:
         """(N+1, n_y) how each error counts."""
         if self.weight is not None:
             W = jnp.asarray(self.weight)
@@ -144,7 +142,7 @@ class AtSamples(Wrapper):
         return jnp.asarray(counted)
 
 
-def windows_of(owner: str, windows: Any) -> tuple[tuple[float, float], ...]:
+def windows_of(owner: str, windows: Value) -> tuple[tuple[float, float], ...]:
     """Pairs of times; raises ValueError for what is none."""
     pairs = tuple(tuple(w) if isinstance(w, list | tuple) else (w, w) for w in windows)
     good = all(
@@ -168,13 +166,13 @@ def with_jerk(model: Plant, dt: float | None = None) -> StateSpace:
     dt: sample time [s]; None: that of the model
     Raises ValueError for a model that is no linear one.
     """
-    found: Any = model if dt is None else model.sampled(dt)
+    found: Tree = model if dt is None else model.sampled(dt)
     if not isinstance(found, StateSpace) or not found.dt:
         raise ValueError(
             f"with_jerk: the model is a {type(found).__name__}; allowed is a StateSpace in "
             "discrete time, or a linear model and dt"
         )
-    xp: Any = np if known(found) else jnp
+    xp: ModuleType = np if known(found) else jnp
     A, B, C = (xp.asarray(M) for M in (found.A, found.B, found.C))
     n, m = A.shape[0], C.shape[0]
     eye, still = np.eye(m), np.zeros((m, m))
@@ -190,13 +188,13 @@ def with_jerk(model: Plant, dt: float | None = None) -> StateSpace:
     )
 
 
-def _jerk(y, dt):
+def _jerk(y: Array, dt: float) -> Array:
     """(N+1, n_y) the jerk of an output that rests before the trial."""
     held = jnp.pad(y, ((3, 0), (0, 0)), mode="edge")
     return (held[3:] - 3 * held[2:-1] + 3 * held[1:-2] - held[:-3]) / dt**3
 
 
-def _beside(W):
+def _beside(W: Array) -> Array:
     """The weight of the outputs, and of their jerks: those of samples that count at all."""
     m = W.shape[1]
     there = jnp.where(jnp.any(W != 0, axis=2), 1.0, 0.0)[:, :, None] * jnp.eye(m)

@@ -8,14 +8,18 @@ A law that learns theta in place of the samples of u serves references that it h
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree.fields import Leaf, child, leaf, need_decorated, pytree, static
-from ..pytree.needs import known
+from ..pytree.aliases import Array, Function, Leaf, Numbers, Tree, Value
+from ..pytree.fields import child, leaf, need_decorated, pytree, static
+from ..pytree.in_short import in_short
+from ..pytree.needs import known, need_numbers
+from ..pytree.ranges import require
 from ..signals.task import Task
 
 ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
@@ -32,28 +36,30 @@ class Basis:
     """
 
     # `@pytree` makes a dataclass of each subclass
-    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
     linear: ClassVar[bool] = True
 
-    def __init__(self, *values: Any, **named: Any):
+    def __init__(self, *values: Any, **named: Any) -> None:
         need_decorated(type(self))
 
     def names(self, outputs: int, inputs: int) -> tuple[str, ...]:
         """(m) the names of the parameters theta."""
         raise NotImplementedError
 
-    def columns(self, r, dt: float, inputs: int) -> jax.Array:
+    def columns(self, r: Array, dt: float, inputs: int) -> Array:
         """(N, inputs, m) the functions Psi of a reference r (N+1, n_y), of which each is an input.
 
         dt: sample time [s]
         """
         raise NotImplementedError
 
-    def signal(self, theta, r, dt: float, inputs: int) -> jax.Array:
+    def signal(self, theta: Array, r: Array, dt: float, inputs: int) -> Array:
         """(N, inputs) the input Psi(r) theta of the parameters theta (m,)."""
         return self.columns(r, dt, inputs) @ theta
 
-    def regression(self, theta, t, push, r, dt: float, inputs: int) -> tuple[jax.Array, jax.Array]:
+    def regression(
+        self, theta: Array, t: Array, push: Function, r: Array, dt: float, inputs: int
+    ) -> tuple[Array, Array]:
         """(K, n) the target, and (K, n, m) the columns whose sum is to come near it.
 
         theta: (m,) parameters so far, of which only a basis that is not linear in theta makes use
@@ -66,7 +72,7 @@ class Basis:
         """Raises ValueError where the basis does not fit the task."""
 
 
-def pushed(push, columns) -> jax.Array:
+def pushed(push: Function, columns: Array) -> Array:
     """(K, n, m) a linear map of each of the columns (N, inputs, m)."""
     return jax.vmap(push, in_axes=-1, out_axes=-1)(columns)
 
@@ -94,7 +100,7 @@ class PolynomialBasis(Basis):
     lead: Leaf | None = leaf(default=None, optional=True)
     coupled: bool = static(default=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         allowed = all(type(order) is int and 0 <= order < len(ORDERS) for order in self.orders)
         if not allowed or len(set(self.orders)) != len(self.orders):
             raise ValueError(
@@ -103,12 +109,7 @@ class PolynomialBasis(Basis):
             )
         if not self.orders and self.coulomb is None:
             raise ValueError("PolynomialBasis: orders = () without coulomb leaves no function")
-        for name in ("coulomb", "lead"):
-            value = getattr(self, name)
-            if value is not None and value.shape:
-                raise ValueError(
-                    f"PolynomialBasis: {name} has shape {value.shape}; allowed is one number"
-                )
+        need_numbers(self, "coulomb", "lead")
 
     def names(self, outputs: int, inputs: int) -> tuple[str, ...]:
         of_one = [ORDERS[order] for order in self.orders] + ["friction"] * (
@@ -120,7 +121,7 @@ class PolynomialBasis(Basis):
             )
         return tuple(f if inputs == 1 else f"{f}[{i}]" for i in range(inputs) for f in of_one)
 
-    def columns(self, r, dt: float, inputs: int) -> jax.Array:
+    def columns(self, r: Array, dt: float, inputs: int) -> Array:
         of_each = self._functions(jnp.asarray(r), dt)  # (N, n_y, p)
         N, _, p = of_each.shape
         eye = jnp.eye(inputs, dtype=of_each.dtype)
@@ -140,7 +141,7 @@ class PolynomialBasis(Basis):
                 f"{task.duration:g} s"
             )
 
-    def _functions(self, r, dt: float):
+    def _functions(self, r: Array, dt: float) -> Array:
         """(N, n_y, p) the functions of the reference of each output."""
         held = jnp.pad(r, ((MARGIN, MARGIN), (0, 0)), mode="edge")
         found = [_difference(held, order, dt) for order in self.orders]
@@ -159,7 +160,7 @@ class PolynomialBasis(Basis):
         return (1 - share) * of_each[before] + share * of_each[before + 1]
 
 
-def _difference(signal, order: int, dt: float):
+def _difference(signal: Array, order: int, dt: float) -> Array:
     """(M - 5, n) a derivative of a signal (M, n), in the middle between its samples 2+k and 3+k."""
     M = len(signal)
     for _ in range(order // 2):
@@ -181,7 +182,7 @@ class GivenBasis(Basis):
 
     functions: Leaf = leaf()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.functions.ndim == 2:
             object.__setattr__(self, "functions", self.functions[:, None, :])
         if self.functions.ndim != 3 or not self.functions.size:
@@ -193,7 +194,7 @@ class GivenBasis(Basis):
     def names(self, outputs: int, inputs: int) -> tuple[str, ...]:
         return tuple(f"function {i + 1}" for i in range(self.functions.shape[-1]))
 
-    def columns(self, r, dt: float, inputs: int) -> jax.Array:
+    def columns(self, r: Array, dt: float, inputs: int) -> Array:
         return jnp.asarray(self.functions)
 
     def check(self, task: Task) -> None:
@@ -215,7 +216,7 @@ class SelectedBasis(Basis):
     basis: Basis = child()
     kept: tuple[int, ...] = static()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not self.basis.linear:
             name = type(self.basis).__name__
             raise ValueError(f"SelectedBasis: a {name} is not linear in theta; give another")
@@ -229,7 +230,7 @@ class SelectedBasis(Basis):
         of_all = self.basis.names(outputs, inputs)
         return tuple(of_all[i] for i in self.kept)
 
-    def columns(self, r, dt: float, inputs: int) -> jax.Array:
+    def columns(self, r: Array, dt: float, inputs: int) -> Array:
         return self.basis.columns(r, dt, inputs)[..., list(self.kept)]
 
     def check(self, task: Task) -> None:
@@ -240,3 +241,240 @@ class SelectedBasis(Basis):
                 f"SelectedBasis: kept = {self.kept}; allowed are numbers of the {count} functions, "
                 f"0..{count - 1}"
             )
+
+
+@pytree
+class RationalBasis(Basis):
+    """A rational feedforward (Bolder and Oomen 2015), u = B(theta_B) / A(theta_A) r.
+
+        A = 1 + theta_A,1 d + theta_A,2 d^2 + ...,    d: central difference per time
+
+    B is a polynomial basis, A has the same parameters for all inputs. u is not linear in theta. In
+    each step of a law, theta is found by iterated weighting (Sanathanan and Koerner 1963): with the
+    A of the step before, the columns B / A and -d^i t / A are linear in theta again, and their
+    limit is where the weight 1/A and A agree. The law iterates so within each trial.
+
+    1 / A is applied at each frequency of the reference, held before and after the trial: that is
+    the inverse which stays bounded, forward in time for stable roots of A and backward for the
+    others. Its gain is at most 1 / (2 `least`), so u is bounded at any theta.
+
+    numerator: basis of B
+    order: number of parameters of A
+    least: () > 0, regularises 1 / A as conj(A) / (|A|^2 + least^2)
+    """
+
+    numerator: PolynomialBasis = child()
+    order: int = static(default=1, interval="[1, 4]", whole=True)
+    least: Leaf = leaf(default=1e-4, interval="(0, 1)")
+    linear = False
+
+    def names(self, outputs: int, inputs: int) -> tuple[str, ...]:
+        poles = tuple(f"pole {ORDERS[i + 1]}" for i in range(self.order))
+        return self.numerator.names(outputs, inputs) + poles
+
+    def check(self, task: Task) -> None:
+        self.numerator.check(task)
+
+    def signal(self, theta: Array, r: Array, dt: float, inputs: int) -> Array:
+        b, a = theta[: -self.order], theta[-self.order :]
+        return self._divided(self.numerator.columns(r, dt, inputs) @ b, a, dt)
+
+    def columns(self, r: Array, dt: float, inputs: int) -> Array:
+        """(N, inputs, m) the derivative of u by theta at theta = 0, where A is 1."""
+        of_zeros = self.numerator.columns(r, dt, inputs)
+        return jnp.concatenate(
+            [of_zeros, jnp.zeros((*of_zeros.shape[:2], self.order), of_zeros.dtype)], axis=-1
+        )
+
+    def regression(
+        self, theta: Array, t: Array, push: Function, r: Array, dt: float, inputs: int
+    ) -> tuple[Array, Array]:
+        a = theta[-self.order :]
+        of_zeros = self.numerator.columns(r, dt, inputs)
+        of_zeros = pushed(push, pushed(lambda u: self._divided(u, a, dt), of_zeros))
+        held, pad = self._held(t)
+        unit = np.eye(self.order)
+        parts = [-self._over(unit[i], held, a, dt) for i in range(self.order)]
+        of_poles = jnp.stack([part[pad : pad + len(t)] for part in parts], axis=-1)
+        return self._divided(t, a, dt), jnp.concatenate([of_zeros, of_poles], axis=-1)
+
+    def _divided(self, signal: Array, a: Array, dt: float) -> Array:
+        """(K, n) the signal over A: the signal less (A - 1) / A of it, which ends at rest."""
+        held, pad = self._held(signal)
+        return signal - self._over(a, held, a, dt)[pad : pad + len(signal)]
+
+    def _held(self, signal: Array) -> tuple[Tree, Tree]:
+        """The signal with a margin on both sides in which it stays, and the width of one."""
+        pad = max(len(signal) // 2, 2 * MARGIN)
+        return jnp.pad(signal, ((pad, pad), (0, 0)), mode="edge"), pad
+
+    def _over(self, top: Array, held: Array, a: Array, dt: float) -> Array:
+        """The signal filtered by (top_1 d + top_2 d^2 + ...) / A.
+
+        A straight line is taken off, so that the signal is periodic. The filter makes the constant
+        top_1 times its slope of it, since A is 1 at frequency zero.
+        """
+        M = len(held)
+        slope = (held[-1] - held[0]) / M
+        symbols = [_symbol(i + 1, M, dt) for i in range(self.order)]
+        A = 1 + sum(a[i] * symbols[i] for i in range(self.order))
+        over = sum(top[i] * symbols[i] for i in range(self.order)) * jnp.conj(A)
+        over = over / (jnp.abs(A) ** 2 + self.least**2)
+        spectrum = jnp.fft.rfft(held - held[0] - slope * np.arange(M)[:, None], axis=0)
+        return jnp.fft.irfft(spectrum * over[:, None], n=M, axis=0) + top[0] * slope / dt
+
+
+def _symbol(order: int, M: int, dt: float) -> Numbers:
+    """(M//2+1,) the frequency response of the central difference of an order, for M samples."""
+    w = 2 * np.pi * np.arange(M // 2 + 1) / M
+    second = 2 * (np.cos(w) - 1) / dt**2
+    return second ** (order // 2) * (1j * np.sin(w) / dt if order % 2 else 1.0)
+
+
+PENALTIES, SMALLEST = 50, 1e-4  # number of penalties, and the smallest in units of the largest
+SWEEPS, SETTLED = 10_000, 1e-12  # of the descent, and the relative change at which it ends
+
+
+class Selection(NamedTuple):
+    """What `select_basis` found.
+
+    basis: `SelectedBasis` of the functions that are kept
+    theta: (kept,) their parameters, by least squares over all trials
+    names: (kept,) the names of these parameters
+    penalties: (P,) that were tried, in units of the one at which nothing is left, falling
+    errors: (P,) mean square error of the trials left out, as a share of their mean square input
+    doubt: (P,) standard error of these over the trials
+    counts: (P,) number of functions that all trials together keep
+    chosen: number of the penalty that was chosen
+    """
+
+    basis: SelectedBasis
+    theta: np.ndarray
+    names: tuple[str, ...]
+    penalties: np.ndarray
+    errors: np.ndarray
+    doubt: np.ndarray
+    counts: np.ndarray
+    chosen: int
+
+    def __repr__(self) -> str:
+        return in_short(self)
+
+
+def select_basis(
+    basis: Basis, trials: Sequence[tuple[Value, Value]], *, dt: float, penalties: Value = None
+) -> Selection:
+    """The functions of a basis that predict the input of trials that were left out.
+
+        minimise |Psi theta - u|^2 / (2 K) + penalty sum_i |theta_i| s_i,   s_i: rms of column i
+
+    over all trials but one (Tibshirani 1996), which then tells the error of what was found. Of the
+    penalties whose mean error lies within one standard error of the least, the largest is chosen.
+    The functions that it keeps are fitted once more, to all trials and without a penalty.
+
+    basis: a basis that is linear in theta
+    trials: pairs (r, u) of at least two trials, r (N+1, n_y) and u (N, n_u), of any lengths. r is
+        the reference of a learned input u, or the output that was measured under any input u
+    dt: sample time [s]
+    penalties: falling numbers in (0, 1]; None: 50 from 1 to 1e-4 with equal ratios
+
+    Raises ValueError for fewer trials, for shapes that do not fit, for numbers that are not finite,
+    and for inputs that are all zero.
+    """
+    if not basis.linear:
+        name = type(basis).__name__
+        raise ValueError(f"select_basis: a {name} is not linear in theta; give its numerator")
+    require("select_basis", "dt", dt, "(0, inf)")
+    columns, inputs, names = _equations(basis, trials, dt)
+    tried = _penalties(penalties)
+    grams = np.stack([X.T @ X for X in columns])
+    sums = np.stack([X.T @ u for X, u in zip(columns, inputs, strict=True)])
+    lengths = np.array([len(u) for u in inputs], float)
+    scale = np.sqrt(np.diagonal(grams.sum(0)) / lengths.sum())
+    if not np.any(sums):
+        raise ValueError("select_basis: the inputs are zero, or no function has a share in them")
+    scale = np.where(scale > 0, scale, 1.0)
+    grams, sums = grams / np.outer(scale, scale), sums / scale
+    squares = np.array([u @ u for u in inputs])
+
+    errors = np.empty((len(columns), len(tried)))
+    for left in range(len(columns)):
+        others = np.arange(len(columns)) != left
+        K = lengths[others].sum()
+        path = _path(grams[others].sum(0) / K, sums[others].sum(0) / K, tried)
+        for i, theta in enumerate(path):
+            off = squares[left] - 2 * theta @ sums[left] + theta @ grams[left] @ theta
+            errors[left, i] = off / max(squares[left], np.finfo(float).tiny)
+    mean = errors.mean(0)
+    doubt = errors.std(0, ddof=1) / np.sqrt(len(columns))
+    best = int(np.argmin(mean))
+    chosen = int(np.argmax(mean <= mean[best] + doubt[best]))
+
+    K = lengths.sum()
+    path = _path(grams.sum(0) / K, sums.sum(0) / K, tried)
+    counts = np.count_nonzero(path, axis=1)
+    chosen = max(chosen, int(np.argmax(counts > 0)))
+    kept = tuple(int(i) for i in np.flatnonzero(path[chosen]))
+    X = np.concatenate(columns)[:, kept] / scale[list(kept)]
+    theta = np.linalg.lstsq(X, np.concatenate(inputs), rcond=None)[0] / scale[list(kept)]
+    return Selection(
+        SelectedBasis(basis, kept),
+        theta,
+        tuple(names[i] for i in kept),
+        tried,
+        mean,
+        doubt,
+        counts,
+        chosen,
+    )
+
+
+def _equations(basis: Basis, trials: Sequence[tuple[Value, Value]], dt: float) -> Tree:
+    """The columns (K, m) and the input (K,) of each trial, and the names of the functions."""
+    if len(trials) < 2:
+        raise ValueError(f"select_basis: {len(trials)} trials; allowed are two or more")
+    columns, inputs, names = [], [], cast(tuple[str, ...], ())
+    for i, (r, u) in enumerate(trials):
+        r, u = (np.asarray(x, float) for x in (r, u))
+        r, u = (x[:, None] if x.ndim == 1 else x for x in (r, u))
+        if r.ndim != 2 or u.ndim != 2 or len(r) != len(u) + 1:
+            raise ValueError(
+                f"select_basis: r {r.shape} and u {u.shape} of trial {i + 1} do not fit; allowed "
+                "are (N+1, n_y) and (N, n_u)"
+            )
+        if not (np.all(np.isfinite(r)) and np.all(np.isfinite(u))):
+            raise ValueError(f"select_basis: r or u of trial {i + 1} is not finite")
+        names = basis.names(r.shape[1], u.shape[1])
+        found = basis.columns(jnp.asarray(r), dt, u.shape[1])
+        columns.append(np.asarray(found, float).reshape(u.size, -1))
+        inputs.append(u.ravel())
+    return columns, inputs, names
+
+
+def _penalties(given: Value) -> np.ndarray:
+    if given is None:
+        return np.geomspace(1.0, SMALLEST, PENALTIES)
+    tried = np.atleast_1d(np.asarray(given, float))
+    if tried.ndim != 1 or not np.all((tried > 0) & (tried <= 1)) or np.any(np.diff(tried) >= 0):
+        raise ValueError(f"select_basis: penalties = {tried}; allowed are falling ones in (0, 1]")
+    return tried
+
+
+def _path(G: Numbers, g: Numbers, tried: Numbers) -> Numbers:
+    """(P, m) the minimum of theta' G theta / 2 - g' theta + penalty |theta|_1, for each penalty.
+
+    It is found by descent along one parameter after the other (Friedman, Hastie and Tibshirani
+    2010), each from the minimum of the penalty before.
+    """
+    theta, found, largest = np.zeros(len(g)), [], np.max(np.abs(g))
+    for penalty in tried * largest:
+        for _ in range(SWEEPS):
+            before = theta.copy()
+            for i in range(len(g)):
+                if G[i, i] > 0:
+                    rest = g[i] - G[i] @ theta + G[i, i] * theta[i]
+                    theta[i] = np.sign(rest) * max(abs(rest) - penalty, 0.0) / G[i, i]
+            if np.max(np.abs(theta - before)) <= SETTLED * np.max(np.abs(theta), initial=1e-300):
+                break
+        found.append(theta.copy())
+    return np.array(found)

@@ -1,23 +1,27 @@
-"""Learning of the parameters of basis functions by a model, and their fit to an input."""
+"""Learning of the parameters of basis functions, by a model or from any law, and their fit."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from ..plants import Plant
-from ..pytree.fields import Leaf, child, leaf, pytree, static
-from ..pytree.needs import need_channels
-from ..signals.task import Limit, Task, Trial
+from ..pytree.aliases import Array, Function, Leaf, Value
+from ..pytree.fields import child, leaf, pytree, static
+from ..pytree.needs import need_channels, need_numbers
+from ..signals.task import Task, Trial
 from .bases import Basis, pushed
-from .curvature import largest_eigenvalue
+from .compose import need_feedforward
 from .gradient import Ready, answers, need_answers, varies
-from .quadratic_cost import need_weight, weights_of
-from .scheme import Feedforward, Scheme, limit_of, limited
+from .guards import Guard
+from .parts import need_no_experiments
+from .quadratic_cost import largest_eigenvalue, need_weight, weights_of
+from .scheme import Feedforward, Memory, Schedule, Scheme, limited
 from .weights import answers_weighed
+from .wrapper import Wrapper
 
 ROUNDING = 100.0  # in units of the last place, of a scaled Gram matrix
 
@@ -25,7 +29,7 @@ ROUNDING = 100.0  # in units of the last place, of a scaled Gram matrix
 class Parameters(NamedTuple):
     """What `BasisFunctions` knows: theta (m,), the weights of the basis functions."""
 
-    theta: jax.Array
+    theta: Array
 
 
 @pytree
@@ -77,18 +81,15 @@ class BasisFunctions(Scheme):
     clips = ("limit",)
     of_one_length = True
 
-    def __post_init__(self):
-        if self.step.shape:
-            raise ValueError(
-                f"BasisFunctions: step has shape {self.step.shape}; allowed is one number"
-            )
+    def __post_init__(self) -> None:
+        need_numbers(self, "step")
         need_weight("BasisFunctions", "w_q", self.w_q, self.model.n_y)
         for name in ("w_r", "w_s"):
             need_weight("BasisFunctions", name, getattr(self, name), self.model.n_u)
 
     def check(self, task: Task) -> None:
         self.basis.check(task)
-        need_answers(self.model, task)
+        need_answers(self, task)
         need_channels(self, task.inputs, "limit")
         need_parameters(self, "start", self.start, self.basis, task)
 
@@ -124,16 +125,18 @@ class BasisFunctions(Scheme):
         of = self._gradient if self.update == "gradient" else self._norm_optimal
         return Parameters(of(theta, trial, push, pull, dt))
 
-    def started(self, memory: Parameters, u, task: Task) -> Parameters:
+    def started(self, memory: Parameters, u: Array, task: Task) -> Parameters:
         """The memory with the parameters that come nearest to an input u (N, n_u)."""
         r = jnp.asarray(task.reference)
         return Parameters(fitted(self.basis, u, r, task.dt, iterations=self.iterations))
 
-    def _norm_optimal(self, theta, trial: Trial, push, pull, dt):
+    def _norm_optimal(
+        self, theta: Array, trial: Trial, push: Function, pull: Function, dt: float
+    ) -> Array:
         u, inputs = trial.u, trial.u.shape[1]
         Q, R, S = weights_of(self, "w_q", "w_r", "w_s")
 
-        def same(u):
+        def same(u: Array) -> Array:
             return u
 
         # what the input of the next trial is to come near, as a signal, and its weight
@@ -144,17 +147,20 @@ class BasisFunctions(Scheme):
         )
         best = theta
         for _ in range(1 if self.basis.linear else self.iterations):
-            G, g = 0.0, 0.0
+            G: Leaf = 0.0
+            g: Leaf = 0.0
             for target, of, W in wanted:
                 t, X = self.basis.regression(best, target, of, trial.r, dt, inputs)
                 G, g = G + jnp.einsum("kim,ij,kjn->mn", X, W, X), g + _seen(X, t @ W)
             best = solved_scaled(G, g)
         return theta + self.step * (best - theta)
 
-    def _gradient(self, theta, trial: Trial, push, pull, dt):
+    def _gradient(
+        self, theta: Array, trial: Trial, push: Function, pull: Function, dt: float
+    ) -> Array:
         Q, R, S = weights_of(self, "w_q", "w_r", "w_s")
 
-        def signal(theta):
+        def signal(theta: Array) -> Array:
             return self.basis.signal(theta, trial.r, dt, trial.u.shape[1])
 
         columns = jax.jacfwd(signal)(theta)
@@ -166,12 +172,10 @@ class BasisFunctions(Scheme):
         h = largest_eigenvalue(lambda v: (G * jnp.outer(scale, scale)) @ v, theta)
         return theta + self.step * scale**2 * down / jnp.where(h > 0, h, 1.0)
 
-    def limits(self, task: Task, memory: Parameters, trial: Trial) -> dict[str, Limit]:
-        free = self.unlimited()
-        return limit_of(free.schedule(free.learn(memory, trial), task).u, self.limit)
 
-
-def fitted(basis: Basis, u, r, dt: float, *, theta=None, iterations: int = 5) -> jax.Array:
+def fitted(
+    basis: Basis, u: Array, r: Array, dt: float, *, theta: Array | None = None, iterations: int = 5
+) -> Array:
     """(m,) the parameters with which the basis comes nearest to an input u (N, n_u), or (N,).
 
         theta = argmin |Psi(r) theta - u|^2
@@ -198,7 +202,7 @@ def fitted(basis: Basis, u, r, dt: float, *, theta=None, iterations: int = 5) ->
     return theta
 
 
-def solved_scaled(G, g) -> jax.Array:
+def solved_scaled(G: Array, g: Array) -> Array:
     """G^-1 g of a positive semidefinite G (m, m), scaled, for columns of any units.
 
     A column that is zero, or that others make, gets the least parameter.
@@ -210,7 +214,7 @@ def solved_scaled(G, g) -> jax.Array:
     return scale * (jnp.linalg.inv(scaled) @ (scale * g))
 
 
-def need_parameters(owner: Any, name: str, theta, basis: Basis, task: Task) -> None:
+def need_parameters(owner: Scheme, name: str, theta: Leaf, basis: Basis, task: Task) -> None:
     """Raises ValueError unless theta, if given, has one number for each function of the basis."""
     names = basis.names(task.outputs, task.inputs)
     if theta is not None and theta.shape != (len(names),):
@@ -220,12 +224,140 @@ def need_parameters(owner: Any, name: str, theta, basis: Basis, task: Task) -> N
         )
 
 
-def _scale(G):
+def _scale(G: Array) -> Array:
     """(m,) the factors with which the diagonal of G is 1."""
     diagonal = jnp.diag(G)
     return jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
 
 
-def _seen(X, signal):
+def _seen(X: Array, signal: Array) -> Array:
     """(m,) the sums of the products of the columns X (K, n, m) and a signal (K, n)."""
     return jnp.einsum("kim,ki->m", X, signal)
+
+
+class OnBasisMemory(NamedTuple):
+    """The memory of `OnBasis`.
+
+    scheme: memory of the scheme
+    theta: (m,) parameters of the input
+    """
+
+    scheme: Memory
+    theta: Array
+
+
+@pytree
+class OnBasis(Guard):
+    """Any law that learns an input, within the space of basis functions.
+
+        theta_{j+1} = argmin |Psi(r_j) theta - u|^2,    u: what the law has learned after trial j
+        u_{j+1} = Psi(r_{j+1}) theta_{j+1}
+
+    The law learns sample by sample, and the fit keeps of it what the functions can make, so it
+    needs no model of its own. A reference that changes takes the parameters with it; to a trial of
+    another length `WarmStart` takes them.
+
+    scheme: a scheme whose schedule has a field `u`, which it learns from the input of the last
+        trial; if it has a `limit`, the input is also limited
+    basis: basis of m functions
+    iterations: number of regressions with a `RationalBasis`
+    solved: leave None
+    """
+
+    scheme: Scheme = child()
+    basis: Basis = child()
+    iterations: int = static(default=5, interval="[1, 100]", whole=True)
+    solved: Ready | None = child(default=None)
+    of_one_length = True
+
+    def frozen(self) -> Scheme:
+        return Scheme.frozen(self)
+
+    def check(self, task: Task) -> None:
+        super().check(task)
+        need_no_experiments(self, task, "whose inputs are no sums of the basis functions")
+        need_feedforward(self, self.scheme, task)
+        self.basis.check(task)
+
+    def initial_memory(self, task: Task) -> OnBasisMemory:
+        theta = jnp.zeros(len(self.basis.names(task.outputs, task.inputs)))
+        return OnBasisMemory(self.scheme.initial_memory(task), theta)
+
+    def prepared(self, task: Task) -> OnBasis:
+        ready = Ready(dt=task.dt)
+        return dataclasses.replace(self, scheme=self.scheme.prepared(task), solved=ready)
+
+    def learn(self, memory: OnBasisMemory, trial: Trial) -> OnBasisMemory:
+        dt = trial.dt if self.solved is None else self.solved.dt
+        following = self.scheme.learn(memory.scheme, self.shown(trial)["scheme"])
+        u = self.scheme.schedule(following, Task(trial.r, dt=dt, inputs=trial.u.shape[1])).u
+        theta = fitted(self.basis, u, trial.r, dt, theta=memory.theta, iterations=self.iterations)
+        return OnBasisMemory(following, theta)
+
+    def schedule(self, memory: OnBasisMemory, task: Task) -> Schedule:
+        u = self.basis.signal(memory.theta, jnp.asarray(task.reference), task.dt, task.inputs)
+        schedule = self.scheme.schedule(memory.scheme, task)
+        return schedule._replace(u=limited(u, self.limit))
+
+    def feedforward(self, memory: OnBasisMemory, task: Task) -> Array:
+        return self.schedule(memory, task).u
+
+    def started(self, memory: OnBasisMemory, u: Array, task: Task) -> OnBasisMemory:
+        """The memory with the parameters that come nearest to an input u (N, n_u)."""
+        r = jnp.asarray(task.reference)
+        return memory._replace(theta=fitted(self.basis, u, r, task.dt, iterations=self.iterations))
+
+
+def started(scheme: Scheme, memory: Memory, u: Value, task: Task) -> Memory:
+    """The memory of a scheme with u (N, n_u) as its learned input, and all else as it was.
+
+    A scheme that keeps more than its input says what this means by a method `started(memory, u,
+    task)`. Of a composed scheme it is the part that learns an input.
+    Raises ValueError for a scheme that learns no input, and for an input of another shape.
+    """
+    own = getattr(scheme, "started", None)
+    if own is not None:
+        return own(memory, u, task)
+    if hasattr(memory, "u"):
+        if jnp.shape(u) != jnp.shape(memory.u):
+            raise ValueError(
+                f"started: u has shape {jnp.shape(u)}; {type(scheme).__name__} learns "
+                f"{jnp.shape(memory.u)}"
+            )
+        return memory._replace(u=jnp.asarray(u))
+    for name, (part, seen, known) in scheme.parts(task, memory).items():
+        if not part.learns:
+            continue
+        found = started(part, known, u, seen)
+        return found if known is memory else memory._replace(**{name: found})
+    raise ValueError(f"started: {type(scheme).__name__} learns no input that it could start from")
+
+
+@pytree
+class WarmStart(Wrapper):
+    """A scheme whose first trial plays Psi(r) theta in place of nothing.
+
+    theta is known from other references, by `fitted` or from the memory of `BasisFunctions`. From
+    there the scheme learns as ever, also what the basis cannot make.
+
+    scheme: any scheme that learns an input
+    basis: basis of m functions
+    theta: (m,) its parameters
+    """
+
+    scheme: Scheme = child()
+    basis: Basis = child()
+    theta: Leaf = leaf()
+
+    def check(self, task: Task) -> None:
+        super().check(task)
+        self.basis.check(task)
+        need_parameters(self, "theta", self.theta, self.basis, task)
+        started(self.scheme, self.scheme.initial_memory(task), self._input(task), task)
+
+    def initial_memory(self, task: Task) -> Memory:
+        return started(self.scheme, super().initial_memory(task), self._input(task), task)
+
+    def _input(self, task: Task) -> Array:
+        r = jnp.asarray(task.reference)
+        return self.basis.signal(jnp.asarray(self.theta), r, task.dt, task.inputs)

@@ -1,23 +1,29 @@
-"""Schemes that are composed of other schemes."""
+"""Schemes that are composed of other schemes: beside a feedback, with a filter, on some outputs."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import dataclasses
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from ..filters.zero_phase import Filter
+from ..pytree.aliases import Array, Tree
 from ..pytree.fields import child, pytree, static
+from ..signals.rows import ahead_of, delay
 from ..signals.task import Limit, Sample, Task, Trial
-from .experiments import need_no_experiments
+from .parts import need_no_experiments
 from .scheme import (
+    UNASKED,
+    Memory,
     Part,
+    Schedule,
     Scheme,
     State,
-    limit_of,
     limited,
     limits_of_parts,
+    next_unlimited,
     under,
 )
 from .wrapper import Wrapper
@@ -26,8 +32,80 @@ from .wrapper import Wrapper
 class Pair(NamedTuple):
     """The memory of the learning part and that of the feedback part, or the schedule of each."""
 
-    learning: Any
-    feedback: Any
+    learning: Memory
+    feedback: Memory
+
+
+class LearningAndFeedback(Scheme):
+    """A scheme that learns what a feedback gets: the base class of those with these two parts.
+
+    `shown` gives the learning part its own contribution, which signals of the trial tell. The
+    contribution of the feedback to the input is the signal `feedback`, or all of the input.
+    """
+
+    learning: Scheme
+    feedback: Scheme
+
+    @property
+    def preview(self) -> int:
+        return self.feedback.preview
+
+    @property
+    def trials_a_step(self) -> int:
+        return self.learning.trials_a_step
+
+    def initial_memory(self, task: Task) -> Pair:
+        parts = self.parts(task, UNASKED).items()
+        return Pair(**{name: scheme.initial_memory(seen) for name, (scheme, seen, _) in parts})
+
+    def learn(self, memory: Pair, trial: Trial) -> Pair:
+        shown = self.shown(trial)
+        return Pair(
+            self.learning.learn(memory.learning, shown["learning"]),
+            self.feedback.learn(memory.feedback, shown["feedback"]),
+        )
+
+    def schedule(self, memory: Pair, task: Task) -> Schedule:
+        return self.play(self.feedforward(memory, task), memory, task)
+
+    def feedforward(self, memory: Pair, task: Task) -> Array:
+        learning, seen, known = self.parts(task, memory)["learning"]
+        return learning.feedforward(known, seen)
+
+    def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
+        shown = self.shown(trial)
+        own = trial.signals.get("feedback", trial.u)
+        acted = {"feedback": shown["feedback"]._replace(u=own)}
+        return limits_of_parts(self.parts(task, memory), shown | acted)
+
+    def _of_feedback(self, schedule: Schedule, task: Task) -> dict[str, Array]:
+        """What a machine must know of the feedback of a schedule, by name."""
+        feedback, seen, _ = self.parts(task, UNASKED)["feedback"]
+        return under("feedback", feedback.played(schedule.feedback, seen))
+
+    def _silent(self, task: Task) -> dict[str, Array]:
+        """The signals over a trial in which they are all zero."""
+        shapes = jax.eval_shape(lambda: self.signals(self.initial_state(task)))
+        return {name: jnp.zeros((task.N, *one.shape), one.dtype) for name, one in shapes.items()}
+
+
+def signals_of_part(name: str, signals: dict[str, Array]) -> dict[str, Array]:
+    """The signals of a part, under the names that the part itself gave them."""
+    return {
+        signal.removeprefix(f"{name}."): value
+        for signal, value in signals.items()
+        if signal.startswith(f"{name}.")
+    }
+
+
+def need_signals(scheme: Scheme, trial: Trial, **shapes: str) -> None:
+    """Raises ValueError where a trial lacks a signal, of the shape given, that tells the parts."""
+    for name, shape in shapes.items():
+        if name not in trial.signals:
+            raise ValueError(
+                f"{type(scheme).__name__}: the trial has no signal {name!r} {shape}, so what was "
+                "learned cannot be told from it"
+            )
 
 
 class PairState(NamedTuple):
@@ -40,11 +118,11 @@ class PairState(NamedTuple):
 
     learning: State
     feedback: State
-    u: jax.Array
+    u: Array
 
 
 @pytree
-class WithFeedback(Scheme):
+class WithFeedback(LearningAndFeedback):
     """Learned feedforward and feedback in parallel (Li 2020, eq. 2).
 
         u = u_learning + u_feedback
@@ -67,16 +145,8 @@ class WithFeedback(Scheme):
     def preview(self) -> int:
         return max(self.learning.preview, self.feedback.preview)
 
-    @property
-    def trials_a_step(self) -> int:
-        return self.learning.trials_a_step
-
     def shown(self, trial: Trial) -> dict[str, Trial]:
-        if "feedback" not in trial.signals:
-            raise ValueError(
-                "WithFeedback: the trial has no signal 'feedback' (N, n_u), so its learned part "
-                "cannot be told from u"
-            )
+        need_signals(self, trial, feedback="(N, n_u)")
         learning, feedback = (
             trial._replace(signals=signals_of_part(name, trial.signals))
             for name in ("learning", "feedback")
@@ -85,24 +155,11 @@ class WithFeedback(Scheme):
         own = learning._replace(u=trial.u - trial.signals["feedback"], signals=beside)
         return {"learning": own, "feedback": feedback}
 
-    def initial_memory(self, task: Task) -> Pair:
-        return Pair(self.learning.initial_memory(task), self.feedback.initial_memory(task))
-
-    def learn(self, memory: Pair, trial: Trial) -> Pair:
-        shown = self.shown(trial)
-        return Pair(
-            self.learning.learn(memory.learning, shown["learning"]),
-            self.feedback.learn(memory.feedback, shown["feedback"]),
-        )
-
     def schedule(self, memory: Pair, task: Task) -> Pair:
         return Pair(
             self.learning.schedule(memory.learning, task),
             self.feedback.schedule(memory.feedback, task),
         )
-
-    def feedforward(self, memory: Pair, task: Task) -> jax.Array:
-        return self.learning.feedforward(memory.learning, task)
 
     def initial_state(self, task: Task) -> PairState:
         return PairState(
@@ -111,7 +168,7 @@ class WithFeedback(Scheme):
             jnp.zeros(task.inputs),
         )
 
-    def act(self, state: PairState, sample: Sample) -> tuple[Any, jax.Array]:
+    def act(self, state: PairState, sample: Sample) -> tuple[PairState, Array]:
         own = None if sample.applied is None else sample.applied - state.u
         learning, u_learning = self.learning.act(
             state.learning, sample._replace(row=sample.row.learning, applied=own)
@@ -121,47 +178,266 @@ class WithFeedback(Scheme):
         )
         return PairState(learning, feedback, u_feedback), u_learning + u_feedback
 
-    def signals(self, state: PairState) -> dict[str, jax.Array]:
+    def signals(self, state: PairState) -> dict[str, Array]:
         learning = under("learning", self.learning.signals(state.learning))
         feedback = under("feedback", self.feedback.signals(state.feedback))
         return {"feedback": state.u} | learning | feedback
 
-    def played(self, schedule: Pair, task: Task) -> dict[str, jax.Array]:
+    def played(self, schedule: Pair, task: Task) -> dict[str, Array]:
         """What a machine plays; `feedforward` is added to the output of the feedback."""
         learning = self.learning.played(schedule.learning, task)
         renamed = {"feedforward" if name == "u" else name: rows for name, rows in learning.items()}
-        return renamed | under("feedback", self.feedback.played(schedule.feedback, task))
+        return renamed | self._of_feedback(schedule, task)
 
-    def limits(self, task: Task, memory: Pair, trial: Trial) -> dict[str, Limit]:
-        shown = self.shown(trial)
-        acted = shown["feedback"]._replace(u=trial.signals["feedback"])
-        return limits_of_parts(self.parts(task, memory), shown | {"feedback": acted})
-
-    def play(self, learned, memory: Pair, task: Task) -> Pair:
+    def play(self, learned: Array, memory: Pair, task: Task) -> Pair:
         return Pair(
             self.learning.play(learned, memory.learning, task),
             self.feedback.schedule(memory.feedback, task),
         )
 
-    def record(self, learned, e, task: Task) -> Trial:
+    def record(self, learned: Array, e: Array, task: Task) -> Trial:
         trial = self.learning.record(learned, e, task)
-        own = under("learning", trial.signals)
-        return trial._replace(signals=silent_signals(self, task) | own)
+        return trial._replace(signals=self._silent(task) | under("learning", trial.signals))
 
 
-def silent_signals(scheme: Scheme, task: Task) -> dict[str, jax.Array]:
-    """The signals of a scheme over a trial in which they are all zero."""
-    shapes = jax.eval_shape(lambda: scheme.signals(scheme.initial_state(task)))
-    return {name: jnp.zeros((task.N, *one.shape), one.dtype) for name, one in shapes.items()}
+class ReferenceSchedule(NamedTuple):
+    """The rows of a feedback whose reference is learned.
+
+    u: (N, n_y) correction w[k] of the reference r[k+1] [unit of y]
+    now: (N, n_y) correction of r[k] [unit of y]
+    ahead: (N, preview, n_y) corrections of r[k+1], r[k+2], ... [unit of y]
+    feedback: schedule of the feedback
+    """
+
+    u: Array
+    now: Array
+    ahead: Array
+    feedback: Schedule
 
 
-def signals_of_part(name: str, signals: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """The signals of a part, under the names that the part itself gave them."""
-    return {
-        signal.removeprefix(f"{name}."): value
-        for signal, value in signals.items()
-        if signal.startswith(f"{name}.")
-    }
+class ReferenceState(NamedTuple):
+    """The state of `OnReference`.
+
+    feedback: state of the feedback
+    correction: (n_y,) w[k] [unit of y]
+    """
+
+    feedback: State
+    correction: Array
+
+
+@pytree
+class OnReference(LearningAndFeedback):
+    """The feedback follows r + w, and w is learned (the series structure of Li 2020, Fig. 1).
+
+    learning: pure feedforward scheme, whose `u` is the correction w; w[k] is added to r[k+1]
+    feedback: any scheme
+    The signal `correction` of the trial records w. The scheme learns from the error r - y, without
+    w.
+    `check` raises ValueError for a learning scheme that acts within the trial; `learn` raises it
+    for a trial without the signal `correction`.
+    """
+
+    learning: Scheme = child()
+    feedback: Scheme = child()
+
+    def parts(self, task: Task, memory: Pair) -> dict[str, Part]:
+        corrections = dataclasses.replace(task, inputs=task.outputs)
+        return {
+            "learning": Part(self.learning, corrections, memory.learning),
+            "feedback": Part(self.feedback, task, memory.feedback),
+        }
+
+    def shown(self, trial: Trial) -> dict[str, Trial]:
+        need_signals(self, trial, correction="(N, n_y)")
+        own = trial._replace(u=trial.signals["correction"], signals={})
+        of_feedback = trial._replace(signals=signals_of_part("feedback", trial.signals))
+        return {"learning": own, "feedback": of_feedback}
+
+    def check(self, task: Task) -> None:
+        super().check(task)
+        need_feedforward(self, self.learning, self.parts(task, UNASKED)["learning"].task)
+        if not self.learning.plays_back:
+            raise ValueError(
+                f"OnReference: {type(self.learning).__name__} acts within the trial; allowed are "
+                "schemes that play back a learned signal"
+            )
+
+    def play(self, learned: Array, memory: Pair, task: Task) -> ReferenceSchedule:
+        feedback = self.feedback.schedule(memory.feedback, task)
+        ahead = ahead_of(learned, self.preview)
+        return ReferenceSchedule(learned, delay(learned, 1), ahead, feedback)
+
+    def initial_state(self, task: Task) -> ReferenceState:
+        return ReferenceState(self.feedback.initial_state(task), jnp.zeros(task.outputs))
+
+    def act(self, state: ReferenceState, sample: Sample) -> tuple[ReferenceState, Array]:
+        row = sample.row
+        seen = sample._replace(
+            r=sample.r + row.now, ahead=sample.ahead + row.ahead, row=row.feedback
+        )
+        feedback, u = self.feedback.act(state.feedback, seen)
+        return ReferenceState(feedback, row.u), u
+
+    def signals(self, state: ReferenceState) -> dict[str, Array]:
+        feedback = self.feedback.signals(state.feedback)
+        return {"correction": state.correction} | under("feedback", feedback)
+
+    def played(self, schedule: ReferenceSchedule, task: Task) -> dict[str, Array]:
+        """What a machine plays; the feedback follows `reference` (N+1, n_y), not the task's r."""
+        reference = jnp.asarray(task.reference).at[1:].add(schedule.u)
+        return {"reference": reference} | self._of_feedback(schedule, task)
+
+    def record(self, learned: Array, e: Array, task: Task) -> Trial:
+        still = super().record(jnp.zeros((task.N, task.inputs)), e, task)
+        return still._replace(signals=self._silent(task) | {"correction": learned})
+
+
+class LearnedState(NamedTuple):
+    """The state of MILC within a trial.
+
+    feedback: state of the feedback
+    u: (n_u,) contribution of the feedback to the input [unit of u]
+    reference: (1,) r[k+1], the learned reference that the feedback follows [unit of y]
+    """
+
+    feedback: State
+    u: Array
+    reference: Array
+
+
+@pytree
+class MultivariableILC(LearningAndFeedback):
+    """MILC learns the input u and the reference r of the position loop (MILC 2024, eq. 23 to 29).
+
+        v = u_j + C_P (r_j - y_M),   errors (r_j - y_M, r_d - y_T),   start r_0 = r_d / P_Z, u_0 = 0
+
+    v is the whole input, y_M and y_T are the positions of motor and table. Learning from the error
+    of the table alone cannot reduce the error of the motor and that of the table together
+    (Proposition 1 there): the feedback, whose aim is y_M = r_d, acts against the learned input.
+    Here the reference of the feedback is learned too.
+
+    learning: scheme with two inputs (u, r) and two outputs, usually `NormOptimal` with
+        `plants.multivariable_model`; it must play back what it learned. As printed, its second
+        input is the whole reference and not a correction.
+    feedback: scheme that makes the motor follow the learned reference
+    prefilter: filter 1 / P_Z on the reference; None: r_0 = r_d
+    motor_output: index of the motor's position among the outputs of the task
+    table_output: index of the table's position among the outputs of the task
+
+    The reference of the sample k = 0 remains r_d[0]. The signal `feedback` of a trial records the
+    contribution of the feedback to the input, the signal `reference` records the learned r[k+1].
+    `check` raises ValueError for a task or a learning scheme that does not fit; `learn` raises it
+    for a trial without these signals.
+    """
+
+    learning: Scheme = child()
+    feedback: Scheme = child()
+    prefilter: Filter | None = child(default=None)
+    motor_output: int = static(default=0, interval="[0, inf)", whole=True)
+    table_output: int = static(default=1, interval="[0, inf)", whole=True)
+
+    def learning_task(self, task: Task) -> Task:
+        """The task as the learning part sees it, with two inputs and two outputs."""
+        return dataclasses.replace(
+            task.of_outputs((self.table_output, self.table_output)), inputs=2
+        )
+
+    def parts(self, task: Task, memory: Pair) -> dict[str, Part]:
+        motor = task.of_outputs((self.motor_output,))
+        return {
+            "learning": Part(self.learning, self.learning_task(task), memory.learning),
+            "feedback": Part(self.feedback, motor, memory.feedback),
+        }
+
+    def shown(self, trial: Trial) -> dict[str, Trial]:
+        need_signals(self, trial, feedback="(N, 1)", reference="(N, 1)")
+        start, r = trial.r[:1, self.table_output, None], trial.signals["reference"]
+        y = trial.y[:, [self.motor_output, self.table_output]]
+        seen, W = [self.motor_output, self.table_output], trial.weight
+        W = W if W is None else W[..., seen, :][..., seen]
+        followed, wanted = jnp.concatenate([start, r]), trial.r[:, self.table_output, None]
+        own = Trial(
+            jnp.concatenate([followed, wanted], axis=1),
+            y,
+            jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1),
+            trial.dt,
+            weight=W,
+        )
+        signals = signals_of_part("feedback", trial.signals)
+        of_motor = trial._replace(r=followed, y=y[:, :1], signals=signals, weight=None)
+        return {"learning": own, "feedback": of_motor}
+
+    def check(self, task: Task) -> None:
+        if (
+            task.inputs != 1
+            or self.motor_output == self.table_output
+            or max(self.motor_output, self.table_output) >= task.outputs
+        ):
+            raise ValueError(
+                f"MultivariableILC: motor_output = {self.motor_output} and table_output = "
+                f"{self.table_output} must be two of the task's {task.outputs} outputs, and its "
+                f"inputs one, not {task.inputs}"
+            )
+        super().check(task)
+        name = type(self.learning).__name__
+        if not self.learning.plays_back:
+            raise ValueError(
+                f"MultivariableILC: {name} acts within the trial; allowed are schemes that play "
+                "back a learned signal"
+            )
+        if not hasattr(
+            jax.eval_shape(lambda: self.learning.initial_memory(self.learning_task(task))), "u"
+        ):
+            raise ValueError(
+                f"MultivariableILC: the memory of {name} has no field u that could start at r_0"
+            )
+        if self.prefilter is not None:
+            self.prefilter.check(task.N + 1, task.dt)
+
+    def initial_memory(self, task: Task) -> Pair:
+        memory = super().initial_memory(task)
+        r = jnp.asarray(task.reference)[:, [self.table_output]]
+        r = r if self.prefilter is None else self.prefilter(r, task.dt)
+        u = memory.learning.u.at[:, 1:].set(r[1:])
+        return memory._replace(learning=memory.learning._replace(u=u))
+
+    def play(self, learned: Array, memory: Pair, task: Task) -> ReferenceSchedule:
+        u, r = learned[:, :1], learned[:, 1:]
+        now = delay(r, 1).at[0].set(task.reference[0, self.table_output])
+        feedback, motor, known = self.parts(task, memory)["feedback"]
+        schedule = feedback.schedule(known, motor)
+        return ReferenceSchedule(u, now, ahead_of(r, self.preview), schedule)
+
+    def initial_state(self, task: Task) -> LearnedState:
+        feedback, motor, _ = self.parts(task, UNASKED)["feedback"]
+        return LearnedState(feedback.initial_state(motor), jnp.zeros(1), jnp.zeros(1))
+
+    def act(self, state: LearnedState, sample: Sample) -> tuple[LearnedState, Array]:
+        row = sample.row
+        seen = sample._replace(
+            r=row.now, ahead=row.ahead, y=sample.y[self.motor_output][None], row=row.feedback
+        )
+        feedback, u = self.feedback.act(state.feedback, seen)
+        return LearnedState(feedback, u, row.ahead[0]), row.u + u
+
+    def signals(self, state: LearnedState) -> dict[str, Array]:
+        feedback = self.feedback.signals(state.feedback)
+        return {"feedback": state.u, "reference": state.reference} | under("feedback", feedback)
+
+    def played(self, schedule: ReferenceSchedule, task: Task) -> dict[str, Array]:
+        """What a machine plays in a trial, by name.
+
+        feedforward: (N, 1) the learned input [unit of u]
+        reference: (N+1, 1) the reference that the feedback of the motor follows [unit of y]
+        """
+        reference = jnp.concatenate([schedule.now, schedule.ahead[-1:, 0]])
+        own = {"feedforward": schedule.u, "reference": reference}
+        return own | self._of_feedback(schedule, task)
+
+    def record(self, learned: Array, e: Array, task: Task) -> Trial:
+        signals = self._silent(task) | {"reference": learned[:, 1:]}
+        return super().record(learned[:, :1], e, task)._replace(signals=signals)
 
 
 @pytree
@@ -184,17 +460,19 @@ class Filtered(Wrapper):
         self.filter.check(task.N, task.dt)
         need_feedforward(self, self.scheme, task)
 
-    def schedule(self, memory, task: Task) -> Any:
+    def schedule(self, memory: Memory, task: Task) -> Schedule:
         schedule = self.scheme.schedule(memory, task)
         return schedule._replace(u=limited(self.filter(schedule.u, task.dt), self.limit))
 
-    def feedforward(self, memory, task: Task) -> jax.Array:
+    def feedforward(self, memory: Tree, task: Task) -> Array:
         return self.schedule(memory, task).u
 
-    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
-        free = self.unlimited()
-        filtered = limit_of(free.feedforward(free.learn(memory, trial), task), self.limit)
-        return super().limits(task, memory, trial) | under("filtered", filtered)
+    def limits(self, task: Task, memory: Tree, trial: Trial) -> dict[str, Limit]:
+        found = super().limits(task, memory, trial)
+        if self.limit is None:
+            return found
+        filtered = Limit(next_unlimited(self, task, memory, trial), self.limit)
+        return found | {"filtered.limit": filtered}
 
 
 @pytree
@@ -237,7 +515,7 @@ class OnOutputs(Wrapper):
     scheme: Scheme = child()
     outputs: tuple[int, ...] = static()
 
-    def parts(self, task: Task, memory) -> dict[str, Part]:
+    def parts(self, task: Task, memory: Tree) -> dict[str, Part]:
         seen = task.of_outputs(self.outputs)
         return {"scheme": Part(self.scheme, seen, memory)}
 
@@ -254,12 +532,12 @@ class OnOutputs(Wrapper):
             )
         super().check(task)
 
-    def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
+    def act(self, state: State, sample: Sample) -> tuple[State, Array]:
         seen = list(self.outputs)
         r, ahead, y = (signal[..., seen] for signal in (sample.r, sample.ahead, sample.y))
         return self.scheme.act(state, sample._replace(r=r, ahead=ahead, y=y))
 
-    def record(self, learned, e, task: Task) -> Trial:
+    def record(self, learned: Array, e: Array, task: Task) -> Trial:
         r = jnp.asarray(task.reference)
         of_seen = super().record(learned, e[:, list(self.outputs)], task)
         return of_seen._replace(r=r, y=r - e)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from ..plants import StateSpace, TimeVaryingStateSpace
-from ..pytree.fields import Leaf, child, leaf, pytree
-from ..pytree.needs import need_channels
+from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.fields import child, leaf, pytree
+from ..pytree.needs import need_channels, need_numbers
 from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial
 from .constraints import Rows, kinds, need_feasible, rows_of, system_of, weight_of
@@ -34,13 +35,13 @@ class ConstrainedMemory(NamedTuple):
     gap, stationarity, violation: () residuals after the last trial, see `interior_point.Solution`
     """
 
-    u: jax.Array
-    converged: jax.Array
-    unsolved: jax.Array
-    steps: jax.Array
-    gap: jax.Array
-    stationarity: jax.Array
-    violation: jax.Array
+    u: Array
+    converged: Array
+    unsolved: Array
+    steps: Array
+    gap: Array
+    stationarity: Array
+    violation: Array
 
 
 @pytree
@@ -102,12 +103,12 @@ class ConstrainedNormOptimal(Scheme):
     tube: Leaf | None = leaf(default=None, interval="(0, inf]", optional=True)
     contour: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     feedback: Leaf | None = leaf(default=None, optional=True)
-    solved: Any = child(default=None)
+    solved: Tree = child(default=None)
     first_derivatives_only = True
     weighs = True
     clips = ("limit", "rate", "total", "y_low", "y_high", "tube", "contour")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         owner, model = type(self).__name__, self.model
         if not isinstance(self.solved, Factor | None):
             raise ValueError(
@@ -129,10 +130,7 @@ class ConstrainedNormOptimal(Scheme):
                 f"{owner}: total needs feedback, the matrix from the state of the model to the "
                 "contribution of the feedback"
             )
-        for name in ("step", "contour"):
-            value = getattr(self, name)
-            if value is not None and value.shape:
-                raise ValueError(f"{owner}: {name} has shape {value.shape}; allowed is one number")
+        need_numbers(self, "step", "contour")
         if self.contour is not None and model.n_y != 2:
             raise ValueError(
                 f"{owner}: contour is for a path of two outputs, but the model has {model.n_y}; "
@@ -154,7 +152,7 @@ class ConstrainedNormOptimal(Scheme):
         """This scheme with the equations solved that depend on model and weights alone."""
         return self._prepared(jnp.asarray(task.reference), task.dt)
 
-    def _prepared(self, r, dt: float) -> ConstrainedNormOptimal:
+    def _prepared(self, r: Array, dt: float) -> ConstrainedNormOptimal:
         if self.solved is not None:
             return self
         ready = dataclasses.replace(self, model=self.model.sampled(dt))
@@ -170,7 +168,7 @@ class ConstrainedNormOptimal(Scheme):
         seen = dataclasses.replace(ready, model=model_weighed(ready.model, trial), solved=None)
         return seen._prepared(trial.r, trial.dt)
 
-    def _weights(self):
+    def _weights(self) -> tuple[Array, ...]:
         """w_q, w_r, w_s and w_d as matrices."""
         rest = jnp.zeros((self.model.n_u,) * 2)
         rate = rest if self.w_d is None else weights_of(self, "w_d")[0]
@@ -199,13 +197,13 @@ class ConstrainedNormOptimal(Scheme):
             found.violation,
         )
 
-    def _free(self, trial: Trial):
+    def _free(self, trial: Trial) -> tuple[Array, Array]:
         """The change of the input and that of the rows, without bounds."""
         return newton(
             system_of(self, trial.r), self.solved, self._slope(rows_of(self, trial), trial)
         )
 
-    def _slope(self, rows: dict[str, Rows], trial: Trial):
+    def _slope(self, rows: dict[str, Rows], trial: Trial) -> Array:
         """(N, m) the derivative of the cost by a change of the rows, at none."""
         Q, _, S, rate = self._weights()
         of = {"input": trial.u @ S, "output": -trial.e[1:] @ Q}
@@ -236,7 +234,7 @@ class ConstrainedNormOptimal(Scheme):
             self.step * jnp.maximum(self.step, 1.0) * cost / 2,
         )
 
-    def limits(self, task: Task, memory, trial: Trial) -> dict[str, Limit]:
+    def limits(self, task: Task, memory: Tree, trial: Trial) -> dict[str, Limit]:
         ready = self._for(trial)
         rows, (_, change) = rows_of(ready, trial), ready._free(trial)
         following, at = {}, 0
@@ -258,7 +256,7 @@ def limits_of_rows(scheme: Scheme, rows: dict[str, Rows]) -> dict[str, Limit]:
     return found
 
 
-def _as_limit(signal, low, high) -> Limit:
+def _as_limit(signal: Array, low: Array, high: Array) -> Limit:
     """The bounds as one on a size, 1, whichever side there is."""
     size = jnp.maximum(*(jnp.where(jnp.isfinite(b), jnp.abs(b), 0.0) for b in (low, high)))
     far = ONE_SIDED * (1.0 + size)
@@ -272,7 +270,7 @@ def _as_limit(signal, low, high) -> Limit:
 def need_second_derivatives(scheme: Scheme) -> None:
     """Raises ValueError where a part of the scheme has first derivatives only."""
 
-    def first_only(one) -> bool:
+    def first_only(one: Array) -> bool:
         return isinstance(one, Scheme) and one.first_derivatives_only
 
     for one in filter(first_only, jax.tree.leaves(scheme, is_leaf=first_only)):

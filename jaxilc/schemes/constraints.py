@@ -13,7 +13,8 @@ five kinds, always in this order:
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ import numpy as np
 from jax.scipy.linalg import block_diag
 
 from ..plants import TimeVaryingStateSpace
+from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.needs import known
 from ..signals.task import Task, Trial
 from .riccati import System
@@ -29,12 +31,16 @@ from .riccati import System
 class Rows(NamedTuple):
     """A signal of the trial that was measured, and its bounds in the next one, each (N, n)."""
 
-    now: jax.Array
-    low: jax.Array
-    high: jax.Array
+    now: Array
+    low: Array
+    high: Array
 
 
-def kinds(scheme: Any) -> tuple[str, ...]:
+# a scheme or a problem with the bounds and the weights of `ConstrainedNormOptimal`
+Bounded: TypeAlias = Tree
+
+
+def kinds(scheme: Bounded) -> tuple[str, ...]:
     """The kinds of rows that a scheme has: one with the bounds of `ConstrainedNormOptimal`."""
     has = {
         "rate": scheme.rate is not None or scheme.w_d is not None,
@@ -44,7 +50,7 @@ def kinds(scheme: Any) -> tuple[str, ...]:
     return ("input", "output", *(name for name, there in has.items() if there))
 
 
-def system_of(scheme: Any, r) -> System:
+def system_of(scheme: Bounded, r: Array) -> System:
     """The system from a change of the input to that of the rows, by the linear `scheme.model`.
 
     r: (N+1, n_y) reference
@@ -78,7 +84,7 @@ def system_of(scheme: Any, r) -> System:
     return System(A, _stacked([B, eye]), _beside(G_z, before), G_d)
 
 
-def normals(r) -> jax.Array:
+def normals(r: Array) -> Array:
     """(N+1, 2) the unit normal of the reference, to the left; zero where it stands still."""
     along = jnp.concatenate([r[1:2] - r[:1], r[2:] - r[:-2], r[-1:] - r[-2:-1]])
     squared = jnp.sum(along**2, axis=1, keepdims=True)
@@ -86,7 +92,7 @@ def normals(r) -> jax.Array:
     return jnp.stack([-unit[:, 1], unit[:, 0]], axis=1)
 
 
-def weight_of(scheme: Any, weights) -> jax.Array:
+def weight_of(scheme: Bounded, weights: tuple[Array, ...]) -> Array:
     """(m, m) the weights of a change of the rows. weights: w_q, w_r, w_s, w_d as matrices."""
     Q, R, S, rate = weights
     of = {"input": R + S, "output": Q, "rate": rate}
@@ -96,7 +102,7 @@ def weight_of(scheme: Any, weights) -> jax.Array:
     )
 
 
-def rows_of(scheme: Any, trial: Trial) -> dict[str, Rows]:
+def rows_of(scheme: Bounded, trial: Trial) -> dict[str, Rows]:
     """The rows of a trial, by kind."""
     r, y, u = trial.r, trial.y, trial.u
     low, high = output_bounds(scheme, r)
@@ -119,12 +125,12 @@ def rows_of(scheme: Any, trial: Trial) -> dict[str, Rows]:
     return found
 
 
-def output_bounds(scheme: Any, r) -> tuple[jax.Array, jax.Array]:
+def output_bounds(scheme: Bounded, r: Array) -> tuple[Array, Array]:
     """(N+1, n_y) the bounds of the output, from its own bounds and from those of the error."""
     return _bounds(jnp, scheme.y_low, scheme.y_high, scheme.tube, r)
 
 
-def _bounds(numpy: Any, y_low, y_high, tube, r) -> tuple[Any, Any]:
+def _bounds(numpy: ModuleType, y_low: Leaf, y_high: Leaf, tube: Leaf, r: Leaf) -> tuple[Leaf, Leaf]:
     """`output_bounds` by NumPy, or by its namesake of JAX."""
     low, high = numpy.full_like(r, -numpy.inf), numpy.full_like(r, numpy.inf)
     if y_low is not None:
@@ -136,7 +142,7 @@ def _bounds(numpy: Any, y_low, y_high, tube, r) -> tuple[Any, Any]:
     return low, high
 
 
-def need_feasible(scheme: Any, task: Task) -> None:
+def need_feasible(scheme: Bounded, task: Task) -> None:
     """Raises ValueError for bounds of the output that leave nothing, or exclude the start."""
     owner = type(scheme).__name__
     for name in ("y_low", "y_high", "tube"):
@@ -150,9 +156,8 @@ def need_feasible(scheme: Any, task: Task) -> None:
     bounds = [scheme.y_low, scheme.y_high, scheme.tube]
     if all(bound is None for bound in bounds) or not known((bounds, task.reference)):
         return
-    low, high = _bounds(
-        np, *(x if x is None else np.asarray(x) for x in bounds), np.asarray(task.reference)
-    )
+    y_low, y_high, tube = (x if x is None else np.asarray(x) for x in bounds)
+    low, high = _bounds(np, y_low, y_high, tube, np.asarray(task.reference))
     names = " and ".join(
         name for name in ("y_low", "y_high", "tube") if getattr(scheme, name) is not None
     )
@@ -180,18 +185,18 @@ def need_feasible(scheme: Any, task: Task) -> None:
         )
 
 
-def _symmetric(now, bound) -> Rows:
+def _symmetric(now: Array, bound: Array | None) -> Rows:
     bound = jnp.broadcast_to(jnp.inf if bound is None else bound, now.shape).astype(now.dtype)
     return Rows(now, -bound, bound)
 
 
-def _stacked(blocks) -> jax.Array:
+def _stacked(blocks: list[Array]) -> Array:
     """Blocks one below the other, where some have a leading axis of N."""
     lead = next((block.shape[:1] for block in blocks if block.ndim == 3), ())
     return jnp.concatenate([jnp.broadcast_to(b, (*lead, *b.shape[-2:])) for b in blocks], axis=-2)
 
 
-def _beside(left, right) -> jax.Array:
+def _beside(left: Array, right: Array) -> Array:
     return jnp.concatenate(
         [left, jnp.broadcast_to(right, (*left.shape[:-2], *right.shape))], axis=-1
     )

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import Leaf, child, leaf, pytree
+from ..pytree.aliases import Array, Leaf
+from ..pytree.fields import child, leaf, pytree
+from ..pytree.needs import need_numbers
 from ..signals.task import Task, Trial
-from .experiments import need_no_comparing, need_no_experiments
+from .parts import need_no_comparing, need_no_experiments
 from .scheme import Scheme
 from .weights import weighed
 from .wrapper import Wrapper
@@ -54,11 +55,7 @@ class CrossCoupled(Wrapper):
     own: Leaf = leaf(default=1.0, interval="[0, inf)")
 
     def check(self, task: Task) -> None:
-        for name in ("contour", "own"):
-            if getattr(self, name).shape != ():
-                raise ValueError(
-                    f"CrossCoupled: {name} has shape {getattr(self, name).shape}; allowed is ()"
-                )
+        need_numbers(self, "contour", "own")
         if task.outputs not in (2, 3):
             raise ValueError(
                 f"CrossCoupled: the task has {task.outputs} outputs; allowed are the 2 or 3 axes "
@@ -74,13 +71,13 @@ class CrossCoupled(Wrapper):
         return {"scheme": weighed(trial, self.own * eye + self.contour * P)}
 
 
-def across(e, r) -> jax.Array:
+def across(e: Array, r: Array) -> Array:
     """(N+1, d) the part of errors e (N+1, d) that is perpendicular to the reference r (N+1, d)."""
     t = tangents(r)
     return e - t * jnp.sum(t * e, axis=-1, keepdims=True)
 
 
-def tangents(r) -> jax.Array:
+def tangents(r: Array) -> Array:
     """(N+1, d) unit tangents of a path r (N+1, d), zero where it never moves.
 
     They are central differences, one-sided at the ends. A sample at rest has the tangent of the

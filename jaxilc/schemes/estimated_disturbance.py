@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import Leaf, child, leaf, pytree
+from ..pytree.aliases import Array, Leaf
+from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .constrained_norm_optimal import ConstrainedNormOptimal
 from .norm_optimal import NormOptimal
 from .riccati import System, shown
-from .scheme import Part, Scheme, under
+from .scheme import Memory, Part, under
 from .weights import counts_at_all, output_weighed
 from .wrapper import Wrapper
 
@@ -27,9 +26,9 @@ class Estimate(NamedTuple):
     std: (n_y,) standard deviation of the estimate [unit of y]; None with the stationary gain
     """
 
-    scheme: Any
-    d: jax.Array
-    std: jax.Array | None
+    scheme: Memory
+    d: Array
+    std: Array | None
 
 
 @pytree
@@ -76,12 +75,12 @@ class EstimatedDisturbance(Wrapper):
         super().check(task)
         need_channels(self, task.outputs, "process_std", "measurement_std", "initial_std")
 
-    def parts(self, task: Task, memory) -> dict[str, Part]:
+    def parts(self, task: Task, memory: Memory) -> dict[str, Part]:
         return {"scheme": Part(self.scheme, task, memory.scheme)}
 
-    def frozen(self) -> Scheme:
+    def frozen(self) -> EstimatedDisturbance:
         """The linear law that this one becomes, with the gain of the long run."""
-        return dataclasses.replace(self, scheme=self.scheme.frozen(), initial_std=None)
+        return self._with({"scheme": self.scheme.frozen(), "initial_std": None})
 
     def initial_memory(self, task: Task) -> Estimate:
         std = self.initial_std
@@ -99,7 +98,7 @@ class EstimatedDisturbance(Wrapper):
         seen = self._filtered(memory, trial)[0]
         return under("scheme", self.scheme.limits(task, memory.scheme, seen))
 
-    def _filtered(self, memory: Estimate, trial: Trial) -> tuple[Trial, jax.Array, Any]:
+    def _filtered(self, memory: Estimate, trial: Trial) -> tuple[Trial, Array, Array | None]:
         """The trial with the output G u + d^ of the new estimate, d^, and its deviation."""
         model = self.scheme.model.sampled(trial.dt)
         A, B, C = (jnp.asarray(M) for M in (model.A, model.B, model.C))
@@ -113,7 +112,7 @@ class EstimatedDisturbance(Wrapper):
         seen = trial._replace(y=trial.y.at[1:].add(-(1 - kappa) * news))
         return seen, memory.d + kappa * news, std
 
-    def _gain(self, std):
+    def _gain(self, std: Array | None) -> tuple[Array, Array | None]:
         """The gain of the filter, and the standard deviation of the new estimate."""
         q, m = jnp.asarray(self.process_std), jnp.asarray(self.measurement_std)
         if std is None:

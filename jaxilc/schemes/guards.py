@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..pytree.fields import Leaf, child, leaf, pytree, static
-from ..pytree.needs import need_channels
+from ..pytree.aliases import Array, Leaf, Tree, Value
+from ..pytree.fields import child, leaf, pytree, static
+from ..pytree.needs import need_channels, need_numbers
 from ..signals.task import Task, Trial
-from .experiments import need_no_comparing, need_no_experiments
-from .scheme import Part, Scheme
+from .parts import need_no_comparing, need_no_experiments
+from .scheme import Memory, Part, Scheme
 from .wrapper import Wrapper
+
+T = TypeVar("T")
 
 
 class Guard(Wrapper):
@@ -23,7 +26,7 @@ class Guard(Wrapper):
     the scheme.
     """
 
-    def parts(self, task: Task, memory) -> dict[str, Part]:
+    def parts(self, task: Task, memory: Memory) -> dict[str, Part]:
         return {"scheme": Part(self.scheme, task, memory.scheme)}
 
     def frozen(self) -> Scheme:
@@ -40,11 +43,11 @@ class StopMemory(NamedTuple):
     best_rms: () RMS error of that trial [unit of y]; None without `growth`
     """
 
-    scheme: Any
-    frozen: jax.Array
-    trials: jax.Array
-    best: Any
-    best_rms: Any
+    scheme: Memory
+    frozen: Array
+    trials: Array
+    best: Memory
+    best_rms: Tree
 
 
 @pytree
@@ -75,7 +78,7 @@ class StopWhen(Guard):
     rms: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     growth: Leaf | None = leaf(default=None, interval="[0, inf)", optional=True)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.max_error is None and self.rms is None and self.growth is None:
             raise ValueError(
                 "StopWhen: max_error, rms and growth are all None; at least one must be given"
@@ -83,7 +86,7 @@ class StopWhen(Guard):
 
     def check(self, task: Task) -> None:
         need_channels(self, task.outputs, "max_error", "rms")
-        _need_numbers(self, "growth")
+        need_numbers(self, "growth")
         need_no_experiments(self, task, "whose errors say nothing of what it has learned")
         super().check(task)
 
@@ -111,7 +114,7 @@ class StopWhen(Guard):
         trials = memory.trials + jnp.where(frozen, 0.0, 1.0)
         return StopMemory(following, stop.astype(memory.frozen.dtype), trials, best, best_rms)
 
-    def _within_tolerance(self, e):
+    def _within_tolerance(self, e: Array) -> Array:
         """Whether the error e (N, n_y) meets every tolerance that is given, as ()."""
         met = []
         if self.max_error is not None:
@@ -129,9 +132,9 @@ class Sums(NamedTuple):
     signals: (N, ...) sum of each signal, by name
     """
 
-    y: jax.Array
-    u: jax.Array
-    signals: dict[str, jax.Array]
+    y: Array
+    u: Array
+    signals: dict[str, Array]
 
 
 class LadderMemory(NamedTuple):
@@ -145,11 +148,11 @@ class LadderMemory(NamedTuple):
         the gain is fixed
     """
 
-    scheme: Any
-    count: jax.Array
+    scheme: Memory
+    count: Array  # type: ignore[assignment]  # tuples of Python have a method of this name
     sums: Sums
-    gain: Any
-    rms: Any
+    gain: Tree
+    rms: Tree
 
 
 @pytree
@@ -192,7 +195,7 @@ class Ladder(Guard):
         return self.repeats * self.scheme.trials_a_step
 
     def check(self, task: Task) -> None:
-        _need_numbers(self, "growth_of_gain", "largest", "slow")
+        need_numbers(self, "growth_of_gain", "largest", "slow")
         if self.slow is not None:
             need_no_comparing(self, task, f"slow = {self.slow} with ", "are None, or")
         super().check(task)
@@ -235,21 +238,44 @@ class Ladder(Guard):
         return LadderMemory(learned, jnp.where(full, 0.0, count), sums, gain, rms)
 
 
-def _need_numbers(scheme: Scheme, *names: str) -> None:
-    """Raises ValueError unless each named field is a single number or None."""
-    for name in names:
-        value = getattr(scheme, name)
-        if value is not None and value.shape != ():
-            raise ValueError(
-                f"{type(scheme).__name__}: {name} has shape {value.shape}; allowed is ()"
-            )
-
-
-def _choose(condition, one, other):
+def _choose(condition: Array, one: T, other: T) -> T:
     """The tree `one` where the condition holds, else the tree `other`, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
-def _root_mean_square(e):
+def _root_mean_square(e: Array) -> Array:
     """The root mean square over all samples and outputs, as ()."""
     return jnp.sqrt(jnp.mean(e**2))
+
+
+@pytree
+class KeepUnmeasured(Wrapper):
+    """A scheme whose memory of a sample stays as it was where this sample was not measured.
+
+    In a record of a machine whose trials differ, samples that were not measured have the error and
+    the weight zero. A law that adds to its input then leaves it alone. A law that also compares
+    trials, such as `CFDLMFAILC`, that forgets, or that filters, would still take the zero for
+    data. Here each row of its memory that belongs to sample k of the input stays, unless y[k+1] was
+    measured; then increments are those from the last trial that was.
+
+    scheme: any scheme that learns from the error
+    """
+
+    weighs = True  # another law for each set of samples that are measured
+
+    scheme: Scheme = child()
+
+    def learn(self, memory: Memory, trial: Trial) -> Memory:
+        following = super().learn(memory, trial)
+        if trial.weight is None:
+            return following
+        there, N = jnp.any(trial.weight != 0, axis=(1, 2)), len(trial.u)
+
+        def kept(old: Value, new: Value) -> Array:
+            rows = jnp.shape(new)[0] if jnp.ndim(new) else 0
+            if rows not in (N, N + 1):
+                return new
+            measured = there[1:] if rows == N else there
+            return jnp.where(measured.reshape(-1, *(1,) * (jnp.ndim(new) - 1)), new, old)
+
+        return jax.tree.map(kept, memory, following)

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from ..pytree.aliases import Array, Tree, Value
 from ..runtime.jax_internals import once, with_slope
 from .riccati import Factor, System, adjoint, factor, newton, shown
 
@@ -43,11 +44,11 @@ class Problem(NamedTuple):
     """
 
     system: System
-    W: jax.Array
-    b: jax.Array
-    low: jax.Array
-    high: jax.Array
-    cost: jax.Array
+    W: Array
+    b: Array
+    low: Array
+    high: Array
+    cost: Array
 
 
 class Solution(NamedTuple):
@@ -64,14 +65,14 @@ class Solution(NamedTuple):
         multipliers are 0 where there is no bound
     """
 
-    d: jax.Array
-    steps: jax.Array
-    gap: jax.Array
-    stationarity: jax.Array
-    violation: jax.Array
-    converged: jax.Array
-    s: jax.Array
-    l: jax.Array  # noqa: E741
+    d: Array
+    steps: Array
+    gap: Array
+    stationarity: Array
+    violation: Array
+    converged: Array
+    s: Array
+    l: Array  # noqa: E741
 
 
 class Point(NamedTuple):
@@ -82,11 +83,11 @@ class Point(NamedTuple):
         1e12, turns into noise of the multipliers
     """
 
-    d: jax.Array
-    v: jax.Array
-    s: jax.Array
-    l: jax.Array  # noqa: E741
-    missing: jax.Array
+    d: Array
+    v: Array
+    s: Array
+    l: Array  # noqa: E741
+    missing: Array
 
 
 class _Bounds(NamedTuple):
@@ -97,22 +98,22 @@ class _Bounds(NamedTuple):
     count: () number of bounds, at least 1
     """
 
-    offset: jax.Array
-    there: jax.Array
-    sign: jax.Array
-    unit: jax.Array
-    count: jax.Array
+    offset: Array
+    there: Array
+    sign: Array
+    unit: Array
+    count: Array  # type: ignore[assignment]  # tuples of Python have a method of this name
 
 
 class _Course(NamedTuple):
     """An iterate, its residuals as in `Solution`, and how far it is off the central path."""
 
     point: Point
-    steps: jax.Array
-    gap: jax.Array
-    stationarity: jax.Array
-    violation: jax.Array
-    off: jax.Array
+    steps: Array
+    gap: Array
+    stationarity: Array
+    violation: Array
+    off: Array
 
 
 def solve(problem: Problem, free: Factor) -> Solution:
@@ -150,15 +151,14 @@ def solve(problem: Problem, free: Factor) -> Solution:
         nothing,
     )
     zero, good = jnp.zeros_like(course.gap), fits | solved
-    residuals = (
-        jnp.where(fits, zero, x)
-        for x in (course.steps, course.gap, course.stationarity, course.violation)
-    )
+    found = (course.steps, course.gap, course.stationarity, course.violation)
+    steps, gap, stationarity, violation = (jnp.where(fits, zero, x) for x in found)
     d = point.d + jnp.where(good, _last_step(problem, of_free, point), 0.0)
-    return Solution(d, *residuals, jnp.where(good, 1.0, zero), point.s, point.l)
+    converged = jnp.where(good, 1.0, zero)
+    return Solution(d, steps, gap, stationarity, violation, converged, point.s, point.l)
 
 
-def stiffness(system: System, free: Factor, s, l) -> jax.Array:  # noqa: E741
+def stiffness(system: System, free: Factor, s: Array, l: Array) -> Array:  # noqa: E741
     """(2, N, m) the weights with which bounds hold their rows at an optimum, where they are active.
 
     An active bound is held by a weight `STIFF` times that of the cost of the input at most: of
@@ -172,7 +172,7 @@ def stiffness(system: System, free: Factor, s, l) -> jax.Array:  # noqa: E741
     return jnp.where(l > 0, jnp.minimum(l / jnp.where(l > 0, s, 1.0), most), 0.0)
 
 
-def gap_of(dtype) -> float:
+def gap_of(dtype: Value) -> float:
     """The share of the cost that the duality gap ends at, in the precision of dtype."""
     return max(GAP, 1e3 * float(jnp.finfo(dtype).eps))
 
@@ -187,7 +187,7 @@ def _bounds_of(problem: Problem) -> _Bounds:
     return _Bounds(offset, there, sign, jnp.where(unit > 0, unit, 1.0), count)
 
 
-def _iterate(problem: Problem, bounds: _Bounds, fits, at_stake) -> _Course:
+def _iterate(problem: Problem, bounds: _Bounds, fits: Array, at_stake: Array) -> _Course:
     """The iterations, until the iterate is at its place of the central path, or cannot get there.
 
     fits: () whether the solution without bounds is the optimum, so that nothing is to do
@@ -198,7 +198,7 @@ def _iterate(problem: Problem, bounds: _Bounds, fits, at_stake) -> _Course:
     dtype = problem.b.dtype
     small = max(1e-12, 30 * float(jnp.finfo(dtype).eps))
 
-    def going_on(course: _Course):
+    def going_on(course: _Course) -> Array:
         there = (course.off <= CENTRED) & (course.stationarity <= small * 1e2)
         there = there & (course.violation <= small)
         hopeful = jnp.sum(course.point.s * course.point.l) <= HOPELESS * at_stake
@@ -212,7 +212,7 @@ def _iterate(problem: Problem, bounds: _Bounds, fits, at_stake) -> _Course:
     return lax.while_loop(going_on, turn, first)
 
 
-def _start(problem: Problem, bounds: _Bounds, at_stake) -> Point:
+def _start(problem: Problem, bounds: _Bounds, at_stake: Array) -> Point:
     """d = 0, with slacks that are positive, and products s l of the size of what is at stake."""
     least = 0.1 * bounds.unit
     s = jnp.where(bounds.there, jnp.maximum(bounds.offset, least), 1.0)
@@ -223,14 +223,14 @@ def _start(problem: Problem, bounds: _Bounds, at_stake) -> Point:
     return Point(d, zero, s, jnp.where(bounds.there, product / s, 0.0), missing)
 
 
-def _target(problem: Problem, bounds: _Bounds, v) -> jax.Array:
+def _target(problem: Problem, bounds: _Bounds, v: Array) -> Array:
     """The product s l of each bound at the end, with which the gap is its share of the cost."""
     cost = problem.cost + jnp.sum(problem.b * v + v * (v @ problem.W) / 2)
     floor = 1e-12 * problem.cost + jnp.finfo(v.dtype).tiny * 1e30
     return gap_of(v.dtype) * jnp.maximum(cost, floor) / bounds.count
 
 
-def _judged(problem: Problem, bounds: _Bounds, scale, point: Point, steps) -> _Course:
+def _judged(problem: Problem, bounds: _Bounds, scale: Array, point: Point, steps: Array) -> _Course:
     """The residuals of an iterate."""
     products = jnp.where(bounds.there, point.s * point.l, 0.0)
     target = _target(problem, bounds, point.v)
@@ -250,7 +250,7 @@ def _judged(problem: Problem, bounds: _Bounds, scale, point: Point, steps) -> _C
     )
 
 
-def _slope(problem: Problem, bounds: _Bounds, point: Point) -> jax.Array:
+def _slope(problem: Problem, bounds: _Bounds, point: Point) -> Array:
     """(N, m) the derivative of the Lagrange function with respect to v."""
     return problem.b + point.v @ problem.W - jnp.sum(bounds.sign * point.l, axis=0)
 
@@ -261,7 +261,7 @@ def _step(problem: Problem, bounds: _Bounds, point: Point) -> Point:
     D = jnp.sum(l / s, axis=0)
     of, slope = factor(system, problem.W, D), _slope(problem, bounds, point)
 
-    def direction(wanted):
+    def direction(wanted: Array) -> Point:
         """For products s l that change by `wanted`."""
         q = slope + jnp.sum(bounds.sign * (l * missing - wanted) / s, axis=0)
         d, v = newton(system, of, q)
@@ -280,7 +280,7 @@ def _step(problem: Problem, bounds: _Bounds, point: Point) -> Point:
     return jax.tree.map(lambda at, by: at + share * by, point, move)
 
 
-def _share(point: Point, move: Point, most: float) -> jax.Array:
+def _share(point: Point, move: Point, most: float) -> Array:
     """The share of a move, 1 at most, that leaves slacks and multipliers positive."""
     ways = (
         jnp.where(by < 0, -at / jnp.where(by < 0, by, -1.0), jnp.inf)
@@ -289,7 +289,7 @@ def _share(point: Point, move: Point, most: float) -> jax.Array:
     return jnp.minimum(1.0, most * jnp.minimum(*map(jnp.min, ways)))
 
 
-def _last_step(problem: Problem, free: Factor, point: Point) -> jax.Array:
+def _last_step(problem: Problem, free: Factor, point: Point) -> Array:
     """A Newton step from a point that does not depend on the problem: it carries the derivative.
 
     The multipliers follow v as constant products s l demand, l' = -(l / s) v'; see `stiffness`.
@@ -298,13 +298,13 @@ def _last_step(problem: Problem, free: Factor, point: Point) -> jax.Array:
     weight = stiffness(still.system, free, point.s, point.l)
     of = factor(still.system, still.W, jnp.sum(weight, axis=0))
 
-    def step(problem: Problem, point: Point, weight, of: Factor) -> jax.Array:
+    def step(problem: Problem, point: Point, weight: Array, of: Factor) -> Array:
         bounds, v = _bounds_of(problem), shown(problem.system, point.d)
         now = bounds.sign * v + bounds.offset
         l = point.l - weight * (now - lax.stop_gradient(now))  # noqa: E741
         return newton(problem.system, of, _slope(problem, bounds, point._replace(v=v, l=l)))[0]
 
-    def tangent(at: tuple, by: tuple) -> jax.Array:
+    def tangent(at: tuple[Tree, ...], by: tuple[Tree, ...]) -> Array:
         problem, *rest = once(at, ONE_DERIVATIVE)
         return jax.jvp(lambda problem: step(problem, *rest), (problem,), by[:1])[1]
 

@@ -1,21 +1,101 @@
-"""Model-free adaptive control (MFAC) along the time axis, also in predictive form (Dai 2014).
+"""Model-free adaptive control (MFAC) along the time axis, and learning along the trials (MFAILC).
 
-These feedback schemes need no model. While they run, they estimate the pseudo gradient from the
-increments between samples, d x(k) = x(k) - x(k-1). Several channels are controlled independently.
+These schemes need no model. While they run, they estimate a pseudo gradient, that of the dynamic
+linearisation: over a window of L_y output and L_u input increments between samples (Dai 2014) or
+between trials (Cao 2019). The compact form CFDL has the window (0, 1), and its pseudo gradient is
+the scalar pseudo partial derivative; the partial form PFDL has (0, L_u); the full form FFDL has
+both. Several channels are controlled independently of each other.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import Leaf, leaf, pytree, static
+from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import need_channels
-from ..signals.task import Sample, Task
-from .pseudo_gradient import RESETS, need_window, pseudo_gradient, reset_estimate
+from ..signals.rows import advance, by_row, delay, for_scan
+from ..signals.task import Sample, Task, Trial
+from .pid_type import need_lead
 from .scheme import Scheme, limited, need_square
+
+RESETS = ("book", "sign", "none", "smooth")
+
+
+def pseudo_gradient(
+    phi: Sequence[Array], dh: Sequence[Array], dy: Array, *, eta: Leaf, mu: Leaf
+) -> list[Array]:
+    """One step of the pseudo-gradient estimator (Cao 2019, eq. 27).
+
+        phi' = phi + eta dh / (mu + |dh|^2) (dy - phi . dh)
+
+    For a window of one it is eq. 13 of Cao 2019 and eq. 11 of Dai 2014.
+
+    phi: (...) each, L components of the estimate
+    dh: (...) each, the L increments that these components multiply
+    dy: (...) output increment that the increments dh caused
+    eta: () step of the estimator
+    mu: () > 0, with the unit of |dh|^2
+    """
+    miss = dy - sum(p * h for p, h in zip(phi, dh, strict=True))
+    step = eta * miss / (mu + sum(h * h for h in dh))
+    return [p + step * h for p, h in zip(phi, dh, strict=True)]
+
+
+def reset_estimate(
+    phi: list[Array], du: Tree, phi0: Leaf, *, component: int, epsilon: Leaf, mode: str
+) -> list[Array]:
+    """Reset the estimate to its start value phi0 where it is not usable (Dai 2014, eq. 12).
+
+    Cao 2019 prints no reset rule. The mode is one of
+
+        book      reset where |phi_c| <= epsilon, |du| <= epsilon, or sign phi_c != sign phi0_c
+        sign      the same without the condition on |du|, which can cause bursts
+        none      never reset
+        smooth    the conditions of `book`, blended over widths of epsilon, for tuning
+
+    phi_c is the component of u(k). In `book` and `sign` the gradient is that of the branch taken:
+    it is zero through an estimate that was reset, and it does not include the switching itself.
+    `smooth` has the whole gradient. With s(z) = 1 / (1 + e^-z) it returns
+
+        phi0 + w (phi - phi0),      w = s(phi_c sign(phi0_c) / epsilon - 1) s(|du| / epsilon - 1)
+
+    The smaller epsilon is, the closer is `smooth` to `book`, and the steeper it is: its slope is
+    at most |phi - phi0| / (4 epsilon). The forecasts of CFDL-MFAPC have no condition on |du|; with
+    `smooth` they are reset as by `sign`.
+
+    phi, phi0: (...) each, components of the estimate and of its start value
+    du: (...) input increment [unit of u]
+    component: index of phi_c
+    epsilon: () reset threshold
+    """
+    if mode == "none":
+        return phi
+    along = phi[component] * jnp.sign(phi0[component])
+    if mode == "smooth":
+        w = jax.nn.sigmoid(along / epsilon - 1.0) * jax.nn.sigmoid(jnp.abs(du) / epsilon - 1.0)
+        return [p0 + w * (p - p0) for p, p0 in zip(phi, phi0, strict=True)]
+    useless = ~(along > epsilon)  # the conditions on size and sign in one; it is true for NaN
+    if mode == "book":
+        useless = useless | (jnp.abs(du) <= epsilon)
+    return [jnp.where(useless, p0, p) for p, p0 in zip(phi, phi0, strict=True)]
+
+
+def need_window(scheme: FFDLMFAC | FFDLMFAILC) -> None:
+    """Raises ValueError unless phi0 and rho of a scheme fit its windows L_y and L_u."""
+    window = scheme.L_y + scheme.L_u
+    name, phi0, rho = type(scheme).__name__, scheme.phi0.shape, scheme.rho.shape
+    if phi0 != (window,) and (phi0, window) != ((), 1):
+        raise ValueError(
+            f"{name}: phi0 has shape {phi0}; L_y = {scheme.L_y} and L_u = {scheme.L_u} need "
+            f"({window},)"
+        )
+    if rho not in ((), (window,)):
+        raise ValueError(f"{name}: rho has shape {rho}; allowed are () and ({window},)")
 
 
 class State(NamedTuple):
@@ -28,12 +108,12 @@ class State(NamedTuple):
     phi: (n,) each, the L_y+L_u components of the estimate
     """
 
-    u: jax.Array
-    y: jax.Array
-    seen: jax.Array
-    dy: tuple[jax.Array, ...]
-    du: tuple[jax.Array, ...]
-    phi: tuple[jax.Array, ...]
+    u: Array
+    y: Array
+    seen: Array
+    dy: tuple[Array, ...]
+    du: tuple[Array, ...]
+    phi: tuple[Array, ...]
 
 
 @pytree
@@ -71,7 +151,7 @@ class FFDLMFAC(Scheme):
     estimator_steps = ("eta",)
     clips = ("limit",)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         need_window(self)
 
     def check(self, task: Task) -> None:
@@ -83,7 +163,7 @@ class FFDLMFAC(Scheme):
         phi = tuple(jnp.broadcast_to(p, rest.shape) for p in jnp.atleast_1d(self.phi0))
         return State(rest, rest, jnp.zeros(()), (rest,) * self.L_y, (rest,) * self.L_u, phi)
 
-    def act(self, state: State, sample: Sample) -> tuple[State, jax.Array]:
+    def act(self, state: State, sample: Sample) -> tuple[State, Array]:
         dy_now = state.seen * (sample.y - state.y)
         phi = pseudo_gradient(state.phi, state.dy + state.du, dy_now, eta=self.eta, mu=self.mu)
         phi0 = jnp.atleast_1d(self.phi0)
@@ -100,7 +180,7 @@ class FFDLMFAC(Scheme):
         du = (u - state.u, *state.du)[: self.L_u]
         return State(u, sample.y, jnp.ones_like(state.seen), dy, du, tuple(phi)), u
 
-    def signals(self, state: State) -> dict[str, jax.Array]:
+    def signals(self, state: State) -> dict[str, Array]:
         return {"phi": state.phi[self.L_y]}
 
 
@@ -137,11 +217,11 @@ class PredictiveState(NamedTuple):
     theta: (n_p, n) coefficients of the forecast of phi
     """
 
-    u: jax.Array
-    y: jax.Array
-    du: jax.Array
-    phi: jax.Array
-    theta: jax.Array
+    u: Array
+    y: Array
+    du: Array
+    phi: Array
+    theta: Array
 
 
 @pytree
@@ -192,7 +272,7 @@ class CFDLMFAPC(Scheme):
     estimator_steps = ("eta",)
     clips = ("limit",)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.P_u > self.P:
             raise ValueError(
                 f"CFDLMFAPC: P_u = {self.P_u} is outside its allowed range [1, {self.P}] for P = "
@@ -229,7 +309,7 @@ class CFDLMFAPC(Scheme):
         phi, theta = jnp.broadcast_to(self.phi0, shape), jnp.broadcast_to(self._theta0(), shape)
         return PredictiveState(rest, rest, rest, phi, theta)
 
-    def act(self, state: PredictiveState, sample: Sample) -> tuple[PredictiveState, jax.Array]:
+    def act(self, state: PredictiveState, sample: Sample) -> tuple[PredictiveState, Array]:
         (phi_now,) = pseudo_gradient(
             [state.phi[0]], [state.du], sample.y - state.y, eta=self.eta, mu=self.mu
         )
@@ -243,14 +323,14 @@ class CFDLMFAPC(Scheme):
         )
         return PredictiveState(u, sample.y, u - state.u, phi, theta), u
 
-    def signals(self, state: PredictiveState) -> dict[str, jax.Array]:
+    def signals(self, state: PredictiveState) -> dict[str, Array]:
         return {"phi": state.phi[0]}
 
-    def _theta0(self):
+    def _theta0(self) -> Array:
         start = jnp.eye(self.n_p)[0] if self.theta0 is None else jnp.asarray(self.theta0)
         return start[:, None]
 
-    def _forecaster(self, state, phi_now):
+    def _forecaster(self, state: PredictiveState, phi_now: Array) -> Array:
         """The coefficients theta(k) of eq. 13, 14; the regressor is phi(k-1), ..., phi(k-n_p)."""
         miss = phi_now - jnp.sum(state.phi * state.theta, axis=0)
         theta = state.theta + state.phi * miss / (self.delta + jnp.sum(state.phi**2, axis=0))
@@ -258,13 +338,13 @@ class CFDLMFAPC(Scheme):
             jnp.sqrt(jnp.sum(theta**2, axis=0)) >= self.theta_limit, self._theta0(), theta
         )
 
-    def _future(self, phi, theta):
+    def _future(self, phi: Array, theta: Array) -> list[Array]:
         """The forecasts phi(k), ..., phi(k+P_u-1) of eq. 15 and 16, each (n,)."""
         mode = "none" if self.reset == "none" else "sign"
         past = [phi[i] for i in range(self.n_p)]
         future = past[:1]
         for _ in range(self.P_u - 1):
-            ahead = sum(theta[i] * past[i] for i in range(self.n_p))
+            ahead: Tree = sum(theta[i] * past[i] for i in range(self.n_p))
             (ahead,) = reset_estimate(
                 [ahead], None, [self.phi0], component=0, epsilon=self.epsilon, mode=mode
             )
@@ -272,7 +352,7 @@ class CFDLMFAPC(Scheme):
             future.append(ahead)
         return future
 
-    def _wanted(self, sample: Sample):
+    def _wanted(self, sample: Sample) -> Array:
         """The product A^T (Y* - E y) without its factor phi, as (P_u, n).
 
         Row i is the sum of r(k+1+p) - y(k) over p = i..P-1.
@@ -282,7 +362,7 @@ class CFDLMFAPC(Scheme):
         miss = sample.ahead - sample.y
         return jnp.cumsum(miss[::-1], axis=0)[::-1][: self.P_u]
 
-    def _first_move(self, future, wanted):
+    def _first_move(self, future: list[Array], wanted: Array) -> Array:
         """The first element of (A^T A + lam I)^-1 A^T (Y* - E y), as (n,).
 
         (A^T A)_ij = phi_i phi_j (P - max(i, j))
@@ -297,3 +377,209 @@ class CFDLMFAPC(Scheme):
             + weight
         )
         return jnp.linalg.solve(normal, (phi * wanted.T)[..., None])[:, 0, 0]
+
+
+class Memory(NamedTuple):
+    """The memory of MFAILC after trial j.
+
+    u: (N, n) input of trial j [unit of u]
+    y: (N+1, n) output of trial j [unit of y]
+    phi: (N, n) each, L_y+L_u components of the estimate for the next trial
+    seen: () 0 before the first trial, else 1
+    """
+
+    u: Array
+    y: Array
+    phi: tuple[Array, ...]
+    seen: Array
+
+
+class Schedule(NamedTuple):
+    """The rows that FFDL-MFAILC sees within a trial.
+
+    u: (N, n) the part of the law that is known before the trial [unit of u]
+    y: (N, n) output of trial j-1 [unit of y]
+    u_last: (N, n) input of trial j-1 [unit of u]
+    weights: (N, n) each, the L_y+L_u-1 weights of the increments D y(k..k-L_y+1, j) and
+        D u(k-1..k-L_u+1, j) of the running trial
+    """
+
+    u: Array
+    y: Array
+    u_last: Array
+    weights: tuple[Array, ...]
+
+
+class Window(NamedTuple):
+    """The increments of the running trial that MFAILC keeps, newest first.
+
+    dy: (n,) each, L_y-1 increments of the output [unit of y]
+    du: (n,) each, L_u-1 increments of the input [unit of u]
+    u_last: (n,) input that was applied in trial j-1 at the sample before [unit of u]
+    The increments are tuples of arrays, because to shift one array in a loop over samples costs a
+    copy.
+    """
+
+    dy: tuple[Array, ...]
+    du: tuple[Array, ...]
+    u_last: Array
+
+
+@pytree
+class FFDLMFAILC(Scheme):
+    """Full-form MFAILC (Cao 2019, eq. 25 and 27).
+
+        u(k,j) = u(k,j-1) + phi_c / (lam + phi_c^2) [ rho_c e(k+1,j-1)
+                                                      - sum_{i<=L_y} rho_i phi_i D y(k-i+1,j)
+                                                      - sum_{i>c} rho_i phi_i D u(k+L_y-i+1,j) ]
+
+    where c = L_y + 1 is the number of the component of u(k).
+
+    D y(k,j) is an increment of the running trial, so FFDL acts as feedback within the trial; CFDL
+    does not. The first trial applies u = 0, the second uses phi0, and the estimator has data from
+    the third trial on. With a learning lead m, e and D y are taken m samples later. Where that is
+    beyond the end of the trial, the error counts as zero and the estimate does not change.
+
+    Every u above is the input that the actuator applied, in both trials. u(k,j-1) and the
+    increments between trials come from `Trial.u`; the increments within the running trial come from
+    `Sample.applied`. Only the contribution of the present sample is a command, which the actuator
+    then limits in size, limits in rate, or rounds. A controller that cannot know what its actuator
+    applies uses what it commanded. Then record the command also as the u of the trial, so that both
+    kinds of increments are those of the commanded input.
+
+    lam: () > 0, weight on the input increment [(y/u)^2]
+    rho: () or (L_y+L_u,) step factors in (0, 1]
+    eta: () in (0, 2], step of the estimator
+    mu: () > 0 [u^2]; for L_y > 0 its units are mixed, as in the paper
+    phi0: (L_y+L_u,) start value of the estimate; Cao 2019 does not print it, and the result depends
+        on it
+    epsilon: () reset threshold
+    limit: () or (n,) largest |u| [unit of u]; None: no limit
+    L_y, L_u: lengths of the windows of output and of input increments
+    lead: m, samples of look-ahead of the learning
+    reset: see `reset_estimate`
+    """
+
+    lam: Leaf = leaf(default=1.2, interval="(0, inf)")
+    rho: Leaf = leaf(default=0.98, interval="(0, 1]")
+    eta: Leaf = leaf(default=1.0, interval="(0, 2]")
+    mu: Leaf = leaf(default=1.1, interval="(0, inf)")
+    phi0: Leaf = leaf(default=(0.5, 0.0, -0.06, 0.0))
+    epsilon: Leaf = leaf(default=1e-5, interval="(0, inf)")
+    limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
+    L_y: int = static(default=2, interval="[0, 500]", whole=True)
+    L_u: int = static(default=2, interval="[1, 500]", whole=True)
+    lead: int = static(default=0, interval="[0, inf)", whole=True)
+    reset: str = static(default="book", choices=RESETS)
+    estimator_steps = ("eta",)
+    clips = ("limit",)
+    compares = ("L_y",)
+
+    def __post_init__(self) -> None:
+        need_window(self)
+
+    def check(self, task: Task) -> None:
+        need_square(self, task)
+        need_lead(self, task)
+        need_channels(self, task.inputs, "lam", "eta", "mu", "epsilon", "limit")
+
+    @property
+    def plays_back(self) -> bool:
+        return self.L_y + self.L_u == 1
+
+    def initial_memory(self, task: Task) -> Memory:
+        N, n = task.N, task.inputs
+        phi = tuple(jnp.broadcast_to(p, (N, n)) for p in self._start())
+        return Memory(jnp.zeros((N, n)), jnp.zeros((N + 1, n)), phi, jnp.zeros(()))
+
+    def learn(self, memory: Memory, trial: Trial) -> Memory:
+        du, dy = memory.seen * (trial.u - memory.u), memory.seen * (trial.y - memory.y)
+        outputs = [delay(dy[:-1], i) for i in range(self.L_y)]
+        inputs = [delay(du, i) for i in range(self.L_u)]
+        phi = self._estimated(memory.phi, outputs + inputs, advance(dy, 1 + self.lead), du)
+        if self.lead:
+            phi = [
+                jnp.concatenate([new[: -self.lead], old[-self.lead :]])
+                for new, old in zip(phi, memory.phi, strict=True)
+            ]
+        return Memory(trial.u, trial.y, tuple(phi), jnp.ones_like(memory.seen))
+
+    def schedule(self, memory: Memory, task: Task) -> Schedule:
+        e = memory.seen * advance(task.reference - memory.y, 1 + self.lead)
+        u, weights = self._law(memory.phi, memory.u, e)
+        weights = tuple(memory.seen * weight for weight in weights)
+        return Schedule(u, memory.y[:-1], memory.u, weights)
+
+    def initial_state(self, task: Task) -> Window:
+        rest = jnp.zeros(task.inputs)
+        return Window((rest,) * max(self.L_y - 1, 0), (rest,) * (self.L_u - 1), rest)
+
+    def act(self, state: Window, sample: Sample) -> tuple[Window, Array]:
+        row = sample.row
+        if self.L_y + self.L_u == 1:
+            return state, limited(row.u, self.limit)
+        dy, du = (sample.y - row.y, *state.dy)[: self.L_y], state.du
+        if du and sample.applied is not None:  # the actuator made this of the last command
+            du = (sample.applied - state.u_last, *du[1:])
+        u = row.u - sum(
+            weight * increment for weight, increment in zip(row.weights, dy + du, strict=True)
+        )
+        u = limited(u, self.limit)
+        du = (u - row.u_last, *du)[: self.L_u - 1]
+        return Window(dy[: max(self.L_y - 1, 0)], du, row.u_last), u
+
+    @by_row
+    def _estimated(
+        self, phi: Sequence[Array], increments: Sequence[Array], dy: Array, du: Array
+    ) -> list[Array]:
+        """The estimate for the next trial, see `pseudo_gradient` and `reset_estimate`."""
+        moved = pseudo_gradient(phi, increments, dy, eta=self.eta, mu=self.mu)
+        return reset_estimate(
+            moved, du, self._start(), component=self.L_y, epsilon=self.epsilon, mode=self.reset
+        )
+
+    @by_row
+    def _law(self, phi: Sequence[Array], u: Array, e: Array) -> tuple[Array, tuple[Array, ...]]:
+        """The part of the law that is known before the trial, and the weights of increments."""
+        c, rho = self.L_y, jnp.broadcast_to(self.rho, (self.L_y + self.L_u,))
+        gain = phi[c] / (self.lam + phi[c] ** 2)
+        if len(phi) > 1:  # each weight uses it: laid out once, not once for each
+            gain = for_scan(gain)
+        weights = tuple(gain * rho[i] * p for i, p in enumerate(phi) if i != c)
+        u = u + gain * rho[c] * e
+        # with weights, `act` first adds the increments of the running trial
+        return (u if weights else limited(u, self.limit)), weights
+
+    def _start(self) -> Array:
+        return jnp.atleast_1d(jnp.asarray(self.phi0))
+
+
+@pytree
+class PFDLMFAILC(FFDLMFAILC):
+    """Partial-form MFAILC, which has no output increments (L_y = 0); phi0 has the shape (L_u,)."""
+
+    phi0: Leaf = leaf(default=(-0.065, 0.0))
+    L_y: int = static(default=0, interval="[0, 0]")
+
+
+@pytree
+class CFDLMFAILC(FFDLMFAILC):
+    """Compact-form MFAILC (Cao 2019, eq. 12 and 13): L_y = 0 and L_u = 1.
+
+        u(k,j) = u(k,j-1) + rho phi(k,j) / (lam + phi(k,j)^2) e(k+1,j-1)
+
+    phi is the pseudo partial derivative. This is an adaptive P-type law. On a dynamic plant the
+    error can decrease for some trials and then grow, whatever lam is. With a `Filtered` wrapper, a
+    learning lead or a stop rule it can be used on such plants.
+
+    eta: () in (0, 1], step of the estimator
+    phi0: () or (1,) start value of the estimate
+    """
+
+    lam: Leaf = leaf(default=1.0, interval="(0, inf)")
+    rho: Leaf = leaf(default=1.0, interval="(0, 1]")
+    eta: Leaf = leaf(default=0.9, interval="(0, 1]")
+    mu: Leaf = leaf(default=1.0, interval="(0, inf)")
+    phi0: Leaf = leaf(default=-0.065)
+    L_y: int = static(default=0, interval="[0, 0]")
+    L_u: int = static(default=1, interval="[1, 1]")

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from ..plants import StateSpace, TimeVaryingStateSpace
-from ..pytree.fields import Leaf, child, leaf, pytree, static
+from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..pytree.ranges import brief
-from ..signals.task import Limit, Task, Trial, product
+from ..signals.task import Task, Trial, product
 from .quadratic_cost import need_convex, need_model_of, need_stable, weights_of
-from .scheme import Feedforward, Scheme, limit_of, limited
+from .riccati import scan
+from .scheme import Feedforward, Scheme, limited
 from .weights import model_weighed
 
 # rows or columns of the dense form: in float64, H and the factor then take half a gigabyte each
@@ -30,8 +31,8 @@ class Recursion(NamedTuple):
     G: (N, n_u, n_u) inverse of the cost of the input
     """
 
-    K: jax.Array
-    G: jax.Array
+    K: Array
+    G: Array
 
 
 class Lifted(NamedTuple):
@@ -41,8 +42,8 @@ class Lifted(NamedTuple):
     factor: (N n_u, N n_u) Cholesky factor of H' W_q H + W_s + W_r
     """
 
-    H: jax.Array
-    factor: jax.Array
+    H: Array
+    factor: Array
 
 
 @pytree
@@ -85,11 +86,11 @@ class NormOptimal(Scheme):
     w_s: Leaf = leaf(default=0.0)
     limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     form: str = static(default="riccati", choices=("riccati", "lifted"))
-    solved: Any = child(default=None)
+    solved: Tree = child(default=None)
     weighs = True
     clips = ("limit",)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not isinstance(self.solved, Recursion | Lifted | None):
             raise ValueError(
                 f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; "
@@ -109,9 +110,6 @@ class NormOptimal(Scheme):
                 "use form = 'riccati', which gives the same input in memory linear in N"
             )
 
-    def initial_memory(self, task: Task) -> Feedforward:
-        return Feedforward(jnp.zeros((task.N, task.inputs)))
-
     def prepared(self, task: Task) -> NormOptimal:
         """This scheme with the equations solved that depend on model and weights alone."""
         return self._prepared(task.N, task.dt)
@@ -125,16 +123,13 @@ class NormOptimal(Scheme):
         step = ready._step_lifted(e, u) if self.form == "lifted" else ready._step_riccati(e, u)
         return Feedforward(limited(u + step, self.limit))
 
-    def limits(self, task: Task, memory: Feedforward, trial: Trial) -> dict[str, Limit]:
-        return limit_of(self.unlimited().learn(memory, trial).u, self.limit)
-
     def _prepared(self, N: int, dt: float) -> NormOptimal:
         if self.solved is not None:
             return self
         model = self.model.sampled(dt)
         return dataclasses.replace(self, model=model, solved=self._solve(model, N))
 
-    def _weights(self):
+    def _weights(self) -> tuple[Array, ...]:
         return weights_of(self, "w_q", "w_r", "w_s")
 
     def _solve(self, model: StateSpace | TimeVaryingStateSpace, N: int) -> Recursion | Lifted:
@@ -147,8 +142,8 @@ class NormOptimal(Scheme):
                 H, cho_factor(H.T @ QH + jnp.kron(jnp.eye(N), jnp.reshape(R + S, (n_u, n_u))))[0]
             )
 
-        def back(P, now):
-            A, B, C = now
+        def back(P: Array, now: Tree) -> tuple[Tree, Tree]:
+            ((A, B, C),) = now
             Z = P + C.T @ Q @ C
             G = _inverse(B.T @ Z @ B + R + S)
             K = G @ B.T @ Z @ A
@@ -156,67 +151,54 @@ class NormOptimal(Scheme):
             return (P + P.T) / 2, (K, G)
 
         start = jnp.zeros_like(model.A, shape=model.A.shape[-1:] * 2)
-        return Recursion(*_scan(back, start, model, N, reverse=True)[1])
+        return Recursion(*scan(back, start, _matrices(model), N, reverse=True)[1])
 
-    def _step_riccati(self, e, u):
+    def _step_riccati(self, e: Array, u: Array) -> Array:
         """The change u_{j+1} - u_j of the input, as (N, n_u)."""
         (Q, _, S), model, solved = self._weights(), self.model, self.solved
 
-        def back(p, now):
+        def back(p: Array, now: Tree) -> tuple[Tree, Tree]:
             (A, B, C), K, G, e_next, u_k = now
             z = p + product(C.T, product(Q, e_next))
             force = product(B.T, z) - product(S, u_k)
             return product(A.T, z) - product(K.T, force), product(G, force)
 
-        def forth(x, now):
+        def forth(x: Array, now: Tree) -> tuple[Tree, Tree]:
             (A, B, _), K, g = now
             d = g - product(K, x)
             return product(A, x) + product(B, d), d
 
         rest = jnp.zeros_like(model.A, shape=model.A.shape[-1:])
-        g = _scan(back, rest, model, len(u), solved.K, solved.G, e, u, reverse=True)[1]
-        return _scan(forth, rest, model, len(u), solved.K, g)[1]
+        matrices, N = _matrices(model), len(u)
+        g = scan(back, rest, matrices, N, solved.K, solved.G, e, u, reverse=True)[1]
+        return scan(forth, rest, matrices, N, solved.K, g)[1]
 
-    def _step_lifted(self, e, u):
+    def _step_lifted(self, e: Array, u: Array) -> Array:
         (Q, _, S), solved = self._weights(), self.solved
         pull = solved.H.T @ (e @ Q).reshape(-1) - (u @ S).reshape(-1)
         return cho_solve((solved.factor, False), pull).reshape(u.shape)
 
 
-def lifted_model(model: StateSpace | TimeVaryingStateSpace, N: int, dt: float) -> jax.Array:
+def lifted_model(model: StateSpace | TimeVaryingStateSpace, N: int, dt: float) -> Array:
     """The lifted matrix H (N n_y, N n_u) of a model: y[1..N] = H u[0..N-1]; block row k: y[k+1]."""
     model = model.sampled(dt)
     n_u, n_y = model.n_u, model.n_y
 
-    def forth(X, now):
+    def forth(X: Array, now: Tree) -> tuple[Tree, Tree]:
         (A, B, C), k = now
         X = A @ X + lax.dynamic_update_slice_in_dim(jnp.zeros_like(X), B, k * n_u, axis=1)
         return X, C @ X
 
     start = jnp.zeros_like(model.A, shape=(model.A.shape[-1], N * n_u))
-    return _scan(forth, start, model, N, jnp.arange(N))[1].reshape(N * n_y, N * n_u)
+    return scan(forth, start, _matrices(model), N, jnp.arange(N))[1].reshape(N * n_y, N * n_u)
 
 
-def _scan(f, start, model, N, *rows, reverse=False):
-    """Scan f over the rows with A and B of each sample, constant or not, and C of the next one."""
-    if isinstance(model, TimeVaryingStateSpace):
-        return lax.scan(
-            lambda c, now: f(c, (now[0], *now[1:]) if rows else now[0]),
-            start,
-            ((model.A, model.B, model.C), *rows),
-            reverse=reverse,
-        )
-    fixed = (model.A, model.B, model.C)
-    return lax.scan(
-        lambda c, now: f(c, (fixed, *now) if rows else fixed),
-        start,
-        rows,
-        length=N,
-        reverse=reverse,
-    )
+def _matrices(model: StateSpace | TimeVaryingStateSpace) -> tuple[Array, ...]:
+    """A and B of each sample, constant or not, and C of the next one."""
+    return model.A, model.B, model.C
 
 
-def _inverse(M):
+def _inverse(M: Array) -> Array:
     """The inverse of a small symmetric matrix, in closed form for one or two rows.
 
     For so few rows LAPACK would take longer than the rest of a step.

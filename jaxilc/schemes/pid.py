@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
-from ..pytree.fields import Leaf, leaf, pytree, static
+from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Sample, Task
 from .scheme import Scheme, limited, need_square
@@ -24,12 +24,12 @@ class PIDState(NamedTuple):
     feedforward: (n,) feedforward f [unit of u]; None where it is not needed
     """
 
-    integral: jax.Array
-    e: jax.Array
-    slope: jax.Array
-    u: jax.Array
-    r: Any
-    feedforward: Any
+    integral: Array
+    e: Array
+    slope: Array
+    u: Array
+    r: Tree
+    feedforward: Tree
 
 
 @pytree
@@ -87,7 +87,7 @@ class PID(Scheme):
         remembered = self.form == "increment" and (self.kv is not None or self.ka is not None)
         return PIDState(rest, rest, rest, rest, before, rest if remembered else None)
 
-    def act(self, state: PIDState, sample: Sample) -> tuple[Any, jax.Array]:
+    def act(self, state: PIDState, sample: Sample) -> tuple[PIDState, Array]:
         e = sample.r - sample.y
         slope = (self.tau * state.slope + e - state.e) / (self.tau + sample.dt)
         f, r = self._feedforward(state, sample), None if self.ka is None else sample.r
@@ -108,7 +108,7 @@ class PID(Scheme):
             u = limited(_plus(self.kp * e + integral + self.kd * slope, f), self.limit)
         return PIDState(integral, e, slope, u, r, None), u
 
-    def _feedforward(self, state: PIDState, sample: Sample):
+    def _feedforward(self, state: PIDState, sample: Sample) -> Array | None:
         """The feedforward f[k] (n,), or None where there is no feedforward."""
         f, dt = None, sample.dt
         if self.kv is not None:
@@ -120,5 +120,5 @@ class PID(Scheme):
         return f
 
 
-def _plus(u, f):
+def _plus(u: Array, f: Array | None) -> Array:
     return u if f is None else u + f

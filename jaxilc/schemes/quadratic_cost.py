@@ -1,29 +1,80 @@
-"""The nominal model and the weights of a quadratic cost, and what is asked of them."""
+"""The model and the weights of a quadratic cost, their checks, and the curvature of the cost."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TypeAlias
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from ..plants import StateSpace, TimeVaryingStateSpace
+from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.needs import known
 from ..signals.task import Task
 
+STEPS = 10  # of the Lanczos process
+ROUNDING = 100.0  # in units of the last place
 
-def need_convex(scheme: Any) -> None:
-    """Raises ValueError unless the cost of a scheme is convex, with one optimum.
 
-    scheme: with `model`, and with `w_q`, `w_r` and `w_s` as `NormOptimal` has them
+def largest_eigenvalue(f: Callable[[Array], Array], like: Array, steps: int = STEPS) -> Array:
+    """() the largest eigenvalue of a positive semidefinite map f, from below.
+
+        f V = V T + beta v e'
+
+    V is orthonormal (Lanczos, reorthogonalised in full, twice) and starts from a fixed random
+    direction. The largest eigenvalue of the tridiagonal T is never above that of f, except for
+    rounding, and is equal to it where the process comes to its end before the steps do.
+
+    f: from the shape of `like` to the same
+    steps: at most so many, and at most the number of elements
+    Unlike `theory.spectrum`, which looks at the residual to decide when to stop, this has a fixed
+    number of steps, and so derivatives, backward and of any order.
     """
+    n = like.size
+    start = jax.random.normal(jax.random.key(0), (n,), like.dtype)
+    small = ROUNDING * jnp.finfo(like.dtype).eps
+
+    def advance(now: tuple[Array, Array], i: Array) -> Tree:
+        basis, v = now
+        basis = basis.at[i].set(v)
+        image = f(v.reshape(like.shape)).ravel()
+        rest = image
+        for _ in range(2):
+            rest = rest - (basis @ rest) @ basis
+        square = rest @ rest
+        # What rounding alone leaves over is no direction.
+        goes_on = square > small**2 * (image @ image)
+        beta = jnp.sqrt(jnp.where(goes_on, square, 1.0))
+        following = jnp.where(goes_on, rest / beta, 0.0)
+        return (basis, following), (v @ image, jnp.where(goes_on, beta, 0.0))
+
+    steps = min(steps, n)
+    before = jnp.zeros((steps, n), like.dtype), start / jnp.linalg.norm(start)
+    _, (alpha, beta) = lax.scan(advance, before, jnp.arange(steps))
+    # After the end of the process the diagonal is negative, each element by another amount: an
+    # eigenvalue that occurs twice has no derivative.
+    ended = jnp.cumsum(beta[:-1] == 0) > 0
+    after = -alpha[0] * jnp.arange(1, steps)
+    diagonal = alpha.at[1:].set(jnp.where(ended, after, alpha[1:]))
+    T = jnp.diag(diagonal) + jnp.diag(beta[:-1], 1) + jnp.diag(beta[:-1], -1)
+    return jnp.linalg.eigvalsh(T)[-1]
+
+
+WithModel: TypeAlias = Tree  # a scheme with a model, and weights as `NormOptimal` has them
+
+
+def need_convex(scheme: WithModel) -> None:
+    """Raises ValueError unless the cost of a scheme is convex, with one optimum."""
     owner, n_u = type(scheme).__name__, scheme.model.n_u
     for name, size in (("w_q", scheme.model.n_y), ("w_r", n_u), ("w_s", n_u)):
         need_weight(owner, name, getattr(scheme, name), size)
     need_definite(owner, {"w_r": scheme.w_r, "w_s": scheme.w_s}, n_u)
 
 
-def need_definite(owner: str, weights: dict[str, Any], size: int) -> None:
+def need_definite(owner: str, weights: dict[str, Leaf], size: int) -> None:
     """Raises ValueError unless the sum of two semidefinite weights is positive definite."""
     if not known(weights):
         return
@@ -36,7 +87,7 @@ def need_definite(owner: str, weights: dict[str, Any], size: int) -> None:
         )
 
 
-def need_weight(owner: str, name: str, weight, size: int) -> None:
+def need_weight(owner: str, name: str, weight: Leaf, size: int) -> None:
     """Raises ValueError unless a weight is a number, a diagonal or a semidefinite matrix."""
     if weight.shape not in ((), (size,), (size, size)):
         raise ValueError(
@@ -55,7 +106,7 @@ def need_weight(owner: str, name: str, weight, size: int) -> None:
         raise ValueError(f"{owner}: {name} has the eigenvalues {values}; allowed are none below 0")
 
 
-def need_stable(scheme: Any) -> None:
+def need_stable(scheme: WithModel) -> None:
     """Raises ValueError for a constant model that is unstable."""
     model = scheme.model
     if not isinstance(model, StateSpace) or not known(model):
@@ -70,35 +121,44 @@ def need_stable(scheme: Any) -> None:
         )
 
 
-def need_model_of(scheme: Any, task: Task) -> None:
-    """Raises ValueError where the model is of another number of channels, samples, or rate."""
-    model, owner = scheme.model, type(scheme).__name__
-    jax.eval_shape(lambda model: model.sampled(task.dt), model)
+def need_channels_of(scheme: WithModel, task: Task) -> None:
+    """Raises ValueError where the model has another number of inputs or outputs than the task."""
+    model = scheme.model
     for what, of_model, of_task in (
         ("inputs", model.n_u, task.inputs),
         ("outputs", model.n_y, task.outputs),
     ):
         if of_model != of_task:
-            raise ValueError(f"{owner}: the model has {of_model} {what} but the task {of_task}")
+            raise ValueError(
+                f"{type(scheme).__name__}: the model has {of_model} {what} but the task {of_task}"
+            )
+
+
+def need_model_of(scheme: WithModel, task: Task) -> None:
+    """Raises ValueError where the model is of another number of channels, samples, or rate."""
+    model = scheme.model
+    jax.eval_shape(lambda model: model.sampled(task.dt), model)
+    need_channels_of(scheme, task)
     if isinstance(model, TimeVaryingStateSpace) and model.N != task.N:
         raise ValueError(
-            f"{owner}: the model is given for N = {model.N} samples but the task has N = {task.N}"
+            f"{type(scheme).__name__}: the model is given for N = {model.N} samples but the task "
+            f"has N = {task.N}"
         )
 
 
-def weights_of(scheme: Any, *names: str) -> tuple:
+def weights_of(scheme: WithModel, *names: str) -> tuple[Array, ...]:
     """The symmetric parts of the weights, so that a gradient step keeps a weight symmetric."""
     sizes = (scheme.model.n_y if name == "w_q" else scheme.model.n_u for name in names)
     full = [matrix_of(getattr(scheme, name), size) for name, size in zip(names, sizes, strict=True)]
     return tuple((W + W.T) / 2 for W in full)
 
 
-def matrix_of(weight, size: int):
+def matrix_of(weight: Leaf, size: int) -> Array:
     """A weight, which was given as a number, a diagonal or a matrix, as a matrix."""
     return weight if weight.ndim == 2 else weight * np.eye(size, dtype=weight.dtype)
 
 
-def eigenvalues_of(W) -> np.ndarray:
+def eigenvalues_of(W: Leaf) -> np.ndarray:
     """The eigenvalues of the symmetric part of W."""
     W = np.asarray(W)
     return np.linalg.eigvalsh((W + W.T) / 2)

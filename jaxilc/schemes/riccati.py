@@ -9,13 +9,14 @@ All functions take time and memory linear in the number N of samples.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.scipy.linalg import cho_solve
 
+from ..pytree.aliases import Array, Tree
 from ..signals.task import product
 
 UNROLLED = 4  # inputs up to which a solution is written out, since LAPACK would take longer
@@ -27,20 +28,20 @@ class System(NamedTuple):
     A (n, n), B (n, n_u), G_z (m, n), G_d (m, n_u)
     """
 
-    A: jax.Array
-    B: jax.Array
-    G_z: jax.Array
-    G_d: jax.Array
+    A: Array
+    B: Array
+    G_z: Array
+    G_d: Array
 
 
 class Factor(NamedTuple):
     """K (N, n_u, n), and the Cholesky factor L of the cost M of the input (N, n_u, n_u)."""
 
-    K: jax.Array
-    L: jax.Array
+    K: Array
+    L: Array
 
 
-def factor(system: System, W, D) -> Factor:
+def factor(system: System, W: Array, D: Array) -> Factor:
     """The Riccati recursion of the cost sum_k v[k]' (W + diag D[k]) v[k] / 2.
 
         M = [B; G_d]' S [B; G_d],   K = M^-1 [B; G_d]' S [A; G_z],   S = diag(P', W + diag D)
@@ -51,7 +52,7 @@ def factor(system: System, W, D) -> Factor:
     subtracts large numbers where entries of D are large, and loses their digits.
     """
 
-    def back(P, now):
+    def back(P: Array, now: Tree) -> tuple[Tree, Tree]:
         (A, B, G_z, G_d), D_k, *W_k = now
         V = (W_k[0] if W_k else W) + jnp.diag(D_k)
         PB, VG = times(P, B), times(V, G_d)
@@ -63,74 +64,77 @@ def factor(system: System, W, D) -> Factor:
 
     start = jnp.zeros((system.A.shape[-1],) * 2, W.dtype)
     rows = (D, W) if W.ndim == 3 else (D,)
-    return Factor(*_scan(back, start, system, *rows, reverse=True)[1])
+    return Factor(*scan(back, start, system, len(D), *rows, reverse=True)[1])
 
 
-def newton(system: System, of: Factor, q) -> tuple[jax.Array, jax.Array]:
+def newton(system: System, of: Factor, q: Array) -> tuple[Array, Array]:
     """(d, v) that minimise sum_k q[k]' v[k] + v[k]' (W + diag D[k]) v[k] / 2.
 
     of: `factor` of these W and D;  q: (N, m)
     """
 
-    def back(p, now):
+    def back(p: Array, now: Tree) -> tuple[Tree, Tree]:
         (A, B, G_z, G_d), K, L, q_k = now
         h = product(G_d.T, q_k) + product(B.T, p)
         return product(G_z.T, q_k) + product(A.T, p) - product(K.T, h), cholesky_solve(L, h)
 
-    def forth(z, now):
+    def forth(z: Array, now: Tree) -> tuple[Tree, Tree]:
         (A, B, G_z, G_d), K, g = now
         d = -g - product(K, z)
         return product(A, z) + product(B, d), (d, product(G_z, z) + product(G_d, d))
 
     rest = jnp.zeros(system.A.shape[-1], q.dtype)
-    g = _scan(back, rest, system, *of, q, reverse=True)[1]
-    return _scan(forth, rest, system, of.K, g)[1]
+    g = scan(back, rest, system, len(q), *of, q, reverse=True)[1]
+    return scan(forth, rest, system, len(q), of.K, g)[1]
 
 
-def shown(system: System, d) -> jax.Array:
+def shown(system: System, d: Array) -> Array:
     """(N, m) the rows v of inputs d (N, n_u)."""
 
-    def forth(z, now):
+    def forth(z: Array, now: Tree) -> tuple[Tree, Tree]:
         (A, B, G_z, G_d), d_k = now
         return product(A, z) + product(B, d_k), product(G_z, z) + product(G_d, d_k)
 
-    return _scan(forth, jnp.zeros(system.A.shape[-1], d.dtype), system, d)[1]
+    return scan(forth, jnp.zeros(system.A.shape[-1], d.dtype), system, len(d), d)[1]
 
 
-def carried(system: System, d) -> jax.Array:
+def carried(system: System, d: Array) -> Array:
     """(N, n) the states z[0..N-1] under inputs d (N, n_u)."""
 
-    def forth(z, now):
+    def forth(z: Array, now: Tree) -> tuple[Tree, Tree]:
         (A, B, _, _), d_k = now
         return product(A, z) + product(B, d_k), z
 
-    return _scan(forth, jnp.zeros(system.A.shape[-1], d.dtype), system, d)[1]
+    return scan(forth, jnp.zeros(system.A.shape[-1], d.dtype), system, len(d), d)[1]
 
 
-def adjoint(system: System, q) -> jax.Array:
+def adjoint(system: System, q: Array) -> Array:
     """(N, n_u) the derivative of sum_k q[k]' v[k] with respect to d, for constant q (N, m)."""
 
-    def back(p, now):
+    def back(p: Array, now: Tree) -> tuple[Tree, Tree]:
         (A, B, G_z, G_d), q_k = now
         return product(G_z.T, q_k) + product(A.T, p), product(G_d.T, q_k) + product(B.T, p)
 
     rest = jnp.zeros(system.A.shape[-1], q.dtype)
-    return _scan(back, rest, system, q, reverse=True)[1]
+    return scan(back, rest, system, len(q), q, reverse=True)[1]
 
 
-def times(X, Y) -> jax.Array:
+def times(X: Array, Y: Array) -> Array:
     """X @ Y for small matrices; up to 8 terms as their sum, which vectorises over a batch."""
     terms = len(Y)
-    return sum(X[:, j, None] * Y[j] for j in range(terms)) if 0 < terms <= 8 else X @ Y
+    if not 0 < terms <= 8:
+        return X @ Y
+    total: Tree = sum(X[:, j, None] * Y[j] for j in range(terms))
+    return total
 
 
-def cholesky(M) -> jax.Array:
+def cholesky(M: Array) -> Array:
     """L with L L' = M, for a small symmetric positive definite M."""
     size = len(M)
     if size > UNROLLED:
         return jnp.linalg.cholesky(M)
     zero = jnp.zeros_like(M[0, 0])
-    L: list[list] = [[zero] * size for _ in range(size)]
+    L: list[list[Array]] = [[zero] * size for _ in range(size)]
     for i in range(size):
         for j in range(i + 1):
             rest = M[i, j] - sum(L[i][k] * L[j][k] for k in range(j))
@@ -138,7 +142,7 @@ def cholesky(M) -> jax.Array:
     return jnp.stack([jnp.stack(row) for row in L])
 
 
-def cholesky_solve(L, b) -> jax.Array:
+def cholesky_solve(L: Array, b: Array) -> Array:
     """x with L L' x = b, for b (n_u,) or (n_u, n), by substitution.
 
     The product with an explicit inverse would not do: where a weight is huge, x in the direction of
@@ -147,7 +151,7 @@ def cholesky_solve(L, b) -> jax.Array:
     size = len(L)
     if size > UNROLLED:
         return cho_solve((L, True), b)
-    x: list = []
+    x: list[Array] = []
     for i in range(size):
         x.append((b[i] - sum(L[i, k] * x[k] for k in range(i))) / L[i, i])
     for i in reversed(range(size)):
@@ -155,16 +159,20 @@ def cholesky_solve(L, b) -> jax.Array:
     return jnp.stack(x)
 
 
-def _scan(f, start, system: System, *rows, reverse=False):
+def scan(
+    f: Callable[[Tree, Tree], tuple[Tree, Tree]],
+    start: Tree,
+    matrices: tuple[Array, ...],
+    length: int,
+    *rows: Array,
+    reverse: bool = False,
+) -> Tree:
     """Scan f over the rows, with the matrices of each sample, which may be constant."""
-    varies = [M.ndim == 3 for M in system]
 
-    def turn(carry, now):
-        moving = iter(now[0])
-        matrices = tuple(
-            next(moving) if moves else M for M, moves in zip(system, varies, strict=True)
-        )
-        return f(carry, (matrices, *now[1]))
+    def turn(carry: Tree, now: Tree) -> tuple[Tree, Tree]:
+        varying = iter(now[0])
+        at = tuple(next(varying) if M.ndim == 3 else M for M in matrices)
+        return f(carry, (at, *now[1]))
 
-    moving = tuple(M for M, moves in zip(system, varies, strict=True) if moves)
-    return lax.scan(turn, start, (moving, rows), reverse=reverse)
+    varying = tuple(M for M in matrices if M.ndim == 3)
+    return lax.scan(turn, start, (varying, rows), length=length, reverse=reverse)

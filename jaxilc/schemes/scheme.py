@@ -3,25 +3,113 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 
+from ..pytree.aliases import Array, Tree
 from ..pytree.fields import need_decorated
 from ..pytree.named_paths import named_leaves
 from ..signals.task import Limit, Sample, Task, Trial
 
-Memory = Any
-State = Any
+Memory: TypeAlias = Tree
+Schedule: TypeAlias = Tree  # each leaf has N rows
+State: TypeAlias = Tree
 STOPPED = 1e-30  # step of an estimator with which its estimate does not change
 
 
-class Feedforward(NamedTuple):
-    """The schedule of a scheme that only plays back its learned input u (N, n_u)."""
+T = TypeVar("T")
 
-    u: jax.Array
+
+class Feedforward(NamedTuple):
+    """The memory or schedule of a scheme that only plays back its learned input u (N, n_u)."""
+
+    u: Array
+
+
+class Law:
+    """What a scheme plays in a trial, and what it learns from it: all that most authors override.
+
+        initial_memory(task)     what is known before the first trial: by default a zero input
+        learn(memory, trial)     what is known after a trial
+        initial_state(task)      the state before the first sample of a trial: by default none
+        act(state, sample)       the state after a sample, and the input of that sample
+
+    A law that learns overrides `learn`; it needs `initial_memory` too if it keeps more than the
+    input that it plays next. A feedback overrides `act`, and `initial_state` if it has a state.
+    Memory and state are any pytrees.
+
+    preview: number of samples of the reference after k that `act` needs
+    trials_a_step: number of trials that are run before the scheme learns once
+    """
+
+    # `@pytree` makes a dataclass of each subclass
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
+    preview: int = 1
+    trials_a_step: int = 1
+
+    def __init__(self, *values: Any, **named: Any) -> None:
+        if type(self) is not Scheme or values or named:
+            need_decorated(type(self))
+
+    @property
+    def learns(self) -> bool:
+        """Whether the scheme carries anything from trial to trial."""
+        return type(self).learn is not Law.learn
+
+    @property
+    def plays_back(self) -> bool:
+        """Whether `act` only plays back the `u` of the schedule, whatever happens in the trial."""
+        return type(self).act is Law.act
+
+    # Between trials
+    # ----------------------------------------------------------------------------------------------
+
+    def initial_memory(self, task: Task) -> Memory:
+        """The memory before the first trial: of a law that plays back what it learns, zero input.
+
+        A scheme that does not learn, or acts within the trial, has none by default.
+        """
+        overridden = type(self).learn is not Law.learn and type(self).act is Law.act
+        return Feedforward(jnp.zeros((task.N, task.inputs))) if overridden else ()
+
+    def learn(self, memory: Memory, trial: Trial) -> Memory:
+        """The memory after a simulated or measured trial."""
+        return memory
+
+    def schedule(self, memory: Memory, task: Task) -> Schedule:
+        """The rows that `act` sees: a pytree of which each leaf has N rows, one for each sample.
+
+        By default it is the feedforward alone where the memory has a field `u` (N, n_u), else the
+        memory itself.
+        """
+        return Feedforward(memory.u) if hasattr(memory, "u") else memory
+
+    def feedforward(self, memory: Memory, task: Task) -> Array:
+        """The learned input (N, n_u) that the next trial plays back.
+
+        Raises ValueError for a scheme that learns no input.
+        """
+        schedule = self.schedule(memory, task)
+        if not hasattr(schedule, "u"):
+            raise ValueError(f"{type(self).__name__} learns no feedforward input")
+        return schedule.u
+
+    # Within a trial
+    # ----------------------------------------------------------------------------------------------
+
+    def initial_state(self, task: Task) -> State:
+        """The state before the first sample of a trial."""
+        return ()
+
+    def act(self, state: State, sample: Sample) -> tuple[State, Array]:
+        """The state after the sample k, and the input u[k] (n_u,) of this sample."""
+        return state, sample.row.u
+
+    def signals(self, state: State) -> dict[str, Array]:
+        """Internal signals to record, by name, taken from the state after `act`."""
+        return {}
 
 
 class Part(NamedTuple):
@@ -40,68 +128,44 @@ class _Unasked:
             raise AttributeError(name)
         return self
 
-    def __getitem__(self, index) -> _Unasked:
+    def __getitem__(self, index: object) -> _Unasked:
         return self
 
 
-UNASKED: Any = _Unasked()
+UNASKED: Memory = _Unasked()
 
 
-class Scheme:
+class Scheme(Law):
     """A control scheme, whose weights are the fields of a `@pytree` class.
 
-    A user's own scheme is a subclass. Between trials a `memory` is carried, which is any pytree;
-    within a trial a `state` is carried. `schedule(memory, task)` gives the rows that `act` sees,
-    one for each sample. If the schedule has a field `u`, that is the learned feedforward input.
-    Pure feedback overrides `initial_state` and `act`; pure feedforward overrides `initial_memory`
-    and `learn`.
+    A user's own scheme is a subclass, which overrides methods of `Law`. What is defined below
+    answers questions of machines and of theory; most schemes need none of it.
 
     A scheme that is composed of other schemes returns them from `parts`, and returns from `shown`
     the trial from which each of them learns. Preparation, checks, limits and what a machine plays
     then follow from those of the parts.
 
     `theory.structure` finds from the program itself whether a scheme is linear and whether it
-    learns in the same way in every trial. What cannot be found from the program, the scheme
-    declares: the fields below (see `frozen` and `limits`), `play` and `record`.
+    learns in the same way in every trial. What cannot be found from the program, the class says:
 
     estimator_steps: fields that are the step of an estimator; with 0, nothing adapts
     clips: fields that are a limit; with None, there is no limit
     compares: fields that, unless they are 0, make `act` compare the output of the running trial
         with the one that `learn` was shown
-    preview: number of samples of the reference after k that `act` needs
-    trials_a_step: number of trials that are run before the scheme learns once
-    experiments: whether all but the first of these are experiments, with errors of their own
+    experiments: whether all but the first of `trials_a_step` are experiments, with errors of
+        their own
     of_one_length: whether the law, also far from its ends, belongs to one length of the trial
+    weighs: whether it is another law for each set of samples that are measured
     first_derivatives_only: whether what it learns must not be differentiated twice
     """
 
-    # `@pytree` makes a dataclass of each subclass
-    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field]]
     estimator_steps: ClassVar[tuple[str, ...]] = ()
     clips: ClassVar[tuple[str, ...]] = ()
     compares: ClassVar[tuple[str, ...]] = ()
-    preview: int = 1
-    trials_a_step: int = 1
     experiments: bool = False
-    of_one_length: bool = False
+    weighs: ClassVar[bool] = False
     first_derivatives_only: ClassVar[bool] = False
-
-    def __init__(self, *values: Any, **named: Any):
-        if type(self) is not Scheme or values or named:
-            need_decorated(type(self))
-
-    @property
-    def learns(self) -> bool:
-        """Whether the scheme carries anything from trial to trial."""
-        return type(self).learn is not Scheme.learn
-
-    @property
-    def plays_back(self) -> bool:
-        """Whether `act` only plays back the `u` of the schedule, whatever happens in the trial."""
-        return type(self).act is Scheme.act
-
-    # The schemes that it is composed of
-    # ----------------------------------------------------------------------------------------------
+    of_one_length: bool = False
 
     def parts(self, task: Task, memory: Memory) -> dict[str, Part]:
         """The schemes that this one is composed of, each with the task and the memory that it sees.
@@ -122,14 +186,15 @@ class Scheme:
         """The trial as each part learns from it, by the field that holds the part."""
         return dict.fromkeys(self._fields_that_are_schemes(), trial)
 
-    def prepared(self, task: Task) -> Scheme:
+    def check(self, task: Task) -> None:
+        """Raises ValueError where the scheme, or one of its parts, does not fit the task."""
+        for scheme, seen, _ in self.parts(task, UNASKED).values():
+            scheme.check(seen)
+
+    def prepared(self, task: Task) -> Self:
         """This scheme with all that depends on weights and task alone computed before the scans."""
-        return self._with(
-            {
-                name: scheme.prepared(seen)
-                for name, (scheme, seen, _) in self.parts(task, UNASKED).items()
-            }
-        )
+        parts = self.parts(task, UNASKED).items()
+        return self._with({name: scheme.prepared(seen) for name, (scheme, seen, _) in parts})
 
     def frozen(self) -> Scheme:
         """The linear law with which this scheme starts.
@@ -142,7 +207,7 @@ class Scheme:
             parts | {name: STOPPED * jnp.ones_like(step) for name, step in steps.items()}
         )
 
-    def unlimited(self) -> Scheme:
+    def unlimited(self) -> Self:
         """This scheme without its limits and those of its parts."""
         parts = {name: one.unlimited() for name, one in self._fields_that_are_schemes().items()}
         return self._with(parts | dict.fromkeys(self.clips))
@@ -152,62 +217,13 @@ class Scheme:
         values = {field.name: getattr(self, field.name) for field in fields}
         return {name: value for name, value in values.items() if isinstance(value, Scheme)}
 
-    def _with(self, changed: dict[str, Any]) -> Scheme:
+    def _with(self, changed: dict[str, Tree]) -> Self:
         return dataclasses.replace(self, **changed) if changed else self
 
-    # Between trials
+    # What a machine plays, and what theory makes of a scheme
     # ----------------------------------------------------------------------------------------------
 
-    def check(self, task: Task) -> None:
-        """Raises ValueError where the scheme, or one of its parts, does not fit the task."""
-        for scheme, seen, _ in self.parts(task, UNASKED).values():
-            scheme.check(seen)
-
-    def initial_memory(self, task: Task) -> Memory:
-        """The memory before the first trial."""
-        return ()
-
-    def learn(self, memory: Memory, trial: Trial) -> Memory:
-        """The memory after a simulated or measured trial."""
-        return memory
-
-    def schedule(self, memory: Memory, task: Task) -> Any:
-        """The rows that `act` sees: a pytree of which each leaf has N rows, one for each sample.
-
-        By default it is the feedforward alone where the memory has a field `u` (N, n_u), else the
-        memory itself.
-        """
-        return Feedforward(memory.u) if hasattr(memory, "u") else memory
-
-    def feedforward(self, memory: Memory, task: Task) -> jax.Array:
-        """The learned input (N, n_u) that the next trial plays back.
-
-        Raises ValueError for a scheme that learns no input.
-        """
-        schedule = self.schedule(memory, task)
-        if not hasattr(schedule, "u"):
-            raise ValueError(f"{type(self).__name__} learns no feedforward input")
-        return schedule.u
-
-    # Within a trial
-    # ----------------------------------------------------------------------------------------------
-
-    def initial_state(self, task: Task) -> State:
-        """The state before the first sample of a trial."""
-        return ()
-
-    def act(self, state: State, sample: Sample) -> tuple[State, jax.Array]:
-        """The state after the sample k, and the input u[k] (n_u,) of this sample."""
-        return state, sample.row.u
-
-    def signals(self, state: State) -> dict[str, jax.Array]:
-        """Internal signals to record, by name, taken from the state after `act`."""
-        return {}
-
-    # For real machines and for theory
-    # ----------------------------------------------------------------------------------------------
-
-    def played(self, schedule: Any, task: Task) -> dict[str, jax.Array]:
+    def played(self, schedule: Schedule, task: Task) -> dict[str, Array]:
         """The parts of the schedule that a real machine needs in a trial, by name, each (N, ...).
 
         For a scheme that only plays back, this is `u`. For a scheme whose schedule has a field for
@@ -218,8 +234,8 @@ class Scheme:
             return {"u": schedule.u}
         parts = self.parts(task, UNASKED)
         if not parts or not all(hasattr(schedule, name) for name in parts):
-            return {f"table.{name}": rows for name, rows in named_leaves(schedule).items()}
-        found = {}
+            return under("table", named_leaves(schedule))
+        found: dict[str, Array] = {}
         for name, (scheme, seen, _) in parts.items():
             found |= under(name, scheme.played(getattr(schedule, name), seen))
         return found
@@ -229,24 +245,30 @@ class Scheme:
 
         memory: the memory before a trial of the `unlimited` scheme
         trial: the record of this trial
-        By default a field `limit` is the largest |u| within a trial; a scheme that limits what it
-        learns overrides this. The limits of a part are under its name. A scheme in a field that
-        `parts` leaves out cannot be asked, so its limits count as met.
+        By default a field `limit` is the largest |u| that a law learns which plays it back, and the
+        largest |u| within the trial of another. The limits of a part are under its name. A scheme
+        in a field that `parts` leaves out cannot be asked, so its limits count as met.
         """
-        own = limit_of(trial.u, getattr(self, "limit", None)) if "limit" in self.clips else {}
+        own: dict[str, Limit] = {}
+        if "limit" in self.clips and (bound := getattr(self, "limit", None)) is not None:
+            learned = self.learns and type(self).act is Law.act
+            own["limit"] = Limit(
+                next_unlimited(self, task, memory, trial) if learned else trial.u, bound
+            )
         parts = self.parts(task, memory)
         for name, scheme in self._fields_that_are_schemes().items():
-            if name not in parts and jax.tree.structure(scheme) != jax.tree.structure(
-                scheme.unlimited()
-            ):
-                own[f"{name}, which {type(self).__name__}.parts leaves out,"] = always_met(trial.u)
+            free = scheme.unlimited()
+            limited = jax.tree.structure(scheme) != jax.tree.structure(free)  # type: ignore[operator]  # of JAX
+            if name not in parts and limited:
+                left_out = f"{name}, which {type(self).__name__}.parts leaves out,"
+                own[left_out] = Limit(jnp.full_like(trial.u, 2.0), jnp.ones(()))
         return own | limits_of_parts(parts, self.shown(trial) if parts else {})
 
-    def play(self, learned, memory: Memory, task: Task) -> Any:
+    def play(self, learned: Array, memory: Memory, task: Task) -> Schedule:
         """The `schedule` with `learned`, of the shape of `feedforward`, as the learned signal."""
         return self.schedule(memory, task)._replace(u=learned)
 
-    def record(self, learned, e, task: Task) -> Trial:
+    def record(self, learned: Array, e: Array, task: Task) -> Trial:
         """The record for `learn` of a trial that played `learned` with the error e (N+1, n_y).
 
         A feedback contributed nothing in this trial.
@@ -255,16 +277,23 @@ class Scheme:
         return Trial(r, r - e, learned, task.dt)
 
 
-def with_all_parts(scheme: Scheme, task: Task, memory: Memory = UNASKED) -> Iterator[Part]:
-    """The scheme, its parts, the parts of these parts, and so on."""
-    yield Part(scheme, task, memory)
-    for part in scheme.parts(task, memory).values():
-        yield from with_all_parts(*part)
-
-
-def under(name: str, found: dict[str, Any]) -> dict[str, Any]:
+def under(name: str, found: dict[str, T]) -> dict[str, T]:
     """The entries of a part under the name of the part, as `NAME.KEY`."""
     return {f"{name}.{key}": value for key, value in found.items()}
+
+
+def limits_of_parts(parts: dict[str, Part], shown: dict[str, Trial]) -> dict[str, Limit]:
+    """The limits of each part under its name; `shown` is the trial as each part acted in it."""
+    found: dict[str, Limit] = {}
+    for name, (scheme, task, memory) in parts.items():
+        found |= under(name, scheme.limits(task, memory, shown[name]))
+    return found
+
+
+def next_unlimited(scheme: Scheme, task: Task, memory: Memory, trial: Trial) -> Array:
+    """(N, n_u) what the scheme would learn from a trial if it had no limits."""
+    free = scheme.unlimited()
+    return free.feedforward(free.learn(memory, trial), task)
 
 
 def need_square(scheme: Scheme, task: Task) -> None:
@@ -277,24 +306,6 @@ def need_square(scheme: Scheme, task: Task) -> None:
         )
 
 
-def limited(u, limit) -> jax.Array:
+def limited(u: Array, limit: Array | None) -> Array:
     """The signal u, clipped to +-limit; with None there is no limit."""
     return u if limit is None else jnp.clip(u, -limit, limit)
-
-
-def limit_of(signal, bound) -> dict[str, Limit]:
-    """What `Scheme.limits` returns for a scheme that has one field `limit`."""
-    return {} if bound is None else {"limit": Limit(signal, bound)}
-
-
-def always_met(signal) -> Limit:
-    """A limit that counts as met in every trial, since nobody can say when it is."""
-    return Limit(jnp.full_like(signal, 2.0), jnp.ones(()))
-
-
-def limits_of_parts(parts: dict[str, Part], shown: dict[str, Trial]) -> dict[str, Limit]:
-    """The limits of each part under its name; `shown` is the trial as each part acted in it."""
-    found = {}
-    for name, (scheme, task, memory) in parts.items():
-        found |= under(name, scheme.limits(task, memory, shown[name]))
-    return found

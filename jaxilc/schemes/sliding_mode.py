@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..pytree.fields import Leaf, leaf, pytree, static
+from ..pytree.aliases import Array, Leaf, Tree, Value
+from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known, need_channels
 from ..signals.task import Sample, Task, Trial
 from .scheme import Scheme, limited, need_square
@@ -27,13 +27,13 @@ class SlidingState(NamedTuple):
     eta_hat: (n,) present switching gain [y/s^2]
     """
 
-    total: jax.Array
-    e: jax.Array
-    slope: jax.Array
-    r: jax.Array
-    r_before: jax.Array
-    sigma: jax.Array
-    eta_hat: jax.Array
+    total: Array
+    e: Array
+    slope: Array
+    r: Array
+    r_before: Array
+    sigma: Array
+    eta_hat: Array
 
 
 @pytree
@@ -88,7 +88,7 @@ class SMC(Scheme):
     centre: str = static(default="sample", choices=("sample", "hold"))
     clips = ("limit",)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         need_input_gain(self)
 
     def check(self, task: Task) -> None:
@@ -101,7 +101,7 @@ class SMC(Scheme):
         rest, r = jnp.zeros(task.outputs), jnp.asarray(task.reference[0])
         return SlidingState(rest, rest, rest, r, r, rest, self.eta + rest)
 
-    def act(self, state: SlidingState, sample: Sample) -> tuple[Any, jax.Array]:
+    def act(self, state: SlidingState, sample: Sample) -> tuple[SlidingState, Array]:
         e = sample.y - sample.r
         slope = filtered_difference(state.slope, e, state.e, self.tau, sample.dt)
         wanted = self._equivalent(e, slope, state, sample)
@@ -117,14 +117,14 @@ class SMC(Scheme):
             u = limited(self._input(wanted, sigma, grown), self.limit)
         return SlidingState(total, e, slope, sample.r, state.r, sigma, grown), u
 
-    def signals(self, state: SlidingState) -> dict[str, jax.Array]:
+    def signals(self, state: SlidingState) -> dict[str, Array]:
         return {"sigma": state.sigma, "eta_hat": state.eta_hat}
 
-    def switching(self, sigma) -> jax.Array:
+    def switching(self, sigma: Leaf) -> Array:
         """The switching function of sigma, as (n,): sgn(sigma) unless a subclass overrides it."""
         return jnp.sign(sigma)
 
-    def _equivalent(self, e, slope, state: SlidingState, sample: Sample):
+    def _equivalent(self, e: Array, slope: Array, state: SlidingState, sample: Sample) -> Array:
         """The equivalent control b u_eq (eq. 8), as (n,) [y/s^2]."""
         r, following, dt = sample.r, sample.ahead[0], sample.dt
         acceleration = (following - 2 * r + state.r) / dt**2
@@ -141,14 +141,14 @@ class SMC(Scheme):
             - self.lam2 * e
         )
 
-    def _input(self, wanted, sigma, eta_hat):
+    def _input(self, wanted: Value, sigma: Array, eta_hat: Array) -> Array:
         return (wanted - eta_hat * self.switching(sigma) - self.k_n * sigma) / self.b
 
-    def _start(self, state: SlidingState, sample: Sample):
+    def _start(self, state: SlidingState, sample: Sample) -> Array:
         """The switching gain (n,) before it adapts."""
         return state.eta_hat
 
-    def _adapted(self, eta_hat, e, sigma, dt):
+    def _adapted(self, eta_hat: Array, e: Array, sigma: Array, dt: float) -> Array:
         """The switching gain (n,) for this sample."""
         return eta_hat
 
@@ -156,13 +156,13 @@ class SMC(Scheme):
 class Carried(NamedTuple):
     """The memory of `ASMC` with `carry`: eta_hat (n,), with which the next trial starts."""
 
-    eta_hat: jax.Array
+    eta_hat: Array
 
 
 class CarriedRows(NamedTuple):
     """The schedule of `ASMC` with `carry`: the start gain in row 0 of eta_hat (N, n), then zero."""
 
-    eta_hat: jax.Array
+    eta_hat: Array
 
 
 @pytree
@@ -206,10 +206,10 @@ class ASMC(SMC):
         super().check(task)
         need_channels(self, task.outputs, "phi", "epsilon", "Delta")
 
-    def initial_memory(self, task: Task) -> Any:
+    def initial_memory(self, task: Task) -> Tree:
         return Carried(jnp.broadcast_to(self.eta, (task.outputs,))) if self.carry else ()
 
-    def schedule(self, memory, task: Task) -> Any:
+    def schedule(self, memory: Tree, task: Task) -> Tree:
         return (
             CarriedRows(jnp.zeros((task.N, task.outputs)).at[0].set(memory.eta_hat))
             if self.carry
@@ -220,7 +220,7 @@ class ASMC(SMC):
         state = super().initial_state(task)
         return state._replace(eta_hat=jnp.zeros_like(state.eta_hat)) if self.carry else state
 
-    def learn(self, memory, trial: Trial) -> Any:
+    def learn(self, memory: Tree, trial: Trial) -> Tree:
         if not self.carry:
             return memory
         if "eta_hat" not in trial.signals:
@@ -230,17 +230,17 @@ class ASMC(SMC):
             )
         return Carried(trial.signals["eta_hat"][-1])
 
-    def switching(self, sigma) -> jax.Array:
+    def switching(self, sigma: Leaf) -> Array:
         return jnp.clip(sigma / self.Delta, -1.0, 1.0)
 
-    def _start(self, state: SlidingState, sample: Sample):
+    def _start(self, state: SlidingState, sample: Sample) -> Array:
         return state.eta_hat + sample.row.eta_hat if self.carry else state.eta_hat
 
-    def _adapted(self, eta_hat, e, sigma, dt):
+    def _adapted(self, eta_hat: Array, e: Array, sigma: Array, dt: float) -> Array:
         return eta_hat + jnp.where(jnp.abs(e) > self.epsilon, dt * self.phi * jnp.abs(sigma), 0.0)
 
 
-def need_input_gain(scheme) -> None:
+def need_input_gain(scheme: Tree) -> None:
     """Raises ValueError if the input gain b, by which the scheme divides, is zero."""
     if known(scheme) and np.any(np.asarray(scheme.b) == 0):
         raise ValueError(
@@ -249,7 +249,7 @@ def need_input_gain(scheme) -> None:
         )
 
 
-def filtered_difference(slope, x, x_last, tau, dt) -> jax.Array:
+def filtered_difference(slope: Array, x: Array, x_last: Array, tau: Array, dt: float) -> Array:
     """One step of the backward difference with a first-order low-pass filter.
 
         slope' = (tau slope + x - x_last) / (tau + dt),    H(z) = (1 - z^-1) / (tau + dt - tau z^-1)

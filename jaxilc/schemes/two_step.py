@@ -9,16 +9,15 @@ import jax
 import jax.numpy as jnp
 
 from ..plants import Plant, StateSpace, motion
-from ..pytree.fields import Leaf, child, leaf, pytree, static
+from ..pytree.aliases import Array, Leaf, Value
+from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .constrained_norm_optimal import limits_of_rows
 from .constraints import kinds, need_feasible, rows_of
-from .gauss_newton import Found
-from .optimum import optimum
+from .gauss_newton import Found, Problem, optimum
 from .quadratic_cost import matrix_of, need_convex, need_definite, need_model_of, need_weight
 from .scheme import Scheme
-from .tracking import Problem
 from .weights import WeighedOutput, output_weighed
 
 
@@ -36,14 +35,14 @@ class TwoStepMemory(NamedTuple):
         units of the largest bound of its kind
     """
 
-    u: jax.Array
-    alpha: jax.Array
-    converged: jax.Array
-    unsolved: jax.Array
-    estimation_steps: jax.Array
-    control_steps: jax.Array
-    moved: jax.Array
-    violation: jax.Array
+    u: Array
+    alpha: Array
+    converged: Array
+    unsolved: Array
+    estimation_steps: Array
+    control_steps: Array
+    moved: Array
+    violation: Array
 
 
 @pytree
@@ -110,7 +109,7 @@ class TwoStep(Scheme):
     weighs = True
     clips = ("limit", "rate", "y_low", "y_high", "tube")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         need_convex(self)
         need_weight("TwoStep", "w_y", self.w_y, self.model.n_y)
         of_alpha = {"w_alpha": self.w_alpha, "w_change": self.w_change}
@@ -166,7 +165,7 @@ class TwoStep(Scheme):
         problem = Problem(model, y, none, added, beside, Q, jnp.zeros_like(S), S, change)
         return _seen(problem, trial)
 
-    def _control(self, model: Plant, r, u, alpha) -> Problem:
+    def _control(self, model: Plant, r: Array, u: Array, alpha: Array) -> Problem:
         """The problem of the second step, with the next input as its unknown."""
         n_u, n_y = self.model.n_u, self.model.n_y
         weights = (self.w_q, n_y), (self.w_r, n_u), (self.w_s, n_u)
@@ -187,7 +186,7 @@ class TwoStep(Scheme):
 
 
 @partial(jax.jit, static_argnums=2)
-def _first(scheme: TwoStep, r, dt: float) -> TwoStepMemory:
+def _first(scheme: TwoStep, r: Array, dt: float) -> TwoStepMemory:
     """The memory before the first trial, with the best input of the model as it is."""
     u = jnp.zeros((len(r) - 1, scheme.model.n_u), r.dtype)
     alpha = jnp.zeros((len(u), scheme._corrections), r.dtype)
@@ -199,7 +198,7 @@ def _first(scheme: TwoStep, r, dt: float) -> TwoStepMemory:
     return _memory(blank, found.converged, none, found)
 
 
-def _memory(memory: TwoStepMemory, good, estimated: Found, found: Found) -> TwoStepMemory:
+def _memory(memory: TwoStepMemory, good: Array, estimated: Found, found: Found) -> TwoStepMemory:
     """The memory with what is known of the two solutions."""
     return memory._replace(
         converged=good,
@@ -218,12 +217,12 @@ def _seen(problem: Problem, trial: Trial) -> Problem:
     return problem._replace(model=WeighedOutput(problem.model, trial.weight), beside=beside)
 
 
-def _symmetric(W) -> jax.Array:
+def _symmetric(W: Array) -> Array:
     """The symmetric part, so that a gradient step keeps a weight symmetric."""
     return (W + W.T) / 2
 
 
-def _delay(size: int, dtype, dt: float) -> StateSpace:
+def _delay(size: int, dtype: Value, dt: float) -> StateSpace:
     """The plant whose output is its input of the sample before."""
     eye = jnp.eye(size, dtype=dtype)
     return StateSpace(jnp.zeros_like(eye), eye, eye, dt=dt)

@@ -10,18 +10,15 @@ model answers times W (H -> W H), so that it makes use of the motion where error
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
-import jax
 import jax.numpy as jnp
 
 from ..plants import Plant, StateSpace, TimeVaryingStateSpace
-from ..pytree.fields import Leaf, child, leaf, pytree
+from ..pytree.aliases import Array, Function, Leaf, Tree
+from ..pytree.fields import child, leaf, pytree
 from ..signals.task import Trial
 
 
-def weighed(trial: Trial, W) -> Trial:
+def weighed(trial: Trial, W: Array) -> Trial:
     """The trial with the errors W e, on top of a weight that it has already.
 
     W: (N+1, n_y, n_y), or (N+1, n_y) for a weight of each output by itself
@@ -34,14 +31,14 @@ def weighed(trial: Trial, W) -> Trial:
     )
 
 
-def output_weighed(trial: Trial, y) -> jax.Array:
+def output_weighed(trial: Trial, y: Array) -> Array:
     """(N+1, n_y) an output y of a model as the weight of the trial shows it."""
     if trial.weight is None:
         return y
     return trial.r - jnp.einsum("kij,kj->ki", trial.weight, trial.r - y)
 
 
-def model_weighed(model: Any, trial: Trial) -> Any:
+def model_weighed(model: Tree, trial: Trial) -> Tree:
     """The linear model, sampled, from the input to the outputs as the weight shows them."""
     if trial.weight is None:
         return model
@@ -53,7 +50,7 @@ def model_weighed(model: Any, trial: Trial) -> Any:
     return TimeVaryingStateSpace(A, B, W @ C, dt=model.dt)
 
 
-def answers_weighed(push: Callable, pull: Callable, trial: Trial) -> tuple[Callable, Callable]:
+def answers_weighed(push: Function, pull: Function, trial: Trial) -> tuple[Function, Function]:
     """The linear maps G and G* of a model, as the weight of the trial shows its output."""
     if trial.weight is None:
         return push, pull
@@ -64,7 +61,7 @@ def answers_weighed(push: Callable, pull: Callable, trial: Trial) -> tuple[Calla
     )
 
 
-def counts_at_all(trial: Trial) -> jax.Array | float:
+def counts_at_all(trial: Trial) -> Array | float:
     """(N, n_y) whether the error of each sample from k = 1 on counts; 1 without a weight."""
     if trial.weight is None:
         return 1.0
@@ -92,12 +89,12 @@ class WeighedOutput(Plant):
     def sampled(self, dt: float) -> WeighedOutput:
         return WeighedOutput(self.plant.sampled(dt), self.weight)
 
-    def initial_state(self) -> Any:
+    def initial_state(self) -> Tree:
         """The number of the sample, as a float, and the state of the plant."""
         return jnp.zeros_like(self.weight, shape=()), self.plant.initial_state()
 
-    def step(self, x, u, dt) -> Any:
+    def step(self, x: Tree, u: Array, dt: float) -> Tree:
         return x[0] + 1.0, self.plant.step(x[1], u, dt)
 
-    def output(self, x) -> jax.Array:
+    def output(self, x: Array) -> Array:
         return self.weight[x[0].astype(int)] @ self.plant.output(x[1])

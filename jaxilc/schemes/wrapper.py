@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import jax
-
+from ..pytree.aliases import Array, Leaf
 from ..signals.task import Sample, Task, Trial
-from .scheme import UNASKED, Part, Scheme
+from .scheme import UNASKED, Memory, Part, Schedule, Scheme, State
 
 
 class Wrapper(Scheme):
@@ -22,10 +19,10 @@ class Wrapper(Scheme):
 
     scheme: Scheme
 
-    def parts(self, task: Task, memory) -> dict[str, Part]:
+    def parts(self, task: Task, memory: Memory) -> dict[str, Part]:
         return {"scheme": Part(self.scheme, task, memory)}
 
-    def _inner(self, task: Task, memory=UNASKED) -> Part:
+    def _inner(self, task: Task, memory: Memory = UNASKED) -> Part:
         return Part(*self.parts(task, memory)["scheme"])
 
     @property
@@ -41,46 +38,46 @@ class Wrapper(Scheme):
         return self.scheme.plays_back
 
     @property
-    def limit(self) -> Any:
+    def limit(self) -> Leaf | None:
         return getattr(self.scheme, "limit", None)
 
     @property
     def trials_a_step(self) -> int:
         return self.scheme.trials_a_step
 
-    def initial_memory(self, task: Task) -> Any:
+    def initial_memory(self, task: Task) -> Memory:
         scheme, task, _ = self._inner(task)
         return scheme.initial_memory(task)
 
-    def learn(self, memory, trial: Trial) -> Any:
+    def learn(self, memory: Memory, trial: Trial) -> Memory:
         return self.scheme.learn(memory, self.shown(trial)["scheme"])
 
-    def schedule(self, memory, task: Task) -> Any:
+    def schedule(self, memory: Memory, task: Task) -> Schedule:
         scheme, task, memory = self._inner(task, memory)
         return scheme.schedule(memory, task)
 
-    def feedforward(self, memory, task: Task) -> jax.Array:
+    def feedforward(self, memory: Memory, task: Task) -> Array:
         scheme, task, memory = self._inner(task, memory)
         return scheme.feedforward(memory, task)
 
-    def initial_state(self, task: Task) -> Any:
+    def initial_state(self, task: Task) -> State:
         scheme, task, _ = self._inner(task)
         return scheme.initial_state(task)
 
-    def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
+    def act(self, state: State, sample: Sample) -> tuple[State, Array]:
         return self.scheme.act(state, sample)
 
-    def signals(self, state) -> dict[str, jax.Array]:
+    def signals(self, state: State) -> dict[str, Array]:
         return self.scheme.signals(state)
 
-    def played(self, schedule, task: Task) -> dict[str, jax.Array]:
+    def played(self, schedule: Schedule, task: Task) -> dict[str, Array]:
         scheme, task, _ = self._inner(task)
         return scheme.played(schedule, task)
 
-    def play(self, learned, memory, task: Task) -> Any:
+    def play(self, learned: Array, memory: Memory, task: Task) -> Schedule:
         scheme, task, memory = self._inner(task, memory)
         return scheme.play(learned, memory, task)
 
-    def record(self, learned, e, task: Task) -> Trial:
+    def record(self, learned: Array, e: Array, task: Task) -> Trial:
         scheme, task, _ = self._inner(task)
         return scheme.record(learned, e, task)

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..pytree.aliases import Array, Tree, Value
 
-def contour_error(y, path, *, window: int, closed: bool | None = None) -> jax.Array:
+
+def contour_error(y: Value, path: Value, *, window: int, closed: bool | None = None) -> Array:
     """(M,) normal distance of each measured point from the path.
 
         e_k = distance of y_k from the chords path_i path_{i+1}
@@ -62,7 +64,7 @@ def contour_error(y, path, *, window: int, closed: bool | None = None) -> jax.Ar
 
 
 @partial(jax.jit, static_argnums=(2, 3))
-def _contour_error(y, path, window, closed):
+def _contour_error(y: Array, path: Array, window: int, closed: bool | None) -> Array:
     round_it = _meet(path) if closed is None else jnp.asarray(closed)
     # Which chord is the nearest one is a choice, and has no derivative.
     search = _nearest_of_as_many if len(y) == len(path) > 2 * window else _nearest
@@ -77,7 +79,7 @@ def _contour_error(y, path, window, closed):
     return jnp.where(inside, left, jnp.where(left < 0, -distance, distance))
 
 
-def _away(point, start, step):
+def _away(point: Array, start: Tree, step: Array) -> Tree:
     """The vector from the nearest place of a chord, whether that lies inside, and its square."""
     squared = jnp.sum(step**2, axis=-1)
     along = jnp.sum((point - start) * step, axis=-1) / jnp.where(squared > 0, squared, 1.0)
@@ -85,7 +87,7 @@ def _away(point, start, step):
     return point - nearest, (along > 0) & (along < 1), squared
 
 
-def _nearest(y, path, window, closed):
+def _nearest(y: Array, path: Array, window: int, closed: Array) -> Array:
     """(M,) the number of the nearest chord of each point, for a path of any number of points."""
     last = len(path) - 1
     centres = np.rint(np.arange(len(y)) * (last / max(len(y) - 1, 1))).astype(int)
@@ -102,7 +104,7 @@ def _nearest(y, path, window, closed):
     return jnp.take_along_axis(chords, best[:, None], axis=1)[:, 0]
 
 
-def _nearest_of_as_many(y, path, window, closed):
+def _nearest_of_as_many(y: Array, path: Array, window: int, closed: Array) -> Array:
     """The same for a path of as many points, where the chords of a sample are its neighbours.
 
     Then each step of the search is a shift of whole signals, which takes a tenth of the time of
@@ -119,10 +121,10 @@ def _nearest_of_as_many(y, path, window, closed):
     inverse = 1.0 / jnp.where(squared > 0, squared, 1.0)
     points = list(y.T)
 
-    def nearer(i, best):
+    def nearer(i: Array, best: tuple[Array, Array]) -> tuple[Tree, Tree]:
         distance, at = best
 
-        def there_now(x):
+        def there_now(x: Array) -> Array:
             return lax.dynamic_slice_in_dim(x, i, last + 1)
 
         v = [there_now(x) for x in step]
@@ -142,18 +144,18 @@ def _nearest_of_as_many(y, path, window, closed):
     return jnp.where(closed, near, of_open)
 
 
-def _nearest_of_all(y, path):
+def _nearest_of_all(y: Array, path: Array) -> Array:
     """The same among all chords of a short path, for the ends of an open one."""
     candidates, _, squared = _away(y[:, None], path[:-1], path[1:] - path[:-1])
     return jnp.argmin(jnp.where(squared > 0, jnp.sum(candidates**2, axis=-1), jnp.inf), axis=1)
 
 
-def _meet(path):
+def _meet(path: Array) -> Array:
     """() whether the path ends where it starts."""
     return jnp.max(jnp.abs(path[-1] - path[0])) <= 1e-6 * jnp.max(jnp.ptp(path, axis=0))
 
 
-def _length(vectors):
+def _length(vectors: Array) -> Array:
     """(M,) of (M, d); the gradient of a vector of length zero is zero, not NaN."""
     squared = jnp.sum(vectors**2, axis=-1)
     return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0 * squared)

@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 import scipy
 
+from ..pytree.aliases import Numbers, Value
 from ..pytree.ranges import require
 from .sample_times import POSITIVE
 
@@ -44,13 +45,13 @@ _BUTTERFLY_KNOTS = """
 _BUTTERFLY_WIDTH = 97.1619  # of the curve with the table's numbers [mm]
 
 
-def line(start, end) -> Curve:
+def line(start: Value, end: Value) -> Curve:
     """The straight line from `start` to `end`, (d,) each [mm], over the interval (0, 1)."""
     start, end = np.asarray(start, float), np.asarray(end, float)
     return lambda s: start + np.multiply.outer(s, end - start)
 
 
-def circle(radius, *, centre=(0.0, 0.0)) -> Curve:
+def circle(radius: float, *, centre: Value = (0.0, 0.0)) -> Curve:
     """Anticlockwise circle over the angle s [rad], from the point at s = 0 on the positive x-axis.
 
     radius: [mm]
@@ -60,7 +61,7 @@ def circle(radius, *, centre=(0.0, 0.0)) -> Curve:
     return lambda s: np.asarray(centre) + radius * np.stack([np.cos(s), np.sin(s)], axis=-1)
 
 
-def nurbs(points, knots, weights=None) -> Curve:
+def nurbs(points: Value, knots: Value, weights: Value = None) -> Curve:
     """Non-uniform rational B-spline over (knots[0], knots[-1]).
 
         C(s) = sum_i w_i N_i(s) P_i / sum_i w_i N_i(s)
@@ -90,14 +91,14 @@ def nurbs(points, knots, weights=None) -> Curve:
         knots, np.column_stack([points * weights[:, None], weights]), len(knots) - len(points) - 1
     )
 
-    def curve(s):
+    def curve(s: Numbers) -> Numbers:
         h = homogeneous(s)
         return h[..., :-1] / h[..., -1:]
 
     return curve
 
 
-def butterfly(width=_BUTTERFLY_WIDTH) -> Curve:
+def butterfly(width: float = _BUTTERFLY_WIDTH) -> Curve:
     """The cubic NURBS butterfly that the papers on CNC interpolators use, over (0, 1).
 
     It has 51 control points, runs clockwise from the head, (0, 0), and ends 0.001 mm beside it. It
@@ -120,7 +121,9 @@ def butterfly(width=_BUTTERFLY_WIDTH) -> Curve:
     )
 
 
-def tabulated(curve, interval, points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def tabulated(
+    curve: Curve, interval: tuple[float, float], points: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Parameter (M,), position (M, d) and arc length (M,) along the curve.
 
     Raises ValueError, which says what is wrong with the curve.
@@ -151,14 +154,14 @@ def tabulated(curve, interval, points) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return u, q, arc - arc[0]
 
 
-def _turns(q):
+def _turns(q: Numbers) -> Numbers:
     """(..., M-2) angle between successive chords of (..., M, d) points [rad]."""
     chords = np.diff(q, axis=-2)
     chords = chords / np.maximum(np.linalg.norm(chords, axis=-1, keepdims=True), 1e-300)
     return 2 * np.arcsin(np.clip(np.linalg.norm(np.diff(chords, axis=-2), axis=-1) / 2, 0, 1))
 
 
-def _require_smooth(curve, u, q):
+def _require_smooth(curve: Curve, u: Numbers, q: Numbers) -> None:
     """Look closer at every local maximum of turning.
 
     On a smooth curve the angle shrinks with the step; at a corner it stays.

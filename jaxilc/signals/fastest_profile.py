@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 import scipy
 
+from ..pytree.aliases import Numbers, Value
+
+Spline: TypeAlias = Value  # of SciPy
+Groups: TypeAlias = list[tuple[Numbers, Value, Value]]  # axes, acceleration, jerk of vectors
+Share: TypeAlias = float | Numbers  # of an interval
 _GAUSS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2, np.polynomial.legendre.leggauss(4)[1] / 2
 
 
-def fastest(path, h, G, feed, groups, gap):
+def fastest(path: Spline, h: float, G: int, feed: float, groups: Groups, gap: float) -> Numbers:
     """(G+2,) coefficients of the quadratic B-spline beta that minimises the time.
 
     It is found to a relative gap, by a barrier method: for each of a row of weights of the time,
@@ -42,7 +49,7 @@ def fastest(path, h, G, feed, groups, gap):
     return c
 
 
-def _stencil(h, G):
+def _stencil(h: float, G: int) -> Numbers:
     """(3, 3, 2, G) beta, beta' and beta'' at both ends of G intervals, from three coefficients."""
     bend = [1 / h**2, -2 / h**2, 1 / h**2]
     stencil = np.array(
@@ -71,7 +78,7 @@ class _Barrier:
     limits: number of inequalities
     """
 
-    def __init__(self, path, h, G, feed, groups):
+    def __init__(self, path: Spline, h: float, G: int, feed: float, groups: Groups) -> None:
         x = np.add.outer([0, 1], np.arange(G)) * h
         p1, p2, p3 = (np.moveaxis(path.derivative(i)(x), -1, 0).copy()[:, None] for i in (1, 2, 3))
         self.E, E1, E2 = _stencil(h, G)
@@ -87,14 +94,14 @@ class _Barrier:
         self._weights = self.Q[:, rows, cols] * np.where(rows == cols, 1, 2)[:, None, None]
         self.limits = x.size * (1 + 2 * self.n)
 
-    def start(self):
+    def start(self) -> Numbers:
         """(G+2,) coefficients of a constant speed that is within all limits."""
         n = self.n
         largest = np.max(np.sum(self.Q, axis=(1, 2)), axis=(1, 2))
         largest = largest ** np.repeat([1 / 4, 1 / 6], n)
         return np.full(self.G + 2, 0.9 * max(np.sqrt(self.speed.max()), *largest) ** -2)
 
-    def local(self, c):
+    def local(self, c: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers]:
         """The three coefficients of each interval, beta, and what is left of the limits.
 
         These are the limit of the speed and the others. All are > 0 within the limits.
@@ -105,18 +112,18 @@ class _Barrier:
         used[self.n :] *= beta
         return C, beta, 1 - self.speed * beta, 1 - used
 
-    def time(self, c):
+    def time(self, c: Numbers) -> float:
         """The sum of the times that both ends of the intervals stand for."""
         return np.sum(self.local(c)[1] ** -0.5)
 
-    def cost(self, c, weight):
+    def cost(self, c: Numbers, weight: float) -> float:
         """The weighted time less the logarithms; infinite outside the limits."""
         _, beta, left, others = self.local(c)
         if not (c.min() > 0 and min(left.min(), others.min()) > 0):
             return np.inf
         return weight * np.sum(beta**-0.5) - sum(np.sum(np.log(part)) for part in (left, *others))
 
-    def newton_step(self, c, weight):
+    def newton_step(self, c: Numbers, weight: float) -> tuple[Numbers, float]:
         """(G+2,) step of Newton's method, and the decrease of the cost that it promises, twice."""
         slope, along, inverse, bend = self._derivatives(c, weight)
         G, E = self.G, self.E
@@ -133,7 +140,7 @@ class _Barrier:
         step[[0, -1]] = step[[1, -2]]
         return step, -np.sum(total * step)  # a dot product would wait for BLAS threads
 
-    def _derivatives(self, c, weight):
+    def _derivatives(self, c: Numbers, weight: float) -> tuple[Numbers, ...]:
         """What the gradient and the Hessian of the cost are assembled from.
 
         These are the slopes of the logarithms of accelerations and jerks, (2 n, 3, 2, G), the slope
@@ -160,30 +167,30 @@ class _Barrier:
 class Profile:
     """The motion x(t) of dx/dt = beta(x)^(1/2)."""
 
-    def __init__(self, coefficients, h):
+    def __init__(self, coefficients: Numbers, h: float) -> None:
         self.c, self.h = coefficients, h
         self.G = len(coefficients) - 2
         self.times = np.append(0.0, np.cumsum(self._time(np.arange(self.G), 1.0)))
 
-    def beta(self, x):
+    def beta(self, x: Numbers) -> tuple[Numbers, Numbers, Numbers]:
         """beta and its two derivatives at x, (M,) each."""
         g = np.clip((x / self.h).astype(int), 0, self.G - 1)
         return self._beta(g, x / self.h - g)
 
-    def _beta(self, g, f):
+    def _beta(self, g: Numbers, f: Share) -> tuple[Numbers, Numbers, Numbers]:
         """The same at the fraction f of interval g."""
         a, b, c = self.c[g], self.c[g + 1], self.c[g + 2]
         value = (a * (1 - f) ** 2 + c * f**2) / 2 + b * (0.75 - (f - 0.5) ** 2)
         return value, (a * (f - 1) + c * f + b * (1 - 2 * f)) / self.h, (a - 2 * b + c) / self.h**2
 
-    def _time(self, g, f):
+    def _time(self, g: Numbers, f: Share) -> Numbers:
         """Time from the start of interval g to its fraction f, by Gauss quadrature."""
         return sum(
             weight * f * self.h / np.sqrt(self._beta(g, f * node)[0])
             for node, weight in zip(*_GAUSS, strict=True)
         )
 
-    def at(self, t):
+    def at(self, t: Numbers) -> Numbers:
         """x at the times t, (M,), by Newton's method."""
         g = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, self.G - 1)
         rest = t - self.times[g]

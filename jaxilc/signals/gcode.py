@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..pytree.aliases import Numbers, Tree
 from ..pytree.ranges import brief
 from .segments import FARTHEST, SHORTEST, Arc, Straight
 from .tool_path import Dwell, Move
@@ -73,7 +74,7 @@ class _Reader:
     relative: bool = False
     feed: float | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.position = np.zeros(len(self.letters))
         self.steps: list[Move | Dwell] = []
 
@@ -139,7 +140,7 @@ class _Reader:
             missing = "the key `rapid`, its feed" if name == "G0" else "a feed, F in a minute"
             raise ValueError(f"{name} needs {missing}")
         if arc:
-            segment = self._arc(name, words, start, end)
+            segment: Arc | Straight = self._arc(name, words, start, end)
         elif np.max(np.abs(end - start)) <= SHORTEST:
             return
         else:
@@ -147,7 +148,7 @@ class _Reader:
         self.steps.append(Move(segment, feed, what))
         self.position = end
 
-    def _arc(self, name: str, words: dict[str, float], start, end) -> Arc:
+    def _arc(self, name: str, words: dict[str, float], start: Tree, end: Numbers) -> Arc:
         axes, centres = _PLANES[self.plane]
         if not set(axes) <= set(self.letters):
             raise ValueError(
@@ -177,7 +178,7 @@ class _Reader:
         return Arc(start, end, centre, plane, sweep)
 
 
-def _centre_of(name: str, a, b, radius: float, turn: float) -> np.ndarray:
+def _centre_of(name: str, a: Numbers, b: Numbers, radius: float, turn: float) -> np.ndarray:
     """The centre of an arc by its radius; a negative radius means more than half a circle."""
     chord = b - a
     length = float(np.linalg.norm(chord))
@@ -193,8 +194,8 @@ def _centre_of(name: str, a, b, radius: float, turn: float) -> np.ndarray:
     return (a + b) / 2 + turn * np.sign(radius) * apart * left
 
 
-def _require_radii(name: str, first, last) -> None:
-    radii = np.linalg.norm(first), np.linalg.norm(last)
+def _require_radii(name: str, first: Numbers, last: Numbers) -> None:
+    radii = float(np.linalg.norm(first)), float(np.linalg.norm(last))
     if not min(radii) > 0 or abs(radii[0] - radii[1]) > max(RADII, RADII_SHARE * radii[0]):
         raise ValueError(
             f"{name}: the radius is {radii[0]:.6g} mm at its start and {radii[1]:.6g} mm at its "

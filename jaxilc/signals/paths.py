@@ -7,18 +7,20 @@ reference for `Task`.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
 
+from ..pytree.aliases import Function, Numbers
 from ..pytree.ranges import require
-from .curves import butterfly, circle, line, nurbs, tabulated
-from .fastest_profile import Profile, fastest
+from .curves import Curve, butterfly, circle, line, nurbs, tabulated
+from .fastest_profile import Groups, Profile, Spline, fastest
 from .sample_times import POSITIVE
 
 __all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]
 
+Limits: TypeAlias = float | Numbers  # of the length of a vector, or of each axis
 LONGEST = 1_000_000  # samples of a plan
 
 
@@ -53,7 +55,16 @@ class Plan(NamedTuple):
         return np.arange(len(self.reference)) * self.dt
 
 
-def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan:
+def plan(
+    curve: Curve,
+    interval: tuple[float, float],
+    *,
+    feed: float,
+    acceleration: Limits,
+    jerk: Limits,
+    dt: float,
+    points: int = 20001,
+) -> Plan:
     """Nearly time-optimal motion along the curve from rest to rest, within limits.
 
     Look-ahead planning, forward and backward, gives a first profile. An interior-point method then
@@ -103,7 +114,7 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
         )
     parameter_at = scipy.interpolate.make_interp_spline(arc, u, 5)
 
-    def on_curve(s):
+    def on_curve(s: Numbers) -> tuple[Numbers, Numbers]:
         """(M, d+1) positions, and the arc length as one more axis."""
         parameter = np.clip(parameter_at(s), u[0], u[-1])
         parameter[s <= 0], parameter[s >= arc[-1]] = u[0], u[-1]
@@ -121,7 +132,9 @@ def plan(curve, interval, *, feed, acceleration, jerk, dt, points=20001) -> Plan
     return _sampled(on_curve, path, profile, arc[-1], dt, feed, groups)
 
 
-def _over_time(on_curve, arc_at, length, T, step):
+def _over_time(
+    on_curve: Function, arc_at: Function, length: float, T: float, step: float
+) -> tuple[Numbers, Spline]:
     """(G+1,) times of a profile, and the spline of the path and its arc length over them.
 
     on_curve: positions and arc length, and parameter, at an arc length
@@ -140,7 +153,15 @@ def _over_time(on_curve, arc_at, length, T, step):
     return x, scipy.interpolate.make_interp_spline(x, positions, 3, bc_type=(at_rest, at_rest))
 
 
-def _sampled(on_curve, path, profile, length, dt, feed, groups):
+def _sampled(
+    on_curve: Function,
+    path: Spline,
+    profile: Profile,
+    length: float,
+    dt: float,
+    feed: float,
+    groups: Groups,
+) -> Plan:
     """The plan of a profile in whole samples, slowed down until they keep the limits."""
     T, stretch = profile.times[-1], 1.0
     while True:
@@ -164,7 +185,7 @@ def _sampled(on_curve, path, profile, length, dt, feed, groups):
     return Plan(reference[:, :-1], parameter, s, *motion, float(dt))
 
 
-def _groups(d, feed, acceleration, jerk, dt):
+def _groups(d: int, feed: float, acceleration: Limits, jerk: Limits, dt: float) -> Groups:
     """(axes, acceleration, jerk) for each vector that is limited; axis d is the arc length.
 
     Raises ValueError for a limit or a sample time outside its range.
@@ -181,7 +202,9 @@ def _groups(d, feed, acceleration, jerk, dt):
     return [(np.array([i]), accelerations[i], jerks[i]) for i in range(d)]
 
 
-def _look_ahead(arc, q, feed, acceleration, jerk):
+def _look_ahead(
+    arc: Numbers, q: Numbers, feed: float, acceleration: float, jerk: float
+) -> tuple[float, float, Function]:
     """A first profile: ramp time [s], duration [s] and arc length at a time, a function.
 
     The speed is at most feed, (acceleration / |q''|)^(1/2) and (jerk / |q'''|)^(1/3) over the arc
@@ -209,14 +232,14 @@ def _look_ahead(arc, q, feed, acceleration, jerk):
     # the integral is exact at constant acceleration, as in the start from rest
     integral = scipy.interpolate.make_interp_spline(t, v, 1).antiderivative(2)
 
-    def integral_at(x):
+    def integral_at(x: Numbers) -> Numbers:
         inside = np.clip(x, 0.0, t[-1])
         return integral(inside) + (x > t[-1]) * L * (x - inside)
 
     return ramp, T, lambda x: (integral_at(x) - integral_at(x - ramp)) / ramp
 
 
-def _excess(reference, dt, feed, groups):
+def _excess(reference: Numbers, dt: float, feed: float, groups: Groups) -> float:
     """The factor by which time must be stretched for the sampled reference to keep every limit.
 
     It is its differences that must keep them.

@@ -7,9 +7,12 @@ package.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 
+from ..pytree.aliases import Numbers
 from ..pytree.ranges import require
 from ..runtime.capacity import check_size
 from .s_curves import SCurveMove, s_curve, s_curve_move
@@ -27,7 +30,15 @@ __all__ = [
 ]
 
 
-def sinusoid(amplitude, frequency, *, duration, dt, phase=0.0, offset=0.0) -> np.ndarray:
+def sinusoid(
+    amplitude: float,
+    frequency: float,
+    *,
+    duration: float,
+    dt: float,
+    phase: float = 0.0,
+    offset: float = 0.0,
+) -> np.ndarray:
     """r = offset + amplitude sin(2 pi frequency t + phase), shape (N+1,).
 
     amplitude, offset: [mm]
@@ -47,7 +58,14 @@ def sinusoid(amplitude, frequency, *, duration, dt, phase=0.0, offset=0.0) -> np
     return offset + amplitude * np.sin(2 * np.pi * frequency * time + phase)
 
 
-def multisine(amplitudes, frequencies, phases=None, *, duration, dt) -> np.ndarray:
+def multisine(
+    amplitudes: Numbers,
+    frequencies: Numbers,
+    phases: Numbers | None = None,
+    *,
+    duration: float,
+    dt: float,
+) -> np.ndarray:
     """r = sum_i amplitudes_i sin(2 pi frequencies_i t + phases_i), shape (N+1,).
 
     amplitudes:   (M,) > 0 [mm]
@@ -83,7 +101,15 @@ def multisine(amplitudes, frequencies, phases=None, *, duration, dt) -> np.ndarr
     return np.sin(2 * np.pi * np.outer(time, f) + phi) @ a
 
 
-def chirp(amplitude, f_start, f_stop, *, duration, dt, method="linear") -> np.ndarray:
+def chirp(
+    amplitude: float,
+    f_start: float,
+    f_stop: float,
+    *,
+    duration: float,
+    dt: float,
+    method: str = "linear",
+) -> np.ndarray:
     """r = amplitude sin(2 pi int_0^t f), shape (N+1,), with r[0] = 0.
 
     f sweeps from f_start at t = 0 to f_stop at t = duration:
@@ -112,7 +138,9 @@ def chirp(amplitude, f_start, f_stop, *, duration, dt, method="linear") -> np.nd
     return amplitude * np.sin(2 * np.pi * cycles)
 
 
-def m_sequence(order, *, amplitude=1.0, hold=1, periods=1, seed=1) -> np.ndarray:
+def m_sequence(
+    order: int, *, amplitude: float = 1.0, hold: int = 1, periods: int = 1, seed: int = 1
+) -> np.ndarray:
     """Maximum-length binary sequence of +-amplitude, an identification *input*.
 
     The shape is (N,), with N = periods hold (2^order - 1).
@@ -138,7 +166,16 @@ def m_sequence(order, *, amplitude=1.0, hold=1, periods=1, seed=1) -> np.ndarray
     return np.tile(np.repeat(amplitude * (2.0 * bits - 1.0), hold), periods)
 
 
-def noncircular(*, duration, dt, spindle_speed, feed, ellipticity, bulge, length) -> np.ndarray:
+def noncircular(
+    *,
+    duration: float,
+    dt: float,
+    spindle_speed: float,
+    feed: float,
+    ellipticity: Sequence[float],
+    bulge: float,
+    length: float,
+) -> np.ndarray:
     """Tool path that turns a middle-convex piston of varying oval section (Cao 2019, eq. 28).
 
         y = f(Z) - G(Z) cos(2 omega t),    f(Z) = D(Z) / 2 + G(Z) / 4

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..pytree.aliases import Numbers, Value
 from ..pytree.ranges import require
 from .sample_times import FINITE, NONNEGATIVE, POSITIVE, sample_times
 
@@ -29,7 +30,7 @@ class SCurveMove(NamedTuple):
         """Time from rest to rest [s]."""
         return sum(self.durations)
 
-    def at(self, t) -> tuple[np.ndarray, ...]:
+    def at(self, t: Numbers) -> tuple[np.ndarray, ...]:
         """Position, velocity, acceleration and jerk at the times `t` [s], each shaped like `t`.
 
         Outside the move it is at rest. At a switching time the jerk is that of one of its two
@@ -52,7 +53,9 @@ class SCurveMove(NamedTuple):
         return np.where(late, self.distance - p, p), v, np.where(late, -a, a), j
 
 
-def s_curve_move(distance, *, velocity, acceleration, jerk) -> SCurveMove:
+def s_curve_move(
+    distance: float, *, velocity: float, acceleration: float, jerk: float
+) -> SCurveMove:
     """The time-optimal move over `distance` from rest to rest within three limits, in closed form.
 
         t_j = min(acceleration / jerk, (velocity / jerk)^(1/2), (distance / 2 jerk)^(1/3))
@@ -85,7 +88,16 @@ def s_curve_move(distance, *, velocity, acceleration, jerk) -> SCurveMove:
     )
 
 
-def s_curve(positions, *, velocity, acceleration, jerk, dwell=0.0, dt, duration=None) -> np.ndarray:
+def s_curve(
+    positions: Value,
+    *,
+    velocity: float,
+    acceleration: float,
+    jerk: float,
+    dwell: float = 0.0,
+    dt: float,
+    duration: float | None = None,
+) -> np.ndarray:
     """Time-optimal jerk-limited moves from position to position, with a dwell after each.
 
     The shape is (N+1,).
@@ -138,7 +150,7 @@ def s_curve(positions, *, velocity, acceleration, jerk, dwell=0.0, dt, duration=
     return r
 
 
-def _require_limits(function, velocity, acceleration, jerk):
+def _require_limits(function: str, velocity: float, acceleration: float, jerk: float) -> None:
     require(function, "velocity", velocity, POSITIVE, " mm/s")
     require(function, "acceleration", acceleration, POSITIVE, " mm/s^2")
     require(function, "jerk", jerk, POSITIVE, " mm/s^3")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..pytree.aliases import Numbers
 from ..pytree.ranges import require
 from ..runtime.capacity import check_size
 from .task import Task
@@ -12,7 +13,7 @@ FINITE, POSITIVE, NONNEGATIVE = "(-inf, inf)", "(0, inf)", "[0, inf)"
 ARRAYS = 32  # of the length of a reference, that making it and one trial of it take
 
 
-def sample_times(function, duration, dt, arrays=ARRAYS):
+def sample_times(function: str, duration: float, dt: float, arrays: int = ARRAYS) -> Numbers:
     """(N+1,) sample times [s], N = round(duration / dt).
 
     arrays: how many arrays of that length will be needed

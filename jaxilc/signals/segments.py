@@ -7,6 +7,8 @@ import itertools
 
 import numpy as np
 
+from ..pytree.aliases import Numbers
+
 FARTHEST = 1e9  # largest coordinate [mm]
 SHORTEST = 1e-9  # coordinates that differ by less are one place [mm]
 
@@ -22,7 +24,7 @@ class Straight:
     def length(self) -> float:
         return float(np.linalg.norm(self.end - self.start))
 
-    def at(self, s) -> np.ndarray:
+    def at(self, s: Numbers) -> np.ndarray:
         """(M, d) positions at the lengths s, (M,)."""
         return self.start + np.multiply.outer(s, self.slopes[0])
 
@@ -72,7 +74,7 @@ class Arc:
         x, y = self.start[list(self.plane)] - self.centre
         return float(np.arctan2(y, x))
 
-    def at(self, s) -> np.ndarray:
+    def at(self, s: Numbers) -> np.ndarray:
         """(M, d) positions at the lengths s, (M,)."""
         share = np.asarray(s, float) / self.length
         position = self.start + np.multiply.outer(share, self.end - self.start)
@@ -123,7 +125,7 @@ class Chain:
         the chain's length
     """
 
-    def __init__(self, segments: list[Segment], tolerance: float):
+    def __init__(self, segments: list[Segment], tolerance: float) -> None:
         self.segments = segments
         self.ends = np.cumsum([segment.length for segment in segments])
         self.length = float(self.ends[-1])
@@ -159,7 +161,7 @@ class Chain:
             reach *= max(0.5, 0.999 * tolerance / off)
         return reach
 
-    def _rounding(self, s, reach: float) -> np.ndarray:
+    def _rounding(self, s: Numbers, reach: float) -> np.ndarray:
         """(M, d) what rounding adds to the chain at the lengths s, (M,)."""
         first = np.searchsorted(self.corners, s - reach)
         last = np.searchsorted(self.corners, s + reach)
@@ -171,7 +173,7 @@ class Chain:
             total[there] += bump[:, None] * self.jumps[at]
         return total
 
-    def exact(self, s) -> np.ndarray:
+    def exact(self, s: Numbers) -> np.ndarray:
         """(M, d) positions on the segments themselves at the lengths s, (M,)."""
         s = np.asarray(s, float)
         of = np.minimum(np.searchsorted(self.ends, s, side="right"), len(self.segments) - 1)
@@ -181,7 +183,7 @@ class Chain:
             position[at] = self.segments[i].at(s[at] - start)
         return position
 
-    def __call__(self, s) -> np.ndarray:
+    def __call__(self, s: Numbers) -> np.ndarray:
         """(M, d) positions at the lengths s, (M,)."""
         s = np.asarray(s, float)
         position = self.exact(s)
@@ -191,7 +193,7 @@ class Chain:
 _AT_CORNER = 0.15625  # b(0) / a
 
 
-def _bump(x) -> np.ndarray:
+def _bump(x: Numbers) -> np.ndarray:
     """b(x) / a for |x| <= 1: the average of a corner less the corner itself."""
     x = np.abs(x)
     return np.maximum(_AT_CORNER - x / 2 + 15 / 16 * (x**2 / 2 - x**4 / 6 + x**6 / 30), 0.0)

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.fields import Leaf, leaf, pytree, static
+from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.fields import leaf, pytree, static
 from ..pytree.in_short import in_short
 from ..pytree.needs import known
 from ..runtime.jax_internals import COLUMNS, product_by_columns
@@ -48,7 +49,7 @@ class Task:
     input_unit: str = static(default="")
     names: tuple[str, ...] = static(default=())
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         r = self.reference
         if r.ndim == 1:
             r = r[:, None]
@@ -113,7 +114,7 @@ class Task:
         return slice(round(start / self.dt), min(round(stop / self.dt), self.N) + 1)
 
 
-def _check_names(names, outputs: int) -> None:
+def _check_names(names: Sequence[str], outputs: int) -> None:
     """Raises ValueError unless each output has a name of its own, or none has one."""
     if not names:
         return
@@ -138,13 +139,15 @@ class Sample(NamedTuple):
              where there is no actuator, or where nobody can tell; it is then what was commanded
     """
 
-    r: jax.Array
-    ahead: jax.Array
-    y: jax.Array
-    row: Any
+    r: Array
+    ahead: Array
+    y: Array
+    row: Tree
     dt: float
-    applied: jax.Array | None = None
-    __repr__ = in_short
+    applied: Array | None = None
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
 
 class Trial(NamedTuple):
@@ -159,16 +162,18 @@ class Trial(NamedTuple):
              zero where nothing was measured; None: each error counts as it is
     """
 
-    r: jax.Array
-    y: jax.Array
-    u: jax.Array
+    r: Array
+    y: Array
+    u: Array
     dt: float
-    signals: dict[str, jax.Array] = {}  # noqa: RUF012  never written to
-    weight: jax.Array | None = None
-    __repr__ = in_short
+    signals: dict[str, Array] = {}  # noqa: RUF012  never written to
+    weight: Array | None = None
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
     @property
-    def e(self) -> jax.Array:
+    def e(self) -> Array:
         """(N+1, n_y) tracking error r - y."""
         return self.r - self.y
 
@@ -180,16 +185,16 @@ class Limit(NamedTuple):
     bound:  () or (n,) largest |signal| that passes unchanged
     """
 
-    signal: jax.Array
-    bound: jax.Array
+    signal: Array
+    bound: Array
 
 
-def quantise(x, step) -> jax.Array:
+def quantise(x: Array, step: Array) -> Array:
     """Round to multiples of `step`. The gradient is straight-through: d quantise / dx = 1."""
     return x + lax.stop_gradient(jnp.round(x / step) * step - x)
 
 
-def product(matrix, vector) -> jax.Array:
+def product(matrix: Array, vector: Array) -> Array:
     """matrix @ vector, for a loop over samples.
 
     Up to 8 columns are taken as their sum, which vectorises over a batch, up to twice as fast.

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from ..pytree.aliases import Value
 from ..pytree.ranges import require
 from .paths import LONGEST, plan
 from .s_curves import s_curve, s_curve_move
@@ -64,7 +65,12 @@ class Followed(NamedTuple):
 
 
 def follow(
-    steps: Sequence[Move | Dwell], *, corner: float | None, acceleration, jerk, dt: float
+    steps: Sequence[Move | Dwell],
+    *,
+    corner: float | None,
+    acceleration: Value,
+    jerk: Value,
+    dt: float,
 ) -> Followed:
     """The reference along moves and dwells, from rest to rest.
 
@@ -88,7 +94,7 @@ def follow(
         require("", "corner", corner, POSITIVE, ' mm, or "stop"')
     for move in moves:
         require("", f"{move.what}: feed" if move.what else "feed", move.feed, POSITIVE, " mm/s")
-    limits = {"acceleration": acceleration, "jerk": jerk, "dt": dt}
+    limits: dict[str, Value] = {"acceleration": acceleration, "jerk": jerk, "dt": dt}
     parts, stops, rounded, samples = [moves[0].segment.start[None]], -1, 0, 0
     for piece in _pieces(steps, corner):
         if isinstance(piece, Dwell):
@@ -114,7 +120,7 @@ def _require_room(samples: int, dt: float) -> None:
         )
 
 
-def _pieces(steps, corner):
+def _pieces(steps: Sequence[Move | Dwell], corner: float | None) -> Iterator[Dwell | list[Move]]:
     """Lists of moves that are passed without a stop, and the dwells between them."""
     piece: list[Move] = []
     for step in steps:
@@ -134,7 +140,7 @@ def _goes_on(before: Move, after: Move, corner: float | None) -> bool:
     return before.feed == after.feed and angle <= (SMOOTH if corner is None else REVERSAL)
 
 
-def _planned(piece: list[Move], tolerance: float, limits) -> np.ndarray:
+def _planned(piece: list[Move], tolerance: float, limits: Mapping[str, Value]) -> np.ndarray:
     """(N+1, d) the reference along moves without a stop between them."""
     segments, feed = [move.segment for move in piece], piece[0].feed
     try:
@@ -153,7 +159,9 @@ def _planned(piece: list[Move], tolerance: float, limits) -> np.ndarray:
         raise ValueError(f"{piece[0].what}: {said}" if piece[0].what else said) from None
 
 
-def _straight(segment: Straight, feed: float, *, acceleration, jerk, dt) -> np.ndarray:
+def _straight(
+    segment: Straight, feed: float, *, acceleration: Value, jerk: Value, dt: float
+) -> np.ndarray:
     """(N+1, d) the time-optimal reference along one straight segment."""
     d = len(segment.start)
     for name, value in (("acceleration", acceleration), ("jerk", jerk)):
@@ -164,7 +172,7 @@ def _straight(segment: Straight, feed: float, *, acceleration, jerk, dt) -> np.n
     share = np.abs(segment.slopes[0])
     moving = share > 0
 
-    def along(limit) -> float:
+    def along(limit: Value) -> float:
         """The limit of the length covered: of the vector, or of the axis that allows the least."""
         return float(np.min(limit[moving] / share[moving]) if np.ndim(limit) else limit)
 

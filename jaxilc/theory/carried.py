@@ -13,7 +13,7 @@ from ..learning.machine import Machine
 from ..learning.within_trial import first_start, run_and_measure
 from ..plants.structure import obstacle
 from ..schemes import Scheme
-from ..schemes.experiments import trials_of_step
+from ..schemes.parts import trials_of_step
 from ..signals.task import Task
 from .certificates import CONVERGES, DIVERGES, NOTHING
 from .record_moments import RecordMoments

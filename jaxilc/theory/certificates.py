@@ -50,7 +50,7 @@ from ..learning.over_trials import check
 from ..pytree.in_short import in_short
 from ..runtime.capacity import check_size
 from ..schemes import FFDLMFAILC, Scheme
-from ..schemes.experiments import trials_of_step
+from ..schemes.parts import trials_of_step
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, draw, drawn_machines
 from .bounds import Checked, checked_machines

@@ -24,8 +24,7 @@ from ..learning.playback import replay
 from ..learning.variation import Variation
 from ..plants.structure import CONSTANT, dependence, obstacle
 from ..schemes import Scheme
-from ..schemes.experiments import trials_of_step
-from ..schemes.scheme import with_all_parts
+from ..schemes.parts import trials_of_step, with_all_parts
 from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import tick_of

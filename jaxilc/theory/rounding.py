@@ -30,7 +30,8 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..plants import Dahl, InputHysteresis
-from ..pytree.fields import Leaf, child, leaf, pytree
+from ..pytree.aliases import Leaf
+from ..pytree.fields import child, leaf, pytree
 from ..pytree.in_short import in_short
 from ..runtime.tiles import tiled_with
 from ..schemes import Scheme

@@ -1,6 +1,7 @@
 from . import objectives, risks
-from .problem import Tuned, Tuning
+from .problem import Tuning
 from .trade_off import pareto
+from .weights import Tuned
 from .worst_case import GRADIENT_COST, monte_carlo_search, worst_case_search
 
 __all__ = [

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..learning.divergence import CEILING, peak
-from ..pytree.fields import Leaf, child, leaf, pytree
+from ..pytree.aliases import Leaf
+from ..pytree.fields import child, leaf, pytree
 from ..schemes import Scheme
 from ..schemes.guards import Guard
 from ..signals.task import Sample, Task, Trial

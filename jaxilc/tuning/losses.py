@@ -4,7 +4,7 @@ How learning affects the gradients:
 
     clips, quantisers, resets     Their docstrings say what the gradient is: zero, straight-through,
                                   or that of the branch that was taken. `reset="smooth"` has the
-                                  whole gradient (`schemes.pseudo_gradient`).
+                                  whole gradient (`schemes.mfac`).
     a diverging learning process  `bounded.Bounded` limits its error to a ceiling. The gradient is
                                   that of the trial that reached the ceiling.
     many trials                   Where learning amplifies, the slope of log e grows with the number

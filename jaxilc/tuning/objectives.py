@@ -29,7 +29,7 @@ from ..learning.over_trials import History, learn
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..schemes import Scheme
-from ..schemes.constrained_norm_optimal import need_second_derivatives
+from ..schemes.parts import need_second_derivatives
 from ..signals.task import Task
 from .bounded import Bounded
 

@@ -34,7 +34,7 @@ from ..runtime.earlier_names import takes_also
 from ..runtime.provenance import describe, environment
 from ..runtime.tiles import OPEN
 from ..schemes import Scheme
-from ..schemes.experiments import need_learned_at_last
+from ..schemes.parts import need_learned_at_last
 from ..signals.task import Task, Trial
 from ..sweeps.sweep import Sweep
 from ..uncertainty import Uncertainty, bytes_drawn, draw

@@ -21,7 +21,7 @@ from ..learning.over_trials import learn
 from ..pytree.in_short import in_short
 from ..runtime.capacity import check_size
 from ..schemes import Scheme
-from ..schemes.experiments import need_learned_at_last
+from ..schemes.parts import need_learned_at_last
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty
 from .objectives import Final, judge

@@ -23,7 +23,7 @@ from jaxilc.learning import Machine, Sensor, learn
 from jaxilc.learning.known_metrics import GATHERED
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, PIDType
-from jaxilc.schemes.pseudo_gradient import reset_estimate
+from jaxilc.schemes.mfac import reset_estimate
 from jaxilc.signals import Task
 from jaxilc.tuning import objectives
 from jaxilc.tuning.descent import Evaluation, by_gradient, for_starts, repaired

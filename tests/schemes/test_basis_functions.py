@@ -26,8 +26,8 @@ from jaxilc.schemes import (
     select_basis,
     started,
 )
-from jaxilc.schemes.scheme import with_all_parts
-from jaxilc.schemes.sparse_basis import _path
+from jaxilc.schemes.bases import _path
+from jaxilc.schemes.parts import with_all_parts
 from jaxilc.theory.certificates import MONOTONE, long_run
 from jaxilc.uncertainty import drawn_machines
 

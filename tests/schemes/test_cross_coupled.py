@@ -163,7 +163,7 @@ def test_what_it_cannot_serve_is_refused(scheme, task, said):
 def test_weights_are_single_numbers_that_are_not_negative():
     with pytest.raises(ValueError, match=r"contour = -1"):
         CrossCoupled(PIDType(), contour=-1.0)
-    with pytest.raises(ValueError, match=r"own has shape \(2,\); allowed is \(\)"):
+    with pytest.raises(ValueError, match=r"own has shape \(2,\); allowed is one number"):
         CrossCoupled(PIDType(), own=(1.0, 2.0)).check(TASK)
 
 

@@ -16,7 +16,7 @@ from jaxilc.schemes import (
     OnBasis,
     PolynomialBasis,
 )
-from jaxilc.schemes.scheme import with_all_parts
+from jaxilc.schemes.parts import with_all_parts
 from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Trial
 

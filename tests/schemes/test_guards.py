@@ -319,7 +319,7 @@ ERRORS = {
     ),
     "growth_shape": (
         lambda: StopWhen(LAW, growth=(0.1,)),
-        r"StopWhen: growth has shape \(1,\); allowed is \(\)",
+        r"StopWhen: growth has shape \(1,\); allowed is one number",
     ),
     "inner": (lambda: StopWhen(PIDType(lead=N), rms=1.0), f"PIDType: lead = {N} is outside"),
     "no_table": (

@@ -16,8 +16,17 @@ from jaxilc.learning import Machine, learn, next_memory
 from jaxilc.learning.playback import schedules
 from jaxilc.plants import DifferenceEquation
 from jaxilc.pytree import child, leaf, named_leaves, pytree
-from jaxilc.schemes import FFDLMFAILC, PID, Ladder, PIDType, Scheme, WithFeedback
-from jaxilc.schemes.scheme import with_all_parts
+from jaxilc.schemes import (
+    FFDLMFAILC,
+    PID,
+    Feedforward,
+    Ladder,
+    PIDType,
+    Scheme,
+    WithFeedback,
+)
+from jaxilc.schemes.parts import with_all_parts
+from jaxilc.schemes.scheme import limited
 from jaxilc.schemes.wrapper import Wrapper
 from jaxilc.signals import Task
 from jaxilc.sweeps import Sweep
@@ -260,6 +269,30 @@ def test_limits_and_schedules_of_parts_have_their_names():
     with pytest.raises(ValueError, match=r"with L_y = 2 of FFDLMFAILC, which compares outputs"):
         Ladder(beside, repeats=2, slow=0.5).check(TASK)
     assert beside.frozen().first.eta < 1e-20
+
+
+@pytree
+class OneMethod(Scheme):
+    """P-type learning, which only says how it learns."""
+
+    gain: jax.Array = leaf(default=0.5)
+    limit: jax.Array = leaf(default=None, interval="(0, inf)", optional=True)
+    clips = ("limit",)
+
+    def learn(self, memory, trial):
+        return Feedforward(limited(trial.u + self.gain * trial.e[1:], self.limit))
+
+
+def test_a_law_of_one_method_starts_from_zero_and_is_limited_in_what_it_learns():
+    own, theirs = OneMethod(0.5, limit=0.3), PIDType(gamma_p=0.5, limit=0.3)
+    ours, known = (learn(MACHINE, one, TASK, TRIALS) for one in (own, theirs))
+    np.testing.assert_allclose(ours.rms, known.rms, **ALGEBRA)
+    trial = learn(MACHINE, own.unlimited(), TASK, 1).final
+    of_own, of_theirs = (
+        one.limits(TASK, one.initial_memory(TASK), trial)["limit"] for one in (own, theirs)
+    )
+    assert np.max(np.abs(of_own.signal)) > 0.3 > np.max(np.abs(trial.u)) == 0
+    np.testing.assert_allclose(of_own.signal, of_theirs.signal, **ALGEBRA)
 
 
 def test_they_learn_from_measured_trials(case):

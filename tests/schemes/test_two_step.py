@@ -14,8 +14,8 @@ from jaxilc import load_scenario
 from jaxilc.plants import Pendulum, StateSpace
 from jaxilc.scenarios import reproduce
 from jaxilc.schemes import NormOptimal, TwoStep, WithFeedback
-from jaxilc.schemes.constrained_norm_optimal import need_second_derivatives
-from jaxilc.schemes.optimum import optimum
+from jaxilc.schemes.gauss_newton import optimum
+from jaxilc.schemes.parts import need_second_derivatives
 from jaxilc.schemes.two_step import TwoStepMemory
 from jaxilc.signals import Task
 from jaxilc.signals.task import Trial

@@ -15,7 +15,7 @@ from jaxilc.learning import Machine, learn
 from jaxilc.plants import DifferenceEquation
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC
 from jaxilc.signals import Task
-from jaxilc.signals.sample_layout import for_carry, for_scan
+from jaxilc.signals.rows import for_carry, for_scan
 
 SINE = Task(np.sin(2 * np.pi * np.arange(51) / 50), dt=1e-3)
 X = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5, 2)))

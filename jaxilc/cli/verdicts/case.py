@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from ...schemes.experiments import trials_of_step
+from ...schemes.parts import trials_of_step
 from ..tables import number
 from .next_command import Asked
 
@@ -24,7 +24,7 @@ class Case(NamedTuple):
     metric: name of the metric by which schemes are judged, in words
     unit: in which it is shown
     tolerance: largest value that passes, None if none is known
-    steps: trials of a learning step by name, see `schemes.experiments.trials_of_step`
+    steps: trials of a learning step by name, see `schemes.parts.trials_of_step`
     """
 
     asked: Asked

@@ -1,4 +1,4 @@
-"""What a wrapper cannot have inside: experiments between trials, and comparing within a trial.
+"""What is asked of all parts of a scheme: experiments between trials, comparing within a trial.
 
 Some schemes make experiments on the machine between the trials that play what they learned. Others
 compare the output of the running trial with that of the last one, which a wrapper may have changed.
@@ -6,10 +6,19 @@ compare the output of the running trial with that of the last one, which a wrapp
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+
+import jax
 
 from ..signals.task import Task
-from .scheme import Scheme, with_all_parts
+from .scheme import UNASKED, Memory, Part, Scheme
+
+
+def with_all_parts(scheme: Scheme, task: Task, memory: Memory = UNASKED) -> Iterator[Part]:
+    """The scheme, its parts, the parts of these parts, and so on."""
+    yield Part(scheme, task, memory)
+    for part in scheme.parts(task, memory).values():
+        yield from with_all_parts(*part)
 
 
 def trials_of_step(scheme: Scheme, task: Task) -> int:
@@ -31,9 +40,9 @@ def need_learned_at_last(owner: str, scheme: Scheme, task: Task, trials: int) ->
         )
 
 
-def need_no_experiments(wrapper: Any, task: Task, why: str) -> None:
+def need_no_experiments(wrapper: Scheme, task: Task, why: str) -> None:
     """Raises ValueError where a part of the scheme makes experiments between its steps."""
-    for scheme, _, _ in with_all_parts(wrapper.scheme, task):
+    for scheme, _, _ in with_all_parts(wrapper, task):
         if scheme.experiments:
             raise ValueError(
                 f"{type(wrapper).__name__}: {type(scheme).__name__} makes experiments between its "
@@ -41,13 +50,13 @@ def need_no_experiments(wrapper: Any, task: Task, why: str) -> None:
             )
 
 
-def need_no_comparing(wrapper: Any, task: Task, found: str = "", instead: str = "is") -> None:
+def need_no_comparing(wrapper: Scheme, task: Task, found: str = "", instead: str = "is") -> None:
     """Raises ValueError where a part of the scheme compares outputs within the trial.
 
     found: what of the wrapper does not allow it, at the start of the message
     instead: what is allowed instead, before the field of the part that has to be zero
     """
-    for scheme, _, _ in with_all_parts(wrapper.scheme, task):
+    for scheme, _, _ in with_all_parts(wrapper, task):
         for name in scheme.compares:
             if getattr(scheme, name):
                 raise ValueError(
@@ -55,3 +64,16 @@ def need_no_comparing(wrapper: Any, task: Task, found: str = "", instead: str = 
                     f"{type(scheme).__name__}, which compares outputs within the trial; allowed "
                     f"{instead} {name} = 0"
                 )
+
+
+def need_second_derivatives(scheme: Scheme) -> None:
+    """Raises ValueError where a part of the scheme has first derivatives only."""
+
+    def first_only(one: object) -> bool:
+        return isinstance(one, Scheme) and one.first_derivatives_only
+
+    for one in filter(first_only, jax.tree.leaves(scheme, is_leaf=first_only)):
+        raise ValueError(
+            "Contraction: the slope of a contraction needs second derivatives, and "
+            f"{type(one).__name__} has first ones only; allowed are other objectives"
+        )

@@ -1,4 +1,4 @@
-"""Derivatives that go row by row are those of the same function of whole arrays."""
+"""Rows of signals, against NumPy's indices; derivatives by row are those of whole arrays."""
 
 from typing import Any, NamedTuple
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxilc.signals.by_row import by_row
+from jaxilc.signals.rows import advance, ahead_of, by_row, delay
 
 rng = np.random.default_rng(5)
 N, n = 7, 2
@@ -95,3 +95,20 @@ def test_one_sample_and_results_without_a_slope():
     f = by_row(lambda w, x: (w * x, x > 0, jnp.zeros_like(x)))
     found = jax.grad(lambda w: jnp.sum(f(w, jnp.ones((1, 1)))[0]))(3.0)
     assert found == 1.0
+
+
+@pytest.mark.parametrize("samples", [0, 1, 4, 5, 9])
+def test_rows_from_outside_the_trial_are_zero(samples):
+    signal = np.random.default_rng(samples).normal(size=(6, 2))
+    rows, zero = dict(enumerate(signal)), np.zeros(2)
+    before = [rows.get(k - samples, zero) for k in range(5)]
+    np.testing.assert_array_equal(delay(signal[:-1], samples), before)
+    after = [rows.get(k + samples, zero) for k in range(5)]
+    np.testing.assert_array_equal(advance(signal, samples), after)
+
+
+@pytest.mark.parametrize("preview", [1, 2, 7])
+def test_the_last_row_is_held_after_the_trial(preview):
+    signal = np.random.default_rng(preview).normal(size=(5, 2))
+    ahead = [[signal[min(k + i, 4)] for i in range(preview)] for k in range(5)]
+    np.testing.assert_array_equal(ahead_of(signal, preview), ahead)
