@@ -30,6 +30,7 @@ lint: $(VENV)/.ready  ## lint, format and types alone
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/ty check
+	$(BIN)/mypy
 
 matrix:  ## all tests with Python 3.11 and 3.13, where these are, and the speed of both
 	.ci/matrix
