@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from ..plants import StateSpace, TimeVaryingStateSpace
@@ -265,16 +264,3 @@ def _as_limit(signal: Array, low: Array, high: Array) -> Limit:
     above = jnp.where(jnp.isfinite(high), high, jnp.where(none, far, low + far))
     middle, half = (below + above) / 2, (above - below) / 2
     return Limit(jnp.where(none, 0.0, (signal - middle) / half), jnp.ones(()))
-
-
-def need_second_derivatives(scheme: Scheme) -> None:
-    """Raises ValueError where a part of the scheme has first derivatives only."""
-
-    def first_only(one: Array) -> bool:
-        return isinstance(one, Scheme) and one.first_derivatives_only
-
-    for one in filter(first_only, jax.tree.leaves(scheme, is_leaf=first_only)):
-        raise ValueError(
-            "Contraction: the slope of a contraction needs second derivatives, and "
-            f"{type(one).__name__} has first ones only; allowed are other objectives"
-        )

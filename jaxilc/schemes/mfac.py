@@ -290,18 +290,8 @@ class CFDLMFAPC(Scheme):
 
     def check(self, task: Task) -> None:
         need_square(self, task)
-        need_channels(
-            self,
-            task.inputs,
-            "lam",
-            "eta",
-            "mu",
-            "phi0",
-            "epsilon",
-            "delta",
-            "theta_limit",
-            "limit",
-        )
+        weights = ("lam", "eta", "mu", "phi0", "epsilon", "delta", "theta_limit", "limit")
+        need_channels(self, task.inputs, *weights)
 
     def initial_state(self, task: Task) -> PredictiveState:
         rest = jnp.zeros(task.inputs)
