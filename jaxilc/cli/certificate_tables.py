@@ -170,6 +170,8 @@ def premises_table(name: str, numbers: dict[str, Any]) -> Table:
         for verdict, count in numbers["bound"].items()
         if count and verdict != "not claimed"
     )
+    if numbers["care"]:
+        tested += f"; d2 is {numbers['care']:.4g} times the largest ratio, in the median"
     nothing = f"it was claimed on none of {machines} machines, so nothing of it was tested"
     table = Table("premise", title=f"{name}: the bound of Cao 2019: {tested or nothing}")
     table.add_column("held on", justify="right")

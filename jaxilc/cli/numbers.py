@@ -317,21 +317,28 @@ def bounds_numbers(found: Checked) -> dict[str, Any]:
 def watched_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
     """What a `BoundsWatch` found of each scheme that learns, over machines and trials, by scheme.
 
+    Over a grid each machine counts at each point, and the last trial of a point with fewer trials
+    than another counts again.
+
     d2, left_out: smallest, median and largest over the machines; null where nothing is proved
     norm, pointwise: median over the machines of the median and of the largest ratio over the trials
     growing: share of the trials, of all machines, after which the 2-norm of the error was larger,
         of those before which it was above rounding
     The other numbers are those of `bounds_numbers`.
     """
-    from ..theory.bounds import checked
+    from ..theory.bounds import OF_MACHINES, OF_TRIALS, checked
 
-    found = {}
+    trial, found = dataset["trial"], {}
+    if "trials" in dataset.coords:
+        dataset = dataset.sel(trial=np.minimum(trial, dataset["trials"]))
     for name in (name for name, scheme in scenario.schemes.items() if scheme.learns):
-        one = dataset.sel(scheme=name)
+        of = dataset.sel(scheme=name).transpose(..., "trial")
+        sizes = dict.fromkeys(OF_TRIALS, (-1, trial.size)) | dict.fromkeys(OF_MACHINES, (-1,))
+        one = {key: of[key].values.reshape(size) for key, size in sizes.items() if key in of}
         norm, worst, median = (
-            np.asarray(one[f"contraction_{of}"])[:, 1:] for of in ("norm", "worst", "median")
+            one[f"contraction_{of}"][:, 1:] for of in ("norm", "worst", "median")
         )
-        found[name] = bounds_numbers(checked(one.data_vars)) | {
+        found[name] = bounds_numbers(checked(one)) | {
             "d2": _spread(one["d2"]),
             "left_out": _spread(one["left_out"]),
             "norm": _typical(norm, norm),

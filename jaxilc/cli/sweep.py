@@ -186,6 +186,8 @@ def _finish(found: _Found, swept: Swept, json_file: Path | None, report: Path | 
     numbers |= grid_numbers(chosen, best, sizes) if sizes else {}
     if "contraction_norm" in dataset:
         numbers["bounds"] = watched_numbers(chosen, dataset)
+        if sizes:
+            numbers["grid"]["bounds"] = watched_numbers(chosen, whole)
     shown, lines = _shown(chosen, numbers, steps, seconds)
     show(shown, lines)
     highs = {row.scheme: [scale * float(high) for high in row.high] for row in summary}
@@ -305,7 +307,7 @@ def _shown(
     shown += [tables.yield_table(numbers), tables.spread_table(numbers), tables.band_table(numbers)]
     by_axis = tables.swept_axes_table(numbers)
     shown += [] if by_axis is None else [by_axis]
-    shown += _of_bounds(numbers.get("bounds", {}))
+    shown += _of_bounds(numbers)
     lines = [*tables.sweep_lines(numbers), *tables.experiment_lines(chosen)]
     if steps:
         took = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
@@ -314,9 +316,14 @@ def _shown(
 
 
 def _of_bounds(numbers: dict[str, Any]) -> list[Table]:
-    """The tables of `watched_numbers`, none without any."""
+    """The tables of `watched_numbers`, none without any; the premises are those of all points."""
     from .certificate_tables import contraction_table, premises_table
 
-    proved = [name for name, row in numbers.items() if row["d2"] is not None]
-    tables = [premises_table(name, numbers[name]) for name in proved]
-    return [contraction_table(numbers), *tables] if numbers else []
+    at_best = numbers.get("bounds", {})
+    of_all, where = (
+        numbers.get("grid", {}).get("bounds", at_best),
+        " at all points" * ("grid" in numbers),
+    )
+    proved = [name for name, row in of_all.items() if row["d2"] is not None]
+    tables = [premises_table(f"{name}{where}", of_all[name]) for name in proved]
+    return [contraction_table(at_best), *tables] if at_best else []

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..learning.divergence import CEILING, GROWTH
 from ..learning.known_metrics import ERRORS
+from ..pytree.ranges import value_text
 from ..scenarios.loading import with_reading
 from ..schemes.parts import trials_of_step
 from .numbers import shown_trials
@@ -241,7 +242,7 @@ def grid_table(numbers: dict[str, Any]) -> Table | None:
     for column in ("scheme", *axes, "95 %", "points within twice", "points that diverge"):
         table.add_column(column, justify="left" if column == "scheme" else "right")
     for name, row in best.items():
-        at = [f"{x:.4g}" if isinstance(x, float) else str(x) for x in row["point"].values()]
+        at = [value_text(x) for x in row["point"].values()]
         shares = (f"{row['near']:.1%}", f"{row['diverged']:.1%}")
         table.add_row(name, *at, number(row["error"]), *shares)
     return table

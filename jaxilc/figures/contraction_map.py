@@ -116,7 +116,7 @@ def _map(ax: Any, places, here, lines, held) -> list[Any]:
 
     here: (x, y) contraction;  lines, held: (x, y) bounds and premises, by name
     """
-    from matplotlib.colors import LogNorm
+    from matplotlib.colors import ListedColormap, LogNorm
     from matplotlib.patches import Patch
 
     shown, handles = np.ma.masked_invalid(np.clip(here, 1 / WIDEST, WIDEST)), []
@@ -132,9 +132,9 @@ def _map(ax: Any, places, here, lines, held) -> list[Any]:
     for name, where in held.items():
         if where.any() and not where.all():
             hatch = PREMISES[name]
-            fails = np.where(where, 0.0, 1.0).T
-            drawn = ax.contourf(*places, fails, [0.5, 1.5], colors="none", hatches=[hatch])
-            drawn.set(edgecolor=PALE, linewidth=0)
+            look = {"hatch": hatch, "edgecolors": PALE, "linewidth": 0}
+            fails = np.ma.masked_where(where, np.ones(where.shape)).T
+            ax.pcolor(*places, fails, shading="nearest", cmap=ListedColormap(["none"]), **look)
             handles.append(Patch(fill=False, hatch=hatch, ec=PALE, label=f"{name} fails"))
     return handles
 

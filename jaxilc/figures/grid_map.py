@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..pytree.ranges import value_text
 from .style import grid, labelled, limits_of, new_axes, style_of
 
 if TYPE_CHECKING:
@@ -72,7 +73,8 @@ def grid_map(
     numbers = numbers_of(dataset, last, shows, metric, tolerance) * (scale if of_error else 1.0)
     errors = scale * last
     lost = (dataset["diverged_at"] > 0).any("sample")
-    limits = limits_of(errors.values, pad=1.2) if of_error else None
+    seen = numbers if len(drawn) == 2 else errors  # beside a line stands its band
+    limits = limits_of(seen.values, pad=1.2) if of_error else None
     norm = _norm(limits, (1, dataset.sizes["trial"]) if shows == "best_trial" else (0, 1))
     panels = [(of, at) for of in best for at in _beside(dataset, by_size[2:], of)]
     columns = len(panels) // len(best)
@@ -177,15 +179,14 @@ def called_of(labels: xr.DataArray) -> str:
 
 def _said(label: xr.DataArray) -> str:
     """A single value with the name of its axis."""
-    value = label.item()
-    return f"{label.name} = {value:.4g}" if isinstance(value, float) else f"{label.name} = {value}"
+    return f"{label.name} = {value_text(label.item())}"
 
 
 def placed(ax: Any, way: str, labels: xr.DataArray) -> np.ndarray:
     """Where the values of an axis stand; the scale and the ticks of x or y are set."""
     axis, (numbers, log) = (ax.xaxis, ax.yaxis)[way == "y"], standing(labels)
     if labels.dtype.kind not in "fi":
-        axis.set_ticks(numbers, [str(x) for x in labels.values])
+        axis.set_ticks(numbers, [value_text(x) for x in labels.values])
     elif log:
         (ax.set_xscale, ax.set_yscale)[way == "y"]("log")
     elif labels.dtype.kind == "i":

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..pytree.ranges import value_text
+from .contraction_map import contraction_of
 from .grid_map import QUANTILES, SHOWN, called_of, in_order, numbers_of, standing
 from .live_axes import Live, hover, plot, shown_in
 from .style import COLOURS, labelled, limits_of
@@ -132,11 +134,11 @@ def map_of(
             columns[name] = np.where(np.isfinite(found), found, np.nan)
             columns[f"{name}_said"] = [_said(x, name, unit) for x in found]
             tips.append((words.format(metric.replace("_", " ")), f"@{name}_said"))
+    for name, found in _of_bounds(dataset).items():
+        columns[name] = [f"{x:.4g}" for x in found.values.ravel()]
+        tips.append((name, f"@{{{name}}}"))
     columns["point"] = [
-        ", ".join(
-            f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}" for k, v in row.items()
-        )
-        for row in values
+        ", ".join(f"{name} = {value_text(x)}" for name, x in row.items()) for row in values
     ]
     source = ColumnDataSource(columns)
     nearest = [some[i].tolist().index(j) for i, j in enumerate(at)]
@@ -151,6 +153,17 @@ def map_of(
     hover(made, [cells], tips)
     made.add_tools(TapTool(renderers=[cells], mode="replace"))
     return GridMap(made, source, values, dataset, scale * factor, unit)
+
+
+def _of_bounds(dataset: xr.Dataset) -> dict[str, xr.DataArray]:
+    """What a `theory.BoundsWatch` found at each point, by words; empty without one."""
+    if "contraction_norm" not in dataset:
+        return {}
+    return {
+        "error of a trial over that before, median": contraction_of(dataset).median("sample"),
+        "largest d2": dataset["d2"].max("sample"),
+        "share of machines on which d2 is claimed": (dataset["claimed"] == 1).mean("sample"),
+    }
 
 
 def _cells(source, labels, called: str, lost, **size: Any) -> tuple[Any, Any]:
@@ -268,7 +281,7 @@ def _named(axis: Any, labels: xr.DataArray) -> None:
 
     if labels.dtype.kind not in "fi":
         axis.ticker, axis.formatter = FixedTicker(ticks=[*range(labels.size)]), BasicTickFormatter()
-        axis.major_label_overrides = {i: str(x) for i, x in enumerate(labels.values)}
+        axis.major_label_overrides = {i: value_text(x) for i, x in enumerate(labels.values)}
 
 
 def _said(value: float, name: str, unit: str) -> str:

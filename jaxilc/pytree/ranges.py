@@ -15,6 +15,7 @@ from .aliases import Value
 
 _INTERVAL = re.compile(r"^([\[(])\s*(\S+)\s*,\s*(\S+)\s*([\])])$")
 _LONG = 60  # number of characters of a value that a message shows
+MOST_WORDS = 8  # of a text, such as the numbers of an array, that are shown
 SEEDS = "[0, 9e18]"  # what random generators accept, with room for the seeds that follow
 
 
@@ -139,6 +140,14 @@ def shown(values: Value) -> str:
         if values.ndim == 0
         else np.array2string(values, threshold=8, precision=6).replace("\n", "")
     )
+
+
+def value_text(value: Any) -> str:
+    """A number, or a text of which long ones are cut, such as a value of an axis."""
+    words = str(value).split()
+    if len(words) > MOST_WORDS:
+        return f"{' '.join(words[:3])} ... {words[-1]} ({len(words)} values)"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 # Types, as annotations name them

@@ -19,6 +19,8 @@ import numpy as np
 
 from .earlier_names import in_todays_names
 
+LONG = 120  # characters of a value in a difference that is told
+
 
 def environment(*packages: str) -> dict[str, Any]:
     """The versions, backend, devices and precision, on which numbers depend besides parameters.
@@ -50,7 +52,14 @@ def _differences(found: Any, wanted: Any, name: str) -> list[str]:
             for n in sorted(found.keys() | wanted.keys())
             for line in _differences(found.get(n), wanted.get(n), f"{name}.{n}" if name else n)
         ]
-    return [] if found == wanted else [f"{name}: {found} there, {wanted} here"]
+    if isinstance(found, list) and isinstance(wanted, list) and len(found) == len(wanted):
+        pairs = [*zip(found, wanted, strict=True)]
+        if all(isinstance(one, dict) for pair in pairs for one in pair):
+            return [x for i, of in enumerate(pairs) for x in _differences(*of, f"{name}[{i}]")]
+    there, here = (
+        f"{x}" if len(f"{x}") <= LONG else f"{x}"[:LONG] + " ..." for x in (found, wanted)
+    )
+    return [] if found == wanted else [f"{name}: {there} there, {here} here"]
 
 
 def describe(value: Any, *, within: tuple[int, ...] = ()) -> Any:

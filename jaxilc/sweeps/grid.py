@@ -492,15 +492,18 @@ def _labels(values: Any) -> np.ndarray:
     plain = isinstance(values, np.ndarray) and values.ndim == 1
     if plain or any(all(type(v) is kind for v in values) for kind in (int, float, bool)):
         return np.array(values)
-    return np.array([_text(value) for value in values])
+    texts = [_text(value, "g") for value in values]
+    equal = len({*texts}) < len(texts)
+    return np.array([_text(value, ".15g") for value in values] if equal else texts)
 
 
-def _text(value: Any) -> str:
+def _text(value: Any, digits: str) -> str:
     if isinstance(value, _Whole):
         return value.label
     if value is None or isinstance(value, str):
         return value or "none"
-    return " ".join(f"{x:g}" if isinstance(x, float) else str(x) for x in np.ravel(value).tolist())
+    numbers = np.ravel(value).tolist()
+    return " ".join(f"{x:{digits}}" if isinstance(x, float) else str(x) for x in numbers)
 
 
 def _need_some(name: str, values: Any) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..pytree.in_short import in_short
+from ..pytree.ranges import value_text
 from .grid import TRIALS
 from .summary import QUANTILES, axes_of, errors_of
 
@@ -78,10 +79,9 @@ def at_best(dataset: xr.Dataset, best: list[BestPoint]) -> xr.Dataset:
     """
     import xarray as xr
 
-    trials = min(of.point.get(TRIALS, dataset.sizes["trial"]) for of in best)
-    found = [
-        dataset.sel(scheme=[of.scheme]).sel(of.point).drop_vars(labels_of(dataset)) for of in best
-    ]
+    found = [dataset.sel(scheme=[of.scheme]).sel(of.point) for of in best]
+    trials = min(int(of.coords.get(TRIALS, dataset.sizes["trial"])) for of in found)
+    found = [of.drop_vars(labels_of(dataset)) for of in found]
     whole = xr.concat(found, "scheme", data_vars="minimal", coords="minimal", compat="override")
     return whole.isel(trial=slice(trials))
 
@@ -89,15 +89,11 @@ def at_best(dataset: xr.Dataset, best: list[BestPoint]) -> xr.Dataset:
 def last_errors(dataset: xr.Dataset, metric: str) -> xr.DataArray:
     """(scheme, axes, sample) the metric of the last trial, as `errors_of` has it.
 
-    With an axis `trials` it is the last trial of each point.
+    Where `trials` is on an axis it is the last trial of each point.
     """
-    if TRIALS in dataset.dims:
+    if TRIALS in dataset.coords:
         dataset = dataset.sel(trial=dataset[TRIALS]).drop_vars("trial").expand_dims("trial")
     return errors_of(dataset.isel(trial=[-1]), metric).isel(trial=0)
-
-
-def _shown(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def labels_of(dataset: xr.Dataset) -> list[str]:
@@ -152,15 +148,15 @@ def _sentences(name: str, shares, point, along, edges) -> tuple[str, ...]:
     error, near, lost = shares
     if not np.isfinite(error):
         return (f"{name}: more than 5 % of the machines diverge at every point.",)
-    best = " and ".join(f"{axis} = {_shown(at)}" for axis, at in point.items())
+    best = " and ".join(f"{axis} = {value_text(at)}" for axis, at in point.items())
     flat = f"The error is at most twice as large at {near:.1%} of the points"
     wide = " and ".join(
-        f"{axis} = {_shown(low)} to {_shown(high)}"
+        f"{axis} = {value_text(low)} to {value_text(high)}"
         for axis, (low, high) in along.items()
         if low != high
     )
     ends = [
-        f"{axis} = {_shown(end)} {words}"
+        f"{axis} = {value_text(end)} {words}"
         for axis, of in edges.items()
         for end, words in zip(of, ("down", "up"), strict=True)
         if end is not None

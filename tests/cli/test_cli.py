@@ -224,7 +224,15 @@ def test_bounds_over_a_grid_have_a_map(jaxilc_command, tmp_path):
     lam = ("--grid", "cfdl-mfailc.lam=0.5,2", "--grid", "cfdl-mfailc.mu=1,3")
     sweep = ("sweep", "cao-2019", "--scheme", "cfdl-mfailc", "--set", "frequency=50", *lam)
     sweep = (*sweep, "--grid", "trials=2,3", "--machines", 2, "--bounds")
-    assert jaxilc_command(*sweep)[0] == 0
+    code, out, _ = jaxilc_command(*sweep, "--json", "b.json")
+    assert code == 0
+    assert "cfdl-mfailc at all points: the bound of Cao 2019" in " ".join(out.split())
+    numbers = json.loads((tmp_path / "b.json").read_text())
+    one, whole = (of["bounds"]["cfdl-mfailc"] for of in (numbers, numbers["grid"]))
+    assert one["premises"]["lam > b^2 / 4"] == {"held": 2, "share_broken": 0.0}
+    assert whole["premises"]["lam > b^2 / 4"] == {"held": 16, "share_broken": 0.0}
+    assert whole["bound"] == {"holds": 0, "fails": 0, "not claimed": 16}
+    assert all(of["share_broken"] <= 1 for of in whole["premises"].values())
     folder = tmp_path / "out/sweep-cao-2019"
     assert (folder / "contraction.png").exists()
     nominal = jaxilc.open_dataset(folder / "nominal.zarr")

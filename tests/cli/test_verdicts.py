@@ -216,6 +216,7 @@ def certificate(reasons, floor=None, observed="falls", grows=(None, None, None, 
         "turning": {"predicted": 1.0, "observed": 1.0},
         "transient": dict(zip(("growth", "trial", "of_noise", "machines"), grows, strict=True)),
         "bound": {"holds": 0, "fails": 0, "not claimed": machines},
+        "care": None,
         "premises": {"lam > b^2 / 4 and some more words": {"held": 0, "share_broken": 0.5}},
     }
 

@@ -32,6 +32,8 @@ def test_a_map_has_the_error_of_each_point_and_a_star_at_the_best():
     (star,) = ax.lines
     assert (star.get_xdata()[0], star.get_ydata()[0]) == (0.1, 1)
     assert (ax.get_xlabel(), ax.get_xscale()) == ("a [V]", "log")
+    colours = ax.collections[0].norm
+    assert 1 < colours.vmin < 2, "the colours end at what is shown, not at the best machine"
     assert [label.get_text() for label in ax.get_yticklabels()] == ["p", "q", "r"]
 
 
@@ -170,6 +172,8 @@ def test_the_map_of_contraction_has_the_lines_and_the_regions_that_were_put_in()
         "d2 = 1", "sigma_max from 1.5 to 6", "signs fails", "own", "fails everywhere: alone",
     ]  # fmt: skip
     assert [text.get_text() for text in ax.get_yticklabels()] == ["p", "q"]
+    (hatched,) = (x for x in ax.collections if x.get_hatch())
+    assert hatched.get_array().mask.tolist() == [[True, True], [False, False]]  # of p, of q
     (ax,) = figures.contraction_map(dataset.isel(b=[0]))
     np.testing.assert_allclose(ax.lines[0].get_ydata(), [0.5, 60.0])
     assert named(ax) == ["observed", "d2", "fails everywhere: alone"]

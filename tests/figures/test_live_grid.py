@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import xarray as xr
+from bokeh.models import HoverTool
 from browser import needs_chromium, opened
 
 from jaxilc import figures
@@ -51,6 +52,13 @@ def test_each_cell_has_the_numbers_of_the_picture_and_lies_around_its_point():
     np.testing.assert_allclose(of["top"], [0.5, 1.5] * 3)
     np.testing.assert_allclose(of["right"][:4], of["left"][2:])
     assert live.figure.yaxis[0].major_label_overrides == {0: "p", 1: "q"}
+    watched = {"contraction_norm": dataset["rms"] / 4, "d2": dataset["diverged_at"] + 0.5}
+    _, live = live_of(dataset.assign(watched | {"claimed": watched["d2"] < 1}))
+    called = [*live_grid._of_bounds(live.dataset)]
+    ratio, d2, claimed = (live.points.data[name] for name in called)
+    assert (ratio[3], d2[3], claimed[3]) == ("0.2652", "0.5", "1")  # mean of 2/4, 1/4; of half
+    (hover,) = live.figure.select({"type": HoverTool})
+    assert all(f"@{{{name}}}" in hover.tooltips for name in called)
 
 
 def test_a_click_shows_how_the_point_learns():
@@ -122,7 +130,7 @@ def test_a_browser_shows_the_point_that_is_clicked(tmp_path):
         page,
         tmp_path,
         f"const s = Bokeh.documents[0].get_model_by_id('{source.id}');"
-        "s.selected.indices = [0];"
+        "s.selected.indices = [0]; await new Promise(done => setTimeout(done, 500));"
         "for (const m of Bokeh.documents[0]._all_models.values())"
         " if (m.type === 'ColumnDataSource' && m.data.j) return [...m.data.high];",
     )

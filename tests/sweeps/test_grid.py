@@ -102,7 +102,8 @@ def test_a_killed_grid_resumes_to_the_same_dataset(tmp_path, dataset):
     xr.testing.assert_identical(resumed, dataset)
     xr.testing.assert_identical(open_dataset(store), dataset)
     other = dataclasses.replace(GRID, grid=GRID.grid | {"learning.lam": "0.1:11:3log"})
-    with pytest.raises(ValueError, match=r"another configuration; it differs in: grid.axes"):
+    said = r"it differs in: grid.axes\[0\].values.learning.lam: .* there, .* here$"
+    with pytest.raises(ValueError, match=said):
         other.run(store, resume=True)
 
 
@@ -126,6 +127,33 @@ def test_static_axes_may_change_every_shape_and_the_trials():
     errors = dataset["settled_error"].sel(scheme="pid", trial=dataset["trials"])
     assert best[1].error == float(errors.max("sample").min())
     assert at_best(dataset, best).sizes["trial"] == min(of.point["trials"] for of in best)
+
+
+def test_trials_that_change_with_a_weight_are_those_of_each_point():
+    """Two trials with one gain, four with the other: each point is judged by its own last one."""
+    grid = {("learning.lam", "trials"): ([0.5, 1.0], [4, 2])}
+    dataset = dataclasses.replace(ONE, grid=grid).run()
+    (best,) = best_points(dataset)
+    last = [
+        float(dataset["settled_error"].isel(scheme=0)[i, :, j].max()) for i, j in ((0, 3), (1, 1))
+    ]
+    assert best.error == min(last)
+    assert best.near == np.mean(np.array(last) <= 2 * min(last))
+    shorter = at_best(dataset, [best._replace(point={"learning.lam": 1.0})])
+    assert shorter.sizes["trial"] == 2
+
+
+def test_long_values_are_told_in_short_and_alike_ones_are_told_apart():
+    long = np.asarray(TASK.reference)
+    grid = {"task.reference": [long, 2 * long], "learning.lam/learning.mu": [[0.1, 0.2], [1, 2]]}
+    (best,) = best_points(dataclasses.replace(ONE, machines=1, grid=grid).run())
+    assert f"({len(long)} values)" in best.sentences[0]
+    assert len(best.sentences[0]) < 200
+    close = dataclasses.replace(
+        ONE, uncertainty={}, machines=1, grid={"plant.poles": [[1.0, 2, 3], [1.0 + 1e-9, 2, 3]]}
+    )
+    labels = close.axes.axes[0].labels["machine.plant.poles"]
+    assert labels.tolist() == ["1 2 3", "1.000000001 2 3"]
 
 
 def test_values_that_are_wholes_replace_machine_schemes_and_task():
