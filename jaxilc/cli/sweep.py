@@ -39,7 +39,6 @@ SIGMA_STEPS = 40  # of the Lanczos iteration on the nominal machine of a point
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..learning.watch import Watch
     from ..scenarios import Scenario
     from ..sweeps.points import BestPoint
     from ..sweeps.sweep import Sweep
@@ -104,6 +103,7 @@ def sweep(
     begin(precision)
     from ..scenarios.judging import judged
     from ..sweeps.sweep import Sweep
+    from ..theory.bounds import BoundsWatch
     from .progress import run_sweep
 
     chosen = judged(chosen_scenario(scenario, scheme, trials, set_, params), metric)
@@ -123,7 +123,7 @@ def sweep(
             grid,
             lambda more: chosen_scenario(scenario, scheme, trials, [*(set_ or ()), more], params),
         ),
-        watch=_watch(bounds),
+        watch=BoundsWatch() if bounds else None,
     )
     largest = _tolerance(chosen, tolerance)
     folder = out_dir or Path("out") / f"sweep-{chosen.name}"
@@ -274,15 +274,6 @@ def _nominal(plan: Sweep) -> Sweep:
         plan, uncertainty={}, machines=1, trials=1, keep=(), quantities={}, chunk=None, lanes=None,
         watch=BoundsWatch(sigma_steps=SIGMA_STEPS),
     )  # fmt: skip
-
-
-def _watch(bounds: bool) -> Watch | None:
-    """What looks at each trial beside the one before it."""
-    if not bounds:
-        return None
-    from ..theory.bounds import BoundsWatch
-
-    return BoundsWatch()
 
 
 def _tolerance(chosen: Scenario, tolerance: float | None) -> float | None:

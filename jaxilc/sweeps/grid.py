@@ -159,9 +159,10 @@ class Grid:
         for name, fixed in product(schemes, product(*(range(axis.size) for axis in self.static))):
             place = {axis.name: i for axis, i in zip(self.static, fixed, strict=True)}
             made = self.at(place, machine, schemes, task, trials)
-            which = [
-                f"{n} = {axis.labels[n][place[n]]}" for axis in self.static for n in [axis.name]
-            ]
+            values = (
+                (of.name, of.labels[of.name][i]) for of, i in zip(self.static, fixed, strict=True)
+            )
+            which = [f"{axis} = {value}" for axis, value in values]
             parts = made[0], made[1][name], *made[2:]
             found[", ".join([name, *which])] = Variant(name, fixed, *parts)
         return found

@@ -63,11 +63,11 @@ def best_points(
     axes = axes_of(dataset)
     last = last_errors(dataset, metric).values
     error = np.quantile(last, QUANTILES[-1], axis=-1, method="inverted_cdf")
-    passed = np.zeros_like(error) if tolerance is None else np.mean(last <= tolerance, axis=-1)
+    unknown = np.full_like(error, np.nan)
+    passed = unknown if tolerance is None else np.mean(last <= tolerance, axis=-1)
     lost = (dataset["diverged_at"] > 0).any("sample").transpose("scheme", *axes).values
-    judged = tolerance is not None
     return [
-        _best(str(name), dataset, axes, passed[i], error[i], lost[i], judged)
+        _best(str(name), dataset, axes, passed[i], error[i], lost[i])
         for i, name in enumerate(dataset["scheme"].values)
     ]
 
@@ -114,7 +114,7 @@ def labels_for(dataset: xr.Dataset, axis: str, scheme: str) -> xr.DataArray:
     return dataset[axis] if axis.startswith(f"{scheme}.") else next(own, dataset[axis])
 
 
-def _best(name: str, dataset, axes, passed, error, lost, judged: bool) -> BestPoint:
+def _best(name: str, dataset, axes, passed, error, lost) -> BestPoint:
     order = np.lexsort((error.ravel(), -passed.ravel()))
     best = np.unravel_index(order[0], error.shape)
     near = error <= NEAR * error[best]
@@ -140,8 +140,7 @@ def _best(name: str, dataset, axes, passed, error, lost, judged: bool) -> BestPo
     shares = float(error[best]), float(near.mean()), float(lost.mean())
     point, along, edges = at([dataset[axis] for axis in axes])
     told = _sentences(name, shares, *at([labels_for(dataset, axis, name) for axis in axes]))
-    passing = float(passed[best]) if judged else float("nan")
-    return BestPoint(name, point, passing, *shares[:2], along, shares[2], edges, told)
+    return BestPoint(name, point, float(passed[best]), *shares[:2], along, shares[2], edges, told)
 
 
 def _sentences(name: str, shares, point, along, edges) -> tuple[str, ...]:
