@@ -32,7 +32,7 @@ import jaxilc
 from jaxilc import Actuator, Machine, Sensor, Sweep, Task, Uniform
 from jaxilc.design import Design
 from jaxilc.design.candidates import LAWS
-from jaxilc.design.responses import family_of
+from jaxilc.design.responses import designed_on, family_of
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.learning.over_trials import learn
 from jaxilc.plants import ProcessModel
@@ -100,7 +100,7 @@ def best_of_grid(machine, task, uncertainty) -> dict[str, Filtered]:
     """The laws with the least 95 % error in trials 20 to 40: of all, and of those with a margin."""
     drawn = draw(machine, uncertainty, GRID_ON, seed=1, sampling="sobol")
     machines = drawn_machines(machine, uncertainty, drawn)
-    family = family_of(machine, None, task, uncertainty, seed=0)
+    family = family_of(designed_on(machine, uncertainty), None, task)
     Q = low_pass(family.frequencies, CUTOFFS[:, None], DT, 2)
     gains = GAINS / float(machine.plant.gain)
     delay = 1 / (float(machine.plant.frequencies[0]) * DT)  # samples of the loop, roughly

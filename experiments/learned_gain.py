@@ -34,7 +34,7 @@ import jaxilc
 from jaxilc import Machine, Sweep, Task
 from jaxilc.design.candidates import Candidate, candidates
 from jaxilc.design.learned import LearnedLaw
-from jaxilc.design.responses import family_of
+from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.tuned import contraction, tuned
 from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import Scheme
@@ -64,7 +64,9 @@ CASES = {"long": long, "short": short}
 
 def laws_of(case: Case, folder: Path):
     """Name, scheme and seconds of each law."""
-    family = family_of(case.machine, case.feedback, case.task, case.uncertainty, seed=SEED)
+    family = family_of(
+        designed_on(case.machine, case.uncertainty, seed=SEED), case.feedback, case.task
+    )
     names = (*FEW, "p-type", "model-inverse")
     safe = [
         one
@@ -77,7 +79,7 @@ def laws_of(case: Case, folder: Path):
             began = time.perf_counter()
             state = folder / one.name
             better = tuned(
-                one, family, case.machine, case.task, case.trials, case.uncertainty, metric=METRIC,
+                one, family, case.task, case.trials, metric=METRIC,
                 margin=MARGIN, out=state, resume=state.exists(), **case.budget(SEED),
             )  # fmt: skip
             yield f"{one.name}, tuned", better.scheme, time.perf_counter() - began
@@ -130,7 +132,9 @@ def main(*names: str) -> None:
         case, folder = CASES[name](), output.folder(__file__) / name
         folder.mkdir(exist_ok=True)
         dense = family_of(
-            case.machine, case.feedback, case.task, case.uncertainty, seed=SEED + 3, machines=257
+            designed_on(case.machine, case.uncertainty, machines=257, seed=SEED + 3),
+            case.feedback,
+            case.task,
         )
         rows = []
         for law, scheme, seconds in laws_of(case, folder):

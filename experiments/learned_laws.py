@@ -49,7 +49,7 @@ from jaxilc import Sweep
 from jaxilc.design.candidates import Absent, candidates
 from jaxilc.design.learned import STARTS, LearnedLaw
 from jaxilc.design.proof import proof_of
-from jaxilc.design.responses import Family, family_of
+from jaxilc.design.responses import Family, designed_on, family_of
 from jaxilc.design.tuned import contraction
 from jaxilc.design.window import Filters, Window
 from jaxilc.plants import StateSpace
@@ -73,11 +73,11 @@ def judged(name: str, folder: Path, laws_of) -> dict:
     laws_of: `tuned_laws` or `laws_by_grid`
     """
     case = FAMILIES[name]()
-    dense = family_of(
-        case.machine, case.feedback, case.task, case.uncertainty, seed=SEED + 3, machines=DENSE,
-        points=CLOSE, taps=LINES_FOR,
-    )  # fmt: skip
-    family = family_of(case.machine, case.feedback, case.task, case.uncertainty, seed=SEED)
+    gate = designed_on(case.machine, case.uncertainty, machines=DENSE, seed=SEED + 3)
+    dense = family_of(gate, case.feedback, case.task, points=CLOSE, taps=LINES_FOR)
+    family = family_of(
+        designed_on(case.machine, case.uncertainty, seed=SEED), case.feedback, case.task
+    )
     safe = list(candidates(family, case.feedback, case.task, case.trials, MARGIN, KEPT))
     rows, taps = [], {}
     for law, scheme, seconds in laws_of(case, family, safe, folder, taps):
@@ -135,7 +135,7 @@ def tuned_laws(case: Case, family: Family, safe: list, folder: Path, taps: dict)
             print(f"  {name}: refused, {found.passed}", flush=True)
             continue
         law = asked.candidate(found.window, found.passed).scheme
-        proof = proof_of(found.family, law, case.machine, case.task, case.uncertainty)
+        proof = proof_of(found.family, law, case.task)
         print(f"  {found.passed.way=}, proof: {proof._asdict()}", flush=True)
         yield name + (REFUSED if proof.refuted else ""), law, seconds
         if not starts:

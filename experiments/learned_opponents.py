@@ -66,7 +66,7 @@ def opponents(
             yield "p-type-notch, grid", one.scheme, 0.0
         state = folder / f"tuning-{one.name}"
         better = tuned(
-            one, family, case.machine, case.task, case.trials, case.uncertainty, metric=METRIC,
+            one, family, case.task, case.trials, metric=METRIC,
             margin=MARGIN, out=state, resume=state.exists(), **case.budget(SEED),
         )  # fmt: skip
         yield one.name, better.scheme, time.perf_counter() - began

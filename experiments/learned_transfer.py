@@ -20,7 +20,7 @@ import jaxilc
 from jaxilc import Sweep
 from jaxilc.design.candidates import Candidate, candidates
 from jaxilc.design.learned import STARTS, LearnedLaw
-from jaxilc.design.responses import Family, family_of
+from jaxilc.design.responses import Family, designed_on, family_of
 from jaxilc.design.tuned import contraction
 from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import LearningFilter
@@ -39,7 +39,9 @@ def wider(case: Case, times: float) -> Case:
 
 
 def responses(case: Case) -> Family:
-    return family_of(case.machine, case.feedback, case.task, case.uncertainty, seed=SEED)
+    return family_of(
+        designed_on(case.machine, case.uncertainty, seed=SEED), case.feedback, case.task
+    )
 
 
 def law_of(case: Case, family: Family, folder) -> LearningFilter | str:

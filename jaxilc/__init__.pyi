@@ -28,7 +28,7 @@ from .tuning.problem import Tuning
 from .tuning.trade_off import pareto
 from .tuning.weights import Tuned
 from .tuning.worst_case import monte_carlo_search, worst_case_search
-from .uncertainty import LogUniform, Normal, Uniform
+from .uncertainty import LogUniform, Normal, Population, Uniform
 
 __all__ = [
     "Actuator",
@@ -41,6 +41,7 @@ __all__ = [
     "Metrics",
     "Normal",
     "PlantChange",
+    "Population",
     "Record",
     "References",
     "Sample",

@@ -1,11 +1,12 @@
-"""Uncertain plants: distributions of named leaves of a machine, and the drawing of machines.
+"""Uncertain plants: distributions of named leaves of a machine, and the machines drawn from them.
 
     {"plant.gain": Uniform(0.9, 1.1, relative=True), "plant.poles[2]": Normal(6.4, 0.5),
      "actuator.limit": LogUniform(5, 20)}
 
 One number is drawn for each name. A relative number scales the leaf (an array as a whole). An
-absolute number replaces a scalar or a single element. Machine 0 is always the nominal one. Numbers
-are drawn on the host, in float64, from a seed.
+absolute number replaces a scalar or a single element. A `Population` is a machine with such an
+uncertainty and the way in which machines are drawn from it: machine 0 is always the nominal one,
+and numbers are drawn on the host, in float64, from a seed.
 """
 
 from __future__ import annotations
@@ -13,13 +14,15 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping
-from typing import Any
+from functools import cached_property, wraps
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .pytree.closest import not_one_of
+from .pytree.in_short import in_short
 from .pytree.named_paths import get_at, interval_at, replaced
 from .pytree.ranges import SEEDS, brief, is_number, require
 from .runtime.capacity import check_size
@@ -188,6 +191,132 @@ def check(machine, uncertainty: Uncertainty) -> None:
             )
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Population:
+    """The machines of which a question is asked: the nominal one, and those drawn around it.
+
+    machine: the nominal machine, number 0; it may be any pytree
+    uncertainty: distributions of its named leaves
+    grid: values by name, at each of which a sweep runs all machines, see `sweeps.grid`; only a
+        sweep looks at it
+    count: S >= 1 machines, including the nominal one; `corners` has 1 + 2^n of them for n names
+    seed: of the draw
+    sampling: `monte-carlo`, `latin-hypercube`, `sobol` (scrambled) or `corners`. With `monte-carlo`
+        and `sobol` a longer draw starts with the numbers of a shorter one.
+
+    What has a machine and these fields takes a population in place of its machine. Raises
+    ValueError for an unknown name or sampling, and, when its machines are drawn, for a number
+    outside the allowed range of its leaf.
+    """
+
+    machine: Any
+    uncertainty: Uncertainty = dataclasses.field(default_factory=dict)
+    grid: Mapping[Any, Any] = dataclasses.field(default_factory=dict)
+    count: int = 1024
+    seed: int = 0
+    sampling: str = "monte-carlo"
+    __repr__ = in_short
+
+    def __post_init__(self):
+        if self.sampling not in SAMPLINGS:
+            said = f"sampling = {brief(self.sampling)}"
+            raise ValueError(not_one_of(said, self.sampling, SAMPLINGS))
+        require("Population", "count", self.count, "[1, inf)", whole=True)
+        require("Population", "seed", self.seed, SEEDS, whole=True)
+        check(self.machine, self.uncertainty)
+
+    @classmethod
+    def of(cls, machine: Any, uncertainty: Uncertainty | None = None, **others: Any) -> Population:
+        """The population of a machine; one that is given already, with what is given besides it."""
+        if not isinstance(machine, Population):
+            return cls(machine, uncertainty or {}, **others)
+        if uncertainty is not None:
+            others["uncertainty"] = uncertainty
+        return dataclasses.replace(machine, **others) if others else machine
+
+    @property
+    def size(self) -> int:
+        """The number of machines."""
+        corners = self.sampling == "corners" and self.uncertainty
+        return 1 + 2 ** len(self.uncertainty) if corners else self.count
+
+    @cached_property
+    def drawn(self) -> dict[str, np.ndarray]:
+        """(S,) the drawn numbers for each name, of which the first is nominal."""
+        check_size(self.sampling, self.bytes_drawn, machines=self.size)
+        if self.sampling == "corners":
+            values = _corners(self.uncertainty)
+        else:
+            points = _unit_cube(self.count - 1, len(self.uncertainty), self.seed, self.sampling)
+            each = zip(self.uncertainty.items(), points.T, strict=True)
+            values = {name: d.quantile(p) for (name, d), p in each}
+        first = nominal(self.machine, self.uncertainty)
+        drawn = {name: np.concatenate([[first[name]], of]) for name, of in values.items()}
+        within_ranges(self.machine, self.uncertainty, drawn)
+        return drawn
+
+    def bytes_drawn(self, machines: float) -> float:
+        """The largest number of bytes that the draw of so many machines takes."""
+        largest = max((np.size(get_at(self.machine, name)) for name in self.uncertainty), default=0)
+        return 8 * machines * (COPIES * len(self.uncertainty) + 2 * largest)
+
+    def others(self, seed: int, count: int) -> Population:
+        """Other machines of the set, by another seed; as corners have none, they are by `sobol`."""
+        again = "sobol" if self.sampling == "corners" and seed != self.seed else self.sampling
+        return dataclasses.replace(self, seed=seed, count=count, sampling=again)
+
+    def with_numbers(self, values: Mapping[str, Any]) -> Any:
+        """The machine with one set of numbers; can be called inside `jit` and `vmap`."""
+        return drawn_machine(self.machine, self.uncertainty, values)
+
+    def machine_of(self, number: int) -> Any:
+        """One of the machines."""
+        return self.with_numbers({name: values[number] for name, values in self.drawn.items()})
+
+    def key_of(self, number) -> jax.Array:
+        """The key of one machine's noise, which does not depend on the number of machines."""
+        return jax.random.fold_in(jax.random.key(self.seed), number)
+
+    def batch(self, first: int = 0) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """The numbers and drawn values of all machines from the first one on, for `tiled`."""
+        values = {name: jnp.asarray(of[first:]) for name, of in self.drawn.items()}
+        return jnp.arange(first, self.size), values
+
+    def one_of(self, batch) -> tuple[Any, jax.Array]:
+        """The machine of an element of a batch, and the key of its noise."""
+        number, values = batch
+        return self.with_numbers(values), self.key_of(number)
+
+    @property
+    def machines(self) -> Any:
+        """All machines as one, see `drawn_machines`."""
+        return drawn_machines(self.machine, self.uncertainty, self.drawn)
+
+
+Known = TypeVar("Known", bound=type)
+
+
+def takes_population(known: Known) -> Known:
+    """A decorator of a dataclass that then takes a `Population` in place of its machine.
+
+    The fields that both have are then those of the population (`machines` is its count), where they
+    are not given besides.
+    """
+    of: Any = known
+    make, fields = of.__init__, {f.name for f in dataclasses.fields(of)}
+
+    @wraps(make)
+    def made(self, machine, *arguments, **options):
+        if isinstance(machine, Population):
+            found = {f.name: getattr(machine, f.name) for f in dataclasses.fields(machine)}
+            machine, found["machines"] = found.pop("machine"), found.pop("count")
+            options = {name: value for name, value in found.items() if name in fields} | options
+        make(self, machine, *arguments, **options)
+
+    of.__init__ = made
+    return known
+
+
 def draw(
     machine,
     uncertainty: Uncertainty,
@@ -196,44 +325,13 @@ def draw(
     seed: int = 0,
     sampling: str = "monte-carlo",
 ) -> dict[str, np.ndarray]:
-    """The drawn numbers (S,) for each name, of which the first is nominal.
+    """The drawn numbers (S,) for each name, of which the first is nominal; see `Population`.
 
-    machines: S >= 1, including the nominal one; `corners` ignores it and draws 1 + 2^n for n names
-    sampling: `monte-carlo`, `latin-hypercube`, `sobol` (scrambled) or `corners`. With `monte-carlo`
-        and `sobol` a longer draw starts with the numbers of a shorter one.
-    Raises ValueError for an unknown name or sampling, and for a number outside the allowed range of
-    its leaf.
+    machines: S >= 1, including the nominal one
+    Raises ValueError as `Population` does.
     """
-    if sampling not in SAMPLINGS:
-        raise ValueError(not_one_of(f"sampling = {brief(sampling)}", sampling, SAMPLINGS))
     require("draw", "machines", machines, "[1, inf)", whole=True)
-    require("draw", "seed", seed, SEEDS, whole=True)
-    check(machine, uncertainty)
-    check_size(
-        sampling,
-        lambda machines: bytes_drawn(machine, uncertainty, machines),
-        machines=drawn_count(uncertainty, machines, sampling),
-    )
-    if sampling == "corners":
-        drawn = _corners(uncertainty)
-    else:
-        unit = _unit_cube(machines - 1, len(uncertainty), seed, sampling)
-        drawn = {name: d.quantile(unit[:, i]) for i, (name, d) in enumerate(uncertainty.items())}
-    first = nominal(machine, uncertainty)
-    drawn = {name: np.concatenate([[first[name]], values]) for name, values in drawn.items()}
-    within_ranges(machine, uncertainty, drawn)
-    return drawn
-
-
-def drawn_count(uncertainty: Uncertainty, machines: int, sampling: str) -> int:
-    """The number of machines that `draw` returns."""
-    return 1 + 2 ** len(uncertainty) if sampling == "corners" else machines
-
-
-def bytes_drawn(machine, uncertainty: Uncertainty, machines: float) -> float:
-    """The largest number of bytes that `draw` takes for this number of machines."""
-    largest = max((np.size(get_at(machine, name)) for name in uncertainty), default=0)
-    return 8 * machines * (COPIES * len(uncertainty) + 2 * largest)
+    return Population(machine, uncertainty, count=machines, seed=seed, sampling=sampling).drawn
 
 
 def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]) -> Any:

@@ -9,7 +9,7 @@ import pytest
 
 from jaxilc import Actuator, LogUniform, Machine, Normal, Uniform
 from jaxilc.plants import voice_coil
-from jaxilc.uncertainty import draw, drawn_machine, with_spread
+from jaxilc.uncertainty import Population, draw, drawn_machine, with_spread
 
 MACHINE = Machine(voice_coil(), actuator=Actuator(limit=10.0))
 GAIN, SLOW = "plant.gain", "plant.poles[2]"
@@ -76,6 +76,37 @@ def test_the_numbers_land_in_the_machine_also_under_vmap():
     np.testing.assert_allclose(batch.plant.poles[:, 2], drawn[SLOW], rtol=1e-15)
     np.testing.assert_allclose(batch.plant.poles[:, 0], 474.0)
     np.testing.assert_allclose(batch.actuator.limit, drawn["actuator.limit"])
+
+
+@pytest.mark.parametrize("sampling", ["monte-carlo", "latin-hypercube", "sobol", "corners"])
+def test_a_population_draws_its_machines_and_gives_them_one_by_one_and_together(sampling):
+    given = Population(MACHINE, UNCERTAINTY, count=6, seed=3, sampling=sampling)
+    drawn = draw(MACHINE, UNCERTAINTY, 6, seed=3, sampling=sampling)
+    assert given.size == len(drawn[GAIN]) == (9 if sampling == "corners" else 6)
+    numbers, values = given.batch(1)
+    assert numbers.tolist() == list(range(1, given.size))
+    for name, of in drawn.items():
+        np.testing.assert_array_equal(given.drawn[name], of)
+        np.testing.assert_array_equal(values[name], of[1:])
+    one = given.machine_of(2)
+    jax.tree.map(np.testing.assert_array_equal, one, jax.tree.map(lambda x: x[2], given.machines))
+    same, key = given.one_of(jax.tree.map(lambda x: x[1], given.batch(1)))
+    jax.tree.map(np.testing.assert_array_equal, same, one)
+    assert key == jax.random.fold_in(jax.random.key(3), 2)
+    other = given.others(4, 6)
+    assert other.sampling == ("sobol" if sampling == "corners" else sampling)
+    assert not set(other.drawn[GAIN][1:]) & set(drawn[GAIN][1:])
+
+
+def test_a_population_keeps_what_it_has_and_takes_what_is_given_besides():
+    given = Population(MACHINE, UNCERTAINTY, count=6)
+    assert Population.of(given) is given
+    other = Population.of(given, {}, seed=2)
+    assert (other.uncertainty, other.count, other.seed) == ({}, 6, 2)
+    with pytest.raises(ValueError, match=r"Population: count = 0 is outside its allowed range"):
+        Population(MACHINE, count=0)
+    with pytest.raises(ValueError, match=r"plant.mass.*Known: plant.gain"):
+        Population(MACHINE, {"plant.mass": Uniform(1, 2)})
 
 
 def test_spread_widens_the_relative_ones_only():

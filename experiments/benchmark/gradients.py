@@ -10,6 +10,7 @@ A row takes as many `times ours` as runs of `learn` without derivatives would ta
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -17,7 +18,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import peers
 from contests import SPREAD, Setting
@@ -30,7 +30,7 @@ from jaxilc.pytree.named_paths import replaced
 from jaxilc.runtime.capacity import check_size
 from jaxilc.tuning.objectives import FLOOR, Final
 from jaxilc.tuning.weights import Weights
-from jaxilc.uncertainty import Uniform
+from jaxilc.uncertainty import Population, Uniform
 
 BY_DIFFERENCES, BY_ADJOINT = "Numba, P+1 runs", "C adjoint"
 WEIGHTS = ("lam", "rho", "eta", "mu", "phi0")
@@ -169,10 +169,21 @@ def bytes_of_adjoint(trials: int) -> float:
     return cores() * memories * 6 * 8 * peers.target_of_c().lanes
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Given(Population):
+    """Machines whose relative gains are given, the same for all programs, and not drawn."""
+
+    gains: Any = ()
+
+    @property
+    def drawn(self) -> dict[str, np.ndarray]:
+        return {"plant.b": np.asarray(self.gains)}
+
+
 def _learning(of: Setting) -> Learning:
     gain = {"plant.b": Uniform(1 - SPREAD, 1 + SPREAD, relative=True)}
-    batch = jnp.arange(len(of.gains)), {"plant.b": jnp.asarray(of.gains)}
-    return Learning(of.machine, of.scheme, of.task, of.trials, gain, Final("rms"), {}, batch)
+    population = _Given(of.machine, gain, count=len(of.gains), gains=of.gains)
+    return Learning(population, of.scheme, of.task, of.trials, Final("rms"), {})
 
 
 def _called(run: Callable[[], Any]) -> Callable[[], np.ndarray]:

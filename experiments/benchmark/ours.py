@@ -31,17 +31,18 @@ from jaxilc.plants import StateSpace
 from jaxilc.pytree.named_paths import get_at, interval_at, named_leaves
 from jaxilc.runtime.capacity import check_program, check_size
 from jaxilc.runtime.lanes import usual_lanes
+from jaxilc.runtime.tiles import tiled
 from jaxilc.scenarios import Scenario
 from jaxilc.scenarios.xu_2024 import MODEL
 from jaxilc.schemes import NormOptimal, Scheme
 from jaxilc.signals.task import Task, Trial
 from jaxilc.sweeps.host import TRIALS_A_PASS
 from jaxilc.tuning.descent import Evaluation, over_starts
-from jaxilc.tuning.losses import Losses, Machines
+from jaxilc.tuning.losses import Losses
 from jaxilc.tuning.objectives import Final, Objective
 from jaxilc.tuning.risks import Mean
 from jaxilc.tuning.weights import Weights
-from jaxilc.uncertainty import Uncertainty, Uniform, bytes_drawn
+from jaxilc.uncertainty import Population, Uncertainty, Uniform
 
 SEED = 0
 
@@ -61,22 +62,15 @@ class Program(NamedTuple):
 class Learning:
     """A learning process of S machines whose weights a tuning could move.
 
-    machine, scheme, task, trials, uncertainty, objective, quantities: as for `Tuning`
-    batch: the numbers of the machines and their drawn values, as `Machines.drawn` returns them
+    population, scheme, task, trials, objective, quantities: as for `Tuning`
     """
 
-    machine: Machine
+    population: Population
     scheme: Scheme
     task: Task
     trials: int
-    uncertainty: Uncertainty
     objective: Objective
     quantities: Mapping[str, Callable[[Trial], jax.Array]]
-    batch: Any
-
-    @property
-    def machines(self) -> Machines:
-        return machines_of(self.machine, self.uncertainty)
 
     def metrics(self) -> Program:
         """The metrics and quantities of all trials, without derivatives.
@@ -87,14 +81,14 @@ class Learning:
 
         def of_one(common, numbered):
             scheme, task = common
-            machine, key = self.machines.one(numbered, SEED)
+            machine, key = self.population.one_of(numbered)
             as_swept: dict[str, Any] = {"save": save, "trials_a_pass": TRIALS_A_PASS}
             history = learn(machine, scheme, task, self.trials, key=key, **as_swept)
             return history.metrics, history.saved
 
-        lanes = usual_lanes(bytes_of_trial(self.scheme, self.task)) or self.machines.lanes
-        machines = dataclasses.replace(self.machines, lanes=lanes)
-        return _built(machines.tiled(of_one, self.batch), (self.scheme, self.task), self.batch)
+        lanes = usual_lanes(bytes_of_trial(self.scheme, self.task)) or 1
+        common, batch = (self.scheme, self.task), self.population.batch()
+        return _built(tiled(of_one, lanes=lanes), common, batch)
 
     def operations(self) -> Counter[str]:
         """The operations of one trial of the nominal machine, by kind, see `operations`."""
@@ -104,7 +98,7 @@ class Learning:
             history = learn(machine, scheme, task, trials, save=save)
             return history.metrics, history.saved
 
-        return of_a_trial(run, self.machine, self.scheme, self.task)
+        return of_a_trial(run, self.population.machine, self.scheme, self.task)
 
     def derivatives(self, weights: Weights, *, forward: bool) -> Program:
         """The `Evaluation` of the loss at the start of a tuning of these weights.
@@ -113,7 +107,7 @@ class Learning:
         Raises ValueError where the program does not fit into RAM.
         """
         losses = Losses(
-            machines=self.machines,
+            population=self.population,
             weights=weights,
             scheme=self.scheme,
             task=self.task,
@@ -123,18 +117,17 @@ class Learning:
             truncate=None,
             ceiling=CEILING,
             quantities=self.quantities,
+            lanes=1,
+            starts=1,
         )
-        lanes = losses.fitting_lanes(self.objective, len(self.batch[0]))
-        losses = dataclasses.replace(
-            losses, machines=dataclasses.replace(self.machines, lanes=lanes)
-        )
-        evaluate = losses.evaluation(self.objective, self.batch, SEED, clip=np.inf)
+        lanes = losses.fitting_lanes(self.objective, self.population.size)
+        evaluate = dataclasses.replace(losses, lanes=lanes).evaluation(self.objective, clip=np.inf)
         return _built(over_starts(evaluate), weights.starts(1, 0.0, SEED))
 
 
-def machines_of(machine: Machine, uncertainty: Uncertainty) -> Machines:
-    """The set from which a tuning draws its machines, with its usual settings."""
-    return Machines(machine, uncertainty, SEED, "sobol", usual_lanes() or 1, starts=1)
+def drawn(machine: Machine, uncertainty: Uncertainty, machines: int) -> Population:
+    """Machines as a tuning draws them."""
+    return Population(machine, uncertainty, count=machines, seed=SEED, sampling="sobol")
 
 
 def of_each(found: Evaluation) -> np.ndarray:
@@ -202,8 +195,7 @@ def alone(name: str, plants: int, *, gradients: bool = True, repeats: int = 5) -
         case _:
             raise ValueError(f"bench: scheme = {name!r} is not one of {', '.join(ALONE)}")
     machine, gain = Machine(plant), {"plant.B": Uniform(1 - SPREAD, 1 + SPREAD, relative=True)}
-    batch = machines_of(machine, gain).drawn(SEED, plants, nominal=True)
-    learning = Learning(machine, scheme, task, 10, gain, Final("rms"), {}, batch)
+    learning = Learning(drawn(machine, gain, plants), scheme, task, 10, Final("rms"), {})
     return _times(learning, gradients, repeats)
 
 
@@ -219,14 +211,12 @@ def of_scenario(
     """
     need_room(chosen, machines)
     learning = Learning(
-        chosen.machine,
+        drawn(chosen.machine, chosen.uncertainty, machines),
         schemes_of(chosen)[name],
         chosen.task,
         chosen.trials,
-        chosen.uncertainty,
         Final(chosen.judged_by),
         chosen.functions,
-        machines_of(chosen.machine, chosen.uncertainty).drawn(SEED, machines, nominal=True),
     )
     return _times(learning, gradients, repeats)
 
@@ -243,9 +233,10 @@ def need_room(chosen: Scenario, machines: int) -> None:
     """Raises ValueError where the metrics of all trials of all machines do not fit into RAM."""
     of_trials = (bytes_of_metrics(chosen.task) + 8 * len(chosen.quantities)) * chosen.trials
 
+    population = drawn(chosen.machine, chosen.uncertainty, machines)
+
     def need(machines: float) -> float:
-        drawn = bytes_drawn(chosen.machine, chosen.uncertainty, machines)
-        return drawn + COPIES * of_trials * machines
+        return population.bytes_drawn(machines) + COPIES * of_trials * machines
 
     check_size(f"bench: {chosen.name}", need, machines=machines)
 
@@ -271,7 +262,7 @@ def _inside(scheme: Scheme, name: str) -> bool:
 
 
 def _times(of: Learning, gradients: bool, repeats: int) -> Alone:
-    shape, results = (len(of.batch[0]), of.trials, of.task.N), {}
+    shape, results = (of.population.size, of.trials, of.task.N), {}
     run = of.metrics()
     entries = {OURS: Entry(run.run, *shape, run.built)}
     names, weights = tunable(of.scheme) if gradients else (), ()

@@ -140,7 +140,7 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
     later = thread_for_later()
     with progress_bar("rate") as bar:
         bars = {
-            name: bar.add_task(name, total=plan.machines * plan.axes.size, rate="")
+            name: bar.add_task(name, total=plan.population.size * plan.axes.size, rate="")
             for name in plan.schemes
         }
 

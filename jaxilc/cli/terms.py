@@ -84,7 +84,7 @@ def limits_not_met(problem: Tuning, tuned: Tuned, limits: list[str] | None) -> l
     said = []
     for name, largest in _limits(limits):
         term = objective_of(f"{name}:{largest:.17g}", "rms", 1.0)
-        above = float(problem.loss_of(problem.machine, tuned.values, term))
+        above = float(problem.loss_of(problem.population.machine, tuned.values, term))
         if above > ROUNDING:
             found = largest * math.exp(above)
             said.append(

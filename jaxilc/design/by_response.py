@@ -60,8 +60,9 @@ def by_response(
     counted = ((trials, 1.0),)
     if trials > 2:
         counted += ((max(2, (trials + 1) // 2), EARLY),)
+    no_arrays: dict[str, Any] = {"loops": [], "drawn": {}, "population": None}
     problem = Problem(
-        family._replace(loops=[], drawn={}), start, window.of_L, window.of_keep, window.unit,
+        family._replace(**no_arrays), start, window.of_L, window.of_keep, window.unit,
         *window.responses(family.frequencies, task.dt),
     )  # fmt: skip
 

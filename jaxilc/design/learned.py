@@ -27,6 +27,7 @@ from ..storage.sealed import as_json, json_text, read_json, sealed, unsealed, wr
 from ..tuning import Tuning
 from ..tuning.objectives import Final, Holding, Objective
 from ..tuning.risks import Mean, Risk
+from ..uncertainty import takes_population
 from .by_response import moved, sizes_of
 from .candidates import Candidate
 from .first_taps import FirstTaps, best_of_leads, exchanged, held, radius_in_a_trial
@@ -110,6 +111,7 @@ class Learned(NamedTuple):
     __repr__ = in_short
 
 
+@takes_population
 @dataclasses.dataclass(frozen=True)
 class LearnedLaw(Question):
     """The question which taps of L and Q suit an uncertain machine best; `run` answers it.
@@ -213,9 +215,7 @@ class LearnedLaw(Question):
             return nothing._replace(refused=taps.passed)
         law = self.candidate(taps.window, taps.passed)
         told("proving", law)
-        proof = proof_of(
-            taps.family, law.scheme, self.machine, self.task, self.uncertainty, between=True
-        )
+        proof = proof_of(taps.family, law.scheme, self.task, between=True)
         laws = {LEARNED: law} | ({SAFE: safe[0]} if safe else {})
         told("judging", self.machines)
         judged = self.swept(list(laws.values()), out / "sweep.zarr", resume=resume)
@@ -325,12 +325,11 @@ class LearnedLaw(Question):
 
         def problem(start: Filters) -> Tuning:
             return Tuning(
-                self.machine,
+                family.population,
                 self.under(ShapedFilter.around(window, start)),
                 self.task,
                 self.trials,
                 weights=[WEIGHT if self.feedback is None else f"learning.{WEIGHT}"],
-                uncertainty=self.uncertainty,
                 objective=made_small + unsafe,
                 risk=self.risk,
                 machines=self.trained_on,
@@ -338,7 +337,6 @@ class LearnedLaw(Question):
                 steps=self.steps,
                 rate=RATE,
                 mode="reverse",
-                seed=self.seed,
                 quantities=self.quantities,
             )
 

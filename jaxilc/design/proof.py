@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..learning.machine import Machine
 from ..schemes import Scheme
 from ..schemes.learning_filter import segments_of
 from ..signals.task import Task
@@ -15,7 +14,7 @@ from ..theory.frequency import Tried, largest_of
 from ..theory.law import law_of
 from ..theory.loop import minimal, radius_of
 from ..theory.whole_set import WholeSet, bound_of_set
-from ..uncertainty import Uncertainty, drawn_machines
+from ..uncertainty import drawn_machines
 from .responses import Family
 
 ENCLOSED = 4  # of the worst machines by the grid of frequencies; the nominal one besides
@@ -69,15 +68,7 @@ class Proof(NamedTuple):
         return "theory claims that it diverges" if DIVERGES in self.claims else ""
 
 
-def proof_of(
-    family: Family,
-    scheme: Scheme,
-    machine: Machine,
-    task: Task,
-    uncertainty: Uncertainty,
-    *,
-    between: bool = False,
-) -> Proof:
+def proof_of(family: Family, scheme: Scheme, task: Task, *, between: bool = False) -> Proof:
     """The proof of a scheme over a family of machines.
 
     between: whether the machines between those of the family are looked at too
@@ -93,10 +84,11 @@ def proof_of(
         found.append(max((largest_of(law, loop, task) for law in laws), key=lambda x: x.value))
     top = max(range(len(which)), key=lambda i: found[i].value)
     both = {name: values[[0, which[top]]] for name, values in family.drawn.items()}
+    machine, uncertainty = family.population.machine, family.population.uncertainty
     told = long_run(drawn_machines(machine, uncertainty, both), scheme, task)
     whole = None
     if between and len(segments) == 1:
-        whole = _between(family, of_machine, which, found, machine, scheme, task, uncertainty)
+        whole = _between(family, of_machine, which, found, scheme, task)
     return Proof(
         nominal=float(found[0].value),
         worst=float(found[top].value),
@@ -119,9 +111,7 @@ def _further(family: Family, laws, sizes, dt: float) -> float:
     return float(np.min(np.maximum(1 - sizes, 0) / np.maximum(LP, REACHED)))
 
 
-def _between(
-    family: Family, sizes, which, found, machine, scheme, task: Task, uncertainty: Uncertainty
-) -> WholeSet:
+def _between(family: Family, sizes, which, found, scheme: Scheme, task: Task) -> WholeSet:
     """What is proved of all machines between those of the family.
 
     sizes: (S,) of each machine on the grid; of those in `which` the enclosed ones take their place
@@ -129,6 +119,7 @@ def _between(
     values = sizes.copy()
     for i, one in zip(which, found, strict=True):
         values[i] = one.value
+    machine, uncertainty = family.population.machine, family.population.uncertainty
     names = tuple(uncertainty)
     drawn = [np.asarray(family.drawn[name]) for name in names]
     points = np.stack(drawn, axis=1) if names else np.zeros((1, 0))

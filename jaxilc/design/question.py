@@ -13,10 +13,10 @@ from ..schemes import Scheme, WithFeedback
 from ..signals.task import Task, Trial
 from ..sweeps import Sweep
 from ..sweeps.summary import summarise
-from ..uncertainty import Uncertainty
+from ..uncertainty import Population, Uncertainty
 from .candidates import Absent, Candidate, candidates
 from .judging import Verdict, judged_trials, verdict
-from .responses import Family, family_of
+from .responses import MACHINES, Family, designed_on, family_of
 
 Told = Callable[[str, Any], object]
 
@@ -25,7 +25,7 @@ Told = Callable[[str, Any], object]
 class Question:
     """An uncertain machine, its task, and how a law for it is judged.
 
-    machine, task, trials, uncertainty: as for `Sweep`
+    machine, task, trials, uncertainty: as for `Sweep`; a `Population` may stand for the machine
     feedback: under which the machine learns, None for none
     metric: by which a law is judged
     margin: least distance of |Q (1 - L P)| from 1 on every machine, in (0, 1)
@@ -35,7 +35,7 @@ class Question:
         tunings `seed` and `seed` + 1, and the machines that judge `seed` + 2
     """
 
-    machine: Machine
+    machine: Machine | Population
     task: Task
     trials: int
     uncertainty: Uncertainty
@@ -52,12 +52,11 @@ class Question:
         for name in ("trials", "machines"):
             require(owner, name, getattr(self, name), "[2, inf)", whole=True)
 
-    def family(self, *, after: int = 0, **options: Any) -> Family:
+    def family(self, *, after: int = 0, machines: int = MACHINES, **options: Any) -> Family:
         """The responses of machines drawn with the seed, or with one after it; see `family_of`."""
-        return family_of(
-            self.machine, self.feedback, self.task, self.uncertainty,
-            seed=self.seed + after, **options,
-        )  # fmt: skip
+        seed = self.seed + after
+        population = designed_on(self.machine, self.uncertainty, machines=machines, seed=seed)
+        return family_of(population, self.feedback, self.task, **options)
 
     def safe(
         self, family: Family, names: Sequence[str], told: Told
@@ -84,16 +83,11 @@ class Question:
         tolerance: float | None = None,
     ) -> list[Verdict]:
         """The verdicts on laws by a sweep over machines that nothing else has seen."""
+        schemes = {law.name: law.scheme for law in laws}
         dataset = Sweep(
-            self.machine,
-            {law.name: law.scheme for law in laws},
-            self.task,
-            judged_trials(self.trials),
-            self.uncertainty,
-            machines=self.machines,
-            seed=self.seed + 2,
-            quantities=self.quantities,
-        ).run(store, resume=resume and store.exists())
+            self.machine, schemes, self.task, judged_trials(self.trials), self.uncertainty,
+            machines=self.machines, seed=self.seed + 2, quantities=self.quantities,
+        ).run(store, resume=resume and store.exists())  # fmt: skip
         summaries = summarise(dataset, tolerance, metric=self.metric)
         return [
             verdict(law, summary, self.trials, tolerance)

@@ -17,8 +17,9 @@ predicts the same.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -30,7 +31,7 @@ from ..signals.task import Task
 from ..theory.frequency import Loop, grid, linear_loop, radius_of, response
 from ..theory.law import Law, Taps
 from ..theory.loop import minimal, pole_radius
-from ..uncertainty import Uncertainty, draw, drawn_machines
+from ..uncertainty import Population, Uncertainty, drawn_machines
 
 CORNERS = 5  # uncertain numbers up to which all corners of their intervals are taken
 MACHINES = 33  # machines that are drawn, the nominal one included, besides the corners
@@ -59,6 +60,7 @@ class Family(NamedTuple):
     mean square of what a response T makes of the error.
     loops: (S) the machines from what is learned to the output, as linear systems
     drawn: {name: (S,)} the numbers of each machine
+    population: those that are drawn, without the corners and those that joined
     """
 
     frequencies: np.ndarray
@@ -68,6 +70,7 @@ class Family(NamedTuple):
     noise: np.ndarray
     loops: list[Loop]
     drawn: dict[str, np.ndarray]
+    population: Population
 
     def advance(self, samples, dt: float) -> np.ndarray:
         """(..., F) z^samples for numbers of samples (...)."""
@@ -116,23 +119,27 @@ class Family(NamedTuple):
         return np.sqrt(np.sum(square, axis=-1))
 
 
+def designed_on(
+    machine: Any, uncertainty: Uncertainty, *, machines: int = MACHINES, seed: int = 0
+) -> Population:
+    """The machines by which laws are designed; those that judge them are not spread as evenly."""
+    count = machines if uncertainty else 1
+    return Population(machine, uncertainty, count=count, seed=seed, sampling="sobol")
+
+
 def family_of(
-    machine: Machine,
+    population: Population,
     feedback: Scheme | None,
     task: Task,
-    uncertainty: Uncertainty,
     *,
-    seed: int,
-    machines: int = MACHINES,
     points: int = LINES,
     several: bool = False,
     besides: Mapping[str, np.ndarray] | None = None,
     taps: int = 0,
 ) -> Family:
-    """The responses of the machines at the corners of the uncertainty, and of some drawn within.
+    """The responses of the machines of a population, and of those at its corners.
 
     feedback: the feedback under which the machine learns, None for none
-    machines: number that is drawn, the nominal one included
     points: number of frequencies, besides those near the poles
     several: whether the machine may have several inputs and outputs
     besides: {name: (S,)} numbers of further machines
@@ -146,9 +153,9 @@ def family_of(
             f"design: the machine has {task.inputs} inputs and {task.outputs} outputs; allowed is "
             "one of each: design each axis by itself, or learn a law of matrices (jaxilc learn-law)"
         )
-    drawn = draw(machine, uncertainty, machines if uncertainty else 1, seed=seed, sampling="sobol")
+    machine, uncertainty, drawn = population.machine, population.uncertainty, population.drawn
     if 0 < len(uncertainty) <= CORNERS:
-        corners = draw(machine, uncertainty, 1, sampling="corners")
+        corners = dataclasses.replace(population, sampling="corners").drawn
         drawn = {name: np.concatenate([drawn[name], corners[name][1:]]) for name in drawn}
     if besides:
         drawn = {name: np.concatenate([drawn[name], besides[name]]) for name in drawn}
@@ -169,7 +176,7 @@ def family_of(
             "task a reference that the machine does not follow by itself"
         )
     least = NOT_REPEATED * np.sqrt(np.sum(np.abs(error) ** 2, axis=0 if one else (0, 2)))
-    return Family(f, P, error, e, _noise(machine, task, f, P[0], least), loops, drawn)
+    return Family(f, P, error, e, _noise(machine, task, f, P[0], least), loops, drawn, population)
 
 
 def resonance_band(family: Family, dt: float) -> np.ndarray | None:

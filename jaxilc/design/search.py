@@ -12,6 +12,7 @@ from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..schemes import Scheme, WithFeedback
+from ..uncertainty import takes_population
 from . import candidates
 from .candidates import Absent, Candidate
 from .judging import Limits, Verdict, judged_trials, limits_of, ranked
@@ -55,6 +56,7 @@ class Designed(NamedTuple):
     __repr__ = in_short
 
 
+@takes_population
 @dataclasses.dataclass(frozen=True)
 class Design(Question):
     """The question which learning law suits an uncertain machine; `run` answers it.
@@ -166,10 +168,8 @@ class Design(Question):
         found = tuned(
             candidate,
             family,
-            self.machine,
             self.task,
             self.trials,
-            self.uncertainty,
             metric=self.metric,
             margin=self.margin,
             out=state,
@@ -178,7 +178,6 @@ class Design(Question):
             machines=TUNED_ON,
             held_out=HELD_OUT,
             steps=self.steps,
-            seed=self.seed,
         )
         told("tuned", found)
         return found
@@ -191,11 +190,16 @@ class Design(Question):
         for one in ranked(judged):
             told("proving", one.candidate)
             scheme = one.candidate.scheme
-            proof = proof_of(family, scheme, self.machine, self.task, self.uncertainty)
+            proof = proof_of(family, scheme, self.task)
             at = others.index(one)
             if not proof.refuted:
                 limits = limits_of(
-                    scheme, self.machine, self.task, self.trials, self.metric, one.error
+                    scheme,
+                    family.population.machine,
+                    self.task,
+                    self.trials,
+                    self.metric,
+                    one.error,
                 )
                 chosen = Recommended(one, proof, limits)
                 del others[at]

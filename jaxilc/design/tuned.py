@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ..learning.machine import Machine
 from ..pytree.named_paths import get_at, replaced
 from ..schemes import Scheme
 from ..signals.task import Task
@@ -17,7 +16,6 @@ from ..tuning import Tuning
 from ..tuning.objectives import EveryTrial, Holding, Objective
 from ..tuning.over_family import OverFamily
 from ..tuning.risks import CVaR
-from ..uncertainty import Uncertainty
 from .candidates import Candidate
 from .responses import Family
 
@@ -32,10 +30,8 @@ STEPS_BACK = (1.0, 0.8, 0.6, 0.4, 0.2)  # ways from the safe weights to the tune
 def tuned(
     candidate: Candidate,
     family: Family,
-    machine: Machine,
     task: Task,
     trials: int,
-    uncertainty: Uncertainty,
     *,
     metric: str,
     margin: float,
@@ -52,7 +48,7 @@ def tuned(
     ones of the candidate, until the frequency test holds with its margin over the family.
 
     out: folder of the tuning's state;  resume: go on with what is there
-    settings: of `Tuning`
+    settings: of `Tuning`, such as the number of machines, which are drawn as those of the family
 
     A candidate without weights is returned as it is.
     """
@@ -60,12 +56,11 @@ def tuned(
         return candidate
     first = max(1, round((1 - LATE) * trials))
     problem = Tuning(
-        machine,
+        family.population,
         candidate.scheme,
         task,
         trials,
         weights=candidate.bounds,
-        uncertainty=uncertainty,
         objective=Holding(first, metric) + EARLY * EveryTrial(metric) + penalty(family, 1 - margin),
         risk=CVaR(WORST),
         **settings,

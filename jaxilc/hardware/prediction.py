@@ -28,7 +28,7 @@ from ..signals.task import Task
 from ..storage.sealed import Damaged, read_json, sealed, unsealed, write_json
 from ..sweeps.host import Host
 from ..sweeps.plan import Chunk, Plan
-from ..uncertainty import Uncertainty, draw
+from ..uncertainty import Population, Uncertainty
 
 FILE, FORMAT = "prediction.json", 1
 MACHINES, SEED = 256, 20250  # drawn machines, and the seed of their draw and of their noise
@@ -150,22 +150,15 @@ def longest(subject: Subject) -> int:
 def simulated(subject: Subject, trials: int, *, seed: int = SEED) -> tuple[np.ndarray, np.ndarray]:
     """(S, J) the RMS errors over all outputs, and the largest errors, of drawn machines."""
     machine, scheme, task, uncertainty = subject
-    drawn, machines = draw(machine, uncertainty, MACHINES + 1, seed=seed), subject.machines
-    # The first one is the nominal machine, which is no draw.
-    drawn = {name: values[1:] for name, values in drawn.items()}
+    machines = subject.machines
     plan = Plan(
-        machine=machine,
-        schemes={"law": scheme},
-        task=task,
-        trials=min(trials, longest(subject)),
-        uncertainty=uncertainty,
-        machines=machines,
-        seed=seed,
-        drawn=drawn,
-        keep=(),
+        Population(machine, uncertainty, count=machines + 1, seed=seed),
+        {"law": scheme},
+        task,
+        min(trials, longest(subject)),
         chunk=machines,
         lanes=usual_lanes(),  # ty: ignore[invalid-argument-type]  None is what the backend holds
-        quantities={},
+        first=1,  # the nominal machine is no draw
     )
     found = Host(plan, shared=True).compute(Chunk(0, "law", 0, 0, machines))
     rms, largest = (

@@ -30,7 +30,7 @@ def from_many_starts(problem: Problem, starts: int, seed: int) -> Minimum:
     """
     # Bytes for the numbers drawn, and for the products of all pairs of the simulated signals.
     each = 8 * (100 + 8 * len(problem.names) ** 2)
-    check_size("identify", lambda starts: each * starts, starts=starts)
+    check_size("identify", each, starts=starts)
     shape, task = cast(ProcessModel, problem.plant), problem.task
     drawn = drawn_plants(shape, (1 / task.duration, 0.5 * np.pi / task.dt), starts, seed)
     fitted = np.arange(len(problem.record.y)) < problem.samples

@@ -118,7 +118,7 @@ def learn(
     check(machine, scheme, task)
     size = bytes_of_metrics(task)
     if trials * size > LITTLE:
-        check_size("learn", lambda trials: 2 * size * trials, trials=trials)
+        check_size("learn", 2 * size, trials=trials)
     key = jax.random.key(0) if key is None else key
     return _program(save or _nothing, int(trials_a_pass), watch)(
         machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int), start
@@ -165,8 +165,8 @@ def check_length(task: Task, scheme: Scheme) -> None:
         8 * 2 * task.outputs * (task.N + 1),
     )
     if task.N * signals + seen * scheme.preview > LITTLE:
-        check_size("one trial", lambda samples: signals * samples, samples=task.N)
-        check_size("one trial", lambda preview: seen * preview, preview=scheme.preview)
+        check_size("one trial", signals, samples=task.N)
+        check_size("one trial", seen, preview=scheme.preview)
 
 
 def _learn(

@@ -87,7 +87,7 @@ class InBlocks(Plant):
     def check(self, task: Task) -> None:
         self.plant.check(task)
         of_a_row = 8 * 4 * self.length * self.n_u * self.n_y
-        check_size("InBlocks", lambda length: of_a_row * length, length=self.length)
+        check_size("InBlocks", of_a_row, length=self.length)
 
     def sampled(self, dt: float) -> InBlocks:
         plant = self.plant.sampled(dt)

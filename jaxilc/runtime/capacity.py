@@ -1,4 +1,8 @@
-"""The RAM that a computation takes, the RAM that is free, and an error if it does not fit."""
+"""The RAM that a computation takes, the RAM that is free, and an error if it does not fit.
+
+What is counted before it is allocated is checked by `check_size`, and what only a compiler can
+count by `check_program`. Both raise the error of `refused`.
+"""
 
 from __future__ import annotations
 
@@ -21,23 +25,29 @@ OF_GROUP_2 = ("memory.max", "memory.current")
 SPARE = 256 * 2**20  # bytes of address space kept free for compilers, threads and libraries
 
 
-def check_size(what: str, need: Callable[..., float], **counts: float) -> None:
+def check_size(what: str, each: float | Callable[..., float], **counts: float) -> None:
     """Raises ValueError where a computation needs more bytes of RAM than are free.
 
     what: name of the computation, for the message
-    need: function that gives the number of bytes from the counts, linear in each of them
+    each: bytes for each unit of the product of the counts; or a function that gives all bytes from
+        the counts, linear in each of them
     counts: the counts, such as the number of machines, by name
     For each count the message gives the largest value that fits while the others do not change.
     """
+
+    def need(**counts: float) -> float:
+        return (
+            each * math.prod(counts.values()) if isinstance(each, int | float) else each(**counts)
+        )
+
     room = host_bytes()
     if room is None or need(**counts) <= room:
         return
     given = " and ".join(f"{name} = {count:.15g}" for name, count in counts.items())
     fits = {name: _fitting(need, counts, name, room) for name in counts}
     some = [f"{name} = {fit:.15g}" for name, fit in fits.items() if fit >= 1]
-    taken = f"{given} take {shown(need(**counts))} of memory, where {shown(room)} are available"
     instead = f"{' or '.join(some)} would fit" if some else "not even 1 would fit"
-    raise ValueError(f"{what}: {taken}; {instead}")
+    raise refused(f"{what}: {given} take", need(**counts), room, instead)
 
 
 def check_program(what: str, instead: str, lowered, *, devices: int | None = None) -> None:
@@ -52,8 +62,16 @@ def check_program(what: str, instead: str, lowered, *, devices: int | None = Non
     room = host if on_devices is None else on_devices
     need = 0 if room is None else program_bytes(lowered, devices=devices)
     if room is not None and need > room:
-        available = f"where {shown(room)} are available"
-        raise ValueError(f"{what} takes {shown(need)} of memory, {available}; {instead}")
+        raise refused(f"{what} takes", need, room, instead)
+
+
+def refused(takes: str, need: float, room: float, instead: str, where: str = "") -> ValueError:
+    """The error of what takes so many bytes, where only `room` of them are free.
+
+    takes: the computation, and that it takes them;  instead: what would fit;  where: the computer
+    """
+    said = f"{takes} {shown(need)} of memory, where {shown(room)} are available{where}"
+    return ValueError(f"{said}; {instead}")
 
 
 def program_bytes(lowered, *, devices: int | None = None) -> int:

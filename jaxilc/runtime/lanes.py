@@ -96,11 +96,11 @@ def lanes_for(
         return min(WIDE, enough)
     room = SHARE * memory - beside
     if room < of_a_machine:
-        taken = f"one machine takes {capacity.shown(of_a_machine)}"
-        taken += f" beside {capacity.shown(beside)} of results" if beside else ""
-        free = f"{capacity.shown(SHARE * memory)} of the {capacity.shown(memory)} of a device"
+        taken = f"{what}: one machine"
+        taken += f" beside {capacity.shown(beside)} of results takes" if beside else " takes"
         instead = _instead(room / max(of_a_machine, 1))
-        raise ValueError(f"{what}: {taken}, where {free} may be planned; {instead}")
+        of = f" of the {capacity.shown(memory)} of a device"
+        raise capacity.refused(taken, of_a_machine, SHARE * memory, instead, of)
     if not of_a_machine or enough <= room / of_a_machine:
         return enough
     return 1 << (int(room // of_a_machine).bit_length() - 1)

@@ -161,7 +161,7 @@ def m_sequence(
     require("m_sequence", "periods", periods, "[1, inf)", whole=True)
     require("m_sequence", "seed", seed, f"[1, {2**order - 1}]", whole=True)
     samples = periods * hold * 2**order
-    check_size(f"m_sequence: order = {order}", lambda samples: 8 * 4 * samples, samples=samples)
+    check_size(f"m_sequence: order = {order}", 8 * 4, samples=samples)
     bits, _ = scipy.signal.max_len_seq(order, state=[seed >> i & 1 for i in range(order)])
     return np.tile(np.repeat(amplitude * (2.0 * bits - 1.0), hold), periods)
 

@@ -24,8 +24,7 @@ def sample_times(function: str, duration: float, dt: float, arrays: int = ARRAYS
     require(function, "dt", dt, POSITIVE, " s")
     require(function, "duration", duration, POSITIVE, " s")
     samples = float(duration) / float(dt)
-    said = f"{function}: duration = {duration:g} s"
-    check_size(said, lambda samples: 8 * arrays * samples, samples=samples)
+    check_size(f"{function}: duration = {duration:g} s", 8 * arrays, samples=samples)
     N = round(samples)
     if N < 1 or abs(samples - N) > 1e-6:
         raise ValueError(

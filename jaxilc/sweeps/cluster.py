@@ -213,7 +213,7 @@ def _address(cluster: str | Path) -> str:
 
 def _check_importable(plan: Plan) -> None:
     # cloudpickle would send such a class along, but JAX has not registered it on the worker.
-    for node in _nodes([plan.machine, plan.task, plan.schemes, *plan.variants.values()]):
+    for node in _nodes([plan.population.machine, plan.task, plan.schemes, *plan.variants.values()]):
         cls = type(node)
         if cls.__module__ == "__main__" or "<locals>" in cls.__qualname__:
             raise ValueError(

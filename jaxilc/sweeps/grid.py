@@ -41,7 +41,7 @@ from ..runtime.capacity import check_size
 from ..runtime.provenance import describe
 from ..schemes import Scheme
 from ..signals.task import Task
-from ..uncertainty import Uncertainty, within_ranges
+from ..uncertainty import Population, within_ranges
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -203,21 +203,24 @@ class Grid:
             found[name] = labels.index(point.get(name))
         return found
 
-    def check(self, machine, schemes, task, trials: int, uncertainty: Uncertainty, drawn) -> None:
+    def check(self, population: Population, schemes, task: Task, trials: int) -> None:
         """Raises ValueError, naming the axis, for values with which a sweep cannot run.
 
-        Of each axis of leaves its ends are checked, of the static ones all values.
-
-        drawn: the drawn numbers by name, a function that has not been called
+        Of each axis of leaves its ends are checked, of the static ones all values. The numbers of
+        the population are drawn where there is something to check.
         """
-        parts = (machine, schemes, task, trials)
+        parts = (population.machine, schemes, task, trials)
+
+        def allow(machine: Machine) -> None:
+            _named(within_ranges, machine, population.uncertainty, population.drawn)
+
         taken = [name for axis in self.axes for name in axis.values]
         for one, other in combinations(taken, 2):
             if _overlap(one, other):
                 raise ValueError(
                     f"grid: {one} is set a second time, by {other}; allowed is one axis"
                 )
-        for name, (of, d) in product(taken, uncertainty.items()):
+        for name, (of, d) in product(taken, population.uncertainty.items()):
             if _overlap(name, f"machine.{of}") and not d.relative:
                 raise ValueError(
                     f"grid: {name} is drawn from {d}, which replaces the value of the axis; "
@@ -234,7 +237,7 @@ class Grid:
             for name, one in self.variants(*parts).items():
                 _same_shape(name, task, one.task)
                 _named(check, one.machine, one.scheme, one.task)
-                _named(within_ranges, one.machine, uncertainty, drawn())
+                allow(one.machine)
         for axis in self.leaves:
             by_size = np.argsort(np.reshape(axis.values[axis.name], (axis.size, -1))[:, 0])
             for i in by_size[[0, -1]]:
@@ -242,7 +245,7 @@ class Grid:
                 for name, scheme in schemes_at.items():
                     if {n.partition(".")[0] for n in axis.values} & {name, *_OTHERS}:
                         _named(check, machine_at, scheme, task_at)
-                _named(within_ranges, machine_at, uncertainty, drawn())
+                allow(machine_at)
 
     def described(self, schemes: Mapping[str, Scheme]) -> dict[str, Any]:
         """All that determines the numbers of a grid, and how its store is laid out, as JSON."""
@@ -447,7 +450,7 @@ def _spread(name: str, low: str, high: str, count: str, log: str | None) -> np.n
     allowed = "(0, inf)" if log else "(-inf, inf)"
     for what, end in zip(("the low end", "the high end"), ends, strict=True):
         require("grid", f"{name}, {what}", end, allowed)
-    check_size(f"grid: {name}", lambda values: OF_A_VALUE * values, values=int(count))
+    check_size(f"grid: {name}", OF_A_VALUE, values=int(count))
     return (np.geomspace if log else np.linspace)(*ends, int(count))
 
 

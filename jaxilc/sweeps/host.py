@@ -32,7 +32,6 @@ from ..runtime.tiles import tiled
 from ..uncertainty import drawn_machine
 from .layout import UNFILLED
 from .plan import Chunk, Plan
-from .variables import variables
 
 PROGRAMS = 8  # number of programs, of different sweeps, that are kept in a process
 AT_ONCE = 4  # number of chunks that are in the RAM, computed or not; writing takes uneven times
@@ -55,15 +54,16 @@ class Host:
         self.plan, self.environment = plan, provenance.environment()
         self._needed = 0  # bytes of the largest chunk that was compiled
         self._finished_at = 0.0  # the time at which the last chunk was finished
-        names = tuple((name, _Drawn(bool(of.relative))) for name, of in plan.uncertainty.items())
+        names = tuple(
+            (name, _Drawn(bool(of.relative))) for name, of in plan.population.uncertainty.items()
+        )
         of_machine = names, plan.keep, Keep.of(plan.quantities), plan.watch
         self._of_machine = of_machine
         make = _shared_program if shared else _program
         counts = {variant.trials for variant in plan.variants.values()}
         self._programs = {n: make(*of_machine, n, plan.lanes) for n in counts}
-        known = variables(plan.task, plan.keep, plan.quantities, plan.watch)
         self._by_trial = {
-            n: v.dims.index("trial") - 1 for n, v in known.items() if "trial" in v.dims
+            n: v.dims.index("trial") - 1 for n, v in plan.variables.items() if "trial" in v.dims
         }
 
     def fitting_lanes(self) -> int:
@@ -171,9 +171,10 @@ class Host:
         plan, of = self.plan, self.plan.variants[name]
         member = np.minimum(np.arange(start, start + min(size, plan.members)), plan.members - 1)
         point, index = np.divmod(member, plan.machines)
-        drawn = {name: jnp.asarray(values[index]) for name, values in plan.drawn.items()}
+        drawn = plan.population.drawn
+        drawn = {name: jnp.asarray(of[plan.first + index]) for name, of in drawn.items()}
         at_point = jax.tree.map(jnp.asarray, plan.axes.leaves_at(point, of.name))
-        common = (of.machine, of.scheme, of.task, jax.random.key(plan.seed))
+        common = (of.machine, of.scheme, of.task, jax.random.key(plan.population.seed))
         return common, (jnp.asarray(index), drawn, at_point)
 
 

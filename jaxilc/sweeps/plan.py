@@ -1,22 +1,31 @@
-"""The plan of a sweep: everything that determines its numbers, for the computing processes."""
+"""The plan of a sweep: everything that determines its numbers, and the dataset that they fill.
+
+The dimension over the machines is called `sample`, as in existing datasets.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from ..learning.machine import Machine
+from ..learning.known_metrics import METRICS
 from ..learning.watch import Watch
 from ..runtime import capacity
+from ..runtime.tiles import OPEN
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
-from ..uncertainty import Uncertainty
+from ..uncertainty import Population
 from .grid import Grid, Variant
+from .layout import Variable
+
+SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
+WORK = 4  # arrays of the size of a metric over all machines and trials, needed for its quantiles
 
 
 class Chunk(NamedTuple):
@@ -44,37 +53,45 @@ class Chunk(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """A sweep with its drawn machines.
+    """A sweep as it is computed: with its drawn machines, its axes, and its lanes and chunk chosen.
 
-    drawn: (machines,) drawn numbers by the name of a leaf
-    axes: the grid of the sweep
+    axes: those of the population's grid
+    first: number of the first machine that is computed; with 1 the nominal one is left out
     The other fields are those of `Sweep`.
     """
 
-    machine: Machine
+    population: Population
     schemes: Mapping[str, Scheme]
     task: Task
     trials: int
-    uncertainty: Uncertainty
-    machines: int
-    seed: int
-    drawn: Mapping[str, np.ndarray]
-    keep: tuple[str, ...]
-    chunk: int
-    lanes: int
-    quantities: Mapping[str, Callable[[Trial], jax.Array]]
+    keep: tuple[str, ...] = ()
+    quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
     watch: Watch | None = None
     axes: Grid = dataclasses.field(default_factory=Grid)
+    chunk: int = OPEN
+    lanes: int = OPEN
+    first: int = 0
 
     @cached_property
     def variants(self) -> dict[str, Variant]:
         """What the programs compute, by name."""
-        return self.axes.variants(self.machine, self.schemes, self.task, self.trials)
+        machine = self.population.machine
+        return self.axes.variants(machine, self.schemes, self.task, self.trials)
+
+    @property
+    def variables(self) -> dict[str, Variable]:
+        """The variables of the dataset, see `variables_of`, by the precision that is set now."""
+        return variables_of(self.task, self.keep, self.quantities, self.watch)
 
     @property
     def longest(self) -> int:
         """The largest number of trials of a variant."""
         return self.axes.longest(self.trials)
+
+    @property
+    def machines(self) -> int:
+        """The number of machines at each point."""
+        return self.population.size - self.first
 
     @property
     def members(self) -> int:
@@ -89,12 +106,135 @@ class Plan:
             for number, start in enumerate(range(0, self.members, self.chunk))
         ]
 
+    def bytes_stored(
+        self,
+        machines: float | None = None,
+        trials: float | None = None,
+        points: float | None = None,
+    ) -> int:
+        """Bytes of the whole dataset, before compression.
 
-def that_fits(plan: Plan, hosts, name: str, need: int, room: int) -> str:
-    """What would fit where a chunk of a variant needs more bytes than there is room for.
+        machines, trials, points: their numbers, None for those of this plan
+        """
+        machines = self.machines if machines is None else machines
+        points = self.axes.size if points is None else points
+        lengths: dict[str, Any] = {
+            "scheme": len(self.schemes),
+            "sample": machines * points,
+            "trial": self.longest if trials is None else trials,
+            "channel": self.task.outputs,
+            "input": self.task.inputs,
+            "time": self.task.N + 1,
+            "input_time": self.task.N,
+        }
+        return sum(
+            np.dtype(v.dtype).itemsize * math.prod(lengths[d] for d in v.dims)
+            for v in self.variables.values()
+        )
+
+    def need_room(self, copies: int = 1) -> None:
+        """Raises ValueError where `copies` of the dataset and its summary do not fit in RAM.
+
+        The message says how many machines or trials would fit.
+        """
+        labels = len(self.population.uncertainty) + sum(len(axis.values) for axis in self.axes.axes)
+        summary = 8 * WORK * len(self.schemes) * self.task.outputs
+
+        def need(machines: float, trials: float, points: float = 1) -> float:
+            return (
+                copies * self.bytes_stored(machines, trials, points)
+                + 8 * labels * machines * points
+                + summary * machines * points * trials
+                + 8 * trials
+            )
+
+        points = {"points": self.axes.size} if self.axes.axes else {}
+        capacity.check_size("Sweep", need, machines=self.machines, trials=self.longest, **points)
+
+    def coordinates(self) -> dict[str, tuple]:
+        """Dimensions and values of each coordinate, with the drawn numbers and the grid's axes."""
+        task = self.task
+        known = {
+            "scheme": np.array(list(self.variants)),
+            "sample": np.arange(self.members),
+            "trial": np.arange(1, self.longest + 1),
+            "channel": labels_of(task),
+            "input": np.arange(task.inputs),
+            "time": task.time,
+            "input_time": task.time[:-1],
+        }
+        used = {d for v in self.variables.values() for d in v.dims}
+        found = {name: ((name,), values) for name, values in known.items() if name in used}
+        found |= {
+            name: (("sample",), np.tile(values, self.axes.points))
+            for name, values in self.population.drawn.items()
+        }
+        points = np.arange(self.members) // self.machines
+        for axis, at in self.axes.places(points):
+            found |= {name: (("sample",), labels[at]) for name, labels in axis.labels.items()}
+        at_all = np.array([variant.fixed for variant in self.variants.values()])
+        for axis, at in zip(self.axes.static, at_all.T, strict=True):
+            found |= {name: (("scheme",), labels[at]) for name, labels in axis.labels.items()}
+        return found
+
+
+def variables_of(
+    task: Task, keep: tuple[str, ...], quantities: Iterable[str], watch: Watch | None = None
+) -> dict[str, Variable]:
+    """The variables by name: metrics, further quantities, the signals that are kept, and a watch's.
+
+    A task with one output has no dimension `channel`, one with one input no dimension `input`.
+    Raises ValueError for a quantity with the name of a variable of the watch.
+    """
+    dropped = {"channel"} if task.outputs == 1 else set()
+    dropped |= {"input"} if task.inputs == 1 else set()
+    real = "f8" if jax.config.jax_enable_x64 else "f4"
+
+    def along(*axes: str) -> tuple[str, ...]:
+        return ("scheme", "sample", *(axis for axis in axes if axis not in dropped))
+
+    found = {
+        m.name: Variable(
+            along(*m.axes), real if m.dtype == "float" else m.dtype, m.unit_of(task), m.text
+        )
+        for m in METRICS
+        if m.swept
+    }
+    found |= {name: Variable(along("trial"), real, "", "figure of a trial") for name in quantities}
+    for name in keep:
+        unit = task.input_unit if name == "u" else task.unit
+        found[name] = Variable(along(*SIGNALS[name]), real, unit, f"{name} of the last trial")
+    for name, one in ({} if watch is None else watch.variables(task)).items():
+        if name in found:
+            raise ValueError(f"quantity = {name!r} is a variable of the watch; choose another name")
+        found[name] = Variable(along(*["trial"][: one.of_trials]), real, one.unit, one.text)
+    return found
+
+
+def labels_of(task: Task) -> np.ndarray:
+    """(n_y,) the names of the outputs, or their numbers where they have none."""
+    return np.array(task.labels)
+
+
+def need_memory(plan: Plan, hosts, names: tuple[str, ...], *, copies: int) -> int:
+    """The bytes of `copies` of the dataset; a chunk of each variant is compiled, to check it fits.
 
     hosts: what computes the chunks, see `Host`
+    Raises ValueError where a chunk does not fit in RAM beside them. Where the size of the RAM is
+    unknown, nothing is refused.
     """
+    plan.need_room(copies)
+    stored = copies * plan.bytes_stored()
+    room, where = hosts.room(stored)
+    for name, need in hosts.chunk_bytes(names, plan.chunk):
+        if room is not None and need > room:
+            instead = _that_fits(plan, hosts, name, need, room)
+            raise capacity.refused(f"Sweep: chunk = {plan.chunk} takes", need, room, instead, where)
+    return stored
+
+
+def _that_fits(plan: Plan, hosts, name: str, need: int, room: int) -> str:
+    """What would fit where a chunk of a variant needs more bytes than there is room for."""
     # From two tiles on, the RAM of a chunk is linear in its size; a single tile needs less, since
     # there is no loop over tiles.
     tile, size = plan.lanes * hosts.environment["devices"], min(plan.chunk, plan.members)
@@ -102,7 +242,7 @@ def that_fits(plan: Plan, hosts, name: str, need: int, room: int) -> str:
     least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need
     if least > room:
         return (
-            f"{small} machines at a time need {capacity.shown(least)} already; keep fewer signals, "
+            f"{small} machines at a time take {capacity.shown(least)} already; keep fewer signals, "
             "take fewer trials, or shorten them"
         )
     fits = int(small + (room - least) / (need - least) * (size - small)) // tile * tile

@@ -20,7 +20,7 @@ from ..runtime.provenance import describe, environment
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.sealed import as_json
-from .variables import labels_of
+from .plan import labels_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -53,8 +53,7 @@ def run_schemes(
     for scheme in schemes.values():
         check(machine, scheme, task)
     keep, signals = Keep.of(quantities or {}, "y", "u"), (task.N + 1) * (task.outputs + task.inputs)
-    each = 8 * COPIES * signals * len(schemes)
-    check_size("run", lambda trials: each * trials, trials=trials)
+    check_size("run", 8 * COPIES * signals * len(schemes), trials=trials)
     histories = {}
     for done, (name, scheme) in enumerate(schemes.items()):
         if progress is not None:

@@ -254,8 +254,7 @@ def certify_each(
     fit into memory.
     """
     check(first_of(machines), scheme, task)
-    bytes_of = lambda machines, trials: COPIES * machines * trials  # noqa: E731
-    check_size("certify", bytes_of, machines=count_of(machines), trials=trials)
+    check_size("certify", COPIES, machines=count_of(machines), trials=trials)
     groups = that_fit(machines, task)
     return joined([_certified(some, scheme, task, trials, steps) for some in groups])
 

@@ -36,7 +36,7 @@ from ..runtime.lanes import fitting_lanes, usual_lanes
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
-from ..uncertainty import Uncertainty, draw, drawn_machine
+from ..uncertainty import Population
 from .bounded import Bounded
 from .descent import Evaluation, counted, repaired
 from .objectives import Objective, Run, Sum, judge
@@ -47,57 +47,15 @@ FORWARD_UP_TO = 2  # weights
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Machines:
-    """The set that a tuning draws its machines from; the fields are those of `Tuning`."""
-
-    machine: Machine
-    uncertainty: Uncertainty
-    seed: int
-    sampling: str
-    lanes: int
-    starts: int
-
-    def drawn(self, seed: int, size: int, *, nominal: bool) -> tuple[Any, dict[str, Any]]:
-        """The numbers and drawn values of `size` machines, as a batch for `tiled`.
-
-        nominal: whether the nominal machine, number 0, is one of them
-        """
-        skipped = 0 if nominal else 1
-        # The corners do not depend on the seed, so for another seed another sampling is used.
-        other = self.sampling == "corners" and seed != self.seed
-        sampling = "sobol" if other else self.sampling
-        drawn = draw(self.machine, self.uncertainty, size + skipped, seed=seed, sampling=sampling)
-        count = len(next(iter(drawn.values()))) if drawn else size + skipped
-        values = {name: jnp.asarray(values[skipped:]) for name, values in drawn.items()}
-        return jnp.arange(skipped, count), values
-
-    def one(self, numbered, seed: int) -> tuple[Machine, jax.Array]:
-        """One machine of a batch, and the key of its noise.
-
-        numbered: an element of the batch
-        """
-        number, drawn = numbered
-        machine = drawn_machine(self.machine, self.uncertainty, drawn)
-        return machine, jax.random.fold_in(jax.random.key(seed), number)
-
-    def tiled(self, of_one, batch):
-        """The result of `tiled(of_one)` over a batch and, under `vmap`, over all starts."""
-        of_a_device = -(-len(batch[0]) // jax.device_count())
-        wide = usual_lanes() is None  # all machines of all starts in one tile, if they fit
-        lanes = self.lanes if wide else min(self.lanes, of_a_device)
-        return tiled(of_one, lanes=max(1, lanes // self.starts))
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class Losses:
     """The losses of a tuning, with their slopes.
 
-    machines: the machines and how they are drawn
+    population: the machines that the tuning is on
     weights: the weights that are tuned, with their maps
     The other fields are those of `Tuning`.
     """
 
-    machines: Machines
+    population: Population
     weights: Weights
     scheme: Scheme
     task: Task
@@ -107,6 +65,15 @@ class Losses:
     truncate: int | None
     ceiling: float
     quantities: Mapping[str, Callable[[Trial], jax.Array]]
+    lanes: int
+    starts: int
+
+    def tiled(self, of_one, batch):
+        """The result of `tiled(of_one)` over a batch and, under `vmap`, over all starts."""
+        of_a_device = -(-len(batch[0]) // jax.device_count())
+        wide = usual_lanes() is None  # all machines of all starts in one tile, if they fit
+        lanes = self.lanes if wide else min(self.lanes, of_a_device)
+        return tiled(of_one, lanes=max(1, lanes // self.starts))
 
     def of_machine(
         self, machine: Machine, values: Mapping[str, Any], objective: Objective, *, key=None
@@ -123,36 +90,33 @@ class Losses:
         return objective(Run(machine, scheme, self.task, history, self.ceiling))
 
     def risk_of(
-        self, values: Mapping[str, Any], objective: Objective, batch, seed: int
+        self, values: Mapping[str, Any], objective: Objective, population: Population, first: int
     ) -> jax.Array:
-        """() the risk over a batch of machines with these weights, plus the nominal terms.
+        """() the risk over machines with these weights, plus the nominal terms.
 
-        batch: machines as `Machines.drawn` returns them
-        seed: seed of the noise
+        first: number of the first of these machines
         """
         of_machines, of_nominal = split(objective)
-        run = self.machines.tiled(
-            lambda values, one: self._of_one(values, one, of_machines, seed), batch
+        batch = population.batch(first)
+        run = self.tiled(
+            lambda values, one: self._of_one(values, one, of_machines, population), batch
         )
         risk = self.risk(counted(run(values, batch)))
         if not of_nominal.parts:
             return risk
-        return risk + self.of_machine(self.machines.machine, values, of_nominal)
+        return risk + self.of_machine(self.population.machine, values, of_nominal)
 
-    def evaluation(
-        self, objective: Objective, batch, seed: int, *, clip: float
-    ) -> Callable[[Any], Evaluation]:
-        """A function that evaluates the loss over a batch of machines at z (P,).
+    def evaluation(self, objective: Objective, *, clip: float) -> Callable[[Any], Evaluation]:
+        """A function that evaluates the loss over the machines of the population at z (P,).
 
             value = risk(l_1, ..., l_S) + nominal terms
             slope = sum_s (d risk / d l_s) (d l_s / d z) + slope of the nominal terms
 
-        batch, seed: as in `risk_of`
         clip: bound on the slope of a machine, see `descent.repaired`
         """
         of_machines, of_nominal = split(objective)
-        of_one = partial(self._slope_of_one, objective=of_machines, seed=seed)
-        over_machines = self.machines.tiled(of_one, batch)
+        batch = self.population.batch()
+        over_machines = self.tiled(partial(self._slope_of_one, objective=of_machines), batch)
 
         def evaluate(z) -> Evaluation:
             losses, slopes, good = repaired(*over_machines(z, batch), clip)
@@ -161,7 +125,7 @@ class Losses:
             value, gradient = self.risk(losses), omega @ slopes
             residuals, jacobian = losses / len(losses) ** 0.5, slopes / len(losses) ** 0.5
             if of_nominal.parts:
-                nominal = self.machines.machine
+                nominal = self.population.machine
                 term, slope = jax.value_and_grad(
                     lambda z: self.of_machine(nominal, self.weights.at(z), of_nominal)
                 )(z)
@@ -180,16 +144,15 @@ class Losses:
         usual = usual_lanes(bytes_of_trial(self.scheme, self.task), backward=not self._forward)
         if usual is not None:
             return usual
-        of_one = partial(self._slope_of_one, objective=split(objective)[0], seed=self.machines.seed)
-        batch = self.machines.drawn(self.machines.seed, 1, nominal=True)
-        z = jnp.zeros(len(self.weights.start))
-        return fitting_lanes(of_one, z, batch, machines * self.machines.starts, what="Tuning")
+        of_one = partial(self._slope_of_one, objective=split(objective)[0])
+        batch, z = self.population.batch(), jnp.zeros(len(self.weights.start))
+        return fitting_lanes(of_one, z, batch, machines * self.starts, what="Tuning")
 
-    def _slope_of_one(self, z, one, *, objective: Objective, seed: int):
+    def _slope_of_one(self, z, one, *, objective: Objective):
         """The loss of one machine of a batch at z (P,), and its slope."""
 
         def loss(z, one):
-            return self._of_one(self.weights.at(z), one, objective, seed)
+            return self._of_one(self.weights.at(z), one, objective, self.population)
 
         return value_and_slope(loss, z, one, forward=self._forward)
 
@@ -199,9 +162,9 @@ class Losses:
         few = self.mode == "auto" and len(self.weights.bijections) <= FORWARD_UP_TO
         return self.mode == "forward" or few
 
-    def _of_one(self, values, one, objective: Objective, seed: int):
+    def _of_one(self, values, one, objective: Objective, population: Population):
         """The objective of one machine of a batch."""
-        machine, key = self.machines.one(one, seed)
+        machine, key = population.one_of(one)
         return self.of_machine(machine, values, objective, key=key)
 
 

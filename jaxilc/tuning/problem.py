@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import jax
 import numpy as np
@@ -32,13 +32,11 @@ from ..pytree.ranges import SEEDS, require
 from ..runtime.capacity import check_program, check_size
 from ..runtime.earlier_names import takes_also
 from ..runtime.provenance import describe, environment
-from ..runtime.tiles import OPEN
 from ..schemes import Scheme
 from ..schemes.parts import need_learned_at_last
 from ..signals.task import Task, Trial
 from ..sweeps.sweep import Sweep
-from ..uncertainty import Uncertainty, bytes_drawn, draw
-from ..uncertainty import check as check_uncertainty
+from ..uncertainty import Population, Uncertainty, takes_population
 from .descent import (
     OPTIMISERS,
     Method,
@@ -50,7 +48,7 @@ from .descent import (
     method_of,
     over_starts,
 )
-from .losses import Losses, Machines
+from .losses import Losses
 from .objectives import Final, Objective
 from .risks import Mean, Risk
 from .states import Folder, stored_lanes
@@ -61,7 +59,8 @@ if TYPE_CHECKING:
 
 # What the settings of a tuning may be.
 WHOLE = dict.fromkeys(("trials", "machines"), "[1, inf)") | {"held_out": "[0, inf)"}
-WHOLE |= dict.fromkeys(("steps", "starts", "validate_every", "lanes"), "[1, inf)")
+WHOLE |= dict.fromkeys(("steps", "starts", "validate_every", "lanes", "truncate"), "[1, inf)")
+OPTIONAL = ("lanes", "truncate")
 WHOLE |= {"patience": "[0, inf)", "seed": SEEDS}
 REAL = {"rate": "(0, inf)", "clip": "(0, inf]", "ceiling": "(0, inf)", "scatter": "[0, inf)"}
 CHOICES = {"mode": ("auto", "forward", "reverse"), "optimiser": OPTIMISERS}
@@ -69,11 +68,12 @@ COPIES = 6  # in RAM, of the record of each step: in the state, in its file, and
 
 
 @takes_also(samples="machines")
+@takes_population
 @dataclasses.dataclass(frozen=True)
 class Tuning:
     """A fully specified tuning problem, which `run` solves.
 
-    machine, scheme, task, trials: as for `learn`
+    machine, scheme, task, trials: as for `learn`; a `Population` may take the place of the machine
     weights: names of float leaves of the scheme, or of elements (`phi0[0]`), with (low, high)
         bounds, or None for the range that the leaf allows. An array stands for all of its elements.
         The ends of a range are excluded, so a weight whose range has one sign keeps that sign.
@@ -110,7 +110,7 @@ class Tuning:
     Raises ValueError, before anything is compiled, also where the last trial is an experiment.
     """
 
-    machine: Machine
+    machine: Machine | Population
     scheme: Scheme
     task: Task
     trials: int
@@ -133,32 +133,26 @@ class Tuning:
     truncate: int | None = None
     clip: float = 3.0
     ceiling: float = CEILING
-    lanes: int = OPEN
+    lanes: int | None = None
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
     __repr__ = in_short
 
     def __post_init__(self):
-        if self.lanes_given is None:
-            object.__setattr__(self, "lanes", 1)
-        check(self.machine, self.scheme, self.task)
+        machine = cast("Machine", self.machine)
+        check(machine, self.scheme, self.task)
         self._check_settings()
-        self._weights.need_room(self.machine, self.scheme, self.task)
+        self._weights.need_room(machine, self.scheme, self.task)
         self._need_room()
-        draw(self.machine, self.uncertainty, self.machines, seed=self.seed, sampling=self.sampling)
-        jax.eval_shape(lambda: self.loss_of(self.machine, {}))
-        if self.lanes_given is None:
-            lanes = self._losses.fitting_lanes(self.objective, max(self.machines, self.held_out))
-            object.__setattr__(self, "lanes", lanes)
-            del self.__dict__["_losses"]  # those of one lane
+        _ = self.population.drawn  # which cannot be drawn where a number leaves its range
+        jax.eval_shape(lambda: self.loss_of(machine, {}))
 
     def _check_settings(self) -> None:
         """Raises ValueError naming a setting, its value and what is allowed."""
         for name, allowed in WHOLE.items():
-            require("Tuning", name, getattr(self, name), allowed, whole=True)
+            if name not in OPTIONAL or getattr(self, name) is not None:
+                require("Tuning", name, getattr(self, name), allowed, whole=True)
         for name, allowed in REAL.items():
             require("Tuning", name, getattr(self, name), allowed)
-        if self.truncate is not None:
-            require("Tuning", "truncate", self.truncate, "[1, inf)", whole=True)
         for name, choices in CHOICES.items():
             value = getattr(self, name)
             if isinstance(value, str) and value not in choices:
@@ -171,19 +165,17 @@ class Tuning:
         Nothing is drawn or compiled for it. An uncertainty that does not fit the machine is
         refused, too.
         """
-        check_uncertainty(self.machine, self.uncertainty)
-        weights, starts = len(self.start), self.starts
-        together = min(self.lanes * jax.device_count(), self.machines)
+        population, weights, starts = self.population, len(self.start), self.starts
+        together = min((self.lanes or 1) * jax.device_count(), self.machines)
         of_a_trial = COPIES * bytes_of_metrics(self.task) * together
 
         def of_machines(machines: float, starts: float) -> float:
-            drawn = bytes_drawn(self.machine, self.uncertainty, machines)
-            return drawn + COPIES * 8 * (weights + 1) * machines * starts
+            return population.bytes_drawn(machines) + COPIES * 8 * (weights + 1) * machines * starts
 
         def of_steps(starts: float, steps: float) -> float:
             return COPIES * 8 * (weights + 4) * starts * (steps + 1)
 
-        check_size("Tuning", lambda trials: of_a_trial * trials, trials=self.trials)
+        check_size("Tuning", of_a_trial, trials=self.trials)
         for name in ("machines", "held_out"):
             counts = {name: getattr(self, name), "starts": starts}
             check_size(
@@ -192,9 +184,10 @@ class Tuning:
         check_size("Tuning", of_steps, starts=starts, steps=self.steps)
 
     @cached_property
-    def lanes_given(self) -> int | None:
-        """The lanes as they were given at construction, when this is computed."""
-        return self.lanes
+    def population(self) -> Population:
+        """The machines that the tuning is on."""
+        of = self.machine, self.uncertainty, {}, self.machines, self.seed, self.sampling
+        return Population(*of)
 
     @cached_property
     def _weights(self) -> Weights:
@@ -202,10 +195,15 @@ class Tuning:
 
     @cached_property
     def _losses(self) -> Losses:
-        drawn = Machines(**{f.name: getattr(self, f.name) for f in dataclasses.fields(Machines)})
-        given: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(Losses)}
-        given |= {"machines": drawn, "weights": self._weights}
-        return Losses(**given)
+        """The losses, with the lanes that suit them where they were left open."""
+        names = {f.name for f in dataclasses.fields(Losses)} - {"weights"}
+        given: dict[str, Any] = {name: getattr(self, name) for name in names}
+        given |= {"weights": self._weights, "lanes": self.lanes or 1}
+        losses = Losses(**given)
+        if self.lanes is not None:
+            return losses
+        lanes = losses.fitting_lanes(self.objective, max(self.machines, self.held_out))
+        return dataclasses.replace(losses, lanes=lanes)
 
     @property
     def start(self) -> dict[str, float]:
@@ -220,7 +218,7 @@ class Tuning:
     def configuration(self) -> dict[str, Any]:
         """All that determines the numbers, as JSON."""
         described = {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)}
-        return described | {"environment": environment("optax")}
+        return described | {"lanes": self._losses.lanes, "environment": environment("optax")}
 
     def scheme_of(self, values: Mapping[str, Any]) -> Scheme:
         """The scheme with these values of the weights by name; also usable inside `jit`."""
@@ -241,9 +239,10 @@ class Tuning:
         self, values: Mapping[str, Any], objective: Objective | None = None
     ) -> jax.Array:
         """() the risk over the held-out machines plus the nominal terms, a pure function."""
-        seed, size = (self.seed + 1, self.held_out) if self.held_out else (self.seed, self.machines)
-        batch = self._losses.machines.drawn(seed, size, nominal=not self.held_out)
-        return self._losses.risk_of(values, objective or self.objective, batch, seed)
+        population, first = self.population, 0
+        if self.held_out:  # the nominal machine is one of those that are trained on
+            population, first = population.others(self.seed + 1, self.held_out + 1), 1
+        return self._losses.risk_of(values, objective or self.objective, population, first)
 
     def run(
         self,
@@ -265,9 +264,9 @@ class Tuning:
         in use, has no undamaged state, or was made with another configuration, and for a step that
         the RAM cannot hold.
         """
-        if resume and out is not None and self.lanes_given is None:
-            begun = stored_lanes(Path(out)) or self.lanes
-            if begun != self.lanes:
+        if resume and out is not None and self.lanes is None:
+            begun = stored_lanes(Path(out)) or self._losses.lanes
+            if begun != self._losses.lanes:
                 again = dataclasses.replace(self, lanes=begun)
                 return again.run(out, resume=True, progress=progress)
         z = self._weights.starts(self.starts, self.scatter, self.seed)
@@ -364,12 +363,7 @@ class Tuning:
 
     def _method(self) -> Method:
         """The optimiser on the training loss."""
-        evaluate = self._losses.evaluation(
-            self.objective,
-            self._losses.machines.drawn(self.seed, self.machines, nominal=True),
-            self.seed,
-            clip=self.clip,
-        )
+        evaluate = self._losses.evaluation(self.objective, clip=self.clip)
         return method_of(self.optimiser, evaluate, self.rate, self.steps)
 
 

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -71,7 +71,8 @@ def pareto(
     )
     sums = {share: share / one * first + (1.0 - share) / other * second for share in shares}
     problems = {
-        f"share-{share}": _changed(problem, objective=total) for share, total in sums.items()
+        f"share-{share}": dataclasses.replace(problem, objective=total)
+        for share, total in sums.items()
     }
     found = _tuned(problems, out, resume, progress)
     points = [
@@ -110,13 +111,8 @@ def by_trials(
             f"by_trials: budgets = {list(budgets)} are not different numbers of trials in [1, inf)"
         )
     _need_place(out, resume)
-    problems = {f"trials-{J}": _changed(problem, trials=J) for J in budgets}
+    problems = {f"trials-{J}": dataclasses.replace(problem, trials=J) for J in budgets}
     return dict(zip(budgets, _tuned(problems, out, resume, progress).values(), strict=True))
-
-
-def _changed(problem: Tuning, **fields: Any) -> Tuning:
-    """The problem with other fields, and lanes that suit them where its own were left open."""
-    return dataclasses.replace(problem, **{"lanes": problem.lanes_given} | fields)
 
 
 def held_out_losses(

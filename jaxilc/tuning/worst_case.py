@@ -20,7 +20,7 @@ from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, require
 from ..runtime.capacity import check_program, check_size
 from ..runtime.tiles import tiled
-from ..uncertainty import LogUniform, Uncertainty, check, drawn_machine
+from ..uncertainty import LogUniform, Population, Uncertainty, drawn_machine
 
 GRADIENT_COST = 3  # cost of a gradient beyond that of its loss, in evaluations of the loss
 COPIES = 8  # in the RAM, of the points of all climbs or draws, and of their losses
@@ -50,7 +50,7 @@ class WorstCase(NamedTuple):
 def worst_case_search(
     loss: Callable[[Any], jax.Array],
     subject: Any,
-    uncertainty: Uncertainty,
+    uncertainty: Uncertainty | None = None,
     *,
     starts: int = 16,
     steps: int = 30,
@@ -69,6 +69,7 @@ def worst_case_search(
 
     loss: pure function from a subject to a number; that of `objectives.judge` stays finite where a
     machine diverges
+    subject, uncertainty: or a `Population`; of its distributions only the corners count
     lanes: number of subjects vectorised together, None for what suits this backend
     Raises ValueError for an uncertainty that is empty or does not fit the subject, or where no loss
     is finite.
@@ -88,9 +89,7 @@ def worst_case_search(
     )
     climb = jax.jit(
         tiled(
-            lambda subject, t: jax.value_and_grad(
-                lambda t: loss(drawn_machine(subject, uncertainty, box.values(t)))
-            )(t),
+            lambda subject, t: jax.value_and_grad(lambda t: loss(box.at(t, subject)))(t),
             lanes=lanes,
         )
     )
@@ -98,7 +97,7 @@ def worst_case_search(
     check_program(
         "worst_case_search: a step of all starts",
         "take fewer starts or trials, or a shorter one",
-        climb.lower(subject, start),
+        climb.lower(box.subject, start),
     )
     t = np.concatenate(
         [np.full((1, box.n), 0.5), qmc.LatinHypercube(box.n, rng=seed).random(starts - 1)]
@@ -106,7 +105,7 @@ def worst_case_search(
     step, last = np.full_like(t, FIRST), np.zeros_like(t)
     found, at, best = np.full(starts, -np.inf), t.copy(), np.zeros(steps)
     for i in range(steps):
-        losses, slopes = map(np.asarray, climb(subject, jnp.asarray(t)))
+        losses, slopes = map(np.asarray, climb(box.subject, jnp.asarray(t)))
         better = np.isfinite(losses) & (losses > found)
         found, at = np.where(better, losses, found), np.where(better[:, None], t, at)
         best[i] = found.max()
@@ -121,7 +120,7 @@ def worst_case_search(
 def monte_carlo_search(
     loss: Callable[[Any], jax.Array],
     subject: Any,
-    uncertainty: Uncertainty,
+    uncertainty: Uncertainty | None,
     evaluations: int,
     *,
     seed: int = 0,
@@ -129,20 +128,16 @@ def monte_carlo_search(
 ) -> WorstCase:
     """The largest loss of `evaluations` subjects drawn uniformly from the same box.
 
+    subject, uncertainty: as for `worst_case_search`; of a `Population` None
     Raises as `worst_case_search` does.
     """
     require("monte_carlo_search", "evaluations", evaluations, "[1, inf)", whole=True)
     require("monte_carlo_search", "seed", seed, SEEDS, whole=True)
     box = _Box(subject, uncertainty)
-    each = bytes_of_a_draw(uncertainty)
-    check_size(
-        "monte_carlo_search", lambda evaluations: each * evaluations, evaluations=evaluations
-    )
+    check_size("monte_carlo_search", bytes_of_a_draw(box.uncertainty), evaluations=evaluations)
     t = np.random.default_rng(seed).random((evaluations, box.n))
-    look = tiled(
-        lambda subject, t: loss(drawn_machine(subject, uncertainty, box.values(t))), lanes=lanes
-    )
-    losses = np.asarray(look(subject, jnp.asarray(t)))
+    look = tiled(lambda subject, t: loss(box.at(t, subject)), lanes=lanes)
+    losses = np.asarray(look(box.subject, jnp.asarray(t)))
     losses = np.where(np.isfinite(losses), losses, -np.inf)
     return box.worst(t, losses, evaluations, np.maximum.accumulate(losses))
 
@@ -155,14 +150,18 @@ def bytes_of_a_draw(uncertainty: Uncertainty) -> float:
 class _Box:
     """The set of subjects, in coordinates t from 0 to 1."""
 
-    def __init__(self, subject, uncertainty: Uncertainty):
-        if not uncertainty:
+    def __init__(self, subject, uncertainty: Uncertainty | None):
+        population = Population.of(subject, uncertainty)
+        if not population.uncertainty:
             raise ValueError("worst_case_search: uncertainty is empty; at least one name is needed")
-        check(subject, uncertainty)
-        self.subject, self.uncertainty, self.n = subject, uncertainty, len(uncertainty)
+        self.subject, self.uncertainty = population.machine, population.uncertainty
+        self.n = len(self.uncertainty)
         for end in (0.0, 1.0):
-            # raises where a leaf does not allow the value
-            drawn_machine(subject, uncertainty, self.values(np.full(self.n, end)))
+            self.at(np.full(self.n, end), self.subject)  # raises where a leaf does not allow it
+
+    def at(self, t, subject) -> Any:
+        """The subject at t (n,)."""
+        return drawn_machine(subject, self.uncertainty, self.values(t))
 
     def values(self, t) -> dict[str, Any]:
         """The values by name at t (n,); a log-uniform one is interpolated by its logarithm."""

@@ -23,7 +23,7 @@ from ..runtime.capacity import check_size
 from ..schemes import Scheme
 from ..schemes.parts import need_learned_at_last
 from ..signals.task import Task, Trial
-from ..uncertainty import Uncertainty
+from ..uncertainty import Population, Uncertainty
 from .objectives import Final, judge
 from .worst_case import (
     GRADIENT_COST,
@@ -69,11 +69,11 @@ class WorstMachine(NamedTuple):
 
 
 def worst_machine(
-    machine: Machine,
+    machine: Machine | Population,
     scheme: Scheme,
     task: Task,
     trials: int,
-    uncertainty: Uncertainty,
+    uncertainty: Uncertainty | None = None,
     *,
     metric: str = "settled_error",
     scale: float = 1.0,
@@ -87,6 +87,7 @@ def worst_machine(
 ) -> WorstMachine:
     """Search for the machine whose metric of the last trial is largest.
 
+    machine, uncertainty: or a `Population`; of its distributions only the corners count
     metric: name of a field of `Metrics`, or of one of the `quantities`
     scale: factor by which metrics are multiplied
     quantities: further metrics of a trial, by name
@@ -100,15 +101,14 @@ def worst_machine(
     need_learned_at_last("worst_machine", scheme, task, trials)
     of_a_step = starts * (1 + GRADIENT_COST)
     steps = steps if evaluations is None else evaluations // of_a_step
-    _need_room(
-        task,
-        trials,
-        uncertainty,
-        starts=starts,
-        steps=steps,
-        evaluations=evaluations,
-        draws=draws,
-    )
+    population = Population.of(machine, uncertainty)
+    each = bytes_of_a_draw(population.uncertainty)
+    check_size("worst-case", 4 * bytes_of_metrics(task), trial=trials, starts=starts)
+    if evaluations is None:
+        check_size("worst-case", each * (1 + GRADIENT_COST), starts=starts, steps=steps)
+    for name, count in (("evaluations", evaluations), ("draws", draws)):
+        if count is not None:
+            check_size("worst-case", each, **{name: count})
     objective, keep = Final(metric), Keep.of(quantities or {})
 
     def loss(one: Machine) -> jax.Array:
@@ -128,16 +128,16 @@ def worst_machine(
     told = progress or (lambda done, whole, name: None)
     whole = 2 * ascent + (draws or 0)
     told(0, whole, "climbing")
-    climbed = worst_case_search(loss, machine, uncertainty, starts=starts, steps=steps, seed=seed)
+    climbed = worst_case_search(loss, population, starts=starts, steps=steps, seed=seed)
     counts = {"chance": climbed.evaluations}
     if draws is not None:
         counts["more chance"] = draws
     found = {"gradient": climbed}
     for name, count in counts.items():
         told(ascent * len(found), whole, name)
-        found[name] = monte_carlo_search(loss, machine, uncertainty, count, seed=seed)
+        found[name] = monte_carlo_search(loss, population, None, count, seed=seed)
     told(whole, whole, "judging the worst")
-    nominal = of_machine(machine)
+    nominal = of_machine(population.machine)
     searches = {
         name: _search(
             case,
@@ -160,31 +160,3 @@ def _search(case: WorstCase, *, value: float, each: int, chance: float, course) 
     """
     level = each * (1 + int((case.best >= chance).argmax())) if case.loss >= chance else None
     return Search(case, value, each * (1 + int(case.best.argmax())), level, course)
-
-
-def _need_room(
-    task: Task,
-    trials: int,
-    uncertainty: Uncertainty,
-    *,
-    starts: int,
-    steps: int,
-    evaluations: int | None,
-    draws: int | None,
-) -> None:
-    """Raises ValueError where the ascent or a random search does not fit into the RAM."""
-    of_trial, each = bytes_of_metrics(task), bytes_of_a_draw(uncertainty)
-    check_size(
-        "worst-case",
-        lambda trial, starts: 4 * of_trial * trial * starts,
-        trial=trials,
-        starts=starts,
-    )
-    if evaluations is None:
-        cost = each * (1 + GRADIENT_COST)
-        check_size(
-            "worst-case", lambda starts, steps: cost * starts * steps, starts=starts, steps=steps
-        )
-    for name, count in (("evaluations", evaluations), ("draws", draws)):
-        if count is not None:
-            check_size("worst-case", lambda **counts: each * sum(counts.values()), **{name: count})

@@ -102,7 +102,10 @@ def test_a_row_that_takes_too_long_is_named_as_not_run(session):
     [
         (RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating\n1 B"), "out of memory: Run"),
         (MemoryError(), "out of memory: MemoryError"),
-        (ValueError("tiled: one machine takes 9 GB, where 1 GB may be planned"), "out of memory: "),
+        (
+            ValueError("tiled: one machine takes 9 GB of memory, where 1 GB are available"),
+            "out of memory: ",
+        ),
         (RuntimeError("launch failed"), "failed: RuntimeError: launch failed"),
     ],
 )

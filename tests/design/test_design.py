@@ -11,7 +11,7 @@ from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import Design, feedback_among
 from jaxilc.design.candidates import LAWS, Absent, candidates
 from jaxilc.design.judging import judged_trials, ranked, verdict
-from jaxilc.design.responses import family_of, resonance_band
+from jaxilc.design.responses import designed_on, family_of, resonance_band
 from jaxilc.design.safe_weights import ORDER, Found, best_simulated
 from jaxilc.design.simulated import impulse_response, rms_of
 from jaxilc.design.tuned import contraction
@@ -36,7 +36,7 @@ MARGIN = 0.1
 
 @pytest.fixture(scope="module")
 def family():
-    return family_of(MACHINE, None, TASK, WIDE, seed=0)
+    return family_of(designed_on(MACHINE, WIDE), None, TASK)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_the_lines_meet_the_resonance_of_each_machine():
     """Lines near the poles of the nominal machine alone missed the peaks of the others."""
     plant = ProcessModel(1.0, frequencies=[300.0, 1000.0], dampings=[0.9, 0.01])
     spread = {"plant.frequencies": Uniform(0.8, 1.2, relative=True)}
-    family = family_of(Machine(plant), None, TASK, spread, seed=0)
+    family = family_of(designed_on(Machine(plant), spread), None, TASK)
     f = np.linspace(100.0, 250.0, 20001)
     for P, stretch in zip(family.P, *family.drawn.values(), strict=True):
         pairs = [[w**-2, 2 * d / w, 1.0] for w, d in ((300 * stretch, 0.9), (1000 * stretch, 0.01))]
@@ -79,9 +79,16 @@ def test_the_band_of_a_notch_is_that_of_the_highest_resonance_on_all_machines(fa
     damped = np.sqrt(1 - 0.1**2) / (2 * np.pi)
     np.testing.assert_allclose([low, high], [810 * damped, 990 * damped], rtol=1e-6)
     two = ProcessModel(1.0, frequencies=[300.0, 900.0], dampings=[0.02, 0.2])
-    one = resonance_band(family_of(Machine(two), None, TASK, {}, seed=0), DT)
+    one = resonance_band(
+        family_of(designed_on(Machine(two), {}), None, TASK),
+        DT,
+    )
     np.testing.assert_allclose(one, 300 * np.sqrt(1 - 0.02**2) / (2 * np.pi), rtol=1e-6)
-    still = family_of(Machine(ProcessModel(1.0, poles=[90.0])), None, TASK, {}, seed=0)
+    still = family_of(
+        designed_on(Machine(ProcessModel(1.0, poles=[90.0])), {}),
+        None,
+        TASK,
+    )
     assert resonance_band(still, DT) is None
 
 
@@ -166,7 +173,7 @@ def test_the_taps_give_the_largest_value_that_the_search_used(family, safe):
 
 def test_a_machine_whose_sign_is_not_known_has_reasons_instead_of_weights():
     either = {"plant.gain": Uniform(-1.0, 1.0, relative=True)}
-    family = family_of(MACHINE, None, TASK, either, seed=0)
+    family = family_of(designed_on(MACHINE, either), None, TASK)
     found = list(candidates(family, None, TASK, TRIALS, MARGIN, tuple(LAWS)))
     assert all(isinstance(one, Absent) for one in found)
     assert "sign" in found[0].why
@@ -182,12 +189,12 @@ def test_a_machine_whose_sign_is_not_known_has_reasons_instead_of_weights():
 def test_machines_that_cannot_be_designed_for_are_refused(plant, inputs, said):
     task = Task(np.zeros((9, inputs)), dt=DT)
     with pytest.raises(ValueError, match=said):
-        family_of(Machine(plant), None, task, {}, seed=0)
+        family_of(designed_on(Machine(plant), {}), None, task)
 
 
 def test_a_feedback_makes_an_integrator_fit_and_two_feedbacks_are_refused():
     plant, feedback = StateSpace([[1.0]], [[0.1]], [[1.0]], dt=DT), PID(kp=2.0)
-    family = family_of(Machine(plant), feedback, TASK, {}, seed=0)
+    family = family_of(designed_on(Machine(plant), {}), feedback, TASK)
     f = family.frequencies
     z = np.exp(2j * np.pi * f * DT)
     np.testing.assert_allclose(family.P[0], 0.1 / (z - 1 + 0.2), rtol=1e-8)

@@ -6,7 +6,7 @@ import pytest
 from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design.by_response import by_response, sizes_of
 from jaxilc.design.first_taps import best_of_leads, exchanged, radius_in_a_trial
-from jaxilc.design.responses import family_of
+from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.window import Filters, leads_of, window_of
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.tuning.risks import CVaR, Mean
@@ -27,12 +27,12 @@ SPREAD = {"plant.frequencies[1]": Uniform(0.85, 1.15, relative=True)}
 
 @pytest.fixture(scope="module")
 def lag():
-    return family_of(LAG, None, TASK, {}, seed=0, points=60, taps=21)
+    return family_of(designed_on(LAG, {}), None, TASK, points=60, taps=21)
 
 
 @pytest.fixture(scope="module")
 def resonant():
-    return family_of(RESONANT, None, TASK, SPREAD, seed=0, machines=2, points=60, taps=21)
+    return family_of(designed_on(RESONANT, SPREAD, machines=2), None, TASK, points=60, taps=21)
 
 
 def test_a_slow_pole_delays_what_is_slow_and_its_inverse_lies_at_the_start(lag):
@@ -47,7 +47,7 @@ def test_a_slow_pole_delays_what_is_slow_and_its_inverse_lies_at_the_start(lag):
 
 
 def test_lines_for_taps_leave_no_gap_in_which_a_response_could_rise(lag):
-    coarse = family_of(LAG, None, TASK, {}, seed=0, points=60)
+    coarse = family_of(designed_on(LAG, {}), None, TASK, points=60)
     assert (
         np.max(np.diff(lag.frequencies)) <= 1 / (4 * 21 * DT) < np.max(np.diff(coarse.frequencies))
     )
@@ -90,12 +90,14 @@ def test_of_the_leads_one_with_safe_ends_is_taken_and_of_these_the_best(lag, mon
 def test_machines_between_those_of_a_family_join_it_until_none_breaks_the_bound():
     def joined(besides):
         return family_of(
-            SHARP, None, TASK, SPREAD, seed=0, machines=2, points=60, taps=21, besides=besides
+            designed_on(SHARP, SPREAD, machines=2), None, TASK, points=60, taps=21, besides=besides
         )
 
     resonant = joined({})
     window = window_of(resonant, TASK, (21, 11))
-    watch = family_of(SHARP, None, TASK, SPREAD, seed=4, machines=33, points=60, taps=21)
+    watch = family_of(
+        designed_on(SHARP, SPREAD, machines=33, seed=4), None, TASK, points=60, taps=21
+    )
     args = (TASK, TRIALS, BELOW)
     alone, _ = by_response(resonant, window, window.nothing(), *args)
     assert sizes_of(watch, window, alone, DT).max() > BELOW + 0.1

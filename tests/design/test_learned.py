@@ -15,7 +15,7 @@ from jaxilc.design.candidates import Candidate, candidates
 from jaxilc.design.first_taps import FirstTaps
 from jaxilc.design.learned import Passed, gate, kept_or
 from jaxilc.design.proof import _further
-from jaxilc.design.responses import family_of
+from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.tuned import UNSAFE, contraction, penalty
 from jaxilc.design.window import Filters, ShapedFilter, window_of
 from jaxilc.plants import ProcessModel
@@ -35,7 +35,7 @@ TAPS = (21, 11)
 
 @pytest.fixture(scope="module")
 def family():
-    return family_of(MACHINE, None, TASK, WIDE, seed=0, machines=5, points=60)
+    return family_of(designed_on(MACHINE, WIDE, machines=5), None, TASK, points=60)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw
 from jaxilc.design.by_response import by_response, moved, of_matrices, sizes_of
 from jaxilc.design.proof import Proof
-from jaxilc.design.responses import family_of
+from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.window import ShapedFilter, along, window_of
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PID, LearningFilter, WithFeedback
@@ -27,7 +27,7 @@ RNG = np.random.default_rng(4)
 
 @pytest.fixture(scope="module")
 def family():
-    return family_of(MACHINE, None, TASK, SPREAD, seed=0, machines=3, points=40, several=True)
+    return family_of(designed_on(MACHINE, SPREAD, machines=3), None, TASK, points=40, several=True)
 
 
 @pytest.fixture(scope="module")

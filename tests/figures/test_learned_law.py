@@ -8,11 +8,12 @@ from jaxilc.design import Learned
 from jaxilc.design.learned import Passed
 from jaxilc.design.responses import Family
 from jaxilc.design.window import Filters, window_of
+from jaxilc.uncertainty import Population
 
 DT, F = 1e-3, np.geomspace(1.0, 500.0, 40)
 Z = np.exp(2j * np.pi * F * DT)
 P = np.stack([0.2 / (Z - 0.8), 0.25 / (Z - 0.7)])
-FAMILY = Family(F, P, np.ones(40), np.ones(101), np.zeros(40), [], {})
+FAMILY = Family(F, P, np.ones(40), np.ones(101), np.zeros(40), [], {}, Population(None))
 WINDOW = window_of(FAMILY, Task(np.zeros(101), dt=DT), (7, 5))
 TAPS = Filters(np.arange(7.0) / 10, np.array([0.0, 0.1, 0.8, 0.1, 0.0]))
 

@@ -70,11 +70,14 @@ def test_absurd_sizes_have_lanes(memory, each, machines, expected):
     [
         (
             (8e9, 1e10, 4),
-            r"tiled: one machine takes 10 GB, where 6 GB of the 8 GB of a device may be planned; "
-            "with 60 % of its samples it would fit",
+            r"tiled: one machine takes 10 GB of memory, where 6 GB are available of the 8 GB of a "
+            "device; with 60 % of its samples it would fit",
         ),
         ((8e9, 1e13, 4), "; take fewer samples, trials or machines"),
-        ((0, 1.0, 4), "one machine takes 1 B, where 0 B of the 0 B of a device"),
+        (
+            (0, 1.0, 4),
+            "one machine takes 1 B of memory, where 0 B are available of the 0 B of a device",
+        ),
         ((8e9, 1.0, 0), r"tiled: machines = 0 is outside its allowed range \[1, inf\)"),
         (
             (8e9, 1.0, 2.5),
@@ -90,7 +93,9 @@ def test_what_cannot_fit_is_refused_with_what_would(arguments, message):
 
 
 def test_results_that_leave_no_room_are_named():
-    with pytest.raises(ValueError, match="one machine takes 1 kB beside 7 GB of results, where 6 "):
+    with pytest.raises(
+        ValueError, match="one machine beside 7 GB of results takes 1 kB of memory, where 6 "
+    ):
         lanes_for(8e9, 1e3, 4, beside=7e9)
 
 
@@ -123,8 +128,8 @@ def test_the_memory_is_that_of_the_smallest_device(monkeypatch, stats, memory, f
 def test_a_cpu_keeps_its_lanes():
     assert capacity.device_memory() is None
     assert fitting_lanes(lambda common, one: one, (), jnp.ones(3), 10**6) == 16
-    assert dataclasses.replace(PLAN, lanes=None, chunk=None).lanes == 16
-    assert dataclasses.replace(PROBLEM, lanes=None).lanes == 16
+    assert dataclasses.replace(PLAN, lanes=None, chunk=None).plan.lanes == 16
+    assert dataclasses.replace(PROBLEM, lanes=None).configuration()["lanes"] == 16
 
 
 @pytest.mark.parametrize(
@@ -138,7 +143,7 @@ def test_half_a_tile_is_taken_where_only_that_fits_into_the_cache(samples, expec
     assert usual_lanes(size) == expected
     assert usual_lanes(size, backward=True) == (16 if samples == 2048 else 8)
     plan = dataclasses.replace(PLAN, schemes={"p-type": PIDType(0.1)}, task=task, lanes=None)
-    assert plan.lanes == expected
+    assert plan.plan.lanes == expected
 
 
 @pytest.mark.parametrize("name", ["p_type", "cfdl_sign"])
@@ -173,7 +178,7 @@ def test_a_batch_runs_in_tiles_that_fit(device):
     assert f"length={-(-share // found)}" in str(jax.make_jaxpr(run)(2.0, rows))
     np.testing.assert_allclose(run(2.0, rows), expected, rtol=1e-12)
     device(20_000)
-    with pytest.raises(ValueError, match=r"tiled: one machine takes .* beside .* of results, wher"):
+    with pytest.raises(ValueError, match=r"tiled: one machine beside .* of results takes .*, wher"):
         tiled(of_one)(2.0, rows)
 
 
@@ -182,16 +187,16 @@ def test_a_sweep_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
     fields |= {"trials": 2, "uncertainty": GAINS, "machines": 40}
     device(8_000)
     small = Sweep(**fields)
-    assert 1 < small.lanes < 40 / DEVICES
-    assert small.chunk == 256
+    assert 1 < small.plan.lanes < 40 / DEVICES
+    assert small.plan.chunk == 256
     whole = small.run(tmp_path / "store.zarr")
-    assert whole.attrs["configuration"]["lanes"] == small.lanes
+    assert whole.attrs["configuration"]["lanes"] == small.plan.lanes
     device(10**12)
     large = Sweep(**fields)
-    assert large.lanes == 2 ** int(np.ceil(np.log2(40 / DEVICES)))
+    assert large.plan.lanes == 2 ** int(np.ceil(np.log2(40 / DEVICES)))
     resumed = large.run(tmp_path / "store.zarr", resume=True)
     xr.testing.assert_identical(resumed, whole)
-    with pytest.raises(ValueError, match=f"lanes: {small.lanes} there, 16 here"):
+    with pytest.raises(ValueError, match=f"lanes: {small.plan.lanes} there, 16 here"):
         Sweep(**fields | {"lanes": 16}).run(tmp_path / "store.zarr", resume=True)
 
 
@@ -200,14 +205,14 @@ def test_a_tuning_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
     fields |= {"lanes": None, "steps": 1, "starts": 2, "machines": 8, "held_out": 0}
     device(10**12)
     large = type(PROBLEM)(**fields)
-    assert large.lanes == 2 ** int(np.ceil(np.log2(2 * 8 / DEVICES)))
+    assert large.configuration()["lanes"] == 2 ** int(np.ceil(np.log2(2 * 8 / DEVICES)))
     device(5_000)
     small = type(PROBLEM)(**fields)
-    assert 1 <= small.lanes < large.lanes
+    assert 1 <= small.configuration()["lanes"] < large.configuration()["lanes"]
     with Folder(tmp_path / "state", large.configuration(), resume=False):
         pass
     assert small.run(tmp_path / "state", resume=True).values["gamma_p"] > 0.4
-    assert stored_lanes(tmp_path / "state") == large.lanes
+    assert stored_lanes(tmp_path / "state") == large.configuration()["lanes"]
     assert stored_lanes(tmp_path) is None
 
 

@@ -54,7 +54,7 @@ def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tm
     store = tmp_path / "store.zarr"
     with pytest.raises(
         ValueError,
-        match=r"chunk = 64 needs .* kB where 200 kB are available; chunk = \d+ would fit",
+        match=r"chunk = 64 takes .* kB of memory, where 200 kB are .*; chunk = \d+ would fit",
     ) as refusal:
         PLAN.run(store)
     assert not store.exists()
@@ -68,7 +68,7 @@ def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tm
 
 def test_where_no_chunk_fits_it_says_so(monkeypatch, tmp_path):
     with_memory(monkeypatch, PLAN.bytes_stored() + 10_000)
-    with pytest.raises(ValueError, match=f"{2 * TILE} machines at a time need .* already"):
+    with pytest.raises(ValueError, match=f"{2 * TILE} machines at a time take .* already"):
         PLAN.run(tmp_path / "store.zarr")
 
 

@@ -234,7 +234,7 @@ def test_a_chunk_too_large_for_one_of_the_workers_is_refused(tmp_path, client):
     try:
         with pytest.raises(
             ValueError,
-            match=rf"chunk = 4 needs .* kB where 10 kB are available on the worker {small}; ",
+            match=rf"chunk = 4 takes .* kB of memory, where 10 kB are .* on the worker {small}; ",
         ):
             PLAN.run(tmp_path / "store.zarr", cluster=client)
     finally:

@@ -131,15 +131,27 @@ def test_a_store_under_earlier_names_is_resumed_and_opened(tmp_path, dataset, mo
     xr.testing.assert_identical(jaxilc.open_dataset(store), resumed)
 
 
+def test_a_population_takes_the_place_of_the_machine():
+    given = {"keep": PLAN.keep, "chunk": 4, "lanes": 2}
+    same = Sweep(PLAN.population, PLAN.schemes, TASK, 4, **given)
+    assert same.configuration() == PLAN.configuration()
+    assert same.machine is PLAN.machine
+    fewer = Sweep(PLAN.population, PLAN.schemes, TASK, 4, machines=3, **given)
+    assert fewer.plan.members == 3
+    many = dataclasses.replace(PLAN, machines=2, sampling="corners", chunk=None, lanes=None)
+    assert (many.machines, many.chunk, many.lanes) == (2, None, None)
+    assert [many.configuration()[name] for name in ("machines", "chunk")] == [5, 256]
+
+
 def test_chunks_grow_with_the_machines_but_not_with_what_is_kept_of_them(monkeypatch):
     monkeypatch.setattr(capacity, "host_bytes", lambda: 2**40)
     given = (PLAN.machine, PLAN.schemes, TASK, 4, PLAN.uncertainty)
-    chunks = {count: Sweep(*given, machines=count).chunk for count in (1, 4096, 2**14, 2**17)}
+    chunks = {count: Sweep(*given, machines=count).plan.chunk for count in (1, 4096, 2**14, 2**17)}
     assert chunks == {1: 256, 4096: 256, 2**14: 1024, 2**17: 2048}
     long = Task(reference=np.zeros(10_001), dt=1e-3)
     large = Sweep(*given[:2], long, 4, PLAN.uncertainty, machines=2**17, keep=("y",))
-    assert large.chunk == 768  # 80 kB of each machine
-    assert Sweep(*given, machines=2**17, chunk=300).chunk == 300
+    assert large.plan.chunk == 768  # 80 kB of each machine
+    assert Sweep(*given, machines=2**17, chunk=300).plan.chunk == 300
 
 
 def test_a_store_keeps_its_chunks_where_none_are_asked_for(tmp_path, monkeypatch):

@@ -195,6 +195,16 @@ def tuned():
     return dataclasses.replace(PROBLEM, starts=3, scatter=0.8).run()
 
 
+def test_a_population_takes_the_place_of_the_machine():
+    drawn = {"machine", "uncertainty", "machines", "seed", "sampling"}
+    own = {f.name: getattr(PROBLEM, f.name) for f in dataclasses.fields(PROBLEM)}
+    own = {name: of for name, of in own.items() if name not in drawn}
+    found = Tuning(dataclasses.replace(PROBLEM.population, seed=5), **own)
+    assert (found.machine, found.machines, found.seed) == (PROBLEM.machine, PROBLEM.machines, 5)
+    assert found.configuration() == PROBLEM.configuration() | {"seed": 5}
+    assert Tuning(PROBLEM.population, **own, machines=3).population.size == 3
+
+
 def test_many_starts_take_the_best_by_held_out_plants(tuned):
     assert tuned.loss.shape == tuned.dropped.shape == tuned.weights["gamma_p"].shape == (8, 3)
     assert len(np.unique(tuned.weights["gamma_p"][0])) == 3
@@ -203,9 +213,7 @@ def test_many_starts_take_the_best_by_held_out_plants(tuned):
     np.testing.assert_allclose(tuned.after, np.nanmin(tuned.held_out), rtol=1e-12)
     assert np.nanmin(tuned.held_out[tuned.step]) == np.nanmin(tuned.held_out)
     # the loss on held-out machines, from the closed form and from plants built again here
-    gains = np.asarray(
-        PROBLEM._losses.machines.drawn(PROBLEM.seed + 1, 3, nominal=False)[1]["plant.B"]
-    )
+    gains = np.asarray(PROBLEM.population.others(PROBLEM.seed + 1, 4).batch(1)[1]["plant.B"])
     error = (1 - tuned.values["gamma_p"] * gains) ** 2 * np.sqrt(0.5)
     np.testing.assert_allclose(
         tuned.after, np.mean(0.5 * np.log(error**2 + 0.01) - np.log(0.1)), rtol=1e-10
@@ -361,10 +369,7 @@ def test_a_nominal_term_is_asked_once_and_counts():
 def test_the_comparison_is_on_plants_nobody_has_seen(tuned):
     dataset = PROBLEM.compare(tuned, machines=9)
     seen = np.concatenate(
-        [
-            np.asarray(PROBLEM._losses.machines.drawn(seed, 4, nominal=False)[1]["plant.B"])
-            for seed in (0, 1)
-        ]
+        [np.asarray(PROBLEM.population.others(seed, 5).batch(1)[1]["plant.B"]) for seed in (0, 1)]
     )
     assert not np.isin(dataset["plant.B"].values[1:], seen).any()
     gain = dataset["plant.B"].values
