@@ -22,7 +22,8 @@ import numpy as np
 from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
-from ..runtime.provenance import describe, differences, environment
+from ..runtime.provenance import describe, environment, need_same
+from ..storage.files import need_free
 from ..storage.sealed import as_json, json_text, read_json, sealed, unsealed, write_json
 from ..tuning import Tuning
 from ..tuning.objectives import Final, Holding, Objective
@@ -364,12 +365,9 @@ def kept_or(
     question = json.loads(json_text({"asked": describe(asked), "environment": environment()}))
     if file.exists():
         if not resume:
-            raise FileExistsError(f"{folder} exists already; resume it or choose another place")
+            need_free(folder)
         stored = as_json(unsealed(read_json(file)))
-        differing = differences(stored["question"], question)
-        if differing:
-            said = f"was made for another question; it differs in: {'; '.join(differing)}"
-            raise ValueError(f"{folder} {said}")
+        need_same(folder, stored["question"], question, "made for another question")
         filters = Filters(*(np.asarray(stored[name], float) for name in Filters._fields))
         if filters.keep.ndim % 2 == 0:
             raise ValueError(

@@ -21,7 +21,7 @@ from ..learning.over_trials import check_length, measured_trial
 from ..learning.playback import replay, schedules
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import named_leaves
-from ..runtime.provenance import describe, differences, environment
+from ..runtime.provenance import describe, environment, need_same
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.sealed import as_json
@@ -143,11 +143,8 @@ class Campaign:
             (rules or Rules()).checked(),
             last["recipe"] if recipe is None else recipe,
         )
-        found = differences(as_json(last["configuration"]), campaign.configuration)
-        if found:
-            raise ValueError(
-                f"{path} was started with another configuration; it differs in: {'; '.join(found)}"
-            )
+        made = "started with another configuration"
+        need_same(path, as_json(last["configuration"]), campaign.configuration, made)
         return campaign
 
     @property

@@ -45,6 +45,13 @@ def differences(found: Any, wanted: Any) -> list[str]:
     return _differences(in_todays_names(found), in_todays_names(wanted), "")
 
 
+def need_same(path: Any, found: Any, wanted: Any, made: str = "made with another configuration"):
+    """Raises ValueError, naming what differs, for a path made with another configuration."""
+    differing = differences(found, wanted)
+    if differing:
+        raise ValueError(f"{path} was {made}; it differs in: {'; '.join(differing)}")
+
+
 def _differences(found: Any, wanted: Any, name: str) -> list[str]:
     if isinstance(found, dict) and isinstance(wanted, dict):
         return [

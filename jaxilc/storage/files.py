@@ -50,6 +50,12 @@ def atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
     to_disk(path.parent)
 
 
+def need_free(path: str | Path) -> None:
+    """Raises FileExistsError for a place where something is that is not to be gone on with."""
+    if Path(path).exists():
+        raise FileExistsError(f"{path} exists already; resume it or choose another place")
+
+
 @contextlib.contextmanager
 def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
     """A context with a folder to fill, which gets its name when the block ends without an error.

@@ -30,8 +30,8 @@ from ..runtime.events import COMPILING, COMPUTING
 from ..runtime.lanes import fitting_lanes
 from ..runtime.tiles import tiled
 from ..uncertainty import drawn_machine
-from .layout import UNFILLED
 from .plan import Chunk, Plan
+from .store import UNFILLED
 
 PROGRAMS = 8  # number of programs, of different sweeps, that are kept in a process
 AT_ONCE = 4  # number of chunks that are in the RAM, computed or not; writing takes uneven times

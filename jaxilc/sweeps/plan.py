@@ -22,7 +22,7 @@ from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Population
 from .grid import Grid, Variant
-from .layout import Variable
+from .store import Variable
 
 SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
 WORK = 4  # arrays of the size of a metric over all machines and trials, needed for its quantiles

@@ -26,12 +26,12 @@ from ..runtime.provenance import describe
 from ..runtime.tiles import OPEN
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
+from ..storage.files import need_free
 from ..uncertainty import Population, Uncertainty, takes_population
 from .grid import Grid, grid_of
 from .host import Host
-from .layout import Layout
 from .plan import SIGNALS, Plan, need_memory
-from .store import Store, stored_configuration
+from .store import Layout, Store, stored_configuration
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -206,8 +206,8 @@ class Sweep:
             self.configuration(hosts.environment),
         )
         found = out is not None and Path(out).exists()
-        if found and not resume:
-            raise FileExistsError(f"{out} exists already; resume it or choose another place")
+        if out is not None and not resume:
+            need_free(out)
         chunks = self.plan.chunks()
         with ExitStack() as opened:
             store = opened.enter_context(Store.resume(out, layout)) if found else None

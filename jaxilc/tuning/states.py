@@ -17,8 +17,15 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..runtime.provenance import differences
-from ..storage.files import atomically, only_one, remove_leftovers, to_disk, whole_folder
+from ..runtime.provenance import need_same
+from ..storage.files import (
+    atomically,
+    need_free,
+    only_one,
+    remove_leftovers,
+    to_disk,
+    whole_folder,
+)
 from ..storage.reading import tree_of
 from ..storage.sealed import (
     Damaged,
@@ -53,16 +60,13 @@ class Folder:
             with whole_folder(path) as unfinished:
                 write_json(unfinished / CONFIGURATION, sealed(configuration))
         elif not resume:
-            raise FileExistsError(f"{path} exists already; resume it or choose another place")
+            need_free(path)
         with ExitStack() as closing:
             closing.enter_context(only_one(path))
             remove_leftovers(path)
             self._whole, self._damaged = _states(path)
             self._newest_is_whole = STATE in self._whole
-            differing = differences(self._configuration(), json.loads(self._recipe))
-            if differing:
-                said = f"was made with another configuration; it differs in: {'; '.join(differing)}"
-                raise ValueError(f"{path} {said}")
+            need_same(path, self._configuration(), json.loads(self._recipe))
             self._closing = closing.pop_all()
 
     def __enter__(self) -> Folder:

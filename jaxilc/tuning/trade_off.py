@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..storage.files import need_free
 from .objectives import Objective
 from .problem import Tuned, Tuning
 
@@ -63,7 +64,8 @@ def pareto(
     """
     if not shares or len(set(shares)) < len(shares) or not all(0 <= share <= 1 for share in shares):
         raise ValueError(f"pareto: shares = {list(shares)} are not different numbers in [0, 1]")
-    _need_place(out, resume)
+    if out is not None and not resume:
+        need_free(out)
     losses = held_out_losses(problem, first, second)
     one, other = (
         scale if np.isfinite(scale) and scale > 0 else 1.0
@@ -110,7 +112,8 @@ def by_trials(
         raise ValueError(
             f"by_trials: budgets = {list(budgets)} are not different numbers of trials in [1, inf)"
         )
-    _need_place(out, resume)
+    if out is not None and not resume:
+        need_free(out)
     problems = {f"trials-{J}": dataclasses.replace(problem, trials=J) for J in budgets}
     return dict(zip(budgets, _tuned(problems, out, resume, progress).values(), strict=True))
 
@@ -128,11 +131,6 @@ def held_out_losses(
         )
     )
     return lambda values: np.asarray(losses(dict(values)))
-
-
-def _need_place(out: str | Path | None, resume: bool) -> None:
-    if out is not None and Path(out).exists() and not resume:
-        raise FileExistsError(f"{out} exists already; resume it or choose another place")
 
 
 def _tuned(
