@@ -148,16 +148,6 @@ def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distri
     return {name: d.spread(half_width) if d.relative else d for name, d in uncertainty.items()}
 
 
-def nominal(machine, uncertainty: Uncertainty) -> dict[str, float]:
-    """The numbers of the nominal machine, with which the machine is not changed.
-
-    The number is 1 for a relative distribution, and the value of the leaf for an absolute one.
-    """
-    return {
-        name: 1.0 if d.relative else float(get_at(machine, name)) for name, d in uncertainty.items()
-    }
-
-
 def check(machine, uncertainty: Uncertainty) -> None:
     """Raises ValueError for an uncertainty that does not fit the machine.
 
@@ -250,9 +240,11 @@ class Population:
             points = _unit_cube(self.count - 1, len(self.uncertainty), self.seed, self.sampling)
             each = zip(self.uncertainty.items(), points.T, strict=True)
             values = {name: d.quantile(p) for (name, d), p in each}
-        first = nominal(self.machine, self.uncertainty)
-        drawn = {name: np.concatenate([[first[name]], of]) for name, of in values.items()}
-        within_ranges(self.machine, self.uncertainty, drawn)
+        drawn = {}
+        for name, d in self.uncertainty.items():  # the nominal machine is not changed by its number
+            first = 1.0 if d.relative else float(get_at(self.machine, name))
+            drawn[name] = np.concatenate([[first], values[name]])
+        need_ranges(self.machine, self.uncertainty, drawn)
         return drawn
 
     def bytes_drawn(self, machines: float) -> float:
@@ -381,15 +373,12 @@ def _corners(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
     return {name: points[:, i] for i, name in enumerate(uncertainty)}
 
 
-def within_ranges(machine, uncertainty: Uncertainty, drawn: Mapping[str, np.ndarray]) -> None:
+def need_ranges(machine, uncertainty: Uncertainty, drawn: Mapping[str, np.ndarray]) -> None:
     """Raises ValueError for drawn numbers that a leaf of this machine cannot have."""
     for name, distribution in uncertainty.items():
-        allowed = interval_at(machine, name)
-        values = (
-            np.multiply.outer(drawn[name], get_at(machine, name))
-            if distribution.relative
-            else drawn[name]
-        )
+        allowed, values = interval_at(machine, name), drawn[name]
+        if distribution.relative:
+            values = np.multiply.outer(values, get_at(machine, name))
         if allowed is not None and not allowed.contains(values):
             raise ValueError(
                 f"uncertainty: {name} was drawn between {values.min():g} and {values.max():g}; "

@@ -24,7 +24,7 @@ from ..pytree.ranges import require
 from ..runtime.tiles import tiled
 from ..theory.law import traced_response
 from ..theory.loop import linear_loop, response
-from ..uncertainty import draw, drawn_machines, with_spread
+from ..uncertainty import Population, with_spread
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -219,10 +219,10 @@ class Exploration:
         if key not in self._machines:
             same = spread is None or spread == self.spread
             wide = s.uncertainty if same else with_spread(s.uncertainty, spread)
-            drawn = draw(nominal, wide, self.machines, sampling="sobol") if wide else {}
             if len(self._machines) >= KEPT:
                 self._machines.clear()
-            self._machines[key] = drawn_machines(nominal, wide, drawn)
+            population = Population(nominal, wide, count=self.machines, sampling="sobol")
+            self._machines[key] = population.machines
         return self._machines[key]
 
     @functools.cache  # noqa: B019  (an exploration lives as long as its page)

@@ -17,7 +17,7 @@ from ..plants import Plant
 from ..pytree.aliases import Array, Tree, Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import brief, require
-from ..runtime.capacity import check_size
+from ..runtime.capacity import bytes_of, check_size
 from ..runtime.lanes import usual_stored
 from ..schemes import Scheme
 from ..schemes.parts import trials_of_step
@@ -231,7 +231,7 @@ def _blocks(trials: int, memory: Tree) -> int:
 
     It is 1 where the memories of all trials may be stored.
     """
-    if trials * sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(memory)) <= usual_stored():
+    if trials * bytes_of(memory) <= usual_stored():
         return 1
     return max(d for d in range(1, math.isqrt(trials) + 1) if trials % d == 0)
 

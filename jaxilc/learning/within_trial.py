@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from ..pytree.aliases import Array, Tree, Value
+from ..runtime.capacity import bytes_of
 from ..runtime.lanes import usual_unroll
 from ..schemes import Scheme
 from ..schemes.weights import weighed
@@ -87,8 +86,7 @@ def bytes_of_trial(scheme: Scheme, task: Task) -> int:
         rows = jax.tree.map(lambda x: jnp.zeros((task.N, *jnp.shape(x))), beside)
         return memory, ready.schedule(memory, task), record, rows
 
-    shapes = jax.tree.leaves(jax.eval_shape(signals))
-    return sum(math.prod(s.shape) * s.dtype.itemsize for s in shapes)
+    return bytes_of(jax.eval_shape(signals))
 
 
 def _run(

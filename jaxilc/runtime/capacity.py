@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -23,6 +24,11 @@ OF_PROCESS = Path("/proc/self")
 OF_GROUP_1 = ("memory.limit_in_bytes", "memory.usage_in_bytes")
 OF_GROUP_2 = ("memory.max", "memory.current")
 SPARE = 256 * 2**20  # bytes of address space kept free for compilers, threads and libraries
+
+
+def bytes_of(arrays: Any) -> int:
+    """The bytes of all arrays of a pytree, of which only shapes and types are read."""
+    return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(arrays))
 
 
 def check_size(what: str, each: float | Callable[..., float], **counts: float) -> None:

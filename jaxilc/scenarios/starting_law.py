@@ -17,7 +17,7 @@ from ..theory.frequency import Largest, Loop, grid, largest_of, linear_loop, res
 from ..theory.law import law_of
 from ..theory.loop import minimal
 from ..theory.on_lines import Lines, low_pass, widest
-from ..uncertainty import Uncertainty, draw, drawn_machines
+from ..uncertainty import Population, Uncertainty
 
 ORDER = 2  # of the filter, in one pass
 LARGEST = (0.9, 0.97)  # values of |Q (1 - L P)| that are allowed; the second if the first fails
@@ -96,8 +96,7 @@ def starting_law(
     """
     machine, long = Machine(plant), Task(np.zeros(max(samples, 16)), dt=dt)
     corners = "corners" if len(uncertainty) <= CORNERS else "sobol"
-    drawn = draw(machine, uncertainty, DRAWN if uncertainty else 1, sampling=corners)
-    machines = drawn_machines(machine, uncertainty, drawn)
+    machines = Population(machine, uncertainty, count=DRAWN, sampling=corners).machines
     f = grid(long, points=300, near=np.exp(np.asarray(plant.all_poles) * dt))
     loops, P = _responses(machines, Task(np.zeros(16), dt=dt), f)
     for largest in LARGEST:

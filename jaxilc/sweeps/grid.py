@@ -41,7 +41,7 @@ from ..runtime.capacity import check_size
 from ..runtime.provenance import describe
 from ..schemes import Scheme
 from ..signals.task import Task
-from ..uncertainty import Population, within_ranges
+from ..uncertainty import Population, need_ranges
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -212,7 +212,7 @@ class Grid:
         parts = (population.machine, schemes, task, trials)
 
         def allow(machine: Machine) -> None:
-            _named(within_ranges, machine, population.uncertainty, population.drawn)
+            _named(need_ranges, machine, population.uncertainty, population.drawn)
 
         taken = [name for axis in self.axes for name in axis.values]
         for one, other in combinations(taken, 2):
