@@ -386,7 +386,7 @@ def main(names: list[str]) -> None:
     for which in names or every:
         name, _, samples = which.partition(":")
         start = time.perf_counter()
-        size = (2, 28) if samples else (ROUNDS, MACHINES)
+        size = (2, 52) if samples else (ROUNDS, MACHINES)
         row, reasons, wrong = of_scheme(name, *size, 38, int(samples) if samples else None)
         rows.append(row)
         why += [{"class": which, "reason": r, "times": n} for r, n in reasons.most_common()]

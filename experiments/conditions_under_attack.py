@@ -5,9 +5,9 @@ whether no claim is made where none is allowed.
 
     norm-optimal    120 pairs of a model and a machine, each with its own resonance, against dense
                     frequency lines around both
-    family          60 boxes of a gain and a resonance, against a grid of plants and lines
-    filtered        60 servo loops under a Butterworth filter and a lead, against eigenvalues of the
-                    dense learning matrix
+    family          100 boxes of a gain and a resonance, against a grid of plants and lines
+    filtered        100 servo loops under a Butterworth filter and a lead, against eigenvalues of
+                    the dense learning matrix
     robust          the same with a plant that is uncertain by 10 %, against perturbed plants
     light damping   150 machines of damping 0.003 to 0.1 in trials of 600 samples
 """
@@ -107,7 +107,7 @@ def norm_optimal(rng, count=120) -> dict:
     }
 
 
-def family(rng, count=60) -> dict:
+def family(rng, count=100) -> dict:
     low = holds = 0
     for _ in range(count):
         modes = [
@@ -150,7 +150,7 @@ def family(rng, count=60) -> dict:
     }
 
 
-def filtered(rng, count=60) -> list[dict]:
+def filtered(rng, count=100) -> list[dict]:
     rows = {name: [0, 0, 0] for name in ("filtered", "robust")}
     for _ in range(count):
         modes = [

@@ -72,6 +72,7 @@ ROUNDING = 1e3  # in units of the last place
 ALONE = 1 - 1e-9  # below which an exact square or exponent counts as contracting
 NOTHING = 1e-14  # share of the reference that counts as nothing
 ROOM = 2**24  # numbers that a solution may hold
+POWERS, KRYLOV = 256, 400  # trials that are summed, and steps of GMRES after them, at most
 SOLVED = 1e-8  # relative residual up to which a stationary variance counts as found
 BLOCKS, LENGTHS = 32, (1, 4, 16, 64)  # drawn products, and their numbers of trials
 SURE = 1e-6  # chance with which the interval of an exponent may be wrong
@@ -335,26 +336,43 @@ class _Run(NamedTuple):
         n, eps, norm = len(self.parts.M), np.finfo(float).eps, self.factor()
         if norm < 1 or not np.isfinite(norm):
             return norm < 1, norm, 1.0
-        Z, _ = self._solved(self.squares_back, np.eye(n))
+        doubt = ROUNDING * eps * n * norm
+        Z, _ = self._solved(self.squares_back, np.eye(n), n / doubt)
         shrinks = Z - self.squares_back(Z)
         if not np.all(np.isfinite(shrinks)):
             return False, np.inf, np.inf
         sizes, falls = scipy.linalg.eigvalsh(Z), scipy.linalg.eigvalsh(shrinks)[0]
-        falls -= ROUNDING * eps * n * norm * sizes[-1]
+        falls -= doubt * sizes[-1]
         if sizes[0] <= 0 or falls <= 0:
             return False, np.inf, np.inf
         return False, float(1 - falls / sizes[-1]), float(sizes[-1] / sizes[0])
 
-    def _solved(self, squares, C) -> tuple[np.ndarray, float]:
-        """X of X - squares(X) = C, and the share of C that is missing."""
-        n = len(C)
-        held = scipy.sparse.linalg.LinearOperator(
-            (n * n, n * n), lambda x: x - squares(x.reshape(n, n)).ravel()
-        )
-        how = {"rtol": SOLVED / 10, "restart": int(np.clip(ROOM / n**2, 20, 400)), "maxiter": 5}
-        X = scipy.sparse.linalg.gmres(held, C.ravel(), **how)[0]
-        missing = np.linalg.norm(held @ X - C.ravel()) / np.linalg.norm(C)
-        return (X.reshape(n, n) + X.reshape(n, n).T) / 2, float(missing)
+    def _solved(self, squares, C, most=np.inf) -> tuple[np.ndarray, float]:
+        """X of X - squares(X) = C, and the share of C that is missing; C is positive.
+
+        X is the sum of the powers of `squares` on C. Where these are not small in time, the rest is
+        solved for, unless they grow or the trace of one, which that of X exceeds, is above `most`.
+        """
+        n, X, power, size = len(C), C, C, np.trace(C)
+        for _ in range(POWERS):
+            power, before = squares(power), size
+            size = np.trace(power)
+            if not size < most:
+                return X, np.inf
+            X = X + power
+            if size < SOLVED / 10 * np.trace(C):
+                break
+        else:
+            if size > before:
+                return X, np.inf
+            held = scipy.sparse.linalg.LinearOperator(
+                (n * n, n * n), lambda x: x - squares(x.reshape(n, n)).ravel()
+            )
+            turns = int(np.clip(ROOM / n**2, 20, KRYLOV))
+            how = {"rtol": SOLVED / 10, "restart": turns, "maxiter": KRYLOV // turns}
+            X = scipy.sparse.linalg.gmres(held, C.ravel(), X.ravel(), **how)[0].reshape(n, n)
+        missing = np.linalg.norm(X - squares(X) - C) / np.linalg.norm(C)
+        return (X + X.T) / 2, float(missing)
 
     def course(self, trials: int) -> tuple[np.ndarray, bool]:
         """(J,) root mean square error of each trial, and whether no limit is met in them."""

@@ -13,6 +13,7 @@ to know how far single trials scatter about their mean.
 from __future__ import annotations
 
 import itertools
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,12 +101,12 @@ class RecordMoments(NamedTuple):
     def _lost(self, Y, together=None):
         together = self.both if together is None else together
         n = len(Y) // len(together)
-        return Y * np.kron(together, np.ones((n, n)))
+        return Y * together if n == 1 else Y * np.kron(together, np.ones((n, n)))
 
     def _held(self, Y) -> np.ndarray:
         """E[H Y H^T]."""
         if self.late:
-            Y = np.mean([_both_sides(S, Y) for S in self._shifts()], axis=0)
+            Y = np.mean([_both_sides(S, Y) for S in _shifts(len(self.kept), self.late)], axis=0)
         if self.of_delays is None:
             return Y
         return _both_sides(self.of_delays, Y) + _by_channels(self.joint, Y, len(self.kept))
@@ -116,11 +117,15 @@ class RecordMoments(NamedTuple):
             Z = _both_sides(self.of_delays.T, Z) + by_itself
         if not self.late:
             return Z
-        return np.mean([_both_sides(S.T, Z) for S in self._shifts()], axis=0)
+        back = (S.T for S in _shifts(len(self.kept), self.late))
+        return np.mean([_both_sides(S, Z) for S in back], axis=0)
 
-    def _shifts(self) -> list:
-        k = np.arange(len(self.kept))
-        return [_selects(np.maximum(k - d, 0), sparse=True) for d in range(self.late + 1)]
+
+@lru_cache(maxsize=4)
+def _shifts(rows: int, late: int) -> tuple:
+    """What holds a record back as a whole, by each delay."""
+    k = np.arange(rows)
+    return tuple(_selects(np.maximum(k - d, 0), sparse=True) for d in range(late + 1))
 
 
 def _chance_to_last(shortest: float, N: int) -> np.ndarray:
