@@ -30,7 +30,7 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.theory import certify, outlook
+from jaxilc.theory import certify, learning_map, outlook
 from jaxilc.theory.certificates import OfScheme, certify_each, course, long_run
 from jaxilc.uncertainty import draw, drawn_machines
 
@@ -403,7 +403,7 @@ def test_machines_in_parts_are_certified_as_all_at_once(monkeypatch):
     for scheme in (PIDType(gamma_p=0.3), CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign")):
         whole = certify_each(machines, scheme, TASK, 6)
         with monkeypatch.context() as few:
-            few.setattr(outlook, "ROOM", 2 * 8 * N**2)
+            few.setattr(learning_map, "ROOM", 2 * 8 * N**2)
             parts = certify_each(machines, scheme, TASK, 6)
         assert jax.tree.structure(parts) == jax.tree.structure(whole)
         for one, other in zip(jax.tree.leaves(parts), jax.tree.leaves(whole), strict=True):
