@@ -26,7 +26,7 @@ from .results import folder_of, written
 from .verdicts.next_command import Verdict
 
 if TYPE_CHECKING:
-    from ..figures.live_axes import Live
+    from ..figures.page import Live
 
 CLOSED = (
     "note: a loop was closed in these trials, so that the noise of the output is in the input; the "
@@ -213,15 +213,18 @@ def _live(
     """A record beside its model and the Bode diagram, or a response and the one fitted to it."""
     if page is None:
         return []
-    from ..figures import live_records
+    from ..figures.experiments import response_figure, response_fit_figure, validation_figure
+    from ..figures.page import live
 
     if found.of_response:
-        return [live_records.response_fit(measured, found)]
-    by_name = {"input_unit": units[0], "output_unit": units[1]}
-    return [
-        live_records.validation(measured, found, **by_name),
-        None if dt is None else live_records.response(found, dt, **by_name),
-    ]
+        return [live(response_fit_figure.described(measured, found))]
+    by_name: dict[str, Any] = {"input_unit": units[0], "output_unit": units[1]}
+    shown = [live(validation_figure.described(measured, found, unit=units[1], **by_name))]
+    try:
+        bode = None if dt is None else live(response_figure.described(found, dt, **by_name))
+    except ValueError:  # it is no ProcessModel of one input and one output
+        bode = None
+    return [*shown, bode]
 
 
 def _plant_file(path: Path, fitted, source: str) -> tuple[str, bool]:

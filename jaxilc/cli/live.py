@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..figures.live_axes import Live
+    from ..figures.page import Live
     from ..scenarios import Scenario
     from ..sweeps.points import BestPoint
     from ..sweeps.summary import SchemeSummary
@@ -27,10 +28,11 @@ def of_run(page: Path | None, chosen: Scenario, dataset: xr.Dataset) -> list[Liv
     """The errors by trial, and a trial that a slider chooses."""
     if page is None:
         return []
-    from ..figures import browsers, interactive
+    from ..figures import browsers, by_trial
+    from ..figures.page import live
 
     scale, unit = chosen.shown(chosen.judged_by)
-    errors = interactive.learning(
+    errors = by_trial.error_by_trial.described(
         dataset,
         metric=chosen.judged_by,
         scale=scale,
@@ -39,7 +41,7 @@ def of_run(page: Path | None, chosen: Scenario, dataset: xr.Dataset) -> list[Liv
         tolerance=chosen.tolerance,
     )
     within = browsers.trials(dataset, scale=chosen.shown_scale, unit=chosen.shown_unit)
-    return [errors, within]
+    return [live(errors), within]
 
 
 def unexplored(paths: Sequence[Path]) -> list[Path]:
@@ -62,7 +64,9 @@ def of_sweep(
     """
     if page is None:
         return []
-    from ..figures import browsers, interactive, live_grid
+    from ..figures import browsers, live_grid
+    from ..figures.band import band_together
+    from ..figures.page import live
 
     drawn = {
         str(name): values.values
@@ -71,7 +75,7 @@ def of_sweep(
     }
     return [
         live_grid.grid(grid, best=best, **shown) if grid is not None and best else None,
-        interactive.band(summary, **shown),
+        live(band_together(summary, **shown)),
         browsers.machines(dataset, drawn, **shown),
     ]
 
@@ -93,10 +97,16 @@ def of_worst_case(page: Path | None, chosen: Scenario, worst: WorstMachine) -> l
     """The machines drawn and those searched for, and what each search found with what effort."""
     if page is None:
         return []
-    from ..figures.live_searches import chance, climbing
+    from ..figures.page import live
+    from ..figures.searches import worst_against_chance, worst_by_effort
 
     shown = {"metric": chosen.judged_by, "unit": chosen.shown(chosen.judged_by)[1]}
-    return [chance(worst, **shown), climbing(worst, **shown)]
+    found = {name: one.value for name, one in worst.searches.items()}
+    machines = {name: one.case.values for name, one in worst.searches.items()}
+    chance = worst_against_chance.described(
+        worst.by_chance, found, nominal=worst.nominal, machines=machines, **shown
+    )
+    return [live(chance), live(worst_by_effort.described(worst.searches, **shown))]
 
 
 def of_trade_off(page: Path | None, numbers: Mapping[str, Any], names: Sequence[str]) -> list[Live]:
@@ -106,11 +116,27 @@ def of_trade_off(page: Path | None, numbers: Mapping[str, Any], names: Sequence[
     """
     if page is None:
         return []
-    from ..figures.live_searches import budgets, front
+    from ..figures.page import live
+    from ..figures.searches import final_error_by_trials, pareto_front
 
     if names:
-        return [front(numbers["points"], first=names[0], second=names[1])]
-    return [budgets(numbers["budgets"], metric=numbers["figure"], unit=numbers["unit"])]
+        rows = {None if name == "given" else float(name): row
+                for name, row in numbers["points"].items()}  # fmt: skip
+        given, points = rows[None], [share for share in rows if share is not None]
+        tuned: list[Any] = [SimpleNamespace(share=share, **rows[share]) for share in points]
+        front = pareto_front.described(
+            tuned, first=names[0], second=names[1], given=(given["first"], given["second"]),
+            weights={share: row["weights"] for share, row in rows.items()},
+        )  # fmt: skip
+        return [live(front)]
+    rows = numbers["budgets"]
+    errors = ([[row[w]["median"], row[w]["worst"]] for row in rows.values()]
+              for w in ("given", "tuned"))  # fmt: skip
+    weights = {name: [row["weights"][name] for row in rows.values()]
+               for name in next(iter(rows.values()))["weights"]}  # fmt: skip
+    shown = {"metric": numbers["figure"], "unit": numbers["unit"]}
+    trials = [int(J) for J in rows]
+    return [live(final_error_by_trials.described(trials, *errors, weights=weights, **shown))]
 
 
 def of_certificates(
@@ -119,10 +145,15 @@ def of_certificates(
     """The errors of each machine by trial, in the colour of its claim, for each scheme."""
     if page is None:
         return []
-    from ..figures.interactive import certified
+    from ..figures.by_trial import certificate
+    from ..figures.page import live
 
-    scale, unit = chosen.shown_scale, chosen.shown_unit
+    shown: dict[str, Any] = {
+        "scale": chosen.shown_scale,
+        "unit": chosen.shown_unit,
+        "parameters": drawn,
+    }
     return [
-        certified(one.certificate, drawn, name=name, scale=scale, unit=unit)
+        live(certificate.described(one.certificate, title=name, parameters=drawn, **shown))
         for name, one in found.items()
     ]

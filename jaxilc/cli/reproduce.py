@@ -79,9 +79,9 @@ def reproduce(
     pictures = [] if report is None else reproduction_figures(numbers)
     live = []
     if report is not None:
-        from ..figures.live_published import printed_and_ours
+        from ..figures.browsers import papers
 
-        live = [printed_and_ours(numbers)]
+        live = [papers(numbers)]
     page = command_report(
         report,
         "reproduce",

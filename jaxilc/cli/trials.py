@@ -21,7 +21,7 @@ from .titled_table import Table
 from .verdicts.next_command import Verdict
 
 if TYPE_CHECKING:
-    from ..figures.live_axes import Live
+    from ..figures.page import Live
     from ..hardware.campaign import Campaign, Turn
     from ..hardware.checks import Finding
     from ..hardware.journal import Journal
@@ -124,18 +124,20 @@ def _explored(
     now: the campaign; None: no trial is then shown in time
     found: rows of the journal, manifests that count, and what was predicted
     """
-    from ..figures import live_campaign
-    from ..figures.campaign import bands_by_trial
+    from ..figures import browsers
+    from ..figures.campaign import bands_by_trial, campaign_figure
+    from ..figures.page import live as page_of
     from ..hardware.campaign import TRIAL
 
     rows, live, prediction = found
     bands = None if prediction is None or not live else bands_by_trial(live, prediction)
     shown = []
     if any(row["event"] == "trial" for row in rows):
-        shown.append(live_campaign.errors(rows, unit=units[0], bands=bands))
+        of = campaign_figure.described(rows, unit=units[0], input_unit=units[1], bands=bands)
+        shown.append(page_of(of))
     if now is not None and len(live) > 1:
         measured = {m["trial"]: now.journal.arrays(m, TRIAL) for m in live[1:]}
-        shown.append(live_campaign.signals(now.task, measured))
+        shown.append(browsers.measured_trials(now.task, measured))
     return shown
 
 

@@ -1,5 +1,9 @@
 """Figures: each function draws a dataset or another result, and returns the axes.
 
+A figure is described once, by a function from results to a `Figure` of `description`: panels, axes,
+layers. `paper` draws it with Matplotlib, `page` with Bokeh for a page; of a public function such as
+`error_by_trial`, `error_by_trial.described(...)` is the description.
+
     band          a sweep at a glance: one panel a scheme, and the yield against the tolerance
     grid_map      a grid at a glance: a map over two axes, or a line over one
     contraction_map  how the error contracts over a grid, and where the bounds say so
@@ -10,6 +14,7 @@
     q_filter      whether a Q-filter is safe, and by how much
     published     the numbers of a paper and ours
     searches      tunings, trade-offs, worst machines
+    browsers      pages with a choice: a trial, a parameter, a paper; live_grid: a point of a grid
     experiments   identification: the record, and the model against it
     campaign      a campaign on a real machine
     report        one HTML page with figures and tables

@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .style import COLOURS, limits_of, names_of, readable, trial_axis
-from .units import name_axis, written
+from .description import TRIAL, Axis, Band, Curve, Figure, Layer, Panel, Rule
+from .paper import draw
+from .style import colour_of, limits_of, names_of, readable
+from .units import written
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import xarray as xr
 
     from ..sweeps.summary import SchemeSummary
@@ -45,26 +49,63 @@ def error_band(
     from ..sweeps.summary import errors_of, summarise
 
     rows = summarise(dataset, tolerance, metric=metric) if summary is None else summary
-    trial = np.asarray(dataset["trial"])
     limit = None if tolerance is None else scale * tolerance
     limits = _limits(rows, scale, limit)
-    figure, panels, share = _panels(len(rows))
-    for i, (row, ax) in enumerate(zip(rows, panels, strict=True)):
-        ax.set_yscale("log")
-        _panel(ax, row, trial, i, scale, limit, limits)
-        ax.grid(True, alpha=0.25)
-    for i, ax in enumerate(panels):
-        trial_axis(ax, 6)
-        name_axis(ax.yaxis, metric, unit)
+    last = scale * errors_of(dataset, metric).isel(trial=-1).values
+    panels = [_panel(row, i, scale, limit, (metric, unit), limits) for i, row in enumerate(rows)]
+    shares = _shares(names_of(dataset), last, (metric, unit, limit), limits)
+    axes = draw(Figure([*panels, shares], shares=""), _axes(len(rows)))
+    for i, (ax, row) in enumerate(zip(axes, rows, strict=False)):
+        look: dict[str, Any] = {"color": readable(colour_of(i)), "fontweight": "bold"}
+        ax.set_title(row.scheme, fontsize="small", loc="left", **look)
         place, below = ax.get_subplotspec(), i + _columns(len(rows)) < len(rows)
         ax.tick_params(labelleft=place.is_first_col(), labelbottom=not below)
         ax.set_ylabel(ax.get_ylabel() if place.is_first_col() else "")
         ax.set_xlabel("" if below else ax.get_xlabel())
-    last = scale * errors_of(dataset, metric).isel(trial=-1).values
-    _shares(share, names_of(dataset), last, (metric, unit, limit), limits)
+    axes[-1].set_title("yield against tolerance", fontsize="small", loc="left")
+    axes[-1].tick_params(axis="x", labelrotation=30)
+    figure, trials = axes[-1].figure, dataset.sizes["trial"]
     _explain(figure, limit, unit)
-    figure.suptitle(f"{dataset.sizes['sample']} machines, {len(trial)} trials", fontsize="medium")
-    return np.array([*panels, share])
+    figure.suptitle(f"{dataset.sizes['sample']} machines, {trials} trials", fontsize="medium")
+    return axes
+
+
+def band_together(
+    rows: Sequence[SchemeSummary],
+    *,
+    metric: str,
+    tolerance: float | None = None,
+    scale: float = 1.0,
+    unit: str = "",
+) -> Figure:
+    """The same in one panel, for a page, whose legend hides schemes.
+
+    rows: what `summarise` gives
+    """
+    layers: list[Layer] = []
+    seen: list[float] = []
+    for i, row in enumerate(rows):
+        low, median, high, worst = _quantiles(row, scale)
+        top = top_of(median)
+        seen += [*np.minimum(high, top), *low]
+        clip = np.minimum(high, 1e3 * top if np.isfinite(top) else np.finfo(float).max / 1e9)
+        pale = 0.2 if np.all(high <= top) else 0.05  # a band without an end would tint all others
+        trials = np.arange(1, len(median) + 1)
+        look: dict[str, Any] = {"name": row.scheme, "colour": colour_of(i)}
+        layers += [
+            Band(trials, low, clip, alpha=pale, **look),
+            Curve(trials, median, mark="o", size=3, tips={"worst": worst}, **look),
+            Curve(trials, worst, dash=":", **look),
+        ]
+    if tolerance is not None:
+        layers.append(Rule(scale * tolerance, dash="--"))
+    word = metric.replace("_", " ")
+    return Figure(
+        [Panel(TRIAL, Axis(metric, unit, log=True, ends=limits_of(seen)), layers)],
+        f"The {word} by trial over all machines: the line is the median, the band holds 90 % of "
+        "them, the dots are the worst machine of each trial. A click on a name hides a scheme and "
+        "shows it again.",
+    )
 
 
 def _columns(count: int) -> int:
@@ -72,29 +113,34 @@ def _columns(count: int) -> int:
     return 3 if count > MANY else min(count, 2)
 
 
-def _panels(count: int) -> tuple[Any, list[Any], Any]:
-    """The figure, the panels with shared axes, and the axes of the shares beside them."""
-    from matplotlib.figure import Figure
+def _axes(count: int) -> np.ndarray:
+    """The axes of the panels, which share both axes, and those of the shares beside them."""
+    from matplotlib.figure import Figure as Paper
 
     columns = _columns(count)
     rows = math.ceil(count / columns)
     size = (3.4 + 2.4 * columns + 0.8 * (columns == 1), 1.3 + 2.1 * max(rows, 1.4))
-    figure = Figure(figsize=size, layout="constrained", dpi=150)
+    paper = Paper(figsize=size, layout="constrained", dpi=150)
     ratios = (*[1.0] * columns, 1.35 if columns > 1 else 1.0)
-    cells = figure.add_gridspec(rows, columns + 1, width_ratios=ratios)
-    panels: list[Any] = []
+    cells = paper.add_gridspec(rows, columns + 1, width_ratios=ratios)
+    made: list[Any] = []
     for i in range(count):
-        shared = panels[0] if panels else None
+        shared = made[0] if made else None
         cell = cells[i // columns, i % columns]
-        panels.append(figure.add_subplot(cell, sharex=shared, sharey=shared))
-    return figure, panels, figure.add_subplot(cells[:, columns])
+        made.append(paper.add_subplot(cell, sharex=shared, sharey=shared))
+    return np.array([*made, paper.add_subplot(cells[:, columns])])
+
+
+def _quantiles(row: SchemeSummary, scale: float) -> list[np.ndarray]:
+    """Low end, median, high end and worst machine by trial."""
+    return [scale * np.asarray(x, float) for x in (row.low, row.median, row.high, row.worst)]
 
 
 def _limits(rows, scale: float, limit: float | None) -> tuple[float, float]:
     """Limits that hold what learns, and the tolerance; a scheme that grows counts up to GROWS."""
     shown = [] if limit is None else [limit]
     for row in rows:
-        low, median, high = (scale * np.asarray(x) for x in (row.low, row.median, row.high))
+        low, median, high, _ = _quantiles(row, scale)
         top = top_of(median)
         for values in (low, median, high):
             kept = values[np.isfinite(values) & (values > 0)]
@@ -107,32 +153,31 @@ def top_of(median) -> float:
     return GROWS * median[0] if 0 < median[0] < np.inf else np.inf
 
 
-def _panel(ax, row, trial, i: int, scale: float, limit: float | None, limits) -> None:
-    """Median, band, worst machine, tolerance and best trial of one scheme, within the limits."""
-    colour, top = COLOURS[i % len(COLOURS)], limits[1]
-    low, median, high, worst = (
-        scale * np.asarray(x, float) for x in (row.low, row.median, row.high, row.worst)
-    )
+def _panel(row: SchemeSummary, i: int, scale: float, limit, shown, limits) -> Panel:
+    """Median, band, worst machine, tolerance and best trial of one scheme, within the limits.
+
+    shown: name of the metric, and its unit
+    """
+    look: dict[str, Any] = {"colour": colour_of(i)}
+    top = limits[1]
+    low, median, high, worst = _quantiles(row, scale)
+    trial = np.arange(1, len(median) + 1)
     inside = np.where(low < top, low, np.nan)  # where all machines are beyond the top
-    ax.fill_between(trial, inside, np.minimum(high, top), color=colour, alpha=0.22, linewidth=0)
-    ax.plot(trial, np.where(worst <= top, worst, np.nan), ":", color=colour, linewidth=1.0)
-    ax.plot(trial, np.where(median <= top, median, np.nan), color=colour, linewidth=1.6)
+    layers: list[Layer] = [
+        Band(trial, inside, np.minimum(high, top), alpha=0.22, **look),
+        Curve(trial, np.where(worst <= top, worst, np.nan), dash=":", width=1, **look),
+        Curve(trial, np.where(median <= top, median, np.nan), width=1.6, **look),
+    ]
     if limit is not None:
-        ax.axhline(limit, color="k", linewidth=0.8, linestyle="--")
+        layers.append(Rule(limit, dash="--"))
     known = median[np.isfinite(median) & (median > 0)]
     if known.size and known.max() > (1 + SAME) * known.min():
         best = int(np.argmin(np.where(np.isfinite(median) & (median > 0), median, np.inf)))
-        ax.plot(trial[best], median[best], "o", mfc="none", color=colour, markersize=6)
-    ax.set_ylim(*limits)
-    ax.set_xlim(trial[0] - 0.5, trial[-1] + 0.5)
-    look = {"color": readable(colour), "loc": "left", "fontweight": "bold"}
-    ax.set_title(row.scheme, fontsize="small", **look)
-    said = _said(row, high > top * 1.001, trial)
-    if said:
-        ax.text(
-            0.98, 0.96, said, transform=ax.transAxes, ha="right", va="top", fontsize="x-small",
-            bbox={"facecolor": "w", "edgecolor": "none", "alpha": 0.7, "pad": 1.5},
-        )  # fmt: skip
+        here = [trial[best]], [median[best]]
+        layers.append(Curve(*here, dash="", mark="o", filled=False, **look))
+    along = TRIAL._replace(most=6, ends=(trial[0] - 0.5, trial[-1] + 0.5))
+    note = _said(row, high > top * 1.001, trial)
+    return Panel(along, Axis(*shown, log=True, ends=limits), layers, note=note)
 
 
 def _said(row, beyond, trial) -> str:
@@ -148,7 +193,7 @@ def _said(row, beyond, trial) -> str:
     return "\n".join(lines)
 
 
-def _shares(ax, names, last: np.ndarray, shown: tuple, held: tuple[float, float]) -> None:
+def _shares(names, last: np.ndarray, shown: tuple, held: tuple[float, float]) -> Panel:
     """The share of the machines whose last error is within a tolerance, against the tolerance.
 
     last: (schemes, machines) errors of the last trial, inf where one diverged
@@ -156,23 +201,17 @@ def _shares(ax, names, last: np.ndarray, shown: tuple, held: tuple[float, float]
     held: ends of the axis of tolerances
     """
     metric, unit, limit = shown
+    layers: list[Layer] = []
     for i, errors in enumerate(last):
         found = np.sort(errors[(errors > held[0]) & (errors <= held[1])])
         zero = np.mean(errors <= held[0])
         share = np.concatenate([[zero], zero + np.arange(1, len(found) + 1) / len(errors)])
-        at = np.concatenate([[held[0]], found])
-        at, share = np.append(at, held[1]), np.append(share, share[-1])
-        ax.plot(
-            at, 100 * share, drawstyle="steps-post", color=COLOURS[i % len(COLOURS)],
-            linewidth=1.6, label=names[i],
-        )  # fmt: skip
-    ax.set(xscale="log", xlim=held, ylim=(-3, 103), ylabel="machines within [%]")
+        at, share = [held[0], *found, held[1]], 100 * np.append(share, share[-1])
+        layers.append(Curve(at, share, steps=True, width=1.6, name=names[i], colour=colour_of(i)))
     if limit is not None:
-        ax.axvline(limit, color="k", linewidth=0.8, linestyle="--")
-    ax.set_title("yield against tolerance", fontsize="small", loc="left")
-    name_axis(ax.xaxis, f"tolerance of the last {metric.replace('_', ' ')}", unit)
-    ax.grid(True, alpha=0.25)
-    ax.tick_params(axis="x", labelrotation=30)
+        layers.append(Rule(limit, "x", dash="--"))
+    along = Axis(f"tolerance of the last {metric.replace('_', ' ')}", unit, log=True, ends=held)
+    return Panel(along, Axis("machines within [%]", ends=(-3, 103)), layers, legend="")
 
 
 def _explain(figure, limit: float | None, unit: str) -> None:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .interactive import columns_of, tips_of
-from .live_axes import Live, hover, plot, shown_in, tolerance_line
+from .description import tips_of
+from .page import Live, hover, model_of, plot, shown_in, thinned
+from .published import numbers_of_paper
 from .style import names_of
 from .within_trial import outputs_of
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from ..signals.task import Task
 
 ROOM = 200_000  # numbers that the signals of all trials may have on a page
 TRIALS = 25  # trials that can be chosen at most
@@ -37,6 +41,9 @@ axis.axis_label = parameter.value;
 told.text = scheme.value;
 bars.data = {name: bars.data["name"], share: shares.data["s" + k]};
 """
+
+
+PAPER = "figures.forEach((one, i) => { one.visible = names[i] === select.value; });"
 
 
 def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
@@ -98,6 +105,31 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     )
 
 
+def measured_trials(task: Task, measured: Mapping[int, Mapping[str, Any]]) -> Live:
+    """Output, error and input of the measured trial that a slider chooses.
+
+    measured: `y` (N+1, n_y) and `u` (N, n_u) by the number of the trial
+    """
+    import xarray as xr
+
+    r = np.asarray(task.reference, float).reshape(len(np.asarray(task.time)), -1)
+    y, u = (
+        np.stack([np.asarray(of[n], float).reshape(len(of[n]), -1) for of in measured.values()])
+        for n in ("y", "u")
+    )
+    dims = ("scheme", "trial", "time", "channel")
+    dataset = xr.Dataset(
+        {
+            "r": (dims[2:], r),
+            "y": (dims, y[None], {"units": task.unit}),
+            "e": (dims, r - y[None], {"units": task.unit}),
+            "u": (("scheme", "trial", "input_time", "input"), u[None], {"units": task.input_unit}),
+        },
+        coords={"scheme": ["measured"], "trial": list(measured), "time": np.asarray(task.time)},
+    )
+    return trials(dataset, unit=task.unit)
+
+
 def _three(dataset: xr.Dataset, shown: Any, unit: str) -> list[Any]:
     """Figures of output, error and input against time, over the same source."""
     of_y, of_u = (dataset[n].attrs.get("units", "") for n in ("y", "u"))
@@ -117,25 +149,6 @@ def _three(dataset: xr.Dataset, shown: Any, unit: str) -> list[Any]:
             one.line("t", of, source=shown, **look)
         made.append(one)
     return made
-
-
-def thinned(values, points: int, *, times: bool = False) -> np.ndarray:
-    """(about `points`,) values of a signal: the least and the largest of each column of samples.
-
-    times: the values are times, which need no such pairs
-    """
-    values = np.asarray(values, np.float32)
-    values = np.where(np.isfinite(values), values, np.nan)
-    if len(values) <= points:
-        return values
-    starts = np.linspace(0, len(values), points // 2 + 1).astype(int)[:-1]
-    if times:
-        ends = np.append(starts[1:], len(values)) - 1
-        return np.column_stack([values[starts], values[(starts + ends) // 2]]).ravel()
-    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
-    falling = values[starts] > values[np.append(starts[1:], len(values)) - 1]
-    pairs = np.where(falling[:, None], np.stack([high, low], 1), np.stack([low, high], 1))
-    return pairs.ravel().astype(np.float32)
 
 
 def machines(
@@ -158,7 +171,7 @@ def machines(
 
     from ..sweeps.summary import errors_of, explained_shares
 
-    columns = columns_of(drawn)
+    columns = tips_of(drawn)
     if not columns:
         return None
     last = scale * errors_of(dataset, metric).isel(trial=-1).values
@@ -179,9 +192,10 @@ def machines(
     word = f"{metric.replace('_', ' ')} of the last trial"
     made = plot("", names[first], f"{word} [{unit}]" if unit else word, width=560)
     dots = made.scatter("x", "y", source=shown, color="colour", size=6, alpha=0.7)
-    tips = [("machine", "@machine"), (word, f"@y{{g}} {unit}"), *tips_of(columns)]
-    hover(made, [dots], tips)
-    tolerance_line(made, limit)
+    tips = [("machine", "@machine"), (word, f"@y{{g}} {unit}")]
+    hover(made, [dots], tips + [(name, f"@p{i}{{g}}") for i, name in enumerate(columns)])
+    if limit is not None:
+        made.hspan(y=[limit], line_dash="dashed", line_color="black")
     ordered = sorted(names, key=lambda name: shares[best][name])
     bars = ColumnDataSource({"name": ordered, "share": [100 * shares[best][n] for n in ordered]})
     by_scheme = ColumnDataSource(
@@ -226,3 +240,27 @@ def _drawn_errors(errors: np.ndarray, limit: float | None) -> tuple[np.ndarray, 
     heights = np.where(finite, np.maximum(errors, 1e-12 * top), top)
     colours = np.where(heights <= (np.inf if limit is None else limit), "#0072b2", "#d55e00")
     return heights, np.where(finite, colours, "#000000").tolist()
+
+
+def papers(numbers: Sequence[Mapping[str, Any]]) -> Live:
+    """The printed numbers and ours; a menu chooses the paper.
+
+    numbers: rows of `reproduction.reproduce`, as dictionaries
+    """
+    from bokeh.layouts import column
+    from bokeh.models import CustomJS, Select
+
+    groups = groupby(numbers, lambda row: str(row["scenario"]))
+    found = {name: numbers_of_paper(list(rows)) for name, rows in groups}
+    shown = {name: model_of(figure) for name, figure in found.items()}
+    first, *others = shown
+    caption = found[first].caption
+    if not others:
+        return Live(caption, shown[first])
+    for name in others:
+        shown[name].visible = False
+    select = Select(title="paper", value=first, options=[*shown], width=220)
+    args = {"select": select, "names": [*shown], "figures": [*shown.values()]}
+    select.js_on_change("value", CustomJS(args=args, code=PAPER))
+    layout = column(select, *shown.values(), sizing_mode="scale_width")
+    return Live(f"{caption} The menu chooses the paper.", layout)

@@ -7,23 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .style import (
-    DASHES,
-    grid,
-    legend_above,
-    legend_beside,
-    limits_of,
-    marks_of,
-    new_axes,
-    shades_of,
-    style_of,
-)
-from .units import name_axis, written
+from .description import FREQUENCY, TIME, Axis, Cells, Colours, Curve, Figure, Layer, Panel, Rule
+from .paper import draw, drawn
+from .style import DASHES, limits_of, marks_of, shades_of, style_of
+from .units import written
 from .within_trial import outputs_of, signal_of
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.axes import Axes
 
     from ..theory.frequency import FrequencyTest
 
@@ -33,6 +24,7 @@ BEYOND = 2.0  # a spectrum ends so many times above the last frequency at which 
 SLOWEST = 2  # line of a map from which on it is shown: a Hann window spreads a line over two others
 
 
+@drawn
 def spectrum(
     dataset: xr.Dataset,
     scheme: str,
@@ -40,8 +32,7 @@ def spectrum(
     *,
     scale: float = 1.0,
     unit: str = "",
-    ax: Axes | None = None,
-) -> Axes:
+) -> Figure:
     """Amplitude of the error against frequency for chosen trials, with log axes.
 
     The amplitude is one-sided, under a Hann window, and divided by the window's coherent gain: a
@@ -56,39 +47,24 @@ def spectrum(
     """
     from scipy.signal import periodogram
 
-    ax, time = new_axes(ax), dataset["time"].values
+    time, layers = dataset["time"].values, []
     for trial, shade in zip(trials, shades_of(trials), strict=True):
         e = scale * signal_of(dataset, "e", scheme, trial)[1:]
         names = outputs_of(dataset, e.shape[1])
         f, power = periodogram(
-            e,
-            1.0 / (time[1] - time[0]),
-            window="hann",
-            detrend="constant",
-            scaling="spectrum",
+            e, 1.0 / (time[1] - time[0]), window="hann", detrend="constant", scaling="spectrum",
             axis=0,
-        )
+        )  # fmt: skip
         for i, amplitude in enumerate(np.sqrt(2.0 * np.where(power > 0, power, np.nan)[1:]).T):
-            at = 1 + _peaks(f[1:], amplitude)
-            label = f"trial {trial}" + f", {names[i]}" * (len(names) > 1)
-            ax.loglog(
-                f[at],
-                amplitude[at - 1],
-                color=shade,
-                linestyle=DASHES[i % len(DASHES)],
-                linewidth=1,
-                label=label,
-            )
-    held = limits_of([v for line in ax.lines for v in line.get_ydata()])
-    if held:
-        ax.set_ylim(max(held[0], held[1] * 10.0**-SEEN), held[1])
-    last = max((_last_seen(line, ax.get_ylim()[0]) for line in ax.lines), default=f[-1])
-    ax.set(xlabel="frequency [Hz]", xlim=(f[1], min(max(BEYOND * last, 10 * f[1]), f[-1])))
-    ax.set_title(f"{scheme}: spectrum of the error", fontsize="medium")
-    grid(ax)
-    name_axis(ax.yaxis, "amplitude of the error", unit)
-    legend_beside(ax)
-    return ax
+            at, dash = _peaks(f[1:], amplitude), DASHES[i % len(DASHES)]
+            name = f"trial {trial}" + f", {names[i]}" * (len(names) > 1)
+            layers.append(Curve(f[1 + at], amplitude[at], dash, 1, name=name, colour=shade))
+    held = limits_of([v for of in layers for v in of.y])
+    ends = held and (max(held[0], held[1] * 10.0**-SEEN), held[1])
+    last = max((_last_seen(of, ends[0] if ends else 0.0) for of in layers), default=f[-1])
+    along = FREQUENCY._replace(ends=(f[1], min(max(BEYOND * last, 10 * f[1]), f[-1])))
+    up = Axis("amplitude of the error", unit, log=True, ends=ends)
+    return Figure([Panel(along, up, layers, f"{scheme}: spectrum of the error")])
 
 
 def time_frequency(
@@ -116,7 +92,6 @@ def time_frequency(
     Raises ValueError for a window shorter than 8 samples or longer than the trial, and as
     `signal_of` does.
     """
-    from matplotlib.colors import LogNorm
     from scipy.signal import ShortTimeFFT
 
     time = dataset["time"].values
@@ -142,38 +117,30 @@ def time_frequency(
         e = _without_slow(scale * signal_of(dataset, "e", scheme, trial)[1:], samples)
         whole = np.abs(transform.stft(e, **slices, padding="even", axis=0))
         maps.append(np.max(whole, axis=1)[SLOWEST:])
-    axes = np.atleast_1d(new_axes(ax, len(trials), size=(7.2, 0.8 + 2.4 * len(trials))))
     top = np.max(maps, where=np.isfinite(maps), initial=0.0) or 1.0
     tops = [np.max(one, where=np.isfinite(one), initial=0.0) for one in maps]
     least = min((one for one in tops if one > 0), default=top)
-    colours = LogNorm(max(least * 10.0**-SHADES, top * 10.0**-DECADES), top)
+    ends = max(least * 10.0**-SHADES, top * 10.0**-DECADES), top
+    shows = Colours("amplitude of the error", unit, ends, palette="viridis", cut=True)
     t, lines = transform.t(N, **slices), transform.f[SLOWEST:]
     edges = np.append(lines - transform.delta_f / 2, lines[-1] + transform.delta_f / 2)
-    for axis, trial, amplitude in zip(axes, trials, maps, strict=True):
-        shown = axis.pcolormesh(
-            np.append(t - transform.delta_t / 2, t[-1] + transform.delta_t / 2),
-            edges,
-            amplitude,
-            norm=colours,
-            cmap="viridis",
-            rasterized=True,
-        )
-        axis.set(yscale="log", ylabel="frequency [Hz]", xlim=(0.0, N * dt))
+    times = np.append(t - transform.delta_t / 2, t[-1] + transform.delta_t / 2)
+    along, panels = TIME._replace(ends=(0.0, N * dt)), []
+    for trial, amplitude, largest in zip(trials, maps, tops, strict=True):
         said = [f"{scheme}, trial {trial}"]
-        if axis is axes[0]:
+        if not panels:
             said.append(f"slower than {edges[0]:.3g} Hz is not shown")
-        largest = np.max(amplitude, where=np.isfinite(amplitude), initial=0.0)
-        if largest < colours.vmin:
+        if largest < ends[0]:
             said.append(f"at most {written(largest, unit)}")
-        axis.set_title("; ".join(said), fontsize="medium")
-        grid(axis)
-    axes[-1].set_xlabel("time [s]")
-    bar = axes[0].figure.colorbar(shown, ax=list(axes), extend="min")
-    name_axis(bar.ax.yaxis, "amplitude of the error", unit)
-    return axes
+        cells = Cells(times, edges, amplitude.T, shows)
+        up = FREQUENCY._replace(ends=(edges[0], edges[-1]))
+        panels.append(Panel(along, up, [cells], "; ".join(said)))
+    figure = Figure(panels, size=(7.2, 0.8 + 2.4 * len(trials)))
+    return np.atleast_1d(draw(figure, ax))
 
 
-def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
+@drawn
+def frequency_tests(tests: Mapping[str, FrequencyTest]) -> Figure:
     """|Q (keep - L P)|, which must stay below 1, against frequency; two axes.
 
     The lower axes show the part near 1. The frequency at which a test first reaches 1 is marked.
@@ -182,44 +149,24 @@ def frequency_tests(tests: Mapping[str, FrequencyTest], *, ax=None) -> Axes:
     tests: tests by name, from `theory.frequency.learning_condition`, `robust_condition` or
         `norm_optimal_condition`
     """
-    axes = new_axes(ax, 2)
+    layers: list[Layer] = []
     for i, (name, test) in enumerate(tests.items()):
-        magnitude, style = (
-            np.where(np.isfinite(test.magnitude), test.magnitude, np.nan),
-            style_of(i),
-        )
+        style, magnitude = style_of(i), test.magnitude
         reached = f"1 at {test.critical:.3g} Hz, " if np.isfinite(test.critical) else ""
-        for axis in axes:
-            axis.semilogx(
-                test.frequencies,
-                magnitude,
-                **style,
-                label=f"{name}: {reached}at most {test.condition.value:.6g}",
-            )
-            if np.isfinite(test.critical):
-                axis.plot(
-                    test.critical,
-                    1.0,
-                    **marks_of(i, 1) | {"markersize": 7},
-                    color=style["color"],
-                    linestyle="none",
-                )
+        said = f"{name}: {reached}at most {test.condition.value:.6g}"
+        finite = np.where(np.isfinite(magnitude), magnitude, np.nan)
+        layers.append(Curve(test.frequencies, finite, name=said, **style))
+        if np.isfinite(test.critical):
+            mark, colour = marks_of(i, 1)["mark"], style["colour"]
+            here = [test.critical], [1.0]
+            layers.append(Curve(*here, "", mark=mark, size=7, filled=False, colour=colour))
+    layers.append(Rule(1.0))
     above = max(min(max(test.condition.value for test in tests.values()) - 1.0, 0.5), 0.01)
-    axes[0].set(
-        ylabel="|Q (1 − L P)|",
-        ylim=(0.0, None),
-        xlim=(1e-4 * test.frequencies[-1], test.frequencies[-1]),
-    )
-    axes[1].set(
-        ylabel="the same near 1",
-        ylim=(1.0 - 3.0 * above, 1.0 + 1.5 * above),
-        xlabel="frequency [Hz]",
-    )
-    for axis in axes:
-        axis.axhline(1.0, color="k", linewidth=0.8)
-        grid(axis)
-    legend_above(axes[0])
-    return axes
+    last = max(test.frequencies[-1] for test in tests.values())
+    along = FREQUENCY._replace(ends=(1e-4 * last, last))
+    near = Axis("the same near 1", ends=(1.0 - 3.0 * above, 1.0 + 1.5 * above))
+    whole = Panel(along, Axis("|Q (1 − L P)|", ends=(0.0, None)), layers, legend="above", columns=2)
+    return Figure([whole, Panel(along, near, layers, legend="")])
 
 
 def _without_slow(e, samples: int):
@@ -235,10 +182,9 @@ def _without_slow(e, samples: int):
     return e - convolve1d(e, weights / weights.sum(), axis=0, mode="mirror")
 
 
-def _last_seen(line, floor: float) -> float:
-    """The last frequency at which a line is above the floor of its axes."""
-    f, amplitude = line.get_data()
-    return max(np.asarray(f)[np.asarray(amplitude) >= floor], default=0.0)
+def _last_seen(of: Curve, floor: float) -> float:
+    """The last frequency at which a curve is above the floor of its axes."""
+    return max(of.x[of.y >= floor], default=0.0)
 
 
 def _peaks(f, amplitude):

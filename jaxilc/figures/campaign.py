@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from .style import COLOURS, grid, legend_beside, new_axes, trial_axis
-from .units import name_axis
+from .description import TIME, TRIAL, Axis, Band, Curve, Figure, Layer, Panel
+from .paper import drawn
+from .style import COLOURS, PALE, colour_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from ..hardware.prediction import Prediction
 
 AHEAD = 5  # trials after the last one whose prediction is shown
@@ -67,15 +66,15 @@ def bands_by_trial(live: list[dict[str, Any]], prediction: Prediction) -> Bands:
     return Bands(number[known], low, median, high)
 
 
+@drawn
 def campaign_figure(
-    rows: Sequence[dict[str, Any]],
+    rows: Sequence[Mapping[str, Any]],
     *,
     unit: str = "",
     input_unit: str = "",
     bands: Bands | None = None,
     last: LastTrial | None = None,
-    ax: Sequence[Axes] | None = None,
-) -> Any:
+) -> Figure:
     """The errors by trial with a logarithmic axis, and below them the RMS input; two axes.
 
     With the last trial there are three more axes: reference and output, error, and input against
@@ -85,88 +84,80 @@ def campaign_figure(
     unit, input_unit: units of y and of u
     bands: predicted RMS error by trial
     """
-    size = (7.2, 1.6 + 2.2 * 5) if last else None
-    axes = new_axes(ax, rows=5 if last else 2, size=size, sharex=False)
-    top, bottom = axes[:2]
     measured = [row for row in rows if row["event"] == "trial"]
-    if bands is not None and len(bands.trial):
-        _band(top, bands)
-    channels = {
-        prefix: [n for n in (measured[0] if measured else ()) if n.startswith(prefix)]
-        for prefix in ("max_error_", "effort_")
-    }
-    for axis, names, colours in (
-        (top, ["rms_error", *channels["max_error_"]], COLOURS),
-        (bottom, channels["effort_"], COLOURS[2:]),
-    ):
-        for name, colour in zip(names, colours, strict=False):
-            live = [(row["trial"], row[name]) for row in measured if row["live"]]
-            undone = [(row["trial"], row[name]) for row in measured if not row["live"]]
-            label = (
-                name.replace("_", " ")
-                if len(names) > 2 or name == "rms_error"
-                else name.replace("_", " ").removesuffix(" 0")
-            )
-            if live:
-                axis.plot(*zip(*live, strict=True), "o-", color=colour, markersize=4, label=label)
-            if undone:
-                axis.plot(
-                    *zip(*undone, strict=True),
-                    "o",
-                    mfc="none",
-                    color=colour,
-                    markersize=5,
-                    label=f"{label}, undone",
-                )
-    top.set(yscale="log")
-    for axis in (top, bottom):
-        trial_axis(axis)
-    bottom.sharex(top)
-    if last is not None:
-        _last_trial(axes[2:], last)
-    for axis in axes:
-        grid(axis)
-        if axis.get_legend_handles_labels()[0]:
-            legend_beside(axis)
-    names = (("error", unit), ("RMS input", input_unit), ("output", unit), ("error", unit),
-             ("input", input_unit))  # fmt: skip
-    for axis, (name, of) in zip(axes, names, strict=False):
-        name_axis(axis.yaxis, name, of)
-    top.figure.align_ylabels(axes)
-    return axes
+    names = [*measured[0]] if measured else []
+    errors = ["rms_error", *(n for n in names if n.startswith("max_error_"))]
+    efforts = [n for n in names if n.startswith("effort_")]
+    predicted = [] if bands is None or not len(bands.trial) else _predicted(bands)
+    trials = [row["trial"] for row in measured] + ([] if bands is None else [*bands.trial])
+    room = 0.05 * np.ptp(trials or [0.0]) or 0.5
+    along = TRIAL._replace(ends=(min(trials) - room, max(trials) + room)) if trials else TRIAL
+    panels = [
+        Panel(along, Axis("error", unit, log=True), predicted + _by_trial(measured, errors, 0)),
+        Panel(along, Axis("RMS input", input_unit), _by_trial(measured, efforts, 2)),
+        *([] if last is None else _last_trial(last, unit, input_unit)),
+    ]
+    return Figure(
+        panels,
+        "The error and the input of each measured trial, on what was predicted. Under the pointer "
+        "stand its file and its warnings.",
+        size=(7.2, 1.6 + 2.2 * 5) if last else None, shares="",
+    )  # fmt: skip
 
 
-def _band(axis: Axes, bands: Bands) -> None:
+def _by_trial(measured, names: Sequence[str], colour: int) -> list[Layer]:
+    """Metrics of the measured trials by name; the colours begin with the one of that number."""
+    layers: list[Layer] = []
+    for i, name in enumerate(names):
+        label = name.replace("_", " ")
+        label = label if len(names) > 2 or name == "rms_error" else label.removesuffix(" 0")
+        for counts in (True, False):
+            of = [row for row in measured if bool(row["live"]) == counts]
+            if of:
+                tips = {"file": [str(row["source"]) for row in of],
+                        "warnings": [str(row["warnings"]) or "–" for row in of]}  # fmt: skip
+                layers.append(Curve(
+                    [row["trial"] for row in of], [row[name] for row in of], mark="o",
+                    dash="-" * counts, size=5 - counts, filled=counts, colour=colour_of(i + colour),
+                    name=label + ", undone" * (not counts), tips=tips,
+                ))  # fmt: skip
+    return layers
+
+
+def _predicted(bands: Bands) -> list[Layer]:
     """The predicted band, and its median; an infinite end is drawn up to the top of the axis."""
     ends = np.concatenate([bands.low, bands.median, bands.high])
     largest = np.max(ends, where=np.isfinite(ends), initial=np.finfo(float).tiny)
     low, median, high = (np.minimum(end, 10 * largest) for end in bands[1:])
-    look: dict[str, Any] = {"color": COLOURS[4], "alpha": 0.35}
-    if len(bands.trial) == 1:  # a single trial has no width
-        axis.vlines(bands.trial, low, high, linewidth=8, **look)
+    look: dict[str, Any] = {"colour": COLOURS[4], "alpha": 0.35, "name": "predicted, 95 %"}
+    layers: list[Layer] = []
     if np.any(low < high):
-        axis.fill_between(bands.trial, low, high, linewidth=0, label="predicted, 95 %", **look)
-    axis.plot(bands.trial, median, color=COLOURS[4], linewidth=1, label="predicted, median")
+        layers.append(Band(bands.trial, low, high, **look))
+        if len(bands.trial) == 1:  # a single trial has no width
+            layers = [Curve([*bands.trial] * 2, [*low, *high], width=8, **look)]
+    said = "predicted, median"
+    return [*layers, Curve(bands.trial, median, width=1, colour=COLOURS[4], name=said)]
 
 
-def _last_trial(axes: Sequence[Axes], last: LastTrial) -> None:
+def _last_trial(last: LastTrial, unit: str, input_unit: str) -> list[Panel]:
     """Reference and output, error, and input of a trial against time."""
     r, y, u = (np.asarray(x).reshape(len(x), -1) for x in last[2:])
-    several = y.shape[1] > 1
+    outputs: list[Layer] = []
     for i in range(y.shape[1]):
-        name, colour = f" {i}" * several, COLOURS[i % len(COLOURS)]
-        axes[0].plot(last.time, r[:, i], color="#999999", linewidth=3, label=f"reference{name}")
-        axes[0].plot(last.time, y[:, i], color=colour, linewidth=1, label=f"output{name}")
-        axes[1].plot(last.time, (r - y)[:, i], color=colour, linewidth=0.8)
-    for i in range(u.shape[1]):
-        axes[2].plot(
-            last.time[:-1],
-            u[:, i],
-            color=COLOURS[(i + 2) % len(COLOURS)],
-            linewidth=0.8,
-            drawstyle="steps-post",
-        )
-    axes[0].set_title(f"trial {last.number}", fontsize="medium")
-    axes[2].set_xlabel("time [s]")
-    for axis in axes:
-        axis.set_xlim(last.time[0], last.time[-1])
+        which, colour = f" {i}" * (y.shape[1] > 1), colour_of(i)
+        outputs += [
+            Curve(last.time, r[:, i], width=3, colour=PALE, name=f"reference{which}"),
+            Curve(last.time, y[:, i], width=1, colour=colour, name=f"output{which}"),
+        ]
+    errors = [Curve(last.time, e, width=0.8, colour=colour_of(i)) for i, e in enumerate((r - y).T)]
+    inputs = [
+        Curve(last.time[:-1], of, width=0.8, steps=True, colour=colour_of(i + 2))
+        for i, of in enumerate(u.T)
+    ]
+    along = TIME._replace(ends=(last.time[0], last.time[-1]))
+    silent = along._replace(name="")
+    return [
+        Panel(silent, Axis("output", unit), outputs, f"trial {last.number}"),
+        Panel(silent, Axis("error", unit), errors),
+        Panel(along, Axis("input", input_unit), inputs),
+    ]

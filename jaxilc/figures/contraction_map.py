@@ -7,13 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .grid_map import MARKS, called_of, in_order, marked, placed
-from .style import COLOURS, grid, new_axes
+from .description import Band, Cells, Colours, Curve, Figure, Layer, Panel, Rule
+from .grid_map import MARKS, axes_of_map, in_order, marked, standing
+from .paper import draw, named
+from .style import GREY
 
 if TYPE_CHECKING:
     import xarray as xr
 
-LINES = {"d2": ("--", "black"), "sigma_max": ("-", "#1b7837"), "radius": (":", "#762a83")}
+LINES: dict[str, tuple[Any, str]] = {
+    "d2": ("--", "black"),
+    "sigma_max": ("-", "#1b7837"),
+    "radius": (":", "#762a83"),
+}
 PREMISES = {"linear": "o", "alone": ".", "signs": "//", "damped": "\\\\", "printed": "--"}
 PALE = "0.55"  # of a hatch
 WIDEST = 10.0  # factor of a trial at which the colours end
@@ -68,41 +74,45 @@ def contraction_map(
             "dataset.sel({...}) chooses the others"
         )
     nominal = (dataset if bounds is None else in_order(bounds)[0]).isel(sample=0)
-    seen, panels = contraction_of(dataset), dataset.sizes["scheme"]
-    size, shared = (1.4 + 4.4 * panels, 4.8), {"sharey": len(drawn) == 1, "squeeze": False}
-    axes = new_axes(None, 1, panels, size=size, **shared).ravel()
-    for ax, name in zip(axes, map(str, dataset["scheme"].values), strict=True):
-        labels = [labels_for(dataset, axis, name) for axis in drawn]
-        places = [placed(ax, way, one) for way, one in zip("xy", labels, strict=False)]
-        of = dataset.sel(scheme=name)
+    seen, schemes = contraction_of(dataset), [str(name) for name in dataset["scheme"].values]
+    shown, panels, of_maps = Colours(SHOWN, "", (1 / WIDEST, WIDEST), palette="RdBu_r"), [], []
+    for name in schemes:
+        labels, of = [labels_for(dataset, axis, name) for axis in drawn], dataset.sel(scheme=name)
+        places = [standing(one)[0] for one in labels]
         here = _only(seen.sel(scheme=name).median("sample"), drawn)
         lines = {n: _only(nominal[n].sel(scheme=name), drawn) for n in LINES if n in nominal}
         lines = {n: values for n, values in lines.items() if np.any(np.isfinite(values))}
         held = {n: of[n] for n in PREMISES if not np.any(np.isnan(of[n]))}
         held = {n: _only((values == 1).all("sample"), drawn) for n, values in held.items()}
-        if len(drawn) == 2:
-            handles = _map(ax, places, here, lines, held)
-            ax.set_ylabel(called_of(labels[1]))
+        of_maps.append((places, lines, held))
+        along, up = axes_of_map(labels, shown)
+        layers: list[Layer] = []
+        if len(places) == 2:
+            layers.append(Cells(*places, np.clip(here, 1 / WIDEST, WIDEST), shown))
         else:
-            band = seen.sel(scheme=name).quantile(
+            (x,), up = places, up._replace(ends=None)
+            ends = seen.sel(scheme=name).quantile(
                 (0.05, 0.95), "sample", method="inverted_cdf", skipna=False
             )
-            handles = _line(ax, *places, here, [_only(end, drawn) for end in band], lines)
+            low, high = (_only(end, drawn) for end in ends)
+            layers += [Band(x, low, high), Curve(x, here, name="observed"), Rule(1.0, colour=GREY)]
+            for n, values in lines.items():
+                layers.append(Curve(x, values, LINES[n][0], colour=LINES[n][1], name=n))
         for (mark, point), sign in zip((marks or {}).items(), MARKS, strict=False):
-            handles += marked(ax, mark, sign, labels, point, here)
+            layers += marked(mark, sign, labels, point, here)
         lost = [premise for premise, where in held.items() if not where.any()]
         if lost:
-            handles += ax.plot([], [], " ", label=f"fails everywhere: {', '.join(lost)}")
-        ax.set_title(name, fontsize="medium")
-        ax.set_xlabel(called_of(labels[0]))
+            layers.append(Curve([], [], "", name=f"fails everywhere: {', '.join(lost)}"))
+        panels.append(Panel(along, up, layers, name, legend=""))
+    size, several = (1.4 + 4.4 * len(panels), 4.8), len(drawn) == 1
+    figure = Figure(panels, columns=len(panels), size=size, shares="y" * several)
+    axes = np.ravel(draw(figure))
+    for ax, (places, lines, held) in zip(axes, of_maps, strict=True):
+        handles = [] if several else _bounds(ax, places, lines, held)
         ax.legend(
-            handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2,
-            fontsize="small",
+            handles=[*handles, *named(ax).values()], loc="upper center",
+            bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize="small",
         )  # fmt: skip
-    if len(drawn) == 2:
-        axes[0].figure.colorbar(axes[-1].collections[0], ax=[*axes], label=SHOWN)
-    else:
-        axes[0].set_ylabel(SHOWN)
     return axes
 
 
@@ -111,22 +121,21 @@ def _only(array: xr.DataArray, drawn: list[str]) -> np.ndarray:
     return array.squeeze([dim for dim in array.dims if dim not in drawn]).transpose(*drawn).values
 
 
-def _map(ax: Any, places, here, lines, held) -> list[Any]:
-    """Draw a map, and return what its legend names.
+def _bounds(ax: Any, places, lines, held) -> list[Any]:
+    """Add lines on which bounds are 1 and hatches where premises fail; what a legend names.
 
-    here: (x, y) contraction;  lines, held: (x, y) bounds and premises, by name
+    lines, held: (x, y) bounds and premises, by name
     """
-    from matplotlib.colors import ListedColormap, LogNorm
+    from matplotlib.colors import ListedColormap
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    shown, handles = np.ma.masked_invalid(np.clip(here, 1 / WIDEST, WIDEST)), []
     ax.set_facecolor("0.85")
-    look = {"norm": LogNorm(1 / WIDEST, WIDEST), "cmap": "RdBu_r"}
-    ax.pcolormesh(*places, shown.T, shading="nearest", **look)
+    handles: list[Any] = []
     for name, values in lines.items():
         (dashes, colour), low, high = LINES[name], np.nanmin(values), np.nanmax(values)
         label = f"{name} = 1" if low < 1 < high else f"{name} from {low:.4g} to {high:.4g}"
-        handles += ax.plot([], [], dashes, color=colour, label=label)
+        handles.append(Line2D([], [], linestyle=dashes, color=colour, label=label))
         if low < 1 < high:
             ax.contour(*places, values.T, [1.0], colors=colour, linestyles=dashes)
     for name, where in held.items():
@@ -136,17 +145,4 @@ def _map(ax: Any, places, here, lines, held) -> list[Any]:
             fails = np.ma.masked_where(where, np.ones(where.shape)).T
             ax.pcolor(*places, fails, shading="nearest", cmap=ListedColormap(["none"]), **look)
             handles.append(Patch(fill=False, hatch=hatch, ec=PALE, label=f"{name} fails"))
-    return handles
-
-
-def _line(ax: Any, x, here, band, lines) -> list[Any]:
-    """Draw contraction (x,), its band and bounds (x,) along an axis, and return what is named."""
-    ax.fill_between(x, *band, color=COLOURS[0], alpha=0.25, lw=0)
-    handles = ax.plot(x, here, color=COLOURS[0], label="observed")
-    for name, values in lines.items():
-        dashes, colour = LINES[name]
-        handles += ax.plot(x, values, dashes, color=colour, label=name)
-    ax.axhline(1.0, color="0.5", lw=0.8)
-    ax.set_yscale("log")
-    grid(ax)
     return handles

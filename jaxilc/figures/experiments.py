@@ -2,45 +2,35 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .style import COLOURS, grid, labelled, legend_beside, new_axes
+from .description import FREQUENCY, TIME, Axis, Band, Curve, Figure, Layer, Panel, Shade
+from .paper import drawn
+from .style import COLOURS, PALE, colour_of
 
 if TYPE_CHECKING:
     from ..identification import Identified, Record
     from ..theory.on_lines import MeasuredResponse
 
 
-def record_figure(
-    record: Record, *, input_unit: str = "", output_unit: str = "", ax=None
-) -> np.ndarray:
+@drawn
+def record_figure(record: Record, *, input_unit: str = "", output_unit: str = "") -> Figure:
     """Input and output of an experiment against time (Cao 2019, Fig. 2 and 3); two axes."""
-    top, bottom = axes = new_axes(ax, rows=2)
-    for axis, signal, style in (
-        (top, record.u, {"drawstyle": "steps-post"}),
-        (bottom, record.y, {}),
-    ):
-        signal = np.reshape(signal, (len(signal), -1))
-        for i, values in enumerate(signal.T):
-            label = f"{i}" if signal.shape[1] > 1 else None
-            axis.plot(
-                np.arange(len(signal)) * record.dt,
-                values,
-                color=COLOURS[i % len(COLOURS)],
-                linewidth=0.8,
-                label=label,
-                **style,
-            )
-        if signal.shape[1] > 1:
-            legend_beside(axis)
-        grid(axis)
-    top.set(ylabel=labelled("input", input_unit))
-    bottom.set(ylabel=labelled("output", output_unit), xlabel="time [s]")
-    return axes
+    panels = []
+    for name, signal, unit in (("input", record.u, input_unit), ("output", record.y, output_unit)):
+        values, time = np.reshape(signal, (len(signal), -1)).T, np.arange(len(signal)) * record.dt
+        layers = [
+            Curve(time, of, steps=name == "input", width=0.8, colour=colour_of(i),
+                  name=f"{i}" * (len(values) > 1))
+            for i, of in enumerate(values)
+        ]  # fmt: skip
+        panels.append(Panel(TIME, Axis(name, unit), layers))
+    return Figure(panels, "The recorded experiment: what was put in, and what was measured.")
 
 
+@drawn
 def validation_figure(
     record: Record,
     identified: Identified,
@@ -48,55 +38,58 @@ def validation_figure(
     output_unit: str = "",
     scale: float = 1.0,
     unit: str = "",
-    ax=None,
-) -> np.ndarray:
+    input_unit: str | None = None,
+) -> Figure:
     """Measured and simulated output, and their difference (Cao 2019, Fig. 4); two axes.
 
     The part that was not fitted is shaded.
 
     output_unit: unit of the output
     scale, unit: the difference is shown as `scale` times that of the record, in `unit`
+    input_unit: unit of the input, which then has axes of its own above these; None for no such axes
     """
-    top, bottom = axes = new_axes(ax, rows=2)
-    y = np.reshape(record.y, (len(record.y), -1))
-    time = np.arange(len(y)) * record.dt
-    for i in range(y.shape[1]):
-        name, colour = f" {i}" * (y.shape[1] > 1), COLOURS[i % len(COLOURS)]
+    y, u = (np.reshape(x, (len(x), -1)) for x in (record.y, record.u))
+    time, last = np.arange(len(y)) * record.dt, len(y) - 1
+    along = TIME._replace(ends=(time[0], time[-1]))
+    outputs: list[Layer] = []
+    residuals: list[Layer] = []
+    for i, (measured, simulated) in enumerate(zip(y.T, identified.simulated.T, strict=True)):
+        which, colour = f" {i}" * (y.shape[1] > 1), colour_of(i)
         fits = f"fit {identified.fit[i]:.2f} %"
-        if identified.samples < len(y):
+        if identified.samples <= last:
             fits += f", validation {identified.validation_fit[i]:.2f} %"
-        top.plot(time, y[:, i], color="#999999", linewidth=3, label=f"measured{name}")
-        top.plot(
-            time,
-            identified.simulated[:, i],
-            color=colour,
-            linewidth=1,
-            label=f"simulated{name}: {fits}",
-        )
-        bottom.plot(
-            time, scale * (y[:, i] - identified.simulated[:, i]), color=colour, linewidth=0.8
-        )
-    for axis in axes:
-        axis.set_xlim(time[0], time[-1])
-        if identified.samples < len(y):
-            axis.axvspan(
-                time[identified.samples],
-                time[-1],
-                color="#e69f00",
-                alpha=0.12,
-                linewidth=0,
-                label="not fitted",
-            )
-        grid(axis)
-    top.set(ylabel=labelled("output", output_unit))
-    bottom.set(ylabel=labelled("residual", unit), xlabel="time [s]")
-    top.legend(ncols=3, fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 1.0))
-    return axes
+        said = f"simulated{which}: {fits}"
+        outputs += [Curve(time, measured, width=3, colour=PALE, name=f"measured{which}"),
+                    Curve(time, simulated, width=1, colour=colour, name=said)]  # fmt: skip
+        difference = scale * (measured - simulated)
+        residuals.append(Curve(time, difference, width=0.8, colour=colour))
+    untouched, said = [], ""
+    if identified.samples <= last:
+        untouched.append(Shade(time[identified.samples], time[-1], name="not fitted"))
+        said = " The shaded part was not fitted: it tests the model."
+    output, residual = Axis("output", output_unit), Axis("residual", unit)
+    panels = [
+        Panel(along, output, [*outputs, *untouched], legend="above", columns=3),
+        Panel(along, residual, [*residuals, *untouched], legend=""),
+    ]
+    if input_unit is not None:
+        inputs = [
+            Curve(time, np.append(of, of[-1:])[: len(time)], steps=True, width=1,
+                  colour=colour_of(i + 2), name=f"input {i}" * (u.shape[1] > 1))
+            for i, of in enumerate(u.T)
+        ]  # fmt: skip
+        panels.insert(0, Panel(along, Axis("input", input_unit), [*inputs, *untouched]))
+    return Figure(
+        panels,
+        "The record and what the identified plant makes of its input. The axes of time move "
+        f"together; a click on a name hides its curve.{said}",
+    )
 
 
+@drawn
 def response_figure(
-    identified: Identified, dt: float, *, input_unit: str = "", output_unit: str = "", ax=None
-) -> np.ndarray:
+    identified: Identified, dt: float, *, input_unit: str = "", output_unit: str = ""
+) -> Figure:
     """The frequency response of a plant that was identified from a record, with its 95 % band.
 
     Where a parameter is not determined by the record, there is no band. Magnitude and phase; two
@@ -108,54 +101,56 @@ def response_figure(
     from ..identification.model_response import response_band
 
     f, P, phase, factor, half = response_band(identified, dt)
-    top, bottom = axes = new_axes(ax, rows=2)
-    size = np.abs(P)
+    size, above, below = np.abs(P), [], []
     if factor is not None and half is not None:
-        look = {"color": COLOURS[0], "alpha": 0.25, "linewidth": 0}
-        top.fill_between(f, size / factor, size * factor, label="95 % band", **look)
-        bottom.fill_between(f, phase - half, phase + half, **look)
-    top.loglog(f, size, color=COLOURS[0], label="identified plant")
-    bottom.semilogx(f, phase, color=COLOURS[0])
-    for axis in axes:
-        axis.set_xlim(f[0], f[-1])
-        grid(axis)
+        above.append(Band(f, size / factor, size * factor, name="95 % band"))
+        below.append(Band(f, phase - half, phase + half))
+    above.append(Curve(f, size, name="identified plant"))
+    below.append(Curve(f, phase))
     unit = f"{output_unit}/{input_unit}" if output_unit and input_unit else ""
-    top.set_title("frequency response of the identified plant", fontsize="medium")
-    top.set_ylabel(labelled("magnitude", unit))
-    bottom.set(ylabel=labelled("phase", "deg"), xlabel="frequency [Hz]")
-    top.legend(fontsize="small", loc="lower left")
-    return axes
+    return _bode(
+        f, above, below, unit, "frequency response of the identified plant",
+        "The frequency response of the plant that was found, and where it lies with a probability "
+        "of 95 %.",
+    )  # fmt: skip
 
 
-def response_fit_figure(measured: MeasuredResponse, identified: Identified, *, ax=None):
+@drawn
+def response_fit_figure(
+    measured: MeasuredResponse, identified: Identified, *, unit: str = ""
+) -> Figure:
     """A measured frequency response and the one fitted to it: magnitude, phase; two axes.
 
     The band is the 95 % interval of the magnitude of each line, where its scatter is known. The
     thin line is the magnitude of their difference.
+
+    unit: output per input
     """
-    top, bottom = axes = new_axes(ax, rows=2)
-    f, G, std = measured
-    fitted = identified.simulated[:, 0]
-    size = np.abs(G)
+    f, G, std = (np.asarray(of) for of in measured)
+    fitted, size, above, below = identified.simulated[:, 0], np.abs(G), [], []
     if np.any(std):
         half = 1.96 * std / np.sqrt(2)  # std is that of the complex number
         low = np.maximum(size - half, 1e-3 * size)
-        top.fill_between(f, low, size + half, color="#999999", alpha=0.4, linewidth=0)
-    top.plot(f, size, color="#999999", linewidth=3, label="measured")
+        above.append(Band(f, low, size + half, colour=PALE, alpha=0.4, name="scatter, 95 %"))
     said = f"fitted: {identified.fit[0]:.2f} %"
-    top.plot(f, np.abs(fitted), color=COLOURS[0], linewidth=1, label=said)
-    top.plot(f, np.abs(G - fitted), color=COLOURS[1], linewidth=0.6, label="difference")
-    top.set_yscale("log")
-    for response, style in (
-        (G, {"color": "#999999", "linewidth": 3}),
-        (fitted, {"color": COLOURS[0], "linewidth": 1}),
-    ):
-        bottom.plot(f, np.unwrap(np.angle(response)) * 180 / np.pi, **style)
-    for axis in axes:
-        axis.set_xscale("log")
-        axis.set_xlim(f[0], f[-1])
-        grid(axis)
-    top.set(ylabel="magnitude")
-    bottom.set(ylabel=labelled("phase", "deg"), xlabel="frequency [Hz]")
-    top.legend(ncols=3, fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 1.0))
-    return axes
+    for name, response, colour, width in (("measured", G, PALE, 3), (said, fitted, COLOURS[0], 1)):
+        look: dict[str, Any] = {"colour": colour, "width": width, "name": name}
+        above.append(Curve(f, np.abs(response), **look))
+        below.append(Curve(f, np.unwrap(np.angle(response)) * 180 / np.pi, **look))
+    difference = np.abs(G - fitted)
+    above.append(Curve(f, difference, width=0.6, colour=COLOURS[1], name="difference"))
+    return _bode(
+        f, above, below, unit, "",
+        "The measured frequency response, the one fitted to it, and the magnitude of their "
+        "difference.",
+    )  # fmt: skip
+
+
+def _bode(f, above: list[Layer], below: list[Layer], unit: str, title: str, said: str) -> Figure:
+    """Panels of magnitude and of phase with a common axis of frequencies f."""
+    along = FREQUENCY._replace(ends=(f[0], f[-1]))
+    return Figure(
+        [Panel(along, Axis("magnitude", unit, log=True), above, title, "lower left"),
+         Panel(along, Axis("phase", "deg"), below, legend="")],
+        f"{said} The axes of frequency move together.",
+    )  # fmt: skip

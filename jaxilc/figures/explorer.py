@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .exploration import Control, Exploration, Outcome
-from .live_axes import plot, shown_in
 from .live_grid import map_of
+from .page import plot, shown_in
 from .style import COLOURS
 
 if TYPE_CHECKING:

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..pytree.ranges import value_text
-from .style import grid, labelled, limits_of, new_axes, style_of
+from .description import Axis, Band, Cells, Colours, Curve, Figure, Layer, Panel, Shade, Where
+from .paper import draw
+from .style import BLACK, limits_of, style_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -16,7 +18,6 @@ if TYPE_CHECKING:
     from ..sweeps.points import BestPoint
 
 WIDE = 20.0  # ratio of the ends of an axis from which on it is logarithmic
-COLOUR_MAP = "viridis_r"  # dark is a large error
 MOST_PANELS = 5  # of a third axis
 MARKS = "oXsDP"
 QUANTILES = {"high": 0.95, "median": 0.5, "worst": 1.0}
@@ -75,45 +76,71 @@ def grid_map(
     lost = (dataset["diverged_at"] > 0).any("sample")
     seen = numbers if len(drawn) == 2 else errors  # beside a line stands its band
     limits = limits_of(seen.values, pad=1.2) if of_error else None
-    norm = _norm(limits, (1, dataset.sizes["trial"]) if shows == "best_trial" else (0, 1))
-    panels = [(of, at) for of in best for at in _beside(dataset, by_size[2:], of)]
-    columns = len(panels) // len(best)
-    shape = (len(best), columns) if columns > 1 else (1, len(best))
-    size = (1.4 + 3.4 * shape[1], 0.4 + 3.0 * shape[0])
-    axes = np.ravel(new_axes(None, *shape, size=size, sharex=True, sharey=True, squeeze=False))
-    for i, ((of, at), ax) in enumerate(zip(panels, axes, strict=True)):
+    ends = limits or ((1, dataset.sizes["trial"]) if shows == "best_trial" else (0, 1))
+    unit = unit if of_error else ""
+    shown = Colours(SHOWN[shows].format(metric), unit, ends, log=limits is not None)
+    chosen = [(of, at) for of in best for at in _beside(dataset, by_size[2:], of)]
+    columns = len(chosen) // len(best)
+    panels = []
+    for i, (of, at) in enumerate(chosen):
         point = {axis: x for axis, x in (of.point | at).items() if axis not in drawn}
         here, members, gone = (
             x.sel(scheme=of.scheme, **point).values for x in (numbers, errors, lost)
         )
         labels = [labels_for(dataset, axis, of.scheme) for axis in drawn]
-        places = [placed(ax, way, one) for way, one in zip("xy", labels, strict=False)]
-        if len(drawn) == 2:
-            _map(ax, places, here, gone, norm)
-        else:
-            _line(ax, *places, here, members if of_error else None, gone, limits, i // columns)
+        layers = layers_of(labels, here, members if of_error else None, gone, shown, i // columns)
         if np.isfinite(of.error) and at.items() <= of.point.items():
             best_at = dataset.coords.to_dataset().sel(of.point)
             point = {one.name: best_at[one.name].item() for one in labels}
-            marked(ax, "best", "*", labels, point, here)
+            layers += marked("best", "*", labels, point, here)
         for (name, mark), sign in zip((marks or {}).items(), MARKS, strict=False):
-            if _nearest(mark, [other for one, other in panels if one is of], at):
-                marked(ax, name, sign, labels, mark, here)
+            if _nearest(mark, [other for one, other in chosen if one is of], at):
+                layers += marked(name, sign, labels, mark, here)
         beside = (labels_for(dataset, k, of.scheme).sel({k: v}) for k, v in at.items())
-        ax.set_title(", ".join([of.scheme, *map(_said, beside)]), fontsize="medium")
-        ax.set_xlabel(called_of(labels[0]))
-        if len(drawn) == 2 and (i % shape[1] == 0 or columns == 1):
-            ax.set_ylabel(called_of(labels[1]))
-    called = labelled(SHOWN[shows].format(metric), unit if of_error else "")
-    if len(drawn) == 2:
-        axes[0].figure.colorbar(axes[-1].collections[0], ax=[*axes], label=called)
-    else:
-        axes[0].set_ylabel(called)
-    if marks:
-        signs = {x.get_label(): x for ax in axes for x in ax.lines if x.get_marker() != "None"}
-        if signs:
-            axes[0].legend(signs.values(), signs.keys(), loc="upper right", fontsize="small")
+        title = ", ".join([of.scheme, *map(_said, beside)])
+        panels.append(Panel(*axes_of_map(labels, shown), layers, title, legend=""))
+    wide = columns if columns > 1 else len(best)
+    size = 1.4 + 3.4 * wide, 0.4 + 3.0 * (len(panels) // wide)
+    axes = np.ravel(draw(Figure(panels, columns=wide, size=size, shares="y")))
+    signs = {x.get_label(): x for ax in axes for x in ax.lines if x.get_marker() != "None"}
+    if marks and signs:
+        axes[0].legend(signs.values(), signs.keys(), loc="upper right", fontsize="small")
     return axes
+
+
+def axes_of_map(labels: list[xr.DataArray], shown: Colours) -> tuple[Axis, Axis]:
+    """The axes of a map over two axes of a grid, or of a line over one; text stands at numbers."""
+    made = []
+    for one in labels:
+        kind, (_, log) = one.dtype.kind, standing(one)
+        names = [] if kind in "fi" else [value_text(x) for x in one.values]
+        whole = kind == "i" and not log
+        made.append(Axis(called_of(one), log=log, names=names, whole=whole, most=9 * whole))
+    if len(made) == 1:
+        ends = shown.ends if shown.log else None
+        made.append(Axis(shown.name, shown.unit, log=shown.log, ends=ends))
+    return made[0], made[1]
+
+
+def layers_of(labels, here, members, lost, shown: Colours, number: int, **more: Any) -> list[Layer]:
+    """The map of a number over two axes of a grid, or its line over one.
+
+    here: what is shown at each point;  lost: whether a machine diverges there
+    members: (points, sample) errors whose band is drawn beside a line, None for no band
+    number: of the scheme, for its colour;  more: further fields of the cells or of the line
+    """
+    places = [standing(one)[0] for one in labels]
+    if len(places) == 2:
+        return [Cells(*places, here, shown, **more), Where(*places, lost)]
+    (x,), style, layers = places, style_of(number), []
+    if members is not None:
+        low, high = np.quantile(members, (0.05, 0.95), axis=-1, method="inverted_cdf")
+        layers.append(Band(x, low, high, colour=style["colour"]))
+    layers.append(Curve(x, here, **style, **more))
+    edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])
+    return layers + [
+        Shade(edges[j], edges[j + 1], colour="#e0e0e0", alpha=1.0) for j in np.flatnonzero(lost)
+    ]
 
 
 def in_order(dataset: xr.Dataset) -> tuple[xr.Dataset, list[str], list[str]]:
@@ -182,18 +209,6 @@ def _said(label: xr.DataArray) -> str:
     return f"{label.name} = {value_text(label.item())}"
 
 
-def placed(ax: Any, way: str, labels: xr.DataArray) -> np.ndarray:
-    """Where the values of an axis stand; the scale and the ticks of x or y are set."""
-    axis, (numbers, log) = (ax.xaxis, ax.yaxis)[way == "y"], standing(labels)
-    if labels.dtype.kind not in "fi":
-        axis.set_ticks(numbers, [value_text(x) for x in labels.values])
-    elif log:
-        (ax.set_xscale, ax.set_yscale)[way == "y"]("log")
-    elif labels.dtype.kind == "i":
-        axis.get_major_locator().set_params(integer=True)
-    return numbers
-
-
 def standing(labels: xr.DataArray) -> tuple[np.ndarray, bool]:
     """Where the values of an axis stand, text at its numbers, and whether it is logarithmic."""
     values = labels.values
@@ -210,45 +225,12 @@ def _place(labels: xr.DataArray, value: Any) -> float:
     return known.index(value) if value in known else np.nan
 
 
-def marked(ax: Any, name: str, sign: str, labels: list[xr.DataArray], point, here) -> list[Any]:
-    """A point with its name, if it is known and lies within the axes; on a line at its height.
-
-    Returns what was drawn.
-    """
+def marked(name: str, sign: str, labels: list[xr.DataArray], point, here) -> list[Layer]:
+    """A point with its name, if it is known and lies within the axes; on a line at its height."""
     at = [_place(of, point[of.name]) for of in labels if of.name in point]
     if len(at) < len(labels) or not np.all(np.isfinite(at)):
         return []
     if len(at) == 1:
-        x = labels[0].values if labels[0].dtype.kind in "fi" else np.arange(labels[0].size)
-        at.append(np.interp(at[0], x, here))
-    size = 11 if sign == "*" else 7
-    return ax.plot(*at, sign, color="white", mec="black", ms=size, label=name, zorder=5)
-
-
-def _norm(limits: tuple[float, float] | None, otherwise: tuple[int, int]) -> Any:
-    """The scale of the colours, one for all panels: logarithmic where there are such limits."""
-    from matplotlib.colors import LogNorm, Normalize
-
-    return LogNorm(*limits) if limits else Normalize(*otherwise)
-
-
-def _map(ax: Any, places, here, lost, norm) -> None:
-    finite = np.ma.masked_invalid(here).T
-    ax.pcolormesh(*places, finite, shading="nearest", cmap=COLOUR_MAP, norm=norm)
-    if lost.any() and not lost.all():
-        ax.contour(*places, lost.T, levels=[0.5], colors="black", linewidths=1.0)
-
-
-def _line(ax: Any, x, here, errors, lost, limits, number: int) -> None:
-    """errors: (x, sample) those whose band is drawn, None for a number without one."""
-    style = style_of(number)
-    if errors is not None:
-        low, high = np.quantile(errors, (0.05, 0.95), axis=-1, method="inverted_cdf")
-        ax.set_yscale("log")
-        ax.fill_between(x, low, high, color=style["color"], alpha=0.25, lw=0)
-    ax.plot(x, here, **style)
-    edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])
-    for j in np.flatnonzero(lost):
-        ax.axvspan(edges[j], edges[j + 1], color="0.88", lw=0, zorder=0)
-    ax.set_ylim(limits)
-    grid(ax)
+        at.append(np.interp(at[0], standing(labels[0])[0], here))
+    size, (x, y) = 11 if sign == "*" else 7, at
+    return [Curve([x], [y], "", mark=sign, size=size, colour="#ffffff", rim=BLACK, name=name)]

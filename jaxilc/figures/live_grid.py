@@ -8,8 +8,19 @@ import numpy as np
 
 from ..pytree.ranges import value_text
 from .contraction_map import contraction_of
-from .grid_map import QUANTILES, SHOWN, called_of, in_order, numbers_of, standing
-from .live_axes import Live, hover, plot, shown_in
+from .description import Axis, Colours, Curve, Panel
+from .grid_map import (
+    QUANTILES,
+    SHOWN,
+    axes_of_map,
+    called_of,
+    in_order,
+    layers_of,
+    marked,
+    numbers_of,
+    standing,
+)
+from .page import Live, panel_of, plot, shown_in
 from .style import COLOURS, labelled, limits_of
 
 if TYPE_CHECKING:
@@ -19,7 +30,6 @@ if TYPE_CHECKING:
 
 MOST = 64  # values of an axis that are drawn; of more, so many and the best one
 ROOM = 150_000  # numbers that the curves of all points of a scheme may have
-ROUNDED = "return String(Number(tick.toPrecision(2)))"
 CURVES = ("low", "median", "high")
 CHOOSE = """
 const i = points.selected.indices[0], n = shown.data["j"].length;
@@ -29,7 +39,7 @@ for (const name of ["low", "median", "high"]) {
     data[name] = all.data[name].slice(i * n, (i + 1) * n);
 }
 shown.data = data;
-told.text = points.data["point"][i];
+told.text = names[i];
 """
 
 
@@ -81,10 +91,10 @@ def grid(
     tabs = [TabPanel(child=part, title=of.scheme) for part, of in zip(parts, best, strict=True)]
     return Live(
         "Each cell, or dot along a single axis, is a point of the grid, and its colour or height "
-        "the error that 95 % of its machines do not exceed in the last trial. There is a cross "
-        "where a machine diverges, and no colour where the error is not finite. The star is the "
-        "best point, at which all axes are that are not drawn. Under the pointer stand the numbers "
-        "of a point; a click shows how it learns.",
+        "the error that 95 % of its machines do not exceed in the last trial. There is a cross, or "
+        "a grey stripe, where a machine diverges, and no colour where the error is not finite. The "
+        "star is the best point, at which all axes are that are not drawn. Under the pointer stand "
+        "the numbers of a point; a click shows how it learns.",
         parts[0] if len(parts) == 1 else Tabs(tabs=tabs, sizing_mode="scale_width"),
     )
 
@@ -103,7 +113,7 @@ def map_of(
 
     size: further arguments of the figure
     """
-    from bokeh.models import ColumnDataSource, TapTool
+    from bokeh.models import TapTool
 
     from ..sweeps.points import labels_for, last_errors
 
@@ -122,37 +132,46 @@ def map_of(
         {name: of[i] for (name, of), i in zip(known.items(), row, strict=True)}
         for row in zip(*(place.ravel() for place in places), strict=True)
     ]
-    lost = (dataset["diverged_at"] > 0).any("sample").values.ravel()
-    columns: dict[str, Any] = {f"a{i}": [[*row.values()][i] for row in values]
-                               for i in range(len(labels))}  # fmt: skip
-    tips = [(called_of(one), f"@a{i}{'{g}' * (one.dtype.kind == 'f')}")
-            for i, one in enumerate(labels)]  # fmt: skip
+    shape = tuple(one.size for one in labels)
+    lost = (dataset["diverged_at"] > 0).any("sample").values.reshape(shape)
+    tips: dict[str, Any] = {
+        called_of(one): [[*row.values()][i] for row in values] for i, one in enumerate(labels)
+    }
+    curves = {}
     for name, words in SHOWN.items():
         if name != "yield" or tolerance is not None:
-            found = numbers_of(dataset, last, name, metric, tolerance).values.ravel()
+            found = numbers_of(dataset, last, name, metric, tolerance).values
             found = scale * factor * found if name in QUANTILES else found
-            columns[name] = np.where(np.isfinite(found), found, np.nan)
-            columns[f"{name}_said"] = [_said(x, name, unit) for x in found]
-            tips.append((words.format(metric.replace("_", " ")), f"@{name}_said"))
+            curves[name] = np.reshape(found, shape)
+            tips[words.format(metric.replace("_", " "))] = [
+                _said(x, name, unit) for x in np.ravel(found)
+            ]
     for name, found in _of_bounds(dataset).items():
-        columns[name] = [f"{x:.4g}" for x in found.values.ravel()]
-        tips.append((name, f"@{{{name}}}"))
-    columns["point"] = [
-        ", ".join(f"{name} = {value_text(x)}" for name, x in row.items()) for row in values
-    ]
-    source = ColumnDataSource(columns)
+        tips[name] = [f"{x:.4g}" for x in found.values.ravel()]
     nearest = [some[i].tolist().index(j) for i, j in enumerate(at)]
-    best = int(np.ravel_multi_index(nearest, [one.size for one in labels]))
-    source.selected.indices = [best]
-    called = labelled(SHOWN["high"].format(metric), unit)
-    made, cells = (_cells if len(labels) == 2 else _line)(source, labels, called, lost, **size)
-    shown: Any = source.data
+    best = int(np.ravel_multi_index(nearest, shape))
+    low, top = limits_of(curves["high"], pad=1.0) or (1.0, 10.0)
+    called = SHOWN["high"].format(metric).replace("_", " ")
+    shown = Colours(called, unit, (low, max(top, 1.001 * low)))
+    along, up = axes_of_map(labels, shown)
+    high, more = curves["high"], dict[str, Any](tips=tips)
+    if len(labels) == 1:
+        more |= {"mark": "o", "name": "95 %"}
+        up = Axis(labelled(up.name, unit), log=True)
+    layers = layers_of(labels, high, None, lost, shown, 0, **more)
+    if len(labels) == 1:
+        x = standing(labels[0])[0]
+        for name, dash in (("median", "--"), ("worst", ":")):
+            layers.append(Curve(x, curves[name], dash, name=name))
     if np.isfinite(of.error):
-        star = {"marker": "star", "size": 14, "fill_color": "white", "line_color": "black"}
-        made.scatter([shown["x"][best]], [shown.get("y", shown["high"])[best]], **star)
-    hover(made, [cells], tips)
+        layers += marked("best", "*", labels, values[best], high)
+    made = panel_of(Panel(along, up, layers, legend="upper right"), **({"width": 560} | size))
+    cells = next(r for r in made.renderers if "t0" in r.data_source.data)
+    if len(labels) == 1:
+        cells = [r for r in made.renderers if r.data_source is cells.data_source][-1]
+    cells.data_source.selected.indices = [best]
     made.add_tools(TapTool(renderers=[cells], mode="replace"))
-    return GridMap(made, source, values, dataset, scale * factor, unit)
+    return GridMap(made, cells.data_source, values, dataset, scale * factor, unit)
 
 
 def _of_bounds(dataset: xr.Dataset) -> dict[str, xr.DataArray]:
@@ -164,64 +183,6 @@ def _of_bounds(dataset: xr.Dataset) -> dict[str, xr.DataArray]:
         "largest d2": dataset["d2"].max("sample"),
         "share of machines on which d2 is claimed": (dataset["claimed"] == 1).mean("sample"),
     }
-
-
-def _cells(source, labels, called: str, lost, **size: Any) -> tuple[Any, Any]:
-    """A figure with a cell for each point, crosses where a machine diverges, and the colours."""
-    from bokeh.models import ColorBar, CustomJSTickFormatter, FixedTicker, LogColorMapper
-    from bokeh.palettes import Viridis256
-
-    (x, log_x), (y, log_y) = map(standing, labels)
-    kinds: dict[str, Any] = {
-        f"{way}_axis_type": "log" if log else "linear" for way, log in (("x", log_x), ("y", log_y))
-    }
-    made = plot("", *map(called_of, labels), log=False, **({"width": 560} | kinds | size))
-    for axis, one in zip((made.xaxis[0], made.yaxis[0]), labels, strict=True):
-        _named(axis, one)
-    at = np.meshgrid(x, y, indexing="ij")
-    sides = np.meshgrid(_edges(x, log_x), _edges(y, log_y), indexing="ij")
-    corners = {"left": sides[0][:-1, :-1], "right": sides[0][1:, :-1],
-               "bottom": sides[1][:-1, :-1], "top": sides[1][:-1, 1:],
-               "x": at[0], "y": at[1]}  # fmt: skip
-    source.data = dict(source.data) | {name: of.ravel() for name, of in corners.items()}
-    low, high = limits_of(source.data["high"], pad=1.0) or (1.0, 10.0)
-    colours = LogColorMapper(
-        palette=Viridis256[::-1], low=low, high=max(high, 1.001 * low), nan_color="#e8e8e8"
-    )
-    cells = made.quad(
-        "left", "right", "bottom", "top", source=source, line_color=None,
-        fill_color={"field": "high", "transform": colours}, nonselection_fill_alpha=1.0,
-        selection_line_color="black", selection_line_width=3, selection_fill_alpha=1.0,
-    )  # fmt: skip
-    gone = np.flatnonzero(lost)
-    made.scatter(at[0].ravel()[gone], at[1].ravel()[gone], marker="x", size=6, color="#777777")
-    bar = ColorBar(
-        color_mapper=colours, title=called, title_text_font_size="8pt",
-        ticker=FixedTicker(ticks=np.geomspace(low, high, 5).tolist()),
-        formatter=CustomJSTickFormatter(code=ROUNDED),
-    )  # fmt: skip
-    made.add_layout(bar, "right")
-    return made, cells
-
-
-def _line(source, labels, called: str, lost, **size: Any) -> tuple[Any, Any]:
-    """A figure with the error along a single axis, and its quantiles."""
-    (x, log), (label,) = standing(labels[0]), labels
-    look: dict[str, Any] = {"width": 560, "x_axis_type": "log" if log else "linear"} | size
-    made = plot("", called_of(label), called, **look)
-    _named(made.xaxis[0], label)
-    source.data = dict(source.data) | {"x": x}
-    for name, dash in (("high", "solid"), ("median", "dashed"), ("worst", "dotted")):
-        words = SHOWN[name].partition(" {}")[0]
-        made.line("x", name, source=source, line_dash=dash, color=COLOURS[0], legend_label=words)
-    made.legend.location, made.legend.label_text_font_size = "top_right", "8pt"
-    dots = made.scatter("x", "high", source=source, size=8, color=COLOURS[0],
-                        nonselection_fill_alpha=1.0, selection_line_color="black")  # fmt: skip
-    low = limits_of(source.data["median"])
-    gone = np.flatnonzero(lost)
-    made.scatter(x[gone], np.full(len(gone), low[0] if low else 1.0), marker="x", size=6,
-                 color="#777777")  # fmt: skip
-    return made, dots
 
 
 def _with_learning(drawn: GridMap, metric: str) -> Any:
@@ -244,16 +205,19 @@ def _with_learning(drawn: GridMap, metric: str) -> Any:
     first = dict(zip(CURVES, (of[part] for of in shown), strict=True))
     every = ColumnDataSource(dict(zip(CURVES, shown, strict=True)))
     now = ColumnDataSource({"j": drawn.dataset["trial"].values[some], **first})
-    told = Div(
-        text=drawn.points.data["point"][chosen], render_as_text=True, styles={"font-weight": "600"}
-    )
+    names = [
+        ", ".join(f"{name} = {value_text(x)}" for name, x in point.items())
+        for point in drawn.values
+    ]
+    told = Div(text=names[chosen], render_as_text=True, styles={"font-weight": "600"})
     made = plot("", "trial", labelled(metric, drawn.unit), width=400)
     made.varea("j", "low", "high", source=now, fill_alpha=0.2, color=COLOURS[0],
                legend_label="5 to 95 %")  # fmt: skip
     made.line("j", "median", source=now, color=COLOURS[0], line_width=2, legend_label="median")
     made.legend.location, made.legend.label_text_font_size = "top_right", "8pt"
     react = CustomJS(
-        args={"points": drawn.points, "all": every, "shown": now, "told": told}, code=CHOOSE
+        args={"points": drawn.points, "all": every, "shown": now, "told": told, "names": names},
+        code=CHOOSE,
     )
     drawn.points.selected.js_on_change("indices", react)
     return column(told, row(drawn.figure, made, sizing_mode="scale_width"),
@@ -265,23 +229,6 @@ def _some(count: int, best: int) -> np.ndarray:
     if count <= MOST:
         return np.arange(count)
     return np.unique([best, *np.round(np.linspace(0, count - 1, MOST)).astype(int)])
-
-
-def _edges(x: np.ndarray, log: bool) -> np.ndarray:
-    """(K+1,) the ends of the cells of K values."""
-    at = np.log(x) if log else np.asarray(x, float)
-    middle = (at[1:] + at[:-1]) / 2
-    ends = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
-    return np.exp(ends) if log else ends
-
-
-def _named(axis: Any, labels: xr.DataArray) -> None:
-    """The ticks of an axis of texts, which stand at their numbers."""
-    from bokeh.models import BasicTickFormatter, FixedTicker
-
-    if labels.dtype.kind not in "fi":
-        axis.ticker, axis.formatter = FixedTicker(ticks=[*range(labels.size)]), BasicTickFormatter()
-        axis.major_label_overrides = {i: value_text(x) for i, x in enumerate(labels.values)}
 
 
 def _said(value: float, name: str, unit: str) -> str:

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from .style import COLOURS, grid, new_axes
+from .description import Axis, Curve, Figure, Layer, Panel, Rule, Shade
+from .paper import draw
+from .style import BLACK, COLOURS
 
 # A verdict has its colour and its mark, so that both can be distinguished in print.
 VERDICTS = {
@@ -47,48 +49,74 @@ def printed_and_ours(
 
     rows: rows of `reproduction.reproduce` of one scenario, as dictionaries
     """
+    axes = draw(numbers_of_paper(rows, title), ax)
+    axes[0].tick_params(axis="y", labelsize="x-small")
+    for text, row in zip(axes[0].get_yticklabels(), rows, strict=True):
+        text.set_style("italic" if row["among_fitted"] else "normal")
+    return axes
+
+
+def numbers_of_paper(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
+    """What `printed_and_ours` draws; under the pointer stands how a row was read and judged."""
     from ..scenarios.reproduction import MET, SHAPE
 
-    height = 1.6 + 0.19 * len(rows)
-    axes = new_axes(ax, 1, 2, size=(9.0, height), sharey=True, width_ratios=(3, 2))
-    left, right = axes
-    at = np.arange(len(rows))
-    printed = np.array([row["value"] for row in rows], float)
-    ours = np.array([row["ours"] for row in rows], float)
-    ratio = np.array([row["ratio"] for row in rows], float)
-    bound = np.array([row["at_most"] for row in rows])
-    drawn = np.nan_to_num(ratio, nan=BEYOND, posinf=BEYOND).clip(1 / BEYOND, BEYOND)
-    right.axvspan(1 / SHAPE, SHAPE, color="#000000", alpha=0.06, linewidth=0)
-    right.axvspan(1 - MET, 1 + MET, color="#000000", alpha=0.12, linewidth=0)
-    right.axvline(1.0, color="k", linewidth=0.8)
-    for which, mark, name in ((~bound, "o", "printed"), (bound, "<", "printed as a bound")):
-        if which.any():
-            left.plot(printed[which], at[which], mark, mfc="none", color="k", label=name)
-    for verdict, (colour, mark) in VERDICTS.items():
-        which = np.array([row["verdict"] == verdict for row in rows])
-        if not which.any():
-            continue
-        shown = {"marker": mark, "linestyle": "none", "color": colour, "markersize": 5}
-        positive = which & (ours > 0) & np.isfinite(ours)
-        left.hlines(at[positive], printed[positive], ours[positive], color=colour, linewidth=0.8)
-        left.plot(ours[positive], at[positive], label=f"ours, {verdict}", **shown)
-        right.plot(drawn[which], at[which], **shown)
-    left.set(xscale="log", ylim=(len(rows) - 0.4, -0.6), xlabel="number, in the unit of its row")
-    right.set(
-        xscale="log",
-        xlabel="ours / printed",
-        xlim=(0.8 / BEYOND, 1.25 * BEYOND),
-        title="bands: met, shape",
+    at, bound = np.arange(len(rows)), np.array([row["at_most"] for row in rows], bool)
+    printed, ours, ratio = (
+        np.array([row[name] for row in rows], float) for name in ("value", "ours", "ratio")
     )
-    left.set_yticks(at, [label_of(row) for row in rows], fontsize="x-small")
-    for text, row in zip(left.get_yticklabels(), rows, strict=True):
-        text.set_style("italic" if row["among_fitted"] else "normal")
-    right.tick_params(axis="y", labelleft=False)
-    grid(left)
-    grid(right)
-    left.set_title(title)
-    left.legend(fontsize="x-small", loc="best")
-    return axes
+    told = {
+        "row": [label_of(row) for row in rows],
+        "printed": ["< " * row["at_most"] + _number(row, "value") for row in rows],
+        "ours": [_number(row, "ours") for row in rows],
+        "ours / printed": [f"{of:.4g}" for of in ratio],
+        "source": [row.get("source", "") for row in rows],
+        "reading": [row.get("reading", "") for row in rows],
+        "open because": [row.get("reason") or "–" for row in rows],
+    }
+
+    def points(x, which, mark: str, **look: Any) -> Curve:
+        """The rows that are chosen, as marks."""
+        tips = {name: [of[i] for i in np.flatnonzero(which)] for name, of in told.items()}
+        return Curve(x[which], at[which], "", mark=mark, tips=tips, **look)
+
+    left: list[Layer] = [
+        points(printed, which, mark, name=name, filled=False, colour=BLACK)
+        for which, mark, name in ((~bound, "o", "printed"), (bound, "<", "printed as a bound"))
+        if which.any()
+    ]
+    right: list[Layer] = [
+        Shade(1 / SHAPE, SHAPE, colour=BLACK, alpha=0.06),
+        Shade(1 - MET, 1 + MET, colour=BLACK, alpha=0.12),
+        Rule(1.0, "x"),
+    ]
+    drawn = np.nan_to_num(ratio, nan=BEYOND, posinf=BEYOND).clip(1 / BEYOND, BEYOND)
+    for verdict, (colour, mark) in VERDICTS.items():
+        which = np.array([row["verdict"] == verdict for row in rows], bool)
+        if which.any():
+            positive = which & (ours > 0) & np.isfinite(ours)
+            gap, look = np.full(positive.sum(), np.nan), {"size": 5, "colour": colour}
+            ends = (printed[positive], ours[positive], gap), (at[positive], at[positive], gap)
+            links = (np.stack(of, axis=1).ravel() for of in ends)
+            left.append(Curve(*links, width=0.8, colour=colour))
+            left.append(points(ours, positive, mark, name=f"ours, {verdict}", **look))
+            right.append(points(drawn, which, mark, name=f"ours, {verdict}", **look))
+    rows_down = Axis(names=told["row"], ends=(len(rows) - 0.4, -0.6))
+    over = Axis("ours / printed", log=True, ends=(0.8 / BEYOND, 1.25 * BEYOND))
+    along = Axis("number, in the unit of its row", log=True)
+    return Figure(
+        [Panel(along, rows_down, left, title, legend="best"),
+         Panel(over, rows_down, right, "bands: met, shape", legend="")],
+        "The printed numbers and ours, row by row, and ours divided by printed: in the dark band a "
+        "row is met, in the pale one it is in the printed order. Under the pointer stand both "
+        "numbers, the source, how the paper was read, and why a row is open.",
+        columns=2, size=(9.0, 1.6 + 0.19 * len(rows)), shares="y", widths=(3, 2),
+    )  # fmt: skip
+
+
+def _number(row: Mapping[str, Any], which: str) -> str:
+    """A number with its unit; with all digits beside one of other software."""
+    digits = 9 if row.get("agreement") is not None else 4
+    return f"{row[which]:.{digits}g} {row['unit']}".rstrip()
 
 
 def label_of(row: Mapping[str, Any]) -> str:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .style import grid, labelled, legend_beside, new_axes, style_of
+from .description import FREQUENCY, Axis, Band, Curve, Figure, Layer, Panel, Rule
+from .paper import drawn
+from .style import GREY, style_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from ..theory.q_filter import Curves
 
 SEEN = 1e-2  # |Q| below which nothing of L P is shown
@@ -20,9 +20,10 @@ FLOOR = 1e-3  # least magnitude of P shown, against the largest
 SHARES = (0.01, 10.0)  # of |Q| and |L P| that are shown
 
 
+@drawn
 def q_filter_figure(
-    families: Mapping[str, Curves], *, margin: float = 0.0, unit: str = "", ax=None
-) -> Axes:
+    families: Mapping[str, Curves], *, margin: float = 0.0, unit: str = ""
+) -> Figure:
     """|P|, then |Q| and |L P|, then |Q (1 - L P)| with its band, against frequency; three axes.
 
     The band is from the least to the largest value of the family; of a measured response it is its
@@ -32,49 +33,49 @@ def q_filter_figure(
     margin:   that was asked for; 0 for no line
     unit:     of P, output per input
     """
-    axes = new_axes(ax, 3, size=(7.2, 7.6))
+    plants: list[Layer] = []
+    parts: list[Layer] = []
+    sizes: list[Layer] = []
     for i, (name, curves) in enumerate(families.items()):
         f, style = curves.f, style_of(i)
         if not any(_same_plant(curves, other) for other in list(families.values())[:i]):
-            axes[0].loglog(f, np.abs(curves.P), **style, label=name)
+            plants.append(Curve(f, np.abs(curves.P), name=name, **style))
         LP = np.where(np.abs(curves.Q) > SEEN, np.abs(curves.LP), np.nan)
-        axes[1].loglog(f, LP, **style, label=f"|L P|, {name}")
-        shade = {"color": str(0.5 * i / len(families)), "linestyle": style["linestyle"]}
-        axes[1].loglog(f, np.abs(curves.Q), **shade, label=f"|Q|, {name}")
+        parts.append(Curve(f, LP, name=f"|L P|, {name}", **style))
+        shade = f"#{3 * f'{127 * i // len(families):02x}'}"
+        parts.append(Curve(f, np.abs(curves.Q), style["dash"], name=f"|Q|, {name}", colour=shade))
         top = int(np.argmax(curves.high))
-        peak = f"{curves.high[top]:.3g} at {f[top]:.3g} Hz"
-        axes[2].semilogx(f, curves.nominal, **style, label=f"{name}\nat most {peak}")
-        axes[2].fill_between(f, curves.low, curves.high, color=style["color"], alpha=0.2, lw=0)
-        axes[2].plot(f[top], curves.high[top], "o", color=style["color"], markersize=5)
+        said = f"{name}\nat most {curves.high[top]:.3g} at {f[top]:.3g} Hz"
+        colour: dict[str, Any] = {"name": said, "colour": style["colour"]}
+        sizes += [
+            Curve(f, curves.nominal, name=said, **style),
+            Band(f, curves.low, curves.high, alpha=0.2, **colour),
+            Curve([f[top]], [curves.high[top]], dash="", mark="o", size=5, **colour),
+        ]
     first = next(iter(families.values()))
-    axes[2].semilogx(
-        first.f, first.without, color="0.5", linestyle=":", label="|1 − L P| without Q,\nlargest"
-    )
-    axes[2].axhline(1.0, color="k", linewidth=0.8)
-    if margin:
-        axes[2].axhline(1 - margin, color="k", linewidth=0.8, linestyle="--")
-    _limits(axes, list(families.values()))
-    axes[0].set_ylabel(labelled("|P|", unit))
-    axes[1].set_ylabel("|Q|, |L P|")
-    axes[2].set(ylabel="|Q (1 − L P)|", xlabel="frequency [Hz]")
-    for axis in axes:
-        grid(axis)
-        legend_beside(axis)
-    return axes
+    without = "|1 − L P| without Q,\nlargest"
+    sizes += [Curve(first.f, first.without, dash=":", name=without, colour=GREY), Rule(1.0)]
+    sizes += [Rule(1 - margin, dash="--")] if margin else []
+    found, of_P, tall = _ends([*families.values()])
+    along = FREQUENCY._replace(ends=found)
+    return Figure(
+        [Panel(along, Axis("|P|", unit, log=True, ends=of_P), plants),
+         Panel(along, Axis("|Q|, |L P|", log=True, ends=SHARES), parts),
+         Panel(along, Axis("|Q (1 − L P)|", ends=(0, max(1.3, min(1.2 * tall, 5.0)))), sizes)],
+        "Whether the Q-filter is safe: |Q (1 − L P)| must stay below 1.",
+        size=(7.2, 7.6),
+    )  # fmt: skip
 
 
-def _limits(axes, families) -> None:
-    """Frequencies up to which Q passes anything, and magnitudes within three decades."""
+def _ends(families: Sequence[Curves]) -> tuple[tuple[float, float], tuple[float, float], float]:
+    """Frequencies up to which Q passes anything, |P| within three decades, and the largest test."""
     passed = max(np.max(c.f[np.abs(c.Q) > SEEN], initial=c.f[0]) for c in families)
     lowest = max(min(c.f[0] for c in families), SLOWEST * passed)
-    axes[0].set_xlim(lowest, passed)
     sizes = [np.abs(c.P[(c.f >= lowest) & (c.f <= passed)]) for c in families]
     largest = max(float(np.max(values)) for values in sizes)
     least = min(float(np.min(values)) for values in sizes)
-    axes[0].set_ylim(max(least, FLOOR * largest) / 2, 2 * largest)
-    axes[1].set_ylim(*SHARES)
     tall = max(float(np.max(c.high)) for c in families)
-    axes[2].set_ylim(0, max(1.3, min(1.2 * tall, 5.0)))
+    return (lowest, passed), (max(least, FLOOR * largest) / 2, 2 * largest), tall
 
 
 def _same_plant(one: Curves, other: Curves) -> bool:

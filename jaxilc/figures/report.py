@@ -28,7 +28,7 @@ from .captions import caption_of
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
-    from .live_axes import Live
+    from .page import Live
 
 NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}

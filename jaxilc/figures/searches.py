@@ -3,67 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .style import (
-    COLOURS,
-    DASHES,
-    MARKS,
-    grid,
-    legend_above,
-    legend_beside,
-    limits_of,
-    new_axes,
-)
-from .units import name_axis, written
+from .description import Axis, Band, Curve, Figure, Layer, Panel, Rule
+from .paper import drawn
+from .style import BLACK, COLOURS, DASHES, GREY, MARKS, colour_of, limits_of
+from .units import written
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from ..tuning.problem import Tuned
     from ..tuning.trade_off import Point
+    from ..tuning.worst_machine import Search
 
 NEAR = (0.12, 0.06)  # shares of the axes within which two points have one label
+ROOM = 0.12  # share of the spread of points beyond them
 
 
-def loss_by_step(tuned: Tuned, *, ax: Axes | None = None) -> Axes:
+@drawn
+def loss_by_step(tuned: Tuned) -> Figure:
     """A tuning: the loss against the step for each start, on the machines of the tuning.
 
     The loss on the held-out machines is shown at the steps at which it was computed.
     """
-    ax = new_axes(ax)
-    for k, losses in enumerate(tuned.loss.T):
-        ax.plot(
-            losses,
-            color=COLOURS[0],
-            linewidth=0.8,
-            alpha=0.8,
-            label="machines tuned on" if k == 0 else None,
-        )
-    for k, losses in enumerate(tuned.held_out.T):
-        looked = np.flatnonzero(np.isfinite(losses))
-        ax.plot(
-            looked,
-            losses[looked],
-            "o--",
-            color=COLOURS[1],
-            markersize=3,
-            linewidth=0.5,
-            label="held-out machines" if k == 0 else None,
-        )
-    ax.plot(tuned.step, tuned.after, "k*", markersize=10, label="chosen")
-    ax.set(xlabel="step", ylabel="loss")
-    ax.set_title("loss by step of the tuning", fontsize="medium")
-    grid(ax)
-    legend_beside(ax)
-    return ax
+    look: dict[str, Any] = {"name": "held-out machines", "colour": COLOURS[1], "mark": "o"}
+    layers: list[Layer] = [
+        Curve(range(len(tuned.loss)), tuned.loss.T, name="machines tuned on", width=0.8, alpha=0.8)
+    ]
+    for losses in tuned.held_out.T:
+        at = np.flatnonzero(np.isfinite(losses))
+        layers.append(Curve(at, losses[at], dash="--", width=0.5, size=3, **look))
+    look = {"mark": "*", "size": 10, "name": "chosen", "colour": BLACK}
+    layers.append(Curve([tuned.step], [tuned.after], dash="", **look))
+    title = "loss by step of the tuning"
+    return Figure([Panel(Axis("step"), Axis("loss"), layers, title)])
 
 
+@drawn
 def worst_against_chance(
-    drawn, found: Mapping[str, float], *, nominal: float, metric: str = "", unit: str = "", ax=None
-) -> Axes:
+    drawn,
+    found: Mapping[str, float],
+    *,
+    nominal: float,
+    metric: str = "",
+    unit: str = "",
+    machines: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Figure:
     """A search for the worst machine: the metric of drawn machines and the result of each search.
 
     The curve shows which share of the drawn machines errs no more than so much; it ends below 100 %
@@ -74,117 +60,150 @@ def worst_against_chance(
     found: the largest value by the name of the search
     nominal: the value of the nominal machine
     metric, unit: name and unit of the metric
+    machines: parameters by path of the machine that each search found, for the pointer
     """
-    ax = new_axes(ax)
     count, drawn = np.size(drawn), np.sort(np.asarray(drawn)[np.isfinite(drawn)])
     share = 100 * np.arange(1, len(drawn) + 1) / max(count, 1)
-    label = f"{count} machines drawn: share that errs less"
-    ax.plot(drawn, share, color="0.45", drawstyle="steps-post", linewidth=1.4, label=label)
-    ax.fill_between(drawn, share, step="post", color="0.45", alpha=0.12, linewidth=0)
-    marked = {"nominal machine": (nominal, "k", ":")}
-    for i, (name, value) in enumerate(found.items()):
-        marked[name] = (value, COLOURS[i % len(COLOURS)], DASHES[i % len(DASHES)])
-    for name, (value, colour, dash) in marked.items():
+    name = f"{count} machines drawn: share that errs less"
+    layers: list[Layer] = [
+        Curve(drawn, share, steps=True, width=1.4, name=name, colour=GREY),
+        Band(drawn, 0.0 * share, share, steps=True, colour=GREY, alpha=0.12),
+    ]
+    looks = [(BLACK, ":"), *zip(COLOURS, DASHES, strict=True)]
+    values = {"nominal machine": nominal, **found}
+    for i, (name, value) in enumerate(values.items()):
         if np.isfinite(value):
+            colour, dash = looks[i and 1 + (i - 1) % len(COLOURS)]
+            tips = {path: [of] for path, of in (machines or {}).get(name, {}).items()}
             said = f"{name}: {written(value, unit, 4)}"
-            ax.axvline(value, color=colour, linestyle=dash, linewidth=1.4, label=said)
-    held = limits_of([*drawn, *(value for value, _, _ in marked.values())], pad=1.05)
-    if held and held[1] > 3 * held[0]:
-        ax.set_xscale("log")
-        ax.set_xlim(*held)
-    ax.set(ylim=(0, 103), ylabel="machines drawn [%]")
-    grid(ax)
-    name_axis(ax.xaxis, metric, unit)
-    legend_above(ax, 1)
-    return ax
+            look: dict[str, Any] = {"dash": dash, "name": said, "colour": colour}
+            layers.append(Rule(value, "x", width=1.4, tips=tips, **look))
+    held = limits_of([*drawn, *values.values()], pad=1.05)
+    log = held is not None and held[1] > 3 * held[0]
+    across = Axis(metric, unit, log=log, ends=held if log else None)
+    up = Axis("machines drawn [%]", ends=(0, 103))
+    return Figure(
+        [Panel(across, up, layers, legend="above")],
+        "The curve says which share of the machines drawn by chance errs no more than so much; "
+        "each line is a machine that was searched for. Under the pointer on a line stand the "
+        "parameters of that machine.",
+    )
 
 
+@drawn
+def worst_by_effort(searches: Mapping[str, Search], *, metric: str = "", unit: str = "") -> Figure:
+    """The largest error that each search has found, against the evaluations that it has spent.
+
+    searches: of a `WorstMachine`
+    metric, unit: name and unit of what is large
+    """
+    layers, word = [], metric.replace("_", " ")
+    for i, (name, one) in enumerate(searches.items()):
+        course = np.asarray(one.course)
+        changed = np.flatnonzero(np.diff(course, prepend=-np.inf, append=np.nan))
+        at = np.unique([*changed[changed < len(course)], len(course) - 1])
+        look: dict[str, Any] = {"colour": colour_of(i), "dash": DASHES[i % len(DASHES)]}
+        spent = one.case.evaluations / len(course) * (at + 1)
+        layers.append(Curve(spent, course[at], mark="o", size=4, steps=True, name=name, **look))
+    spent = Axis("evaluations of the learning", log=True)
+    return Figure(
+        [Panel(spent, Axis(metric, unit), layers)],
+        f"The largest {word} that each search has found so far, against the evaluations of the "
+        "learning that it has spent; a gradient counts as three more.",
+    )
+
+
+@drawn
 def pareto_front(
     points: Iterable[Point],
     *,
     first: str = "",
     second: str = "",
     given: tuple[float, float] | None = None,
-    ax: Axes | None = None,
-) -> Axes:
+    weights: Mapping[float | None, Mapping[str, float]] | None = None,
+) -> Figure:
     """A trade-off: both objectives of each point, labelled with the share of the first one.
 
     points: points from `tuning.pareto`
     first, second: names of the objectives
     given: both objectives with the weights as given
+    weights: of each point by its share, None for those given; for the pointer
     """
-    ax = new_axes(ax)
     points = sorted(points, key=lambda p: p.first)
-    ax.plot(
-        [p.first for p in points],
-        [p.second for p in points],
-        "o-",
-        color=COLOURS[0],
-        drawstyle="steps-post",
-        label="tuned; beside: share of the first",
-    )
+    xs, ys = [p.first for p in points], [p.second for p in points]
+
+    def tips_of(shares: Sequence[float | None]) -> dict[str, Any]:
+        of = [dict((weights or {}).get(share, {})) for share in shares]
+        return {name: [one.get(name, np.nan) for one in of] for name in (of[0] if of else ())}
+
+    shares = [p.share for p in points]
+    tips = {"share of the first": shares, **tips_of(shares)}
+    name = "tuned; beside: share of the first"
+    layers: list[Layer] = [
+        Curve(xs, ys, mark="o", steps=True, texts=_shares_beside(points), tips=tips, name=name)
+    ]
     if given is not None:
-        ax.plot(*given, "o", mfc="none", color=COLOURS[1], label="given")
-    ax.margins(0.12)
-    for at, shares in _together(points, ax):
-        ax.annotate(
-            ", ".join(f"{share:g}" for share in sorted(shares)),
-            at,
-            textcoords="offset points",
-            xytext=(-6, 5) if _is_right(at, ax) else (6, 5),
-            ha="right" if _is_right(at, ax) else "left",
-            fontsize="small",
-        )
-    legend_above(ax)
-    ax.set(xlabel=first, ylabel=second)
-    grid(ax)
-    return ax
+        look: dict[str, Any] = {"mark": "o", "filled": False, "colour": COLOURS[1]}
+        here, tips = ([x] for x in given), tips_of([None])
+        layers.append(Curve(*here, dash="", tips=tips, name="given", **look))
+        xs, ys = [*xs, given[0]], [*ys, given[1]]
+    along, up = Axis(first, ends=_room(xs)), Axis(second, ends=_room(ys))
+    return Figure(
+        [Panel(along, up, layers, legend="above")],
+        "Both objectives of each point on the held-out machines; less is better. Under the pointer "
+        "stand the share of the first objective and the weights.",
+    )
 
 
-def _together(points: Sequence[Point], ax: Axes) -> list[tuple[tuple[float, float], list[float]]]:
-    """The shares of points that would be written over each other, at the first of them."""
-    found: list[tuple[tuple[float, float], list[float]]] = []
-    for p in points:
-        for at, shares in found:
-            apart = ax.transData.transform([at, (p.first, p.second)])
-            apart = np.abs(np.diff(ax.transAxes.inverted().transform(apart), axis=0)).ravel()
-            if np.all(apart < NEAR):
-                shares.append(p.share)
-                break
-        else:
-            found.append(((p.first, p.second), [p.share]))
-    return found
+def _room(values: Sequence[float] | np.ndarray) -> tuple[float, float] | None:
+    """The ends of an axis with room beyond the points; None for a single one."""
+    found = np.asarray(values, float)
+    found = found[np.isfinite(found)]
+    room = ROOM * np.ptp(found) if found.size else 0.0
+    return (found.min() - room, found.max() + room) if room > 0 else None
 
 
-def _is_right(at: tuple[float, float], ax: Axes) -> bool:
-    """Whether a point is in the right half of the axes."""
-    return ax.transAxes.inverted().transform(ax.transData.transform(at))[0] > 0.5
+def _shares_beside(points: Sequence[Point]) -> list[str]:
+    """The share at each point; those that would be written over each other at the first of them."""
+    at = np.array([(p.first, p.second) for p in points], float).reshape(-1, 2)
+    at /= [np.ptp(_room(of) or (0.0, 1.0)) for of in at.T]
+    texts: list[list[float]] = [[] for _ in points]
+    for i, point in enumerate(points):
+        near = [j for j in range(i) if texts[j] and np.all(np.abs(at[i] - at[j]) < NEAR)]
+        texts[near[0] if near else i].append(point.share)
+    return [", ".join(f"{share:g}" for share in sorted(of)) for of in texts]
 
 
+@drawn
 def final_error_by_trials(
-    trials: Sequence[int], given, tuned, *, metric: str = "", unit: str = "", ax: Axes | None = None
-) -> Axes:
+    trials: Sequence[int],
+    given,
+    tuned,
+    *,
+    metric: str = "",
+    unit: str = "",
+    weights: Mapping[str, Sequence[float]] | None = None,
+) -> Figure:
     """The metric of trial J with the weights as given, and with those tuned for J trials; log axis.
 
     trials: (n,) J
     given, tuned: (n, 2) median and worst over machines [unit]; the worst is dashed
     metric, unit: name and unit of the metric
+    weights: (n,) tuned values of each weight, for the pointer
     """
-    ax = new_axes(ax)
-    for name, values, colour in (
-        ("given", given, COLOURS[1]),
-        ("tuned for that many trials", tuned, COLOURS[0]),
-    ):
-        for column, quantile in enumerate(("median", "worst")):
-            shown = {
-                "color": colour,
-                "marker": MARKS[column],
-                "linestyle": DASHES[column],
-                "label": f"{name}, {quantile}",
-            }
-            ax.semilogy(trials, np.asarray(values)[:, column], **shown)
-    ax.set(xticks=list(trials), xlabel="number of trials")
-    grid(ax)
-    name_axis(ax.yaxis, f"{metric.replace('_', ' ')} of the last trial", unit)
-    legend_above(ax)
-    return ax
+    tips = {f"tuned {name}": list(values) for name, values in (weights or {}).items()}
+    layers = [
+        Curve(trials, np.asarray(values)[:, column], name=f"{name}, {quantile}", colour=colour,
+              mark=MARKS[column], dash=DASHES[column], tips=tips)
+        for name, values, colour in (("given", given, COLOURS[1]),
+                                     ("tuned for that many trials", tuned, COLOURS[0]))
+        for column, quantile in enumerate(("median", "worst"))
+    ]  # fmt: skip
+    word = metric.replace("_", " ")
+    along = Axis("number of trials", ticks=tuple(trials))
+    up = Axis(f"{word} of the last trial", unit, log=True)
+    return Figure(
+        [Panel(along, up, layers, legend="above", columns=2)],
+        f"The {word} of trial J over machines that no tuning has seen, with the weights as given "
+        "and with those tuned for J trials. Under the pointer stand the tuned weights.",
+    )

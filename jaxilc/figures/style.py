@@ -1,4 +1,4 @@
-"""The common style of all figures: colours, line styles, marks, axes, ticks, labels with units."""
+"""The common style of all figures: colours, dashes, marks, labels with units, limits."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .units import name_axis
-
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.axes import Axes
 
 # Colour-blind readers can distinguish these colours.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
 MARKS = ("s", "^", "D", "x", "P", "*", "p")  # circles are printed numbers
+BLACK, GREY, PALE = "#000000", "#737373", "#999999"
+BOUND = 11  # the mark of a printed upper bound, a caret below it
 
 
 def names_of(dataset: xr.Dataset) -> list[str]:
@@ -24,12 +23,14 @@ def names_of(dataset: xr.Dataset) -> list[str]:
     return [str(s) for s in dataset["scheme"].values]
 
 
+def colour_of(i: int) -> str:
+    """The colour of the i-th of several."""
+    return COLOURS[i % len(COLOURS)]
+
+
 def style_of(i: int) -> dict[str, Any]:
-    """Colour and line style of the i-th scheme; no two of the first 49 have the same."""
-    return {
-        "color": COLOURS[i % len(COLOURS)],
-        "linestyle": DASHES[(i + i // len(COLOURS)) % len(DASHES)],
-    }
+    """Colour and dash of the i-th scheme; no two of the first 49 have the same."""
+    return {"colour": colour_of(i), "dash": DASHES[(i + i // len(COLOURS)) % len(DASHES)]}
 
 
 def marks_of(i: int, points: int, marks: int = 8) -> dict[str, Any]:
@@ -38,75 +39,27 @@ def marks_of(i: int, points: int, marks: int = 8) -> dict[str, Any]:
     Neighbouring curves have their marks at different points, so that curves that coincide are seen.
     """
     every = max(points // marks, 1)
-    return {
-        "marker": MARKS[(i + i // len(MARKS)) % len(MARKS)],
-        "markevery": (i % every, every),
-        "markersize": 4,
-        "mfc": "none",
-    }
+    mark = MARKS[(i + i // len(MARKS)) % len(MARKS)]
+    return {"mark": mark, "marked": (i % every, every), "size": 4, "filled": False}
 
 
-def shades_of(trials: Sequence[int]) -> list[Any]:
+def shades_of(trials: Sequence[int]) -> list[str]:
     """A colour for each trial, from yellow over green to dark blue for the last one.
 
     The colours differ in lightness too, so that they can be told apart in print and by readers who
     are blind to some colours.
     """
     from matplotlib import colormaps
+    from matplotlib.colors import to_hex
 
     if len(trials) == 1:
         return [COLOURS[0]]
-    return [colormaps["viridis"](1.0 - at) for at in np.linspace(0.25, 0.95, len(trials))]
-
-
-def new_axes(
-    ax: Any, rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **kwargs
-) -> Any:
-    """The given axes, or those of a new figure.
-
-    size: width and height [in]; None for a height of 2.6 in for each row
-    """
-    if ax is not None:
-        return ax
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size or (7.2, 1.6 + 2.6 * rows), layout="constrained", dpi=150)
-    shared: dict[str, Any] = {"sharex": columns == 1}
-    return figure.subplots(rows, columns, **(shared | kwargs))
+    return [to_hex(colormaps["viridis"](1.0 - at)) for at in np.linspace(0.25, 0.95, len(trials))]
 
 
 def labelled(name: str, unit: str) -> str:
     """A label such as `settled error [µm]`."""
     return name.replace("_", " ") + (f" [{unit}]" if unit else "")
-
-
-def grid(ax: Axes) -> None:
-    """Add a pale grid after all curves are drawn, and plain numbers on logarithmic axes."""
-    ax.grid(True, alpha=0.25)
-    for axis in (ax.xaxis, ax.yaxis):
-        if axis.get_scale() == "log":
-            name_axis(axis, axis.get_label_text(), "")
-            low, high = sorted(axis.get_view_interval())
-            if high < 1e2 * low:
-                axis.grid(True, which="minor", alpha=0.15)
-
-
-def trial_axis(ax: Axes, ticks: int = 10) -> None:
-    """Set ticks at whole numbers of trials along x, so many at most."""
-    from matplotlib.ticker import MaxNLocator
-
-    ax.set_xlabel("trial")
-    ax.xaxis.set_major_locator(MaxNLocator(ticks, integer=True))
-
-
-def legend_beside(ax: Axes) -> None:
-    """Place the legend to the right of the axes, where it hides nothing."""
-    ax.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.02))
-
-
-def legend_above(ax: Axes, columns: int = 2) -> None:
-    """Place the legend above the axes, for long names; the axes then have no title."""
-    ax.legend(fontsize="small", loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
 
 
 def readable(colour: Any, ground: Any = "white", least: float = 4.5) -> str:

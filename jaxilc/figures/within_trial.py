@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .style import DASHES, grid, legend_beside, new_axes, shades_of
-from .units import name_axis
+from .description import TIME, Axis, Band, Curve, Figure, Layer, Panel, Shade
+from .paper import drawn
+from .style import BLACK, DASHES, PALE, shades_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
 ZOOM = 0.05  # share of the trial that the zoom shows
-SPAN = "#e69f00"  # colour that marks the zoomed part
 DENSE, COLUMNS = 1500, 300  # samples from which on, and columns in which, noise is a band
 NOISY = 0.2  # share of the whole range that noise has within a column
 SHOWN = 0.1  # share of the width of a path, with which its largest contour error is drawn
@@ -54,6 +55,7 @@ def outputs_of(dataset: xr.Dataset, channels: int) -> list[str]:
     return [one if isinstance(one, str) else f"output {one}" for one in found]
 
 
+@drawn
 def tracking(
     dataset: xr.Dataset,
     scheme: str,
@@ -62,8 +64,7 @@ def tracking(
     zoom: tuple[float, float] | None = None,
     scale: float = 1.0,
     unit: str = "",
-    ax=None,
-) -> np.ndarray:
+) -> Figure:
     """Output, error of each channel and input of one scheme against time; axes (rows, 2).
 
     The chosen trials are shown, with a zoom beside each plot. With several trials, the axis of the
@@ -75,8 +76,6 @@ def tracking(
     scale, unit: the error is shown as `scale` times that of the dataset, in `unit`
     Raises ValueError for a zoom that does not lie within the trial, and as `signal_of` does.
     """
-    from matplotlib.ticker import MaxNLocator
-
     signals = [
         tuple(signal_of(dataset, name, scheme, j) for name in ("y", "e", "u")) for j in trials
     ]
@@ -90,51 +89,38 @@ def tracking(
     channels = signals[0][1].shape[1]
     names = outputs_of(dataset, channels)
     called = names if len(names) > 1 and not names[0].startswith("output ") else None
-    axes = new_axes(
-        ax,
-        channels + 2,
-        2,
-        size=(7.2, 1.2 + 1.8 * (channels + 2)),
-        sharex="col",
-        width_ratios=(2, 1),
-    )
-    for column, part in zip(axes.T, (time >= time[0], (time >= low) & (time <= high)), strict=True):
-        column[0].plot(
-            time[part],
-            _reference(dataset, *signals[0][:2])[part],
-            color="#999999",
-            linewidth=3,
-            label="reference",
-        )
-        for (y, e, u), j, shade in zip(signals, trials, shades, strict=True):
-            for axis, values in zip(column, (y, *(scale * e.T[..., None]), u), strict=True):
-                for i, line in enumerate(values.T):
-                    at, label = np.flatnonzero(part[: len(line)]), _label(i, j, called)
-                    look = {"color": shade, "linestyle": DASHES[i % 4], "label": label}
-                    look["drawstyle"] = "steps-post" if values is u else "default"
-                    _signal(axis, time[at], line[at], look)
-        for channel, axis in enumerate(column[1:-1]):
-            _fit(axis, [scale * e[part, channel] for _, e, _ in signals[1:] or signals])
-        column[-1].set(xlabel="time [s]", xlim=time[part][[0, -1]])
-    axes[0, 0].set_title(f"{scheme}: output, error and input", fontsize="medium")
-    axes[0, 1].set_title("zoom on the shaded part", fontsize="medium")
-    for axis in axes[:, 0]:
-        axis.axvspan(low, high, color=SPAN, alpha=0.25, linewidth=0)
-    axes[-1, 1].xaxis.set_major_locator(MaxNLocator(3))
-    for axis in np.ravel(axes):
-        grid(axis)
     of_error = ["error" + f" of {name}" * (channels > 1) for name in names]
-    units = [dataset[name].attrs.get("units", "") for name in ("y", "u")]
-    labels = (("output", units[0]), *((name, unit) for name in of_error), ("input", units[1]))
-    for row, (name, of) in zip(axes, labels, strict=True):
-        name_axis(row[0].yaxis, name, of)
-        name_axis(row[1].yaxis, name, of)
-        row[1].set_ylabel("" if row[1].get_ylabel() == row[0].get_ylabel() else row[1].get_ylabel())
-    _legend_below(axes[0, 0])
-    axes[0, 0].figure.align_ylabels(axes[:, 0])
-    return axes
+    of_y, of_u = (dataset[name].attrs.get("units", "") for name in ("y", "u"))
+    shaded, panels = [Shade(low, high, alpha=0.25)], []
+    for part in (time >= time[0], (time >= low) & (time <= high)):
+        at = time[part]
+        r = Curve(at, _reference(dataset, *signals[0][:2])[part].T, width=3, colour=PALE)
+        rows: list[list[Layer]] = [[replace(r, name="reference")], *([] for _ in of_error), []]
+        for (y, e, u), j, shade in zip(signals, trials, shades, strict=True):
+            for row, values in zip(rows, (y, *(scale * e.T[..., None]), u), strict=True):
+                for i, line in enumerate(values.T):
+                    which = np.flatnonzero(part[: len(line)])
+                    look = {"colour": shade, "name": _label(i, j, called), "steps": values is u}
+                    row += _signal(time[which], line[which], look | {"dash": DASHES[i % 4]})
+        along = TIME._replace(ends=(at[0], at[-1]), most=3 * bool(panels))
+        fits = [_fit([scale * e[part, c] for _, e, _ in signals[1:] or signals])
+                for c in range(channels)]  # fmt: skip
+        ups = [Axis("output", of_y),
+               *(Axis(name, unit, ends=ends) for name, ends in zip(of_error, fits, strict=True)),
+               Axis("input", of_u)]  # fmt: skip
+        marked = [] if panels else shaded
+        titles = ["zoom on the shaded part" if panels else f"{scheme}: output, error and input"]
+        columns = zip(ups, rows, titles + [""] * (channels + 1), strict=True)
+        panels.append([Panel(along, up, [*row, *marked], title) for up, row, title in columns])
+    return Figure(
+        [panel for row in zip(*panels, strict=True) for panel in row],
+        f"{scheme}: output, error and input within chosen trials; the right column shows the "
+        "shaded part.",
+        columns=2, size=(7.2, 1.2 + 1.8 * (channels + 2)), widths=(2, 1), below=True,
+    )  # fmt: skip
 
 
+@drawn
 def contour(
     dataset: xr.Dataset,
     scheme: str,
@@ -144,8 +130,7 @@ def contour(
     magnification: float | None = None,
     scale: float = 1.0,
     unit: str = "",
-    ax=None,
-) -> np.ndarray:
+) -> Figure:
     """The path of two axes with the measured motion, and the contour error along it; two axes.
 
     The distance of the motion from the path is drawn magnified.
@@ -179,35 +164,29 @@ def contour(
     largest = np.max(np.abs(errors), where=np.isfinite(errors), initial=0.0)
     width = np.max(np.ptp(path, axis=0))
     m = magnification or (_one_two_five(SHOWN * width / largest) if largest > 0 else 1.0)
-    top, bottom = axes = new_axes(ax, 2, size=(7.2, 7.6), sharex=False, height_ratios=(2.4, 1))
     arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    top.plot(*path.T, color="k", linewidth=0.8, label="path", zorder=3)
+    paths: list[Layer] = []
+    distances: list[Layer] = []
     for (y, _), error, j, shade in zip(signals, errors, trials, shades_of(trials), strict=True):
-        top.plot(
-            *(y + (m - 1.0) * np.asarray(away(y))).T, color=shade, linewidth=0.8, label=f"trial {j}"
-        )
-        bottom.plot(arc, scale * error, color=shade, linewidth=0.8, label=f"trial {j}")
-    length = dataset["y"].attrs.get("units", "")
-    of_x, of_y = outputs_of(dataset, 2)
-    numbered = of_x.startswith("output ")
-    top.set_title(f"{scheme}: contour error drawn {m:g} times", fontsize="medium")
-    top.set_aspect("equal", adjustable="datalim")
-    bottom.set_xlim(0.0, arc[-1])
-    for axis in axes:
-        grid(axis)
-    top.apply_aspect()
-    for axis, name, of in (
-        (top.xaxis, "x" if numbered else of_x, length),
-        (top.yaxis, "y" if numbered else of_y, length),
-        (bottom.xaxis, "length along the path", length),
-        (bottom.yaxis, "contour error", unit),
-    ):
-        name_axis(axis, name, of)
-    legend_beside(top)
-    return axes
+        look: dict[str, Any] = {"width": 0.8, "colour": shade, "name": f"trial {j}"}
+        paths.append(Curve(*(y + (m - 1.0) * np.asarray(away(y))).T, **look))
+        distances.append(Curve(arc, scale * error, **look))
+    paths.append(Curve(*path.T, width=0.8, colour=BLACK, name="path"))
+    length, (of_x, of_y) = dataset["y"].attrs.get("units", ""), outputs_of(dataset, 2)
+    if of_x.startswith("output "):
+        of_x, of_y = "x", "y"
+    title = f"{scheme}: contour error drawn {m:g} times"
+    along = Axis("length along the path", length, ends=(0.0, arc[-1]))
+    return Figure(
+        [Panel(Axis(of_x, length), Axis(of_y, length), paths, title, equal=True),
+         Panel(along, Axis("contour error", unit), distances, legend="")],
+        f"{scheme}: the path with the motion, whose distance from it is drawn larger, and the "
+        "contour error along the path.",
+        size=(7.2, 7.6), shares="", heights=(2.4, 1),
+    )  # fmt: skip
 
 
-def _signal(axis, time, values, look) -> None:
+def _signal(time, values, look: dict[str, Any]) -> list[Layer]:
     """A signal; one of many samples that is mostly noise as its band and its mean in columns.
 
     Drawn sample by sample, a signal that changes its sign all the time would be a filled bar.
@@ -217,10 +196,9 @@ def _signal(axis, time, values, look) -> None:
         low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
         if np.median(high - low) > NOISY * np.ptp(values):
             mean = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
-            axis.fill_between(time[starts], low, high, color=look["color"], alpha=0.3, linewidth=0)
-            axis.plot(time[starts], mean, linewidth=1, **look)
-            return
-    axis.plot(time, values, linewidth=1, **look)
+            noise = Band(time[starts], low, high, colour=look["colour"], alpha=0.3)
+            return [noise, Curve(time[starts], mean, width=1, **look)]
+    return [Curve(time, values, width=1, **look)]
 
 
 def _label(line: int, trial: int, names: list[str] | None) -> str:
@@ -242,28 +220,13 @@ def _around_the_largest(time, e) -> tuple[float, float]:
     return low, min(low + 2 * half, time[-1])  # rounding may put the sum beyond the end
 
 
-def _fit(axis, lines) -> None:
-    """Set limits that are symmetric about zero and show all of the lines."""
+def _fit(lines) -> tuple[float, float] | None:
+    """Ends that are symmetric about zero and show all of the lines."""
     largest = np.max(np.abs(lines))
-    if np.isfinite(largest) and largest > 0:
-        axis.set_ylim(-1.2 * largest, 1.2 * largest)
+    return (-1.2 * largest, 1.2 * largest) if np.isfinite(largest) and largest > 0 else None
 
 
 def _one_two_five(value: float) -> float:
     """The largest of ..., 1, 2, 5, 10, 20, ... that is not above the value."""
     decade = 10.0 ** np.floor(np.log10(value))
     return decade * max(n for n in (1, 2, 5) if n * decade <= value)
-
-
-def _legend_below(axis) -> None:
-    """Place one legend with an entry for each name below all axes of the figure."""
-    named = {
-        label: handle
-        for handle, label in reversed(list(zip(*axis.get_legend_handles_labels(), strict=True)))
-    }
-    axis.figure.legend(
-        *zip(*((h, n) for n, h in reversed(named.items())), strict=True),
-        loc="outside lower center",
-        ncols=6,
-        fontsize="small",
-    )

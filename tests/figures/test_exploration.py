@@ -105,7 +105,7 @@ def test_a_click_on_the_map_moves_the_sliders_there_and_the_error_is_that_of_the
     page = Explorer(explored, tmp_path)
     points, of_machine = page.map.points, "machine.plant.A[0][0]"
     assert page.layout() is not None
-    assert points.data["high_said"][4:] == ["diverged"] * 2
+    assert points.data["t2"][4:].tolist() == ["diverged"] * 2
     for i in (1, 2, 5, 0):
         points.selected.indices = [i]
         at = page.map.at(i)
@@ -115,7 +115,7 @@ def test_a_click_on_the_map_moves_the_sliders_there_and_the_error_is_that_of_the
         assert page.here.data == {"x": [pytest.approx(at["ilc.scheme.gamma_p"])],
                                   "y": [pytest.approx(at[of_machine])]}  # fmt: skip
         found = explored.outcome(page.values()).errors[:, -1]
-        shown = points.data["high"][i] / page.map.factor * 1e3
+        shown = points.data["value"][i] / page.map.factor * 1e3
         assert np.isinf(found.max()) == np.isnan(shown) == (i == 5)
         np.testing.assert_allclose(found.max(), np.nan_to_num(shown, nan=np.inf), rtol=1e-6)
         assert points.selected.indices == []  # the same cell can be clicked again

@@ -74,8 +74,7 @@ def test_no_two_of_49_schemes_look_alike():
     styles = [tuple(style_of(i).values()) for i in range(49)]
     assert len(set(styles)) == 49
     in_grey = [
-        (style_of(i)["linestyle"], marks_of(i, 80)["marker"], marks_of(i, 80)["markevery"])
-        for i in range(9)
+        (style_of(i)["dash"], marks_of(i, 80)["mark"], marks_of(i, 80)["marked"]) for i in range(9)
     ]
     assert len(set(in_grey)) == 9  # no scenario has more schemes
 
@@ -98,9 +97,10 @@ def test_a_printed_bound_is_no_printed_number():
     ]
     ax = figures.error_by_trial(dataset, metric="rms", scale=1e3, unit="µm", published=rows)
     drawn = [
-        (*line.get_xydata()[0], line.get_marker())
+        (*point, line.get_marker())
         for line in ax.lines
-        if len(line.get_xydata()) == 1
+        if line.get_linestyle() == "None"
+        for point in line.get_xydata()
     ]
     circles, others = [d[:2] for d in drawn if d[2] == "o"], [d for d in drawn if d[2] != "o"]
     assert circles == [(1, 3.0), (1, 7.0)]

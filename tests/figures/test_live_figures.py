@@ -1,12 +1,15 @@
 """The interactive figures of searches and of published numbers show the numbers put in."""
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 from browser import needs_chromium, opened
 
-from jaxilc.figures import live_published, live_searches
+from jaxilc.cli.live import of_trade_off
+from jaxilc.figures import browsers, searches
+from jaxilc.figures.page import live as page_of
 from jaxilc.figures.report import html_report, write_report
 from jaxilc.figures.style import COLOURS, luminance, readable
 from jaxilc.tuning.worst_case import WorstCase
@@ -20,6 +23,16 @@ def search(value, course, each):
     return Search(case, value, each, None, np.asarray(course, float))
 
 
+def chance(worst, **of):
+    """The drawn machines of a search beside those that it found, on a page."""
+    values = {name: one.value for name, one in worst.searches.items()}
+    machines = {name: one.case.values for name, one in worst.searches.items()}
+    described = searches.worst_against_chance.described
+    return page_of(
+        described(worst.by_chance, values, nominal=worst.nominal, machines=machines, **of)
+    )
+
+
 def columns(live, *names):
     """The columns of all sources of a figure that have these names."""
     found = (r.data_source.data for r in live.model.renderers)
@@ -27,12 +40,14 @@ def columns(live, *names):
 
 
 def test_the_worst_machine_stands_beside_those_drawn():
-    searches = {"gradient": search(4.0, [1.0, 4.0, 4.0], 8), "chance": search(3.0, [3.0] * 24, 1)}
-    worst = WorstMachine(1.5, searches, DRAWN)
-    shares = columns(live_searches.chance(worst, metric="rms", unit="mm"), "x", "y")
+    found = {"gradient": search(4.0, [1.0, 4.0, 4.0], 8), "chance": search(3.0, [3.0] * 24, 1)}
+    of = {"metric": "rms", "unit": "mm"}
+    lines = columns(chance(WorstMachine(1.5, found, DRAWN), **of), "x")
+    np.testing.assert_allclose(lines[0][0], [1.0, 2.0, 3.0])
+    assert [x[0] for (x,) in lines if len(x) == 1] == [1.5, 4.0, 3.0]
+    shares = columns(chance(WorstMachine(1.5, found, DRAWN), **of), "x", "y")
     np.testing.assert_allclose(shares[0], [[1.0, 2.0, 3.0], [25.0, 50.0, 75.0]])  # of four
-    assert [x[0] for x, y in shares if len(x) == 1] == [1.5, 4.0, 3.0]
-    steps = columns(live_searches.climbing(worst, metric="rms", unit="mm"), "x", "y")
+    steps = columns(page_of(searches.worst_by_effort.described(found, **of)), "x", "y")
     np.testing.assert_allclose(steps[0], [[8, 16, 24], [1.0, 4.0, 4.0]])
     np.testing.assert_allclose(steps[2], [[1, 24], [3.0, 3.0]])
 
@@ -43,11 +58,11 @@ def test_what_is_not_finite_makes_no_page_fail():
     quantiles = {"median": 0.0, "high": np.inf, "worst": np.nan}
     budgets = {"3": {"given": quantiles, "tuned": quantiles, "weights": {"a": 1.0}}}
     live = [
-        live_searches.chance(lost, metric="rms"),
-        live_searches.climbing(lost, metric="rms"),
-        live_searches.front({"given": row, "0.5": row}, first="final", second="effort"),
-        live_searches.budgets(budgets, metric="rms", unit="mm"),
-        live_published.printed_and_ours([published("a", np.inf)]),
+        chance(lost, metric="rms"),
+        page_of(searches.worst_by_effort.described(lost.searches, metric="rms")),
+        *of_trade_off(Path(), {"points": {"given": row, "0.5": row}}, ("final", "effort")),
+        *of_trade_off(Path(), {"budgets": budgets, "figure": "rms", "unit": "mm"}, ()),
+        browsers.papers([published("a", np.inf)]),
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -68,9 +83,10 @@ def test_a_front_has_its_weights_under_the_pointer():
         str(share): {"first": 1 + share, "second": 2 - share, "weights": {"lam": share, "eta": 0.5}}
         for share in (0.9, 0.1)
     }
-    found = columns(live_searches.front(rows, first="final", second="effort"), "name", "w0", "x")
-    assert [f[0].tolist() for f in found] == [["0.1", "0.9"], ["given"]]
-    np.testing.assert_allclose(found[0][1:], [[0.1, 0.9], [1.1, 1.9]])
+    (front,) = of_trade_off(Path(), {"points": rows}, ("final", "effort"))
+    tuned, _, given = columns(front, "x", "t0", "t1")
+    np.testing.assert_allclose(tuned, [[1.1, 1.9], [0.1, 0.9], [0.1, 0.9]])
+    np.testing.assert_allclose(given, [[3.0], [1.0], [0.9]])
 
 
 def test_text_can_be_read_on_its_ground():
@@ -87,7 +103,7 @@ def test_text_can_be_read_on_its_ground():
 def test_a_reader_chooses_a_paper(tmp_path):
     """The menu is moved in a browser; the rows of the other paper are then shown."""
     rows = [published("a", 1.1), published("b", 0.5), published("b", 40.0, verdict="open")]
-    live = [live_published.printed_and_ours(rows)]
+    live = [browsers.papers(rows)]
     page = write_report(tmp_path / "page.html", "t", {}, live=live)
     said = opened(
         page,
@@ -95,16 +111,16 @@ def test_a_reader_chooses_a_paper(tmp_path):
         """
         const all = Bokeh.documents.flatMap((d) => [...d._all_models.values()]);
         const menu = all.find((m) => m.type === "Select");
-        const shown = all.find((m) => m.type === "ColumnDataSource" && !("paper" in m.data));
-        const before = [...shown.data.exact];
+        const seen = () => all.filter((m) => m.type === "Row").map((m) => m.visible);
+        const before = seen();
         menu.value = "b";
         await new Promise((resolve) => setTimeout(resolve, 500));
-        const rows = all.find((m) => m.type === "FactorRange");
-        return {before, after: [...shown.data.exact], drawn: [...shown.data.ratio],
-                factors: [...rows.factors]};
+        return {before, after: seen()};
         """,
     )
     assert isinstance(said, dict), said
-    assert (said["before"], said["after"], said["drawn"]) == ([1.1], [0.5, 40.0], [0.5, 10.0])
-    name = "p-type, trial 5, rms [mm]"
-    assert said["factors"] == [f"{name} #2", name]
+    assert (said["before"], said["after"]) == ([True, False], [False, True])
+    second = live[0].model.children[2].children[1]
+    drawn = [r.data_source.data for r in second.renderers if "t0" in r.data_source.data]
+    assert [[*of["x"]] for of in drawn] == [[0.5], [10.0]]
+    assert [of["t3"].tolist() for of in drawn] == [["0.5"], ["40"]]

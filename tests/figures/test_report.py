@@ -23,7 +23,10 @@ from rich.table import Table
 from jaxilc import learn, scenarios
 from jaxilc.cli import tables
 from jaxilc.cli.numbers import run_numbers
-from jaxilc.figures import browsers, interactive
+from jaxilc.figures import browsers
+from jaxilc.figures.band import band_together
+from jaxilc.figures.by_trial import error_by_trial
+from jaxilc.figures.page import live as page_of
 from jaxilc.figures.report import LIVE_POLICY, POLICY, command_report, html_report, write_report
 from jaxilc.sweeps import runs
 from jaxilc.sweeps.summary import summarise
@@ -293,10 +296,10 @@ def lively(tmp_path):
     )
     of = {"metric": "rms", "unit": "mm"}
     live = [
-        interactive.learning(run, **of),
+        page_of(error_by_trial.described(run, **of)),
         browsers.trials(run, unit="mm"),
         browsers.machines(many, {"plant.gain": gain, "plant.other": other}, tolerance=1.5, **of),
-        interactive.band(summarise(many, 1.5, metric="rms"), **of),
+        page_of(band_together(summarise(many, 1.5, metric="rms"), **of)),
     ]
     page = write_report(tmp_path / "live.html", NASTY, {"a": NASTY}, live=live)
     return page, run, last, other
@@ -325,7 +328,8 @@ def test_a_page_is_small_whatever_it_shows():
         {"rms": (("scheme", "trial"), rng.uniform(size=(6, 50_000)))},
         coords={"scheme": names[:6], "trial": np.arange(1, 50_001)},
     )
-    within, errors = browsers.trials(run, unit="mm"), interactive.learning(long, metric="rms")
+    within = browsers.trials(run, unit="mm")
+    errors = page_of(error_by_trial.described(long, metric="rms"))
     assert "5 of the 12 trials" in within.caption
     text = html_report("a", {}, live=[errors, within])
     assert len(text) < 5_000_000
