@@ -21,7 +21,7 @@
 # Here the "machine" is another program that we only know by its files: a plant of other parameters,
 # with noise. On the command line the same is
 #
-#     jaxilc next --state x-axis --plant-file axis.toml --scheme ilc --out next-1.csv
+#     jaxilc next --state x-axis --scenario axis.toml --scheme ilc --out next-1.csv
 #     jaxilc next --state x-axis --measured trial-1.csv --out next-2.csv
 
 # %%

@@ -130,7 +130,7 @@ reference = {{ csv = "move.csv" }}
 # ## 4. Is the first law safe?
 
 # %%
-jaxilc("filter axis.toml --json filter.json")
+jaxilc("filter axis.toml --report filter.json")
 display(Image("out/filter-axis/ilc.png"))
 
 # %% [markdown]
@@ -139,7 +139,7 @@ display(Image("out/filter-axis/ilc.png"))
 # One law and few steps here; without these options four laws are tried and tuned longer.
 
 # %%
-jaxilc("design axis.toml --law p-type --steps 5 --machines 65 --json design.json")
+jaxilc("design axis.toml --law p-type --steps 5 --machines 65 --report design.json")
 display(Image("out/design-axis/design.png"))
 print(Path("axis.design.toml").read_text()[:1500])
 
@@ -150,7 +150,7 @@ print(Path("axis.design.toml").read_text()[:1500])
 # stands beside the band in which the plant file predicts it.
 
 # %%
-jaxilc("next --state campaign --plant-file axis.design.toml --out next.csv")
+jaxilc("next --state campaign --scenario axis.design.toml --out next.csv")
 for _trial in range(6):
     u = np.loadtxt("next.csv", delimiter=",", skiprows=1, usecols=2)[:-1]
     y = play(u)
@@ -158,7 +158,7 @@ for _trial in range(6):
     jaxilc("next --state campaign --measured trial.csv --out next.csv")
 
 # %%
-jaxilc("trials --state campaign --json trials.json --plot trials.png")
+jaxilc("trials --state campaign --report trials.json --plot trials.png")
 display(Image("trials.png"))
 
 # %% [markdown]

@@ -23,11 +23,12 @@ from typer.main import get_command
 
 import jaxilc
 from jaxilc import filters, plants, scenarios, schemes, uncertainty
-from jaxilc.cli import app, entry, options, terms
+from jaxilc.cli import app, entry, options
 from jaxilc.filters import Filter
 from jaxilc.learning import known_metrics
 from jaxilc.learning.divergence import Course
 from jaxilc.learning.known_metrics import Metric
+from jaxilc.outcomes import terms
 from jaxilc.plants import Plant
 from jaxilc.pytree import pytree
 from jaxilc.scenarios import file_task
@@ -136,7 +137,8 @@ def with_verdict():
     """Return the commands whose modules speak of one; `explore` goes on until it is stopped."""
     stems = {name: one.callback.__module__.rpartition(".")[2] for name, one in commands().items()}
     words = {name: " ".join(said(f"jaxilc/cli/{stem}*.py")) for name, stem in stems.items()}
-    return {name for name, text in words.items() if "verdict" in text.lower()}
+    said_by = {"tell", "present", "verdict"}  # an outcome, which has one, or one of its own
+    return {name for name, text in words.items() if said_by & {*text.lower().split()}}
 
 
 def kinds_of(base):
@@ -327,8 +329,8 @@ def test_nothing_is_left_out(place):
 
 
 SECOND_LISTS = {  # modules that list names again, with what compares them, or why they may
-    "jaxilc/cli/terms.py": "how objectives are written; places above",
-    "jaxilc/cli/verdicts/next_command.py": "what a next command repeats; few commands are one",
+    "jaxilc/outcomes/terms.py": "how objectives are written; places above",
+    "jaxilc/outcomes/request.py": "what a next command repeats; few commands are one",
     "jaxilc/scenarios/catalogue.py": "known without JAX; a place above",
     "jaxilc/scenarios/file_task.py": "references that a file may name; a place above",
     "jaxilc/signals/references.py": "the references themselves",

@@ -19,7 +19,7 @@ from typer.main import get_command
 
 from jaxilc import run_schemes
 from jaxilc.cli import app, main
-from jaxilc.figures import whole_run
+from jaxilc.outcomes import running
 from jaxilc.scenarios.from_file import read_scenario
 
 ROOT = Path(__file__).parents[1]
@@ -38,7 +38,7 @@ NOT_RUN = {
     "five_minutes.md: jaxilc design": LONG,
     "how_to.md: jaxilc sweep": "the sweep of five_minutes.md, with a page",
     "grids.md: jaxilc explore": "it serves a page until it is stopped",
-    "grids.md: jaxilc tune": "it takes minutes: tests/cli/test_stored_grid.py runs it smaller",
+    "grids.md: jaxilc tune": "it takes minutes: tests/outcomes/test_stored_grid.py runs it smaller",
     "how_to.md: pip": "it changes the environment",
     "how_to.md: jaxilc explore": "it serves a page until it is stopped",
     "how_to.md: jaxilc next": RECORD,
@@ -100,7 +100,7 @@ def written(text: str, folder: Path) -> bool:
 def run_command(monkeypatch, tmp_path):
     """Return a function that runs a command in this process and returns what it prints."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(whole_run, "save_run", lambda *_, **__: [])  # figures have their own tests
+    monkeypatch.setattr(running, "_figures", lambda *_: {})  # figures have their own tests
 
     def call(line: str) -> str:
         monkeypatch.setattr(sys, "argv", shlex.split(line, comments=True))
@@ -129,8 +129,9 @@ def parse(line: str) -> None:
     """Have the program read a command; it ends where an option or a value is none of its own."""
     program, *words = shlex.split(line)
     if program == "jaxilc":
-        command = get_command(app).commands[words[0]]
-        with command.make_context(words[0], words[1:]) as context:
+        commands = get_command(app).commands
+        at = next(i for i, word in enumerate(words) if word in commands)  # after options for all
+        with commands[words[at]].make_context(words[at], words[at + 1 :]) as context:
             assert not context.args, line
 
 

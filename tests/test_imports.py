@@ -28,6 +28,7 @@ ORDER = [
     "hardware",
     "scenarios",
     "figures",
+    "outcomes",
     "cli",
 ]
 ROOT = Path(jaxilc.__file__).parent

@@ -13,8 +13,8 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
+from ..outcomes.table import Console
 from ..runtime.events import COMPILING, COMPUTING
-from .titled_table import Console
 
 PIPED_WIDTH = 160  # columns of output that does not go to a terminal
 WORTH_A_LINE = 0.05  # seconds of compiling or loading a program from which on it is logged
@@ -82,8 +82,12 @@ def log_jax(programs: Path | None) -> None:
 
 
 def stage_ends(stage: str) -> None:
-    """Note the end of a stage of a sweep, for the log: first of `start`, then of `run`."""
-    counted[stage] = time.perf_counter()
+    """Note the end of a stage of a sweep, for the log: first of `start`, then of `run`.
+
+    Of two sweeps in one command the start of the first and the end of the second count.
+    """
+    if stage != "start" or not counted[stage]:
+        counted[stage] = time.perf_counter()
 
 
 def ended() -> None:

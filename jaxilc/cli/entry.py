@@ -20,7 +20,6 @@ from . import (
     hardware,
     identify,
     init,
-    learn_law,
     pareto,
     q_filter,
     reproduce,
@@ -29,8 +28,12 @@ from . import (
     tune,
     worst_case,
 )
+from .completion import of_list
 from .console import ended, err, speak, tracebacks
 from .hardware import Refused
+from .options import FigureFormat
+from .renamed import Commands
+from .start import prefer
 
 LONGEST = 2000  # characters of the message of an error
 LONG_WORD = re.compile(r"(\S{60})\S{200,}(\S{40})")  # such as a value that was given by mistake
@@ -45,6 +48,7 @@ EXIT_CODES = (
 )
 
 app = typer.Typer(
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -78,6 +82,13 @@ def options(
             help="Log versions, devices and every program compiled, with times; show tracebacks.",
         ),
     ] = False,
+    precision: Annotated[
+        str | None,
+        typer.Option(
+            help="float64, if not given, or float32.", autocompletion=of_list("float64", "float32")
+        ),
+    ] = None,
+    figures: FigureFormat = None,
     version: Annotated[
         bool,
         typer.Option(
@@ -90,6 +101,7 @@ def options(
     Example: jaxilc --quiet run cao-2019 --json out/run.json
     """
     speak(quiet=quiet, verbose=verbose)
+    prefer(precision or "float64")
 
 
 class Command(typer.core.TyperCommand):
@@ -110,7 +122,6 @@ COMMANDS = (
     explore,
     identify,
     design,
-    learn_law,
     tune,
     pareto,
     worst_case,

@@ -7,44 +7,24 @@ from typing import Annotated
 
 import typer
 
-from .completion import schemes_from
 from .console import out
-from .options import (
-    SIMULATE,
-    GridAxes,
-    Machines,
-    OutFolder,
-    Params,
-    Precision,
-    ScenarioName,
-    Set,
-    Trials,
-    at_least,
-)
+from .groups import add
+from .options import SIMULATE, GridAxes, Machines, OutFolder, Simulated, at_least
+from .progress import working
+from .start import begin
 
 LOOPBACK = "127.0.0.1"
 
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command(rich_help_panel=SIMULATE)(explore)
+    add(app, explore, SIMULATE)
 
 
 def explore(
-    scenario: ScenarioName,
-    scheme: Annotated[
-        str | None,
-        typer.Option(
-            "--scheme",
-            help="Scheme to explore; the first one that learns if not given.",
-            autocompletion=schemes_from,
-        ),
-    ] = None,
-    trials: Trials = None,
+    what: Simulated,
     machines: Machines = 32,
     grid: GridAxes = None,
-    set_: Set = None,
-    params: Params = None,
     port: Annotated[int, typer.Option(help="Port of the page; 0 for any that is free.")] = 5006,
     address: Annotated[
         str, typer.Option(help="Address to listen on; others than this computer may then connect.")
@@ -53,12 +33,12 @@ def explore(
         bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
     ] = True,
     out_dir: OutFolder = None,
-    precision: Precision = "float64",
 ) -> None:
     """A page with sliders for weights, lead, cutoff and spread; the errors follow at once.
 
-    It runs on this computer only, until Ctrl-C. What was found is saved as a file for --params.
-    With --grid, or the folder of a grid for --params, it has a map; a click moves the sliders.
+    They are those of the first scheme that learns. It runs on this computer only, until Ctrl-C.
+    What was found is saved as a file for --params. With --grid, or the folder of a grid for
+    --params, it has a map; a click moves the sliders.
 
     Example: jaxilc explore cao-2019 --scheme ffdl-mfailc
     """
@@ -66,49 +46,28 @@ def explore(
     if not 0 <= port <= 65535:
         raise ValueError(f"--port {port} is outside its allowed range [0, 65535]")
     _try_place(address, port)
-    from .progress import working
-
+    request = what.request()
     with working("explore") as told:
-        from .asked import begin, chosen_scenario, grid_asked
-
-        begin(precision)
+        begin()
         told("reading the scenario")
-        chosen = chosen_scenario(scenario, [scheme] if scheme else None, trials, set_, params)
+        chosen = request.scenario()
         from ..figures.explorer import explore as application
-        from .stored_grid import open_grid
+        from ..outcomes.stored_grid import open_grid
 
         told("compiling")
-        folder = out_dir or Path("out") / f"explore-{chosen.name}"
-        axes = None
-        if grid:
-            axes = grid_asked(
-                chosen, grid, lambda more: chosen_scenario(scenario, None, None, [more])
-            )
-        elif params and params.is_dir():
-            axes = open_grid(params)
+        axes = request.grid(grid, chosen) if grid else None
+        if not grid and request.params and request.params.is_dir():
+            axes = open_grid(request.params)
         shown = application(
             chosen,
-            scheme,
-            folder=folder,
+            folder=out_dir or Path("out") / f"explore-{chosen.name}",
             machines=machines,
-            source=scenario,
-            repeated=_repeated(trials, set_, params),
+            source=request.source,
+            repeated=request.repeated("run"),
             grid=axes,
             progress=lambda name, done, fresh: told(f"map: {done} machines"),
         )
     _serve(shown, address, port, browser=browser)
-
-
-def _repeated(trials: int | None, settings: list[str] | None, params: Path | None) -> list[str]:
-    """The options of this command that the command line of a page repeats."""
-    given = {"trials": [trials], "set": settings or [], "params": [params]}
-    return [
-        word
-        for name, values in given.items()
-        for value in values
-        if value is not None
-        for word in (f"--{name}", str(value))
-    ]
 
 
 def _try_place(address: str, port: int) -> None:

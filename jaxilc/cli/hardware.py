@@ -7,19 +7,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..outcomes.request import settings_of
 from . import trials
-from .completion import of_list, scenarios_from, schemes_from
+from .completion import scenarios_from, schemes_from
 from .console import err, out
+from .groups import add
 from .options import (
     MACHINE,
-    FigureFormat,
     InputColumn,
-    Json,
     OutputColumn,
+    Pages,
     Params,
     Set,
     TimeColumn,
 )
+from .start import begin
 from .trials import Folder, Plot
 
 if TYPE_CHECKING:
@@ -32,9 +34,6 @@ Measured = Annotated[
     typer.Option(
         "--measured", metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign."
     ),
-]
-ReferenceColumn = Annotated[
-    str, typer.Option("--reference", help="Column of the reference, which need not be there.")
 ]
 Next = Annotated[
     Path | None,
@@ -51,64 +50,38 @@ ScenarioName = Annotated[
         autocompletion=scenarios_from,
     ),
 ]
-PlantFile = Annotated[Path | None, typer.Option(help="Plant file (TOML or JSON) to start from.")]
 SchemeName = Annotated[
     str | None,
     typer.Option(
         "--scheme", help="Scheme; not needed where only one learns.", autocompletion=schemes_from
     ),
 ]
-NoPredict = Annotated[
-    bool,
-    typer.Option(
-        "--no-predict", help="Predict no errors of trials by the plant file, from now on."
-    ),
-]
-Predict = Annotated[bool, typer.Option("--predict", help="Predict them again, from now on.")]
-Limit = Annotated[
-    float | None, typer.Option(help="Largest |input| played; the machine's own if not given.")
-]
-Correction = Annotated[
-    float | None,
-    typer.Option("--largest-correction", help="Largest departure of a learned reference."),
-]
-Share = Annotated[
-    float | None,
-    typer.Option("--saturation", help="Share of samples at the limit that is accepted."),
-]
-Repeatability = Annotated[
-    float | None, typer.Option(help="Largest RMS difference of two trials of one schedule.")
-]
-Growth = Annotated[
-    float | None, typer.Option(help="Share by which the RMS error may grow without a warning.")
-]
-AcceptSaturation = Annotated[
-    bool, typer.Option("--accept-saturation", help="Learn in spite of saturation.")
-]
-StopOnGrowth = Annotated[
-    bool, typer.Option("--stop-on-growth", help="Refuse a trial whose error grew.")
-]
 NoLearn = Annotated[
     bool,
     typer.Option("--no-learn", help="Look at the trial only; the same schedule is played again."),
-]
-ReplayedInput = Annotated[
-    bool, typer.Option("--replayed-input", help="Without u: the scheme's over the measured y.")
-]
-ShortTrial = Annotated[
-    bool, typer.Option("--short-trial", help="The trial may have ended early: learn from its part.")
 ]
 Undo = Annotated[
     int | None,
     typer.Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
 ]
-Number = Annotated[
-    str,
-    typer.Option(
-        help="Numbers of a C header: double or float.", autocompletion=of_list("double", "float")
-    ),
-]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Check and report; write nothing.")]
+
+
+# What `--set campaign.NAME=VALUE` sets, with the type of the value and what it means.
+OF_CAMPAIGN = {
+    "limit": (float, "largest |input| played; the machine's own if not given"),
+    "largest_correction": (float, "largest departure of a learned reference"),
+    "saturation": (float, "share of samples at the limit that is accepted"),
+    "repeatability": (float, "largest rms difference of two trials of one schedule"),
+    "growth": (float, "share by which the rms error may grow without a warning"),
+    "accept_saturation": (bool, "learn in spite of saturation"),
+    "stop_on_growth": (bool, "refuse a trial whose error grew"),
+    "replayed_input": (bool, "without u: the scheme's input over the measured y"),
+    "short_trial": (bool, "the trial may have ended early: learn from its part"),
+    "predict": (bool, "whether errors of trials are predicted by the plant file, from now on"),
+    "reference": (str, "column of the reference, which need not be there"),
+    "number": (str, "numbers of a C header: double or float"),
+}
 
 
 class Refused(ValueError):
@@ -117,76 +90,61 @@ class Refused(ValueError):
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
-    app.command("next", rich_help_panel=MACHINE)(next_)
+    add(app, next_, MACHINE, "next")
     trials.register(app)
 
 
 def next_(
     state: Folder,
+    pages: Pages,
     measured: Measured = None,
     time_name: TimeColumn = "t",
     input_name: InputColumn = "u",
     output_name: OutputColumn = "y",
-    reference_name: ReferenceColumn = "r",
     out_file: Next = None,
     scenario: ScenarioName = None,
-    plant_file: PlantFile = None,
     scheme: SchemeName = None,
     params: Params = None,
     set_: Set = None,
-    limit: Limit = None,
-    largest_correction: Correction = None,
-    saturation: Share = None,
-    repeatability: Repeatability = None,
-    growth: Growth = None,
-    accept_saturation: AcceptSaturation = False,
-    stop_on_growth: StopOnGrowth = False,
     no_learn: NoLearn = False,
-    replayed_input: ReplayedInput = False,
-    short_trial: ShortTrial = False,
     undo: Undo = None,
-    no_predict: NoPredict = False,
-    predict: Predict = False,
-    number: Number = "double",
     dry_run: DryRun = False,
     plot: Plot = None,
-    figures: FigureFormat = None,
-    json_file: Json = None,
 ) -> None:
     """From a trial measured on a real machine to the input of the next one.
 
     The first call, without --measured, starts the campaign; a later one without
     it writes the next input once more. What the machine plays: `u` is its whole
     input, `feedforward` is added to its feedback, `reference` takes the place of
-    the task's.
+    the task's. `--set campaign.NAME=VALUE` sets how a campaign is checked, such as
+    campaign.limit, the largest input, and campaign.accept_saturation=true.
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
     from ..hardware.short_trials import read_short
     from ..hardware.trial_files import OPTIONS, read_measured
     from ..scenarios.campaigns import Given, open_campaign
-    from .asked import begin, settings_of
 
-    begin("float64")
-    names = {"t": time_name, "u": input_name, "y": output_name, "r": reference_name}
+    begin()
+    settings, of = _of_campaign(settings_of(set_ or ()))
+    names = {"t": time_name, "u": input_name, "y": output_name, "r": of.get("reference", "r")}
     columns = {OPTIONS[signal]: name for signal, name in names.items() if name != signal}
-    new = _starts(state, measured, undo, out_file, number, dry_run)
+    new = _starts(state, measured, undo, out_file, of.get("number", "double"), dry_run)
     given = Given(
         scenario=scenario,
-        plant_file=plant_file,
         scheme=scheme,
         params=params,
-        settings=settings_of(set_),
-        predict=True if predict else False if no_predict else None,
+        settings=settings,
+        predict=of.get("predict"),
         rules={
-            "limit": limit,
-            "correction": largest_correction,
-            "saturation": saturation,
-            "repeatability": repeatability,
-            "growth": growth,
+            "limit": of.get("limit"),
+            "correction": of.get("largest_correction"),
+            "saturation": of.get("saturation"),
+            "repeatability": of.get("repeatability"),
+            "growth": of.get("growth"),
         },
-        accept_saturation=accept_saturation,
-        stop_on_growth=stop_on_growth,
+        accept_saturation=of.get("accept_saturation", False),
+        stop_on_growth=of.get("stop_on_growth", False),
     )
     opened = open_campaign(state, given, new=new, dry_run=dry_run)
     now = opened.campaign
@@ -197,20 +155,55 @@ def next_(
         now.undo(undo)
     turn, prediction = None, None
     if measured is not None:
-        record = (read_short if short_trial else read_measured)(
+        record = (read_short if of.get("short_trial") else read_measured)(
             measured, now.task, now.recordable(), names
         )
         prediction = _predicted(opened, compute=True, store=not dry_run)
-        turn = _turn(now, record, prediction, learn=not no_learn, replay_input=replayed_input)
+        turn = _turn(
+            now,
+            record,
+            prediction,
+            learn=not no_learn,
+            replay_input=of.get("replayed_input", False),
+        )
         if not dry_run:
             now.keep(turn)
         schedules, trial = turn.schedules, turn.trial + 1
-    _played(None if dry_run else out_file, schedules, now.task, trial, number)
+    _played(None if dry_run else out_file, schedules, now.task, trial, of.get("number", "double"))
     if not dry_run and (measured is None or prediction is not None):
         # Of the next trial; a stop while it is simulated loses nothing, all is written by now.
         prediction = _predicted(opened, compute=new or measured is not None, store=True)
-    files = measured, out_file, plot, json_file
+    files = measured, out_file, plot, pages.numbers
     _close(opened, turn, prediction, source, trial, files, columns, dry_run)
+
+
+def _of_campaign(settings: dict[str, str]) -> tuple[dict[str, str], dict[str, Any]]:
+    """The settings of the scenario, and those of the campaign, whose names begin with `campaign.`.
+
+    Raises ValueError for a name that is not known, or a value that has another type.
+    """
+    found: dict[str, Any] = {}
+    rest = {}
+    for path, text in settings.items():
+        owner, _, name = path.partition(".")
+        if owner != "campaign":
+            rest[path] = text
+        elif name not in OF_CAMPAIGN:
+            known = ", ".join(OF_CAMPAIGN)
+            raise ValueError(f"--set {path}: a campaign has no {name!r}; it has {known}")
+        else:
+            found[name] = _read(path, text, OF_CAMPAIGN[name][0])
+    return rest, found
+
+
+def _read(path: str, text: str, kind: type) -> object:
+    """The value of a setting of a campaign."""
+    truth = {"true": True, "false": False}
+    try:
+        return truth[text] if kind is bool else kind(text)
+    except (KeyError, ValueError):
+        allowed = "true or false" if kind is bool else "a number"
+        raise ValueError(f"--set {path}={text} is not {allowed}") from None
 
 
 def _starts(

@@ -8,9 +8,11 @@ from typing import Annotated
 
 import typer
 
-from .options import SIMULATE, file_to_write
-from .results import written
-from .verdicts.next_command import Asked, Verdict
+from ..outcomes.outcome import Outcome
+from ..outcomes.request import Request
+from ..outcomes.verdict import Verdict
+from .options import SIMULATE, Pages, file_to_write
+from .present import present
 
 
 def register(app: typer.Typer) -> None:
@@ -39,5 +41,6 @@ def init(
     file.parent.mkdir(parents=True, exist_ok=True)
     atomically(file, lambda opened: opened.write(content))
     said = f"{file} runs as it is; put your own plant, task and uncertainty into it."
-    following = Asked(str(file)).following("run")
-    written([file], None, {}, Verdict((said,), "its first trials", following))
+    following = Request(str(file)).following("run")
+    verdict = Verdict((said,), "its first trials", following)
+    present(Outcome(command="init", numbers={}, verdict=verdict, kept=[file]), Pages())

@@ -5,15 +5,18 @@ This module does not import JAX, so that `--help` and the completion of a shell 
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from ..learning.known_metrics import TUNED
+from ..outcomes.request import Request
+from ..outcomes.terms import OBJECTIVES, RISKS
 from .completion import of_list, scenarios_from, schemes_from
-from .terms import OBJECTIVES, RISKS
+from .console import err
 
 # What one wants, in the order of `jaxilc --help`; each command belongs to one of these groups.
 SIMULATE = "Simulate"
@@ -31,6 +34,15 @@ def file_to_write(path: Path | None) -> Path | None:
     if path is not None and (path.is_dir() or not _may_write(path)):
         raise ValueError(f"{path} cannot be written; allowed is a file in a folder that can")
     return path
+
+
+def reports_to_write(paths: list[Path] | None) -> list[Path] | None:
+    """The files of `--report`; raises ValueError as `file_to_write`, and for another ending."""
+    for path in paths or []:
+        file_to_write(path)
+        if path.suffix not in (".html", ".json"):
+            raise ValueError(f"--report {path} is neither .html, a page, nor .json, the numbers")
+    return paths
 
 
 def folder_to_write(path: Path | None) -> Path | None:
@@ -167,66 +179,19 @@ Sampling = Annotated[
 # --------------------------------------------------------------------------------------------------
 
 Weights = Annotated[
-    str, typer.Option(metavar="A,B,C", help="Leaves or elements to tune: lam,phi0[0].")
+    str,
+    typer.Option(
+        metavar="A,B,C",
+        help="To tune, with or without bounds: lam=0.1:10,phi0.",
+    ),
 ]
-Bounds = Annotated[
-    list[str] | None,
-    typer.Option(metavar="A=LOW:HIGH", help="Narrower than a leaf allows; repeatable."),
-]
-TERMS = f"Sum of WEIGHT*NAME[:NUMBER][@METRIC], NAME of {OBJECTIVES}."
+TERMS = f"Terms NAME[:NUMBER][@METRIC] with + between, each WEIGHT* or 1; NAME of {OBJECTIVES}."
 OverMachines = Annotated[str, typer.Option("--risk", help=f"Over the machines: {RISKS}.")]
 TunedOn = Annotated[
     int,
     typer.Option("--machines", "--samples", help="Machines to tune on, the nominal one included."),
 ]
-HeldOut = Annotated[int, typer.Option(help="Machines that choose among the steps.")]
-Unseen = Annotated[int, typer.Option(help="Machines of the comparison, the nominal one included.")]
 Steps = Annotated[int, typer.Option(help="Steps at most.")]
-Starts = Annotated[int, typer.Option(help="Starts; the first is the weights as given.")]
-Rate = Annotated[float, typer.Option(help="Of adam: 0.1 is 10 % of a weight a step.")]
-Optimiser = Annotated[
-    str,
-    typer.Option(
-        help="adam, lbfgs or least-squares.",
-        autocompletion=of_list("adam", "lbfgs", "least-squares"),
-    ),
-]
-
-# A law for the machine of a plant file
-# --------------------------------------------------------------------------------------------------
-
-PlantFile = Annotated[
-    Path, typer.Argument(metavar="FILE", help="Plant file, TOML or JSON; see `jaxilc init`.")
-]
-FeedbackOf = Annotated[
-    str | None,
-    typer.Option(
-        "--scheme",
-        help="Scheme of the file whose feedback is taken.",
-        autocompletion=schemes_from,
-    ),
-]
-Margin = Annotated[
-    float, typer.Option(help="Least distance of |Q (1 - L P)| from 1, on every machine.")
-]
-JudgedOn = Annotated[int, typer.Option("--machines", help="Machines that judge.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace that file, and its state.")]
-OutPlant = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        metavar="FILE",
-        help="Plant file to write; beside the one given, as axis.design.toml or axis.learned.toml, "
-        "if not given.",
-        callback=file_to_write,
-    ),
-]
-StateFolder = Annotated[
-    Path | None,
-    typer.Option(
-        help="Folder for the state; out/COMMAND-NAME if not given.", callback=folder_to_write
-    ),
-]
 
 # Columns of a file that was measured
 # --------------------------------------------------------------------------------------------------
@@ -269,3 +234,141 @@ Report = Annotated[
         "--report", help="Write one self-contained HTML page to this file.", callback=file_to_write
     ),
 ]
+Reports = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--report",
+        help="Write what was found to this file: .html is one self-contained page, .json has every "
+        "printed number; repeatable.",
+        callback=reports_to_write,
+    ),
+]
+
+# Options that left the command line; they are taken for one version, with a warning.
+# --------------------------------------------------------------------------------------------------
+
+
+def left(option: str, instead: str) -> Any:
+    """An option that is not shown any more, and warns where it is given.
+
+    instead: what does the same now, in words
+    """
+
+    def warn(value: Any) -> Any:
+        if value:
+            err.print(f"warning: {option} will go: {instead}", highlight=False, soft_wrap=True)
+        return value
+
+    return typer.Option(option, hidden=True, help=f"Left: {instead}.", callback=warn)
+
+
+def in_python(option: str) -> Any:
+    """An option that left the command line, of which the function of `outcomes` has an argument."""
+    argument = option.removeprefix("--").replace("-", "_")
+    return left(option, f"{argument}=... in Python, of jaxilc.outcomes, does it")
+
+
+# Groups
+# --------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulated:
+    """What is simulated."""
+
+    scenario: ScenarioName
+    scheme: Schemes = None
+    trials: Trials = None
+    set_: Set = None
+    params: Params = None
+
+    def request(self, **more: Any) -> Request:
+        """What is asked of the scenario.
+
+        more: further fields of a request
+        """
+        return Request(
+            self.scenario,
+            tuple(self.scheme or ()),
+            tuple(self.set_ or ()),
+            self.params,
+            self.trials,
+            **more,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class OneSimulated:
+    """What is simulated with one scheme."""
+
+    scenario: ScenarioName
+    scheme: OneScheme
+    set_: Set = None
+    params: Params = None
+    spread: Spread = None
+
+    def request(self, trials: int | None) -> Request:
+        """What is asked of the scenario, with a number of trials."""
+        settings = tuple(self.set_ or ())
+        return Request(self.scenario, (self.scheme,), settings, self.params, trials, self.spread)
+
+
+@dataclasses.dataclass(frozen=True)
+class Tuned:
+    """How weights are tuned, on which machines."""
+
+    weights: Weights
+    risk: OverMachines = "mean"
+    trials: Trials = None
+    machines: TunedOn = 32
+    steps: Steps = 100
+    seed: Seed = 0
+    resume: Resume = False
+    bounds: Annotated[list[str] | None, left("--bounds", "--weights A=LOW:HIGH does it")] = None
+    held_out: Annotated[int | None, in_python("--held-out")] = None
+    unseen: Annotated[int | None, in_python("--unseen")] = None
+    starts: Annotated[int | None, in_python("--starts")] = None
+    rate: Annotated[float | None, in_python("--rate")] = None
+    optimiser: Annotated[str | None, in_python("--optimiser")] = None
+    sampling: Annotated[str | None, in_python("--sampling")] = None
+
+    def arguments(self) -> dict[str, Any]:
+        """What was asked, as arguments of `outcomes.tune` and `outcomes.pareto`."""
+        at_least(1, unseen=self.unseen)
+        given = dataclasses.asdict(self) | {"weights": self._with_bounds()}
+        kept = {name: value for name, value in given.items() if value is not None}
+        return {name: kept[name] for name in kept if name not in ("trials", "bounds")}
+
+    def _with_bounds(self) -> str:
+        """The weights with the bounds of `--bounds`."""
+        names = [name.strip() for name in self.weights.split(",")]
+        for bound in self.bounds or ():
+            name = bound.partition("=")[0].strip()
+            if name not in names:
+                raise ValueError(f"--bounds: {name!r} is not one of the weights {self.weights}")
+            names[names.index(name)] = bound
+        return ",".join(names)
+
+
+@dataclasses.dataclass(frozen=True)
+class Pages:
+    """The files of `--report`."""
+
+    reports: Reports = None
+
+    @property
+    def page(self) -> Path | None:
+        """The file for the page, None where none is asked for."""
+        return next((file for file in self.reports or () if file.suffix == ".html"), None)
+
+    @property
+    def numbers(self) -> Path | None:
+        """The file for the numbers, None where none is asked for."""
+        return next((file for file in self.reports or () if file.suffix == ".json"), None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Written(Pages):
+    """Where results go."""
+
+    out_dir: OutFolder = None

@@ -6,18 +6,16 @@ import importlib
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from . import console, durations
 
 if TYPE_CHECKING:
-    import xarray as xr
-
+    from ..outcomes.sweeping import Swept
     from ..sweeps import Sweep
-    from ..tuning import Tuned, Tuning
 
 
 # Packages that a command needs when its sweep or tuning is computed.
@@ -114,27 +112,16 @@ def stopped(store: Path) -> NoReturn:
     sys.exit(130)
 
 
-class Swept(NamedTuple):
-    """The result of a sweep.
-
-    dataset: dataset that `Sweep.run` returns
-    seconds: time of the sweep, with compilation [s]
-    steps: number of sample-steps that were computed; 0 where the store held all machines
-    """
-
-    dataset: xr.Dataset
-    seconds: float
-    steps: int
-
-
 def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) -> Swept:
     """Run a sweep with a progress bar for each scheme.
 
     Ctrl-C ends the command with exit code 130, and a chunk that no worker could compute ends it
     with exit code 1.
     """
+    from ..outcomes.sweeping import Swept
     from ..sweeps.cluster import ChunkFailed
 
+    console.stage_ends("start")
     start, counted = time.perf_counter(), {}
     of_a_machine = plan.trials * plan.task.N
     later = thread_for_later()
@@ -169,71 +156,33 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
                 soft_wrap=True,
             )
             sys.exit(1)
+    console.stage_ends("run")
     return Swept(dataset, time.perf_counter() - start, sum(counted.values()) * of_a_machine)
 
 
-@contextmanager
-def tuning_bar(steps: int) -> Generator[Callable[..., None]]:
-    """A context with the progress bar of a tuning, from the first second of a command on.
-
-    It yields a function that shows a text, and as `completed` how many of the steps are done.
-    """
-    with progress_bar("loss") as bar:
-        one = bar.add_task("tuning", total=steps, loss="starting")
-        yield lambda text, **steps: bar.update(one, loss=text, **steps)
-
-
-def run_tuning(
-    problem: Tuning,
+def run_search(
+    search: Callable[..., Any],
     state: Path,
-    show: Callable[..., None],
     *,
     resume: bool,
-    later: threading.Thread,
-) -> Tuned:
-    """Run a tuning; Ctrl-C ends the command with exit code 130.
+    progress: Callable[..., None],
+    meanwhile: Sequence[Callable[[], object]] = (),
+) -> Any:
+    """Run one or several tunings, as `outcomes.tuning.run_search`.
 
-    show: function of `tuning_bar`
-    later: thread that is started when the first step is shown
+    What the command needs afterwards is done meanwhile. Ctrl-C ends it with exit code 130.
     """
+    later = thread_for_later(*meanwhile)
 
-    def progress(step: int, losses, best: float) -> None:
-        show(f"loss {losses.min():.4g}, held out {best:.4g}", completed=step)
-        if later.ident is None:
+    def told(*step: Any) -> None:
+        progress(*step)
+        if later.ident is None:  # from now on the devices compute
             later.start()
 
-    show("compiling")
     try:
-        tuned = problem.run(state, resume=resume, progress=progress)
+        found = search(state, resume=resume, progress=told)
         if later.ident is not None:
             later.join()
     except KeyboardInterrupt:
         stopped(state)
-    return tuned
-
-
-def run_tunings(tunings: Callable, state: Path, *, count: int, steps: int, resume: bool):
-    """Run several tunings with a progress bar each, and return the result of `tunings`.
-
-    Ctrl-C ends the command with exit code 130.
-
-    tunings: function of the folder `state`, `resume` and `progress`, as `pareto` and `by_trials`
-    count: number of tunings
-    steps: number of steps of each tuning
-    """
-    with progress_bar("loss") as bar:
-        bars: dict = {}
-
-        def progress(name: str, step: int, losses, best: float) -> None:
-            if name not in bars:
-                bars[name] = bar.add_task(
-                    f"{name} ({len(bars) + 1} of {count})", total=steps, loss=""
-                )
-            bar.update(
-                bars[name], completed=step, loss=f"loss {losses.min():.4g}, held out {best:.4g}"
-            )
-
-        try:
-            return tunings(state, resume=resume, progress=progress)
-        except KeyboardInterrupt:
-            stopped(state)
+    return found

@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
-from .console import out
-from .options import (
-    PROVE,
-    FigureFormat,
-    Json,
-    OutFolder,
-    Params,
-    Precision,
-    Sampling,
-    Schemes,
-    Seed,
-    Set,
-    Spread,
-    at_least,
-)
-from .results import folder_of, written
-
-if TYPE_CHECKING:
-    from ..scenarios import Scenario
+from ..outcomes.request import Request
+from .groups import add
+from .options import PROVE, Params, Schemes, Seed, Set, Spread, Written, left
+from .present import tell
 
 RECORDS = (".csv", ".txt", ".dat", ".frf")
+INSTEAD = "outcomes.filter_{}(...) in Python does it"
+MEASURED = INSTEAD.format("measured")
+TAPS = 41  # of each filter that --synthesise finds
 
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command("filter", rich_help_panel=PROVE)(q_filter)
+    add(app, q_filter, PROVE, "filter")
 
 
 def q_filter(
@@ -44,6 +31,7 @@ def q_filter(
             help="Of `jaxilc list`, a TOML or JSON file, or measured frequency responses.",
         ),
     ],
+    written: Written,
     scheme: Schemes = None,
     margin: Annotated[float, typer.Option(help="1 - |Q (1 - L P)| that an offer keeps.")] = 0.1,
     vary: Annotated[
@@ -57,34 +45,24 @@ def q_filter(
     spread: Spread = None,
     machines: Annotated[int, typer.Option(help="Machines drawn, beside all corners.")] = 32,
     seed: Seed = 0,
-    sampling: Sampling = "latin-hypercube",
     set_: Set = None,
     params: Params = None,
     gain: Annotated[float | None, typer.Option(help="Learning gain, for an FRF.")] = None,
     lead: Annotated[int, typer.Option(help="Lead of the learning [samples], for an FRF.")] = 0,
     cutoff: Annotated[float | None, typer.Option(help="Of the filter [Hz], for an FRF.")] = None,
-    order: Annotated[int, typer.Option(help="Of one pass of the filter, for an FRF.")] = 2,
     dt: Annotated[float | None, typer.Option(help="Sample time [s], for an FRF.")] = None,
-    sigmas: Annotated[
-        float, typer.Option(help="Scatter allowed for, in standard deviations of an FRF.")
-    ] = 3.0,
-    averages: Annotated[
-        int | None, typer.Option(help="Averages behind the coherence of an FRF.")
-    ] = None,
-    synthesise: Annotated[
-        bool, typer.Option("--synthesise", help="Find filters Q and L by convex optimisation.")
-    ] = False,
-    taps: Annotated[int, typer.Option(help="Taps of each filter that is synthesised.")] = 41,
-    band: Annotated[
-        float | None,
+    taps: Annotated[
+        int | None,
         typer.Option(
-            help="Synthesis learns up to here [Hz]; twice the largest cutoff if not given."
+            metavar="N", help="Find filters Q and L of N taps by convex optimisation too."
         ),
     ] = None,
-    out_dir: OutFolder = None,
-    json_file: Json = None,
-    figures: FigureFormat = None,
-    precision: Precision = "float64",
+    sampling: Annotated[str | None, left("--sampling", INSTEAD.format(""))] = None,
+    order: Annotated[int | None, left("--order", MEASURED)] = None,
+    sigmas: Annotated[float | None, left("--sigmas", MEASURED)] = None,
+    averages: Annotated[int | None, left("--averages", MEASURED)] = None,
+    synthesise: Annotated[bool, left("--synthesise", "--taps N does it")] = False,
+    band: Annotated[float | None, left("--band", INSTEAD.format(""))] = None,
 ) -> None:
     """Is my Q-filter safe, by how much, and how far may I go?
 
@@ -93,46 +71,35 @@ def q_filter(
 
     Example: jaxilc filter axis.toml --vary plant.gain=15% --vary plant.frequencies=20%
     """
-    from .asked import begin, chosen_scenario
-
-    if not 0 < margin < 1:
-        raise ValueError(f"--margin {margin:g} is outside its allowed range (0, 1)")
-    at_least(1, machines=machines)
-    begin(precision)
+    how: dict[str, Any] = {"folder": written.out_dir, "margin": margin}
+    how |= {"taps": TAPS if synthesise and taps is None else taps}
+    law = {"gain": gain, "cutoff": cutoff, "dt": dt}
     records = [Path(one).suffix.lower() in RECORDS for one in source]
-    asked = {"margin": margin, "taps": taps, "band": band, "synthesise": synthesise}
     if all(records):
         _only_for("a scenario", scheme=scheme, vary=vary, spread=spread, set=set_, params=params)
-        from .q_filter_answers import records_answer
-
-        law = {"gain": gain, "lead": lead, "cutoff": cutoff, "order": order, "dt": dt}
-        numbers, paths = records_answer(
-            source,
-            law,
-            asked | {"sigmas": sigmas, "averages": averages},
-            partial(folder_of, out_dir, f"filter-{Path(source[0]).stem}"),
-        )
+        missing = [f"--{name}" for name, value in law.items() if value is None]
+        if missing:
+            raise ValueError(
+                f"a measured response needs a law: {', '.join(missing)} not given; u is learned by "
+                "u + gain e[k + 1 + lead] with a low-pass of --cutoff"
+            )
+        how |= law | {"lead": lead}
+        of_author = {"order": order, "sigmas": sigmas, "averages": averages, "band": band}
     elif any(records) or len(source) > 1:
         raise ValueError(
             f"filter takes one scenario, or measured responses {', '.join(RECORDS)}; given are "
             f"{', '.join(source)}"
         )
     else:
-        _only_for("a measured response", gain=gain, cutoff=cutoff, dt=dt, averages=averages)
-        from .q_filter_answers import scenario_answer
-
-        chosen = chosen_scenario(source[0], scheme, None, set_, params)
-        numbers, paths = scenario_answer(
-            source[0],
-            _with_uncertainty(chosen, vary, spread),
-            asked | {"machines": machines, "seed": seed, "sampling": sampling},
-            named=scheme is not None,
-            place=partial(folder_of, out_dir, f"filter-{chosen.name}"),
-        )
-    written(paths, json_file, {"source": source, "margin": margin, **numbers})
-    for line in numbers["lines"]:
-        is_command = line.startswith("Next")  # which stays one line, so that it can be copied
-        out.print(line, highlight=False, markup=False, soft_wrap=is_command)
+        _only_for("a measured response", **law, averages=averages)
+        how |= {"vary": vary or (), "machines": machines, "seed": seed}
+        of_author = {"sampling": sampling, "band": band}
+    how |= {name: value for name, value in of_author.items() if value is not None}
+    if all(records):
+        tell("filter_measured", source, written, **how)
+    else:
+        asked = Request(source[0], tuple(scheme or ()), tuple(set_ or ()), params, spread=spread)
+        tell("filter_", asked, written, **how)
 
 
 def _only_for(what: str, **given: object) -> None:
@@ -140,34 +107,3 @@ def _only_for(what: str, **given: object) -> None:
     for name, value in given.items():
         if value is not None:
             raise ValueError(f"--{name} is for {what} only")
-
-
-def _with_uncertainty(chosen: Scenario, vary: list[str] | None, spread: float | None) -> Scenario:
-    """The scenario with the uncertainty of `--vary` in place of its own, and that of `--spread`."""
-    import dataclasses
-
-    from ..uncertainty import Uniform, check
-    from .asked import spread_of
-
-    if vary:
-        if spread is not None:
-            raise ValueError("--vary and --spread exclude each other")
-        shares = dict(_share(one) for one in vary)
-        found = {name: Uniform(1 - s, 1 + s, relative=True) for name, s in shares.items()}
-        check(chosen.machine, found)
-        return dataclasses.replace(chosen, uncertainty=found)
-    return dataclasses.replace(chosen, uncertainty=spread_of(chosen, spread))
-
-
-def _share(text: str) -> tuple[str, float]:
-    """PATH=SHARE, where the share is a number as 0.15 or a percentage as 15%."""
-    path, _, value = text.partition("=")
-    try:
-        share = float(value.removesuffix("%")) / (100 if value.endswith("%") else 1)
-    except ValueError:
-        share = float("nan")
-    if not path or not 0 < share < 1:
-        raise ValueError(
-            f"--vary {text!r} is not PATH=SHARE with a share in (0, 1), as 0.15 or 15%"
-        )
-    return path.strip().removeprefix("machine."), share

@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from itertools import groupby
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from ..scenarios.published import COMPARED
 from .completion import scenarios_from
-from .console import out
-from .options import PAPERS, Json, Precision, Report
-from .results import written
-from .titled_table import Table
-from .verdicts.next_command import Asked, Verdict
-
-READING_FITS = 120  # least columns of a terminal for a column with the reading of a paper
-COLUMNS = ("scheme", "trial", "quantity", "published", "ours", "ratio", "verdict")
-IN_NUMBERS = ("trial", "published", "ours", "ratio")  # columns of numbers
-DIGITS = 9  # of a number of other software, and of ours beside it
-NEAR = 1e-2  # difference below which the ratio to such a number is shown with eight digits
+from .groups import add
+from .options import PAPERS, Written
+from .present import tell
 
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command(rich_help_panel=PAPERS)(reproduce)
+    add(app, reproduce, PAPERS)
 
 
 def reproduce(
+    written: Written,
     scenario: Annotated[
         list[str] | None,
         typer.Argument(
@@ -46,241 +35,12 @@ def reproduce(
             help="Reading of a paper that has several; the one that is taken if none is given.",
         ),
     ] = None,
-    json_file: Json = None,
-    report: Report = None,
-    precision: Precision = "float64",
 ) -> None:
     """Every published number beside ours, with a verdict and how the paper was read.
 
-    Each row says what was fitted, and an open row why it is open. A report has a picture for each
-    paper, with the printed numbers and ours.
+    Each row says what was fitted, and an open row why it is open. With --out, and in a report,
+    there is a picture for each paper, with the printed numbers and ours.
 
     Example: jaxilc reproduce cao-2019 --reading amplitude --report out/cao-2019.html
     """
-    from .progress import working
-
-    with working("reproduce") as told:
-        from .asked import begin
-
-        begin(precision)
-        from ..scenarios import reproduction
-
-        rows = reproduction.reproduce(
-            scenario or (), reading, progress=lambda done, whole, name: told(name, done, whole)
-        )
-    from ..figures.published import reproduction_figures
-    from ..figures.report import command_report
-
-    numbers = [row.as_dict() for row in rows]
-    narrow = _narrow(numbers)
-    for part in [_table(numbers)] if out.width >= READING_FITS else narrow:
-        out.print(part, highlight=False)
-    verdict = reproduce_verdict(numbers)
-    pictures = [] if report is None else reproduction_figures(numbers)
-    live = []
-    if report is not None:
-        from ..figures.browsers import papers
-
-        live = [papers(numbers)]
-    page = command_report(
-        report,
-        "reproduce",
-        [part for part in narrow if not isinstance(part, str)],
-        pictures,
-        lines=[part for part in narrow if isinstance(part, str)],
-        verdict=verdict,
-        live=live,
-    )
-    written(page, json_file, numbers, verdict)
-
-
-# Tables
-# --------------------------------------------------------------------------------------------------
-
-
-def _table(numbers: Sequence[dict[str, Any]]) -> Table:
-    """The table of published numbers for a terminal of at least 120 columns, and for a report.
-
-    The last column says how the paper was read, what was fitted, and why a row is open.
-
-    numbers: rows of `reproduction.reproduce`, as dictionaries
-    """
-    table = Table(title=_title(numbers))
-    for column in ("scenario", *COLUMNS, "source", "reading"):
-        table.add_column(column, justify="right" if column in IN_NUMBERS else "left")
-    for row in numbers:
-        table.add_row(row["scenario"], *_cells(row), row["source"], _reading(row))
-    return table
-
-
-def _narrow(numbers: Sequence[dict[str, Any]]) -> list[Table | str]:
-    """The same for a terminal of 80 columns: a table for each scenario, with lines below it.
-
-    The lines have the source of the rows, and how the paper was read; rows of a scheme with the
-    same text share a line. Where numbers of other software are all of one quantity, it stands in
-    the title with its unit, so that many digits fit beside each other.
-    """
-    shown: list[Table | str] = [_title(numbers)]
-    for scenario, group in groupby(numbers, key=lambda row: row["scenario"]):
-        rows = list(group)
-        software = all(row["agreement"] is not None for row in rows)
-        alike = {(row["quantity"], row["unit"]) for row in rows} if software else set()
-        title, columns = scenario, list(COLUMNS)
-        if len(alike) == 1:
-            (quantity, unit) = alike.pop()
-            title += f", {quantity.replace('_', ' ')}" + f" [{unit}]" * bool(unit)
-            columns.remove("quantity")
-            rows = [row | {"unit": ""} for row in rows]
-        table = Table(title=title)
-        for column in columns:
-            table.add_column(column, justify="right" if column in IN_NUMBERS else "left")
-        for row in rows:
-            texts = dict(zip(COLUMNS, _cells(row), strict=True))
-            table.add_row(*(texts[name] for name in columns))
-        shown += [table, *_lines(rows)]
-    return shown
-
-
-def _lines(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """How the rows of a scenario were read, as lines; the first row of a line has its place."""
-    trials: dict[tuple[str, str, str], list[str]] = {}
-    for row in rows:
-        of_row = trials.setdefault((row["source"], row["scheme"], _reading(row)), [])
-        of_row += [str(row["trial"])] if row["trial"] else []
-    lines = []
-    for (source, scheme, text), of in trials.items():
-        of = list(dict.fromkeys(of))
-        at = f", trial{'s' * (len(of) > 1)} {', '.join(of)}" if of else ""
-        lines.append(f"{source}, {scheme}{at}: {text}")
-    return lines
-
-
-def _cells(row: dict[str, Any]) -> tuple[str, ...]:
-    """The cells of a row, in the order of `COLUMNS`.
-
-    A comparison with another scheme has the quantity that is compared, and `% less` or `% of it`.
-    """
-    for ending, unit in zip(COMPARED, ("% less", "% of it"), strict=True):
-        if row["against"] and row["quantity"].endswith(ending):
-            row = row | {"quantity": row["quantity"].removesuffix(ending), "unit": unit}
-    return (
-        row["scheme"],
-        "" if row["trial"] is None else str(row["trial"]),
-        row["quantity"].replace("_", " "),
-        *_compared(row),
-        row["verdict"],
-    )
-
-
-def _compared(row: dict[str, Any]) -> tuple[str, str, str]:
-    """The published number, ours and their ratio; those of other software with all digits."""
-    from .tables import number
-
-    if row["agreement"] is None:
-        less = "< " * row["at_most"]
-        published = f"{less}{row['value']:g} {row['unit']}"
-        return published, number(row["ours"]), f"{row['ratio']:.2f}"
-    near = abs(row["ratio"] - 1.0) < NEAR
-    published = f"{row['value']:.{DIGITS}g} {row['unit']}".rstrip()
-    return published, f"{row['ours']:.{DIGITS}g}", f"{row['ratio']:.{8 if near else 2}f}"
-
-
-def _title(numbers: Sequence[dict[str, Any]]) -> str:
-    """A text with the count of each verdict, first on the numbers of papers.
-
-    Those to which a number was fitted are counted apart from the others, which test what was read
-    and fitted.
-    """
-    from ..scenarios.reproduction import SHAPE
-
-    printed = [row for row in numbers if row["agreement"] is None]
-    others = [row for row in numbers if row["agreement"] is not None]
-    parts = []
-    if printed or not others:
-        count = {v: sum(row["verdict"] == v for row in printed) for v in ("met", "shape", "open")}
-        in_shape = f"{count['shape']} in shape (the printed order, within a factor of {SHAPE:g})"
-        met = f"{count['met']} met within 30 %"
-        parts.append(f"{len(printed)} published numbers: {met}, {in_shape}, {count['open']} open")
-        parts += [_parted(printed)] if printed else []
-    if others:
-        agree = sum(row["verdict"] == "agrees" for row in others)
-        rest = len(others) - agree
-        parts.append(f"{len(others)} numbers of other software: {agree} agree, {rest} open")
-    return "; ".join(parts)
-
-
-def _parted(printed: Sequence[dict[str, Any]]) -> str:
-    """How many numbers of papers are met, of those fitted to and of those predicted, as text."""
-    fitted = [row["verdict"] == "met" for row in printed if row["among_fitted"]]
-    predicted = [row["verdict"] == "met" for row in printed if not row["among_fitted"]]
-    return (
-        f"fitted to: {sum(fitted)} of {len(fitted)} met, "
-        f"predicted: {sum(predicted)} of {len(predicted)} met"
-    )
-
-
-def _reading(row: dict[str, Any]) -> str:
-    """The options, how the paper was read, what was fitted, and why the row is open, as text."""
-    options = [f"{name} {value}" for name, value in row["options"].items() if name != "plant"]
-    against = [f"compared with {row['against']}"] if row["against"] else []
-    reason = [f"open: {row['reason']}"] if row["reason"] else []
-    searched = [f"a space of readings was searched in {row['searched']}"] if row["searched"] else []
-    return "; ".join([*options, row["reading"], *against, row["fitted"], *reason, *searched])
-
-
-# The verdict
-# --------------------------------------------------------------------------------------------------
-
-
-def reproduce_verdict(rows: Sequence[dict[str, Any]]) -> Verdict:
-    """How many published numbers are met, and which one is farthest from ours.
-
-    rows: rows of `reproduction.reproduce`, as dictionaries
-    """
-    from .tables import number
-
-    open_rows = [row for row in rows if row["verdict"] == "open"]
-    first = _counted(rows)
-    if not rows:
-        return Verdict((first,))
-    farthest = max(open_rows or rows, key=_off)
-    at = f", trial {farthest['trial']}" if farthest["trial"] else ""
-    value = f"{farthest['value']:g} {farthest['unit']}".rstrip()
-    off = abs(farthest["ratio"] - 1.0)
-    ours = (
-        f"differs by {off:.2g} of the {value} of other software"
-        if farthest["agreement"] is not None and off < NEAR
-        else f"is {number(farthest['ratio'])} times the printed {value}"
-    )
-    second = (
-        f"The farthest{' open' if open_rows else ''} one is that of {farthest['scenario']}, "
-        f"{farthest['scheme']}{at}: ours {ours}."
-    )
-    settings = tuple(f"{name}={value}" for name, value in farthest["options"].items())
-    again = Asked(farthest["scenario"], set=settings, trials=farthest["trial"])
-    return Verdict(
-        (first, second), "that number", again.following("run", scheme=farthest["scheme"])
-    )
-
-
-def _counted(rows: Sequence[dict[str, Any]]) -> str:
-    """How many numbers of papers are met, and how many of other software agree."""
-    of_papers = [row for row in rows if row["agreement"] is None]
-    printed = [row["verdict"] for row in of_papers]
-    others = [row["verdict"] for row in rows if row["agreement"] is not None]
-    parts = []
-    if printed or not others:
-        parts.append(
-            f"{printed.count('met')} of {len(printed)} published numbers are met within 30 %, "
-            f"{printed.count('shape')} in shape, {printed.count('open')} open"
-            + (f" ({_parted(of_papers)})." if of_papers else ".")
-        )
-    if others:
-        agree = f"{others.count('agrees')} of {len(others)} numbers of other software agree"
-        parts.append(f"{agree}, {others.count('open')} open.")
-    return " ".join(parts)
-
-
-def _off(row: dict[str, Any]) -> float:
-    ratio = row["ratio"]
-    return abs(math.log(ratio)) if 0 < ratio < math.inf else math.inf
+    tell("reproduce", scenario or (), written, folder=written.out_dir, reading=reading)

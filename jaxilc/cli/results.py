@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .console import out
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..scenarios import Scenario
-    from ..tuning import Tuned
-    from .verdicts.next_command import Verdict
+    from ..outcomes.verdict import Verdict
 
 
 def show(tables: Iterable[Table] = (), lines: Iterable[str] = ()) -> None:
@@ -36,43 +34,6 @@ def folder_of(folder: Path | None, default: str) -> Path:
     folder = folder or Path("out") / default
     folder.mkdir(parents=True, exist_ok=True)
     return folder
-
-
-def unless_there(place: Path, resume: bool) -> Path:
-    """The place of the state of a command, inside the folder for results.
-
-    Raises FileExistsError if it exists already and `--resume` was not given.
-    """
-    if place.exists() and not resume:
-        raise FileExistsError(
-            f"{place} exists already; add --resume to go on with it, or choose another --out"
-        )
-    return place
-
-
-def parameter_file(
-    path: Path,
-    chosen: Scenario,
-    *,
-    command: str,
-    source: str,
-    scheme: str,
-    tuned: Tuned,
-    **obtained: Any,
-) -> Path:
-    """Write the parameters in which a tuned scheme differs from that of its scenario.
-
-    command: name of the command that found them
-    source: name or file from which the scenario was loaded
-    obtained: further facts on how they were found, as JSON
-    """
-    from ..scenarios.from_file import load_scenario
-    from ..scenarios.parameters import differing, write_parameters
-
-    printed = load_scenario(source, chosen.options).schemes[scheme]
-    changed = {scheme: differing(tuned.scheme, printed)}
-    how = {"command": command, "options": dict(chosen.options), **obtained}
-    return write_parameters(path, chosen.name, changed, how)
 
 
 def written(

@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..outcomes.table import Table
+from ..outcomes.verdict import Verdict
 from .console import err, out
-from .options import MACHINE, FigureFormat, Json, Report, file_to_write
+from .groups import add
+from .options import MACHINE, Pages, file_to_write
 from .results import written
-from .titled_table import Table
-from .verdicts.next_command import Verdict
+from .start import begin
 
 if TYPE_CHECKING:
     from ..figures.page import Live
@@ -48,21 +50,20 @@ UNCHANGED = (
 
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
-    app.command(rich_help_panel=MACHINE)(trials)
+    add(app, trials, MACHINE)
 
 
 def trials(
     state: Folder,
+    pages: Pages,
     table: Annotated[Path | None, typer.Option("--csv", help="Write the log to this file.")] = None,
     plot: Plot = None,
-    figures: FigureFormat = None,
-    json_file: Json = None,
-    report: Report = None,
 ) -> None:
     """The log of a campaign: every trial with its metrics, undone ones included.
 
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
+    report = pages.page
     from ..figures.report import command_report
     from ..hardware.journal import Journal, units, write_log
     from ..scenarios.campaign_source import said_of_change, said_of_source
@@ -104,7 +105,7 @@ def trials(
         "verdict": sentences,
         "next": following if live else "",
     }
-    written(files, json_file, numbers)
+    written(files, pages.numbers, numbers)
 
 
 def _verdict(lines: list[str], following: str) -> Verdict:
@@ -163,9 +164,8 @@ def _prediction(journal: Journal, known: dict[str, Any]) -> Prediction | None:
 def _opened(state: Path) -> Campaign | None:
     """The campaign with its task, None where its plant file does not give it any more."""
     from ..scenarios.campaigns import Given, open_campaign
-    from .asked import begin
 
-    begin("float64")
+    begin()
     try:
         return open_campaign(state, Given(), new=False).campaign
     except (ValueError, OSError) as error:
@@ -428,7 +428,9 @@ def next_command(
     record = Path(f"trial-{trial}.csv") if measured is None else _with_number(measured, trial)
     after = _numbered_on(played, trial)
     words = ["jaxilc", "next", "--state", state, "--measured", record]
-    words += [word for option in (columns or {}).items() for word in option]
+    for option, name in (columns or {}).items():
+        *set_, option = option.split()
+        words += [*set_, f"{option}={name}"]
     command = shlex.join(map(str, [*words, "--out", after]))
     return f"play {played}, record it, then: {command}"
 

@@ -26,52 +26,6 @@ run from light to dark, so that both can be distinguished in print and by reader
 some colours. Figures do not use the global state of pyplot.
 """
 
-from ..storage.figure_format import choose
-from . import report
-from .band import error_band
-from .by_frequency import frequency_tests, spectrum, time_frequency
-from .by_trial import certificate, error_by_trial
-from .campaign import campaign_figure
-from .contraction_map import contraction_map, contraction_of
-from .experiments import record_figure, response_figure, response_fit_figure, validation_figure
-from .grid_map import grid_map
-from .learned import learned_law_figure
-from .published import printed_and_ours, reproduction_figures
-from .q_filter import q_filter_figure
-from .saving import save
-from .searches import final_error_by_trials, loss_by_step, pareto_front, worst_against_chance
-from .style import COLOURS, DASHES, MARKS
-from .within_trial import contour, tracking
+import lazy_loader
 
-__all__ = [
-    "COLOURS",
-    "DASHES",
-    "MARKS",
-    "campaign_figure",
-    "certificate",
-    "choose",
-    "contour",
-    "contraction_map",
-    "contraction_of",
-    "error_band",
-    "error_by_trial",
-    "final_error_by_trials",
-    "frequency_tests",
-    "grid_map",
-    "learned_law_figure",
-    "loss_by_step",
-    "pareto_front",
-    "printed_and_ours",
-    "q_filter_figure",
-    "record_figure",
-    "report",
-    "reproduction_figures",
-    "response_figure",
-    "response_fit_figure",
-    "save",
-    "spectrum",
-    "time_frequency",
-    "tracking",
-    "validation_figure",
-    "worst_against_chance",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

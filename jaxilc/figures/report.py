@@ -11,6 +11,7 @@ from __future__ import annotations
 import base64
 import datetime
 import io
+import math
 import platform
 import re
 import shlex
@@ -24,7 +25,6 @@ from rich.table import Table
 
 from ..runtime.provenance import describe, environment
 from ..storage.files import atomically
-from .captions import caption_of
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
@@ -94,7 +94,7 @@ def html_report(title: str, asked: Mapping[str, object], *parts: Any, **named: A
     library, script, places, left_out = _scripts(page.live)
     pictures, others = _pictures(page.figures, ROOM - len(library) - len(script))
     verdict = page.verdict
-    text = _template().render(
+    text = _template("report").render(
         title=_text_of(title),
         policy=LIVE_POLICY if places else POLICY,
         style=_file("report.css"),
@@ -118,14 +118,35 @@ def html_report(title: str, asked: Mapping[str, object], *parts: Any, **named: A
     return text.strip() + "\n"
 
 
-def _template() -> Any:
-    """The layout, in which every text is escaped."""
-    from jinja2 import Environment, StrictUndefined
+def fragment(
+    verdict: Said,
+    tables: Sequence[Table],
+    lines: Sequence[str],
+    figures: Sequence[tuple[str, Drawing]],
+) -> str:
+    """Verdict, tables, lines and figures as a part of a page, for a notebook."""
+    return _template("fragment").render(
+        conclusion=[_text_of(line) for line in verdict.said],
+        what=_text_of(verdict.what),
+        following=_text_of(verdict.following),
+        tables=[_of_rich(table) for table in tables],
+        lines=[_text_of(line) for line in lines],
+        figures=_pictures(figures, math.inf)[0],
+    )
+
+
+def _template(name: str) -> Any:
+    """A layout, in which every text is escaped."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     made = Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
     )
-    return made.from_string(_file("report.html.jinja2"))
+    return made.get_template(f"{name}.html.jinja2")
 
 
 def _scripts(live: Sequence[Live]) -> tuple[str, str, list[dict[str, str]], list[str]]:
@@ -169,7 +190,7 @@ def _pictures(figures: Sequence[Any], room: float) -> tuple[list[dict[str, str]]
     """The pictures with their captions, as long as they fit, and the captions of the others."""
     found, left_out = [], []
     for one in figures:
-        caption, drawing = one if isinstance(one, tuple) else (caption_of(one), one)
+        caption, drawing = one if isinstance(one, tuple) else (_caption_of(one), one)
         kind, data = _picture(drawing)
         source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
         room -= len(source)
@@ -178,6 +199,13 @@ def _pictures(figures: Sequence[Any], room: float) -> tuple[list[dict[str, str]]
         else:
             found.append({"source": source, "caption": _text_of(caption)})
     return found, left_out
+
+
+def _caption_of(drawing: Any) -> str:
+    """The caption of a drawing without one: the name of its file in words, or the axes' title."""
+    if isinstance(drawing, str | Path):
+        return Path(drawing).stem.replace("-", " ")
+    return _first(drawing).get_title()
 
 
 def write_report(
@@ -237,10 +265,12 @@ def command_report(
             f"jaxilc {command}" + (f": {scenario.title}" if scenario is not None else ""),
             rows | dict(asked or {}),
             tables,
-            [f for f in figures if not isinstance(f, str | Path) or Path(f).suffix in MEDIA],
+            [f for f in figures if _suffix(f) in ("", *MEDIA)],
             configuration,
             {
-                "Figures in files of their own": [str(f) for f in figures if _is_pdf(f)],
+                "Figures in files of their own": [
+                    str(_drawing(f)) for f in figures if _suffix(f) == ".pdf"
+                ],
                 "In words": lines if verdict else (),
                 "Chosen where the paper leaves it open": scenario.chosen
                 if scenario is not None
@@ -252,8 +282,15 @@ def command_report(
     ]
 
 
-def _is_pdf(drawing: Drawing) -> bool:
-    return isinstance(drawing, str | Path) and Path(drawing).suffix == ".pdf"
+def _drawing(figure: Drawing | tuple[str, Drawing]) -> Drawing:
+    """The drawing of a figure with or without a caption."""
+    return figure[1] if isinstance(figure, tuple) else figure
+
+
+def _suffix(figure: Drawing | tuple[str, Drawing]) -> str:
+    """The ending of the file of a figure, empty for axes."""
+    drawing = _drawing(figure)
+    return Path(drawing).suffix if isinstance(drawing, str | Path) else ""
 
 
 def _versions() -> dict[str, object]:

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.colors import to_hex, to_rgba, to_rgba_array
 from matplotlib.text import Text
 
+from ..storage.figure_format import choose as choose
 from ..storage.figure_format import chosen
 from ..storage.files import atomically
 from .style import readable

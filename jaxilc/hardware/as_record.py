@@ -54,8 +54,8 @@ def record_of(campaign: Campaign, machine: Machine) -> CampaignRecord:
     if closed and computed:
         raise ValueError(
             f"the input of trial {computed[0]} was not measured but computed by the scheme's law "
-            "(--replayed-input). In a closed loop it is then not known what acted on the plant: "
-            "record u, or fit an experiment (jaxilc identify RECORD)"
+            "(--set campaign.replayed_input=true). In a closed loop it is then not known what "
+            "acted on the plant: record u, or fit an experiment (jaxilc identify RECORD)"
         )
     most = max(1, MOST_SAMPLES // (campaign.task.N + 1))
     if len(live) > most:

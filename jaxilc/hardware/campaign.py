@@ -222,7 +222,7 @@ class Campaign:
         if measured.u is None and not replay_input:
             raise ValueError(
                 f"{measured.source} has no input u; record it, name it by --input, or add "
-                "--replayed-input where the controller runs this scheme"
+                "--set campaign.replayed_input=true where the controller runs this scheme"
             )
         measured, u, signals = completed(measured, commanded, signals, played)
         record = jax.device_get(measured_trial(task, measured.y, u))._replace(signals=signals)

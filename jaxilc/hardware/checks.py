@@ -81,7 +81,8 @@ def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
     if limits is None:
         return [
             Finding(
-                "note", "saturation was not looked at: neither --limit nor the machine gives one"
+                "note",
+                "saturation was not looked at: neither campaign.limit nor the machine gives one",
             )
         ]
     at = np.abs(u) >= limits - np.maximum(AT_LIMIT * limits, _resolution(actuator))
@@ -96,7 +97,9 @@ def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
     if share > rules.saturation and not rules.accept_saturation:
         return [
             Finding(
-                "refusal", f"{text}; allowed are {rules.saturation:.2%}, or --accept-saturation"
+                "refusal",
+                f"{text}; allowed are {rules.saturation:.2%}, or "
+                "--set campaign.accept_saturation=true",
             )
         ]
     return [Finding("warning", text)]
@@ -219,7 +222,7 @@ def beyond_limits(
             findings.append(Finding("refusal", f"the next {name} is not finite at sample {k}"))
         elif limits is not None and np.any(np.abs(departure) > limits):
             k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), schedule.shape)
-            option = "--limit" if name != "reference" else "--largest-correction"
+            option = "campaign.limit" if name != "reference" else "campaign.largest_correction"
             away = " away from the task's" if name == "reference" else ""
             text = (
                 f"the next {name} is {departure[k, i]:.6g} {unit}{away} at sample {k}; "

@@ -27,7 +27,7 @@ from ..storage.mat_files import ROOM, Other, read_mat
 STEP_TOLERANCE = 0.01  # share of the sample time by which a single step may differ
 RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may differ
 # Options of the command line that name columns, as `names` does.
-OPTIONS = {"t": "--time", "u": "--input", "y": "--output", "r": "--reference"}
+OPTIONS = {"t": "--time", "u": "--input", "y": "--output", "r": "--set campaign.reference"}
 REFERENCE_TOLERANCE = 1e-4  # share of the reference's range by which r may differ
 
 
@@ -269,7 +269,7 @@ def _check_time(path, t, places, task: Task) -> None:
     if len(t) != task.N + 1:
         raise ValueError(
             f"{path} has {len(t)} samples; this task needs N + 1 = {task.N + 1}, "
-            "neither more nor fewer; --short-trial accepts fewer"
+            "neither more nor fewer; --set campaign.short_trial=true accepts fewer"
         )
     drift = t[-1] - t[0] - task.N * dt
     if abs(drift) > dt / 2:

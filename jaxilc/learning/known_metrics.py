@@ -18,9 +18,8 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from ..pytree.aliases import Array
-
 if TYPE_CHECKING:
+    from ..pytree.aliases import Array
     from ..signals.task import Task
 
 

@@ -30,8 +30,7 @@ KEPT_RULES = ("limit", "correction", "saturation", "repeatability", "growth")
 class Given(NamedTuple):
     """The arguments of a call; None takes the value of the existing campaign.
 
-    scenario: name or file of a scenario
-    plant_file: a TOML or JSON file in place of the scenario
+    scenario: name of a scenario, or a plant file
     scheme: name of the scheme; it may be None where only one scheme learns
     params: parameter file, as `jaxilc run --params` takes it
     settings: values by path, which replace those that are kept
@@ -41,7 +40,6 @@ class Given(NamedTuple):
     """
 
     scenario: str | None = None
-    plant_file: Path | None = None
     scheme: str | None = None
     params: Path | None = None
     settings: dict[str, str] | None = None
@@ -154,11 +152,9 @@ def _kept(journal: Journal) -> dict[str, Any]:
 
 def _recipe(before: dict[str, Any], given: Given) -> dict[str, Any]:
     """The recipe of this call: the one before, with the values that are given now."""
-    if given.scenario is not None and given.plant_file is not None:
-        raise ValueError("--scenario and --plant-file exclude each other")
-    source = given.scenario if given.plant_file is None else str(given.plant_file)
+    source = given.scenario
     if source is None and "scenario" not in before:
-        raise ValueError("the first call needs --scenario or --plant-file")
+        raise ValueError("the first call needs --scenario")
     besides = {name: before[name] for name in ("file", "parameters") if name in before}
     if source is not None:
         besides.pop("file", None)

@@ -1,14 +1,18 @@
-"""`jaxilc design` as a user types it."""
+"""`jaxilc design` and `jaxilc learn-law` as a user types them."""
 
 import json
 import sys
 from unittest import mock
 
+import jax
+import numpy as np
 import pytest
 
+from jaxilc import outcomes
 from jaxilc.cli import design, main
 from jaxilc.design import LAWS
 from jaxilc.scenarios.from_file import read_scenario
+from jaxilc.schemes import LearningFilter
 
 FILE = """
 tolerance = 0.9
@@ -49,19 +53,9 @@ def test_the_laws_that_are_completed_are_those_that_are_tried():
 
 
 def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, capsys):
-    asked = (
-        "--margin",
-        0.1,
-        "--law",
-        "p-type",
-        "--machines",
-        9,
-        "--steps",
-        2,
-        "--json",
-        "design.json",
-    )
-    assert jaxilc("design", file.name, *asked) == 0
+    asked = ("--margin", 0.1, "--law", "p-type", "--machines", 9, "--steps", 2)
+    reports = ("--report", "design.json", "--report", "design.html")
+    assert jaxilc("design", file.name, *asked, *reports) == 0
     said = " ".join(capsys.readouterr().out.split())
     for part in (
         "A first safe answer, by frequency alone: P-type",
@@ -72,16 +66,22 @@ def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, caps
         "Tolerance 0.9 mm: 95 % of the machines are within it from trial",
         "Stop after trial",
         "Most of the error comes from",
-        "Next: jaxilc run axis.design.toml",
+        "Next, before `jaxilc next` plays it on the machine: jaxilc run axis.design.toml",
     ):
         assert part in said
     numbers = json.loads((file.parent / "design.json").read_text())
+    page = (file.parent / "design.html").read_text("utf-8")
+    assert page.count("<figure><img") == 1, "design.png, and not the file of the same name"
     assert numbers["chosen"]["law"] == "p-type"
     assert numbers["proof"]["margin"] >= 0.1 - 1e-3
     law = read_scenario(file.parent / "axis.design.toml").schemes["p-type"]
     assert float(law.scheme.gamma_p) == numbers["chosen"]["weights"]["scheme.gamma_p"]
     assert jaxilc("design", file.name, *asked) == 2
     assert "add --force" in capsys.readouterr().err
+    how = {"margin": 0.1, "laws": ["p-type"], "machines": 9, "steps": 2, "resume": True}
+    found = outcomes.design(file.name, **how).as_json()
+    for name in ("chosen", "others", "limits", "verdict", "next"):
+        assert found[name] == numbers[name]
 
 
 @pytest.mark.parametrize(
@@ -99,3 +99,88 @@ def test_mistakes_are_refused_before_anything_is_written(file, capsys, words, sa
     assert jaxilc("design", *words) == 2
     assert said in " ".join(capsys.readouterr().err.split())
     assert [path.name for path in file.parent.iterdir()] == ["axis.toml"]
+
+
+@pytest.fixture
+def small(file, monkeypatch):
+    """The same plant file, for a law that is learned in seconds, of three trials."""
+    monkeypatch.setattr("jaxilc.design.learned.DENSE", 5)
+    monkeypatch.setattr("jaxilc.design.learned.WATCH", 5)
+    monkeypatch.setattr("jaxilc.design.first_taps.leads_of", lambda *_: [4])
+    file.write_text(FILE.replace("trials = 4", "trials = 3"))
+    return file
+
+
+def test_a_law_that_is_learned_is_told_in_sentences_and_written_for_other_commands(small, capsys):
+    asked = ("--taps", "9,5", "--start", "p-type", "--steps", 0, "--machines", 3)
+    assert jaxilc("learn-law", small.name, *asked, "--report", "law.json") == 0
+    seen = capsys.readouterr()
+    assert "warning: --start will go" in seen.err
+    said = " ".join(seen.out.split())
+    for part in (
+        "The taps by frequency response are found.",
+        ": u' = Q u + L e by learned filters, L of 9 taps and Q of 5",
+        "Of 3 machines that it has not seen, half are at or below a settled error of",
+        "the best safe law of a few weights",
+        "so the margin is 0.",
+    ):
+        assert part in said
+    assert ("Take learned" in said) == ("take that one" not in said)
+    numbers = json.loads((small.parent / "law.json").read_text())
+    scheme = read_scenario(small.parent / "axis.learned.toml").schemes["learned"]
+    assert isinstance(scheme, LearningFilter)
+    assert np.array_equal(scheme.L, numbers["L"])
+    assert np.array_equal(scheme.keep, numbers["Q"])
+    assert numbers["proof"]["margin"] >= 0.05 - 2e-3
+    assert numbers["proof"]["whole"]["bound"] < 1  # P is affine in its gain
+    assert numbers["proof"]["further"] > 0
+    assert (small.parent / "out" / "learn-law-axis" / "law.png").stat().st_size > 10_000
+    _next_plays(scheme)
+
+
+def _next_plays(law):
+    """`next` makes of the first trial of a machine, which stood still, what the taps say."""
+    state = ("--state", "campaign", "--out", "next.csv")
+    words = ("--scenario", "axis.learned.toml", "--set", "campaign.predict=false")
+    assert jaxilc("next", *state, *words) == 0
+    t, r, u = np.loadtxt("next.csv", delimiter=",", skiprows=1, unpack=True)[:3]
+    assert np.all(u == 0)
+    columns = {"delimiter": ",", "header": "t [s],u [V],y [mm]", "comments": ""}
+    np.savetxt("trial.csv", np.stack([t, u, 0 * t], 1), **columns)
+    assert jaxilc("next", *state, "--measured", "trial.csv") == 0
+    played = np.loadtxt("next.csv", delimiter=",", skiprows=1, unpack=True)[2][:-1]
+    n = len(law.L) // 2
+    e = np.pad(r, (n, n + law.lead))[1 + law.lead :]
+    expected = np.correlate(e, np.asarray(law.L), mode="valid")[: len(played)]
+    np.testing.assert_allclose(played, expected, atol=1e-9 * np.max(np.abs(expected)))
+
+
+def test_a_law_that_the_gate_refuses_is_not_written(small, capsys, monkeypatch):
+    monkeypatch.setattr("jaxilc.design.learned.gate", lambda *_: "|Q (1 - L P)| is 1.2 at 7 Hz")
+    assert jaxilc("learn-law", small.name, "--taps", "5,3", "--steps", 0, "--start", "nothing") == 1
+    seen = capsys.readouterr()
+    assert "The learned law is refused: |Q (1 - L P)| is 1.2 at 7 Hz." in seen.out
+    assert "no plant file was written" in seen.err
+    assert not (small.parent / "axis.learned.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--taps", "61"), "--taps '61' is not allowed; allowed are two odd numbers"),
+        (("--taps", "8,5"), "taps = (8, 5)"),
+        (("--start", "nil"), "start = 'nil'"),
+        (("--segments", "soon"), "--segments 'soon' is not allowed; allowed are times"),
+        (("--taps", "5,3", "--segments", "0.04,0.02"), "starts = (40, 20) are not allowed"),
+        (("--taps", "5,3", "--limit", "-1"), "limit = -1"),
+        (("--objective", "last"), "--objective: 'last'"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(small, capsys, words, message):
+    assert jaxilc("learn-law", small.name, *words) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_law_is_proved_in_double_precision(file):
+    assert jaxilc("--precision", "float32", "design", file.name, "--margin", "1.5") == 2
+    assert jax.numpy.zeros(()).dtype == "float64"

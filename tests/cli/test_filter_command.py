@@ -101,7 +101,7 @@ def test_the_answer_for_a_machine(command, here, monkeypatch, value, proof, said
     offer = Offer("largest cutoff", better, Change(1.0, 1, 50.0, 2), 0.89, 30.0, 0.002)
     monkeypatch.setattr(q_filter, "question", lambda *_, **__: answer(value, proof))
     monkeypatch.setattr(q_filter, "offers_of", lambda *_: [offer])
-    asked = ("--vary", "machine.plant.gain=15%", "--json", "o.json", "--out", "o")
+    asked = ("--vary", "machine.plant.gain=15%", "--report", "o.json", "--out", "o")
     code, out, _ = command("filter", "axis.toml", *asked)
     assert code == 0
     found = json.loads((here / "o.json").read_text())["schemes"]["ilc"]
@@ -118,7 +118,7 @@ def test_the_answer_for_a_machine(command, here, monkeypatch, value, proof, said
 
 
 def test_the_answer_for_a_record(command, here):
-    code, out, _ = command("filter", "a.csv", *LAW, "--json", "o.json")
+    code, out, _ = command("filter", "a.csv", *LAW, "--report", "o.json")
     assert code == 0
     found = json.loads((here / "o.json").read_text())
     said = " ".join(out.split())

@@ -19,10 +19,10 @@ LINES = """
            gathered=Gathering("e", "root mean square", settled=True)),
 """
 FIELDS = """
-    peak_input: jax.Array
-    late_rms: jax.Array
+    peak_input: Array
+    late_rms: Array
 """
-for before, lines in (('    Metric("best_trial"', LINES[1:]), ("    finite: jax", FIELDS[1:])):
+for before, lines in (('    Metric("best_trial"', LINES[1:]), ("    finite: Array", FIELDS[1:])):
     assert source.count(before) == 1
     source = source.replace(before, lines + before)
 module = importlib.util.module_from_spec(spec)

@@ -6,10 +6,9 @@ import shutil
 import numpy as np
 import pytest
 import scipy.signal
-import typer
 from typer.testing import CliRunner
 
-from jaxilc.cli import hardware, identify
+from jaxilc.cli import app
 from jaxilc.hardware import Journal, as_record, prediction
 from jaxilc.runtime.provenance import describe
 from jaxilc.scenarios import load_scenario
@@ -42,9 +41,6 @@ lead = 3
 "plant.gain" = {{ distribution = "uniform", low = 0.95, high = 1.05 }}
 """
 PARAMS = {"scenario": "axis", "schemes": {"ilc": {"gamma_p": 1.2}}}
-app = typer.Typer()
-hardware.register(app)
-identify.register(app)
 
 
 def call(*arguments):
@@ -73,7 +69,7 @@ def begun(tmp_path_factory):
     folder = tmp_path_factory.mktemp("floor")
     (folder / "axis.toml").write_text(AXIS)
     (folder / "tuned.json").write_text(json.dumps(PARAMS))
-    start = ("--plant-file", folder / "axis.toml", "--params", folder / "tuned.json")
+    start = ("--scenario", folder / "axis.toml", "--params", folder / "tuned.json")
     said = [call("next", "--state", folder / "x", *start, "--out", folder / "next.csv")]
     for j in (1, 2):
         path, _ = measure(folder, j, 1.02)
@@ -125,7 +121,7 @@ def test_another_machine_is_told_and_its_plant_is_found(copied):
     go_on("--undo", 0)
     for j in (1, 2):
         path, _ = measure(folder, 10 + j, 1.6)
-        _, warned = go_on("--measured", path, "--json", folder / "n.json")
+        _, warned = go_on("--measured", path, "--report", folder / "n.json")
     assert "warning: trial 2 lies outside the 95 % band" in warned
     assert f"jaxilc identify --state {folder / 'x'} --out" in warned
     found = json.loads((folder / "n.json").read_text())
@@ -134,7 +130,7 @@ def test_another_machine_is_told_and_its_plant_is_found(copied):
     assert [f[0] for f in Journal(folder / "x").last_known()["findings"]] == ["note", "warning"]
     # Its own trials give the plant, and the campaign goes on with the new file.
     new = folder / "axis-2.toml"
-    out, _ = call("identify", "--state", folder / "x", "--out", new, "--json", folder / "i.json")
+    out, _ = call("identify", "--state", folder / "x", "--out", new, "--report", folder / "i.json")
     numbers = json.loads((folder / "i.json").read_text())
     assert numbers["gain"]["low"] < 1.6 < numbers["gain"]["high"]
     assert numbers["poles[0]"]["low"] < POLE < numbers["poles[0]"]["high"]
@@ -145,7 +141,7 @@ def test_another_machine_is_told_and_its_plant_is_found(copied):
     own = load_scenario(folder / "axis.toml")
     assert describe([fitted.schemes, fitted.task]) == describe([own.schemes, own.task])
     path, _ = measure(folder, 13, 1.6)
-    out, warned = go_on("--plant-file", new, "--measured", path)
+    out, warned = go_on("--scenario", new, "--measured", path)
     assert "axis-2.toml" in out.splitlines()[0]
     assert warned == ""
 
@@ -154,7 +150,7 @@ def test_a_changed_plant_file_is_told_with_what_it_means(copied):
     folder, go_on = copied
     file = folder / "axis.toml"
     path, _ = measure(folder, 3, 1.02)
-    _, warned = go_on("--plant-file", file, "--measured", path)
+    _, warned = go_on("--scenario", file, "--measured", path)
     assert warned == ""
     file.write_text(AXIS.replace("gain = 1.0", "gain = 1.01"))
     _, warned = go_on()
@@ -174,13 +170,13 @@ def test_trials_are_numbers_and_a_figure(copied):
     folder, go_on = copied
     path, rms = measure(folder, 3, 1.02)
     go_on("--measured", path, "--no-learn", "--plot", folder / "n.png")
-    call("trials", "--state", folder / "x", "--json", folder / "t.json")
+    call("trials", "--state", folder / "x", "--report", folder / "t.json")
     found = json.loads((folder / "t.json").read_text())
     assert [row["trial"] for row in found["trials"]] == [0, 1, 2, 3]
     assert found["trials"][3]["rms_error"] == pytest.approx(rms, rel=1e-9)
     assert [place["step"] for place in found["predicted"]["trials"]] == [1, 2, 3]
     path, _ = measure(folder, 4, 1.02)
-    go_on("--measured", path, "--json", folder / "n.json")
+    go_on("--measured", path, "--report", folder / "n.json")
     assert json.loads((folder / "n.json").read_text())["predicted"]["step"] == 3
     assert (folder / "n.png").stat().st_size > 10_000
 
@@ -191,17 +187,27 @@ def test_nothing_is_predicted_where_it_is_not_wanted(copied):
     file.write_text("damaged")
     assert "is predicted" not in go_on()[0]  # it is not computed for a call that measures nothing
     path, _ = measure(folder, 3, 1.02)
-    assert "is predicted" not in go_on("--measured", path, "--no-predict")[0]
+    assert "is predicted" not in go_on("--measured", path, "--set", "campaign.predict=false")[0]
     path, _ = measure(folder, 4, 1.02)
     assert "is predicted" not in go_on("--measured", path)[0]  # it is kept
     assert file.read_text() == "damaged"
     path, _ = measure(folder, 5, 1.02)
-    assert "95 % of 256 drawn machines" in go_on("--measured", path, "--predict")[0]
+    assert (
+        "95 % of 256 drawn machines"
+        in go_on("--measured", path, "--set", "campaign.predict=true")[0]
+    )
 
 
 def test_what_is_not_the_input_of_the_plant_is_not_fitted(copied, tmp_path):
     folder, _ = copied
-    new = ("--plant-file", folder / "loop.toml", "--no-predict", "--out", folder / "next.csv")
+    new = (
+        "--scenario",
+        folder / "loop.toml",
+        "--set",
+        "campaign.predict=false",
+        "--out",
+        folder / "next.csv",
+    )
     law = 'class = "WithFeedback"\nlearning = { class = "PIDType" }\nfeedback = { class = "PID" }'
     (folder / "loop.toml").write_text(
         AXIS.replace('class = "PIDType"\ngamma_p = 1.0\nlead = 3', law)
@@ -216,7 +222,14 @@ def test_what_is_not_the_input_of_the_plant_is_not_fitted(copied, tmp_path):
     )
     call(
         "next",
-        *("--state", tmp_path / "loop", "--measured", tmp_path / "t.csv", "--replayed-input"),
+        *(
+            "--state",
+            tmp_path / "loop",
+            "--measured",
+            tmp_path / "t.csv",
+            "--set",
+            "campaign.replayed_input=true",
+        ),
         *("--out", folder / "next.csv"),
     )
     with pytest.raises(ValueError, match=r"trial 1 was not measured .* In a closed loop"):
@@ -233,7 +246,9 @@ def test_of_many_trials_some_are_fitted(copied, monkeypatch):
     for j in (3, 4, 5):
         go_on("--measured", measure(folder, j, 1.02)[0])
     monkeypatch.setattr(as_record, "MOST_SAMPLES", 3 * (N + 1))
-    call("identify", "--state", folder / "x", "--out", folder / "new", "--json", folder / "i.json")
+    call(
+        "identify", "--state", folder / "x", "--out", folder / "new", "--report", folder / "i.json"
+    )
     assert json.loads((folder / "i.json").read_text())["trials"] == [1, 3, 5]
 
 
@@ -245,9 +260,9 @@ def test_a_trial_that_ended_early_is_learned_from_as_far_as_it_goes(copied):
     rows = len(lines) - 1
     kept = rows // 2  # of the samples of the output
     path.write_text("\n".join(lines[: kept + 1]) + "\n")
-    with pytest.raises(ValueError, match="--short-trial accepts fewer"):
+    with pytest.raises(ValueError, match="short_trial=true accepts fewer"):
         go_on("--measured", path)
-    said = " ".join(go_on("--measured", path, "--short-trial"))
+    said = " ".join(go_on("--measured", path, "--set", "campaign.short_trial=true"))
     assert f"the trial ended after {kept - 1} of {rows - 1} samples" in " ".join(said.split())
     after = np.genfromtxt(folder / "next.csv", delimiter=",", skip_header=1)[:, 2]
     np.testing.assert_allclose(after[kept:], before[kept:], rtol=1e-9)

@@ -1,13 +1,12 @@
 """The interactive figures of searches and of published numbers show the numbers put in."""
 
 import warnings
-from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from browser import needs_chromium, opened
 
-from jaxilc.cli.live import of_trade_off
 from jaxilc.figures import browsers, searches
 from jaxilc.figures.page import live as page_of
 from jaxilc.figures.report import html_report, write_report
@@ -55,18 +54,33 @@ def test_the_worst_machine_stands_beside_those_drawn():
 def test_what_is_not_finite_makes_no_page_fail():
     lost = WorstMachine(np.inf, {"gradient": search(np.inf, [np.inf], 4)}, np.array([np.inf]))
     row = {"first": np.nan, "second": np.inf, "weights": {"a": 1.0}}
-    quantiles = {"median": 0.0, "high": np.inf, "worst": np.nan}
-    budgets = {"3": {"given": quantiles, "tuned": quantiles, "weights": {"a": 1.0}}}
     live = [
         chance(lost, metric="rms"),
         page_of(searches.worst_by_effort.described(lost.searches, metric="rms")),
-        *of_trade_off(Path(), {"points": {"given": row, "0.5": row}}, ("final", "effort")),
-        *of_trade_off(Path(), {"budgets": budgets, "figure": "rms", "unit": "mm"}, ()),
+        front_of({"given": row, "0.5": row}),
+        page_of(
+            searches.final_error_by_trials.described(
+                [3], [[0.0, np.nan]], [[0.0, np.inf]], metric="rms", weights={"a": [1.0]}
+            )
+        ),
         browsers.papers([published("a", np.inf)]),
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(html_report("t", {}, live=live)) < 5_000_000
+
+
+def front_of(rows):
+    """The front of two objectives on a page, from the numbers of its points."""
+    points = [
+        SimpleNamespace(share=float(share), **row)
+        for share, row in rows.items()
+        if share != "given"
+    ]
+    weights = {None if s == "given" else float(s): row["weights"] for s, row in rows.items()}
+    given = (rows["given"]["first"], rows["given"]["second"])
+    of = {"first": "final", "second": "effort", "given": given, "weights": weights}
+    return page_of(searches.pareto_front.described(points, **of))
 
 
 def published(scenario, ratio, **changed):
@@ -83,7 +97,7 @@ def test_a_front_has_its_weights_under_the_pointer():
         str(share): {"first": 1 + share, "second": 2 - share, "weights": {"lam": share, "eta": 0.5}}
         for share in (0.9, 0.1)
     }
-    (front,) = of_trade_off(Path(), {"points": rows}, ("final", "effort"))
+    front = front_of(rows)
     tuned, _, given = columns(front, "x", "t0", "t1")
     np.testing.assert_allclose(tuned, [[1.1, 1.9], [0.1, 0.9], [0.1, 0.9]])
     np.testing.assert_allclose(given, [[3.0], [1.0], [0.9]])

@@ -21,13 +21,12 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from jaxilc import learn, scenarios
-from jaxilc.cli import tables
-from jaxilc.cli.numbers import run_numbers
 from jaxilc.figures import browsers
 from jaxilc.figures.band import band_together
 from jaxilc.figures.by_trial import error_by_trial
 from jaxilc.figures.page import live as page_of
 from jaxilc.figures.report import LIVE_POLICY, POLICY, command_report, html_report, write_report
+from jaxilc.outcomes.running import run_numbers, run_table
 from jaxilc.sweeps import runs
 from jaxilc.sweeps.summary import summarise
 
@@ -160,8 +159,7 @@ def test_every_figure_is_embedded(tmp_path):
     # The header of a PNG file holds its size: 2 in by 1 in at 120 dots per inch.
     assert struct.unpack(">II", pictures[2][1][16:24]) == (240, 120)
     assert [f.text for f in tree.iter("figcaption")] == [
-        "Each panel is a scheme: median, 5 to 95 % and worst machine by trial. Beside them stands "
-        "which share of the machines ends within a tolerance.",
+        "error band",
         "a caption",
         "error by trial",
         None,
@@ -201,7 +199,7 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     # The store is not a picture.
     figures = [tmp_path / "error-by-trial.png", tmp_path / "dataset.zarr"]
     assert command_report(
-        path, "run", [tables.run_table(chosen, numbers)], figures, scenario=chosen, lines=["a line"]
+        path, "run", [run_table(chosen, numbers)], figures, scenario=chosen, lines=["a line"]
     ) == [path]
     tree = parsed(path.read_text(encoding="utf-8"))
     sections = {one.findtext("h2"): one for one in tree.findall("body/section")}

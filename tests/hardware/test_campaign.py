@@ -15,11 +15,10 @@ import control
 import jax
 import numpy as np
 import pytest
-import typer
 from cases import ALGEBRA, case
 from typer.testing import CliRunner
 
-from jaxilc.cli import console, hardware
+from jaxilc.cli import app, console
 from jaxilc.figures.campaign import campaign_figure
 from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
 from jaxilc.hardware.checks import beyond_limits
@@ -128,10 +127,6 @@ class Rig:
         return y, u
 
 
-app = typer.Typer()
-hardware.register(app)
-
-
 def call(*arguments):
     """Return exit code, standard output and standard error of a command; a mistake raises."""
     result = CliRunner().invoke(app, [str(a) for a in arguments])
@@ -154,7 +149,7 @@ def session(tmp_path_factory):
             "next",
             "--state",
             state,
-            "--plant-file",
+            "--scenario",
             rig.file,
             "--scheme",
             "ilc",
@@ -353,7 +348,7 @@ def test_a_dry_run_reports_and_changes_nothing(copied):
     assert "trial 21: RMS error" in out
     assert "dry run: nothing was written" in out
     call("next", "--state", state, "--undo", 3, "--dry-run")
-    call("next", "--state", folder / "new", "--plant-file", rig.file, "--dry-run")
+    call("next", "--state", folder / "new", "--scenario", rig.file, "--dry-run")
     assert sorted(folder.rglob("*")) == before
 
 
@@ -410,7 +405,7 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
             r"back"
         ),
     ):
-        call(*arguments, folder / "worse.csv", "--stop-on-growth")
+        call(*arguments, folder / "worse.csv", "--set", "campaign.stop_on_growth=true")
     _, _, err = call(*arguments, folder / "worse.csv", "--dry-run")
     assert "warning: the RMS error grew" in err
     assert "another schedule played" in err, (
@@ -429,7 +424,7 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
         call(*arguments, folder / "saturated.csv")
     # Saturation is accepted, but the table that would follow is not.
     with pytest.raises(ValueError, match="the next feedforward is") as error:
-        call(*arguments, folder / "saturated.csv", "--accept-saturation")
+        call(*arguments, folder / "saturated.csv", "--set", "campaign.accept_saturation=true")
     assert "at its limit" not in str(error.value)
     write_trial(folder / "saturated.csv", t, r, y, np.where(np.arange(len(u)) == 40, 10.0, u))
     _, _, err = call(*arguments, folder / "saturated.csv", "--dry-run")
@@ -454,8 +449,8 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
         folder / "next.csv",
     )
     with pytest.raises(ValueError, match="the next feedforward") as error:
-        call(*arguments, "--limit", limit, "--accept-saturation")
-    assert f"is {table[k]:.6g} V at sample {k}; allowed are +-{limit:g} V (--limit)" in str(
+        call(*arguments, "--limit", limit, "--set", "campaign.accept_saturation=true")
+    assert f"is {table[k]:.6g} V at sample {k}; allowed are +-{limit:g} V (campaign.limit)" in str(
         error.value
     )
     assert Journal(state).live()[-1]["trial"] == 19
@@ -491,7 +486,7 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
         ),
         (
             lambda rows: [rows[0].replace("u [V]", "i [A]"), *rows[1:]],
-            r"has no input u; record it, name it by --input, or add --replayed-input",
+            r"has no input u; record it, name it by --input, or add --set campaign.replayed",
         ),
         (
             lambda rows: [*rows[:50], cut(rows[50], 3), *rows[51:]],
@@ -540,7 +535,7 @@ def cut(row, i, value=""):
 def test_mistakes_in_the_call_name_what_is_allowed(copied):
     rig, state, folder = copied
     trial, out = rig.folder / "trial-20.csv", folder / "next.csv"
-    start = ("next", "--state", folder / "new", "--plant-file", rig.file, "--out", out)
+    start = ("next", "--state", folder / "new", "--scenario", rig.file, "--out", out)
     for arguments, message in (
         (
             ("next", "--state", state, "--measured", trial, "--out", out),
@@ -565,13 +560,12 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
             "growth = -1 is outside its allowed range [0, inf)",
         ),
         ((*start, "--scheme", "pid"), "scheme = 'pid' is not one of those that learn; known: ilc"),
-        ((*start, "--scenario", "cao-2019"), "--scenario and --plant-file exclude each other"),
         (
             ("next", "--state", folder / "new", "--out", out),
-            "the first call needs --scenario or --plant-file",
+            "the first call needs --scenario",
         ),
         (
-            ("next", "--state", rig.folder, "--plant-file", rig.file, "--out", out),
+            ("next", "--state", rig.folder, "--scenario", rig.file, "--out", out),
             "exists already; choose another folder",
         ),
         (

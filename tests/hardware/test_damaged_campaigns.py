@@ -255,7 +255,7 @@ def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypa
             "next",
             "--state",
             "whole",
-            "--plant-file",
+            "--scenario",
             "axis.toml",
             "--limit",
             100.0,

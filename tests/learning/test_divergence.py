@@ -14,9 +14,10 @@ import xarray as xr
 from cases import DT, task_for
 
 from jaxilc import figures, scenarios
-from jaxilc.cli import tables
-from jaxilc.cli.numbers import run_numbers, sweep_numbers
 from jaxilc.learning import Keep, Machine, Metrics, divergence, learn
+from jaxilc.outcomes import running, sweeping
+from jaxilc.outcomes.running import run_numbers
+from jaxilc.outcomes.sweeping import sweep_numbers
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios import Published, reproduction
 from jaxilc.schemes import PIDType
@@ -180,13 +181,15 @@ def test_tables_and_figures_say_so(swept):
     )
     figures_ = sweep_numbers(scenario, summarise(dataset, 0.1, metric="rms"), 0.1, plan.machines)
     cells = {
-        str(column.header): list(column.cells) for column in tables.yield_table(figures_).columns
+        str(column.header): list(column.cells) for column in sweeping.yield_table(figures_).columns
     }
     assert str(cells["diverged (from)"][0]) == "0.0%"
     assert f"({figures_['schemes']['growing']['diverged_at']})" in str(cells["diverged (from)"][1])
     assert f"({figures_['schemes']['growing']['grown_from']})" in str(cells["grown (from)"][1])
     worst = next(
-        column for column in tables.spread_table(figures_).columns if str(column.header) == "worst"
+        column
+        for column in sweeping.spread_table(figures_).columns
+        if str(column.header) == "worst"
     )
     assert str(list(worst.cells)[1]) == "∞"
     steady, growing, _ = figures.error_band(dataset, metric="rms")
@@ -211,7 +214,7 @@ def test_a_run_says_what_diverged_and_what_has_grown():
     numbers = run_numbers(scenario, dataset)
     assert numbers["schemes"]["lost"]["rms"]["12"] == np.inf
     assert np.isfinite(numbers["schemes"]["lost"]["rms"]["5"])
-    assert tables.course_lines(numbers) == [
+    assert running.course_lines(numbers) == [
         "growing: the rms error has grown 176 times since trial 1; from trial 2 on it is more than "
         "1.5 times its least",
         "lost: diverged at trial 6: not finite, or an error of 1000 times the reference",

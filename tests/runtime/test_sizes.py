@@ -193,7 +193,7 @@ pareto cao-2019 --scheme cfdl-mfailc --weights lam --second effort --samples 100
 worst-case cao-2019 --scheme cfdl-mfailc --starts 100000000
 worst-case cao-2019 --scheme cfdl-mfailc --draws 1000000000
 worst-case cao-2019 --scheme cfdl-mfailc --evaluations 1000000000
-next --state campaign --plant-file long.toml --out next.csv
+next --state campaign --scenario long.toml --out next.csv
 """
 PLANT = """
 [plant]

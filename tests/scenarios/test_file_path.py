@@ -10,9 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from jaxilc import figures
-from jaxilc.cli.numbers import axes_numbers, run_numbers, sweep_numbers
-from jaxilc.cli.tables import axes_table, swept_axes_table
-from jaxilc.cli.titled_table import Console
+from jaxilc.outcomes.running import axes_table, run_numbers
+from jaxilc.outcomes.sweeping import axes_numbers, sweep_numbers, swept_axes_table
+from jaxilc.outcomes.table import Console
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.judging import judged
 from jaxilc.signals import contour_error

@@ -92,7 +92,7 @@ def test_a_command_starts_without_packages_that_it_does_not_need(tmp_path):
     program = (
         "import sys\n"
         "from jaxilc.scenarios import load_scenario\n"
-        "from jaxilc.cli import asked, tables\n"
+        "from jaxilc.outcomes import running, sweeping\n"
         "from jaxilc.filters.switching import instantaneous_frequency\n"
         "from jaxilc.hardware import campaign\n"
         f"for name in ('cao-2019', {str(file)!r}): load_scenario(name)\n"
@@ -608,7 +608,7 @@ def test_every_command_accepts_a_file_in_a_scenario_s_place(tmp_path, monkeypatc
     runner = CliRunner()
     for command in (
         ("list", file),
-        ("run", file, "--trials", "3", "--json", "run.json"),
+        ("run", file, "--trials", "3", "--report", "run.json"),
         ("sweep", file, "--samples", "3"),
     ):
         result = runner.invoke(app, command)

@@ -14,9 +14,8 @@ import scipy.linalg
 
 import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Task, Uniform
-from jaxilc.cli.certificate_tables import certificate_sentence
-from jaxilc.cli.numbers import certificate_numbers
 from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.outcomes.certifying import certificate_numbers, certificate_sentence
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import (
     CFDLMFAILC,

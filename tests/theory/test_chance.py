@@ -13,13 +13,12 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from jaxilc.cli.certificate_tables import left_words, senses_words
-from jaxilc.cli.numbers import certificate_numbers
-from jaxilc.cli.tables import number
 from jaxilc.learning import Machine
 from jaxilc.learning.arrival import there_until
 from jaxilc.learning.machine import Actuator, Disturbance, Sensor
 from jaxilc.learning.variation import PlantChange, Variation
+from jaxilc.outcomes.certifying import certificate_numbers, left_words, senses_words
+from jaxilc.outcomes.words import number
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import NormOptimal, PIDType
 from jaxilc.schemes.weights import weighed

@@ -10,7 +10,7 @@ import pytest
 
 from jaxilc import Sweep
 from jaxilc.cli import main
-from jaxilc.cli.asked import chosen_scenario
+from jaxilc.outcomes import Request
 from jaxilc.sweeps import best_points, open_dataset
 
 NAME = "ffdl-mfailc"
@@ -19,7 +19,7 @@ PHI0 = [(0.5, 0.0, -0.06, 0.0), (0.25, 0.125, -0.03, 0.01)]
 
 
 def asked(folder, *, scheme=NAME, trials=None, settings=(), scenario="cao-2019"):
-    return chosen_scenario(scenario, [scheme], trials, [*SHORT, *settings], folder)
+    return Request(scenario, (scheme,), (*SHORT, *settings), folder, trials).scenario()
 
 
 def stored(folder, grid, *, trials=3, machines=2):
@@ -69,7 +69,7 @@ def test_tuning_starts_at_the_best_point(tmp_path, monkeypatch, capsys):
     best = asked(folder)
     command = ["tune", "cao-2019", "--scheme", NAME, "--set", *SHORT, "--params", str(folder)]
     command += ["--weights", "lam", "--trials", "3", "--steps", "1", "--unseen", "2"]
-    command += ["--machines", "2", "--held-out", "2", "--json", "t.json", "--out", "t"]
+    command += ["--machines", "2", "--held-out", "2", "--report", "t.json", "--out", "t"]
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["jaxilc", *command])
     with pytest.raises(SystemExit, match="0"):
@@ -91,9 +91,9 @@ def test_what_is_no_grid_of_this_scenario_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"lam has the schemes ffdl-mfailc, and none of pid"):
         asked(lam, scheme="pid")
     with pytest.raises(ValueError, match=r"of another scenario, or of other settings; it differs"):
-        chosen_scenario("cao-2019", [NAME], None, [], lam)
+        Request("cao-2019", (NAME,), params=lam).scenario()
     with pytest.raises(ValueError, match="and none of p-type"):
-        chosen_scenario("li-2020", ["p-type"], None, [], lam)
+        Request("li-2020", ("p-type",), params=lam).scenario()
     wide = dataclasses.replace(asked(None), machine=asked(None, settings=["plant.gain=5"]).machine)
     Sweep(
         wide.machine, wide.schemes, wide.task, 2, uncertainty={}, machines=1,

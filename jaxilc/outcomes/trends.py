@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from statistics import median
 from typing import NamedTuple
 
-from ...learning.divergence import GROWTH
-from ..tables import number
+from ..learning.divergence import GROWTH
+from .words import number
 
 DIVERGES, GROWS, FALLS, SETTLED, SINGLE = "diverges", "grows", "falls", "settled", "single"
 CHANGE = 0.05  # share of an error that counts as a change, as in `jaxilc design`

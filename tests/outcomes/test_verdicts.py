@@ -7,24 +7,25 @@ import numpy as np
 import pytest
 from typer.main import get_command
 
-from jaxilc.cli import app, certificate_tables
-from jaxilc.cli.reproduce import reproduce_verdict
-from jaxilc.cli.titled_table import Console
-from jaxilc.cli.verdicts.case import Case
-from jaxilc.cli.verdicts.certification import certify_verdict
-from jaxilc.cli.verdicts.next_command import REPEATED, Asked, Verdict
-from jaxilc.cli.verdicts.simulation import list_verdict, run_verdict, sweep_verdict
-from jaxilc.cli.verdicts.trends import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
-from jaxilc.cli.verdicts.tuning import (
-    budget_verdict,
-    front_verdict,
-    tune_verdict,
-    worst_case_verdict,
-)
+from jaxilc.cli import app
+from jaxilc.outcomes import certifying
+from jaxilc.outcomes.case import Case
+from jaxilc.outcomes.certifying import certify_verdict
+from jaxilc.outcomes.listing import list_verdict
+from jaxilc.outcomes.reproducing import reproduce_verdict
+from jaxilc.outcomes.request import REPEATED, Request
+from jaxilc.outcomes.running import run_verdict
+from jaxilc.outcomes.searching import worst_case_verdict
+from jaxilc.outcomes.sweeping import sweep_verdict
+from jaxilc.outcomes.table import Console
+from jaxilc.outcomes.trading import budget_verdict, front_verdict
+from jaxilc.outcomes.trends import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
+from jaxilc.outcomes.tuning import tune_verdict
+from jaxilc.outcomes.verdict import Verdict
 
 J = np.arange(1, 41)
 NOISE = np.random.default_rng(3)
-FILE = Asked("my axis.toml")
+FILE = Request("my axis.toml")
 CASE = Case(FILE, {"ilc": True}, designable=True, unit="mm")
 
 
@@ -62,7 +63,7 @@ def test_the_course_of_an_error(errors, kind, words):
 
 @pytest.mark.parametrize("command", REPEATED)
 def test_what_was_asked_is_repeated_in_options_that_the_command_has(command):
-    asked = Asked(
+    asked = Request(
         "it's my axis.toml", ("a b",), ("x.y=1", "z='q'"), "p q.json", 7, 0.25, "rms", 1e-7
     )
     words = ("--state", "s") if command == "next" else ()
@@ -76,7 +77,7 @@ def test_what_was_asked_is_repeated_in_options_that_the_command_has(command):
             assert list(given["set_"]) == ["x.y=1", "z='q'"]
         else:
             assert str(given[name]) == str(expected.get(name, "p q.json"))
-    line = Asked("-x.toml").following(command, *words, scheme=scheme)
+    line = Request("-x.toml").following(command, *words, scheme=scheme)
     assert parsed(Verdict((), "", line))[0] == command
 
 
@@ -110,7 +111,7 @@ def test_run_names_the_best_scheme_how_far_it_came_and_what_to_do():
 
 def test_a_design_keeps_the_settings_of_machine_and_feedback():
     settings = ("machine.plant.B=2", "ilc.gamma_p=8", "ilc.feedback.kp=1")
-    case = CASE._replace(asked=Asked("my axis.toml", set=settings))
+    case = CASE._replace(request=Request("my axis.toml", set=settings))
     found = ran(case, ilc=[1.0, np.inf])
     assert found.said == ("ilc diverges within 2 trials.",)
     name, params = parsed(found)
@@ -119,7 +120,7 @@ def test_a_design_keeps_the_settings_of_machine_and_feedback():
 
 def test_run_compares_schemes_and_the_tolerance():
     several = Case(
-        Asked("cao-2019", metric="rms", set=("plant=printed",)),
+        Request("cao-2019", metric="rms", set=("plant=printed",)),
         {"pid": False, "a": True, "b": True},
         metric="rms",
         unit="µm",
@@ -140,9 +141,9 @@ def test_run_compares_schemes_and_the_tolerance():
     assert parsed(found)[1]["scheme"] == ["a"]
     found = ran(several, a=[np.inf] * 3, b=[1.0, np.inf, 1.0], pid=[np.nan] * 3)
     assert found.said == ("Every scheme diverges within 3 trials.",)
-    single = Case(Asked("cao-2019", ("pid",)), {"pid": False})
+    single = Case(Request("cao-2019", ("pid",)), {"pid": False})
     assert ran(single, pid=[1.0]).following == "jaxilc run cao-2019"
-    alone = Case(Asked("dai-2014"), {"pid": False})
+    alone = Case(Request("dai-2014"), {"pid": False})
     assert ran(alone, pid=[1.0]).following == "jaxilc list dai-2014"
 
 
@@ -232,7 +233,7 @@ def test_certify_says_what_is_certified_what_not_and_why():
     )
     name, params = parsed(found)
     assert (name, params["scheme"], str(params["scenario"])) == ("next", "a", "my axis.toml")
-    published = Case(Asked("cao-2019"), {"a": True})
+    published = Case(Request("cao-2019"), {"a": True})
     assert parsed(certify_verdict(published, {"a": sure}, 1.0))[0] == "worst-case"
     bad = certificate({"diverges": {"an eigenvalue": 1}, "monotone": {"x": 7}}, 0.1)
     found = certify_verdict(CASE, {"ilc": bad}, 1.0)
@@ -265,20 +266,20 @@ def test_tables_of_certify_fit_80_columns_and_reasons_stand_below_them():
     numbers = certificate({"monotone": {reason: 1234}}, 0.1)
     console = Console(width=80)
     with console.capture() as captured:
-        for table in certificate_tables.certificate_tables("cfdl-mfailc", 200, numbers):
+        for table in certifying.certificate_tables("cfdl-mfailc", 200, numbers):
             console.print(table)
     text = captured.get()
     assert max(map(len, text.splitlines())) <= 80
     assert text.count("┏") == 3, "no table is divided"
     assert reason not in " ".join(text.split())
-    lines = certificate_tables.reason_lines("cfdl-mfailc", numbers)
+    lines = certifying.reason_lines("cfdl-mfailc", numbers)
     assert lines == [f"cfdl-mfailc, monotone on 1234: {reason}."]
 
 
 # tune, pareto and worst-case
 # --------------------------------------------------------------------------------------------------
 
-ASKED = Asked("cao-2019", ("c",), ("c.lead=2", "plant=printed"), "old.json", 15, 0.2)
+ASKED = Request("cao-2019", ("c",), ("c.lead=2", "plant=printed"), "old.json", 15, 0.2)
 OF_TUNING = Case(ASKED, {"c": True}, unit="µm")
 
 

@@ -1,14 +1,14 @@
 """Objectives, risks and weights from the text of an option.
 
 For example, `final:20 + 0.3*final@max_error` is an objective, `cvar:0.9` is a risk, and
-`lam=0.01:10` gives the bounds of a weight.
+`lam=0.01:10` is a weight with bounds.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from ..pytree.closest import closest
@@ -69,7 +69,7 @@ def objective_of(text: str, metric: str, scale: float, option: str = "--objectiv
     return total
 
 
-def with_limits(objective: str, limits: list[str] | None) -> str:
+def with_limits(objective: str, limits: Sequence[str]) -> str:
     """The text of an objective with a penalty for each limit, a text such as `d2=0.95`.
 
     Raises ValueError for a text that is not NAME=NUMBER, or a name that cannot be limited.
@@ -79,7 +79,7 @@ def with_limits(objective: str, limits: list[str] | None) -> str:
     return objective
 
 
-def limits_not_met(problem: Tuning, tuned: Tuned, limits: list[str] | None) -> list[str]:
+def limits_not_met(problem: Tuning, tuned: Tuned, limits: Sequence[str]) -> list[str]:
     """A sentence for each limit that the nominal machine exceeds with the tuned weights."""
     said = []
     for name, largest in _limits(limits):
@@ -94,8 +94,8 @@ def limits_not_met(problem: Tuning, tuned: Tuned, limits: list[str] | None) -> l
     return said
 
 
-def _limits(given: list[str] | None) -> Iterator[tuple[str, float]]:
-    for limit in given or []:
+def _limits(given: Sequence[str]) -> Iterator[tuple[str, float]]:
+    for limit in given:
         name, equals, number = (part.strip() for part in limit.partition("="))
         if not equals:
             raise ValueError(f"--limit {limit!r} is not NAME=NUMBER")
@@ -121,26 +121,20 @@ def risk_of(text: str) -> Risk:
     raise ValueError(_unknown(f"--risk {text!r}", name, RISKS))
 
 
-def weights_of(text: str, bounds: list[str] | None) -> dict[str, tuple[float, float] | None]:
-    """The weights from a text such as `lam,phi0[0]`, and their bounds from `lam=0.01:10`.
+def weights_of(text: str) -> dict[str, tuple[float, float] | None]:
+    """The weights from a text such as `lam=0.01:10,phi0[0]`, with their bounds.
 
     A weight without bounds has None, which stands for the range that the leaf allows.
-
-    Raises ValueError for a text that is not NAME=LOW:HIGH, and for bounds of another name.
+    Raises ValueError for bounds that are not NAME=LOW:HIGH.
     """
-    weights: dict[str, tuple[float, float] | None] = {
-        name.strip(): None for name in text.split(",") if name.strip()
-    }
-    for bound in bounds or []:
-        name, equals, ends = bound.partition("=")
+    weights: dict[str, tuple[float, float] | None] = {}
+    for one in text.split(","):
+        name, equals, ends = (part.strip() for part in one.partition("="))
         low, colon, high = ends.partition(":")
-        if not (equals and colon):
-            raise ValueError(f"--bounds {bound!r} is not NAME=LOW:HIGH")
-        if name.strip() not in weights:
-            raise ValueError(
-                f"--bounds: {name.strip()!r} is not one of the weights {', '.join(weights)}"
-            )
-        weights[name.strip()] = (_number(name, low), _number(name, high))
+        if equals and not (name and colon):
+            raise ValueError(f"--weights {one.strip()!r} is not NAME=LOW:HIGH")
+        if name:
+            weights[name] = (_number(name, low), _number(name, high)) if equals else None
     return weights
 
 

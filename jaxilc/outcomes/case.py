@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from ...schemes.parts import trials_of_step
-from ..tables import number
-from .next_command import Asked
+from ..schemes.parts import trials_of_step
+from .request import Request
+from .words import number
 
 if TYPE_CHECKING:
-    from ...scenarios import Scenario
+    from ..scenarios import Scenario
 
 
 class Case(NamedTuple):
     """What was simulated, as far as a verdict needs it.
 
-    asked: options of the command
+    request: what is asked
     learns: whether each scheme learns, by name
     uncertain: whether there are machines to draw
     designable: whether `jaxilc design` takes it: a plant file with one input and one output
@@ -27,7 +28,7 @@ class Case(NamedTuple):
     steps: trials of a learning step by name, see `schemes.parts.trials_of_step`
     """
 
-    asked: Asked
+    request: Request
     learns: Mapping[str, bool]
     uncertain: bool = True
     designable: bool = False
@@ -37,17 +38,17 @@ class Case(NamedTuple):
     steps: Mapping[str, int] = {}
 
     @classmethod
-    def of(cls, chosen: Scenario, asked: Asked) -> Case:
+    def of(cls, chosen: Scenario, request: Request) -> Case:
         """The case of a scenario."""
         single = chosen.task.inputs == chosen.task.outputs == 1
         return cls(
-            asked,
+            request,
             {name: scheme.learns for name, scheme in chosen.schemes.items()},
             uncertain=bool(chosen.uncertainty),
-            designable=asked.of_file and single and ".design." not in asked.source,
+            designable=request.of_file and single and ".design." not in request.source,
             metric=chosen.judged_by.replace("_", " "),
             unit=chosen.shown(chosen.judged_by)[1],
-            tolerance=chosen.tolerance if asked.tolerance is None else asked.tolerance,
+            tolerance=chosen.tolerance if request.tolerance is None else request.tolerance,
             steps={n: trials_of_step(s, chosen.task) for n, s in chosen.schemes.items()},
         )
 
@@ -82,8 +83,8 @@ class Case(NamedTuple):
 
     def on(self, command: str, best: str, **changed: object) -> str:
         """The next command, on one scheme."""
-        scheme = best if command == "worst-case" else self.asked.name_of(best, [*self.learns])
-        return self.asked.following(command, scheme=scheme, **changed)
+        scheme = best if command == "worst-case" else self.request.name_of(best, [*self.learns])
+        return self.request.following(command, scheme=scheme, **changed)
 
     def remedy(self, best: str) -> tuple[str, str]:
         """What to do where no scheme will do: it in words, and the command."""
@@ -92,18 +93,28 @@ class Case(NamedTuple):
         if any(self.learns.values()):
             name = best if self.learns[best] else next(n for n, yes in self.learns.items() if yes)
             return "what theory claims", self.on("certify", name)
-        if self.asked.schemes:
-            return "all schemes", self.asked.following("run")
-        return "what can be set", self.asked.following("list")
+        if self.request.schemes:
+            return "all schemes", self.request.following("run")
+        return "what can be set", self.request.following("list")
 
-    def _redesigned(self) -> Asked:
+    def _redesigned(self) -> Request:
         """What was asked without the weights of the schemes, which a design chooses itself.
 
         It takes their feedback, so that settings of a feedback are kept.
         """
         kept = (
             one
-            for one in self.asked.set
+            for one in self.request.set
             if ".feedback." in one or one.strip().partition(".")[0] not in self.learns
         )
-        return dataclasses.replace(self.asked, set=tuple(kept))
+        return dataclasses.replace(self.request, set=tuple(kept))
+
+
+def both(first: str, second: str) -> tuple[str, ...]:
+    """The sentences that are not empty."""
+    return tuple(one for one in (first, second) if one)
+
+
+def diverged(errors: Sequence[float]) -> bool:
+    """Whether an error of a trial is not finite."""
+    return not all(math.isfinite(error) for error in errors)

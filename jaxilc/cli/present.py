@@ -1,0 +1,63 @@
+"""What a command does with an outcome: it prints it, writes its files, and says what is next."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from .console import err, out
+from .progress import working
+from .start import begin
+
+if TYPE_CHECKING:
+    from ..outcomes.outcome import Outcome
+    from .options import Pages
+
+
+def tell(command: str, asked: Any, pages: Pages, *, bar: bool = True, **how: Any) -> None:
+    """Ask a request of the library, and present the outcome.
+
+    command: name of the function of `outcomes`
+    asked: its first argument, such as a request
+    bar: whether a progress bar is shown; a search with a bar of its own shows that
+    how: further arguments of the function
+    """
+    name = command.strip("_").replace("_", "-")
+    with working(name) if bar else nullcontext() as progress:
+        begin()
+        from .. import outcomes
+
+        how |= {"progress": progress} if bar else {}
+        outcome = getattr(outcomes, command)(asked, **how)
+    present(outcome, pages)
+
+
+def present(outcome: Outcome, pages: Pages) -> None:
+    """Print an outcome, write its files, and end with its verdict.
+
+    Where the outcome says that the command failed, it ends with exit code 1.
+    """
+    from ..outcomes.outcome import silent
+
+    outcome.show(out)
+    for line in outcome.warnings:
+        err.print(line, highlight=False)
+    with working("figures") if outcome.figures else nullcontext(silent) as progress:
+        paths = outcome.save(progress=progress)
+    for file in pages.reports or ():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if file.suffix == ".html":
+            outcome.page(file, paths)
+        else:
+            from ..storage.sealed import write_json
+
+            write_json(file, outcome.as_json())
+        paths.append(file)
+    if paths:
+        out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)
+    outcome.conclude(out)
+    if outcome.failed:
+        err.print(outcome.failed, highlight=False)
+        raise typer.Exit(1)

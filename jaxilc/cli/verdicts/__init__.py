@@ -1,1 +1,0 @@
-"""Verdicts of the commands, in sentences, each with the next command to type."""

@@ -1,0 +1,37 @@
+from .certifying import certify
+from .designing import design
+from .filtering import filter_, filter_measured
+from .identifying import Reading, identify, identify_campaign
+from .learning_laws import learn_law
+from .listing import scenarios, settings
+from .outcome import Outcome
+from .reproducing import reproduce
+from .request import Request
+from .running import run
+from .searching import worst_case
+from .sweeping import sweep
+from .trading import pareto
+from .tuning import tune
+from .verdict import Verdict
+
+__all__ = [
+    "Outcome",
+    "Reading",
+    "Request",
+    "Verdict",
+    "certify",
+    "design",
+    "filter_",
+    "filter_measured",
+    "identify",
+    "identify_campaign",
+    "learn_law",
+    "pareto",
+    "reproduce",
+    "run",
+    "scenarios",
+    "settings",
+    "sweep",
+    "tune",
+    "worst_case",
+]

@@ -1,0 +1,411 @@
+"""`certify`: the claims of theory for each machine, beside simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import figures
+from ..learning.divergence import GROWTH
+from ..theory.certificates import (
+    CLAIMS,
+    CONVERGES,
+    COURSES,
+    DIVERGES,
+    GROWS,
+    MONOTONE,
+    NOTHING,
+    TURNS,
+    certify_schemes,
+)
+from ..theory.chance import STILL, SURELY
+from ..uncertainty import draw
+from .bounds import bounds_numbers, premises_table
+from .case import Case
+from .outcome import Figure, Outcome, Progress, silent
+from .request import Request
+from .table import Table
+from .verdict import Verdict
+from .words import counted, number
+
+if TYPE_CHECKING:
+    from ..figures.page import Live
+    from ..scenarios import Scenario
+    from ..theory.certificates import Certificate, OfScheme
+
+COURSE_WORDS = {TURNS: "have a best trial and then turn", GROWS: "end above their start"}
+
+
+def certify(
+    request: Request | str,
+    *,
+    machines: int = 64,
+    seed: int = 0,
+    sampling: str = "monte-carlo",
+    folder: Path | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """Theory beside simulation: claims for the long run, and predictions of J trials.
+
+    For schemes with the bounds of Cao 2019, their premises are checked too.
+
+    request: what is simulated; the name of a scenario or a plant file stands for all of it
+    machines, seed, sampling: of the machines drawn, as for `Sweep`
+    folder: for the figures; out/certify-NAME if not given
+    Raises ValueError naming what is allowed.
+    """
+    request = Request.of(request)
+    chosen = request.scenario()
+    drawn = draw(chosen.machine, chosen.uncertainty, machines, seed=seed, sampling=sampling)
+    learning = sum(scheme.learns for scheme in chosen.schemes.values())
+    found = certify_schemes(
+        chosen.machine,
+        chosen.schemes,
+        chosen.task,
+        chosen.trials,
+        chosen.uncertainty,
+        drawn,
+        progress=lambda done, name: progress(name, done, learning),
+    )
+    numbers = {name: certificate_numbers(one) for name, one in found.items()}
+    scale, unit = chosen.shown_scale, chosen.shown_unit
+    case = Case.of(chosen, request)._replace(unit=unit)  # that of an error, of any metric
+    tables, lines = [], []
+    for name, of_scheme in numbers.items():
+        tables += certificate_tables(name, chosen.trials, of_scheme)
+        lines.append(certificate_sentence(name, chosen.trials, of_scheme, scale, unit))
+        lines += reason_lines(name, of_scheme)
+    broken = [name for name, row in numbers.items() if row["contradicted"]]
+    what = "simulation contradicts what was claimed: please report this"
+    of_all = {"scenario": request.source, "trials": chosen.trials, "samples": machines}
+    return Outcome(
+        command="certify",
+        numbers=of_all | {"schemes": numbers},
+        verdict=certify_verdict(case, numbers, scale),
+        folder=folder or Path("out") / f"certify-{chosen.name}",
+        scenario=chosen,
+        tables=tables,
+        lines=lines,
+        figures={
+            name: Figure(
+                f"{name}: the error by trial, simulated and predicted, and what is claimed.",
+                partial(figures.certificate, one.certificate, scale=scale, unit=unit, title=name),
+            )
+            for name, one in found.items()
+        },
+        live=partial(_live, chosen, found, drawn),
+        asked={"machines": machines, "seed": seed, "sampling": sampling},
+        failed=f"{', '.join(broken)}: {what}" if broken else "",
+    )
+
+
+def _live(chosen: Scenario, found: Mapping[str, OfScheme], drawn: Mapping[str, Any]) -> list[Live]:
+    """The errors of each machine by trial, in the colour of its claim, for each scheme."""
+    from ..figures.page import live
+
+    shown: dict[str, Any] = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
+    return [
+        live(figures.certificate.described(one.certificate, title=name, parameters=drawn, **shown))
+        for name, one in found.items()
+    ]
+
+
+def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
+    """The content of a certificate, as counts of machines.
+
+    The keys of the dictionary are:
+
+    claims, reasons: claims for an unlimited number of trials, with their reasons
+    floor: largest error left in the long run on the machines with a claim; where something is drawn
+        for each trial, its root mean square over all that is drawn; NaN where it is not known
+    rounding: largest part of it that is due to rounding or hysteresis; None without it
+    held_by: which of them; likewise
+    senses: number of machines with a claim, by the sense in which it holds for single runs; empty
+        where nothing is drawn
+    most: largest error that a late trial of one of these machines exceeds with a chance of 5 % or
+        less, by theory; None where nothing is drawn, or where it is not known
+    first, quantile: largest root mean square error of the first trial, where something is drawn or
+        rounded, and that of the last one below which 95 % of the simulated runs end, where
+        something is drawn; else None
+    expected, observed, confusion: course of the error in J trials, by theory and by simulation
+    transient: how far the error grows before it falls, where learning is claimed to converge, in
+        units of the first error, in which trial, and on how many machines; and about how far noise
+        grows where no power of the learning map is known to contract
+    premises, bound, care: see `bounds_numbers`, for a scheme that has bounds
+    """
+    found = of_scheme.certificate
+    claimed = np.isin(found.claim, (MONOTONE, CONVERGES))
+    drawn = ~np.isin(found.sense, (SURELY, STILL))
+    ball = np.zeros(len(claimed)) if found.ball is None else found.ball.error
+    floor = np.where(drawn, found.left, found.floor + found.doubt + ball)
+    known = np.isfinite(found.most[claimed])
+    rounds = found.ball is not None and bool(np.any(claimed))
+    last = None if found.runs is None else np.quantile(found.runs[:, :, -1], 0.95, axis=1)
+    numbers = {
+        "claims": {claim: int(np.sum(found.claim == claim)) for claim in CLAIMS},
+        "monotone_in_the_error": int(np.sum(found.of_error)),
+        "reasons": {
+            claim: counted(found.reason[found.claim == claim])
+            for claim in CLAIMS
+            if np.any(found.claim == claim)
+        },
+        "floor": float(np.max(floor[claimed])) if np.any(claimed) else None,
+        "rounding": float(np.max(ball[claimed])) if rounds else None,
+        "held_by": found.ball.of[0] if rounds else None,
+        "senses": counted(found.sense[(found.sense != SURELY) & (found.claim != NOTHING)]),
+        "most": float(np.max(found.most[claimed])) if np.all(known) and np.any(claimed) else None,
+        "first": None if last is None and not rounds else float(np.max(found.simulated[:, 0])),
+        "quantile": None if last is None else float(np.max(last)),
+        "expected": {course: int(np.sum(found.expected == course)) for course in COURSES},
+        "observed": {course: int(np.sum(found.observed == course)) for course in COURSES},
+        "confusion": found.confusion(),
+        "growth": {"median": float(np.median(found.growth)), "max": float(np.max(found.growth))},
+        "transient": _transient(found, claimed),
+        "turning": {
+            "predicted": float(np.median(found.turning)),
+            "observed": float(np.median(found.observed_turning)),
+        },
+        "contradicted": found.broken_promises().tolist(),
+        "seconds_a_machine": of_scheme.seconds / len(found.claim),
+    }
+    if of_scheme.checked is not None:
+        numbers |= bounds_numbers(of_scheme.checked)
+    return numbers
+
+
+def _transient(found: Certificate, claimed: np.ndarray) -> dict[str, Any]:
+    grows, of_any = claimed & (found.peak > 1 + GROWTH), np.zeros(len(claimed))
+    if found.outlook is not None:
+        decay = found.outlook.decay
+        of_any = np.where(claimed & (decay.trials == 0) & ~found.of_error, decay.growth, 0.0)
+    worst = int(np.argmax(np.where(grows, found.peak, 0.0)))
+    return {
+        "growth": float(found.peak[worst]) if np.any(grows) else None,
+        "trial": int(found.peak_trial[worst]) if np.any(grows) else None,
+        "of_noise": float(np.max(of_any)) if np.any(of_any) else None,
+        "machines": int(np.sum(grows | (of_any > 0))),
+    }
+
+
+def certificate_tables(name: str, trials: int, numbers: dict[str, Any]) -> list[Table]:
+    """The tables of claims, of the course by theory and simulation, and of premises.
+
+    The arguments are those of `certificate_sentence`.
+    """
+    claims = Table(title=f"{name}: what is claimed, however many trials are run")
+    for column in ("in the long run", "machines"):
+        claims.add_column(column, justify="right" if column == "machines" else "left")
+    for claim, count in numbers["claims"].items():
+        claims.add_row(claim, str(count))
+    what = f"machines by their error within {trials} trials"
+    courses = Table("by theory", title=f"{name}: {what}, by theory and simulation")
+    for course in COURSES:
+        courses.add_column(course, justify="right")
+    for course, row in numbers["confusion"].items():
+        head = f"{course} ({numbers['expected'][course]})"
+        courses.add_row(head, *(str(row[c]) for c in COURSES))
+    return [claims, courses, *([premises_table(name, numbers)] if "premises" in numbers else [])]
+
+
+def certificate_sentence(
+    name: str, trials: int, numbers: dict[str, Any], scale: float, unit: str
+) -> str:
+    """The content of a certificate in words.
+
+    name: name of the scheme
+    trials: number J of trials
+    numbers: result of `certificate_numbers`
+    scale, unit: scale and unit in which errors are shown
+    """
+    in_the_long_run, within = _claimed(numbers, scale, unit), _expected(numbers)
+    return f"{name}: {in_the_long_run}. Within {trials} trials {within}.{transient_words(numbers)}"
+
+
+def reason_lines(name: str, numbers: dict[str, Any]) -> list[str]:
+    """A sentence on each reason of a claim, or of its absence, with its number of machines.
+
+    The arguments are those of `certificate_sentence`.
+    """
+    return [
+        f"{name}, {claim} on {count}: {reason}."
+        for claim, reasons in numbers["reasons"].items()
+        for reason, count in reasons.items()
+    ]
+
+
+def transient_words(numbers: dict[str, Any]) -> str:
+    """A sentence on how far the error grows before it falls; empty where it does not.
+
+    numbers: result of `certificate_numbers`
+    """
+    transient, machines = numbers["transient"], sum(numbers["claims"].values())
+    if not transient["machines"]:
+        return ""
+    whose = "" if machines == 1 else f" of {transient['machines']} of {machines} machines"
+    grown = []
+    if transient["growth"]:
+        grown.append(
+            f"the error{whose} grows up to {number(transient['growth'])} times, until trial "
+            f"{transient['trial']}"
+        )
+    if transient["of_noise"]:
+        noise = "noise" if grown else f"noise in the error{whose}"
+        grown.append(f"{noise} can grow about {number(transient['of_noise'])} times")
+    return f" Before it falls, {', and '.join(grown)}."
+
+
+def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
+    """The claims for an unlimited number of trials, in words."""
+    claims, machines = numbers["claims"], sum(numbers["claims"].values())
+    certified = claims[MONOTONE] + claims[CONVERGES]
+    parts = []
+    if certified:
+        in_error = numbers["monotone_in_the_error"]
+        which = []
+        if claims[MONOTONE]:
+            rounded = "" if not numbers["held_by"] else f" until {numbers['held_by']} holds it"
+            every = f"{claims[MONOTONE]} in every trial{rounded}"
+            which.append(f"{every} ({in_error} in the error itself)")
+        if claims[CONVERGES]:
+            which.append(f"{claims[CONVERGES]} in the end")
+        parts.append(
+            f"in the long run {certified} of {machines} machines come nearer to their limit"
+            f"{senses_words(numbers) or ','} {' and '.join(which)}; "
+            f"it leaves {left_words(numbers, scale, unit)}"
+        )
+    if claims[DIVERGES]:
+        parts.append(f"{claims[DIVERGES]} diverge")
+    if claims[NOTHING]:
+        some = f"of {claims[NOTHING]}" if parts else "of the long run"
+        parts.append(f"{some} nothing is claimed")
+    return ", ".join(parts)
+
+
+def senses_words(numbers: dict[str, Any]) -> str:
+    """In which senses claims hold for single runs, between commas; empty where nothing is drawn."""
+    senses = numbers["senses"]
+    if len(senses) < 2:
+        return "".join(f", {sense}," for sense in senses)
+    return ", " + " and ".join(f"{sense} on {count}" for sense, count in senses.items()) + ","
+
+
+def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
+    """What learning leaves in the long run, in words."""
+    floor = scale * numbers["floor"]
+    if floor == float("inf"):
+        return "an error whose square has no mean"
+    if floor != floor:
+        return "an error whose size is not known"
+    size = f"{number(floor)} {unit}".rstrip() + rounding_words(numbers, scale, unit)
+    if not numbers["senses"] or STILL in numbers["senses"]:
+        return f"an rms error of at most {size}"
+    last = f"{number(scale * numbers['quantile'])} {unit}".rstrip()
+    most = ""
+    if numbers["most"] is not None:
+        most = f", and in 95 of 100 late trials of at most {number(scale * numbers['most'])} {unit}"
+    return (
+        f"an rms error of at most {size} over all that is drawn{most.rstrip()} "
+        f"(95 % of the simulated runs end below {last})"
+    )
+
+
+def rounding_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
+    """How much of an error is due to rounding, after a comma; empty where nothing is rounded."""
+    if numbers["rounding"] is None:
+        return ""
+    size = f"{number(scale * numbers['rounding'])} {unit}".rstrip()
+    return f", of which {numbers['held_by']} makes up to {size}"
+
+
+def _expected(numbers: dict[str, Any]) -> str:
+    """The course of the error within the trials, by theory and by simulation, in words."""
+    expected, observed, turning = numbers["expected"], numbers["observed"], numbers["turning"]
+    bad = {c: (expected[c], observed[c]) for c in (TURNS, GROWS) if expected[c] or observed[c]}
+    if not bad:
+        return "the error of every machine ends no higher than it began, by theory and simulation"
+    courses = ", ".join(
+        f"{e} machines {COURSE_WORDS[c]} by theory and {o} by simulation"
+        for c, (e, o) in bad.items()
+    )
+    best = (
+        f"the best trial is {turning['predicted']:g} by theory "
+        f"and {turning['observed']:g} by simulation (median)"
+    )
+    return f"{courses}; {best}"
+
+
+def certify_verdict(case: Case, numbers: Mapping[str, dict[str, Any]], scale: float) -> Verdict:
+    """Which schemes are certified on every machine, which are not, and why.
+
+    numbers: results of `certificate_numbers` by scheme
+    scale: of the errors in them
+    """
+    certified, said = [], []
+    for name, row in numbers.items():
+        claims, machines = row["claims"], sum(row["claims"].values())
+        if claims[MONOTONE] + claims[CONVERGES] == machines:
+            what = (
+                f"learning {_how(row)}{senses_words(row)} and leaves "
+                f"{left_words(row, scale, case.unit)}"
+            )
+            first = np.inf if row["first"] is None else row["first"]
+            if not (row["floor"] >= first or (row["quantile"] or 0.0) >= first):
+                certified.append(name)
+                said.append(
+                    f"{name} is certified on {_all(machines)}: {what}.{transient_words(row)}"
+                )
+            else:
+                first = f"{number(scale * row['first'])} {case.unit}".rstrip()
+                said.append(
+                    f"{name} is no gain on {_all(machines)}: {what}, where the first trial has "
+                    f"{first}.{transient_words(row)}"
+                )
+        elif claims[DIVERGES]:
+            said.append(f"{name} diverges on {claims[DIVERGES]} of {machines} machines.")
+        else:
+            reasons = row["reasons"][NOTHING]
+            why = max(reasons, key=lambda reason: reasons[reason])
+            said.append(
+                f"{name} is not certified on {claims[NOTHING]} of {machines} machines: {why}."
+            )
+    return Verdict(tuple(said), *_after_certify(case, numbers, certified))
+
+
+def _all(machines: int) -> str:
+    return "the nominal machine" if machines == 1 else f"all {machines} machines"
+
+
+def _how(row: dict[str, Any]) -> str:
+    claims = row["claims"]
+    if not claims[CONVERGES]:
+        return "is monotone" + (f" until {row['held_by']} holds it" if row["held_by"] else "")
+    return "converges" if not claims[MONOTONE] else "converges, on most of them in every trial"
+
+
+def _after_certify(
+    case: Case, numbers: Mapping[str, dict[str, Any]], certified: Sequence[str]
+) -> tuple[str, str]:
+    fit = [name for name in certified if not numbers[name]["transient"]["machines"]]
+    if fit:
+        best = min(fit, key=lambda name: numbers[name]["floor"])
+        if case.request.of_file:
+            words = ("--state", "out/campaign", "--out", "trial-1.csv")
+            scheme = case.request.name_of(best, [*case.learns])
+            return "on the machine", case.request.following("next", *words, scheme=scheme)
+        return "the worst machine", case.on("worst-case", best)
+    lost = [name for name, row in numbers.items() if _ends_badly(row)]
+    if lost:
+        if case.designable:
+            return case.remedy(lost[0])
+        return "the worst machine", case.on("worst-case", lost[0])
+    return "many machines by simulation", case.on("sweep", next(iter(numbers)))
+
+
+def _ends_badly(row: dict[str, Any]) -> bool:
+    """Whether a scheme diverges, or its error grows before it falls or at the end, somewhere."""
+    grows = row["observed"][TURNS] or row["observed"][GROWS] or row["transient"]["machines"]
+    return bool(row["claims"][DIVERGES] or grows)

@@ -1,0 +1,393 @@
+"""`design`: which learning law for a machine, with which weights, and how safe it is.
+
+`learn_law` has its plant file, its figure and its sentence on safety in the same way.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+import shutil
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .. import figures
+from ..design import Design, feedback_among
+from ..design.candidates import Candidate
+from ..pytree.named_paths import get_at
+from ..scenarios.design_file import design_path, need_same_folder, write_design
+from ..sweeps.store import open_dataset
+from .outcome import Figure, Outcome, Progress, silent
+from .request import Request
+from .sweeping import live_store
+from .table import Table
+from .verdict import Verdict
+
+if TYPE_CHECKING:
+    from ..design import Designed, Learned, Recommended
+    from ..design.judging import Verdict as Judged
+    from ..design.proof import Proof
+    from ..design.question import Told
+    from ..scenarios import Scenario
+
+EDGES = {"low": "notch from", "high": "notch to"}
+CAUSES = {
+    "law": "the filter and the number of trials",
+    "limits": "the limits of the actuator",
+    "noise": "noise",
+    "machines": "the uncertainty of the machine",
+}
+
+
+def design(
+    request: Request | str | Path,
+    *,
+    laws: Sequence[str] = (),
+    margin: float = 0.05,
+    machines: int = 257,
+    steps: int = 30,
+    seed: int = 0,
+    out: str | Path | None = None,
+    force: bool = False,
+    resume: bool = False,
+    folder: Path | None = None,
+    progress: Progress = silent,
+    say: Progress = silent,
+) -> Outcome:
+    """Which learning law for a machine, with which weights, is it safe, and what will it reach.
+
+    request: a plant file, or what is asked of one; the feedback of its scheme is taken
+    laws, margin, machines, steps, seed: as for `Design`
+    out: plant file to write; beside the one given, as axis.design.toml, if not given
+    force: whether that file, and the state in the folder, are replaced
+    resume: whether to go on with the state in the folder
+    folder: for the state and the figure; out/design-NAME if not given
+    say: called with a sentence on the first safe answer, minutes before the end
+    Raises ValueError naming what is allowed, and FileExistsError for what is not to be replaced.
+    """
+    request = Request.of(request)
+    target = target_of(request, out, "design", replace=force or resume)
+    chosen = request.machine_to_design()
+    place = folder or Path("out") / f"design-{chosen.name}"
+    limit = _limit(chosen)
+    question = Design(
+        **about(chosen), laws=tuple(laws), tolerance=limit, margin=margin, machines=machines,
+        steps=steps, seed=seed,
+    )  # fmt: skip
+    state = state_of(place, force=force, resume=resume)
+    designed = question.run(state, resume=resume, told=_told(chosen, steps, progress, say))
+    best = designed.chosen
+    said = _sentences(chosen, designed)
+    return Outcome(
+        command="design",
+        numbers=_numbers(chosen, designed),
+        verdict=Verdict(said) if best is None else on_the_machine(said, target),
+        folder=place,
+        scenario=chosen,
+        tables=[_table(chosen, designed)],
+        kept=() if best is None else written(request, target, best.verdict.candidate, said),
+        failed="" if best else "no law is recommended, and no plant file was written",
+        **of_judged(state, chosen, "design", "The errors by trial of the laws"),
+    )
+
+
+def _told(chosen: Scenario, steps: int, progress: Progress, say: Progress) -> Told:
+    """What a design tells of its course, as progress and as a sentence on its first safe answer."""
+    safe, done = [], {}
+
+    def told(stage: str, what: Any) -> None:
+        if stage == "safe":
+            progress(f"frequency: {what.name}")
+            if isinstance(what, Candidate):
+                safe.append(what.name)
+                if len(safe) == 1:
+                    say(_first_answer(chosen, what))
+        elif stage == "tuning":
+            name, done[name], _ = what
+            laws = {*safe, *done}
+            progress(f"tuning {name}", sum(done.values()), steps * len(laws))
+        elif stage == "judging":
+            progress(f"judging on {what} machines")
+        elif stage == "proving":
+            progress(f"certifying {what.name}")
+
+    return told
+
+
+# Of `learn_law` too
+# --------------------------------------------------------------------------------------------------
+
+
+def target_of(request: Request, out: str | Path | None, what: str, *, replace: bool) -> Path:
+    """The plant file to write; raises ValueError or FileExistsError where it may not be written.
+
+    what: the middle of its name where no file is asked for, axis.design.toml for `design`
+    """
+    source = Path(request.source)
+    if not request.of_file:
+        raise ValueError(
+            f"{source} is no plant file; allowed is a TOML or JSON file, such as `jaxilc init` "
+            "writes. A scenario of a paper has laws of its own: `jaxilc tune` changes their weights"
+        )
+    target = Path(out) if out else design_path(source, what)
+    need_same_folder(source, target)
+    if target.exists() and not replace:
+        raise FileExistsError(f"{target} exists already; add --force to replace it")
+    return target
+
+
+def state_of(folder: Path, *, force: bool, resume: bool) -> Path:
+    """The folder for the state, without that of an earlier run if it is to be replaced."""
+    state = folder / "state"
+    if state.exists() and not resume:
+        if not force:
+            raise FileExistsError(
+                f"{state} exists already; add --resume to go on with it, --force to begin anew, "
+                "or choose another --state"
+            )
+        shutil.rmtree(state)
+    return state
+
+
+def about(chosen: Scenario) -> dict[str, Any]:
+    """The arguments of a question of `jaxilc.design` that follow from a plant file."""
+    return {
+        "machine": chosen.machine,
+        "task": chosen.task,
+        "trials": chosen.trials,
+        "uncertainty": chosen.uncertainty,
+        "feedback": feedback_among(chosen.schemes),
+        "metric": chosen.judged_by,
+    }
+
+
+def written(request: Request, target: Path, law: Candidate, said: Sequence[str]) -> list[Path]:
+    """Write the plant file with a law in it, and sentences at its head; return its path."""
+    return [write_design(target, request.source, {law.name: law.scheme}, said)]
+
+
+def _limit(chosen: Scenario) -> float | None:
+    """The tolerance in the unit of the simulation."""
+    return (
+        None if chosen.tolerance is None else chosen.tolerance / chosen.shown(chosen.judged_by)[0]
+    )
+
+
+def of_judged(state: Path, chosen: Scenario, name: str, what: str) -> dict[str, Any]:
+    """The figure of the sweep that judged, and the interactive one, as arguments of an outcome.
+
+    name: of the figure
+    what: beginning of its caption
+    """
+    if not (store := state / "sweep.zarr").exists():
+        return {}  # where nothing was judged
+    (scale, unit), judged = chosen.shown(chosen.judged_by), open_dataset(store)
+    shown = {"metric": chosen.judged_by, "tolerance": _limit(chosen), "scale": scale, "unit": unit}
+    caption = f"{what} over machines that no step has seen."
+    return {
+        "figures": {name: Figure(caption, partial(figures.error_band, judged, **shown))},
+        "live": partial(live_store, chosen, judged),
+    }
+
+
+def size_of(chosen: Scenario, value: float) -> str:
+    """A value of the metric in the unit in which it is shown."""
+    scale, unit = chosen.shown(chosen.judged_by)
+    return f"{value * scale:.3g} {unit}".rstrip()
+
+
+def on_the_machine(said: Sequence[str], target: Path) -> Verdict:
+    """The verdict on a law that may be played: it is simulated first."""
+    command = f"jaxilc run {shlex.quote(str(target))}"
+    return Verdict(tuple(said), "before `jaxilc next` plays it on the machine", command)
+
+
+def judged_numbers(chosen: Scenario, found: Designed | Learned) -> dict[str, Any]:
+    """How the laws were judged, as JSON."""
+    return {
+        "metric": chosen.judged_by,
+        "unit": chosen.shown(chosen.judged_by)[1],
+        "trials": found.trials,
+        "judged_to_trial": found.long,
+        "machines": found.machines,
+    }
+
+
+def safety_said(proof: Proof) -> str:
+    """How safe a law is, where the margin is least, and what theory claims."""
+    nominal, worst = proof.claims
+    said = (
+        f"|Q (1 - L P)| is at most {proof.worst:.3f}, so the margin is {proof.margin:.3f}; it is "
+        f"least at {proof.at:.3g} Hz"
+    )
+    if proof.machine:
+        at = ", ".join(f"{name} = {value:.4g}" for name, value in proof.machine.items())
+        said += f" on the worst of {proof.machines} machines ({at})"
+    said += f"{_beyond(proof)}. Theory claims for the long run, of the nominal machine: {nominal}"
+    said += f"; of the worst: {worst}." if proof.machine else "."
+    doubts = {r for c, r in zip(proof.claims, proof.reasons, strict=True) if c == "not claimed"}
+    return said + "".join(f" Not claimed because {reason}." for reason in sorted(doubts))
+
+
+def _beyond(proof: Proof) -> str:
+    """What is proved of machines that are none of the family."""
+    said = ""
+    if proof.whole is not None:
+        at_most = f"proved to be at most {proof.whole.bound:.3f}, " if proof.whole.proved else ""
+        said += (
+            f"; of the machines between these it is {at_most or 'not proved: '}{proof.whole.how}"
+        )
+    if proof.further > 0:
+        said += (
+            f"; each of them may differ from its model by {100 * proof.further:.2g} % at any "
+            "frequency"
+        )
+    return said
+
+
+def proof_numbers(proof: Proof) -> dict[str, Any]:
+    """The numbers of a proof, as JSON."""
+    of_set = None
+    if proof.whole is not None:
+        of_set = {
+            "bound": proof.whole.bound if proof.whole.proved else None,
+            "how": proof.whole.how,
+        }
+    further = None if math.isnan(proof.further) else proof.further
+    return proof._asdict() | {"margin": proof.margin, "whole": of_set, "further": further}
+
+
+# Of `design`
+# --------------------------------------------------------------------------------------------------
+
+
+def _first_answer(chosen: Scenario, what: Candidate) -> str:
+    scale, unit = chosen.shown_scale, chosen.shown_unit
+    return (
+        f"A first safe answer, by frequency alone: {_with_weights(what, chosen)}. "
+        f"|Q (1 - L P)| is at most {what.largest:.2f}; predicted rms error of trial "
+        f"{chosen.trials}: {what.predicted * scale:.3g} {unit}".rstrip()
+        + ". Tuning and judging follow."
+    )
+
+
+def _with_weights(what: Candidate, chosen: Scenario) -> str:
+    """A law with its weights in words, with the units that are known."""
+    task = chosen.task
+    units = dict.fromkeys(("cutoff", "low", "high"), " Hz")
+    per = f" {task.input_unit}/{task.unit}" if task.input_unit and task.unit else ""
+    units |= dict.fromkeys(("gamma_p", "gamma_d"), "" if task.input_unit == task.unit else per)
+    said = [what.words]
+    for path in what.bounds:
+        name = path.rpartition(".")[2]
+        value = f"{float(get_at(what.scheme, path)):.4g}{units.get(name, '')}"
+        said.append(f"{EDGES.get(name, name)} = {value}")
+    lead = _lead(what.scheme)
+    return ", ".join(filter(None, (*said, f"lead = {lead} samples" if lead else "")))
+
+
+def _lead(scheme: Any) -> int:
+    while scheme is not None:
+        if hasattr(scheme, "lead"):
+            return int(scheme.lead)
+        scheme = getattr(scheme, "learning", None) or getattr(scheme, "scheme", None)
+    return 0
+
+
+def _table(chosen: Scenario, designed: Designed) -> Table:
+    """A row for each law that was tried: the recommended one first."""
+    scale, unit = chosen.shown(chosen.judged_by)
+    name = chosen.judged_by.replace("_", " ")
+    table = Table(
+        "law", "|Q (1 - L P)|", f"95 % [{unit}]" if unit else "95 %", "settled", "verdict",
+        title=f"{chosen.name}: {name} on {designed.machines} machines, trials {designed.trials} to "
+        f"{designed.long}",
+    )  # fmt: skip
+    best = None if designed.chosen is None else designed.chosen.verdict
+    for one in (*((best,) if best else ()), *designed.others):
+        verdict = "recommended" if one is best else "lost" if one.lost else "larger error"
+        table.add_row(
+            one.candidate.name,
+            f"{one.candidate.largest:.3f}",
+            f"{one.error * scale:.4g}",
+            f"trial {one.settled_at}",
+            verdict,
+        )
+    for one in designed.absent:
+        table.add_row(one.name, "", "", "", "no safe weights")
+    return table
+
+
+def _sentences(chosen: Scenario, designed: Designed) -> tuple[str, ...]:
+    """The verdict: why laws are out of question, and the one to take or what to do without one."""
+    out_of_question = (
+        *(f"{one.name}: {one.why}." for one in designed.absent),
+        *(f"{one.candidate.name}: {one.lost}." for one in designed.others if one.lost),
+    )
+    if designed.chosen is not None:
+        return *out_of_question, *_recommended(chosen, designed, designed.chosen)
+    return (
+        *out_of_question,
+        "No law holds on every machine. Narrow the uncertainty (a better fit, `jaxilc identify`), "
+        "lower --margin, or give the axis a feedback that damps its resonance.",
+    )
+
+
+def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> list[str]:
+    one, limits, size = best.verdict, best.limits, partial(size_of, chosen)
+    said = [
+        f"Take {one.candidate.name}: {_with_weights(one.candidate, chosen)}.",
+        f"Of {designed.machines} machines that the design has not seen, 95 % stay at or below a "
+        f"{chosen.judged_by.replace('_', ' ')} of {size(one.error)} from trial {designed.trials} "
+        f"to {designed.long}; half of them stay at or below {size(one.median)}, all of them at or "
+        f"below {size(one.worst)}.",
+        safety_said(best.proof),
+    ]
+    if chosen.tolerance is not None:
+        said.append(
+            f"Tolerance {chosen.tolerance:g} {chosen.shown(chosen.judged_by)[1]}: "
+            + (
+                f"95 % of the machines are within it from trial {one.tolerated_from} on."
+                if one.tolerated_from
+                else f"{one.summary.yield_share:.0%} of the machines are within it at the end; "
+                "95 % is not reached."
+            )
+        )
+    return [
+        *said,
+        f"Stop after trial {one.settled_at}: what later trials gain is less than 5 %.",
+        f"Most of the error comes from {CAUSES[limits.largest]}: without noise and limits the "
+        f"nominal machine reaches {size(limits.law)}, with the limits of the actuator "
+        f"{size(limits.limits)}, with noise too {size(limits.noise)}, and 95 % of the uncertain "
+        f"machines {size(limits.machines)}.",
+    ]
+
+
+def _numbers(chosen: Scenario, designed: Designed) -> dict[str, Any]:
+    """Every number of a design, as JSON."""
+    scale, best = chosen.shown(chosen.judged_by)[0], designed.chosen
+
+    def of(one: Judged) -> dict[str, Any]:
+        law = one.candidate
+        return {
+            "law": law.name,
+            "weights": {path: float(get_at(law.scheme, path)) for path in law.bounds},
+            "lead": _lead(law.scheme),
+            "largest_contraction": law.largest,
+            "error_95": one.error * scale,
+            "error_median": one.median * scale,
+            "error_worst": one.worst * scale,
+            "settled_at": one.settled_at,
+            "tolerated_from": one.tolerated_from,
+            "lost": one.lost,
+        }
+
+    return judged_numbers(chosen, designed) | {
+        "chosen": None if best is None else of(best.verdict),
+        "others": [of(one) for one in designed.others],
+        "absent": {one.name: one.why for one in designed.absent},
+        "limits": best and {k: v * scale for k, v in best.limits._asdict().items()},
+        "proof": best and proof_numbers(best.proof),
+    }

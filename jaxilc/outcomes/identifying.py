@@ -1,0 +1,464 @@
+"""`identify`: a plant from a recorded experiment or a measured frequency response."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from .. import figures, identification
+from ..hardware.as_record import record_of
+from ..identification.frequency_response import is_frequency_response
+from ..identification.orders import not_significant
+from ..identification.record_files import read_record_file
+from ..identification.resampling import RESAMPLED
+from ..identification.sentences import NOT_WHITE, sentence
+from ..identification.sentences import verdict as sentences_on
+from ..identification.twincat import is_twincat
+from ..plants import ProcessModel
+from ..scenarios.campaigns import Given, open_campaign
+from ..scenarios.identified_file import write_plant_file, write_refitted
+from .outcome import Figure, Outcome, Progress, silent
+from .table import Table
+from .verdict import Verdict
+
+if TYPE_CHECKING:
+    from ..figures.page import Live
+    from ..identification import Order
+
+NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
+MOST_ORDERS = 12  # rows of a table of orders
+CLOSED = (
+    "note: a loop was closed in these trials, so that the noise of the output is in the input; the "
+    "intervals hold only if this noise is white"
+)
+ENOUGH = 90.0  # [%] of the output that a fit explains, from which on no other start is tried
+NO_LAW = "No filtered P-type law was found that learns on the fitted plant: the file has no scheme."
+CAPTIONS = {
+    "record": "The recorded experiment: what was put in, and what was measured.",
+    "validation": "The measured and the simulated output, and their difference.",
+    "response": "The frequency response of the plant that was found, with its 95 % band.",
+}
+
+
+def identify(
+    record: str | Path,
+    *,
+    reading: Reading | Mapping[str, Any] | None = None,
+    plant_file: Path | None = None,
+    folder: Path | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """A plant from a recorded experiment or a measured frequency response, with its reliability.
+
+    record: file of a record or of a frequency response, which its header tells
+    reading: how it is read, and the structure to fit, also as a dictionary; a table chooses the
+        structure if none is given
+    plant_file: plant file to write, for all other commands
+    folder: for the figures; out/identify if not given
+    Raises ValueError naming what is allowed.
+    """
+    asked = reading if isinstance(reading, Reading) else Reading(**(reading or {}))
+    record = Path(record)
+    is_response = _is_response(record, asked.columns)
+    if is_response and plant_file is not None and asked.dt is None:
+        raise ValueError(
+            "--out FILE.toml of a frequency response needs --dt, the sample time of its hold"
+        )
+    progress("fitting")
+    fitted = (_of_response if is_response else _of_record)(record, asked)
+    found = fitted.found
+    lines, has_law = sentences_on(found, fitted.dt), True
+    if plant_file is not None:
+        progress("a law for it")
+        of_law, has_law = _plant_file(plant_file, fitted, str(record))
+        lines.append(of_law)
+    sound = {"white": bool(found.white), "converged": bool(found.converged), **fitted.structure}
+    return Outcome(
+        command="identify",
+        numbers=_numbers(found) | sound,
+        verdict=Verdict(tuple(lines), *_next(record, asked, fitted, plant_file, has_law)),
+        folder=folder or Path("out") / "identify",
+        tables=fitted.tables,
+        lines=fitted.lines,
+        figures={n: Figure(CAPTIONS[n], draw, live=True) for n, draw in fitted.draw.items()},
+        kept=[plant_file] if plant_file is not None else [],
+        live=partial(_live, fitted.measured, found, fitted.dt, fitted.units),
+        asked=fitted.structure,
+    )
+
+
+def _numbers(found: Any) -> dict[str, Any]:
+    """The quantities that were identified, with their 95 % intervals."""
+    return {
+        name: {"value": value, "low": low, "high": high}
+        for name, value, low, high in found.summary()
+    }
+
+
+class Reading(NamedTuple):
+    """How a file is read, and what is fitted to it.
+
+    structure: poles, pairs and zeros; empty: chosen by a table
+    delay: dead time in samples; None: chosen, or none
+    dt: sample time [s]
+    averages: number of averages of a coherence
+    time, input, output, time_unit, columns, resample: as for `read_record_file`
+    """
+
+    structure: Mapping[str, int] = {}
+    delay: int | None = None
+    dt: float | None = None
+    averages: int | None = None
+    time: str = "t"
+    input: str = "u"
+    output: str = "y"
+    time_unit: str | None = None
+    columns: Sequence[str] = ()
+    resample: float | None = None
+
+    @property
+    def of_record(self) -> dict[str, Any]:
+        """The arguments of `read_record_file`."""
+        names = ("time", "input", "output", "time_unit", "columns", "resample")
+        return {name: getattr(self, name) for name in names}
+
+    def options(self) -> str:
+        """The options on reading as they are typed, each after a blank."""
+        usual = {"time": "t", "input": "u", "output": "y"}
+        reading = self.of_record
+        given = {name: of for name, of in reading.items() if of and of != usual.get(name)}
+        given |= {"columns": ",".join(self.columns)} if self.columns else {}
+        given |= {"dt": self.dt, "averages": self.averages}
+        return "".join(
+            f" --{name.replace('_', '-')} {shlex.quote(format(of))}"
+            for name, of in given.items()
+            if of is not None
+        )
+
+
+class Fitted(NamedTuple):
+    """What was found.
+
+    measured: the record or the response
+    found: the identification
+    dt: sample time [s], None where it is not known
+    structure: the structure that was fitted, with the delay where it is whole
+    tables: the structures that were compared, and the quantities that were identified
+    draw: functions that draw a figure, by its name
+    units: units of input and output
+    lines: sentences on how the file was read
+    """
+
+    measured: Any
+    found: Any
+    dt: float | None
+    structure: dict[str, Any]
+    tables: list[Table]
+    draw: dict[str, Callable[[], Any]]
+    units: tuple[str, str] = ("", "")
+    lines: tuple[str, ...] = ()
+
+
+def _is_response(path: Path, names: Sequence[str]) -> bool:
+    """Whether the file is a frequency response, which its header tells."""
+    if names or path.suffix.lower() == ".mat" or is_twincat(path):
+        return False
+    return is_frequency_response(path)
+
+
+def _live(measured: Any, found: Any, dt: float | None, units: tuple[str, str]) -> list[Live | None]:
+    """A record beside its model and the Bode diagram, or a response and the one fitted to it."""
+    from ..figures.page import live
+
+    if found.of_response:
+        return [live(figures.response_fit_figure.described(measured, found))]
+    by_name: dict[str, Any] = {"input_unit": units[0], "output_unit": units[1]}
+    described = figures.validation_figure.described
+    shown: list[Live | None] = [live(described(measured, found, unit=units[1], **by_name))]
+    plant = found.plant
+    if dt is not None and isinstance(plant, ProcessModel) and plant.n_u == plant.n_y == 1:
+        shown.append(live(figures.response_figure.described(found, dt, **by_name)))
+    return shown
+
+
+def _plant_file(path: Path, fitted: Fitted, source: str) -> tuple[str, bool]:
+    """Write the plant file; what its law was chosen for, and whether there is one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    law = write_plant_file(
+        path,
+        fitted.found,
+        fitted.measured,
+        dt=fitted.dt,
+        source=source,
+        units=fitted.units,
+        force=True,
+    )
+    if law is None:
+        return NO_LAW, False
+    return (
+        f"{path}: P-type learning with gamma_p = {law.gamma_p:g}, lead = {law.lead} and a cutoff "
+        f"of {law.cutoff:g} Hz; sup |Q (1 - L P)| = {law.worst:.3f} at worst of {law.machines} "
+        f"machines. `jaxilc run {path}` simulates it.",
+        True,
+    )
+
+
+def _next(
+    record: Path, asked: Reading, fitted: Fitted, plant_file: Path | None, has_law: bool
+) -> tuple[str, str]:
+    """What to do next, in words, and the command."""
+    if plant_file is not None:
+        what = "a law that is tuned and judged" if has_law else "a law for it"
+        return what, f"jaxilc design {shlex.quote(str(plant_file))}"
+    found = fitted.found
+    again = f"jaxilc identify {shlex.quote(str(record))}{asked.options()}"
+    doubted = not (found.white and found.converged) or not_significant(found)
+    if doubted and asked.structure:
+        return "structures compared", f"{again} --auto"
+    chosen = " ".join(f"--{name} {value}" for name, value in fitted.structure.items())
+    sampled = " --dt DT" if found.of_response and asked.dt is None else ""
+    what = "a plant file for all other commands"
+    return what, f"{again} {chosen}{sampled} --out axis.toml"
+
+
+def _of_record(path: Path, asked: Reading) -> Fitted:
+    """The fit to a record, after the table of orders where the structure is to be chosen."""
+    if asked.averages is not None:
+        raise ValueError(f"--averages {asked.averages} is for a frequency response; {path} is none")
+    read = read_record_file(path, dt=asked.dt, **asked.of_record)
+    lines = () if asked.resample is None else (RESAMPLED.format(dt=asked.resample),)
+    record, tables = read.record, []
+    structure: dict[str, Any] = dict(asked.structure)
+    delay = asked.delay or 0
+    if not structure:
+        if asked.delay is None:
+            orders = identification.orders_and_delays(record)
+        else:
+            orders = identification.compare_orders(record, delay=delay)
+        best = identification.best_order(orders)
+        structure, delay = _structure(best), best.delay
+        tables.append(orders_table(orders, best, record.dt))
+    found = identification.identify(record, **structure, delay=delay)
+    tables.append(identification_table(str(path), found.summary()))
+    into, of = read.input_units[0], read.output_units[0]
+    draw = {
+        "record": partial(figures.record_figure, record, input_unit=into, output_unit=of),
+        "validation": partial(figures.validation_figure, record, found, output_unit=of, unit=of),
+    }
+    if isinstance(found.plant, ProcessModel) and found.plant.n_u == found.plant.n_y == 1:
+        draw["response"] = partial(
+            figures.response_figure, found, record.dt, input_unit=into, output_unit=of
+        )
+    structure |= {"delay": delay} if delay else {}
+    return Fitted(record, found, record.dt, structure, tables, draw, (into, of), lines)
+
+
+def _of_response(path: Path, asked: Reading) -> Fitted:
+    """The fit to a frequency response, after the table of orders as for a record."""
+    for name in ("time_unit", "columns", "resample"):
+        if getattr(asked, name):
+            option = name.replace("_", "-")
+            raise ValueError(f"--{option} is for a record in time; {path} is a frequency response")
+    if asked.delay is not None and asked.dt is None:
+        raise ValueError(f"--delay {asked.delay} counts samples of a response: give --dt, too")
+    measured = identification.read_frequency_response(path, averages=asked.averages)
+    fixed = None if asked.delay is None else asked.delay * (asked.dt or 0.0)
+    tables, structure = [], dict(asked.structure)
+    if not structure:
+        orders = identification.compare_response_orders(measured, dt=asked.dt, delay=fixed)
+        best = identification.best_order(orders)
+        structure = _structure(best)
+        tables.append(orders_table(orders, best, asked.dt))
+    found = identification.identify_response(measured, **structure, dt=asked.dt, delay=fixed)
+    tables.append(identification_table(str(path), found.summary()))
+    structure |= {} if asked.delay is None else {"delay": asked.delay}
+    draw = {"response": partial(figures.response_fit_figure, measured, found)}
+    return Fitted(measured, found, asked.dt, structure, tables, draw)
+
+
+def _structure(best) -> dict[str, Any]:
+    return {"poles": best.poles, "pairs": best.pairs, "zeros": best.zeros}
+
+
+def identify_campaign(
+    state: Path,
+    counts: Mapping[str, int | None],
+    *,
+    delay: int | None = None,
+    auto: bool = False,
+    plant_file: Path | None = None,
+    folder: Path | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """A plant from the trials of a campaign, and the campaign's plant file with it.
+
+    state: folder of the campaign
+    counts: numbers of poles, pairs and zeros; without any, those of the campaign's own plant
+    delay: dead time in samples; None: that of the campaign's own plant
+    auto: whether the structure is chosen by a table
+    plant_file: plant file to write
+    folder: for the figure; out/identify if not given
+    """
+    opened = open_campaign(state, Given(), new=False)
+    measured = record_of(opened.campaign, opened.scenario.machine)
+    record, tables = measured.record, []
+    numbers = ", ".join(map(str, measured.trials))
+    source = f"{len(measured.trials)} of {measured.measured} trials of {state}: {numbers}"
+    progress("fitting")
+    if auto:
+        late = _delay_of(opened.scenario.machine.plant, record.dt) if delay is None else delay
+        orders = identification.compare_orders(record, delay=late)
+        best = identification.best_order(orders)
+        found = best.found
+        tables.append(orders_table(orders, best, record.dt))
+    else:
+        found = _fitted(record, opened.scenario.machine.plant, counts, delay)
+    tables.append(identification_table(source, found.summary()))
+    lines = [] if found.white else [NOT_WHITE]
+    lines += map(sentence, identification.not_significant(found))
+    lines += [CLOSED] * measured.closed
+    unit = opened.campaign.task.unit
+    lines.append(
+        f"verdict: the plant of these trials explains {float(min(found.fit)):.4g} % of their "
+        f"output; the residual is {float(max(found.residual_std)):.3g} {unit}".rstrip()
+    )
+    warnings: list[str] = []
+    if plant_file is not None:
+        _write(plant_file, opened, found, source)
+        after, warnings = _after(plant_file, state, opened)
+        lines.append(after)
+    sound = {"white": bool(found.white), "converged": bool(found.converged)}
+    used = {"trials": list(measured.trials), "closed_loop": measured.closed, "verdict": lines}
+    units = opened.campaign.task.input_unit, unit
+    return Outcome(
+        command="identify",
+        numbers=_numbers(found) | sound | used,
+        verdict=Verdict(tuple(lines)),
+        folder=folder or Path("out") / "identify",
+        tables=tables,
+        warnings=warnings,
+        figures={
+            "validation": Figure(
+                CAPTIONS["validation"], partial(figures.validation_figure, record, found), live=True
+            )
+        },
+        kept=[plant_file] if plant_file is not None else [],
+        live=partial(_live, record, found, record.dt, units),
+        asked=counts,
+    )
+
+
+def _delay_of(plant, dt: float) -> int:
+    """The dead time of a plant in whole samples; 0 of a plant that has none."""
+    return round(getattr(plant, "delay", 0.0) / dt)
+
+
+def _fitted(record, plant, counts: Mapping[str, int | None], delay: int | None):
+    """The fit of the structure that was asked for, or else of that of the campaign's plant.
+
+    A ProcessModel is fitted from its own values. Where the result explains little, the campaign's
+    plant is no start, and many others are tried.
+    """
+    structure: dict[str, Any] = {
+        name: 1 if value is None else value for name, value in counts.items()
+    }
+    own = delay is None and all(value is None for value in counts.values())
+    if isinstance(plant, ProcessModel) and own:
+        found = identification.identify(record, plant)
+        if min(found.fit) >= ENOUGH:
+            return found
+        structure = {
+            "poles": len(plant.poles),
+            "pairs": len(plant.frequencies),
+            "zeros": len(plant.zeros),
+        }
+    late = _delay_of(plant, record.dt) if delay is None else delay
+    return identification.identify(record, **structure, delay=late)
+
+
+def _write(path: Path, opened, found, source: str) -> Path:
+    """Write the plant file of the campaign with the fitted plant, or a new one for a scenario."""
+    recipe = opened.recipe
+    own = Path(recipe["scenario"])
+    if "file" not in recipe or own.suffix != ".toml":
+        raise ValueError(
+            f"the campaign belongs to {recipe['scenario']}, which is no plant file in TOML; the "
+            "fitted plant is above, and --out FOLDER takes its figure"
+        )
+    noise = float(max(found.residual_std)) if found.white else None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return write_refitted(path, own, found, fitted_to=source, noise=noise)
+
+
+def _after(path: Path, state: Path, opened) -> tuple[str, list[str]]:
+    """What to do with the new plant file, and a warning where the campaign cannot go on with it."""
+    file, folder = shlex.quote(str(path)), shlex.quote(str(state))
+    try:
+        open_campaign(state, Given(scenario=str(path)), new=False)
+    except ValueError as error:
+        name = shlex.quote(opened.recipe["scheme"])
+        start = (
+            "next: the scheme of the new file is another one, so start a campaign with it: jaxilc "
+            f"next --state FOLDER --scenario {file} --scheme {name} --out next.csv"
+        )
+        return start, [f"warning: {error}"]
+    on = (
+        f"next: go on with the new file: jaxilc next --state {folder} --scenario {file} "
+        "--measured TRIAL --out next.csv; its uncertainty is what is predicted from then on"
+    )
+    return on, []
+
+
+def identification_table(title: str, rows: Sequence[tuple[str, float, float, float]]) -> Table:
+    """The table of identified quantities with their 95 % intervals."""
+    table = Table(title=f"{title}: identified, with 95 % intervals")
+    for column in ("quantity", "value", "low", "high"):
+        table.add_column(column, justify="left" if column == "quantity" else "right")
+    for name, *values in rows:
+        largest = NOTHING * np.max(np.abs(values), where=np.isfinite(values), initial=0.0)
+        shown = [0.0 if abs(v) < largest else v for v in values]
+        table.add_row(name, *(f"{v:.6g}" if np.isfinite(v) else "–" for v in shown))
+    return table
+
+
+def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) -> Table:
+    """The table of the structures that were fitted, of which the best one is marked.
+
+    The column rms is that of the residual, in the unit of the output; of a frequency response,
+    divided by the standard deviation of each line. The column valid. is the fit of the part that
+    was not fitted. Of many fits, those of the smallest criterion are shown.
+
+    dt: sample time, in which the delay is told [s]; None: in ms
+    """
+    of_response, delayed = best.found.of_response, any(_delay(one) > 0 for one in orders)
+    shown = list(orders)
+    if len(shown) > MOST_ORDERS:
+        shown = sorted(shown, key=lambda one: one.bic)[:MOST_ORDERS]
+    count = (
+        f"{len(shown)} of {len(orders)} structures" if len(shown) < len(orders) else "structures"
+    )
+    table = Table(title=f"{count} by BIC, above the smallest ({best.bic:.1f})")
+    delay = ("delay" if dt else "delay [ms]",) * delayed
+    last = () if of_response else ("valid. [%]",)
+    rms = "rms / std" if of_response else "rms"
+    for column in ("poles", "pairs", "zeros", *delay, rms, "BIC", *last, ""):
+        table.add_column(column, justify="right")
+    for one in shown:
+        counts = (one.poles, one.pairs, one.zeros)
+        late = (f"{_delay(one) / (dt or 1e-3):.4g}",) * delayed
+        values = (f"{one.rms:.4g}", f"{one.bic - best.bic:+.1f}")
+        share = () if of_response else (f"{one.validation_fit:.4g}",)
+        sound = "" if one.found.converged else "no minimum"
+        row = (*map(str, counts), *late, *values, *share)
+        table.add_row(*row, "chosen" if one is best else sound)
+    return table
+
+
+def _delay(one: Order) -> float:
+    """The delay of a fitted plant [s]."""
+    return float(getattr(one.found.plant, "delay", 0.0))

@@ -1,0 +1,85 @@
+"""`list`: the scenarios, or all that can be set in one.
+
+This module does not import JAX for the list of all scenarios, so that it is there at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..scenarios.catalogue import LISTED
+from .outcome import Outcome
+from .request import Request
+from .table import Table
+from .verdict import Verdict
+
+if TYPE_CHECKING:
+    from ..scenarios import Scenario
+    from .case import Case
+
+
+def scenarios() -> Outcome:
+    """The scenarios of papers and of other software."""
+    table = Table("scenario", "title", "schemes", "trials", "samples N")
+    for name, (title, schemes, trials, samples) in LISTED.items():
+        table.add_row(name, title, ", ".join(schemes), str(trials), str(samples))
+    said = f"{len(LISTED)} scenarios of papers and other software; a plant file has your machine."
+    verdict = Verdict((said,), "a plant file", "jaxilc init axis.toml")
+    return Outcome(command="list", numbers={}, verdict=verdict, tables=[table])
+
+
+def settings(source: str) -> Outcome:
+    """All that can be set in a scenario or a plant file, with values and allowed ranges."""
+    from ..scenarios.from_file import load_scenario
+    from .case import Case
+
+    chosen = load_scenario(source)
+    values = chosen.settable()
+    return Outcome(
+        command="list",
+        numbers={},
+        verdict=list_verdict(Case.of(chosen, Request(source)), values, [*chosen.options]),
+        scenario=chosen,
+        tables=[settable_table(chosen)],
+    )
+
+
+def settable_table(scenario: Scenario) -> Table:
+    """The table of all that `--set` can set in a scenario, with values and allowed ranges."""
+    table = Table(title=scenario.title)
+    table.add_column("--set", whole=True)
+    table.add_column("value")
+    table.add_column("allowed")
+    for option, default in scenario.options.items():
+        table.add_row(option, str(default), "option of the scenario")
+    for path, value in scenario.settable().items():
+        table.add_row(path, _brief(value), scenario.allowed(path))
+    return table
+
+
+def _brief(value: Any) -> str:
+    import numpy as np
+
+    if value is None or isinstance(value, str | int | tuple):
+        return str(value)
+    return np.array2string(np.asarray(value), precision=6, threshold=6)
+
+
+def list_verdict(case: Case, values: Mapping[str, Any], options: Sequence[str]) -> Verdict:
+    """How much can be set, and a run with one of the values, as it stands.
+
+    values: values by path, as `Scenario.settable` has them
+    options: names of the options of the scenario
+    """
+    import numpy as np
+
+    said = (f"{len(values) + len(options)} values can be set in {case.request.source}.",)
+    if not case.learns:
+        return Verdict(said, *(case.remedy("") if case.designable else ()))
+    heads = [f"{name}." for name in sorted(case.learns, key=lambda name: not case.learns[name])]
+    single = [path for path, value in values.items() if np.asarray(value).shape == ()]
+    floats = [path for path in single if np.asarray(values[path]).dtype.kind == "f"]
+    path = next((p for head in heads for p in floats if p.startswith(head)), None)
+    changed = () if path is None else (f"{path}={float(values[path]):.6g}",)
+    return Verdict(said, "with another value", case.request.following("run", set=changed))

@@ -1,0 +1,471 @@
+"""`run`: schemes learn on one machine, the nominal one of a scenario."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from .. import figures
+from ..learning.divergence import CEILING, GROWTH
+from ..learning.known_metrics import ERRORS, OF_TRIALS
+from ..runtime.provenance import differences
+from ..scenarios.loading import with_reading
+from ..scenarios.reproduction import met
+from ..storage.files import whole_folder
+from ..sweeps import runs
+from . import trends
+from .case import Case, both, diverged
+from .outcome import Figure, Outcome, Progress, silent
+from .request import Request, settings_of
+from .simulated import HEADS, experiment_lines, output_names, shown_trials
+from .table import Table
+from .trends import Trend, trend_of
+from .verdict import Verdict
+from .words import number
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..figures.page import Live
+    from ..scenarios import Published, Scenario
+
+CURVES = (2, 20)  # trials that are drawn besides the last one
+OF_CONTOUR = {"max_error": "contour_max", "rms": "contour_rms"}  # metrics of an axis, of a contour
+# What the figures of a scheme show, by the name of the function that draws them.
+OF_A_SCHEME = {
+    "tracking": "output, error and input within chosen trials; the right column shows the shaded "
+    "part.",
+    "spectrum": "the amplitude of the error at each frequency, for chosen trials.",
+    "time_frequency": "when within the trial which frequencies of the error are large; all maps "
+    "have the same colours.",
+    "contour": "the path with the motion, whose distance from it is drawn larger, and the contour "
+    "error along the path.",
+}
+
+
+def run(
+    request: Request | str,
+    *,
+    seed: int = 0,
+    folder: Path | None = None,
+    replace: bool = False,
+    progress: Progress = silent,
+) -> Outcome:
+    """Learn on the nominal machine: errors beside the published ones, figures, dataset.
+
+    request: what is simulated; the name of a scenario or a plant file stands for all of it
+    seed: of noise and of all else that is drawn
+    folder: for the results; the first of out/run-NAME, out/run-NAME-2 and so on that is free, or
+        that holds a run of the same settings, if not given
+    replace: whether the run of other settings in the folder is replaced
+    Raises ValueError naming what is allowed, and FileExistsError where the folder holds a run of
+    other settings.
+    """
+    request = Request.of(request)
+    chosen = request.scenario()
+    made_with = runs.configuration(chosen, seed)
+    place = _folder(folder, chosen.name, made_with, replace=replace)
+    dataset, _ = runs.run_schemes(
+        chosen.machine,
+        chosen.schemes,
+        chosen.task,
+        chosen.trials,
+        key=jax.random.key(seed),
+        quantities=chosen.functions,
+        progress=lambda done, name: progress(name, done, len(chosen.schemes)),
+    )
+    numbers = run_numbers(chosen, dataset)
+    by_axis = axes_table(numbers)
+    changed = request.params or not settings_of(request.set).keys() <= chosen.options.keys()
+    return Outcome(
+        command="run",
+        numbers=numbers,
+        verdict=run_verdict(Case.of(chosen, request), numbers, errors_by_trial(chosen, dataset)),
+        folder=place,
+        scenario=chosen,
+        tables=[
+            run_table(chosen, numbers),
+            last_trial_table(numbers),
+            *([] if by_axis is None else [by_axis]),
+        ],
+        lines=[
+            *course_lines(numbers),
+            *experiment_lines(chosen),
+            *other_rows(chosen, numbers),
+            *_published_lines(chosen, numbers, changed=bool(changed)),
+        ],
+        remarks=chosen.chosen,
+        figures=_figures(chosen, dataset),
+        files={"dataset.zarr": partial(_store, dataset, made_with)},
+        live=partial(_live, chosen, dataset),
+    )
+
+
+def _store(dataset: xr.Dataset, made_with: Mapping[str, Any], place: Path) -> None:
+    """Write the dataset of a run, with all that determines it, in place of another."""
+    dataset.attrs["configuration"] = json.dumps(made_with)
+    with whole_folder(place, replace=True) as store:
+        dataset.to_zarr(store, consolidated=False)
+
+
+def _figures(chosen: Scenario, dataset: xr.Dataset) -> dict[str, Figure]:
+    """The figures of a run: the metric that judges it, and of each scheme what its trials are."""
+    scale, unit = chosen.shown(chosen.judged_by)
+    in_unit = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
+    of_errors = {"metric": chosen.judged_by, "published": chosen.due, "scale": scale, "unit": unit}
+    drawn = {
+        "error-by-trial": Figure(
+            "The errors by trial, a curve for each scheme; circles are published.",
+            partial(figures.error_by_trial, dataset, **of_errors),
+            live=True,
+        )
+    }
+    last = chosen.trials
+    trials = [j for j in shown_trials(chosen) if j in (*CURVES, last)] or [last]
+    for name, scheme in chosen.schemes.items():
+        kinds = ["tracking", *(("spectrum", "time_frequency") if scheme.learns else ())]
+        if chosen.task.outputs == 2 and "contour_max" in chosen.quantities:
+            kinds.append("contour")
+        for kind in kinds:
+            drawn[f"{kind.replace('_', '-')}-{name}"] = Figure(
+                f"{name}: {OF_A_SCHEME[kind]}",
+                partial(getattr(figures, kind), dataset, name, trials, **in_unit),
+                live=kind == "tracking",
+            )
+    return drawn
+
+
+def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Live]:
+    """The errors by trial, and a trial that a slider chooses."""
+    from ..figures import browsers
+    from ..figures.page import live
+
+    scale, unit = chosen.shown(chosen.judged_by)
+    errors = figures.error_by_trial.described(
+        dataset,
+        metric=chosen.judged_by,
+        scale=scale,
+        unit=unit,
+        published=chosen.due,
+        tolerance=chosen.tolerance,
+    )
+    within = browsers.trials(dataset, scale=chosen.shown_scale, unit=chosen.shown_unit)
+    return [live(errors), within]
+
+
+def _published_lines(chosen: Scenario, numbers: dict[str, Any], *, changed: bool) -> list[str]:
+    """What is told of published numbers.
+
+    changed: whether a setting changed a value of the machine or of a scheme
+    """
+    if chosen.due and changed:
+        return [
+            "published values hold for the scenario as it stands; --set or --params changed it here"
+        ]
+    return reading_lines(chosen, numbers)
+
+
+def _folder(asked: Path | None, name: str, made_with: dict[str, Any], *, replace: bool) -> Path:
+    """The folder for the results of a run, in which no other run's are mixed with them.
+
+    Without --out it is the first of out/run-NAME, out/run-NAME-2 and so on that is free, or that
+    holds a run of the same settings.
+
+    made_with: all that determines the numbers and the figures
+    replace: whether the run of other settings in the folder is replaced
+    Raises FileExistsError where the folder that was asked for holds a run of other settings.
+    """
+
+    def differing(folder: Path) -> list[str]:
+        store = folder / "dataset.zarr"
+        return (
+            differences(runs.made_with(store), made_with) if store.exists() and not replace else []
+        )
+
+    if asked is None:
+        first = Path("out") / f"run-{name}"
+        counted = (first.with_name(f"{first.name}-{i}") for i in itertools.count(2))
+        return next(folder for folder in itertools.chain([first], counted) if not differing(folder))
+    found = differing(asked)
+    if found:
+        more = f" and {len(found) - 1} more" if found[1:] else ""
+        raise FileExistsError(
+            f"{asked} holds a run of other settings ({found[0]}{more}); choose another --out, or "
+            "add --replace"
+        )
+    return asked
+
+
+def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
+    """The metrics of a run [shown unit] by scheme, metric and trial, with the published ones.
+
+    With several channels the largest counts. The errors of a trial that diverged are infinite (see
+    `learning.divergence`).
+
+    dataset: result of `run_schemes`
+    """
+    schemes: dict[str, Any] = {}
+    for name in scenario.schemes:
+        chosen = _largest(dataset, name)
+        known = (*(m.name for m in OF_TRIALS), *scenario.quantities)
+        shown = {m: scenario.shown(m)[0] * chosen[m] for m in known}
+        shown |= {
+            m: shown[m].where(~chosen["diverged"], np.inf) for m in shown if m != "best_trial"
+        }
+        by_metric = {
+            m: {str(j): float(values.sel(trial=j)) for j in shown_trials(scenario)}
+            for m, values in shown.items()
+        }
+        published = [_beside(p, scenario, shown) for p in scenario.due if p.scheme == name]
+        axes = _by_axis(scenario, dataset.sel(scheme=name))
+        course = {event: int(chosen[event]) for event in ("diverged_at", "grown_from")}
+        schemes[name] = by_metric | course | _grown(chosen) | axes | {"published": published}
+    return {
+        "scenario": scenario.name,
+        "trials": scenario.trials,
+        "unit": scenario.shown_unit,
+        "schemes": schemes,
+    }
+
+
+def errors_by_trial(scenario: Scenario, dataset: xr.Dataset) -> dict[str, list[float]]:
+    """The metric by which a scenario is judged, of every trial by scheme [shown unit].
+
+    Errors are those of `run_numbers`.
+    """
+    scale = scenario.shown(scenario.judged_by)[0]
+    found = {}
+    for name in scenario.schemes:
+        chosen = _largest(dataset, name)
+        errors = (scale * chosen[scenario.judged_by]).where(~chosen["diverged"], np.inf)
+        found[name] = [float(error) for error in errors.fillna(np.inf)]
+    return found
+
+
+def _largest(dataset: xr.Dataset, scheme: str) -> xr.Dataset:
+    """The results of one scheme, of several outputs or inputs the largest."""
+    return dataset.sel(scheme=scheme).max(["channel", "input"], skipna=False)
+
+
+def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> dict[str, Any]:
+    """The errors of each output by its name and trial [shown unit]; nothing for a single output.
+
+    chosen: metrics of one scheme
+    """
+    if scenario.task.outputs == 1:
+        return {}
+    sound = ~chosen["diverged"]
+    axes = {
+        called: {
+            metric.name: {
+                str(j): scenario.shown(metric.name)[0]
+                * float(chosen[metric.name].isel(channel=i).where(sound, np.inf).sel(trial=j))
+                for j in shown_trials(scenario)
+            }
+            for metric in ERRORS
+        }
+        for i, called in enumerate(output_names(scenario))
+    }
+    return {"axes": axes}
+
+
+def _grown(chosen: xr.Dataset) -> dict[str, Any]:
+    """The rms error of the last trial in units of that of the best trial, and its number.
+
+    chosen: metrics of one scheme by trial
+    """
+    rms = chosen["rms"].values
+    best = int(np.nanargmin(np.where(np.isfinite(rms), rms, np.inf)))
+    return {"best": best + 1, "grown_to": float(rms[-1] / rms[best]) if rms[best] > 0 else 1.0}
+
+
+def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) -> dict[str, Any]:
+    """A published number and ours, which is None for a trial that was not run.
+
+    `met` is whether they are near, as `reproduce` judges it.
+    """
+    trial = p.trial or 1
+    ours = float(shown[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
+    near = None if ours is None else met(p, ours)
+    return {
+        "trial": p.trial,
+        "quantity": p.quantity,
+        "value": p.value,
+        "unit": scenario.shown(p.quantity)[1],
+        "source": p.source,
+        "ours": ours,
+        "met": near,
+    }
+
+
+def run_table(scenario: Scenario, numbers: dict[str, Any]) -> Table:
+    """The table of the metric by which the scenario is judged, for each trial and scheme.
+
+    A published value is shown in brackets, and the title says so where there is one.
+    """
+    metric, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
+    rows_by_trial, printed = [], ""
+    for j in shown_trials(scenario):
+        cells = []
+        for rows in numbers["schemes"].values():
+            values = [
+                p["value"] for p in rows["published"] if p["quantity"] == metric and p["trial"] == j
+            ]
+            printed = ", published value in brackets" if values else printed
+            cells.append(number(rows[metric][str(j)]) + "".join(f" ({v:g})" for v in values))
+        rows_by_trial.append((str(j), *cells))
+    what = f"{metric.replace('_', ' ')} [{unit}] by trial{printed}"
+    table = Table(title=f"{scenario.title}\n{what}")
+    table.add_column("trial", justify="right")
+    for name in scenario.schemes:
+        table.add_column(name, justify="right")
+    for row in rows_by_trial:
+        table.add_row(*row)
+    return table
+
+
+def other_rows(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
+    """The published numbers that have no cell in `run_table`, one line each."""
+    in_table = {(scenario.judged_by, j) for j in shown_trials(scenario)}
+    lines = []
+    for name, rows in numbers["schemes"].items():
+        for p in rows["published"]:
+            if p["ours"] is not None and (p["quantity"], p["trial"]) not in in_table:
+                at = f" at trial {p['trial']}" if p["trial"] else ""
+                ours = f"{p['quantity'].replace('_', ' ')}{at} {number(p['ours'])} {p['unit']}"
+                lines.append(f"{name}: {ours} (published {p['value']:g})")
+    return lines
+
+
+def reading_lines(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
+    """A sentence where ours and published numbers part: what is simulated, what `reproduce` judges.
+
+    A paper can be read in several ways, and `run` takes another one than `reproduce` by default.
+    """
+    beside = [p for rows in numbers["schemes"].values() for p in rows["published"]]
+    near = [p["met"] for p in beside if p["met"] is not None]
+    if all(near):
+        return []
+    judged = {name: value for p in scenario.due for name, value in p.options}
+    judged |= with_reading(scenario.name, None)
+    other = [name for name, value in judged.items() if scenario.options.get(name) != value]
+    here = ", ".join(f"{name}={scenario.options[name]}" for name in other)
+    there = " ".join(f"--set {name}={judged[name]}" for name in other)
+    said = [f"{near.count(True)} of {len(near)} published numbers are met within 30 %"]
+    if other:
+        said[0] += f": simulated is {here}"
+        said.append(f"The paper is judged with {there}")
+    return [". ".join([*said, f"jaxilc reproduce {scenario.name} says how each number was read."])]
+
+
+def last_trial_table(numbers: dict[str, Any]) -> Table:
+    """The table of the errors of the last trial of a run by every metric, and of the best trial."""
+    last = str(numbers["trials"])
+    table = Table(title=f"trial {last}, errors in {numbers['unit'] or 'the unit of y'}")
+    for column in ("scheme", *HEADS, "best trial (by rms)"):
+        table.add_column(column, justify="left" if column == "scheme" else "right")
+    for name, rows in numbers["schemes"].items():
+        errors = (number(rows[m.name][last]) for m in ERRORS)
+        table.add_row(name, *errors, str(rows["best"]))
+    return table
+
+
+def axes_table(numbers: dict[str, Any]) -> Table | None:
+    """The table of the errors of the last trial of a run, axis by axis, and of the contour.
+
+    None for a single output.
+    """
+    if not any("axes" in rows for rows in numbers["schemes"].values()):
+        return None
+    last = str(numbers["trials"])
+    table = Table(title=f"trial {last} by axis, errors in {numbers['unit'] or 'the unit of y'}")
+    for column in ("scheme", "axis", *HEADS):
+        table.add_column(column, justify="left" if column in ("scheme", "axis") else "right")
+    for name, rows in numbers["schemes"].items():
+        for axis, errors in rows["axes"].items():
+            table.add_row(name, axis, *(number(errors[m.name][last]) for m in ERRORS))
+        if "contour_max" in rows:
+            contour = {of: number(rows[m][last]) for of, m in OF_CONTOUR.items()}
+            table.add_row(name, "contour", *(contour.get(m.name, "") for m in ERRORS))
+    return table
+
+
+def course_lines(numbers: dict[str, Any]) -> list[str]:
+    """A line for each scheme of a run that diverged, or whose error has grown."""
+    lines = []
+    for name, rows in numbers["schemes"].items():
+        if rows["diverged_at"]:
+            lines.append(
+                f"{name}: diverged at trial {rows['diverged_at']}: not finite, "
+                f"or an error of {CEILING:g} times the reference"
+            )
+        elif rows["grown_from"]:
+            lines.append(
+                f"{name}: the rms error has grown {number(rows['grown_to'])} times since trial "
+                f"{rows['best']}; from trial {rows['grown_from']} on it is more than "
+                f"{1 + GROWTH:g} times its least"
+            )
+    return lines
+
+
+def run_verdict(
+    case: Case, numbers: dict[str, Any], errors: Mapping[str, Sequence[float]]
+) -> Verdict:
+    """Which scheme ends with the least error, how far it came, and where it goes.
+
+    numbers: result of `run_numbers`
+    errors: errors of the trials by scheme [unit of the case], infinite where a trial diverged
+    """
+    trials, errors = numbers["trials"], case.of_learned(errors)
+    best = min(errors, key=lambda name: (diverged(errors[name]), errors[name][-1]))
+    first, last = errors[best][0], errors[best][-1]
+    course = trend_of(errors[best])
+    if course.kind == trends.DIVERGES:
+        which = best if len(errors) == 1 else "Every scheme"
+        said = (f"{which} diverges within {trials} trials.",)
+        return Verdict(said, *case.remedy(best))
+    if last > trends.EXACT * first:
+        course = _with_rms(course, numbers["schemes"][best])
+    begun = f", after {case.size(first)} in trial 1" if trials > 1 else ""
+    it = f"; {_subject(course)}" if course.words and case.learns[best] else ""
+    said = f"{case.head(best)}trial {trials} has a {case.metric} of {case.size(last)}{begun}{it}."
+    passed = case.tolerance is None or last <= case.tolerance
+    return Verdict(
+        both(said, case.beside_tolerance(last)), *_after_run(case, best, course, passed, trials)
+    )
+
+
+def _with_rms(course: Trend, row: dict[str, Any]) -> Trend:
+    """The trend of a metric; it also grows if the rms error of the same run does.
+
+    row: numbers of a scheme of a run
+    """
+    if course.kind in (trends.FALLS, trends.SETTLED) and row["grown_from"]:
+        times, best = number(row["grown_to"]), row["best"]
+        words = f"its rms error has grown {times} times since trial {best}"
+        return course._replace(kind=trends.GROWS, words=words)
+    return course
+
+
+def _subject(course: Trend) -> str:
+    """The words of a trend with a subject."""
+    return course.words if course.words.startswith("its ") else f"it {course.words}"
+
+
+def _after_run(case: Case, best: str, course: Trend, passed: bool, trials: int) -> tuple[str, str]:
+    if not case.learns[best] or course.kind == trends.GROWS:
+        return case.remedy(best)
+    if course.kind == trends.FALLS and (case.tolerance is None or not passed):
+        return "until it settles", case.on("run", best, trials=2 * trials)
+    if not passed:
+        return case.remedy(best)
+    if case.uncertain:
+        return "many machines", case.on("sweep", best)
+    return "what theory claims", case.on("certify", best)

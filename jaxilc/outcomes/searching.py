@@ -1,0 +1,200 @@
+"""`worst_case`: the machine within the uncertainty with the largest final error."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import figures
+from ..pytree.named_paths import get_at
+from ..storage.sealed import write_json
+from ..tuning.worst_case import GRADIENT_COST
+from ..tuning.worst_machine import worst_machine
+from .case import Case, both
+from .outcome import Figure, Outcome, Progress, silent
+from .request import Request
+from .table import Table
+from .verdict import Verdict
+from .words import number
+
+if TYPE_CHECKING:
+    from ..figures.page import Live
+    from ..scenarios import Scenario
+    from ..tuning.worst_machine import WorstMachine
+    from ..uncertainty import Uncertainty
+
+FEW = 6  # settings of the worst machine that the next command repeats
+
+
+def worst_case(
+    request: Request | str,
+    *,
+    starts: int = 16,
+    steps: int = 30,
+    evaluations: int | None = None,
+    draws: int | None = None,
+    seed: int = 0,
+    folder: Path | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """The worst machine by climbing the gradient of its error, against machines drawn by chance.
+
+    request: what is simulated, with one scheme; its last trial is the one whose metric is large
+    starts, steps, evaluations, draws, seed: as for `tuning.worst_machine`
+    folder: for the results; out/worst-case-NAME if not given
+    Raises ValueError naming what is allowed.
+    """
+    least = starts * (1 + GRADIENT_COST)
+    if evaluations is not None and evaluations < least:
+        raise ValueError(f"--evaluations {evaluations} is outside its allowed range [{least}, inf)")
+    request = Request.of(request)
+    chosen, scheme = request.of_one_scheme()
+    scale, unit = chosen.shown(chosen.judged_by)
+    found = worst_machine(
+        chosen.machine,
+        chosen.schemes[scheme],
+        chosen.task,
+        chosen.trials,
+        chosen.uncertainty,
+        metric=chosen.judged_by,
+        scale=scale,
+        quantities=chosen.functions,
+        starts=starts,
+        steps=steps,
+        evaluations=evaluations,
+        draws=draws,
+        seed=seed,
+        progress=lambda done, whole, name: progress(name, done, whole),
+    )
+    numbers = {
+        "scenario": request.source,
+        "scheme": scheme,
+        "trial": chosen.trials,
+        "figure": chosen.judged_by,
+        "unit": unit,
+        "seed": seed,
+        "params": None if request.params is None else str(request.params),
+        "given": [*request.set],
+    } | worst_case_numbers(found, chosen.uncertainty)
+    verdict = worst_case_verdict(Case.of(chosen, request), scheme, numbers)
+    shown = {"metric": chosen.judged_by, "unit": unit}
+    marked = {name: search.value for name, search in found.searches.items()}
+    return Outcome(
+        command="worst-case",
+        numbers=numbers,
+        verdict=verdict,
+        folder=folder or Path("out") / f"worst-case-{chosen.name}",
+        scenario=chosen,
+        tables=worst_case_tables(chosen, numbers),
+        figures={
+            "worst-case": Figure(
+                "The share of drawn machines that err no more than so much, and the errors of the "
+                "machines that were searched for.",
+                partial(
+                    figures.worst_against_chance,
+                    found.by_chance,
+                    marked,
+                    nominal=found.nominal,
+                    **shown,
+                ),
+                live=True,
+            )
+        },
+        files={"worst-case.json": partial(write_json, value=numbers | verdict.as_json())},
+        live=partial(_live, found, shown),
+        asked={"starts": starts, "steps": steps, "seed": seed},
+    )
+
+
+def _live(found: WorstMachine, shown: dict[str, str]) -> list[Live]:
+    """The machines drawn and those searched for, and what each search found with what effort."""
+    from ..figures.page import live
+    from ..figures.searches import worst_by_effort
+
+    values = {name: one.value for name, one in found.searches.items()}
+    machines = {name: one.case.values for name, one in found.searches.items()}
+    chance = figures.worst_against_chance.described(
+        found.by_chance, values, nominal=found.nominal, machines=machines, **shown
+    )
+    return [live(chance), live(worst_by_effort.described(found.searches, **shown))]
+
+
+def worst_case_numbers(found: WorstMachine, uncertainty: Uncertainty) -> dict[str, Any]:
+    """The result and cost of each search, with the machine as arguments of `--set`."""
+    searches = {
+        name: {
+            "value": search.value,
+            "loss": search.case.loss,
+            "evaluations": search.case.evaluations,
+            "needed": search.needed,
+            "level_with_chance": search.level_with_chance,
+            "numbers": search.case.values,
+            "set": _settings(search.case.subject, uncertainty),
+        }
+        for name, search in found.searches.items()
+    }
+    return {"nominal": found.nominal, "searches": searches}
+
+
+def _settings(machine, uncertainty: Uncertainty) -> list[str]:
+    """The drawn leaves, element by element, as arguments of `--set`."""
+    found = []
+    for name in uncertainty:
+        value = np.asarray(get_at(machine, name))
+        for index in np.ndindex(value.shape):
+            element = "".join(f"[{i}]" for i in index)
+            found.append(f"{name}{element}={float(value[index])!r}")
+    return found
+
+
+def worst_case_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table]:
+    """The tables of the result and cost of each search, and of the worst machine for `--set`."""
+    metric = f"{numbers['figure'].replace('_', ' ')} [{numbers['unit']}]"
+    what = f"largest {metric} at trial {numbers['trial']}, nominal {number(numbers['nominal'])}"
+    table = Table("search", title=f"{scenario.title}\n{numbers['scheme']}: {what}")
+    for column in ("found", "evaluations", "of them until found", "until level with chance"):
+        table.add_column(column, justify="right")
+    for name, row in numbers["searches"].items():
+        level = row["level_with_chance"]
+        table.add_row(
+            name,
+            number(row["value"]),
+            str(row["evaluations"]),
+            str(row["needed"]),
+            "never" if level is None else str(level),
+        )
+    worst = max(numbers["searches"].values(), key=lambda row: row["loss"])
+    rebuilt = Table("--set", title="the worst machine")
+    for setting in worst["set"]:
+        rebuilt.add_row(setting)
+    return [table, rebuilt]
+
+
+def worst_case_verdict(case: Case, scheme: str, numbers: dict[str, Any]) -> Verdict:
+    """How much larger the error of the worst machine is, and which search found it.
+
+    numbers: result of `worst_case_numbers`, with the trial
+    """
+    searches, nominal = numbers["searches"], numbers["nominal"]
+    name = max(searches, key=lambda one: searches[one]["loss"])
+    worst, trial = searches[name], numbers["trial"]
+    times = ""
+    if 0 < nominal < math.inf and math.isfinite(worst["value"]):
+        times = f", {number(worst['value'] / nominal)} times that of the nominal machine"
+    ends = (
+        f"has a {case.metric} of {case.size(worst['value'])} in trial {trial}{times}"
+        if math.isfinite(worst["value"])
+        else f"diverges within {trial} trials"
+    )
+    said = f"{scheme}: the worst machine {ends}; found by {name}."
+    if len(worst["set"]) > FEW:
+        what, following = "what theory claims", case.on("certify", scheme)
+    else:
+        settings = (*case.request.set, *worst["set"])
+        what = "that machine"
+        following = case.request.following("run", scheme=scheme, set=settings)
+    return Verdict(both(said, case.beside_tolerance(worst["value"])), what, following)

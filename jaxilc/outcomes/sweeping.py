@@ -1,0 +1,593 @@
+"""`sweep`: schemes against many uncertain machines, also over a grid of parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from .. import figures
+from ..pytree.ranges import value_text
+from ..sweeps.grid import values_at
+from ..sweeps.points import at_best, best_points, labels_of
+from ..sweeps.summary import axes_of, summarise
+from ..sweeps.sweep import Sweep
+from ..theory.bounds import BoundsWatch
+from .bounds import bounds_tables, watched_numbers
+from .case import Case, both
+from .outcome import Figure, Outcome
+from .request import Request, unless_there
+from .simulated import experiment_lines, output_names, shown_trials
+from .stored_grid import point_of
+from .table import Table
+from .trends import trend_of
+from .verdict import Verdict
+from .words import number
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..figures.page import Live
+    from ..scenarios import Scenario
+    from ..sweeps.points import BestPoint
+    from ..sweeps.summary import SchemeSummary
+
+NOMINAL = "nominal.zarr"  # the bounds of the nominal machine over a grid
+SIGMA_STEPS = 40  # of the Lanczos iteration on the nominal machine of a point
+ENOUGH = 0.95  # share of machines within the tolerance with which a scheme is not in request
+
+BAND = (
+    "Each panel is a scheme: median, 5 to 95 % and worst machine by trial. Beside them stands "
+    "which share of the machines ends within a tolerance."
+)
+MAPS = {
+    "grid": "The error of the last trial that 95 % of the machines do not exceed, at each point of "
+    "the grid; the star is the best one, and a line encloses where a machine diverges.",
+    "grid-best-trial": "The trial of the least error at each point, in the median.",
+    "grid-yield": "The share of machines within the tolerance at each point.",
+    "contraction": "The change of the error in a trial at each point of the grid, in the median; "
+    "on the lines a bound is 1, and in the hatched regions a premise of d2 fails.",
+}
+
+
+class Swept(NamedTuple):
+    """The result of a sweep.
+
+    dataset: dataset that `Sweep.run` returns
+    seconds: time of the sweep, with compilation [s]
+    steps: number of sample-steps that were computed; 0 where the store held all machines
+    """
+
+    dataset: xr.Dataset
+    seconds: float
+    steps: int
+
+
+def run_plan(plan: Sweep, store: Path, *, resume: bool) -> Swept:
+    """Run a sweep without showing its progress."""
+    start, counted = time.perf_counter(), []
+    dataset = plan.run(store, resume=resume, progress=lambda _, __, fresh: counted.append(fresh))
+    steps = sum(counted) * plan.trials * plan.task.N
+    return Swept(dataset, time.perf_counter() - start, steps)
+
+
+def sweep(
+    request: Request | str,
+    *,
+    machines: int = 1024,
+    seed: int = 0,
+    sampling: str = "monte-carlo",
+    grid: Sequence[str] = (),
+    keep: Sequence[str] = (),
+    bounds: bool = False,
+    folder: Path | None = None,
+    resume: bool = False,
+    run: Callable[..., Swept] = run_plan,
+) -> Outcome:
+    """Schemes against many uncertain machines: yield, quantiles, worst case, figure, dataset.
+
+    request: what is simulated; the name of a scenario or a plant file stands for all of it
+    machines, seed, sampling, keep: as for `Sweep`
+    grid: axes of a grid as texts PATH=VALUES; tables and figure are those of the best point
+    bounds: whether d1, d2 and the premises of Cao 2019 are watched on each machine
+    folder: for the results; out/sweep-NAME if not given
+    resume: whether to go on with what is in the folder
+    run: how a plan is run, as `run_plan`
+    Raises ValueError naming what is allowed, and FileExistsError for results without `resume`.
+    """
+    request = Request.of(request)
+    chosen = request.scenario()
+    plan = Sweep(
+        chosen.machine,
+        chosen.schemes,
+        chosen.task,
+        chosen.trials,
+        uncertainty=chosen.uncertainty,
+        machines=machines,
+        seed=seed,
+        sampling=sampling,
+        keep=tuple(keep),
+        quantities=chosen.functions,
+        grid=request.grid(grid, chosen),
+        watch=BoundsWatch() if bounds else None,
+    )
+    tolerance = _tolerance(chosen, request.tolerance)
+    place = folder or Path("out") / f"sweep-{chosen.name}"
+    stores = [unless_there(place / "dataset.zarr", resume)]
+    if bounds and any(axis.size > 1 for axis in plan.axes.axes):
+        stores.append(unless_there(place / NOMINAL, resume))
+    swept = run(plan, stores[0], resume=resume)
+    nominal = run(_nominal(plan), stores[1], resume=resume).dataset if stores[1:] else None
+    return _told(_Found(chosen, request, tolerance, swept.dataset, nominal), swept, stores)
+
+
+class _Found(NamedTuple):
+    """What was swept.
+
+    chosen: the scenario
+    request: what was asked
+    tolerance: largest metric that passes [unit of the dataset], None if none is known
+    whole: the dataset
+    nominal: the same grid of the nominal machine with its bounds; None without a map of them
+    """
+
+    chosen: Scenario
+    request: Request
+    tolerance: float | None
+    whole: xr.Dataset
+    nominal: xr.Dataset | None
+
+
+def _told(found: _Found, swept: Swept, stores: list[Path]) -> Outcome:
+    """The outcome of a sweep: that of the best point, where it has a grid."""
+    chosen, request, tolerance, dataset, _ = found
+    sizes = {axis: dataset.sizes[axis] for axis in axes_of(dataset)}
+    best = best_points(dataset, tolerance, metric=chosen.judged_by) if sizes else []
+    if best:
+        request = _at(request, dataset, _first(best))
+        dataset = at_best(dataset, best)
+        chosen = dataclasses.replace(chosen, trials=dataset.sizes["trial"])
+    scale, unit = chosen.shown(chosen.judged_by)
+    summary = summarise(dataset, tolerance, metric=chosen.judged_by)
+    numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])
+    numbers |= axes_numbers(chosen, dataset, tolerance)
+    numbers |= grid_numbers(chosen, best, sizes) if sizes else {}
+    if "contraction_norm" in dataset:
+        numbers["bounds"] = watched_numbers(chosen, dataset)
+        if sizes:
+            numbers["grid"]["bounds"] = watched_numbers(chosen, found.whole)
+    highs = {row.scheme: [scale * float(high) for high in row.high] for row in summary}
+    verdict = sweep_verdict(Case.of(chosen, request), numbers, highs)
+    if best:
+        verdict = verdict._replace(said=(*_first(best).sentences, *verdict.said))
+    drawn = {"metric": chosen.judged_by, "tolerance": tolerance, "scale": scale, "unit": unit}
+    several = any(size > 1 for size in sizes.values())
+    return Outcome(
+        command="sweep",
+        numbers=numbers | {"sample_steps": swept.steps, "seconds": swept.seconds},
+        verdict=verdict,
+        folder=stores[0].parent,
+        scenario=chosen,
+        tables=_tables(numbers),
+        lines=[
+            *sweep_lines(numbers),
+            *experiment_lines(chosen),
+            *_speed(swept.steps, swept.seconds),
+        ],
+        figures={
+            **(_maps(found, best, drawn) if several else {}),
+            "error-band": Figure(
+                BAND, partial(figures.error_band, dataset, summary=summary, **drawn)
+            ),
+        },
+        kept=stores,
+        live=partial(live_sweep, dataset, summary, drawn, found.whole if several else None, best),
+        configuration=dataset.attrs["configuration"],
+    )
+
+
+def _tables(numbers: dict[str, Any]) -> list[Table]:
+    """The tables of a sweep."""
+    every = [
+        grid_table(numbers),
+        yield_table(numbers),
+        spread_table(numbers),
+        band_table(numbers),
+        swept_axes_table(numbers),
+        *bounds_tables(numbers),
+    ]
+    return [table for table in every if table is not None]
+
+
+def _speed(steps: int, seconds: float) -> list[str]:
+    """How fast the sample-steps were computed; nothing where the store held them all."""
+    if not steps:
+        return []
+    took = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
+    return [f"{took}: {steps / seconds:.3g} a second"]
+
+
+def live_sweep(
+    dataset: xr.Dataset,
+    summary: Sequence[SchemeSummary],
+    drawn: Mapping[str, Any],
+    grid: xr.Dataset | None = None,
+    best: Sequence[BestPoint] = (),
+) -> list[Live | None]:
+    """The errors by trial of all machines, and each machine against its parameters.
+
+    drawn: metric, tolerance, scale and unit
+    grid, best: a grid of which the dataset has the best points, for its map; None for no map
+    """
+    from ..figures import browsers, live_grid
+    from ..figures.band import band_together
+    from ..figures.page import live
+
+    parameters = {
+        str(name): values.values
+        for name, values in dataset.coords.items()
+        if values.dims[:1] == ("sample",) and name != "sample"
+    }
+    return [
+        live_grid.grid(grid, best=[*best], **drawn) if grid is not None and best else None,
+        live(band_together(summary, **drawn)),
+        browsers.machines(dataset, parameters, **drawn),
+    ]
+
+
+def live_store(chosen: Scenario, dataset: xr.Dataset) -> list[Live | None]:
+    """The same of machines on which laws were judged, in the units of the scenario."""
+    scale, unit = chosen.shown(chosen.judged_by)
+    limit = None if chosen.tolerance is None else chosen.tolerance / scale
+    summary = summarise(dataset, limit, metric=chosen.judged_by)
+    drawn = {"metric": chosen.judged_by, "tolerance": limit, "scale": scale, "unit": unit}
+    return live_sweep(dataset, summary, drawn)
+
+
+def _tolerance(chosen: Scenario, tolerance: float | None) -> float | None:
+    """The tolerance that is asked for, or that of the scenario, in the unit of the simulation."""
+    tolerance = chosen.tolerance if tolerance is None else tolerance
+    if tolerance is not None and not tolerance > 0:
+        raise ValueError(f"--tolerance {tolerance:g} is outside its allowed range (0, inf)")
+    return None if tolerance is None else tolerance / chosen.shown(chosen.judged_by)[0]
+
+
+def sweep_numbers(
+    scenario: Scenario, summary: Sequence[SchemeSummary], tolerance: float | None, machines: int
+) -> dict[str, Any]:
+    """The summary of a sweep [shown unit] by scheme, with quantiles and the worst machine by trial.
+
+    tolerance: largest metric that passes [unit of the dataset]; None, and null for the yields, if
+        none is known
+    machines: number S of machines
+    """
+    k, unit = scenario.shown(scenario.judged_by)
+    schemes = {
+        row.scheme: {
+            "yield": None if tolerance is None else row.yield_share,
+            "yield_interval": None if tolerance is None else [row.yield_low, row.yield_high],
+            "semi_converged": row.semi_converged,
+            "grown_from": row.grown_from,
+            "grown_to": row.grown_to,
+            "diverged": row.diverged,
+            "diverged_at": row.diverged_at,
+            "by_trial": {
+                str(j): {
+                    "median": k * float(row.median[j - 1]),
+                    "low": k * float(row.low[j - 1]),
+                    "high": k * float(row.high[j - 1]),
+                    "worst": k * float(row.worst[j - 1]),
+                    "worst_sample": int(row.worst_machine[j - 1]),
+                }
+                for j in shown_trials(scenario)
+            },
+        }
+        for row in summary
+    }
+    return {
+        "scenario": scenario.name,
+        "trials": scenario.trials,
+        "samples": machines,
+        "tolerance": None if tolerance is None else k * tolerance,
+        "unit": unit,
+        "figure": scenario.judged_by.replace("_", " "),
+        "schemes": schemes,
+    }
+
+
+def axes_numbers(
+    scenario: Scenario, dataset: xr.Dataset, tolerance: float | None
+) -> dict[str, Any]:
+    """The largest error of the last trial over the machines of a sweep, by scheme and axis.
+
+    Besides the outputs there is the contour, where it is a metric. All are in the shown unit, with
+    the share of machines within the tolerance. A sweep of a single output has none.
+
+    tolerance: largest error that passes [unit of the dataset]; None if none is known
+    """
+    if scenario.task.outputs == 1:
+        return {}
+    errors = {
+        called: dataset["max_error"].isel(channel=i)
+        for i, called in enumerate(output_names(scenario))
+    }
+    errors |= {"contour": dataset["contour_max"]} if "contour_max" in scenario.quantities else {}
+    found: dict[str, Any] = {}
+    for called, values in errors.items():
+        named = dataset[["finite", "diverged"]].assign(error=values)
+        for row in summarise(named, tolerance, metric="error"):
+            last = {"median": row.median, "low": row.low, "high": row.high, "worst": row.worst}
+            at = {of: scenario.shown_scale * float(x[-1]) for of, x in last.items()}
+            share = None if tolerance is None else row.yield_share
+            found.setdefault(row.scheme, {})[called] = at | {
+                "worst_sample": int(row.worst_machine[-1]),
+                "yield": share,
+            }
+    return {"axes": found}
+
+
+def grid_numbers(
+    scenario: Scenario, best: Sequence[BestPoint], axes: Mapping[str, int]
+) -> dict[str, Any]:
+    """The best point of each scheme of a grid, with its error [shown unit].
+
+    axes: the number of values of each axis
+    """
+    k, _ = scenario.shown(scenario.judged_by)
+    found = {}
+    for of in best:
+        row = of._asdict() | {"error": k * of.error}
+        row["yield"] = None if np.isnan(of.yield_share) else of.yield_share
+        found[row.pop("scheme")] = {n: x for n, x in row.items() if n != "yield_share"}
+    return {"grid": {"axes": dict(axes), "best": found}}
+
+
+def swept_axes_table(numbers: dict[str, Any]) -> Table | None:
+    """The table of the largest errors of the last trial of a sweep, axis by axis, and contour.
+
+    None for a single output.
+    """
+    if "axes" not in numbers:
+        return None
+    tolerance, unit = numbers["tolerance"], numbers["unit"]
+    within = () if tolerance is None else (f"within {tolerance:g}",)
+    table = Table(title=f"largest error [{unit}] of trial {numbers['trials']} by axis")
+    for column in ("scheme", "axis", *within, "median", "95 %", "worst (machine)"):
+        table.add_column(column, justify="left" if column in ("scheme", "axis") else "right")
+    for name, axes in numbers["axes"].items():
+        for axis, at in axes.items():
+            share = [] if tolerance is None else [f"{at['yield']:.1%}"]
+            worst = f"{number(at['worst'])} ({at['worst_sample']})"
+            table.add_row(name, axis, *share, number(at["median"]), number(at["high"]), worst)
+    return table
+
+
+def sweep_lines(numbers: dict[str, Any]) -> list[str]:
+    """A line for each scheme of a sweep under which machines diverged, or their errors grew."""
+    lines = []
+    for name, row in numbers["schemes"].items():
+        if row["diverged"]:
+            lines.append(
+                f"{name}: {row['diverged']:.1%} of the machines diverged, the first at trial "
+                f"{row['diverged_at']}"
+            )
+        if row["semi_converged"]:
+            lines.append(
+                f"{name}: on {row['semi_converged']:.1%} of the machines the {numbers['figure']} "
+                f"has grown since its best trial, up to {number(row['grown_to'])} times"
+            )
+    if numbers["tolerance"] is None:
+        lines.append("no yield: give --tolerance, or `tolerance` in the file")
+    return lines
+
+
+def yield_table(numbers: dict[str, Any]) -> Table:
+    """The table of yields with their intervals, and of shares that have grown or diverged.
+
+    There is no column of yields without a tolerance. The number in brackets, `(from)`, is the
+    earliest trial from which on one of these machines has grown or diverged.
+    """
+    known = numbers["tolerance"] is not None
+    within = f" within {numbers['tolerance']:g} {numbers['unit']}" if known else ""
+    what = f"{numbers['figure']} of trial {numbers['trials']}{within}"
+    table = Table(title=f"{numbers['samples']} machines, {what}")
+    yields = ("yield (95 % interval)",) if known else ()
+    for column in ("scheme", *yields, "grown (from)", "diverged (from)"):
+        table.add_column(column, justify="left" if column == "scheme" else "right")
+    for name, row in numbers["schemes"].items():
+        low, high = row["yield_interval"] or (0.0, 0.0)
+        table.add_row(
+            name,
+            *([f"{row['yield']:.1%} ({low:.1%} – {high:.1%})"] if known else []),
+            _share(row["semi_converged"], row["grown_from"]),
+            _share(row["diverged"], row["diverged_at"]),
+        )
+    return table
+
+
+def _share(share: float, trial: int) -> str:
+    """A text `5.2% (43)`: the share of such machines, and the earliest trial of one of them."""
+    return f"{share:.1%}" + (f" ({trial})" if trial else "")
+
+
+def grid_table(numbers: dict[str, Any]) -> Table | None:
+    """The table of the best point of each scheme, to which all other tables belong.
+
+    None for a sweep without a grid.
+    """
+    if "grid" not in numbers:
+        return None
+    axes, best = numbers["grid"]["axes"], numbers["grid"]["best"]
+    count = f"{np.prod([*axes.values()], dtype=int)} points"
+    table = Table(title=f"best of {count}: 95 % {numbers['figure']} [{numbers['unit']}]")
+    for column in ("scheme", *axes, "95 %", "points within twice", "points that diverge"):
+        table.add_column(column, justify="left" if column == "scheme" else "right")
+    for name, row in best.items():
+        at = [value_text(x) for x in row["point"].values()]
+        shares = (f"{row['near']:.1%}", f"{row['diverged']:.1%}")
+        table.add_row(name, *at, number(row["error"]), *shares)
+    return table
+
+
+def spread_table(numbers: dict[str, Any]) -> Table:
+    """The table of quantiles over the machines in the last trial, and of the worst machine."""
+    last = str(numbers["trials"])
+    table = Table(title=f"{numbers['figure']} [{numbers['unit']}] of trial {last}")
+    for column in ("scheme", "median", "5 %", "95 %", "worst", "its machine"):
+        table.add_column(column, justify="left" if column == "scheme" else "right")
+    for name, row in numbers["schemes"].items():
+        at = row["by_trial"][last]
+        quantiles = (number(at[of]) for of in ("median", "low", "high", "worst"))
+        table.add_row(name, *quantiles, str(at["worst_sample"]))
+    return table
+
+
+def band_table(numbers: dict[str, Any]) -> Table:
+    """The table of the median and the 95 % quantile for each trial and scheme."""
+    table = Table(title=f"{numbers['figure']} [{numbers['unit']}] by trial: median (95 % quantile)")
+    table.add_column("trial", justify="right")
+    for name in numbers["schemes"]:
+        table.add_column(name, justify="right")
+    for j in next(iter(numbers["schemes"].values()))["by_trial"]:
+        rows = [row["by_trial"][j] for row in numbers["schemes"].values()]
+        table.add_row(j, *(f"{number(r['median'])} ({number(r['high'])})" for r in rows))
+    return table
+
+
+def sweep_verdict(
+    case: Case, numbers: dict[str, Any], highs: Mapping[str, Sequence[float]]
+) -> Verdict:
+    """Which scheme has the largest yield, or the least error on 95 % of the machines.
+
+    numbers: result of `sweep_numbers`
+    highs: 95 % quantile of each trial by scheme [unit of the case]
+    """
+    rows, highs = numbers["schemes"], case.of_learned(highs)
+    best = min(rows, key=lambda name: (-(rows[name]["yield"] or 0.0), _last(highs[name])))
+    row, course, lost = rows[best], trend_of(highs[best]), _lost(rows[best], case.metric)
+    said = f"{case.head(best)}{_yield(case, numbers, row)}{_spread(case, numbers, row)}."
+    if lost:
+        second = lost
+    elif course.words and case.learns[best]:
+        second = f"The 95 % {case.metric} {course.words}."
+    else:
+        second = ""
+    enough = row["yield"] is None or row["yield"] >= ENOUGH
+    return Verdict(both(said, second), *_after_sweep(case, best, not lost, enough))
+
+
+def _yield(case: Case, numbers: dict[str, Any], row: dict[str, Any]) -> str:
+    """How many machines end within the tolerance; empty if none is known."""
+    if row["yield"] is None:
+        return ""
+    machines, (low, high) = numbers["samples"], row["yield_interval"]
+    which = (
+        f"{_percent(row['yield'])} of {machines} machines (95 % interval {_percent(low)} to "
+        f"{_percent(high)})"
+    )
+    if row["yield"] == 1:
+        which = f"all {machines} machines"
+    return f"{which} end within {case.size(numbers['tolerance'])}; "
+
+
+def _spread(case: Case, numbers: dict[str, Any], row: dict[str, Any]) -> str:
+    """The 95 % quantile of the last trial, and the worst machine."""
+    at = row["by_trial"][str(numbers["trials"])]
+    which = "of them" if row["yield"] is not None else f"of {numbers['samples']} machines"
+    if not math.isfinite(at["high"]):
+        return f"fewer than 95 % {which} end with an error that has not diverged"
+    worst = case.size(at["worst"]) if math.isfinite(at["worst"]) else "one that has diverged"
+    return (
+        f"95 % {which} end with a {case.metric} of at most {case.size(at['high'])}, the worst "
+        f"(machine {at['worst_sample']}) with {worst}"
+    )
+
+
+def _lost(row: dict[str, Any], metric: str) -> str:
+    """A sentence on the machines that diverge or whose metric grows, empty if there are none."""
+    parts = []
+    if row["diverged"]:
+        parts.append(
+            f"{_percent(row['diverged'])} of the machines diverge, the first in trial "
+            f"{row['diverged_at']}"
+        )
+    if row["semi_converged"]:
+        times = number(row["grown_to"])
+        parts.append(
+            f"on {_percent(row['semi_converged'])} the {metric} has grown up to {times} times "
+            "since its best trial"
+        )
+    said = "; ".join(parts)
+    return f"{said[:1].upper()}{said[1:]}." if said else ""
+
+
+def _after_sweep(case: Case, best: str, sound: bool, enough: bool) -> tuple[str, str]:
+    if not case.learns[best] or not sound:
+        return case.remedy(best)
+    if not enough:
+        if case.designable:
+            return case.remedy(best)
+        return "the worst machine", case.on("worst-case", best)
+    return "what theory claims", case.on("certify", best)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def _last(errors: Sequence[float]) -> float:
+    """The error of the last trial, for comparison: infinite where it is no number."""
+    return errors[-1] if not math.isnan(errors[-1]) else math.inf
+
+
+def _maps(found: _Found, best: Sequence[BestPoint], drawn: Mapping[str, Any]) -> dict[str, Figure]:
+    """The figures of a grid, with the scenario's own point, before and after what was asked."""
+    whole, axes = found.whole, labels_of(found.whole)
+    own = dataclasses.replace(found.request, set=(), params=None).scenario()
+    marks = {own.name: values_at(axes, own)}
+    if (changed := values_at(axes, found.chosen)) != marks[own.name]:
+        marks["as asked"] = changed
+    shows = {"grid": "high", "grid-best-trial": "best_trial"}
+    shows |= {"grid-yield": "yield"} if found.tolerance else {}
+    of_all = {"best": [*best], "marks": marks, **drawn}
+    maps = {
+        name: Figure(MAPS[name], partial(figures.grid_map, whole, shows=shown, **of_all))
+        for name, shown in shows.items()
+    }
+    if found.nominal is not None:
+        at = _first(best).point
+        longest = sorted(at, key=lambda axis: -whole.sizes[axis])
+        others = {axis: [at[axis]] for axis in longest[2:]}
+        bounds = found.nominal.sel(others)
+        draw = partial(figures.contraction_map, whole.sel(others), bounds=bounds, marks=marks)
+        maps["contraction"] = Figure(MAPS["contraction"], draw)
+    return maps
+
+
+def _first(best: Sequence[BestPoint]) -> BestPoint:
+    """The best of the best points of all schemes."""
+    return min(best, key=lambda of: of.rank)
+
+
+def _at(request: Request, dataset: xr.Dataset, best: BestPoint) -> Request:
+    """The request at one point, as far as `--set` and `--trials` can say it."""
+    here = point_of(dataset, best.point)
+    trials = here.pop("trials", request.trials)
+    shown = {n: f"{x:.6g}" if isinstance(x, float) else f"{x}" for n, x in here.items()}
+    point = (f"{n}={x}" for n, x in shown.items() if not n.startswith("task."))
+    kept = (one for one in request.set if one.partition("=")[0].strip() not in here)
+    return dataclasses.replace(request, set=(*kept, *point), trials=trials)
+
+
+def _nominal(plan: Sweep) -> Sweep:
+    """The grid on the nominal machine alone, for the bound that takes long on all machines."""
+    return dataclasses.replace(
+        plan, uncertainty={}, machines=1, trials=1, keep=(), quantities={}, chunk=None, lanes=None,
+        watch=BoundsWatch(sigma_steps=SIGMA_STEPS),
+    )  # fmt: skip

@@ -1,0 +1,102 @@
+"""An outcome is one object: terminal, JSON, page and notebook show the same of it."""
+
+import json
+import re
+
+import pytest
+from typer.main import get_command
+
+from jaxilc import outcomes
+from jaxilc.cli import app
+from jaxilc.cli.renamed import RENAMED, now_named
+from jaxilc.outcomes import Request
+from jaxilc.outcomes.table import Table
+
+MOST, EVERY, SCREEN = 16, 80, 60  # options of a command, of all commands, and lines of a help
+PID = Request("cao-2019", ("pid",), trials=2)
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory):
+    return outcomes.run(PID, folder=tmp_path_factory.mktemp("run"))
+
+
+def test_every_view_has_the_verdict_and_the_cells_of_all_tables(outcome, tmp_path):
+    page = outcome.page(tmp_path / "page.html").read_text("utf-8")
+    plain = re.sub(r"\s+", " ", repr(outcome))
+    tables = [table for table in outcome.tables if isinstance(table, Table)]
+    cells = [str(cell) for table in tables for column in table.columns for cell in column.cells]
+    assert len(cells) > 5
+    for said in (*outcome.verdict.said, *cells):
+        assert said in plain
+        for html in (page, outcome._repr_html_()):
+            assert said.replace("'", "&#39;").replace("<", "&lt;") in html
+    unlike_live = [figure for figure in outcome.figures.values() if not figure.live]
+    assert page.count("<figure><img") == len(unlike_live)
+    assert outcome._repr_html_().count("<figure><img") == len(outcome.figures)
+
+
+def test_numbers_are_those_of_the_command(outcome, tmp_path, monkeypatch):
+    """The call of a Python user and the command find the same numbers and verdict."""
+    monkeypatch.chdir(tmp_path)
+    words = ["run", "cao-2019", "--scheme", "pid", "--trials", "2", "--report", "found.json"]
+    with pytest.raises(SystemExit):
+        get_command(app).main([*words, "--out", "run"])
+    found = json.loads((tmp_path / "found.json").read_text("utf-8"))
+    expected = outcome.as_json()
+    assert found["verdict"] == expected["verdict"]
+    assert found["next"] == expected["next"]
+    assert found["schemes"]["pid"]["rms"] == expected["schemes"]["pid"]["rms"]
+
+
+def test_figures_and_files_are_written_where_they_belong(outcome, tmp_path):
+    paths = outcome.save(tmp_path / "elsewhere")
+    assert {path.stem for path in paths} == {*outcome.figures, "dataset"}
+    assert all(path.parent == tmp_path / "elsewhere" and path.exists() for path in paths)
+
+
+def test_a_command_has_few_options_and_its_help_fits_a_screen(monkeypatch):
+    commands, names = get_command(app).commands, set()
+    monkeypatch.setattr("shutil.get_terminal_size", lambda *_: (100, 60))
+    for name, command in commands.items():
+        shown = {p.opts[0] for p in command.params if p.param_type_name == "option"} - {
+            p.opts[0] for p in command.params if getattr(p, "hidden", False)
+        }
+        names |= shown
+        assert len(shown) <= MOST, (name, len(shown))
+    assert len(names) <= EVERY, len(names)
+
+
+@pytest.mark.parametrize(
+    ("words", "now"),
+    [
+        ("run x --json a.json", "run x --report a.json"),
+        ("run x --json=a.json", "run x --report a.json"),
+        ("run x --figures svg --trials 2", "--figures svg run x --trials 2"),
+        ("-q sweep x --precision float32", "-q --precision float32 sweep x"),
+        (
+            "next --state s --plant-file f --limit 5",
+            "next --state s --scenario f --set campaign.limit=5",
+        ),
+        (
+            "next --state s --accept-saturation",
+            "next --state s --set campaign.accept_saturation=true",
+        ),
+        ("next --no-predict --dry-run", "next --set campaign.predict=false --dry-run"),
+        ("run x --out next --json a.json", "run x --out next --report a.json"),
+        ("run x --json", "run x --report "),
+    ],
+)
+def test_options_are_taken_by_their_old_names(words, now, capsys):
+    commands = [*get_command(app).commands]
+    assert now_named(words.split(), commands) == now.split(" ")
+    assert "warning: --" in capsys.readouterr().err
+    assert now_named(now.split(), commands) == now.split()
+
+
+def test_what_replaces_an_option_is_an_option():
+    commands = get_command(app).commands
+    for name, options in RENAMED.items():
+        known = {option for one in commands[name].params for option in one.opts}
+        assert {new.split()[0] for new in options.values()} <= known
+        assert not known & options.keys()
