@@ -11,6 +11,7 @@ from jaxilc.figures import browsers, searches
 from jaxilc.figures.page import live as page_of
 from jaxilc.figures.report import html_report, write_report
 from jaxilc.figures.style import COLOURS, luminance, readable
+from jaxilc.outcomes.certifying import _live
 from jaxilc.tuning.worst_case import WorstCase
 from jaxilc.tuning.worst_machine import Search, WorstMachine
 
@@ -101,6 +102,20 @@ def test_a_front_has_its_weights_under_the_pointer():
     tuned, _, given = columns(front, "x", "t0", "t1")
     np.testing.assert_allclose(tuned, [[1.1, 1.9], [0.1, 0.9], [0.1, 0.9]])
     np.testing.assert_allclose(given, [[3.0], [1.0], [0.9]])
+
+
+def test_a_machine_has_its_claim_and_its_parameters_under_the_pointer():
+    simulated = np.array([[3.0, 1.0], [2.0, np.inf], [1.0, 0.5]])
+    found = SimpleNamespace(claim=np.array(["monotone", "diverges", "monotone"]),
+                            predicted=simulated, simulated=simulated)  # fmt: skip
+    chosen, drawn = SimpleNamespace(shown_scale=1.0, shown_unit="mm"), {"gain": np.arange(3.0)}
+    (live,) = _live(chosen, {"law": SimpleNamespace(certificate=found)}, drawn)
+    errors, claims = live.model.children
+    lines = [r.data_source.data for r in errors.renderers if "xs" in r.data_source.data]
+    assert [of["t0"].tolist() for of in lines] == [[0, 2], [1]]  # machines
+    assert [of["t1"].tolist() for of in lines] == [[0.0, 2.0], [1.0]]  # their gains
+    np.testing.assert_allclose(lines[1]["ys"][0], [2.0, np.nan])
+    assert claims.renderers[0].data_source.data["right"] == [2, 1]
 
 
 def test_text_can_be_read_on_its_ground():
