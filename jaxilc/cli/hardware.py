@@ -21,6 +21,7 @@ from .options import (
     Set,
     TimeColumn,
 )
+from .present import written
 from .start import begin
 from .trials import Folder, Plot
 
@@ -337,7 +338,6 @@ def _close(
     columns: options that name columns of the measured trial, with their values
     """
     from ..hardware.checks import experiment_numbers
-    from .results import written
 
     measured, out_file, plot, json_file = files
     now, journal = opened.campaign, opened.campaign.journal

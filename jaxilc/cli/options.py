@@ -42,6 +42,8 @@ def reports_to_write(paths: list[Path] | None) -> list[Path] | None:
         file_to_write(path)
         if path.suffix not in (".html", ".json"):
             raise ValueError(f"--report {path} is neither .html, a page, nor .json, the numbers")
+        if sum(one.suffix == path.suffix for one in paths or []) > 1:
+            raise ValueError(f"--report {path} is one of several {path.suffix}; allowed is one")
     return paths
 
 

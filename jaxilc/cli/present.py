@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -46,18 +47,22 @@ def present(outcome: Outcome, pages: Pages) -> None:
         err.print(line, highlight=False)
     with working("figures") if outcome.figures else nullcontext(silent) as progress:
         paths = outcome.save(progress=progress)
-    for file in pages.reports or ():
-        file.parent.mkdir(parents=True, exist_ok=True)
-        if file.suffix == ".html":
-            outcome.page(file, paths)
-        else:
-            from ..storage.sealed import write_json
-
-            write_json(file, outcome.as_json())
-        paths.append(file)
-    if paths:
-        out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)
+    if pages.page is not None:
+        paths.append(outcome.page(pages.page, paths))
+    written(paths, pages.numbers, outcome.as_json())
     outcome.conclude(out)
     if outcome.failed:
         err.print(outcome.failed, highlight=False)
         raise typer.Exit(1)
+
+
+def written(paths: list[Path], file: Path | None, numbers: Any) -> None:
+    """Write the numbers to a file, if one is asked for, and print which files were written."""
+    if file is not None:
+        from ..storage.sealed import write_json
+
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_json(file, numbers)
+        paths = [*paths, file]
+    if paths:
+        out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)

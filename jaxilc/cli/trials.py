@@ -19,7 +19,7 @@ from ..outcomes.verdict import Verdict
 from .console import err, out
 from .groups import add
 from .options import MACHINE, Pages, file_to_write
-from .results import written
+from .present import written
 from .start import begin
 
 if TYPE_CHECKING:

@@ -360,6 +360,11 @@ def test_sweep_tells_the_bounds_beside_the_contraction(jaxilc_command, tmp_path)
             ("run", "dai-2014", "--report", "."),
             ". cannot be written; allowed is a file in a folder that can",
         ),
+        (
+            ("run", "dai-2014", "--report", "a.json", "--report", "b.json"),
+            "--report a.json is one of several .json; allowed is one",
+        ),
+        (("run", "dai-2014", "--report", "a.txt"), "a.txt is neither .html, a page, nor .json"),
         (("run", "dai-2014", "--report", "file/x.html"), "file/x.html cannot be written"),
         (("run", "dai-2014", "--out", "file"), "file cannot be a folder for results"),
         (("run", "dai-2014", "--seed", "-1"), "--seed -1 is outside its allowed range [0, 9e18]"),

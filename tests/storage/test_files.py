@@ -16,7 +16,7 @@ from crash_points import recorded
 from matplotlib.figure import Figure
 
 from jaxilc import figures
-from jaxilc.cli.results import written
+from jaxilc.cli.present import written
 from jaxilc.figures.report import write_report
 from jaxilc.scenarios.parameters import write_parameters
 from jaxilc.storage import files
