@@ -192,7 +192,7 @@ def result(row: Row, sizes: Sizes, session: Session) -> dict[str, Any]:
     except Exception as error:  # one row must not stop the others
         first = f"{type(error).__name__}: {error}".splitlines()[0]
         short = isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
-        too_large = isinstance(error, ValueError) and "may be planned" in str(error)
+        too_large = isinstance(error, ValueError) and " of memory, where " in str(error)
         status = "out of memory" if short or too_large else FAILED
         return row._asdict() | {"status": f"{status}: {first[:200]}"}
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import jax
+import numpy as np
 
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
@@ -144,6 +145,11 @@ class Sweep:
         parts = self.axes.at(place, self.population.machine, self.schemes, self.task, self.trials)
         names = ("machine", "schemes", "task", "trials")
         return dataclasses.replace(self, grid={}, **dict(zip(names, parts, strict=True)))
+
+    @property
+    def drawn(self) -> dict[str, np.ndarray]:
+        """(machines,) drawn numbers by the name of the leaf."""
+        return self.population.drawn
 
     def configuration(self, environment: dict[str, Any] | None = None) -> dict[str, Any]:
         """All that determines the numbers, as JSON.

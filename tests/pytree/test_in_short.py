@@ -46,7 +46,9 @@ def small(annotation):
 
 def filled(cls):
     """An object of a class, with a long array in each field that could hold one."""
-    hints = typing.get_type_hints(cls, None, {"jax": jax})  # some import it for types only
+    hints = typing.get_type_hints(
+        cls, None, {"jax": jax, "Array": jax.Array}
+    )  # for types only in some
     names = getattr(cls, "_fields", None) or [f.name for f in dataclasses.fields(cls)]
     values = [1.5 if small(hints[name]) else np.ones((999, 3)) for name in names]
     if hasattr(cls, "_make"):
