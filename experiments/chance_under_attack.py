@@ -13,7 +13,8 @@ A claim is contradicted
         draw, the root mean square error of all seeds exceeds a hundred times what theory expects
         of that trial (a positive number exceeds t times its mean with a chance below 1 / t)
     monotone for every draw: where the distance of the two runs grew in any trial of any seed
-    that learning diverges: where the error of any seed is in the end below that of the first trial
+    that learning diverges: where the error of any seed is in the end below that of the first trial;
+        such a claim has 10,000 trials, since the error may fall before it grows slowly
 
 With the word "norm" they are judged as trials of more than 512 inputs are, by bounds in norm.
 """
@@ -49,7 +50,7 @@ KINDS = {
         "shortest": rng.uniform(0.4, 0.95),
     },
 }
-SEEDS, TRIALS, ROWS = 50, 500, SAMPLES + 1
+SEEDS, TRIALS, LATE, ROWS = 50, 500, 10_000, SAMPLES + 1
 FAR = 100.0  # times a root mean square; a positive number is 10^4 times its mean once in 10^4
 
 
@@ -80,16 +81,16 @@ def record_of(rng, how: dict, y):
     return held, there[:, None], last
 
 
-def runs_of(rng, G, d, r, keep, L, how: dict, starts: int):
-    """(SEEDS, TRIALS) errors of the first run, and distances of the last from it, with its draws.
+def runs_of(rng, G, d, r, keep, L, how: dict, starts: int, trials: int):
+    """(SEEDS, trials) errors of the first run, and distances of the last from it, with its draws.
 
     starts: 1 or 2 of them; with one there is no distance. From an overflow on all are infinite
     """
     u = np.zeros((SEEDS, starts, SAMPLES))
     moved = np.any(np.concatenate([keep - np.eye(SAMPLES), L], axis=1) != 0, axis=1)
     u[:, 1:] = np.where(moved, rng.standard_normal((SEEDS, starts - 1, SAMPLES)), 0.0)
-    errors, distances = np.full((2, SEEDS, TRIALS), np.inf)
-    for trial in range(TRIALS):
+    errors, distances = np.full((2, SEEDS, trials), np.inf)
+    for trial in range(trials):
         if not np.all(np.isfinite(u)):
             break
         y = np.broadcast_to(d, (SEEDS, starts, ROWS)).copy()
@@ -156,8 +157,9 @@ def main(machines: int, *, in_norm: bool) -> None:
             for i in range(each):
                 claim, sense = str(found.claim[i]), str(found.sense[i])
                 G, starts = lifted(A[i], B[i], C[i], SAMPLES), 1 + (sense == "for every draw")
+                trials = LATE if claim == "diverges" else TRIALS
                 with np.errstate(all="ignore"):
-                    runs = runs_of(rng, G, d[i, :, 0], r, keep, L, hows[i], starts)
+                    runs = runs_of(rng, G, d[i, :, 0], r, keep, L, hows[i], starts, trials)
                 fell = bool(np.all(runs[0][:, -1] < runs[0][:, 0]))
                 claimed = claim in ("monotone", "converges")
                 said = claim if claim == "not claimed" else f"{claim}, {sense}"
