@@ -98,7 +98,7 @@ def options(
 ) -> None:
     """What holds for every command; before its name.
 
-    Example: jaxilc --quiet run cao-2019 --json out/run.json
+    Example: jaxilc --quiet run cao-2019 --report out/run.json
     """
     speak(quiet=quiet, verbose=verbose)
     prefer(precision or "float64")

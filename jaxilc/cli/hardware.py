@@ -334,7 +334,7 @@ def _close(
     """Print the verdict and the next command; write the figure and the numbers, if asked for.
 
     trial: number of the next trial
-    files: those of --measured, --out, --plot and --json
+    files: those of --measured, --out, --plot, and the one for the numbers
     columns: options that name columns of the measured trial, with their values
     """
     from ..hardware.checks import experiment_numbers

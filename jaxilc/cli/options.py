@@ -156,9 +156,6 @@ MetricName = Annotated[
 Seed = Annotated[
     int, typer.Option(help="Seed of noise and of drawn machines.", callback=seed_in_range)
 ]
-Precision = Annotated[
-    str, typer.Option(help="float64 or float32.", autocompletion=of_list("float64", "float32"))
-]
 
 # Machines that are drawn
 # --------------------------------------------------------------------------------------------------
@@ -226,16 +223,6 @@ FigureFormat = Annotated[
     ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the folder.")]
-Json = Annotated[
-    Path | None,
-    typer.Option("--json", help="Write every printed number to this file.", callback=file_to_write),
-]
-Report = Annotated[
-    Path | None,
-    typer.Option(
-        "--report", help="Write one self-contained HTML page to this file.", callback=file_to_write
-    ),
-]
 Reports = Annotated[
     list[Path] | None,
     typer.Option(

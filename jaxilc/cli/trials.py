@@ -205,7 +205,7 @@ def save_figure(
 
 
 def source_numbers(recipe: dict[str, Any]) -> dict[str, Any]:
-    """What a campaign belongs to, for the file of `--json`."""
+    """What a campaign belongs to, for the file of the numbers."""
     from ..scenarios.campaign_source import belongs_to
 
     return belongs_to(recipe) if recipe else {}
@@ -453,7 +453,7 @@ def _numbered_on(path: Path, trial: int) -> Path:
 def turn_numbers(
     live: list[dict[str, Any]], turn: Turn | None, prediction: Prediction | None
 ) -> dict[str, Any]:
-    """The trial of a call and its prediction, for the file of `--json`."""
+    """The trial of a call and its prediction, for the file of the numbers."""
     from ..hardware.prediction import next_step
 
     if turn is None:
