@@ -30,6 +30,7 @@ from jaxilc.plants import (
     InBlocks,
     InputHysteresis,
     LeadError,
+    ModalModel,
     Pendulum,
     PeriodicForce,
     ProcessModel,
@@ -144,6 +145,18 @@ PLANTS = {
     ),
     "process_model": ProcessModel(
         gain=-4.8, zeros=(900.0,), poles=(6.4,), frequencies=(470.0,), dampings=(0.9,)
+    ),
+    "modal": ModalModel(
+        poles=(60.0,),
+        pole_gains=[[[0.6, 0.1], [-0.2, 0.5]]],
+        frequencies=(180.0, 700.0),
+        dampings=(0.05, 1.3),
+        mode_gains=[[[0.3, 0.1], [0.1, 0.2]], [[0.2, 0.0], [0.1, 0.4]]],
+        mode_rates=[[[0.0, 0.1], [0.0, -0.1]], [[0.2, 0.1], [0.0, 0.1]]],
+        integrator=[[2.0, 0.0], [1.0, 3.0]],
+        double_integrator=[[40.0, 10.0], [0.0, 20.0]],
+        direct=[[0.05, 0.0], [0.02, 0.1]],
+        delay=0.7 * DT,
     ),
     "fast_tool_servo_linear": FastToolServo(
         **_SERVO,

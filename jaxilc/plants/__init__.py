@@ -16,6 +16,7 @@ from .friction import StribeckFriction
 from .from_python_control import from_control
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .linear import DifferenceEquation, StateSpace, TimeVaryingStateSpace
+from .modal_model import ModalModel, modal_model
 from .motor import Cogging, EndEffect, VoiceCoilMotor, voice_coil_motor
 from .nominal_models import cascade, direct_model, multivariable_model
 from .pendulum import Pendulum
@@ -39,6 +40,7 @@ __all__ = [
     "InBlocks",
     "InputHysteresis",
     "LeadError",
+    "ModalModel",
     "Pendulum",
     "PeriodicForce",
     "Plant",
@@ -56,6 +58,7 @@ __all__ = [
     "fast_tool_servo",
     "from_control",
     "linearised",
+    "modal_model",
     "motion",
     "multivariable_model",
     "to_control",

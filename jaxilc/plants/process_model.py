@@ -128,9 +128,9 @@ class ProcessModel(Plant):
             return StateSpace(A_d, B_d, C, dt=dt)
         whole, rest = samples_of(self.delay, dt)
         if not rest:
-            return _behind_register(A_d, [B_d], C, whole, dt)
+            return behind_register(A_d, [B_d], C, whole, dt)
         after, B_now = zoh(A, B, dt - rest)
-        return _behind_register(A_d, [B_now, after @ zoh(A, B, rest)[1]], C, whole, dt)
+        return behind_register(A_d, [B_now, after @ zoh(A, B, rest)[1]], C, whole, dt)
 
     def continuous(self) -> StateSpace | None:
         """A cascade of lags of unit DC gain, whose states all have the size of the input.
@@ -183,7 +183,7 @@ def cascade(
     return A, B, C
 
 
-def samples_of(delay: float, dt: float) -> tuple[int, float]:
+def samples_of(delay: float, dt: float, owner: str = "ProcessModel") -> tuple[int, float]:
     """The whole number of samples in a delay, and the rest [s], 0 where it is only rounding.
 
     Raises ValueError for more than 1000 samples.
@@ -191,7 +191,7 @@ def samples_of(delay: float, dt: float) -> tuple[int, float]:
     samples = delay / dt
     if samples > LONGEST_DELAY:
         raise ValueError(
-            f"ProcessModel: delay = {delay:g} s is {samples:g} samples of {dt:g} s; allowed are at "
+            f"{owner}: delay = {delay:g} s is {samples:g} samples of {dt:g} s; allowed are at "
             f"most {LONGEST_DELAY}"
         )
     whole = round(samples)
@@ -200,18 +200,27 @@ def samples_of(delay: float, dt: float) -> tuple[int, float]:
     return int(np.floor(samples)), delay - np.floor(samples) * dt
 
 
-def _behind_register(A: Array, Bs: list[Array], C: Array, delay: int, dt: float) -> StateSpace:
-    """x[k+1] = A x[k] + sum_i Bs[i] u[k-delay-i], y = C x, with the register of u as states."""
-    n, length = A.shape[0], delay + len(Bs) - 1
+def behind_register(
+    A: Array, Bs: list[Array], C: Array, delay: int, dt: float, D: Array | None = None
+) -> StateSpace:
+    """x[k+1] = A x[k] + sum_i Bs[i] u[k-delay-i], y[k] = C x[k] + D u[k-delay-1].
+
+    The inputs that are still needed are states. D (n_y, n_u) is None for none.
+    """
+    n, m = Bs[0].shape
+    length = m * max(delay + len(Bs) - 1, delay + 1 if D is not None else 0)
     A_all = jnp.zeros((n + length, n + length), A.dtype).at[:n, :n].set(A)
-    B_all = jnp.zeros((n + length, 1), A.dtype)
-    for i, B in enumerate(Bs, delay):  # u[k-i] is state n + i - 1, and u[k] the input
+    B_all = jnp.zeros((n + length, m), A.dtype)
+    for i, B in enumerate(Bs, delay):  # u[k-i] stands before state n + i m, and u[k] is the input
         if i:
-            A_all = A_all.at[:n, n + i - 1].set(B[:, 0])
+            A_all = A_all.at[:n, n + (i - 1) * m : n + i * m].set(B)
         else:
             B_all = B_all.at[:n].set(B)
     if length:
-        B_all = B_all.at[n, 0].set(1.0)
-        shift = np.arange(n + 1, n + length)
-        A_all = A_all.at[shift, shift - 1].set(1.0)
-    return StateSpace(A_all, B_all, jnp.pad(C, ((0, 0), (0, length))), dt=dt)
+        B_all = B_all.at[n : n + m].set(jnp.eye(m))
+        shift = np.arange(n + m, n + length)
+        A_all = A_all.at[shift, shift - m].set(1.0)
+    C_all = jnp.pad(C, ((0, 0), (0, length)))
+    if D is not None:
+        C_all = C_all.at[:, n + delay * m : n + (delay + 1) * m].set(D)
+    return StateSpace(A_all, B_all, C_all, dt=dt)

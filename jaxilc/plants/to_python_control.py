@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 from ..pytree.aliases import Array, Leaf, Numbers, Tree, Value
 from ..pytree.fields import kind_of
 from .linear import TimeVaryingStateSpace
+from .modal_model import ModalModel
 from .plant import Plant
 from .process_model import ProcessModel
 from .structure import obstacle
@@ -43,7 +44,7 @@ def to_control(plant: Plant, dt: float | None = None) -> Value:
     own_dt = _own_sample_time(plant)
     continuous = plant.continuous()
     # a dead time is many samples of the shortest sample time, and known to be linear
-    if not (isinstance(plant, ProcessModel) and plant.delay):
+    if not (isinstance(plant, ProcessModel | ModalModel) and plant.delay):
         need_linear(plant, dt or own_dt or SHORT)
     if dt is None and continuous is not None:
         return as_system(continuous.A, continuous.B, continuous.C, 0.0, **names_of(plant))
