@@ -94,7 +94,8 @@ def errors_at(advice: Advice) -> tuple[np.ndarray, str]:
 
     NaN at factors with which the number would leave its range.
     """
-    chosen = jaxilc.scenarios.load(advice.scenario, **advice.given).with_values(advice.settings)
+    given = output.FIRST_READINGS.get(advice.scenario, {}) | advice.given
+    chosen = jaxilc.scenarios.load(advice.scenario, **given).with_values(advice.settings)
     scheme, _, path = advice.path.partition(".")
     printed = float(get_at(chosen.schemes[scheme], path))
     allowed = interval_at(chosen.schemes[scheme], path)
@@ -137,7 +138,7 @@ def seen(rule: str, errors: np.ndarray, grown: np.ndarray) -> bool:
 
 def windows() -> tuple[xr.Dataset, list[dict[str, float]]]:
     """A sweep of FFDL-MFAILC over its windows, and a row for each with its errors [µm]."""
-    chosen = jaxilc.scenarios.load("cao-2019")
+    chosen = jaxilc.scenarios.load("cao-2019", reading="amplitude")
     name, law = "ffdl-mfailc", chosen.schemes["ffdl-mfailc"]
     of_y, of_u = np.split(np.asarray(law.phi0), [law.L_y])
     starts = [(*of_y, 0.0, 0.0)[:L_y] + (*of_u, 0.0, 0.0)[:L_u] for L_y, L_u in WINDOWS]

@@ -48,7 +48,7 @@ KI = {"per second": 0.006, "per sample": 6.0}
 WORDS = {"1 pass"}  # the structure that the words of section V-B describe
 FREQUENCIES = tuple(CAO_2["pid"])
 FITTED = [f in (0.1, 0.5) for _ in range(2) for f in FREQUENCIES]
-MACHINE = jaxilc.scenarios.load("cao-2019-rig").machine
+MACHINE = jaxilc.scenarios.load("cao-2019-rig", reading="over-trials").machine
 REFERENCES = jnp.stack(
     [jnp.asarray(references.sinusoid(1.0, f, duration=10.0, dt=1e-3)) for f in FREQUENCIES]
 )

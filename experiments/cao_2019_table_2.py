@@ -21,7 +21,7 @@ ax.set(
 ax.grid(True, which="both", alpha=0.25)
 ax.legend()
 ax.figure.savefig(folder / "table-2.png")
-s = jaxilc.scenarios.load("cao-2019-rig", frequency=0.5, reading="within-samples")
+s = jaxilc.scenarios.load("cao-2019-rig", frequency=0.5)
 dataset, _ = jaxilc.run_schemes(s.machine, s.schemes, s.task, 1)
 for name, trials in {"pid": (1,), "cfdl-mfailc": (1,)}.items():
     axes = figures.tracking(dataset, name, trials, scale=s.shown_scale, unit=s.shown_unit)

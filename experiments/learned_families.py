@@ -130,7 +130,7 @@ class ClosedDrive(Plant):
 
 def ball_screw() -> Case:
     """Laws are found on the linear drive, and judged on that with friction, encoder and limits."""
-    s = load("milc-2024")
+    s = load("milc-2024", reading="long-stroke")
     real = ClosedDrive(s.machine.plant, s.schemes["dilc"].feedback.scheme.kp)
     left_out = dict.fromkeys(
         ("motor_friction", "table_friction", "compensation", "lead_error", "encoder_step",
@@ -148,7 +148,7 @@ def ball_screw() -> Case:
 
 
 def voice_coil() -> Case:
-    s = load("cao-2019")
+    s = load("cao-2019", reading="amplitude")
     return Case(s.machine, s.task, s.uncertainty, starts=(100,))
 
 

@@ -14,11 +14,10 @@ import numpy as np
 import output
 
 import jaxilc
-from jaxilc.scenarios.loading import with_reading
 
 jaxilc.setup()
 folder = output.folder(__file__)
-s = jaxilc.scenarios.load("milc-2024", **with_reading("milc-2024", None))
+s = jaxilc.scenarios.load("milc-2024")
 drive, time, dt = s.machine.plant, np.asarray(s.task.time), s.task.dt
 COLOURS = {"dilc": "#0072b2", "milc": "#d55e00"}
 

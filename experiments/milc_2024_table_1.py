@@ -11,12 +11,11 @@ import output
 from printed_tables import MILC_1
 
 import jaxilc
-from jaxilc.scenarios.loading import with_reading
 from jaxilc.scenarios.milc_2024 import table_rms
 
 jaxilc.setup()
 folder = output.folder(__file__)
-s = jaxilc.scenarios.load("milc-2024", **with_reading("milc-2024", None))
+s = jaxilc.scenarios.load("milc-2024")
 keep = jaxilc.Keep(
     ("e", "u"), (*s.functions.items(), ("feedback", lambda trial: trial.signals["feedback"][:, 0]))
 )

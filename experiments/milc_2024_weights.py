@@ -52,7 +52,7 @@ def problem_of(name: str):
 
 def main() -> None:
     folder = output.folder(__file__)
-    s = jaxilc.scenarios.load("milc-2024")
+    s = jaxilc.scenarios.load("milc-2024", reading="long-stroke")
     rows, axes = [], output.axes(1, 2, size=(10.0, 4.0))
     for ax, name in zip(axes, ("dilc", "milc"), strict=True):
         of = problem(s, name)

@@ -25,7 +25,7 @@ def measure(form, N):
     import jaxilc
 
     jaxilc.setup()
-    s = jaxilc.scenarios.load("milc-2024")
+    s = jaxilc.scenarios.load("milc-2024", reading="long-stroke")
     bump = 5.0 * min(N / 4000, 1.0) ** 2 * (1 - np.cos(2 * np.pi * np.arange(N + 1) / N))
     task = dataclasses.replace(s.task, reference=np.stack([bump, bump], axis=1), settle=None)
     scheme = s.schemes["milc"]

@@ -27,7 +27,7 @@ COLOURS = {"pid": "#777777", "smc": "#e69f00", "asmc": "#0072b2", "ilc-asmc": "#
 
 
 def scenario(**options):
-    return jaxilc.scenarios.load("xu-2024", reading="large-gain", **options)
+    return jaxilc.scenarios.load("xu-2024", **options)
 
 
 def kept(s, name):

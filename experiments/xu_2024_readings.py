@@ -31,7 +31,7 @@ from jaxilc.scenarios.xu_2024 import DT, FITTED, MODEL, servo
 from jaxilc.schemes import ASMC, ExponentialPD, WithFeedback
 
 jaxilc.setup()
-S = jaxilc.scenarios.load("xu-2024")
+S = jaxilc.scenarios.load("xu-2024", reading="small-gain")
 WINDOWS = {"0.1 s": 0.1, "0.05 s": 0.05, "0.25 s": 0.25}
 TRIALS = {"10": 9, "11": 10}
 SHARES = np.round(np.linspace(0.4, 1.8, 15), 2)

@@ -9,7 +9,7 @@ import jaxilc
 
 jaxilc.setup()
 folder = output.folder(__file__)
-s = jaxilc.scenarios.load("xu-2024", load=1.0)
+s = jaxilc.scenarios.load("xu-2024", reading="small-gain", load=1.0)
 sweep = jaxilc.Sweep(
     s.machine, s.schemes, s.task, s.trials, s.uncertainty, machines=1024, quantities=s.functions
 )

@@ -12,7 +12,7 @@ jaxilc.setup()
 folder = output.folder(__file__)
 rows, histories = [], {}
 for name, table, load in (("Table 1", XU_1, 0.0), ("Table 2", XU_2, 1.0)):
-    s = jaxilc.scenarios.load("xu-2024", load=load, reading="large-gain")
+    s = jaxilc.scenarios.load("xu-2024", load=load)
     keep = jaxilc.Keep.of(s.functions, "e", "u")
     for scheme, printed in table.items():
         history = jaxilc.learn(s.machine, s.schemes[scheme], s.task, s.trials, save=keep)
@@ -39,7 +39,7 @@ for name, table in (("Table 1", XU_1), ("Table 2", XU_2)):
         f"(published {printed:.3f})"
     )
 
-s = jaxilc.scenarios.load("xu-2024", reading="large-gain")
+s = jaxilc.scenarios.load("xu-2024")
 top, bottom = output.axes(2, 1, size=(7.2, 6.0))
 learned = histories["Table 1", "ilc-asmc"]
 for j in (2, 4, 6, 8, 10):
@@ -53,7 +53,7 @@ for load, disturbance, label in (
     (1.0, "none", "1 N load"),
     (0.0, "multi", "multi-frequency"),
 ):
-    options = {"load": load, "disturbance": disturbance, "reading": "large-gain"}
+    options = {"load": load, "disturbance": disturbance}
     here = jaxilc.scenarios.load("xu-2024", **options)
     found = jaxilc.learn(here.machine, here.schemes["ilc-asmc"], here.task, 20)
     bottom.semilogy(

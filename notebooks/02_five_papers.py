@@ -28,7 +28,8 @@
 # `shape` where the number is in the
 # printed order with every comparable one, and within a factor of two of the printed one. Otherwise
 # it is `open`, with the reason. What a paper does not print was chosen or fitted. Each row says how
-# it was read, and which numbers were fitted. A row to which a number was fitted proves nothing.
+# it was read, and which numbers were fitted. A row to which a number was fitted proves nothing, nor
+# does one that repeats another (`kind`), such as "no change".
 
 # %%
 import numpy as np
@@ -88,7 +89,7 @@ show(cao)
 assert sum(row.verdict == "met" for row in cao) == 22
 
 # %%
-scenario = jaxilc.scenarios.load("cao-2019", plant="printed", reading="stroke").select(
+scenario = jaxilc.scenarios.load("cao-2019", plant="printed").select(
     ("cfdl-mfailc", "ffdl-mfailc", "ilc-mfapc")
 )
 dataset, _ = jaxilc.run_schemes(scenario.machine, scenario.schemes, scenario.task, 80)
@@ -186,7 +187,7 @@ ax_path.figure
 # PID, SMC and ASMC, the learning gain and the dead zone to the largest errors.
 
 # %%
-xu = jaxilc.scenarios.load("xu-2024", reading="large-gain")
+xu = jaxilc.scenarios.load("xu-2024")
 of_xu, _ = jaxilc.run_schemes(xu.machine, xu.schemes, xu.task, 10, quantities=xu.functions)
 for p, ours, unit in printed_and_ours(xu, of_xu):
     what = p.quantity.replace("_", " ")
@@ -204,5 +205,5 @@ assert pid > smc  # not the printed order
 # their printed numbers differ by less than 9 %.
 
 # %% [markdown]
-# All printed numbers, with their sources and readings: `jaxilc reproduce`. The misprints: notebook
-# 09.
+# All printed numbers, with their sources and readings: `jaxilc reproduce --details`. The misprints:
+# notebook 09.

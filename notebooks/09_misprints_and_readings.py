@@ -89,17 +89,18 @@ assert np.isclose(abs(after / e), abs(1 - gain * phi))
 
 # %% [markdown]
 # **No reset is printed.** The theory's book has one, of three clauses, and Dai 2014 (eq. 12) prints
-# it. The clause on a small $|\Delta u|$ can cause bursts; the scenario uses the clause on the sign
-# only (`reset="sign"`).
+# it. The clause on a small $|\Delta u|$ can cause bursts; of the two readings of the paper
+# `amplitude` uses the clause on the sign only (`reset="sign"`), and `stroke`, which is judged,
+# none.
 #
 # **Table 2** prints 0.3 Hz three times; 0.3, 0.4 and 0.5 Hz are meant, the errors rise with the
 # frequency. The denominator of $G(z)$ prints $z$ where $z^2$ is meant.
 #
 # **PID** is printed without its form. In position form with $K_i$ multiplied by the sample time it
-# gives 22 µm for the printed 23 to 30 µm.
+# gives 22 µm for the printed 23 to 30 µm, for a sine of amplitude 1 mm (reading: amplitude).
 
 # %%
-cao = jaxilc.scenarios.load("cao-2019", plant="printed")
+cao = jaxilc.scenarios.load("cao-2019", plant="printed", reading="amplitude")
 pid = 1e3 * jaxilc.learn(cao.machine, cao.schemes["pid"], cao.task, 1).settled_error[0, 0]
 print(f"PID: {pid:.1f} µm")
 assert round(float(pid)) == 22

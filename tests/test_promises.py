@@ -18,8 +18,7 @@ from typer.main import get_command
 
 from jaxilc import scenarios
 from jaxilc.cli import app
-from jaxilc.scenarios import loading
-from jaxilc.scenarios.published import agreement_of
+from jaxilc.scenarios.published import KINDS, agreement_of
 
 ROOT = Path(__file__).parents[1]
 PAGES = {p.name: p for p in [ROOT / "README.md", *sorted((ROOT / ".ci/docs/guide").glob("*.md"))]}
@@ -33,6 +32,7 @@ PIECE = re.compile(r"\n\s*\n|^#.*$|^(?:- |\d+\. )", re.MULTILINE)  # paragraphs,
 END = re.compile(r"(?<=[.:;?!])\s+(?=[A-Z`*|\[(])")
 NAMES = re.compile(r"`[^`]*`|\$[^$]*\$|[A-Z][\w-]+ (?:19|20)\d\d\b")
 WORD = re.compile(r"\b(never|always|each|all|every)\b", re.IGNORECASE)
+FIRST, REPEATED, DERIVED = KINDS  # what a printed number is
 NUMBER = re.compile(r"(?<![\w.^/(=\[-])\d")
 TEST = re.compile(r"(tests/[\w/]+\.py)::(test_\w+)")
 WORDS = {
@@ -152,12 +152,22 @@ def default(command: str, option: str):
 @functools.cache
 def rows(name: str) -> tuple:
     """Return the numbers of a scenario that `reproduce` compares, without computing ours."""
-    return scenarios.load(name, **loading.with_reading(name, None)).published
+    return scenarios.load(name).published
 
 
 def printed() -> list:
     """Return the numbers of papers."""
     return [row for name in scenarios.SCENARIOS for row in rows(name) if row.agreement is None]
+
+
+def independent() -> list:
+    """Return the numbers that the papers print for the first time."""
+    return [row for row in printed() if row.kind == FIRST]
+
+
+def concluded() -> int:
+    """Return how many conclusions of the papers are compared."""
+    return sum(len(scenarios.load(name).conclusions) for name in scenarios.SCENARIOS)
 
 
 def pinned(file: str, *packages: str) -> tuple[str, ...]:
@@ -191,10 +201,10 @@ THEORY, DESIGN, BAND = "jaxilc.theory", "jaxilc.design", "jaxilc.hardware.predic
 NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
     "README.md": {
         r"sweeps over (\d+) uncertain motors": lambda: default("sweep", "machines"),
-        r"sets (\d+) published numbers": lambda: len(printed()),
+        r"sets (\d+) independent printed numbers": lambda: len(independent()),
         r"\(within (\d+) %, a bound kept\)": lambda: 100 * of("jaxilc.scenarios.reproduction.MET"),
-        r"order within a factor of (\w+)": lambda: of("jaxilc.scenarios.reproduction.SHAPE"),
-        r"Of the (\d+) that nothing": lambda: sum(not row.fitted.among for row in printed()),
+        r"of the (\d+) that nothing": lambda: sum(not row.fitted.among for row in independent()),
+        r"Of (\d+) conclusions": concluded,
         r"(\d+) numbers of other software": lambda: len(others()),
         r"with Python ([\d.]+) and JAX ([\d.]+),": lambda: (
             "3.11",
@@ -335,9 +345,20 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         ),
     },
     "papers.md": {
-        r"sets (\d+) published numbers": lambda: len(printed()),
-        r"Of the (\d+) to which": lambda: sum(not row.fitted.among for row in printed()),
-        r"(\w+) scenarios have two readings": lambda: len(loading.TAKEN),
+        r"sets (\d+) printed numbers": lambda: len(printed()),
+        r"Counted are the (\d+) that": lambda: len(independent()),
+        r"(\d+) repeat a number": lambda: sum(row.kind == REPEATED for row in printed()),
+        r"and (\d+) are percentages": lambda: sum(row.kind == DERIVED for row in printed()),
+        r"of (\d+) printed bounds": lambda: sum(row.at_most for row in independent()),
+        r"To (\d+) of them a number": lambda: sum(row.fitted.among for row in independent()),
+        r"The other (\d+) are\s+predicted": lambda: sum(
+            not row.fitted.among for row in independent()
+        ),
+        r"(\d+) of them are compared as an order": concluded,
+        r"order within a factor of (\w+)": lambda: of("jaxilc.scenarios.reproduction.SHAPE"),
+        r"(\w+) scenarios have two readings": lambda: sum(
+            "reading" in scenarios.options(name) for name in scenarios.SCENARIOS
+        ),
         r"`cao-2019` \| .*? of (\d+) .*? of (\d+) \|": lambda: [len(rows("cao-2019"))] * 2,
         r"`cao-2019-rig` \| .*? of (\d+) .*? of (\d+) \|": lambda: [len(rows("cao-2019-rig"))] * 2,
         r"`milc-2024` \| .*? of (\d+) .*? of (\d+) \|": lambda: [len(rows("milc-2024"))] * 2,

@@ -180,13 +180,13 @@ def alone(name: str, plants: int, *, gradients: bool = True, repeats: int = 5) -
     """
     match name:
         case "noilc":
-            chosen = scenarios.load("milc-2024")
+            chosen = scenarios.load("milc-2024", reading="long-stroke")
             dilc: Any = chosen.schemes["dilc"]
             plant = dilc.learning.scheme.model
             scheme = NormOptimal(plant, w_q=1.0, w_r=1e-4, w_s=1e-3)
             task = Task(sinusoid(2000, plant.dt), dt=plant.dt)
         case "ilc-asmc":
-            chosen = scenarios.load("xu-2024")
+            chosen = scenarios.load("xu-2024", reading="small-gain")
             plant = StateSpace(
                 [[0.0, 1.0], [-MODEL["a1"], -MODEL["a2"]]], [[0.0], [MODEL["b"]]], [[1.0, 0.0]]
             )

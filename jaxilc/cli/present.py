@@ -17,12 +17,21 @@ if TYPE_CHECKING:
     from .options import Pages
 
 
-def tell(command: str, asked: Any, pages: Pages, *, bar: bool = True, **how: Any) -> None:
+def tell(
+    command: str,
+    asked: Any,
+    pages: Pages,
+    *,
+    bar: bool = True,
+    details: bool = False,
+    **how: Any,
+) -> None:
     """Ask a request of the library, and present the outcome.
 
     command: name of the function of `outcomes`
     asked: its first argument, such as a request
     bar: whether a progress bar is shown; a search with a bar of its own shows that
+    details: whether the details of the outcome are printed, too
     how: further arguments of the function
     """
     name = command.strip("_").replace("_", "-")
@@ -32,17 +41,17 @@ def tell(command: str, asked: Any, pages: Pages, *, bar: bool = True, **how: Any
 
         how |= {"progress": progress} if bar else {}
         outcome = getattr(outcomes, command)(asked, **how)
-    present(outcome, pages)
+    present(outcome, pages, details=details)
 
 
-def present(outcome: Outcome, pages: Pages) -> None:
+def present(outcome: Outcome, pages: Pages, *, details: bool = False) -> None:
     """Print an outcome, write its files, and end with its verdict.
 
     Where the outcome says that the command failed, it ends with exit code 1.
     """
     from ..outcomes.outcome import silent
 
-    outcome.show(out)
+    outcome.show(out, details=details)
     for line in outcome.warnings:
         err.print(line, highlight=False)
     with working("figures") if outcome.figures else nullcontext(silent) as progress:

@@ -35,12 +35,22 @@ def reproduce(
             help="Reading of a paper that has several; the one that is taken if none is given.",
         ),
     ] = None,
+    details: Annotated[
+        bool, typer.Option("--details", help="Print every row, and how each was read.")
+    ] = False,
 ) -> None:
-    """Every published number beside ours, with a verdict and how the paper was read.
+    """Every published number and conclusion beside ours, and how the paper was read.
 
-    Each row says what was fitted, and an open row why it is open. With --out, and in a report,
-    there is a picture for each paper, with the printed numbers and ours.
+    Printed are a line for each paper, what is not met, and why. With --out, and in a report, there
+    is a picture for each paper, with the printed numbers and ours; a report has all rows.
 
     Example: jaxilc reproduce cao-2019 --reading amplitude --report out/cao-2019.html
     """
-    tell("reproduce", scenario or (), written, folder=written.out_dir, reading=reading)
+    tell(
+        "reproduce",
+        scenario or (),
+        written,
+        details=details,
+        folder=written.out_dir,
+        reading=reading,
+    )

@@ -53,12 +53,12 @@ class Outcome:
     """What a command found. `print` shows it as the command does, a notebook as a page does.
 
     command: name of the command
-    numbers: every number that is told, by keys that stay the same in all versions; of `reproduce`
-        a list of rows
+    numbers: every number that is told, by keys that stay the same in all versions
     verdict: what was found in sentences, and the command to type next
     folder: where `save` writes, if no other folder is named; None for nowhere
     scenario: the scenario that was run, None for a command without one
     tables: tables, with lines between them where they belong to one of them
+    details: further ones, which a page shows, and a terminal where they are asked for
     lines: sentences below the tables
     remarks: what a paper leaves open, and what was chosen
     warnings: sentences on what went wrong, or is not met
@@ -78,6 +78,7 @@ class Outcome:
     folder: Path | None = None
     scenario: Scenario | None = None
     tables: Sequence[Table | str] = ()
+    details: Sequence[Table | str] = ()
     lines: Sequence[str] = ()
     remarks: Sequence[str] = ()
     warnings: Sequence[str] = ()
@@ -89,9 +90,9 @@ class Outcome:
     configuration: Mapping[str, object] | None = None
     failed: str = ""
 
-    def show(self, console: Console) -> None:
+    def show(self, console: Console, *, details: bool = False) -> None:
         """Print the tables and the lines; the verdict is printed after the files are written."""
-        for table in self.tables:
+        for table in (*self.tables, *(self.details if details else ())):
             console.print(table, highlight=False)
         for line in self.lines:
             console.print(line, highlight=False)
@@ -107,9 +108,7 @@ class Outcome:
             console.print(line, highlight=False, soft_wrap=True)
 
     def as_json(self) -> Any:
-        """The numbers, with the entries `verdict` and `next` where they are a dictionary."""
-        if isinstance(self.numbers, list):
-            return self.numbers
+        """The numbers, with the entries `verdict` and `next`."""
         return self.numbers | self.verdict.as_json()
 
     def save(self, folder: str | Path | None = None, progress: Progress = silent) -> list[Path]:
@@ -143,7 +142,7 @@ class Outcome:
         (page,) = command_report(
             path,
             self.command,
-            [table for table in self.tables if isinstance(table, Table)],
+            [table for table in (*self.tables, *self.details) if isinstance(table, Table)],
             [
                 (figure.caption, files[name] if name in files else figure.draw())
                 for name, figure in self.figures.items()
@@ -178,5 +177,5 @@ class Outcome:
 
     def _words(self) -> list[str]:
         """All lines, and what went wrong."""
-        between = (line for line in self.tables if isinstance(line, str))
+        between = (line for line in (*self.tables, *self.details) if isinstance(line, str))
         return [*between, *self.lines, *self.warnings]

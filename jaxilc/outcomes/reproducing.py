@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import figures
+from ..figures.published import label_of
 from ..scenarios import reproduction
-from ..scenarios.published import COMPARED
-from ..scenarios.reproduction import SHAPE
+from ..scenarios.published import COMPARED, NUMBER, Published
+from ..scenarios.reproduction import Judged, Row, described
 from .outcome import Figure, Outcome, Progress, silent
 from .request import Request
 from .table import Table
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 COLUMNS = ("scheme", "trial", "quantity", "published", "ours", "ratio", "verdict")
 IN_NUMBERS = ("trial", "published", "ours", "ratio")  # columns of numbers
+NUMBERS_IN_SUMMARY = ("fitted", "predicted", "10 %", "3 %", "hold")
 DIGITS = 9  # of a number of other software, and of ours beside it
 NEAR = 1e-2  # difference below which the ratio to such a number is shown with eight digits
 BESIDE = (
@@ -39,25 +41,36 @@ def reproduce(
     folder: Path | None = None,
     progress: Progress = silent,
 ) -> Outcome:
-    """Every published number beside ours, with a verdict and how the paper was read.
+    """Every published number and conclusion beside ours, with verdicts and how papers were read.
 
-    Each row says what was fitted, and an open row why it is open.
+    A table has a line for each paper; below are the rows that are not met and the conclusions that
+    do not hold; the details have all rows. Each row says what was fitted, and an open row why it is
+    open.
 
     scenarios: names of scenarios; all if none is given
     reading: of a paper that has several; the one that is taken if none is given
     folder: for a picture of each paper; none is written if it is not given
     """
-    rows = reproduction.reproduce(
+    rows, judged = reproduction.compared(
         scenarios, reading, progress=lambda done, whole, name: progress(name, done, whole)
     )
     numbers = [row.as_dict() for row in rows]
     papers = groupby(numbers, key=lambda row: row["scenario"])
     return Outcome(
         command="reproduce",
-        numbers=numbers,
-        verdict=reproduce_verdict(numbers),
+        numbers={
+            "rows": numbers,
+            "conclusions": [one.as_dict() for one in judged],
+            "counted": reproduction.counted(rows),
+        },
+        verdict=reproduce_verdict(rows, judged),
         folder=folder,
-        tables=_tables(numbers),
+        tables=[_by_paper(rows, judged)],
+        lines=[
+            *_not_met(numbers),
+            *(_concluded(one, asked=False) for one in judged if not one.holds),
+        ],
+        details=[*_tables(numbers), *map(_concluded, judged)],
         figures={
             str(name): Figure(
                 f"{name}: {BESIDE}",
@@ -79,6 +92,58 @@ def _live(numbers: Sequence[dict[str, Any]]) -> list[Live]:
 # --------------------------------------------------------------------------------------------------
 
 
+def _by_paper(rows: Sequence[Row], judged: Sequence[Judged]) -> Table:
+    """The counts of each scenario, and of all where there are several.
+
+    Counted are the numbers that a paper prints for the first time: how many are met, of those that
+    were fitted to and of those that are predicted, and how many are within 10 % and 3 %.
+    """
+    table = Table(title="independent printed numbers that are met, and conclusions that hold")
+    for column in ("", "reading", *NUMBERS_IN_SUMMARY):
+        table.add_column(column, justify="right" if column in NUMBERS_IN_SUMMARY else "left")
+    names = dict.fromkeys(row.scenario for row in rows if row.published.agreement is None)
+    for name in [*names, *(["all"] if len(names) > 1 else [])]:
+        of = [row for row in rows if name in ("all", row.scenario)]
+        hold = [one.holds for one in judged if name in ("all", one.scenario)]
+        reading = dict(of[0].published.options).get("reading", "") if name != "all" else ""
+        count = [*reproduction.counted(of).values()]
+        table.add_row(
+            name,
+            reading,
+            *(f"{group['met']} of {group['numbers']}" for group in count),
+            *(f"{sum(group[size] for group in count)}" for size in ("10 %", "3 %")),
+            f"{sum(hold)} of {len(hold)}",
+        )
+    return table
+
+
+def _not_met(numbers: Sequence[dict[str, Any]]) -> list[str]:
+    """A line for each row that is not met, the open ones first, with the reason."""
+    rows = [row for row in numbers if row["verdict"] not in ("met", "agrees")]
+    return [
+        f"{row['verdict']}: {row['scenario']}, {label_of(row)}: printed {row['value']:g}"
+        + ("" if row["kind"] == NUMBER else f" ({row['kind']})")
+        + f", ours {number(row['ours'])}"
+        + (f"; {row['reason']}" if row["reason"] else "")
+        for row in sorted(rows, key=lambda row: row["verdict"])
+    ]
+
+
+def _concluded(one: Judged, *, asked: bool = True) -> str:
+    """A conclusion of a paper, whether it holds, and our numbers.
+
+    asked: whether it is told what was simulated for each number
+    """
+    sign = {"falls": " > ", "does not rise": " >= ", "alike": " ~ "}[one.conclusion.order]
+    sides = sign.join(
+        described(side) if isinstance(side, Published) else "it" for side in one.conclusion.sides
+    )
+    verdict = "holds" if one.holds else "does not hold"
+    ours = f"ours {', '.join(map(number, one.ours))} {one.unit}".rstrip()
+    said = f"{verdict}: {one.scenario}, {one.conclusion.source}: {one.conclusion.says}; {ours}"
+    return f"{said} ({sides})" if asked else said
+
+
 def _tables(numbers: Sequence[dict[str, Any]]) -> list[Table | str]:
     """A table of published numbers for each scenario, with lines below it.
 
@@ -88,7 +153,7 @@ def _tables(numbers: Sequence[dict[str, Any]]) -> list[Table | str]:
 
     numbers: rows of `reproduction.reproduce`, as dictionaries
     """
-    shown: list[Table | str] = [_title(numbers)]
+    shown: list[Table | str] = []
     for scenario, group in groupby(numbers, key=lambda row: row["scenario"]):
         rows = list(group)
         software = all(row["agreement"] is not None for row in rows)
@@ -151,38 +216,6 @@ def _compared(row: dict[str, Any]) -> tuple[str, str, str]:
     return published, f"{row['ours']:.{DIGITS}g}", f"{row['ratio']:.{8 if near else 2}f}"
 
 
-def _title(numbers: Sequence[dict[str, Any]]) -> str:
-    """A text with the count of each verdict, first on the numbers of papers.
-
-    Those to which a number was fitted are counted apart from the others, which test what was read
-    and fitted.
-    """
-    printed = [row for row in numbers if row["agreement"] is None]
-    others = [row for row in numbers if row["agreement"] is not None]
-    parts = []
-    if printed or not others:
-        count = {v: sum(row["verdict"] == v for row in printed) for v in ("met", "shape", "open")}
-        in_shape = f"{count['shape']} in shape (the printed order, within a factor of {SHAPE:g})"
-        met = f"{count['met']} met within 30 %"
-        parts.append(f"{len(printed)} published numbers: {met}, {in_shape}, {count['open']} open")
-        parts += [_parted(printed)] if printed else []
-    if others:
-        agree = sum(row["verdict"] == "agrees" for row in others)
-        rest = len(others) - agree
-        parts.append(f"{len(others)} numbers of other software: {agree} agree, {rest} open")
-    return "; ".join(parts)
-
-
-def _parted(printed: Sequence[dict[str, Any]]) -> str:
-    """How many numbers of papers are met, of those fitted to and of those predicted, as text."""
-    fitted = [row["verdict"] == "met" for row in printed if row["among_fitted"]]
-    predicted = [row["verdict"] == "met" for row in printed if not row["among_fitted"]]
-    return (
-        f"fitted to: {sum(fitted)} of {len(fitted)} met, "
-        f"predicted: {sum(predicted)} of {len(predicted)} met"
-    )
-
-
 def _reading(row: dict[str, Any]) -> str:
     """The options, how the paper was read, what was fitted, and why the row is open, as text."""
     options = [f"{name} {value}" for name, value in row["options"].items() if name != "plant"]
@@ -196,53 +229,53 @@ def _reading(row: dict[str, Any]) -> str:
 # --------------------------------------------------------------------------------------------------
 
 
-def reproduce_verdict(rows: Sequence[dict[str, Any]]) -> Verdict:
-    """How many published numbers are met, and which one is farthest from ours.
-
-    rows: rows of `reproduction.reproduce`, as dictionaries
-    """
-    open_rows = [row for row in rows if row["verdict"] == "open"]
-    first = _counted(rows)
+def reproduce_verdict(rows: Sequence[Row], judged: Sequence[Judged] = ()) -> Verdict:
+    """How many published numbers are met, and which one is farthest from ours."""
+    first = _counted(rows, judged)
     if not rows:
         return Verdict((first,))
+    open_rows = [row for row in rows if row.verdict == "open"]
     farthest = max(open_rows or rows, key=_off)
-    at = f", trial {farthest['trial']}" if farthest["trial"] else ""
-    value = f"{farthest['value']:g} {farthest['unit']}".rstrip()
-    off = abs(farthest["ratio"] - 1.0)
+    of, off = farthest.published, abs(farthest.ratio - 1.0)
+    at = f", trial {of.trial}" if of.trial else ""
+    value = f"{of.value:g} {farthest.unit}".rstrip()
     ours = (
         f"differs by {off:.2g} of the {value} of other software"
-        if farthest["agreement"] is not None and off < NEAR
-        else f"is {number(farthest['ratio'])} times the printed {value}"
+        if of.agreement is not None and off < NEAR
+        else f"is {number(farthest.ratio)} times the printed {value}"
     )
     second = (
-        f"The farthest{' open' if open_rows else ''} one is that of {farthest['scenario']}, "
-        f"{farthest['scheme']}{at}: ours {ours}."
+        f"The farthest{' open' if open_rows else ''} one is that of {farthest.scenario}, "
+        f"{of.scheme}{at}: ours {ours}."
     )
-    settings = tuple(f"{name}={value}" for name, value in farthest["options"].items())
-    again = Request(farthest["scenario"], set=settings, trials=farthest["trial"])
-    return Verdict(
-        (first, second), "that number", again.following("run", scheme=farthest["scheme"])
-    )
+    settings = tuple(f"{name}={value}" for name, value in of.options)
+    again = Request(farthest.scenario, set=settings, trials=of.trial)
+    return Verdict((first, second), "that number", again.following("run", scheme=of.scheme))
 
 
-def _counted(rows: Sequence[dict[str, Any]]) -> str:
-    """How many numbers of papers are met, and how many of other software agree."""
-    of_papers = [row for row in rows if row["agreement"] is None]
-    printed = [row["verdict"] for row in of_papers]
-    others = [row["verdict"] for row in rows if row["agreement"] is not None]
+def _counted(rows: Sequence[Row], judged: Sequence[Judged]) -> str:
+    """How many numbers and conclusions of papers are met, and how many of other software agree."""
+    count = reproduction.counted(rows)
+    of, others = [*count.values()], [row for row in rows if row.published.agreement is not None]
+    total = {name: sum(group[name] for group in of) for name in of[0]}
     parts = []
-    if printed or not others:
+    if total["numbers"] or not others:
         parts.append(
-            f"{printed.count('met')} of {len(printed)} published numbers are met within 30 %, "
-            f"{printed.count('shape')} in shape, {printed.count('open')} open"
-            + (f" ({_parted(of_papers)})." if of_papers else ".")
+            f"Of {total['numbers']} independent printed numbers {total['met']} are met within 30 % "
+            f"or as bounds ({total['10 %']} within 10 %, {total['3 %']} within 3 %), "
+            f"{total['shape']} have the printed order, {total['open']} are open. "
+            + "; ".join(f"{name}: {g['met']} of {g['numbers']} met" for name, g in count.items())
+            + "."
         )
+    if judged:
+        hold = sum(one.holds for one in judged)
+        parts.append(f"{hold} of {len(judged)} conclusions of the papers hold.")
     if others:
-        agree = f"{others.count('agrees')} of {len(others)} numbers of other software agree"
-        parts.append(f"{agree}, {others.count('open')} open.")
+        agree = sum(row.verdict == "agrees" for row in others)
+        rest = len(others) - agree
+        parts.append(f"{agree} of {len(others)} numbers of other software agree, {rest} open.")
     return " ".join(parts)
 
 
-def _off(row: dict[str, Any]) -> float:
-    ratio = row["ratio"]
-    return abs(math.log(ratio)) if 0 < ratio < math.inf else math.inf
+def _off(row: Row) -> float:
+    return abs(math.log(row.ratio)) if 0 < row.ratio < math.inf else math.inf

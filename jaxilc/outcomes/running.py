@@ -16,7 +16,7 @@ from .. import figures
 from ..learning.divergence import CEILING, GROWTH
 from ..learning.known_metrics import ERRORS, OF_TRIALS
 from ..runtime.provenance import differences
-from ..scenarios.loading import with_reading
+from ..scenarios.loading import options
 from ..scenarios.reproduction import met
 from ..storage.files import whole_folder
 from ..sweeps import runs
@@ -347,14 +347,15 @@ def other_rows(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
 def reading_lines(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
     """A sentence where ours and published numbers part: what is simulated, what `reproduce` judges.
 
-    A paper can be read in several ways, and `run` takes another one than `reproduce` by default.
+    A paper can be read in several ways, and it can print several forms of its plant.
     """
     beside = [p for rows in numbers["schemes"].values() for p in rows["published"]]
     near = [p["met"] for p in beside if p["met"] is not None]
     if all(near):
         return []
     judged = {name: value for p in scenario.due for name, value in p.options}
-    judged |= with_reading(scenario.name, None)
+    usual = options(scenario.name)
+    judged |= {"reading": usual["reading"]} if "reading" in usual else {}
     other = [name for name, value in judged.items() if scenario.options.get(name) != value]
     here = ", ".join(f"{name}={scenario.options[name]}" for name in other)
     there = " ".join(f"--set {name}={judged[name]}" for name in other)

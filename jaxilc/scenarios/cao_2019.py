@@ -31,7 +31,7 @@ from ..schemes import (
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import chosen, published, readings
+from .published import chosen, conclusions, published, readings
 from .scenario import Quantity, Scenario
 
 
@@ -60,7 +60,7 @@ def cao_2019(
     plant: str = "exact",
     reference: str = "sinusoid",
     frequency: float = 0.5,
-    reading: str = "amplitude",
+    reading: str = "stroke",
 ) -> Scenario:
     """The simulations of Cao 2019, section IV: 1 mm at 0.5 Hz, 1 ms, one period in each trial.
 
@@ -68,8 +68,8 @@ def cao_2019(
     reference: `sinusoid`, or `piston`, the middle-convex varying-oval piston of eq. 28, whose
         ellipse turns at `frequency` / 2
     frequency: frequency of the tool's motion [Hz]
-    reading: `amplitude`, a sine of amplitude 1 mm whose settled part is the second half, or
-        `stroke`, 0.5 (1 - cos) mm whose settled part begins after 5/8 of the trial; each has its
+    reading: `stroke`, 0.5 (1 - cos) mm whose settled part begins after 5/8 of the trial, or
+        `amplitude`, a sine of amplitude 1 mm whose settled part is the second half; each has its
         own start values of the estimates, and its own reset
     Raises ValueError for another plant, reference or reading, or a frequency that does not fit the
     sample time.
@@ -88,6 +88,7 @@ def cao_2019(
         trials=80,
         uncertainty=motor_uncertainty(plant),
         published=published("cao-2019", reading) if printed else (),
+        conclusions=conclusions("cao-2019", reading) if printed else (),
         chosen=chosen("cao-2019", reading),
         tolerance=5.0,
         shown_unit="µm",

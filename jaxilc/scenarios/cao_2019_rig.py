@@ -20,10 +20,9 @@ from ..schemes import CFDLMFAILC, PID, Filtered, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import chosen, published, readings
+from .published import chosen, conclusions, published, readings
 from .scenario import Scenario
 
-PASSES = 2  # steps of eq. 12 within a sample, chosen among 1, 2 and 3
 LAM, ETA, MU, RHO, PHI0 = 1.5, 1.0, 1.0, 1.0, 1.0  # printed
 
 
@@ -40,7 +39,9 @@ class Reading(NamedTuple):
 READINGS = readings("cao-2019-rig", Reading)
 
 
-def cao_2019_rig(frequency: float = 0.5, reading: str = "over-trials") -> Scenario:
+def cao_2019_rig(
+    frequency: float = 0.5, reading: str = "within-samples", passes: float = 2.0
+) -> Scenario:
     """The experiments of Cao 2019: 1 mm, 1 ms, trials of 10 s, with friction.
 
     The encoder has steps of 0.1 µm, the converter 16 bits for ±10 V.
@@ -48,9 +49,15 @@ def cao_2019_rig(frequency: float = 0.5, reading: str = "over-trials") -> Scenar
     frequency: frequency of the sinusoid [Hz], with a whole number of periods in 10 s
     reading: `over-trials`, CFDL-MFAILC learns from trial to trial over PID, behind a filter; or
         `within-samples`, its iterations run within each sample, and the drive has an offset
-    Raises ValueError for a frequency outside [0.01, 5], or another reading.
+    passes: steps of eq. 12 within a sample, under `within-samples`; 2 are chosen among 1, 2 and 3,
+        and the paper prints 80. The scheme is then a P controller of 0.4 `passes` V/mm
+    Raises ValueError for a frequency outside [0.01, 5], another reading, or passes that are
+        not whole numbers in [1, 1000].
     """
     require("cao-2019-rig", "frequency", frequency, "[0.01, 5]", " Hz")
+    require(
+        "cao-2019-rig", "passes", passes if passes % 1 else int(passes), "[1, 1000]", whole=True
+    )
     if reading not in READINGS:
         raise ValueError(not_one_of(f"cao-2019-rig: reading = {reading!r}", reading, READINGS))
     motor = dataclasses.replace(
@@ -70,7 +77,7 @@ def cao_2019_rig(frequency: float = 0.5, reading: str = "over-trials") -> Scenar
             motor, Actuator(limit=10.0, resolution=20.0 / 2**16), Sensor(resolution=1e-4), drift
         ),
         task=Task(reference=r, dt=1e-3, unit="mm", input_unit="V"),
-        schemes={"pid": pid, "cfdl-mfailc": cfdl_mfailc(reading, pid)},
+        schemes={"pid": pid, "cfdl-mfailc": cfdl_mfailc(reading, pid, passes)},
         trials=80,
         uncertainty={
             name: Uniform(0.9, 1.1, relative=True)
@@ -82,6 +89,7 @@ def cao_2019_rig(frequency: float = 0.5, reading: str = "over-trials") -> Scenar
             )
         },
         published=published("cao-2019-rig", reading),
+        conclusions=conclusions("cao-2019-rig", reading),
         chosen=chosen("cao-2019-rig", reading),
         tolerance=5.0,
         shown_unit="µm",
@@ -90,13 +98,13 @@ def cao_2019_rig(frequency: float = 0.5, reading: str = "over-trials") -> Scenar
     )
 
 
-def cfdl_mfailc(reading: str, pid: PID) -> Scheme:
+def cfdl_mfailc(reading: str, pid: PID, passes: float) -> Scheme:
     """CFDL-MFAILC with the printed weights under a reading.
 
     Within a sample e does not change, and neither does the estimate, by less than 0.1 % for the
     errors of the rig; the steps of eq. 12 then add up to rho phi / (lam + phi^2) e each.
     """
     if reading == "within-samples":
-        return PID(kp=PASSES * RHO * PHI0 / (LAM + PHI0**2))
+        return PID(kp=passes * RHO * PHI0 / (LAM + PHI0**2))
     law = CFDLMFAILC(lam=LAM, eta=ETA, mu=MU, rho=RHO, phi0=PHI0, reset="sign")
     return WithFeedback(Filtered(law, ZeroPhaseButterworth(6.0, padding=300)), pid)

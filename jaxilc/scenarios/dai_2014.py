@@ -15,7 +15,7 @@ from ..schemes import CFDLMFAPC, PID
 from ..signals import references
 from ..signals.task import Task
 from .cao_2019 import motor_uncertainty
-from .published import chosen, published
+from .published import chosen, conclusions, published
 from .scenario import Scenario
 
 # By frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed;
@@ -62,6 +62,7 @@ def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
         trials=1,
         uncertainty=motor_uncertainty(plant),
         published=published("dai-2014"),
+        conclusions=conclusions("dai-2014"),
         chosen=chosen("dai-2014"),
         tolerance=0.03,
         shown_unit="mm",

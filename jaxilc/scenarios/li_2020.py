@@ -37,7 +37,7 @@ from ..schemes import (
 from ..signals import paths
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import chosen, published
+from .published import chosen, conclusions, published
 from .scenario import Quantity, Scenario
 
 # With these gains the loop's spectral radius is 0.913.
@@ -174,6 +174,7 @@ def li_2020(
         trials=trials,
         uncertainty={name: Uniform(0.9, 1.1, relative=True)},
         published=published("li-2020"),
+        conclusions=conclusions("li-2020"),
         chosen=chosen("li-2020"),
         tolerance=5.0,
         shown_unit="µm",

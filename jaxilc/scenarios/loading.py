@@ -29,34 +29,27 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "xu-2024": xu_2024,
 }
 
-# For a paper with several readings, the value of the option `reading` by which `reproduce` judges
-# it; the experiment that compares the readings is named in the module of the scenario.
-TAKEN = {
-    "cao-2019": "stroke",
-    "cao-2019-rig": "within-samples",
-    "milc-2024": "short-stroke",
-    "xu-2024": "large-gain",
-}
-
 
 def with_reading(name: str, reading: str | None) -> dict[str, str]:
-    """The options that choose a reading of a scenario.
+    """The options that choose a reading of a scenario; for None none, which is the judged one.
 
-    reading: name of the reading; None: the one that is taken, where the scenario has several
     Raises ValueError where a reading is named for a scenario that has only one.
     """
     if reading is None:
-        return {"reading": TAKEN[name]} if name in TAKEN else {}
-    if name in SCENARIOS and name not in TAKEN:
+        return {}
+    if name in SCENARIOS and "reading" not in options(name):
+        several = ", ".join(known for known in SCENARIOS if "reading" in options(known))
         raise ValueError(
-            f"reading = {brief(reading)}: {name} has one reading only; several have "
-            f"{', '.join(TAKEN)}"
+            f"reading = {brief(reading)}: {name} has one reading only; several have {several}"
         )
     return {"reading": reading}
 
 
 def load(name: str, **chosen) -> Scenario:
     """A scenario by name, with its options (`load("cao-2019", plant="printed")`).
+
+    Of a paper that can be read in several ways, the reading that `reproduce` judges is taken; the
+    title of a scenario names any other.
 
     Raises ValueError naming the allowed scenarios or options.
     """
@@ -76,7 +69,10 @@ def load(name: str, **chosen) -> Scenario:
                 raise ValueError(
                     f"{name}: option {option} = {brief(value)} is not a number"
                 ) from None
-    return dataclasses.replace(SCENARIOS[name](**chosen), options=allowed | chosen)
+    found = dataclasses.replace(SCENARIOS[name](**chosen), options=allowed | chosen)
+    if found.options.get("reading") == allowed.get("reading"):
+        return found
+    return dataclasses.replace(found, title=f"{found.title}, reading: {found.options['reading']}")
 
 
 def options(name: str) -> dict[str, object]:

@@ -32,7 +32,7 @@ from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedbac
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import chosen, published, readings
+from .published import chosen, conclusions, published, readings
 from .scenario import Quantity, Scenario
 
 DT = 1 / 4000
@@ -164,7 +164,7 @@ def path(of: Reading) -> np.ndarray:
     return np.concatenate([np.zeros(round(REST / DT)), move])[: round(DURATION / DT) + 1]
 
 
-def milc_2024(axis: str = "x", reading: str = "long-stroke") -> Scenario:
+def milc_2024(axis: str = "x", reading: str = "short-stroke") -> Scenario:
     """The experiments of MILC 2024, section 5: a trial with feedback only, then ten more, 4 kHz.
 
     axis: `x` with a screw of 10 mm pitch, or `z` with one of 12 mm
@@ -190,6 +190,7 @@ def milc_2024(axis: str = "x", reading: str = "long-stroke") -> Scenario:
             for name in ("stiffness", "table_mass", "motor_mass", "force_gain")
         },
         published=published("milc-2024", reading),
+        conclusions=conclusions("milc-2024", reading),
         chosen=chosen("milc-2024", reading),
         tolerance=1.0,
         shown_unit="µm",

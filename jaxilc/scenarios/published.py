@@ -36,10 +36,17 @@ class Fit(NamedTuple):
 
 NOTHING = Fit()
 
+SHARED = ("scheme", "quantity", "options")  # fields that the sides of a conclusion take over
+NAN = float("nan")
 FILES = resources.files("jaxilc.scenarios") / "printed"
 
 # Quantities of the first j trials of a scheme, see `reproduction`, besides `best_trial`.
 OVER_TRIALS = ("rms_rise", "rms_spread")
+# What a printed number is: printed for the first time; printed again, as in "no change"; or
+# computed by the paper from printed ones, as a percentage is. Only the first are counted.
+NUMBER, REPEATED, DERIVED = KINDS = ("number", "repeated", "derived")
+# How the numbers of the sides of a conclusion follow each other.
+FALLS, NO_RISE, ALIKE = ORDERS = ("falls", "does not rise", "alike")
 # Endings of quantities that compare two schemes in percent: by how much smaller the error of the
 # first is than that of the second, and its share of it.
 COMPARED = ("_improvement", "_share")
@@ -64,6 +71,9 @@ class Published(NamedTuple):
     against: the scheme with which `scheme` is compared, for a quantity with an ending of
         `COMPARED`, else empty
     searched: the experiment that searched a space of readings for this row, empty if none did
+    words: the printed words, or the place in a table
+    kind: one of `KINDS`
+    set: values of the scenario that are not those of the paper, by path, for a conclusion
     """
 
     scheme: str
@@ -78,6 +88,9 @@ class Published(NamedTuple):
     agreement: float | None = None
     against: str = ""
     searched: str = ""
+    words: str = ""
+    kind: str = NUMBER
+    set: tuple[tuple[str, object], ...] = ()
 
     @property
     def base(self) -> str:
@@ -91,6 +104,23 @@ class Published(NamedTuple):
     def of_one_run(self) -> bool:
         """Whether the number can be read off a trial of one scheme, so that `run` shows it."""
         return not self.against and self.quantity not in OVER_TRIALS
+
+
+class Conclusion(NamedTuple):
+    """A sentence that a paper concludes with, as numbers of ours that have an order.
+
+    says: what the paper concludes, in our words
+    source, words: place in the paper, and its words
+    order: `falls`, each side is smaller than the one before; `does not rise`, none is larger;
+        `alike`, the largest is at most twice the smallest
+    sides: what is simulated for each side, or a number
+    """
+
+    says: str
+    source: str
+    words: str
+    order: str
+    sides: tuple[Published | float, ...]
 
 
 def agreement_of(printed: str, rtol: float = 1e-6) -> float:
@@ -113,6 +143,8 @@ def file_of(name: str) -> dict[str, Any]:
         fits, and `among` whether they were fitted to this row. The rows of `each` share the others.
         A value that is text is given as printed, with the agreement of its digits. A field that
         depends on the reading is a table of values by reading.
+    [[conclusions]]: fields of `Conclusion`; those of `Published` hold for each of its `sides`,
+        which may have others, and further options. The conclusions of `each` share the others.
     """
     text = (FILES / f"{name}.toml").read_text("utf-8")
     return _with_tuples(tomllib.loads(text))
@@ -141,35 +173,57 @@ def chosen(name: str, reading: str = "") -> tuple[str, ...]:
 def published(name: str, reading: str = "") -> tuple[Published, ...]:
     """The printed rows of a scenario, under a reading if the paper has several."""
     found = file_of(name)
+    rows = [
+        found.get("every_row", {}) | {k: v for k, v in several.items() if k != "each"} | one
+        for several in found["rows"]
+        for one in several.get("each", ({},))
+    ]
+    return tuple(_row(found, fields, reading) for fields in rows)
 
-    def row(fields: dict[str, Any]) -> Published:
-        for key, value in list(fields.items()):
-            if isinstance(value, dict) and value.keys() <= found.get("readings", {}).keys():
-                fields.pop(key)
-                fields |= {key: value[reading]} if reading in value else {}
-        fits, printed = fields.pop("fit", ()), fields.pop("value")
-        used = [found["fits"][fit] for fit in ((fits,) if isinstance(fits, str) else fits)]
-        fit = Fit(
-            sum((one["names"] for one in used), ()),
-            " and ".join(one["to"] for one in used),
-            fields.pop("among", False),
-        )
-        options = fields.pop("options", {}) | ({"reading": reading} if reading else {})
-        if isinstance(printed, str):
-            fields["agreement"], printed = agreement_of(printed), float(printed)
-        return Published(
-            trial=fields.pop("trial", None),
-            value=printed,
-            options=tuple(options.items()),
-            reading=fields.pop("how", ""),
-            fitted=fit,
-            **fields,
-        )
 
-    return tuple(
-        row(found.get("every_row", {}) | {k: v for k, v in rows.items() if k != "each"} | one)
-        for rows in found["rows"]
-        for one in rows.get("each", ({},))
+def conclusions(name: str, reading: str = "") -> tuple[Conclusion, ...]:
+    """What a paper concludes, under a reading if the paper has several."""
+    found, several = file_of(name), []
+    usual = {k: of for k, of in found.get("every_row", {}).items() if k in SHARED}
+    for of in found.get("conclusions", ()):
+        own = {name: of[name] for name in ("says", "source", "words")}
+        common = {name: value for name, value in of.items() if name in (*SHARED, "trial")}
+        for one in of.get("each", ({},)):
+            sides = []
+            for side in of["sides"]:
+                layers = (usual, common, one, side)
+                options = {k: v for layer in layers for k, v in layer.get("options", {}).items()}
+                fields = {"source": of["source"], "value": NAN} | usual | common | one | side
+                fields |= {"options": options}
+                sides.append(side["value"] if "value" in side else _row(found, fields, reading))
+            several.append(Conclusion(**own, order=of.get("order", FALLS), sides=tuple(sides)))
+    return tuple(several)
+
+
+def _row(found: dict[str, Any], fields: dict[str, Any], reading: str) -> Published:
+    """A row of a file, with the fields of a reading."""
+    for key, value in list(fields.items()):
+        if isinstance(value, dict) and value.keys() <= found.get("readings", {}).keys():
+            fields.pop(key)
+            fields |= {key: value[reading]} if reading in value else {}
+    fits, printed = fields.pop("fit", ()), fields.pop("value")
+    used = [found["fits"][fit] for fit in ((fits,) if isinstance(fits, str) else fits)]
+    fit = Fit(
+        sum((one["names"] for one in used), ()),
+        " and ".join(one["to"] for one in used),
+        fields.pop("among", False),
+    )
+    options = fields.pop("options", {}) | ({"reading": reading} if reading else {})
+    if isinstance(printed, str):
+        fields["agreement"], printed = agreement_of(printed), float(printed)
+    return Published(
+        trial=fields.pop("trial", None),
+        value=printed,
+        options=tuple(options.items()),
+        set=tuple(fields.pop("set", {}).items()),
+        reading=fields.pop("how", ""),
+        fitted=fit,
+        **fields,
     )
 
 

@@ -9,6 +9,9 @@ An improvement in percent is held to both of its sides: 100 - 89 and 100 - 97 ar
 but what is left of the error differs by a factor of four. It is judged by that one of the two
 ratios, of the improvement and of what is left, which is farther from 1.
 
+What a paper concludes is compared as well: a conclusion holds where our numbers have its order, and
+does not hold otherwise (`Conclusion`).
+
 A number that other software computed from the same equations is held to more. It agrees, `agrees`,
 where ours differs by no more than its own `Published.agreement`, or it is open.
 
@@ -22,6 +25,7 @@ row.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,12 +33,20 @@ import numpy as np
 from .. import scenarios
 from ..learning.metrics import Keep, best_trial
 from ..learning.over_trials import learn
+from ..theory import sliding
 from . import Published, Scenario
 from .loading import with_reading
-from .published import OVER_TRIALS
+from .published import FALLS, NOTHING, NUMBER, OVER_TRIALS, Conclusion
 
 MET = 0.3
 SHAPE = 2.0
+VERDICTS = ("met", "shape", "open")
+# Conditions of the papers that a conclusion speaks of, as functions of a scheme and a task; each
+# claims convergence below 1.
+CONDITIONS: dict[str, Callable[..., float]] = {
+    "eq_36": lambda scheme, task: float(sliding.printed_condition(scheme, task).condition.value),
+}
+SHARES = (0.03, 0.1, MET)  # within which the printed numbers are counted
 
 
 class Row(NamedTuple):
@@ -73,47 +85,142 @@ class Row(NamedTuple):
         )
 
 
+class Judged(NamedTuple):
+    """What a paper concludes, and our numbers.
+
+    scenario: name of the scenario
+    conclusion: what it says, and what was simulated for it
+    ours: our number for each of its sides [unit]
+    unit: unit of the numbers
+    holds: whether our numbers have the order that it names
+    """
+
+    scenario: str
+    conclusion: Conclusion
+    ours: tuple[float, ...]
+    unit: str
+    holds: bool
+
+    def as_dict(self) -> dict[str, object]:
+        """The conclusion without nested fields, for JSON."""
+        of = self.conclusion._asdict()
+        of["sides"] = [s if isinstance(s, float) else described(s) for s in of["sides"]]
+        return of | {name: x for name, x in self._asdict().items() if name != "conclusion"}
+
+
 def reproduce(
     names: Iterable[str] = (),
     reading: str | None = None,
     *,
     progress: Callable[[int, int, str], object] | None = None,
 ) -> list[Row]:
-    """Simulate every published number of the named scenarios; without names, of all scenarios.
+    """Every published number beside ours, see `compared`."""
+    return compared(names, reading, progress=progress)[0]
+
+
+def compared(
+    names: Iterable[str] = (),
+    reading: str | None = None,
+    *,
+    progress: Callable[[int, int, str], object] | None = None,
+) -> tuple[list[Row], list[Judged]]:
+    """Simulate every published number and conclusion of the named scenarios; else of all.
 
     reading: name of a reading, for scenarios that have several; None: of each the one that is taken
     progress: called before each scenario with the number of rows done, that of all rows, and a name
     Raises ValueError naming the allowed scenarios or readings.
     """
-    chosen = {
-        name: scenarios.load(name, **with_reading(name, reading)).published
-        for name in names or scenarios.SCENARIOS
-    }
+    chosen = {name: with_reading(name, reading) for name in names or scenarios.SCENARIOS}
+    loaded = {name: scenarios.load(name, **of) for name, of in chosen.items()}
     rows: list[Row] = []
-    for name, published in chosen.items():
+    judged: list[Judged] = []
+    for name, scenario in loaded.items():
         if progress is not None:
-            progress(len(rows), sum(map(len, chosen.values())), name)
-        rows += _of_scenario(name, published)
-    return rows
+            progress(len(rows), sum(len(of.published) for of in loaded.values()), name)
+        of_rows, of_conclusions = _of_scenario(name, scenario.published, scenario.conclusions)
+        rows += of_rows
+        judged += of_conclusions
+    return rows, judged
 
 
-def _of_scenario(name: str, published: tuple[Published, ...]) -> list[Row]:
-    settings = {p.options: scenarios.load(name, **dict(p.options)) for p in published}
-    ours = {}
-    for options, scenario in settings.items():
-        ours |= _simulated(scenario, [p for p in published if p.options == options])
-    values = [ours[p] for p in published]
-    return [
-        Row(
-            name,
-            p,
-            value,
-            value / p.value,
-            settings[p.options].shown(p.quantity)[1],
-            *_verdict(i, published, values),
+def counted(rows: Iterable[Row]) -> dict[str, dict[str, int]]:
+    """How many printed numbers are met, `fitted` and `predicted` ones apart.
+
+    Counted are those of papers that are printed for the first time. Each entry has the `numbers`,
+    those within 3, 10 and 30 % by these names (printed bounds are not among them), the printed
+    `bounds`, those that are `kept`, and the verdicts `met`, `shape` and `open`.
+    """
+    found = {}
+    printed = [
+        row for row in rows if row.published.agreement is None and row.published.kind == NUMBER
+    ]
+    for name in ("fitted", "predicted"):
+        of = [
+            row for row in printed if (row.published.fitted or NOTHING).among == (name == "fitted")
+        ]
+        sides = [
+            _judged_ratio(row.published, row.ours)[0] for row in of if not row.published.at_most
+        ]
+        bounds = [row for row in of if row.published.at_most]
+        found[name] = (
+            {"numbers": len(of)}
+            | {f"{100 * w:g} %": sum(abs(r - 1) <= w for r in sides) for w in SHARES}
+            | {"bounds": len(bounds), "kept": sum(row.verdict == "met" for row in bounds)}
+            | {verdict: sum(row.verdict == verdict for row in of) for verdict in VERDICTS}
         )
+    return found
+
+
+def _of_scenario(
+    name: str, published: tuple[Published, ...], concluded: tuple[Conclusion, ...]
+) -> tuple[list[Row], list[Judged]]:
+    sides = [side for one in concluded for side in one.sides if isinstance(side, Published)]
+    wanted = [*published, *sides]
+    settings = {(p.options, p.set): scenarios.load(name, **dict(p.options)) for p in wanted}
+    ours: dict[Published, float] = {}
+    for (options, changed), scenario in settings.items():
+        of = [p for p in wanted if (p.options, p.set) == (options, changed)]
+        ours |= _simulated(scenario.with_values(dict(changed)), of)
+    values = [ours[p] for p in published]
+
+    def unit(p: Published) -> str:
+        scenario = settings[p.options, p.set]
+        return "" if p.quantity in CONDITIONS else scenario.shown(p.quantity)[1]
+
+    rows = [
+        Row(name, p, value, value / p.value, unit(p), *_verdict(i, published, values))
         for i, (p, value) in enumerate(zip(published, values, strict=True))
     ]
+    return rows, [_concluded(name, one, ours, unit) for one in concluded]
+
+
+def _concluded(
+    name: str,
+    one: Conclusion,
+    ours: Mapping[Published, float],
+    unit: Callable[[Published], str],
+) -> Judged:
+    """A conclusion with our numbers, and whether it holds."""
+    x = [ours[side] if isinstance(side, Published) else side for side in one.sides]
+    pairs = [*pairwise(x)]
+    match one.order:
+        case _ if not np.all(np.isfinite(x)):  # a divergence is larger than any number
+            holds = one.order == FALLS and all(np.isfinite(b) and a > b for a, b in pairs)
+        case "falls":
+            holds = all(a > b for a, b in pairs)
+        case "does not rise":
+            holds = all(a >= b for a, b in pairs)
+        case _:
+            holds = 0 < max(x) <= SHAPE * min(x)
+    simulated = next(side for side in one.sides if isinstance(side, Published))
+    return Judged(name, one, tuple(x), unit(simulated), holds)
+
+
+def described(side: Published) -> str:
+    """What was simulated for a side of a conclusion, as text."""
+    at = f", trial {side.trial}" if side.trial else ""
+    of = [(name, of) for name, of in side.options if name not in ("plant", "reading")]
+    return f"{side.scheme}{at}" + "".join(f", {name}={x}" for name, x in (*of, *side.set))
 
 
 def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, float]:
@@ -121,12 +228,17 @@ def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, flo
 
     Each scheme learns once, up to the last trial that its rows need.
     """
+    ours = {
+        p: CONDITIONS[p.quantity](scenario.schemes[p.scheme], scenario.task)
+        for p in rows
+        if p.quantity in CONDITIONS
+    }
+    rows = [p for p in rows if p not in ours]
     due: dict[str, list[Published]] = {}
     for p in rows:
         for scheme in dict.fromkeys((p.scheme, p.against or p.scheme)):
             due.setdefault(scheme, []).append(p)
     found = {scheme: _metrics_by_trial(scenario, scheme, of) for scheme, of in due.items()}
-    ours = {}
     for p in rows:
         value = _at(found[p.scheme], p)
         if p.against:

@@ -20,7 +20,7 @@ from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.printable import printable
 from ..uncertainty import Uncertainty
-from .published import COMPARED, OVER_TRIALS, Published
+from .published import COMPARED, OVER_TRIALS, Conclusion, Published
 
 # Name of a scheme: it is part of the paths of its parameters and of the names of files.
 _NAME = re.compile(r"[^\W_][\w +-]{0,49}")
@@ -49,6 +49,7 @@ class Scenario:
     trials: number J of trials
     uncertainty: distributions of the machine's leaves, by path
     published: printed numbers [shown unit]
+    conclusions: what the paper concludes in words
     chosen: texts on what the paper leaves open, and what was chosen here
     tolerance: largest value of `judged_by` that passes [shown unit]; None if none is known
     shown_unit, shown_scale: errors are shown as shown_scale times the simulated ones, in shown_unit
@@ -70,6 +71,7 @@ class Scenario:
     trials: int
     uncertainty: Uncertainty
     published: tuple[Published, ...] = ()
+    conclusions: tuple[Conclusion, ...] = ()
     chosen: tuple[str, ...] = ()
     tolerance: float | None = None
     shown_unit: str = ""

@@ -22,7 +22,7 @@ from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import chosen, file_of, published, readings
+from .published import chosen, conclusions, file_of, published, readings
 from .scenario import Quantity, Scenario
 
 DT = 1e-4
@@ -82,7 +82,7 @@ def schemes_for(
     }
 
 
-def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "small-gain") -> Scenario:
+def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "large-gain") -> Scenario:
     """The experiments of Xu 2024, section 5.3: 20 µm at 40 Hz for 0.5 s, 10 kHz, ten trials.
 
     load: constant force on the tool [N]; 1 N in Table 2
@@ -123,6 +123,7 @@ def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "small-
         trials=LEARNED_TRIAL,
         uncertainty={f"plant.{name}": Uniform(0.8, 1.2, relative=True) for name in names},
         published=published("xu-2024", reading),
+        conclusions=conclusions("xu-2024", reading),
         chosen=chosen("xu-2024", reading),
         tolerance=1000.0,
         shown_unit="nm",

@@ -112,10 +112,10 @@ def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_comma
         "here/run.json",
     )
     assert code == 0
-    assert "16.2 (18)" in out
+    assert "17.5 (18)" in out
     assert (
-        "2 of 4 published numbers are met within 30 %: simulated is plant=exact, "
-        "reading=amplitude. The paper is judged with --set plant=printed --set reading=stroke. "
+        "3 of 4 published numbers are met within 30 %: simulated is plant=exact. The paper is "
+        "judged with --set plant=printed. "
         "jaxilc reproduce cao-2019 says how each number was read."
     ) in " ".join(out.split())
     numbers = json.loads((tmp_path / "here/run.json").read_text())
@@ -478,8 +478,10 @@ def test_a_killed_sweep_resumes_bit_for_bit(tmp_path, whole, how):
 def test_reproduce_prints_every_published_number_with_its_verdict(jaxilc_command, tmp_path):
     code, out, _ = jaxilc_command("reproduce", "dai-2014", "--report", "rows.json")
     assert code == 0
-    assert "4 published numbers" in out
-    rows = json.loads((tmp_path / "rows.json").read_text())
+    assert "Of 4 independent printed numbers" in " ".join(out.split())
+    assert "does not hold: dai-2014" in out
+    assert "settled error [mm]" not in out.split("Of 4")[0].split("open: dai-2014")[0], "details"
+    rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
     assert {r["verdict"] for r in rows} <= {"met", "shape", "open"}
     assert all(r["reading"] and r["ratio"] == r["ours"] / r["value"] for r in rows)
     code, _, err = jaxilc_command("reproduce", "dai")

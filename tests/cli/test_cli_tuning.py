@@ -328,8 +328,10 @@ def problem_of_pareto(scenario, trials):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_worst_case_tells_machines_that_can_be_rebuilt(scenario, tmp_path):
-    request = Request("cao-2019", ("cfdl-mfailc",), set=SHORT[1:], trials=4, spread=0.2)
+def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path):
+    scenario = jaxilc.scenarios.load("cao-2019", frequency=50, reading="amplitude")
+    settings = (*SHORT[1:], "reading=amplitude")
+    request = Request("cao-2019", ("cfdl-mfailc",), set=settings, trials=4, spread=0.2)
     found = outcomes.worst_case(request, draws=30, starts=2, evaluations=27, folder=tmp_path)
     names = ("worst-case.png", "worst-case.json")
     assert found.save() == [tmp_path / name for name in names]
@@ -579,7 +581,7 @@ def test_an_option_that_left_still_does_its_work_and_warns(command, option, valu
 
 def test_a_parameter_file_holds_what_differs(scenario, tmp_path):
     printed = scenario.schemes["ffdl-mfailc"]
-    changed = {"lam": 0.5, "phi0": [0.5, 0.0, -0.06], "L_u": 1, "reset": "none", "limit": 9.0}
+    changed = {"lam": 0.5, "phi0": [0.5, 0.0, -0.06], "L_u": 1, "reset": "sign", "limit": 9.0}
     values = differing(jaxilc.pytree.replaced(printed, changed), printed)
     assert values == changed
     file = write_parameters(

@@ -209,6 +209,7 @@ def test_a_run_says_what_diverged_and_what_has_grown():
         task=TASK,
         trials=TRIALS,
         published=(),
+        quantities={},
         show_trials=(5,),
     )
     numbers = run_numbers(scenario, dataset)

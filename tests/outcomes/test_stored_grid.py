@@ -102,7 +102,7 @@ def test_what_is_no_grid_of_this_scenario_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"it differs in machine.plant.gain: 5.0 there"):
         asked(tmp_path / "w")
     assert asked(tmp_path / "w", settings=["plant.gain=5"]).machine.plant.gain == 5.0
-    lost = stored(tmp_path / "lost", {"plant.gain": [-1e7, -2e7]})
+    lost = stored(tmp_path / "lost", {"plant.gain": [-1e9, -2e9]})
     with pytest.raises(ValueError, match="more than 5 % of the machines diverge at every point"):
         asked(lost)
     settle = stored(tmp_path / "settle", {"task.settle": [None, (0.001, 0.01)]})

@@ -22,6 +22,8 @@ from jaxilc.outcomes.trading import budget_verdict, front_verdict
 from jaxilc.outcomes.trends import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
 from jaxilc.outcomes.tuning import tune_verdict
 from jaxilc.outcomes.verdict import Verdict
+from jaxilc.scenarios.published import NOTHING, Fit, Published
+from jaxilc.scenarios.reproduction import Row
 
 J = np.arange(1, 41)
 NOISE = np.random.default_rng(3)
@@ -363,31 +365,33 @@ def test_worst_case_leads_to_its_machine():
 
 
 def test_reproduce_leads_to_the_number_that_is_farthest():
-    row = {"scenario": "dai-2014", "scheme": "pid", "trial": None, "value": 2.0, "unit": "mm"}
-    row |= {"agreement": None, "among_fitted": False}
+    def row(verdict, ratio, trial=None, options=(), fitted=NOTHING, agreement=None):
+        printed = Published(
+            "pid", trial, "rms", 2.0, "Table 1", options, fitted=fitted, agreement=agreement
+        )
+        return Row("dai-2014", printed, 2.0 * ratio, ratio, "mm", verdict)
+
     rows = [
-        row | {"verdict": "met", "ratio": 1.1, "options": {}},
-        row
-        | {"verdict": "open", "ratio": 2.5, "options": {"plant": "printed"}}
-        | {"among_fitted": True},
-        row | {"verdict": "open", "ratio": 0.2, "options": {"frequency": 2.5}, "trial": 3},
-        row | {"verdict": "shape", "ratio": 1.9, "options": {}},
+        row("met", 1.1),
+        row("open", 2.5, options=(("plant", "printed"),), fitted=Fit(("a",), "b", among=True)),
+        row("open", 0.2, 3, (("frequency", 2.5),)),
+        row("shape", 1.9),
     ]
     found = reproduce_verdict(rows)
     assert found.said == (
-        "1 of 4 published numbers are met within 30 %, 1 in shape, 2 open (fitted to: 0 of 1 met, "
-        "predicted: 1 of 3 met).",
+        "Of 4 independent printed numbers 1 are met within 30 % or as bounds (0 within 10 %, 0 "
+        "within 3 %), 1 have the printed order, 2 are open. fitted: 0 of 1 met; predicted: 1 of 3 "
+        "met.",
         "The farthest open one is that of dai-2014, pid, trial 3: ours is 0.2 times the printed 2 "
         "mm.",
     )
     assert parsed(found)[1]["set_"] == ["frequency=2.5"]
     assert "The farthest one is" in reproduce_verdict(rows[:1]).said[1]
-    software = row | {"agreement": 1e-6, "options": {}}
-    close = [software | {"verdict": "agrees", "ratio": 1 + d} for d in (0.0, -3e-7)]
+    close = [row("agrees", 1 + d, agreement=1e-6) for d in (0.0, -3e-7)]
     assert reproduce_verdict(close).said == (
         "2 of 2 numbers of other software agree, 0 open.",
         "The farthest one is that of dai-2014, pid: ours differs by 3e-07 of the 2 mm of other "
         "software.",
     )
-    both = reproduce_verdict([*rows, software | {"verdict": "open", "ratio": 1.02}]).said[0]
-    assert both.endswith("1 of 3 met). 0 of 1 numbers of other software agree, 1 open.")
+    both = reproduce_verdict([*rows, row("open", 1.02, agreement=1e-6)]).said[0]
+    assert both.endswith("1 of 3 met. 0 of 1 numbers of other software agree, 1 open.")

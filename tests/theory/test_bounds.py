@@ -531,7 +531,7 @@ def test_on_the_paper_s_motor_weights_with_a_smaller_d2_spoil_learning():
     np.testing.assert_allclose(d2, [1.0001, 0.997, 0.990, 0.754], rtol=3e-4)
     digits = [2, 0, 0, -1]  # of the page
     printed = [round(float(x), n) for x, n in zip(change, digits, strict=True)]
-    assert printed == [0.92, 5.0, 14.0, 330.0]
+    assert printed == [0.92, 7.0, 21.0, 480.0]
 
 
 def test_channels_are_named():
