@@ -8,8 +8,13 @@ PINNED := .ci/requirements.txt
 ROUNDED := $(addprefix tests/,signals filters learning theory)
 UV     := $(shell command -v uv 2>/dev/null)
 
+# The experiments that draw what the papers' figures show, with ours beside the printed numbers.
+DRAWN := cao_2019_identification cao_2019_table_1 cao_2019_table_2 dai_2014_figures \
+         li_2020_signals li_2020_figures xu_2024_figures xu_2024_tables \
+         milc_2024_figures milc_2024_table_1
+
 .DEFAULT_GOAL := help
-.PHONY: help run check lint test matrix bench docs wheel clean
+.PHONY: help run check lint test matrix papers bench docs wheel clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -34,6 +39,10 @@ lint: $(VENV)/.ready  ## lint, format and types alone
 
 matrix:  ## all tests with Python 3.11 and 3.13, where these are, and the speed of both
 	.ci/matrix
+
+papers: $(VENV)/.ready  ## each figure of the papers, ours beside the print, to out/experiments
+	for name in $(DRAWN); do $(BIN)/python experiments/$$name.py || exit 1; done
+	$(BIN)/jaxilc reproduce --out out/papers --report out/papers/papers.html
 
 bench: $(VENV)/.ready  ## our speed beside NumPy, Numba, C and others; OPTIONS=--help lists options
 	$(BIN)/python experiments/benchmark/compare.py $(OPTIONS)

@@ -1,8 +1,9 @@
 """Nominal models of a drive under its position loop, for a model-based scheme (MILC 2024, Lemma 1).
 
-This is host code: the blocks are systems of python-control or `StateSpace`, and the result is a
-discrete `StateSpace` (see also Lemma A1). A position loop feeds the motor's position back; the
-table is measured beside it:
+The blocks are systems of python-control or `StateSpace`, and the result is a discrete `StateSpace`
+(see also Lemma A1). A controller that is a number and a drive that is a `StateSpace` may be traced.
+The model then has gradients by them, and is not checked for stability. A position loop feeds the
+motor's position back; the table is measured beside it:
 
     y_M = P_M v,  y_T = P_Z y_M,  v = u + C_P (r - y_M),  S = 1 / (1 + C_P P_M)
 
@@ -12,10 +13,14 @@ feedback sees a sample later.
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..pytree.aliases import Tree, Value
+from ..pytree.needs import known
 from .from_python_control import Matrices, system_matrices
 from .linear import StateSpace
 
@@ -66,7 +71,8 @@ def multivariable_model(C_P: Value, P: StateSpace) -> StateSpace:
     `direct_model`.
     """
     A, B, C_e, C_T = _loop("multivariable_model", C_P, P)
-    return StateSpace(A, B, np.vstack([-C_e, C_T]), dt=P.dt)
+    xp: Any = np if known(C_e) else jnp
+    return StateSpace(A, B, xp.vstack([-C_e, C_T]), dt=P.dt)
 
 
 def _loop(function: str, C_P: Value, P: StateSpace) -> Tree:
@@ -79,27 +85,25 @@ def _loop(function: str, C_P: Value, P: StateSpace) -> Tree:
             f"{function}: P is {P.n_u} -> {P.n_y} with dt = {P.dt:g}; allowed is a discrete drive "
             "1 -> 2, see `cascade`"
         )
-    A_m, B_m, C = (np.asarray(M) for M in (P.A, P.B, P.C))
+    host = known((C_P, P.A, P.B, P.C))
+    xp: Any = np if host else jnp
+    A_m, B_m, C = (xp.asarray(M) for M in (P.A, P.B, P.C))
     C_M, C_T = C[:1], C[1:]
     if isinstance(C_P, int | float | np.ndarray | jax.Array):
-        A_c, B_c, C_c, D_c = (
-            np.zeros((0, 0)),
-            np.zeros((0, 1)),
-            np.zeros((1, 0)),
-            np.array([[float(C_P)]]),
-        )
+        A_c, B_c, C_c = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))
+        D_c = xp.asarray(C_P, float).reshape(1, 1)
     else:
         A_c, B_c, C_c, D_c = _block("C_P", C_P, P.dt)
     n_c, n = len(A_c), len(A_m)
-    A = np.block(
+    A = xp.block(
         [
             [A_c, -B_c @ C_M, B_c],
             [B_m @ C_c, A_m - B_m @ D_c @ C_M, B_m @ D_c],
-            [np.zeros((1, n_c + n + 1))],
+            [np.zeros((1, n_c)), np.zeros((1, n)), np.zeros((1, 1))],
         ]
     )
-    B = np.vstack([np.zeros((n_c, 2)), np.hstack([B_m, np.zeros((n, 1))]), [[0.0, 1.0]]])
-    radius = np.max(np.abs(np.linalg.eigvals(A)))
+    B = xp.vstack([np.zeros((n_c, 2)), xp.hstack([B_m, np.zeros((n, 1))]), np.array([[0.0, 1.0]])])
+    radius = np.max(np.abs(np.linalg.eigvals(A))) if host else 0.0
     if radius > 1 + 1e-7:
         raise ValueError(
             f"{function}: C_P makes the position loop unstable (spectral radius {radius:.6g}); "
@@ -108,8 +112,8 @@ def _loop(function: str, C_P: Value, P: StateSpace) -> Tree:
     return (
         A,
         B,
-        np.hstack([np.zeros((1, n_c)), -C_M, [[1.0]]]),
-        np.hstack([np.zeros((1, n_c)), C_T, [[0.0]]]),
+        xp.hstack([np.zeros((1, n_c)), -C_M, np.ones((1, 1))]),
+        xp.hstack([np.zeros((1, n_c)), C_T, np.zeros((1, 1))]),
     )
 
 

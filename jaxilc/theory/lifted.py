@@ -22,10 +22,10 @@ from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
-from ..schemes import Scheme
+from ..schemes import NormOptimal, Scheme
 from ..signals.task import Task
 from ..uncertainty import drawn_machines
-from .condition import Condition, premise
+from .condition import Condition, condition, premise
 from .law import learning_law
 from .learning_map import limit_names
 from .linearity import keeps_all, linear_law, linear_trial
@@ -46,7 +46,10 @@ __all__ = [
     "spectral_radius",
     "transient",
     "transient_growth",
+    "weights_condition",
 ]
+
+BY_WEIGHTS = "the input of the model converges monotonically (MILC 2024, Theorem 2)"
 
 NO_REST = "no error is left that the law reads"
 
@@ -103,6 +106,32 @@ def input_map(G, L, *, keep=None) -> np.ndarray:
     """
     _need_product("input_map", "L", L, (G.shape[-1], G.shape[-2]))
     return (np.eye(G.shape[-1]) if keep is None else keep) - L @ G
+
+
+def weights_condition(learning: NormOptimal) -> Condition:
+    """|M| < 1 of norm-optimal learning by its weights alone (MILC 2024, Theorem 2).
+
+        M = (H' W_q H + W_s + W_r)^-1 W_r,    |M| <= w_r / (w_r + min eig W_s)
+
+    for every model H, where W_q >= 0, W_s > 0 and W_r = w_r I. It is a claim on the model that the
+    scheme learns with; `learning_conditions` looks at the plant.
+    """
+    channels = {"w_q": learning.model.n_y, "w_r": learning.model.n_u, "w_s": learning.model.n_u}
+    found = {}
+    for name, n in channels.items():
+        weight = np.asarray(getattr(learning, name))
+        square = weight if weight.ndim == 2 else np.diag(np.broadcast_to(weight, (n,)))
+        found[name] = np.linalg.eigvalsh((square + square.T) / 2)
+    (w_q, w_r, w_s), most = found.values(), found["w_r"][-1]
+    premises = (
+        premise("W_q is positive semidefinite", w_q[0] >= 0, f"least eigenvalue {w_q[0]:.4g}"),
+        premise("W_s is positive definite", w_s[0] > 0, f"least eigenvalue {w_s[0]:.4g}"),
+        premise(
+            "W_r = w_r I", most - w_r[0] <= 1e-9 * most, f"eigenvalues {w_r[0]:.4g}, {most:.4g}"
+        ),
+    )
+    least = most + w_s[0]
+    return condition(most / least if least else np.nan, BY_WEIGHTS, premises=premises)
 
 
 def mfailc_map(G, phi, lam, rho=1.0, *, lead: int = 0) -> np.ndarray:

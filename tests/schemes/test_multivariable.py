@@ -351,6 +351,22 @@ def test_milc_learns_from_the_input_as_it_was_applied():
     assert relative(run.r[1], updated(multivariable_matrix(MODEL), own, e, **WEIGHTS)[1::2]) < 1e-9
 
 
+@pytest.mark.parametrize("model", [direct_model, multivariable_model])
+def test_a_nominal_model_has_gradients_by_its_controller_and_its_drive(model):
+    """The model of traced numbers is that of known ones, and its derivative that of differences."""
+
+    def answer(C_P, gain):
+        found = model(C_P, dataclasses.replace(MODEL, C=gain * jnp.asarray(MODEL.C)))
+        return jnp.sum(found.C @ found.A @ found.A @ found.B)
+
+    at = (GAIN, 1.1)
+    np.testing.assert_allclose(jax.jit(answer)(*at), answer(*at), rtol=1e-12)
+    step = 1e-5
+    for i, slope in enumerate(jax.grad(answer, argnums=(0, 1))(*at)):
+        ends = [answer(*(x + d * step * (i == k) for k, x in enumerate(at))) for d in (1, -1)]
+        np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * step), rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("scheme", "matrix"), [(direct, direct_matrix), (multivariable, multivariable_matrix)]
 )
@@ -372,6 +388,25 @@ def test_theorem_2_the_nominal_plant_is_learned_monotonically(scheme, matrix):
     )
     assert found["monotone"].holds
     assert found["monotone"].value > 0.1, "else a wrong model could not do better either"
+
+
+@pytest.mark.parametrize("w_s", [1e-3, 0.5, np.diag([0.2, 0.4])])
+def test_theorem_2_claims_by_the_weights_alone(w_s):
+    """|M| of the lifted model is at most w_r / (w_r + min eig W_s), and reached where H is zero."""
+    model = multivariable_model(GAIN, MODEL)
+    learning = NormOptimal(model, w_q=1e3, w_r=0.3, w_s=w_s)
+    found = lifted.weights_condition(learning)
+    W_s = np.kron(np.eye(N), w_s * np.eye(2) if np.ndim(w_s) == 0 else w_s)
+    H = multivariable_matrix(MODEL)
+    for size in (1.0, 0.0):
+        M = 0.3 * np.linalg.inv(1e3 * size * H.T @ H + W_s + 0.3 * np.eye(2 * N))
+        assert np.linalg.norm(M, 2) <= found.value * (1 + 1e-12)
+    np.testing.assert_allclose(found.value, np.linalg.norm(M, 2), rtol=1e-12)
+    assert found.holds
+    bent = dataclasses.replace(learning, w_r=np.diag([0.3, 0.4]))
+    assert lifted.weights_condition(bent).verdict == "not claimed"
+    still = dataclasses.replace(learning, w_s=0.0)
+    assert [p.name for p in lifted.weights_condition(still).broken] == ["W_s is positive definite"]
 
 
 def soft():
