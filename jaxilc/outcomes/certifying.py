@@ -23,6 +23,7 @@ from ..theory.certificates import (
     certify_schemes,
 )
 from ..theory.chance import STILL, SURELY
+from ..theory.printed import printed_conditions
 from ..uncertainty import draw
 from .bounds import bounds_numbers, premises_table
 from .case import Case
@@ -35,6 +36,8 @@ from .words import counted, number
 if TYPE_CHECKING:
     from ..figures.page import Live
     from ..scenarios import Scenario
+    from ..schemes import Scheme
+    from ..signals.task import Task
     from ..theory.certificates import Certificate, OfScheme
 
 COURSE_WORDS = {TURNS: "have a best trial and then turn", GROWS: "end above their start"}
@@ -71,7 +74,10 @@ def certify(
         drawn,
         progress=lambda done, name: progress(name, done, learning),
     )
-    numbers = {name: certificate_numbers(one) for name, one in found.items()}
+    numbers = {
+        name: certificate_numbers(one) | {"printed": _printed(chosen.schemes[name], chosen.task)}
+        for name, one in found.items()
+    }
     scale, unit = chosen.shown_scale, chosen.shown_unit
     case = Case.of(chosen, request)._replace(unit=unit)  # that of an error, of any metric
     tables, lines = [], []
@@ -79,6 +85,7 @@ def certify(
         tables += certificate_tables(name, chosen.trials, of_scheme)
         lines.append(certificate_sentence(name, chosen.trials, of_scheme, scale, unit))
         lines += reason_lines(name, of_scheme)
+        lines += printed_lines(name, of_scheme)
     broken = [name for name, row in numbers.items() if row["contradicted"]]
     what = "simulation contradicts what was claimed: please report this"
     of_all = {"scenario": request.source, "trials": chosen.trials, "samples": machines}
@@ -101,6 +108,19 @@ def certify(
         asked={"machines": machines, "seed": seed, "sampling": sampling},
         failed=f"{', '.join(broken)}: {what}" if broken else "",
     )
+
+
+def _printed(scheme: Scheme, task: Task) -> dict[str, dict[str, Any]]:
+    """The conditions that papers print for a scheme: their values, verdicts and broken premises."""
+    return {
+        place: {
+            "value": float(one.value),
+            "verdict": str(one.verdict),
+            "broken": [p.name for p in one.broken],
+            "theorem": one.theorem,
+        }
+        for place, one in printed_conditions(scheme, task).items()
+    }
 
 
 def _live(chosen: Scenario, found: Mapping[str, OfScheme], drawn: Mapping[str, Any]) -> list[Live]:
@@ -135,6 +155,7 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
     transient: how far the error grows before it falls, where learning is claimed to converge, in
         units of the first error, in which trial, and on how many machines; and about how far noise
         grows where no power of the learning map is known to contract
+    printed: conditions that a paper prints for the scheme, by their places, added by `certify`
     premises, bound, care: see `bounds_numbers`, for a scheme that has bounds
     """
     found = of_scheme.certificate
@@ -234,6 +255,17 @@ def reason_lines(name: str, numbers: dict[str, Any]) -> list[str]:
         f"{name}, {claim} on {count}: {reason}."
         for claim, reasons in numbers["reasons"].items()
         for reason, count in reasons.items()
+    ]
+
+
+def printed_lines(name: str, numbers: dict[str, Any]) -> list[str]:
+    """A sentence on each condition that a paper prints for a scheme, of its model alone."""
+    return [
+        f"{name}, by {place}, of the model alone: {number(of['value'])} is "
+        + ("" if of["value"] < 1 else "not ")
+        + f"below 1: {of['verdict']}"
+        + (f", since it presumes: {'; '.join(of['broken'])}." if of["broken"] else ".")
+        for place, of in numbers["printed"].items()
     ]
 
 

@@ -29,6 +29,7 @@ ground up:
     carried          learning where each trial starts from the end of the one before
     bounds           d1 and d2 of Cao 2019 from the plant, and contraction as observed
     sliding          the conditions of Xu 2024
+    printed          the conditions that papers print for a scheme, by itself
 """
 
 from ..plants import structure

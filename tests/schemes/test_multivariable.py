@@ -21,6 +21,7 @@ from jaxilc.plants import BallScrewDrive, StateSpace, cascade, direct_model, mul
 from jaxilc.schemes import PID, MultivariableILC, NormOptimal, OnOutputs, PIDType, WithFeedback
 from jaxilc.signals import Task
 from jaxilc.theory import contraction, frequency, lifted
+from jaxilc.theory.printed import printed_conditions
 
 N, TRIALS = 100, 35  # 5 blocks of 7 trials; of an even number each would be compiled twice
 GAIN = 6.0  # C_P [V/mm]
@@ -403,6 +404,9 @@ def test_theorem_2_claims_by_the_weights_alone(w_s):
         assert np.linalg.norm(M, 2) <= found.value * (1 + 1e-12)
     np.testing.assert_allclose(found.value, np.linalg.norm(M, 2), rtol=1e-12)
     assert found.holds
+    whole = MultivariableILC(learning, PID(kp=GAIN))
+    assert printed_conditions(whole, TASK) == {"MILC 2024, Theorem 2": found}
+    assert printed_conditions(PID(kp=GAIN), TASK) == {}
     bent = dataclasses.replace(learning, w_r=np.diag([0.3, 0.4]))
     assert lifted.weights_condition(bent).verdict == "not claimed"
     still = dataclasses.replace(learning, w_s=0.0)

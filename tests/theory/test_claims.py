@@ -31,6 +31,7 @@ from jaxilc.theory import BoundsWatch, bounds_of, contraction, frequency, lifted
 from jaxilc.theory.enclosure import arc_of_loop, size, supremum
 from jaxilc.theory.learning_map import Matrices
 from jaxilc.theory.loop import Loop
+from jaxilc.theory.printed import printed_conditions
 from jaxilc.uncertainty import Uniform
 
 STATIC = Machine(DifferenceEquation((0.0,), (1.0,), dt=DT))
@@ -310,6 +311,7 @@ def test_the_inequality_of_xu_2024_says_nothing_with_a_lead():
     found = sliding.printed_condition(scheme, TASK, reaching=200.0).condition
     assert "learning without a lead, as printed" in [p.name for p in found.broken]
     assert found.verdict != "holds"
+    assert list(printed_conditions(scheme, TASK)) == ["Xu 2024, eq. 36"]
 
 
 def test_sigma_that_leaves_its_layer_slides_nowhere():
