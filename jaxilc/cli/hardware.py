@@ -77,6 +77,7 @@ OF_CAMPAIGN = {
     "growth": (float, "share by which the rms error may grow without a warning"),
     "accept_saturation": (bool, "learn in spite of saturation"),
     "stop_on_growth": (bool, "refuse a trial whose error grew"),
+    "accept": (str, "what is not refused in this call: frozen,jump,schedule,growth,input"),
     "replayed_input": (bool, "without u: the scheme's input over the measured y"),
     "short_trial": (bool, "the trial may have ended early: learn from its part"),
     "predict": (bool, "whether errors of trials are predicted by the plant file, from now on"),
@@ -146,6 +147,7 @@ def next_(
         },
         accept_saturation=of.get("accept_saturation", False),
         stop_on_growth=of.get("stop_on_growth", False),
+        accept=tuple(name.strip() for name in of.get("accept", "").split(",") if name.strip()),
     )
     opened = open_campaign(state, given, new=new, dry_run=dry_run)
     now = opened.campaign
@@ -298,7 +300,8 @@ def _turn(now, record, prediction: Prediction | None, **how):
     try:
         refuse(turn.findings)
     except ValueError as error:
-        raise Refused(error) from None
+        back = trials.step_back(now)
+        raise Refused(f"{error}. Nothing was learned or written{back}") from None
     return turn
 
 

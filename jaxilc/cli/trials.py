@@ -285,6 +285,7 @@ def against_prediction(
         trial that ended early, whose error is that of a part
     """
     from ..hardware.prediction import next_step
+    from ..hardware.suspicions import GROWN_BEYOND
 
     if prediction is None or turn.record.weight is not None:
         return "", []
@@ -295,9 +296,11 @@ def against_prediction(
     if prediction.certain:
         median = f"{_median(prediction, place):.3g} {unit}".strip()
         return f"predicted: RMS error {median}; the file gives no uncertainty and no noise", []
-    return f"predicted: {_range(place, unit)}, 95 % of {prediction.machines} drawn machines", (
-        [] if place.level == "within" else [_outside(now, turn.trial, place, prediction)]
-    )
+    found = [] if place.level == "within" else [_outside(now, turn.trial, place, prediction)]
+    if place.level == "clear" and place.distance > 0 and not turn.refusals:
+        found += now.grown_beyond(turn.record, turn.metrics["error"], GROWN_BEYOND)
+    said = f"predicted: {_range(place, unit)}, 95 % of {prediction.machines} drawn machines"
+    return said, found
 
 
 def _outside(now: Campaign, trial: int, place: Place, prediction: Prediction) -> Finding:
@@ -330,6 +333,19 @@ def _outside(now: Campaign, trial: int, place: Place, prediction: Prediction) ->
         "warning",
         f"{text}. {what_next}: jaxilc identify --state {state} --out {new_plant_file(now.recipe)}",
     )
+
+
+def step_back(now: Campaign) -> str:
+    """How to play the best input so far again; an empty text before the first trial."""
+    from ..hardware.checks import comparable
+
+    errors = comparable(now.scheme, now.task, now.journal.live())
+    if not errors:
+        return ""
+    best, least = min(errors, key=lambda one: one[1])
+    words = ["jaxilc", "next", "--state", str(now.journal.path), "--undo", str(best - 1)]
+    said = f"{least:.4g} {now.task.unit}".rstrip()
+    return f"; back to the input of trial {best} ({said}): {shlex.join(words)} --out NEXT"
 
 
 def new_plant_file(recipe: dict[str, Any]) -> str:

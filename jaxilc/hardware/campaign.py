@@ -25,13 +25,14 @@ from ..runtime.provenance import describe, environment, need_same
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.sealed import as_json
-from . import checks
+from . import checks, suspicions
 from .checks import Finding, Rules
 from .journal import BACK, METRICS, Journal
 from .short_trials import completed, ended, stored
 from .trial_files import Measured
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"
+PAST = 20  # trials whose inputs are compared with a recorded one that is not that to play
 
 
 class Turn(NamedTuple):
@@ -47,6 +48,7 @@ class Turn(NamedTuple):
     learned: False for a trial that was only inspected
     source: file of the trial
     input: `measured`, or `replayed` where the file had no u and the scheme's law gave it
+    peaks: the largest value of each schedule that was played in this trial
     """
 
     trial: int
@@ -59,6 +61,7 @@ class Turn(NamedTuple):
     learned: bool
     source: str
     input: str = "measured"
+    peaks: dict[str, float] = {}  # noqa: RUF012  the largest value of each schedule played
     __repr__ = in_short
 
     @property
@@ -241,6 +244,11 @@ class Campaign:
         following = learned(scheme, task, memory, record) if learn else memory
         following_schedules = schedules(scheme, following, task)
         findings += _of_the_next(following, following_schedules, task, self.actuator, self.rules)
+        peaks = {name: suspicions.peak(name, of, task) for name, of in played.items()}
+        if measured.u is not None:
+            findings += self._as_the_machine_can(record, commanded, played, live)
+        if learn:
+            findings += self._no_larger(following_schedules, peaks, record, live)
         return Turn(
             number,
             record,
@@ -252,7 +260,44 @@ class Campaign:
             learn,
             measured.source,
             "replayed" if measured.u is None else "measured",
+            peaks,
         )
+
+    def _as_the_machine_can(
+        self, record: Trial, commanded: Any, played: dict[str, np.ndarray], live: list
+    ) -> list[Finding]:
+        """Whether the channels of a trial move, as a machine can, and belong to this trial.
+
+        commanded: (N, n_u) input of the scheme over the measured output
+        """
+        accept, r = self.rules.accept, np.asarray(record.r)
+        y, u = np.asarray(record.y), np.asarray(record.u)
+        last = self.journal.arrays(live[-1], TRIAL) if len(live) > 1 else None
+        moved = last is not None and bool(np.any(np.ptp(last["y"], axis=0) > 0))
+        expected, still = (last["y"], suspicions.STILL) if moved else (r, suspicions.DEAD)
+        findings = suspicions.frozen("y", y[1:], expected[1:], u, accept, still=still)
+        findings += suspicions.frozen("u", u, commanded, commanded, accept)
+        findings += suspicions.jumped(y, r, last and last["y"], accept, self.task.unit)
+        if set(played) == {"u"} and not findings:  # else the input depends on y
+            others = {
+                m["trial"]: self.journal.arrays(m, TRIAL)["u"] for m in live[-PAST:] if m["trial"]
+            }
+            findings += suspicions.misplayed(u, commanded, others, accept)
+        return findings
+
+    def _no_larger(
+        self, following: dict[str, np.ndarray], peaks: dict[str, float], record: Trial, live: list
+    ) -> list[Finding]:
+        """Whether the next schedules are no larger than learning would make them.
+
+        peaks: the largest value of each schedule that this trial played
+        """
+        learned = 1 + sum(bool(m["learned"]) for m in live[1:])
+        largest = {
+            name: max([of, *(m.get("peaks", {}).get(name, 0.0) for m in live[1:])])
+            for name, of in peaks.items()
+        }
+        return suspicions.larger(following, largest, learned, self.task, self.rules.accept)
 
     def _against_those_before(
         self, record: Trial, error: float, played: str, live: list[dict[str, Any]]
@@ -269,7 +314,24 @@ class Campaign:
             last_y = self.journal.arrays(live[-1], TRIAL)["y"]
             findings += checks.repeated(record, last_y, self.rules, unit)
         errors = checks.comparable(self.scheme, self.task, live)
-        return findings + checks.grown(error, errors, self.rules, unit)
+        return findings + (
+            self.grown_beyond(record, error, suspicions.GROWN)
+            or checks.grown(error, errors, self.rules, unit)
+        )
+
+    def grown_beyond(self, record: Trial, error: float, times: float) -> list[Finding]:
+        """The refusal of a trial whose error is more than some times the best, and what changed.
+
+        error: RMS error over all outputs [unit of y]
+        """
+        live, task = self.journal.live(), self.task
+        errors = [e for _, e in checks.comparable(self.scheme, task, live)]
+        best = max(min(errors, default=np.inf), suspicions.LEAST * np.ptp(task.reference))
+        if error <= times * best or record.weight is not None:
+            return []
+        last_y = self.journal.arrays(live[-1], TRIAL)["y"]
+        changed = suspicions.what_changed(np.asarray(record.y), last_y)
+        return suspicions.grown_beyond(error, best, changed, self.rules.accept, task.unit)
 
     def keep(self, turn: Turn) -> None:
         """Store a turn; the campaign then continues from it.
@@ -281,7 +343,7 @@ class Campaign:
         if turn.trial != parent["trial"] + 1:
             said = f"trial {turn.trial} does not follow on trial {parent['trial']}"
             raise ValueError(f"{self.journal.path}: {said}")
-        plain = ("trial", "learned", "source", "input", "hashes")
+        plain = ("trial", "learned", "source", "input", "hashes", "peaks")
         manifest = {name: getattr(turn, name) for name in plain} | {METRICS: turn.metrics}
         manifest["findings"] = turn.findings
         self._append(

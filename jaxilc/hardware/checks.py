@@ -20,6 +20,8 @@ AS_PLAYED = 1e-4  # share of a schedule's peak by which the machine's record of 
 AS_COMMANDED = 0.01
 # Share of a signal's peak by which two files of one trial may differ; one may have 9 digits only.
 SAME = 1e-8
+# What `Rules.accept` may name: the refusals of `suspicions`.
+ACCEPTED = ("frozen", "jump", "schedule", "growth", "input")
 LITTLE = 0.5  # share of the error; if repeated trials differ by more, little can be learned
 
 
@@ -35,6 +37,7 @@ class Rules(NamedTuple):
         unit of y
     growth: share by which the RMS error may exceed that of the last trial without a warning
     stop_on_growth: refuse growth instead of warning
+    accept: what is not refused but warned of, of `ACCEPTED`; see `suspicions`
     """
 
     limit: float | None = None
@@ -44,6 +47,7 @@ class Rules(NamedTuple):
     repeatability: float | None = None
     growth: float = 0.02
     stop_on_growth: bool = False
+    accept: tuple[str, ...] = ()
 
     def checked(self) -> Rules:
         """These rules; raises ValueError for a number outside its range."""
@@ -53,6 +57,9 @@ class Rules(NamedTuple):
         for name, allowed in ranges.items():
             if getattr(self, name) is not None:
                 require("", name, getattr(self, name), allowed)
+        for name in self.accept:
+            if name not in ACCEPTED:
+                raise ValueError(f"accept = {name!r} is none of {', '.join(ACCEPTED)}")
         return self
 
     def limits(self, actuator: Actuator | None, inputs: int) -> np.ndarray | None:

@@ -36,7 +36,7 @@ class Given(NamedTuple):
     settings: values by path, which replace those that are kept
     rules: numbers of `KEPT_RULES` by name
     predict: whether the errors are predicted; kept from call to call, and true at first
-    accept_saturation, stop_on_growth: fields of `Rules`, for this call only
+    accept_saturation, stop_on_growth, accept: fields of `Rules`, for this call only
     """
 
     scenario: str | None = None
@@ -47,6 +47,7 @@ class Given(NamedTuple):
     rules: dict[str, float | None] | None = None
     accept_saturation: bool = False
     stop_on_growth: bool = False
+    accept: tuple[str, ...] = ()
 
 
 class Opened(NamedTuple):
@@ -85,6 +86,7 @@ def open_campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False
         **recipe["rules"],
         accept_saturation=given.accept_saturation,
         stop_on_growth=given.stop_on_growth,
+        accept=given.accept,
     )
     known = options(recipe["scenario"]) if recipe["scenario"] in SCENARIOS else {}
     settings = recipe["settings"]

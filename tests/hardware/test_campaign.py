@@ -396,7 +396,7 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
     rig, state, folder = copied
     y, u = rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     t, r = rig.task.time, rig.task.reference[:, 0]
-    write_trial(folder / "worse.csv", t, r, y + 0.05, u)
+    write_trial(folder / "worse.csv", t, r, y + 0.02, u)
     arguments = ("next", "--state", state, "--out", folder / "next.csv", "--measured")
     with pytest.raises(
         ValueError,
@@ -406,6 +406,9 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
         ),
     ):
         call(*arguments, folder / "worse.csv", "--set", "campaign.stop_on_growth=true")
+    write_trial(folder / "far.csv", t, r, y + 0.05, u)
+    with pytest.raises(ValueError, match=r"times the best; .*accept=growth accepts it.*--undo 19"):
+        call(*arguments, folder / "far.csv")
     _, _, err = call(*arguments, folder / "worse.csv", "--dry-run")
     assert "warning: the RMS error grew" in err
     assert "another schedule played" in err, (
@@ -427,7 +430,8 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
         call(*arguments, folder / "saturated.csv", "--set", "campaign.accept_saturation=true")
     assert "at its limit" not in str(error.value)
     write_trial(folder / "saturated.csv", t, r, y, np.where(np.arange(len(u)) == 40, 10.0, u))
-    _, _, err = call(*arguments, folder / "saturated.csv", "--dry-run")
+    accepted = ("--set", "campaign.accept=input", "--dry-run")
+    _, _, err = call(*arguments, folder / "saturated.csv", *accepted)
     assert "warning: input 0 is at its limit 10 in 0.40% of the samples, first at sample 40" in err
     assert Journal(state).live()[-1]["trial"] == TRIALS
 

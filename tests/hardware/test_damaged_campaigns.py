@@ -17,8 +17,9 @@ from cases import case
 from fuzz import damaged, dumped, flipped, fuzz, pick, refusal
 
 from jaxilc import cli
-from jaxilc.hardware import Campaign, Journal, Measured
+from jaxilc.hardware import Campaign, Journal, Measured, Rules
 from jaxilc.hardware import campaign as of_campaign
+from jaxilc.hardware.checks import ACCEPTED
 from jaxilc.storage import files
 from jaxilc.storage.sealed import archive, read_arrays, sealed
 
@@ -31,6 +32,7 @@ def quickly_and_quietly(monkeypatch, caplog):
 
 
 _, SCHEME, TASK = case("p_type")
+RULES = Rules(accept=ACCEPTED)  # the trials below are no machine's
 TRIALS = [
     Measured(
         0.1 * j * np.asarray(TASK.reference),
@@ -47,7 +49,7 @@ TRIALS = [
 def campaign(tmp_path_factory):
     """Return the folder of a campaign of three trials, and what the machine plays after each."""
     folder = tmp_path_factory.mktemp("campaign") / "state"
-    running = Campaign.start(folder, SCHEME, TASK, recipe={"scenario": "axis"})
+    running = Campaign.start(folder, SCHEME, TASK, recipe={"scenario": "axis"}, rules=RULES)
     played = [running.schedules()["u"]]
     for trial in TRIALS[:3]:
         running.keep(running.turn(trial))
@@ -62,7 +64,7 @@ def copied(campaign, tmp_path):
 
 
 def opened(folder):
-    return Campaign.open(folder, SCHEME, TASK)
+    return Campaign.open(folder, SCHEME, TASK, rules=RULES)
 
 
 def goes_on_or_back(folder, played):
@@ -264,7 +266,8 @@ def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypa
         )
         == 0
     )
-    assert command("next", "--state", "whole", "--measured", "trial.csv", "--out", "a.csv") == 0
+    trial = ("--measured", "trial.csv", "--set", "campaign.accept=schedule")
+    assert command("next", "--state", "whole", *trial, "--out", "a.csv") == 0
 
     def attempt(rng):
         shutil.rmtree("state", ignore_errors=True)

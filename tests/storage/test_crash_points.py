@@ -16,7 +16,8 @@ from gain_case import PROBLEM
 from store_case import filled
 from sweep_case import PLAN
 
-from jaxilc.hardware import Campaign, Measured
+from jaxilc.hardware import Campaign, Measured, Rules
+from jaxilc.hardware.checks import ACCEPTED
 from jaxilc.storage import files
 from jaxilc.storage.files import UNFINISHED
 from jaxilc.sweeps import Sweep, open_dataset
@@ -138,9 +139,8 @@ def test_a_campaign_goes_on_from_every_state_of_its_folder(tmp_path, without_wai
         It may have learned from some of them before.
         """
         begun = folder.is_dir() and any(not f.name.startswith(UNFINISHED) for f in folder.iterdir())
-        campaign = (
-            Campaign.open(folder, scheme, task) if begun else Campaign.start(folder, scheme, task)
-        )
+        make = Campaign.open if begun else Campaign.start
+        campaign = make(folder, scheme, task, rules=Rules(accept=ACCEPTED))
         for trial in measured[campaign.trials :]:
             campaign.keep(campaign.turn(trial))
         return campaign.memory()

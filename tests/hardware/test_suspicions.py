@@ -1,0 +1,124 @@
+"""What is not of a machine, or not of this trial, is refused: seen on a drive in plain NumPy."""
+
+import campaigns_with_faults as faults
+import numpy as np
+import pytest
+from two_mass_rig import DT, Rig, read_schedule, stroke
+from typer.testing import CliRunner
+
+from jaxilc.cli import app
+from jaxilc.hardware import Rules, suspicions
+
+R = stroke()
+U = R[:-1, None]
+LAST = Rig().play(U[:, 0], 1)[:, None]
+
+
+def said(findings):
+    return [f"{f.kind}: {f.text}" for f in findings]
+
+
+def test_a_channel_that_stands_still_is_seen_and_one_that_rests_is_not():
+    dead = np.zeros_like(LAST)
+    (found,) = said(suspicions.frozen("y", dead, LAST, U, ()))
+    assert found.startswith("refusal: y is constant up to 0")
+    assert found.endswith("--set campaign.accept=frozen accepts it")
+    halfway = faults.frozen(LAST[:, 0])[:, None]
+    (found,) = said(suspicions.frozen("y", halfway, LAST, U, ("frozen",)))
+    assert found.startswith("warning: y stands still from sample 120 to 600")
+    for good in (LAST, Rig(coulomb=100.0).play(U[:, 0], 2)[:, None]):
+        assert suspicions.frozen("y", good, LAST, U, ()) == []
+    # The first trial of a law that has learned nothing plays nothing, and nothing moves.
+    assert suspicions.frozen("y", dead, R[:, None], 0 * U, (), still=suspicions.DEAD) == []
+
+
+def test_lost_counts_and_another_unit_are_steps_that_no_motion_makes():
+    y = LAST.copy()
+    assert suspicions.jumped(y, R[:, None], None, (), "mm") == []
+    y[300:] -= 2.0
+    (found,) = said(suspicions.jumped(y, R[:, None], LAST, (), "mm"))
+    assert "y jumps by 2 mm at sample 300" in found
+    (found,) = said(suspicions.jumped(1000 * LAST, R[:, None], LAST, (), "mm"))
+    assert "wrong unit" in found
+    rough = LAST + np.random.default_rng(0).normal(0, 0.1, LAST.shape)
+    assert suspicions.jumped(rough, R[:, None], None, (), "mm") == []
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"gain": 0.7}, "a gain that changed by -30%"),
+        ({"delay": 9}, "a lag that is +8"),
+        ({"coulomb": 40.0}, "a lag that is +"),
+        ({"resonance": 18.0}, ""),
+    ],
+)
+def test_what_changed_is_named(changed, expected):
+    y = Rig(**changed).play(U[:, 0], 2)[:, None]
+    found = suspicions.what_changed(y, LAST)
+    assert found.startswith(expected)
+    assert bool(found) == bool(expected)
+    inches = suspicions.what_changed(LAST / 25.4, LAST)
+    assert inches == "another unit: y is 0.03937 times that of the last trial"
+
+
+def test_an_input_that_is_not_the_one_to_play_is_refused():
+    (found,) = said(suspicions.misplayed(0.5 * U, U, {1: 0 * U, 3: 0.5 * U}, ()))
+    assert "it is that of trial 3" in found
+    noisy = U + np.random.default_rng(0).normal(0, 0.1, U.shape)
+    assert suspicions.misplayed(noisy, U, {}, ()) == []
+
+
+def test_rules_name_what_is_accepted():
+    with pytest.raises(ValueError, match="accept = 'all' is none of frozen, jump"):
+        Rules(accept=("all",)).checked()
+
+
+def test_a_dead_encoder_is_refused_without_a_file_and_the_campaign_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(faults, "TRIALS", 4)
+    monkeypatch.setattr(faults, "FAULTY", 3)
+    good = faults.campaign(tmp_path, "none")
+    assert good["trial 6"] == "played on: "
+    found = faults.campaign(tmp_path, "dead encoder")  # asserts that no file is written
+    for part in (
+        "y is constant up to 0",
+        "the next u would reach",
+        "Nothing was learned or written; back to the input of trial 2",
+    ):
+        assert part in found["trial 6"]
+    assert found["trial 6"].startswith("refused")
+    assert found["largest"] < 1.01 * good["largest"]
+    assert found["error"] == pytest.approx(good["error"], rel=0.1)
+
+
+def test_each_suspicion_can_be_accepted_by_name(tmp_path):
+    np.savetxt(
+        tmp_path / "reference.csv",
+        np.column_stack([np.arange(len(R)) * DT, R]),
+        delimiter=",",
+        header="t,r",
+        comments="",
+    )
+    (tmp_path / "axis.toml").write_text(faults.PLANT)
+    state, out = tmp_path / "x", tmp_path / "next.csv"
+    start = ("next", "--state", state, "--set", "campaign.predict=false", "--out", out)
+    assert call(*start, "--scenario", tmp_path / "axis.toml") == (0, "")
+    for j in (1, 2):
+        u = read_schedule(out)
+        y = Rig().play(u, j) if j == 1 else np.zeros(len(R))
+        faults.write_trial(tmp_path / f"{j}.csv", R, y, u)
+        arguments = (*start, "--measured", tmp_path / f"{j}.csv")
+        if j == 2:
+            code, told = call(*arguments)
+            assert code == 3
+            assert "accept=frozen" in told
+            arguments += ("--set", "campaign.accept=frozen,input,growth")
+        assert call(*arguments)[0] == 0
+
+
+def call(*arguments):
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    error = result.exception
+    if error is None:
+        return 0, ""
+    return 3 if type(error).__name__ == "Refused" else 2, str(error)
