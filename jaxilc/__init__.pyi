@@ -12,6 +12,7 @@ from .learning.metrics import Keep, measure, repeatability
 from .learning.over_trials import History, feedforward, learn, measured_trial, next_memory
 from .learning.variation import PlantChange, References, Variation
 from .learning.within_trial import run_trial
+from .outcomes.repeating import potential
 from .runtime.start import setup
 from .runtime.tiles import tiled
 from .scenarios.from_file import load_scenario
@@ -73,6 +74,7 @@ __all__ = [
     "pareto",
     "paths",
     "plants",
+    "potential",
     "pytree",
     "read_record",
     "references",

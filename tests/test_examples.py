@@ -43,6 +43,7 @@ NOT_RUN = {
     "how_to.md: jaxilc explore": "it serves a page until it is stopped",
     "how_to.md: jaxilc next": RECORD,
     "how_to.md: jaxilc trials": RECORD,
+    "potential.md: jaxilc potential": RECORD,
     "many_hosts.md: dask": "it needs hosts: tests/sweeps runs workers",
     "many_hosts.md: jaxilc sweep": "it needs hosts: tests/sweeps runs workers",
     "many_hosts.md: #!/bin/bash": "it needs SLURM",

@@ -14,7 +14,16 @@ ROOT = Path(__file__).parents[2]
 GUIDE = ".ci/docs/guide/"
 CHAPTERS = {  # title of a part: files of the repository
     "Begin here": ("five_minutes", "which_scheme", "coming_from", "glossary"),
-    "How to": ("how_to", "command_line", "library", "grids", "paths", "differing", "many_hosts"),
+    "How to": (
+        "how_to",
+        "command_line",
+        "library",
+        "grids",
+        "paths",
+        "potential",
+        "differing",
+        "many_hosts",
+    ),
     "Reference": ("plant_file", "theory", "contents", "notebooks", "citation"),
     "Findings": ("papers", "learned_laws"),
 }

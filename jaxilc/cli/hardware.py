@@ -349,7 +349,10 @@ def _close(
     if plot is not None and live and not dry_run:
         plot = trials.save_figure(plot, now, rows, live, prediction)
     numbers_of = experiment_numbers(now.scheme, now.task, live)
-    verdict = trials.verdict(live, turn, prediction, now.task.unit, now.rules.growth, numbers_of)
+    known = opened.scenario.potential
+    stop = None if known is None else known.stop
+    growth, unit = now.rules.growth, now.task.unit
+    verdict = trials.verdict(live, turn, prediction, unit, growth, numbers_of, stop)
     following = trials.next_command(journal.path, trial, measured, out_file, columns)
     step = "" if dry_run else trials.coming(live, prediction, trial, now.task.unit)
     for line in (*([step] if step else []), *verdict, following):

@@ -379,6 +379,7 @@ def verdict(
     unit: str,
     growth: float,
     experiments: Sequence[int] = (),
+    stop: float | None = None,
 ) -> list[str]:
     """One or two sentences on what the campaign has reached.
 
@@ -386,6 +387,7 @@ def verdict(
     turn: the trial of this call, None without one; it counts if it is not among the manifests
     growth: share by which an error may grow without a warning
     experiments: see `checks.experiment_numbers`; empty where no trial is an experiment
+    stop: RMS error below which nothing shows that there is more to learn; None: it is not known
     """
     from ..hardware.journal import METRICS
 
@@ -412,6 +414,11 @@ def verdict(
     said = f"verdict: trial {trial} has an RMS error of {error:.4g} {unit}".rstrip()
     if len(errors) > 1:
         said += f", {_share(error, begun)} of that of trial {first}"
+    if stop is not None and error <= stop:
+        return [
+            f"{said}; what is new in each trial explains all of it (below {stop:.3g} {unit}), so "
+            f"learning has ended: the input of trial {best} may be played from now on"
+        ]
     if error > (1 + growth) * least:
         return [f"{said}; the best was trial {best} with {least:.4g} {unit}".rstrip()]
     before = [value for _, value in errors[:-PATIENCE]]

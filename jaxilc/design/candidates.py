@@ -132,7 +132,7 @@ def p_type_notch(family, feedback, task, trials, margin) -> Candidate | Absent:
         ),
     }
     words = "P-type with lead, a notch around the resonance, and filter"
-    return _candidate(words, learning, best, feedback, bounds, task)
+    return _candidate(words, learning, best, feedback, bounds, task, family.highest)
 
 
 def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
@@ -192,7 +192,7 @@ def norm_optimal(family, feedback, task, trials, margin) -> Candidate | Absent:
     learning = NormOptimal(_model(family, task), w_r=weights["w_r"], w_s=weights["w_s"])
     bounds = {f"scheme.{w}": (value / FREER, value * FREER) for w, value in weights.items()}
     words = "norm-optimal by the nominal model, with a filter"
-    return _candidate(words, learning, found, feedback, bounds, task)
+    return _candidate(words, learning, found, feedback, bounds, task, family.highest)
 
 
 LAWS: dict[str, Callable[..., Candidate | Absent]] = {
@@ -220,7 +220,7 @@ def _pd_type(family, feedback, task, trials, margin, *, derivative: bool) -> Can
     names = ("gamma_p", "gamma_d")[: 1 + derivative]
     bounds = {f"scheme.{w}": _around(found.weights[w]) for w in names}
     words = f"{name[:-5].upper()}-type with lead and filter"
-    return _candidate(words, _pid_type(found, names), found, feedback, bounds, task)
+    return _candidate(words, _pid_type(found, names), found, feedback, bounds, task, family.highest)
 
 
 def _best_pd(family, task, trials, margin, rates, band=None) -> Found | None:
@@ -252,11 +252,11 @@ def _pid_type(found: Found, names: Sequence[str]) -> PIDType:
     return PIDType(**{w: found.weights[w] for w in names}, lead=int(found.weights["lead"]))
 
 
-def _candidate(words, learning, found: Found, feedback, bounds, task) -> Candidate:
-    """A law under the robustness filter whose cutoff was found."""
+def _candidate(words, learning, found: Found, feedback, bounds, task, highest: float) -> Candidate:
+    """A law under the robustness filter whose cutoff was found, with a bound of it at most."""
     cutoff = found.weights["cutoff"]
     scheme = Filtered(learning, ZeroPhaseButterworth(cutoff=cutoff, order=ORDER))
-    bounds["filter.cutoff"] = (cutoff / WIDER, min(cutoff * WIDER, 0.49 / task.dt))
+    bounds["filter.cutoff"] = (cutoff / WIDER, min(cutoff * WIDER, 0.49 / task.dt, highest))
     return Candidate(
         "",
         words,

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..learning.machine import Machine
 from ..pytree.ranges import require
 from ..schemes import Scheme, WithFeedback
@@ -31,6 +33,7 @@ class Question:
     margin: least distance of |Q (1 - L P)| from 1 on every machine, in (0, 1)
     machines: of the sweep that judges
     quantities: further metrics of a trial by name, as for `Tuning`
+    highest: largest cutoff that is looked for [Hz]
     seed: of everything drawn: families have `seed`, `seed` + 3 and those from `seed` + 4 on,
         tunings `seed` and `seed` + 1, and the machines that judge `seed` + 2
     """
@@ -44,6 +47,7 @@ class Question:
     margin: float = 0.05
     machines: int = 257
     seed: int = 0
+    highest: float = np.inf
     quantities: Mapping[str, Callable[[Trial], Any]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
@@ -56,7 +60,8 @@ class Question:
         """The responses of machines drawn with the seed, or with one after it; see `family_of`."""
         seed = self.seed + after
         population = designed_on(self.machine, self.uncertainty, machines=machines, seed=seed)
-        return family_of(population, self.feedback, self.task, **options)
+        family = family_of(population, self.feedback, self.task, **options)
+        return family._replace(highest=self.highest)
 
     def safe(
         self, family: Family, names: Sequence[str], told: Told

@@ -61,6 +61,7 @@ class Family(NamedTuple):
     loops: (S) the machines from what is learned to the output, as linear systems
     drawn: {name: (S,)} the numbers of each machine
     population: those that are drawn, without the corners and those that joined
+    highest: largest cutoff that is looked for [Hz]
     """
 
     frequencies: np.ndarray
@@ -71,6 +72,7 @@ class Family(NamedTuple):
     loops: list[Loop]
     drawn: dict[str, np.ndarray]
     population: Population
+    highest: float = np.inf
 
     def advance(self, samples, dt: float) -> np.ndarray:
         """(..., F) z^samples for numbers of samples (...)."""

@@ -42,7 +42,7 @@ def widest(family: Family, laws, task: Task, trials: int, margin: float) -> list
     laws: dictionaries of weights, with the response `L` (F,) of u' = keep (u + L e) before the
         filter, and `keep` where it is not 1
     """
-    lowest, highest = min(2 / task.duration, 0.05 / task.dt), 0.45 / task.dt
+    lowest, highest = min(2 / task.duration, 0.05 / task.dt), min(0.45 / task.dt, family.highest)
     still = Change(1.0, 0, np.inf, ORDER)
     found: dict[Any, list[Found]] = {}
     for law in laws:
@@ -131,7 +131,9 @@ def _around(weights: dict[str, Any], stride: float, task: Task) -> list[dict[str
 
 
 def _kept(family: Family, law: dict[str, Any], dt: float, margin: float) -> Found | None:
-    """The law with its contraction, or None if it does not keep the margin."""
+    """The law with its contraction, or None if it does not keep the margin or the cutoff."""
+    if law["cutoff"] > family.highest:
+        return None
     largest = float(family.largest(*_responses(family, law, dt)))
     return Found(law, np.inf, largest) if largest <= 1 - margin else None
 

@@ -7,6 +7,7 @@ from .contraction_map import contraction_map, contraction_of
 from .experiments import record_figure, response_figure, response_fit_figure, validation_figure
 from .grid_map import grid_map
 from .learned import learned_law_figure
+from .potential import potential_figure
 from .published import printed_and_ours, reproduction_figures
 from .q_filter import q_filter_figure
 from .saving import choose, save
@@ -32,6 +33,7 @@ __all__ = [
     "learned_law_figure",
     "loss_by_step",
     "pareto_front",
+    "potential_figure",
     "printed_and_ours",
     "q_filter_figure",
     "record_figure",

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..identification import Record
+from ..identification import Record, Repeats
 from ..learning.machine import Machine
 from .campaign import TRIAL, Campaign
 
@@ -27,6 +27,28 @@ class CampaignRecord(NamedTuple):
     trials: tuple[int, ...]
     measured: int
     closed: bool
+
+
+def repeats_of(campaign: Campaign) -> Repeats:
+    """The errors of the trials of a campaign that played the same schedule most often.
+
+    Trials that ended early are left out; of several outputs the first one is taken.
+    Raises ValueError where no schedule was played twice.
+    """
+    journal, task = campaign.journal, campaign.task
+    played: dict[str, list[dict[str, Any]]] = {}
+    for one in journal.live()[1:]:
+        played.setdefault(str(one["hashes"].get("played")), []).append(one)
+    same = max(played.values(), key=len, default=[])
+    read = {one["trial"]: journal.arrays(one, TRIAL) for one in same}
+    whole = {trial: of["y"] for trial, of in read.items() if "weight" not in of}
+    if len(whole) < 2:
+        raise ValueError(
+            f"no schedule of {journal.path} was played twice; measure trials without learning in "
+            "between: jaxilc next --no-learn"
+        )
+    e = np.stack([(np.asarray(task.reference) - y)[:, 0] for y in whole.values()])
+    return Repeats(e, task.dt, task.unit, tuple(f"trial {trial}" for trial in whole))
 
 
 def record_of(campaign: Campaign, machine: Machine) -> CampaignRecord:

@@ -3,8 +3,10 @@ from .estimation import identify
 from .fitting import Fit, fit
 from .frequency_response import read_frequency_response
 from .orders import Order, best_order, compare_orders, not_significant
+from .potential import Potential, potential_of
 from .record_files import read_record
 from .records import Record, excite, write_record
+from .repeats import Repeats, read_repeats
 from .response_estimation import compare_response_orders, identify_response
 from .verdict import Estimate, Identified, PoleEstimate
 
@@ -14,7 +16,9 @@ __all__ = [
     "Identified",
     "Order",
     "PoleEstimate",
+    "Potential",
     "Record",
+    "Repeats",
     "best_order",
     "compare_orders",
     "compare_response_orders",
@@ -24,7 +28,9 @@ __all__ = [
     "identify_response",
     "not_significant",
     "orders_and_delays",
+    "potential_of",
     "read_frequency_response",
     "read_record",
+    "read_repeats",
     "write_record",
 ]

@@ -5,6 +5,7 @@ from .identifying import Reading, identify, identify_campaign
 from .learning_laws import learn_law
 from .listing import scenarios, settings
 from .outcome import Outcome
+from .repeating import potential
 from .reproducing import reproduce
 from .request import Request
 from .running import run
@@ -27,6 +28,7 @@ __all__ = [
     "identify_campaign",
     "learn_law",
     "pareto",
+    "potential",
     "reproduce",
     "run",
     "scenarios",

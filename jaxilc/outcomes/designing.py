@@ -160,6 +160,7 @@ def about(chosen: Scenario) -> dict[str, Any]:
         "uncertainty": chosen.uncertainty,
         "feedback": feedback_among(chosen.schemes),
         "metric": chosen.judged_by,
+        "highest": math.inf if chosen.potential is None else chosen.potential.cutoff,
     }
 
 
@@ -354,6 +355,13 @@ def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> lis
                 else f"{one.summary.yield_share:.0%} of the machines are within it at the end; "
                 "95 % is not reached."
             )
+        )
+    if chosen.potential is not None:
+        floor, stop, cutoff = chosen.potential
+        unit = chosen.task.unit
+        said.append(
+            f"Measured repeats leave {floor:.3g} {unit} to any law, and nothing is to be gained "
+            f"above {cutoff:.4g} Hz: stop once a trial has an RMS error below {stop:.3g} {unit}."
         )
     return [
         *said,

@@ -63,6 +63,33 @@ def write_design(
     return path
 
 
+def write_potential(path: str | Path, found: Mapping[str, float], unit: str) -> Path:
+    """Write a table [potential] into a plant file, in place of one that it has.
+
+    found: numbers by name
+    unit: of the errors; empty where it is not known
+    Raises ValueError where learning has nothing to gain, and where the file has another unit.
+    """
+    path = Path(path)
+    own = read_scenario(path).task.unit
+    if not all(value > 0 for value in found.values()):
+        raise ValueError(f"{path}: learning has nothing to gain, so that no table is written")
+    if unit and own and unit != own:
+        raise ValueError(f"{path} has the unit {own!r}, the repeats have {unit!r}; allowed is one")
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".json":
+        content = json.loads(text) | {"potential": dict(found)}
+        written = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    else:
+        document = tomlkit.parse(text)
+        document.pop("potential", None)
+        lines = "".join(f"{name} = {value!r}\n" for name, value in found.items())
+        head = "[potential]  # by `jaxilc potential`: rms errors, and a frequency in Hz"
+        written = f"{tomlkit.dumps(document).rstrip()}\n\n{head}\n{lines}"
+    atomically(path, lambda file: file.write(written.encode()))
+    return path
+
+
 def _toml(text: str, schemes: Mapping[str, Scheme], said: Iterable[str]) -> str:
     """The text of a TOML file with other schemes, and with sentences at its head."""
     document = tomlkit.parse(text)

@@ -50,6 +50,11 @@
     "ilc.learning.gamma_p" = "0.1:2:20log"
     "ilc.learning.lead" = [0, 2, 4]
 
+    [potential]                              # what `jaxilc potential` measured: rms, rms, Hz
+    floor = 1e-3
+    stop = 1.5e-3
+    cutoff = 70.0
+
 Names of files are relative to the folder of this file. An unknown key is refused, and the message
 names the allowed ones.
 """
@@ -76,7 +81,7 @@ from . import Scenario
 from .file_plant import plant_of
 from .file_task import is_path, machine_of, task_of, uncertainty_of
 from .judging import judged
-from .scenario import Quantity
+from .scenario import Learnable, Quantity
 from .specification import scheme
 from .values import Table, list_of, number, text, whole
 
@@ -148,6 +153,7 @@ def read_scenario(path: str | Path) -> Scenario:
         "show_trials": tuple(file.take("show_trials", list_of(whole), [])),
     }
     grid = file.take("grid", lambda v, at: dict(_axes(v, at)), {})
+    given["potential"] = file.take("potential", _potential, None)
     file.done()
     _check(path, "", lambda: _require_ranges(given))
     _check(path, "grid", lambda: grid_of(grid, machine, found, task))
@@ -174,6 +180,16 @@ def _require_ranges(given: dict[str, Any]) -> None:
     for name in ("tolerance", "shown_scale"):
         if given[name] is not None:
             require("", name, given[name], "(0, inf)")
+
+
+def _potential(values: Any, where: str) -> Learnable:
+    """What repeats of the motion told."""
+    table = Table(values, where)
+    found = Learnable(*(table.take(name, number) for name in Learnable._fields))
+    table.done()
+    for name, value in found._asdict().items():
+        require("", name, value, "(0, inf)")
+    return found
 
 
 def _uncertainty(values: Any, where: str) -> dict[str, Any]:

@@ -39,6 +39,19 @@ class Quantity(NamedTuple):
     scale: float | None = None
 
 
+class Learnable(NamedTuple):
+    """What repeats of the motion told, as `jaxilc potential` writes it [unit of y].
+
+    floor: rms of what is new in each trial, which any law leaves
+    stop: rms error below which nothing shows that there is more to learn
+    cutoff: up to which learning pays [Hz]
+    """
+
+    floor: float
+    stop: float
+    cutoff: float
+
+
 @dataclasses.dataclass(frozen=True)
 class Scenario:
     """A system of a paper, ready to run.
@@ -58,6 +71,7 @@ class Scenario:
     quantities: further metrics of a trial, by name
     judged_by: the metric that tables show, and to which the tolerance belongs
     grid: values by name, over which a sweep runs; see `sweeps.grid`
+    potential: what repeats of the motion told; None where it was not measured
 
     Names are used in names of files and in paths of parameters; titles and units are printed.
     Raises ValueError for characters that are not allowed in them.
@@ -81,6 +95,7 @@ class Scenario:
     quantities: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
     judged_by: str = "settled_error"
     grid: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    potential: Learnable | None = None
     __repr__ = in_short
 
     def __post_init__(self):

@@ -58,6 +58,7 @@ filter p.toml --machines 4 --scheme ilc
 tune p.toml {TUNED}
 pareto p.toml {TUNED} --budgets 2,3
 worst-case p.toml --scheme ilc --starts 2 --steps 2
+potential repeats.csv
 identify record.csv --poles 1 --pairs 0 --zeros 0
 design p.toml --machines 4 --steps 2
 learn-law p.toml --taps 5,3 --machines 4 --steps 2
@@ -166,6 +167,7 @@ def folder(tmp_path, monkeypatch):
     time = np.arange(200) * 1e-3
     record = np.column_stack([time, np.sin(40 * time), np.sin(40 * time - 0.1)])
     np.savetxt(tmp_path / "record.csv", record, delimiter=",", header="t,u,y", comments="")
+    np.savetxt(tmp_path / "repeats.csv", record, delimiter=",", header="t,e_1,e_2", comments="")
     (tmp_path / "bad.json").write_text("{}")
     (tmp_path / "bad.toml").write_text("x = [")
     (tmp_path / "folder").mkdir()

@@ -269,3 +269,25 @@ def test_a_trial_that_ended_early_is_learned_from_as_far_as_it_goes(copied):
     assert np.max(np.abs(after[: kept - 2] - before[: kept - 2])) > 0
     journal = Journal(folder / "x")  # it is marked, so that no plant is fitted to it
     assert "weight" in journal.arrays(journal.live()[-1], "trial.npz")
+
+
+def test_trials_without_learning_tell_when_to_stop(copied):
+    folder, go_on = copied
+    with pytest.raises(ValueError, match="played twice"):
+        call("potential", folder / "x")
+    go_on("--undo", 0)
+    for j in (1, 2, 3):  # trial 1 twice more; noise of 1e-3
+        path, _ = measure(folder, j, 1.02)
+        go_on("--measured", path, "--no-learn")
+    file = folder / "axis.toml"
+    call("potential", folder / "x", "--into", file, "--report", folder / "p.json")
+    found = json.loads((folder / "p.json").read_text())
+    assert found["names"] == ["trial 1", "trial 2", "trial 3"]
+    assert found["new"]["low"] < 1e-3 < found["new"]["high"]
+    text = file.read_text()
+    file.write_text(text.replace(f"stop = {load_scenario(file).potential.stop!r}", "stop = 0.05"))
+    for j in range(4, 9):
+        path, error = measure(folder, j, 1.02)
+        said, _ = go_on("--measured", path, "--scenario", file)
+        assert ("what is new in each trial explains all of it" in said) == (error <= 0.05)
+    assert error <= 0.05

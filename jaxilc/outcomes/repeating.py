@@ -1,0 +1,206 @@
+"""`potential`: what learning can gain, from repeats of a motion."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import figures
+from ..figures.units import prefixed
+from ..hardware.as_record import repeats_of
+from ..identification.potential import LEVEL, Potential, potential_of
+from ..identification.repeats import Repeats, read_repeats
+from ..scenarios.campaigns import Given, open_campaign
+from ..scenarios.design_file import write_potential
+from .outcome import Figure, Outcome, Progress, silent
+from .table import Table
+from .verdict import Verdict
+from .words import number
+
+FEW = 4  # trials, from which on a drift can be told from what is new
+SURE = 1.5  # end of an interval over its estimate, from which on more trials are asked for
+USUAL = {"error": "e", "output": "y", "reference": "r", "time": "t"}
+OF_DENSITY = (
+    "What repeats, which learning can remove, and what is new in each trial, which no law can."
+)
+
+
+def potential(
+    records: str | Path | Sequence[str | Path],
+    *,
+    into: str | Path | None = None,
+    folder: Path | None = None,
+    unit: str = "",
+    progress: Progress = silent,
+    **reading: Any,
+) -> Outcome:
+    """What learning can gain, from M >= 2 repeats of a motion with the same input.
+
+    records: files with one or several trials each, or the folder of a campaign
+    into: plant file that gets a table [potential], which `design` and `next` use
+    folder: for the figure; out/potential if not given
+    unit: of the error, where no file tells one
+    reading: how files are read, as for `identification.read_repeats`
+    Raises ValueError naming what is missing in a file, and for trials that are no repeats.
+    """
+    paths = [Path(one) for one in ([records] if isinstance(records, str | Path) else records)]
+    progress("reading")
+    repeats = _of_campaign(paths[0]) if _is_campaign(paths) else read_repeats(paths, **reading)
+    repeats = repeats._replace(unit=repeats.unit or unit)
+    found = potential_of(repeats.e, repeats.dt)
+    kept = [] if into is None else [write_potential(into, table_of(found), repeats.unit)]
+    following = _next(paths, reading | {"unit": unit}, found, into)
+    shown = partial(figures.potential_figure, repeats, found)
+    return Outcome(
+        command="potential",
+        numbers=_numbers(repeats, found),
+        verdict=Verdict(_said(repeats, found), *following),
+        folder=folder or Path("out") / "potential",
+        tables=[_table(repeats, found)],
+        lines=_lines(repeats, found),
+        figures={"potential": Figure(OF_DENSITY, shown, live=True)},
+        live=lambda: [_live(repeats, found)],
+        kept=kept,
+        asked={"records": ", ".join(map(str, paths))},
+    )
+
+
+def table_of(found: Potential) -> dict[str, float]:
+    """The numbers of a table [potential] of a plant file."""
+    return {"floor": found.new.value, "stop": found.stop, "cutoff": found.cutoff.value}
+
+
+def _is_campaign(paths: Sequence[Path]) -> bool:
+    """Whether the trials are those of a campaign; raises ValueError for other folders."""
+    if not any(path.is_dir() for path in paths):
+        return False
+    if len(paths) > 1:
+        raise ValueError("a folder of a campaign stands alone; allowed is it, or files of trials")
+    return True
+
+
+def _of_campaign(path: Path) -> Repeats:
+    return repeats_of(open_campaign(path, Given(), new=False).campaign)
+
+
+def _live(repeats: Repeats, found: Potential):
+    from ..figures.page import live
+
+    return live(figures.potential_figure.described(repeats, found))
+
+
+# What is said
+# --------------------------------------------------------------------------------------------------
+
+
+def _size(value: float, unit: str) -> str:
+    return " ".join(filter(None, (number((of := prefixed(value, unit))[0]), of[1])))
+
+
+def _range(of, unit: str) -> str:
+    return f"{_size(of.low, unit)} to {_size(of.high, unit)}"
+
+
+def _table(repeats: Repeats, found: Potential) -> Table:
+    M, unit = found.trials, repeats.unit
+    table = Table(title=f"{M} trials of {repeats.e.shape[1]} samples: rms values, {LEVEL:.0%}")
+    for column in ("part of the error", "value", "interval"):
+        table.add_column(column, justify="left" if column.startswith("part") else "right")
+    table.add_row(
+        "repeats: learning can remove it", _size(found.repeatable.value, unit),
+        _range(found.repeatable, unit),
+    )  # fmt: skip
+    table.add_row(
+        "new in each trial: no law can", _size(found.new.value, unit), _range(found.new, unit)
+    )
+    if found.start:
+        table.add_row("of the first trial alone", _size(found.start, unit), "")
+    if found.drift:
+        table.add_row("drift from trial to trial", _size(found.drift, unit), "")
+    table.add_row("left with the cutoff below", _size(found.left, unit), "")
+    table.add_row("bandwidth worth learning", f"{number(found.cutoff.value)} Hz",
+                  f"{number(found.cutoff.low)} to {number(found.cutoff.high)} Hz")  # fmt: skip
+    table.add_row("trials to average", str(found.averages), "")
+    table.add_row("stop when a trial is below", _size(found.stop, unit), "")
+    return table
+
+
+def _said(repeats: Repeats, found: Potential) -> tuple[str, ...]:
+    """The verdict in one sentence."""
+    unit, new = repeats.unit, found.new
+    if found.cutoff.value == 0:
+        return (
+            "Learning has nothing to gain: at no frequency does more of the error repeat than is "
+            f"new in each trial, {_size(new.value, unit)} ({_range(new, unit)}).",
+        )
+    return (
+        f"Learning can bring the error from {_size(found.repeatable.value, unit)} to "
+        f"{_size(found.left, unit)} rms, a factor of "
+        f"{number(found.repeatable.value / found.left)}, by what lies below "
+        f"{number(found.cutoff.value)} Hz; no law leaves less than what is new in each trial, "
+        f"{_size(new.value, unit)} ({_range(new, unit)}).",
+    )
+
+
+def _lines(repeats: Repeats, found: Potential) -> list[str]:
+    """What was told apart, and what cannot be told."""
+    unit, lines = repeats.unit, []
+    if found.start:
+        lines.append(
+            f"The first trial is unlike the others, by {_size(found.start, unit)} rms, and is left "
+            "out: it began elsewhere. Let the machine make the motion once before each series."
+        )
+    if found.drift:
+        lines.append(
+            f"The trials drift, by {_size(found.drift, unit)} rms from one to the next: it is not "
+            "counted as new, since a law that goes on learning follows it."
+        )
+    if found.trials < FEW:
+        lines.append(
+            f"With {found.trials} trials "
+            + ("a first trial that is unlike the others and " if found.trials < 3 else "")
+            + f"a drift cannot be told from what is new; measure {FEW} or more."
+        )
+    if found.new.high > SURE * found.new.value:
+        needed = max(found.trials + 1, int(np.ceil(12 / found.freedom)) + 1 + bool(found.start))
+        lines.append(
+            "The interval is wide, since what is new is slow: one trial tells no more than "
+            f"{number(found.freedom)} independent numbers would; measure {needed} trials or more."
+        )
+    return lines
+
+
+def _next(
+    paths: Sequence[Path], reading: Mapping[str, Any], found: Potential, into: str | Path | None
+) -> tuple[str, str]:
+    """What to do next, in words, and the command."""
+    if found.cutoff.value == 0:
+        return "", ""
+    if into is not None:
+        what = "a law up to this bandwidth"
+        return what, f"jaxilc design {shlex.quote(str(into))}"
+    words = ["jaxilc", "potential", *map(str, paths)]
+    for name, value in reading.items():
+        given = ",".join(value) if name == "columns" else value
+        if given and given != USUAL.get(name):
+            words += [f"--{name}", str(given)]
+    return "for `design` and `next` to use it", shlex.join([*words, "--into", "axis.toml"])
+
+
+def _numbers(repeats: Repeats, found: Potential) -> dict[str, Any]:
+    values: dict[str, Any] = {
+        name: dict(of._asdict()) if hasattr(of, "_asdict") else of
+        for name, of in found._asdict().items()
+        if name != "spectrum"
+    }
+    spectrum: Mapping[str, Any] = {
+        name: np.asarray(of).tolist() for name, of in found.spectrum._asdict().items()
+    }
+    read = {"dt": repeats.dt, "unit": repeats.unit, "samples": repeats.e.shape[1]}
+    about = read | {"names": list(repeats.names), "about_the_mean": found.spread(found.trials)}
+    return values | about | {"spectrum": spectrum}

@@ -1,0 +1,150 @@
+"""What learning can gain: unbiased numbers, intervals that hold, and what is told apart."""
+
+import json
+import shlex
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+from scipy.signal import lfilter
+from typer.testing import CliRunner
+
+import jaxilc
+from jaxilc.cli import app
+from jaxilc.identification import potential_of, read_repeats
+from jaxilc.scenarios import load_scenario
+
+DT, N = 1e-3, 2000
+
+
+def repeats(rng, trials, pole=0.9, size=1.0):
+    """Return errors that repeat up to 20 Hz, with noise of an AR(1) process on top."""
+    t = np.arange(N) * DT
+    m = 30 * np.sin(2 * np.pi * 3 * t) + 3 * np.sin(2 * np.pi * 20 * t)
+    white = size * np.sqrt(1 - pole**2) * rng.standard_normal((trials, N + 500))
+    return m + lfilter([1.0], [1.0, -pole], white, axis=1)[:, 500:]
+
+
+def test_what_is_new_is_unbiased_and_its_interval_holds():
+    rng, squares, parts, inside = np.random.default_rng(1), [], [], 0
+    for _ in range(200):
+        found = potential_of(repeats(rng, 3), DT)
+        squares.append(found.new.value**2)
+        parts.append(found.repeatable.value**2)
+        inside += found.new.low < 1 < found.new.high
+    for values, true in ((squares, 1.0), (parts, 30**2 / 2 + 3**2 / 2)):
+        assert abs(np.mean(values) - true) < 6 * np.std(values) / np.sqrt(200)
+    assert 0.88 <= inside / 200 <= 0.99
+
+
+def test_the_cutoff_lies_above_what_repeats_and_nothing_is_gained_from_noise():
+    rng = np.random.default_rng(2)
+    found = potential_of(repeats(rng, 5), DT)
+    assert 20 <= found.cutoff.value < 30
+    assert found.left == pytest.approx(1, rel=0.1)
+    noise = potential_of(repeats(rng, 5) - repeats(np.random.default_rng(), 1, size=0.0), DT)
+    assert noise.repeatable.value < 0.3 * noise.new.value
+    assert noise.left < 1.1 * noise.new.value
+
+
+def test_a_first_trial_that_began_elsewhere_is_no_noise():
+    rng = np.random.default_rng(3)
+    e = repeats(rng, 5)
+    e[0] += 40 * np.exp(-np.arange(N) / 200)
+    three, five = potential_of(e[:3], DT), potential_of(e, DT)
+    assert five.new.low < 1 < five.new.high
+    assert five.alike == 4
+    about = np.sqrt(np.mean((e - e.mean(axis=0)) ** 2))
+    assert five.spread(5) == pytest.approx(about, rel=0.02)
+    assert three.spread(5) == pytest.approx(about, rel=0.1)
+    assert potential_of(e[1:], DT).start == 0
+
+
+def test_a_drift_is_told_apart():
+    rng = np.random.default_rng(4)
+    shape = np.sin(2 * np.pi * np.arange(N) * DT)
+    e = repeats(rng, 6) + 3 * np.arange(6)[:, None] * shape
+    found = potential_of(e, DT)
+    assert found.drift == pytest.approx(3 / np.sqrt(2), rel=0.1)
+    assert found.new.low < 1 < found.new.high
+    assert found.averages == 1
+    assert potential_of(repeats(rng, 6), DT).drift == 0
+
+
+def test_files_of_every_kind_hold_the_same_trials(tmp_path):
+    e, t = repeats(np.random.default_rng(5), 3), np.arange(N) * DT
+    np.savez(tmp_path / "a.npz", e=e, t=t)
+    savemat(tmp_path / "b.mat", {"y": -e.T, "r": np.zeros((N, 1)), "t": t})
+    head = "t [s],e_1 [mm],e_2 [mm],e_3 [mm]"
+    columns = {"delimiter": ",", "comments": "", "fmt": "%.17g"}
+    np.savetxt(tmp_path / "c.csv", np.column_stack([t, e.T]), header=head, **columns)
+    for j in range(3):
+        np.savetxt(tmp_path / f"{j}.csv", np.column_stack([t, e[j]]), header="t,e", **columns)
+    several = [tmp_path / f"{j}.csv" for j in range(3)]
+    for files in ([tmp_path / "a.npz"], [tmp_path / "b.mat"], [tmp_path / "c.csv"], several):
+        read = read_repeats(files)
+        np.testing.assert_allclose(read.e, e, rtol=1e-12)
+        assert read.dt == DT
+    assert read_repeats([tmp_path / "c.csv"]).unit == "mm"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"e": np.zeros((3, N)), "t": np.arange(N) * DT}, "copies of one trial"),
+        ({"e": np.ones((1, N)), "t": np.arange(N) * DT}, "without learning in between"),
+        ({"x": np.ones((2, N)), "t": np.arange(N) * DT}, "--error"),
+        ({"e": np.ones((2, N))}, "--dt"),
+        ({"e": np.full((2, N), np.nan), "t": np.arange(N) * DT}, "finite"),
+        ({"y": np.ones((2, N)), "r": np.ones((2, 9)), "t": np.arange(N) * DT}, "one reference"),
+        ({"e": np.ones((2, N)), "t": np.arange(N) ** 2 * DT}, "uniform"),
+    ],
+)
+def test_what_are_no_repeats_is_refused_in_one_line(tmp_path, given, said):
+    np.savez(tmp_path / "e.npz", **given)
+    with pytest.raises(ValueError, match=said):
+        jaxilc.potential(tmp_path / "e.npz")
+
+
+def call(*arguments):
+    """Return what a command prints; a mistake raises."""
+    result = CliRunner().invoke(app, [*map(str, arguments)])
+    if result.exception is not None:
+        raise result.exception
+    return " ".join(result.stdout.split())
+
+
+PLANT = """
+[plant]
+kind = "transfer_function"
+num = [4000.0]
+den = [1.0, 80.0, 4000.0]
+[task]
+dt = 0.001
+unit = "mm"
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 1.0, duration = 1.0 }
+"""
+
+
+def test_the_command_tells_it_and_the_plant_file_carries_it_to_design(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    e = repeats(np.random.default_rng(6), 4)
+    np.savez("e.npz", other=e, t=np.arange(N) * DT)
+    (tmp_path / "axis.toml").write_text(PLANT)
+    said = call("potential", "e.npz", "--error", "other", "--unit", "mm", "--report", "p.json")
+    found = json.loads((tmp_path / "p.json").read_text())
+    expected = potential_of(e, DT)
+    assert found["new"]["value"] == pytest.approx(expected.new.value)
+    assert "Learning can bring the error from" in said
+    assert found["next"] == "jaxilc potential e.npz --error other --unit mm --into axis.toml"
+    again = shlex.split(found["next"])[1:]
+    for _ in range(2):  # the second time in place of the first
+        assert "jaxilc design axis.toml" in call(*again)
+    known = load_scenario("axis.toml").potential
+    assert known.cutoff == pytest.approx(expected.cutoff.value)
+    assert known.floor == pytest.approx(expected.new.value)
+    (tmp_path / "bad.toml").write_text(
+        PLANT + "[potential]\nfloor = 1.0\nstop = -1.0\ncutoff = 2.0\n"
+    )
+    with pytest.raises(ValueError, match=r"stop = -1 is outside"):
+        load_scenario("bad.toml")
