@@ -126,9 +126,9 @@ def response_fit_figure(
 
     unit: output per input
     """
-    f, G, std = (np.asarray(of) for of in measured)
+    f, G, std = (np.asarray(of) for of in measured[:3])
     fitted, size, above, below = identified.simulated[:, 0], np.abs(G), [], []
-    if np.any(std):
+    if np.any(std) and measured.averages_known:
         half = 1.96 * std / np.sqrt(2)  # std is that of the complex number
         low = np.maximum(size - half, 1e-3 * size)
         above.append(Band(f, low, size + half, colour=PALE, alpha=0.4, name="scatter, 95 %"))

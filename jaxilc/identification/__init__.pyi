@@ -2,6 +2,7 @@ from .dead_time import orders_and_delays
 from .estimation import identify
 from .fitting import Fit, fit
 from .frequency_response import read_frequency_response
+from .grown_response import grow_response, identified_response
 from .orders import Order, best_order, compare_orders, not_significant
 from .potential import Potential, potential_of
 from .record_files import read_record
@@ -24,6 +25,8 @@ __all__ = [
     "compare_response_orders",
     "excite",
     "fit",
+    "grow_response",
+    "identified_response",
     "identify",
     "identify_response",
     "not_significant",

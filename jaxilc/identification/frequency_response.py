@@ -82,7 +82,7 @@ def read_frequency_response(path: str | Path, *, averages: int | None = None) ->
     out. A column `std` goes before `variance`, and this before `coherence`; re and im go before
     magnitude and phase, and these before complex text.
 
-    averages: number n of independent averages, which a coherence needs
+    averages: number n of independent averages; without it, std is known up to a factor
     Raises ValueError naming file, line and column: for a column that is missing or there twice, a
     unit that is missing or not known, a value that is not a finite number or outside its range,
     frequencies that do not increase, and fewer than 2 lines.
@@ -96,18 +96,24 @@ def read_frequency_response(path: str | Path, *, averages: int | None = None) ->
     read = _Reader(path, lines, cells)
     f = read.numbers(columns["frequency"]) * _factor(path, columns["frequency"], HERTZ, "f [Hz]")
     response = _response(read, columns)
-    std = _std(read, columns, response, averages)
+    std, coherence = _std(read, columns, response, averages)
     if np.any(f < 0):
         read.refuse(int(np.argmin(f)), columns["frequency"], "a negative frequency")
     if np.any(np.diff(f) <= 0):
         k = int(np.argmax(np.diff(f) <= 0)) + 1
-        read.refuse(k, columns["frequency"], "a frequency that does not increase")
+        read.refuse(
+            k,
+            columns["frequency"],
+            "not above the line before; sort the lines and keep one of each frequency",
+        )
     above = f > 0
     if np.sum(above) < FEWEST:
         raise ValueError(
             f"{path} has {np.sum(above)} lines above 0 Hz; allowed are at least {FEWEST}"
         )
-    return MeasuredResponse(f[above], response[above], std[above])
+    known = coherence is None or averages is not None
+    of_lines = None if coherence is None else coherence[above]
+    return MeasuredResponse(f[above], response[above], std[above], of_lines, known)
 
 
 # How it is done
@@ -124,7 +130,7 @@ class _Reader(NamedTuple):
     def numbers(self, column: _Column) -> np.ndarray:
         found = np.array([numbers_in(row, [column.at])[0] for row in self.rows])
         for k in np.flatnonzero(~np.isfinite(found)):
-            self.refuse(k, column, "not a finite number")
+            self.refuse(k, column, "not a finite number; leave the line out")
         return found
 
     def complex_numbers(self, column: _Column) -> np.ndarray:
@@ -217,8 +223,10 @@ def _response(read: _Reader, columns: dict[str, _Column]) -> np.ndarray:
     return size * np.exp(1j * radians * read.numbers(phase))
 
 
-def _std(read: _Reader, columns: dict[str, _Column], response, averages) -> np.ndarray:
-    """(rows,) the standard deviation of each line; 0 where the file does not tell it."""
+def _std(
+    read: _Reader, columns: dict[str, _Column], response, averages
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """(rows,) the standard deviation of each line, 0 where the file does not tell it; coherence."""
     if averages is not None:
         require("read_frequency_response", "averages", averages, "[1, inf)", whole=True)
     for kind in ("std", "variance"):
@@ -232,19 +240,14 @@ def _std(read: _Reader, columns: dict[str, _Column], response, averages) -> np.n
             values = read.numbers(column)
             if np.any(values < 0):
                 read.refuse(int(np.argmin(values)), column, "negative")
-            return values if kind == "std" else np.sqrt(values)
+            return (values if kind == "std" else np.sqrt(values)), None
     if "coherence" not in columns:
-        return np.zeros(len(response))
+        return np.zeros(len(response)), None
     column = columns["coherence"]
-    if averages is None:
-        raise ValueError(
-            f"{read.path}: the column {column.heading!r} gives a standard deviation together with "
-            "the number of averages only; give --averages N (averages)"
-        )
     c = read.numbers(column)
     for k in np.flatnonzero((c <= 0) | (c > 1)):
-        read.refuse(k, column, "outside (0, 1]")
-    return np.abs(response) * np.sqrt((1 - c) / (c * averages))
+        read.refuse(k, column, "outside (0, 1]; leave the line out, and take the squared coherence")
+    return np.abs(response) * np.sqrt((1 - c) / (c * (averages or 1))), c
 
 
 def _complex(cell: list[str]) -> complex:

@@ -111,7 +111,7 @@ def compare_response_orders(
         error = problem.weights * (measured.response - fit.simulated[:, 0])
         parts, number = np.concatenate([error.real, error.imag]), len(fit.parameters)
         bic = float(parts @ parts + number * np.log(len(parts)))
-        if not np.any(measured.std):
+        if not (np.any(measured.std) and measured.averages_known):
             bic = information(parts, number, 1e-9)
         rms = float(np.sqrt(np.mean(parts**2)))
         found.append(Order(poles, pairs, zeros, number, rms, bic, np.nan, fit))
@@ -120,7 +120,7 @@ def compare_response_orders(
 
 def checked_lines(measured: MeasuredResponse, dt: float | None, delay: float | None) -> None:
     """Raises ValueError for lines that cannot be fitted with this sample time and delay."""
-    f, G, std = (np.asarray(x) for x in measured)
+    f, G, std = (np.asarray(x) for x in measured[:3])
     if not (f.ndim == 1 and f.shape == G.shape == std.shape and len(f) >= 2):
         raise ValueError(
             f"identify_response: frequencies {f.shape}, response {G.shape} and std {std.shape} do "
@@ -130,7 +130,14 @@ def checked_lines(measured: MeasuredResponse, dt: float | None, delay: float | N
         raise ValueError("identify_response: the measured response has values that are not finite")
     if f[0] <= 0 or np.any(np.diff(f) <= 0) or np.any(std < 0):
         raise ValueError(
-            "identify_response: allowed are frequencies above 0 that increase, and std from 0 on"
+            "identify_response: allowed are frequencies above 0 that increase, and std from 0 on; "
+            "sort the lines, and keep one of each frequency"
+        )
+    c = measured.coherence
+    if c is not None and not (np.shape(c) == f.shape and np.all((c > 0) & (c <= 1))):
+        raise ValueError(
+            "identify_response: allowed is a coherence in (0, 1] for each line; leave other lines "
+            "out"
         )
     if not np.any(G):
         raise ValueError("identify_response: the response is 0 at all lines")
@@ -158,7 +165,8 @@ def enough_lines(measured: MeasuredResponse, parameters: int) -> bool:
 
 def _judged(problem: ResponseProblem, found: Minimum) -> Identified:
     """The result at the minimum, with its intervals, poles and tests of the residual."""
-    theta, known = found.theta, bool(np.any(problem.measured.std))
+    theta, measured = found.theta, problem.measured
+    known = bool(np.any(measured.std)) and measured.averages_known
     residual = problem.residual(theta)[:, 0]
     freedom = max(len(residual) - len(theta), 1)
     ratio = float(np.sqrt(residual @ residual / freedom))
@@ -168,17 +176,17 @@ def _judged(problem: ResponseProblem, found: Minimum) -> Identified:
     half = width * np.sqrt(np.diag(covariance))
     named = zip(problem.names, theta, half, strict=True)
     plant, delay = problem.plant_at(theta), problem.delay_at(theta)
-    measured = problem.weights * problem.measured.response
-    error = residual[: len(measured)] + 1j * residual[len(measured) :]
-    whiteness = _whiteness(error)
+    weighted = problem.weights * measured.response
+    error = residual[: len(weighted)] + 1j * residual[len(weighted) :]
+    whiteness = whiteness_of_lines(error)
     return Identified(
         plant=dataclasses.replace(plant, delay=delay),
         parameters={name: Estimate(float(v), float(v - h), float(v + h)) for name, v, h in named},
         covariance=covariance,
         poles=poles_of(problem, theta, covariance),
-        samples=len(measured),
+        samples=len(weighted),
         simulated=problem.response(theta)[:, None],
-        fit=np.array([100 * (1 - np.linalg.norm(error) / np.linalg.norm(measured))]),
+        fit=np.array([100 * (1 - np.linalg.norm(error) / np.linalg.norm(weighted))]),
         validation_fit=np.array([np.nan]),
         residual_std=np.array([ratio]),
         whiteness=np.array([whiteness]),
@@ -189,7 +197,7 @@ def _judged(problem: ResponseProblem, found: Minimum) -> Identified:
     )
 
 
-def _whiteness(error) -> float:
+def whiteness_of_lines(error) -> float:
     """Share of the residual's correlations between lines 1 .. 20 apart within their 95 % bound.
 
     Over F lines of independent complex normal errors, such a correlation is complex and normal of

@@ -103,13 +103,12 @@ def response_problem(
     measured: MeasuredResponse, plant: ProcessModel, dt: float | None, delay: float | None
 ) -> ResponseProblem:
     """The problem of a measured response; delay: [s], None where it is fitted."""
-    f, G, std = (np.asarray(x) for x in measured)
+    f, G, std = (np.asarray(x) for x in measured[:3])
     names, coordinates = (
         free_elements(plant, None),
         Coordinates.of(plant, free_elements(plant, None)),
     )
-    longest = min(PERIODS / f[-1], 0.5 / np.median(np.diff(f)))
-    longest = longest if dt is None else min(longest, LONGEST_DELAY * dt)
+    longest = longest_delay(f, dt)
     if delay is None:  # the coordinate of the bias of a record is that of the delay
         names = (*names, "delay")
         coordinates.low[-1], coordinates.high[-1] = 0.0, longest
@@ -122,6 +121,12 @@ def response_problem(
     )
 
 
+def longest_delay(f: np.ndarray, dt: float | None) -> float:
+    """The longest delay [s] that lines at frequencies f [Hz] are searched for."""
+    longest = float(min(PERIODS / f[-1], 0.5 / np.median(np.diff(f))))
+    return longest if dt is None else min(longest, LONGEST_DELAY * dt)
+
+
 def best_of_many_starts(problem: ResponseProblem, starts: int, seed: int) -> Minimum:
     """The best fit from many drawn structures, as `from_many_starts` finds it for a record.
 
@@ -131,7 +136,8 @@ def best_of_many_starts(problem: ResponseProblem, starts: int, seed: int) -> Min
     """
     every = -(-len(problem.weights) // SEARCHED)
     if every > 1:
-        measured = MeasuredResponse(*(np.asarray(of)[::every] for of in problem.measured))
+        f, G, std = (np.asarray(of)[::every] for of in problem.measured[:3])
+        measured = MeasuredResponse(f, G, std)
         thinned = problem._replace(measured=measured, weights=problem.weights[::every])
         return problem.solve(best_of_many_starts(thinned, starts, seed).theta)
     f = problem.measured.frequencies

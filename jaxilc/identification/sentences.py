@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from ..plants import ProcessModel
+from ..plants import ModalModel, ProcessModel
 from .orders import not_significant
 from .verdict import Identified
+
+if TYPE_CHECKING:
+    from .grown_response import Grown
 
 NOT_WHITE = (
     "The residual is not white: another structure may fit better, and the intervals are too narrow."
 )
+WIDENED = (
+    "The residual is not white: neighbouring lines err alike, and the intervals are wider for it."
+)
+NOISY = 0.8  # share of the squared error from which on what is left is noise
 NOT_CONVERGED = "The fit did not meet its tolerances: the structure may be too large."
 LEAST_DELAY = 1e-6  # samples, or ms where there are none, below which a delay is none
 MUCH = 1.5  # residual over std from which on the structure, or the std, is doubted
@@ -37,10 +47,56 @@ def verdict(found: Identified, dt: float | None) -> list[str]:
             "structure may fit better, or that deviation is too small."
         )
     if not found.white:
-        lines.append(NOT_WHITE)
+        grown = found.of_response and isinstance(found.plant, ModalModel)
+        lines.append(WIDENED if grown else NOT_WHITE)
     if not found.converged:
         lines.append(NOT_CONVERGED)
     return lines + [sentence(text) for text in not_significant(found)]
+
+
+def on_lines(orders: Sequence[Grown], chosen: Grown, noise: float, known: bool) -> list[str]:
+    """Why a grown model of a response has its order, how well it fits, and what is left.
+
+    noise: share of the squared errors of a median line that the scatter of the lines explains
+    known: whether that scatter is known, and not only its course over the lines
+    """
+    order = chosen.parts.order
+    least = min(orders, key=lambda one: one.bic)
+    below = [one for one in orders if one.parts.order < order]
+    why = f"Order {order} is chosen of {len(orders)}"
+    if below:
+        gained = below[-1].held_out - chosen.held_out
+        why += (
+            f": on lines that were held out its log likelihood is {gained / 2:.3g} a line above "
+            f"that of order {below[-1].parts.order}"
+        )
+    if least is not chosen:
+        why += (
+            f", and that of order {least.parts.order}, whose criterion is the smallest, is not "
+            "clearly better"
+        )
+    elif chosen is orders[-1]:
+        why += "; it is the largest that was tried, and more parts may be there"
+    ten, thirty = (100 * share for share in chosen.within)
+    lines = [
+        why,
+        f"Of the lines that are known well, the error is {100 * chosen.median:.3g} % of the "
+        f"response at the median, within 10 % on {ten:.3g} % and within 30 % on {thirty:.3g} % of "
+        "them",
+    ]
+    if known or noise > 0:
+        averages = "" if known else f", as of {1 / max(chosen.scale, 1e-9):.3g} averages,"
+        lines.append(
+            f"The scatter of the lines{averages} explains {100 * noise:.3g} % of the squared error "
+            "of a median line"
+        )
+    if noise < NOISY:
+        lines.append(
+            f"What is left is {100 * chosen.floor:.3g} % of the response, and no noise: parts that "
+            "the order does not have, or a machine that is not linear (friction, backlash) or "
+            "changes with time or place; a second response at another amplitude or place tells"
+        )
+    return [sentence(text) for text in lines]
 
 
 def sentence(text: str) -> str:
@@ -51,13 +107,13 @@ def sentence(text: str) -> str:
 def described(found: Identified, dt: float | None) -> str:
     """A plant in words, such as `Order 3 with a delay of 4 samples`."""
     plant = found.plant
-    if not isinstance(plant, ProcessModel):
+    if not isinstance(plant, ProcessModel | ModalModel):
         return type(plant).__name__
     late = float(plant.delay) / (dt or 1e-3) > LEAST_DELAY
     return f"Order {plant.order}" + (f" with a delay of {delay_in(plant, dt)}" * late)
 
 
-def delay_in(plant: ProcessModel, dt: float | None) -> str:
+def delay_in(plant: ProcessModel | ModalModel, dt: float | None) -> str:
     """The delay of a plant in samples, or in ms without a sample time."""
     if dt is None:
         return f"{1e3 * plant.delay:.4g} ms"

@@ -133,6 +133,12 @@ def filter_measured(
     law = PLaw(gain, lead, cutoff, order, dt)
     law.check()
     read = [read_frequency_response(one, averages=averages) for one in records]
+    for path, one in zip(records, read, strict=True):
+        if not one.averages_known:
+            raise ValueError(
+                f"{path}: the coherence gives a standard deviation together with the number of "
+                "averages only; give --averages N (averages)"
+            )
     progress("on the lines of the records")
     answered = q_filter.measured_question(read, law, sigmas=sigmas, margin=margin)
     names, files = [Path(one).name for one in records], [str(one) for one in records]

@@ -13,15 +13,22 @@ import numpy as np
 from .. import figures, identification
 from ..hardware.as_record import record_of
 from ..identification.frequency_response import is_frequency_response
+from ..identification.grown_response import (
+    Grown,
+    criterion,
+    identified_response,
+    share_of_noise,
+)
 from ..identification.orders import not_significant
 from ..identification.record_files import read_record_file
 from ..identification.resampling import RESAMPLED
-from ..identification.sentences import NOT_WHITE, sentence
+from ..identification.sentences import NOT_WHITE, on_lines, sentence
 from ..identification.sentences import verdict as sentences_on
 from ..identification.twincat import is_twincat
 from ..plants import ProcessModel
 from ..scenarios.campaigns import Given, open_campaign
 from ..scenarios.identified_file import write_plant_file, write_refitted
+from ..theory.on_lines import MeasuredResponse
 from .outcome import Figure, Outcome, Progress, silent
 from .table import Table
 from .verdict import Verdict
@@ -30,6 +37,8 @@ if TYPE_CHECKING:
     from ..figures.page import Live
     from ..identification import Order
 
+SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
+AS_GOOD = 6.0  # of the criterion, by which it may be larger
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
 MOST_ORDERS = 12  # rows of a table of orders
 CLOSED = (
@@ -70,7 +79,7 @@ def identify(
             "--out FILE.toml of a frequency response needs --dt, the sample time of its hold"
         )
     progress("fitting")
-    fitted = (_of_response if is_response else _of_record)(record, asked)
+    fitted = _of_response(record, asked, progress) if is_response else _of_record(record, asked)
     found = fitted.found
     lines, has_law = sentences_on(found, fitted.dt), True
     if plant_file is not None:
@@ -220,7 +229,8 @@ def _next(
     doubted = not (found.white and found.converged) or not_significant(found)
     if doubted and asked.structure:
         return "structures compared", f"{again} --auto"
-    chosen = " ".join(f"--{name} {value}" for name, value in fitted.structure.items())
+    options = {"auto": ""} if "modes" in fitted.structure else fitted.structure
+    chosen = " ".join(f"--{name} {value}".strip() for name, value in options.items())
     sampled = " --dt DT" if found.of_response and asked.dt is None else ""
     what = "a plant file for all other commands"
     return what, f"{again} {chosen}{sampled} --out axis.toml"
@@ -258,7 +268,7 @@ def _of_record(path: Path, asked: Reading) -> Fitted:
     return Fitted(record, found, record.dt, structure, tables, draw, (into, of), lines)
 
 
-def _of_response(path: Path, asked: Reading) -> Fitted:
+def _of_response(path: Path, asked: Reading, progress: Progress) -> Fitted:
     """The fit to a frequency response, after the table of orders as for a record."""
     for name in ("time_unit", "columns", "resample"):
         if getattr(asked, name):
@@ -268,17 +278,45 @@ def _of_response(path: Path, asked: Reading) -> Fitted:
         raise ValueError(f"--delay {asked.delay} counts samples of a response: give --dt, too")
     measured = identification.read_frequency_response(path, averages=asked.averages)
     fixed = None if asked.delay is None else asked.delay * (asked.dt or 0.0)
-    tables, structure = [], dict(asked.structure)
-    if not structure:
-        orders = identification.compare_response_orders(measured, dt=asked.dt, delay=fixed)
-        best = identification.best_order(orders)
-        structure = _structure(best)
-        tables.append(orders_table(orders, best, asked.dt))
-    found = identification.identify_response(measured, **structure, dt=asked.dt, delay=fixed)
+    tables: list[Table] = []
+    lines: tuple[str, ...] = ()
+    structure: dict[str, Any] = dict(asked.structure)
+    if structure:
+        found = identification.identify_response(measured, **structure, dt=asked.dt, delay=fixed)
+    else:
+        found, structure, tables, lines = _grown_response(measured, asked.dt, fixed, progress)
     tables.append(identification_table(str(path), found.summary()))
     structure |= {} if asked.delay is None else {"delay": asked.delay}
     draw = {"response": partial(figures.response_fit_figure, measured, found)}
-    return Fitted(measured, found, asked.dt, structure, tables, draw)
+    return Fitted(measured, found, asked.dt, structure, tables, draw, lines=lines)
+
+
+def _grown_response(
+    measured: MeasuredResponse, dt: float | None, delay: float | None, progress: Progress
+) -> tuple[Any, dict[str, Any], list[Table], tuple[str, ...]]:
+    """The plant of the order that is chosen, its structure, the tables, and what is left.
+
+    Where a gain with real zeros and poles explains the lines as well, it is the answer: it is
+    shorter to read.
+    """
+    orders, chosen = identification.grow_response(
+        measured, dt=dt, delay=delay, each=lambda order: progress(f"order {order}")
+    )
+    tables = [grown_response_table(orders, chosen)]
+    if chosen.parts.order <= SIMPLE:
+        compared = identification.compare_response_orders(measured, dt=dt, delay=delay)
+        best = identification.best_order(compared)
+        P = best.found.simulated[:, 0]
+        if criterion(measured, chosen, P, best.parameters) <= chosen.bic + AS_GOOD:
+            return best.found, _structure(best), [orders_table(compared, best, dt)], ()
+    noise = share_of_noise(measured, chosen, dt)
+    known = bool(np.any(measured.std)) and measured.averages_known
+    found = identified_response(measured, chosen, dt, delay)
+    structure = {"order": chosen.parts.order, **chosen.parts._asdict()}
+    structure |= {"floor": chosen.floor, "median_error": chosen.median}
+    structure |= {"within_10_percent": chosen.within[0], "within_30_percent": chosen.within[1]}
+    structure |= {"unweighted_fit": chosen.fit, "share_of_noise": noise}
+    return found, structure, tables, tuple(on_lines(orders, chosen, noise, known))
 
 
 def _structure(best) -> dict[str, Any]:
@@ -423,6 +461,29 @@ def identification_table(title: str, rows: Sequence[tuple[str, float, float, flo
         largest = NOTHING * np.max(np.abs(values), where=np.isfinite(values), initial=0.0)
         shown = [0.0 if abs(v) < largest else v for v in values]
         table.add_row(name, *(f"{v:.6g}" if np.isfinite(v) else "–" for v in shown))
+    return table
+
+
+def grown_response_table(orders: Sequence[Grown], chosen: Grown) -> Table:
+    """The table of the best model of each order of a response, of which the chosen one is marked.
+
+    The columns in % are the error that is the model's own, the median of the relative error, and
+    the shares of lines within 10 and 30 %; held out is -2 log likelihood a line, above the chosen.
+    """
+    table = Table(title=f"models by order; BIC above that of the chosen one ({chosen.bic:.1f})")
+    counts = ("order", "lags", "modes", "integr.", "direct")
+    errors = ("floor [%]", "median [%]", "<10 %", "<30 %", "fit [%]")
+    for column in (*counts, *errors, "BIC", "held out", ""):
+        table.add_column(column, justify="right")
+    for one in orders:
+        of_error = (one.floor, one.median, *one.within, one.fit / 100)
+        table.add_row(
+            *map(str, (one.parts.order, *(int(count) for count in one.parts))),
+            *(f"{100 * share:.3g}" for share in of_error),
+            f"{one.bic - chosen.bic:+.1f}",
+            f"{one.held_out - chosen.held_out:+.3f}",
+            "chosen" if one is chosen else "",
+        )
     return table
 
 

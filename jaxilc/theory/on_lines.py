@@ -31,11 +31,16 @@ class MeasuredResponse(NamedTuple):
     frequencies: (F,) ascending, above 0 [Hz]
     response:    (F,) complex P(j w) [unit of the output per unit of the input]
     std:         (F,) sqrt(E |measured - true|^2) of each line [the same unit]; 0 where not known
+    coherence:   (F,) squared coherence from which std follows; None where there is none
+    averages_known: whether the number of averages of the coherence is known; if not, std is that of
+        one average, and only its course over the lines is known
     """
 
     frequencies: np.ndarray
     response: np.ndarray
     std: np.ndarray
+    coherence: np.ndarray | None = None
+    averages_known: bool = True
 
 
 class Lines(NamedTuple):

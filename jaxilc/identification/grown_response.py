@@ -1,0 +1,432 @@
+"""Models of flexible machines from a measured frequency response: their order is grown.
+
+The error of a line is that of its measurement and that of the model, which is wrong by about a
+share `floor` of the response:
+
+    var_k = scale std_k^2 + floor^2 |P_k|^2 sqrt(f_k / mean f)
+
+Both are found by maximum likelihood beside poles and numerators. scale is 1 where the standard
+deviation of the lines is known, and fitted where only a coherence is known and not the number of
+its averages. Without the floor, a few lines that are measured best would decide everything. What a
+model has wrong is alike over a share of the frequency, so over many lines at high ones, which then
+count less each; an exponent of 0 or 1 in place of the root had smaller likelihoods.
+
+That of a coherence c over n averages is |P| sqrt((1 - c) / (c n)) with the response of the model:
+with that of the measurement, lines that are too small by chance would count too much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+
+from ..pytree.aliases import Numbers
+from ..pytree.in_short import in_short
+from ..pytree.ranges import require
+from ..theory.on_lines import MeasuredResponse
+from . import modal_lines
+from .modal_lines import Parts, Problem, Projected
+from .problem import SAMPLES_PER_PARAMETER
+from .response_estimation import checked_lines, enough_lines, whiteness_of_lines
+from .response_problem import longest_delay
+from .verdict import CONFIDENCE, LAGS, WHITE, Estimate, Identified, inverse_of_normal, poles_of
+
+HIGHEST = 20  # order that is looked for
+# Of what is grown; each of them gets one mode after the other.
+BEGUN = (Parts(), Parts(lags=1), Parts(integrators=1), Parts(integrators=2), Parts(direct=True))
+ALL_UP_TO = 8  # order from which on only the best of these are grown further
+KEPT = 2
+PATIENCE = 3  # orders without a smaller criterion, after which growing ends
+GRID, DAMPINGS = 80, (0.01, 0.05, 0.3, 1.1, 4.0)  # modes that are tried
+DELAYS = 60  # that are tried for a first part
+PLACES = 3  # of those, so many are refined
+APART = 0.15  # of the logarithm of the frequency, between two of them
+SHORT, LONG = 1e-4, 1e-8  # relative decrease that ends a search which compares, and the last
+FLOORS = (1e-6, 3.0)
+HELD_OUT = 5  # every so many lines are held out in turn
+GOOD = 0.9  # coherence, from which on lines are counted in the shares within 10 and 30 %
+
+
+class Grown(NamedTuple):
+    """A model of one order.
+
+    parts: what it has
+    found: poles, numerators and residual
+    floor: error of the model, relative to the response
+    scale: by which the given variances of the lines were multiplied
+    bic: Bayesian information criterion, from the likelihood
+    held_out: mean over the lines of -2 log likelihood, each when it was not fitted
+    within: shares of the lines whose error is at most 10 and 30 % of the response; those of a
+        coherence above 0.9 where it is known
+    median: of the relative error of these lines
+    fit: 100 (1 - |G - P| / |G|) [%] over all lines, not weighted
+    """
+
+    parts: Parts
+    found: Projected
+    floor: float
+    scale: float
+    bic: float
+    held_out: float
+    within: tuple[float, float]
+    median: float
+    fit: float
+    __repr__ = in_short
+
+
+def grow_response(
+    measured: MeasuredResponse,
+    *,
+    dt: float | None = None,
+    delay: float | None = None,
+    highest: int = HIGHEST,
+    each: Callable[[int], object] = lambda order: None,
+) -> tuple[list[Grown], Grown]:
+    """The best model of each order, and the one that is chosen.
+
+    From nothing, one lag, one or two integrators, and a direct term, one mode after the other is
+    added: where it explains most of the residual, refined together with all others. The smallest
+    order is chosen whose likelihood on lines that were held out is not worse than that of the order
+    of the smallest criterion, by more than a standard error of the difference.
+
+    measured: the lines;  dt, delay: as for `identify_response`
+    highest: largest order that is tried; each: called with every order before it is tried
+    Raises ValueError as `identify_response` does.
+    """
+    require("grow_response", "highest", highest, "[1, 60]", whole=True)
+    checked_lines(measured, dt, delay)
+    if not enough_lines(measured, Parts(lags=1).numbers):
+        need_lines(measured, Parts(lags=1))
+    growing = _Growing(measured, dt, delay)
+    best: dict[int, Grown] = {}
+    paths = [iter(growing.path(begun, highest)) for begun in BEGUN]
+    reached: list[tuple[float, Iterator[Grown]]] = [(np.inf, path) for path in paths]
+    order = 0
+    while reached and order < highest:
+        order += 2
+        each(order)
+        going = []
+        for _, path in reached:
+            one = next(path, None)
+            if one is None:
+                continue
+            kept = best.get(one.parts.order)
+            if kept is None or one.bic < kept.bic:
+                best[one.parts.order] = one
+            going.append((one.bic, path))
+        reached = sorted(going, key=lambda pair: pair[0])
+        if order >= ALL_UP_TO:
+            reached = reached[:KEPT]
+        least = min(best, key=lambda n: best[n].bic)
+        if order - least > 2 * PATIENCE:
+            break
+    if not best:
+        need_lines(measured, Parts(modes=1))
+    orders = [best[n] for n in sorted(best)]
+    scored = [growing.held_out(one) for one in orders]
+    orders = [
+        one._replace(held_out=float(np.mean(s))) for one, s in zip(orders, scored, strict=True)
+    ]
+    least = int(np.argmin([one.bic for one in orders]))
+    for i in range(least + 1):
+        worse = scored[i] - scored[least]
+        if np.mean(worse) <= np.std(worse) / np.sqrt(len(worse)):
+            return orders, orders[i]
+    return orders, orders[least]
+
+
+def need_lines(measured: MeasuredResponse, parts: Parts) -> None:
+    """Raises ValueError for too few lines."""
+    raise ValueError(
+        f"identify_response: {len(measured.frequencies)} lines are too few to fit {parts.numbers} "
+        f"parameters; allowed are at least {-(-SAMPLES_PER_PARAMETER * parts.numbers // 2)}"
+    )
+
+
+class _Growing:
+    """The lines, and what is tried on them."""
+
+    def __init__(self, measured: MeasuredResponse, dt: float | None, delay: float | None) -> None:
+        f, G, std = (np.asarray(of) for of in measured[:3])
+        self.measured, self.f, self.G, self.std = measured, f, G, std
+        self.dt, self.delay, self.longest = dt, delay, longest_delay(f, dt)
+        self.relative = measured.coherence is not None
+        self.scaled = bool(np.any(std)) and measured.averages_known
+        self.size = np.abs(G)
+        self.alike = np.sqrt(f / np.exp(np.mean(np.log(f))))
+
+    def variances(self, P: Numbers, floor: float, scale: float) -> Numbers:
+        """(F,) expected squared errors of the lines around a model P."""
+        size = np.maximum(np.abs(P), 1e-9 * np.max(np.abs(P)))
+        own = (
+            self.std * size / np.maximum(self.size, np.finfo(float).tiny)
+            if self.relative
+            else self.std
+        )
+        return scale * own**2 + (floor * size) ** 2 * self.alike
+
+    def criterion(self, P: Numbers, floor: float, scale: float, numbers: int) -> float:
+        """-2 log likelihood of complex normal errors, and a penalty for each number."""
+        v = self.variances(P, floor, scale)
+        minus_log = 2 * float(np.sum(np.log(np.pi * v) + np.abs(self.G - P) ** 2 / v))
+        return minus_log + numbers * float(np.log(2 * len(v)))
+
+    def problem(self, variances: Numbers, among: Numbers | slice = slice(None)) -> Problem:
+        weights = np.sqrt(2 / variances[among])
+        f, G = self.f[among], self.G[among]
+        return Problem(f, G, weights, self.dt, self.longest, self.delay)
+
+    def noise(self, P: Numbers) -> tuple[float, float]:
+        """floor and scale of the largest likelihood, for the residual of a model."""
+        e = np.abs(self.G - P) ** 2
+        unknown = not self.scaled and bool(np.any(self.std))
+
+        def minus_log(x: Numbers) -> float:
+            v = self.variances(P, math.exp(x[0]), math.exp(2 * x[1]) if unknown else 1.0)
+            return float(np.sum(np.log(v) + e / v))
+
+        low, high = np.log(FLOORS)
+        starts = [[np.log(k), s] for k in (1e-3, 0.1) for s in ((0.0, -2.0) if unknown else (0.0,))]
+        bounds = [(low, high), (-8.0, 3.0) if unknown else (0.0, 0.0)]
+        found = min(
+            (scipy.optimize.minimize(minus_log, x, bounds=bounds) for x in starts),
+            key=lambda one: one.fun,
+        )
+        return math.exp(found.x[0]), math.exp(2 * found.x[1]) if unknown else 1.0
+
+    def path(self, begun: Parts, highest: int) -> Iterator[Grown]:
+        """Models of one mode more each, from what is begun."""
+        parts, theta = begun, np.zeros(begun.lags + 1)
+        noise, P = (0.1, 1.0), self.G
+        if parts.numerators:
+            problem = self.problem(self.variances(P, *noise))
+            theta = self._first(problem, parts)
+            one = self._refined(theta, parts, noise, P)
+            theta, noise, P = one.found.theta, (one.floor, one.scale), self.curve(one)
+            if parts.order:
+                yield one
+        while parts.order + 2 <= highest:
+            parts = parts._replace(modes=parts.modes + 1)
+            if not enough_lines(self.measured, parts.numbers):
+                return
+            problem = self.problem(self.variances(P, *noise))
+            begin = self._with_one_more(problem, theta, parts)
+            one = self._refined(begin, parts, noise, P)
+            one = self._moved(one)
+            theta, noise, P = one.found.theta, (one.floor, one.scale), self.curve(one)
+            yield one
+
+    def curve(self, one: Grown) -> Numbers:
+        """(F,) the response of a model."""
+        return modal_lines.columns(one.found.theta, one.parts, self.f, self.dt) @ one.found.N
+
+    def _delays(self, count: int = DELAYS) -> Numbers:
+        if self.delay is not None:
+            return np.array([self.delay])
+        return np.linspace(0.0, self.longest, count)
+
+    def _first(self, problem: Problem, parts: Parts) -> Numbers:
+        """The best theta of a grid, for at most one lag."""
+        rates = np.log(2 * np.pi * np.geomspace(self.f[0], self.f[-1], 12))
+        lags = [[rate] for rate in rates] if parts.lags else [[]]
+        places = [np.array([*lag, d]) for lag in lags for d in self._delays()]
+        return min((problem.projected(t, parts) for t in places), key=lambda at: at.cost).theta
+
+    def _with_one_more(self, problem: Problem, theta: Numbers, parts: Parts) -> Numbers:
+        """theta of these parts, where a mode more than those of theta explains most."""
+        before = parts._replace(modes=parts.modes - 1)
+        y = modal_lines.stacked(problem.weights * problem.G)
+        if before.numerators:
+            at = problem.projected(theta, before)
+            Q, left, delays = at.Q, at.left, theta[-1:]
+        else:
+            Q, left, delays = np.zeros((len(y), 0)), y, self._delays()
+        low, high = problem.bounds(Parts(modes=1))
+        size = np.abs(left[: len(self.f)] + 1j * left[len(self.f) :])
+        peaks = self.f[np.argsort(-size)[:10]]
+        frequencies = np.append(np.linspace(low[0], high[0], GRID), np.log(2 * np.pi * peaks))
+        frequencies = np.clip(frequencies, low[0], high[0])
+        w, zeta = (of.ravel() for of in np.meshgrid(frequencies, np.log(DAMPINGS)))
+        tried = Parts(modes=len(w))
+        places: list[tuple[float, Numbers]] = []
+        for late in delays:
+            A = modal_lines.columns(np.concatenate([w, zeta, [late]]), tried, problem.f, self.dt)
+            A = modal_lines.stacked(problem.weights[:, None] * A)
+            A = A - Q @ (Q.T @ A)
+            A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
+            first, second, on = A[:, ::2], A[:, 1::2], left @ A
+            shared = np.sum(first * second, axis=0)
+            # squared length of what is left, in the plane of both columns
+            apart = np.maximum(1 - shared**2, 1e-9)
+            explained = on[::2] ** 2 + (on[1::2] - shared * on[::2]) ** 2 / apart
+            best = np.argsort(-explained)[: 20 * PLACES]
+            places += [(explained[i], np.array([w[i], zeta[i], late])) for i in best]
+        places.sort(key=lambda place: -place[0])
+        chosen: list[Numbers] = []
+        for _, own in places:
+            far = all(abs(own[0] - c[0]) > APART or abs(own[1] - c[1]) > 1 for c in chosen)
+            if far:
+                chosen.append(own)
+            if len(chosen) == PLACES:
+                break
+        n, q = before.lags, before.modes
+        begin = [
+            np.concatenate([theta[: n + q], own[:1], theta[n + q : n + 2 * q], own[1:2], own[2:]])
+            for own in chosen
+        ]
+        refined = [problem.least_squares(t, parts, 25, SHORT)[0] for t in begin]
+        return min(refined, key=lambda at: at.cost).theta
+
+    def _refined(
+        self,
+        theta: Numbers,
+        parts: Parts,
+        noise: tuple[float, float],
+        P: Numbers,
+        rounds: int = 2,
+        tolerance: float = SHORT,
+    ) -> Grown:
+        """The minimum near theta, with the noise that its residual has."""
+        at = self.problem(self.variances(P, *noise)).projected(theta, parts)
+        for _ in range(rounds):
+            P = modal_lines.columns(at.theta, parts, self.f, self.dt) @ at.N
+            noise = self.noise(P)
+            problem = self.problem(self.variances(P, *noise))
+            at, _ = problem.least_squares(at.theta, parts, 30, tolerance)
+        return self._judged(at, parts, *noise)
+
+    def _judged(self, at: Projected, parts: Parts, floor: float, scale: float) -> Grown:
+        P = modal_lines.columns(at.theta, parts, self.f, self.dt) @ at.N
+        error, number = np.abs(self.G - P), parts.numbers - (self.delay is not None)
+        coherence = self.measured.coherence
+        good = np.ones(len(P), bool) if coherence is None else coherence > GOOD
+        share = (error / np.maximum(self.size, np.finfo(float).tiny))[
+            good if good.any() else slice(None)
+        ]
+        return Grown(
+            parts,
+            at,
+            floor,
+            scale,
+            self.criterion(P, floor, scale, number),
+            np.nan,
+            (float(np.mean(share <= 0.1)), float(np.mean(share <= 0.3))),
+            float(np.median(share)),
+            100 * (1 - float(np.linalg.norm(error) / np.linalg.norm(self.G))),
+        )
+
+    def _moved(self, one: Grown) -> Grown:
+        """The model after its least mode was taken out and put in where it explains most."""
+        parts, theta = one.parts, one.found.theta
+        n, q = parts.lags, parts.modes
+        if q < 2:
+            return one
+        problem = self.problem(self.variances(self.curve(one), one.floor, one.scale))
+        less = parts._replace(modes=q - 1)
+        without = [np.delete(theta, [n + i, n + q + i]) for i in range(q)]
+        least = min((problem.projected(t, less) for t in without), key=lambda at: at.cost)
+        begin = self._with_one_more(problem, least.theta, parts)
+        other = self._refined(begin, parts, (one.floor, one.scale), self.curve(one))
+        return other if other.bic < one.bic else one
+
+    def held_out(self, one: Grown) -> Numbers:
+        """(F,) -2 log likelihood of each line, when it was not fitted."""
+        v = self.variances(self.curve(one), one.floor, one.scale)
+        found = np.empty(len(v))
+        for i in range(HELD_OUT):
+            out = np.arange(len(v)) % HELD_OUT == i
+            problem = self.problem(v, ~out)
+            at, _ = problem.least_squares(one.found.theta, one.parts, 8, SHORT)
+            P = modal_lines.columns(at.theta, one.parts, self.f, self.dt) @ at.N
+            own = self.variances(P, one.floor, one.scale)[out]
+            found[out] = 2 * (np.log(own) + np.abs(self.G - P)[out] ** 2 / own)
+        return found
+
+
+def share_of_noise(measured: MeasuredResponse, one: Grown, dt: float | None) -> float:
+    """The share of the squared errors of a median line that its standard deviation explains."""
+    growing = _Growing(measured, dt, None)
+    P = growing.curve(one)
+    whole = growing.variances(P, one.floor, one.scale)
+    return float(np.median(growing.variances(P, 0.0, one.scale) / whole))
+
+
+def criterion(measured: MeasuredResponse, one: Grown, P: Numbers, numbers: int) -> float:
+    """The information criterion of another response P (F,), with the noise of a grown model.
+
+    numbers: values that were fitted
+    """
+    return _Growing(measured, None, None).criterion(P, one.floor, one.scale, numbers)
+
+
+def identified_response(
+    measured: MeasuredResponse, one: Grown, dt: float | None, delay: float | None
+) -> Identified:
+    """The plant of a grown model, refined to its tolerances, with its reliability.
+
+    The covariance is that of the lines' variances, widened by what the residuals of neighbouring
+    lines have in common: their number counts no more than it says.
+    """
+    growing = _Growing(measured, dt, delay)
+    parts, noise = one.parts, (one.floor, one.scale)
+    problem = growing.problem(growing.variances(growing.curve(one), *noise))
+    at, converged = problem.least_squares(one.found.theta, parts, 200, LONG)
+    values, names = modal_lines.values_of(at, parts), modal_lines.names_of(parts)
+    J = modal_lines.jacobian(at, parts, growing.f, dt) * problem.weights[:, None]
+    fitted = len(names) - (delay is not None)
+    names = names[:fitted]
+    residual = at.left
+    error = residual[: len(growing.f)] + 1j * residual[len(growing.f) :]
+    freedom = max(2 * len(error) - fitted, 1)
+    ratio = float(np.sqrt(residual @ residual / freedom))
+    covariance = inverse_of_normal(modal_lines.stacked(J[:, :fitted]))
+    covariance = covariance * max(ratio, 1.0) ** 2 * _in_common(error)
+    tail = 0.5 + CONFIDENCE / 2
+    half = scipy.special.stdtrit(freedom, tail) * np.sqrt(np.diag(covariance))
+    plant = modal_lines.model_of(values, parts)
+    whiteness = whiteness_of_lines(error)
+    weighted = problem.weights * growing.G
+    P, known = modal_lines.columns(at.theta, parts, growing.f, dt) @ at.N, growing.scaled
+    of_lines = growing.variances(P, 0.0, 1.0) if known else np.abs(P) ** 2
+    told = np.abs(growing.G - P) / np.sqrt(np.maximum(of_lines, np.min(of_lines[of_lines > 0])))
+    told *= np.sqrt(2) if known else 1.0  # each line has two numbers
+    count = freedom if known else len(error)
+    return Identified(
+        plant=plant,
+        parameters={
+            name: Estimate(float(v), float(v - h), float(v + h))
+            for name, v, h in zip(names, values, half, strict=False)
+        },
+        covariance=covariance,
+        poles=poles_of(_Named(names, plant), values[:fitted], covariance),
+        samples=len(error),
+        simulated=P[:, None],
+        fit=np.array([100 * (1 - np.linalg.norm(error) / np.linalg.norm(weighted))]),
+        validation_fit=np.array([np.nan]),
+        residual_std=np.array([float(np.sqrt(np.sum(told**2) / count))]),
+        whiteness=np.array([whiteness]),
+        white=whiteness >= WHITE,
+        converged=converged,
+        of_response=True,
+        std_known=known,
+    )
+
+
+class _Named(NamedTuple):
+    """What `poles_of` asks of a problem."""
+
+    names: tuple[str, ...]
+    plant: object
+
+
+def _in_common(error: Numbers) -> float:
+    """The factor 1 + 2 sum of the correlations between lines, at least 1 (Bartlett 1946)."""
+    power = max(float(np.real(np.vdot(error, error))), np.finfo(float).tiny)
+    lags = range(1, min(LAGS, len(error) // 4) + 1)
+    r = [float(np.real(np.vdot(error[:-lag], error[lag:]))) / power for lag in lags]
+    first = next((i for i, value in enumerate(r) if value < 2 / np.sqrt(len(error))), len(r))
+    return 1 + 2 * sum(r[:first])
