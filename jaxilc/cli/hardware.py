@@ -26,6 +26,7 @@ from .start import begin
 from .trials import Folder, Plot
 
 if TYPE_CHECKING:
+    from ..hardware.journal import Journal
     from ..hardware.prediction import Prediction
     from ..scenarios.campaigns import Opened
 
@@ -151,6 +152,8 @@ def next_(
     )
     opened = open_campaign(state, given, new=new, dry_run=dry_run)
     now = opened.campaign
+    if not (new or now.journal.bound or dry_run or undo is not None):
+        _bind(now.journal)
     source = _say_source(opened)
     schedules = now.first_schedules() if new else now.schedules(undo)
     trial = 1 if new else (now.trials if undo is None else undo) + 1
@@ -233,6 +236,18 @@ def _starts(
             f"{state} holds no campaign; start one without --measured and --undo"
         )
     return new
+
+
+def _bind(journal: Journal) -> None:
+    """Bind the entries of a campaign of before, and say so; one without its head stays as it is."""
+    journal.live()  # raises where entries have been bound before
+    journal.bind()
+    out.print(
+        f"note: nothing said which entries belong to {journal.path}, which is older than that; "
+        "those that are there do from now on",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 def _say_source(opened: Opened) -> list[str]:

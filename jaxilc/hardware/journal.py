@@ -5,15 +5,22 @@ it is on the disk, so that the journal is complete whenever the process is stopp
 an entry, which points to an earlier one, so that no measurement is lost. Every file has a checksum,
 and the manifest is stored twice, so that damage is found. An entry that cannot be read is left out
 by going back to a trial before it.
+
+What is whole may still be in a wrong place. A manifest holds the checksums of the files of its
+entry and of the manifest before, and a head holds those of all manifests. So a file or an entry
+that was exchanged, borrowed from another campaign or removed is found, as a damaged one is.
 """
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
 import datetime
+import hashlib
 import io
 import re
+import secrets
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,13 +30,28 @@ import numpy as np
 from ..learning.known_metrics import GATHERED
 from ..pytree.ranges import is_number
 from ..storage.files import UNFINISHED, atomically, whole_folder
-from ..storage.sealed import Damaged, archive, json_text, read_arrays, read_json, sealed, unsealed
+from ..storage.sealed import (
+    Damaged,
+    archive,
+    as_json,
+    json_text,
+    read_arrays,
+    read_json,
+    seal_of,
+    sealed,
+    unsealed,
+    write_json,
+)
 
-FORMAT, UNCHECKED = 2, 1  # the first format had neither checksums nor a copy of the manifest
-MANIFEST, COPY = "manifest.json", "manifest.copy.json"
+# The first format had neither checksums nor a copy of the manifest, the second does not say which
+# files belong to an entry.
+FORMAT, UNBOUND, UNCHECKED = 3, 2, 1
+MANIFEST, COPY, HEAD = "manifest.json", "manifest.copy.json", "head.json"
+OTHER = "it is whole, but not the entry that was written here"
 DAMAGED = "damaged"  # the event of an entry that cannot be read
 BACK = "--undo goes back to an earlier trial"
 _ENTRY = re.compile(r"^\d{6}$")
+MOST = 10**6  # entries that a head may name
 METRICS = "figures"  # key of a trial's metrics, as in the first campaigns
 _NEEDED = {"trial": int, "recipe": dict, "configuration": dict}
 _NEEDED_OF = {
@@ -81,7 +103,7 @@ class Journal:
         """
         if not self.exists:
             raise FileNotFoundError(f"{self.path} holds no campaign; start one without --measured")
-        manifests = [self._manifest(serial) for serial in range(self._next())]
+        manifests, _ = self._read()
         if all(m["event"] == DAMAGED for m in manifests):
             raise ValueError(
                 f"{manifests[0]['wrong']}, nor any other entry; start a campaign in another folder"
@@ -97,8 +119,23 @@ class Journal:
 
         Raises ValueError where one of them is damaged.
         """
-        manifests = self.manifests()
+        manifests, (_, head) = self.manifests(), self._read()
+        unnamed = sum(m.get("format") == FORMAT for m in manifests[len(head) :])
+        if unnamed > bool(head or len(manifests) == 1):  # one, if its writing was stopped
+            raise Damaged(
+                f"{self.path / HEAD} is missing, damaged or another campaign's: {unnamed} entries "
+                f"are not named there, so the last ones may be missing; {BACK}"
+            )
         return _led_to(manifests, manifests[-1])
+
+    @property
+    def bound(self) -> bool:
+        """Whether a head says which entries belong here; campaigns of before have none."""
+        return (self.path / HEAD).exists()
+
+    def bind(self) -> None:
+        """Write the head that names all entries that are there."""
+        self._write_head(*self._read())
 
     def behind(self) -> list[dict[str, Any]]:
         """The manifests to which an undo can go back.
@@ -118,7 +155,10 @@ class Journal:
         """The arrays in a file of an entry; raises ValueError for a damaged file."""
         file = self.path / f"{manifest['serial']:06d}" / name
         try:
-            return read_arrays(file, checked=manifest.get("format") != UNCHECKED)
+            checked, known = manifest.get("format") != UNCHECKED, manifest.get("files", {})
+            if manifest.get("format") == FORMAT and name not in known:
+                raise Damaged(f"{file} is no file of this entry")
+            return read_arrays(file, checked=checked, sha256=known.get(name))
         except (OSError, Damaged) as error:
             raise ValueError(f"{file} cannot be read ({_said(error)}); {BACK}") from None
 
@@ -129,26 +169,32 @@ class Journal:
         Raises ValueError where it cannot be written; the journal is then unchanged.
         """
         serial = self._next()
-        common = {
+        before, head = self._read() if serial else ([], [])
+        files = {name: archive(values) for name, values in arrays.items()}
+        whole = dict(manifest) | {
             "format": FORMAT,
             "serial": serial,
             "time": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "files": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+            "previous": _seal(before[-1]) if before else secrets.token_hex(32),
         }
         try:
+            if len(head) < len(before):
+                self._write_head(before, head)  # at most one entry is not named there
             with whole_folder(
                 self.path / f"{serial:06d}"
             ) as unfinished:  # fails if another process has made this entry
-                for name, values in arrays.items():
-                    (unfinished / name).write_bytes(archive(values))
+                for name, content in files.items():
+                    (unfinished / name).write_bytes(content)
                 for name in (MANIFEST, COPY):
-                    (unfinished / name).write_text(
-                        json_text(sealed(common | dict(manifest))), encoding="utf-8"
-                    )
+                    (unfinished / name).write_text(json_text(sealed(whole)), encoding="utf-8")
         except OSError as error:
             raise ValueError(
                 f"{self.path}: entry {serial} could not be written ({error.strerror}); "
                 "the campaign is as it was"
             ) from None
+        with contextlib.suppress(OSError):  # the entry is there, and names the one before it
+            self._write_head([*before, as_json(whole)], head)
 
     def log(self) -> list[dict[str, Any]]:
         """A row for every entry in order: event, trial, metrics, warnings.
@@ -178,19 +224,62 @@ class Journal:
             rows.append(row | {"warnings": "; ".join(warnings)})
         return rows
 
+    def _read(self) -> tuple[list[dict[str, Any]], list[str]]:
+        """The manifests of all entries, and the head; an empty one if it is another campaign's."""
+        for head in (self._head(), []):
+            manifests = [self._manifest(serial, head) for serial in range(self._next())]
+            if not head or any(m["event"] != DAMAGED for m in manifests[: len(head)]):
+                break
+        seals = [_seal(m) for m in manifests]
+        for serial in range(max(1, len(head)), len(manifests)):
+            if seals[serial - 1] and manifests[serial].get("previous") not in (
+                None,
+                "",
+                seals[serial - 1],
+            ):
+                for k in range(serial - (serial > len(head)), serial + 1):  # either may be another
+                    wrong = self._place(k, OTHER)
+                    manifests[k] |= {"event": DAMAGED, "wrong": wrong, "trial": 0}
+        return manifests, head
+
     def _entries(self) -> list[Path]:
         return sorted(f for f in self.path.iterdir() if _ENTRY.match(f.name))
 
     def _next(self) -> int:
         """The serial of the next entry."""
         entries = self._entries()
-        return int(entries[-1].name) + 1 if entries else 0
+        return max(int(entries[-1].name) + 1 if entries else 0, len(self._head()))
 
-    def _manifest(self, serial: int) -> dict[str, Any]:
+    def _head(self) -> list[str]:
+        """The checksums of the manifests by serial; none where there is no head, or a damaged one.
+
+        An entry that could not be read when the head was written has an empty text.
+        """
+        try:
+            found = unsealed(read_json(self.path / HEAD)).get("entries")
+        except (OSError, Damaged):
+            return []
+        known = isinstance(found, list) and all(isinstance(one, str) for one in found)
+        return found if known and len(found) < MOST else []
+
+    def _write_head(self, manifests: Sequence[dict[str, Any]], known: Sequence[str]) -> None:
+        entries = [
+            known[serial] if serial < len(known) and m["event"] == DAMAGED else _seal(m)
+            for serial, m in enumerate(manifests)
+        ]
+        write_json(self.path / HEAD, sealed({"entries": entries}))
+
+    def _place(self, serial: int, wrong: str) -> str:
+        return f"{self.path / f'{serial:06d}' / MANIFEST} cannot be read ({wrong})"
+
+    def _manifest(self, serial: int, head: Sequence[str]) -> dict[str, Any]:
         entry, wrong = self.path / f"{serial:06d}", []
         for name in (MANIFEST, COPY):
             try:
-                return _checked(read_json(entry / name), serial)
+                manifest = _checked(read_json(entry / name), serial)
+                if serial < len(head) and _seal(manifest) != head[serial]:
+                    raise Damaged(OTHER)
+                return manifest
             except (OSError, Damaged) as error:
                 wrong.append(f"{entry / name} cannot be read ({_said(error)})")
         return {"serial": serial, "event": DAMAGED, "trial": 0, "wrong": wrong[0]}
@@ -200,16 +289,15 @@ def _checked(content: Any, serial: int) -> dict[str, Any]:
     """The manifest of an entry; raises Damaged naming what is wrong with it."""
     unchecked = isinstance(content, dict) and content.get("format") == UNCHECKED
     manifest = content if unchecked else unsealed(content)
-    if (manifest.get("format"), manifest.get("serial")) not in (
-        (FORMAT, serial),
-        (UNCHECKED, serial),
-    ):
+    known = manifest.get("format") in (FORMAT, UNBOUND, UNCHECKED)
+    if not known or manifest.get("serial") != serial:
         found = f"entry {manifest.get('serial')} of format {manifest.get('format')}"
         raise Damaged(f"it is {found}; needed are {serial} and {FORMAT}")
     kinds = _NEEDED_OF.get(str(manifest.get("event")))
     if kinds is None:
         raise Damaged(f"its event {manifest.get('event')!r} is none of {', '.join(_NEEDED_OF)}")
-    for name, kind in {**_NEEDED, **kinds}.items():
+    binding = {"files": dict, "previous": str} if manifest["format"] == FORMAT else {}
+    for name, kind in {**_NEEDED, **kinds, **binding}.items():
         if not isinstance(manifest.get(name), kind):
             raise Damaged(f"its {name!r} is missing, or not of the kind {kind.__name__}")
     if METRICS in kinds and not isinstance(manifest[METRICS].get("error"), float):
@@ -224,6 +312,11 @@ def _checked(content: Any, serial: int) -> dict[str, Any]:
         if name in kinds and not 0 <= manifest[name] < serial:
             raise Damaged(f"its {name!r} is {manifest[name]}; allowed are entries before it")
     return manifest
+
+
+def _seal(manifest: Mapping[str, Any]) -> str:
+    """The checksum of a manifest; an empty text for one that cannot be read."""
+    return "" if manifest["event"] == DAMAGED else seal_of(manifest)
 
 
 def _are_numbers(value: Any) -> bool:

@@ -58,7 +58,12 @@ def read_json(path: str | Path) -> Any:
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
     """The content as it is in strict JSON, with its checksum."""
-    return {**as_json(content), SEAL: _sha256(json_text(content).encode())}
+    return {**as_json(content), SEAL: seal_of(content)}
+
+
+def seal_of(content: Mapping[str, Any]) -> str:
+    """The checksum that `sealed` gives a content."""
+    return _sha256(json_text(content).encode())
 
 
 def unsealed(found: Any) -> dict[str, Any]:
@@ -70,7 +75,7 @@ def unsealed(found: Any) -> dict[str, Any]:
     content = {name: of for name, of in found.items() if name != SEAL} if seal else {}
     if seal is None:
         raise Damaged("its checksum is missing")
-    if seal != _sha256(json_text(content).encode()):
+    if seal != seal_of(content):
         raise Damaged("its checksum is that of another content")
     return content
 
@@ -84,10 +89,13 @@ def archive(arrays: Mapping[str, Any]) -> bytes:
     return whole[:-LENGTH] + _length(seal) + seal
 
 
-def read_arrays(path: str | Path, *, checked: bool = True) -> dict[str, np.ndarray]:
+def read_arrays(
+    path: str | Path, *, checked: bool = True, sha256: str | None = None
+) -> dict[str, np.ndarray]:
     """The arrays of a file that `archive` made.
 
     checked: whether the file must have a checksum; False also accepts other .npz files
+    sha256: of all bytes of the file, where it is known; a file that is whole may be another's
     Raises Damaged, naming the defect, for a file that is damaged, and OSError.
     """
     try:
@@ -99,6 +107,8 @@ def read_arrays(path: str | Path, *, checked: bool = True) -> dict[str, np.ndarr
     seal = _sha256(whole + bytes(LENGTH)).encode()
     if checked and end != _length(seal) + seal:
         raise Damaged(f"{path} is damaged: its checksum is missing, or that of another content")
+    if sha256 not in (None, _sha256(found)):
+        raise Damaged(f"{path} is whole, but not the file that was written here")
     try:
         with np.load(io.BytesIO(found), allow_pickle=False) as arrays:
             return dict(arrays)

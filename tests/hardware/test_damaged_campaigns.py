@@ -4,6 +4,7 @@ A trial that was measured once is also counted once.
 """
 
 import contextlib
+import functools
 import json
 import logging
 import shutil
@@ -21,7 +22,7 @@ from jaxilc.hardware import Campaign, Journal, Measured, Rules
 from jaxilc.hardware import campaign as of_campaign
 from jaxilc.hardware.checks import ACCEPTED
 from jaxilc.storage import files
-from jaxilc.storage.sealed import archive, read_arrays, sealed
+from jaxilc.storage.sealed import archive, json_text, read_arrays, sealed
 
 
 @pytest.fixture(autouse=True)
@@ -65,6 +66,16 @@ def copied(campaign, tmp_path):
 
 def opened(folder):
     return Campaign.open(folder, SCHEME, TASK, rules=RULES)
+
+
+def unbound(folder):
+    """Make of a campaign one of before, in which nothing says which files belong to an entry."""
+    (folder / "head.json").unlink()
+    for file in folder.glob("*/manifest*.json"):
+        manifest = json.loads(file.read_text())
+        for name in ("files", "previous", "sha256"):
+            del manifest[name]
+        file.write_text(json_text(sealed(manifest | {"format": 2})))
 
 
 def goes_on_or_back(folder, played):
@@ -136,12 +147,10 @@ def test_a_manifest_without_a_checksum_is_looked_at(copied, change):
     fit is refused.
     """
     folder, played = copied
+    unbound(folder)
     for entry in folder.iterdir():
-        manifest = {
-            name: of
-            for name, of in json.loads((entry / "manifest.json").read_text()).items()
-            if name != "sha256"
-        }
+        manifest = json.loads((entry / "manifest.json").read_text())
+        del manifest["sha256"]
         (entry / "manifest.copy.json").unlink()
         (entry / "manifest.json").write_text(json.dumps(manifest | {"format": 1}))
         for file in entry.glob("*.npz"):
@@ -155,6 +164,7 @@ def test_a_manifest_without_a_checksum_is_looked_at(copied, change):
 
 def test_a_memory_that_is_not_a_number_is_refused(copied):
     folder, played = copied
+    unbound(folder)
     file = folder / "000003" / "memory.npz"
     lost = {name: np.full_like(of, np.nan) for name, of in read_arrays(file).items()}
     np.savez(file, **lost)
@@ -167,6 +177,75 @@ def test_a_memory_that_is_not_a_number_is_refused(copied):
     with pytest.raises(ValueError, match=r"the memory holds 000 u .*; this scheme needs 000 u"):
         opened(folder).schedules()
     goes_on_or_back(folder, played)
+
+
+def plays_as_before(state, played):
+    np.testing.assert_array_equal(opened(state).schedules()["u"], played[3])
+
+
+@pytest.fixture(scope="module")
+def alike(tmp_path_factory):
+    """Return the folder of another campaign of the same scheme and task."""
+    folder = tmp_path_factory.mktemp("alike") / "state"
+    running = Campaign.start(folder, SCHEME, TASK, recipe={"scenario": "axis"}, rules=RULES)
+    for trial in TRIALS[:3]:
+        running.keep(running.turn(trial._replace(y=0.9 * trial.y)))
+    return folder
+
+
+def test_what_is_whole_but_in_a_wrong_place_is_refused_or_changes_nothing(
+    campaign, alike, tmp_path
+):
+    """Every file is exchanged with every other of its name, and every file and entry removed."""
+    folder, played = campaign
+    others = [folder, alike]
+    names = ("memory.npz", "trial.npz", "manifest.json", "manifest.copy.json", "head.json")
+    exchanges = [
+        (target.relative_to(folder), source)
+        for name in names
+        for target in sorted(folder.rglob(name))
+        for other in others
+        for source in sorted(other.rglob(name))
+        if source != target
+    ]
+    entries = [Path(f"{serial:06d}") for serial in range(4)]
+    exchanges += [(entry, other / of) for entry in entries for of in entries for other in others]
+    exchanges += [(f.relative_to(folder), None) for f in sorted(folder.rglob("*"))]
+    refused = 0
+    for target, source in exchanges:
+        state = tmp_path / "state"
+        shutil.rmtree(state, ignore_errors=True)
+        shutil.copytree(folder, state)
+        if (state / target).is_dir():
+            shutil.rmtree(state / target)
+        else:
+            (state / target).unlink()
+        if source is not None:
+            (shutil.copytree if source.is_dir() else shutil.copyfile)(source, state / target)
+        here = target == Path("000000")  # without its start a campaign cannot go back
+        said = refusal(functools.partial(plays_as_before, state, played))
+        if said is not None and not (here and source != folder / target):
+            refused += 1
+            assert "--undo goes back" in said
+            last = max(m["trial"] for m in Journal(state).behind())
+            opened(state).undo(last)
+            np.testing.assert_array_equal(opened(state).schedules()["u"], played[last])
+    assert len(exchanges) == 152
+    assert refused >= 30  # the others are read by nobody, or stand there twice
+
+
+def test_a_campaign_of_before_goes_on_and_is_bound_from_then_on(copied):
+    folder, _ = copied
+    unbound(folder)
+    journal = Journal(folder)
+    assert not journal.bound
+    opened(folder).keep(opened(folder).turn(TRIALS[3]))
+    assert journal.bound
+    assert [m["format"] for m in journal.manifests()] == [2, 2, 2, 2, 3]
+    shutil.copyfile(folder / "000002" / "manifest.json", folder / "000003" / "manifest.json")
+    (folder / "000003" / "manifest.copy.json").unlink()
+    with pytest.raises(ValueError, match=r"000003/manifest.json cannot be read"):
+        journal.live()
 
 
 def rounded(trial, digits):
@@ -272,6 +351,8 @@ def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypa
     def attempt(rng):
         shutil.rmtree("state", ignore_errors=True)
         shutil.copytree("whole", "state")
+        if rng.random() < 0.9:
+            unbound(Path("state"))
         entry = Path("state") / pick(rng, ("000000", "000001"))
         manifest = json.loads((entry / "manifest.json").read_text())
         manifest = {name: of for name, of in manifest.items() if name != "sha256"}
