@@ -12,6 +12,8 @@ whether no claim is made where none is allowed.
     light damping   150 machines of damping 0.003 to 0.1 in trials of 600 samples
 """
 
+import sys
+
 import numpy as np
 import output
 import scipy.fft
@@ -215,8 +217,18 @@ def light_damping(rng, count=150) -> dict:
     return {"condition": "light damping, N = 600", "tried": count, "value too low": ""} | counts
 
 
+PARTS = {
+    "norm-optimal": lambda rng: [norm_optimal(rng)],
+    "family": lambda rng: [family(rng)],
+    "filtered": filtered,
+    "light": lambda rng: [light_damping(rng)],
+}
+
 if __name__ == "__main__":
     jaxilc.setup()
-    rng = np.random.default_rng(16)
-    rows = [norm_optimal(rng), family(rng), *filtered(rng), light_damping(rng)]
+    rows = []
+    for name in sys.argv[1:] or PARTS:
+        found = PARTS[name](np.random.default_rng(16))
+        print(name, found, flush=True)
+        rows += found
     output.write_rows(output.folder(__file__) / "rows.csv", rows)

@@ -357,9 +357,10 @@ def _of_runs(
     in_norm = inputs > DENSE
     found = under_chance(machines, scheme, task, view, trials, astray=astray, in_norm=in_norm)
     claim, reason = means.claim.copy(), means.reason.copy()
+    sense = np.array([one.sense for one in found], object)
     for i, one in enumerate(found):
         if not one.certain:
-            claim[i], reason[i] = _claim_on_runs(one)
+            claim[i], reason[i], sense[i] = _claim_on_runs(one, means.claim[i])
             if means.ball is not None:
                 claim[i], reason[i] = NOTHING, DRAWN.format(means.ball.of[i])
         elif claim[i] != NOTHING:
@@ -372,7 +373,7 @@ def _of_runs(
     return means._replace(
         claim=claim,
         reason=reason,
-        sense=np.array([one.sense for one in found], object),
+        sense=sense,
         left=np.array([one.left for one in found]),
         most=np.array([one.most for one in found]),
         of_error=means.of_error & np.array([one.certain for one in found]),
@@ -410,10 +411,14 @@ def _within(found: LongRun, ball: Ball) -> LongRun:
     )
 
 
-def _claim_on_runs(one: UnderChance) -> tuple[str, str]:
+def _claim_on_runs(one: UnderChance, of_mean: str) -> tuple[str, str, str]:
+    """Claim, reason and sense; of_mean: the claim on the mean of all runs."""
     claims = ((one.monotone, MONOTONE), (one.converges, CONVERGES), (one.diverges, DIVERGES))
     claim = next((claim for holds, claim in claims if holds), NOTHING)
-    return claim, one.reason if claim == NOTHING else f"{one.sense}, {one.reason}"
+    if claim == NOTHING and of_mean == DIVERGES:
+        said = "the mean of all runs grows without bound, and their mean square at least as fast"
+        return DIVERGES, f"{SQUARE}, {said}", SQUARE
+    return claim, one.reason if claim == NOTHING else f"{one.sense}, {one.reason}", one.sense
 
 
 def course(errors) -> str:

@@ -22,6 +22,10 @@ products grow in every run. What does hold for single runs is claimed, in one of
                      drawn products give an interval
     in the mean      only the mean of all runs converges, and nothing is claimed of a run
 
+Runs diverge almost surely where that exponent is exact and positive, or where a part of w is pushed
+alike in every trial by errors that do not depend on w: w_j / j comes to the mean push, however low
+the error was before. Where the mean of all runs diverges, their mean square does.
+
 Noise of sensors and of disturbances, and the scatter of the initial state, add to C. Where nothing
 else is drawn, M is the same in every trial, and the error of a late trial is Gaussian with a mean m
 and the covariance S = Y X Y^T + F F^T. So of the mean square Q of its samples, with the eigenvalues
@@ -72,7 +76,8 @@ ROUNDING = 1e3  # in units of the last place
 ALONE = 1 - 1e-9  # below which an exact square or exponent counts as contracting
 NOTHING = 1e-14  # share of the reference that counts as nothing
 ROOM = 2**24  # numbers that a solution may hold
-POWERS, KRYLOV = 256, 400  # trials that are summed, and steps of GMRES after them, at most
+POWERS, WORK = (256, 4096), 2**28  # trials that are summed, and their number times n^3
+KRYLOV = 400  # steps of GMRES after them, at most
 SOLVED = 1e-8  # relative residual up to which a stationary variance counts as found
 BLOCKS, LENGTHS = 32, (1, 4, 16, 64)  # drawn products, and their numbers of trials
 SURE = 1e-6  # chance with which the interval of an exponent may be wrong
@@ -225,6 +230,7 @@ def _judged(
     if not np.all(at):
         parts, A = parts.within(np.eye(len(A))[:, at]), A[np.ix_(at, at)]
     whole = _Pattern.of(A, parts, moments, n_y)
+    drifts = len(parts.t) == 1 and _drifts(A, parts, moments, n_y)
     moves = np.concatenate([A - np.eye(len(A)), parts.L * kept, parts.B], axis=1)
     V = _range_of(moves)
     run = run._replace(parts=parts if V is None else parts.within(V))
@@ -241,7 +247,7 @@ def _judged(
         rms, clear = run.course(max(trials, LOOKED_AT if len(parts.t) > 1 else 1))
         rms, worst, at_once, factor, growth = rms[:trials], 0.0, True, 0.0, 1.0
         if not moments.certain:
-            worst, (at_once, factor, growth) = run.worst_norm(kept, held), run.decay()
+            worst, (at_once, factor, growth) = run.worst_norm(kept, held), run.decay(whole.square)
         left, most, calm = run.left() if factor < 1 else (np.inf, np.inf, True)
 
     def found(sense, claim, said):
@@ -259,6 +265,12 @@ def _judged(
         )
     if whole.exponent > -np.log(ALONE) and len(parts.t) == 1:  # no limit would hold it
         said = f"a run grows by {np.exp(whole.exponent):.4g} in a trial, in the long run"
+        return found(ALMOST, -1, said)
+    if drifts:
+        said = (
+            "of some inputs what is learned grows with the number of trials, since the errors that "
+            "correct them do not depend on them; and so does an error after these"
+        )
         return found(ALMOST, -1, said)
     exponent = drawn()
     if exponent < np.log(ALONE):
@@ -325,54 +337,67 @@ class _Run(NamedTuple):
         far = of_output * np.sqrt(np.sum((parts.start - w) ** 2) + spread)
         return float(left), left + far * factor ** (np.arange(trials) / 2)
 
-    def decay(self) -> tuple[bool, float, float]:
+    def decay(self, square: float) -> tuple[bool, float, float]:
         """Whether T contracts at once, its factor in a trial, and the growth before.
 
             E|w_k - w'_k|^2 <= growth factor^k |w_0 - w'_0|^2
 
-        Where T* does not contract I, Z - T*(Z) = I is solved; then T* lets Z shrink, and the factor
-        is infinite where no positive Z was found.
+        Where T* does not contract I, some Z > 0 is looked for that shrinks: a sum of its powers, or
+        the solution of Z - T*(Z) = I. Where none is found the factor is infinite, unless T is known
+        to have a spectral radius `square` below 1 and its powers are seen to fall: then the factor
+        is that radius, and the growth is the largest trace of them.
         """
         n, eps, norm = len(self.parts.M), np.finfo(float).eps, self.factor()
         if norm < 1 or not np.isfinite(norm):
             return norm < 1, norm, 1.0
-        doubt = ROUNDING * eps * n * norm
-        Z, _ = self._solved(self.squares_back, np.eye(n), n / doubt)
+        doubt, known = ROUNDING * eps * n * norm, square < ALONE
+        Z, last, most = self._powers(self.squares_back, np.eye(n), 1 / eps if known else n / doubt)
+        if last > 1 and np.isfinite(last):
+            Z, _ = self._rest(self.squares_back, np.eye(n), Z)
         shrinks = Z - self.squares_back(Z)
-        if not np.all(np.isfinite(shrinks)):
-            return False, np.inf, np.inf
-        sizes, falls = scipy.linalg.eigvalsh(Z), scipy.linalg.eigvalsh(shrinks)[0]
-        falls -= doubt * sizes[-1]
-        if sizes[0] <= 0 or falls <= 0:
-            return False, np.inf, np.inf
-        return False, float(1 - falls / sizes[-1]), float(sizes[-1] / sizes[0])
+        if np.all(np.isfinite(shrinks)):
+            sizes, falls = scipy.linalg.eigvalsh(Z), scipy.linalg.eigvalsh(shrinks)[0]
+            falls -= doubt * sizes[-1]
+            if sizes[0] > 0 and falls > 0:
+                return False, float(1 - falls / sizes[-1]), float(sizes[-1] / sizes[0])
+        return (False, square, most) if known and last < 1 else (False, np.inf, np.inf)
 
-    def _solved(self, squares, C, most=np.inf) -> tuple[np.ndarray, float]:
-        """X of X - squares(X) = C, and the share of C that is missing; C is positive.
+    def _powers(self, squares, C, most: float) -> tuple[np.ndarray, float, float]:
+        """The sum of the powers of `squares` on C, the trace of the last, and the largest trace.
 
-        X is the sum of the powers of `squares` on C. Where these are not small in time, the rest is
-        solved for, unless they grow or the trace of one, which that of X exceeds, is above `most`.
+        It ends where a trace is small. Of powers that do not fall, or whose trace, which that of
+        the sum exceeds, is above `most`, the last is told as infinite.
         """
-        n, X, power, size = len(C), C, C, np.trace(C)
-        for _ in range(POWERS):
-            power, before = squares(power), size
-            size = np.trace(power)
-            if not size < most:
-                return X, np.inf
+        n, X, power, sizes = len(C), C, C, [np.trace(C)]
+        for _ in range(int(np.clip(WORK / n**3, *POWERS))):
+            power = squares(power)
+            sizes.append(np.trace(power))
+            if not sizes[-1] < most:
+                return X, np.inf, np.inf
             X = X + power
-            if size < SOLVED / 10 * np.trace(C):
+            if sizes[-1] < SOLVED / 10 * sizes[0]:
                 break
-        else:
-            if size > before:
-                return X, np.inf
-            held = scipy.sparse.linalg.LinearOperator(
-                (n * n, n * n), lambda x: x - squares(x.reshape(n, n)).ravel()
-            )
-            turns = int(np.clip(ROOM / n**2, 20, KRYLOV))
-            how = {"rtol": SOLVED / 10, "restart": turns, "maxiter": KRYLOV // turns}
-            X = scipy.sparse.linalg.gmres(held, C.ravel(), X.ravel(), **how)[0].reshape(n, n)
-        missing = np.linalg.norm(X - squares(X) - C) / np.linalg.norm(C)
-        return (X + X.T) / 2, float(missing)
+        falls = sizes[-1] <= sizes[-2]
+        return X, float(sizes[-1]) if falls else np.inf, float(max(sizes))
+
+    def _rest(self, squares, C, X) -> tuple[np.ndarray, float]:
+        """X of X - squares(X) = C from one that is near, and the share of C that is missing."""
+        n = len(C)
+        held = scipy.sparse.linalg.LinearOperator(
+            (n * n, n * n), lambda x: x - squares(x.reshape(n, n)).ravel()
+        )
+        turns = int(np.clip(ROOM / n**2, 20, KRYLOV))
+        how = {"rtol": SOLVED / 10, "restart": turns, "maxiter": KRYLOV // turns}
+        X = scipy.sparse.linalg.gmres(held, C.ravel(), X.ravel(), **how)[0].reshape(n, n)
+        X = (X + X.T) / 2
+        return X, float(np.linalg.norm(X - squares(X) - C) / np.linalg.norm(C))
+
+    def _solved(self, C) -> tuple[np.ndarray, float]:
+        """X of X - T(X) = C, and the share of C that is missing; C is positive."""
+        X, last, _ = self._powers(self.squares, C, np.inf)
+        if last < SOLVED / 10 * np.trace(C):
+            return X, last / np.trace(C)
+        return self._rest(self.squares, C, X) if np.isfinite(last) else (X, np.inf)
 
     def course(self, trials: int) -> tuple[np.ndarray, bool]:
         """(J,) root mean square error of each trial, and whether no limit is met in them."""
@@ -400,7 +425,7 @@ class _Run(NamedTuple):
         of_record = np.linalg.norm(self.parts.L) * np.linalg.norm(self.parts.r)
         X, missing = 0 * M, 0.0
         if np.linalg.norm(C) > (NOTHING * of_record) ** 2:
-            X, missing = _summed(M, C) if self.moments.certain else self._solved(self.squares, C)
+            X, missing = _summed(M, C) if self.moments.certain else self._solved(C)
         if missing > SOLVED or np.diag(X).min(initial=0.0) < -SOLVED * np.diag(X).max(initial=0.0):
             return np.nan, np.nan, len(self.parts.t) == 1  # no limit but the one always there
         left = self._error(w, X)
@@ -481,6 +506,21 @@ class _Pattern(NamedTuple):
         square = float(np.max((1 - shown) * still**2 + shown * moved**2, initial=0.0))
         exponent = float(np.max(_log(still, 1 - shown) + _log(moved, shown), initial=-np.inf))
         return cls(square, exponent)
+
+
+def _drifts(A, parts: Parts, moments: RecordMoments, n_y: int) -> bool:
+    """Whether surely an error grows with the number of trials, as a random walk that is pushed.
+
+    Some inputs stay as they are but for errors that no input moves. In each trial the same
+    distribution is added to them, with the mean c, so by the law of large numbers w_j / j comes
+    to c there; and an output that these alone act on follows.
+    """
+    shows = np.kron(moments.kept[:, None] * moments.held != 0, np.eye(n_y)) @ (parts.Y != 0)
+    moved = np.any((parts.L != 0) @ shows, axis=1)
+    alone = ~moved & np.all(np.equal(A, np.eye(len(A))), axis=1)
+    seen = np.all(parts.Y[:, ~alone] == 0, axis=1) & (np.repeat(moments.counted, n_y) > 0)
+    least = SOLVED * np.linalg.norm(parts.Y) * np.linalg.norm(parts.L) * np.linalg.norm(parts.r)
+    return bool(np.any(np.abs(parts.Y[:, alone] @ parts.c[alone])[seen] > least))
 
 
 def _summed(M, C) -> tuple[np.ndarray, float]:

@@ -133,10 +133,9 @@ def _chance_to_last(shortest: float, N: int) -> np.ndarray:
 
     The last sample is the whole part of N (shortest + (1 - shortest) x), x uniform in [0, 1).
     """
-    k = np.arange(N + 1)
     if shortest >= 1:
         return np.ones(N + 1)
-    return 1 - np.clip((k - N * shortest) / (N * (1 - shortest)), 0.0, 1.0)
+    return 1 - np.clip((np.arange(N + 1) / N - shortest) / (1 - shortest), 0.0, 1.0)
 
 
 def _of_delays(delayed: float, most: int, rows: int) -> tuple[np.ndarray, Any]:

@@ -31,6 +31,7 @@ DT, N = 1e-3, 40
 TASK = Task(np.sin(np.linspace(0, 2 * np.pi, N + 1)), DT)
 AT_ONCE = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)  # y[k+1] = u[k]
 LAGS = StateSpace([[0.5]], [[0.5]], [[1.0]], dt=DT)
+WAITS = StateSpace([[0.5, 0.0], [1.0, 0.0]], [[0.5], [0.0]], [[0.0, 1.0]], dt=DT)  # a sample more
 EVERYTHING = {"shortest": 0.4, "dropped": 0.2, "late": 2, "delayed": 0.4, "delay": 2}
 
 
@@ -134,13 +135,15 @@ def test_the_mean_square_error_of_each_trial_is_that_over_all_that_can_be_drawn(
         (AT_ONCE, 0.7, {"dropped": 0.2}, MONOTONE, "in mean square"),
         (AT_ONCE, 0.7, {"shortest": 0.5}, MONOTONE, "in mean square"),
         (AT_ONCE, 0.7, {"scatter": 0.1}, MONOTONE, "for every draw"),
-        (LAGS, 1.0, {"late": 3}, NOTHING, "in the mean"),
+        (WAITS, 2.0, {"dropped": 0.2}, DIVERGES, "almost surely"),
+        (LAGS, 1.0, {"late": 3}, CONVERGES, "in mean square"),
         (LAGS, 2.0, {"late": 3}, NOTHING, "in the mean"),
         (LAGS, 2.5, {"late": 3}, NOTHING, "in the mean"),
         (LAGS, 3.5, {"late": 3}, NOTHING, "in the mean"),
         (LAGS, 1.0, {"delayed": 0.4, "delay": 3}, MONOTONE, "in mean square"),
         (LAGS, 2.0, {"delayed": 0.4, "delay": 3}, CONVERGES, "in mean square"),
-        (LAGS, 3.0, {"delayed": 0.4, "delay": 3}, NOTHING, "in the mean"),
+        (LAGS, 3.0, {"delayed": 0.4, "delay": 3}, CONVERGES, "in mean square"),
+        (LAGS, 3.5, {"delayed": 0.4, "delay": 3}, NOTHING, "in the mean"),
     ],
 )
 def test_claims_are_those_of_single_runs(plant, gain, how, claim, sense):
@@ -164,6 +167,32 @@ def test_claims_are_those_of_single_runs(plant, gain, how, claim, sense):
             predicted=0 * found.predicted,
         )
         assert len(said.broken_promises()) == 1
+
+
+def test_an_error_that_falls_for_100_trials_and_is_pushed_by_chance_is_claimed_to_diverge():
+    """NumPy runs 30,000 trials of u[0], whose error no input moves, and of what it pushes."""
+    machine, gain, dropped = Machine(WAITS, variation=Variation(dropped=0.2)), 0.05, 0.2
+    found = certify(machine, PIDType(gamma_p=gain), TASK, 100, {}, {})
+    assert (found.claim[0], found.sense[0]) == (DIVERGES, "almost surely")
+    assert "do not depend on them" in found.reason[0]
+    assert np.all(found.runs[0, :, -1] < 0.1 * found.runs[0, :, 0])
+    rng, r = np.random.default_rng(4), np.asarray(TASK.reference)[:, 0]
+    u = gain * r[1] * np.sum(rng.random(30_000) >= dropped)
+    assert abs(r[2] - 0.5 * u) > 100 * found.runs[0, :, 0].max()
+    at_zero = Task(np.where(np.arange(N + 1) == 1, 0.0, r), DT)
+    found = certify(machine, PIDType(gamma_p=gain), at_zero, 3, {}, {})
+    assert found.claim[0] != DIVERGES  # then nothing pushes u[0]
+
+
+def test_where_the_mean_of_all_runs_diverges_their_mean_square_does():
+    """Of two axes that act on each other more than on themselves one direction has a wrong sign."""
+    plant = StateSpace(np.zeros((2, 2)), np.array([[1.0, 2.0], [2.0, 1.0]]), np.eye(2), dt=DT)
+    task = Task(np.repeat(np.asarray(TASK.reference), 2, axis=1) * [1.0, 0.5], DT, inputs=2)
+    machine = Machine(plant, variation=Variation(dropped=0.2))
+    found = certify(machine, PIDType(gamma_p=0.1), task, 200, {}, {})
+    assert (found.claim[0], found.sense[0]) == (DIVERGES, "in mean square")
+    assert not len(found.broken_promises())
+    assert np.all(found.runs[0, :, -1] > 1e3 * found.runs[0, :, 0])
 
 
 def test_what_is_left_by_noise_is_the_variance_of_its_recursion():
