@@ -86,6 +86,7 @@ def run(
     numbers = run_numbers(chosen, dataset)
     by_axis = axes_table(numbers)
     changed = request.params or not settings_of(request.set).keys() <= chosen.options.keys()
+    choices = [f"chosen: {text}" for text in chosen.chosen]
     return Outcome(
         command="run",
         numbers=numbers,
@@ -102,9 +103,9 @@ def run(
             *experiment_lines(chosen),
             *other_rows(chosen, numbers),
             *_published_lines(chosen, numbers, changed=bool(changed)),
-            *([OPEN.format(places=len(chosen.chosen))] if chosen.chosen else []),
+            *(choices if request.of_file or not choices else [OPEN.format(places=len(choices))]),
         ],
-        details=[f"chosen: {text}" for text in chosen.chosen],
+        details=[] if request.of_file else choices,
         figures=_figures(chosen, dataset),
         files={"dataset.zarr": partial(_store, dataset, made_with)},
         live=partial(_live, chosen, dataset),
