@@ -49,6 +49,7 @@ bench: $(VENV)/.ready  ## our speed beside NumPy, Numba, C and others; OPTIONS=-
 
 docs: $(VENV)/.ready  ## guide, tutorials, gallery and API as a site, to out/docs (15 minutes)
 	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py out/docs
+	JAXILC_ALL=1 $(BIN)/python -m pytest -n 2 tests/test_examples.py
 
 wheel: $(VENV)/.ready  ## a wheel, to dist
 	$(BIN)/python -m build --no-isolation --wheel

@@ -15,6 +15,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from turns import due
 from typer.main import get_command
 
 from jaxilc import run_schemes
@@ -57,10 +58,9 @@ def blocks_of(page: Path) -> list[tuple[str, str]]:
     return BLOCK.findall(page.read_text(encoding="utf-8"))
 
 
-def pages_with(*languages: str) -> list:
+def pages_with(language: str) -> list[Path]:
     """Return the pages that have blocks of a language."""
-    having = [p for p in PAGES if {language for language, _ in blocks_of(p)} & {*languages}]
-    return [pytest.param(page, id=page.stem) for page in having]
+    return [page for page in PAGES if language in {of for of, _ in blocks_of(page)}]
 
 
 def parts_of(text: str) -> list[tuple[str, str]]:
@@ -76,7 +76,7 @@ def printed_by(call) -> str:
     return text.getvalue()
 
 
-@pytest.mark.parametrize("page", pages_with("python"))
+@pytest.mark.parametrize("page", due(pages_with("python"), 2), ids=lambda page: page.stem)
 def test_python_prints_what_the_page_says(page, compiled_once, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     known: dict = {}
@@ -156,7 +156,8 @@ def test_commands_print_what_the_pages_say(run_command, compiled_once, tmp_path)
     assert left_out == set(NOT_RUN), "an entry that no page has"
 
 
-@pytest.mark.parametrize("page", pages_with("toml")[1:])  # the start page's is run as a command
+# the start page's is run as a command
+@pytest.mark.parametrize("page", due(pages_with("toml")[1:], 1), ids=lambda page: page.stem)
 def test_tables_of_a_page_learn(page, tmp_path):
     """A block that is no file by itself is a part of the file of the page, or of the start page's.
 

@@ -1,21 +1,16 @@
-"""Each notebook is executed as a notebook; a long one where its source has changed.
+"""Notebooks are executed as notebooks: those that changed lately, and two others in turn.
 
 There is no display and no network, no file is left behind, and every figure is shown.
 """
 
-import hashlib
 import os
 import re
-import tomllib
 from pathlib import Path
 
 import pytest
+from turns import due
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.py"))
-QUICK = ("01", "06", "07")  # each takes about 10 s on an idle core
-LONG = ("04", "05", "10", "12")
-# `make docs` executes all notebooks, and writes the digests of their sources to this file.
-EXECUTED = tomllib.loads(Path(__file__).with_name("notebooks.toml").read_text(encoding="utf-8"))
 LEARNS = re.compile(r"^\w.*\b(learn|run_schemes|certify|reproduce|compare)\(", re.MULTILINE)
 LIMIT = 600  # [s] for a cell; far more than a cell takes, for machines that are busy
 CELL = re.compile(r"^# %%(?: \[markdown\])?$")
@@ -75,20 +70,8 @@ def test_a_section_that_learns_asserts_what_came_out(path):
         assert re.search(r"^ *(assert|np\.testing)", section, re.MULTILINE), title
 
 
-def is_due(path):
-    """Return whether a notebook is executed here, as `make docs` has not executed this source."""
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return path.name[:2] not in LONG or EXECUTED.get(path.stem) != digest
-
-
-@pytest.mark.parametrize(
-    "path",
-    [
-        pytest.param(p, marks=[] if p.name[:2] in QUICK else pytest.mark.slow)
-        for p in filter(is_due, NOTEBOOKS)
-    ],
-    ids=lambda path: path.stem,
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("path", due(NOTEBOOKS, 2), ids=lambda path: path.stem)
 def test_runs_as_a_notebook(path, tmp_path):
     jupytext, nbclient, nbformat, _ = (
         pytest.importorskip(name, reason=f"needs {name}: pip install 'jaxilc[notebooks]'")

@@ -6,7 +6,6 @@ notebooks are not executed. A warning of Sphinx, a broken link, and a page
 that loads something from elsewhere are errors.
 """
 
-import hashlib
 import os
 import shutil
 import sys
@@ -25,13 +24,9 @@ HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 
 
 def notebooks_in(folder: Path, *, execute: bool) -> list[str]:
-    """Write the notebooks as .ipynb, executed if asked for; return the names of their pages.
-
-    The digests of the sources that were executed go to `tests/notebooks.toml`: the tests execute a
-    long notebook only where its source has another one.
-    """
+    """Write the notebooks as .ipynb, executed if asked for; return the names of their pages."""
     (folder / "tutorials").mkdir(parents=True)
-    names, digests = [], ""
+    names = []
     for path in sorted((ROOT / "notebooks").glob("*.py")):
         notebook = jupytext.read(path)
         notebook.metadata.setdefault(
@@ -42,11 +37,8 @@ def notebooks_in(folder: Path, *, execute: bool) -> list[str]:
             with tempfile.TemporaryDirectory() as here:
                 about = {"metadata": {"path": here}}
                 nbclient.NotebookClient(notebook, timeout=600, resources=about).execute()
-            digests += f'{path.stem} = "{hashlib.sha256(path.read_bytes()).hexdigest()}"\n'
         jupytext.write(notebook, folder / "tutorials" / f"{path.stem}.ipynb")
         names.append(f"tutorials/{path.stem}")
-    if execute:
-        (ROOT / "tests/notebooks.toml").write_text(digests, encoding="utf-8")
     return names
 
 
