@@ -26,6 +26,7 @@ from typer.testing import CliRunner
 import jaxilc
 from jaxilc.cli import app, console, durations, main, progress
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
+from jaxilc.outcomes import running
 from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
 from jaxilc.scenarios.from_file import read_scenario
@@ -223,15 +224,15 @@ def test_a_grid_is_told_at_its_best_point(jaxilc_command, tmp_path):
 def test_bounds_over_a_grid_have_a_map(jaxilc_command, tmp_path):
     lam = ("--grid", "cfdl-mfailc.lam=0.5,2", "--grid", "cfdl-mfailc.mu=1,3")
     sweep = ("sweep", "cao-2019", "--scheme", "cfdl-mfailc", "--set", "frequency=50", *lam)
-    sweep = (*sweep, "--grid", "trials=2,3", "--machines", 2, "--bounds")
+    sweep = (*sweep, "--trials", 3, "--machines", 2, "--bounds")
     code, out, _ = jaxilc_command(*sweep, "--json", "b.json")
     assert code == 0
     assert "cfdl-mfailc at all points: the bound of Cao 2019" in " ".join(out.split())
     numbers = json.loads((tmp_path / "b.json").read_text())
     one, whole = (of["bounds"]["cfdl-mfailc"] for of in (numbers, numbers["grid"]))
     assert one["premises"]["lam > b^2 / 4"] == {"held": 2, "share_broken": 0.0}
-    assert whole["premises"]["lam > b^2 / 4"] == {"held": 16, "share_broken": 0.0}
-    assert whole["bound"] == {"holds": 0, "fails": 0, "not claimed": 16}
+    assert whole["premises"]["lam > b^2 / 4"] == {"held": 8, "share_broken": 0.0}
+    assert whole["bound"] == {"holds": 0, "fails": 0, "not claimed": 8}
     assert all(of["share_broken"] <= 1 for of in whole["premises"].values())
     folder = tmp_path / "out/sweep-cao-2019"
     assert (folder / "contraction.png").exists()
@@ -426,9 +427,7 @@ def command(store, *more):
     # a shell lets what it starts in the background, such as these tests, ignore interrupts
     heeds = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     program = f"{heeds}; from jaxilc.cli import main; main()"
-    schemes = [
-        part for name in ("pid", "cfdl-mfailc", "pfdl-mfailc") for part in ("--scheme", name)
-    ]
+    schemes = [part for name in ("pid", "cfdl-mfailc") for part in ("--scheme", name)]
     return [
         sys.executable,
         "-c",
@@ -605,8 +604,9 @@ def test_a_run_leaves_a_report(tmp_path):
     assert text.index("<h2>Conclusion</h2>") < text.index("<h2>What was asked</h2>")
 
 
-def test_runs_of_different_settings_are_not_mixed(jaxilc_command, tmp_path):
+def test_runs_of_different_settings_are_not_mixed(jaxilc_command, tmp_path, monkeypatch):
     """The same run is repeated, another one is refused or goes beside it, and may replace it."""
+    monkeypatch.setattr(running, "_figures", lambda *_: {})  # figures have their own tests
     (tmp_path / "mine.toml").write_text(PLANT + LEARNER)
     run = ("--quiet", "run", "mine.toml", "--trials")
     for trials, more, code in ((2, (), 0), (2, (), 0), (3, (), 2), (3, ("--replace",), 0)):
@@ -653,19 +653,6 @@ def test_the_example_of_a_command_is_one_of_it(command, words):
         if "scenario" in context.params and isinstance(context.params["scenario"], str):
             schemes = jaxilc.scenarios.load(context.params["scenario"]).schemes
             assert set(np.atleast_1d(context.params.get("scheme") or [])) <= set(schemes)
-
-
-@pytest.mark.slow
-def test_the_examples_of_identify_run(jaxilc_command):
-    lag = jaxilc.plants.ProcessModel(
-        gain=2.0, zeros=(-300.0,), poles=(60.0,), frequencies=(30.0,), dampings=(0.4,)
-    )
-    machine = jaxilc.Machine(lag, sensor=jaxilc.Sensor(noise=1e-4))
-    jaxilc.write_record(
-        "record.csv", jaxilc.excite(machine, jaxilc.references.m_sequence(8, hold=8), 1e-3)
-    )
-    ran = [jaxilc_command(*p.values[1])[0] for p in examples() if p.id == "identify"]
-    assert ran == [0]
 
 
 @pytest.mark.parametrize("name", ["", *get_command(app).commands])
@@ -877,8 +864,7 @@ def test_quiet_and_verbose(jaxilc_command, tmp_path):
     assert code == 0
     assert "written: " in out
     told = json.loads((tmp_path / "run.json").read_text())
-    assert out.startswith(told["verdict"][0])
-    assert out.splitlines()[-1] == f"Next, what theory claims: {told['next']}"
+    assert out.splitlines()[-2:] == [*told["verdict"], f"Next, what theory claims: {told['next']}"]
     assert told["next"] == "jaxilc certify mine.toml --trials 2"
     assert "devices: " in err
     assert re.search(r"\d s, of them .* for \d+ programs", err)

@@ -365,22 +365,7 @@ def test_a_sweep_draws_what_differs():
     assert len(np.unique(np.asarray(dataset["rms"])[0, :, -1])) == 4
 
 
-LAWS = [
-    "cfdl_book",
-    "p_type_butterworth",
-    "p_type_ladder",
-    "norm_optimal",
-    "gradient",
-    "model_free",
-    "constrained",
-    "estimated_disturbance",
-    "two_step",
-    "milc",
-    "on_basis",
-    "at_samples",
-    "cross_coupled",
-    "ilc_asmc",
-]
+LAWS = ["cfdl_book", "norm_optimal", "model_free", "constrained", "milc", "at_samples", "ilc_asmc"]
 
 
 @pytest.mark.slow

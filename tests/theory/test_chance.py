@@ -315,7 +315,7 @@ def test_beside_a_claim_on_trials_after_a_drift_stand_runs_after_it():
     assert not len(found.broken_promises())
 
 
-@pytest.mark.parametrize("how", [{"dropped": 0.3}, {"late": 1}, {}], ids=["lost", "late", "noise"])
+@pytest.mark.parametrize("how", [{"dropped": 0.3}, {}], ids=["lost", "noise"])
 def test_two_axes_that_are_alike_leave_what_one_does(how):
     """The mean square over both outputs is that of one; each of two errors is averaged with it."""
     found = []
@@ -334,7 +334,7 @@ def test_two_axes_that_are_alike_leave_what_one_does(how):
     )  # Gaussian, and of twice as many samples
 
 
-@pytest.mark.parametrize("how", [{"dropped": 0.3}, {"shortest": 0.5}, {"delayed": 0.2}])
+@pytest.mark.parametrize("how", [{"dropped": 0.3}, {"delayed": 0.2}])
 def test_of_many_inputs_the_errors_are_bounded_in_norm(how, monkeypatch):
     """The bounds are above what is exact for few inputs, and not so far that they say nothing."""
     machine = Machine(
