@@ -83,6 +83,7 @@ OF_CAMPAIGN = {
     "short_trial": (bool, "the trial may have ended early: learn from its part"),
     "predict": (bool, "whether errors of trials are predicted by the plant file, from now on"),
     "reference": (str, "column of the reference, which need not be there"),
+    "columns": (str, "names of the columns of a file without a header: sample,u [V],y [mm]"),
     "number": (str, "numbers of a C header: double or float"),
 }
 
@@ -132,6 +133,9 @@ def next_(
     settings, of = _of_campaign(settings_of(set_ or ()))
     names = {"t": time_name, "u": input_name, "y": output_name, "r": of.get("reference", "r")}
     columns = {OPTIONS[signal]: name for signal, name in names.items() if name != signal}
+    headings = [name.strip() for name in of.get("columns", "").split(",") if name.strip()]
+    if headings:
+        columns["--set campaign.columns"] = of["columns"]
     new = _starts(state, measured, undo, out_file, of.get("number", "double"), dry_run)
     given = Given(
         scenario=scenario,
@@ -162,7 +166,7 @@ def next_(
     turn, prediction = None, None
     if measured is not None:
         record = (read_short if of.get("short_trial") else read_measured)(
-            measured, now.task, now.recordable(), names
+            measured, now.task, now.recordable(), names, headings
         )
         prediction = _predicted(opened, compute=True, store=not dry_run)
         turn = _turn(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -21,6 +21,7 @@ def read_short(
     task: Task,
     others: Mapping[str, tuple[int, int]] | None = None,
     names: Mapping[str, str] | None = None,
+    columns: Sequence[str] = (),
 ) -> Measured:
     """A measured trial that may have ended early, with `samples` of the input measured.
 
@@ -28,15 +29,15 @@ def read_short(
     the other signals are NaN, until `completed` knows them.
     Raises ValueError as `read_measured`, and for a file of fewer than two samples.
     """
-    last = rows_of_time(path, task, others, names) - 1
+    last = rows_of_time(path, task, others, names, columns) - 1
     if last >= task.N:
-        return read_measured(path, task, others, names)
+        return read_measured(path, task, others, names, columns)
     if last < 1:
         raise ValueError(f"{path} has {last + 1} samples; a trial that ended early needs two")
     short = dataclasses.replace(task, reference=task.reference[: last + 1], settle=None)
     left = task.N - last
     shapes = {name: (rows - left, n) for name, (rows, n) in (others or {}).items()}
-    found = read_measured(path, short, shapes, names)
+    found = read_measured(path, short, shapes, names, columns)
 
     def filled(values):
         return (

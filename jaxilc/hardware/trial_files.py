@@ -4,18 +4,27 @@ A text file of columns has a header that declares units, `t [s], r [mm], y [mm],
 channels are y0, y1, ... Row k belongs to t[k]: y is measured at t[k], then u acts until t[k+1]. So
 the u of the last row is not used and may be empty. A .mat file has variables of the same
 names, with several channels as columns, and a struct `units` with a field for each.
+
+What `identification.read_record` reads is read here too: times in ms, us or ns, decimal commas,
+columns without a header, a count of samples in place of the time, exports of TwinCAT Scope, and
+structures of MATLAB with Time and Data. Where a file declares no unit, the name of the column
+does: `pos_act [mm]`.
 """
 
 from __future__ import annotations
 
 import itertools
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..identification.mat_record import read_mat_signals
+from ..identification.record_files import SAMPLE
+from ..identification.time_column import SECONDS, name_and_unit_of_time, place_of_time
+from ..identification.twincat import is_twincat, read_twincat
 from ..learning.playback import unit_of
 from ..pytree.closest import listed
 from ..pytree.in_short import in_short
@@ -69,6 +78,7 @@ def read_measured(
     task: Task,
     others: Mapping[str, tuple[int, int]] | None = None,
     names: Mapping[str, str] | None = None,
+    columns: Sequence[str] = (),
 ) -> Measured:
     """A measured trial of the task, from a .mat file or a text file of columns.
 
@@ -78,12 +88,14 @@ def read_measured(
     others: shape (rows, channels) of further signals, by name
     names: what the file calls a signal, such as {"y": "position"}; with commas between the names
         of several channels; None: as they are called here
+    columns: names of the columns of a text file without a header; without t among them, each row
+        is a sample, and a column `sample` counts them
     Raises ValueError naming file, place and signal: for a missing column, for a unit that is not
     declared or not the task's, for a value that is not finite, for a gap or an uneven step of the
     time, for another sample time or length (nothing is resampled), and for another reference.
     """
     N, shapes = task.N, _shapes(task, others)
-    found = _read(path, shapes, names or {})
+    found = _read(path, shapes, names or {}, columns, task.dt)
     for name, (values, unit) in found.columns.items():
         _check_unit(path, name, unit, unit_of(name, task))
         short = shapes[name][0] == N
@@ -112,9 +124,11 @@ def rows_of_time(
     task: Task,
     others: Mapping[str, tuple[int, int]] | None = None,
     names: Mapping[str, str] | None = None,
+    columns: Sequence[str] = (),
 ) -> int:
     """The number of rows of a file of a trial, which may have fewer than the task."""
-    return len(_read(path, _shapes(task, others), names or {}).columns["t"][0])
+    found = _read(path, _shapes(task, others), names or {}, columns, task.dt)
+    return len(found.columns["t"][0])
 
 
 def _shapes(task: Task, others: Mapping[str, tuple[int, int]] | None) -> dict[str, Any]:
@@ -129,13 +143,53 @@ def _shapes(task: Task, others: Mapping[str, tuple[int, int]] | None) -> dict[st
     }
 
 
-def _read(path, shapes, names: Mapping[str, str]) -> _File:
-    called = {name: names.get(name, name) for name in shapes}
-    return (_read_mat if Path(path).suffix == ".mat" else _read_text)(path, shapes, called)
+def _read(path, shapes, names: Mapping[str, str], columns: Sequence[str], dt: float) -> _File:
+    """The contents of a file, whose time is in seconds, and whose units may be those of `names`."""
+    called, units = {}, {}
+    for name in shapes:
+        whole = names.get(name, name)
+        bare, unit = name_and_unit(whole)
+        called[name], units[name] = (bare, unit) if unit is not None else (whole, None)
+    if Path(path).suffix == ".mat":
+        found = _read_mat(path, shapes, called, units)
+    elif not columns and is_twincat(path):
+        found = _read_scope(path, shapes, called)
+    else:
+        found = _read_text(path, shapes, called, columns, dt)
+    for name, (values, unit) in found.columns.items():
+        unit = unit or units[name]
+        if name == "t" and (unit is None or unit in SECONDS):  # the step tells a wrong unit
+            values, unit = values * SECONDS[unit or "s"], "s"
+        found.columns[name] = values, unit
+    return found
 
 
-def _read_text(path, shapes, called: Mapping[str, str]) -> _File:
-    header, lines = read_columns(path)
+def _read_scope(path, shapes, called: Mapping[str, str]) -> _File:
+    """The contents of an export of TwinCAT Scope, whose channels share the times of y."""
+    columns: dict[str, tuple[np.ndarray, str | None]] = {}
+    places: list[str] = []
+    for name, (_, channels) in shapes.items():
+        if name == "t":
+            continue
+        spelled = called[name].split(",")
+        if channels > 1 and len(spelled) == 1:
+            spelled = [f"{called[name]}{i}" for i in range(channels)]
+        try:
+            signals = read_twincat(path, [one.strip() for one in spelled])
+        except ValueError as error:
+            if name == "y" or called[name] != name or "has no channel" not in str(error):
+                raise
+            continue
+        rows = min(len(one.values) for one in signals)
+        values = np.stack([one.values[:rows] for one in signals], axis=1)
+        columns[name] = values, signals[0].unit or None
+        if name == "y":
+            columns["t"], places = (signals[0].times[:rows, None], "s"), signals[0].places
+    return _File(columns, places, ())
+
+
+def _read_text(path, shapes, called: Mapping[str, str], given: Sequence[str], dt: float) -> _File:
+    header, lines = read_columns(path, given)
     most = 2 * shapes["t"][0] + 1000
     rows = list(itertools.islice(lines, most + 1))
     if len(rows) > most:
@@ -145,7 +199,21 @@ def _read_text(path, shapes, called: Mapping[str, str]) -> _File:
     headings = [name_and_unit(cell) for cell in header]
     names, units = [name for name, _ in headings], [unit for _, unit in headings]
     columns, used = {}, set()
+    if place_of_time(called["t"], header) is None and (given or SAMPLE in names):
+        counts = np.arange(len(rows))
+        if SAMPLE in names:
+            used.add(names.index(SAMPLE))
+            counts = np.array([numbers_in(row, [names.index(SAMPLE)])[0] for _, row in rows])
+        columns["t"] = dt * counts[:, None].astype(float), "s"
     for name, (_, channels) in shapes.items():
+        if name in columns:
+            continue
+        time = place_of_time(called[name], header) if name == "t" else None
+        if time is not None:
+            values = np.array([numbers_in(row, [time]) for _, row in rows], float).reshape(-1, 1)
+            used.add(time)
+            columns[name] = values, name_and_unit_of_time(header[time])[1]
+            continue
         at = _channels(path, name, channels, names, called[name])
         if at is None:
             continue
@@ -189,15 +257,25 @@ def _channels(path, name: str, channels: int, names: list[str], called: str) -> 
     return None
 
 
-def _read_mat(path, shapes, called: Mapping[str, str]) -> _File:
+def _read_mat(path, shapes, called: Mapping[str, str], declared: Mapping[str, Any]) -> _File:
     needed = 8 * sum(rows * channels for rows, channels in shapes.values())
     contents = read_mat(path, ROOM + 32 * needed)  # the file may hold many other variables
     units = contents.get("units")
+    if units is None and declared["y"] is not None:
+        units = {called[name]: unit for name, unit in declared.items()}
+        units[called["t"]] = declared["t"] or "s"
     if not isinstance(units, dict):
         raise ValueError(f"{path} has no struct 'units'; declare them there: units.y = 'mm'")
-    columns = {}
-    for name, (rows, channels) in shapes.items():
+    columns: dict[str, tuple[np.ndarray, str | None]] = {}
+    for name in sorted(shapes, key=lambda name: name == "t"):  # whose times y may have
+        rows, channels = shapes[name]
         variable = called[name]
+        if isinstance(contents.get(variable), dict) or "." in variable:
+            signal = read_mat_signals(path, called["t"], [variable], None, None)[0]
+            contents[variable] = signal.values[:, None]
+            columns.setdefault("t", (signal.times[:, None], "s"))
+        if name in columns and variable not in contents:
+            continue
         if variable not in contents:
             if name in ("t", "y") or variable != name:
                 raise ValueError(

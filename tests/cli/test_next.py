@@ -252,6 +252,17 @@ def test_of_many_trials_some_are_fitted(copied, monkeypatch):
     assert json.loads((folder / "i.json").read_text())["trials"] == [1, 3, 5]
 
 
+def test_a_file_without_a_header_is_named_in_the_next_command_too(copied):
+    folder, go_on = copied
+    path, rms = measure(folder, 3, 1.02)
+    t, _, y, u = np.genfromtxt(path, delimiter=",", skip_header=1).T
+    np.savetxt(folder / "3.txt", np.column_stack([np.arange(len(t)), u, y]))
+    columns = "campaign.columns=sample,u [V],y [mm]"
+    said, _ = go_on("--measured", folder / "3.txt", "--set", columns)
+    assert f"trial 3: RMS error {rms:.6g} mm" in said
+    assert f"--set '{columns}'" in said.splitlines()[-1]
+
+
 def test_a_trial_that_ended_early_is_learned_from_as_far_as_it_goes(copied):
     folder, go_on = copied
     before = np.genfromtxt(folder / "next.csv", delimiter=",", skip_header=1)[:, 2]

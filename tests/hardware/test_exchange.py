@@ -58,12 +58,102 @@ def test_a_mat_file_is_read_with_its_units(tmp_path):
         assert found.ignored == ("current",)
 
 
+TIMES = 1e3 * DT * K  # [ms]
+Y, U = K**2 / 8 - 3.0, np.append(K[:-1] / 4, 0.0)
+
+
+def commas(values):
+    return [f"{v:.6f}".replace(".", ",") for v in values]
+
+
+def scope(path):
+    """Write an export of TwinCAT Scope with the channels `pos_act` and `set`."""
+    heads = [
+        ("Name", "pos_act", "Name", "set"),
+        ("SampleTime[ms]", f"{1e3 * DT:g}", "SampleTime[ms]", f"{1e3 * DT:g}"),
+        ("Unit", "mm (Length)", "Unit", "(None)"),
+    ]
+    rows = zip(commas(TIMES), commas(Y), commas(TIMES), commas(U), strict=True)
+    lines = [
+        "Name\tscope",
+        "File\tscope.csv",
+        "",
+        *map("\t".join, heads),
+        "",
+        *map("\t".join, rows),
+    ]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def structures(path):
+    signals = {name: {"Time": TIMES / 1e3, "Data": of} for name, of in (("pos", Y), ("set", U))}
+    scipy.io.savemat(path, {"log": signals})
+
+
+OTHER_FORMATS = {
+    "milliseconds.csv": (
+        lambda path: text(path, "t [ms];pos_act [mm];u [V]", TIMES, Y, U),
+        {"y": "pos_act"},
+        (),
+    ),
+    "time.csv": (
+        lambda path: text(path, "time_ms;pos_act;u", TIMES, Y, U),
+        {"y": "pos_act [mm]", "u": "u [V]"},
+        (),
+    ),
+    "comma.csv": (
+        lambda path: path.write_text(
+            "\n".join(
+                [
+                    "t [ms];y [mm];u [V]",
+                    *map(";".join, zip(*map(commas, (TIMES, Y, U)), strict=True)),
+                ]
+            )
+        ),
+        {},
+        (),
+    ),
+    "sample.csv": (lambda path: text(path, "sample;y [mm];u [V]", 7 + K, Y, U), {}, ()),
+    "halsampler.txt": (
+        lambda path: np.savetxt(path, np.column_stack([7 + K, U, Y])),
+        {},
+        ("sample", "u [V]", "y [mm]"),
+    ),
+    "rows.txt": (lambda path: np.savetxt(path, np.column_stack([U, Y])), {}, ("u [V]", "y [mm]")),
+    "scope.csv": (scope, {"y": "pos_act", "u": "set [V]"}, ()),
+    "log.mat": (structures, {"y": "log.pos [mm]", "u": "log.set [V]"}, ()),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_FORMATS)
+def test_what_identify_reads_is_read_of_a_trial_too(tmp_path, name):
+    write, names, columns = OTHER_FORMATS[name]
+    write(tmp_path / name)
+    found = read_measured(tmp_path / name, ONE, names=names, columns=columns)
+    np.testing.assert_allclose(found.y[:, 0], Y, rtol=1e-12)
+    np.testing.assert_allclose(found.u[:, 0], U[:-1], rtol=1e-12)
+
+
+def test_a_lost_sample_and_a_missing_unit_are_seen_in_other_formats_too(tmp_path):
+    np.savetxt(tmp_path / "a.txt", np.column_stack([np.where(K > 9, K + 1, K), U, Y]))
+    with pytest.raises(ValueError, match="a gap of 1 samples"):
+        read_measured(tmp_path / "a.txt", ONE, columns=("sample", "u [V]", "y [mm]"))
+    with pytest.raises(ValueError, match="y declares no unit"):
+        read_measured(tmp_path / "a.txt", ONE, columns=("sample", "u", "y"))
+    scope(tmp_path / "scope.csv")
+    with pytest.raises(ValueError, match="has no channel 'z'; present are pos_act, set"):
+        read_measured(tmp_path / "scope.csv", ONE, names={"y": "z"})
+    with pytest.raises(ValueError, match="u declares no unit"):
+        read_measured(tmp_path / "scope.csv", ONE, names={"y": "pos_act", "u": "set"})
+
+
 @pytest.mark.parametrize(
     ("contents", "message"),
     [
         ({"y": K, "units": {}}, "has no struct 'units'"),
         ({"y": K, "units": {"t": "s"}}, r"y declares no unit; this task needs 'y \[mm\]'"),
-        ({"y": K, "units": {"t": "ms", "y": "mm"}}, "t is in 'ms'; this task needs 's'"),
+        ({"y": K, "units": {"t": "min", "y": "mm"}}, "t is in 'min'; this task needs 's'"),
+        ({"y": K, "units": {"t": "ms", "y": "mm"}}, "is sampled at 1e-06 s but the task at"),
         ({"x": K}, "has no variable 'y'; present are t, x, units"),
         (
             {"y": np.stack([K, K], axis=1)},
