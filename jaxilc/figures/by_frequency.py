@@ -35,9 +35,11 @@ def spectrum(
 ) -> Figure:
     """Amplitude of the error against frequency for chosen trials, with log axes.
 
-    The amplitude is one-sided, under a Hann window, and divided by the window's coherent gain: a
-    sinusoid of whole periods shows its amplitude at its frequency, and noise of standard deviation
-    s has lines of about s (6 / N)^(1/2). Of the lines within a sixtieth of a decade the largest is
+    The amplitude is one-sided and without a window, so that no part of the trial is hidden: half of
+    the squares of all lines is the mean square of the error. A sinusoid of whole periods shows its
+    amplitude at its frequency, and noise of standard deviation s has lines of about 2 s / N^(1/2).
+    An error at an end of the trial, or one that begins and ends differently, has lines at all
+    frequencies. Of the lines within a sixtieth of a decade the largest is
     drawn. The first sample, which no input reaches, and the mean are left out. Outputs other than
     the first are dashed. The axis ends where no line is within six decades of the largest any more.
 
@@ -52,7 +54,7 @@ def spectrum(
         e = scale * signal_of(dataset, "e", scheme, trial)[1:]
         names = outputs_of(dataset, e.shape[1])
         f, power = periodogram(
-            e, 1.0 / (time[1] - time[0]), window="hann", detrend="constant", scaling="spectrum",
+            e, 1.0 / (time[1] - time[0]), window="boxcar", detrend="constant", scaling="spectrum",
             axis=0,
         )  # fmt: skip
         for i, amplitude in enumerate(np.sqrt(2.0 * np.where(power > 0, power, np.nan)[1:]).T):

@@ -43,8 +43,6 @@ OF_A_SCHEME = {
     "tracking": "output, error and input within chosen trials; the right column shows the shaded "
     "part.",
     "spectrum": "the amplitude of the error at each frequency, for chosen trials.",
-    "time_frequency": "when within the trial which frequencies of the error are large; all maps "
-    "have the same colours.",
     "contour": "the path with the motion, whose distance from it is drawn larger, and the contour "
     "error along the path.",
 }
@@ -130,7 +128,7 @@ def _figures(chosen: Scenario, dataset: xr.Dataset) -> dict[str, Figure]:
     last = chosen.trials
     trials = [j for j in shown_trials(chosen) if j in (*CURVES, last)] or [last]
     for name, scheme in chosen.schemes.items():
-        kinds = ["tracking", *(("spectrum", "time_frequency") if scheme.learns else ())]
+        kinds = ["tracking", *(["spectrum"] if scheme.learns else [])]
         if chosen.task.outputs == 2 and "contour_max" in chosen.quantities:
             kinds.append("contour")
         for kind in kinds:

@@ -363,7 +363,7 @@ def test_a_sinusoid_shows_its_amplitude_at_its_frequency(amplitude, hertz):
 def test_lines_of_noise_are_those_that_the_docstring_says():
     """The spectral lines of noise have the mean that the docstring states.
 
-    The mean of their power is 6 s^2 / N. At the lowest frequencies there is less than one line in a
+    The mean of their power is 4 s^2 / N. At the lowest frequencies there is less than one line in a
     sixtieth of a decade, so these lines are drawn one by one.
     """
     noise = np.random.default_rng(1).normal(size=(100, 1001, 1))
@@ -372,8 +372,16 @@ def test_lines_of_noise_are_those_that_the_docstring_says():
     ]
     assert [f for f, _ in lines[0]] == pytest.approx(np.arange(3, 21))
     power = np.mean([line[:, 1] ** 2 for line in lines])
-    # Neighbouring lines share a Hann window, so half as many are independent.
-    assert power == pytest.approx(6 / 1000, rel=6 * np.sqrt(2.0 / (100 * 18)))
+    assert power == pytest.approx(4 / 1000, rel=6 / np.sqrt(100 * 18))
+
+
+def test_an_error_at_the_end_of_the_trial_is_seen_in_its_spectrum():
+    """Half of the squares of the lines is the mean square: nothing of a trial is hidden."""
+    pulse = np.zeros((61, 1))
+    pulse[-3:] = 39.0
+    lines = figures.spectrum(dataset_of([pulse]), "a", (1,)).lines[0].get_ydata()
+    assert len(lines) == 30, "each line is drawn"
+    assert np.sum(lines**2) / 2 == pytest.approx(np.var(pulse[1:]), rel=1e-9)
 
 
 def shown_in(ax):
