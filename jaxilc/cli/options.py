@@ -210,6 +210,9 @@ OutFolder = Annotated[
         callback=folder_to_write,
     ),
 ]
+Details = Annotated[
+    bool, typer.Option("--details", help="Print what the tables are a summary of, too.")
+]
 Replace = Annotated[
     bool, typer.Option("--replace", help="Replace the run of other settings in the folder.")
 ]

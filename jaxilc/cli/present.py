@@ -45,7 +45,7 @@ def tell(
 
 
 def present(outcome: Outcome, pages: Pages, *, details: bool = False) -> None:
-    """Print an outcome, write its files, and end with its verdict.
+    """Print an outcome, write its files, and end with the command to type next.
 
     Where the outcome says that the command failed, it ends with exit code 1.
     """
@@ -74,4 +74,5 @@ def written(paths: list[Path], file: Path | None, numbers: Any) -> None:
         write_json(file, numbers)
         paths = [*paths, file]
     if paths:
-        out.print("written: " + ", ".join(map(str, paths)), highlight=False, soft_wrap=True)
+        for path in paths:
+            out.print(f"written: {path}", highlight=False, soft_wrap=True)

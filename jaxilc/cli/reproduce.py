@@ -8,7 +8,7 @@ import typer
 
 from .completion import scenarios_from
 from .groups import add
-from .options import PAPERS, Written
+from .options import PAPERS, Details, Written
 from .present import tell
 
 
@@ -35,9 +35,7 @@ def reproduce(
             help="Reading of a paper that has several; the one that is taken if none is given.",
         ),
     ] = None,
-    details: Annotated[
-        bool, typer.Option("--details", help="Print every row, and how each was read.")
-    ] = False,
+    details: Details = False,
 ) -> None:
     """Every published number and conclusion beside ours, and how the paper was read.
 

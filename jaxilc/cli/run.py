@@ -8,7 +8,7 @@ import typer
 
 from .completion import scenarios_from
 from .groups import add
-from .options import SIMULATE, MetricName, Pages, Replace, Seed, Simulated, Written
+from .options import SIMULATE, Details, MetricName, Pages, Replace, Seed, Simulated, Written
 from .present import present, tell
 from .start import begin
 
@@ -44,6 +44,7 @@ def run(
     metric: MetricName = None,
     seed: Seed = 0,
     replace: Replace = False,
+    details: Details = False,
 ) -> None:
     """Learn on the nominal machine: errors beside the published ones, figures, dataset.
 
@@ -54,6 +55,7 @@ def run(
         "run",
         what.request(metric=metric),
         written,
+        details=details,
         folder=written.out_dir,
         seed=seed,
         replace=replace,

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from .grown_response import Grown
 
 NOT_WHITE = (
-    "The residual is not white: another structure may fit better, and the intervals are too narrow."
+    "The residual is not white: another structure may fit better. The intervals are widened to "
+    "what its spectrum says."
 )
 WIDENED = (
     "The residual is not white: neighbouring lines err alike, and the intervals are wider for it."

@@ -60,7 +60,7 @@ class Identified(NamedTuple):
         +-1.96 / sqrt(samples); 0.95 is expected of white noise
     white: whether all shares reach 0.8, which white noise misses once in 400 times. If false, the
         structure is too simple, or the noise is coloured, or rounding is the only noise: the
-        plant may still be good, but the intervals are too narrow
+        plant may still be good; the intervals are widened to what its spectrum says
     converged: whether the optimiser met its tolerances; with too many parameters for the record it
         may make ever smaller progress without meeting them
     of_response: whether lines of a frequency response were fitted. Then `samples` counts them,
@@ -122,12 +122,15 @@ def judged(problem: Problem, found: Minimum) -> Identified:
         / freedom
         * inverse_of_normal(J.reshape(-1, len(theta)))
     )
+    whiteness = np.array([_whiteness(residual[:samples, i]) for i in range(problem.plant.n_y)])
+    white = bool(np.all(whiteness >= WHITE))
+    if not white:
+        covariance = widened(covariance, J, residual[:samples] / problem.scale)
     half = scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2) * np.sqrt(np.diag(covariance))
     biases = (
         ["bias"] if problem.plant.n_y == 1 else [f"bias[{i}]" for i in range(problem.plant.n_y)]
     )
     named = zip((*problem.names, *biases), theta, half, strict=True)
-    whiteness = np.array([_whiteness(residual[:samples, i]) for i in range(problem.plant.n_y)])
     modelled = isinstance(problem.plant, ProcessModel)
     poles = poles_of(problem, theta, covariance) if modelled else ()
     return Identified(
@@ -141,7 +144,7 @@ def judged(problem: Problem, found: Minimum) -> Identified:
         validation_fit=_fit(y[samples:], residual[samples:]),
         residual_std=np.sqrt(np.sum(residual[:samples] ** 2, axis=0) * problem.plant.n_y / freedom),
         whiteness=whiteness,
-        white=bool(np.all(whiteness >= WHITE)),
+        white=white,
         converged=found.converged,
     )
 
@@ -162,6 +165,42 @@ def inverse_of_normal(J):
     inverse[undetermined] = inverse[:, undetermined] = 0.0
     inverse[undetermined, undetermined] = np.inf
     return inverse
+
+
+def widened(covariance, J, residual):
+    """The covariance of least squares where the residual is not white, nowhere less than it was.
+
+        (J^T J)^-1 (sum_f S(f) J(f)^* J(f)^T) (J^T J)^-1
+
+    S is the spectrum of an autoregression of the residual (Yule and Walker): slow parts of the
+    sensitivity meet slow noise, of which a record has few independent values.
+
+    covariance: (P, P) for white noise;  J: (n, n_y, P);  residual: (n, n_y)
+    """
+    n, _, P = J.shape
+    inverse = inverse_of_normal(J.reshape(-1, P))
+    known = np.isfinite(np.diag(inverse))
+    inverse = np.where(np.outer(known, known), inverse, 0.0)
+    middle, power = np.zeros((P, P)), 0.0
+    for i in range(residual.shape[1]):
+        e = residual[:, i] - np.mean(residual[:, i])
+        lags = min(LAGS, len(e) // 4)
+        r = np.array([e[lag:] @ e[: len(e) - lag] for lag in range(lags + 1)]) / n
+        if not r[0] > 0:
+            return covariance
+        r[0] *= 1 + 1e-9  # of a residual that an autoregression predicts without an error
+        a = scipy.linalg.solve_toeplitz(r[:-1], r[1:])
+        lines = np.fft.rfftfreq(n)
+        whitening = 1 - np.exp(-2j * np.pi * np.outer(lines, np.arange(1, lags + 1))) @ a
+        S = max(r[0] - a @ r[1:], 0.0) / np.abs(whitening) ** 2
+        J_f = np.fft.rfft(J[:, i], axis=0)
+        twice = np.where((lines == 0) | (lines == 0.5), 1.0, 2.0) / n
+        middle += np.real((J_f.conj().T * (twice * S)) @ J_f)
+        power += r[0] / residual.shape[1]
+    coloured = np.diag(inverse @ middle @ inverse)
+    plain = power * np.diag(inverse)
+    factor = np.sqrt(np.maximum(np.where(known, coloured, 1.0) / np.where(known, plain, 1.0), 1.0))
+    return covariance * np.outer(factor, factor)
 
 
 def _fit(y, residual):

@@ -1,10 +1,11 @@
 from .certifying import certify
 from .designing import design
 from .filtering import filter_, filter_measured
-from .identifying import Reading, identify, identify_campaign
+from .identifying import Reading, identify
 from .learning_laws import learn_law
 from .listing import scenarios, settings
 from .outcome import Outcome
+from .reidentifying import identify_campaign
 from .repeating import potential
 from .reproducing import reproduce
 from .request import Request

@@ -74,10 +74,15 @@ class Case(NamedTuple):
         side = "within" if value <= self.tolerance else "beyond"
         return f"It is {side} the tolerance of {self.size(self.tolerance)}."
 
-    def head(self, best: str) -> str:
-        """The beginning of a sentence on the best scheme."""
+    def head(self, best: str, alike: Sequence[str] = ()) -> str:
+        """The beginning of a sentence on the best scheme.
+
+        alike: further schemes that end as well
+        """
         others = len(self.learns)
         is_best = f" is best of {others} schemes" if others > 1 else ""
+        if alike:
+            return f"{' and '.join((best, *alike))} end alike, best of {others} schemes: {best} in "
         still = "" if self.learns[best] else " (it does not learn)"
         return f"{best}{is_best}{still}: "
 

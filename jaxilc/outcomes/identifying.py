@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .. import figures, identification
-from ..hardware.as_record import record_of
 from ..identification.frequency_response import is_frequency_response
 from ..identification.grown_response import (
     Grown,
@@ -22,12 +21,11 @@ from ..identification.grown_response import (
 from ..identification.orders import not_significant
 from ..identification.record_files import read_record_file
 from ..identification.resampling import RESAMPLED
-from ..identification.sentences import NOT_WHITE, on_lines, sentence
+from ..identification.sentences import on_lines
 from ..identification.sentences import verdict as sentences_on
 from ..identification.twincat import is_twincat
 from ..plants import ProcessModel
-from ..scenarios.campaigns import Given, open_campaign
-from ..scenarios.identified_file import write_plant_file, write_refitted
+from ..scenarios.identified_file import write_plant_file
 from ..theory.on_lines import MeasuredResponse
 from .outcome import Figure, Outcome, Progress, silent
 from .table import Table
@@ -41,11 +39,6 @@ SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a r
 AS_GOOD = 6.0  # of the criterion, by which it may be larger
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
 MOST_ORDERS = 12  # rows of a table of orders
-CLOSED = (
-    "note: a loop was closed in these trials, so that the noise of the output is in the input; the "
-    "intervals hold only if this noise is white"
-)
-ENOUGH = 90.0  # [%] of the output that a fit explains, from which on no other start is tried
 NO_LAW = "No filtered P-type law was found that learns on the fitted plant: the file has no scheme."
 CAPTIONS = {
     "record": "The recorded experiment: what was put in, and what was measured.",
@@ -89,19 +82,19 @@ def identify(
     sound = {"white": bool(found.white), "converged": bool(found.converged), **fitted.structure}
     return Outcome(
         command="identify",
-        numbers=_numbers(found) | sound,
+        numbers=numbers_of(found) | sound,
         verdict=Verdict(tuple(lines), *_next(record, asked, fitted, plant_file, has_law)),
         folder=folder or Path("out") / "identify",
         tables=fitted.tables,
         lines=fitted.lines,
         figures={n: Figure(CAPTIONS[n], draw, live=True) for n, draw in fitted.draw.items()},
         kept=[plant_file] if plant_file is not None else [],
-        live=partial(_live, fitted.measured, found, fitted.dt, fitted.units),
+        live=partial(live_of, fitted.measured, found, fitted.dt, fitted.units),
         asked=fitted.structure,
     )
 
 
-def _numbers(found: Any) -> dict[str, Any]:
+def numbers_of(found: Any) -> dict[str, Any]:
     """The quantities that were identified, with their 95 % intervals."""
     return {
         name: {"value": value, "low": low, "high": high}
@@ -180,7 +173,9 @@ def _is_response(path: Path, names: Sequence[str]) -> bool:
     return is_frequency_response(path)
 
 
-def _live(measured: Any, found: Any, dt: float | None, units: tuple[str, str]) -> list[Live | None]:
+def live_of(
+    measured: Any, found: Any, dt: float | None, units: tuple[str, str]
+) -> list[Live | None]:
     """A record beside its model and the Bode diagram, or a response and the one fitted to it."""
     from ..figures.page import live
 
@@ -321,135 +316,6 @@ def _grown_response(
 
 def _structure(best) -> dict[str, Any]:
     return {"poles": best.poles, "pairs": best.pairs, "zeros": best.zeros}
-
-
-def identify_campaign(
-    state: Path,
-    counts: Mapping[str, int | None],
-    *,
-    delay: int | None = None,
-    auto: bool = False,
-    plant_file: Path | None = None,
-    folder: Path | None = None,
-    progress: Progress = silent,
-) -> Outcome:
-    """A plant from the trials of a campaign, and the campaign's plant file with it.
-
-    state: folder of the campaign
-    counts: numbers of poles, pairs and zeros; without any, those of the campaign's own plant
-    delay: dead time in samples; None: that of the campaign's own plant
-    auto: whether the structure is chosen by a table
-    plant_file: plant file to write
-    folder: for the figure; out/identify if not given
-    """
-    opened = open_campaign(state, Given(), new=False)
-    measured = record_of(opened.campaign, opened.scenario.machine)
-    record, tables = measured.record, []
-    numbers = ", ".join(map(str, measured.trials))
-    source = f"{len(measured.trials)} of {measured.measured} trials of {state}: {numbers}"
-    progress("fitting")
-    if auto:
-        late = _delay_of(opened.scenario.machine.plant, record.dt) if delay is None else delay
-        orders = identification.compare_orders(record, delay=late)
-        best = identification.best_order(orders)
-        found = best.found
-        tables.append(orders_table(orders, best, record.dt))
-    else:
-        found = _fitted(record, opened.scenario.machine.plant, counts, delay)
-    tables.append(identification_table(source, found.summary()))
-    lines = [] if found.white else [NOT_WHITE]
-    lines += map(sentence, identification.not_significant(found))
-    lines += [CLOSED] * measured.closed
-    unit = opened.campaign.task.unit
-    lines.append(
-        f"verdict: the plant of these trials explains {float(min(found.fit)):.4g} % of their "
-        f"output; the residual is {float(max(found.residual_std)):.3g} {unit}".rstrip()
-    )
-    warnings: list[str] = []
-    if plant_file is not None:
-        _write(plant_file, opened, found, source)
-        after, warnings = _after(plant_file, state, opened)
-        lines.append(after)
-    sound = {"white": bool(found.white), "converged": bool(found.converged)}
-    used = {"trials": list(measured.trials), "closed_loop": measured.closed, "verdict": lines}
-    units = opened.campaign.task.input_unit, unit
-    return Outcome(
-        command="identify",
-        numbers=_numbers(found) | sound | used,
-        verdict=Verdict(tuple(lines)),
-        folder=folder or Path("out") / "identify",
-        tables=tables,
-        warnings=warnings,
-        figures={
-            "validation": Figure(
-                CAPTIONS["validation"], partial(figures.validation_figure, record, found), live=True
-            )
-        },
-        kept=[plant_file] if plant_file is not None else [],
-        live=partial(_live, record, found, record.dt, units),
-        asked=counts,
-    )
-
-
-def _delay_of(plant, dt: float) -> int:
-    """The dead time of a plant in whole samples; 0 of a plant that has none."""
-    return round(getattr(plant, "delay", 0.0) / dt)
-
-
-def _fitted(record, plant, counts: Mapping[str, int | None], delay: int | None):
-    """The fit of the structure that was asked for, or else of that of the campaign's plant.
-
-    A ProcessModel is fitted from its own values. Where the result explains little, the campaign's
-    plant is no start, and many others are tried.
-    """
-    structure: dict[str, Any] = {
-        name: 1 if value is None else value for name, value in counts.items()
-    }
-    own = delay is None and all(value is None for value in counts.values())
-    if isinstance(plant, ProcessModel) and own:
-        found = identification.identify(record, plant)
-        if min(found.fit) >= ENOUGH:
-            return found
-        structure = {
-            "poles": len(plant.poles),
-            "pairs": len(plant.frequencies),
-            "zeros": len(plant.zeros),
-        }
-    late = _delay_of(plant, record.dt) if delay is None else delay
-    return identification.identify(record, **structure, delay=late)
-
-
-def _write(path: Path, opened, found, source: str) -> Path:
-    """Write the plant file of the campaign with the fitted plant, or a new one for a scenario."""
-    recipe = opened.recipe
-    own = Path(recipe["scenario"])
-    if "file" not in recipe or own.suffix != ".toml":
-        raise ValueError(
-            f"the campaign belongs to {recipe['scenario']}, which is no plant file in TOML; the "
-            "fitted plant is above, and --out FOLDER takes its figure"
-        )
-    noise = float(max(found.residual_std)) if found.white else None
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return write_refitted(path, own, found, fitted_to=source, noise=noise)
-
-
-def _after(path: Path, state: Path, opened) -> tuple[str, list[str]]:
-    """What to do with the new plant file, and a warning where the campaign cannot go on with it."""
-    file, folder = shlex.quote(str(path)), shlex.quote(str(state))
-    try:
-        open_campaign(state, Given(scenario=str(path)), new=False)
-    except ValueError as error:
-        name = shlex.quote(opened.recipe["scheme"])
-        start = (
-            "next: the scheme of the new file is another one, so start a campaign with it: jaxilc "
-            f"next --state FOLDER --scenario {file} --scheme {name} --out next.csv"
-        )
-        return start, [f"warning: {error}"]
-    on = (
-        f"next: go on with the new file: jaxilc next --state {folder} --scenario {file} "
-        "--measured TRIAL --out next.csv; its uncertainty is what is predicted from then on"
-    )
-    return on, []
 
 
 def identification_table(title: str, rows: Sequence[tuple[str, float, float, float]]) -> Table:

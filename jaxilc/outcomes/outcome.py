@@ -60,7 +60,6 @@ class Outcome:
     tables: tables, with lines between them where they belong to one of them
     details: further ones, which a page shows, and a terminal where they are asked for
     lines: sentences below the tables
-    remarks: what a paper leaves open, and what was chosen
     warnings: sentences on what went wrong, or is not met
     figures: figures by the names of their files
     files: functions that write a further file or store at a place, by its name
@@ -80,7 +79,6 @@ class Outcome:
     tables: Sequence[Table | str] = ()
     details: Sequence[Table | str] = ()
     lines: Sequence[str] = ()
-    remarks: Sequence[str] = ()
     warnings: Sequence[str] = ()
     figures: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
     files: Mapping[str, Callable[[Path], object]] = dataclasses.field(default_factory=dict)
@@ -91,20 +89,17 @@ class Outcome:
     failed: str = ""
 
     def show(self, console: Console, *, details: bool = False) -> None:
-        """Print the tables and the lines; the verdict is printed after the files are written."""
+        """Print what was found in sentences, then the tables and the lines."""
+        for line in self.verdict.said:
+            console.print(line, highlight=False)
         for table in (*self.tables, *(self.details if details else ())):
             console.print(table, highlight=False)
         for line in self.lines:
             console.print(line, highlight=False)
-        for remark in self.remarks:
-            console.print(f"chosen: {remark}", style="dim", highlight=False)
 
     def conclude(self, console: Console) -> None:
-        """Print the verdict; the next command stays one line, so that it can be copied."""
-        said = self.verdict.said
-        for line in said:
-            console.print(line, highlight=False)
-        for line in self.verdict.lines[len(said) :]:
+        """Print the next command, as one line, so that it can be copied."""
+        for line in self.verdict.lines[len(self.verdict.said) :]:
             console.print(line, highlight=False, soft_wrap=True)
 
     def as_json(self) -> Any:
@@ -158,7 +153,7 @@ class Outcome:
         return page
 
     def __repr__(self) -> str:
-        """The tables, lines and verdict as text."""
+        """The verdict, the tables and the lines as text."""
         text = io.StringIO()
         console = Console(file=text, width=WIDTH)
         self.show(console)

@@ -21,7 +21,7 @@ from ..scenarios.reproduction import met
 from ..storage.files import whole_folder
 from ..sweeps import runs
 from . import trends
-from .case import Case, both, diverged
+from .case import Case, diverged
 from .outcome import Figure, Outcome, Progress, silent
 from .request import Request, settings_of
 from .simulated import HEADS, experiment_lines, output_names, shown_trials
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from ..scenarios import Published, Scenario
 
 CURVES = (2, 20)  # trials that are drawn besides the last one
+OPEN = "The paper is silent at {places} places; --details tells what was chosen."
+ALIKE = 0.02  # schemes whose errors differ by no more than this share are told as alike
 OF_CONTOUR = {"max_error": "contour_max", "rms": "contour_rms"}  # metrics of an axis, of a contour
 # What the figures of a scheme show, by the name of the function that draws them.
 OF_A_SCHEME = {
@@ -82,6 +84,7 @@ def run(
     numbers = run_numbers(chosen, dataset)
     by_axis = axes_table(numbers)
     changed = request.params or not settings_of(request.set).keys() <= chosen.options.keys()
+    choices = [f"chosen: {text}" for text in chosen.chosen]
     return Outcome(
         command="run",
         numbers=numbers,
@@ -98,8 +101,9 @@ def run(
             *experiment_lines(chosen),
             *other_rows(chosen, numbers),
             *_published_lines(chosen, numbers, changed=bool(changed)),
+            *(choices if request.of_file or not choices else [OPEN.format(places=len(choices))]),
         ],
-        remarks=chosen.chosen,
+        details=[] if request.of_file else choices,
         figures=_figures(chosen, dataset),
         files={"dataset.zarr": partial(_store, dataset, made_with)},
         live=partial(_live, chosen, dataset),
@@ -425,6 +429,11 @@ def run_verdict(
     trials, errors = numbers["trials"], case.of_learned(errors)
     best = min(errors, key=lambda name: (diverged(errors[name]), errors[name][-1]))
     first, last = errors[best][0], errors[best][-1]
+    alike = [
+        name
+        for name, of in errors.items()
+        if name != best and not diverged(of) and of[-1] <= (1 + ALIKE) * last
+    ]
     course = trend_of(errors[best])
     if course.kind == trends.DIVERGES:
         which = best if len(errors) == 1 else "Every scheme"
@@ -434,11 +443,30 @@ def run_verdict(
         course = _with_rms(course, numbers["schemes"][best])
     begun = f", after {case.size(first)} in trial 1" if trials > 1 else ""
     it = f"; {_subject(course)}" if course.words and case.learns[best] else ""
-    said = f"{case.head(best)}trial {trials} has a {case.metric} of {case.size(last)}{begun}{it}."
+    ends = f"trial {trials} has a {case.metric} of {case.size(last)}{begun}{it}."
+    said = f"{case.head(best, alike)}{ends}"
     passed = case.tolerance is None or last <= case.tolerance
-    return Verdict(
-        both(said, case.beside_tolerance(last)), *_after_run(case, best, course, passed, trials)
-    )
+    sentences = (said, _larger_elsewhere(case, best, numbers), case.beside_tolerance(last))
+    after = _after_run(case, best, course, passed, trials)
+    return Verdict(tuple(one for one in sentences if one), *after)
+
+
+def _larger_elsewhere(case: Case, best: str, numbers: dict[str, Any]) -> str:
+    """A sentence where the best scheme errs more than another one at some sample of the trial.
+
+    Empty where it does not, and where schemes are compared by another metric than a settled or an
+    rms error of all outputs.
+    """
+    trial, rows = str(numbers["trials"]), numbers["schemes"]
+    largest = {name: of["max_error"][trial] for name, of in rows.items() if "max_error" in of}
+    least = min(largest, key=lambda name: largest[name], default=best)
+    if case.metric not in ("settled error", "rms") or largest.get(best, 0) <= (
+        1 + ALIKE
+    ) * largest.get(least, 0):
+        return ""
+    of_whole = (f"{number(largest[name])} {numbers['unit']}".rstrip() for name in (best, least))
+    ours, other = of_whole
+    return f"Over the whole trial it errs by up to {ours}, and {least} by {other}."
 
 
 def _with_rms(course: Trend, row: dict[str, Any]) -> Trend:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ..tuning.objectives import Objective
 
 WHICH = ("given", "tuned")
+WORTHWHILE = 0.05  # a smaller share by which an error falls is told as none
 FEW = 6  # weights that the verdict names
 
 
@@ -97,6 +98,10 @@ def tune(
     progress("comparing", problem.steps, problem.steps)
     dataset = problem.compare(tuned, **judged)
     numbers = tuning_numbers(chosen, scheme, tuned, dataset)
+    for name, of in weights_of(weights).items():
+        for weight, row in numbers["weights"].items():
+            if of is not None and name in (weight, weight.partition("[")[0]):
+                row["range"] = [*map(float, of)]
     result, warnings = tuning_lines(tuned, numbers)
     scale, unit = chosen.shown(chosen.judged_by)
     band = {"metric": chosen.judged_by, "scale": scale, "unit": unit}
@@ -235,7 +240,9 @@ def tuning_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table]:
     weights.add_column("allowed")
     for name, row in numbers["weights"].items():
         cells = (f"{row[which]:.6g}" for which in WHICH)
-        weights.add_row(name, *cells, scenario.allowed(f"{scheme}.{name}"))
+        low, high = row.get("range", (None, None))
+        allowed = scenario.allowed(f"{scheme}.{name}") if low is None else f"{low:g} to {high:g}"
+        weights.add_row(name, *cells, allowed)
     found = [weights]
     for metric, rows in numbers["figures"].items():
         what = f"{metric.replace('_', ' ')} [{rows['unit']}]"
@@ -305,6 +312,11 @@ def tune_verdict(case: Case, numbers: dict[str, Any], params: Path) -> Verdict:
         f"{case.metric} of trial {last} is {median}, the worst {worst}."
     )
     second = []
+    gain = max(1 - tuned[of] / given[of] if given[of] else 0.0 for of in ("median", "worst"))
+    if gain < WORTHWHILE:
+        second.append(
+            f"That is {100 * gain:.2g} % less at best: the weights as given are about as good."
+        )
     if tuned["worst"] > given["worst"]:
         second.append("The worst machine has become worse: --risk worst or cvar tunes for it.")
     elif held["reason"] == "steps" and held["step"] == held["steps"]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -31,6 +31,12 @@ from .starting_law import ORDER, StartingLaw, StartingTask, starting_law, starti
 
 TRIALS = 20
 REPLACED = ("plant", "uncertainty", "grid")
+STALE = (  # beginnings of the comments of a file that `identify` wrote, which hold for its fit only
+    "# Plant fitted by `jaxilc identify`", "# Record: ", "# Response: ", "# Order ", "# Fit ",
+    "# The output at rest was", "# The residual is not white", "# are too narrow.",
+    "# widened to what its", "# The fit did not meet", "# Fitted: [plant]", "# Chosen for ",
+    "# sup |Q (1 - L P)|", "# learning is stable where it is", "# fitted plant.",
+)  # fmt: skip
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _HEADER = re.compile(r"""^\s*\[{1,2}\s*(["']?)([\w-]+)\1\s*(?:\.[^\]]*)?\]{1,2}\s*(?:\#.*)?$""")
 LEAVES = ("gain", "zeros", "poles", "frequencies", "dampings")
@@ -166,8 +172,8 @@ def _heading(found: Identified, facts: Experiment, source: str) -> Iterator[str]
         at_rest = found.parameters["bias"].value
         yield f"# The output at rest was {at_rest:.6g}; the plant starts at 0."
     if not found.white:
-        yield "# The residual is not white: another structure may fit better, and the intervals"
-        yield "# are too narrow."
+        yield "# The residual is not white: another structure may fit better. The intervals are"
+        yield "# widened to what its spectrum says."
     yield from (f"# {sentence}." for sentence in not_significant(found))
     if not found.converged:
         yield "# The fit did not meet its tolerances: the structure may be too large."
@@ -264,7 +270,13 @@ def _text(unit: str) -> str:
 
 
 def write_refitted(
-    path: Path, source: Path, found: Identified, *, fitted_to: str, noise: float | None = None
+    path: Path,
+    source: Path,
+    found: Identified,
+    *,
+    fitted_to: str,
+    noise: float | None = None,
+    notes: Sequence[str] = (),
 ) -> Path:
     """Write the plant file of a campaign with the fitted plant in place of its own.
 
@@ -273,6 +285,7 @@ def write_refitted(
     fitted_to: what the plant was fitted to, for a comment
     noise: standard deviation of the noise of the sensor [unit of y], None to state none; it is left
         out where the file has a table `[machine]` with a sensor or a disturbance
+    notes: sentences on the fit, for comments; those of an earlier fit go
     Intervals of leaves that are not of the plant stay in `[uncertainty]`.
     Raises ValueError for a file that cannot be changed in this way, with the reason.
     """
@@ -284,7 +297,7 @@ def write_refitted(
         )
     wanted = {name: value for name, value in before.items() if name not in REPLACED}
     wanted |= {"plant": _plant_values(found), "uncertainty": _interval_values(found, before)}
-    rest = _without(text, REPLACED)
+    rest = _without_stale(_without(text, REPLACED))
     machine = before.get("machine", {})
     if noise and not {"sensor", "disturbance"} & set(machine):
         wanted["machine"] = {**machine, "sensor": {"noise": float(noise)}}
@@ -294,6 +307,7 @@ def write_refitted(
         "",
         f"[plant]  # fitted to {comment(fitted_to)} by `jaxilc identify`; "
         f"fit {float(np.min(found.fit)):.4g} %",
+        *(f"# {comment(note)}" for note in notes),
         *(f"{key} = {_value(value)}" for key, value in wanted["plant"].items()),
         "",
         "[uncertainty]  # of the plant: the 95 % intervals of the fit",
@@ -343,6 +357,13 @@ def _without(text: str, tables: tuple[str, ...]) -> list[str]:
         if not within:
             kept.append(line)
     return kept
+
+
+def _without_stale(lines: list[str]) -> list[str]:
+    """The lines without the comments in which `identify` told of an earlier fit and its law."""
+    if not any(line.startswith(STALE[0]) for line in lines):
+        return lines
+    return [line for line in lines if not line.startswith(STALE)]
 
 
 def _names_files(value: Any) -> bool:

@@ -136,6 +136,9 @@ def test_another_machine_is_told_and_its_plant_is_found(copied):
     assert numbers["poles[0]"]["low"] < POLE < numbers["poles[0]"]["high"]
     assert numbers["trials"] == [1, 2]
     assert "next: go on with the new file" in out
+    assert numbers["better"]
+    assert numbers["after"] < 0.1 * numbers["before"]
+    assert f"at most {numbers['margin']['after']:.3f} on the new plant" in out
     fitted = load_scenario(new)
     np.testing.assert_allclose(fitted.machine.plant.gain, numbers["gain"]["value"], rtol=1e-12)
     own = load_scenario(folder / "axis.toml")

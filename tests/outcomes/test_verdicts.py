@@ -141,6 +141,17 @@ def test_run_compares_schemes_and_the_tolerance():
     )
     assert found.said[1] == "It is beyond the tolerance of 5 µm."
     assert parsed(found)[1]["scheme"] == ["a"]
+    found = ran(several, pid=[9.0] * 40, a=4 + 0.5**J, b=4.04 + 0.1**J)
+    assert found.said[0].startswith("a and b end alike, best of 3 schemes: a in trial 40 has a rms")
+    largest = {
+        name: {"max_error": {"40": x}} for name, x in (("pid", 12.0), ("a", 30.0), ("b", 40.0))
+    }
+    usual = {"grown_from": 0, "grown_to": 1.0, "best": 1}
+    errors = {"pid": [9.0] * 40, "a": [*(4 + 0.5**J)], "b": [8.0] * 40}
+    rows = {"trials": 40, "unit": "µm", "schemes": {n: usual | of for n, of in largest.items()}}
+    assert run_verdict(several, rows, errors).said[1] == (
+        "Over the whole trial it errs by up to 30 µm, and pid by 12 µm."
+    )
     found = ran(several, a=[np.inf] * 3, b=[1.0, np.inf, 1.0], pid=[np.nan] * 3)
     assert found.said == ("Every scheme diverges within 3 trials.",)
     single = Case(Request("cao-2019", ("pid",)), {"pid": False})
@@ -309,6 +320,11 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     assert options["set_"] == ["plant=printed"], "the file of parameters holds those of the scheme"
     assert "become worse" in tune_verdict(OF_TUNING, tuned(4.0), params).said[1]
     assert "more --steps" in tune_verdict(OF_TUNING, tuned(step=20), params).said[1]
+    hardly = tuned(2.98)
+    hardly["figures"]["settled_error"]["tuned"]["15"]["median"] = 1.19
+    assert tune_verdict(OF_TUNING, hardly, params).said[1] == (
+        "That is 0.83 % less at best: the weights as given are about as good."
+    )
     nothing = tune_verdict(OF_TUNING, tuned(step=0), params)
     assert "No step was better" in nothing.said[0]
     assert parsed(nothing)[1]["params"].name == "old.json"
@@ -337,6 +353,12 @@ def test_a_trade_off_names_one_of_its_points(tmp_path):
         "10 trials are enough for a median settled error within 5 % of the least of 3 budgets: "
         "1.04 µm, in place of 9 µm"
     )
+    budgets["20"]["tuned"]["median"] = 0.78
+    last = budget_verdict(OF_TUNING, "c", numbers, tmp_path).said[0]
+    assert last.startswith(
+        "20 trials, the largest of 3 budgets, still leave 25 % less than the others, so that more "
+        "may leave less: a median settled error of 0.78 µm, in place of 9 µm"
+    )
     name, options = parsed(found)
     assert (name, options["trials"]) == ("run", 10)
     assert options["params"] == tmp_path / "params-10-trials.json"
@@ -344,11 +366,12 @@ def test_a_trade_off_names_one_of_its_points(tmp_path):
 
 def test_worst_case_leads_to_its_machine():
     search = {"value": 7.0, "loss": 1.0, "set": ["machine.plant.poles[0]=7.5"], "numbers": {}}
+    search |= {"needed": 24}
     numbers = {"nominal": 2.0, "trial": 15, "searches": {"gradient": search}}
     found = worst_case_verdict(OF_TUNING._replace(tolerance=5.0), "c", numbers)
     assert found.said == (
         "c: the worst machine has a settled error of 7 µm in trial 15, 3.5 times that of the "
-        "nominal machine; found by gradient.",
+        "nominal machine; found by gradient, in 24 simulations.",
         "It is beyond the tolerance of 5 µm.",
     )
     name, options = parsed(found)
@@ -356,8 +379,16 @@ def test_worst_case_leads_to_its_machine():
     assert options["set_"] == [*ASKED.set, "machine.plant.poles[0]=7.5"]
     numbers["searches"]["gradient"] |= {"value": math.inf, "set": ["x=1"] * 99}
     found = worst_case_verdict(OF_TUNING, "c", numbers)
-    assert found.said == ("c: the worst machine diverges within 15 trials; found by gradient.",)
+    assert found.said == (
+        "c: the worst machine diverges within 15 trials; found by gradient, in 24 simulations.",
+    )
     assert parsed(found)[0] == "certify"
+    sooner = search | {"loss": 0.9999, "value": 6.99, "needed": 5}
+    numbers["searches"] |= {"gradient": search, "chance": sooner}
+    said = worst_case_verdict(OF_TUNING, "c", numbers).said[0]
+    assert said.endswith("found by chance, in 5 simulations."), "as bad a machine, and sooner"
+    numbers["searches"]["chance"] = sooner | {"loss": 0.99}
+    assert "found by gradient" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
 
 
 # reproduce

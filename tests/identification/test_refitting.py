@@ -1,0 +1,73 @@
+"""A plant that is fitted again to slow trials of a machine with a resonance is not made worse."""
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from jaxilc.identification import Record
+from jaxilc.identification.refitting import refit
+from jaxilc.identification.verdict import inverse_of_normal, widened
+from jaxilc.plants import ProcessModel
+from jaxilc.uncertainty import Normal, Uniform
+
+DT, N, TRIALS = 1e-3, 400, 3
+KNOWN = ProcessModel(1.0, [], [60.0], [340.0], [0.05])
+UNCERTAINTY = {
+    "plant.gain": Normal(1.0, 0.05, relative=True),
+    "plant.poles[0]": Uniform(50.0, 70.0),
+    "plant.frequencies[0]": Uniform(320.0, 360.0),
+    "plant.dampings[0]": Uniform(0.03, 0.08),
+}
+
+
+def record_of(gain, pole, friction, seed=0):
+    """Return trials of one slow motion, by SciPy: a lag, a resonance at 54 Hz, and friction."""
+    rng, t = np.random.default_rng(seed), np.arange(N) * DT
+    poles = np.polymul([1 / pole, 1], [1 / 340.0**2, 2 * 0.05 / 340.0, 1])
+    b, a, _ = scipy.signal.cont2discrete(([gain], poles), DT)
+    u, y = [], []
+    for j in range(TRIALS):
+        one = (1 - np.cos(2 * np.pi * 2.5 * t)) * (1 + 0.05 * j)
+        rubbed = one - friction * np.sign(np.gradient(one))
+        out = scipy.signal.lfilter(np.ravel(b), a, np.append(rubbed, rubbed[-1]))
+        u.append(one)
+        y.append(out + 2e-3 * rng.standard_normal(N + 1))
+    return Record(np.concatenate(u), np.concatenate(y), DT, TRIALS)
+
+
+def test_what_slow_trials_do_not_excite_keeps_its_value_and_interval():
+    again = refit(record_of(1.07, 57.0, 0.02), KNOWN, UNCERTAINTY)
+    assert again.better
+    assert again.after < 0.5 * again.before
+    assert "dampings[0]" in again.kept
+    assert again.found.parameters["dampings[0]"] == (0.05, 0.03, 0.08)
+    assert float(again.found.plant.dampings[0]) == 0.05
+    assert 320 < float(again.found.plant.frequencies[0]) < 360
+    assert again.found.parameters["gain"].value == pytest.approx(1.07, rel=0.02)
+
+
+def test_the_known_plant_stays_where_it_predicts_as_well():
+    again = refit(record_of(1.0, 60.0, 0.0, seed=1), KNOWN, UNCERTAINTY)
+    assert not again.better
+
+
+def test_a_pole_that_no_sample_sees_does_not_run_beyond_the_nyquist_frequency():
+    known = ProcessModel(1.0, [], [60.0, 2500.0], [340.0], [0.05])
+    again = refit(record_of(1.07, 57.0, 0.02), known)
+    assert "poles[1]" in again.kept
+    assert np.max(np.abs(np.asarray(again.found.plant.all_poles))) < np.pi / DT
+
+
+def test_intervals_hold_where_the_noise_is_coloured():
+    rng, t = np.random.default_rng(0), np.arange(1000)
+    J = np.stack([np.sin(t / 40), np.exp(-t / 200), np.ones(1000)], axis=1)[:, None]
+    inside, before = np.zeros(3), np.zeros(3)
+    for _ in range(200):
+        e = scipy.signal.lfilter([1], [1, -0.9], rng.standard_normal(1500))[500:]
+        found, *_ = np.linalg.lstsq(J[:, 0], e, rcond=None)
+        residual = (e - J[:, 0] @ found)[:, None]
+        plain = inverse_of_normal(J[:, 0]) * residual.var()
+        for counts, of in ((inside, widened(plain, J, residual)), (before, plain)):
+            counts += np.abs(found) < 1.96 * np.sqrt(np.diag(of))
+    assert np.all(before < 0.5 * 200)
+    assert np.all(inside > 0.85 * 200)
