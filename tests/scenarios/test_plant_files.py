@@ -361,7 +361,7 @@ def pid(**fields):
     [
         (
             {"plants": PLANT},
-            "axis.json: plants is not a key here; did you mean plant. 14 names are known",
+            "axis.json: plants is not a key here; did you mean plant. 15 names are known",
         ),
         ({"plant": None}, "axis.json: plant is missing; present are task, schemes"),
         (
