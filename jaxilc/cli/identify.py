@@ -77,13 +77,18 @@ def identify(
     ] = None,
     dt: Annotated[
         float | None,
-        typer.Option(help="Sample time in s, of a file without times or of a response's hold."),
+        typer.Option(
+            help="Sample time in s: of a file without times, of a response's hold; new for others."
+        ),
     ] = None,
-    resample: Annotated[
-        float | None, typer.Option(metavar="DT", help="New sample time in s, for uneven times.")
+    validate: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A second record, of the same columns, which judges."),
     ] = None,
+    resample: Annotated[float | None, left("--resample", "--dt DT does it")] = None,
     averages: Annotated[
-        int | None, typer.Option(help="Averages of the coherence of a frequency response.")
+        int | None,
+        left("--averages", "reading={'averages': N} in Python, of jaxilc.outcomes, does it"),
     ] = None,
     out_dir: Annotated[
         Path | None,
@@ -120,6 +125,7 @@ def identify(
     }
     if state is not None:
         for_files = {"dt": dt, "resample": resample, "columns": columns, "averages": averages}
+        for_files["validate"] = validate
         wrong = [f"--{name}" for name, value in for_files.items() if value is not None]
         if record is not None or wrong:
             raise ValueError(f"{', '.join(wrong) or 'RECORD'} and --state exclude each other")
@@ -142,4 +148,4 @@ def identify(
         "columns": [name.strip() for name in columns.split(",")] if columns else [],
         "resample": resample,
     }
-    tell("identify", record, pages, reading=reading, **places)
+    tell("identify", record, pages, reading=reading, validate=validate, **places)

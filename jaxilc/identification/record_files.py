@@ -30,11 +30,15 @@ LOST = "overrun"  # line of halsampler
 
 
 class RecordFile(NamedTuple):
-    """The record of a file, and the units of inputs and outputs, "" where it tells none."""
+    """The record of a file, and the units of inputs and outputs, "" where it tells none.
+
+    resampled: new sample time [s]; None where the record is taken as it is
+    """
 
     record: Record
     input_units: tuple[str, ...]
     output_units: tuple[str, ...]
+    resampled: float | None = None
 
 
 def read_record(
@@ -82,7 +86,8 @@ def read_record_file(
     time, input, output: names of the columns; several names for several inputs or outputs
     time_unit: s, ms, us or ns; None for the unit in the heading, or seconds if it has none
     columns: names of the columns of a text file that has no header
-    dt: sample time of a file without a time [s]; a column `sample` then counts samples
+    dt: sample time [s] of a file without a time, where a column `sample` counts samples; a file
+        with other times is resampled
     resample: new sample time [s], see `resampled`; None: the record is taken as it is
     Raises ValueError naming file, line and column for a column that is missing, a value that is not
     a finite number, a time that does not increase or, without `resample`, whose steps are not equal
@@ -95,22 +100,27 @@ def read_record_file(
     inputs, outputs = (
         [names] if isinstance(names, str) else list(names) for names in (input, output)
     )
-    names = [*inputs, *outputs]
+    names, timed = [*inputs, *outputs], False
     if Path(path).suffix.lower() == ".mat":
         signals = read_mat_signals(path, time, names, time_unit, dt)
     elif not columns and is_twincat(path):
-        signals = read_twincat(path, names)
+        signals, timed = read_twincat(path, names), True
     else:
-        signals = _text_signals(path, time, inputs, outputs, time_unit, list(columns), dt)
+        signals, timed = _text_signals(path, time, inputs, outputs, time_unit, list(columns), dt)
     for one in signals:
         _check_increasing(path, time, one)
+    if resample is None and dt is not None and timed and not _has_step(signals, dt):
+        resample = dt
     of_inputs, of_outputs = signals[: len(inputs)], signals[len(inputs) :]
     if resample is None:
         record = _as_it_is(path, time, of_inputs, of_outputs)
     else:
         record = Record(*resampled(path, of_inputs, of_outputs, resample), float(resample))
     return RecordFile(
-        record, tuple(one.unit for one in of_inputs), tuple(one.unit for one in of_outputs)
+        record,
+        tuple(one.unit for one in of_inputs),
+        tuple(one.unit for one in of_outputs),
+        resample,
     )
 
 
@@ -133,6 +143,15 @@ def _check_increasing(path, time: str, one: Signal) -> None:
         )
 
 
+def _has_step(signals: Sequence[Signal], dt: float) -> bool:
+    """Whether all signals have the same times, with this step."""
+    first = signals[0].times
+    return all(
+        len(one.times) == len(first) and np.allclose(one.times, first, rtol=0, atol=0.01 * dt)
+        for one in signals
+    ) and bool(np.all(np.abs(np.diff(first) / dt - 1) <= STEP_TOLERANCE))
+
+
 def _as_it_is(path, time: str, inputs: list[Signal], outputs: list[Signal]) -> Record:
     """The record of signals that have one uniform time; raises ValueError where they have not."""
     signals = [*inputs, *outputs]
@@ -144,7 +163,7 @@ def _as_it_is(path, time: str, inputs: list[Signal], outputs: list[Signal]) -> R
             step = max(float(np.median(np.diff(of.times))) for of in signals)
             raise ValueError(
                 f"read_record: {path}: its signals have different times; export them with one "
-                f"sample time, or add --resample {step:.6g} (resample)"
+                f"sample time, or add --dt {step:.6g} (dt)"
             )
     uneven = np.abs(steps / middle - 1) > STEP_TOLERANCE
     if np.any(uneven):
@@ -152,22 +171,18 @@ def _as_it_is(path, time: str, inputs: list[Signal], outputs: list[Signal]) -> R
         raise ValueError(
             f"read_record: {path}, {first.places[k + 1]}: {time} steps by {steps[k]:.6g} s "
             f"where the sample time is dt = {middle:.6g} s; allowed is a deviation of "
-            f"{STEP_TOLERANCE:.0%}, or --resample {middle:.6g} (resample)"
+            f"{STEP_TOLERANCE:.0%}, or --dt {middle:.6g} (dt)"
         )
     u, y = (np.stack([one.values[:rows] for one in of], axis=1) for of in (inputs, outputs))
     return Record(u[:-1], y, float(f"{np.mean(steps[: rows - 1]):.12g}"))
 
 
-def _text_signals(path, time, inputs, outputs, unit, columns, dt) -> list[Signal]:
-    """The signals of a text file of columns."""
+def _text_signals(path, time, inputs, outputs, unit, columns, dt) -> tuple[list[Signal], bool]:
+    """The signals of a text file of columns, and whether it has times of its own."""
     header, rows = read_columns(path, columns)
     names = [time, *inputs, *outputs]
     place = place_of_time(time, header)
     counted = place is None and dt is not None
-    if place is not None and dt is not None:
-        raise ValueError(
-            f"read_record: {path} has the times {header[place]!r}; --dt (dt) is for a file without"
-        )
     if counted:
         place = header.index(SAMPLE) if SAMPLE in header else None
     elif place is None:
@@ -181,10 +196,11 @@ def _text_signals(path, time, inputs, outputs, unit, columns, dt) -> list[Signal
     elif len(values) > 1 and place is not None:
         values[:, 0] *= seconds_in(path, header[place], unit, values[:, 0])
     places = [f"line {line}" for line in lines]
-    return [
+    signals = [
         Signal(values[:, 0], values[:, i], places, name_and_unit(header[at[i]])[1] or "")
         for i in range(1, len(names))
     ]
+    return signals, not counted
 
 
 def _numbers(path, names, at: list[int], rows, inputs: int) -> tuple[np.ndarray, list[int]]:

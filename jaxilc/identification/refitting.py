@@ -23,6 +23,7 @@ from ..uncertainty import Normal, Uncertainty
 from .estimation import identify
 from .problem import checked_record, free_elements, problem_of
 from .records import Record
+from .validation import validated
 from .verdict import Estimate, Identified, inverse_of_normal, widened
 
 UNKNOWN = 0.5  # half-width of a number without an interval, as a share of it
@@ -100,14 +101,8 @@ def beyond_nyquist(found: Identified, dt: float) -> set[str]:
 
 
 def held_out(record: Record, plant: Plant) -> float:
-    """The rms of the error with which a plant predicts the part of a record that is not fitted.
-
-    The output at rest is that of the fitted part.
-    """
-    record = checked_record(record)
-    problem = problem_of(record, plant, free_elements(plant, None)[:1], FITTED)
-    residual = problem.residual(problem.start(plant))[problem.samples :]
-    return float(np.sqrt(np.mean((residual / problem.scale) ** 2)) * np.mean(problem.scale))
+    """The rms of the error with which a plant predicts the part of a record that is not fitted."""
+    return float(np.sqrt(np.mean(validated(record, plant, FITTED).rms ** 2)))
 
 
 # How it is done

@@ -52,7 +52,7 @@ def resampled(
     low, high = FINEST * middle, (end - start) / FEWEST
     if not low <= dt <= high:
         raise ValueError(
-            f"read_record: --resample {dt:g} (resample) is outside its allowed range "
+            f"read_record: --dt {dt:g} (resample) is outside its allowed range "
             f"[{low:.3g}, {high:.3g}] s for {path}, whose median step is {middle:.6g} s"
         )
     for one, of in zip(signals, steps, strict=True):

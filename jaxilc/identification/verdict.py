@@ -140,8 +140,8 @@ def judged(problem: Problem, found: Minimum) -> Identified:
         poles=poles,
         samples=samples,
         simulated=y - residual,
-        fit=_fit(y[:samples], residual[:samples]),
-        validation_fit=_fit(y[samples:], residual[samples:]),
+        fit=fit_of(y[:samples], residual[:samples]),
+        validation_fit=fit_of(y[samples:], residual[samples:]),
         residual_std=np.sqrt(np.sum(residual[:samples] ** 2, axis=0) * problem.plant.n_y / freedom),
         whiteness=whiteness,
         white=white,
@@ -203,7 +203,7 @@ def widened(covariance, J, residual):
     return covariance * np.outer(factor, factor)
 
 
-def _fit(y, residual):
+def fit_of(y, residual):
     """(n_y,) fit of each output, 100 (1 - |residual| / |y - mean y|) [%]."""
     if len(y) < 2:
         return np.full(y.shape[1], np.nan)

@@ -23,7 +23,9 @@ from ..identification.record_files import read_record_file
 from ..identification.resampling import RESAMPLED
 from ..identification.sentences import on_lines
 from ..identification.sentences import verdict as sentences_on
+from ..identification.time_column import STEP_TOLERANCE
 from ..identification.twincat import is_twincat
+from ..identification.validation import MUCH, validated
 from ..plants import ProcessModel
 from ..scenarios.identified_file import write_plant_file
 from ..theory.on_lines import MeasuredResponse
@@ -39,6 +41,7 @@ SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a r
 AS_GOOD = 6.0  # of the criterion, by which it may be larger
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
 MOST_ORDERS = 12  # rows of a table of orders
+SECOND = "A record that was not fitted, and the output that the plant predicts."
 NO_LAW = "No filtered P-type law was found that learns on the fitted plant: the file has no scheme."
 CAPTIONS = {
     "record": "The recorded experiment: what was put in, and what was measured.",
@@ -51,6 +54,7 @@ def identify(
     record: str | Path,
     *,
     reading: Reading | Mapping[str, Any] | None = None,
+    validate: Path | None = None,
     plant_file: Path | None = None,
     folder: Path | None = None,
     progress: Progress = silent,
@@ -60,6 +64,7 @@ def identify(
     record: file of a record or of a frequency response, which its header tells
     reading: how it is read, and the structure to fit, also as a dictionary; a table chooses the
         structure if none is given
+    validate: file of a second record in time, of the same columns, which judges
     plant_file: plant file to write, for all other commands
     folder: for the figures; out/identify if not given
     Raises ValueError naming what is allowed.
@@ -75,6 +80,11 @@ def identify(
     fitted = _of_response(record, asked, progress) if is_response else _of_record(record, asked)
     found = fitted.found
     lines, has_law = sentences_on(found, fitted.dt), True
+    figures_of = {n: Figure(CAPTIONS[n], draw, live=True) for n, draw in fitted.draw.items()}
+    second: dict[str, Any] = {}
+    if validate is not None:
+        said, second, figures_of["second"] = _on_second(Path(validate), asked, fitted)
+        lines += said
     if plant_file is not None:
         progress("a law for it")
         of_law, has_law = _plant_file(plant_file, fitted, str(record))
@@ -82,16 +92,52 @@ def identify(
     sound = {"white": bool(found.white), "converged": bool(found.converged), **fitted.structure}
     return Outcome(
         command="identify",
-        numbers=numbers_of(found) | sound,
+        numbers=numbers_of(found) | sound | second,
         verdict=Verdict(tuple(lines), *_next(record, asked, fitted, plant_file, has_law)),
         folder=folder or Path("out") / "identify",
         tables=fitted.tables,
         lines=fitted.lines,
-        figures={n: Figure(CAPTIONS[n], draw, live=True) for n, draw in fitted.draw.items()},
+        figures=figures_of,
         kept=[plant_file] if plant_file is not None else [],
         live=partial(live_of, fitted.measured, found, fitted.dt, fitted.units),
         asked=fitted.structure,
     )
+
+
+def _on_second(
+    path: Path, asked: Reading, fitted: Fitted
+) -> tuple[list[str], dict[str, Any], Figure]:
+    """What a second record says of the plant: sentences, numbers and a figure."""
+    if fitted.dt is None or _is_response(path, asked.columns):
+        raise ValueError(
+            f"--validate {path} must be a record in time; a plant of a response needs --dt for it"
+        )
+    record = read_record_file(path, dt=asked.dt, **asked.of_record).record
+    if abs(record.dt / fitted.dt - 1) > STEP_TOLERANCE:
+        raise ValueError(
+            f"--validate {path} has the sample time {record.dt:g} s, the plant was fitted with "
+            f"{fitted.dt:g} s; --dt {fitted.dt:g} resamples both"
+        )
+    found, of = fitted.found, fitted.units[1]
+    on = validated(record, found.plant)
+    rms, own = float(np.max(on.rms)), float(np.max(found.residual_std))
+    said = [
+        f"On {path}, which was not fitted, it fits {float(np.min(on.fit)):.4g} % of the output, "
+        f"with an rms error of {rms:.3g} {of}".rstrip()
+        + "."
+    ]
+    if not found.of_response and rms > MUCH * own:
+        said.append(
+            f"That error is {rms / own:.3g} times the residual of the fit: the machine is not the "
+            "same there, or not linear, such as by friction or another amplitude; fit a record "
+            "like the motions that will be learned."
+        )
+    shown = found._replace(
+        simulated=on.simulated, fit=on.fit, samples=len(record.y), of_response=False
+    )
+    draw = partial(figures.validation_figure, record, shown, output_unit=of, unit=of)
+    numbers = {"file": str(path), "fit": on.fit.tolist(), "rms": on.rms.tolist()}
+    return said, {"validate": numbers}, Figure(SECOND, draw)
 
 
 def numbers_of(found: Any) -> dict[str, Any]:
@@ -236,7 +282,7 @@ def _of_record(path: Path, asked: Reading) -> Fitted:
     if asked.averages is not None:
         raise ValueError(f"--averages {asked.averages} is for a frequency response; {path} is none")
     read = read_record_file(path, dt=asked.dt, **asked.of_record)
-    lines = () if asked.resample is None else (RESAMPLED.format(dt=asked.resample),)
+    lines = () if read.resampled is None else (RESAMPLED.format(dt=read.resampled),)
     record, tables = read.record, []
     structure: dict[str, Any] = dict(asked.structure)
     delay = asked.delay or 0

@@ -14,7 +14,6 @@ from jaxilc.outcomes import Request
 from jaxilc.outcomes.table import Table
 
 EVERY, SCREEN = 80, 50  # options of all commands, and lines of a help of 100 columns
-MOST = {"identify": 16}  # options where 15 do not suffice: files of others differ in many ways
 PID = Request("cao-2019", ("pid",), trials=2)
 
 
@@ -63,7 +62,7 @@ def test_a_command_has_few_options_and_its_help_fits_a_screen():
         options = [one for one in command.params if one.param_type_name == "option"]
         shown = {one.opts[0] for one in options if not getattr(one, "hidden", False)}
         names |= shown
-        assert len(shown) <= MOST.get(name, 15), (name, len(shown))
+        assert len(shown) <= 15, (name, len(shown))
         page = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "100"}).stdout
         assert len(page.splitlines()) <= SCREEN, name
     assert len(names) <= EVERY, len(names)

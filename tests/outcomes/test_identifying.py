@@ -1,0 +1,41 @@
+"""`identify`: a second record judges the plant."""
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from jaxilc import outcomes
+
+DT, N = 0.01, 300
+STRUCTURE = {"poles": 1, "pairs": 0, "zeros": 0}
+
+
+def write(path, seed, gain=2.0, dt=DT, noise=1e-3):
+    """Write a record of a lag, by SciPy."""
+    rng, t = np.random.default_rng(seed), np.arange(N + 1) * dt
+    u = np.repeat(rng.choice([-1.0, 1.0], N // 10 + 1), 10)[: N + 1]
+    kept = np.exp(-5.0 * dt)
+    y = scipy.signal.lfilter([0, gain * (1 - kept)], [1, -kept], u)
+    y += noise * rng.standard_normal(N + 1)
+    np.savetxt(path, np.column_stack([t, u, y]), delimiter=",", header="t,u,y [mm]", comments="")
+    return path
+
+
+def test_a_second_record_judges(tmp_path):
+    first, other = write(tmp_path / "a.csv", 0), write(tmp_path / "b.csv", 1)
+    another = write(tmp_path / "c.csv", 2, gain=1.8)
+    told = {}
+    for file in (other, another):
+        found = outcomes.identify(first, reading={"structure": STRUCTURE}, validate=file)
+        told[file] = found.numbers["validate"], " ".join(found.verdict.said)
+    (same, said), (differs, doubted) = told[other], told[another]
+    assert same["rms"][0] == pytest.approx(1e-3, rel=0.15)
+    assert same["fit"][0] > 99.8
+    assert "which was not fitted, it fits 99.88 %" in said
+    assert "times the residual" not in said
+    assert differs["fit"][0] < 95
+    assert "times the residual of the fit: the machine is not the same there" in doubted
+    assert found.figures["second"].draw() is not None
+    slow = write(tmp_path / "d.csv", 3, dt=0.02)
+    with pytest.raises(ValueError, match=r"--dt 0.01 resamples both"):
+        outcomes.identify(first, reading={"structure": STRUCTURE}, validate=slow)
