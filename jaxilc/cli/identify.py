@@ -31,6 +31,15 @@ def _is_plant_file(path: Path | None) -> bool:
     return path is not None and path.suffix == ".toml"
 
 
+def _count(zeros: str | None) -> int | str | None:
+    """The number of zeros, or `any`."""
+    if zeros is None or zeros == "any":
+        return zeros
+    if not zeros.isdecimal():
+        raise ValueError(f"--zeros {zeros} is neither a whole number nor `any`")
+    return int(zeros)
+
+
 def register(app: typer.Typer) -> None:
     """Add the command to the command line."""
     add(app, identify, DESIGN)
@@ -56,14 +65,17 @@ def identify(
         int | None, typer.Option(help="Pairs of poles, real or complex; 1 if not given.")
     ] = None,
     zeros: Annotated[
-        int | None, typer.Option(help="Real zeros, of either sign; 1 if not given.")
+        str | None,
+        typer.Option(
+            metavar="N|any", help="Real zeros, or `any`, real and complex ones; 1 if not given."
+        ),
     ] = None,
     delay: Annotated[
         int | None,
         typer.Option(help="Dead time in samples; chosen by --auto, fitted to a response, else 0."),
     ] = None,
     auto: Annotated[
-        bool, typer.Option("--auto", help="Choose poles, pairs, zeros and delay by a table.")
+        bool, typer.Option("--auto", help="Choose poles, zeros and delay: complex zeros, too.")
     ] = False,
     time_name: TimeColumn = "t",
     time_unit: Annotated[
@@ -110,7 +122,7 @@ def identify(
 
     Example: jaxilc identify record.csv --auto --out axis.toml
     """
-    counts = {"poles": poles, "pairs": pairs, "zeros": zeros}
+    counts = {"poles": poles, "pairs": pairs, "zeros": _count(zeros)}
     for name, value in counts.items():
         if auto and value is not None:
             raise ValueError(f"--{name} {value} is not allowed with --auto, which chooses it")
@@ -124,6 +136,8 @@ def identify(
         "folder": None if plant_file is not None else out_dir,
     }
     if state is not None:
+        if zeros == "any":
+            raise ValueError("--zeros any is for a RECORD; with --state it is a number")
         for_files = {"dt": dt, "resample": resample, "columns": columns, "averages": averages}
         for_files["validate"] = validate
         wrong = [f"--{name}" for name, value in for_files.items() if value is not None]

@@ -1,7 +1,7 @@
-from .dead_time import orders_and_delays
 from .estimation import identify
 from .fitting import Fit, fit
 from .frequency_response import read_frequency_response
+from .grown import Grown, Tried, grow, orders_and_delays
 from .grown_response import grow_response, identified_response
 from .orders import Order, best_order, compare_orders, not_significant
 from .potential import Potential, potential_of
@@ -14,17 +14,20 @@ from .verdict import Estimate, Identified, PoleEstimate
 __all__ = [
     "Estimate",
     "Fit",
+    "Grown",
     "Identified",
     "Order",
     "PoleEstimate",
     "Potential",
     "Record",
     "Repeats",
+    "Tried",
     "best_order",
     "compare_orders",
     "compare_response_orders",
     "excite",
     "fit",
+    "grow",
     "grow_response",
     "identified_response",
     "identify",

@@ -1,4 +1,4 @@
-"""The frequency response of a ProcessModel, its exact derivatives, and the band of a fit around it.
+"""The frequency response of a fitted plant, its exact derivatives, and the band of a fit around it.
 
 Which transfer function is fitted depends on the sample time:
 
@@ -12,16 +12,22 @@ Which transfer function is fitted depends on the sample time:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import functools
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from ..plants import ModalModel
 from ..plants.process_model import ProcessModel, cascade, samples_of
+from ..pytree.named_paths import replaced
 
 if TYPE_CHECKING:
     from .verdict import Identified
 
+Lines: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 # Of the complex step; the derivative is exact to rounding, since nothing is subtracted.
 STEP = 1e-30
 FIELDS = ("gain", "zeros", "poles", "frequencies", "dampings", "delay")
@@ -117,40 +123,62 @@ def response_band(identified: Identified, dt: float) -> ResponseBand:
     deviations of log |P| and of the phase are those of Re(g)^T S Re(g) and Im(g)^T S Im(g).
 
     dt: sample time of the record [s]
-    Raises ValueError for a plant that is not a `ProcessModel` of one input and one output.
+    Raises ValueError for a plant that is not a `ProcessModel` or a `ModalModel` of one input and
+    one output.
     """
     plant = identified.plant
-    if not isinstance(plant, ProcessModel) or plant.n_u != 1 or plant.n_y != 1:
+    if not isinstance(plant, ProcessModel | ModalModel) or plant.n_u != 1 or plant.n_y != 1:
         raise ValueError(
-            f"response_band: the plant is a {type(plant).__name__}; allowed is a ProcessModel of "
-            "one input and one output"
+            f"response_band: the plant is a {type(plant).__name__}; allowed is a ProcessModel or a "
+            "ModalModel of one input and one output"
         )
-    fields = [np.atleast_1d(np.asarray(getattr(plant, name), float)) for name in FIELDS]
     f = np.geomspace(LOWEST / dt, 0.5 / dt, LINES)
+    if isinstance(plant, ModalModel):
+        P, g, S = _of_modes(identified, plant, dt, f)
+    else:
+        P, g, S = _of_process(identified, plant, dt, f)
+    phase = np.unwrap(np.angle(P)) * 180 / np.pi
+    if not np.all(np.isfinite(S)):
+        return ResponseBand(f, P, phase, None, None)
+    variances = [np.einsum("fi,ij,fj->f", part, S, part) for part in (g.real, g.imag)]
+    of_log, of_phase = np.sqrt(np.maximum(variances, 0))
+    factor = np.exp(1.96 * np.minimum(of_log, MOST))
+    return ResponseBand(f, P, phase, factor, 1.96 * np.minimum(of_phase, np.pi) * 180 / np.pi)
+
+
+def _of_modes(identified: Identified, plant: ModalModel, dt: float, f: np.ndarray) -> Lines:
+    """(F,) P, (F, n) derivatives of log P by the fitted numbers, and (n, n) their covariance."""
+    names = tuple(name for name in identified.parameters if not name.startswith("bias"))
+    values = np.array([identified.parameters[name].value for name in names])
+    (real, imag), (by_real, by_imag) = _sampled_response(values, names, plant, dt, f)
+    P = np.asarray(real) + 1j * np.asarray(imag)
+    g = (np.asarray(by_real) + 1j * np.asarray(by_imag)) / P[:, None]
+    return P, g, np.asarray(identified.covariance)[: len(names), : len(names)]
+
+
+@functools.partial(jax.jit, static_argnames=("names", "dt"))
+def _sampled_response(values, names, plant, dt, f):
+    def at(values):
+        system = replaced(plant, dict(zip(names, values, strict=True))).sampled(dt)
+        z = jnp.exp(2j * jnp.pi * f * dt)[:, None, None]
+        P = system.C @ jnp.linalg.solve(z * jnp.eye(len(system.A)) - system.A, system.B + 0j)
+        return P[:, 0, 0].real, P[:, 0, 0].imag
+
+    return at(values), jax.jacfwd(at)(values)
+
+
+def _of_process(identified: Identified, plant: ProcessModel, dt: float, f: np.ndarray) -> Lines:
+    """The same, of a ProcessModel."""
+    fields = [np.atleast_1d(np.asarray(getattr(plant, name), float)) for name in FIELDS]
     counts = (len(fields[1]), len(fields[2]), len(fields[3]))
     P, slopes = response_and_slopes(np.concatenate(fields), counts, f, dt)
-    phase, std = np.unwrap(np.angle(P)) * 180 / np.pi, _std_of_log(identified, fields, slopes, P)
-    if std is None:
-        return ResponseBand(f, P, phase, None, None)
-    factor = np.exp(1.96 * np.minimum(std.real, MOST))
-    return ResponseBand(f, P, phase, factor, 1.96 * np.minimum(std.imag, np.pi) * 180 / np.pi)
-
-
-def _std_of_log(identified: Identified, fields, slopes, P) -> np.ndarray | None:
-    """(F,) standard deviations of log |P|, the real part, and of the phase, the imaginary part.
-
-    fields: the parameters of the plant, each an array
-    slopes: (F, n) derivatives of P by them
-    """
-    g = slopes / P[:, None]
     names = [f"{n}[{i}]" for n, of in zip(FIELDS, fields, strict=True) for i in range(len(of))]
     place = {name: i for i, name in enumerate(names)}
     place |= {name: place[f"{name}[0]"] for name in FIELDS if f"{name}[0]" in place}
     known = [(k, place[n]) for k, n in enumerate(identified.parameters) if n in place]
     rows, columns = (np.array(x, int) for x in zip(*known, strict=True))
-    S = np.asarray(identified.covariance)[np.ix_(rows, rows)]
-    if not np.all(np.isfinite(S)):
-        return None
-    parts = (g[:, columns].real, g[:, columns].imag)
-    variances = [np.einsum("fi,ij,fj->f", part, S, part) for part in parts]
-    return np.sqrt(np.maximum(variances[0], 0)) + 1j * np.sqrt(np.maximum(variances[1], 0))
+    return (
+        P,
+        (slopes / P[:, None])[:, columns],
+        np.asarray(identified.covariance)[np.ix_(rows, rows)],
+    )

@@ -226,18 +226,7 @@ def problem_of(record: Record, plant: Plant, names: tuple[str, ...], fit_share: 
         )
     samples = round(fit_share * rows)
     need_samples(samples * n_y, len(names) + n_y)
-    y, u = record.y[:samples], record.u[: max(1, samples - record.trials)]
-    for i in range(n_y):
-        if np.ptp(y[:, i]) == 0:
-            raise ValueError(
-                f"identify: output {i} is constant over the {samples} samples to fit; "
-                "it says nothing about the plant"
-            )
-    if not np.any(np.ptp(u, axis=0)):
-        raise ValueError(
-            f"identify: the input is {shown(u[0] if n_u > 1 else u[0, 0])} over all of the "
-            f"{samples} samples to fit; it excites nothing. A record of a step begins before it"
-        )
+    need_excitation(record, samples)
     return Problem(
         record,
         plant,
@@ -245,8 +234,24 @@ def problem_of(record: Record, plant: Plant, names: tuple[str, ...], fit_share: 
         names,
         Coordinates.of(plant, names),
         samples,
-        np.std(y, axis=0),
+        np.std(record.y[:samples], axis=0),
     )
+
+
+def need_excitation(record: Record, samples: int) -> None:
+    """Raises ValueError where input or output of the samples to fit say nothing about a plant."""
+    y, u = record.y[:samples], record.u[: max(1, samples - record.trials)]
+    for i in range(y.shape[1]):
+        if np.ptp(y[:, i]) == 0:
+            raise ValueError(
+                f"identify: output {i} is constant over the {samples} samples to fit; "
+                "it says nothing about the plant"
+            )
+    if not np.any(np.ptp(u, axis=0)):
+        raise ValueError(
+            f"identify: the input is {shown(u[0] if u.shape[1] > 1 else u[0, 0])} over all of the "
+            f"{samples} samples to fit; it excites nothing. A record of a step begins before it"
+        )
 
 
 def free_elements(plant: Plant, free: Sequence[str] | None) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import scipy
 
-from ..plants import Plant, ProcessModel
+from ..plants import ModalModel, Plant, ProcessModel
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import replaced
 from .problem import Minimum, Problem
@@ -48,8 +48,8 @@ class Identified(NamedTuple):
         (`bias[i]` of several outputs)
     covariance: (P, P) covariance of the parameters in this order; inf on the diagonal for a
         parameter that the record does not determine
-    poles: poles of a ProcessModel; the intervals are quantiles over draws of the parameters, since
-        a double pole is not a smooth function of them
+    poles: poles of a ProcessModel or a ModalModel; the intervals are quantiles over draws of the
+        parameters, since a double pole is not a smooth function of them
     samples: the output samples 0 .. samples-1 were fitted, the others validate the fit
     simulated: (N+1, n_y) the plant's output, with the bias
     fit: (n_y,) 100 (1 - |y - simulated| / |y - mean y|) [%] over the fitted part; 100 is perfect
@@ -131,7 +131,7 @@ def judged(problem: Problem, found: Minimum) -> Identified:
         ["bias"] if problem.plant.n_y == 1 else [f"bias[{i}]" for i in range(problem.plant.n_y)]
     )
     named = zip((*problem.names, *biases), theta, half, strict=True)
-    modelled = isinstance(problem.plant, ProcessModel)
+    modelled = isinstance(problem.plant, ProcessModel | ModalModel)
     poles = poles_of(problem, theta, covariance) if modelled else ()
     return Identified(
         plant=problem.plant_at(theta),

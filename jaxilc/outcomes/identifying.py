@@ -36,7 +36,9 @@ from .verdict import Verdict
 if TYPE_CHECKING:
     from ..figures.page import Live
     from ..identification import Order
+    from ..identification.grown import Grown as GrownModel
 
+ANY = "any"  # zeros, of a model that has as many as its poles allow
 SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
 AS_GOOD = 6.0  # of the criterion, by which it may be larger
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
@@ -77,7 +79,8 @@ def identify(
             "--out FILE.toml of a frequency response needs --dt, the sample time of its hold"
         )
     progress("fitting")
-    fitted = _of_response(record, asked, progress) if is_response else _of_record(record, asked)
+    of = _of_response if is_response else _of_record
+    fitted = of(record, asked, progress)
     found = fitted.found
     lines, has_law = sentences_on(found, fitted.dt), True
     figures_of = {n: Figure(CAPTIONS[n], draw, live=True) for n, draw in fitted.draw.items()}
@@ -151,14 +154,15 @@ def numbers_of(found: Any) -> dict[str, Any]:
 class Reading(NamedTuple):
     """How a file is read, and what is fitted to it.
 
-    structure: poles, pairs and zeros; empty: chosen by a table
+    structure: poles, pairs and zeros; empty: grown from a record, chosen by a table for a response.
+        With "any" for the zeros, as many are fitted, real or complex, as the poles allow
     delay: dead time in samples; None: chosen, or none
     dt: sample time [s]
     averages: number of averages of a coherence
     time, input, output, time_unit, columns, resample: as for `read_record_file`
     """
 
-    structure: Mapping[str, int] = {}
+    structure: Mapping[str, int | str] = {}
     delay: int | None = None
     dt: float | None = None
     averages: int | None = None
@@ -231,7 +235,7 @@ def live_of(
     described = figures.validation_figure.described
     shown: list[Live | None] = [live(described(measured, found, unit=units[1], **by_name))]
     plant = found.plant
-    if dt is not None and isinstance(plant, ProcessModel) and plant.n_u == plant.n_y == 1:
+    if dt is not None and plant.n_u == plant.n_y == 1:
         shown.append(live(figures.response_figure.described(found, dt, **by_name)))
     return shown
 
@@ -277,7 +281,7 @@ def _next(
     return what, f"{again} {chosen}{sampled} --out axis.toml"
 
 
-def _of_record(path: Path, asked: Reading) -> Fitted:
+def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
     """The fit to a record, after the table of orders where the structure is to be chosen."""
     if asked.averages is not None:
         raise ValueError(f"--averages {asked.averages} is for a frequency response; {path} is none")
@@ -285,28 +289,38 @@ def _of_record(path: Path, asked: Reading) -> Fitted:
     lines = () if read.resampled is None else (RESAMPLED.format(dt=read.resampled),)
     record, tables = read.record, []
     structure: dict[str, Any] = dict(asked.structure)
-    delay = asked.delay or 0
-    if not structure:
-        if asked.delay is None:
-            orders = identification.orders_and_delays(record)
-        else:
-            orders = identification.compare_orders(record, delay=delay)
-        best = identification.best_order(orders)
-        structure, delay = _structure(best), best.delay
-        tables.append(orders_table(orders, best, record.dt))
-    found = identification.identify(record, **structure, delay=delay)
+    if not structure or structure["zeros"] == ANY:
+        order = structure["poles"] + 2 * structure["pairs"] if structure else None
+        grown = identification.grow(
+            record, order=order, delay=asked.delay, each=lambda said: progress(f"fitting: {said}")
+        )
+        found, structure = grown.found, _grown_structure(grown)
+        tables.append(grown_table(grown))
+    else:
+        found = identification.identify(record, **structure, delay=asked.delay or 0)
+        structure |= {"delay": asked.delay} if asked.delay else {}
     tables.append(identification_table(str(path), found.summary()))
     into, of = read.input_units[0], read.output_units[0]
     draw = {
         "record": partial(figures.record_figure, record, input_unit=into, output_unit=of),
         "validation": partial(figures.validation_figure, record, found, output_unit=of, unit=of),
     }
-    if isinstance(found.plant, ProcessModel) and found.plant.n_u == found.plant.n_y == 1:
+    if found.plant.n_u == found.plant.n_y == 1:
         draw["response"] = partial(
             figures.response_figure, found, record.dt, input_unit=into, output_unit=of
         )
-    structure |= {"delay": delay} if delay else {}
     return Fitted(record, found, record.dt, structure, tables, draw, (into, of), lines)
+
+
+def _grown_structure(grown: GrownModel) -> dict[str, Any]:
+    """The options that fit the plant again: counts of a ProcessModel, else those of its parts."""
+    plant, chosen = grown.found.plant, grown.chosen
+    lags, zeros = chosen.lags + chosen.integrators, ANY
+    pairs = chosen.modes
+    if isinstance(plant, ProcessModel):
+        lags, pairs, zeros = (len(x) for x in (plant.poles, plant.frequencies, plant.zeros))
+    late = {"delay": chosen.delay} if chosen.delay else {}
+    return {"poles": lags, "pairs": pairs, "zeros": zeros, **late}
 
 
 def _of_response(path: Path, asked: Reading, progress: Progress) -> Fitted:
@@ -317,6 +331,8 @@ def _of_response(path: Path, asked: Reading, progress: Progress) -> Fitted:
             raise ValueError(f"--{option} is for a record in time; {path} is a frequency response")
     if asked.delay is not None and asked.dt is None:
         raise ValueError(f"--delay {asked.delay} counts samples of a response: give --dt, too")
+    if asked.structure.get("zeros") == ANY:
+        raise ValueError("--zeros any is for a record in time; a response takes a number")
     measured = identification.read_frequency_response(path, averages=asked.averages)
     fixed = None if asked.delay is None else asked.delay * (asked.dt or 0.0)
     tables: list[Table] = []
@@ -396,6 +412,29 @@ def grown_response_table(orders: Sequence[Grown], chosen: Grown) -> Table:
             f"{one.held_out - chosen.held_out:+.3f}",
             "chosen" if one is chosen else "",
         )
+    return table
+
+
+def grown_table(grown: GrownModel) -> Table:
+    """The table of the fits that `grow` compared, of which the chosen one is marked.
+
+    The column rms is that of the residual, in the unit of the output; the column valid. is the fit
+    of the part that was not fitted. Every fit has as many zeros as its poles allow.
+    """
+    shown, least = grown.tried, grown.chosen.bic
+    if len(shown) > MOST_ORDERS:
+        best = sorted(shown, key=lambda one: one.bic)[:MOST_ORDERS]
+        shown = [one for one in shown if one in best or one == grown.chosen]
+    optional = ("integrators", "direct", "delay")
+    there = [name for name in optional if any(getattr(one, name) for one in shown)]
+    count = f"{len(shown)} of {len(grown.tried)}" if len(shown) < len(grown.tried) else "models"
+    table = Table(title=f"{count} by BIC, above that of the chosen one ({least:.1f})")
+    for column in ("order", "lags", "modes", *there, "rms", "BIC", "valid. [%]", ""):
+        table.add_column(column, justify="right")
+    for one in shown:
+        counts = (one.order, one.lags, one.modes, *(int(getattr(one, name)) for name in there))
+        values = (f"{one.rms:.4g}", f"{one.bic - least:+.1f}", f"{one.validation_fit:.4g}")
+        table.add_row(*map(str, counts), *values, "chosen" if one == grown.chosen else "")
     return table
 
 

@@ -10,17 +10,18 @@ go on with the new file, and its predictions are those of the fitted plant.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
 from ..identification import Estimate, Identified, Record, not_significant
-from ..plants import ProcessModel
+from ..plants import ModalModel, Plant, ProcessModel
 from ..pytree.named_paths import interval_at
 from ..storage.files import atomically
 from ..storage.printable import printable
@@ -34,12 +35,13 @@ REPLACED = ("plant", "uncertainty", "grid")
 STALE = (  # beginnings of the comments of a file that `identify` wrote, which hold for its fit only
     "# Plant fitted by `jaxilc identify`", "# Record: ", "# Response: ", "# Order ", "# Fit ",
     "# The output at rest was", "# The residual is not white", "# are too narrow.",
-    "# widened to what its", "# The fit did not meet", "# Fitted: [plant]", "# Chosen for ",
+    "# widened to what its", "# Its zeros are at", "# The fit did not meet", "# Fitted: [plant]",
+    "# Chosen for ",
     "# sup |Q (1 - L P)|", "# learning is stable where it is", "# fitted plant.",
 )  # fmt: skip
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _HEADER = re.compile(r"""^\s*\[{1,2}\s*(["']?)([\w-]+)\1\s*(?:\.[^\]]*)?\]{1,2}\s*(?:\#.*)?$""")
-LEAVES = ("gain", "zeros", "poles", "frequencies", "dampings")
+Fittable: TypeAlias = ProcessModel | ModalModel
 
 
 class Experiment(NamedTuple):
@@ -86,9 +88,10 @@ def write_plant_file(
 ) -> StartingLaw | None:
     """Write a fitted plant as a file that stands in a scenario's place.
 
-    The table `[plant]` is a `ProcessModel` with the fitted numbers, `[uncertainty]` has their 95 %
-    intervals, and `[task]` and `[schemes.ilc]` are chosen so that learning is stable on the fitted
-    plant and at the ends of the intervals (`starting_law`). Comments say what was fitted.
+    The table `[plant]` is the `ProcessModel` or `ModalModel` with the fitted numbers,
+    `[uncertainty]` has their 95 % intervals, and `[task]` and `[schemes.ilc]` are chosen so that
+    learning is stable on the fitted plant and at the ends of the intervals (`starting_law`).
+    Comments say what was fitted.
 
     measured: the record or the response that was fitted
     dt: sample time with which a response was fitted [s]
@@ -100,10 +103,11 @@ def write_plant_file(
     """
     if Path(path).exists() and not force:
         raise FileExistsError(f"{path} exists already; add --force to replace it")
-    if not isinstance(found.plant, ProcessModel):
+    plant = found.plant
+    if not isinstance(plant, ProcessModel | ModalModel) or plant.n_u * plant.n_y > 1:
         raise ValueError(
-            f"write_plant_file: the plant is a {type(found.plant).__name__}; allowed is a "
-            "ProcessModel"
+            f"write_plant_file: the plant is a {type(plant).__name__}; allowed are a ProcessModel "
+            "and a ModalModel of one input and one output"
         )
     if dt is None and isinstance(measured, MeasuredResponse):
         raise ValueError(
@@ -112,16 +116,16 @@ def write_plant_file(
         )
     facts = Experiment.of(measured, found, dt or 0.0)
     uncertainty, left_out = intervals(found)
-    law = starting_law(found.plant, uncertainty, facts.dt, facts.samples)
+    law = starting_law(plant, uncertainty, facts.dt, facts.samples)
     over = "the ends of these intervals"
     if law is None and uncertainty:
-        law, over = starting_law(found.plant, {}, facts.dt, facts.samples), "the fitted plant only"
+        law, over = starting_law(plant, {}, facts.dt, facts.samples), "the fitted plant only"
     lines = [
         *_heading(found, facts, source),
         f"trials = {TRIALS}",
-        *_plant(found.plant, facts.dt, found.parameters.get("delay")),
+        *_plant(plant, facts.dt, found.parameters.get("delay")),
         *_uncertainty(uncertainty, left_out),
-        *_task(law, found.plant, facts, units),
+        *_task(law, plant, facts, units),
         *_scheme(law, over),
     ]
     text = "\n".join(lines) + "\n"
@@ -154,12 +158,19 @@ def intervals(found: Identified) -> tuple[dict[str, Uniform], dict[str, Estimate
 
 
 def _heading(found: Identified, facts: Experiment, source: str) -> Iterator[str]:
-    plant = cast(ProcessModel, found.plant)
-    poles, pairs, zeros = (np.size(x) for x in (plant.poles, plant.frequencies, plant.zeros))
+    plant = cast(Fittable, found.plant)
+    poles, pairs = np.size(plant.poles), np.size(plant.frequencies)
     validation = float(found.validation_fit[0])
     yield f"# Plant fitted by `jaxilc identify` to {comment(source)}."
     yield f"# {facts.said}."
-    yield f"# Order {plant.order}: real poles {poles}, pairs of poles {pairs}, zeros {zeros}."
+    if isinstance(plant, ProcessModel):
+        counts = f"real poles {poles}, pairs of poles {pairs}, zeros {np.size(plant.zeros)}"
+    else:
+        counts = f"lags {poles}, modes {pairs}, integrators {plant.order - poles - 2 * pairs}"
+    yield f"# Order {plant.order}: {counts}."
+    if isinstance(plant, ModalModel):
+        places = ", ".join(f"{zero:.4g}" for zero in plant.all_zeros() if zero.imag >= 0)
+        yield f"# Its zeros are at {places or 'none'} rad/s (and their conjugates)."
     residual = (
         "residual over scatter" if found.of_response else "standard deviation of the residual"
     )
@@ -180,19 +191,26 @@ def _heading(found: Identified, facts: Experiment, source: str) -> Iterator[str]
     yield "# Fitted: [plant] and [uncertainty]. Chosen, to be changed: the other tables."
 
 
-def _plant(plant: ProcessModel, dt: float, delay: Estimate | None) -> Iterator[str]:
-    yield "\n[plant]                        # gain prod(1 - s / zeros) / (prod(1 + s / poles) ...)"
-    yield 'kind = "ProcessModel"'
+def _plant(plant: Fittable, dt: float, delay: Estimate | None) -> Iterator[str]:
+    product = "gain prod(1 - s / zeros) / (prod(1 + s / poles) ...)"
+    what = product if isinstance(plant, ProcessModel) else "a sum of lags and modes"
+    yield f"\n[plant]                        # {what}"
     notes = {
         "gain": "DC gain [unit per input_unit]",
         "zeros": "[rad/s], positive: non-minimum phase",
         "poles": "[rad/s], positive: stable",
+        "pole_gains": "DC gain of each of these lags [unit per input_unit]",
         "frequencies": "of the pairs of poles [rad/s]",
         "dampings": "of the pairs of poles",
+        "mode_gains": "DC gain of each pair",
+        "mode_rates": "what each pair gives of its rate",
+        "integrator": "[unit per input_unit and s]",
+        "double_integrator": "[unit per input_unit and s^2]",
+        "direct": "direct feedthrough, seen a sample later",
     }
-    for name in LEAVES:
-        value = np.asarray(getattr(plant, name), float)
-        yield f"{name} = {value.tolist()!r}  # {notes[name]}"
+    for name, value in _plant_values(plant).items():
+        if name != "delay":
+            yield f"{name} = {_value(value)}" + f"  # {notes.get(name)}" * (name in notes)
     if plant.delay:
         yield f"delay = {float(plant.delay)!r}  # dead time [s], {plant.delay / dt:.4g} samples"
     if delay is not None:
@@ -214,7 +232,7 @@ def _uncertainty(uncertainty: dict[str, Uniform], left_out: dict[str, Estimate])
 
 
 def _task(
-    law: StartingLaw | None, plant: ProcessModel, facts: Experiment, units: tuple[str, str]
+    law: StartingLaw | None, plant: Fittable, facts: Experiment, units: tuple[str, str]
 ) -> Iterator[str]:
     input_unit, unit = units
     yield "\n[task]"
@@ -296,7 +314,7 @@ def write_refitted(
             f"{source} names files relative to its folder; write the new plant file there"
         )
     wanted = {name: value for name, value in before.items() if name not in REPLACED}
-    wanted |= {"plant": _plant_values(found), "uncertainty": _interval_values(found, before)}
+    wanted |= {"plant": _plant_values(found.plant), "uncertainty": _interval_values(found, before)}
     rest = _without_stale(_without(text, REPLACED))
     machine = before.get("machine", {})
     if noise and not {"sensor", "disturbance"} & set(machine):
@@ -327,11 +345,13 @@ def write_refitted(
     return path
 
 
-def _plant_values(found: Identified) -> dict[str, Any]:
-    plant = found.plant
-    values = {name: np.asarray(getattr(plant, name), float).tolist() for name in LEAVES}
-    delay = float(getattr(plant, "delay", 0.0))
-    return {"kind": "ProcessModel", **values} | ({"delay": delay} if delay else {})
+def _plant_values(plant: Plant) -> dict[str, Any]:
+    """The keys of `[plant]`; those of features that the plant does not have are left out."""
+    there = {f.name: getattr(plant, f.name) for f in dataclasses.fields(plant)}
+    values = {n: np.asarray(v, float).tolist() for n, v in there.items() if v is not None}
+    if not values["delay"]:
+        del values["delay"]
+    return {"kind": type(plant).__name__, **values}
 
 
 def _interval_values(found: Identified, before: dict[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..filters import ZeroPhaseButterworth
 from ..learning.machine import Machine
-from ..plants import ProcessModel
+from ..plants import ModalModel, ProcessModel
 from ..schemes import Filtered, PIDType
 from ..signals import references
 from ..signals.task import Task
@@ -75,7 +75,7 @@ class StartingTask(NamedTuple):
 
 
 def starting_law(
-    plant: ProcessModel, uncertainty: Uncertainty, dt: float, samples: int
+    plant: ProcessModel | ModalModel, uncertainty: Uncertainty, dt: float, samples: int
 ) -> StartingLaw | None:
     """The filtered P-type law of the largest cutoff that learns on every plant of the intervals.
 
@@ -118,7 +118,7 @@ def starting_law(
 
 
 def starting_task(
-    law: StartingLaw, plant: ProcessModel, largest_input: float, dt: float
+    law: StartingLaw, plant: ProcessModel | ModalModel, largest_input: float, dt: float
 ) -> StartingTask:
     """Two periods of a sinusoid at a fifth of the law's cutoff, or slower.
 
@@ -126,7 +126,8 @@ def starting_task(
     """
     samples = int(np.clip(round(10 / (law.cutoff * dt)), max(100, 8 * law.lead), 20000))
     frequency = 2 / (samples * dt)
-    gain = np.abs([float(plant.gain), _response_of(plant, 2j * np.pi * frequency)])
+    slowest = 1e-3 * frequency  # for the gain at rest, also where the plant integrates
+    gain = np.abs([_response_of(plant, 2j * np.pi * f) for f in (slowest, frequency)])
     allowed = 0.5 * largest_input / np.sum(1 / gain)
     return StartingTask(_rounded(float(allowed), 1), float(frequency), samples * dt)
 
@@ -182,8 +183,10 @@ def _enclosed(loops: list[Loop], which, law: StartingLaw, dt: float) -> list[Lar
     return [largest_of(taps, loop, task) for loop in reduced]
 
 
-def _response_of(plant: ProcessModel, s: complex) -> complex:
-    """G(s) as `ProcessModel` has it, but for the delay."""
+def _response_of(plant: ProcessModel | ModalModel, s: complex) -> complex:
+    """G(s) without the delay, of which the size does not depend."""
+    if isinstance(plant, ModalModel):
+        return complex(np.asarray(plant.transfer(np.array([s])))[0, 0, 0])
     zeros, poles, w, zeta = (
         np.asarray(x) for x in (plant.zeros, plant.poles, plant.frequencies, plant.dampings)
     )

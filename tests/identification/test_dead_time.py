@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxilc.identification import Record, dead_time, identify
-from jaxilc.identification.dead_time import first_lag, orders_and_delays
+from jaxilc.identification import Record, grow, identify, orders_and_delays
+from jaxilc.identification.dead_time import first_lag
 from jaxilc.identification.estimation import later
-from jaxilc.identification.orders import Order
 
 DT = 1e-3
 
@@ -55,28 +54,10 @@ def test_the_delay_is_a_shift_of_the_input():
     with pytest.raises(ValueError, match="delay = -1 is outside"):
         identify(record(0), delay=-1)
     with pytest.raises(ValueError, match="longest = 2000 is outside"):
-        orders_and_delays(record(0), longest=2000)
+        grow(record(0), longest=2000)
 
 
-def test_the_search_goes_down_from_the_first_answer(monkeypatch):
-    """A first answer that is seen late, and a criterion whose least is at three samples."""
-    asked = []
-
-    def compared(record, *, structures, delay, starts, seed, each):
-        asked.extend((*one, delay) for one in structures)
-        return [
-            Order(*one, 3, 0.1, (delay - 3.0) ** 2 + sum(one), 90.0, Found, delay)
-            for one in structures
-        ]
-
-    class Found:
-        converged = True
-
-    monkeypatch.setattr(dead_time, "compare_orders", compared)
-    monkeypatch.setattr(dead_time, "first_lag", lambda record, longest: 5)
-    found = orders_and_delays(record(3), structures=((1, 0, 0), (0, 1, 0)))
-    best = dead_time.best_order(found)
-    assert (best.poles, best.delay) == (1, 3)
-    assert len(asked) == len(set(asked)) == len(found)
-    assert {one[3] for one in asked} == {0, 2, 3, 4, 5}
-    assert (0, 1, 0, 3) in asked
+def test_the_earlier_name_still_compares_structures():
+    with pytest.warns(FutureWarning, match="orders_and_delays is now grow"):
+        found = orders_and_delays(record(3), structures=((1, 0, 0),), starts=16)
+    assert [(one.poles, one.pairs, one.zeros, one.delay) for one in found] == [(1, 0, 0, 3)]

@@ -1,0 +1,824 @@
+"""Models of flexible machines from records: their order is grown, part by part.
+
+The output is a sum of filtered inputs (`plants.ModalModel`), so only the poles are searched for:
+the numerators are linear, and least squares gives them for any poles (variable projection; Golub,
+Pereyra 1973, with the Jacobian of Kaufman 1975). A search costs milliseconds an order, since a part
+with poles exp(l dt) filters the input by a polynomial of z of degree 1 or 2, whose numerator spans
+that of the part held exactly.
+
+Each order begins from several places: from the poles of a reduced high-order difference equation
+(Juang, Pappa 1985), from the order below and one part more, chosen from a grid by what it explains
+of the residual, and from the order above and a part less. So a dipole, a pole and a zero that
+nearly cancel, is judged jointly: by the criterion of the fit with and of that without it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+from scipy.signal import lfilter
+
+from ..plants import ModalModel, ProcessModel
+from ..plants.process_model import LONGEST_DELAY
+from ..pytree.in_short import in_short
+from ..pytree.ranges import require
+from .dead_time import LONGEST_LOOKED_FOR, first_lag
+from .estimation import identify
+from .orders import Order, compare_orders
+from .problem import SAMPLES_PER_PARAMETER, checked_record, need_excitation, need_samples
+from .records import Record
+from .verdict import Identified
+
+Numbers = np.ndarray
+HIGHEST = 24  # order that is looked for
+PATIENCE = 3  # orders without a smaller criterion, after which growing ends
+LAGS = 60  # of the difference equation that is reduced
+SAMPLED = 2000  # rows of a record that decide between parts of the grid
+GRID, DAMPINGS = 48, (0.01, 0.1, 0.7)  # rates and dampings of the parts that are tried
+DELAYS = (0, 1, 2, 3, 5, 8, 13, 21, 34)  # samples, at which a search may begin
+MODERATE = (4, 8)  # orders by which it is decided at which
+TRIED = 3  # of these, and of the parts that may go, so many are refined
+SHORT, LONG = 6, 60  # steps of a refinement that compares, and of one that ends
+GAINED = 1e-7  # relative fall of the cost of a step, below which a refinement ends
+LEAST_DAMPING, MOST_DAMPING = 1e-5, 50.0
+STILL = 0.02  # of 1 / duration, the slowest rate that is looked for
+SIMPLE = 6  # order up to which a model of real zeros is looked for
+FAR = 50.0  # of the criterion, beyond which no smaller model is looked for
+CLEARLY = 0.98  # of the squared error of the validation part, below which a lower order is better
+EXPLAINED, GROWS = 95.0, 10.0  # fit [%] below which a pole that grows as exp(10) is looked for
+INTEGRATES = 1.0  # rate times duration, below which a lag may be an integrator
+
+
+class Parts(NamedTuple):
+    """The parts of a model.
+
+    modes: (q, 2) logarithms of frequency [rad/s] and damping
+    lags: (l,) logarithms of the rates [rad/s]
+    integrators: 0, 1 or 2
+    direct: whether there is a direct term
+    delay: samples of dead time beyond the one of the hold
+    """
+
+    modes: Numbers
+    lags: Numbers
+    integrators: int = 0
+    direct: bool = False
+    delay: int = 0
+
+    @property
+    def order(self) -> int:
+        return 2 * len(self.modes) + len(self.lags) + self.integrators
+
+    @property
+    def x(self) -> Numbers:
+        """(2 q + l,) what is searched for."""
+        return np.concatenate([self.modes.ravel(), self.lags])
+
+    @property
+    def kind(self) -> tuple[int, ...]:
+        """What is counted: modes, lags, integrators, direct term and delay."""
+        return len(self.modes), len(self.lags), self.integrators, int(self.direct), self.delay
+
+    def at(self, x: Numbers) -> Parts:
+        q = len(self.modes)
+        return self._replace(modes=x[: 2 * q].reshape(q, 2), lags=x[2 * q :])
+
+
+class Signals(NamedTuple):
+    """A record as it is filtered.
+
+    u: (n_u, T, N+1) inputs of T experiments, one sample late and from rest
+    y: (T (N+1), n_y) outputs divided by `scale`, the first `samples` rows of which are fitted
+    """
+
+    u: Numbers
+    y: Numbers
+    scale: Numbers
+    samples: int
+    dt: float
+
+    @classmethod
+    def of(cls, record: Record, samples: int) -> Signals:
+        u, y = np.asarray(record.u), np.asarray(record.y)
+        u = np.moveaxis(u.reshape(record.trials, -1, u.shape[1]), 2, 0)
+        u = np.pad(u, ((0, 0), (0, 0), (1, 0)))
+        scale = np.std(y[:samples], axis=0)
+        return cls(u, y / scale, scale, samples, record.dt)
+
+    @property
+    def duration(self) -> float:
+        return self.u.shape[2] * self.dt
+
+    def first(self) -> Signals:
+        """The part that is fitted."""
+        n = self.u.shape[2]
+        if self.samples < n:
+            return self._replace(u=self.u[:, :1, : self.samples], y=self.y[: self.samples])
+        experiments = -(-self.samples // n)
+        return self._replace(u=self.u[:, :experiments], y=self.y[: self.samples])
+
+
+class Fitted(NamedTuple):
+    """Parts with the least squares of their numerators.
+
+    cost: sum of squares of the residual of the fitted part, of each output divided by its scale
+    bic: Bayesian information criterion (Schwarz 1978)
+    parameters: number of numbers that were fitted
+    """
+
+    parts: Parts
+    cost: float
+    bic: float
+    parameters: int
+
+
+def denominator(w: float, zeta: float, dt: float) -> Numbers:
+    """1 + a_1 / z + a_2 / z^2 of a mode that is sampled at dt."""
+    if zeta < 1:
+        r, turned = np.exp(-zeta * w * dt), w * dt * np.sqrt((1 - zeta) * (1 + zeta))
+        return np.array([1.0, -2 * r * np.cos(turned), r * r])
+    fast = w * (zeta + np.sqrt((zeta - 1) * (zeta + 1)))
+    slow = w**2 / fast
+    return np.array([1.0, -np.exp(-slow * dt) - np.exp(-fast * dt), np.exp(-(slow + fast) * dt)])
+
+
+def _later(signal: Numbers, by: int = 1) -> Numbers:
+    """The signal (..., n) later by some samples, from rest."""
+    moved = np.zeros_like(signal)
+    moved[..., by:] = signal[..., : signal.shape[-1] - by]
+    return moved
+
+
+def columns(signals: Signals, parts: Parts) -> tuple[Numbers, list[Numbers]]:
+    """(rows, c) what the numerators multiply, and the denominators of modes and lags.
+
+    For each input: the direct term, one or two integrators, two columns a mode, one a lag; a column
+    of ones for the bias stands first.
+    """
+    u = _later(signals.u, parts.delay) if parts.delay else signals.u
+    rows, found = signals.y.shape[0], [u] * parts.direct
+    summed = u
+    for _ in range(parts.integrators):
+        summed = np.cumsum(summed, axis=-1)
+        found.append(summed)
+    dens = [denominator(*np.exp(mode), signals.dt) for mode in parts.modes]
+    dens += [np.array([1.0, -np.exp(-np.exp(lag) * signals.dt)]) for lag in parts.lags]
+    for den in dens:
+        filtered = lfilter([1.0], den, u)
+        found += [filtered, _later(filtered)][: len(den) - 1]
+    flat = [np.ones((1, rows)), *(one.reshape(len(u), -1)[:, :rows] for one in found)]
+    return np.concatenate(flat).T, dens
+
+
+def evaluated(signals: Signals, parts: Parts, slopes: bool = True) -> tuple[Numbers, Numbers]:
+    """(rows n_y,) the residual, and (rows n_y, x) its derivatives by the poles.
+
+    The derivative of a column by its own poles has a part within the columns, which the numerators
+    make up for. So the output of each part is filtered once more by its own denominator, and what
+    the columns span is taken away.
+    """
+    X, dens = columns(signals, parts)
+    length = np.linalg.norm(X, axis=0)
+    length[length == 0] = 1.0
+    Q, R = np.linalg.qr(X / length)
+    b = Q.T @ signals.y
+    residual = signals.y - Q @ b
+    if not slopes:
+        return residual.ravel(), np.zeros((0, 0))
+    N = np.linalg.lstsq(R, b, rcond=1e-13)[0] / length[:, None]
+    n_u, T, n = signals.u.shape
+    at = 1 + n_u * (parts.direct + parts.integrators)
+    J = np.zeros((*signals.y.shape, len(parts.x)))
+    for i, den in enumerate(dens):
+        width = n_u * (len(den) - 1)
+        own = X[:, at : at + width] @ N[at : at + width]
+        at += width
+        padded = np.zeros((T * n, own.shape[1]))
+        padded[: len(own)] = own
+        again = lfilter([1.0], den, padded.T.reshape(-1, T, n))
+        moved = [_later(again, k).reshape(len(again), -1)[:, : len(own)].T for k in (1, 2)]
+        q = len(parts.modes)
+        if i < q:
+            for k in range(2):
+                step = np.zeros(2)
+                step[k] = 1e-6
+                ends = [
+                    denominator(*np.exp(parts.modes[i] + s * step), signals.dt) for s in (1, -1)
+                ]
+                d = (ends[0] - ends[1]) / 2e-6
+                J[:, :, 2 * i + k] = d[1] * moved[0] + d[2] * moved[1]
+        else:
+            p = np.exp(parts.lags[i - q]) * signals.dt
+            J[:, :, q + i] = p * np.exp(-p) * moved[0]
+    J -= np.tensordot(Q, np.tensordot(Q.T, J, 1), 1)
+    return residual.ravel(), J.reshape(residual.size, len(parts.x))
+
+
+def bounds(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
+    """The ends of what is searched for: far slower than the record, up to the sample rate."""
+    slow, fast = np.log(STILL / signals.duration), np.log(1.2 * np.pi / signals.dt)
+    q, lags = len(parts.modes), len(parts.lags)
+    low = [*np.tile([slow, np.log(LEAST_DAMPING)], q), *np.full(lags, slow)]
+    high = [*np.tile([fast, np.log(MOST_DAMPING)], q), *np.full(lags, fast + 1)]
+    return np.array(low), np.array(high)
+
+
+def refined(signals: Signals, parts: Parts, steps: int) -> Fitted:
+    """The parts after some steps of Levenberg-Marquardt on the residual."""
+    low, high = bounds(signals, parts)
+    x, damped = np.clip(parts.x, low, high), 1e-3
+    r, J = evaluated(signals, parts.at(x))
+    for _ in range(steps if len(x) else 0):
+        cost, g, H = r @ r, J.T @ r, J.T @ J
+        d = np.maximum(np.diag(H), 1e-12 * max(np.max(np.diag(H)), np.finfo(float).tiny))
+        for _ in range(8):
+            step = -np.linalg.solve(H + damped * np.diag(d), g)
+            new = np.clip(x + np.clip(step, -1.0, 1.0), low, high)
+            r_new = evaluated(signals, parts.at(new), slopes=False)[0]
+            if r_new @ r_new < cost:
+                break
+            damped *= 6
+        else:
+            break
+        x, damped = new, max(damped / 10, 1e-9)
+        r, J = evaluated(signals, parts.at(x))
+        if cost - r @ r < GAINED * cost:
+            break
+    return judged(signals, parts.at(x), r)
+
+
+def judged(signals: Signals, parts: Parts, residual: Numbers) -> Fitted:
+    """The parts with their criterion.
+
+    BIC = n sum_i ln(sum e_i^2 / n) + p ln n over the outputs i.  A delay counts as a parameter.
+    """
+    rows, n_y = signals.y.shape
+    n_u = len(signals.u)
+    linear = 1 + n_u * (parts.direct + parts.order)
+    count = n_y * linear + len(parts.x) + (parts.delay > 0)
+    mean = np.maximum(np.mean(residual.reshape(rows, n_y) ** 2, axis=0), 1e-18)
+    bic = rows * float(np.sum(np.log(mean))) + count * np.log(rows)
+    return Fitted(parts, float(residual @ residual), bic, count)
+
+
+# Where a search begins
+# --------------------------------------------------------------------------------------------------
+
+
+def of_poles(s: Numbers, delay: int) -> Parts:
+    """Parts with these poles [rad/s]; real ones are put together in pairs, the slowest last."""
+    complex_ = s[s.imag > 0]
+    modes = [(np.log(abs(p)), np.log(max(-p.real / abs(p), 1e-4))) for p in complex_]
+    real = sorted(np.maximum(-s[s.imag == 0].real, 1e-3), reverse=True)
+    while len(real) > 1:
+        fast, slow = real.pop(0), real.pop(0)
+        w = np.sqrt(fast * slow)
+        modes.append((np.log(w), np.log((fast + slow) / (2 * w))))
+    return Parts(np.reshape(modes, (-1, 2)), np.log(real), delay=delay)
+
+
+def reduced_poles(signals: Signals, delay: int, clip: bool = True) -> Callable[[int], Numbers]:
+    """The poles [rad/s] of any order, from a difference equation of high order that is reduced.
+
+    Its answers to impulses make a Hankel matrix, whose singular vectors span the states of a model
+    of any order (the eigensystem realisation algorithm). Unless `clip` is false, they are stable.
+    """
+    n_u, T, n = signals.u.shape
+    n_y = signals.y.shape[1]
+    u = _later(signals.u, delay) if delay else signals.u
+    m = int(min(LAGS, n // 4, signals.samples // (3 * (n_u + n_y))))
+    rows, wanted = [], []
+    for t in range(T):
+        y = signals.y[t * n : (t + 1) * n]
+        if len(y) <= m:
+            continue
+        past = np.lib.stride_tricks.sliding_window_view(y, m, axis=0)[:-1, :, ::-1]
+        late = np.lib.stride_tricks.sliding_window_view(u[:, t, : len(y)].T, m, axis=0)[1:, :, ::-1]
+        rows.append(np.concatenate([past.reshape(len(past), -1), late.reshape(len(late), -1)], 1))
+        wanted.append(y[m:])
+    X, Y = np.concatenate(rows), np.concatenate(wanted)
+    X = np.hstack([X, np.ones((len(X), 1))])
+    length = np.linalg.norm(X, axis=0)
+    length[length == 0] = 1.0
+    X /= length
+    gram = X.T @ X
+    theta = np.linalg.solve(gram + 1e-12 * np.eye(len(gram)), X.T @ Y) / length[:, None]
+    a = theta[: n_y * m].reshape(n_y, m, n_y)
+    b = theta[n_y * m : -1].reshape(n_u, m, n_y)
+    L = 2 * m
+    h = np.zeros((2 * L + 1, n_y, n_u))
+    for k in range(2 * L + 1):
+        if k < m:
+            h[k] = b[:, k].T
+        for i in range(min(k, m)):
+            h[k] += a[:, i].T @ h[k - 1 - i]
+    if not np.all(np.isfinite(h)):
+        h = np.nan_to_num(h, posinf=0.0, neginf=0.0)
+    index = np.arange(L)[:, None] + np.arange(L)
+    H, H_later = (np.moveaxis(h[index + k], 2, 1).reshape(L * n_y, L * n_u) for k in range(2))
+    U, size, V = np.linalg.svd(H)
+
+    def poles(order: int) -> Numbers:
+        order = min(order, len(size))
+        root = np.sqrt(np.maximum(size[:order], np.finfo(float).tiny))
+        z = np.linalg.eigvals((U[:, :order] / root).T @ H_later @ (V[:order].T / root))
+        if clip:
+            z = np.where(np.abs(z) > 0.9999, 0.9999 * z / np.abs(z), z)
+        z = np.where((z.imag == 0) & (z.real < 0.01), 0.01 + np.abs(z.real) / 10, z)
+        return np.log(z) / signals.dt
+
+    return poles
+
+
+def larger(signals: Signals, parts: Parts) -> tuple[list[Parts], list[Parts]]:
+    """Parts with one lag more, and with one mode more: those that explain most of the residual.
+
+    Of a long record some rows decide.
+    """
+    some = slice(None, None, max(1, signals.samples // SAMPLED))
+    X = columns(signals, parts)[0]
+    length = np.linalg.norm(X, axis=0)
+    length[length == 0] = 1.0
+    N = np.linalg.lstsq(X / length, signals.y)[0]
+    residual = (signals.y - X / length @ N)[some]
+    Q = np.linalg.qr((X / length)[some])[0]
+    none = Parts(np.zeros((0, 2)), np.zeros(0), 0, False, parts.delay)
+    rates = np.log(np.geomspace(1 / signals.duration, np.pi / signals.dt, GRID))
+    lags = [none._replace(lags=np.array([w])) for w in rates]
+    modes = [none._replace(modes=np.array([[w, np.log(z)]])) for w in rates for z in DAMPINGS]
+
+    def best(tried: list[Parts]) -> list[Parts]:
+        gains = []
+        for one in tried:
+            new = columns(signals, one)[0][some, 1:]
+            new = np.linalg.qr(new - Q @ (Q.T @ new))[0]
+            gains.append(np.sum((new.T @ residual) ** 2))
+        return [
+            parts._replace(
+                modes=np.concatenate([parts.modes, tried[i].modes]),
+                lags=np.concatenate([parts.lags, tried[i].lags]),
+            )
+            for i in np.argsort(gains)[::-1][:TRIED]
+        ]
+
+    return best(lags), best(modes)
+
+
+def smaller(parts: Parts) -> Iterator[Parts]:
+    """Parts without one of them; of a mode also without one of its two poles, where they are real.
+
+    A damped mode counts as two equal real poles.
+    """
+    for i in range(len(parts.lags)):
+        yield parts._replace(lags=np.delete(parts.lags, i))
+    for i, (w, zeta) in enumerate(parts.modes):
+        rest = parts._replace(modes=np.delete(parts.modes, i, axis=0))
+        yield rest
+        apart = np.arccosh(max(np.exp(zeta), 1.0))
+        for rate in {w - apart, w + apart} if np.exp(zeta) > 0.5 else ():
+            yield rest._replace(lags=np.append(rest.lags, rate))
+    if parts.direct:
+        yield parts._replace(direct=False)
+
+
+def later(parts: Parts) -> Iterator[Parts]:
+    """Parts without a fast pole or pair of poles, and with more delay or a direct term instead.
+
+    Poles that decay within a sample are a dead time or a direct term in disguise.
+    """
+    yield parts._replace(direct=True)
+    yield parts._replace(delay=parts.delay + 1)
+    for order in (parts.order - 1, parts.order - 2):
+        fewer = [one for one in smaller(parts) if one.order == order]
+        if not fewer:
+            continue
+        one = min(fewer, key=lambda one: np.sum(one.modes) + np.sum(one.lags))
+        for jump in range(3):
+            yield one._replace(delay=parts.delay + jump, direct=True)
+            if jump:
+                yield one._replace(delay=parts.delay + jump, direct=False)
+
+
+def at_rest(parts: Parts, duration: float) -> Iterator[Parts]:
+    """Parts whose slowest real pole is an integrator, where the record cannot tell it from one."""
+    slowest = np.log(INTEGRATES / duration)
+    if parts.integrators < 2:
+        for i, lag in enumerate(parts.lags):
+            if lag < slowest:
+                rest = parts._replace(lags=np.delete(parts.lags, i))
+                yield rest._replace(integrators=parts.integrators + 1)
+        for i, (w, zeta) in enumerate(np.exp(parts.modes)):
+            fast = w * (zeta + np.sqrt(max(zeta**2 - 1, 0.0)))
+            if zeta > 1 and np.log(w**2 / fast) < slowest:
+                rest = parts._replace(modes=np.delete(parts.modes, i, axis=0))
+                lags = np.append(rest.lags, np.log(fast))
+                yield rest._replace(lags=lags, integrators=parts.integrators + 1)
+    elif parts.integrators:
+        lags = np.append(parts.lags, slowest)
+        yield parts._replace(lags=lags, integrators=parts.integrators - 1)
+
+
+# The search
+# --------------------------------------------------------------------------------------------------
+
+
+def first_delay(signals: Signals, longest: int) -> int:
+    """The delay, of some up to the longest, at which models of moderate order fit best."""
+    delays = sorted({*(d for d in DELAYS if d < longest), longest})
+    fits = []
+    for delay in delays:
+        poles = reduced_poles(signals, delay)
+        fits += [refined(signals, of_poles(poles(n), delay), SHORT) for n in MODERATE]
+    return min(fits, key=lambda one: one.bic).parts.delay
+
+
+def ladder(
+    signals: Signals, delay: int, highest: int, each: Callable[[Fitted], object]
+) -> dict[int, Fitted]:
+    """The best fit of each order from 1 on, until the criterion no longer falls."""
+    poles, best = reduced_poles(signals, delay), {}
+    starts: dict[int, list[Parts]] = {}
+    for order in range(1, highest + 1):
+        begin = [of_poles(poles(order), delay), *starts.pop(order, [])]
+        short = min((refined(signals, p, SHORT) for p in begin), key=lambda one: one.cost)
+        best[order] = refined(signals, short.parts, LONG)
+        each(best[order])
+        if order - min(best, key=lambda n: best[n].bic) >= PATIENCE:
+            break
+        lags, modes = larger(signals, best[order].parts)
+        starts.setdefault(order + 1, []).extend(lags)
+        starts.setdefault(order + 2, []).extend(modes)
+    return best
+
+
+def improved(
+    signals: Signals,
+    now: Fitted,
+    *,
+    order: int | None,
+    delays: tuple[int, int],
+    highest: int,
+    each: Callable[[Fitted], object],
+) -> tuple[Fitted, list[Fitted]]:
+    """The fit after single changes of its parts, for as long as the criterion falls, and all tried.
+
+    A part goes or comes, the delay changes, a direct term comes or goes, a slow pole becomes an
+    integrator.
+
+    order: the order where it is fixed
+    delays: the least and the longest
+    """
+    tried = []
+    while True:
+        parts = now.parts
+        changed = [*smaller(parts), *at_rest(parts, signals.duration)]
+        changed += later(parts)
+        changed += [
+            parts._replace(delay=parts.delay - 1, direct=direct) for direct in {parts.direct, False}
+        ]
+        for more in larger(signals, parts):
+            changed += more[:1]
+        allowed = [
+            p
+            for p in changed
+            if p.kind != parts.kind
+            and delays[0] <= p.delay <= delays[1]
+            and (p.order == order if order else 0 < p.order <= highest)
+        ]
+        short = sorted((refined(signals, p, SHORT) for p in allowed), key=lambda one: one.bic)
+        long = [refined(signals, one.parts, LONG) for one in short[:2]]
+        tried += [*short, *long]
+        after = min([now, *long], key=lambda one: one.bic)
+        if after is now:
+            return now, tried
+        now = after
+        each(now)
+
+
+def numerators(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
+    """(c, n_y) what the columns are multiplied by, and (T (N+1), n_y) the output, of all rows."""
+    X = columns(signals, parts)[0]
+    length = np.linalg.norm(X[: signals.samples], axis=0)
+    length[length == 0] = 1.0
+    N = np.linalg.lstsq(X[: signals.samples] / length, signals.y[: signals.samples])[0]
+    return N / length[:, None], X / length @ N
+
+
+def validated(signals: Signals, parts: Parts) -> float:
+    """Sum of squares of the residual of the part that was not fitted."""
+    rest = slice(signals.samples, None)
+    return float(np.sum((signals.y[rest] - numerators(signals, parts)[1][rest]) ** 2))
+
+
+# The plant
+# --------------------------------------------------------------------------------------------------
+
+
+def into_states(parts: Parts, dt: float) -> Numbers:
+    """(c, c) the columns of one input, as those of `columns`, times this are the held states."""
+    blocks = [np.eye(int(parts.direct))]
+    if parts.integrators:
+        both = np.array([[dt, -(dt**2) / 2], [0.0, dt**2]])
+        blocks.append(both[: parts.integrators, : parts.integrators])
+    for w, zeta in np.exp(parts.modes):
+        A = np.array([[0.0, w, 0.0], [-w, -2 * zeta * w, w], [0.0, 0.0, 0.0]])
+        (a, b, x), (c, d, v), _ = scipy.linalg.expm(A * dt)
+        blocks.append(np.array([[x, v], [b * v - d * x, c * x - a * v]]))
+    blocks += [np.array([[-np.expm1(-np.exp(lag) * dt)]]) for lag in parts.lags]
+    return scipy.linalg.block_diag(*blocks)
+
+
+def plant_of(signals: Signals, parts: Parts) -> ModalModel:
+    """The plant with these parts and the least squares of its numerators."""
+    n_u, n_y = len(signals.u), signals.y.shape[1]
+    M = into_states(parts, signals.dt)
+    N = numerators(signals, parts)[0][1:] * signals.scale
+    N = np.linalg.solve(M, N.reshape(len(M), -1)).reshape(len(M), n_u, n_y)
+    N = np.swapaxes(N, 1, 2) if n_u * n_y > 1 else N[:, 0, 0]
+    q, m, d = len(parts.modes), parts.integrators, int(parts.direct)
+    I_1, I_2 = (*N[d : d + m], None, None)[:2]
+    of_modes, of_lags = N[d + m : d + m + 2 * q], N[d + m + 2 * q :]
+    w, zeta = np.exp(parts.modes).T
+    order, lag_order = np.argsort(w), np.argsort(parts.lags)
+    return ModalModel(
+        np.exp(parts.lags)[lag_order],
+        of_lags[lag_order],
+        w[order],
+        zeta[order],
+        of_modes[::2][order],
+        of_modes[1::2][order],
+        I_1,
+        I_2,
+        N[0] if d else None,
+        parts.delay * signals.dt,
+    )
+
+
+# Real zeros
+# --------------------------------------------------------------------------------------------------
+
+
+class WithZeros(NamedTuple):
+    """Parts with a numerator of lower degree, prod_i (1 - s / zeros_i) times a gain.
+
+    numerator: (m+1,) coefficients of powers of s / unit
+    """
+
+    parts: Parts
+    numerator: Numbers
+    unit: float
+    bic: float
+    parameters: int
+
+    @property
+    def zeros(self) -> Numbers:
+        """(m,) [rad/s]."""
+        return self.unit * np.polynomial.polynomial.polyroots(self.numerator)
+
+
+def with_zeros(signals: Signals, fitted: Fitted) -> list[WithZeros]:
+    """The fits of all degrees of the numerator below the order, of one input and one output."""
+    parts = fitted.parts
+    rates = np.exp(np.concatenate([parts.modes[:, 0], parts.lags]))
+    unit = float(np.exp(np.mean(np.log(rates))))
+    s = (0.3 + 1j) * np.geomspace(0.05 * rates.min(), 20 * rates.max(), 12 * parts.order)[:, None]
+
+    def basis(parts: Parts, degree: int) -> Numbers:
+        """(rows, 2 + degree) ones, and the outputs of (s / unit)^k over the denominator."""
+        w, zeta = np.exp(parts.modes).T
+        second, first = 1 + 2 * zeta * s / w + (s / w) ** 2, 1 + s / np.exp(parts.lags)
+        of_modes = np.stack([1 / second, s / w / second], axis=2).reshape(len(s), -1)
+        of_states = np.hstack([of_modes, 1 / first])
+        whole = np.prod(second, axis=1) * np.prod(first, axis=1)
+        wanted = (s / unit) ** np.arange(degree + 1.0) / whole[:, None]
+        size = np.abs(wanted[:, :1])
+        of_states, wanted = (np.vstack([M.real, M.imag]) for M in (of_states / size, wanted / size))
+        T = np.linalg.lstsq(of_states, wanted)[0]
+        X = columns(signals, parts)[0]
+        return np.hstack([X[:, :1], X[:, 1:] @ into_states(parts, signals.dt) @ T])
+
+    def solved(x: Numbers, degree: int) -> tuple[Numbers, Numbers]:
+        X = basis(parts.at(x), degree)
+        length = np.linalg.norm(X, axis=0)
+        N = np.linalg.lstsq(X / length, signals.y[:, 0])[0]
+        return N / length, X / length @ N - signals.y[:, 0]
+
+    low, high = bounds(signals, parts)
+    found: list[WithZeros] = []
+    for degree in reversed(range(parts.order)):
+        x = scipy.optimize.least_squares(
+            lambda x, degree=degree: solved(x, degree)[1],
+            np.clip(parts.x, low + 1e-6, high - 1e-6),
+            bounds=(low, high),
+            x_scale="jac",
+            max_nfev=20,
+            ftol=1e-7,
+        ).x
+        N, residual = solved(x, degree)
+        rows, count = len(residual), len(x) + degree + 2 + (parts.delay > 0)
+        mean = max(float(np.mean(residual**2)), 1e-18)
+        bic = rows * np.log(mean) + count * np.log(rows)
+        found.append(WithZeros(parts.at(x), N[1:] * signals.scale[0], unit, bic, count))
+        if bic > min(one.bic for one in found) + FAR:  # a coefficient that is needed is missing
+            break
+    return found
+
+
+def with_real_zeros(signals: Signals, fitted: Fitted) -> ProcessModel | None:
+    """The ProcessModel that explains the record as well as the sum of parts; None if none does."""
+    parts = fitted.parts
+    if signals.y.shape[1] > 1 or len(signals.u) > 1 or parts.order > SIMPLE:
+        return None
+    if parts.direct or parts.integrators:
+        return None
+    best = min(with_zeros(signals, fitted), key=lambda one: one.bic)
+    zeros = best.zeros
+    if best.bic > fitted.bic or np.any(np.abs(zeros.imag) > 1e-6 * np.abs(zeros)):
+        return None
+    lags, (w, zeta) = np.exp(best.parts.lags), np.exp(best.parts.modes).T
+    delay = parts.delay * signals.dt
+    return ProcessModel(best.numerator[0], zeros.real, lags, w, zeta, delay).regrouped()
+
+
+# The whole way
+# --------------------------------------------------------------------------------------------------
+
+
+class Tried(NamedTuple):
+    """A fit that was compared.
+
+    order: number of poles, with those of the integrators
+    modes, lags, integrators, direct: its parts
+    delay: dead time in samples
+    parameters: number of fitted numbers
+    rms: root mean square of the residual over the fitted part, of several outputs relative to them
+    bic: Bayesian information criterion
+    validation_fit: fit over the validation part [%]
+    """
+
+    order: int
+    modes: int
+    lags: int
+    integrators: int
+    direct: bool
+    delay: int
+    parameters: int
+    rms: float
+    bic: float
+    validation_fit: float
+
+
+class Grown(NamedTuple):
+    """What `grow` found.
+
+    found: the identification
+    tried: the best fit of each order that was looked at, and of each delay and kind beside the best
+    chosen: that of them which was chosen
+    """
+
+    found: Identified
+    tried: list[Tried]
+    chosen: Tried
+    __repr__ = in_short
+
+
+def grow(
+    record: Record,
+    *,
+    order: int | None = None,
+    delay: int | None = None,
+    fit_share: float = 0.7,
+    longest: int = LONGEST_LOOKED_FOR,
+    each: Callable[[str], object] = lambda said: None,
+) -> Grown:
+    """The plant of a record, of an order that is found, with complex zeros where they are there.
+
+    A sum of lags and modes (`ModalModel`) grows by one pole at a time while the Bayesian
+    information criterion falls; then single changes are tried until none makes it fall: a part less
+    or more, a sample of delay less or more, a direct term, an integrator in place of a slow pole.
+    Of the lower orders, one that is better on the validation part is taken instead. With one input
+    and one output, a `ProcessModel` whose criterion is smaller, since it has fewer and real zeros,
+    is the answer. In the end `identify` fits all numbers of the plant, and judges it.
+
+    record: of any number of inputs and outputs, which share the poles
+    order: number of poles; None where it is looked for
+    delay: dead time in samples, beyond the one of the hold; None where it is looked for
+    fit_share: share of the record that is fitted; the rest validates
+    longest: the longest delay that is looked for, in samples
+    each: called with a few words on what was found so far
+
+    Raises ValueError as `identify` does, and where the record is that of an unstable plant.
+    """
+    record = checked_record(record)
+    require("identify", "fit_share", fit_share, "(0, 1]")
+    samples = round(fit_share * len(record.y))
+    if order is not None:
+        require("identify", "order", order, f"[1, {HIGHEST}]", whole=True)
+    if delay is not None:
+        require("identify", "delay", delay, f"[0, {LONGEST_DELAY}]", whole=True)
+    n_u, n_y = record.u.shape[1], record.y.shape[1]
+    need_samples(samples * n_y, n_y + (order or 1) * (1 + n_u * n_y))
+    need_excitation(record, samples)
+    whole = Signals.of(record, samples)
+    signals = whole.first()
+    affordable = (samples * n_y / SAMPLES_PER_PARAMETER - n_y) / (1 + n_u * n_y)
+    highest = int(np.clip(affordable, 1, HIGHEST))
+    require("grow", "longest", longest, f"[0, {LONGEST_DELAY}]", whole=True)
+    longest = min(longest, len(record.u) // record.trials // 3)
+    delays = (0, longest) if delay is None else (delay, delay)
+    began = (
+        first_delay(signals, min(longest, first_lag(record, longest))) if delay is None else delay
+    )
+
+    def say(one: Fitted) -> None:
+        parts = one.parts
+        each(f"order {parts.order}, delay {parts.delay}: {_percent(signals, one):.4g} % fit")
+
+    steps = ladder(signals, began, min(highest, order or highest), say)
+    start = steps[order] if order else min(steps.values(), key=lambda one: one.bic)
+    best, tried = improved(signals, start, order=order, delays=delays, highest=highest, each=say)
+    need_stable(whole, best)
+    kinds: dict[tuple[int, ...], Fitted] = {}
+    for one in (*steps.values(), *tried, best):
+        kind = one.parts.kind
+        kinds[kind] = min(kinds.get(kind, one), one, key=lambda one: one.bic)
+    if order is None and fit_share < 1:
+        best = by_validation(whole, best, list(kinds.values()))
+    plant = with_real_zeros(signals, best) or plant_of(whole, best.parts)
+    each(f"order {best.parts.order}: intervals")
+    found = identify(record, plant, fit_share=fit_share)
+    others = [one for one in _worth_telling(kinds.values()) if one.parts.kind != best.parts.kind]
+    rows = [_told(whole, one) for one in (best, *others)]
+    return Grown(found, sorted(rows, key=lambda row: (row.order, row.bic)), rows[0])
+
+
+def by_validation(whole: Signals, best: Fitted, others: list[Fitted]) -> Fitted:
+    """The best fit, or one of lower order that is clearly better on the validation part."""
+    lower = [one for one in others if one.parts.order < best.parts.order]
+    errors = [(validated(whole, one.parts), one) for one in lower]
+    error, other = min(errors, key=lambda pair: pair[0], default=(np.inf, best))
+    return other if error < CLEARLY * validated(whole, best.parts) else best
+
+
+def need_stable(whole: Signals, best: Fitted) -> None:
+    """Raises ValueError where no stable model explains the record, and an unstable one would.
+
+    A difference equation predicts each sample from those before it, so it may have a pole that
+    grows; a simulation may not.
+    """
+    signals = whole.first()
+    ahead = _told(whole, best).validation_fit
+    if _percent(signals, best) > EXPLAINED and not ahead < EXPLAINED:
+        return
+    growth = np.max(reduced_poles(signals, best.parts.delay, clip=False)(MODERATE[0]).real)
+    if growth * signals.duration > GROWS:
+        raise ValueError(
+            f"identify: the plant seems to be unstable, with a pole near +{growth:.3g} rad/s; keep "
+            "it under its feedback, and identify from the reference to the output"
+        )
+
+
+def _percent(signals: Signals, one: Fitted) -> float:
+    """The fit of the fitted part [%], over all outputs."""
+    about = signals.y - np.mean(signals.y, axis=0)
+    return 100 * (1 - np.sqrt(one.cost / np.sum(about**2)))
+
+
+def _worth_telling(fits: Iterable[Fitted]) -> list[Fitted]:
+    """The best fit of each order, and the best ones of all."""
+    ranked = sorted(fits, key=lambda one: one.bic)
+    first = {one.parts.order: one for one in reversed(ranked)}
+    kinds = {one.parts.kind: one for one in (*first.values(), *ranked[:6])}
+    return list(kinds.values())
+
+
+def _told(whole: Signals, one: Fitted) -> Tried:
+    parts, rest = one.parts, slice(whole.samples, None)
+    y, error = whole.y[rest], whole.y[rest] - numerators(whole, parts)[1][rest]
+    share = np.nan
+    if len(y) > 1:
+        about = np.linalg.norm(y - np.mean(y, axis=0), axis=0)
+        share = float(np.min(100 * (1 - np.linalg.norm(error, axis=0) / about)))
+    n_y = whole.y.shape[1]
+    unit = float(whole.scale[0]) if n_y == 1 else 1.0
+    rms = unit * float(np.sqrt(one.cost / (whole.samples * n_y)))
+    q, lags, integrators, direct, delay = parts.kind
+    counts = (parts.order, q, lags, integrators, bool(direct), delay)
+    return Tried(*counts, one.parameters, rms, one.bic, share)
+
+
+def orders_and_delays(
+    record: Record, *, longest: int = LONGEST_LOOKED_FOR, **options: Any
+) -> list[Order]:
+    """Fits of several structures with the dead time of `grow`, which is to be used in its place.
+
+    longest: the longest delay that is looked for, in samples
+    options: as for `compare_orders`
+    """
+    warnings.warn("orders_and_delays is now grow, without a list", FutureWarning, stacklevel=2)
+    delay = grow(record, longest=longest).chosen.delay
+    return compare_orders(record, delay=delay, **options)
