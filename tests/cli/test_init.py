@@ -3,10 +3,14 @@
 import re
 import sys
 
+import numpy as np
 import pytest
+import scipy.signal
 from typer.main import get_command
 
 from jaxilc.cli import app, main
+from jaxilc.learning import learn
+from jaxilc.learning.playback import schedules
 from jaxilc.scenarios.from_file import read_scenario
 
 PLANTS = {  # other plants that the comments speak of, with what the file's plant has
@@ -31,6 +35,35 @@ def jaxilc_command(monkeypatch, capsys, tmp_path):
         return code, *capsys.readouterr()
 
     return call
+
+
+def test_a_set_point_is_corrected_from_the_error_of_the_drive_on(jaxilc_command, tmp_path):
+    assert jaxilc_command("init", "plain.toml")[0] == 0
+    code, _, err = jaxilc_command("init", "--set-point", "drive.toml")
+    assert (code, err) == (0, "")
+    errors = {}
+    for name in ("plain", "drive"):
+        file = tmp_path / f"{name}.toml"
+        made = read_scenario(file)
+        found = learn(made.machine, made.schemes["ilc"], made.task, 12).metrics.rms
+        errors[name] = np.asarray(found)[:, 0]
+        chosen = re.sub(r"^#(?=[a-z\[])", "", file.read_text(encoding="utf-8"), flags=re.M)
+        (tmp_path / "chosen.toml").write_text(chosen)
+        assert [*read_scenario(tmp_path / "chosen.toml").schemes] == ["ilc", "norm-optimal"]
+    made = read_scenario(tmp_path / "drive.toml")
+    law = made.schemes["ilc"]
+    (u,) = schedules(law, law.initial_memory(made.task), made.task).values()
+    r = np.asarray(made.task.reference)
+    assert np.max(np.abs(u - (r[1:] + r[:-1]) / 2)) < 0.025  # r through the filter, of 50 Hz
+    drive = scipy.signal.tf2ss([4000.0], [1.0, 80.0, 4000.0])
+    A, B, C, *_ = scipy.signal.cont2discrete(drive, made.task.dt)
+    x, of_drive = np.zeros((2, 1)), []
+    for k, held in enumerate(u[:, 0]):
+        x = A @ x + B * held
+        of_drive.append((C @ x).item() - r[k + 1, 0])
+    np.testing.assert_allclose(errors["drive"][0], np.sqrt(np.mean(np.square(of_drive))), rtol=1e-9)
+    assert errors["plain"][0] > 3 * errors["drive"][0] > 50 * errors["drive"][-1]
+    assert made.task.input_unit == "mm"
 
 
 def test_the_file_runs_as_it_is_and_with_every_choice(jaxilc_command, tmp_path):
