@@ -96,4 +96,5 @@ def carried_radius(machine: Machine, scheme: Scheme, task: Task) -> CarriedRadiu
     assert variation is not None
     if variation.draws and not RecordMoments.of(variation, task.N + 1).certain:
         claim, said = NOTHING, f"of single runs nothing is known; in the mean of all runs {said}"
+        said += ". A `sweep` draws runs"
     return CarriedRadius(claim, said, float(radius), float(doubt))

@@ -41,7 +41,6 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from ..learning.divergence import GROWTH
@@ -61,6 +60,7 @@ from .learning_map import (
     LearningMaps,
     changes_nothing,
     count_of,
+    ends_at_zero,
     first_of,
     joined,
     limit_names,
@@ -69,9 +69,8 @@ from .learning_map import (
     view_of,
 )
 from .linearity import keeps_all, learning_premises
-from .outlook import Outlook, outlook_of
+from .outlook import Outlook, outlook_of, share_words
 from .rounding import LARGEST, Ball, ball_of, linear_part
-from .trials import starts_off
 
 CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
 COURSES = FALLS, NOT_ALWAYS, TURNS, GROWS = "falls", "falls, not always", "turns", "grows"
@@ -86,7 +85,10 @@ GAUSSIAN = (
 MARKOV = (
     "what 95 of 100 trials stay below follows from the mean square alone, by Markov's inequality"
 )
-DRAWN = "what {} adds is bounded only where every trial is learned from alike"
+DRAWN = (
+    "what {} adds is bounded only where every trial is learned from alike; a claim needs records "
+    "without it, or of which nothing is lost or late"
+)
 UNBOUNDED = "what {} adds in each trial is not seen to stay within bounds"
 MANY = f"what {{}} adds is followed for up to {LARGEST} inputs"
 SEEDS = 16  # runs that are simulated of each machine of which something is drawn
@@ -350,7 +352,8 @@ def _of_runs(
             sense = np.full(size, STILL, object)
             return means._replace(sense=sense, reason=means.reason + said), None
         said = f"what is drawn for each trial is followed for up to {LARGEST} inputs, not for "
-        reason = np.full(size, f"{said}{inputs}", object)
+        said += f"{inputs}; a claim needs a shorter trial or longer samples, and `sweep` draws runs"
+        reason = np.full(size, said, object)
         no = np.zeros(size, bool)
         return means._replace(claim=np.full(size, NOTHING), reason=reason, of_error=no), None
     astray = None if means.ball is None else means.ball.limits
@@ -496,9 +499,7 @@ def _claims(maps: LearningMaps, ahead: Outlook):
     of_errors = np.full(size, np.inf)
     scheme, task = maps.scheme, maps.task
     if keeps_all(scheme, task):
-        off = jax.vmap(starts_off, in_axes=(0, None, None))(maps.machines, scheme, task)
-        ends_at_zero = keeps_all(scheme, task, off=True) | ~np.asarray(off)
-        of_errors = np.where(ends_at_zero, maps.error_norm(), np.inf)
+        of_errors = np.where(ends_at_zero(maps), maps.error_norm(), np.inf)
     of_error = (of_errors < 1) & ahead.clear
     monotone = of_error | (decay.monotone & ahead.clear)
     converges = decay.converges & ahead.clear & ~monotone
@@ -513,7 +514,7 @@ def _claims(maps: LearningMaps, ahead: Outlook):
 
 def _reason(i: int, claim: str, of_error: bool, of_errors: float, ahead: Outlook) -> str:
     if of_error:
-        return f"the error falls to {of_errors:.6g} of itself in every trial, or below"
+        return f"the error falls to {share_words(of_errors)} of itself in every trial, or below"
     if claim == DIVERGES:
         return "an eigenvalue of the learning map lies beyond 1"
     if claim != NOTHING or not ahead.decay.converges[i]:

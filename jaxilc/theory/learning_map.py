@@ -31,7 +31,7 @@ from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
 from ..signals.task import Task
 from .law import learning_law
-from .linearity import remembers
+from .linearity import keeps_all, remembers
 from .spectrum import (
     growth_about,
     krylov,
@@ -42,7 +42,16 @@ from .spectrum import (
     spectral_radius_of,
     triangular_radius,
 )
-from .trials import Key, learned_from, learned_shape, next_learned, played, shown_of, trial_of
+from .trials import (
+    Key,
+    learned_from,
+    learned_shape,
+    next_learned,
+    played,
+    shown_of,
+    starts_off,
+    trial_of,
+)
 
 DENSE = 512  # rows up to which M is taken as a matrix
 STEPS = 300  # of the Lanczos process, at most
@@ -236,6 +245,13 @@ class LearningMaps(abc.ABC):
         changes with w.
         """
 
+    def leaves_nothing(self) -> np.ndarray:
+        """(S,) whether a limit of learning surely has no error; False where that is not looked at.
+
+        There L e = 0 of a law that keeps all that it has learned, so e = 0 where L has full rank.
+        """
+        return np.zeros(count_of(self.machines), bool)
+
     @abc.abstractmethod
     def radius(self) -> tuple[np.ndarray, np.ndarray]:
         """(S,) spectral radius of M where learning moves w, and its doubt (S,).
@@ -262,6 +278,16 @@ class LearningMaps(abc.ABC):
         Each is (S,). The trial is 0 where none was seen to meet a limit. reach: (S,) of `Decay`;
         room: (S, K) of the bounds that counts as all of them; None for all of it
         """
+
+
+def ends_at_zero(maps: LearningMaps) -> np.ndarray:
+    """(S,) of a law that keeps all: whether it does so where a trial begins with an error, too.
+
+    If not, only the machines do whose trials begin without one.
+    """
+    scheme, task = maps.scheme, maps.task
+    off = jax.vmap(starts_off, in_axes=(0, None, None))(maps.machines, scheme, task)
+    return keeps_all(scheme, task, off=True) | ~np.asarray(off)
 
 
 def maps_of(machines: Machine, scheme: Scheme, task: Task, steps: int = STEPS) -> LearningMaps:
@@ -376,8 +402,20 @@ class Matrices(LearningMaps):
     def late(self, power: int) -> np.ndarray:
         return self.norm(power) * (1 - 2 * WIDE)
 
+    def leaves_nothing(self) -> np.ndarray:
+        plain = self.basis is None and self.machines.variation is None
+        if not (plain and keeps_all(self.scheme, self.task)):
+            return super().leaves_nothing()
+        L = self._law()
+        if np.linalg.matrix_rank(L) < L.shape[1]:
+            return super().leaves_nothing()
+        return ends_at_zero(self)
+
+    def _law(self) -> np.ndarray:
+        return learning_law(self.scheme.unlimited(), self.task).L[list(self.view.moving)]
+
     def error_norm(self) -> np.ndarray:
-        L = learning_law(self.scheme.unlimited(), self.task).L[list(self.view.moving)]
+        L = self._law()
         L = L if self.basis is None else self.basis.swapaxes(1, 2) @ L
         return _norms(np.eye(self.E.shape[1]) + self.E @ L) * (1 + WIDE)
 

@@ -136,7 +136,8 @@ def _differing(variation: Variation, scheme: Scheme, task: Task) -> str:
         if lost and getattr(part, "weighs", False):
             return (
                 f"{type(part).__name__} is another law for each set of samples that are measured, "
-                "so its mean is not that of mean samples"
+                "so its mean is not that of mean samples; `sweep` draws its runs, and a law "
+                "without a model is the same for each set"
             )
     return ""
 

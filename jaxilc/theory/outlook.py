@@ -98,7 +98,9 @@ class Decay(NamedTuple):
             )
         before = f", and grows at most {growth:.3g} times before" if growth > 1 else ""
         within = "every trial" if k == 1 else f"{k} trials"
-        falls = f"the distance from the limit falls to {self.factor[machine]:.6g} of itself"
+        falls = (
+            f"the distance from the limit falls to {share_words(self.factor[machine])} of itself"
+        )
         return f"{falls} in {within}, or below{before}"
 
     @property
@@ -110,6 +112,11 @@ class Decay(NamedTuple):
         found = self.trials > 0
         growth, left = np.where(found, self.growth, 1.0), np.where(found, 1 - self.factor, 1.0)
         return np.where(found, growth * self.trials / left, np.inf)
+
+
+def share_words(factor: float) -> str:
+    """A factor below 1 in words, in which one that is close to it differs from it."""
+    return f"1 - {1 - factor:.3g}" if 1 - factor < 5e-7 else f"{factor:.6g}"
 
 
 class Outlook(NamedTuple):
@@ -177,6 +184,8 @@ def outlook_of(maps: LearningMaps, astray: np.ndarray | None = None) -> Outlook:
         met = np.zeros_like(met)  # the trial is that of the machine that does not go astray
     labels = np.array([names[i] for i in which] if names else [""] * len(left))
     doubt = gain * radius / np.sqrt(maps.task.N * maps.task.outputs)
+    nothing = decay.converges & maps.leaves_nothing()
+    floor, doubt = (np.where(nothing, 0.0, x) for x in (floor, doubt))
     return Outlook(decay, limit, radius, floor, doubt, met, clear, labels)
 
 

@@ -115,6 +115,23 @@ def test_with_a_filter_or_a_leak_the_distance_from_the_limit_falls_and_its_floor
     assert "it leaves an rms error of" in sentence(found, 300)
 
 
+def test_a_law_that_keeps_all_leaves_nothing_however_small_its_gain():
+    """At 1e-12 the limit is known to a few digits only, and its error all the same to be zero."""
+    found = certified(FIRST_ORDER, PIDType(gamma_p=1e-12), 3, B)
+    assert set(found.claim) == {"converges"}
+    assert "falls to 1 - " in found.reason[0]
+    assert not np.any(found.floor)
+    assert not np.any(found.doubt)
+    first = np.zeros((N + 1, 1))
+    first[1] = 1.0  # which no input reaches, and a law with a lead does not learn from
+    waits = StateSpace([[0.7, 0.0], [1.0, 0.0]], [[0.3], [0.0]], [[0.0, 1.0]], dt=DT)
+    off = Machine(waits, disturbance=Disturbance(output=first))
+    found = certified(off, PIDType(gamma_p=0.8, lead=1), 3, GAIN)
+    assert set(found.claim) <= {"converges", "monotone"}
+    r = np.asarray(TASK.reference)[1, 0]
+    np.testing.assert_allclose(found.floor, (1 - r) / np.sqrt(N), rtol=1e-9)
+
+
 def test_an_error_that_no_input_reaches_is_left_over_by_a_derivative():
     """An error that no input reaches remains in a law with a derivative.
 
