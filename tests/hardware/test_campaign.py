@@ -665,6 +665,8 @@ def test_every_table_is_looked_at_before_it_is_played():
         "table.weights[0]": np.zeros((task.N, 1)),
     }
     assert beyond_limits(rows, task, None, Rules()) == []
+    near = {"reference": r[:, 1:] + 0.05}  # the other output is farther away, and does not count
+    assert beyond_limits(near, task, None, Rules(correction=0.1)) == []
     rows["table.weights[0]"][3] = np.nan
     found = beyond_limits(rows, task, None, Rules(limit=0.4, correction=0.1))
     assert [f.kind for f in found] == ["refusal"] * 3
