@@ -1,10 +1,11 @@
 """Labelled results: a Zarr store that is filled chunk by chunk, and opened as an xarray dataset.
 
 A store holds one array for each variable, the coordinates, the configuration that made it, and a
-mark for every complete chunk: a checksum of the chunk's numbers and of the configuration. A chunk
-is marked when all of its arrays are on the disk. When a store is resumed or opened, its numbers are
-read and compared with their marks, so that missing, truncated or altered data are found. The bytes
-of each file also have a checksum (crc32c), for programs that do not know the marks.
+mark for every complete chunk: a checksum of the chunk's numbers, its place and the configuration. A
+chunk is marked when all of its arrays are on the disk. When a store is resumed or opened, its
+numbers are read and compared with their marks, so that missing, truncated or altered data are
+found. The bytes of each file also have a checksum (crc32c), for programs that do not know the
+marks.
 """
 
 from __future__ import annotations
@@ -192,7 +193,7 @@ class Store:
                 return False
             machines = _machines(chunk, self.layout.chunk, self.layout.sizes["sample"])
             values = {n: self._arrays[n][scheme, machines] for n in self.layout.variables}
-            if mark == _mark(self.layout.recipe, values):
+            if _is_mark(mark, self.layout.recipe, values, (scheme, chunk)):
                 self._keep(scheme, machines, values)
                 return True
             wrong = "its values are not those that were marked"
@@ -211,7 +212,7 @@ class Store:
         values = {n: np.asarray(value, self._arrays[n].dtype) for n, value in values.items()}
         for name, value in values.items():
             self._arrays[name][scheme, machines] = value
-        self._arrays[DONE][scheme, chunk] = _mark(self.layout.recipe, values)
+        self._arrays[DONE][scheme, chunk] = _mark(self.layout.recipe, values, (scheme, chunk))
         self._keep(scheme, machines, values)
 
     def dataset(self) -> xr.Dataset:
@@ -285,7 +286,7 @@ def _check_marks(dataset: xr.Dataset, recipe: Mapping[str, Any], chunk: int) -> 
     for (scheme, number), mark in np.ndenumerate(dataset[DONE].values):
         machines = _machines(number, chunk, dataset.sizes["sample"])
         found = {str(name): dataset[name].values[scheme, machines] for name in variables}
-        if mark and mark != _mark(recipe, found):
+        if mark and not _is_mark(mark, recipe, found, (scheme, number)):
             name = dataset["scheme"].values[scheme]
             raise Damaged(f"chunk {number} of scheme {name!r} is not as it was marked")
 
@@ -299,9 +300,22 @@ def _machines(chunk: int, size: int, machines: int) -> slice:
     return slice(chunk * size, min((chunk + 1) * size, machines))
 
 
-def _mark(recipe: Mapping[str, Any], values: Mapping[str, np.ndarray]) -> int:
-    """A checksum of a chunk's values and of the configuration; never 0, which means no mark."""
+def _is_mark(
+    mark: int, recipe: Mapping[str, Any], values: Mapping[str, np.ndarray], place: tuple[int, int]
+) -> bool:
+    """Whether a mark is that of a chunk at its place; marks of before did not hold the place."""
+    return any(int(mark) == _mark(recipe, values, of) for of in (place, ()))
+
+
+def _mark(
+    recipe: Mapping[str, Any], values: Mapping[str, np.ndarray], place: tuple[int, ...]
+) -> int:
+    """A checksum of a chunk's values, of its scheme and number, and of the configuration.
+
+    It is never 0, which means no mark.
+    """
     found = hashlib.blake2b(json_text(recipe).encode(), digest_size=8)
+    found.update(np.asarray(place, "<i8").tobytes())
     for name in sorted(values):
         found.update(name.encode() + values[name].tobytes())
     return int.from_bytes(found.digest(), "little") or 1

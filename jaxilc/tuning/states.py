@@ -65,8 +65,9 @@ class Folder:
             closing.enter_context(only_one(path))
             remove_leftovers(path)
             self._whole, self._damaged = _states(path)
-            self._newest_is_whole = STATE in self._whole
             need_same(path, self._configuration(), json.loads(self._recipe))
+            self._leave_others()
+            self._newest_is_whole = STATE in self._whole
             self._closing = closing.pop_all()
 
     def __enter__(self) -> Folder:
@@ -104,6 +105,17 @@ class Folder:
             said = f"{self.path / name} is not a state of this tuning"
             raise ValueError(f"{said}; remove {self.path} and start again")
         return jax.tree.unflatten(structure, found)
+
+    def _leave_others(self) -> None:
+        """Count a state that holds another configuration, such as a borrowed one, as damaged."""
+        for name, state in list(self._whole.items()):
+            file = self.path / name
+            try:
+                made = tree_of(str(state.get("configuration")), json.loads, file)
+                need_same(file, made, json.loads(self._recipe))
+            except ValueError as error:
+                self._damaged.append(str(error))
+                del self._whole[name]
 
     def _configuration(self) -> dict[str, Any]:
         """The configuration of the folder; a damaged file is repaired from a state."""

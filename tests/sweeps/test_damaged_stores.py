@@ -4,19 +4,22 @@ Whatever bit is changed, and whatever is cut off or missing, no number changes w
 """
 
 import dataclasses
+import itertools
 import logging
 import os
 import shutil
 
+import numpy as np
 import pytest
 import xarray as xr
 from fuzz import files_of, flipped, fuzz, refusal
-from store_case import filled
+from store_case import LAYOUT, filled
 from sweep_case import PLAN
 
 from jaxilc import open_dataset, summarise
 from jaxilc.storage import files
 from jaxilc.sweeps import Sweep
+from jaxilc.sweeps.store import DONE, Store
 
 
 @pytest.fixture(autouse=True)
@@ -39,6 +42,37 @@ def test_a_flipped_bit_in_a_store_is_refused_or_computed_again(tmp_path):
         xr.testing.assert_identical(open_dataset(store), whole)
 
     fuzz(28, attempt, ())
+
+
+def test_a_chunk_in_the_place_of_another_is_computed_again(tmp_path):
+    """Its numbers and its mark are whole, but of another scheme or of other machines."""
+    names = {"scheme": (("scheme",), np.array(["one", "two"]))}
+    layout = dataclasses.replace(
+        LAYOUT, coordinates=LAYOUT.coordinates | names | {"sample": (("sample",), np.arange(6))}
+    )
+    values = {"rms": np.arange(12.0).reshape(2, 6) + 1, "finite": np.ones((2, 6), bool)}
+    places = list(itertools.product(range(2), range(2)))
+
+    def fill(path):
+        make = Store.resume if path.exists() else Store.create
+        with make(path, layout) as store:
+            for scheme, chunk in places:
+                if not store.is_done(scheme, chunk):
+                    rows = slice(3 * chunk, 3 * chunk + 3)
+                    store.write(
+                        scheme, chunk, rows, {n: of[scheme, rows] for n, of in values.items()}
+                    )
+            return store.dataset()
+
+    whole = fill(tmp_path / "store.zarr")
+    for one, other in itertools.permutations(places, 2):
+        store = shutil.copytree(tmp_path / "store.zarr", tmp_path / f"{one}{other}.zarr")
+        for name in (*values, DONE):
+            to, of = (store / name / "c" / f"{scheme}/{chunk}" for scheme, chunk in (one, other))
+            shutil.copyfile(of, to)
+        with pytest.raises(ValueError, match="is not as it was marked"):
+            open_dataset(store)
+        xr.testing.assert_identical(fill(store), whole)
 
 
 @pytest.fixture(scope="module")

@@ -96,6 +96,20 @@ def test_a_state_of_something_else_is_refused(tuned, tmp_path):
     fuzz(30, attempt)
 
 
+def test_a_state_of_another_tuning_is_left_for_the_one_before_it(tuned, tmp_path):
+    problem, folder, whole = tuned
+    dataclasses.replace(problem, rate=2 * problem.rate).run(tmp_path / "other")
+    for name, exchanged in (("one", ("state.npz",)), ("both", ("state.npz", "previous.npz"))):
+        state = shutil.copytree(folder, tmp_path / name)
+        for file in exchanged:
+            shutil.copyfile(tmp_path / "other" / "state.npz", state / file)
+        if name == "one":
+            assert_equal(problem.run(state, resume=True), whole)
+            continue
+        with pytest.raises(ValueError, match=r"state.npz was made with another .*start again"):
+            problem.run(state, resume=True)
+
+
 @pytest.mark.parametrize("content", [b"", b"{}", b"[]", b"null", b'{"sha256": 1}', b"\xff"])
 def test_a_damaged_tuning_falls_back_or_is_refused_in_one_line(tuned, tmp_path, content):
     problem, folder, whole = tuned
