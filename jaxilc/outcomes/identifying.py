@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .. import figures, identification
+from ..identification.closed_loop import feedback_seen, of_reference
 from ..identification.frequency_response import is_frequency_response
 from ..identification.grown_response import (
     Grown,
@@ -43,6 +44,15 @@ SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a r
 AS_GOOD = 6.0  # of the criterion, by which it may be larger
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
 MOST_ORDERS = 12  # rows of a table of orders
+REFERENCE = "r"  # column of the reference of a closed loop
+UNKNOWN_REFERENCE = (
+    "A loop was closed in this record: the input answers the noise of the output, so that the fit "
+    "is biased where the noise is not white. Without bias: record the reference as a column r, too."
+)
+OF_REFERENCE = (
+    "A loop was closed in this record: the plant is fitted from its reference, the column r, so "
+    "that the noise in the input adds no bias; the residual holds what the feedback did about it."
+)
 SECOND = "A record that was not fitted, and the output that the plant predicts."
 NO_LAW = "No filtered P-type law was found that learns on the fitted plant: the file has no scheme."
 CAPTIONS = {
@@ -80,9 +90,11 @@ def identify(
         )
     progress("fitting")
     of = _of_response if is_response else _of_record
-    fitted = of(record, asked, progress)
+    fitted, closed = of(record, asked, progress), []
+    if not is_response:
+        fitted, closed = _of_loop(record, asked, fitted)
     found = fitted.found
-    lines, has_law = sentences_on(found, fitted.dt), True
+    lines, has_law = sentences_on(found, fitted.dt) + closed, True
     figures_of = {n: Figure(CAPTIONS[n], draw, live=True) for n, draw in fitted.draw.items()}
     second: dict[str, Any] = {}
     if validate is not None:
@@ -105,6 +117,29 @@ def identify(
         live=partial(live_of, fitted.measured, found, fitted.dt, fitted.units),
         asked=fitted.structure,
     )
+
+
+def _of_loop(path: Path, asked: Reading, fitted: Fitted) -> tuple[Fitted, list[str]]:
+    """The fit without the bias of a feedback, where one is seen and the reference is recorded."""
+    record, found, (into, of) = fitted.measured, fitted.found, fitted.units
+    y = np.reshape(record.y, (len(record.y), -1))
+    one = y.shape[1] == np.ndim(np.atleast_1d(record.u[0])) == 1
+    if not one or not feedback_seen(record, y - found.simulated):
+        return fitted, []
+    try:
+        how: dict[str, Any] = asked.of_record | {"input": REFERENCE}
+        reference = read_record_file(path, dt=asked.dt, **how).record.u
+    except ValueError:
+        return fitted, [UNKNOWN_REFERENCE]
+    found = identification.identify(of_reference(record, reference), found.plant)
+    draw = partial(figures.validation_figure, record, found, output_unit=of, unit=of)
+    by_loop = {"record": fitted.draw["record"], "validation": draw}
+    if "response" in fitted.draw:
+        by_loop["response"] = partial(
+            figures.response_figure, found, record.dt, input_unit=into, output_unit=of
+        )
+    tables = [*fitted.tables[:-1], identification_table(str(path), found.summary())]
+    return fitted._replace(found=found, draw=by_loop, tables=tables), [OF_REFERENCE]
 
 
 def _on_second(

@@ -1,0 +1,73 @@
+"""A loop that was closed is seen, and the reference gives a fit without bias."""
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from jaxilc import outcomes
+from jaxilc.identification import Record, identify
+from jaxilc.identification.closed_loop import feedback_seen, of_reference
+from jaxilc.plants import ProcessModel
+
+DT, N, POLE, GAIN = 0.01, 2000, 8.0, 2.0
+STRUCTURE = {"poles": 1, "pairs": 0, "zeros": 0}
+
+
+def played(seed, feedback):
+    """Return reference, input and output of a lag with slow noise, under P control by NumPy."""
+    rng, kept = np.random.default_rng(seed), np.exp(-POLE * DT)
+    r = np.repeat(rng.choice([-1.0, 1.0], N // 20 + 1), 20)[: N + 1]
+    v = scipy.signal.lfilter([0.05], [1, -0.97], rng.standard_normal(N + 1))
+    x, u, y = 0.0, np.zeros(N + 1), np.zeros(N + 1)
+    for k in range(N + 1):
+        y[k] = x + v[k]
+        u[k] = feedback * (r[k] - y[k]) if feedback else r[k]
+        x = kept * x + GAIN * (1 - kept) * u[k]
+    return r, u, y
+
+
+def test_a_closed_loop_is_seen_and_an_open_one_is_not():
+    for seed in range(4):
+        for feedback in (0.0, 3.0):
+            _, u, y = played(seed, feedback)
+            record = Record(u[:-1], y, DT)
+            wrong = ProcessModel(0.7 * GAIN, [], [1.5 * POLE], [], [])  # no model is the plant
+            found = identify(record, wrong, free=["gain"])
+            assert feedback_seen(record, y[:, None] - found.simulated) == bool(feedback)
+
+
+def test_the_reference_gives_a_fit_without_bias():
+    direct, staged = [], []
+    for seed in range(12):
+        r, u, y = played(seed, 3.0)
+        record = Record(u[:-1], y, DT)
+        start = ProcessModel(GAIN, [], [POLE], [], [])
+        direct.append(float(identify(record, start).plant.gain))
+        staged.append(float(identify(of_reference(record, r[:-1]), start).plant.gain))
+    spread = np.std(staged) / np.sqrt(len(staged))
+    assert abs(np.mean(staged) - GAIN) < 3 * spread
+    assert abs(np.mean(direct) - GAIN) > 6 * np.std(direct) / np.sqrt(len(direct))
+
+
+def test_the_command_uses_the_reference_of_a_file_and_asks_for_it(tmp_path):
+    r, u, y = played(0, 3.0)
+    table = np.column_stack([np.arange(N + 1) * DT, r, u, y])
+    for name, columns in (("with", [0, 1, 2, 3]), ("without", [0, 2, 3])):
+        head = ",".join(np.array(["t", "r", "u", "y"])[columns])
+        np.savetxt(
+            tmp_path / f"{name}.csv", table[:, columns], delimiter=",", header=head, comments=""
+        )
+    found = {
+        name: outcomes.identify(tmp_path / f"{name}.csv", reading={"structure": STRUCTURE})
+        for name in ("with", "without")
+    }
+    assert "fitted from its reference" in " ".join(found["with"].verdict.said)
+    assert found["with"].numbers["gain"]["low"] < GAIN < found["with"].numbers["gain"]["high"]
+    said = " ".join(found["without"].verdict.said)
+    assert "A loop was closed in this record" in said
+    assert "record the reference as a column r" in said
+
+
+def test_a_reference_that_rests_excites_nothing():
+    with pytest.raises(ValueError, match="the reference does not move"):
+        of_reference(Record(np.ones(50), np.ones(51), DT), np.zeros(50))
