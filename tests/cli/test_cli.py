@@ -893,26 +893,11 @@ def test_a_refused_trial_has_its_own_exit_code(jaxilc_command, tmp_path):
 
 
 @pytest.mark.slow
-def test_certify_tune_and_worst_case_leave_reports(jaxilc_command, tmp_path):
+def test_certify_and_worst_case_leave_reports(jaxilc_command, tmp_path):
     (tmp_path / "mine.toml").write_text(PLANT + LEARNER + UNCERTAIN)
     common = ("mine.toml", "--scheme", "ilc", "--report", "page.html")
-    small = (
-        "--weights",
-        "gamma_p",
-        "--steps",
-        1,
-        "--machines",
-        2,
-        "--held-out",
-        2,
-        "--unseen",
-        3,
-        "--trials",
-        2,
-    )
     for command, options, expected in (
         ("certify", ("--machines", 3, "--trials", 3), ("in the long run", "<td>3</td>")),
-        ("tune", small, ("held-out loss", "<td>gamma_p</td>")),
         (
             "worst-case",
             ("--trial", 2, "--starts", 2, "--steps", 2),

@@ -80,7 +80,8 @@ def scenario():
 def tuned(tmp_path_factory):
     """Return the folder of a tuning, and what the command printed."""
     folder = tmp_path_factory.mktemp("tune")
-    code, out, err = call(*TUNE, "--out", folder, "--report", folder / "numbers.json")
+    reports = ("--report", folder / "numbers.json", "--report", folder / "page.html")
+    code, out, err = call(*TUNE, "--out", folder, *reports)
     assert code == 0, err
     return folder, out
 
@@ -129,6 +130,8 @@ def test_tune_gives_the_numbers_of_the_library(tuned, scenario):
     assert shlex.split(numbers["next"]) == ["jaxilc", *words, *more]
     for name in ("loss.png", "learning.png"):
         assert (folder / name).stat().st_size > 10_000
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    assert all(part in page for part in ("jaxilc tune", "held-out loss", "<td>phi0</td>"))
 
 
 def test_a_parameter_file_reaches_other_commands_and_set_goes_on_top(tuned, scenario, tmp_path):
