@@ -369,7 +369,8 @@ def _corners(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
             "machines; allowed are at most 16 names"
         )
     ends = [d.corners() for d in uncertainty.values()]
-    points = np.array(list(itertools.product(*ends))).reshape(-1, len(uncertainty))
+    corners = list(itertools.product(*ends))
+    points = np.array(corners).reshape(len(corners), len(uncertainty))  # one, of no parameters
     return {name: points[:, i] for i, name in enumerate(uncertainty)}
 
 

@@ -197,3 +197,8 @@ def test_what_takes_long_to_import_is_imported_where_it_is_used():
     )
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert said.stdout == "[]\n", said.stderr
+
+
+def test_no_uncertain_parameter_has_one_corner():
+    whole = Population(MACHINE, {}, sampling="corners")
+    assert whole.drawn == {}

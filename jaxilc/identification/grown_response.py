@@ -48,10 +48,13 @@ APART = 0.15  # of the logarithm of the frequency, between two of them
 SHORT, LONG = 1e-4, 1e-8  # relative decrease that ends a search which compares, and the last
 FLOORS = (1e-6, 3.0)
 HELD_OUT = 5  # every so many lines are held out in turn
+COVERED = 0.9  # of the lines, whose spread machines that are drawn independently reach
+MOST_SCALED = 2.0  # times the width of an interval, to cover them
+POSITIVE, CLOSEST = ("poles", "frequencies", "dampings"), 0.9  # share of a value of its interval
 GOOD = 0.9  # coherence, from which on lines are counted in the shares within 10 and 30 %
 
 
-class Grown(NamedTuple):
+class LineModel(NamedTuple):
     """A model of one order.
 
     parts: what it has
@@ -85,7 +88,7 @@ def grow_response(
     delay: float | None = None,
     highest: int = HIGHEST,
     each: Callable[[int], object] = lambda order: None,
-) -> tuple[list[Grown], Grown]:
+) -> tuple[list[LineModel], LineModel]:
     """The best model of each order, and the one that is chosen.
 
     From nothing, one lag, one or two integrators, and a direct term, one mode after the other is
@@ -102,9 +105,9 @@ def grow_response(
     if not enough_lines(measured, Parts(lags=1).numbers):
         need_lines(measured, Parts(lags=1))
     growing = _Growing(measured, dt, delay)
-    best: dict[int, Grown] = {}
+    best: dict[int, LineModel] = {}
     paths = [iter(growing.path(begun, highest)) for begun in BEGUN]
-    reached: list[tuple[float, Iterator[Grown]]] = [(np.inf, path) for path in paths]
+    reached: list[tuple[float, Iterator[LineModel]]] = [(np.inf, path) for path in paths]
     order = 0
     while reached and order < highest:
         order += 2
@@ -198,7 +201,7 @@ class _Growing:
         )
         return math.exp(found.x[0]), math.exp(2 * found.x[1]) if unknown else 1.0
 
-    def path(self, begun: Parts, highest: int) -> Iterator[Grown]:
+    def path(self, begun: Parts, highest: int) -> Iterator[LineModel]:
         """Models of one mode more each, from what is begun."""
         parts, theta = begun, np.zeros(begun.lags + 1)
         noise, P = (0.1, 1.0), self.G
@@ -220,7 +223,7 @@ class _Growing:
             theta, noise, P = one.found.theta, (one.floor, one.scale), self.curve(one)
             yield one
 
-    def curve(self, one: Grown) -> Numbers:
+    def curve(self, one: LineModel) -> Numbers:
         """(F,) the response of a model."""
         return modal_lines.columns(one.found.theta, one.parts, self.f, self.dt) @ one.found.N
 
@@ -289,7 +292,7 @@ class _Growing:
         P: Numbers,
         rounds: int = 2,
         tolerance: float = SHORT,
-    ) -> Grown:
+    ) -> LineModel:
         """The minimum near theta, with the noise that its residual has."""
         at = self.problem(self.variances(P, *noise)).projected(theta, parts)
         for _ in range(rounds):
@@ -299,7 +302,7 @@ class _Growing:
             at, _ = problem.least_squares(at.theta, parts, 30, tolerance)
         return self._judged(at, parts, *noise)
 
-    def _judged(self, at: Projected, parts: Parts, floor: float, scale: float) -> Grown:
+    def _judged(self, at: Projected, parts: Parts, floor: float, scale: float) -> LineModel:
         P = modal_lines.columns(at.theta, parts, self.f, self.dt) @ at.N
         error, number = np.abs(self.G - P), parts.numbers - (self.delay is not None)
         coherence = self.measured.coherence
@@ -307,7 +310,7 @@ class _Growing:
         share = (error / np.maximum(self.size, np.finfo(float).tiny))[
             good if good.any() else slice(None)
         ]
-        return Grown(
+        return LineModel(
             parts,
             at,
             floor,
@@ -319,7 +322,7 @@ class _Growing:
             100 * (1 - float(np.linalg.norm(error) / np.linalg.norm(self.G))),
         )
 
-    def _moved(self, one: Grown) -> Grown:
+    def _moved(self, one: LineModel) -> LineModel:
         """The model after its least mode was taken out and put in where it explains most."""
         parts, theta = one.parts, one.found.theta
         n, q = parts.lags, parts.modes
@@ -333,7 +336,7 @@ class _Growing:
         other = self._refined(begin, parts, (one.floor, one.scale), self.curve(one))
         return other if other.bic < one.bic else one
 
-    def held_out(self, one: Grown) -> Numbers:
+    def held_out(self, one: LineModel) -> Numbers:
         """(F,) -2 log likelihood of each line, when it was not fitted."""
         v = self.variances(self.curve(one), one.floor, one.scale)
         found = np.empty(len(v))
@@ -347,7 +350,7 @@ class _Growing:
         return found
 
 
-def share_of_noise(measured: MeasuredResponse, one: Grown, dt: float | None) -> float:
+def share_of_noise(measured: MeasuredResponse, one: LineModel, dt: float | None) -> float:
     """The share of the squared errors of a median line that its standard deviation explains."""
     growing = _Growing(measured, dt, None)
     P = growing.curve(one)
@@ -355,7 +358,7 @@ def share_of_noise(measured: MeasuredResponse, one: Grown, dt: float | None) -> 
     return float(np.median(growing.variances(P, 0.0, one.scale) / whole))
 
 
-def criterion(measured: MeasuredResponse, one: Grown, P: Numbers, numbers: int) -> float:
+def criterion(measured: MeasuredResponse, one: LineModel, P: Numbers, numbers: int) -> float:
     """The information criterion of another response P (F,), with the noise of a grown model.
 
     numbers: values that were fitted
@@ -364,7 +367,7 @@ def criterion(measured: MeasuredResponse, one: Grown, P: Numbers, numbers: int) 
 
 
 def identified_response(
-    measured: MeasuredResponse, one: Grown, dt: float | None, delay: float | None
+    measured: MeasuredResponse, one: LineModel, dt: float | None, delay: float | None
 ) -> Identified:
     """The plant of a grown model, refined to its tolerances, with its reliability.
 
@@ -376,21 +379,25 @@ def identified_response(
     problem = growing.problem(growing.variances(growing.curve(one), *noise))
     at, converged = problem.least_squares(one.found.theta, parts, 200, LONG)
     values, names = modal_lines.values_of(at, parts), modal_lines.names_of(parts)
-    J = modal_lines.jacobian(at, parts, growing.f, dt) * problem.weights[:, None]
     fitted = len(names) - (delay is not None)
     names = names[:fitted]
+    J_of = modal_lines.jacobian(at, parts, growing.f, dt)[:, :fitted]
+    J = J_of * problem.weights[:, None]
+    P, known = modal_lines.columns(at.theta, parts, growing.f, dt) @ at.N, growing.scaled
     residual = at.left
     error = residual[: len(growing.f)] + 1j * residual[len(growing.f) :]
     freedom = max(2 * len(error) - fitted, 1)
     ratio = float(np.sqrt(residual @ residual / freedom))
-    covariance = inverse_of_normal(modal_lines.stacked(J[:, :fitted]))
+    covariance = inverse_of_normal(modal_lines.stacked(J))
     covariance = covariance * max(ratio, 1.0) ** 2 * _in_common(error)
+    spread = np.sum((J_of @ covariance) * J_of.conj(), axis=1).real
+    spread = spread + growing.variances(P, noise[0], 0.0)
+    apart = _apart(J_of, covariance, spread, dict(zip(names, values, strict=False)))
     tail = 0.5 + CONFIDENCE / 2
     half = scipy.special.stdtrit(freedom, tail) * np.sqrt(np.diag(covariance))
     plant = modal_lines.model_of(values, parts)
     whiteness = whiteness_of_lines(error)
     weighted = problem.weights * growing.G
-    P, known = modal_lines.columns(at.theta, parts, growing.f, dt) @ at.N, growing.scaled
     of_lines = growing.variances(P, 0.0, 1.0) if known else np.abs(P) ** 2
     told = np.abs(growing.G - P) / np.sqrt(np.maximum(of_lines, np.min(of_lines[of_lines > 0])))
     told *= np.sqrt(2) if known else 1.0  # each line has two numbers
@@ -413,7 +420,45 @@ def identified_response(
         converged=converged,
         of_response=True,
         std_known=known,
+        apart=apart,
     )
+
+
+def _apart(
+    J: Numbers, covariance: Numbers, spread: Numbers, values: dict[str, float]
+) -> dict[str, Estimate]:
+    """Intervals v_i +- h_i of values that are drawn as if they were independent.
+
+    Uniform draws of them spread the response of line k by sum_i |J_ki|^2 h_i^2 / 3. This is fitted
+    to `spread` by non-negative least squares, above the variance that each value has where all
+    others are known, and widened, at most MOST_SCALED times, to reach it on COVERED of the lines.
+    Joint intervals that are drawn independently would spread it some hundred times as far: values
+    that make up for each other, such as a slow mode and an integrator, are known together much
+    better than alone. So a value may well lie outside of its interval here.
+
+    J: (F, n) derivatives of the response;  spread: (F,) E |true - model|^2 of each line
+    """
+    names = [name for name in values if name != "delay"]
+    n = len(names)
+    finite = np.isfinite(np.diag(covariance))
+    least = np.zeros(len(values))
+    std = np.sqrt(np.diag(covariance)[finite])
+    alike = covariance[np.ix_(finite, finite)] / np.outer(std, std)
+    least[finite] = std**2 / np.maximum(np.diag(np.linalg.pinv(alike, hermitian=True)), 1.0)
+    A = np.abs(J[:, :n]) ** 2 / spread[:, None]
+    size = np.linalg.norm(A, axis=0)
+    size[size == 0] = 1.0
+    missing = np.maximum(1 - A @ least[:n], 0.0)
+    variance = least[:n] + scipy.optimize.nnls(A / size, missing)[0] / size
+    reached = A @ variance
+    variance = variance * float(np.clip(np.quantile(1 / reached, COVERED), 1.0, MOST_SCALED**2))
+    found = {}
+    for name, v in zip(names, variance, strict=True):
+        half, value = float(np.sqrt(3 * v)), values[name]
+        if name.startswith(POSITIVE):
+            half = min(half, CLOSEST * value)
+        found[name] = Estimate(float(value), float(value - half), float(value + half))
+    return found
 
 
 class _Named(NamedTuple):

@@ -12,7 +12,7 @@ from .orders import not_significant
 from .verdict import Identified
 
 if TYPE_CHECKING:
-    from .grown_response import Grown
+    from .grown_response import LineModel
 
 NOT_WHITE = (
     "The residual is not white: another structure may fit better. The intervals are widened to "
@@ -55,7 +55,9 @@ def verdict(found: Identified, dt: float | None) -> list[str]:
     return lines + [sentence(text) for text in not_significant(found)]
 
 
-def on_lines(orders: Sequence[Grown], chosen: Grown, noise: float, known: bool) -> list[str]:
+def on_lines(
+    orders: Sequence[LineModel], chosen: LineModel, noise: float, known: bool
+) -> list[str]:
     """Why a grown model of a response has its order, how well it fits, and what is left.
 
     noise: share of the squared errors of a median line that the scatter of the lines explains

@@ -68,6 +68,9 @@ class Identified(NamedTuple):
         numbers divided by std, and `residual_std` is the residual divided by std: 1 is expected.
         Where no std is known, it is the relative residual
     std_known: whether the standard deviations of these lines were known
+    apart: intervals for machines whose parameters are drawn as if they were independent; None where
+        they are those of `parameters`. They spread the response of the machines as far as the fit
+        is uncertain and the lines are from it
     """
 
     plant: Plant
@@ -84,6 +87,7 @@ class Identified(NamedTuple):
     converged: bool
     of_response: bool = False
     std_known: bool = False
+    apart: dict[str, Estimate] | None = None
     __repr__ = in_short
 
     def summary(self) -> list[tuple[str, float, float, float]]:

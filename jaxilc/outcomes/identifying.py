@@ -14,7 +14,7 @@ from .. import figures, identification
 from ..identification.closed_loop import feedback_seen, of_reference
 from ..identification.frequency_response import is_frequency_response
 from ..identification.grown_response import (
-    Grown,
+    LineModel,
     criterion,
     identified_response,
     share_of_noise,
@@ -36,8 +36,7 @@ from .verdict import Verdict
 
 if TYPE_CHECKING:
     from ..figures.page import Live
-    from ..identification import Order
-    from ..identification.grown import Grown as GrownModel
+    from ..identification import Grown, Order
 
 ANY = "any"  # zeros, of a model that has as many as its poles allow
 SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
@@ -347,7 +346,7 @@ def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
     return Fitted(record, found, record.dt, structure, tables, draw, (into, of), lines)
 
 
-def _grown_structure(grown: GrownModel) -> dict[str, Any]:
+def _grown_structure(grown: Grown) -> dict[str, Any]:
     """The options that fit the plant again: counts of a ProcessModel, else those of its parts."""
     plant, chosen = grown.found.plant, grown.chosen
     lags, zeros = chosen.lags + chosen.integrators, ANY
@@ -427,7 +426,7 @@ def identification_table(title: str, rows: Sequence[tuple[str, float, float, flo
     return table
 
 
-def grown_response_table(orders: Sequence[Grown], chosen: Grown) -> Table:
+def grown_response_table(orders: Sequence[LineModel], chosen: LineModel) -> Table:
     """The table of the best model of each order of a response, of which the chosen one is marked.
 
     The columns in % are the error that is the model's own, the median of the relative error, and
@@ -450,7 +449,7 @@ def grown_response_table(orders: Sequence[Grown], chosen: Grown) -> Table:
     return table
 
 
-def grown_table(grown: GrownModel) -> Table:
+def grown_table(grown: Grown) -> Table:
     """The table of the fits that `grow` compared, of which the chosen one is marked.
 
     The column rms is that of the residual, in the unit of the output; the column valid. is the fit

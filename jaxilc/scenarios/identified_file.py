@@ -31,6 +31,7 @@ from ..uncertainty import Uniform
 from .starting_law import ORDER, StartingLaw, StartingTask, starting_law, starting_task
 
 TRIALS = 20
+RATES = ("poles", "frequencies", "dampings")
 REPLACED = ("plant", "uncertainty", "grid")
 STALE = (  # beginnings of the comments of a file that `identify` wrote, which hold for its fit only
     "# Plant fitted by `jaxilc identify`", "# Record: ", "# Response: ", "# Order ", "# Fit ",
@@ -124,9 +125,9 @@ def write_plant_file(
         *_heading(found, facts, source),
         f"trials = {TRIALS}",
         *_plant(plant, facts.dt, found.parameters.get("delay")),
-        *_uncertainty(uncertainty, left_out),
+        *_uncertainty(uncertainty, left_out, found.apart is not None),
         *_task(law, plant, facts, units),
-        *_scheme(law, over),
+        *_scheme(law, over, plant),
     ]
     text = "\n".join(lines) + "\n"
     atomically(path, lambda file: file.write(text.encode()))
@@ -137,15 +138,17 @@ def intervals(found: Identified) -> tuple[dict[str, Uniform], dict[str, Estimate
     """The 95 % intervals of the fitted leaves as distributions, by their names in a plant file.
 
     The second result has the leaves that get none: an interval that is not finite, of no width, or
-    that reaches 0 or beyond the range of the leaf.
+    that reaches 0 or beyond the range of the leaf. Numerators of a sum of parts may change sign.
     """
     plant, certain, left_out = found.plant, {}, {}
-    for name, estimate in found.parameters.items():
+    for name, estimate in (found.apart or found.parameters).items():
         if name.startswith(("bias", "delay")):  # no leaves of the plant
             continue
         value, low, high = estimate
         allowed = interval_at(plant, name)
-        sound = np.isfinite([low, high]).all() and low < value < high and low * high > 0
+        summed = isinstance(plant, ModalModel) and not name.startswith(RATES)
+        sound = np.isfinite([low, high]).all() and low < value < high
+        sound = sound and (summed or low * high > 0)
         if sound and (allowed is None or allowed.contains(np.array([low, high]))):
             certain[f"plant.{name}"] = Uniform(low, high)
         else:
@@ -217,8 +220,13 @@ def _plant(plant: Fittable, dt: float, delay: Estimate | None) -> Iterator[str]:
         yield f"# delay: 95 % interval {delay.low:.6g} .. {delay.high:.6g} s; it is not drawn"
 
 
-def _uncertainty(uncertainty: dict[str, Uniform], left_out: dict[str, Estimate]) -> Iterator[str]:
+def _uncertainty(
+    uncertainty: dict[str, Uniform], left_out: dict[str, Estimate], apart: bool
+) -> Iterator[str]:
     yield "\n[uncertainty]                  # the 95 % intervals, as if independent of each other"
+    if apart:
+        yield "# As wide as independent draws of them need to be, to spread the response as far as"
+        yield "# the fit is uncertain and the lines are from it."
     for name, (value, low, high) in left_out.items():
         yield (
             f"# {name} = {value:.6g} has none: the record leaves it between {low:.4g} and "
@@ -253,10 +261,15 @@ def _task(
     yield f"duration = {start.duration!r}  # [s]"
 
 
-def _scheme(law: StartingLaw | None, over: str) -> Iterator[str]:
+def _scheme(law: StartingLaw | None, over: str, plant: Fittable) -> Iterator[str]:
     if law is None:
         yield "\n# There is no [schemes.ilc]: no filtered P-type law was found that learns on the"
         yield "# fitted plant."
+        if isinstance(plant, ModalModel) and plant.order > 2 * plant.frequencies.size + np.size(
+            plant.poles
+        ):
+            yield "# It integrates: close a loop around it first, by a scheme of"
+            yield '# class = "WithFeedback" whose feedback, such as a PID, makes it stable.'
         return
     yield f"\n# Chosen for {over} ({law.machines} machines):"
     yield (

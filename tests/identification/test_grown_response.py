@@ -105,6 +105,30 @@ def test_the_order_of_a_simulated_machine_is_found_and_its_intervals_hold(seed, 
     assert np.mean(within) > 0.8  # 95 % are expected, of numbers that are not independent
 
 
+def test_machines_drawn_as_if_independent_spread_as_far_as_the_lines_are_from_the_fit():
+    """Here a mode is missing in the model, so that most of the error is its own."""
+    measured = flexible(1, 4, 2, 200, DT, 200, True)[-1]
+    models, _ = grow_response(measured, dt=DT, highest=8)
+    one = next(one for one in models if one.parts == Parts(0, 3, 2))
+    found, rng = identified_response(measured, one, DT, None), np.random.default_rng(0)
+    names = modal_lines.names_of(one.parts)
+    low, high = (
+        np.array([getattr(found.apart.get(n, found.parameters[n]), end) for n in names])
+        for end in ("low", "high")
+    )
+    low[-1] = high[-1] = found.plant.delay
+    far = []
+    for _ in range(200):
+        held = modal_lines.model_of(rng.uniform(low, high), one.parts).sampled(DT)
+        A, B, C = (np.asarray(M) for M in (held.A, held.B, held.C))
+        z = np.exp(2j * np.pi * measured.frequencies * DT)[:, None, None]
+        P = (C @ np.linalg.solve(z * np.eye(len(A)) - A, B))[:, 0, 0]
+        far.append(np.abs(P - found.simulated[:, 0]))
+    error = np.abs(measured.response - found.simulated[:, 0])
+    assert np.mean(error <= np.quantile(far, 0.95, axis=0)) > 0.8
+    assert np.median(np.quantile(far, 0.95, axis=0)) < 10 * np.median(error)
+
+
 def test_a_given_delay_is_kept():
     measured = flexible(2, 3, 2, 150, None, 20, True)[-1]
     _, chosen = grow_response(measured, delay=2.6e-3, highest=8)
