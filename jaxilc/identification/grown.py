@@ -47,6 +47,7 @@ GAINED = 1e-7  # relative fall of the cost of a step, below which a refinement e
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 50.0
 STILL = 0.02  # of 1 / duration, the slowest rate that is looked for
 SIMPLE = 6  # order up to which a model of real zeros is looked for
+EQUAL = 1.0  # of the criterion, within which two models explain a record as well
 FAR = 50.0  # of the criterion, beyond which no smaller model is looked for
 CLEARLY = 0.98  # of the squared error of the validation part, below which a lower order is better
 EXPLAINED, GROWS = 95.0, 10.0  # fit [%] below which a pole that grows as exp(10) is looked for
@@ -637,7 +638,7 @@ def with_real_zeros(signals: Signals, fitted: Fitted) -> ProcessModel | None:
         return None
     best = min(with_zeros(signals, fitted), key=lambda one: one.bic)
     zeros = best.zeros
-    if best.bic > fitted.bic or np.any(np.abs(zeros.imag) > 1e-6 * np.abs(zeros)):
+    if best.bic > fitted.bic + EQUAL or np.any(np.abs(zeros.imag) > 1e-6 * np.abs(zeros)):
         return None
     lags, (w, zeta) = np.exp(best.parts.lags), np.exp(best.parts.modes).T
     delay = parts.delay * signals.dt
@@ -740,6 +741,10 @@ def grow(
 
     steps = ladder(signals, began, min(highest, order or highest), say)
     start = steps[order] if order else min(steps.values(), key=lambda one: one.bic)
+    if delay is None:  # a delay that is far too long would be left sample by sample
+        shorter = [start.parts._replace(delay=d) for d in DELAYS if d < start.parts.delay]
+        shorter = [refined(signals, parts, SHORT) for parts in shorter]
+        start = min([start, *shorter], key=lambda one: one.bic)
     best, tried = improved(signals, start, order=order, delays=delays, highest=highest, each=say)
     need_stable(whole, best)
     kinds: dict[tuple[int, ...], Fitted] = {}

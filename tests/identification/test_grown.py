@@ -87,6 +87,14 @@ def test_a_simple_plant_stays_one_of_real_zeros():
     np.testing.assert_allclose(found.frequencies, 300.0, rtol=0.05)
 
 
+def test_one_lag_is_a_gain_and_a_pole_also_in_few_samples():
+    model = grow(
+        excite(Machine(ProcessModel(3.0, (), (80.0,)), sensor=Sensor(noise=0.1)), U[:60], DT)
+    )
+    assert isinstance(model.found.plant, ProcessModel)
+    assert model.found.plant.order == 1
+
+
 def test_a_dipole_is_kept_or_dropped_by_its_joint_test():
     """A zero beside a pole: their intervals overlap, yet both are needed at little noise."""
     poles, zeros = (40.0, 300.0), (-44.0,)
