@@ -88,24 +88,44 @@ def _refused(address: str, port: int, error: OSError) -> ValueError:
     )
 
 
-def _serve(shown, address: str, port: int, *, browser: bool) -> None:
-    """Serve the page until Ctrl-C.
+def server_of(shown, address: str, port: int):
+    """The server of a page, not started, and the address of the page.
 
     Raises ValueError for an address or a port that cannot be used.
     """
     from bokeh.application import Application
     from bokeh.application.handlers.function import FunctionHandler
-    from bokeh.server.server import Server
+    from bokeh.server.server import BaseServer
+    from bokeh.server.tornado import BokehTornado
+    from tornado.httpserver import HTTPServer
+    from tornado.ioloop import IOLoop
+    from tornado.netutil import bind_sockets
+
+    from .doors import Doors
 
     try:
-        server = Server({"/": Application(FunctionHandler(shown))}, address=address, port=port)
+        sockets = bind_sockets(port, address)
     except OSError as error:
         raise _refused(address, port, error) from None
-    page = f"http://{address}:{server.port}/"
+    page = f"{address}:{sockets[0].getsockname()[1]}"
+    # Doors has seen that the origin is the page's own.
+    application = BokehTornado(
+        {"/": Application(FunctionHandler(shown))}, extra_websocket_origins=["*"]
+    )
+    http = HTTPServer(Doors(application, address))
+    http.add_sockets(sockets)
+    return BaseServer(IOLoop.current(), application, http), f"http://{page}/"
+
+
+def _serve(shown, address: str, port: int, *, browser: bool) -> None:
+    """Serve the page until Ctrl-C; raises as `server_of`."""
+    import webbrowser
+
+    server, page = server_of(shown, address, port)
     out.print(f"{page} is the page; Ctrl-C ends it", highlight=False)
     server.start()
     if browser:
-        server.io_loop.add_callback(server.show, "/")
+        server.io_loop.add_callback(webbrowser.open, page)
     try:
         server.io_loop.start()
     except KeyboardInterrupt:

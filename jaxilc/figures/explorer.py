@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..sweeps.points import BestPoint
 
 POINTS = 1200  # of a signal
+SPREADS = (1.0, 60.0)  # ends of the slider of the spread [%]
 TALLEST = 1e3  # times the first error, up to which errors are shown
 LATEST = 0.4  # [s] after which the band does not wait for newer values any more
 BESIDE = ThreadPoolExecutor(1, "explore")  # one computation at a time, of all readers
@@ -45,8 +46,8 @@ class Explorer:
         self.spread = None
         if exploration.spread is not None:
             self.spread = Slider(
-                title="spread of the machines [%]", start=1.0, end=60.0, step=0.5,
-                value=min(max(100 * exploration.spread, 1.0), 60.0),
+                title="spread of the machines [%]", start=SPREADS[0], end=SPREADS[1], step=0.5,
+                value=_held(100 * exploration.spread, *SPREADS),
             )  # fmt: skip
         self.errors = ColumnDataSource({n: [] for n in ("j", "nominal", "low", "high", "worst")})
         self.signals = ColumnDataSource({n: [] for n in ("t", "r", "y", "e")})
@@ -68,17 +69,19 @@ class Explorer:
 
     def values(self) -> dict[str, float]:
         """The values by path that the sliders have."""
-        logs = {control.path: control.log for control in self.of.controls}
-        return {
-            path: 10.0 ** _held(slider) if logs[path] else _held(slider)
-            for path, slider in self.sliders.items()
-        }
+        found = {}
+        for control in self.of.controls:
+            value = float(self.sliders[control.path].value)
+            if control.log:  # before the power, which a browser's value may overflow
+                value = 10.0 ** _held(value, math.log10(control.low), math.log10(control.high))
+            found[control.path] = _held(value, control.low, control.high)
+        return found
 
     def spread_asked(self) -> float | None:
         """The spread of the slider; None where it was not moved, or there is none."""
         if self.spread is None or self.of.spread is None:
             return None
-        asked = _held(self.spread) / 100
+        asked = _held(float(self.spread.value), *SPREADS) / 100
         return None if math.isclose(asked, self.of.spread, abs_tol=2e-3) else asked
 
     def layout(self) -> Any:
@@ -303,9 +306,9 @@ def _slider(control: Control) -> Any:
     )  # fmt: skip
 
 
-def _held(slider: Any) -> float:
-    """The value of a slider within its ends, whatever a browser sends."""
-    return float(min(max(slider.value, slider.start), slider.end))
+def _held(value: float, low: float, high: float) -> float:
+    """A value within its ends, which are not those of a slider: a browser may move them too."""
+    return min(max(value, low), high) if math.isfinite(value) else low
 
 
 def _escaped(text: str) -> str:

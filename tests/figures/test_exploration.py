@@ -2,8 +2,10 @@
 
 import asyncio
 import dataclasses
+import re
 import socket
 import threading
+import urllib.error
 import urllib.request
 
 import jax
@@ -11,7 +13,9 @@ import numpy as np
 import pytest
 
 from jaxilc import Machine, Sweep, Task, learn
+from jaxilc.cli.explore import LOOPBACK, server_of
 from jaxilc.figures.exploration import Exploration, _computed
+from jaxilc.figures.explorer import Explorer
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios import Scenario
@@ -167,44 +171,91 @@ def test_what_was_found_can_be_shared(explored, tmp_path):
     assert jax.tree.all(jax.tree.map(np.array_equal, law, explored.scheme_with(values)))
 
 
-def test_the_page_is_served_on_this_computer_and_loads_nothing_else(explored, tmp_path):
-    """The page, asked for over HTTP, names no other site; another address is not listened on."""
-    from bokeh.application import Application
-    from bokeh.application.handlers.function import FunctionHandler
-    from bokeh.server.server import Server
+@pytest.fixture
+def served(explored, tmp_path):
+    """The address of the page, which is served beside the test."""
     from tornado.ioloop import IOLoop
 
-    from jaxilc.cli.explore import LOOPBACK
-    from jaxilc.figures.explorer import Explorer
+    found, ready = {}, threading.Event()
 
     def application(document):
         document.add_root(Explorer(explored, tmp_path).layout())
 
-    found = {}
-
     def serve():
-        loop = IOLoop(make_current=True)
-        server = Server(
-            {"/": Application(FunctionHandler(application))},
-            address=LOOPBACK, port=0, io_loop=loop,
-        )  # fmt: skip
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        server, found["page"] = server_of(application, LOOPBACK, 0)
+        found["loop"] = IOLoop.current()
         server.start()
-        found.update(loop=loop, port=server.port)
         ready.set()
-        loop.start()
+        found["loop"].start()
         server.unlisten()
         server.stop()
 
-    ready = threading.Event()
     thread = threading.Thread(target=serve)
     thread.start()
     assert ready.wait(30)
-    try:
-        with urllib.request.urlopen(f"http://{LOOPBACK}:{found['port']}/", timeout=60) as page:
-            text = page.read().decode()
-    finally:
-        found["loop"].add_callback(found["loop"].stop)
-        thread.join()
+    yield found["page"]
+    found["loop"].add_callback(found["loop"].stop)
+    thread.join()
+
+
+def test_the_page_is_served_on_this_computer_and_loads_nothing_else(served):
+    """The page, asked for over HTTP, names no other site; another address is not listened on."""
+    with urllib.request.urlopen(served, timeout=60) as page:
+        text = page.read().decode()
     assert "https://" not in text.replace("https://github.com", "")
     assert text.count("<script") >= 2
     assert socket.inet_aton(LOOPBACK)[0] == 127
+
+
+def test_another_host_another_page_and_a_token_that_was_used_get_no_answer(served):
+    """A page elsewhere whose name points here gets neither the page nor a websocket."""
+    here = served.removeprefix("http://").rstrip("/")
+    port = here.rpartition(":")[2]
+
+    def asked(**headers):
+        request = urllib.request.Request(served, headers=headers)
+        try:
+            with urllib.request.urlopen(request, timeout=60) as page:
+                return page.status, page.read().decode()
+        except urllib.error.HTTPError as error:
+            with error:
+                return error.code, error.read().decode()
+
+    for host in (f"evil.example:{port}", "evil.example", "127.0.0.1.evil.example", "192.0.2.1", ""):
+        assert asked(Host=host) == (403, "this is not an address of this page")
+    for origin in (f"http://evil.example:{port}", "null", f"http://localhost:{port}"):
+        assert asked(Origin=origin) == (403, "another page may not ask this one")
+    assert asked(Host=f"localhost:{port}", Origin=f"http://localhost:{port}")[0] == 200
+    token = re.search(r'"token":"([^"]*)"', asked()[1])[1]
+
+    def opens(origin, host=here):
+        with socket.create_connection((LOOPBACK, int(port)), timeout=60) as line:
+            lines = [
+                "GET /ws HTTP/1.1", f"Host: {host}", "Upgrade: websocket", "Connection: Upgrade",
+                "Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
+                f"Sec-WebSocket-Protocol: bokeh, {token}",
+                *([f"Origin: {origin}"] if origin else []),
+            ]  # fmt: skip
+            line.sendall("\r\n".join([*lines, "", ""]).encode())
+            return int(line.recv(4096).split()[1])
+
+    evil = f"evil.example:{port}"
+    assert opens(f"http://{evil}", evil) == opens(f"http://{evil}") == opens("") == 403
+    assert opens(f"http://{here}") == 101
+    assert opens(f"http://{here}") == 403  # each token once
+
+
+def test_the_ends_of_a_slider_are_those_of_the_server(explored, tmp_path):
+    page = Explorer(explored, tmp_path)
+    control = next(c for c in explored.controls if c.log)
+    slider = page.sliders[control.path]
+    slider.end = 400.0
+    slider.value = 399.0
+    assert page.values()[control.path] == pytest.approx(control.high)
+    slider.start = -400.0
+    slider.value = -399.0
+    assert page.values()[control.path] == pytest.approx(control.low)
+    page.spread.end = 1e6
+    page.spread.value = 1e6
+    assert page.spread_asked() == pytest.approx(0.6)
