@@ -1,6 +1,7 @@
 from .estimation import identify
 from .fitting import Fit, fit
 from .frequency_response import read_frequency_response
+from .friction_model import FrictionModel, friction_of
 from .grown import Grown, Tried, grow, orders_and_delays
 from .grown_response import grow_response, identified_response
 from .orders import Order, best_order, compare_orders, not_significant
@@ -14,6 +15,7 @@ from .verdict import Estimate, Identified, PoleEstimate
 __all__ = [
     "Estimate",
     "Fit",
+    "FrictionModel",
     "Grown",
     "Identified",
     "Order",
@@ -27,6 +29,7 @@ __all__ = [
     "compare_response_orders",
     "excite",
     "fit",
+    "friction_of",
     "grow",
     "grow_response",
     "identified_response",

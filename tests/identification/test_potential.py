@@ -1,7 +1,9 @@
 """What learning can gain: unbiased numbers, intervals that hold, and what is told apart."""
 
 import json
+import os
 import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,6 +60,20 @@ def test_a_first_trial_that_began_elsewhere_is_no_noise():
     assert five.spread(5) == pytest.approx(about, rel=0.02)
     assert three.spread(5) == pytest.approx(about, rel=0.1)
     assert potential_of(e[1:], DT).start == 0
+
+
+@pytest.mark.skipif(
+    "JAXILC_MEASURED" not in os.environ, reason="JAXILC_MEASURED names no folder of records"
+)
+@pytest.mark.parametrize("motion", range(1, 8))
+def test_three_measured_trials_predict_the_fourth(motion):
+    with np.load(Path(os.environ["JAXILC_MEASURED"]) / "arizona_x_trials.npz") as file:
+        e = file[f"exp{motion}_e"]
+    found = potential_of(e[:3], DT)
+    about = np.sqrt(np.mean((e - e.mean(axis=0)) ** 2))
+    assert found.spread(4) == pytest.approx(about, rel=0.1)
+    fourth = np.sqrt(np.mean((e[3] - e[1:3].mean(axis=0)) ** 2) / 1.5)
+    assert 0.5 < fourth / found.new.value < 2
 
 
 def test_a_drift_is_told_apart():
