@@ -3,8 +3,8 @@
     force = mass a + viscous v + coulomb sign(v) + offset        (Janot and others, of EMPS)
 
 Speed and acceleration are central differences of the position, filtered forth and back; the force
-is filtered alike, so that the filter cancels. The model is linear in its numbers. Samples at which the
-axis hardly moves say nothing of the sign of its speed and are left out.
+is filtered alike, so that the filter cancels. The model is linear in its numbers. Samples at which
+the axis hardly moves say nothing of the sign of its speed and are left out.
 """
 
 from __future__ import annotations
