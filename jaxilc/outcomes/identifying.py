@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -395,11 +396,13 @@ def _grown_response(
     )
     tables = [grown_response_table(orders, chosen)]
     if chosen.parts.order <= SIMPLE:
-        compared = identification.compare_response_orders(measured, dt=dt, delay=delay)
-        best = identification.best_order(compared)
-        P = best.found.simulated[:, 0]
-        if criterion(measured, chosen, P, best.parameters) <= chosen.bic + AS_GOOD:
-            return best.found, _structure(best), [orders_table(compared, best, dt)], ()
+        # the search of a structure that the lines do not have may end at a damping of 0
+        with contextlib.suppress(ValueError):
+            compared = identification.compare_response_orders(measured, dt=dt, delay=delay)
+            best = identification.best_order(compared)
+            P = best.found.simulated[:, 0]
+            if criterion(measured, chosen, P, best.parameters) <= chosen.bic + AS_GOOD:
+                return best.found, _structure(best), [orders_table(compared, best, dt)], ()
     noise = share_of_noise(measured, chosen, dt)
     known = bool(np.any(measured.std)) and measured.averages_known
     found = identified_response(measured, chosen, dt, delay)

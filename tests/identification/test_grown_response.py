@@ -13,6 +13,7 @@ from jaxilc.identification import (
     read_frequency_response,
 )
 from jaxilc.identification.modal_lines import Parts, Projected
+from jaxilc.outcomes import identify
 from jaxilc.theory.on_lines import MeasuredResponse
 
 DT = 1e-3
@@ -154,6 +155,24 @@ def test_lines_that_are_no_response_are_refused_before_anything_is_computed(chan
     measured = MeasuredResponse(**{name: np.array(of) for name, of in lines.items()})
     with pytest.raises(ValueError, match=said):
         grow_response(measured, each=lambda order: pytest.fail("computed"))
+
+
+def test_a_structure_whose_search_fails_does_not_take_the_grown_model_with_it(
+    tmp_path, monkeypatch
+):
+    f = np.linspace(3.0, 300.0, 40)
+    s = 2j * np.pi * f
+    G = 1 / (1 + 2 * 0.05 * s / 500 + (s / 500) ** 2)
+    rows = np.column_stack([f, G.real, G.imag, 0.01 * np.abs(G)])
+    header = "f [Hz],re,im,std"
+    np.savetxt(tmp_path / "frf.csv", rows, delimiter=",", header=header, comments="")
+
+    def failing(*_, **__):
+        raise ValueError("ProcessModel: dampings = [0.] is outside its allowed range (0, inf)")
+
+    monkeypatch.setattr("jaxilc.identification.compare_response_orders", failing)
+    found = identify(tmp_path / "frf.csv", folder=tmp_path)
+    assert found.numbers["frequencies[0]"]["value"] == pytest.approx(500, rel=1e-6)
 
 
 @pytest.mark.skipif(MEASURED is None, reason="JAXILC_MEASURED names no folder of measured records")
