@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 import jaxilc
 from jaxilc.cli import app
+from jaxilc.design import Design
 from jaxilc.identification import potential_of, read_repeats
 from jaxilc.scenarios import load_scenario
 
@@ -164,3 +165,16 @@ def test_the_command_tells_it_and_the_plant_file_carries_it_to_design(tmp_path, 
     )
     with pytest.raises(ValueError, match=r"stop = -1 is outside"):
         load_scenario("bad.toml")
+
+
+def test_no_cutoff_is_looked_for_above_the_bandwidth(tmp_path):
+    (tmp_path / "axis.toml").write_text(PLANT)
+    asked = load_scenario(tmp_path / "axis.toml")
+    about = {"trials": 4, "uncertainty": {}, "machines": 4, "laws": ("p-type",)}
+    found = {}
+    for highest in (np.inf, 5.0):
+        question = Design(asked.machine, asked.task, **about, highest=highest)
+        ((one,), _) = question.safe(question.family(), ("p-type",), lambda *_: None)
+        found[highest] = float(one.scheme.filter.cutoff), one.bounds["filter.cutoff"][1]
+    assert found[np.inf][0] > 5
+    assert max(found[5.0]) <= 5
