@@ -296,23 +296,26 @@ def against_prediction(
     if prediction.certain:
         median = f"{_median(prediction, place):.3g} {unit}".strip()
         return f"predicted: RMS error {median}; the file gives no uncertainty and no noise", []
-    found = [] if place.level == "within" else [_outside(now, turn.trial, place, prediction)]
+    found = [] if place.level == "within" else [_outside(now, turn, place, prediction)]
     if place.level == "clear" and place.distance > 0 and not turn.refusals:
         found += now.grown_beyond(turn.record, turn.metrics["error"], GROWN_BEYOND)
     said = f"predicted: {_range(place, unit)}, 95 % of {prediction.machines} drawn machines"
     return said, found
 
 
-def _outside(now: Campaign, trial: int, place: Place, prediction: Prediction) -> Finding:
+def _outside(now: Campaign, turn: Turn, place: Place, prediction: Prediction) -> Finding:
     """The finding of a trial outside the 95 % band, with what it means and what to do."""
     from ..hardware.checks import Finding
 
-    above = place.distance > 0
-    side = "above" if above else "below"
+    above, trial = place.distance > 0, turn.trial
+    largest = place.error != "RMS error"
+    error = max(turn.metrics["max_error"]) if largest else turn.metrics["error"]
+    end = (place.largest if largest else place.rms)[above]
+    side = f"{error / end:.3g} times the upper end of" if above else "below"
     if place.level == "slight":
         text = (
-            f"trial {trial}: the {place.error} lies slightly {side} the 95 % band, as that of one "
-            "trial in twenty does on a machine that is as the file says; look at the next trials"
+            f"trial {trial}: the {place.error} is {side} the 95 % band, as far out as that of one "
+            "trial in twenty is on a machine that is as the file says; look at the next trials"
         )
         return Finding("note", text)
     text = (

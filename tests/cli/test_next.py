@@ -1,6 +1,7 @@
 """`jaxilc next`, `trials` and `identify --state` on the shop floor: one campaign through files."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -123,6 +124,7 @@ def test_another_machine_is_told_and_its_plant_is_found(copied):
         path, _ = measure(folder, 10 + j, 1.6)
         _, warned = go_on("--measured", path, "--report", folder / "n.json")
     assert "warning: trial 2 lies outside the 95 % band" in warned
+    assert re.search(r"its \w+ error is [\d.]+ times the upper end of it, further out", warned)
     assert f"jaxilc identify --state {folder / 'x'} --out" in warned
     found = json.loads((folder / "n.json").read_text())
     assert found["predicted"]["level"] == "clear"
