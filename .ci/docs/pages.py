@@ -90,10 +90,12 @@ def linked(file: str) -> str:
     return LINK.sub(to_page, (ROOT / file).read_text(encoding="utf-8"))
 
 
-def write(folder: Path, notebooks: list[str], api: list[str], gallery: bool) -> None:
+def write(
+    folder: Path, notebooks: list[str], api: list[str], gallery: bool, papers: list[str]
+) -> None:
     """Write all pages of the guide as sources into a folder, the start page with the contents.
 
-    notebooks, api: names of the pages of the notebooks and of the modules
+    notebooks, api, papers: names of the pages of the notebooks, of the modules and of the papers
     gallery: whether there is a page `gallery`
     Raises ValueError for a broken link.
     """
@@ -104,6 +106,7 @@ def write(folder: Path, notebooks: list[str], api: list[str], gallery: bool) -> 
     shutil.copytree(ROOT / PICTURES, folder / "pictures", dirs_exist_ok=True)
     trees = {title: [f"guide/{name}" for name in names] for title, names in CHAPTERS.items()}
     trees["Tutorials"] = notebooks
+    trees["Papers"] = papers
     trees["Figures"] = ["gallery"] if gallery else []
     trees["API"] = api
     trees["Inside"] = [f"guide/{name}" for name in ("design", "map", "contributing", "changelog")]

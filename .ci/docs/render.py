@@ -1,4 +1,4 @@
-"""The documentation: guide, tutorials, gallery of figures, and the API, by Sphinx.
+"""The documentation: guide, tutorials, gallery of figures, papers, and the API, by Sphinx.
 
 `render.py FOLDER` writes it, with executed notebooks. Without a folder it only checks that it can
 be made: nothing is executed and no page is drawn. With JAXILC_FAST=1 in the environment the
@@ -17,6 +17,7 @@ import gallery
 import jupytext
 import nbclient
 import pages
+import papers
 import plant_file
 from sphinx.cmd.build import build_main
 
@@ -55,7 +56,8 @@ def main(out: Path | None) -> int:
         tutorials = notebooks_in(
             source, execute=out is not None and "JAXILC_FAST" not in os.environ
         )
-        pages.write(source, tutorials, api.write(source), drawn)
+        of_papers = papers.write(source) if out is not None else []
+        pages.write(source, tutorials, api.write(source), drawn, of_papers)
         plant_file.extend(source / "guide" / "plant_file.md")
         built = Path(staged) / "built"
         kind = "html" if out is not None else "dummy"
