@@ -278,4 +278,7 @@ def _counted(rows: Sequence[Row], judged: Sequence[Judged]) -> str:
 
 
 def _off(row: Row) -> float:
+    """How far a number is from the printed one; not at all where a bound is kept."""
+    if row.published.at_most and row.verdict == "met":
+        return 0.0
     return abs(math.log(row.ratio)) if 0 < row.ratio < math.inf else math.inf

@@ -33,7 +33,8 @@ import numpy as np
 from .. import scenarios
 from ..learning.metrics import Keep, best_trial
 from ..learning.over_trials import learn
-from ..theory import sliding
+from ..theory.loop import linear_loop, pole_radius
+from ..theory.printed import printed_conditions
 from . import Published, Scenario
 from .loading import with_reading
 from .published import FALLS, NOTHING, NUMBER, OVER_TRIALS, Conclusion
@@ -41,10 +42,12 @@ from .published import FALLS, NOTHING, NUMBER, OVER_TRIALS, Conclusion
 MET = 0.3
 SHAPE = 2.0
 VERDICTS = ("met", "shape", "open")
-# Conditions of the papers that a conclusion speaks of, as functions of a scheme and a task; each
-# claims convergence below 1.
-CONDITIONS: dict[str, Callable[..., float]] = {
-    "eq_36": lambda scheme, task: float(sliding.printed_condition(scheme, task).condition.value),
+# What the papers say of a loop and not of an error, as functions of a scenario and a scheme's name.
+CONDITIONS: dict[str, Callable[[Scenario, str], float]] = {
+    "eq_36": lambda of, name: float(
+        printed_conditions(of.schemes[name], of.task)["Xu 2024, eq. 36"].value
+    ),
+    "loop_radius": lambda of, name: pole_radius(linear_loop(of.machine, of.schemes[name], of.task)),
 }
 SHARES = (0.03, 0.1, MET)  # within which the printed numbers are counted
 
@@ -228,11 +231,7 @@ def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, flo
 
     Each scheme learns once, up to the last trial that its rows need.
     """
-    ours = {
-        p: CONDITIONS[p.quantity](scenario.schemes[p.scheme], scenario.task)
-        for p in rows
-        if p.quantity in CONDITIONS
-    }
+    ours = {p: CONDITIONS[p.quantity](scenario, p.scheme) for p in rows if p.quantity in CONDITIONS}
     rows = [p for p in rows if p not in ours]
     due: dict[str, list[Published]] = {}
     for p in rows:
