@@ -45,7 +45,8 @@ def fitted(delay=0.0):
         "poles[0]": Estimate(9.0, -1.0, 19.0),
         "bias": Estimate(0.1, 0.0, 0.2),
     }
-    return SimpleNamespace(plant=plant, parameters=parameters, fit=np.array([99.0]))
+    fit = np.array([99.0])
+    return SimpleNamespace(plant=plant, parameters=parameters, apart={}, fit=fit)
 
 
 def test_only_the_plant_and_its_uncertainty_are_replaced(tmp_path):
