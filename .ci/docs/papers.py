@@ -3,7 +3,7 @@
 Everything but the equations is what `jaxilc reproduce` finds and draws.
 """
 
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +83,10 @@ def _page(scenario: Any, rows: list[dict], concluded: list[dict]) -> str:
         "not counted.\n"
     )
     head = ("place", "printed words", "scheme", "trial", "quantity", "printed", "ours", "verdict")
-    parts.append(_table(head, [_cells(row) for row in rows]))
+    cells = [_cells(row) for row in rows]
+    alike = [False, *(one[:3] == other[:3] for one, other in pairwise(cells))]
+    shown = [("", "", *of[2:]) if same else of for of, same in zip(cells, alike, strict=True)]
+    parts.append(_table(head, shown))
     told = [
         (c["source"], f'{c["says"]} ("{c["words"]}")', _sides(c), _verdict(c)) for c in concluded
     ]
