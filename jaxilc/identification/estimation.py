@@ -49,7 +49,7 @@ def identify(
     plant: the plant to start from; None for a ProcessModel with the given numbers of `poles`, of
         complex `pairs` of poles and of `zeros` (1, 1, 1 is Cao 2019, eq. 6), started automatically
     delay: dead time of this ProcessModel in whole samples, beyond the one sample that every plant
-        here has; it is fixed, see `orders_and_delays` for its choice
+        here has; it is fixed, see `grow` for its choice
     free: leaves of the plant, or elements of them, that are fitted; None for all
     fit_share: (0, 1], share of the record that is fitted; the rest validates the fit, and is
         simulated without a break
