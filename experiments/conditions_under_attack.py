@@ -81,8 +81,9 @@ def lifted(A, B, C, samples: int) -> np.ndarray:
     for _ in range(samples):
         markov.append(C @ x)
         x = A @ x
-    zero, each = np.zeros_like(markov[0]), range(samples)
-    return np.block([[markov[i - j] if i >= j else zero for j in each] for i in each])
+    lag = np.subtract.outer(np.arange(samples), np.arange(samples))
+    blocks = np.stack(markov)[np.maximum(lag, 0)] * (lag >= 0)[:, :, None, None]
+    return blocks.swapaxes(1, 2).reshape(samples * len(C), samples * B.shape[1])
 
 
 def norm_optimal(rng, count=120) -> dict:

@@ -85,6 +85,7 @@ WORDS = {
     "cond": "a choice that depends on a signal",
     "while": "a loop that depends on a signal",
     "stop_gradient": "rounding",
+    "ruled": "a search for a minimum",
 }
 
 
@@ -188,7 +189,7 @@ def _after(step: Step, operands: list[Dependence]) -> list[Dependence]:
             one.order == CONSTANT for i, one in enumerate(operands) if i not in LINEAR_IN[name]
         )
     if not keeps and together.order == AFFINE:
-        why = WORDS["cond"] if name in DECISIONS else WORDS.get(name, name)
+        why = WORDS["cond"] if name in DECISIONS else WORDS.get(name, f"{name} of a signal")
         together = Dependence(OTHERWISE, why, together.blind)
     if name in DECISIONS:
         # what only decides has the derivative zero, which is correct

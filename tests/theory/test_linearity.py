@@ -76,6 +76,9 @@ def test_what_is_linear_is_found_linear_and_what_is_not_is_not(name):
         assert NOT_LINEAR[name] in broken[0]
     else:
         assert not broken
+    if name == "two_step":
+        assert broken[0].endswith("by sin of a signal")
+        assert broken[1] == "TwoStep learns by a search for a minimum"
 
 
 def learning(rng) -> Scheme:
