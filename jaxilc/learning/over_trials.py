@@ -241,27 +241,42 @@ def _nothing(trial: Trial) -> None:
 
 
 def truncated(
-    machine: Machine, scheme: Scheme, task: Task, trials: int, last: int, **options: Value
+    machine: Machine,
+    scheme: Scheme,
+    task: Task,
+    trials: int,
+    last: int,
+    *,
+    first: int = 1,
+    **options: Value,
 ) -> History:
     """Learning with truncated back-propagation (Williams and Peng 1990).
 
-    The gradient is that of the last trials alone.
+    The gradient is that of the last trials alone; the results are those of `learn`.
 
     trials: J, number of all trials
     last: number of trials at the end that the gradient includes
-    options: further arguments of `learn`
+    first, options: further arguments of `learn`, but for `watch`
+    Raises ValueError as `learn` does, for `last` beyond J, and for a `watch`, which compares each
+    trial with the one before it, across the two parts too.
     """
-    first = trials - last + 1
-    before = learn(*lax.stop_gradient((machine, scheme)), task, first - 1, **options)
+    require("truncated", "last", last, f"[1, {trials}]", whole=True)
+    if options.get("watch") is not None:
+        raise ValueError("truncated: watch = ... compares trials of both parts; allowed is None")
+    if last == trials:
+        return learn(machine, scheme, task, trials, first=first, **options)
+    before = learn(
+        *lax.stop_gradient((machine, scheme)), task, trials - last, first=first, **options
+    )
     goes_on: dict[str, Tree] = options | {"memory": before.memory, "start": before.start}
-    goes_on["first"] = first
-    after = learn(machine, scheme, task, last, **goes_on)
+    after = learn(machine, scheme, task, last, first=first + trials - last, **goes_on)
     metrics, saved = jax.tree.map(
         lambda *both: jnp.concatenate(both),
         (before.metrics, before.saved),
         (after.metrics, after.saved),
     )
-    return after._replace(metrics=metrics, saved=saved, **course(metrics, task)._asdict())
+    judged = course(metrics, task, first, trials_of_step(scheme, task))
+    return after._replace(metrics=metrics, saved=saved, **judged._asdict())
 
 
 def measured_trial(task: Task, y: Value, u: Value, **signals: Value) -> Trial:

@@ -80,7 +80,7 @@ class Losses:
     ) -> jax.Array:
         """() the objective of one machine, with these values of the weights by name."""
         scheme, save = replaced(self.scheme, values), Keep.of(self.quantities)
-        options = {"key": key, "save": save}
+        options: dict[str, Any] = {"key": key, "save": save}
         if self.truncate is None or self.truncate >= self.trials:
             return judge(
                 machine, scheme, self.task, self.trials, objective, ceiling=self.ceiling, **options

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.signal
-from cases import ALGEBRA, ARX, DT, PLANTS, PRINTED, SCHEMES
+from cases import ALGEBRA, ARX, DT, PLANTS, PRINTED, SCHEMES, case
 
 from jaxilc.learning import (
     Disturbance,
@@ -18,10 +18,11 @@ from jaxilc.learning import (
     measured_trial,
     next_memory,
     run_trial,
+    truncated,
 )
 from jaxilc.learning.over_trials import _blocks
 from jaxilc.plants import DifferenceEquation
-from jaxilc.pytree import leaf, pytree
+from jaxilc.pytree import leaf, pytree, replaced
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
 from jaxilc.signals import Task, Trial
 from jaxilc.signals.task import product
@@ -102,6 +103,27 @@ def test_going_on_from_a_memory_equals_one_long_run(name, machine, task):
     rest = learn(machine, scheme, task, TRIALS - 2, memory=first.memory)
     np.testing.assert_allclose(np.concatenate([first.rms, rest.rms]), whole.rms, **ALGEBRA)
     assert_trees_close((rest.memory, rest.final), (whole.memory, whole.final))
+
+
+@pytest.mark.parametrize("name", ["p_type", "model_free"])
+def test_truncated_learning_is_learning_from_any_first_trial(name):
+    """The second part has the noise of its trials, and experiments are judged as such."""
+    plain, scheme, task = case(name)
+    machine = Machine(plain.plant, sensor=Sensor(noise=1e-2))
+    if name == "model_free":  # its experiments have larger errors than what it learns
+        scheme, machine = replaced(scheme, {"amplitude": 30.0}), plain
+    whole = learn(machine, scheme, task, TRIALS, first=3)
+    parts = truncated(machine, scheme, task, TRIALS, 2, first=3)
+    assert_trees_close(parts, whole)
+    assert_trees_close(truncated(machine, scheme, task, TRIALS, TRIALS, first=3), whole)
+
+
+def test_truncated_learning_refuses_what_it_cannot_do(machine, task):
+    for last in (0, TRIALS + 1):
+        with pytest.raises(ValueError, match=rf"truncated: last = {last} .*\[1, 5\]"):
+            truncated(machine, SCHEMES["p_type"], task, TRIALS, last)
+    with pytest.raises(ValueError, match="truncated: watch"):
+        truncated(machine, SCHEMES["p_type"], task, TRIALS, 2, watch=object())
 
 
 def test_cfdl_on_a_static_plant_contracts_by_d1_and_d2(task):
