@@ -396,14 +396,12 @@ def certify_verdict(case: Case, numbers: Mapping[str, dict[str, Any]], scale: fl
                     f"{name} is no gain on {_all(machines)}: {what}, where the first trial has "
                     f"{first}.{transient_words(row)}"
                 )
-        elif claims[DIVERGES]:
-            said.append(f"{name} diverges on {claims[DIVERGES]} of {machines} machines.")
         else:
-            reasons = row["reasons"][NOTHING]
+            claim = DIVERGES if claims[DIVERGES] else NOTHING
+            does = "diverges" if claims[DIVERGES] else "is not certified"
+            reasons = row["reasons"][claim]
             why = max(reasons, key=lambda reason: reasons[reason])
-            said.append(
-                f"{name} is not certified on {claims[NOTHING]} of {machines} machines: {why}."
-            )
+            said.append(f"{name} {does} on {claims[claim]} of {machines} machines: {why}.")
     return Verdict(tuple(said), *_after_certify(case, numbers, certified))
 
 

@@ -10,8 +10,10 @@ every trial (`linearity`), and where no limit is met in any trial to come (`outl
     converges    learning comes to its limit in the end: a power of the learning map contracts, or
                  its spectral radius is below 1. Before, the error may grow far;
                  how far, and until which trial, is predicted (`peak`)
-    diverges     learning grows without bound: an eigenvalue lies beyond 1 by more than its doubt,
-                 and there is no limit to stop it; said of up to 1024 inputs
+    diverges     learning grows without bound, and there is no limit to stop it: an eigenvalue lies
+                 beyond 1 by more than its doubt, said of up to 1024 inputs; or in each trial the
+                 same is added to an input by errors that no input moves, as under a law without
+                 the lead of a plant with dead time, said of up to 512
     not claimed  for a reason that is told
 
 Where something is drawn for each trial (noise, or by a `Variation`), a claim is one of single runs,
@@ -503,20 +505,26 @@ def _claims(maps: LearningMaps, ahead: Outlook):
     of_error = (of_errors < 1) & ahead.clear
     monotone = of_error | (decay.monotone & ahead.clear)
     converges = decay.converges & ahead.clear & ~monotone
-    diverges = np.zeros(size, bool)
+    diverges, drifts = np.zeros(size, bool), np.full(size, "", object)
     if not np.all(monotone | converges) and not limit_names(maps.machines, scheme, task):
         radius, doubt = maps.radius()
-        diverges = ~monotone & ~converges & (radius - doubt > 1)
+        beyond = radius - doubt > 1
+        drifts = np.where(beyond, "", np.array(maps.drifts(), object))
+        diverges = ~monotone & ~converges & (beyond | (drifts != ""))
     claim = np.select([monotone, converges, diverges], [MONOTONE, CONVERGES, DIVERGES], NOTHING)
-    reason = [_reason(i, claim[i], of_error[i], of_errors[i], ahead) for i in range(size)]
+    reason = [
+        _reason(i, claim[i], of_error[i], of_errors[i], ahead, drifts[i]) for i in range(size)
+    ]
     return claim, np.array(reason, object), of_error, np.where(of_error, of_errors, decay.norm)
 
 
-def _reason(i: int, claim: str, of_error: bool, of_errors: float, ahead: Outlook) -> str:
+def _reason(
+    i: int, claim: str, of_error: bool, of_errors: float, ahead: Outlook, drifts: str
+) -> str:
     if of_error:
         return f"the error falls to {share_words(of_errors)} of itself in every trial, or below"
     if claim == DIVERGES:
-        return "an eigenvalue of the learning map lies beyond 1"
+        return drifts or "an eigenvalue of the learning map lies beyond 1"
     if claim != NOTHING or not ahead.decay.converges[i]:
         return ahead.decay.told(i)
     return ahead.told(i)

@@ -61,7 +61,7 @@ from ..schemes import Scheme
 from ..signals.task import Task
 from .learning_map import View, alone, count_of, first_of, learning_of, slopes
 from .record_moments import RecordMoments
-from .spectrum import reachable, triangular_radius
+from .spectrum import drifting, reachable, triangular_radius
 from .trials import with_input, with_offset, with_output
 
 SENSES = SURELY, STILL, EVERY, SQUARE, ALMOST, MEAN = (
@@ -230,7 +230,7 @@ def _judged(
     if not np.all(at):
         parts, A = parts.within(np.eye(len(A))[:, at]), A[np.ix_(at, at)]
     whole = _Pattern.of(A, parts, moments, n_y)
-    drifts = len(parts.t) == 1 and _drifts(A, parts, moments, n_y)
+    drifts = _drifting(A, parts, moments, n_y) if len(parts.t) == 1 else ""
     moves = np.concatenate([A - np.eye(len(A)), parts.L * kept, parts.B], axis=1)
     V = _range_of(moves)
     run = run._replace(parts=parts if V is None else parts.within(V))
@@ -267,11 +267,7 @@ def _judged(
         said = f"a run grows by {np.exp(whole.exponent):.4g} in a trial, in the long run"
         return found(ALMOST, -1, said)
     if drifts:
-        said = (
-            "of some inputs what is learned grows with the number of trials, since the errors that "
-            "correct them do not depend on them; and so does an error after these"
-        )
-        return found(ALMOST, -1, said)
+        return found(ALMOST, -1, drifts)
     exponent = drawn()
     if exponent < np.log(ALONE):
         by = f"to {np.exp(exponent):.4g} of itself in a trial, or below, in the long run"
@@ -508,19 +504,17 @@ class _Pattern(NamedTuple):
         return cls(square, exponent)
 
 
-def _drifts(A, parts: Parts, moments: RecordMoments, n_y: int) -> bool:
-    """Whether surely an error grows with the number of trials, as a random walk that is pushed.
+def _drifting(A, parts: Parts, moments: RecordMoments, n_y: int) -> str:
+    """Why an error surely grows with the number of trials, in words; empty where none is known to.
 
-    Some inputs stay as they are but for errors that no input moves. In each trial the same
-    distribution is added to them, with the mean c, so by the law of large numbers w_j / j comes
-    to c there; and an output that these alone act on follows.
+    The push of `drifting` is then the mean of what is drawn, by the law of large numbers.
     """
     shows = np.kron(moments.kept[:, None] * moments.held != 0, np.eye(n_y)) @ (parts.Y != 0)
-    moved = np.any((parts.L != 0) @ shows, axis=1)
-    alone = ~moved & np.all(np.equal(A, np.eye(len(A))), axis=1)
-    seen = np.all(parts.Y[:, ~alone] == 0, axis=1) & (np.repeat(moments.counted, n_y) > 0)
-    least = SOLVED * np.linalg.norm(parts.Y) * np.linalg.norm(parts.L) * np.linalg.norm(parts.r)
-    return bool(np.any(np.abs(parts.Y[:, alone] @ parts.c[alone])[seen] > least))
+    alike = ~np.any((parts.L != 0) @ shows, axis=1)
+    seen = np.repeat(moments.counted, n_y) > 0
+    size = np.linalg.norm(parts.r) + np.linalg.norm(parts.y)
+    least = float(SOLVED * np.linalg.norm(parts.Y) * np.linalg.norm(parts.L) * size)
+    return drifting(A, parts.c, parts.Y, parts.L, least=least, outputs=n_y, alike=alike, seen=seen)
 
 
 def _summed(M, C) -> tuple[np.ndarray, float]:

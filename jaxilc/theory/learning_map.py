@@ -33,6 +33,7 @@ from ..signals.task import Task
 from .law import learning_law
 from .linearity import keeps_all, remembers
 from .spectrum import (
+    drifting,
     growth_about,
     krylov,
     largest,
@@ -58,6 +59,7 @@ STEPS = 300  # of the Lanczos process, at most
 FEW = 60  # Lanczos steps where a bound need not be sharp
 LARGEST = 1024  # rows up to which a matrix is made where it decides
 MOST = 4000  # trials over which a limit is looked for
+DRIFT = 1e-8  # share of what an error moves, above which a growth in each trial is no rounding
 WIDE = 1e-12  # relative width that covers the rounding of a norm
 TILE = 2**28  # bytes of Lanczos vectors in a tile
 ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
@@ -259,6 +261,10 @@ class LearningMaps(abc.ABC):
         An axis at rest, whose map stands apart from that of the others, does not count.
         """
 
+    def drifts(self) -> list[str]:
+        """[S] why learning grows with the number of trials, see `drifting`; empty if unknown."""
+        return [""] * count_of(self.machines)
+
     @abc.abstractmethod
     def by_radius(self, which) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """What is known of M by its spectral radius, each (S,).
@@ -435,6 +441,19 @@ class Matrices(LearningMaps):
         found = [radius_with_doubt(M[np.ix_(k, k)]) for M, k in zip(self.M, at, strict=True)]
         radius, doubt = np.array(found).T
         return radius, doubt
+
+    def drifts(self):
+        if self.view.whole or self.basis is not None:
+            return super().drifts()
+        L, found = self._law(), []
+        r = np.linalg.norm(self.task.reference)
+        moved = _apply(self.M, self.start) + self.c - self.start
+        for M, push, E, e0 in zip(self.M, moved, self.E, self.e0, strict=True):
+            at = reachable(M, push != 0)
+            least = float(DRIFT * np.linalg.norm(E) * np.linalg.norm(L) * (r + np.linalg.norm(e0)))
+            some = M[np.ix_(at, at)], push[at], E[:, at], L[at]
+            found.append(drifting(*some, least=least, outputs=self.task.outputs))
+        return found
 
     def by_radius(self, which):
         eps = np.finfo(self.M.dtype).eps

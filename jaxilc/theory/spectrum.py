@@ -211,6 +211,37 @@ def reachable(M, moves) -> np.ndarray:
         there = grown
 
 
+def drifting(M, push, Y, L, *, least: float, outputs: int, alike: Any = True, seen: Any = True):
+    """Why an output surely grows with the number of trials, in words; empty where none is known to.
+
+    Some places of w stay as they are but for errors that no place moves: those of the first samples
+    of a plant with dead time, say, under a law that learns from them. In each trial the same is
+    added there, so that w_j = w_1 + (j - 1) push, and an output that these places alone act on
+    follows.
+
+    M: (n, n) learning map
+    push: (n,) what the first trial adds to w
+    Y: (m, n) from w to what the errors are of
+    L: (n, m) from these errors to the next w
+    least: the smallest growth of an output in a trial that counts
+    outputs: number n_y of them in each sample
+    alike: (n,) whether a place may count as pushed alike in each trial
+    seen: (m,) whether an output counts
+    """
+    alone = alike & np.all(np.equal(M, np.eye(len(M))), axis=1)
+    follows = np.all(Y[:, ~alone] == 0, axis=1) & seen
+    if not np.any(np.abs(Y[:, alone] @ push[alone])[follows] > least):
+        return ""
+    both = np.any(Y != 0, axis=0) & np.any(L != 0, axis=1)
+    acts, learns = np.argmax(Y.T != 0, axis=1) // outputs, np.argmax(L != 0, axis=1) // outputs
+    late = int(np.min((acts - learns)[both], initial=len(Y)))
+    lead = f"; a lead of the law that is larger by {late}, or a model with this dead time, learns"
+    return (
+        "of some inputs what is learned grows with the number of trials, since the errors that "
+        "correct them do not depend on them; and so does an error after these"
+    ) + (lead if 0 < late < len(Y) else "")
+
+
 def reached(M, moved) -> np.ndarray | None:
     """An orthonormal basis (n, p) of K; None where learning reaches every input.
 

@@ -250,7 +250,7 @@ def test_certify_says_what_is_certified_what_not_and_why():
     assert parsed(certify_verdict(published, {"a": sure}, 1.0))[0] == "worst-case"
     bad = certificate({"diverges": {"an eigenvalue": 1}, "monotone": {"x": 7}}, 0.1)
     found = certify_verdict(CASE, {"ilc": bad}, 1.0)
-    assert found.said == ("ilc diverges on 1 of 8 machines.",)
+    assert found.said == ("ilc diverges on 1 of 8 machines: an eigenvalue.",)
     assert parsed(found)[0] == "design"
     assert parsed(certify_verdict(published, {"a": doubt}, 1.0))[0] == "sweep"
     turns = certificate({"not claimed": {"it is nonlinear": 2}}, None, "turns")

@@ -159,6 +159,52 @@ def test_a_wrong_sign_is_claimed_to_diverge_and_does():
     assert np.all(found.turning == 1)
 
 
+@pytest.mark.parametrize("lead", [0, 1, 2])
+def test_a_plant_with_dead_time_and_a_law_with_less_lead_are_claimed_to_diverge(lead):
+    """Twelve random plants wait for two samples more; NumPy runs 3,000 trials of each.
+
+    The errors that the first samples are learned from do not depend on any input, so that the same
+    is added there in each trial, and the input of the next samples follows.
+    """
+    rng, rows, gain = np.random.default_rng(38), 31, 0.4
+    r = np.sin(np.pi * np.arange(rows) / 30) ** 2 + 0.1 * rng.standard_normal((12, rows))
+    several, errors = [], []
+    for own in r:
+        pole, first = rng.uniform(-0.5, 0.7), rng.uniform(0.3, 1.2)
+        A = np.diag([1.0, 1.0], -1) + np.diag([pole, 0, 0])
+        B, C = np.array([[first], [0.0], [0.0]]), np.array([[0.0, 0.0, 1.0]])
+        several.append(
+            Machine(StateSpace(A, B, C, dt=DT), disturbance=Disturbance(output=-own[:, None]))
+        )
+        answer = np.concatenate([np.zeros(3), first * pole ** np.arange(rows - 3)])
+        G, u = scipy.linalg.toeplitz(answer[1:], np.zeros(rows - 1)), np.zeros(rows - 1)
+        for trial in range(3000):
+            e = own[1:] - G @ u
+            errors += [np.linalg.norm(e)] if trial in (0, 2999) else []
+            u = u + gain * np.append(e[lead:], np.zeros(lead))
+    machines = jax.tree.map(lambda *leaves: np.stack(leaves), *several)
+    task = Task(np.zeros(rows), dt=DT)
+    found = certify_each(machines, PIDType(gamma_p=gain, lead=lead), task, 20)
+    grown = np.array(errors[1::2]) / errors[::2]
+    assert not len(found.broken_promises())
+    if lead == 2:
+        assert set(found.claim) <= {"monotone", "converges"}
+        assert np.all(grown < 1)
+        return
+    assert set(found.claim) == {"diverges"}
+    assert np.all(grown > 10)
+    assert all(f"larger by {2 - lead}, or a model" in said for said in found.reason)
+
+
+def test_nothing_is_pushed_by_an_error_of_zero_or_beyond_a_limit():
+    late = StateSpace([[0.5, 0.0], [1.0, 0.0]], [[0.5], [0.0]], [[0.0, 1.0]], dt=DT)
+    drifts = certify(Machine(late), PIDType(gamma_p=0.5), TASK, 2)
+    at_rest = certify(Machine(late), PIDType(gamma_p=0.5), Task(np.zeros(9), dt=DT), 2)
+    limited = certify(Machine(late, Actuator(limit=50.0)), PIDType(gamma_p=0.5), TASK, 2)
+    claims = [found.claim[0] for found in (drifts, at_rest, limited)]
+    assert claims == ["diverges", "not claimed", "not claimed"]
+
+
 def test_semi_convergence_is_predicted_with_its_turning_trial():
     found = certified(SERVO, CFDLMFAILC(lam=1.0, phi0=0.5, eta=0.01, reset="sign"), 100, GAIN)
     assert set(found.claim) == {"not claimed"}

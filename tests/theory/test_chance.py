@@ -181,7 +181,8 @@ def test_an_error_that_falls_for_100_trials_and_is_pushed_by_chance_is_claimed_t
     assert abs(r[2] - 0.5 * u) > 100 * found.runs[0, :, 0].max()
     at_zero = Task(np.where(np.arange(N + 1) == 1, 0.0, r), DT)
     found = certify(machine, PIDType(gamma_p=gain), at_zero, 3, {}, {})
-    assert found.claim[0] != DIVERGES  # then nothing pushes u[0]
+    assert (found.claim[0], found.sense[0]) == (DIVERGES, "in mean square")
+    assert found.runs[0, 0, 1] < found.runs[0, 0, 0]  # nothing pushes u[0]; r[2] pushes u[1]
 
 
 def test_where_the_mean_of_all_runs_diverges_their_mean_square_does():
