@@ -26,6 +26,7 @@ from .start import begin
 from .trials import Folder, Plot
 
 if TYPE_CHECKING:
+    from ..hardware.calibration import Expected
     from ..hardware.journal import Journal
     from ..hardware.prediction import Prediction
     from ..scenarios.campaigns import Opened
@@ -163,14 +164,14 @@ def next_(
     trial = 1 if new else (now.trials if undo is None else undo) + 1
     if undo is not None and not dry_run:
         now.undo(undo)
-    turn, prediction = None, None
+    turn, prediction, expected = None, None, None
     if measured is not None:
         record = (read_short if of.get("short_trial") else read_measured)(
             measured, now.task, now.recordable(), names, headings
         )
         prediction = _predicted(opened, compute=True, store=not dry_run)
         turn = _turn(
-            now,
+            opened,
             record,
             prediction,
             learn=not no_learn,
@@ -183,8 +184,9 @@ def next_(
     if not dry_run and (measured is None or prediction is not None):
         # Of the next trial; a stop while it is simulated loses nothing, all is written by now.
         prediction = _predicted(opened, compute=new or measured is not None, store=True)
+        expected = _expected(opened, prediction)
     files = measured, out_file, plot, pages.numbers
-    _close(opened, turn, prediction, source, trial, files, columns, dry_run)
+    _close(opened, turn, (prediction, expected), source, trial, files, columns, dry_run)
 
 
 def _of_campaign(settings: dict[str, str]) -> tuple[dict[str, str], dict[str, Any]]:
@@ -293,14 +295,20 @@ def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | No
         return None
 
 
-def _turn(now, record, prediction: Prediction | None, **how):
+def _expected(opened: Opened, prediction: Prediction | None) -> Expected | None:
+    """What the campaign expects of its next trial, None where nothing is predicted."""
+    return None if prediction is None else opened.campaign.expected(opened.subject.machine)
+
+
+def _turn(opened: Opened, record, prediction: Prediction | None, **how):
     """The turn that a measured trial makes; its findings are printed.
 
     Raises Refused where the checks refuse the trial.
     """
     from ..hardware.campaign import refuse
 
-    turn = now.turn(record, **how)
+    now = opened.campaign
+    turn = now.turn(record, **how, expected=_expected(opened, prediction))
     predicted, finding = trials.against_prediction(now, turn, prediction)
     turn.findings.extend(finding)
     largest = ", ".join(f"{value:.6g}" for value in turn.metrics["max_error"])
@@ -346,7 +354,7 @@ def _played(path: Path | None, schedules, task, trial: int, number: str) -> None
 def _close(
     opened: Opened,
     turn,
-    prediction: Prediction | None,
+    predicted: tuple[Prediction | None, Expected | None],
     source: list[str],
     trial: int,
     files: tuple[Path | None, Path | None, Path | None, Path | None],
@@ -355,6 +363,7 @@ def _close(
 ) -> None:
     """Print the verdict and the next command; write the figure and the numbers, if asked for.
 
+    predicted: the prediction of the plant file, and what is expected of the next trial
     trial: number of the next trial
     files: those of --measured, --out, --plot, and the one for the numbers
     columns: options that name columns of the measured trial, with their values
@@ -362,18 +371,19 @@ def _close(
     from ..hardware.checks import experiment_numbers
 
     measured, out_file, plot, json_file = files
+    prediction = predicted[0]
     now, journal = opened.campaign, opened.campaign.journal
     rows = journal.log() if journal.exists else []
     live = journal.live() if journal.exists else []
     if plot is not None and live and not dry_run:
-        plot = trials.save_figure(plot, now, rows, live, prediction)
+        plot = trials.save_figure(plot, now, rows, live, predicted)
     numbers_of = experiment_numbers(now.scheme, now.task, live)
     known = opened.scenario.potential
     stop = None if known is None else known.stop
     growth, unit = now.rules.growth, now.task.unit
     verdict = trials.verdict(live, turn, prediction, unit, growth, numbers_of, stop)
     following = trials.next_command(journal.path, trial, measured, out_file, columns)
-    step = "" if dry_run else trials.coming(live, prediction, trial, now.task.unit)
+    step = "" if dry_run else trials.coming(live, predicted, trial, now.task.unit)
     for line in (*([step] if step else []), *verdict, following):
         out.print(line, highlight=False, soft_wrap=True)
     numbers: dict[str, Any] = {

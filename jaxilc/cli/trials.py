@@ -24,6 +24,7 @@ from .start import begin
 
 if TYPE_CHECKING:
     from ..figures.page import Live
+    from ..hardware.calibration import Expected
     from ..hardware.campaign import Campaign, Turn
     from ..hardware.checks import Finding
     from ..hardware.journal import Journal
@@ -82,7 +83,7 @@ def trials(
         files.append(write_log(table, rows))
     now = _opened(state) if live and (plot or report) else None
     if plot is not None:
-        files.append(save_figure(plot, now, rows, live, prediction, units(journal)))
+        files.append(save_figure(plot, now, rows, live, (prediction, None), units(journal)))
     for line in said:
         out.print(line, highlight=False, soft_wrap=True)
     if changed:
@@ -178,13 +179,14 @@ def save_figure(
     now: Campaign | None,
     rows: list[dict[str, Any]],
     live: list[dict[str, Any]],
-    prediction: Prediction | None,
+    predicted: tuple[Prediction | None, Expected | None],
     units: tuple[str, str] = ("", ""),
 ) -> Path:
     """Write the figure of a campaign, and return its file.
 
     now: the campaign; None: the figure then shows no trial in time
     live: manifests that count
+    predicted: the prediction of the plant file, and what is expected of the next trial
     units: units of y and of u, for a campaign that is not given
     """
     from .. import figures
@@ -199,7 +201,9 @@ def save_figure(
             last = LastTrial(
                 live[-1]["trial"], task.time, task.reference, signals["y"], signals["u"]
             )
-    bands = None if prediction is None or not live else bands_by_trial(live, prediction)
+    prediction, expected = predicted
+    known = prediction is not None and live
+    bands = bands_by_trial(live, prediction, expected) if known else None
     axes = campaign_figure(rows, unit=unit, input_unit=input_unit, bands=bands, last=last)
     return figures.save(axes, path)
 
@@ -212,14 +216,13 @@ def source_numbers(recipe: dict[str, Any]) -> dict[str, Any]:
 
 
 def _places(live: list[dict[str, Any]], prediction: Prediction):
-    """Each trial that counts with its place on the prediction, by the serial of its entry."""
+    """Each trial that counts with its place on what was expected, by the serial of its entry."""
+    from ..hardware.calibration import kept
     from ..hardware.journal import METRICS
-    from ..hardware.prediction import place_of, steps
+    from ..hardware.prediction import steps
 
     for manifest, step in zip(live[1:], steps(live), strict=True):
-        metrics = manifest[METRICS]
-        largest = max(metrics.get("max_error") or [0.0])
-        yield manifest["serial"], place_of(prediction, step, metrics["error"], largest)
+        yield manifest["serial"], _place(prediction, step, manifest[METRICS], kept(manifest))
 
 
 def _as_numbers(live: list[dict[str, Any]], prediction: Prediction) -> dict[str, Any]:
@@ -233,13 +236,13 @@ def _as_numbers(live: list[dict[str, Any]], prediction: Prediction) -> dict[str,
 
 def _predicted(live: list[dict[str, Any]], prediction: Prediction | None) -> dict[int, str]:
     """The predicted RMS error of each trial that counts, as text, by the serial of its entry."""
-    if prediction is None or prediction.certain:
+    if prediction is None:
         return {}
     marks = {"within": "", "slight": " (outside)", "clear": " (far outside)"}
     return {
         serial: f"{place.rms[0]:.3g} to {place.rms[1]:.3g}{marks[place.level]}"
         for serial, place in _places(live, prediction)
-        if place
+        if place and place.rms[0] < place.rms[1]
     }
 
 
@@ -290,23 +293,28 @@ def against_prediction(
     if prediction is None or turn.record.weight is not None:
         return "", []
     live, unit = now.journal.live(), now.task.unit
-    place = _place(prediction, next_step(live), turn.metrics)
+    place = _place(prediction, next_step(live), turn.metrics, turn.expected)
     if place is None:
         return "", []
-    if prediction.certain:
+    if turn.expected is None and prediction.certain:
         median = f"{_median(prediction, place):.3g} {unit}".strip()
         return f"predicted: RMS error {median}; the file gives no uncertainty and no noise", []
     found = [] if place.level == "within" else [_outside(now, turn, place, prediction)]
     if place.level == "clear" and place.distance > 0 and not turn.refusals:
-        found += now.grown_beyond(turn.record, turn.metrics["error"], GROWN_BEYOND)
-    said = f"predicted: {_range(place, unit)}, 95 % of {prediction.machines} drawn machines"
-    return said, found
+        error = turn.metrics["error"]
+        found += now.grown_beyond(turn.record, error, GROWN_BEYOND, turn.expected)
+    share = f"95 % of {prediction.machines} drawn machines"
+    if turn.expected is not None:
+        share = "90 % by the trials so far"
+    return f"predicted: {_range(place, unit)}, {share}", found
 
 
 def _outside(now: Campaign, turn: Turn, place: Place, prediction: Prediction) -> Finding:
-    """The finding of a trial outside the 95 % band, with what it means and what to do."""
+    """The finding of a trial outside its band, with what it means and what to do."""
     from ..hardware.checks import Finding
 
+    if turn.expected is not None:
+        return _unexpected(now, turn, place)
     above, trial = place.distance > 0, turn.trial
     largest = place.error != "RMS error"
     error = max(turn.metrics["max_error"]) if largest else turn.metrics["error"]
@@ -338,6 +346,25 @@ def _outside(now: Campaign, turn: Turn, place: Place, prediction: Prediction) ->
     )
 
 
+def _unexpected(now: Campaign, turn: Turn, place: Place) -> Finding:
+    """The finding of a trial outside the band that the trials before gave."""
+    from ..hardware.checks import Finding
+
+    largest = place.error != "RMS error"
+    error = max(turn.metrics["max_error"]) if largest else turn.metrics["error"]
+    high = (place.largest if largest else place.rms)[1]
+    side = f"{error / high:.3g} times the upper end of" if place.distance > 0 else "below"
+    text = f"trial {turn.trial}: the {place.error} is {side} the band of the trials so far"
+    if place.level == "slight":
+        return Finding("note", f"{text}, as it is in one trial of ten; look at the next trials")
+    changed = now.what_changed(turn.record, turn.expected)
+    text += f"; suspected is {changed.text or 'a changed machine'}"
+    state = shlex.quote(str(now.journal.path))
+    fit = f"jaxilc identify --state {state} --out {new_plant_file(now.recipe)}"
+    then = (changed.then or "look for the cause, or identify the plant again").capitalize()
+    return Finding("warning", f"{text}. It is told once: the next band begins here. {then}: {fit}")
+
+
 def step_back(now: Campaign) -> str:
     """How to play the best input so far again; an empty text before the first trial."""
     from ..hardware.checks import comparable
@@ -364,14 +391,25 @@ def new_plant_file(recipe: dict[str, Any]) -> str:
     return shlex.quote(str(given.with_name(f"{stem}.toml")))
 
 
-def coming(live: list[dict[str, Any]], prediction: Prediction | None, trial: int, unit: str) -> str:
-    """A sentence on what is predicted for the next trial, empty without a band."""
+def coming(
+    live: list[dict[str, Any]],
+    predicted: tuple[Prediction | None, Expected | None],
+    trial: int,
+    unit: str,
+) -> str:
+    """A sentence on what is predicted for the next trial, empty without a band.
+
+    predicted: the prediction of the plant file, and what the trials so far expect
+    """
     from ..hardware.prediction import next_step
 
-    step = next_step(live) if live else 1
-    if prediction is None or prediction.certain or step > prediction.trials:
+    (prediction, expected), step = predicted, next_step(live) if live else 1
+    if expected is not None:
+        low, _, high = (float(end[0]) for end in expected.rms)
+    elif prediction is None or prediction.certain or step > prediction.trials:
         return ""
-    low, _, high = (float(end[step - 1]) for end in prediction.rms)
+    else:
+        low, _, high = (float(end[step - 1]) for end in prediction.rms)
     return f"trial {trial} is predicted to have an RMS error of {low:.3g} to {high:.3g} {unit}"
 
 
@@ -485,7 +523,9 @@ def turn_numbers(
     if turn is None:
         return {}
     kept = live[:-1] if live and live[-1]["trial"] == turn.trial else live
-    place = None if prediction is None else _place(prediction, next_step(kept), turn.metrics)
+    place = None
+    if prediction is not None:
+        place = _place(prediction, next_step(kept), turn.metrics, turn.expected)
     found: dict[str, Any] = {
         "trial": turn.trial,
         "metrics": turn.metrics,
@@ -494,10 +534,14 @@ def turn_numbers(
     return found if place is None else found | {"predicted": place._asdict()}
 
 
-def _place(prediction: Prediction, step: int, metrics: dict[str, Any]) -> Place | None:
+def _place(
+    prediction: Prediction, step: int, metrics: dict[str, Any], expected: Expected | None
+) -> Place | None:
+    """Where a trial lies on what the trials before it expected, or else the plant file."""
     from ..hardware.prediction import place_of
 
-    return place_of(prediction, step, metrics["error"], max(metrics["max_error"]))
+    errors = metrics["error"], max(metrics.get("max_error") or [0.0])
+    return place_of(prediction, step, *errors) if expected is None else expected.place(*errors)
 
 
 def _median(prediction: Prediction, place: Place) -> float:

@@ -12,6 +12,7 @@ from .paper import drawn
 from .style import COLOURS, PALE, colour_of
 
 if TYPE_CHECKING:
+    from ..hardware.calibration import Expected
     from ..hardware.prediction import Prediction
 
 AHEAD = 5  # trials after the last one whose prediction is shown
@@ -45,13 +46,17 @@ class Bands(NamedTuple):
     high: np.ndarray
 
 
-def bands_by_trial(live: list[dict[str, Any]], prediction: Prediction) -> Bands:
+def bands_by_trial(
+    live: list[dict[str, Any]], prediction: Prediction, expected: Expected | None = None
+) -> Bands:
     """The prediction of each trial of a campaign, and of some trials after them.
 
     A trial that was not learned from is followed by one with the same prediction.
 
     live: manifests of the start and of the trials that count, see `Journal.live`
+    expected: what the trials so far expect of the next one, which stands in place of the prediction
     """
+    from ..hardware.calibration import kept
     from ..hardware.prediction import next_step, steps
 
     last, step = live[-1]["trial"], next_step(live)
@@ -63,7 +68,13 @@ def bands_by_trial(live: list[dict[str, Any]], prediction: Prediction) -> Bands:
     low, median, high = (end[found[known] - 1] for end in prediction.rms)
     if prediction.certain:
         low, high = median, median
-    return Bands(number[known], low, median, high)
+    bands = Bands(number[known], *(end.copy() for end in (low, median, high)))
+    own = {m["trial"]: kept(m) for m in live[1:]} | {last + 1: expected}
+    for i, trial in enumerate(bands.trial):
+        own_band = own.get(int(trial))
+        if own_band is not None:
+            bands.low[i], bands.median[i], bands.high[i] = (end[0] for end in own_band.rms)
+    return bands
 
 
 @drawn

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,24 +16,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..learning.machine import Actuator
+from ..learning.machine import Actuator, Machine
 from ..learning.metrics import measure
 from ..learning.over_trials import check_length, measured_trial
 from ..learning.playback import replay, schedules
+from ..learning.within_trial import run_trial
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, environment, need_same
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.sealed import as_json
-from . import checks, suspicions
+from . import calibration, checks, suspicions
+from .calibration import Expected
 from .checks import Finding, Rules
 from .journal import BACK, METRICS, Journal
+from .prediction import next_step
 from .short_trials import completed, ended, stored
 from .trial_files import Measured
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"
-PAST = 20  # trials whose inputs are compared with a recorded one that is not that to play
+PAST = 20  # trials whose inputs are compared with a recorded one that is not that to play, and
+# whose outputs say what to expect of the next
 
 
 class Turn(NamedTuple):
@@ -49,6 +54,7 @@ class Turn(NamedTuple):
     source: file of the trial
     input: `measured`, or `replayed` where the file had no u and the scheme's law gave it
     peaks: the largest value of each schedule that was played in this trial
+    expected: what the trials before expected of this one, None before the third
     """
 
     trial: int
@@ -62,6 +68,7 @@ class Turn(NamedTuple):
     source: str
     input: str = "measured"
     peaks: dict[str, float] = {}  # noqa: RUF012  the largest value of each schedule played
+    expected: Expected | None = None
     __repr__ = in_short
 
     @property
@@ -171,7 +178,11 @@ class Campaign:
 
         Raises ValueError for a trial that is not one of the past, and for a damaged memory.
         """
-        template, entry = self.scheme.initial_memory(self.task), self._after(trial)
+        return self.memory_of(self._after(trial))
+
+    def memory_of(self, entry: dict[str, Any]) -> Any:
+        """The memory after an entry; raises ValueError where it is damaged."""
+        template = self.scheme.initial_memory(self.task)
         found, needed = self.journal.arrays(entry, MEMORY), _arrays_of(template)
         if _shapes_of(found) != _shapes_of(needed):
             raise ValueError(
@@ -187,6 +198,29 @@ class Campaign:
         return jax.tree.unflatten(
             jax.tree.structure(template), [jnp.asarray(found[name]) for name in needed]
         )
+
+    def expected(self, machine: Machine) -> Expected | None:
+        """What the campaign expects of its next trial; None before it has two whole trials.
+
+        machine: the nominal machine of the plant file
+        """
+        live = self.journal.live()
+        measured, simulated = [], []
+        key = jax.random.key(0)  # one noise for all, which the differences do not hold
+
+        def output(entry: dict[str, Any]) -> np.ndarray:
+            return np.asarray(_output(machine, self.scheme, self.task, self.memory_of(entry), key))
+
+        for before, now in pairwise(live[-PAST - 1 :]):
+            arrays = self.journal.arrays(now, TRIAL)
+            if "weight" not in arrays:  # else it ended early
+                measured.append(arrays["y"])
+                simulated.append(output(before))
+        if len(measured) < 2:
+            return None
+        simulated.append(output(live[-1]))
+        found = np.array(measured), np.array(simulated)
+        return calibration.expected(*found, self.task, next_step(live))
 
     def schedules(self, trial: int | None = None) -> dict[str, np.ndarray]:
         """The schedules to play after a trial, None for the last one; see `playback.schedules`."""
@@ -205,7 +239,14 @@ class Campaign:
             name: t.shape for name, t in self.schedules().items() if name != "u"
         }
 
-    def turn(self, measured: Measured, *, learn: bool = True, replay_input: bool = False) -> Turn:
+    def turn(
+        self,
+        measured: Measured,
+        *,
+        learn: bool = True,
+        replay_input: bool = False,
+        expected: Expected | None = None,
+    ) -> Turn:
         """The result of a measured trial, checked by the rules; `keep` stores it.
 
         The share of the feedback in the input is `feedback` of the file. If the file does not have
@@ -214,6 +255,7 @@ class Campaign:
 
         learn: False only inspects the trial; the same schedule is then played again
         replay_input: whether to compute an input that the file lacks by the scheme's law
+        expected: what the trials before expect of this one, see `calibration`
         Raises ValueError for a trial without an input, and for one that was measured already, even
         if its file was rounded.
         """
@@ -240,7 +282,7 @@ class Campaign:
         findings += checks.as_played(measured.others, played, self.actuator)
         if "feedback" not in measured.others:
             findings += checks.as_commanded(u, commanded, self.actuator, task)
-        findings += self._against_those_before(record, error, hashes["played"], live)
+        findings += self._against_those_before(record, error, hashes["played"], expected)
         following = learned(scheme, task, memory, record) if learn else memory
         following_schedules = schedules(scheme, following, task)
         findings += _of_the_next(following, following_schedules, task, self.actuator, self.rules)
@@ -261,6 +303,7 @@ class Campaign:
             measured.source,
             "replayed" if measured.u is None else "measured",
             peaks,
+            expected,
         )
 
     def _as_the_machine_can(
@@ -300,26 +343,27 @@ class Campaign:
         return suspicions.larger(following, largest, learned, self.task, self.rules.accept)
 
     def _against_those_before(
-        self, record: Trial, error: float, played: str, live: list[dict[str, Any]]
+        self, record: Trial, error: float, played: str, expected: Expected | None
     ) -> list[Finding]:
         """Compare a trial with the last one, if both played one schedule, and with all errors.
 
         error: RMS error over all outputs [unit of y]
         played: hash of the schedule
-        live: the manifests of the trials before
         """
-        findings, unit = [], self.task.unit
+        findings, unit, live = [], self.task.unit, self.journal.live()
         whole = record.weight is None
         if whole and len(live) > 1 and live[-1]["hashes"].get("played") == played:
             last_y = self.journal.arrays(live[-1], TRIAL)["y"]
             findings += checks.repeated(record, last_y, self.rules, unit)
         errors = checks.comparable(self.scheme, self.task, live)
         return findings + (
-            self.grown_beyond(record, error, suspicions.GROWN)
+            self.grown_beyond(record, error, suspicions.GROWN, expected)
             or checks.grown(error, errors, self.rules, unit)
         )
 
-    def grown_beyond(self, record: Trial, error: float, times: float) -> list[Finding]:
+    def grown_beyond(
+        self, record: Trial, error: float, times: float, expected: Expected | None = None
+    ) -> list[Finding]:
         """The refusal of a trial whose error is more than some times the best, and what changed.
 
         error: RMS error over all outputs [unit of y]
@@ -329,9 +373,14 @@ class Campaign:
         best = max(min(errors, default=np.inf), suspicions.LEAST * np.ptp(task.reference))
         if error <= times * best or record.weight is not None:
             return []
-        last_y = self.journal.arrays(live[-1], TRIAL)["y"]
-        changed = suspicions.what_changed(np.asarray(record.y), last_y)
+        changed = self.what_changed(record, expected)
         return suspicions.grown_beyond(error, best, changed, self.rules.accept, task.unit)
+
+    def what_changed(self, record: Trial, expected: Expected | None) -> suspicions.Change:
+        """What explains a trial after the first that is not as expected, or not as the last one."""
+        last = self.journal.arrays(self.journal.live()[-1], TRIAL)["y"]
+        output = last if expected is None else expected.output
+        return suspicions.what_changed(np.asarray(record.y), output, self.task.dt)
 
     def keep(self, turn: Turn) -> None:
         """Store a turn; the campaign then continues from it.
@@ -346,6 +395,8 @@ class Campaign:
         plain = ("trial", "learned", "source", "input", "hashes", "peaks")
         manifest = {name: getattr(turn, name) for name in plain} | {METRICS: turn.metrics}
         manifest["findings"] = turn.findings
+        if turn.expected is not None:
+            manifest["expected"] = turn.expected.as_json()
         self._append(
             {"event": "trial", "parent": parent["serial"], **manifest},
             {MEMORY: _arrays_of(turn.memory), TRIAL: stored(turn.record)},
@@ -448,6 +499,11 @@ _measured = jax.jit(measure)  # one program instead of one for each operation
 def learned(scheme: Scheme, task: Task, memory: Any, trial: Trial):
     """The memory after a trial."""
     return scheme.prepared(task).learn(memory, trial)
+
+
+@jax.jit
+def _output(machine: Machine, scheme: Scheme, task: Task, memory: Any, key: Any):
+    return run_trial(machine, scheme.prepared(task), task, memory, key).y
 
 
 def _arrays_of(tree: Any) -> dict[str, Any]:

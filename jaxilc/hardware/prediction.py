@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -106,10 +107,15 @@ class Prediction(NamedTuple):
 
     def bands(self) -> dict[str, dict[str, list[float]]]:
         """The ends and medians of both errors, as JSON."""
-        return {
-            name: {end: values.tolist() for end, values in band._asdict().items()}
-            for name, band in (("rms", self.rms), ("largest", self.largest))
-        }
+        return as_lists(self.rms, self.largest)
+
+
+def as_lists(rms: Band, largest: Band) -> dict[str, dict[str, list[float]]]:
+    """The bands of both errors, as JSON."""
+    return {
+        name: {end: values.tolist() for end, values in band._asdict().items()}
+        for name, band in (("rms", rms), ("largest", largest))
+    }
 
 
 class Place(NamedTuple):
@@ -244,14 +250,29 @@ def place_of(prediction: Prediction, step: int, error: float, largest: float) ->
     if not 1 <= step <= prediction.trials:
         return None
     bands = [Band(*(x[step - 1 : step] for x in band)) for band in prediction[2:4]]
+    return place_in(step, bands, prediction.course, error, largest, prediction.smallest)
+
+
+def place_in(
+    step: int,
+    bands: Sequence[Band],
+    course: float,
+    error: float,
+    largest: float,
+    smallest: float = 0.0,
+) -> Place:
+    """Where a measured trial lies in the bands of its two errors, each of one row.
+
+    course: distance beyond which it lies clearly outside
+    """
     far = [
-        float(distance(band, np.array([value]), prediction.smallest)[0])
+        float(distance(band, np.array([value]), smallest)[0])
         for band, value in zip(bands, (error, largest), strict=True)
     ]
     which = int(abs(far[1]) > abs(far[0]))
     level = "within"
     if abs(far[which]) > 1:
-        level = "slight" if abs(far[which]) <= prediction.course else "clear"
+        level = "slight" if abs(far[which]) <= course else "clear"
     (rms, most) = ((float(band.low[0]), float(band.high[0])) for band in bands)
     name = ("RMS error", "largest error")[which]
     return Place(step, rms, most, far[which], name, level)
@@ -318,7 +339,7 @@ def key_of(subject: Subject) -> str:
 
 def _from_json(content: dict[str, Any]) -> Prediction | None:
     """The prediction; None for content that somebody made by hand and that does not fit."""
-    bands = [_band_of(content.get(name)) for name in ("rms", "largest")]
+    bands = [band_of(content.get(name)) for name in ("rms", "largest")]
     machines, course, smallest = (content.get(n) for n in ("machines", "course", "smallest"))
     known = is_whole(machines) and is_number(course) and is_number(smallest)
     rms, largest = bands
@@ -329,7 +350,8 @@ def _from_json(content: dict[str, Any]) -> Prediction | None:
     return Prediction(int(cast(int, machines)), noisy, rms, largest, course, smallest)
 
 
-def _band_of(content: Any) -> Band | None:
+def band_of(content: Any) -> Band | None:
+    """The band that JSON holds; None where it holds none."""
     ends = [content.get(end) if isinstance(content, dict) else None for end in Band._fields]
     lists = [end for end in ends if isinstance(end, list) and end and all(map(is_number, end))]
     if len(lists) < len(ends) or len({len(end) for end in lists}) > 1:

@@ -9,9 +9,10 @@ is suspected, and the option that accepts it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 
 from ..learning.playback import unit_of
 from ..signals.task import Task
@@ -27,7 +28,13 @@ GROWN, GROWN_BEYOND = 10.0, 3.0  # times the best error; the second for one abov
 LEAST = 1e-6  # share of the range of the reference; errors below it are rounding
 LEARNED = {"u", "feedforward", "reference"}  # schedules that are learned from errors
 LARGER = 1.1  # the next input may exceed what learning from a constant error would give by 10 %
-EXPLAINS = 0.7  # share of the power of a difference that its cause explains
+EXPLAINS = 0.6  # share of the power of a difference that friction or a lag explains
+LEFT_BY_GAIN, LEFT_BY_DELAY = 0.05, 0.02  # shares of that power that a gain and a delay may leave
+LIMITED, LATE = (0.3, 0.9), 0.2  # shares: of the first acceleration; of the speed, where it shows
+BEGUN, FOLLOWS = 0.02, 0.3  # share of the stroke at its begin, and of that, which is followed then
+NARROW, JERK = 0.55, 1.2  # share of the power in a narrow band; peak of the first acceleration
+LEAST_SAMPLES = 16  # of a trial whose difference is looked at
+STANDS = 0.1  # share of the motion below which nothing is said of a gain
 SAME_UNIT = 0.02  # share by which a factor between units may differ
 UNITS = (10.0, 25.4, 180 / np.pi, 1e3, 1e6)  # what one unit is of another, mostly
 
@@ -128,15 +135,14 @@ def misplayed(u, commanded, others: Mapping[int, Any], accept: tuple[str, ...]) 
 
 
 def grown_beyond(
-    error: float, best: float, changed: str, accept: tuple[str, ...], unit: str
+    error: float, best: float, changed: Change, accept: tuple[str, ...], unit: str
 ) -> list[Finding]:
-    """The refusal of an error that is far beyond the best of the campaign.
-
-    changed: what changed, as `what_changed` names it
-    """
+    """The refusal of an error that is far beyond the best of the campaign."""
+    cause = changed.text or "the encoder, a wrong unit or schedule, or a changed machine"
+    then = f" ({changed.then})" if changed.then else ""
     text = (
         f"the RMS error is {error:.4g} {unit}, {error / best:.3g} times the best; "
-        f"suspected is {changed or 'the encoder, a wrong unit or schedule, or a changed machine'}"
+        f"suspected is {cause}{then}"
     )
     return [_refused("growth", text, accept)]
 
@@ -180,26 +186,123 @@ def larger(
     return found
 
 
-def what_changed(y, last_y) -> str:
-    """What explains the difference of two outputs: a gain, another unit, or a lag.
+class Change(NamedTuple):
+    """What made an output differ from the one that was expected.
 
-    The difference d = y - y_last is fitted by y_last and by its differences; the one is named that
-    explains at least `EXPLAINS` of its power. Friction shows as a lag, as a limit of the force
-    does. Returns an empty text where neither explains it.
+    cause: `gain`, `unit`, `delay`, `limit`, `resonance`, `friction`, `lag`, or empty: none fits
+    text: the cause with its size
+    then: what to do about it
     """
-    i = int(np.argmax(np.sum((y - last_y) ** 2, axis=0)))
-    d, old = (x[:, i] - x[0, i] for x in (y - last_y, last_y))
-    if not np.any(d) or not np.any(old):
-        return ""
-    (gain, of_gain), (lag, of_lag) = _fitted(d, old), _fitted(d, -np.gradient(old))
-    if max(of_gain, of_lag) < EXPLAINS:
-        return ""
-    if of_lag > of_gain:
-        return f"a lag that is {lag:+.2g} samples longer (delay, friction, or a limit)"
-    now = 1 + gain
+
+    cause: str = ""
+    text: str = ""
+    then: str = ""
+
+
+def what_changed(y, old, dt: float = 1.0) -> Change:
+    """What explains the difference of an output from the one that was expected.
+
+    The first that fits is named: a gain (or a unit) and a delay are the factor and the shift of the
+    expected motion that leave at most 5 and 2 % of the power of the difference; a limit of force
+    or speed makes the first acceleration smaller, where the motion begins as expected; a resonance
+    puts most of the power of the difference of the accelerations into a narrow band; friction
+    follows the sign of the speed and breaks away with a jerk; what else is
+    in step with the speed is a lag of a loop.
+
+    y, old: (N+1, n_y) outputs, measured and expected;  dt: sampling time [s]
+    """
+    i = int(np.argmax(np.sum((y - old) ** 2, axis=0)))
+    now, old = (np.asarray(x, float)[:, i] - x[0, i] for x in (y, old))
+    d = now - old
+    if len(d) < LEAST_SAMPLES or not np.any(d) or not np.any(old):
+        return Change()
+    factor, share = _fitted(d, old)
+    if share > 1 - LEFT_BY_GAIN:
+        return _gain(1 + factor)
+    late, share = _shift(d, old)
+    if share > 1 - LEFT_BY_DELAY:
+        text = f"a delay that is {late * dt * 1e3:+.3g} ms ({late:+.2g} samples) longer"
+        return Change("delay", text, "identify the plant again")
+    peak, parted, narrow, frequency = _accelerations(now, old, dt)
+    if narrow > NARROW and peak > JERK:
+        text = f"a resonance at {frequency:.3g} Hz"
+        return Change("resonance", text, "look for what is loose, and identify the plant again")
+    begun = int(np.argmax(np.abs(old) > BEGUN * np.max(np.abs(old))))
+    follows = now[begun] / old[begun]
+    if LIMITED[0] < peak < LIMITED[1] and follows > FOLLOWS and parted > LATE:
+        text = f"a limit of force or speed: the first acceleration reaches {peak:.0%} of the usual"
+        return Change("limit", text, "look at supply, current limit and load; a slower motion fits")
+    lag, share = _fitted(d, -np.gradient(old))
+    rubbed = _rubbed(d, old)
+    if (peak > JERK or rubbed > share + 0.02) and max(share, rubbed) > EXPLAINS:
+        text = "friction (or play) that grew" if lag > 0 else "friction (or play) that fell"
+        return Change("friction", text, "look at guides, grease and cover; warm the axis up")
+    if share > EXPLAINS:
+        text = f"a lag that is {lag:+.2g} samples longer (a gain of a loop, viscous friction)"
+        return Change("lag", text, "look at the gains of the drive, and identify the plant again")
+    return Change()
+
+
+def _gain(now: float) -> Change:
+    """The change where the output is `now` times the expected one."""
     if any(abs(now / one - 1) < SAME_UNIT for unit in UNITS for one in (unit, 1 / unit)):
-        return f"another unit: y is {now:.4g} times that of the last trial"
-    return "" if abs(now) < STILL else f"a gain that changed by {gain:+.0%}"
+        text = f"another unit: y is {now:.4g} times that of the last trial"
+        return Change("unit", text, "look at the columns of the file")
+    if abs(now) < STANDS:
+        return Change()
+    return Change("gain", f"a gain that changed by {now - 1:+.0%}", "identify the plant again")
+
+
+def _shift(d, old) -> tuple[float, float]:
+    """The shift of the expected motion [samples] that explains most, and the share it explains."""
+    k, most = np.arange(len(old)), len(old) // 8
+    start = _fitted(d, -np.gradient(old))[0]
+    tried = np.clip(start * np.linspace(0.5, 2.0, 61), -most, most)
+    left = [np.sum((np.interp(k - late, k, old) - old - d) ** 2) for late in tried]
+    best = int(np.argmin(left))
+    return float(tried[best]), float(1 - left[best] / np.sum(d**2))
+
+
+def _accelerations(now, old, dt: float) -> tuple[float, float, float, float]:
+    """How the acceleration differs from the expected one.
+
+    Returns its largest value until the first top speed, over the expected one; the share of that
+    speed that is reached when the outputs part; the share of the power of the difference that is
+    within 20 % of the frequency of most power, 0 where the motion itself has as high ones; and this
+    frequency [Hz].
+    """
+    n = len(old)
+    window = np.hanning(max(5, n // 40 | 1) + 2)[1:-1]
+
+    def smooth(x):
+        padded = np.pad(x, len(window) // 2, mode="edge")
+        return np.convolve(padded, window / np.sum(window), "valid")
+
+    speed, moved = smooth(np.gradient(old)), smooth(np.gradient(now))
+    usual, found = smooth(np.gradient(speed)), smooth(np.gradient(moved))
+    top = max(2, int(np.argmax(np.abs(speed) > 0.97 * np.max(np.abs(speed)))))
+    sign = np.sign(speed[top])
+    expected = np.max(sign * usual[:top])
+    peak = float(np.max(sign * found[:top]) / expected) if expected > 0 else 1.0
+    parted = smooth(np.abs(now - old))
+    part = int(np.argmax(parted > 0.03 * np.max(parted)))
+    power = np.abs(np.fft.rfft((found - usual) * np.hanning(n))) ** 2
+    f, k = np.fft.rfftfreq(n, dt), int(np.argmax(power))
+    near = np.abs(f - f[k]) < 0.2 * f[k] + f[1]
+    of_motion = f[int(np.argmax(np.abs(np.fft.rfft(usual * np.hanning(n)))))]
+    narrow = float(np.sum(power[near]) / np.sum(power)) if f[k] > 1.5 * of_motion else 0.0
+    return peak, float(np.abs(speed[part]) / np.max(np.abs(speed))), narrow, float(f[k])
+
+
+def _rubbed(d, old) -> float:
+    """The share of the difference that a force against the speed explains, through a slow loop."""
+    speed = np.gradient(old)
+    sign = np.tanh(speed / (0.02 * np.max(np.abs(speed))))
+    shares = []
+    for rise in (5, 20, 40, 80):
+        kept = np.exp(-1 / rise)
+        shares.append(_fitted(d, lfilter([1 - kept], [1, -kept], sign))[1])
+    return max(shares)
 
 
 def _fitted(d, by) -> tuple[float, float]:

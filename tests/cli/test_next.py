@@ -198,7 +198,7 @@ def test_nothing_is_predicted_where_it_is_not_wanted(copied):
     assert file.read_text() == "damaged"
     path, _ = measure(folder, 5, 1.02)
     assert (
-        "95 % of 256 drawn machines"
+        "90 % by the trials so far"
         in go_on("--measured", path, "--set", "campaign.predict=true")[0]
     )
 

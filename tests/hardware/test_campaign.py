@@ -396,7 +396,7 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
     rig, state, folder = copied
     y, u = rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     t, r = rig.task.time, rig.task.reference[:, 0]
-    write_trial(folder / "worse.csv", t, r, y + 0.02, u)
+    write_trial(folder / "worse.csv", t, r, y + 0.01, u)
     arguments = ("next", "--state", state, "--out", folder / "next.csv", "--measured")
     with pytest.raises(
         ValueError,

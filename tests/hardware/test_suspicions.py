@@ -48,18 +48,22 @@ def test_lost_counts_and_another_unit_are_steps_that_no_motion_makes():
     ("changed", "expected"),
     [
         ({"gain": 0.7}, "a gain that changed by -30%"),
-        ({"delay": 9}, "a lag that is +8"),
-        ({"coulomb": 40.0}, "a lag that is +"),
-        ({"resonance": 18.0}, ""),
+        ({"delay": 9}, "a delay that is +7.98 ms (+8 samples) longer"),
+        ({"coulomb": 40.0}, "friction (or play) that grew"),
+        ({"coulomb": 150.0, "viscous": 0.1}, "friction (or play) that grew"),
+        ({"force": 6.0}, "a limit of force or speed: the first acceleration reaches 6"),
+        ({"resonance": 18.0, "damping": 0.02}, "a resonance at 15 Hz"),
+        ({"position_gain": 40.0}, "a lag that is +"),
     ],
 )
 def test_what_changed_is_named(changed, expected):
     y = Rig(**changed).play(U[:, 0], 2)[:, None]
-    found = suspicions.what_changed(y, LAST)
-    assert found.startswith(expected)
-    assert bool(found) == bool(expected)
+    found = suspicions.what_changed(y, LAST, DT)
+    assert found.text.startswith(expected)
+    assert found.then
     inches = suspicions.what_changed(LAST / 25.4, LAST)
-    assert inches == "another unit: y is 0.03937 times that of the last trial"
+    assert inches.text == "another unit: y is 0.03937 times that of the last trial"
+    assert suspicions.what_changed(LAST[:5], 2 * LAST[:5]) == suspicions.Change()
 
 
 def test_an_input_that_is_not_the_one_to_play_is_refused():

@@ -1,0 +1,86 @@
+"""The band that the trials of a campaign give of the next one."""
+
+import campaigns_with_faults as faults
+import numpy as np
+from cases import ALGEBRA
+
+from jaxilc.hardware import Journal, calibration
+from jaxilc.hardware.calibration import expected
+from jaxilc.signals import Task
+
+R = np.sin(np.linspace(0, 6, 61))[:, None]
+TASK = Task(reference=R, dt=0.01)
+
+
+def trials(seed, count=10, rate=0.4, gain=0.9, rest=3e-3, varies=0.3):
+    """Outputs of a machine and of its model, whose gain is 1, with what is never learned."""
+    rng = np.random.default_rng(seed)
+    u, never = np.zeros_like(R), rest * rng.standard_normal(R.shape)
+    y, s = [], []
+    for _ in range(count):
+        y.append(gain * u + never + rest * varies * rng.standard_normal(R.shape))
+        s.append(u)
+        u = u + rate * (R - y[-1])
+    return np.array(y), np.array([*s, u])
+
+
+def places(y, s, first=2):
+    found = [expected(y[:j], s[: j + 1], TASK, j + 1) for j in range(first, len(y))]
+    errors = [(np.sqrt(np.mean((R - x)[1:] ** 2)), np.max(np.abs(R - x)[1:])) for x in y[first:]]
+    return [band.place(*error) for band, error in zip(found, errors, strict=True)]
+
+
+def test_nine_of_ten_trials_lie_within_and_the_band_is_narrow():
+    within, widths = [], []
+    for seed in range(20):
+        y, s = trials(seed, rate=[0.3, 0.5, 0.8][seed % 3], varies=[0.1, 0.5, 2.0, 5.0][seed % 4])
+        for place, x in zip(places(y, s), y[2:], strict=True):
+            (low, high), error = place.rms, np.sqrt(np.mean((R - x)[1:] ** 2))
+            within.append(low <= error <= high)
+            widths.append(high / low)
+    assert 0.85 <= np.mean(within) <= 0.97
+    assert np.median(widths) < 2.0
+
+
+def test_a_lasting_change_is_told_once():
+    y, s = trials(1, count=6)
+    late = np.roll(y[-1], 6, axis=0)
+    y = np.concatenate([y, [late, late + 1e-4, late - 1e-4]])
+    s = np.concatenate([s, [s[-1]] * 3])
+    told = [place.level == "clear" for place in places(y, s, first=5)]
+    assert told == [False, True, False, False]
+
+
+def test_there_is_no_band_before_the_third_trial_or_where_the_model_diverges():
+    y, s = trials(2)
+    assert expected(y[:1], s[:2], TASK, 2) is None
+    assert expected(y, np.full_like(s, np.inf), TASK, 11) is None
+
+
+def test_a_manifest_keeps_what_was_expected():
+    y, s = trials(3)
+    found = expected(y, s, TASK, 11)
+    again = calibration.kept({"expected": found.as_json()})
+    np.testing.assert_allclose(again.rms, found.rms, **ALGEBRA)
+    assert again.place(0.1, 0.2) == found.place(0.1, 0.2)
+    wrong = ({}, {"expected": 3}, {"expected": found.as_json() | {"far": [[1]]}})
+    assert [calibration.kept(manifest) for manifest in wrong] == [None] * 3
+
+
+def test_next_takes_the_band_of_its_own_trials_from_the_third_on(tmp_path):
+    state, schedule = tmp_path / "x", tmp_path / "next.csv"
+    assert faults.begun(tmp_path, faults.PLANT, state, schedule)[0] == 0
+    r, told = faults.stroke(), []
+    for j, rig in enumerate([faults.IN_ORDER] * 5 + [faults.Rig(coulomb=20.0)] * 2, start=1):
+        u = faults.read_schedule(schedule)
+        faults.write_trial(tmp_path / "trial.csv", r, rig.play(u, j), u)
+        call = ("next", "--state", state, "--measured", tmp_path / "trial.csv", "--out", schedule)
+        told.append(" ".join(faults.call(*call, "--set", "campaign.accept=growth")[1].split()))
+    assert "95 % of 256 drawn machines" in told[1]
+    assert all("90 % by the trials so far" in said for said in told[2:])
+    said = "It is told once: the next band begins here. Look at guides, grease and cover"
+    assert [said in text for text in told] == [False] * 5 + [True, False]
+    assert "suspected is friction (or play) that grew" in told[5]
+    live = Journal(state).live()
+    kept = [calibration.kept(manifest) for manifest in live[1:]]
+    assert [found and found.step for found in kept] == [None, None, 3, 4, 5, 6, 7]
