@@ -4,6 +4,7 @@ from .frequency_response import read_frequency_response
 from .friction_model import FrictionModel, friction_of
 from .grown import Grown, Tried, grow, orders_and_delays
 from .grown_response import grow_response, identified_response
+from .not_linear import Suspicion, suspicions
 from .orders import Order, best_order, compare_orders, not_significant
 from .potential import Potential, potential_of
 from .record_files import read_record
@@ -23,6 +24,7 @@ __all__ = [
     "Potential",
     "Record",
     "Repeats",
+    "Suspicion",
     "Tried",
     "best_order",
     "compare_orders",
@@ -41,5 +43,6 @@ __all__ = [
     "read_frequency_response",
     "read_record",
     "read_repeats",
+    "suspicions",
     "write_record",
 ]

@@ -22,6 +22,7 @@ ORDER, LEAST = 4, 50  # of the filter; samples at which the axis moves
 SLOW = 0.02  # of the largest speed, below which the sign of a speed is not taken
 RINGS = 1.5  # periods of the cutoff, during which the filter answers a jump
 WIDE = 1.96
+ABOVE = 30.0  # times the highest frequency of the motion: the cutoff of the filter
 
 
 class FrictionModel(NamedTuple):
@@ -41,18 +42,20 @@ class FrictionModel(NamedTuple):
     __repr__ = in_short
 
 
-def friction_of(force, position, dt: float, *, cutoff: float) -> FrictionModel:
+def friction_of(force, position, dt: float, *, cutoff: float | None = None) -> FrictionModel:
     """Mass, viscous and Coulomb friction and offset of an axis that moves both ways.
 
     force: (N,) force or torque that acts on the axis;  position: (N,) of the same samples
     dt: sample time [s]
-    cutoff: of the filter [Hz]: above the motion, below the noise of the encoder and resonances
+    cutoff: of the filter [Hz]: above the motion, below the noise of the encoder and resonances;
+        None: 30 times the frequency below which 99 % of the power of the position lie
     Raises ValueError for signals of different lengths or that are not finite, a cutoff outside its
     range, and a motion that goes one way only or rests.
     """
     force, position = (np.asarray(x, float).ravel() for x in (force, position))
     require("friction_of", "dt", dt, "(0, inf)")
-    require("friction_of", "cutoff", cutoff, f"(0, {0.4 / dt:g}]")
+    if cutoff is not None:
+        require("friction_of", "cutoff", cutoff, f"(0, {0.4 / dt:g}]")
     if len(force) != len(position) or not np.all(np.isfinite([force, position])):
         raise ValueError(
             f"friction_of: force has {len(force)} samples and position {len(position)}; allowed "
@@ -60,6 +63,10 @@ def friction_of(force, position, dt: float, *, cutoff: float) -> FrictionModel:
         )
     if len(force) < LEAST:
         raise ValueError(f"friction_of: {len(force)} samples; allowed are at least {LEAST}")
+    if cutoff is None:
+        power = np.cumsum(np.abs(np.fft.rfft(position - np.mean(position))) ** 2)
+        highest = np.fft.rfftfreq(len(position), dt)[np.searchsorted(power, 0.99 * power[-1])]
+        cutoff = float(min(ABOVE * max(highest, 1 / (dt * len(position))), 0.1 / dt))
     b, a = butter(ORDER, 2 * dt * cutoff)
     smooth = filtfilt(b, a, position)
     speed = np.gradient(smooth, dt)

@@ -22,12 +22,13 @@ import numpy as np
 import scipy
 from scipy.signal import lfilter
 
-from ..plants import ModalModel, ProcessModel
+from ..plants import ModalModel, Plant, ProcessModel
 from ..plants.process_model import LONGEST_DELAY
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from .dead_time import LONGEST_LOOKED_FOR, first_lag
 from .estimation import identify
+from .not_linear import Suspicion, suspicions
 from .orders import Order, compare_orders
 from .problem import SAMPLES_PER_PARAMETER, checked_record, need_excitation, need_samples
 from .records import Record
@@ -46,7 +47,8 @@ SHORT, LONG = 6, 60  # steps of a refinement that compares, and of one that ends
 GAINED = 1e-7  # relative fall of the cost of a step, below which a refinement ends
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 50.0
 STILL = 0.02  # of 1 / duration, the slowest rate that is looked for
-SIMPLE = 6  # order up to which a model of real zeros is looked for
+SIMPLE = 6  # order up to which real zeros are looked for, and what is not linear
+ASKED, MOSTLY = 8, 0.5  # order at which it is asked; share of the residual that it must explain
 EQUAL = 1.0  # of the criterion, within which two models explain a record as well
 FAR = 50.0  # of the criterion, beyond which no smaller model is looked for
 CLEARLY = 0.98  # of the squared error of the validation part, below which a lower order is better
@@ -438,9 +440,16 @@ def first_delay(signals: Signals, longest: int) -> int:
 
 
 def ladder(
-    signals: Signals, delay: int, highest: int, each: Callable[[Fitted], object]
+    signals: Signals,
+    delay: int,
+    highest: int,
+    each: Callable[[Fitted], object],
+    imitates: Callable[[list[Fitted]], bool],
 ) -> dict[int, Fitted]:
-    """The best fit of each order from 1 on, until the criterion no longer falls."""
+    """The best fit of each order from 1 on, until the criterion no longer falls.
+
+    imitates: asked once, whether more poles would only imitate what is not linear
+    """
     poles, best = reduced_poles(signals, delay), {}
     starts: dict[int, list[Parts]] = {}
     for order in range(1, highest + 1):
@@ -449,6 +458,8 @@ def ladder(
         best[order] = refined(signals, short.parts, LONG)
         each(best[order])
         if order - min(best, key=lambda n: best[n].bic) >= PATIENCE:
+            break
+        if order == ASKED and imitates(list(best.values())):
             break
         lags, modes = larger(signals, best[order].parts)
         starts.setdefault(order + 1, []).extend(lags)
@@ -679,11 +690,13 @@ class Grown(NamedTuple):
     found: the identification
     tried: the best fit of each order that was looked at, and of each delay and kind beside the best
     chosen: that of them which was chosen
+    suspicions: what may not be linear
     """
 
     found: Identified
     tried: list[Tried]
     chosen: Tried
+    suspicions: list[Suspicion]
     __repr__ = in_short
 
 
@@ -703,7 +716,10 @@ def grow(
     or more, a sample of delay less or more, a direct term, an integrator in place of a slow pole.
     Of the lower orders, one that is better on the validation part is taken instead. With one input
     and one output, a `ProcessModel` whose criterion is smaller, since it has fewer and real zeros,
-    is the answer. In the end `identify` fits all numbers of the plant, and judges it.
+    is the answer. In the end `identify` fits all numbers of the plant, and judges it. Where its
+    residual is not white, and a plant of at most 6 poles leaves less together with something that
+    is not linear (`suspicions`), that plant is the answer, since more poles would imitate it; with
+    8 poles this is asked once, and growing ends where it explains half of the residual.
 
     record: of any number of inputs and outputs, which share the poles
     order: number of poles; None where it is looked for
@@ -739,26 +755,48 @@ def grow(
         parts = one.parts
         each(f"order {parts.order}, delay {parts.delay}: {_percent(signals, one):.4g} % fit")
 
-    steps = ladder(signals, began, min(highest, order or highest), say)
-    start = steps[order] if order else min(steps.values(), key=lambda one: one.bic)
+    fixed = order
+
+    def suspected(fits: Iterable[Fitted], *others: Plant) -> list[Suspicion]:
+        simple = [plant_of(whole, one.parts) for one in fits if one.parts.order <= SIMPLE]
+        return suspicions(record, [*others, *simple])
+
+    def imitates(fits: list[Fitted]) -> bool:
+        nonlocal fixed
+        told = suspected(fits) if order is None else []
+        if told and told[0].share > MOSTLY:
+            fixed = told[0].order
+        return fixed != order
+
+    steps = ladder(signals, began, min(highest, order or highest), say, imitates)
+    start = steps[fixed] if fixed else min(steps.values(), key=lambda one: one.bic)
     if delay is None:  # a delay that is far too long would be left sample by sample
         shorter = [start.parts._replace(delay=d) for d in DELAYS if d < start.parts.delay]
         shorter = [refined(signals, parts, SHORT) for parts in shorter]
         start = min([start, *shorter], key=lambda one: one.bic)
-    best, tried = improved(signals, start, order=order, delays=delays, highest=highest, each=say)
+    best, tried = improved(signals, start, order=fixed, delays=delays, highest=highest, each=say)
     need_stable(whole, best)
     kinds: dict[tuple[int, ...], Fitted] = {}
     for one in (*steps.values(), *tried, best):
         kind = one.parts.kind
         kinds[kind] = min(kinds.get(kind, one), one, key=lambda one: one.bic)
-    if order is None and fit_share < 1:
+    if fixed is None and fit_share < 1:
         best = by_validation(whole, best, list(kinds.values()))
     plant = with_real_zeros(signals, best) or plant_of(whole, best.parts)
     each(f"order {best.parts.order}: intervals")
     found = identify(record, plant, fit_share=fit_share)
+    lower = [] if found.white or fixed else steps.values()
+    told = suspected(lower, found.plant)
+    if told and told[0].order < best.parts.order and told[0].rms < float(found.residual_std[0]):
+        best, _ = improved(
+            signals, steps[told[0].order], order=told[0].order, delays=delays, highest=highest,
+            each=say,
+        )  # fmt: skip
+        found = identify(record, plant_of(whole, best.parts), fit_share=fit_share)
+    kinds[best.parts.kind] = best
     others = [one for one in _worth_telling(kinds.values()) if one.parts.kind != best.parts.kind]
     rows = [_told(whole, one) for one in (best, *others)]
-    return Grown(found, sorted(rows, key=lambda row: (row.order, row.bic)), rows[0])
+    return Grown(found, sorted(rows, key=lambda row: (row.order, row.bic)), rows[0], told)
 
 
 def by_validation(whole: Signals, best: Fitted, others: list[Fitted]) -> Fitted:

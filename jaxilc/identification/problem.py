@@ -20,6 +20,7 @@ from .records import Record, as_columns, first_of, output_from_rest, task_of
 
 # With fewer samples for each parameter, the intervals would be wrong: they hold for long records.
 SAMPLES_PER_PARAMETER = 5
+LEAST_POSITIVE = 1e-100  # a positive number may shrink to, before it would round to 0
 
 
 def _output(values, names, plant, task, u):
@@ -72,7 +73,8 @@ class Coordinates(NamedTuple):
     def to_values(self, x):
         # A step that is too long gives values that are not finite; the optimiser then shortens it.
         with np.errstate(over="ignore", divide="ignore"):
-            return self._mapped(x, np.exp)
+            values = self._mapped(x, np.exp)
+        return np.where(self.log, np.maximum(values, LEAST_POSITIVE), values)
 
     def slope(self, theta):
         """(P,) d value / d coordinate."""

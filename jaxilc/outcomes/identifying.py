@@ -14,12 +14,15 @@ import numpy as np
 from .. import figures, identification
 from ..identification.closed_loop import feedback_seen, of_reference
 from ..identification.frequency_response import is_frequency_response
+from ..identification.friction_model import friction_of
 from ..identification.grown_response import (
     LineModel,
     criterion,
     identified_response,
     share_of_noise,
 )
+from ..identification.not_linear import sentences as of_suspicions
+from ..identification.not_linear import suspicions
 from ..identification.orders import not_significant
 from ..identification.record_files import read_record_file
 from ..identification.resampling import RESAMPLED
@@ -42,6 +45,7 @@ if TYPE_CHECKING:
 ANY = "any"  # zeros, of a model that has as many as its poles allow
 SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
 AS_GOOD = 6.0  # of the criterion, by which it may be larger
+RIGID = 90.0  # fit of mass and friction to a force [%], from which on they are told
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
 MOST_ORDERS = 12  # rows of a table of orders
 REFERENCE = "r"  # column of the reference of a closed loop
@@ -95,6 +99,8 @@ def identify(
         fitted, closed = _of_loop(record, asked, fitted)
     found = fitted.found
     lines, has_law = sentences_on(found, fitted.dt) + closed, True
+    said, suspected, of_friction = _not_linear(fitted)
+    lines += said
     figures_of = {n: Figure(CAPTIONS[n], draw, live=True) for n, draw in fitted.draw.items()}
     second: dict[str, Any] = {}
     if validate is not None:
@@ -107,10 +113,10 @@ def identify(
     sound = {"white": bool(found.white), "converged": bool(found.converged), **fitted.structure}
     return Outcome(
         command="identify",
-        numbers=numbers_of(found) | sound | second,
+        numbers=numbers_of(found) | sound | suspected | second,
         verdict=Verdict(tuple(lines), *_next(record, asked, fitted, plant_file, has_law)),
         folder=folder or Path("out") / "identify",
-        tables=fitted.tables,
+        tables=[*fitted.tables, *of_friction],
         lines=fitted.lines,
         figures=figures_of,
         kept=[plant_file] if plant_file is not None else [],
@@ -140,6 +146,33 @@ def _of_loop(path: Path, asked: Reading, fitted: Fitted) -> tuple[Fitted, list[s
         )
     tables = [*fitted.tables[:-1], identification_table(str(path), found.summary())]
     return fitted._replace(found=found, draw=by_loop, tables=tables), [OF_REFERENCE]
+
+
+def _not_linear(fitted: Fitted) -> tuple[list[str], dict[str, Any], list[Table]]:
+    """What may not be linear in the machine of a record; numbers and tables."""
+    record, found = fitted.measured, fitted.found
+    if found.of_response or found.plant.n_u * found.plant.n_y > 1:
+        return [], {}, []
+    if fitted.grown is None:
+        told, alone = suspicions(record, [found.plant]), getattr(found.plant, "order", 0)
+        rms = float(found.residual_std[0])
+    else:
+        told, best = fitted.grown.suspicions, min(fitted.grown.tried, key=lambda one: one.rms)
+        alone, rms = best.order, best.rms
+    lines = of_suspicions(told, rms, alone)
+    numbers = {"suspicions": [one._asdict() for one in told]} if told else {}
+    try:
+        of = friction_of(record.u[:, 0], record.y[:-1, 0], record.dt)
+    except ValueError:
+        return lines, numbers, []
+    if of.fit < RIGID or not of.coulomb.low > 0:  # no force that accelerates a mass with friction
+        return lines, numbers, []
+    rows = [(name, *value) for name, value in of._asdict().items() if name != "fit"]
+    lines.append(
+        f"The input is that of a mass with friction, to {of.fit:.4g} %: the table has its numbers."
+    )
+    table = identification_table("mass and friction, with 95 % intervals", rows)
+    return lines, numbers | {"friction": {name: value for name, value, *_ in rows}}, [table]
 
 
 def _on_second(
@@ -239,6 +272,7 @@ class Fitted(NamedTuple):
     draw: functions that draw a figure, by its name
     units: units of input and output
     lines: sentences on how the file was read
+    grown: what was grown, where the structure was looked for
     """
 
     measured: Any
@@ -249,6 +283,7 @@ class Fitted(NamedTuple):
     draw: dict[str, Callable[[], Any]]
     units: tuple[str, str] = ("", "")
     lines: tuple[str, ...] = ()
+    grown: Grown | None = None
 
 
 def _is_response(path: Path, names: Sequence[str]) -> bool:
@@ -322,7 +357,7 @@ def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
         raise ValueError(f"--averages {asked.averages} is for a frequency response; {path} is none")
     read = read_record_file(path, dt=asked.dt, **asked.of_record)
     lines = () if read.resampled is None else (RESAMPLED.format(dt=read.resampled),)
-    record, tables = read.record, []
+    record, tables, grown = read.record, [], None
     structure: dict[str, Any] = dict(asked.structure)
     if not structure or structure["zeros"] == ANY:
         order = structure["poles"] + 2 * structure["pairs"] if structure else None
@@ -344,7 +379,8 @@ def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
         draw["response"] = partial(
             figures.response_figure, found, record.dt, input_unit=into, output_unit=of
         )
-    return Fitted(record, found, record.dt, structure, tables, draw, (into, of), lines)
+    units = (into, of)
+    return Fitted(record, found, record.dt, structure, tables, draw, units, lines, grown)
 
 
 def _grown_structure(grown: Grown) -> dict[str, Any]:

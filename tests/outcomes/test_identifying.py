@@ -1,4 +1,4 @@
-"""`identify`: a second record judges the plant."""
+"""`identify`: a second record judges the plant; mass and friction are told of a force."""
 
 import numpy as np
 import pytest
@@ -39,3 +39,17 @@ def test_a_second_record_judges(tmp_path):
     slow = write(tmp_path / "d.csv", 3, dt=0.02)
     with pytest.raises(ValueError, match=r"--dt 0.01 resamples both"):
         outcomes.identify(first, reading={"structure": STRUCTURE}, validate=slow)
+
+
+def test_mass_and_friction_of_a_record_of_force_are_told(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(4000) * 1e-3
+    x = 0.05 * np.sin(6.0 * t) + 0.02 * np.sin(15.0 * t)
+    v, a = np.gradient(x, 1e-3), np.gradient(np.gradient(x, 1e-3), 1e-3)
+    force = 20.0 * a + 30.0 * v + 5.0 * np.tanh(v / 1e-3) - 1.0
+    rows = np.column_stack([t, force, x])
+    np.savetxt("r.csv", rows, delimiter=",", header="t [s],u [N],y [m]", comments="")
+    found = outcomes.identify("r.csv", reading={"structure": STRUCTURE})
+    for name, value in {"mass": 20.0, "viscous": 30.0, "coulomb": 5.0, "offset": -1.0}.items():
+        assert found.numbers["friction"][name] == pytest.approx(value, rel=0.1)
+    assert any("mass with friction" in line for line in found.verdict.lines)

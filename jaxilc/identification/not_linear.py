@@ -1,0 +1,313 @@
+"""What is left of a fit is asked for what is not linear: a suspicion with its evidence, by name.
+
+A linear plant P was fitted. Each suspicion is a change of it with one number, and a column c that
+this number would add to the output:
+
+    friction            P[-sign(v)], v the speed of the output: a force against the motion
+    backlash            P[-direction of u], held while u rests: a gap that u has to cross
+    gain by amplitude   P[u^3 / max u^2]
+    saturation          P[what exceeds a level of u], the level searched
+    gain by position    P[u y],  gain by time  P[u t]
+
+The residual e and each c lose what linear filters of u explain, since that is another linear
+plant. With r the correlation of what is left of them, r^2 is the share of the residual that the
+suspicion explains; it is significant where r exceeds its standard deviation, which slow signals
+have larger (Bartlett 1935):
+
+    var r = sum over lags of rho_e rho_c / N
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import scipy.linalg
+
+from ..learning.machine import Machine
+from ..plants import Plant
+from ..pytree.in_short import in_short
+from .records import Record, as_columns, output_from_rest, task_of
+
+LEAST = 0.2  # share of the residual that a suspicion explains at least
+SURE = 4.0  # standard deviations of r that it has at least
+AS_GOOD = 1.25  # times the least rms: what leaves no more is as good
+SLOW = 0.02  # of the largest speed, below which an axis stands
+LEVELS = np.linspace(0.3, 0.95, 14)  # of the largest input, at which it may saturate
+MOST = 20_000  # samples that are looked at
+MORE = 4  # lags of u and y beyond the order, of the linear filter
+RESTS = 5  # samples without a movement that count as rest
+MOVES = 0.05  # of its range, that the input changes meanwhile
+GRID = 1e-4  # of a step of the encoder, by which the others may miss its multiples
+
+NEXT = {
+    "friction": "record one direction after the other at an offset of speed, and fit mass and "
+    "friction by `friction_of`",
+    "backlash": "record the same motion at a tenth and at ten times the amplitude: a gap keeps its "
+    "size",
+    "gain by amplitude": "record at half and at twice the amplitude",
+    "saturation": "record at an amplitude below that level",
+    "gain by position": "record small motions at several places",
+    "gain by time": "record twice in a row, warm, and compare",
+    "rounding": "record a larger motion, or a finer encoder",
+}
+
+
+class Suspicion(NamedTuple):
+    """What may be in a machine beside its linear plant.
+
+    name: of `NEXT`
+    order: number of poles of the linear plant
+    rms: what linear plant and suspicion leave together, in the unit of the output
+    share: of the power of the residual that it explains, 0 to 1
+    value: its number: a force or gap in the unit of the input, a relative change of the gain, a
+        level of the input, or a step of the encoder
+    evidence: what was seen, in words
+    """
+
+    name: str
+    order: int
+    rms: float
+    share: float
+    value: float
+    evidence: str
+    __repr__ = in_short
+
+
+class Seen(NamedTuple):
+    """One record, all of the same rows: u (N,), y (N,), e (N,), and the plant.
+
+    P: response (N, m) of the plant to inputs (N, m)
+    up: 1, or -1 where a positive input moves the output down
+    """
+
+    order: int
+    u: np.ndarray
+    y: np.ndarray
+    e: np.ndarray
+    P: Callable[[np.ndarray], np.ndarray]
+    up: float
+
+
+def suspicions(record: Record, plants: Sequence[Plant]) -> list[Suspicion]:
+    """What explains the residuals of linear plants, least left first; empty where nothing does.
+
+    A plant of high order imitates what is not linear, by poles that no machine has; so the plants
+    of lower orders are asked, too. Of each suspicion the lowest order is told that leaves hardly
+    more than the best, and of the suspicions those that leave hardly more than the first.
+
+    record: one experiment with one input and one output; of others nothing is said
+    plants: fits to it, of one input and one output
+    """
+    seen = [one for one in (_seen(record, plant) for plant in plants) if one is not None]
+    told = [one for each in seen for one in _suspected(each)]
+    if not told:
+        return []
+    least = min(one.rms for one in told)
+    good = [one for one in told if one.rms <= AS_GOOD * least]
+    lowest = {one.name: one for one in sorted(good, key=lambda one: -one.order)}
+    return sorted(lowest.values(), key=lambda one: one.rms)
+
+
+def sentences(told: Sequence[Suspicion], rms: float, order: int) -> list[str]:
+    """One sentence for each suspicion, and what to measure next for the first.
+
+    rms, order: of the best linear plant alone
+    """
+    lines = []
+    for one in told:
+        begins = "As well it may be" if lines else "What is left suggests"
+        lines.append(
+            f"{begins} {one.name}: {one.evidence}. It explains {100 * one.share:.3g} % of the "
+            f"residual: with it a plant of order {one.order} leaves an rms of {one.rms:.3g}, "
+            f"without it one of order {order} leaves {rms:.3g}."
+        )
+    return lines + [f"To tell, {NEXT[one.name]}." for one in told[:1]]
+
+
+def _suspected(seen: Seen) -> list[Suspicion]:
+    """The suspicions that explain enough of one residual."""
+    within = _linear(seen, 2 * seen.order + MORE)
+    e = seen.e - within @ (within.T @ seen.e)
+    told = [_judged(name, of(seen), within, e, seen) for name, of in CANDIDATES.items()]
+    return [one for one in [*told, _rounding(seen)] if one is not None]
+
+
+def _seen(record: Record, plant: Plant) -> Seen | None:
+    u, y = as_columns("suspicions", "u", record.u), as_columns("suspicions", "y", record.y)
+    if record.trials != 1 or u.shape[1] != 1 or y.shape[1] != 1:
+        return None
+    n = min(len(u), MOST)
+    u, y, machine, task = u[:n, 0], y[:n, 0], Machine(plant), task_of(plant, u[:n], record.dt)
+
+    def P(inputs):
+        of_each = jax.vmap(lambda one: output_from_rest(machine, task, one[:, None])[:n, 0])
+        return np.asarray(of_each(np.transpose(inputs))).T
+
+    modelled = P(u[:, None])[:, 0]
+    e = y - modelled
+    e = e - np.mean(e)
+    if not np.ptp(u) > 0 or not np.std(e) > 0 or not np.all(np.isfinite(e)):
+        return None
+    up = -1.0 if u @ np.gradient(modelled) < 0 else 1.0  # what moves it does work on it
+    return Seen(getattr(plant, "order", 4), u, y, e, P, up)
+
+
+def _linear(seen: Seen, lags: int) -> np.ndarray:
+    """An orthonormal basis of what filters of u with about the poles of P make."""
+    modelled = seen.y - seen.e
+    late = [_later(x, k) for x in (seen.u, modelled) for k in range(lags)]
+    X = np.column_stack([np.ones(len(seen.u)), *late])
+    Q, R, _ = scipy.linalg.qr(X, mode="economic", pivoting=True)
+    size = np.abs(np.diag(R))
+    return Q[:, size > 1e-9 * size[0]]
+
+
+def _later(x: np.ndarray, k: int) -> np.ndarray:
+    return x if k == 0 else np.concatenate([np.zeros(k), x[:-k]])
+
+
+def _moving(x: np.ndarray, over: int = 1) -> np.ndarray:
+    """-1, 0, 1: the direction of a signal, 0 where it hardly moves."""
+    v = np.convolve(np.gradient(x), np.ones(over) / over, "same")
+    return np.sign(v) * (np.abs(v) > SLOW * np.max(np.abs(v)))
+
+
+def _held(direction: np.ndarray) -> np.ndarray:
+    """The direction, held while nothing moves."""
+    at = np.maximum.accumulate(np.where(direction != 0, np.arange(len(direction)), 0))
+    return direction[at]
+
+
+# Each gives the input (N,) that a suspicion adds, the sign of its number (0 for either) and its
+# evidence, a function of that number; the saturation gives several, of which the best is taken.
+
+
+class Candidate(NamedTuple):
+    added: np.ndarray
+    sign: int
+    evidence: Callable[[float], str]
+    level: float | None = None
+
+
+def _friction(seen: Seen) -> list[Candidate]:
+    direction = _moving(seen.y - seen.e)
+    if not (np.any(direction > 0) and np.any(direction < 0)):
+        return []
+    forth, back = (np.mean(seen.e[direction == s]) for s in (1, -1))
+    rest = _resting(seen)
+    stands = f"; the output stands in {100 * rest:.2g} % of the samples while the input moves"
+
+    def evidence(force):
+        return (
+            f"a force of {force:.3g} against the motion, in units of the input; the mean residual "
+            f"is {forth:.2g} forth and {back:.2g} back" + stands * (rest > 0.01)
+        )
+
+    return [Candidate(-seen.up * direction, 1, evidence)]
+
+
+def _backlash(seen: Seen) -> list[Candidate]:
+    def evidence(half):
+        return f"a gap of {2 * half:.3g} in units of the input, crossed at each reversal"
+
+    return [Candidate(-_held(_moving(seen.u)), 1, evidence)]
+
+
+def _amplitude(seen: Seen) -> list[Candidate]:
+    def evidence(change):
+        more = "larger" if change > 0 else "smaller"
+        return (
+            f"at the largest input the gain is {100 * abs(change):.2g} % {more} than at small ones"
+        )
+
+    return [Candidate(seen.u**3 / np.max(np.abs(seen.u)) ** 2, 0, evidence)]
+
+
+def _saturation(seen: Seen) -> list[Candidate]:
+    def at(level):
+        over = seen.u - np.clip(seen.u, -level, level)
+        return Candidate(-over, 1, lambda _: f"nothing of the input beyond {level:.3g} acts", level)
+
+    return [at(float(level)) for level in np.max(np.abs(seen.u)) * LEVELS]
+
+
+def _changing(over: str, along: Callable[[Seen], np.ndarray]) -> Callable[[Seen], list[Candidate]]:
+    """A gain that changes along something; `along` runs over a range of 1."""
+
+    def of(seen: Seen) -> list[Candidate]:
+        said = f"over the {over} the gain changes by {{:.2g}} %"
+        return [Candidate(seen.u * along(seen), 0, lambda by: said.format(100 * abs(by)))]
+
+    return of
+
+
+CANDIDATES: dict[str, Callable[[Seen], list[Candidate]]] = {
+    "friction": _friction,
+    "backlash": _backlash,
+    "gain by amplitude": _amplitude,
+    "saturation": _saturation,
+    "gain by position": _changing(
+        "range of the output", lambda seen: (seen.y - np.mean(seen.y)) / np.ptp(seen.y)
+    ),
+    "gain by time": _changing("record", lambda seen: np.linspace(-0.5, 0.5, len(seen.u))),
+}
+
+
+def _judged(name, candidates, within, e, seen) -> Suspicion | None:
+    """The suspicion, by the candidate that explains most; None where it is not significant."""
+    if not candidates:
+        return None
+    columns, best = seen.P(np.column_stack([one.added for one in candidates])), None
+    for one, column in zip(candidates, columns.T, strict=True):
+        c = column - within @ (within.T @ column)
+        if not np.linalg.norm(c) > 1e-9 * np.linalg.norm(column):
+            continue
+        value, r = float(c @ e / (c @ c)), float(c @ e / np.sqrt((c @ c) * (e @ e)))
+        if one.sign * value < 0 or abs(r) < SURE * _deviation(c, e):
+            continue
+        if r * r >= LEAST and (best is None or r * r > best.share):
+            left = float(np.sqrt(max(1 - r * r, 0.0)) * np.linalg.norm(e) / np.sqrt(len(e)))
+            number = value if one.level is None else one.level
+            best = Suspicion(name, seen.order, left, r * r, number, one.evidence(value))
+    return best
+
+
+def _deviation(c, e) -> float:
+    """The standard deviation of the correlation of two signals that have nothing in common."""
+    n = len(e)
+    power = [np.abs(np.fft.rfft(x, 2 * n)) ** 2 for x in (c, e)]
+    rho = [np.fft.irfft(p)[:n] for p in power]
+    product = (rho[0] / rho[0][0]) * (rho[1] / rho[1][0])
+    return float(np.sqrt(max(1.0 + 2 * np.sum(product[1:]), 1.0) / n))
+
+
+def _resting(seen: Seen) -> float:
+    """Share of the samples at which the output rests for a while during which the input moves."""
+    step = np.abs(np.diff(seen.y))
+    still = np.concatenate([[False], step <= 1e-9 * np.ptp(seen.y), [False]])
+    edges = np.flatnonzero(np.diff(still.astype(int)))
+    rests = zip(edges[::2], edges[1::2], strict=True)
+    moved = MOVES * np.ptp(seen.u)
+    return sum(b - a for a, b in rests if b - a >= RESTS and np.ptp(seen.u[a:b]) > moved) / len(
+        step
+    )
+
+
+def _rounding(seen: Seen) -> Suspicion | None:
+    """The step of the encoder, where it explains much of the residual."""
+    steps = np.abs(np.diff(seen.y))
+    moved = steps[steps > 1e-9 * np.ptp(seen.y)]
+    if not len(moved):
+        return None
+    q = float(np.min(moved))
+    if np.max(np.abs(moved / q - np.round(moved / q))) > GRID * np.max(moved) / q:
+        return None
+    share = min(q * q / 12 / float(np.var(seen.e)), 1.0)
+    if share < LEAST:
+        return None
+    left = float(np.std(seen.e)) * np.sqrt(1 - share)
+    said = f"the output moves in steps of {q:.3g}"
+    return Suspicion("rounding", seen.order, left, share, q, said)

@@ -1,0 +1,93 @@
+"""What is not linear in a drive of NumPy is named, with its number, and of a linear one nothing."""
+
+import numpy as np
+import pytest
+
+from jaxilc.identification import Record, friction_of, grow, identify, suspicions
+from jaxilc.identification.not_linear import NEXT, sentences
+from jaxilc.identification.problem import Coordinates
+from jaxilc.outcomes.identifying import RIGID
+from jaxilc.plants import ProcessModel
+
+DT, N, FINE, W, ZETA = 1e-3, 2500, 5, 90.0, 0.4
+
+
+def moved(kind, seed=0):
+    """Return the record of a mass on a spring that its input pulls, by steps of NumPy."""
+    rng, t = np.random.default_rng(seed), np.arange(N) * DT
+    f, phase = rng.uniform(0.5, 25.0, 10), rng.uniform(0, 6.28, 10)
+    u = np.sum(np.sin(2 * np.pi * f[:, None] * t + phase[:, None]), axis=0)
+    u, y, x, v, gap = u / np.max(np.abs(u)), np.zeros(N), 0.0, 0.0, 0.0
+    for k in range(N):
+        acting, y[k] = u[k], x
+        if kind == "gain by amplitude":
+            acting -= 0.25 * acting**3
+        elif kind == "saturation":
+            acting = min(max(acting, -0.6), 0.6)
+        elif kind == "backlash":
+            gap = acting = min(max(gap, acting - 0.03), acting + 0.03)
+        elif kind == "gain by position":
+            acting *= 1 + 0.2 * x
+        elif kind == "gain by time":
+            acting *= 1 + 0.15 * (k / N - 0.5)
+        for _ in range(FINE):
+            rub = 0.05 * np.tanh(v / 0.05) if kind == "friction" else 0.0
+            v += DT / FINE * (W * W * (acting - rub - x) - 2 * ZETA * W * v)
+            x += DT / FINE * v
+    y = np.round(y / 0.02) * 0.02 if kind == "rounding" else y + 1e-3 * rng.standard_normal(N)
+    return Record(u[:-1, None], y[:, None], DT)
+
+
+@pytest.mark.parametrize(
+    ("kind", "number"),
+    [
+        ("friction", 0.05),
+        ("backlash", 0.03),
+        ("gain by amplitude", -0.25),
+        ("saturation", 0.6),
+        ("gain by time", 0.15),
+        ("rounding", 0.02),
+        ("gain by position", None),
+    ],
+)
+def test_what_is_not_linear_is_named_with_its_number(kind, number):
+    record = moved(kind)
+    found = identify(record, poles=0, pairs=1, zeros=0)
+    first, *_ = told = suspicions(record, [found.plant])
+    assert first.name == kind
+    if number is not None:
+        assert first.value == pytest.approx(number, rel=0.2)
+    assert first.rms < float(found.residual_std[0]) * np.sqrt(1 - 0.9 * first.share)
+    said = sentences(told, float(found.residual_std[0]), 2)
+    assert kind in said[0]
+    assert NEXT[kind] in said[-1]
+
+
+def test_of_a_linear_drive_and_of_several_channels_nothing_is_suspected():
+    record = moved("linear")
+    found = identify(record, poles=0, pairs=1, zeros=0)
+    assert suspicions(record, [found.plant]) == []
+    twice = record._replace(y=np.hstack([record.y, record.y]))
+    assert suspicions(twice, [found.plant]) == []
+
+
+def test_more_poles_do_not_imitate_what_is_not_linear():
+    """Poles grew to 24 in 40 s, 20 of them undamped at the lines of the multisine."""
+    grown = grow(moved("gain by position", seed=1))
+    assert grown.chosen.order <= 4
+    assert grown.suspicions[0].name == "gain by position"
+    assert grown.suspicions[0].rms < 0.2 * min(one.rms for one in grown.tried)
+
+
+def test_a_positive_number_stays_positive_however_far_the_search_goes():
+    """A damping went to 0 and was refused by the plant; the identification ended in a traceback."""
+    of = Coordinates.of(ProcessModel(1.0, (), (), (50.0,), (0.1,)), ("dampings[0]",))
+    assert of.to_values(np.array([-1e6, 0.0]))[0] > 0
+
+
+def test_a_drive_on_a_spring_is_no_mass_with_friction():
+    """So a command that finds friction does not tell a mass from such a record."""
+    record = moved("friction")
+    found = friction_of(record.u[:, 0], record.y[:-1, 0], DT)
+    assert found.fit < RIGID
+    assert found.coulomb.low < 0
