@@ -25,7 +25,7 @@ CHAPTERS = {  # title of a part: files of the repository
         "many_hosts",
     ),
     "Reference": ("plant_file", "theory", "contents", "notebooks", "citation"),
-    "Findings": ("papers", "learned_laws"),
+    "Findings": ("papers", "learned_laws", "printer"),
 }
 PAGES = (
     {"README.md": "index"}

@@ -19,6 +19,7 @@ import nbclient
 import pages
 import papers
 import plant_file
+import printer
 from sphinx.cmd.build import build_main
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
@@ -59,6 +60,8 @@ def main(out: Path | None) -> int:
         of_papers = papers.write(source) if out is not None else []
         pages.write(source, tutorials, api.write(source), drawn, of_papers)
         plant_file.extend(source / "guide" / "plant_file.md")
+        if out is not None:
+            printer.extend(source / "guide" / "printer.md")
         built = Path(staged) / "built"
         kind = "html" if out is not None else "dummy"
         code = build_main(["-b", kind, "-q", "-W", "--keep-going", str(source), str(built)])
