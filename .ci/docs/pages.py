@@ -39,6 +39,7 @@ PAGES = (
 )  # file of the repository: page without its ending
 PICTURES = ".github/pictures"
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
+PICTURE = re.compile(r'<picture>.*?<img src="([^"]+)" alt="([^"]*)".*?</picture>', re.DOTALL)
 OUTSIDE = re.compile(r"[a-z]+:")
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#+ +(.*)$", re.MULTILINE)
@@ -50,13 +51,18 @@ def anchors(text: str) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", h).strip().lower().replace(" ", "-") for h in headings}
 
 
+def written(file: str) -> str:
+    """The text of a file of the repository, a picture of HTML as one of Markdown."""
+    return PICTURE.sub(r"![\2](\1)", (ROOT / file).read_text(encoding="utf-8"))
+
+
 def links(file: str) -> list[tuple[str, str, str]]:
     """(target as written, file of the repository, anchor) of each link of a file to the repository.
 
     Raises ValueError for a link to a file or a heading that is not there.
     """
     found = []
-    for _, _, target in LINK.findall(FENCED.sub("", (ROOT / file).read_text(encoding="utf-8"))):
+    for _, _, target in LINK.findall(FENCED.sub("", written(file))):
         if OUTSIDE.match(target):
             continue
         path, _, anchor = target.partition("#")
@@ -87,7 +93,7 @@ def linked(file: str) -> str:
         address = posixpath.relpath(PAGES[to] + ".md", here or ".")
         return f"[{name}]({address}{'#' * bool(anchor)}{anchor})"
 
-    return LINK.sub(to_page, (ROOT / file).read_text(encoding="utf-8"))
+    return LINK.sub(to_page, written(file))
 
 
 def write(

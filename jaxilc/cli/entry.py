@@ -15,6 +15,7 @@ from rich.markup import escape
 
 from . import (
     certify,
+    demo,
     design,
     explore,
     hardware,
@@ -127,6 +128,7 @@ COMMANDS = (
     tune,
     pareto,
     worst_case,
+    demo,
     certify,
     q_filter,
     hardware,

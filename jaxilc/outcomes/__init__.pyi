@@ -1,4 +1,5 @@
 from .certifying import certify
+from .demonstrating import demo
 from .designing import design
 from .filtering import filter_, filter_measured
 from .identifying import Reading, identify
@@ -22,6 +23,7 @@ __all__ = [
     "Request",
     "Verdict",
     "certify",
+    "demo",
     "design",
     "filter_",
     "filter_measured",

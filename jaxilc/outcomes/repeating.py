@@ -17,6 +17,7 @@ from ..identification.potential import LEVEL, Potential, potential_of
 from ..identification.repeats import Repeats, read_repeats
 from ..scenarios.campaigns import Given, open_campaign
 from ..scenarios.design_file import write_potential
+from ..storage.printable import printable
 from .outcome import Figure, Outcome, Progress, silent
 from .table import Table
 from .verdict import Verdict
@@ -51,7 +52,7 @@ def potential(
     paths = [Path(one) for one in ([records] if isinstance(records, str | Path) else records)]
     progress("reading")
     repeats = _of_campaign(paths[0]) if _is_campaign(paths) else read_repeats(paths, **reading)
-    repeats = repeats._replace(unit=repeats.unit or unit)
+    repeats = repeats._replace(unit=printable(repeats.unit or unit))
     found = potential_of(repeats.e, repeats.dt)
     kept = [] if into is None else [write_potential(into, table_of(found), repeats.unit)]
     following = _next(paths, reading | {"unit": unit}, found, into)

@@ -20,6 +20,7 @@ from jaxilc.design import Design, LearnedLaw
 from jaxilc.figures import explorer
 from jaxilc.identification import estimation
 from jaxilc.learning import over_trials
+from jaxilc.outcomes import demonstrating
 from jaxilc.scenarios import reproduction
 from jaxilc.sweeps import Sweep
 from jaxilc.theory import certificates, q_filter
@@ -58,6 +59,7 @@ filter p.toml --machines 4 --scheme ilc
 tune p.toml {TUNED}
 pareto p.toml {TUNED} --budgets 2,3
 worst-case p.toml --scheme ilc --starts 2 --steps 2
+demo
 potential repeats.csv
 identify record.csv --poles 1 --pairs 0 --zeros 0
 design p.toml --machines 4 --steps 2
@@ -186,6 +188,7 @@ def folder(tmp_path, monkeypatch):
             (q_filter, "measured_question"),
         ),
         *(
+            (demonstrating, "learn"),
             (estimation, "problem_of"),
             (explorer, "explore"),
         ),
