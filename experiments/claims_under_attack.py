@@ -40,6 +40,7 @@ from jaxilc import Actuator, Disturbance, Machine, Task
 from jaxilc.learning import learn
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import named_leaves, replaced
+from jaxilc.schemes import ConstrainedNormOptimal
 from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, long_run
 from jaxilc.theory.learning_map import known_as, view_of
 
@@ -144,8 +145,9 @@ def machines_of(rng, name: str, count: int, limited: bool, samples: int | None) 
 
 def moved(rng, scheme):
     """The scheme with other weights; where one would be out of its range it stays."""
-    wider = rng.choice([0.0, 100.0])  # what bounds of the output leave free, besides
-    for name, value in named_leaves(scheme).items():
+    leaves, bounded = named_leaves(scheme), isinstance(scheme, ConstrainedNormOptimal)
+    wider = rng.choice([0.0, 100.0]) if bounded else 0.0  # what bounds of the output leave besides
+    for name, value in leaves.items():
         part, value = name.split(".")[-1], np.asarray(value)
         spread = 0.02 if any(one in name for one in ALIKE) else 0.6
         far = rng.uniform(0.0, 3.0) if part in ("limit", "rate") else 0.0
@@ -313,24 +315,30 @@ def grows(d, last: int) -> bool:
     return max(d[-last:]) > max(np.max(d[-2 * last : -last]), 1e-9 * np.max(d))
 
 
-def grows_late(name: str, machines, i: int, scheme, task, view) -> bool:
-    """Whether the steps of machine i grow after all, within 2^16 trials, or 2^40 in NumPy.
+def grow_late(name: str, machines, some, scheme, task, view) -> list[bool]:
+    """Whether the steps of some machines grow after all, within 2^16 trials, or 2^40 in NumPy.
 
     A single eigenvalue of 1.00001 in the map of a causal law is multiplied by a polynomial of the
     order of its samples, so that the steps can fall for tens of thousands of trials.
     """
-    one = jax.tree.map(lambda leaf: leaf[i : i + 1], machines)
+    if not len(some):
+        return []
     with np.errstate(all="ignore"):
         if name not in PLAIN:
-            d = run_learn(one, scheme, task, view, LONG)[1][0]
-            return grows(d, LONG // 8)
+            d = run_learn(machines, scheme, task, view, LONG)[1]
+            return [grows(d[i], LONG // 8) for i in some]
         keep, L = PLAIN[name](scheme, task)
-        M = keep - L @ lifted(*(np.asarray(leaf[0]) for leaf in jax.tree.leaves(one.plant)), task.N)
-        sizes = [np.linalg.norm(M, 2)]
-        for _ in range(40):
-            M = M @ M
-            sizes.append(np.linalg.norm(M, 2) if np.all(np.isfinite(M)) else np.inf)
-        return not sizes[-1] < 1e6
+        return [_power_grows(keep - L @ _lifted(machines, i, task.N)) for i in some]
+
+
+def _lifted(machines, i: int, samples: int) -> np.ndarray:
+    return lifted(*(np.asarray(leaf[i]) for leaf in jax.tree.leaves(machines.plant)), samples)
+
+
+def _power_grows(M) -> bool:
+    for _ in range(40):
+        M = M @ M
+    return not (np.all(np.isfinite(M)) and np.linalg.norm(M, 2) < 1e6)
 
 
 def of_scheme(
@@ -342,7 +350,7 @@ def of_scheme(
     """
     rng = np.random.default_rng([seed, sum(map(ord, name))])
     claims, reasons, wrong, judged, plain = Counter(), Counter(), [], 0, name in PLAIN
-    late = 0
+    seen_late = 0
     for turn in range(rounds):
         scheme = moved(rng, SCHEMES[name])
         machines, task = machines_of(rng, name, count, turn % 2 == 1, samples)
@@ -356,22 +364,25 @@ def of_scheme(
         runs = [("learn", run_learn(machines, scheme, task, view))]
         if plain:
             runs.append(("NumPy", run_plain(name, machines, scheme, task)))
-        limit = found.outlook.limit
+        limit, late = found.outlook.limit, {}
         for i in np.flatnonzero(found.claim != NOTHING):
             for oracle, (e, d) in runs:
                 why = contradicted(found, i, e[i], d[i], [np.linalg.norm(limit[i]), e[i][0]])
                 if why == LATE:
-                    late, why = late + 1, ""
-                    if not grows_late(name, machines, i, scheme, task, view):
-                        why = f"diverges: steps {d[i][0]:.2g}, {d[i][-200]:.6g}, {d[i][-1]:.6g}"
-                if why:
+                    late[int(i)] = oracle, f"diverges: steps {d[i][0]:.2g} to {d[i][-1]:.6g}"
+                elif why:
                     wrong.append((name, oracle, turn, int(i), why))
             judged += 1
+        seen_late += len(late)
+        grown = grow_late(name, machines, [*late], scheme, task, view)
+        ended = [i for i, does in zip(late, grown, strict=True) if not does]
+        wrong += [(name, late[i][0], turn, i, late[i][1]) for i in ended]
     title = name if samples is None else f"{name}, {samples} samples"
     row = {"class": title, "oracle": "NumPy, learn" if plain else "learn"}
     row |= {"tried": rounds * count, "claimed": judged}
     row |= {c: claims[c] for c in (MONOTONE, CONVERGES, DIVERGES)}
-    row |= {"seen late": late, "wrong": len({w[2:4] for w in wrong}), "abstained": claims[NOTHING]}
+    row |= {"seen late": seen_late, "wrong": len({w[2:4] for w in wrong})}
+    row |= {"abstained": claims[NOTHING]}
     return row | {"why": "; ".join(f"{why} {n}" for why, n in reasons.most_common())}, wrong
 
 

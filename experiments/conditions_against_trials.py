@@ -21,7 +21,6 @@ that many are told, and each that is wrong at once, so that a run that is stoppe
 tried.
 """
 
-import itertools
 import sys
 import time
 from collections import Counter
@@ -30,7 +29,17 @@ import numpy as np
 import output
 import scipy.linalg
 import scipy.signal
-from conditions_under_attack import DT, lifted, q_response, response, task_of
+from conditions_under_attack import (
+    DT,
+    TRIALS,
+    Counted,
+    ends,
+    lifted,
+    q_response,
+    response,
+    task_of,
+    within,
+)
 
 import jaxilc
 from jaxilc import Machine, Task
@@ -45,17 +54,7 @@ from jaxilc.theory.sliding import printed_condition, sampled_condition, sliding
 from jaxilc.theory.whole_set import bound_of_set
 from jaxilc.uncertainty import Uniform
 
-TRIALS, SECONDS, TOLD = 1000, 600, 20
 PREMISES = ("linear", "alone", "signs", "damped", "printed")
-
-
-def within(count: int):
-    """So many turns, or as many as can be begun in the processor time of a class."""
-    end = time.process_time() + SECONDS
-    for turn in itertools.takewhile(lambda _: time.process_time() < end, range(count)):
-        yield turn
-        if (turn + 1) % TOLD == 0:
-            print(f"   {turn + 1} tried", flush=True)
 
 
 def small_plant(rng, channels: int = 1):
@@ -130,39 +129,6 @@ def map_of(scheme, gamma, lead, matrix, plant, N, D=None):
         return np.kron(keep, np.eye(channels)) - np.kron(L, np.eye(channels)) @ G
     Q = np.kron(keep, np.eye(channels))
     return Q @ (np.eye(N * channels) - np.kron(L, np.eye(channels)) @ G)
-
-
-def ends(M) -> bool:
-    """Whether 1000 trials end nearer to the limit than they began, from wherever they began."""
-    with np.errstate(all="ignore"):
-        power = np.linalg.matrix_power(M, TRIALS)
-    if np.all(np.isfinite(power)) and np.linalg.norm(power, 2) < 1:
-        return True
-    return bool(np.max(np.abs(np.linalg.eigvals(M))) < 1)
-
-
-class Counted:
-    """The counts of a class."""
-
-    def __init__(self, name):
-        self.name, self.counts, self.why = name, Counter(), Counter()
-
-    def add(self, condition, wrong: bool, low: bool = False):
-        self.counts["tried"] += 1
-        self.counts["claimed"] += condition.holds
-        self.counts["wrong"] += bool(condition.holds and wrong)
-        if condition.holds and wrong:
-            print(f"   WRONG: case {self.counts['tried']} of {self.name}", flush=True)
-        self.counts["value too low"] += bool(low)
-        if not condition.holds:
-            self.counts["fails" if condition.verdict == "fails" else "abstained"] += 1
-            if condition.verdict != "fails":
-                self.why.update([condition.broken[0].name])
-
-    def row(self):
-        names = ("tried", "claimed", "wrong", "value too low", "fails", "abstained")
-        why = "; ".join(f"{k} {v}" for k, v in self.why.most_common())
-        return {"class": self.name} | {n: self.counts[n] for n in names} | {"why": why}
 
 
 def short(rng, count=120):
