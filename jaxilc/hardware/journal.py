@@ -189,8 +189,10 @@ class Journal:
                 for name in (MANIFEST, COPY):
                     (unfinished / name).write_text(json_text(sealed(whole)), encoding="utf-8")
         except OSError as error:
+            made = isinstance(error, FileExistsError)
+            why = "another process has made it meanwhile" if made else error.strerror
             raise ValueError(
-                f"{self.path}: entry {serial} could not be written ({error.strerror}); "
+                f"{self.path}: entry {serial} could not be written ({why}); "
                 "the campaign is as it was"
             ) from None
         with contextlib.suppress(OSError):  # the entry is there, and names the one before it

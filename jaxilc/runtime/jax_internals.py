@@ -12,14 +12,19 @@ used
     once in a process, reports this and names the version.
     if the environment variable JAXILC_JAX_INTERNALS is `off`, without a warning.
 
+`sealed_programs` gives each program in the cache of JAX a checksum; without the part that it
+replaces, `jax._src.compilation_cache`, the cache stays as JAX has it.
+
 `jax.core.Tracer`, which other modules use, is a documented part of JAX.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -100,6 +105,42 @@ def once(arguments: Any, refusal: str) -> Any:
         raise ValueError(refusal)
 
     return jax.tree.map(with_slope(lambda x: x, refuse), arguments)
+
+
+def sealed_programs() -> None:
+    """Let JAX keep a program together with a checksum over it and its key.
+
+    JAX takes what it finds under a key: of a damaged program it warns, one that was exchanged for
+    another ends in an AssertionError or computes something else. With the checksum both are
+    removed, compiled again and written again. A program that cannot be written is not kept.
+    """
+    try:
+        from jax._src import compilation_cache
+        from jax._src.lru_cache import LRUCache
+    except ImportError:
+        return
+
+    class Sealed(LRUCache):
+        def get(self, key: str) -> bytes | None:
+            found = super().get(key)
+            if found is None or found[:32] == _seal(key, found[32:]):
+                return found and found[32:]
+            with suppress(OSError):
+                (self.path / f"{key}-cache").unlink()
+            return None
+
+        def put(self, key: str, value: bytes) -> None:
+            with suppress(OSError):
+                super().put(key, _seal(key, value) + value)
+
+    def opened(path: str) -> tuple[Sealed, str]:
+        return Sealed(path, max_size=jax.config.jax_compilation_cache_max_size), path
+
+    compilation_cache.get_file_cache = opened  # ty: ignore[invalid-assignment]
+
+
+def _seal(key: str, value: bytes) -> bytes:
+    return hashlib.sha256(key.encode() + b"\0" + value).digest()
 
 
 def why_not() -> str | None:

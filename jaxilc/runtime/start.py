@@ -12,6 +12,7 @@ from pathlib import Path
 import jax
 
 from ..pytree.ranges import require
+from .jax_internals import sealed_programs
 from .xla_options import chosen
 
 
@@ -75,7 +76,8 @@ def keep_programs() -> Path | None:
     The folder is below the cache folder of the user (XDG_CACHE_HOME, else ~/.cache), one for each
     kind of processor, since several computers may share a home. The environment variable
     JAXILC_CACHE names another folder; with `off` nothing is kept, and the result is None. A folder
-    that was already given to JAX is not changed.
+    that was already given to JAX is not changed. In the others, a program that was damaged or
+    exchanged is compiled again.
     """
     chosen = os.environ.get("JAXILC_CACHE", "")
     if chosen == "off":
@@ -89,6 +91,8 @@ def keep_programs() -> Path | None:
     except (OSError, RuntimeError, ValueError):
         # keep nothing: there is no home, it cannot be written to, or the name is not a folder
         return None
+    if not given:
+        sealed_programs()
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -33,7 +33,8 @@ def atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
     path: file to write; a link is followed
     write: function that is called with the open file
 
-    A pipe or a device cannot be replaced and is written to directly.
+    A pipe or a device cannot be replaced and is written to directly. Raises OSError with the name
+    of the file, where the disk is full or the folder was removed too.
     """
     path = Path(path)
     if (path.exists() and not path.is_file()) or str(path.absolute()).startswith(STREAMS):
@@ -41,17 +42,33 @@ def atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
             write(file)
         return
     path = Path(os.path.realpath(path))
-    with _aside(path.parent, Path.touch) as unfinished:
-        with open(unfinished, "wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(unfinished, path)
-    to_disk(path.parent)
+    with _named(path):
+        with _aside(path.parent, Path.touch) as unfinished:
+            with open(unfinished, "wb") as file:
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(unfinished, path)
+        to_disk(path.parent)
+
+
+@contextlib.contextmanager
+def _named(path: Path) -> Generator[None]:
+    """A context whose errors of input and output name this file, not its temporary name."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def need_free(path: str | Path) -> None:
-    """Raises FileExistsError for a place where something is that is not to be gone on with."""
+    """Raises FileExistsError for a place where something is that is not to be gone on with.
+
+    Where another process is writing there, ValueError names it.
+    """
+    if Path(path).is_dir():
+        with only_one(path):
+            pass
     if Path(path).exists():
         raise FileExistsError(f"{path} exists already; resume it or choose another place")
 
@@ -87,12 +104,14 @@ def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
 def only_one(folder: str | Path) -> Generator[None]:
     """A context in which only this process uses a folder.
 
-    Raises ValueError if another process uses the folder.
+    Raises ValueError if another process uses the folder, with its number where it is known.
     """
     try:
         lock = _locked(Path(os.path.realpath(folder)))
     except BlockingIOError:
-        said = "is in use by another process; wait for its end, or choose another folder"
+        holder = _holder(Path(folder))
+        by = "another process" if holder is None else f"process {holder}, which is running"
+        said = f"is in use by {by}; wait for its end, or choose another folder"
         raise ValueError(f"{folder} {said}") from None
     try:
         yield
@@ -166,6 +185,17 @@ def _locked(path: Path) -> int | None:
             raise
         return None
     return descriptor
+
+
+def _holder(path: Path) -> int | None:
+    """The process that holds the lock of a file or folder, None where it cannot be told."""
+    try:
+        inode = path.stat().st_ino
+        rows = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
+        # 1: FLOCK ADVISORY WRITE 4711 08:01:1234 0 EOF
+        return next(int(row[4]) for row in rows if row[5].endswith(f":{inode}"))
+    except (OSError, StopIteration, ValueError, IndexError):
+        return None
 
 
 def _unlock(lock: int | None) -> None:

@@ -164,6 +164,31 @@ def test_programs_are_found_again_by_the_next_start(tmp_path):
     assert (first[1:], again[1:]) == (["0", "4.0", "False"], ["0", "4.0", "True"])
 
 
+EXCHANGED = """
+import jaxilc, jax; jaxilc.setup()
+from jaxilc.runtime.start import keep_programs
+folder = keep_programs()
+ones = jax.numpy.ones(3)
+print(float(jax.jit(lambda x: x @ x + 1.0)(ones)), float(jax.jit(lambda x: x @ x + 2.0)(ones)))
+"""
+
+
+def test_programs_that_were_damaged_or_exchanged_are_compiled_again(tmp_path):
+    def run():
+        return python(EXCHANGED, JAXILC_CACHE=str(tmp_path))
+
+    assert run().stdout.split() == ["4.0", "5.0"]
+    kept = {file: file.read_bytes() for file in tmp_path.glob("jit__lambda*-cache")}
+    (one, content), (other, others) = kept.items()
+    one.write_bytes(others)
+    other.write_bytes(content)
+    assert (run().stdout.split(), run().stderr) == (["4.0", "5.0"], "")
+    one.write_bytes(content[:-7])
+    other.write_bytes(b"")
+    assert (run().stdout.split(), run().stderr) == (["4.0", "5.0"], "")
+    assert all(len(file.read_bytes()) == len(was) for file, was in kept.items())
+
+
 ELSEWHERE = """
 import jaxilc, jax, os, sys; jaxilc.setup()
 from jaxilc.runtime.start import keep_programs

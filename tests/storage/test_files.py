@@ -3,8 +3,10 @@
 Leftovers are removed, and JSON is strict.
 """
 
+import errno
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -108,6 +110,22 @@ def test_what_fails_while_it_is_written_leaves_what_was_there(tmp_path):
     assert read_json(tmp_path / "a.json") == "first"
     with pytest.raises(FileExistsError), whole_folder(tmp_path / "a.json"):
         pass
+
+
+@pytest.mark.parametrize("removed", [False, True])
+def test_a_full_disk_and_a_removed_folder_are_told_with_the_name_of_the_file(tmp_path, removed):
+    path = tmp_path / "store" / "rms"
+    path.parent.mkdir()
+
+    def write(file):
+        if removed:
+            shutil.rmtree(path.parent)
+        else:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(OSError, match=r"No such file|No space left") as found:
+        files.atomically(path, write)
+    assert found.value.filename == str(path)
 
 
 def test_a_name_that_another_process_takes_for_a_leftover_is_given_up(tmp_path, monkeypatch):

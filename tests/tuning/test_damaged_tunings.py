@@ -149,7 +149,7 @@ def test_two_tunings_do_not_share_a_folder(tuned, tmp_path):
     shutil.copytree(folder, tmp_path / "state")
     used = pytest.raises(
         ValueError,
-        match="state is in use by another process; wait for its end, or choose another folder",
+        match=r"state is in use by process \d+, which is running; wait for its end",
     )
     with Folder(tmp_path / "state", problem.configuration(), True), used:
         problem.run(tmp_path / "state", resume=True)
