@@ -2,28 +2,34 @@
 
     motion     sine of 1 mm; 0.5 (1 - cos), the stroke of 1 mm in the form of eq. 28; a sine of
                0.5 mm; 1 - cos
-    window     from 0, 1/8, ... 7/8 of the trial to its end
+    periods    a trial of one period, or of two; the paper prints no duration
+    window     from 0, 1/8, ... 7/8 of the last period to its end
     reset      as in the book, where the sign turns, none
     plant      eq. 29, or the exact one of eq. 7
     unit       of y in CFDL-MFAILC: mm or µm; y in µm is lam / 1e6 for y in mm
     numbering  the first trial has number 1, or number 0
-    phi0       free: one number for CFDL-MFAILC, four for FFDL-MFAILC, one for ILC-MFAPC
+    phi0       free: one number for CFDL-MFAILC, one for ILC-MFAPC; of FFDL-MFAILC the number of
+               u(k), or that of y(k) too, or all four
 
 ILC-MFAPC further has: learned input added to that of the feedback or to the reference, the sign of
 its gains, its derivative per sample or per second, lam as printed or lam / P, a previewed or a
 constant reference over the horizon. PID has ki per sample or per second. What departs from the
-words of the paper costs a choice, see `reading_search`. `python cao_2019_readings.py NAME ...` runs
-the schemes whose name contains one of the NAMEs.
+words of the paper costs a choice, see `reading_search`.
+
+Free numbers, and what else one scheme alone has, are fitted to every other row of its column, and
+judged by the rows between. Motion, periods, window and numbering belong to all columns. Each column
+is left out in turn: the others choose these four, and what they choose is judged by the rows of the
+column to which nothing was fitted. Beside it stands the column with a window of its own, which its
+own fitted rows choose.
 """
 
 import itertools
-import sys
 
 import jax.numpy as jnp
 import numpy as np
 import output
-from printed_tables import CAO_1, CAO_FITTED
-from reading_search import Reading, search
+from printed_tables import CAO_1
+from reading_search import HELD_OUT, Reading, search
 from scipy.stats import qmc
 
 import jaxilc
@@ -39,8 +45,9 @@ from jaxilc.schemes import (
     WithFeedback,
 )
 
-DT, N = 1e-3, 2000
-TIME = np.arange(N + 1) * DT
+DT, N = 1e-3, 2000  # N: samples of a period
+PERIODS = (1, 2)
+TIME = np.arange(PERIODS[-1] * N + 1) * DT
 MOTIONS = {
     "sine 1": np.sin(np.pi * TIME),
     "stroke": 0.5 * (1 - np.cos(np.pi * TIME)),
@@ -49,6 +56,12 @@ MOTIONS = {
 }
 WINDOWS = {f"from {i}/8": max(i * N // 8, 1) for i in range(8)}
 RESETS, PLANTS = ("book", "sign", "none"), ("printed", "exact")
+FITTED = {  # rows that the numbers of a scheme are fitted to: trial, and window if not the common
+    "cfdl-mfailc": [(j, None) for j in (20, 40, 60, 80)],
+    "ffdl-mfailc": [(j, None) for j in (20, 40, 60)],
+    "ilc-mfapc": [(j, None) for j in (10, 20)],
+    "pid": [(1, "from 0/8")],
+}
 # What the words of the paper do not say, or contradict. The window is not named at all, and the
 # sine and the stroke of 1 mm both are.
 DEPARTS = {
@@ -60,7 +73,7 @@ DEPARTS = {
 
 def errors_in_windows(trial):
     """(windows,) largest |e| from the start of each window to the end [mm]."""
-    e = jnp.abs(trial.e[:, 0])
+    e = jnp.abs(trial.e[-N - 1 :, 0])
     return jnp.stack([jnp.max(e[start:]) for start in WINDOWS.values()])
 
 
@@ -78,8 +91,9 @@ def simulated(build, trials: int):
 
     run = jaxilc.tiled(errors)
 
-    def of(plant, motion, values):
-        common = (Machine(voice_coil(plant)), jnp.asarray(MOTIONS[motion]))
+    def of(places, values):
+        reference = MOTIONS[places["motion"]][: places["periods"] * N + 1]
+        common = (Machine(voice_coil(places["plant"])), jnp.asarray(reference))
         return np.asarray(run(common, jnp.asarray(values)))
 
     return of
@@ -101,49 +115,61 @@ def readings(errors, values, places, rows):
         yield Reading(here, departures, np.asarray(values), np.stack(columns, axis=1))
 
 
+def settings(plants):
+    """The places that a simulation needs besides the scheme."""
+    for plant, motion, periods in itertools.product(plants, MOTIONS, PERIODS):
+        yield {"motion": motion, "periods": periods, "plant": plant}
+
+
 def cfdl():
     """CFDL-MFAILC: 80 start values."""
-    rows = [*((j, None) for j in CAO_1["cfdl-mfailc"]), (35, "from 0/8")]
+    rows = [*((j, None) for j in CAO_1["cfdl-mfailc"] if j <= 80), (35, "from 0/8")]
     starts, found = -np.geomspace(0.003, 0.6, 80), []
     for reset in RESETS:
 
         def build(free, reset=reset):
             return CFDLMFAILC(lam=free[1], eta=0.9, mu=1.0, rho=1.0, phi0=free[0], reset=reset)
 
-        run = simulated(build, 102)
-        for plant, motion in itertools.product(PLANTS, MOTIONS):
+        run = simulated(build, 81)
+        for places in settings(PLANTS):
             lams = {"mm": 1.0, "µm": 1e-6}
-            values = [(start, lam) for lam in lams.values() for start in starts]
-            errors = run(plant, motion, values)
+            errors = run(places, [(start, lam) for lam in lams.values() for start in starts])
             for i, unit in enumerate(lams):
                 part = slice(i * len(starts), (i + 1) * len(starts))
-                places = {"motion": motion, "reset": reset, "plant": plant, "unit": unit}
-                found += readings(errors[part], starts[:, None], places, rows)
-    return found, rows, (*CAO_1["cfdl-mfailc"].values(), 10.0)
+                here = {**places, "reset": reset, "unit": unit}
+                found += readings(errors[part], starts[:, None], here, rows)
+    return found, rows, (*(CAO_1["cfdl-mfailc"][j] for j, _ in rows[:-1]), 10.0)
 
 
 def ffdl():
-    """FFDL-MFAILC: 1024 start values in four dimensions, spread evenly."""
-    rows = [(j, None) for j in CAO_1["ffdl-mfailc"]]
-    unit = qmc.Sobol(4, seed=0).random(1024)
-    values = qmc.scale(unit, (-1.5, -1.5, -4.5, -0.5), (1.5, 1.5, -1.2, 0.5))
-    values[:, 2] = -np.exp(values[:, 2])
-    found = []
+    """FFDL-MFAILC: 64, 256 and 1024 start values in one, two and four dimensions, spread evenly."""
+    rows = [(j, None) for j in CAO_1["ffdl-mfailc"] if j <= 60]
+    lowest, highest = (-1.5, -1.5, -4.5, -0.5), (1.5, 1.5, -1.2, 0.5)
+    forms, values = {"u(k)": (64, [2]), "y(k), u(k)": (256, [0, 2]), "all": (1024, range(4))}, []
+    for many, free in forms.values():
+        starts = np.zeros((many, 4))
+        points = qmc.Sobol(len(free), seed=0).random(many)
+        starts[:, free] = qmc.scale(points, [lowest[i] for i in free], [highest[i] for i in free])
+        starts[:, 2] = -np.exp(starts[:, 2])
+        values.append(starts)
+    found, ends = [], np.cumsum([len(starts) for starts in values])
     for reset in RESETS:
 
         def build(free, reset=reset):
             return FFDLMFAILC(lam=1.2, eta=1.0, mu=1.1, rho=0.98, phi0=free, reset=reset)
 
-        run = simulated(build, 102)
-        for motion in MOTIONS:
-            places = {"motion": motion, "reset": reset, "plant": "printed"}
-            found += readings(run("printed", motion, values), values, places, rows)
-    return found, rows, tuple(CAO_1["ffdl-mfailc"].values())
+        run = simulated(build, 61)
+        for places in settings(("printed",)):
+            errors = np.split(run(places, np.concatenate(values)), ends[:-1])
+            for (form, (_, free)), starts, of in zip(forms.items(), values, errors, strict=True):
+                here = {**places, "reset": reset, "start": form}
+                found += readings(of, starts[:, free], here, rows)
+    return found, rows, tuple(CAO_1["ffdl-mfailc"][j] for j, _ in rows)
 
 
 def mfapc():
-    """ILC-MFAPC: 40 start values; of its eight rows of 0.3 µm the later ones say "no change"."""
-    rows = [(j, None) for j in CAO_1["ilc-mfapc"] if j <= 60]
+    """ILC-MFAPC: 40 start values; its later rows say "no change"."""
+    rows = [(j, None) for j in CAO_1["ilc-mfapc"] if j <= 30]
     starts, found = -np.geomspace(1e-6, 0.3, 40), []
     leaves = list(itertools.product((-1.0, 1.0), (1.0, 1e3), (20.0, 2.0)))
     values = [(start, *leaf) for leaf in leaves for start in starts]
@@ -159,12 +185,12 @@ def mfapc():
             return structure(PIDType(**gains), feedback)
 
         run = simulated(build, 60)
-        for motion in MOTIONS:
-            errors = run("printed", motion, values)
+        for places in settings(("printed",)):
+            errors = run(places, values)
             for i, (sign, second, lam) in enumerate(leaves):
                 part = slice(i * len(starts), (i + 1) * len(starts))
-                places = {
-                    "motion": motion,
+                here = {
+                    **places,
                     "reset": reset,
                     "horizon": horizon,
                     "structure": "series" if structure is OnReference else "parallel",
@@ -172,7 +198,7 @@ def mfapc():
                     "derivative": "per sample" if second == 1 else "per second",
                     "lam": "lam / P" if lam > 2 else "lam",
                 }
-                found += readings(errors[part], starts[:, None], places, rows)
+                found += readings(errors[part], starts[:, None], here, rows)
     return found, rows, tuple(CAO_1["ilc-mfapc"][j] for j, _ in rows)
 
 
@@ -184,60 +210,87 @@ def pid():
         return PID(kp=-11.3, ki=free[0])
 
     run = simulated(build, 1)
-    for plant, motion in itertools.product(PLANTS, MOTIONS):
-        errors = run(plant, motion, [(-0.028,), (-28.0,)])
+    for places in settings(PLANTS):
+        errors = run(places, [(-0.028,), (-28.0,)])
         for i, ki in enumerate(("per second", "per sample")):
-            places = {"motion": motion, "plant": plant, "ki": ki}
-            found += readings(errors[i : i + 1], np.zeros((1, 0)), places, rows)
+            found += readings(errors[i : i + 1], np.zeros((1, 0)), {**places, "ki": ki}, rows)
     return found, rows, (30.0, 23.0)
 
 
+MET_OF = ("met", "held out met")
 SCHEMES = {"cfdl-mfailc": cfdl, "ffdl-mfailc": ffdl, "ilc-mfapc": mfapc, "pid": pid}
 
 
-def as_a_whole(tables: dict[str, list[dict]]) -> list[dict]:
-    """Readings with one motion and one numbering for all schemes, the best first.
+COMMON = {"motion": MOTIONS, "periods": PERIODS, "numbering": ("from 1", "from 0")}
+COMMON |= {"window": WINDOWS}
 
-    The window is the same for all schemes, or each scheme has its own, which costs one choice for
-    each scheme beyond the first. What is left to choose is the best of each scheme.
+
+def best_of(table: list[dict], here: dict) -> dict:
+    """The reading of a scheme with these places whose fit is best; held-out rows are not seen."""
+    fits = (row for row in table if all(row[place] == value for place, value in here.items()))
+    return min(fits, key=lambda row: row["criterion of the fit"])
+
+
+def in_common(tables: dict[str, list[dict]], window: bool = True) -> list[dict]:
+    """Readings with the same places in all columns, the best first.
+
+    window: whether the window is one of these; else each column has the one that its fit takes, a
+        choice for each beyond the first
     """
     rows = []
-    for motion, numbering, window in itertools.product(
-        MOTIONS, ("from 1", "from 0"), (*WINDOWS, "own")
-    ):
-        here = {"motion": motion, "numbering": numbering}
-        best = {}
-        for name, table in tables.items():
-            fits = [row for row in table if all(row[place] == here[place] for place in here)]
-            fits = [row for row in fits if window in ("own", row["window"])]
-            best[name] = min(fits, key=lambda row: row["BIC"], default=None)
-        if all(best.values()):
-            total = sum(row["BIC"] for row in best.values())
-            total += (window == "own") * (len(best) - 1) * np.log(len(WINDOWS))
-            row = {**here, "window": window, "k": sum(row["k"] for row in best.values())}
-            row |= {"BIC": float(total), "met": sum(row["met"] for row in best.values())}
-            row |= {"held out met": sum(row["held out met"] for row in best.values())}
-            rows.append(row | {name: f"{of['met']}, {of['window']}" for name, of in best.items()})
+    places = {name: COMMON[name] for name in COMMON if window or name != "window"}
+    for chosen in itertools.product(*places.values()):
+        here = dict(zip(places, chosen, strict=True))
+        best = {name: best_of(table, here) for name, table in tables.items()}
+        count = sum(row["held out"] for row in best.values())
+        off = sum(row["held out"] * row["held out off"] ** 2 for row in best.values())
+        total = sum(row["BIC"] for row in best.values())
+        total += (not window) * (len(best) - 1) * np.log(len(WINDOWS))
+        row = here | {"BIC": float(total), "held out off": float(np.sqrt(off / count))}
+        row |= {name: sum(row[name] for row in best.values()) for name in ("held out", *MET_OF)}
+        own = {name: f"{of['met']} met, {of['window']}" for name, of in best.items()}
+        rows.append(row | own)
     return sorted(rows, key=lambda row: row["BIC"])
 
 
-def main(names: list[str]) -> None:
+def left_out(tables: dict[str, list[dict]]) -> list[dict]:
+    """Each column, predicted with the places that the others choose, with or without its window."""
+    rows = []
+    for name, table in tables.items():
+        others = in_common({other: of for other, of in tables.items() if other != name})[0]
+        for whose in ("of the others", "of its own fit"):
+            here = {place: others[place] for place in COMMON}
+            if whose == "of its own fit":
+                del here["window"]
+            best = best_of(table, here)
+            told = {place: best[place] for place in (*COMMON, "free", *HELD_OUT, "ours")}
+            rows.append({"left out": name, "window": whose, "with": told.pop("window"), **told})
+    return rows
+
+
+def main() -> None:
     folder, tables = output.folder(__file__), {}
     for name, search_of in SCHEMES.items():
-        if names and not any(part in name for part in names):
-            continue
         found, rows, printed = search_of()
-        fitted = [j in CAO_FITTED.get(name, ()) and of is None for j, of in rows]
-        tables[name] = search(name, found, printed, fitted)
-        output.write_rows(folder / f"{name}.csv", tables[name][:12])
-    print("all schemes together, the best of each motion:")
-    together = as_a_whole(tables)
-    output.write_rows(
-        folder / "together.csv",
-        [next(row for row in together if row["motion"] == motion) for motion in MOTIONS],
+        tables[name] = search(name, found, printed, [row in FITTED[name] for row in rows])
+        output.write_rows(folder / f"{name}.csv", tables[name], 12)
+    together = in_common(tables)
+    print(
+        "one window for all columns, the best of each motion; then each window of the best motion:"
     )
+    best = [next(row for row in together if row["motion"] == motion) for motion in MOTIONS]
+    output.write_rows(folder / "together.csv", best)
+    shared = {place: together[0][place] for place in COMMON if place != "window"}
+    alike = [row for row in together if all(row[place] == shared[place] for place in shared)]
+    output.write_rows(folder / "windows.csv", sorted(alike, key=lambda row: row["window"]))
+    print("each column with a window of its own, the best of each motion:")
+    own = in_common(tables, window=False)
+    best = [next(row for row in own if row["motion"] == motion) for motion in MOTIONS]
+    output.write_rows(folder / "own-windows.csv", best)
+    print("each column left out:")
+    output.write_rows(folder / "left-out.csv", left_out(tables))
 
 
 if __name__ == "__main__":
     jaxilc.setup()
-    main(sys.argv[1:])
+    main()

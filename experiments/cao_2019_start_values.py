@@ -10,7 +10,8 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import output
-from printed_tables import CAO_1, CAO_FITTED
+from cao_2019_readings import FITTED
+from printed_tables import CAO_1
 
 import jaxilc
 from jaxilc.identification import fit
@@ -46,8 +47,8 @@ def errors(s, name, values):
 rows, axes = [], output.axes(1, 2, size=(11.0, 4.4))
 for ax, (reading, s) in zip(axes, LOADED.items(), strict=True):
     for name, ranges in RANGES.items():
-        table, fitted = CAO_1[name], np.array(CAO_FITTED[name])
-        printed = jnp.array([table[j] for j in CAO_FITTED[name]])
+        table, fitted = CAO_1[name], np.array([trial for trial, _ in FITTED[name]])
+        printed = jnp.array([table[j] for j in fitted.tolist()])
 
         def residuals(values, s=s, name=name, fitted=fitted, printed=printed):
             return jnp.log(errors(s, name, values)[fitted - 1] / printed)

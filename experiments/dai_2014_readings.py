@@ -100,10 +100,10 @@ def main() -> None:
                 )
     printed = list(PRINTED.values())
     table = search("one phi0 for both frequencies", found, printed, [True, False])
-    output.write_rows(folder / "rows.csv", table[:12])
+    output.write_rows(folder / "rows.csv", table, 12)
     print("runs of neighbouring start values, a factor of 1.16 apart, that meet the row at 2.5 Hz:")
     ranges.sort(key=lambda row: (-row["run"], -row["share"]))
-    output.write_rows(folder / "ranges.csv", ranges[:12])
+    output.write_rows(folder / "ranges.csv", ranges, 12)
     draw(folder, found)
 
 

@@ -231,7 +231,7 @@ def main() -> None:
             found.append(Reading(told, departs, np.array(values), np.concatenate(of)[:, i]))
     np.save(folder / "ours.npy", np.array(ours))
     table = search("drive and path", found, PRINTED, FITTED_ROWS)
-    output.write_rows(folder / "rows.csv", table[:30])
+    output.write_rows(folder / "rows.csv", table, 30)
     for row in table[:3]:
         by_seed(run, row)
 

@@ -22,13 +22,13 @@ def folder(script: str) -> Path:
     return path
 
 
-def write_rows(path: Path, rows: list[dict]) -> None:
-    """Write rows to a CSV file, and print them."""
+def write_rows(path: Path, rows: list[dict], shown: int | None = None) -> None:
+    """Write rows to a CSV file, and print them, or the first `shown` of them."""
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    for row in rows:
+    for row in rows[:shown]:
         print(
             "  ".join(
                 f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"

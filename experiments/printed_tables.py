@@ -2,11 +2,8 @@
 
 from jaxilc.scenarios.published import by, published
 
-_CAO = published("cao-2019", "stroke")
-CAO_1 = by(_CAO, "scheme", "trial", source="Table 1")  # settled errors [µm]
-CAO_FITTED = {  # trials to which phi0 was fitted, by scheme
-    name: tuple(p.trial for p in _CAO if p.scheme == name and p.fitted.among) for name in CAO_1
-}
+# settled errors [µm]
+CAO_1 = by(published("cao-2019", "stroke"), "scheme", "trial", source="Table 1")
 CAO_2 = by(published("cao-2019-rig", "over-trials"), "scheme", "frequency")  # by frequency [µm]
 _MILC = published("milc-2024", "short-stroke")
 MILC_1 = {(p.scheme, p.trial, p.quantity): p.value for p in _MILC if not p.against}  # [µm]

@@ -128,7 +128,7 @@ def main() -> None:
                 places |= {"trial": trial, "window": window}
                 found.append(Reading(places, len(DEPARTS & set(places.items())), numbers, ours))
     table = search("ASMC and ILC-ASMC", found, PRINTED, FITTED_ROWS)
-    output.write_rows(folder / "rows.csv", table[:20])
+    output.write_rows(folder / "rows.csv", table, 20)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,17 @@
 
 import numpy as np
 import pytest
-from reading_search import ROUNDING, WORST, Reading, bic, judged, met, misfits, search
+from reading_search import (
+    ROUNDING,
+    WORST,
+    Reading,
+    bic,
+    judged,
+    left_out,
+    met,
+    misfits,
+    search,
+)
 
 PRINTED = np.array([8.0, 4.0, 1.0])
 
@@ -28,6 +38,25 @@ def test_free_numbers_are_fitted_to_the_fitted_rows_alone():
     assert row["free"] == "0.1"
     assert (row["k"], row["met"], row["held out"], row["held out met"]) == (2, 1, 2, 0)
     np.testing.assert_array_equal(met(ours, PRINTED).sum(axis=1), [1, 3])
+
+
+def test_a_table_that_is_left_out_is_predicted_by_the_others_alone(capsys):
+    """A number that only a table's own rows can tell is not found; one that all share is.
+
+    The search as a whole takes the reading with fewer choices, although both fit the other rows.
+    """
+    scale = np.geomspace(0.5, 2.0, 9)[:, None]
+    shared = Reading({"gain": "shared"}, 0, scale, scale * PRINTED)
+    own = np.repeat(scale * PRINTED, 9, axis=0)
+    own[:, 2] = np.tile(scale[:, 0] * PRINTED[2], 9)
+    apart = Reading({"gain": "one more"}, 0, np.zeros((81, 2)), own)
+    rows = left_out("made up", [apart, shared], PRINTED, ["a", "a", "b"])
+    assert [(row["gain"], row["met"]) for row in rows] == [("shared", 3), ("one more", 0)]
+    np.testing.assert_allclose([float(x) for x in rows[0]["ours"].split()], PRINTED)
+    assert rows[1]["off"] == pytest.approx(np.log(2))
+    said = capsys.readouterr().out
+    assert "each of 2 tables left out, of 3 rows" in said
+    assert "'met': 3" in said
 
 
 def test_the_space_says_what_any_of_its_candidates_meets(capsys):
