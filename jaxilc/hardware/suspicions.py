@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from ..learning.playback import unit_of
 from ..signals.task import Task
@@ -296,6 +295,8 @@ def _accelerations(now, old, dt: float) -> tuple[float, float, float, float]:
 
 def _rubbed(d, old) -> float:
     """The share of the difference that a force against the speed explains, through a slow loop."""
+    from scipy.signal import lfilter  # which takes half a second to load
+
     speed = np.gradient(old)
     sign = np.tanh(speed / (0.02 * np.max(np.abs(speed))))
     shares = []

@@ -85,6 +85,11 @@ def friction_of(force, position, dt: float, *, cutoff: float | None = None) -> F
     still[[0, -1]] = True  # the filter begins and ends there
     away = ~_near(still, rings)
     which = np.flatnonzero(away)[::every]
+    if len(which) < LEAST:
+        raise ValueError(
+            f"friction_of: {len(which)} samples in motion and apart from its reversals, a filter's "
+            f"length each; allowed are at least {LEAST}; record longer or raise the cutoff"
+        )
     J, y = columns[which], wanted[which]
     found, *_ = np.linalg.lstsq(J, y, rcond=None)
     residual = y - J @ found

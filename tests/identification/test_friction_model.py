@@ -48,3 +48,9 @@ def test_a_motion_that_goes_one_way_is_refused():
     t = np.arange(500) * DT
     with pytest.raises(ValueError, match="does not move both ways"):
         friction_of(np.ones(500), t, DT, cutoff=20.0)
+
+
+def test_a_record_too_short_for_its_filter_is_refused():
+    t = np.arange(200) * DT
+    with pytest.raises(ValueError, match="samples in motion and apart from its reversals"):
+        friction_of(np.sin(40 * t), np.sin(40 * t), DT, cutoff=20.0)
