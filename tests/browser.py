@@ -1,5 +1,6 @@
 """A browser that tests drive: its place, what it shows of a page, and what a page says in it."""
 
+import contextlib
 import html
 import json
 import re
@@ -13,6 +14,13 @@ from matplotlib import image
 CHROMIUM = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 )
+SILENT = (
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-quic",
+)
 # Wheels cannot hold a browser, so the pinned versions do not give it.
 needs_chromium = pytest.mark.skipif(
     CHROMIUM is None, reason="needs a browser: install the system's package chromium"
@@ -21,20 +29,13 @@ needs_chromium = pytest.mark.skipif(
 
 def photographed(page, folder):
     """Return what a browser shows of a page, (rows, columns, 3) in 0..255."""
-    silent = (
-        "--no-first-run",
-        "--disable-background-networking",
-        "--disable-component-update",
-        "--disable-sync",
-        "--disable-quic",
-    )
     shot = folder / "shot.png"
     command = [
         CHROMIUM,
         "--headless",
         "--no-sandbox",
         "--disable-gpu",
-        *silent,
+        *SILENT,
         f"--user-data-dir={folder / 'profile'}",
     ]
     subprocess.run(
@@ -44,6 +45,23 @@ def photographed(page, folder):
         timeout=60,
     )
     return np.round(255 * image.imread(shot)[:, :, :3]).astype(int)
+
+
+@contextlib.contextmanager
+def looking_at(address, folder, *options):
+    """A context in which a browser has a page open."""
+    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", *SILENT, *options]
+    profile = f"--user-data-dir={folder / 'profile'}"
+    debugging = "--remote-debugging-port=0"  # keeps the browser open
+    with subprocess.Popen(
+        [*command, profile, debugging, address],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as browser:
+        try:
+            yield
+        finally:
+            browser.terminate()
 
 
 def opened(page, folder, script):

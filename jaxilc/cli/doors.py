@@ -3,7 +3,8 @@
 A page elsewhere can make a browser ask a server on this computer, by a name of its own that it lets
 point here (DNS rebinding). The browser then says that name as `Host`, and as `Origin` of a
 websocket. So a request whose host is another than the server's, or whose origin is another than its
-host, gets no answer, and the token of a page opens one websocket only.
+host, gets no answer, and the token of a page opens one websocket only. Nor does a page elsewhere
+get this one as its script or within a frame, where a reader could be led to click.
 """
 
 from __future__ import annotations
@@ -47,6 +48,9 @@ class Doors(HTTPServerConnectionDelegate):
         if len(host) != 1 or not self._is_own(host[0]):
             return "this is not an address of this page"
         if origin and (len(origin) > 1 or urlsplit(origin[0]).netloc != host[0]):
+            return "another page may not ask this one"
+        elsewhere = headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin")
+        if elsewhere and headers.get("Sec-Fetch-Dest") != "document":
             return "another page may not ask this one"
         if headers.get("Upgrade", "").lower() != "websocket":
             return ""

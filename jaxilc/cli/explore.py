@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from pathlib import Path
 from typing import Annotated
 
@@ -108,9 +109,11 @@ def server_of(shown, address: str, port: int):
     except OSError as error:
         raise _refused(address, port, error) from None
     page = f"{address}:{sockets[0].getsockname()[1]}"
-    # Doors has seen that the origin is the page's own.
     application = BokehTornado(
-        {"/": Application(FunctionHandler(shown))}, extra_websocket_origins=["*"]
+        {"/": Application(FunctionHandler(shown))},
+        extra_websocket_origins=["*"],  # Doors has seen that the origin is the page's own
+        sign_sessions=True,  # a token that this server did not give opens nothing
+        secret_key=secrets.token_bytes(32),
     )
     http = HTTPServer(Doors(application, address))
     http.add_sockets(sockets)

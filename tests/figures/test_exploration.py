@@ -2,15 +2,20 @@
 
 import asyncio
 import dataclasses
+import http.server
+import json
+import queue
 import re
 import socket
 import threading
+import time
 import urllib.error
 import urllib.request
 
 import jax
 import numpy as np
 import pytest
+from browser import looking_at, needs_chromium
 
 from jaxilc import Machine, Sweep, Task, learn
 from jaxilc.cli.explore import LOOPBACK, server_of
@@ -172,8 +177,8 @@ def test_what_was_found_can_be_shared(explored, tmp_path):
 
 
 @pytest.fixture
-def served(explored, tmp_path):
-    """The address of the page, which is served beside the test."""
+def serving(explored, tmp_path):
+    """The page's server, which runs beside the test, and its address."""
     from tornado.ioloop import IOLoop
 
     found, ready = {}, threading.Event()
@@ -183,7 +188,7 @@ def served(explored, tmp_path):
 
     def serve():
         asyncio.set_event_loop(asyncio.new_event_loop())
-        server, found["page"] = server_of(application, LOOPBACK, 0)
+        server, _ = found["both"] = server_of(application, LOOPBACK, 0)
         found["loop"] = IOLoop.current()
         server.start()
         ready.set()
@@ -194,9 +199,15 @@ def served(explored, tmp_path):
     thread = threading.Thread(target=serve)
     thread.start()
     assert ready.wait(30)
-    yield found["page"]
+    yield found["both"]
     found["loop"].add_callback(found["loop"].stop)
     thread.join()
+
+
+@pytest.fixture
+def served(serving):
+    """The address of the page."""
+    return serving[1]
 
 
 def test_the_page_is_served_on_this_computer_and_loads_nothing_else(served):
@@ -227,6 +238,9 @@ def test_another_host_another_page_and_a_token_that_was_used_get_no_answer(serve
     for origin in (f"http://evil.example:{port}", "null", f"http://localhost:{port}"):
         assert asked(Origin=origin) == (403, "another page may not ask this one")
     assert asked(Host=f"localhost:{port}", Origin=f"http://localhost:{port}")[0] == 200
+    framed = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "iframe"}
+    assert asked(**framed) == (403, "another page may not ask this one")
+    assert asked(**framed | {"Sec-Fetch-Dest": "document"})[0] == 200  # a link to the page
     token = re.search(r'"token":"([^"]*)"', asked()[1])[1]
 
     def opens(origin, host=here):
@@ -244,6 +258,70 @@ def test_another_host_another_page_and_a_token_that_was_used_get_no_answer(serve
     assert opens(f"http://{evil}", evil) == opens(f"http://{evil}") == opens("") == 403
     assert opens(f"http://{here}") == 101
     assert opens(f"http://{here}") == 403  # each token once
+
+
+# What a page elsewhere tries with a token that it should not have; it reports what opened.
+ATTACK = """<body><script>
+const said = {}
+const tried = [
+  ...["127.0.0.1", "evil.example", "localhost"].map(host => new Promise(done => {
+    const line = new WebSocket(`ws://${host}:PORT/ws`, ["bokeh", "TOKEN"])
+    line.onopen = () => { said["socket of " + host] = true; done() }
+    line.onerror = () => { said["socket of " + host] = false; done() }
+  })),
+  ...["127.0.0.1", "evil.example"].map(host => new Promise(done => {
+    const script = document.createElement("script")
+    script.src = `http://${host}:PORT/autoload.js?bokeh-autoload-element=x`
+    script.onload = () => { said["script of " + host] = true; done() }
+    script.onerror = () => { said["script of " + host] = false; done() }
+    document.body.append(script)
+  })),
+]
+Promise.all(tried).then(() => fetch("/said", {method: "POST", body: JSON.stringify(said)}))
+</script></body>"""
+
+
+@needs_chromium
+def test_in_a_browser_only_the_page_itself_reaches_its_server(serving, tmp_path):
+    """A page of a second origin, with a good token, opens no websocket and gets no script."""
+    server, page = serving
+    with urllib.request.urlopen(page, timeout=60) as answer:
+        token = re.search(r'"token":"([^"]*)"', answer.read().decode())[1]
+    text = ATTACK.replace("PORT", page.rstrip("/").rpartition(":")[2]).replace("TOKEN", token)
+    said: queue.Queue = queue.Queue()
+
+    class Elsewhere(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(text.encode())
+
+        def do_POST(self):
+            said.put(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(204)
+            self.end_headers()
+
+        def log_message(self, *args):
+            pass
+
+    with http.server.ThreadingHTTPServer((LOOPBACK, 0), Elsewhere) as other:
+        threading.Thread(target=other.serve_forever).start()
+        evil = f"http://evil.example:{other.server_port}/"
+        with looking_at(evil, tmp_path, "--host-resolver-rules=MAP evil.example 127.0.0.1"):
+            opened = said.get(timeout=60)
+        other.shutdown()
+    assert len(opened) == 5
+    assert not any(opened.values()), opened
+    assert [s.connection_count for s in server.get_sessions("/")] == [0]
+    with looking_at(page, tmp_path):  # the page itself opens its websocket
+        until = time.monotonic() + 60
+        while time.monotonic() < until and not any(
+            s.connection_count for s in server.get_sessions("/")
+        ):
+            time.sleep(0.1)
+    assert len(server.get_sessions("/")) == 2
+    assert not (tmp_path / "params.json").exists()
 
 
 def test_the_ends_of_a_slider_are_those_of_the_server(explored, tmp_path):
