@@ -26,6 +26,7 @@ from jaxilc.theory.on_lines import MeasuredResponse
 
 DT, MOTIONS, ORDERS = 1e-3, range(1, 8), (4, 8, 12, 18, 20)
 TRIALS, GAIN, CUTOFF = 60, 0.2, 60.0  # of the law in simulation; [Hz]
+ENDS = 0.05  # [s] of the learned input that rise from 0 and fall to it
 INSIDE = 0.9  # share of the samples that a band is to hold
 
 
@@ -194,13 +195,15 @@ def learned(loop, design, num, den, trials):
 
         u_{j+1} = Q (u_j + GAIN (P S)^-1 e_j),    Q = 1 / (1 + (f / CUTOFF)^4)
 
-    The law is designed on one model, and learns on the loop of another one.
+    The law is designed on one model, and learns on the loop of another one. The ends of the input
+    are faded, since the filters know nothing of the time before and after.
     """
     rows, rng, of_first = [], np.random.default_rng(0), []
     for i in MOTIONS:
         e = trials[f"exp{i}_e"].astype(float)
         new = (e - e.mean(axis=0)) * np.sqrt(4 / 3)  # of four trials about their mean
         N = e.shape[1]
+        ends = scipy.signal.windows.tukey(N, 2 * ENDS / (N * DT))
         f = np.fft.rfftfreq(2 * N, DT)
         at = np.maximum(f, f[1] / 10)
         P = modal_lines.columns(design.found.theta, design.parts, at, DT) @ design.found.N
@@ -212,7 +215,7 @@ def learned(loop, design, num, den, trials):
             now = e.mean(axis=0) + loop(0 * u, u) + new[rng.integers(4)]
             errors.append(rms(now))
             moved = np.fft.rfft(u, 2 * N) + GAIN * inverse * np.fft.rfft(now, 2 * N)
-            u = np.fft.irfft(Q * moved)[:N]
+            u = ends * np.fft.irfft(Q * moved)[:N]
         floor, last = rms(new), float(np.mean(errors[-10:]))
         of_first = of_first or errors
         rows.append(

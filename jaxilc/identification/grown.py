@@ -445,9 +445,12 @@ def ladder(
     highest: int,
     each: Callable[[Fitted], object],
     imitates: Callable[[list[Fitted]], bool],
+    *,
+    least: int = 1,
 ) -> dict[int, Fitted]:
     """The best fit of each order from 1 on, until the criterion no longer falls.
 
+    least: the order that is reached in any case
     imitates: asked once, whether more poles would only imitate what is not linear
     """
     poles, best = reduced_poles(signals, delay), {}
@@ -457,7 +460,7 @@ def ladder(
         short = min((refined(signals, p, SHORT) for p in begin), key=lambda one: one.cost)
         best[order] = refined(signals, short.parts, LONG)
         each(best[order])
-        if order - min(best, key=lambda n: best[n].bic) >= PATIENCE:
+        if order > least and order - min(best, key=lambda n: best[n].bic) >= PATIENCE:
             break
         if order == ASKED and imitates(list(best.values())):
             break
@@ -768,7 +771,7 @@ def grow(
             fixed = told[0].order
         return fixed != order
 
-    steps = ladder(signals, began, min(highest, order or highest), say, imitates)
+    steps = ladder(signals, began, order or highest, say, imitates, least=order or 1)
     start = steps[fixed] if fixed else min(steps.values(), key=lambda one: one.bic)
     if delay is None:  # a delay that is far too long would be left sample by sample
         shorter = [start.parts._replace(delay=d) for d in DELAYS if d < start.parts.delay]
@@ -811,13 +814,13 @@ def need_stable(whole: Signals, best: Fitted) -> None:
     """Raises ValueError where no stable model explains the record, and an unstable one would.
 
     A difference equation predicts each sample from those before it, so it may have a pole that
-    grows; a simulation may not.
+    grows; a simulation may not. It has no delay, since a too long one would show as such a pole.
     """
     signals = whole.first()
     ahead = _told(whole, best).validation_fit
     if _percent(signals, best) > EXPLAINED and not ahead < EXPLAINED:
         return
-    growth = np.max(reduced_poles(signals, best.parts.delay, clip=False)(MODERATE[0]).real)
+    growth = np.max(reduced_poles(signals, 0, clip=False)(MODERATE[0]).real)
     if growth * signals.duration > GROWS:
         raise ValueError(
             f"identify: the plant seems to be unstable, with a pole near +{growth:.3g} rad/s; keep "

@@ -139,6 +139,13 @@ def test_an_order_that_is_asked_for_is_fitted():
     assert {one.delay for one in model.tried} == {2}
 
 
+def test_an_order_beyond_what_is_needed_is_reached_and_one_below_is_not_called_unstable():
+    simple = excite(Machine(ProcessModel(3.0, (), (80.0, 20.0))), U[:300], DT)
+    assert grow(simple, order=10, delay=0).chosen.order == 10
+    one = drives["drive"](4)  # two masses, found with a delay that is too long
+    assert grow(Record(one.u[:, None], one.y[:, None], one.dt), order=2).chosen.order == 2
+
+
 def test_what_cannot_be_fitted_is_said():
     record = excite(Machine(PLANT), U, DT)
     with pytest.raises(ValueError, match=r"record is too short: 28 samples to fit 41 .* at least"):
