@@ -1,5 +1,5 @@
 from . import report
-from .band import error_band
+from .band import error_band, given_and_tuned
 from .by_frequency import frequency_tests, spectrum, time_frequency
 from .by_trial import certificate, error_by_trial
 from .campaign import campaign_figure
@@ -29,6 +29,7 @@ __all__ = [
     "error_by_trial",
     "final_error_by_trials",
     "frequency_tests",
+    "given_and_tuned",
     "grid_map",
     "learned_law_figure",
     "loss_by_step",

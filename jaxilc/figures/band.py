@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .description import TRIAL, Axis, Band, Curve, Figure, Layer, Panel, Rule
-from .paper import draw
-from .style import colour_of, limits_of, names_of, readable
+from .paper import draw, drawn
+from .style import colour_of, limits_of, names_of, numbers_of, readable
 from .units import written
 
 if TYPE_CHECKING:
@@ -52,11 +52,15 @@ def error_band(
     limit = None if tolerance is None else scale * tolerance
     limits = _limits(rows, scale, limit)
     last = scale * errors_of(dataset, metric).isel(trial=-1).values
-    panels = [_panel(row, i, scale, limit, (metric, unit), limits) for i, row in enumerate(rows)]
+    looks = numbers_of(row.scheme for row in rows)
+    panels = [
+        _panel(row, look, scale, limit, (metric, unit), limits)
+        for row, look in zip(rows, looks, strict=True)
+    ]
     shares = _shares(names_of(dataset), last, (metric, unit, limit), limits)
     axes = draw(Figure([*panels, shares], shares=""), _axes(len(rows)))
     for i, (ax, row) in enumerate(zip(axes, rows, strict=False)):
-        look: dict[str, Any] = {"color": readable(colour_of(i)), "fontweight": "bold"}
+        look: dict[str, Any] = {"color": readable(colour_of(looks[i])), "fontweight": "bold"}
         ax.set_title(row.scheme, fontsize="small", loc="left", **look)
         place, below = ax.get_subplotspec(), i + _columns(len(rows)) < len(rows)
         ax.tick_params(labelleft=place.is_first_col(), labelbottom=not below)
@@ -84,7 +88,7 @@ def band_together(
     """
     layers: list[Layer] = []
     seen: list[float] = []
-    for i, row in enumerate(rows):
+    for i, row in zip(numbers_of(row.scheme for row in rows), rows, strict=True):
         low, median, high, worst = _quantiles(row, scale)
         top = top_of(median)
         seen += [*np.minimum(high, top), *low]
@@ -148,6 +152,45 @@ def _limits(rows, scale: float, limit: float | None) -> tuple[float, float]:
     return limits_of(shown) or (0.1, 10.0)
 
 
+@drawn
+def given_and_tuned(
+    dataset: xr.Dataset, *, metric: str = "settled_error", scale: float = 1.0, unit: str = ""
+) -> Figure:
+    """A tuning judged: the errors by trial of both laws, and below them their ratio.
+
+    Each machine has its ratio, given over tuned; above 1 the tuned law is better on it. A machine
+    on which one law diverges has the ratio 0 or infinity, and where both do it has none.
+
+    dataset: over (scheme, sample, trial) with the schemes `given` and `tuned`
+    metric, scale, unit: as for `error_band`
+    """
+    from ..sweeps.summary import errors_of, summarise
+
+    rows = summarise(dataset, None, metric=metric)
+    above = band_together(rows, metric=metric, scale=scale, unit=unit)
+    errors = errors_of(dataset, metric)
+    tuned, given = (errors.sel(scheme=name).values for name in ("tuned", "given"))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where((tuned == 0) & (given == 0), 1.0, given / tuned)
+    ratio = ratio[~np.all(np.isnan(ratio), axis=1)]
+    parts = np.nanquantile(ratio, (0.0, 0.05, 0.5, 0.95), axis=0, method="inverted_cdf")
+    trials = np.arange(1, ratio.shape[1] + 1)
+    layers: list[Layer] = [
+        Band(trials, *np.minimum(parts[[1, 3]], GROWS**3), name="5 to 95 % of the machines"),
+        Curve(trials, parts[2], name="median machine"),
+        Curve(trials, parts[0], dash=":", name="least ratio"),
+        Rule(1.0, name="above 1: tuning gains"),
+    ]
+    ends = limits_of([*np.clip(parts[1:], 1 / GROWS, GROWS**3).ravel(), 1.0], pad=1.2)
+    below = Panel(TRIAL, Axis("given / tuned", log=True, ends=ends), layers)
+    return Figure(
+        [*above.panels, below],
+        "Above, the errors by trial over machines that no step has seen: the line is the median, "
+        "the band holds 90 % of the machines, the dots are the worst one. Below, the error with "
+        "the given weights over that with the tuned ones, machine by machine.",
+    )
+
+
 def top_of(median) -> float:
     """Up to where the errors are shown whose first median is positive; infinite for others."""
     return GROWS * median[0] if 0 < median[0] < np.inf else np.inf
@@ -202,12 +245,12 @@ def _shares(names, last: np.ndarray, shown: tuple, held: tuple[float, float]) ->
     """
     metric, unit, limit = shown
     layers: list[Layer] = []
-    for i, errors in enumerate(last):
+    for name, i, errors in zip(names, numbers_of(names), last, strict=True):
         found = np.sort(errors[(errors > held[0]) & (errors <= held[1])])
         zero = np.mean(errors <= held[0])
         share = np.concatenate([[zero], zero + np.arange(1, len(found) + 1) / len(errors)])
         at, share = [held[0], *found, held[1]], 100 * np.append(share, share[-1])
-        layers.append(Curve(at, share, steps=True, width=1.6, name=names[i], colour=colour_of(i)))
+        layers.append(Curve(at, share, steps=True, width=1.6, name=name, colour=colour_of(i)))
     if limit is not None:
         layers.append(Rule(limit, "x", dash="--"))
     along = Axis(f"tolerance of the last {metric.replace('_', ' ')}", unit, log=True, ends=held)

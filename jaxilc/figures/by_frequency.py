@@ -9,7 +9,7 @@ import numpy as np
 
 from .description import FREQUENCY, TIME, Axis, Cells, Colours, Curve, Figure, Layer, Panel, Rule
 from .paper import draw, drawn
-from .style import DASHES, limits_of, marks_of, shades_of, style_of
+from .style import DASHES, limits_of, marks_of, numbers_of, shades_of, style_of
 from .units import written
 from .within_trial import outputs_of, signal_of
 
@@ -152,7 +152,7 @@ def frequency_tests(tests: Mapping[str, FrequencyTest]) -> Figure:
         `norm_optimal_condition`
     """
     layers: list[Layer] = []
-    for i, (name, test) in enumerate(tests.items()):
+    for i, (name, test) in zip(numbers_of(tests), tests.items(), strict=True):
         style, magnitude = style_of(i), test.magnitude
         reached = f"1 at {test.critical:.3g} Hz, " if np.isfinite(test.critical) else ""
         said = f"{name}: {reached}at most {test.condition.value:.6g}"

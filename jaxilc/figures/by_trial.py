@@ -9,7 +9,18 @@ import numpy as np
 
 from .description import TRIAL, Axis, Bars, Curve, Figure, Layer, Panel, Rule, tips_of
 from .paper import drawn
-from .style import BLACK, BOUND, COLOURS, GREY, colour_of, limits_of, marks_of, names_of, style_of
+from .style import (
+    BLACK,
+    BOUND,
+    COLOURS,
+    GREY,
+    colour_of,
+    limits_of,
+    marks_of,
+    names_of,
+    numbers_of,
+    style_of,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,7 +66,7 @@ def error_by_trial(
     due = [p for p in published if p.quantity == metric and (p.trial or 1) <= len(trials)]
     layers: list[Layer] = []
     printed: list[Layer] = []
-    for i, name in enumerate(names_of(dataset)):
+    for i, name in zip(numbers_of(names := names_of(dataset)), names, strict=True):
         errors = dataset[metric].sel(scheme=name)
         errors = scale * errors.max([d for d in errors.dims if d != "trial"])
         if "diverged" in dataset:

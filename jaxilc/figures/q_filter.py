@@ -9,7 +9,7 @@ import numpy as np
 
 from .description import FREQUENCY, Axis, Band, Curve, Figure, Layer, Panel, Rule
 from .paper import drawn
-from .style import GREY, style_of
+from .style import GREY, numbers_of, style_of
 
 if TYPE_CHECKING:
     from ..theory.q_filter import Curves
@@ -36,8 +36,9 @@ def q_filter_figure(
     plants: list[Layer] = []
     parts: list[Layer] = []
     sizes: list[Layer] = []
+    looks = numbers_of(families)
     for i, (name, curves) in enumerate(families.items()):
-        f, style = curves.f, style_of(i)
+        f, style = curves.f, style_of(looks[i])
         if not any(_same_plant(curves, other) for other in list(families.values())[:i]):
             plants.append(Curve(f, np.abs(curves.P), name=name, **style))
         LP = np.where(np.abs(curves.Q) > SEEN, np.abs(curves.LP), np.nan)
@@ -45,7 +46,7 @@ def q_filter_figure(
         shade = f"#{3 * f'{127 * i // len(families):02x}'}"
         parts.append(Curve(f, np.abs(curves.Q), style["dash"], name=f"|Q|, {name}", colour=shade))
         top = int(np.argmax(curves.high))
-        said = f"{name}\nat most {curves.high[top]:.3g} at {f[top]:.3g} Hz"
+        said = f"{name}; shaded: its family\nat most {curves.high[top]:.3g} at {f[top]:.3g} Hz"
         colour: dict[str, Any] = {"name": said, "colour": style["colour"]}
         sizes += [
             Curve(f, curves.nominal, name=said, **style),
@@ -54,8 +55,10 @@ def q_filter_figure(
         ]
     first = next(iter(families.values()))
     without = "|1 − L P| without Q,\nlargest"
-    sizes += [Curve(first.f, first.without, dash=":", name=without, colour=GREY), Rule(1.0)]
-    sizes += [Rule(1 - margin, dash="--")] if margin else []
+    sizes += [Curve(first.f, first.without, dash=":", name=without, colour=GREY)]
+    sizes.append(Rule(1.0, name="1: learning may diverge"))
+    if margin:
+        sizes.append(Rule(1 - margin, dash="--", name=f"{1 - margin:g}: asked for"))
     found, of_P, tall = _ends([*families.values()])
     along = FREQUENCY._replace(ends=found)
     return Figure(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,14 +19,17 @@ if TYPE_CHECKING:
     from ..tuning.worst_machine import Search
 
 NEAR = (0.12, 0.06)  # shares of the axes within which two points have one label
+WIDE = 10.0  # ratio of the ends of an axis beyond which it is logarithmic
 ROOM = 0.12  # share of the spread of points beyond them
 
 
 @drawn
-def loss_by_step(tuned: Tuned) -> Figure:
+def loss_by_step(tuned: Tuned, *, name: str = "loss") -> Figure:
     """A tuning: the loss against the step for each start, on the machines of the tuning.
 
     The loss on the held-out machines is shown at the steps at which it was computed.
+
+    name: what the loss is, such as "mean of log-final"
     """
     look: dict[str, Any] = {"name": "held-out machines", "colour": COLOURS[1], "mark": "o"}
     layers: list[Layer] = [
@@ -36,8 +40,10 @@ def loss_by_step(tuned: Tuned) -> Figure:
         layers.append(Curve(at, losses[at], dash="--", width=0.5, size=3, **look))
     look = {"mark": "*", "size": 10, "name": "chosen", "colour": BLACK}
     layers.append(Curve([tuned.step], [tuned.after], dash="", **look))
-    title = "loss by step of the tuning"
-    return Figure([Panel(Axis("step"), Axis("loss"), layers, title)])
+    panel = Panel(Axis("step", whole=True), Axis(name), layers, "loss by step of the tuning")
+    held = limits_of(panel.heights())
+    wide = held is not None and np.min(tuned.loss) > 0 and held[1] > WIDE * held[0]
+    return Figure([replace(panel, y=Axis(name, log=wide, ends=held if wide else None))])
 
 
 @drawn

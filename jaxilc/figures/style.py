@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,19 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#0
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
 MARKS = ("s", "^", "D", "x", "P", "*", "p")  # circles are printed numbers
 BLACK, GREY, PALE = "#000000", "#737373", "#999999"
+# What has a look of its own, so that it is the same in each figure: laws before and after a tuning,
+# and the schemes of each paper.
+LOOKS = {
+    name: number
+    for names in (
+        "tuned given",
+        "pid cfdl-mfailc pfdl-mfailc ffdl-mfailc ilc-mfapc cfdl-mfapc",
+        "feedback feedforward p-type higher-order fixed-filter switchable stop ladder series",
+        "pid smc asmc ilc-asmc",
+        "dilc milc",
+    )
+    for number, name in enumerate(names.split())
+}
 BOUND = 11  # the mark of a printed upper bound, a caret below it
 
 
@@ -31,6 +45,20 @@ def colour_of(i: int) -> str:
 def style_of(i: int) -> dict[str, Any]:
     """Colour and dash of the i-th scheme; no two of the first 49 have the same."""
     return {"colour": colour_of(i), "dash": DASHES[(i + i // len(COLOURS)) % len(DASHES)]}
+
+
+def numbers_of(names: Iterable[str]) -> list[int]:
+    """The number of the look of each name, for `style_of`; a name without its own takes a free one.
+
+    So a scheme that is drawn alone, or beside fewer others, keeps its colour.
+    """
+    names, found = list(names), {}
+    for name in names:
+        own = LOOKS.get(name)
+        if own is not None and own not in found.values():
+            found[name] = own
+    free = (i for i in itertools.count() if i not in found.values())
+    return [found[name] if name in found else found.setdefault(name, next(free)) for name in names]
 
 
 def marks_of(i: int, points: int, marks: int = 8) -> dict[str, Any]:

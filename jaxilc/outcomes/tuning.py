@@ -119,11 +119,14 @@ def tune(
         figures={
             "loss": Figure(
                 "The loss at each step of the tuning, on the machines tuned on and on others.",
-                partial(figures.loss_by_step, tuned),
+                partial(
+                    figures.loss_by_step, tuned, name=f"{risk} of {objective} [ln of error / floor]"
+                ),
             ),
             "learning": Figure(
-                "The errors by trial over machines that no step has seen, for each law.",
-                partial(figures.error_band, dataset, **band),
+                "The errors by trial over machines that no step has seen, for each law, and their "
+                "ratio.",
+                partial(figures.given_and_tuned, dataset, **band),
             ),
         },
         files={"params.json": parameter_file("tune", chosen, request, tuned, **obtained)},

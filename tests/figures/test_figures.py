@@ -15,7 +15,7 @@ from matplotlib.colors import to_hex
 
 from jaxilc import figures
 from jaxilc.figures.saving import LIGHTER
-from jaxilc.figures.style import marks_of, style_of
+from jaxilc.figures.style import marks_of, numbers_of, style_of
 from jaxilc.figures.units import written
 from jaxilc.figures.within_trial import _around_the_largest
 from jaxilc.learning import Machine
@@ -77,6 +77,29 @@ def test_no_two_of_49_schemes_look_alike():
         (style_of(i)["dash"], marks_of(i, 80)["mark"], marks_of(i, 80)["marked"]) for i in range(9)
     ]
     assert len(set(in_grey)) == 9  # no scenario has more schemes
+
+
+def test_a_scheme_keeps_its_look_alone_and_beside_others():
+    paper = ["pid", "cfdl-mfailc", "pfdl-mfailc", "ffdl-mfailc"]
+    assert numbers_of(paper) == [0, 1, 2, 3]
+    assert numbers_of(paper[3:]) == [3]
+    assert numbers_of(["tuned", "given"]) == [0, 1]
+    assert numbers_of(["given", "mine", "other"]) == [1, 0, 2]
+    assert numbers_of(["pid", "feedback", "milc"]) == [0, 2, 1]  # two that have the same
+
+
+def test_a_tuning_is_judged_by_the_ratio_of_each_machine():
+    """The ratios are 2, 4, 1, and 0 where the tuned law diverges."""
+    given, tuned = np.array([4.0, 4.0, 4.0, 4.0]), np.array([2.0, 1.0, 4.0, np.inf])
+    dims = ("scheme", "sample", "trial")
+    dataset = xr.Dataset(
+        {"rms": (dims, np.stack([given, tuned])[:, :, None]),
+         "finite": (dims, np.isfinite(np.stack([given, tuned]))[:, :, None])},
+        coords={"scheme": ["given", "tuned"], "trial": [1]},
+    )  # fmt: skip
+    _, below = figures.given_and_tuned.described(dataset, metric="rms").panels
+    band, median, least, one = below.layers
+    assert (band.low[0], band.high[0], median.y[0], least.y[0], one.at) == (0, 4, 1, 0, 1)
 
 
 def test_many_machines_are_for_the_band():
