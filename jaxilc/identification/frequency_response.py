@@ -24,6 +24,7 @@ import numpy as np
 from ..pytree.closest import listed
 from ..pytree.ranges import require
 from ..storage.columns import numbers_in, read_columns
+from ..storage.reading import quoted
 from ..theory.on_lines import MeasuredResponse
 
 # The names of each kind of column, in lower case.
@@ -169,7 +170,7 @@ def _columns(path, header: list[str]) -> dict[str, _Column]:
             )
         if kind:
             found[kind] = _Column(at, heading, unit)
-    present = listed(header)
+    present = quoted(path, listed(header))
     if "frequency" not in found:
         raise ValueError(
             f"{path} has no frequency; write a heading `f [Hz]` or `w [rad/s]`. Present are "

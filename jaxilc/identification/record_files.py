@@ -19,6 +19,7 @@ import numpy as np
 
 from ..pytree.ranges import brief, require
 from ..storage.columns import missing, name_and_unit, numbers_in, read_columns
+from ..storage.reading import quoted
 from .mat_record import read_mat_signals
 from .records import Record
 from .resampling import Signal, resampled
@@ -223,8 +224,8 @@ def _numbers(path, names, at: list[int], rows, inputs: int) -> tuple[np.ndarray,
         for i in np.flatnonzero(~np.isfinite(found)):
             text = row[at[i]].strip() if at[i] < len(row) else ""
             wrong = wrong or (
-                f"read_record: {path}, line {line}: {names[i]} = {brief(text)} is not a finite "
-                "number"
+                f"read_record: {path}, line {line}: {names[i]} = {quoted(path, brief(text))} is "
+                "not a finite number"
             )
             if text or not 0 < i <= inputs:  # the last row may have no input
                 raise ValueError(wrong)

@@ -28,7 +28,7 @@ from ..signals.gcode import read_gcode
 from ..signals.segments import FARTHEST, SHORTEST, Straight
 from ..signals.tool_path import Dwell, Followed, Move, follow
 from ..storage.columns import missing, name_and_unit, numbers_in, read_columns
-from ..storage.reading import read_text
+from ..storage.reading import quoted, read_text
 from .values import Table, list_of_numbers, number, numbers, one_of, text, whole
 
 UNITS = "lengths in the `unit` of the task, times in s, feeds in that unit per s"
@@ -173,7 +173,7 @@ def _gcode(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
     try:
         steps = read_gcode(program, setting.axes, rapid=None if rapid is None else rapid / scale)
     except ValueError as error:
-        raise ValueError(f"{table.where}: {file}, {error}") from None
+        raise ValueError(f"{table.where}: {file}, {quoted(file, str(error))}") from None
     in_mm = {name: np.asarray(limit) / scale for name, limit in limits.items()}
     tolerance = None if corner is None else corner / scale
     reference, said = _followed(steps, tolerance, setting, in_mm, f"{table.where}: {file}", scale)
@@ -225,7 +225,8 @@ def _points_of(file: Path, axes: Sequence[str]) -> np.ndarray:
         point = np.array(numbers_in(row, at))
         if not np.all(np.abs(point) <= FARTHEST):
             raise ValueError(
-                f"{file}, line {line}: {brief(row)} has no number up to {FARTHEST:g} for each axis"
+                f"{file}, line {line}: {quoted(file, brief(row))} has no number up to "
+                f"{FARTHEST:g} for each axis"
             )
         if not found or np.max(np.abs(point - found[-1])) > SHORTEST:
             found.append(point)

@@ -128,20 +128,22 @@ class _Reader:
                 raise ValueError(
                     f"{letter} is no axis here; the machine has {', '.join(self.letters)}"
                 )
-        start, end = self.position, self.position.copy()
-        for i, letter in enumerate(self.letters):
-            if letter in words:
-                value = words[letter] * self.unit
-                end[i] = start[i] + value if self.relative else value
-        if not np.all(np.abs(end) <= FARTHEST):
+        # Plain numbers: a program has up to a million moves.
+        before = self.position.tolist()
+        there = [
+            (self.relative * x + words[letter] * self.unit) if letter in words else x
+            for letter, x in zip(self.letters, before, strict=True)
+        ]
+        if not max(map(abs, there)) <= FARTHEST:
             raise ValueError(f"{_said(words)} leads beyond {FARTHEST:g} mm")
         feed = self.rapid if name == "G0" else self.feed
         if feed is None:
             missing = "the key `rapid`, its feed" if name == "G0" else "a feed, F in a minute"
             raise ValueError(f"{name} needs {missing}")
+        start, end = self.position, np.array(there)
         if arc:
             segment: Arc | Straight = self._arc(name, words, start, end)
-        elif np.max(np.abs(end - start)) <= SHORTEST:
+        elif max(abs(a - b) for a, b in zip(before, there, strict=True)) <= SHORTEST:
             return
         else:
             segment = Straight(start, end)

@@ -21,12 +21,12 @@ class SCurveMove(NamedTuple):
     durations: of the seven segments [s], symmetric: t_j, t_a, t_j, t_v, t_j, t_a, t_j
     """
 
-    distance: float
-    jerk: float
-    durations: tuple[float, ...]
+    distance: Value
+    jerk: Value
+    durations: tuple[Value, ...]
 
     @property
-    def duration(self) -> float:
+    def duration(self) -> Value:
         """Time from rest to rest [s]."""
         return sum(self.durations)
 
@@ -76,16 +76,30 @@ def s_curve_move(
     """
     require("s_curve_move", "distance", distance, FINITE, " mm")
     _require_limits("s_curve_move", velocity, acceleration, jerk)
-    d = abs(float(distance))
-    if d == 0:
-        return SCurveMove(0.0, 0.0, (0.0,) * 7)
-    t_j = float(min(acceleration / jerk, np.sqrt(velocity / jerk), np.cbrt(d / (2 * jerk))))
-    a = jerk * t_j
-    t_a = max(float(min(velocity / a - t_j, (np.sqrt(t_j**2 + 4 * d / a) - 3 * t_j) / 2)), 0.0)
-    t_v = max(d / (a * (t_j + t_a)) - 2 * t_j - t_a, 0.0)
+    move = s_curve_moves(*(float(x) for x in (distance, velocity, acceleration, jerk)))
     return SCurveMove(
-        float(distance), float(np.copysign(jerk, distance)), (t_j, t_a, t_j, t_v, t_j, t_a, t_j)
+        move.distance, float(move.jerk), tuple(float(duration) for duration in move.durations)
     )
+
+
+def s_curve_moves(distance: Value, velocity: Value, acceleration: Value, jerk: Value) -> SCurveMove:
+    """Many moves at once, each as `s_curve_move` gives it; nothing is checked.
+
+    distance, velocity, acceleration, jerk: () or (M,), of which one shape follows
+    Returns a move whose fields have that shape.
+    """
+    d = np.abs(distance)
+    t_j = np.minimum(
+        np.minimum(acceleration / jerk, np.sqrt(velocity / jerk)), np.cbrt(d / (2 * jerk))
+    )
+    a = jerk * t_j
+    with np.errstate(divide="ignore", invalid="ignore"):  # a distance of 0
+        t_a = np.minimum(velocity / a - t_j, (np.sqrt(t_j**2 + 4 * d / a) - 3 * t_j) / 2)
+        t_a = np.where(d > 0, np.maximum(t_a, 0.0), 0.0)
+        t_v = d / (a * (t_j + t_a)) - 2 * t_j - t_a
+        t_v = np.where(d > 0, np.maximum(t_v, 0.0), 0.0)
+    signed = np.copysign(np.where(d > 0, jerk, 0.0), distance)
+    return SCurveMove(distance, signed, (t_j, t_a, t_j, t_v, t_j, t_a, t_j))
 
 
 def s_curve(

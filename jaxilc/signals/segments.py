@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -102,11 +102,24 @@ class Arc:
 Segment = Straight | Arc
 
 
-def turn(before: Segment, after: Segment) -> float:
-    """The angle by which the direction changes from one segment to the next [rad]."""
-    a, b = before.slopes[1], after.slopes[0]
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    return float(2 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b)))
+def lengths_and_slopes(segments: Sequence[Segment]) -> tuple[np.ndarray, np.ndarray]:
+    """(M,) lengths of segments, and (M, 2, d) their slopes at both ends; straight ones at once."""
+    ends = np.array([(segment.start, segment.end) for segment in segments])
+    chords = ends[:, 1] - ends[:, 0]
+    lengths = np.linalg.norm(chords, axis=1)
+    curved = [i for i, segment in enumerate(segments) if isinstance(segment, Arc)]
+    lengths[curved] = [segments[i].length for i in curved]
+    slopes = np.repeat((chords / lengths[:, None])[:, None], 2, axis=1)
+    for i in curved:
+        slopes[i] = segments[i].slopes
+    return lengths, slopes
+
+
+def turns(slopes: np.ndarray) -> np.ndarray:
+    """(M-1,) the angles [rad] between segments, of (M, 2, d) slopes, where each one ends."""
+    unit = slopes / np.linalg.norm(slopes, axis=-1, keepdims=True)
+    a, b = unit[:-1, 1], unit[1:, 0]
+    return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
 
 
 class Chain:
@@ -127,15 +140,16 @@ class Chain:
 
     def __init__(self, segments: list[Segment], tolerance: float) -> None:
         self.segments = segments
-        self.ends = np.cumsum([segment.length for segment in segments])
+        lengths, slopes = lengths_and_slopes(segments)
+        self.ends, self._slopes = np.cumsum(lengths), slopes[:, 0]
         self.length = float(self.ends[-1])
-        jumps = [
-            after.slopes[0] - before.slopes[1] for before, after in itertools.pairwise(segments)
-        ]
+        self._starts = np.array([segment.start for segment in segments])
+        self._curved = np.array([isinstance(segment, Arc) for segment in segments])
+        jumps = slopes[1:, 0] - slopes[:-1, 1]
         s = self.ends[:-1]
         self.corners = np.concatenate([-s[::-1], s, 2 * self.length - s[::-1]])
         d = len(segments[0].start)
-        inner = np.array(jumps).reshape(-1, d)
+        inner = jumps.reshape(-1, d)
         self.jumps = np.concatenate([-inner[::-1], inner, -inner[::-1]])
         self.reach = self._reach(tolerance) if len(inner) else self.length
 
@@ -177,10 +191,13 @@ class Chain:
         """(M, d) positions on the segments themselves at the lengths s, (M,)."""
         s = np.asarray(s, float)
         of = np.minimum(np.searchsorted(self.ends, s, side="right"), len(self.segments) - 1)
-        position = np.empty((len(s), len(self.segments[0].start)))
-        for i in np.unique(of):
-            at, start = of == i, self.ends[i - 1] if i else 0.0
-            position[at] = self.segments[i].at(s[at] - start)
+        along = s - np.append(0.0, self.ends)[of]
+        position = self._starts[of] + along[:, None] * self._slopes[of]
+        curved = np.flatnonzero(self._curved[of])
+        curved = curved[np.argsort(of[curved], kind="stable")]
+        for at in np.split(curved, np.flatnonzero(np.diff(of[curved])) + 1):
+            if len(at):
+                position[at] = self.segments[of[at[0]]].at(along[at])
         return position
 
     def __call__(self, s: Numbers) -> np.ndarray:

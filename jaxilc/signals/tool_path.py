@@ -7,7 +7,6 @@ by `paths.plan`, or in closed form (`s_curves`) where it is one straight segment
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -16,13 +15,15 @@ import numpy as np
 from ..pytree.aliases import Value
 from ..pytree.ranges import require
 from .paths import LONGEST, plan
-from .s_curves import s_curve, s_curve_move
+from .s_curves import SCurveMove, s_curve_moves
 from .sample_times import POSITIVE
-from .segments import Chain, Segment, Straight, turn
+from .segments import Chain, Segment, Straight, lengths_and_slopes, turns
 
 SMOOTH = np.radians(1.0)  # a joint that turns by less is no corner, and is never a stop
 REVERSAL = np.radians(150.0)  # a corner that turns by more is always a stop
 JOINT = 1e-3  # the tolerance within which a joint that is no corner is smoothed [mm]
+# Each part without a stop takes about 0.2 s to plan, and 1 ms for each of its moves.
+MOST_PIECES, MOST_MOVES = 300, 50_000
 _POINTS = 12.0  # points of the table of a curve within half the width of a rounding
 
 
@@ -93,23 +94,42 @@ def follow(
     if corner is not None:
         require("", "corner", corner, POSITIVE, ' mm, or "stop"')
     for move in moves:
-        require("", f"{move.what}: feed" if move.what else "feed", move.feed, POSITIVE, " mm/s")
+        if not 0 < move.feed < np.inf:
+            where = f"{move.what}: feed" if move.what else "feed"
+            require("", where, move.feed, POSITIVE, " mm/s")
     limits: dict[str, Value] = {"acceleration": acceleration, "jerk": jerk, "dt": dt}
-    parts, stops, rounded, samples = [moves[0].segment.start[None]], -1, 0, 0
-    for piece in _pieces(steps, corner):
+    lengths, slopes = lengths_and_slopes([move.segment for move in moves])
+    angles = turns(slopes)
+    pieces = list(_pieces(steps, angles, corner))
+    alone = [
+        piece.start for piece in pieces if isinstance(piece, range) and _is_alone(piece, moves)
+    ]
+    runs = _straights([moves[i] for i in alone], lengths[alone], slopes[alone, 0], limits)
+    rests = [int(np.ceil(of.seconds / dt - 1e-9)) for of in pieces if isinstance(of, Dwell)]
+    _require_room(sum(map(len, runs)) + sum(rests), dt)
+    many = [piece for piece in pieces if isinstance(piece, range) and not _is_alone(piece, moves)]
+    if len(many) > MOST_PIECES or any(len(piece) > MOST_MOVES for piece in many):
+        raise ValueError(
+            f"the path has {len(many)} parts of rounded corners or arcs without a stop, of up to "
+            f"{max(map(len, many))} moves; allowed are {MOST_PIECES} parts of {MOST_MOVES} moves: "
+            'divide the program, or stop at its corners (corner = "stop")'
+        )
+    parts, samples = [moves[0].segment.start[None]], 0
+    straights, rest = iter(runs), iter(rests)
+    for piece in pieces:
         if isinstance(piece, Dwell):
-            hold = int(np.ceil(piece.seconds / dt - 1e-9))
-            _require_room(samples + hold, dt)
-            parts.append(np.repeat(parts[-1][-1:], hold, axis=0))
+            parts.append(np.repeat(parts[-1][-1:], next(rest), axis=0))
+        elif _is_alone(piece, moves):
+            parts.append(next(straights))
         else:
-            stops += 1
-            segments = [move.segment for move in piece]
-            rounded += sum(int(turn(a, b) >= SMOOTH) for a, b in itertools.pairwise(segments))
-            parts.append(_planned(piece, JOINT if corner is None else corner, limits)[1:])
+            of = moves[piece.start : piece.stop]
+            parts.append(_planned(of, JOINT if corner is None else corner, limits)[1:])
         samples += len(parts[-1])
         _require_room(samples, dt)
-    length = sum(move.segment.length for move in moves)
-    return Followed(np.concatenate(parts), stops, rounded, float(length))
+    passed = [i for piece in many for i in piece[:-1]]
+    rounded = int(np.sum(angles[passed] >= SMOOTH))
+    stops = sum(isinstance(piece, range) for piece in pieces) - 1
+    return Followed(np.concatenate(parts), stops, rounded, float(np.sum(lengths)))
 
 
 def _require_room(samples: int, dt: float) -> None:
@@ -120,32 +140,42 @@ def _require_room(samples: int, dt: float) -> None:
         )
 
 
-def _pieces(steps: Sequence[Move | Dwell], corner: float | None) -> Iterator[Dwell | list[Move]]:
-    """Lists of moves that are passed without a stop, and the dwells between them."""
-    piece: list[Move] = []
+def _pieces(
+    steps: Sequence[Move | Dwell], angles: np.ndarray, corner: float | None
+) -> Iterator[Dwell | range]:
+    """Ranges of moves that are passed without a stop, and the dwells between them.
+
+    angles: by which the path turns after each move but the last [rad]
+    """
+    first = at = 0  # of the piece, and the move
+    largest, before = SMOOTH if corner is None else REVERSAL, None
     for step in steps:
-        if piece and not (isinstance(step, Move) and _goes_on(piece[-1], step, corner)):
-            yield piece
-            piece = []
+        if first < at and not (
+            isinstance(step, Move)
+            and isinstance(before, Move)
+            and before.feed == step.feed
+            and angles[at - 1] <= largest
+        ):
+            yield range(first, at)
+            first = at
         if isinstance(step, Dwell):
             yield step
         else:
-            piece.append(step)
-    if piece:
-        yield piece
+            at += 1
+        before = step
+    if first < at:
+        yield range(first, at)
 
 
-def _goes_on(before: Move, after: Move, corner: float | None) -> bool:
-    angle = turn(before.segment, after.segment)
-    return before.feed == after.feed and angle <= (SMOOTH if corner is None else REVERSAL)
+def _is_alone(piece: range, moves: Sequence[Move]) -> bool:
+    """Whether a piece is one straight move, whose plan has a closed form."""
+    return len(piece) == 1 and isinstance(moves[piece.start].segment, Straight)
 
 
 def _planned(piece: list[Move], tolerance: float, limits: Mapping[str, Value]) -> np.ndarray:
     """(N+1, d) the reference along moves without a stop between them."""
     segments, feed = [move.segment for move in piece], piece[0].feed
     try:
-        if len(segments) == 1 and isinstance(segments[0], Straight):
-            return _straight(segments[0], feed, **limits)
         chain = Chain(segments, tolerance)
         points = int(max(20001, np.ceil(_POINTS * chain.length / chain.finest)))
         if points > LONGEST:
@@ -159,33 +189,47 @@ def _planned(piece: list[Move], tolerance: float, limits: Mapping[str, Value]) -
         raise ValueError(f"{piece[0].what}: {said}" if piece[0].what else said) from None
 
 
-def _straight(
-    segment: Straight, feed: float, *, acceleration: Value, jerk: Value, dt: float
-) -> np.ndarray:
-    """(N+1, d) the time-optimal reference along one straight segment."""
-    d = len(segment.start)
-    for name, value in (("acceleration", acceleration), ("jerk", jerk)):
-        if np.shape(value) not in ((), (d,)):
-            raise ValueError(f"{name} has shape {np.shape(value)}; allowed are () and ({d},)")
-        require("", name, value, POSITIVE, many=True)
-    acceleration, jerk = np.asarray(acceleration, float), np.asarray(jerk, float)
-    share = np.abs(segment.slopes[0])
-    moving = share > 0
+def _straights(
+    moves: Sequence[Move], lengths: np.ndarray, slopes: np.ndarray, limits: Mapping[str, Value]
+) -> list[np.ndarray]:
+    """For each straight move, its time-optimal reference after its start, from rest to rest.
 
-    def along(limit: Value) -> float:
-        """The limit of the length covered: of the vector, or of the axis that allows the least."""
-        return float(np.min(limit[moving] / share[moving]) if np.ndim(limit) else limit)
-
-    length = segment.length
-    of_length = {"acceleration": along(acceleration), "jerk": along(jerk)}
-    needed = s_curve_move(length, velocity=feed, **of_length).duration
-    if not needed / dt <= LONGEST:
+    lengths: (M,) [mm];  slopes: (M, d)
+    """
+    if not moves:
+        return []
+    d, dt, of_length = slopes.shape[1], limits["dt"], {}
+    share = np.abs(slopes)
+    for name in ("acceleration", "jerk"):
+        limit = np.asarray(limits[name], float)
+        if limit.shape not in ((), (d,)):
+            raise ValueError(f"{name} has shape {limit.shape}; allowed are () and ({d},)")
+        require("", name, limit, POSITIVE, many=True)
+        # Of the vector, or of the axis that allows the least.
+        along = np.divide(limit, share, out=np.full(share.shape, np.inf), where=share > 0)
+        of_length[name] = np.min(along, axis=1) if limit.ndim else np.full(len(moves), float(limit))
+    feeds = np.array([move.feed for move in moves])
+    run = s_curve_moves(lengths, feeds, of_length["acceleration"], of_length["jerk"])
+    long = np.flatnonzero(~(run.duration / dt <= LONGEST))
+    if len(long):
+        i = long[0]
         raise ValueError(
-            f"feed = {feed:g} mm/s, acceleration = {of_length['acceleration']:g} mm/s^2, jerk = "
-            f"{of_length['jerk']:g} mm/s^3 need {needed:.3g} s for {length:g} mm; allowed are up "
-            f"to {LONGEST} samples of dt = {dt:g} s"
+            f"{moves[i].what}: ".removeprefix(": ")
+            + f"feed = {feeds[i]:g} mm/s, acceleration = {of_length['acceleration'][i]:g} mm/s^2, "
+            f"jerk = {of_length['jerk'][i]:g} mm/s^3 need {run.duration[i]:.3g} s for "
+            f"{lengths[i]:g} mm; allowed are up to {LONGEST} samples of dt = {dt:g} s"
         )
-    s = s_curve([0.0, length], velocity=feed, **of_length, dt=dt)
-    reference = segment.at(s)
-    reference[-1] = segment.end
-    return reference
+    counts = np.maximum(np.ceil(run.duration / dt - 1e-9), 1).astype(int)
+    _require_room(int(np.sum(counts)), dt)
+    ends = np.cumsum(counts)
+    k = np.arange(ends[-1]) - np.repeat(ends - counts, counts) + 1
+    each = SCurveMove(
+        np.repeat(run.distance, counts), np.repeat(run.jerk, counts),
+        tuple(np.repeat(duration, counts) for duration in run.durations),
+    )  # fmt: skip
+    starts = np.array([move.segment.start for move in moves])
+    s = each.at(k * dt)[0]
+    s[ends - 1] = lengths
+    reference = np.repeat(starts, counts, axis=0) + s[:, None] * np.repeat(slopes, counts, axis=0)
+    reference[ends - 1] = [move.segment.end for move in moves]
+    return np.split(reference, ends[:-1])

@@ -22,9 +22,10 @@ from pathlib import Path
 
 from ..pytree.closest import listed
 from ..pytree.ranges import brief
-from .reading import LARGEST_TABLE, read_text
+from .reading import LARGEST_TABLE, quoted, read_text
 
 Rows = Iterator[tuple[int, list[str]]]
+LONGEST_LINE = 1_000_000  # characters
 SEPARATORS = ";\t,"
 COMMENTS = "#%"
 _UNITS = (
@@ -53,8 +54,8 @@ def read_columns(path: str | Path, names: Sequence[str] = ()) -> tuple[list[str]
     header, first = _header(path, lines, names)
     if header and names and [*names] != header:
         raise ValueError(
-            f"{path} has a header, {', '.join(header)}; allowed are names of columns (--columns) "
-            "for a file without one only"
+            f"{path} has a header, {quoted(path, listed(header))}; allowed are names of columns "
+            "(--columns) for a file without one only"
         )
     header = header or [*names]
     if not header:
@@ -83,7 +84,7 @@ def missing(path: str | Path, name: str, present: Iterable[str], option: str = "
     option: what gives the name of another one, if anything does
     """
     other = f"; {option} names another" if option else ""
-    return f"{path} has no column {brief(name)}; present are {listed(present)}{other}"
+    return f"{path} has no column {brief(name)}; present are {quoted(path, listed(present))}{other}"
 
 
 def numbers_in(row: list[str], at: Sequence[int]) -> list[float]:
@@ -113,6 +114,11 @@ class _Lines:
         """The lines that are no comments; blank ones are passed on."""
         for line in self.lines:
             self.number += 1
+            if len(line) > LONGEST_LINE:
+                raise ValueError(
+                    f"{self.path}, line {self.number} has {len(line):,} characters; allowed are "
+                    f"{LONGEST_LINE:,}"
+                )
             bare = line.lstrip()
             if bare[:1] in (*COMMENTS, *(() if self.begun else ";")) and bare[:1]:
                 self.comment = bare.lstrip(COMMENTS + "; ").strip()

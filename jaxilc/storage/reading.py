@@ -2,7 +2,8 @@
 
 Only regular files of a limited size are read: as bytes, as text, or as a tree (TOML, JSON);
 `columns` reads tables. An error in the content raises ValueError, which names the file. A file that
-does not exist, or may not be read, raises OSError.
+does not exist, or may not be read, raises OSError. Messages quote only files whose names, links
+followed, end as files of data do: a plant file may name any other, with secrets in it.
 """
 
 from __future__ import annotations
@@ -20,8 +21,13 @@ BLOCK = 2**24  # bytes
 LARGEST_TREE = 16_000_000  # bytes of a TOML or JSON file
 LARGEST_TABLE = 256_000_000  # bytes of a file of columns
 DEEPEST = 32  # largest number of levels of nested tables and lists
+QUOTED = (
+    *(".toml", ".json", ".csv", ".tsv", ".txt", ".dat", ".data", ".asc", ".prn", ".tab", ".log"),
+    *(".trc", ".lvm", ".mat", ".npz", ".nc", ".ngc", ".cnc", ".gcode", ".tap", ".mpf"),
+)
 _PLACE = re.compile(r"\(?(?:at )?line (\d+),? column (\d+)")  # in messages of the parsers
 _COMMA = re.compile(r"(?<=[=:\s])[+-]?\d+,\d+(?:[eE][+-]?\d+)?(?=\s*(?:[,}#]|$))")
+_KEYS = re.compile(r"[=,{}\[\]#\n]")  # what stands between keys, and between numbers
 PARSERS = {".toml": tomllib.loads, ".json": json.loads}
 
 
@@ -63,6 +69,13 @@ def read_text(path: str | Path, largest: int) -> str:
         ) from None
 
 
+def quoted(path: str | Path, text: str) -> str:
+    """A text of a file for a message; where the file may not be quoted, that it may not."""
+    if Path(os.path.realpath(path)).suffix.lower() in QUOTED:
+        return text
+    return "(not shown, since the file's name has no ending such as .csv or .txt)"
+
+
 def read_tree(path: str | Path, kind: str | None = None) -> Any:
     """The content of a TOML or JSON file as dictionaries, lists and values.
 
@@ -82,12 +95,16 @@ def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
     source: origin of the text, for messages
     Raises ValueError for a text that the parser refuses, or that is nested too deeply.
     """
+    # A parser of TOML takes the square of the length of a dotted key, in time and in RAM.
+    if parser is tomllib.loads and any(key.count(".") > DEEPEST for key in _KEYS.split(text)):
+        _too_deep(source)
     try:
         tree = parser(text)
     except RecursionError:
         tree = _too_deep(source)
     except ValueError as error:
-        raise ValueError(f"{source}{_place(text, error)}") from None
+        said = _place(text, error, lambda there: quoted(str(source), there))
+        raise ValueError(f"{source}{said}") from None
     level = [tree]
     for _ in range(DEEPEST):
         level = [
@@ -101,7 +118,7 @@ def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
     return _too_deep(source)
 
 
-def _place(text: str, error: ValueError) -> str:
+def _place(text: str, error: ValueError, quote: Callable[[str], str]) -> str:
     """Where a text is not as its parser needs it, what stands there, and what is allowed."""
     from ..pytree.ranges import brief  # NumPy, which the completion of a shell does not wait for
 
@@ -113,7 +130,8 @@ def _place(text: str, error: ValueError) -> str:
     wanted = str(error)[: found.start()].rstrip(" :")
     if comma := _COMMA.search(there):
         wanted = f"a number has a decimal point, {comma[0].replace(',', '.')}"
-    return f": line {line}, column {column}: found {brief(there)}; {wanted[:1].lower()}{wanted[1:]}"
+    wanted = f"{wanted[:1].lower()}{wanted[1:]}"
+    return f": line {line}, column {column}: found {quote(brief(there))}; {wanted}"
 
 
 def _too_deep(source) -> Any:

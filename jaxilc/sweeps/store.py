@@ -13,7 +13,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import logging
-from collections.abc import Mapping
+import math
+import os
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
@@ -35,6 +37,7 @@ log = logging.getLogger("jaxilc")
 DONE = "chunk_done"
 METADATA = "zarr.json"
 VOUCHING = (METADATA, f"{DONE}/{METADATA}")  # files with the checksums of the others
+LONGEST_TEXT = 10_000  # bytes of a name, such as that of a scheme
 UNFILLED = {"f": np.nan, "i": -1, "u": 0, "b": False, "U": ""}  # values where nothing was computed
 
 
@@ -172,6 +175,9 @@ class Store:
             need_same(path, found, layout.recipe)
             layout = dataclasses.replace(layout, configuration=found)  # marks depend on it
             remove_leftovers(path)
+            for file, why in _harmful(path):
+                log.warning("%s; it is removed, and computed again", why)
+                file.unlink()
             for name, content in layout.files().items():
                 file, wanted = path / name, content.to_bytes()
                 if not file.is_file() or file.read_bytes() != wanted:
@@ -256,6 +262,8 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     if not path.is_dir():
         raise FileNotFoundError(f"{path} is not a dataset of results")
     try:
+        for _, why in _harmful(path):
+            raise Damaged(why)
         known = unsealed(read_json(path / METADATA)["attributes"])
         for name, checksum in known["checksums"].items():
             if sum_of((path / name).read_bytes()) != checksum:
@@ -265,6 +273,42 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     except Exception as error:  # any error of a codec on damaged bytes
         raise Damaged(_damaged(path, error)) from None
     return _labelled(dataset, known["configuration"])
+
+
+def _harmful(path: Path) -> Iterator[tuple[Path, str]]:
+    """The pipes and devices in a store, and the chunks that would unpack to too much, with why."""
+    for folder, _, names in os.walk(path):
+        for file in (Path(folder, name) for name in names):
+            if file.exists() and not file.is_file():
+                yield file, f"{file} is no file"
+    for file in path.glob(f"*/{METADATA}"):
+        try:
+            largest = _largest_chunk(read_json(file))
+        except (OSError, ValueError, TypeError, KeyError):
+            continue  # a damaged description is told, or mended, later
+        for chunk in filter(Path.is_file, file.parent.glob("c/**/*")):
+            with open(chunk, "rb") as opened:
+                size = _unpacked_size(opened.read(18))
+            if size > largest:
+                yield chunk, f"{chunk} would unpack to {size:,} bytes; a chunk has {largest:,}"
+
+
+def _largest_chunk(array: Mapping[str, Any]) -> int:
+    """The number of bytes of a chunk of an array, from its description."""
+    shape = array["chunk_grid"]["configuration"]["chunk_shape"]
+    kind = array["data_type"]
+    return math.prod(shape) * (LONGEST_TEXT if kind == "string" else np.dtype(kind).itemsize)
+
+
+def _unpacked_size(head: bytes) -> float:
+    """The size that a frame of Zstandard declares (RFC 8878, 3.1.1.1); infinite without one."""
+    if head[:4] != b"\x28\xb5\x2f\xfd" or len(head) < 6:
+        return 0  # its codec refuses it
+    single, flag = head[4] >> 5 & 1, head[4] >> 6
+    length = (single, 2, 4, 8)[flag]
+    at = 6 - single + (0, 1, 2, 4)[head[4] & 3]
+    size = int.from_bytes(head[at : at + length], "little") + 256 * (flag == 1)
+    return size if length else math.inf
 
 
 def stored_configuration(path: Path) -> dict[str, Any]:

@@ -7,12 +7,14 @@ averages of polygons by quadrature.
 from __future__ import annotations
 
 import itertools
+import time
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from jaxilc.signals.gcode import read_gcode
+from jaxilc.signals.references import s_curve
 from jaxilc.signals.segments import Chain, Straight
 from jaxilc.signals.tool_path import Dwell, Move, follow
 
@@ -171,3 +173,42 @@ REFUSED = {
 def test_what_is_no_program_is_refused_with_its_line(said):
     with pytest.raises(ValueError, match=said):
         read_gcode(REFUSED[said], ("x", "y"))
+
+
+def test_many_straight_moves_are_those_planned_one_by_one():
+    """They are planned at once: 20,000 moves took a minute, one by one."""
+    rng = np.random.default_rng(7)
+    places = np.cumsum(rng.uniform(-3, 3, (20_001, 2)), axis=0)
+    limits = LIMITS | {"dt": 5e-3}
+    lines = [f"G1 X{x:.6f} Y{y:.6f} F{f:.3f}" for (x, y), f in zip(
+        places, rng.uniform(600, 6000, len(places)), strict=True)]  # fmt: skip
+    begun = time.process_time()
+    steps = read_gcode("\n".join(lines), ("x", "y"))
+    made = follow(steps, corner=None, **limits)
+    assert time.process_time() - begun < 20  # 1 s on a quiet processor
+    assert made.stops == len(steps) - 1
+    at = 0
+    for move in steps[:200]:
+        chord = move.segment.end - move.segment.start
+        along = s_curve(
+            [0.0, np.linalg.norm(chord)], velocity=move.feed, acceleration=500.0, jerk=2e4, dt=5e-3
+        )
+        expected = move.segment.start + np.outer(along / along[-1], chord)
+        assert_allclose(made.reference[at : at + len(along)], expected, atol=1e-9)
+        at += len(along) - 1
+
+
+def test_a_path_that_would_take_too_long_is_refused_before_it_is_planned(monkeypatch):
+    def never(*args, **options):
+        raise AssertionError("planned")
+
+    monkeypatch.setattr("jaxilc.signals.tool_path.plan", never)
+    zigzag = "\n".join(f"G1 X{k % 2} Y{k} F{600 + k % 2}" for k in range(1200))
+    rounded = zigzag.replace("F601", "F600")  # passed without a stop
+    with pytest.raises(ValueError, match="samples of dt = 1e-06 s; allowed are up to 1000000"):
+        follow(read_gcode(zigzag, "xy"), corner=None, **LIMITS | {"dt": 1e-6})
+    pairs = "\n".join(f"G1 X{k % 2} Y{k} F{600 + k // 2 % 2}" for k in range(1200))
+    with pytest.raises(ValueError, match=r"has 599 parts of .* allowed are 300 parts of 50000"):
+        follow(read_gcode(pairs, "xy"), corner=0.01, **LIMITS)
+    with pytest.raises(AssertionError, match="planned"):
+        follow(read_gcode(rounded, "xy"), corner=0.01, **LIMITS)

@@ -68,6 +68,47 @@ def test_deep_nesting_is_refused(tmp_path, name, depth):
         READERS[name](path)
 
 
+def test_a_key_of_very_many_parts_is_refused(tmp_path):
+    """Its parser would take the square of their number, in time and in RAM."""
+    path = tmp_path / "plant.toml"
+    for text in (f"{'a.' * 100_000}a = 1", f"x = {{ {'a . ' * 40}a = 1 }}", f"[{'a.' * 33}a]"):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=f"nested too deeply; allowed are {DEEPEST} levels"):
+            read_scenario(path)
+    numbers = [k / 8 for k in range(100)]
+    path.write_text(f"x = {numbers}\n" + "\n".join(f"a{k}.b.c = 1" for k in range(1000)))
+    assert read_tree(path)["x"] == numbers
+
+
+def test_a_line_of_very_many_columns_is_refused(tmp_path):
+    path = tmp_path / "record.csv"
+    for text in ("c," * 10**6, "t,u,y\n" + "1," * 10**6):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=r"line [12] has 2,000,000 characters; allowed are 1,"):
+            read_record(path)
+
+
+def test_what_is_no_file_of_data_is_not_quoted(tmp_path):
+    """A plant file may name any file as its record or program, and a link may lead to any."""
+    secret = tmp_path / "passwd"
+    secret.write_text("toor:x:0:0\nadmin,secret\n")
+    for name in ("plant.toml", "plant.json", "record.csv"):
+        (tmp_path / name).symlink_to(secret)
+    (tmp_path / "path.toml").write_text(
+        "trials = 2\n[plant]\nkind = 'transfer_function'\nnum = [1]\nden = [0.1, 1]\n[task]\n"
+        "dt = 0.01\nunit = 'mm'\n[task.reference]\npath = 'gcode'\nfile = 'passwd'\n"
+        "acceleration = 9\njerk = 99\n"
+    )
+    reads = {name: READERS[name] for name in ("plant.toml", "plant.json", "record.csv")}
+    for name, read in (reads | {"passwd": read_record, "path.toml": read_scenario}).items():
+        with pytest.raises(ValueError, match="not shown") as caught:
+            read(tmp_path / name)
+        assert "toor" not in str(caught.value).lower()
+    (tmp_path / "named.csv").write_text(secret.read_text())
+    with pytest.raises(ValueError, match="present are toor:x:0:0"):
+        read_record(tmp_path / "named.csv")
+
+
 def test_what_is_nested_as_a_file_may_be_is_read(tmp_path):
     path = tmp_path / "nested.json"
     path.write_text("[" * DEEPEST + "]" * DEEPEST)

@@ -9,6 +9,7 @@ import logging
 import os
 import shutil
 
+import numcodecs.zstd
 import numpy as np
 import pytest
 import xarray as xr
@@ -42,6 +43,31 @@ def test_a_flipped_bit_in_a_store_is_refused_or_computed_again(tmp_path):
         xr.testing.assert_identical(open_dataset(store), whole)
 
     fuzz(28, attempt, ())
+
+
+def bomb(size):
+    """A frame of Zstandard that declares its size in 8 bytes, and its crc32c."""
+    packed = numcodecs.zstd.compress(bytes(10), 0)
+    assert packed[:5] == b"\x28\xb5\x2f\xfd\x20"  # one segment, its size in one byte
+    return packed[:4] + b"\xe0" + size.to_bytes(8, "little") + packed[6:]
+
+
+@pytest.mark.parametrize("place", ["rms/c/0/0", "rms/c/0/1", "sample/c/0", "scheme/c/0"])
+@pytest.mark.parametrize("kind", ["pipe", "bomb"])
+def test_a_pipe_or_a_bomb_in_a_store_takes_neither_time_nor_memory(tmp_path, place, kind):
+    """It is refused when the store is read, and computed again when it is resumed."""
+    whole, _ = filled(tmp_path / "store.zarr")
+    file = tmp_path / "store.zarr" / place
+    file.unlink()
+    if kind == "pipe":
+        os.mkfifo(file)
+    else:
+        file.write_bytes(bomb(2**40))
+    said = refusal(lambda: open_dataset(tmp_path / "store.zarr"))
+    assert ("is no file" if kind == "pipe" else "would unpack to 1,099,511,627,776 bytes") in said
+    assert said.endswith("resuming the sweep mends it")
+    xr.testing.assert_identical(filled(tmp_path / "store.zarr")[0], whole)
+    xr.testing.assert_identical(open_dataset(tmp_path / "store.zarr"), whole)
 
 
 def test_a_chunk_in_the_place_of_another_is_computed_again(tmp_path):
