@@ -138,7 +138,7 @@ def seen(rule: str, errors: np.ndarray, grown: np.ndarray) -> bool:
 
 def windows() -> tuple[xr.Dataset, list[dict[str, float]]]:
     """A sweep of FFDL-MFAILC over its windows, and a row for each with its errors [µm]."""
-    chosen = jaxilc.scenarios.load("cao-2019", reading="amplitude")
+    chosen = jaxilc.scenarios.load("cao-2019", reading="amplitude", plant="exact")
     name, law = "ffdl-mfailc", chosen.schemes["ffdl-mfailc"]
     of_y, of_u = np.split(np.asarray(law.phi0), [law.L_y])
     starts = [(*of_y, 0.0, 0.0)[:L_y] + (*of_u, 0.0, 0.0)[:L_u] for L_y, L_u in WINDOWS]

@@ -35,7 +35,7 @@ PREMISES = ("linear", "alone", "signs", "damped", "printed", "claimed")
 
 def swept(points: int, machines: int, watch: BoundsWatch) -> xr.Dataset:
     """The dataset over lam and gain."""
-    paper = jaxilc.scenarios.load("cao-2019", reading="amplitude")
+    paper = jaxilc.scenarios.load("cao-2019", reading="amplitude", plant="exact")
     scheme, gain = paper.schemes[NAME], float(paper.machine.plant.gain)
     sweep = jaxilc.Sweep(
         paper.machine,

@@ -7,6 +7,7 @@ the double pole as a pair.
 """
 
 import jax
+import numpy as np
 import output
 
 import jaxilc
@@ -30,13 +31,14 @@ TRUE = {
     "frequencies[0]": 474.0,
     "dampings[0]": 1.0,
 }
-figures.save(
-    figures.record_figure(record, input_unit="V", output_unit="mm"), folder / "figures-2-3.png"
-)
-figures.save(
-    figures.validation_figure(record, found, output_unit="mm", scale=1e3, unit="µm"),
-    folder / "figure-4.png",
-)
+drawn = {
+    "figures-2-3": figures.record_figure(record, input_unit="V", output_unit="mm"),
+    "figure-4": figures.validation_figure(record, found, output_unit="mm", scale=1e3, unit="µm"),
+}
+for name, axes in drawn.items():
+    figure = np.ravel(axes)[0].figure
+    figure.suptitle("the record is simulated: eq. 7, noise and steps of 0.1 µm", fontsize="medium")
+    figures.save(axes, folder / f"{name}.png")
 repeats = [
     identify(excite(machine, u, 1e-3, key=jax.random.key(i)), found.plant) for i in range(20)
 ]

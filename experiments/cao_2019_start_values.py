@@ -19,9 +19,7 @@ from jaxilc.scenarios.cao_2019 import READINGS
 
 jaxilc.setup()
 folder = output.folder(__file__)
-LOADED = {
-    name: jaxilc.scenarios.load("cao-2019", plant="printed", reading=name) for name in READINGS
-}
+LOADED = {name: jaxilc.scenarios.load("cao-2019", reading=name) for name in READINGS}
 RANGES = {
     "cfdl-mfailc": {"phi": (-1.0, -0.01)},
     "ffdl-mfailc": {

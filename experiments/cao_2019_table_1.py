@@ -13,7 +13,7 @@ from jaxilc.scenarios.cao_2019 import READINGS
 
 jaxilc.setup()
 folder = output.folder(__file__)
-s = jaxilc.scenarios.load("cao-2019", plant="printed")
+s = jaxilc.scenarios.load("cao-2019")
 dataset, _ = jaxilc.run_schemes(s.machine, s.schemes, s.task, 100, quantities=s.functions)
 shown = {"scale": s.shown_scale, "unit": s.shown_unit}
 ax = output.axes()

@@ -43,7 +43,7 @@ for reading, departures in CHOICES.items():
 TRIALS, MACHINES = 200, 8
 folder, rows, ax = output.folder(__file__), [], output.axes()
 for reading, colour in (("amplitude", "#0072b2"), ("stroke", "#d55e00")):
-    s = jaxilc.scenarios.load("cao-2019", plant="printed", reading=reading)
+    s = jaxilc.scenarios.load("cao-2019", reading=reading)
     scheme = s.schemes["cfdl-mfailc"]
     long = jaxilc.learn(s.machine, scheme, s.task, 2 * TRIALS)
     for metric, line in (("settled_error", "-"), ("rms", "--")):

@@ -30,9 +30,8 @@ jaxilc.setup()
 PRINTED = {0.5: 0.0165, 2.5: 0.047}
 HORIZON = {0.5: (10, 45.0), 2.5: (250, 8700.0)}  # P, lam
 PLANTS = {
-    "eq. 24": voice_coil("dai_2014_printed"),
-    "eq. 29": voice_coil("printed"),
-    "exact": voice_coil("exact").sampled(1e-3),
+    name: voice_coil(form).sampled(1e-3)
+    for name, form in (("eq. 24", "dai_2014_printed"), ("eq. 29", "printed"), ("exact", "exact"))
 }
 RESETS = {"eq. 12": "book", "none": "none"}
 POWERS = {"lam": 0, "lam P": 1, "lam / P": -1, "lam / P^2": -2}

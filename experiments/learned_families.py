@@ -148,7 +148,7 @@ def ball_screw() -> Case:
 
 
 def voice_coil() -> Case:
-    s = load("cao-2019", reading="amplitude")
+    s = load("cao-2019", reading="amplitude", plant="exact")
     return Case(s.machine, s.task, s.uncertainty, starts=(100,))
 
 

@@ -5,6 +5,7 @@ Further figures show the shares of feedback and learning in the input, and theor
 
 import numpy as np
 import output
+from printed_tables import LI
 
 import jaxilc
 from jaxilc.learning import Keep, best_trial
@@ -28,7 +29,7 @@ for ax, setting in ((left, "simulation"), (right, "experiment")):
         trials = 40 * (5 if name == "ladder" else 1)
         found = run(loaded[setting], name, trials)
         rms = 1e3 * np.asarray(found.rms)[:: 5 if name == "ladder" else 1, 0]
-        ax.semilogy(np.arange(1, 41), rms, label=name)
+        ax.semilogy(np.arange(1, 41), rms, "--" if name == "series" else "-", label=name)
         best = int(best_trial(rms[:, None])[-1])
         error = 1e3 * float(np.max(np.abs(np.asarray(found.saved["e"])[-1])))
         rows.append(
@@ -41,7 +42,10 @@ for ax, setting in ((left, "simulation"), (right, "experiment")):
                 "max 40": error,
             }
         )
+    (turns,) = LI[setting]["p-type"]["best_trial"].values()
+    ax.axvline(turns, color="#777777", ls=":", label="printed: p-type rises")
     ax.set(xlabel="trial (ladder: rung of 5)", ylabel="RMSE [µm]", title=setting)
+    output.plain(ax)
     ax.grid(True, which="both", alpha=0.25)
 left.legend(fontsize="small")
 left.figure.savefig(folder / "rmse-by-trial.png")
@@ -55,7 +59,7 @@ def learned(trial):
 
 s = loaded["experiment"]
 keep = Keep(("e",), (*s.functions.items(), ("learned", learned)))
-found = jaxilc.learn(s.machine, s.schemes["fixed-filter"], s.task, 5, save=keep).saved
+found = jaxilc.learn(s.machine, s.schemes["p-type"], s.task, 5, save=keep).saved
 shares = {name: np.asarray(found[f"{name}_effort"]) for name in ("feedback", "learned")}
 print(
     "position controller's share, RMS by run:",
@@ -67,17 +71,21 @@ axes = output.axes(4, 1, size=(7.2, 10.0))
 for j in range(5):
     e = np.asarray(found["e"])[j, :, 0]
     share, w = PROPORTIONAL * e[:-1], np.asarray(found["learned"])[j]
+    printed = LI["experiment"]["p-type"]["max_error"][j + 1]
+    said = f"run {j + 1}: {1e3 * np.max(np.abs(e)):.0f} ({printed:g})"
     for ax, signal in zip(axes, (1e3 * e[:-1], w, share, share + w), strict=True):
-        ax.plot(s.task.time[:-1], signal, lw=0.6, label=f"run {j + 1}")
-labels = (
-    "error [µm] (Fig. 36)",
-    "learned (Fig. 37)",
-    "position controller (Fig. 38)",
-    "sum (Fig. 39)",
-)
-for ax, label in zip(axes, labels, strict=True):
+        ax.plot(s.task.time[:-1], signal, lw=0.6, label=said)
+labels = {
+    "error [µm]": "Fig. 36; largest error [µm], printed one in brackets",
+    "learned": "Fig. 37: what was learned",
+    "feedback": "Fig. 38: the position controller",
+    "sum": "Fig. 39: their sum",
+}
+for ax, (label, title) in zip(axes, labels.items(), strict=True):
     ax.set(ylabel=label)
-axes[0].legend(ncols=5, fontsize="small")
+    ax.set_title(title, fontsize="medium")
+axes[0].legend(ncols=5, fontsize="x-small", loc="lower center")
+axes[0].set(ylim=(-110, 80))
 axes[-1].set(xlabel="time [s]")
 axes[0].figure.savefig(folder / "figures-36-39.png")
 
@@ -86,9 +94,11 @@ s = loaded["disturbance"]
 found = run(s, "p-type")
 ax = output.axes()
 for j in (1, 10, 40, 100):
-    ax.plot(
-        s.task.time, 1e3 * np.asarray(found.saved["e"])[j - 1, :, 0], lw=0.8, label=f"trial {j}"
-    )
+    rms = 1e3 * float(found.rms[j - 1, 0])
+    printed = LI["disturbance"]["p-type"]["rms"].get(j)
+    label = f"trial {j}: RMS {rms:.1f} µm" + (f" (printed {printed:g})" if printed else "")
+    ax.plot(s.task.time, 1e3 * np.asarray(found.saved["e"])[j - 1, :, 0], lw=0.8, label=label)
+output.printed_at(ax, LI["disturbance"]["p-type"]["max_error"][100], "printed: below 5 µm")
 ax.set(xlabel="time [s]", ylabel="error [µm]", title="a repetitive disturbance from sample 625")
 ax.legend()
 ax.figure.savefig(folder / "disturbance.png")

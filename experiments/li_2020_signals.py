@@ -70,15 +70,14 @@ axes[0].plot(*path.T, lw=0.9)
 axes[0].set(title="Fig. 4: the butterfly", xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
 for ax, signal, title, label in (
     (axes[1], path[:, 0], "Fig. 5 and 6: axis X", "position [mm]"),
-    (axes[2], speed, "Fig. 6", "speed [mm/s]"),
+    (axes[2], speed, "Fig. 6: its speed", "speed [mm/s]"),
     (axes[3], alone, "Fig. 7: feedback alone; dashed: printed ±60 µm", "error [µm]"),
     (axes[4], ahead, "Fig. 8: with speed feedforward; dashed: printed ±18 µm", "error [µm]"),
 ):
     ax.plot(samples, signal, lw=0.7)
     ax.set(title=title, ylabel=label)
 for ax, value in ((axes[3], 60.0), (axes[4], 18.0)):
-    for side in (-value, value):
-        ax.axhline(side, color="#777777", ls="--", lw=0.8)
+    output.printed_at(ax, value)
 saved(axes, "figures-4-8.png")
 
 # Fig. 16: what grows lies above the critical frequency
@@ -129,7 +128,9 @@ axes = output.axes(2, 1, size=(7.2, 6.0))
 for e, name in ((fixed, "fixed filter, 10 Hz"), (switched, "switchable filter, 10 and 50 Hz")):
     axes[0].plot(samples, e[8], lw=0.7, label=f"{name}: max {np.max(np.abs(e[8])):.1f} µm")
     axes[1].semilogy(np.arange(1, len(e) + 1), rms(e), label=name)
-axes[0].set(title="Fig. 27: after 8 iterations", xlabel="sample", ylabel="error [µm]")
+output.printed_at(axes[0], 10.0, "fixed filter, printed: 10 µm")
+axes[0].set(title="Fig. 25, 27: after 8 iterations", xlabel="sample", ylabel="error [µm]")
+axes[0].set(ylim=(-16, 26))
 axes[1].set(ylabel="RMS error [µm]")
 saved(axes, "figure-27.png", "trial")
 

@@ -12,6 +12,7 @@ are those of the reading that `reproduce` judges.
 
 import numpy as np
 import output
+from printed_tables import MILC_1
 
 import jaxilc
 
@@ -72,10 +73,11 @@ for name, colour in COLOURS.items():
     kept = jaxilc.learn(s.machine, s.schemes[name], s.task, s.trials, save=jaxilc.Keep(("e",)))
     e = 1e3 * np.asarray(kept.saved["e"])[-1, :, 1]
     for ax, part in ((axes[3], time >= 0), (axes[4], back)):
-        label = f"{name}: max {np.max(np.abs(e)):.2f} µm"
+        printed = MILC_1[name, s.trials, "table_max"]
+        label = f"{name}: max {np.max(np.abs(e)):.2f} µm (printed {printed:g})"
         ax.plot(time[part], e[part], lw=0.7, color=colour, label=label)
 for ax in axes[3:]:
-    ax.set(ylabel="error of the table [µm]")
+    ax.set(ylabel="error of the table [µm]", ylim=(-3.2, 5.0))
 axes[0].set(title="Fig. 8: the path")
 axes[3].set(title="Fig. 10: the paper's trial 10")
 axes[4].set(title="Fig. 10, magnified: the stroke back", xlabel="time [s]")

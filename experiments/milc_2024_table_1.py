@@ -75,6 +75,7 @@ ax.set(
     ylabel="RMS error [µm]",
     title="Fig. 9; large open markers: published",
 )
+output.plain(ax)
 ax.grid(True, which="both", alpha=0.25)
 ax.legend(fontsize="small")
 ax.figure.savefig(folder / "figure-9.png")
@@ -96,7 +97,7 @@ for name, colour in (("dilc", "#0072b2"), ("milc", "#d55e00")):
         lw=0.6,
         label=f"{name}: feedback's share, trial 10",
     )
-top.set(ylabel="error [µm]", title="Fig. 10 and 11")
+top.set(ylabel="error [µm]", title="Fig. 10 and 11; reading: short-stroke")
 bottom.set(ylabel="input [V]", xlabel="time [s]")
 for ax in (top, bottom):
     ax.grid(True, alpha=0.25)

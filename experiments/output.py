@@ -4,12 +4,14 @@ import csv
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator
 
 # The readings under which experiments on tuning, advice and the worst machine simulate the papers;
-# `reproduce` judges the other one of each.
+# `reproduce` judges the other one of each, and eq. 29 in place of the motor of eq. 7.
 FIRST_READINGS = {
-    "cao-2019": {"reading": "amplitude"},
+    "cao-2019": {"reading": "amplitude", "plant": "exact"},
     "cao-2019-rig": {"reading": "over-trials"},
+    "dai-2014": {"plant": "exact"},
     "milc-2024": {"reading": "long-stroke"},
     "xu-2024": {"reading": "small-gain"},
 }
@@ -40,3 +42,16 @@ def write_rows(path: Path, rows: list[dict], shown: int | None = None) -> None:
 def axes(rows: int = 1, columns: int = 1, *, size=(7.2, 4.2)):
     """The axes of a new figure."""
     return Figure(figsize=size, layout="constrained", dpi=150).subplots(rows, columns)
+
+
+def plain(ax, subs=(1.0, 2.0, 5.0)) -> None:
+    """Numbers as they are on a logarithmic ordinate of few decades: 20 and not 2 x 10^1."""
+    ax.yaxis.set_major_locator(LogLocator(subs=subs))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(FuncFormatter(lambda *_: ""))
+
+
+def printed_at(ax, value: float, label: str = "") -> None:
+    """Dashed lines at a printed largest error, on both sides of zero."""
+    for side, text in ((value, label), (-value, "")):
+        ax.axhline(side, color="#777777", ls="--", lw=0.8, label=text or None)

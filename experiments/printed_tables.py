@@ -8,6 +8,7 @@ CAO_2 = by(published("cao-2019-rig", "over-trials"), "scheme", "frequency")  # b
 _MILC = published("milc-2024", "short-stroke")
 MILC_1 = {(p.scheme, p.trial, p.quantity): p.value for p in _MILC if not p.against}  # [µm]
 IMPROVEMENT = by(_MILC, "scheme", against="dilc")["milc"]  # of the table's largest error [%]
+LI = by(published("li-2020"), "setting", "scheme", "quantity", "trial")  # errors [µm]
 XU_1, XU_2 = (  # largest and RMS error by scheme [nm]
     {
         scheme: tuple(errors.values())

@@ -56,7 +56,7 @@ def compared(s, names, printed, title, name):
     top.set(ylabel="position [µm]", title=title)
     reach = 1.2 * max(np.max(np.abs(line.get_ydata()[1000:])) for line in bottom.lines)
     bottom.set(ylabel="error [nm]", xlabel="time [s]", ylim=(-reach, 2.0 * reach))
-    bottom.set_title("error: largest / RMS from 0.1 s on", fontsize="medium")
+    bottom.set_title("error: largest / RMS from 0.1 s on (before it, cut off)", fontsize="medium")
     for ax in (top, bottom):
         ax.grid(True, alpha=0.25)
         ax.legend(fontsize="small", loc="upper right")

@@ -46,7 +46,9 @@ for j in (2, 4, 6, 8, 10):
     top.plot(
         s.task.time, 1e3 * np.asarray(learned.saved["e"])[j - 1, :, 0], lw=0.8, label=f"trial {j}"
     )
-top.set(xlabel="time [s]", ylabel="error [nm]", title="Fig. 8", ylim=(-600, 600))
+top.set(
+    xlabel="time [s]", ylabel="error [nm]", title="Fig. 8: ILC-ASMC without load", ylim=(-600, 700)
+)
 top.legend(ncols=5, fontsize="small")
 for load, disturbance, label in (
     (0.0, "none", "none"),
@@ -56,14 +58,19 @@ for load, disturbance, label in (
     options = {"load": load, "disturbance": disturbance}
     here = jaxilc.scenarios.load("xu-2024", **options)
     found = jaxilc.learn(here.machine, here.schemes["ilc-asmc"], here.task, 20)
-    bottom.semilogy(
+    (line,) = bottom.semilogy(
         np.arange(1, 21), 1e3 * np.asarray(found.settled_error)[:, 0], "o-", label=label
     )
+    printed = {"none": XU_1, "1 N load": XU_2}.get(label, {}).get("ilc-asmc")
+    if printed:
+        bottom.plot(10, printed[0], "s", ms=11, mfc="none", color=line.get_color())
     print(
         f"{label}: settled error by trial [nm]",
         np.round(1e3 * np.asarray(found.settled_error)[:, 0]).astype(int),
     )
-bottom.set(xlabel="trial", ylabel="largest error [nm]", title="Fig. 12: disturbance")
+bottom.set(xlabel="trial", ylabel="largest error [nm]", xticks=range(2, 21, 2))
+bottom.set(title="Fig. 12: by disturbance; squares: Tables 1 and 2")
+output.plain(bottom)
 bottom.grid(True, which="both", alpha=0.25)
 bottom.legend()
 top.figure.savefig(folder / "figures-8-12.png")

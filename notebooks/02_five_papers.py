@@ -89,9 +89,7 @@ show(cao)
 assert sum(row.verdict == "met" for row in cao) == 22
 
 # %%
-scenario = jaxilc.scenarios.load("cao-2019", plant="printed").select(
-    ("cfdl-mfailc", "ffdl-mfailc", "ilc-mfapc")
-)
+scenario = jaxilc.scenarios.load("cao-2019").select(("cfdl-mfailc", "ffdl-mfailc", "ilc-mfapc"))
 dataset, _ = jaxilc.run_schemes(scenario.machine, scenario.schemes, scenario.task, 80)
 ax = figures.error_by_trial(
     dataset, published=scenario.due, scale=scenario.shown_scale, unit=scenario.shown_unit

@@ -76,13 +76,14 @@ assert np.nanmax(holding["contraction_worst"]) > 0.99 * holding["d2"]  # it is n
 # %% [markdown]
 # ## Where they do not: a motor
 #
-# On the voice-coil motor $y[k+1]$ hardly depends on $u[k]$: nearly all of it comes from earlier
-# inputs of the trial. Nothing is claimed, although the error falls in each of these trials. (The
-# first sample of the motor's answer is positive, and its start value `phi0` is negative, as the
-# answer in the long run is.)
+# On the voice-coil motor of eq. 7 (reading: amplitude) $y[k+1]$ hardly depends on $u[k]$: nearly
+# all of it comes from earlier inputs of the trial. Nothing is claimed, although the error falls in
+# each of these trials. (The first sample of the motor's answer is positive, and its start value
+# `phi0` is negative, as the answer in the long run is.)
 
 # %%
-motor = jaxilc.scenarios.load("cao-2019", frequency=2.0)  # 500 samples
+of = {"reading": "amplitude", "plant": "exact", "frequency": 2.0}  # 500 samples
+motor = jaxilc.scenarios.load("cao-2019", **of)
 cfdl = motor.schemes["cfdl-mfailc"]
 broken = report(motor.machine, cfdl, motor.task, 20)
 assert broken["claimed"] == 0

@@ -31,7 +31,7 @@ jaxilc.setup()
 
 def coefficients(form):
     """Of a printed difference equation of the motor."""
-    plant = voice_coil(form)
+    plant = voice_coil(form).sampled(1e-3)
     return {"a": np.ravel(plant.a), "b": np.ravel(plant.b)}
 
 
@@ -100,7 +100,7 @@ assert np.isclose(abs(after / e), abs(1 - gain * phi))
 # gives 22 µm for the printed 23 to 30 µm, for a sine of amplitude 1 mm (reading: amplitude).
 
 # %%
-cao = jaxilc.scenarios.load("cao-2019", plant="printed", reading="amplitude")
+cao = jaxilc.scenarios.load("cao-2019", reading="amplitude")
 pid = 1e3 * jaxilc.learn(cao.machine, cao.schemes["pid"], cao.task, 1).settled_error[0, 0]
 print(f"PID: {pid:.1f} µm")
 assert round(float(pid)) == 22

@@ -101,10 +101,11 @@ def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
         if value < least:
             raise ValueError(f"bench: {name} = {value} is outside its allowed range [{least}, inf)")
     need_room(plants, trials, samples)
-    chosen = scenarios.load("cao-2019", reading="amplitude", plant="printed")
+    chosen = scenarios.load("cao-2019", reading="amplitude")
     task = Task(sinusoid(samples, chosen.task.dt), dt=chosen.task.dt)
     gains = np.random.default_rng(0).uniform(1 - SPREAD, 1 + SPREAD, plants)
-    return Setting(chosen.machine, chosen.schemes[SCHEMES[scheme]], task, trials, gains)
+    machine = chosen.machine.sampled(task.dt)
+    return Setting(machine, chosen.schemes[SCHEMES[scheme]], task, trials, gains)
 
 
 def need_room(plants: int, trials: int, samples: int) -> None:

@@ -39,8 +39,8 @@ def reproduce(
 ) -> None:
     """Every published number and conclusion beside ours, and how the paper was read.
 
-    Printed are a line for each paper, what is not met, and why. With --out, and in a report, there
-    is a picture for each paper, with the printed numbers and ours; a report has all rows.
+    Printed are a line for each paper, and what is not met; --details says why. With --out there is
+    a picture for each paper, with the printed numbers and ours; a report has all rows.
 
     Example: jaxilc reproduce cao-2019 --reading amplitude --report out/cao-2019.html
     """

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from .. import figures
 from ..figures.published import label_of
 from ..scenarios import reproduction
+from ..scenarios.loading import options
 from ..scenarios.published import COMPARED, NUMBER, Published
 from ..scenarios.reproduction import Judged, Row, described
 from .outcome import Figure, Outcome, Progress, silent
@@ -43,9 +44,9 @@ def reproduce(
 ) -> Outcome:
     """Every published number and conclusion beside ours, with verdicts and how papers were read.
 
-    A table has a line for each paper; below are the rows that are not met and the conclusions that
-    do not hold; the details have all rows. Each row says what was fitted, and an open row why it is
-    open.
+    A table has a line for each paper; below are the counted rows that are not met and the
+    conclusions that do not hold; the details have all rows. There each row says what was fitted,
+    and an open row why it is open.
 
     scenarios: names of scenarios; all if none is given
     reading: of a paper that has several; the one that is taken if none is given
@@ -118,21 +119,22 @@ def _by_paper(rows: Sequence[Row], judged: Sequence[Judged]) -> Table:
 
 
 def _not_met(numbers: Sequence[dict[str, Any]]) -> list[str]:
-    """A line for each row that is not met, the open ones first, with the reason."""
+    """A line for each counted row that is not met, the open ones first, and one for the others."""
     rows = [row for row in numbers if row["verdict"] not in ("met", "agrees")]
-    return [
-        f"{row['verdict']}: {row['scenario']}, {label_of(row)}: printed {row['value']:g}"
-        + ("" if row["kind"] == NUMBER else f" ({row['kind']})")
-        + f", ours {number(row['ours'])}"
-        + (f"; {row['reason']}" if row["reason"] else "")
+    lines = [
+        f"{row['verdict']}: {row['scenario']}, {label_of(row)}: printed {row['value']:g}, ours "
+        f"{number(row['ours'])}"
         for row in sorted(rows, key=lambda row: row["verdict"])
+        if row["kind"] == NUMBER
     ]
+    others = len(rows) - len(lines)
+    return lines + [f"nor are {others} that a paper repeats or derives (--details)"] * (others > 0)
 
 
 def _concluded(one: Judged, *, asked: bool = True) -> str:
     """A conclusion of a paper, whether it holds, and our numbers.
 
-    asked: whether it is told what was simulated for each number
+    asked: whether its place is told, and what was simulated for each number
     """
     sign = {"falls": " > ", "does not rise": " >= ", "alike": " ~ "}[one.conclusion.order]
     sides = sign.join(
@@ -140,7 +142,8 @@ def _concluded(one: Judged, *, asked: bool = True) -> str:
     )
     verdict = "holds" if one.holds else "does not hold"
     ours = f"ours {', '.join(map(number, one.ours))} {one.unit}".rstrip()
-    said = f"{verdict}: {one.scenario}, {one.conclusion.source}: {one.conclusion.says}; {ours}"
+    place = f", {one.conclusion.source}" * asked
+    said = f"{verdict}: {one.scenario}{place}: {one.conclusion.says}; {ours}"
     return f"{said} ({sides})" if asked else said
 
 
@@ -248,7 +251,8 @@ def reproduce_verdict(rows: Sequence[Row], judged: Sequence[Judged] = ()) -> Ver
         f"The farthest{' open' if open_rows else ''} one is that of {farthest.scenario}, "
         f"{of.scheme}{at}: ours {ours}."
     )
-    settings = tuple(f"{name}={value}" for name, value in of.options)
+    usual = options(farthest.scenario)
+    settings = tuple(f"{name}={x}" for name, x in of.options if usual.get(name) != x)
     again = Request(farthest.scenario, set=settings, trials=of.trial)
     return Verdict((first, second), "that number", again.following("run", scheme=of.scheme))
 

@@ -14,7 +14,7 @@ from ..plants import voice_coil
 from ..schemes import CFDLMFAPC, PID
 from ..signals import references
 from ..signals.task import Task
-from .cao_2019 import motor_uncertainty
+from .cao_2019 import MOTOR_UNCERTAINTY
 from .published import chosen, conclusions, published
 from .scenario import Scenario
 
@@ -34,10 +34,10 @@ SETTINGS: dict[float, dict[str, Any]] = {
 }
 
 
-def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
+def dai_2014(plant: str = "printed", frequency: float = 0.5) -> Scenario:
     """The simulations of Dai 2014, section 3.
 
-    plant: `exact`, `printed` (Cao 2019, eq. 29) or `dai_2014_printed` (eq. 24)
+    plant: `printed` (Cao 2019, eq. 29), `exact` (its eq. 7) or `dai_2014_printed` (eq. 24)
     frequency: frequency of the reference, 0.5 or 2.5 [Hz]
     Raises ValueError for another plant or frequency.
     """
@@ -60,7 +60,7 @@ def dai_2014(plant: str = "exact", frequency: float = 0.5) -> Scenario:
         ),
         schemes={"pid": PID(**setting["pid"]), "cfdl-mfapc": CFDLMFAPC(**setting["mfapc"])},
         trials=1,
-        uncertainty=motor_uncertainty(plant),
+        uncertainty=MOTOR_UNCERTAINTY,
         published=published("dai-2014"),
         conclusions=conclusions("dai-2014"),
         chosen=chosen("dai-2014"),

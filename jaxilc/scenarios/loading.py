@@ -29,6 +29,8 @@ SCENARIOS: dict[str, Callable[..., Scenario]] = {
     "xu-2024": xu_2024,
 }
 
+JUDGED = ("reading", "plant")  # options of which `reproduce` judges the default
+
 
 def with_reading(name: str, reading: str | None) -> dict[str, str]:
     """The options that choose a reading of a scenario; for None none, which is the judged one.
@@ -46,10 +48,10 @@ def with_reading(name: str, reading: str | None) -> dict[str, str]:
 
 
 def load(name: str, **chosen) -> Scenario:
-    """A scenario by name, with its options (`load("cao-2019", plant="printed")`).
+    """A scenario by name, with its options (`load("cao-2019", plant="exact")`).
 
-    Of a paper that can be read in several ways, the reading that `reproduce` judges is taken; the
-    title of a scenario names any other.
+    Of a paper that can be read in several ways, the reading that `reproduce` judges is taken, and
+    the form of the plant; the title of a scenario names any other.
 
     Raises ValueError naming the allowed scenarios or options.
     """
@@ -70,9 +72,11 @@ def load(name: str, **chosen) -> Scenario:
                     f"{name}: option {option} = {brief(value)} is not a number"
                 ) from None
     found = dataclasses.replace(SCENARIOS[name](**chosen), options=allowed | chosen)
-    if found.options.get("reading") == allowed.get("reading"):
-        return found
-    return dataclasses.replace(found, title=f"{found.title}, reading: {found.options['reading']}")
+    parts = [found.title]
+    for option in JUDGED:
+        if found.options.get(option) != allowed.get(option):
+            parts.append(f"{option}: {found.options[option]}")
+    return dataclasses.replace(found, title=", ".join(parts))
 
 
 def options(name: str) -> dict[str, object]:

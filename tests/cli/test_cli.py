@@ -107,6 +107,8 @@ def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_comma
         40,
         "--scheme",
         "cfdl-mfailc",
+        "--set",
+        "plant=exact",
         "--out",
         "here",
         "--report",
@@ -135,24 +137,24 @@ def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_comma
 
 def test_settings_reach_leaves_statics_and_options_together(jaxilc_command, tmp_path):
     settings = (
-        "plant=printed",
+        "plant=exact",
         "ffdl-mfailc.L_y=1",
         "ffdl-mfailc.phi0=0.5,-0.06,0",
         "ffdl-mfailc.reset=sign",
-        "plant.b[0]=0.002",
+        "plant.gain=7000",
     )
     flags = [part for s in settings for part in ("--set", s)]
     code, _, _ = jaxilc_command(
         "run", "cao-2019", "--scheme", "ffdl-mfailc", "--trials", 3, "--report", "a.json", *flags
     )
     assert code == 0
-    s = jaxilc.scenarios.load("cao-2019", plant="printed")
+    s = jaxilc.scenarios.load("cao-2019", plant="exact")
     s = s.with_values(
         {
             "ffdl-mfailc.L_y": 1,
             "ffdl-mfailc.phi0": (0.5, -0.06, 0),
             "ffdl-mfailc.reset": "sign",
-            "machine.plant.b[0]": 0.002,
+            "machine.plant.gain": 7000.0,
         }
     )
     ours = jaxilc.learn(s.machine, s.schemes["ffdl-mfailc"], s.task, 3).rms[-1, 0]

@@ -188,9 +188,7 @@ def test_versions_are_those_installed():
 
 
 def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
-    chosen = dataclasses.replace(
-        scenarios.load("dai-2014", plant="printed").select(("pid",)), trials=1
-    )
+    chosen = dataclasses.replace(scenarios.load("dai-2014").select(("pid",)), trials=1)
     dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, 1)
     numbers = run_numbers(chosen, dataset)
     drawn_axes().figure.savefig(tmp_path / "error-by-trial.png")

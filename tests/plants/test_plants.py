@@ -56,8 +56,9 @@ def oracle(system, u, dt=DT):
     return outputs.T
 
 
-def voice_coil_tf(gain=7437.7769, zero=928.2, poles=(474.0, 474.0, 6.404)):
-    return control.tf([float(gain), -float(gain * zero)], np.poly([-float(p) for p in poles]))
+def voice_coil_tf(gain=7437.7769, zero=928.2, poles=(474.0, 474.0, 6.404), lead=0.0):
+    zeros = float(gain) * np.polymul([float(lead), 1.0], [1.0, -float(zero)])
+    return control.tf(np.trim_zeros(zeros, "f"), np.poly([-float(p) for p in poles]))
 
 
 sampled = jax.jit(lambda plant, dt: plant.sampled(dt), static_argnums=1)
@@ -89,11 +90,20 @@ def test_printed_forms_have_another_dc_gain(form, gain):
     assert form != "dai_2014_printed" or gain == pytest.approx(-1.19, abs=5e-3)
 
 
+@pytest.mark.parametrize("first", [2.2386, 2.236])
+def test_a_printed_difference_equation_is_what_its_motor_is_when_held(first):
+    """The coefficients of Cao 2019, eq. 29, and Dai 2014, eq. 24, as they stand in print."""
+    d = sampled(voice_coil("printed" if first == 2.2386 else "dai_2014_printed"), DT)
+    np.testing.assert_allclose(d.a, (first, -1.6246, 0.385), rtol=1e-13)
+    np.testing.assert_allclose(d.b, (0.0018, -0.0036, -0.0025), rtol=1e-12)
+
+
 COILS = {
     "double_pole": {},
     "distinct": {"poles": (300.0, 600.0, 20.0)},
     "triple": {"poles": (50.0, 50.0, 50.0), "gain": 100.0},
     "minimum_phase": {"zero": -900.0, "gain": -5000.0},
+    "lead": {"lead": 2e-4},
 }
 
 
@@ -102,7 +112,7 @@ COILS = {
 def test_voice_coil_is_the_zero_order_hold_of_its_transfer_function(weights, dt):
     plant = sampled(VoiceCoil(**weights), dt)
     system = voice_coil_tf(
-        **{k: getattr(VoiceCoil(**weights), k) for k in ("gain", "zero", "poles")}
+        **{k: getattr(VoiceCoil(**weights), k) for k in ("gain", "zero", "poles", "lead")}
     )
     exact = control.ss2tf(control.c2d(control.ss(system), dt, method="zoh"))
     np.testing.assert_allclose(plant.a, -exact.den[0][0][1:], rtol=1e-7)
@@ -235,7 +245,12 @@ def test_unstable_plant_under_a_stabilising_loop():
 
 
 @pytest.mark.parametrize(
-    "plant", [voice_coil("printed"), PLANTS["discrete"], from_control(SYSTEMS["siso_tf_discrete"])]
+    "plant",
+    [
+        voice_coil("printed").sampled(DT),
+        PLANTS["discrete"],
+        from_control(SYSTEMS["siso_tf_discrete"]),
+    ],
 )
 def test_another_sample_time_is_refused(plant):
     with pytest.raises(

@@ -18,7 +18,7 @@ from jaxilc.schemes import CFDLMFAILC
 
 TASK = Task(reference=np.sin(2 * np.pi * np.arange(201) / 200), dt=1e-3)
 PLAN = Sweep(
-    Machine(voice_coil("printed")),
+    Machine(voice_coil("printed").sampled(1e-3)),
     {"learning": CFDLMFAILC()},
     TASK,
     trials=3,

@@ -87,7 +87,9 @@ REFUSED = {
     "fits from starts": (lambda: identify(RECORD, starts=10**9), "starts"),
     "blocks": (
         lambda: learn(
-            dataclasses.replace(MACHINE, plant=InBlocks(plants.voice_coil("printed"), 10**4)),
+            dataclasses.replace(
+                MACHINE, plant=InBlocks(plants.voice_coil("printed").sampled(1e-3), 10**4)
+            ),
             SCHEME,
             TASK,
             1,

@@ -324,11 +324,11 @@ def test_a_drive_of_two_outputs_takes_its_models_from_the_file(tmp_path):
 def test_scenarios_by_name_take_options_and_paths_together():
     made = load_scenario(
         "cao-2019",
-        {"plant": "printed", "pid.kp": "-9", "machine.plant.b[0]": "0.002", "plant.b[1]": "0.001"},
+        {"plant": "exact", "pid.kp": "-9", "machine.plant.gain": "7000", "plant.poles[1]": "450"},
     )
     assert made.schemes["pid"].kp == -9.0
-    assert list(made.machine.plant.b[:2]) == [0.002, 0.001]
-    assert made.options["plant"] == "printed"
+    assert (made.machine.plant.gain, made.machine.plant.poles[1]) == (7000.0, 450.0)
+    assert made.options["plant"] == "exact"
     for name in scenarios.SCENARIOS:
         with pytest.raises(
             ValueError,

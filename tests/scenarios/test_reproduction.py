@@ -15,6 +15,7 @@ from jaxilc import scenarios
 from jaxilc.learning import Machine, check, learn
 from jaxilc.plants import DifferenceEquation
 from jaxilc.scenarios import Fit, Published, Scenario, reproduce, reproduction
+from jaxilc.scenarios.loading import JUDGED
 from jaxilc.scenarios.published import (
     ALIKE,
     FALLS,
@@ -465,6 +466,18 @@ def test_rows_of_a_made_up_scenario(made_up):
     assert [r.verdict for r in rows] == ["met", "shape", "shape", "met", "met"]
     assert {r.unit for r in rows} == {"µm"}
     assert sorted(runs) == [("PID", 1), ("PIDType", 3), ("PIDType", 4)]
+
+
+@pytest.mark.parametrize("name", scenarios.SCENARIOS)
+def test_what_is_judged_is_what_is_loaded(name):
+    """No row and no conclusion is judged under a reading or a plant that `load` does not take."""
+    s = scenarios.load(name)
+    usual = {option: s.options[option] for option in JUDGED if option in s.options}
+    sides = [x for c in s.conclusions for x in c.sides if isinstance(x, Published)]
+    for row in (*s.published, *sides):
+        assert {(k, v) for k, v in row.options if k in JUDGED} <= usual.items(), row
+    if name in ("cao-2019", "dai-2014"):
+        assert scenarios.load(name, plant="exact").title == f"{s.title}, plant: exact"
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,8 @@ import xarray as xr
 
 import jaxilc
 from jaxilc import Machine, Uniform, cli
-from jaxilc.plants import voice_coil
+from jaxilc.plants import DifferenceEquation
+from jaxilc.plants.voice_coil import CAO_2019_EQ_29
 from jaxilc.pytree import pytree
 from jaxilc.runtime import capacity
 from jaxilc.schemes import PID
@@ -33,13 +34,14 @@ from jaxilc.sweeps.store import Store
 distributed = pytest.importorskip("distributed", reason="needs Dask: pip install 'jaxilc[cluster]'")
 
 # Coefficients at the sample time are compiled faster than poles, which each process samples first.
+MOTOR = DifferenceEquation(*CAO_2019_EQ_29, dt=1e-3)
 COIL = {
-    "machine": Machine(voice_coil("printed"), sensor=sweep_case.PLAN.machine.sensor),
+    "machine": Machine(MOTOR, sensor=sweep_case.PLAN.machine.sensor),
     "uncertainty": {"plant.b": Uniform(0.9, 1.1, relative=True)},
 }
 PLAN = dataclasses.replace(sweep_case.PLAN, **COIL, machines=31)
 SMALL = dataclasses.replace(
-    PLAN, machine=Machine(voice_coil("printed")), schemes={"feedback": PID(kp=-5.0)}, keep=()
+    PLAN, machine=Machine(MOTOR), schemes={"feedback": PID(kp=-5.0)}, keep=()
 )
 CHUNKS = [(scheme, chunk) for scheme in range(2) for chunk in range(8)]
 
