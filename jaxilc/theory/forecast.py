@@ -48,12 +48,13 @@ def peaks(
     its trial is the last one that was looked at.
 
     predicted: (S, J) of `predict`
-    powers: (S,) power of the learning map that is known to contract, on these machines
+    powers: (S,) power of the learning map that is known to contract, on these machines; 0 where
+        none is, as where a claim rests on the mean square of what is drawn
     floor: (S,) error at the limit; NaN where none is known, or where the error falls in every trial
     """
     sizes, known = [_finite_or_infinite(predicted)], np.isfinite(floor)
     if np.any(known):
-        trials = AHEAD * int(np.max(powers[known]))
+        trials = AHEAD * max(int(np.max(powers[known])), 1)
         while trials <= LAST_LOOK:
             if trials > predicted.shape[1]:
                 predicted = predict(machines, scheme, task, trials)
