@@ -44,6 +44,7 @@ from jaxilc.plants import (
     multivariable_model,
     voice_coil,
 )
+from jaxilc.plants.voice_coil import CAO_2019_EQ_29, DAI_2014_EQ_24
 from jaxilc.schemes import (
     ASMC,
     CFDLMFAC,
@@ -128,8 +129,8 @@ _LAG = StateSpace([[0.9, 0.1], [-0.2, 0.8]], [[0.01], [0.1]], [[1.0, 0.5]], dt=D
 
 PLANTS = {
     "voice_coil_exact": voice_coil(),
-    "voice_coil_printed": voice_coil("printed"),
-    "voice_coil_dai": voice_coil("dai_2014_printed"),
+    "voice_coil_printed": DifferenceEquation(*CAO_2019_EQ_29, dt=DT),
+    "voice_coil_dai": DifferenceEquation(*DAI_2014_EQ_24, dt=DT),
     "arx": _ARX,
     "continuous": StateSpace(
         [[0.0, 1.0], [-4e3, -80.0]], [[0.0], [4e3]], [[1.0, 0.0]], x0=(0.02, -1.0)

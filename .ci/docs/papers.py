@@ -7,6 +7,8 @@ from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
+from jaxilc.figures.published import options_of
+
 EQUATIONS = {  # by scenario: what is computed, and the equations of the paper
     "cao-2019": (
         ("the estimate of the pseudo partial derivative (eq. 13) and the law (eq. 12)",
@@ -111,7 +113,7 @@ def _cells(row: dict) -> tuple[str, ...]:
         row["words"],
         row["scheme"] + (f" against {row['against']}" if row["against"] else ""),
         f"{row['trial'] or ''}",
-        row["quantity"].replace("_", " "),
+        row["quantity"].replace("_", " ") + options_of(row),
         f"{'< ' * row['at_most']}{row['value']:g} {row['unit']}{kind}",
         f"{row['ours']:.3g}",
         f"{row['verdict']}{fitted}" + (f": {row['reason']}" if row["reason"] else ""),

@@ -123,9 +123,13 @@ def label_of(row: Mapping[str, Any]) -> str:
     """The name of a row: scheme, trial, quantity with unit, and the options that differ."""
     at = f", trial {row['trial']}" if row["trial"] else ""
     unit = f" [{row['unit']}]" if row["unit"] else ""
-    options = "".join(
+    return f"{row['scheme']}{at}, {row['quantity'].replace('_', ' ')}{unit}{options_of(row)}"
+
+
+def options_of(row: Mapping[str, Any]) -> str:
+    """The options of a row that differ within its paper, each after a comma."""
+    return "".join(
         f", {value:g} Hz" if name == "frequency" else f", {name} {value}"
         for name, value in row["options"].items()
         if name not in ("plant", "reading", "axis", "disturbance")
     )
-    return f"{row['scheme']}{at}, {row['quantity'].replace('_', ' ')}{unit}{options}"

@@ -36,8 +36,6 @@ from .words import counted, number
 if TYPE_CHECKING:
     from ..figures.page import Live
     from ..scenarios import Scenario
-    from ..schemes import Scheme
-    from ..signals.task import Task
     from ..theory.certificates import Certificate, OfScheme
 
 COURSE_WORDS = {TURNS: "have a best trial and then turn", GROWS: "end above their start"}
@@ -75,7 +73,7 @@ def certify(
         progress=lambda done, name: progress(name, done, learning),
     )
     numbers = {
-        name: certificate_numbers(one) | {"printed": _printed(chosen.schemes[name], chosen.task)}
+        name: certificate_numbers(one) | {"printed": _printed(chosen, name)}
         for name, one in found.items()
     }
     scale, unit = chosen.shown_scale, chosen.shown_unit
@@ -110,8 +108,9 @@ def certify(
     )
 
 
-def _printed(scheme: Scheme, task: Task) -> dict[str, dict[str, Any]]:
+def _printed(chosen: Scenario, name: str) -> dict[str, dict[str, Any]]:
     """The conditions that papers print for a scheme: their values, verdicts and broken premises."""
+    found = printed_conditions(chosen.schemes[name], chosen.task, chosen.machine)
     return {
         place: {
             "value": float(one.value),
@@ -119,7 +118,7 @@ def _printed(scheme: Scheme, task: Task) -> dict[str, dict[str, Any]]:
             "broken": [p.name for p in one.broken],
             "theorem": one.theorem,
         }
-        for place, one in printed_conditions(scheme, task).items()
+        for place, one in found.items()
     }
 
 
@@ -259,9 +258,9 @@ def reason_lines(name: str, numbers: dict[str, Any]) -> list[str]:
 
 
 def printed_lines(name: str, numbers: dict[str, Any]) -> list[str]:
-    """A sentence on each condition that a paper prints for a scheme, of its model alone."""
+    """A sentence on each condition that a paper prints for a scheme, of its nominal model alone."""
     return [
-        f"{name}, by {place}, of the model alone: {number(of['value'])} is "
+        f"{name}, by {place}, of the nominal model alone: {number(of['value'])} is "
         + ("" if of["value"] < 1 else "not ")
         + f"below 1: {of['verdict']}"
         + (f", since it presumes: {'; '.join(of['broken'])}." if of["broken"] else ".")

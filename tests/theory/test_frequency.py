@@ -32,6 +32,7 @@ from jaxilc.schemes import (
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task
 from jaxilc.theory import frequency, lifted
+from jaxilc.theory.printed import printed_conditions
 from jaxilc.uncertainty import Normal, Uniform
 
 ARX_MACHINE = Machine(PLANTS["arx"])
@@ -247,6 +248,9 @@ def test_the_cnc_condition_and_its_simulation():
     z, S = np.exp(2j * np.pi * found.frequencies * DT), P / (1 + 0.8 * P)
     np.testing.assert_allclose(found.magnitude, np.abs(1 - 2.0 * z * S(z)), rtol=1e-9)
     assert found.condition.verdict == "fails"
+    assert printed_conditions(scheme, task, ARX_MACHINE) == {"Li 2020, eq. 9": found.condition}
+    for other in (PIDType(gamma_p=2.0, lead=1), PIDType(gamma_p=2.0, gamma_d=0.1)):
+        assert printed_conditions(WithFeedback(other, PID(kp=0.8)), task, ARX_MACHINE) == {}
     assert 20 < found.critical < 100
     for f in (0.5 * found.critical, 1.5 * found.critical):
         f = round(f * 2.0) / 2.0  # the trial holds whole periods
