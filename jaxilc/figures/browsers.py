@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .description import tips_of
-from .page import Live, hover, model_of, plot, shown_in, thinned
+from .page import Live, hover, model_of, plot, shown_in, side_by_side, thinned
 from .published import numbers_of_paper
 from .style import names_of
 from .within_trial import outputs_of
@@ -51,8 +51,8 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
 
     dataset: result of `run_schemes`
     """
-    from bokeh.layouts import column, row
-    from bokeh.models import ColumnDataSource, CustomJS, Div, Select, Slider
+    from bokeh.layouts import column
+    from bokeh.models import ColumnDataSource, CustomJS, CustomJSTickFormatter, Div, Select, Slider
 
     schemes, count = names_of(dataset), dataset.sizes["trial"]
     outputs = outputs_of(dataset, dataset.sizes["channel"])
@@ -79,11 +79,12 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     every = ColumnDataSource(columns)
     begin = {"t": "t", "r": "r_0", "y": f"y_0_{last}_0", "e": f"e_0_{last}_0", "u": f"u_0_{last}"}
     shown = ColumnDataSource({name: columns[of] for name, of in begin.items()})
-    slider = Slider(start=0, end=max(last, 1), value=last, step=1, title="trial", show_value=False)
+    numbers = dataset["trial"].values[chosen].tolist()
+    of_trial = CustomJSTickFormatter(args={"trials": numbers}, code="return String(trials[tick])")
+    slider = Slider(start=0, end=max(last, 1), value=last, step=1, title="trial", format=of_trial)
     slider.disabled = last == 0
     scheme = Select(title="scheme", value=schemes[0], options=[*schemes], width=220)
     output = Select(title="output", value=outputs[0], options=[*outputs], width=160)
-    numbers = dataset["trial"].values[chosen].tolist()
     told = Div(text=f"{schemes[0]}, trial {numbers[-1]}", styles={"font-weight": "600"})
     drawn = _three(dataset, shown, unit)
     react = CustomJS(
@@ -96,7 +97,7 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     for widget in (slider, scheme, output):
         widget.js_on_change("value", react)
     some = [w for w, needed in ((scheme, len(schemes) > 1), (output, len(outputs) > 1)) if needed]
-    layout = column(row(slider, *some), told, *drawn, sizing_mode="scale_width")
+    layout = column(side_by_side(slider, *some), told, *drawn, sizing_mode="stretch_width")
     which = "each trial" if len(chosen) == count else f"{len(chosen)} of the {count} trials"
     return Live(
         f"Output, error and input within a trial. The slider goes through {which}; the axes of the "
@@ -166,7 +167,7 @@ def machines(
     tolerance: largest error that passes [unit of the dataset]
     Returns None where no parameter varies.
     """
-    from bokeh.layouts import column, row
+    from bokeh.layouts import column
     from bokeh.models import ColumnDataSource, CustomJS, Div, FactorRange, Select
 
     from ..sweeps.summary import errors_of, explained_shares
@@ -221,8 +222,8 @@ def machines(
     for widget in (scheme, parameter):
         widget.js_on_change("value", react)
     layout = column(
-        row(scheme, parameter), told, row(made, beside, sizing_mode="scale_width"),
-        sizing_mode="scale_width",
+        side_by_side(scheme, parameter), told, side_by_side(made, beside),
+        sizing_mode="stretch_width",
     )  # fmt: skip
     return Live(
         "Each dot is a machine: its last error against the chosen parameter. Orange dots are "
@@ -262,5 +263,5 @@ def papers(numbers: Sequence[Mapping[str, Any]]) -> Live:
     select = Select(title="paper", value=first, options=[*shown], width=220)
     args = {"select": select, "names": [*shown], "figures": [*shown.values()]}
     select.js_on_change("value", CustomJS(args=args, code=PAPER))
-    layout = column(select, *shown.values(), sizing_mode="scale_width")
+    layout = column(select, *shown.values(), sizing_mode="stretch_width")
     return Live(f"{caption} The menu chooses the paper.", layout)

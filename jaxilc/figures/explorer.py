@@ -14,7 +14,7 @@ import numpy as np
 
 from .exploration import Control, Exploration, Outcome
 from .live_grid import map_of
-from .page import plot, shown_in
+from .page import plot, shown_in, side_by_side, spoken
 from .style import COLOURS
 
 if TYPE_CHECKING:
@@ -25,8 +25,17 @@ if TYPE_CHECKING:
 
 POINTS = 1200  # of a signal
 SPREADS = (1.0, 60.0)  # ends of the slider of the spread [%]
+UNITS = {"cutoff": "Hz", "lead": "samples"}  # of weights by the last part of their paths
 TALLEST = 1e3  # times the first error, up to which errors are shown
 LATEST = 0.4  # [s] after which the band does not wait for newer values any more
+# Of a dark page the lightness is turned, and hues keep their meaning.
+AROUND = "@media screen and (prefers-color-scheme: dark) { body { background: #191919; } }"
+WITHIN = """
+:host { background: white; color: black; }
+@media screen and (prefers-color-scheme: dark) {
+  :host { filter: invert(0.9) hue-rotate(180deg); }
+}
+"""
 BESIDE = ThreadPoolExecutor(1, "explore")  # one computation at a time, of all readers
 
 
@@ -86,15 +95,17 @@ class Explorer:
 
     def layout(self) -> Any:
         """All of the page."""
-        from bokeh.layouts import column, row
-        from bokeh.models import Div
+        from bokeh.layouts import column
+        from bokeh.models import Div, GlobalInlineStyleSheet
 
         title = Div(text=f"<h2>{_escaped(self.of.scenario.title)}: {_escaped(self.of.name)}</h2>")
+        title.stylesheets = [GlobalInlineStyleSheet(css=AROUND)]
         sliders = [*self.sliders.values(), *([self.spread] if self.spread else [])]
         beside = column(*sliders, self.button, self.line, self.told, width=320)
-        shown = column(*self.figures, sizing_mode="stretch_width")
-        return column(title, row(beside, shown, sizing_mode="stretch_width"),
-                      sizing_mode="stretch_width", margin=(0, 16, 0, 16))  # fmt: skip
+        shown = column(*self.figures, width=960)
+        both = side_by_side(beside, shown)
+        return column(title, both, sizing_mode="stretch_width", margin=(0, 16, 0, 16),
+                      stylesheets=[WITHIN])  # fmt: skip
 
     def _map(self, dataset: xr.Dataset, best: BestPoint) -> Any:
         """The map of a grid, on which a click moves the sliders, and a ring says where they are."""
@@ -281,9 +292,12 @@ def explore(
     for alone in (True, False):
         shared.outcome({}, alone=alone)  # compiled once, before anyone waits for it
 
+    from bokeh.models import CustomJS
+
     def application(document: Any) -> None:
         document.title = f"jaxilc: {scenario.name}"
         document.add_root(Explorer(shared, Path(folder)).layout())
+        document.js_on_event("document_ready", CustomJS(code=spoken()))
 
     return application
 
@@ -292,16 +306,16 @@ def _slider(control: Control) -> Any:
     """A slider; one that is logarithmic has the power of ten as its value."""
     from bokeh.models import CustomJSTickFormatter, Slider
 
+    unit = UNITS.get(control.path.rpartition(".")[2])
+    title = control.path + (f" [{unit}]" if unit else "")
     if control.whole:
-        return Slider(
-            title=control.path, start=control.low, end=control.high, step=1, value=control.value
-        )
+        return Slider(title=title, start=control.low, end=control.high, step=1, value=control.value)
     low, high, value = (
         (math.log10(x) if control.log else x) for x in (control.low, control.high, control.value)
     )
     power = CustomJSTickFormatter(code="return (10 ** tick).toPrecision(3)")
     return Slider(
-        title=control.path, start=low, end=high, value=value, step=(high - low) / 400,
+        title=title, start=low, end=high, value=value, step=(high - low) / 400,
         format=power if control.log else "0[.]000",
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from .grid_map import (
     numbers_of,
     standing,
 )
-from .page import Live, panel_of, plot, shown_in
+from .page import Live, panel_of, plot, shown_in, side_by_side
 from .style import COLOURS, labelled, limits_of
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def grid(
         "a grey stripe, where a machine diverges, and no colour where the error is not finite. The "
         "star is the best point, at which all axes are that are not drawn. Under the pointer stand "
         "the numbers of a point; a click shows how it learns.",
-        parts[0] if len(parts) == 1 else Tabs(tabs=tabs, sizing_mode="scale_width"),
+        parts[0] if len(parts) == 1 else Tabs(tabs=tabs, sizing_mode="stretch_width"),
     )
 
 
@@ -187,7 +187,7 @@ def _of_bounds(dataset: xr.Dataset) -> dict[str, xr.DataArray]:
 
 def _with_learning(drawn: GridMap, metric: str) -> Any:
     """A map, and beside it how the chosen point learns."""
-    from bokeh.layouts import column, row
+    from bokeh.layouts import column
     from bokeh.models import ColumnDataSource, CustomJS, Div
 
     from ..sweeps.summary import QUANTILES as LEVELS
@@ -220,8 +220,7 @@ def _with_learning(drawn: GridMap, metric: str) -> Any:
         code=CHOOSE,
     )
     drawn.points.selected.js_on_change("indices", react)
-    return column(told, row(drawn.figure, made, sizing_mode="scale_width"),
-                  sizing_mode="scale_width")  # fmt: skip
+    return column(told, side_by_side(drawn.figure, made), sizing_mode="stretch_width")
 
 
 def _some(count: int, best: int) -> np.ndarray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from .style import BOUND, labelled, limits_of
 from .units import READABLE, power_of, prefixed
 
 WIDTH, HEIGHT, TALLEST = 860, 360, 900  # of a figure, and of a row at most [pixel]
+NARROW = 240  # below which no figure stands beside another one [pixel]
 INCH = HEIGHT / 4.2  # pixels for an inch of paper
 POINTS = 4000  # of a long curve that is thinned
 LINES = {"-": "solid", "--": "dashed", "-.": "dashdot", ":": "dotted"}
@@ -84,7 +86,7 @@ def live(figure: Figure) -> Live:
 
 def model_of(figure: Figure) -> Any:
     """The panels in rows; those that share an axis move together."""
-    from bokeh.layouts import column, row
+    from bokeh.layouts import column
 
     wide, made = figure.columns, []
     rows = -(-len(figure.panels) // wide)
@@ -101,9 +103,24 @@ def model_of(figure: Figure) -> Any:
         made.append(panel_of(panel, **size, **share))
         if "y" in figure.shares and i % wide:
             made[-1].yaxis.major_label_text_font_size = "0pt"
-    lines = [row(*made[i : i + wide], sizing_mode="scale_width") if wide > 1 else made[i]
+    lines = [side_by_side(*made[i : i + wide]) if wide > 1 else made[i]
              for i in range(0, len(made), wide)]  # fmt: skip
-    return lines[0] if len(lines) == 1 else column(*lines, sizing_mode="scale_width")
+    return lines[0] if len(lines) == 1 else column(*lines, sizing_mode="stretch_width")
+
+
+def spoken() -> str:
+    """A script that gives the sliders of a page the names and values that a screen reader says."""
+    return Path(__file__).with_name("spoken.js").read_text(encoding="utf-8")
+
+
+def side_by_side(*models: Any) -> Any:
+    """Models in a row, as wide as their widths are to each other; on a narrow page in several."""
+    from bokeh.layouts import row
+
+    for one in models:
+        one.sizing_mode = "stretch_width"
+        one.styles = {"flex": f"{one.width or 1} 1 {NARROW}px", "min-width": f"{NARROW}px"}
+    return row(*models, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
 
 
 def panel_of(panel: Panel, **options: Any) -> Any:
@@ -195,7 +212,7 @@ def plot(title: str, x: str, y: str, *, log: bool = True, **options: Any) -> Any
     size: dict[str, Any] = {
         "width": WIDTH,
         "height": HEIGHT,
-        "sizing_mode": "scale_width",
+        "sizing_mode": "stretch_width",
     } | options
     size |= {"y_axis_type": "log"} if log else {}
     made = figure(

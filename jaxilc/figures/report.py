@@ -182,8 +182,10 @@ def _embedded(live: Sequence[Live]) -> tuple[str, Sequence[str]]:
         return "", ()
     from bokeh.embed import components
 
+    from .page import spoken
+
     script, places = components(tuple(one.model for one in live), wrap_script=False)
-    return script.replace("]]>", "]] >"), places
+    return script.replace("]]>", "]] >") + spoken(), places
 
 
 def _pictures(figures: Sequence[Any], room: float) -> tuple[list[dict[str, str]], list[str]]:

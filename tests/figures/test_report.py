@@ -369,11 +369,14 @@ def test_a_reader_moves_the_slider_and_chooses_a_parameter(tmp_path):
         const dots = column("machine")[0];
         return {errors: [...trial.data.e], x: [...dots.data.x], y: [...dots.data.y],
                 canvases: of("Plot").length + of("Figure").length,
+                spoken: ["aria-label", "aria-valuetext"].map((name) => Bokeh.index.find_one(
+                    of("Slider")[0]).shadow_el.querySelector(".noUi-handle").getAttribute(name)),
                 bars: [...column("share")[0].data.share], told: of("Div").map((d) => d.text)};
         """,
     )
     assert isinstance(said, dict), said
     assert "two, trial 2" in said["told"]
+    assert said["spoken"] == ["trial", "2"]  # to a screen reader
     shown = run["e"].sel(scheme="two", trial=2).values[:, 0]
     ratio = np.asarray(said["errors"]) / shown  # in another unit, that of the last trial
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-5)
