@@ -118,6 +118,7 @@ class Command(typer.core.TyperCommand):
 
 # in the order of `--help`
 COMMANDS = (
+    demo,
     init,
     run,
     sweep,
@@ -128,7 +129,6 @@ COMMANDS = (
     tune,
     pareto,
     worst_case,
-    demo,
     certify,
     q_filter,
     hardware,

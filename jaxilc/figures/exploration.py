@@ -67,7 +67,7 @@ class Outcome(NamedTuple):
     errors: (S, J) metric by trial of each machine, the nominal one first [shown unit]; inf where
         a machine diverged
     r, y, e, u: (N+1,) or (N,) signals of the last trial of the nominal machine; the first channel
-    f, size: (F,) frequencies [Hz] and |Q - L P| of the nominal machine; empty where there is none
+    f, size: (F,) frequencies [Hz] and (S, F) |Q - L P| of each machine; empty where there is none
     """
 
     errors: np.ndarray
@@ -202,7 +202,7 @@ class Exploration:
         if alone:
             machines = jax.tree.map(lambda x: x[:1], machines)
         errors, signals, size = _computed(
-            scheme, machines, nominal, s.task, self.f,
+            scheme, machines, s.task, self.f,
             trials=s.trials, metric=s.judged_by, keep=self.keep, frequency=self._has_response(),
         )  # fmt: skip
         scale = s.shown(s.judged_by)[0]
@@ -210,7 +210,7 @@ class Exploration:
         r = np.asarray(s.task.reference).reshape(len(y), -1)[:, 0]
         errors = scale * np.asarray(errors)
         found = np.asarray(size)
-        return Outcome(errors, r, y, s.shown_scale * (r - y), u, self.f[: len(found)], found)
+        return Outcome(errors, r, y, s.shown_scale * (r - y), u, self.f[: found.shape[1]], found)
 
     def _drawn(self, nominal: Machine, spread: float | None) -> Any:
         """The machines of a spread; those of the last few are kept."""
@@ -320,8 +320,8 @@ def _size(scheme, machine, task, f) -> jax.Array:
 
 
 @functools.partial(jax.jit, static_argnames=("trials", "metric", "keep", "frequency"))
-def _computed(scheme, machines, nominal, task, f, *, trials, metric, keep, frequency):
-    """The errors of all machines, y and u of the last trial of the nominal one, and |Q - L P|."""
+def _computed(scheme, machines, task, f, *, trials, metric, keep, frequency):
+    """Errors of all machines, y and u of the last trial of the nominal one, and |Q - L P|."""
 
     def of(common, machine):
         scheme, task = common
@@ -332,4 +332,6 @@ def _computed(scheme, machines, nominal, task, f, *, trials, metric, keep, frequ
 
     errors, signals = tiled(of)((scheme, task), machines)
     first = jax.tree.map(lambda x: x[0], signals)
-    return errors, first, _size(scheme, nominal, task, f) if frequency else jnp.zeros(0)
+    if not frequency:
+        return errors, first, jnp.zeros((len(errors), 0))
+    return errors, first, jax.vmap(lambda one: _size(scheme, one, task, f))(machines)

@@ -60,7 +60,7 @@ class Explorer:
             )  # fmt: skip
         self.errors = ColumnDataSource({n: [] for n in ("j", "nominal", "low", "high", "worst")})
         self.signals = ColumnDataSource({n: [] for n in ("t", "r", "y", "e")})
-        self.size = ColumnDataSource({"f": [], "size": []})
+        self.size = ColumnDataSource({"f": [], "size": [], "worst": []})
         self.told, self.line = Div(text=""), Div(text="")
         self.button = Button(label="save as parameter file", width=200)
         self.button.on_click(self._save)
@@ -213,13 +213,13 @@ class Explorer:
             "t": time, "r": found.r[::every], "y": found.y[::every],
             "e": self.factor * found.e[::every],
         }  # fmt: skip
-        self.size.data = {"f": found.f, "size": found.size}
+        self.size.data = {"f": found.f, "size": found.size[0], "worst": np.max(found.size, axis=0)}
 
     def _tell(self, found: Outcome) -> None:
         """The numbers, and the command line that leads to them."""
         last, worst = found.errors[0, -1], np.max(found.errors[:, -1])
         self._stand(found)
-        largest = float(np.max(found.size)) if len(found.size) else None
+        largest = float(np.max(found.size)) if found.size.size else None
         size = [
             f"{x:.4g} {self.unit}".rstrip() if x < np.inf else "diverged" for x in (last, worst)
         ]
@@ -228,7 +228,8 @@ class Explorer:
             said[0] += f"; worst of {len(found.errors)}: {size[1]}"
         if largest is not None:
             safe = "monotone at all frequencies" if largest < 1 else "not safe"
-            said.append(f"largest |Q (1 − L P)|: {largest:.4g}, {safe}")
+            among = f" of {len(found.errors)} machines" if len(found.errors) > 1 else ""
+            said.append(f"largest |Q (1 − L P)|{among}: {largest:.4g}, {safe}")
         self.told.text = "<br/>".join(map(_escaped, said))
         words = _escaped(self.of.command(self.values(), self.spread_asked())).split(" ")
         whole = (f'<span style="white-space: nowrap">{word}</span>' for word in words)
@@ -264,13 +265,14 @@ class Explorer:
         error = plot("", "time [s]", f"error [{self.unit_of_e}]" if self.unit_of_e else "error",
                      log=False, height=180, x_range=track.x_range)  # fmt: skip
         error.line("t", "e", source=self.signals, color=COLOURS[1])
-        if not len(first.size):
+        if not first.size.size:
             return [errors, track, error]
         from bokeh.models import Span
 
-        size = plot("", "frequency [Hz]", "|Q (1 − L P)|", log=False, height=220,
+        size = plot("dotted: the largest of all machines", "frequency [Hz]", "|Q (1 − L P)|", log=False, height=220,
                     x_axis_type="log", y_range=(0, 2))  # fmt: skip
-        size.line("f", "size", source=self.size, line_width=2, color=COLOURS[2])
+        size.line("f", "worst", source=self.size, line_dash="dotted", color=COLOURS[1])
+        size.line("f", "size", source=self.size, line_width=2, color=COLOURS[0])
         size.add_layout(Span(location=1.0, dimension="width", line_color="black"))
         return [errors, track, error, size]
 

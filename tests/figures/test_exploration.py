@@ -62,7 +62,7 @@ def test_a_slider_gives_what_learning_gives(explored):
     z = np.exp(2j * np.pi * found.f * DT)
     P = 0.1 / (z - 0.9)
     low = found.f < 20.0  # where Q is 1
-    np.testing.assert_allclose(found.size[low], np.abs(1 - 0.5 * z**3 * P)[low], atol=2e-3)
+    np.testing.assert_allclose(found.size[0, low], np.abs(1 - 0.5 * z**3 * P)[low], atol=2e-3)
 
 
 def test_moving_a_weight_compiles_nothing(explored):
