@@ -269,8 +269,8 @@ class Explorer:
             return [errors, track, error]
         from bokeh.models import Span
 
-        size = plot("dotted: the largest of all machines", "frequency [Hz]", "|Q (1 − L P)|", log=False, height=220,
-                    x_axis_type="log", y_range=(0, 2))  # fmt: skip
+        size = plot("dotted: the largest of all machines", "frequency [Hz]", "|Q (1 − L P)|",
+                    log=False, height=220, x_axis_type="log", y_range=(0, 2))  # fmt: skip
         size.line("f", "worst", source=self.size, line_dash="dotted", color=COLOURS[1])
         size.line("f", "size", source=self.size, line_width=2, color=COLOURS[0])
         size.add_layout(Span(location=1.0, dimension="width", line_color="black"))
