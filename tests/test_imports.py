@@ -20,6 +20,7 @@ ORDER = [
     "filters",
     "schemes",
     "learning",
+    "native",
     "sweeps",
     "theory",
     "identification",

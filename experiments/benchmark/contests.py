@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,6 +21,8 @@ from jaxilc import scenarios
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.over_trials import learn
 from jaxilc.learning.within_trial import bytes_of_trial, run_trial
+from jaxilc.native.program import Unknown
+from jaxilc.native.run import Compiled
 from jaxilc.plants import InBlocks
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.runtime.capacity import check_size
@@ -75,6 +78,12 @@ class Setting(NamedTuple):
         lanes = lanes or usual_lanes(bytes_of_trial(self.scheme, self.task))
         run = tiled(partial(_metrics, trials=self.trials), lanes=lanes)
         common, b = (self.machine, self.scheme, self.task), self.b
+        return lambda: np.asarray(run(common, b))
+
+    def native(self) -> Callable[[], np.ndarray]:
+        """The same metrics by a program compiled for this processor; raises Unknown without one."""
+        common, b = (self.machine, self.scheme, self.task), self.b
+        run = Compiled(partial(_metrics, trials=self.trials), common, b[0])
         return lambda: np.asarray(run(common, b))
 
     def part(self, plants: int) -> Setting:
@@ -141,6 +150,7 @@ def _metrics(common, b, *, trials: int):
 # --------------------------------------------------------------------------------------------------
 
 BLOCKS = "jaxilc in blocks"
+NATIVE = "jaxilc native"
 
 
 def opponents() -> tuple[dict[str, tuple[Peer, float]], list[str]]:
@@ -181,6 +191,10 @@ def compare(
         problem = whole.part(plants or len(whole.b), trials)
         entries[name] = Entry(partial(peer, problem), len(problem.b), problem.trials, N, built)
     entries[OURS] = Entry(of.ours(), len(whole.b), whole.trials, N)
+    start = time.perf_counter()
+    with suppress(Unknown):  # where llvmlite is missing
+        native = of.native()
+        entries[NATIVE] = Entry(native, len(whole.b), whole.trials, N, time.perf_counter() - start)
     return in_turns(entries, repeats=repeats)
 
 

@@ -15,19 +15,26 @@ from ..pytree.ranges import require
 from .jax_internals import sealed_programs
 from .xla_options import chosen
 
+NATIVE = "JAXILC_NATIVE"
 
-def setup(*, precision: str = "float64", devices: int | None = None) -> None:
+
+def setup(
+    *, precision: str = "float64", devices: int | None = None, native: bool | None = None
+) -> None:
     """Choose the precision and make every CPU core a device, with loops compiled as a whole.
 
     precision: `float64` or `float32`
     devices: number of CPU devices; None: one for each core
+    native: whether a sweep compiles learning for this processor where it can (see `native`); None:
+        as the environment variable JAXILC_NATIVE says, `on` or `off`, which is off where it is not
+        set
 
     Without `setup` XLA dispatches every small operation of a loop separately, which is several
     times slower. Options that XLA_FLAGS contains already are not changed. If JAX has an
     accelerator, only options are set that the accelerator ignores. `setup` must run before JAX
     computes anything. Otherwise only the precision takes effect, and a RuntimeWarning reports this.
     JAX 0.11.1, whose loops take time quadratic in the number of samples, is reported likewise.
-    Raises ValueError for another precision or devices < 1.
+    Raises ValueError for another precision, devices < 1, or another value of JAXILC_NATIVE.
     """
     if precision not in ("float64", "float32"):
         raise ValueError(f"setup: precision = {precision!r} is not one of 'float64', 'float32'")
@@ -43,6 +50,9 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
             RuntimeWarning,
             stacklevel=2,
         )
+    if native is not None:
+        os.environ[NATIVE] = "on" if native else "off"
+    native_wanted()
     jax.config.update("jax_enable_x64", precision == "float64")
     # XLA's pool has a thread per core. If every device makes a batched LAPACK call at once, all
     # threads wait for each other; additional threads prevent this. XLA reads this variable.
@@ -68,6 +78,14 @@ def setup(*, precision: str = "float64", devices: int | None = None) -> None:
             RuntimeWarning,
             stacklevel=2,
         )
+
+
+def native_wanted() -> bool:
+    """Whether learning is compiled for this processor; raises ValueError for another setting."""
+    given = os.environ.get(NATIVE) or "off"
+    if given not in ("on", "off"):
+        raise ValueError(f"{NATIVE} = {given!r} is not one of 'on', 'off'")
+    return given == "on" and jax.config.jax_platforms in (None, "", "cpu")
 
 
 def keep_programs() -> Path | None:

@@ -6,12 +6,13 @@ one before are handed over.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -24,26 +25,28 @@ from ..learning.known_metrics import METRICS
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
 from ..learning.watch import Watch
+from ..native.run import Native
 from ..pytree.named_paths import replaced
 from ..runtime import capacity, provenance
 from ..runtime.events import COMPILING, COMPUTING
 from ..runtime.lanes import fitting_lanes
+from ..runtime.start import native_wanted
 from ..runtime.tiles import tiled
 from ..uncertainty import drawn_machine
 from .plan import Chunk, Plan
 from .store import UNFILLED
 
+log = logging.getLogger("jaxilc")
+
 PROGRAMS = 8  # number of programs, of different sweeps, that are kept in a process
 AT_ONCE = 4  # number of chunks that are in the RAM, computed or not; writing takes uneven times
 TRIALS_A_PASS = 2  # of the compiled loop over trials, see `learn`
+Started = dict[str, jax.Array] | Callable[[], dict[str, jax.Array]]
 COMPILERS = 4  # number of programs that are compiled at once; a compiler mostly uses one core
 
 
 class Host:
-    """The process that computes the chunks of a plan: this one, or a worker of a cluster.
-
-    environment: what the numbers depend on besides the plan, see `provenance.environment`
-    """
+    """The process that computes the chunks of a plan: this one, or a worker of a cluster."""
 
     def __init__(self, plan: Plan, *, shared: bool = False):
         """A host of a plan.
@@ -51,7 +54,7 @@ class Host:
         shared: whether to use the compiled programs of earlier hosts of this process, and to leave
             its own to later ones, where the shapes are the same
         """
-        self.plan, self.environment = plan, provenance.environment()
+        self.plan = plan
         self._needed = 0  # bytes of the largest chunk that was compiled
         self._finished_at = 0.0  # the time at which the last chunk was finished
         names = tuple(
@@ -62,9 +65,35 @@ class Host:
         make = _shared_program if shared else _program
         counts = {variant.trials for variant in plan.variants.values()}
         self._programs = {n: make(*of_machine, n, plan.lanes) for n in counts}
+        native = shared and native_wanted() and jax.default_backend() == "cpu"
+        self._natives = {
+            n: _shared_native(*of_machine, n, plan.lanes) for n in counts if native
+        }  # none on a cluster, whose workers may differ in their processors
         self._by_trial = {
             n: v.dims.index("trial") - 1 for n, v in plan.variables.items() if "trial" in v.dims
         }
+
+    @cached_property
+    def environment(self) -> dict[str, Any]:
+        """What the numbers depend on besides the plan, see `provenance.environment`.
+
+        `native` are the variants that a program compiled for this processor computes; a first tile
+        of each is then computed by XLA too, and compared.
+        """
+        reasons = {name: self._why_not(name) for name in self.plan.variants if self._natives}
+        for name, reason in reasons.items():
+            by = "a program for this processor" if reason is None else f"XLA: {reason}"
+            log.info("native: %s is computed by %s", name, by)
+        native = [name for name, reason in reasons.items() if reason is None]
+        found = provenance.environment(*["llvmlite"][: len(native)])
+        return found | ({"native": native} if native else {})
+
+    def _why_not(self, name: str) -> str | None:
+        """The reason why XLA computes a variant; None where it does not."""
+        if not self._natives:
+            return "not asked for"
+        native = self._natives[self.plan.variants[name].trials]
+        return native.why_not(*self._arguments(name, 0, self.plan.lanes))
 
     def fitting_lanes(self) -> int:
         """The lanes that suit the backend and fit for every scheme, see `runtime.lanes`.
@@ -91,6 +120,9 @@ class Host:
 
     def bytes_of(self, name: str, size: int) -> int:
         """Bytes that `size` members of a variant need; the program is compiled, but not run."""
+        if self._why_not(name) is None:
+            native = self._natives[self.plan.variants[name].trials]
+            return native.program(*self._arguments(name, 0, 1)).bytes_of(size)
         return capacity.program_bytes(self._run(name).lower(*self._arguments(name, 0, size)))
 
     def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
@@ -137,22 +169,24 @@ class Host:
             fill()
             yield finished()
 
-    def _started(self, chunk: Chunk) -> dict[str, jax.Array]:
-        """The results of `compute` as arrays of JAX, which need not be computed yet."""
-        return self._run(chunk.name)(*self._arguments(chunk.name, chunk.start, self.plan.chunk))
+    def _started(self, chunk: Chunk) -> Started:
+        """The results of `compute` as arrays that need not be computed yet, or what gives them."""
+        arguments = self._arguments(chunk.name, chunk.start, self.plan.chunk)
+        if self._why_not(chunk.name) is None:
+            native = self._natives[self.plan.variants[chunk.name].trials]
+            return partial(native.program(*arguments), *arguments)
+        return self._run(chunk.name)(*arguments)
 
     def _run(self, name: str) -> Any:
         """The compiled function of a variant."""
         return self._programs[self.plan.variants[name].trials]
 
-    def _finished(
-        self, chunk: Chunk, found: dict[str, jax.Array], begun: float
-    ) -> dict[str, np.ndarray]:
+    def _finished(self, chunk: Chunk, started: Started, begun: float) -> dict[str, np.ndarray]:
         """The results as NumPy arrays, when they are computed; the time that it took is recorded.
 
         begun: the time at which the chunk was started; it may have waited for the one before
         """
-        jax.block_until_ready(found)
+        found = jax.block_until_ready(started() if callable(started) else started)
         begun, self._finished_at = max(begun, self._finished_at), time.perf_counter()
         jax.monitoring.record_event_duration_secs(COMPUTING, self._finished_at - begun)
         # The members that fill the chunk up to full size are left out.
@@ -207,6 +241,13 @@ def _program(names, keep, save, watch, trials: int, lanes: int | None) -> Any:
 
 
 _shared_program = lru_cache(maxsize=PROGRAMS)(_program)
+
+
+@lru_cache(maxsize=PROGRAMS)
+def _shared_native(names, keep, save, watch, trials: int, lanes: int | None) -> Native:
+    """The function compiled for this processor, where it can be."""
+    fn = _one_with(names, keep, save, watch, trials)
+    return Native(fn, _shared_program(names, keep, save, watch, trials, lanes))
 
 
 def _one_machine(

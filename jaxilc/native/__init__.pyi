@@ -1,0 +1,5 @@
+from .run import why_not
+
+__all__ = [
+    "why_not",
+]

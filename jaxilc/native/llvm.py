@@ -1,0 +1,562 @@
+"""The text of a program for LLVM, from the plan of a loop over trials.
+
+A vector holds a number of each machine of a group. The function that is printed runs groups of
+machines, each through all trials:
+
+    run(first, last, given, out, work)
+
+given: pointers to the operands: one number for all machines, or (groups, ..., lanes)
+out: pointers to the results, (groups, ..., lanes) each
+work: room for what one group carries and keeps
+"""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from .operations import CONVERSIONS, Node, instruction
+from .program import Unknown
+from .rows import Array, Buffer, Loop, Row, Segment, Trials
+
+ALIGNED = 64  # bytes
+FLUSH = 0x8040  # of the register MXCSR: results and operands too small to be normal are zero
+TYPES = {"float64": "double", "float32": "float", "bool": "i1"}
+
+
+def bytes_of(dtype: Any) -> int:
+    """The bytes of a number in RAM; a truth value takes one."""
+    return np.dtype(dtype).itemsize
+
+
+class Text:
+    """The text of the program of a plan.
+
+    lanes: number of machines in a group
+    wanted: whether each result of the loop over trials is read by somebody
+    work: bytes that a group needs
+    """
+
+    def __init__(self, plan: Trials, lanes: int, wanted: Sequence[bool]):
+        if plan.reverse:
+            raise Unknown("a loop over trials from the last to the first")
+        self.plan, self.lanes, self.wanted = plan, lanes, wanted
+        self.lines: list[str] = []
+        self.declared: set[str] = set()
+        self.straight: dict[Node, str] = {}
+        self.inside: dict[Node, str] = {}
+        self.count, self.work = 0, 0
+        self.doubled = _doubled(plan)
+        self.text = self._module()
+
+    # Lines
+    # ----------------------------------------------------------------------------------------------
+
+    def add(self, text: str) -> str:
+        """A line whose result has a new name, which is returned."""
+        self.count += 1
+        self.lines.append(f"  %v{self.count} = {text}")
+        return f"%v{self.count}"
+
+    def do(self, text: str) -> None:
+        self.lines.append(f"  {text}")
+
+    def label(self) -> str:
+        self.count += 1
+        return f"b{self.count}"
+
+    def type_of(self, dtype: Any) -> str:
+        return f"<{self.lanes} x {_scalar(dtype)}>"
+
+    def stored_type(self, dtype: Any, *, alike: bool = False) -> str:
+        """The type of numbers as they are in RAM."""
+        scalar = "i8" if np.dtype(dtype).kind == "b" else _scalar(dtype)
+        return scalar if alike else f"<{self.lanes} x {scalar}>"
+
+    def const(self, value: Any, dtype: Any) -> str:
+        one = f"{_scalar(dtype)} {_number(value, dtype)}"
+        return f"<{', '.join([one] * self.lanes)}>"
+
+    def splat(self, scalar: str, kind: str) -> str:
+        """A vector of a number."""
+        vector = f"<{self.lanes} x {kind}>"
+        first = self.add(f"insertelement {vector} poison, {kind} {scalar}, i32 0")
+        return self.add(
+            f"shufflevector {vector} {first}, {vector} poison, <{self.lanes} x i32> zeroinitializer"
+        )
+
+    def loop(self, first: str, last: str, step: int = 1) -> tuple[str, list[str]]:
+        """Begin a loop; its counter, and the lines that end it."""
+        before, head, after = self.label(), self.label(), self.label()
+        self.do(f"br label %{before}")
+        self.lines.append(f"{before}:")
+        self.do(f"br label %{head}")
+        self.lines.append(f"{head}:")
+        self.count += 1
+        k, name = f"%k{self.count}", f"%n{self.count}"
+        self.do(f"{k} = phi i64 [{first}, %{before}], [{name}, %{head}e]")
+        end = [
+            f"  br label %{head}e", f"{head}e:",
+            f"  {name} = add i64 {k}, {step}",
+            f"  %c{self.count} = icmp ne i64 {name}, {last}",
+            f"  br i1 %c{self.count}, label %{head}, label %{after}",
+            f"{after}:",
+        ]  # fmt: skip
+        return k, end
+
+    def load(self, base: str, index: str, dtype: Any, *, alike: bool) -> str:
+        """The numbers at a place of an array in RAM."""
+        kind = self.stored_type(dtype, alike=alike)
+        place = self.add(f"getelementptr {kind}, ptr {base}, i64 {index}")
+        found = self.add(f"load {kind}, ptr {place}, align {self._align(dtype, alike)}")
+        if np.dtype(dtype).kind == "b":
+            found = self.add(f"trunc {kind} {found} to {'i1' if alike else self.type_of(dtype)}")
+        return self.splat(found, _scalar(dtype)) if alike else found
+
+    def store(self, value: str, base: str, index: str, dtype: Any) -> None:
+        kind = self.stored_type(dtype)
+        if np.dtype(dtype).kind == "b":
+            value = self.add(f"zext {self.type_of(dtype)} {value} to {kind}")
+        place = self.add(f"getelementptr {kind}, ptr {base}, i64 {index}")
+        self.do(f"store {kind} {value}, ptr {place}, align {self._align(dtype, False)}")
+
+    def _align(self, dtype: Any, alike: bool) -> int:
+        return bytes_of(dtype) * (1 if alike else self.lanes)
+
+    # Nodes
+    # ----------------------------------------------------------------------------------------------
+
+    def values(self, nodes: Iterable[Node], k: str | None = None) -> list[str]:
+        """The names of the values of nodes, which are printed where they were not yet.
+
+        k: the counter of the loop, within one
+        """
+        nodes = list(nodes)
+        todo = nodes[::-1]
+        while todo:
+            node = todo[-1]
+            known = self.inside if node.varies else self.straight
+            missing = [x for x in node.args if x not in self._known(x)]
+            if node in known:
+                todo.pop()
+            elif missing:
+                todo += missing
+            else:
+                known[node] = self._printed(node, [self._known(x)[x] for x in node.args], k)
+                todo.pop()
+        return [self._known(x)[x] for x in nodes]
+
+    def _known(self, node: Node) -> dict[Node, str]:
+        return self.inside if node.varies else self.straight
+
+    def _printed(self, node: Node, args: list[str], k: str | None) -> str:
+        kind = self.type_of(node.dtype)
+        match node.name:
+            case "const":
+                return self.const(node.what, node.dtype)
+            case "cell" | "now":
+                cell = node.what if node.name == "cell" else node.what[1]
+                return self.add(f"load {kind}, ptr {self._cell(cell, node.dtype)}")
+            case "input":
+                _, number, m = node.what
+                return self.load(f"%g{number}", str(m), node.dtype, alike=node.alike)
+            case "by_trial":
+                _, number, m = node.what
+                size = math.prod(self.plan.body.ins[number].shape)
+                at = self.add(f"mul i64 %j, {size}")
+                at = self.add(f"add i64 {at}, {m}")
+                return self.load(f"%g{number}", at, node.dtype, alike=node.alike)
+            case "pick":
+                _, buffer, i, m = node.what
+                return self.load(self._base(buffer), str(i * buffer.width + m), node.dtype,
+                                 alike=buffer.alike)  # fmt: skip
+            case "load":
+                _, buffer, sign, c, m = node.what
+                index = self._index(k, sign, c, buffer.width, m)
+                return self.load(self._base(buffer), index, node.dtype, alike=buffer.alike)
+            case "index":
+                _, _, sign, c = node.what
+                index = self._index(k, sign, c, 1, 0)
+                wide = self.splat(index, "i64")
+                if bytes_of(node.dtype) == 8:
+                    return wide
+                return self.add(f"trunc <{self.lanes} x i64> {wide} to {kind}")
+            case "row":
+                return self._row(node, args[0])
+            case "select":
+                yes = f"{kind} {args[2]}, {kind} {args[1]}"
+                return self.add(f"select <{self.lanes} x i1> {args[0]}, {yes}")
+            case "convert":
+                return self._converted(node, args[0])
+        text = instruction(node.name, node.args[0].dtype.kind)
+        assert text is not None, node.name
+        of = self.type_of(node.args[0].dtype)
+        if text.startswith("@llvm"):
+            name = f"{text}.{self._suffix(node.args[0].dtype)}"
+            return self._called(name, kind, [of] * len(args), args)
+        if text.startswith("@"):
+            return self._for_each(text, node.dtype, args)
+        if text == "fneg":
+            return self.add(f"fneg {of} {args[0]}")
+        return self.add(f"{text} {of} {args[0]}, {args[1]}")
+
+    def _called(self, name: str, kind: str, types: list[str], args: list[str]) -> str:
+        self.declared.add(f"declare {kind} {name}({', '.join(types)})")
+        given = ", ".join(f"{t} {x}" for t, x in zip(types, args, strict=True))
+        return self.add(f"call {kind} {name}({given})")
+
+    def _suffix(self, dtype: Any) -> str:
+        letter = "f" if np.dtype(dtype).kind == "f" else "i"
+        return f"v{self.lanes}{letter}{8 * bytes_of(dtype)}"
+
+    def _for_each(self, name: str, dtype: Any, args: list[str]) -> str:
+        """The results of a function of the C library, in double precision, for each machine."""
+        kind, scalar = self.type_of(dtype), _scalar(dtype)
+        if name == "@log":  # it would not take tiny numbers as zero, as XLA does here alone
+            same = f"@llvm.canonicalize.{self._suffix(dtype)}"
+            args = [self._called(same, kind, [kind], args)]
+        self.declared.add(f"declare double {name}({', '.join(['double'] * len(args))})")
+        found = "poison"
+        for lane in range(self.lanes):
+            ones = [self.add(f"extractelement {kind} {x}, i32 {lane}") for x in args]
+            if scalar == "float":
+                ones = [self.add(f"fpext float {x} to double") for x in ones]
+            one = self.add(f"call double {name}({', '.join(f'double {x}' for x in ones)})")
+            if scalar == "float":
+                one = self.add(f"fptrunc double {one} to float")
+            found = self.add(f"insertelement {kind} {found}, {scalar} {one}, i32 {lane}")
+        return found
+
+    def _converted(self, node: Node, x: str) -> str:
+        source = node.args[0].dtype
+        of, to = self.type_of(source), self.type_of(node.dtype)
+        if source.kind in "iu" and node.dtype.kind in "iu":
+            here, there = bytes_of(source), bytes_of(node.dtype)
+            if here == there:
+                return x
+            longer = "sext" if source.kind == "i" else "zext"
+            return self.add(f"{longer if there > here else 'trunc'} {of} {x} to {to}")
+        text = CONVERSIONS[source.kind + node.dtype.kind]
+        if text.startswith("@"):
+            name = f"{text}.{self._suffix(node.dtype)}.{self._suffix(source)}"
+            return self._called(name, to, [of], [x])
+        return self.add(f"{text} {of} {x} to {to}")
+
+    def _index(self, k: str | None, sign: int, c: int, width: int, m: int) -> str:
+        """The place of number m of row sign k + c; k may be known beforehand."""
+        assert k is not None
+        if not k.startswith("%"):
+            return str((sign * int(k) + c) * width + m)
+        at = self.add(f"mul i64 {k}, {sign * width}")
+        return self.add(f"add i64 {at}, {c * width + m}")
+
+    def _row(self, node: Node, index: str) -> str:
+        """Number m of the row of a table at an index, which may be another for each machine."""
+        buffer, m = node.what
+        base, kind = self._base(buffer), self.type_of(node.args[0].dtype)
+        alike = node.args[0].alike
+        scalar = _scalar(node.args[0].dtype)
+        found = "poison"
+        for lane in range(1 if alike else self.lanes):
+            at = self.add(f"extractelement {kind} {index}, i32 {lane}")
+            if scalar != "i64":
+                at = self.add(f"sext {scalar} {at} to i64")
+            at = self.add(f"mul i64 {at}, {buffer.width}")
+            at = self.add(f"add i64 {at}, {m}")
+            if alike:
+                return self.load(base, at, buffer.dtype, alike=buffer.alike)
+            if not buffer.alike:
+                at = self.add(f"mul i64 {at}, {self.lanes}")
+                at = self.add(f"add i64 {at}, {lane}")
+            one = self.stored_type(buffer.dtype, alike=True)
+            place = self.add(f"getelementptr {one}, ptr {base}, i64 {at}")
+            value = self.add(f"load {one}, ptr {place}, align {bytes_of(buffer.dtype)}")
+            if one == "i8":
+                value = self.add(f"trunc i8 {value} to i1")
+            vector = self.type_of(buffer.dtype)
+            found = self.add(
+                f"insertelement {vector} {found}, {_scalar(buffer.dtype)} {value}, i32 {lane}"
+            )
+        return found
+
+    # Places
+    # ----------------------------------------------------------------------------------------------
+
+    def _cell(self, cell: tuple, dtype: Any) -> str:
+        name = f"%cell{cell[1]}"
+        self.cells[name] = self.type_of(dtype)
+        return name
+
+    def _base(self, buffer: Buffer) -> str:
+        """The pointer to the rows of a buffer that are read."""
+        if buffer.kind == "given":
+            return f"%t{buffer.number}" if buffer.by_trial else f"%g{buffer.number}"
+        return f"%{buffer.kind}{buffer.number}"
+
+    def _target(self, buffer: Buffer) -> str:
+        """The pointer to the rows of a buffer that are written."""
+        return f"%next{buffer.number}" if buffer in self.doubled else self._base(buffer)
+
+    def _room(self, buffer: Buffer) -> int:
+        """The place in the working memory for a buffer."""
+        place = self.work
+        size = buffer.length * buffer.width * bytes_of(buffer.dtype) * self.lanes
+        self.work += -(-size // ALIGNED) * ALIGNED
+        return place
+
+    # The function
+    # ----------------------------------------------------------------------------------------------
+
+    def _module(self) -> str:
+        self.cells: dict[str, str] = {}
+        self._group()
+        body, self.lines = self.lines, []
+        for name, kind in self.cells.items():
+            self.do(f"{name} = alloca {kind}, align {ALIGNED}")
+        head = self.lines
+        width = '"min-legal-vector-width"="512" "prefer-vector-width"="512"'
+        flushing, restoring = self._flushing()
+        return "\n".join([
+            *sorted(self.declared),
+            "define void @run(i64 %first, i64 %last, ptr %given, ptr %out, ptr %work) #0 {",
+            "entry:", *flushing, *head, *body, *restoring, "  ret void", "}",
+            f"attributes #0 = {{ nounwind {width} }}",
+        ])  # fmt: skip
+
+    def _flushing(self) -> tuple[list[str], list[str]]:
+        """The lines that let the processor take numbers below 1e-307 as zero, and the reverse.
+
+        XLA does so. On other processors than those of x86 they remain.
+        """
+        if platform.machine() not in ("x86_64", "AMD64"):
+            return [], []
+        for name in ("ld", "st"):
+            self.declared.add(f"declare void @llvm.x86.sse.{name}mxcsr(ptr)")
+        return [
+            "  %before = alloca i32", "  %flushing = alloca i32",
+            "  call void @llvm.x86.sse.stmxcsr(ptr %before)",
+            "  %mode = load i32, ptr %before", f"  %flush = or i32 %mode, {FLUSH}",
+            "  store i32 %flush, ptr %flushing",
+            "  call void @llvm.x86.sse.ldmxcsr(ptr %flushing)",
+        ], ["  call void @llvm.x86.sse.ldmxcsr(ptr %before)"]  # fmt: skip
+
+    def _group(self) -> None:
+        plan, body = self.plan, self.plan.body
+        for i in range(len(body.ins) + len(plan.given)):
+            at = self.add(f"getelementptr ptr, ptr %given, i64 {i}")
+            self.do(f"%in{i} = load ptr, ptr {at}")
+        for i in range(len(body.outs)):
+            at = self.add(f"getelementptr ptr, ptr %out, i64 {i}")
+            self.do(f"%o{i} = load ptr, ptr {at}")
+        for buffer in plan.buffers:
+            if buffer.kind in ("carried", "kept"):
+                self.do(f"%room{buffer.number} = getelementptr i8, ptr %work, "
+                        f"i64 {self._room(buffer)}")  # fmt: skip
+            if buffer in self.doubled:
+                self.do(f"%other{buffer.number} = getelementptr i8, ptr %work, "
+                        f"i64 {self._room(buffer)}")  # fmt: skip
+                self.do(f"%a{buffer.number} = alloca ptr")
+                self.do(f"%b{buffer.number} = alloca ptr")
+        group, end = self.loop("%first", "%last")
+        for i, x in enumerate(body.ins):
+            alike = plan.alike[i]
+            by_trial = plan.trials if i >= plan.consts + plan.carry else 1
+            size = 0 if alike else math.prod(x.shape) * by_trial
+            at = self.add(f"mul i64 {group}, {size}")
+            self.do(f"%g{i} = getelementptr {self.stored_type(x.dtype)}, ptr %in{i}, i64 {at}")
+        for i in range(len(body.ins), len(body.ins) + len(plan.given)):
+            self.do(f"%g{i} = getelementptr i8, ptr %in{i}, i64 0")
+        self._begin()
+        self._trials(group)
+        self._end(group)
+        self.lines += end
+
+    def _carried(self) -> Iterable[tuple[int, Any]]:
+        """The number among the carried, and the cells or rows."""
+        return ((i, self.plan.ins[self.plan.consts + i]) for i in range(self.plan.carry))
+
+    def _begin(self) -> None:
+        """What is carried into the first trial."""
+        plan = self.plan
+        for i, x in self._carried():
+            number = plan.consts + i
+            alike = plan.alike[number]
+            if isinstance(x, Row):
+                buffer = x.buffer
+                size = buffer.length * buffer.width
+                if size:
+                    k, end = self.loop("0", str(size))
+                    value = self.load(f"%g{number}", k, buffer.dtype, alike=alike)
+                    self.store(value, f"%room{number}", k, buffer.dtype)
+                    self.lines += end
+                if buffer in self.doubled:
+                    self.do(f"store ptr %room{number}, ptr %a{number}")
+                    self.do(f"store ptr %other{number}, ptr %b{number}")
+            else:
+                for m, cell in enumerate(x.flat):
+                    value = self.load(f"%g{number}", str(m), cell.dtype, alike=alike)
+                    kind = self.type_of(cell.dtype)
+                    self.do(f"store {kind} {value}, ptr {self._cell(cell.what, cell.dtype)}")
+
+    def _trials(self, group: str) -> None:
+        plan = self.plan
+        j, end = self.loop("0", str(plan.trials))
+        self.do(f"%j = add i64 {j}, 0")
+        self.straight = {}
+        first = self.add(f"mul i64 {group}, {plan.trials}")
+        trial = self.add(f"add i64 {first}, {j}")
+        for buffer in plan.buffers:
+            n = buffer.number
+            if buffer in self.doubled:
+                self.do(f"%carried{n} = load ptr, ptr %a{n}")
+                self.do(f"%next{n} = load ptr, ptr %b{n}")
+            elif buffer.kind in ("carried", "kept"):
+                self.do(f"%{buffer.kind}{n} = getelementptr i8, ptr %room{n}, i64 0")
+            elif buffer.by_trial:
+                size, kind = (
+                    buffer.length * buffer.width,
+                    self.stored_type(buffer.dtype, alike=buffer.alike),
+                )
+                at = self.add(f"mul i64 {j if buffer.kind == 'given' else trial}, {size}")
+                name, base = ("t", f"%g{n}") if buffer.kind == "given" else ("out", f"%o{n}")
+                self.do(f"%{name}{n} = getelementptr {kind}, ptr {base}, i64 {at}")
+        for number in range(len(plan.loops) + 1):
+            self.values(plan.picks.get(number, []))
+            if number < len(plan.loops):
+                self._loop(plan.loops[number])
+        self._results(trial)
+        for buffer in self.doubled:
+            self.do(f"store ptr %next{buffer.number}, ptr %a{buffer.number}")
+            self.do(f"store ptr %carried{buffer.number}, ptr %b{buffer.number}")
+        self.lines += end
+
+    def _results(self, trial: str) -> None:
+        """What each trial gives, and the single numbers that it carries to the next one."""
+        plan, new = self.plan, []
+        for i, x in enumerate(plan.outs):
+            if isinstance(x, Row):
+                continue
+            values = self.values(x.flat)
+            if i < plan.carry:
+                cells = plan.ins[plan.consts + i]
+                new += zip(cells.flat, values, strict=True)
+                continue
+            at = self.add(f"mul i64 {trial}, {x.size}")
+            for m, (node, value) in enumerate(zip(x.flat, values, strict=True)):
+                self.store(value, f"%o{i}", self.add(f"add i64 {at}, {m}"), node.dtype)
+        for cell, value in new:
+            kind = self.type_of(cell.dtype)
+            self.do(f"store {kind} {value}, ptr {self._cell(cell.what, cell.dtype)}")
+
+    def _end(self, group: str) -> None:
+        """What is carried out of the last trial."""
+        for i, x in self._carried():
+            if not self.wanted[i]:
+                continue
+            if isinstance(x, Row):
+                buffer = x.buffer
+                size = buffer.length * buffer.width
+                at = self.add(f"mul i64 {group}, {size}")
+                kind = self.stored_type(buffer.dtype)
+                out = self.add(f"getelementptr {kind}, ptr %o{i}, i64 {at}")
+                source = f"%room{buffer.number}"
+                if buffer in self.doubled:
+                    source = self.add(f"load ptr, ptr %a{buffer.number}")
+                k, end = self.loop("0", str(size))
+                self.store(self.load(source, k, buffer.dtype, alike=False), out, k, buffer.dtype)
+                self.lines += end
+            else:
+                at = self.add(f"mul i64 {group}, {x.size}")
+                for m, cell in enumerate(x.flat):
+                    name = self._cell(cell.what, cell.dtype)
+                    value = self.add(f"load {self.type_of(cell.dtype)}, ptr {name}")
+                    self.store(value, f"%o{i}", self.add(f"add i64 {at}, {m}"), cell.dtype)
+
+    # A loop over samples
+    # ----------------------------------------------------------------------------------------------
+
+    def _loop(self, loop: Loop) -> None:
+        for scan in loop.scans:
+            for i, cells in enumerate(scan.cells):
+                self._set(cells, scan.operands[scan.consts + i])
+        for gathering in loop.gatherings:
+            self._set(gathering.cells, gathering.begin)
+        for segment in loop.segments:
+            self._segment(segment, loop.direction)
+
+    def _set(self, cells: Array, begin: Array) -> None:
+        values = self.values(begin.flat)
+        for cell, value in zip(cells.flat, values, strict=True):
+            kind = self.type_of(cell.dtype)
+            self.do(f"store {kind} {value}, ptr {self._cell(cell.what, cell.dtype)}")
+
+    def _segment(self, of: Segment, direction: int) -> None:
+        stores = list(of.stores)
+        stores += [(r.kept, offset, x) for r, offset, x in of.results if r.kept is not None]
+        nodes = [node for _, _, array in stores for node in array.flat]
+        nodes += [new for _, new in of.cells]
+        if not nodes:
+            return
+        self.values(_first_known(nodes))
+        self.inside = {}
+        if of.last - of.first == 1:
+            k, end = str(of.first), []
+        elif direction > 0:
+            k, end = self.loop(str(of.first), str(of.last))
+        else:
+            k, end = self.loop(str(of.last - 1), str(of.first - 1), -1)
+        self.values(nodes, k)
+        for buffer, offset, array in stores:
+            for m, node in enumerate(array.flat):
+                index = self._index(k, 1, offset, buffer.width, m)
+                self.store(self._known(node)[node], self._target(buffer), index, buffer.dtype)
+        for cell, new in of.cells:
+            kind = self.type_of(cell.dtype)
+            name = self._cell(cell.what, cell.dtype)
+            self.do(f"store {kind} {self._known(new)[new]}, ptr {name}")
+        self.lines += end
+        self.inside = {}
+
+
+def _first_known(nodes: Iterable[Node]) -> list[Node]:
+    """The nodes that these are computed from and that do not vary within the loop."""
+    seen, found, todo = set(), [], list(nodes)
+    while todo:
+        node = todo.pop()
+        if node in seen:
+            continue
+        seen.add(node)
+        if node.varies:
+            todo += node.args
+        else:
+            found.append(node)
+    return found
+
+
+def _doubled(plan: Trials) -> list[Buffer]:
+    """The carried rows that are written elsewhere, since somebody reads the old ones later."""
+    found = []
+    for number, loop in enumerate(plan.loops):
+        for sink in loop.sinks:
+            d, buffer = loop.direction, sink.buffer
+            if buffer.kind == "carried" and any(
+                at > number or (at == number and (sign != 1 or d * c < d * sink.offset))
+                for read, at, sign, c in plan.reads if read == buffer
+            ):  # fmt: skip
+                found.append(buffer)
+    return found
+
+
+def _scalar(dtype: Any) -> str:
+    dtype = np.dtype(dtype)
+    return TYPES.get(dtype.name, f"i{8 * dtype.itemsize}")
+
+
+def _number(value: Any, dtype: Any) -> str:
+    if np.dtype(dtype).kind == "f":
+        return f"0x{np.float64(value).view(np.uint64):016X}"
+    return ("true" if value else "false") if np.dtype(dtype).kind == "b" else str(int(value))

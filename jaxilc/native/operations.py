@@ -1,0 +1,510 @@
+"""Operations on single numbers, one of each machine, and steps on small arrays of them.
+
+A `Node` is a number that each machine has. `INSTRUCTIONS` is the table of all operations that a
+compiled program consists of, `COMPOSED` says which further primitives of JAX are made from them,
+and `applied` carries out a step on small arrays of nodes. What neither knows is `Unknown`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from functools import partial, reduce
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .program import Step, Unknown
+
+LARGEST = 4096  # elements of a small array
+BOOL = np.dtype(bool)
+KINDS = {"f": "float", "b": "bool", "i": "int", "u": "unsigned"}
+
+
+class Node:
+    """A number of each machine.
+
+    name: an operation of `INSTRUCTIONS`, `const`, or a place from which it is read
+    args: the nodes that an operation is of
+    dtype: its type
+    what: the number of a constant, or which place
+    loop: the number of the loop over samples before which it is known
+    varies: whether it changes from sample to sample of that loop
+    alike: whether it is the same for all machines
+    """
+
+    __slots__ = ("alike", "args", "dtype", "loop", "name", "varies", "what")
+
+    def __init__(self, name: str, args: tuple, dtype: Any, what: Any = None, *,
+                 loop: int = 0, varies: bool = False, alike: bool = True):  # fmt: skip
+        self.name, self.args, self.dtype, self.what = name, args, np.dtype(dtype), what
+        self.loop = max([loop, *(x.loop for x in args)])
+        self.varies = varies or any(x.varies for x in args)
+        self.alike = alike and all(x.alike for x in args)
+
+
+# The table
+# --------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Instruction:
+    """An operation of the compiled program.
+
+    text: by the kind of the first operand, how LLVM writes it: an instruction, an intrinsic, which
+        begins with @llvm, or a function of the C library for each machine alone, which begins
+        with @. With one text for several kinds, these are its letters
+    exact: the function by which constants are computed beforehand
+    tests: whether the result is true or false
+    """
+
+    text: dict[str, str]
+    exact: Callable[..., Any] | None = None
+    tests: bool = False
+
+
+def _compared(of_floats: str, of_ints: str, exact: Any) -> Instruction:
+    signed = of_ints if of_ints in ("eq", "ne") else f"s{of_ints}"
+    unsigned = of_ints if of_ints in ("eq", "ne") else f"u{of_ints}"
+    texts = {"f": f"fcmp {of_floats}", "i": f"icmp {signed}", "u": f"icmp {unsigned}"}
+    return Instruction(texts | {"b": f"icmp {unsigned}"}, exact, tests=True)
+
+
+def _of_library(name: str) -> Instruction:
+    return Instruction({"f": f"@{name}"})
+
+
+INSTRUCTIONS = {
+    "add": Instruction({"f": "fadd contract", "iu": "add"}, np.add),
+    "sub": Instruction({"f": "fsub contract", "iu": "sub"}, np.subtract),
+    "mul": Instruction({"f": "fmul contract", "iu": "mul"}, np.multiply),
+    "div": Instruction({"f": "fdiv"}, np.divide),
+    "neg": Instruction({"f": "fneg"}, np.negative),
+    "max": Instruction(
+        {"f": "@llvm.maximum", "i": "@llvm.smax", "u": "@llvm.umax", "b": "or"}, np.maximum
+    ),
+    "min": Instruction(
+        {"f": "@llvm.minimum", "i": "@llvm.smin", "u": "@llvm.umin", "b": "and"}, np.minimum
+    ),
+    "abs": Instruction({"f": "@llvm.fabs"}, np.abs),
+    "sqrt": Instruction({"f": "@llvm.sqrt"}, np.sqrt),
+    "floor": Instruction({"f": "@llvm.floor"}, np.floor),
+    "ceil": Instruction({"f": "@llvm.ceil"}, np.ceil),
+    "round_even": Instruction({"f": "@llvm.roundeven"}, np.rint),
+    "round_away": Instruction({"f": "@llvm.round"}),
+    "copysign": Instruction({"f": "@llvm.copysign"}, np.copysign),
+    "and": Instruction({"biu": "and"}, np.bitwise_and),
+    "or": Instruction({"biu": "or"}, np.bitwise_or),
+    "xor": Instruction({"biu": "xor"}, np.bitwise_xor),
+    "eq": _compared("oeq", "eq", np.equal),
+    "ne": _compared("une", "ne", np.not_equal),
+    "lt": _compared("olt", "lt", np.less),
+    "le": _compared("ole", "le", np.less_equal),
+    "gt": _compared("ogt", "gt", np.greater),
+    "ge": _compared("oge", "ge", np.greater_equal),
+    "exp": _of_library("exp"),
+    "expm1": _of_library("expm1"),
+    "log": _of_library("log"),
+    "log1p": _of_library("log1p"),
+    "sin": _of_library("sin"),
+    "cos": _of_library("cos"),
+    "tan": _of_library("tan"),
+    "tanh": _of_library("tanh"),
+    "pow": _of_library("pow"),
+}
+# conversions, by the kinds from and to
+CONVERSIONS = {
+    "ff": "", "bf": "uitofp", "if": "sitofp", "uf": "uitofp",
+    "bi": "zext", "bu": "zext", "fi": "@llvm.fptosi.sat", "fu": "@llvm.fptoui.sat",
+}  # fmt: skip
+
+
+def instruction(name: str, kind: str) -> str | None:
+    """How LLVM writes an operation on operands of a kind; None where it is not known."""
+    known = INSTRUCTIONS.get(name)
+    texts = {} if known is None else known.text
+    return next((text for kinds, text in texts.items() if kind in kinds), None)
+
+
+class Numbers:
+    """The nodes of a program; equal ones are the same one.
+
+    real: the floating point type of the program
+    """
+
+    def __init__(self, real: Any):
+        self.real = np.dtype(real)
+        self._known: dict[Any, Node] = {}
+        self._dtypes = {np.dtype(t) for t in ("bool", "int32", "int64", "uint32")} | {self.real}
+
+    def const(self, value: Any, dtype: Any) -> Node:
+        value = np.asarray(value, dtype)[()]
+        return self._node("const", (), dtype, value, np.asarray(value).tobytes())
+
+    def place(self, name: str, dtype: Any, what: Any, **how: Any) -> Node:
+        """A number that is read from a place; the same one for the same place."""
+        return self._node(name, (), dtype, what, what, **how)
+
+    def of(self, name: str, *args: Node, dtype: Any = None, what: Any = None) -> Node:
+        """The result of an operation on nodes, by its name in the table."""
+        if name == "select":
+            no, yes = args[1:]
+            if args[0].name == "const":
+                return yes if args[0].what else no
+            return no if no is yes else self._node(name, args, no.dtype, None, None)
+        if name == "convert":
+            return self._converted(args[0], np.dtype(dtype))
+        if name == "row":
+            return self._node(name, args, dtype, what, what, alike=what[0].alike)
+        kind = args[0].dtype.kind
+        if instruction(name, kind) is None:
+            raise Unknown(f"{name} of {args[0].dtype}")
+        known = INSTRUCTIONS[name]
+        dtype = BOOL if known.tests else args[0].dtype
+        if known.exact is not None and all(x.name == "const" for x in args):
+            with np.errstate(all="ignore"):
+                return self.const(known.exact(*(x.what for x in args)), dtype)
+        return self._same(name, args) or self._node(name, args, dtype, None, None)
+
+    def _same(self, name: str, args: tuple) -> Node | None:
+        """The operand that an operation leaves as it is, to the last bit and sign; else None."""
+        one, other = (args * 2)[:2]
+        if name == "mul" and _is(other, 1):
+            return one
+        if name == "mul" and _is(one, 1):
+            return other
+        if name == "div" and _is(other, 1):
+            return one
+        if name == "sub" and _is(other, 0) and not np.signbit(other.what):
+            return one
+        return None
+
+    def _converted(self, x: Node, dtype: np.dtype) -> Node:
+        if x.dtype == dtype:
+            return x
+        if x.name == "const":
+            if x.dtype.kind == "f" and dtype.kind in "iu" and not np.isfinite(x.what):
+                raise Unknown(f"{x.what} as {dtype}")
+            return self.const(x.what.astype(dtype), dtype)
+        if dtype == BOOL:
+            return self.of("ne", x, self.const(0, x.dtype))
+        between = x.dtype.kind in "iu" and dtype.kind in "iu"
+        if not between and CONVERSIONS.get(x.dtype.kind + dtype.kind, "") == "":
+            raise Unknown(f"{x.dtype} as {dtype}")
+        return self._node("convert", (x,), dtype, None, None)
+
+    def _node(self, name: str, args: tuple, dtype: Any, what: Any, key: Any, **how: Any) -> Node:
+        dtype = np.dtype(dtype) if not jax.dtypes.issubdtype(dtype, jax.dtypes.extended) else dtype
+        if dtype not in self._dtypes:
+            raise Unknown(f"numbers of the type {dtype}")
+        known = (name, tuple(map(id, args)), dtype, key)
+        if known not in self._known:
+            self._known[known] = Node(name, args, dtype, what, **how)
+        return self._known[known]
+
+    # Arrays of them
+    # ----------------------------------------------------------------------------------------------
+
+    def array(self, values: Any) -> np.ndarray:
+        """An array of constants."""
+        values = np.asarray(values)
+        if values.size > LARGEST:
+            raise Unknown(f"an array of {values.size} numbers that are no rows of a trial")
+        return _filled(values.shape, [self.const(v, values.dtype) for v in values.ravel()])
+
+    def each(self, function: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
+        """The function of the elements of arrays, of which some may be single numbers."""
+        arrays = tuple(np.broadcast_arrays(*arrays))
+        return _filled(
+            arrays[0].shape, [function(*x) for x in zip(*(a.flat for a in arrays), strict=True)]
+        )
+
+
+def _is(x: Node, value: float) -> bool:
+    return x.name == "const" and x.what == value
+
+
+def _filled(shape: Sequence[int], items: Sequence[Any]) -> np.ndarray:
+    out = np.empty(len(items), object)
+    out[:] = items
+    return out.reshape(shape)
+
+
+# What is made from them
+# --------------------------------------------------------------------------------------------------
+
+
+def _sign(n: Numbers, x: Node) -> Node:
+    zero = n.const(0, x.dtype)
+    if x.dtype.kind != "f":
+        raise Unknown(f"sign of {x.dtype}")
+    one = n.of("copysign", n.const(1, x.dtype), x)
+    found = n.of("select", n.of("eq", x, zero), one, n.of("copysign", zero, x))
+    return n.of("select", n.of("ne", x, x), found, x)
+
+
+def _not(n: Numbers, x: Node) -> Node:
+    return n.of("xor", x, n.const(True if x.dtype == BOOL else -1, x.dtype))
+
+
+def _integer_neg(n: Numbers, x: Node) -> Node:
+    return n.of("neg", x) if x.dtype.kind == "f" else n.of("sub", n.const(0, x.dtype), x)
+
+
+def _abs(n: Numbers, x: Node) -> Node:
+    return n.of("abs", x) if x.dtype.kind == "f" else n.of("max", x, _integer_neg(n, x))
+
+
+def _is_finite(n: Numbers, x: Node) -> Node:
+    return n.of("lt", n.of("abs", x), n.const(np.inf, x.dtype))
+
+
+def _power(n: Numbers, x: Node, *, y: int) -> Node:
+    """x to the power of a whole number, by squaring, as JAX computes it."""
+    if y == 0:
+        return n.const(1, x.dtype)
+    found, square, left = None, x, abs(y)
+    while left:
+        if left & 1:
+            found = square if found is None else n.of("mul", found, square)
+        left >>= 1
+        square = n.of("mul", square, square) if left else square
+    assert found is not None
+    return found if y > 0 else n.of("div", n.const(1, x.dtype), found)
+
+
+def _logistic(n: Numbers, x: Node) -> Node:
+    one = n.const(1, x.dtype)
+    return n.of("div", one, n.of("add", one, n.of("exp", n.of("neg", x))))
+
+
+def _select(n: Numbers, which: Node, *cases: Node) -> Node:
+    if which.dtype == BOOL:
+        return n.of("select", which, *cases)
+    found = cases[-1]
+    for i, case in reversed(list(enumerate(cases[:-1]))):
+        found = n.of("select", n.of("le", which, n.const(i, which.dtype)), found, case)
+    return found
+
+
+def _clamp(n: Numbers, low: Node, x: Node, high: Node) -> Node:
+    return n.of("min", n.of("max", low, x), high)
+
+
+def _round(n: Numbers, x: Node, *, rounding_method: Any) -> Node:
+    return n.of("round_even" if int(rounding_method) == 1 else "round_away", x)
+
+
+def _convert(n: Numbers, x: Node, *, new_dtype: Any) -> Node:
+    return n.of("convert", x, dtype=new_dtype)
+
+
+def _reciprocal_root(n: Numbers, x: Node) -> Node:
+    return n.of("div", n.const(1, x.dtype), n.of("sqrt", x))
+
+
+# primitives of JAX by name; the parameters that are named after it change the result
+COMPOSED: dict[str, tuple[Callable[..., Node], tuple[str, ...]]] = {
+    "sign": (_sign, ()),
+    "not": (_not, ()),
+    "neg": (_integer_neg, ()),
+    "abs": (_abs, ()),
+    "is_finite": (_is_finite, ()),
+    "integer_pow": (_power, ("y",)),
+    "square": (partial(_power, y=2), ()),
+    "logistic": (_logistic, ()),
+    "select_n": (_select, ()),
+    "clamp": (_clamp, ()),
+    "round": (_round, ("rounding_method",)),
+    "convert_element_type": (_convert, ("new_dtype",)),
+    "add_any": (lambda n, x, y: n.of("add", x, y), ()),
+    "rsqrt": (_reciprocal_root, ()),
+    "real": (lambda n, x: x, ()),
+}
+# how the elements along an axis are put together: the operation, and what it begins with
+GATHERED = {
+    "reduce_sum": ("add", 0), "reduce_prod": ("mul", 1), "reduce_max": ("max", -np.inf),
+    "reduce_min": ("min", np.inf), "reduce_and": ("and", True), "reduce_or": ("or", False),
+}  # fmt: skip
+RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+
+
+def known(name: str) -> bool:
+    """Whether `applied` knows steps of this name."""
+    moved = name in MOVES or name in MOVED_BY_JAX or name in ("dot_general", "by_columns", "iota")
+    return moved or elementwise(name) or name in GATHERED or name in RUNNING
+
+
+def elementwise(name: str) -> bool:
+    """Whether a step of this name is carried out element by element."""
+    return name in COMPOSED or name in INSTRUCTIONS
+
+
+def one_by_one(n: Numbers, step: Step) -> Callable[..., Node]:
+    """The function of the elements that an elementwise step computes."""
+    if step.name in COMPOSED:
+        function, names = COMPOSED[step.name]
+        return partial(function, n, **{name: step.params[name] for name in names})
+    return partial(n.of, step.name)
+
+
+def start(n: Numbers, name: str, dtype: Any) -> Node:
+    """What a gathering over no elements gives; raises Unknown where that is not known."""
+    dtype = np.dtype(dtype)
+    value = GATHERED[name][1]
+    if isinstance(value, float) and math.isinf(value) and dtype.kind != "f":
+        raise Unknown(f"{name} of {dtype}")
+    return n.const(value, dtype)
+
+
+# Steps on small arrays
+# --------------------------------------------------------------------------------------------------
+
+
+def applied(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
+            shape: Sequence[int] | None = None) -> np.ndarray:  # fmt: skip
+    """The result of a step with one result on arrays of nodes.
+
+    shape: that of the result, where it is not that of the step because an array has one row only
+    Raises Unknown for a step that is not known.
+    """
+    out, name, params = step.outs[0], step.name, step.params
+    shape = tuple(out.shape if shape is None else shape)
+    if math.prod(shape) > LARGEST:
+        raise Unknown(f"{name} with a result of {math.prod(shape)} numbers that are no rows")
+    if elementwise(name):
+        return n.each(one_by_one(n, step), *arrays)
+    if name in GATHERED:
+        return _gathered(n, name, arrays[0], params["axes"], shape)
+    if name in RUNNING:
+        return _running(n, step, arrays[0])
+    if name == "dot_general":
+        return _dot(n, params["dimension_numbers"], *arrays).reshape(shape)
+    if name == "by_columns":
+        matrix, vector = arrays
+        terms = [n.each(partial(n.of, "mul"), matrix[..., j], vector[..., j, None])
+                 for j in range(matrix.shape[-1])]  # fmt: skip
+        return reduce(partial(n.each, partial(n.of, "add")), terms).reshape(shape)
+    if name in MOVES:
+        return MOVES[name](params, arrays, shape)
+    if name in MOVED_BY_JAX:
+        return _moved_by_jax(step, arrays, shape)
+    if name == "iota":
+        return n.array(np.asarray(step.primitive.bind(**params)))
+    raise Unknown(name)
+
+
+def _gathered(n: Numbers, name: str, x: np.ndarray, axes: Sequence[int],
+              shape: Sequence[int]) -> np.ndarray:  # fmt: skip
+    front = np.moveaxis(x, axes, range(len(axes)))
+    rows = front.reshape(-1, 1, *front.shape[len(axes) :])  # each one an array, not a node
+    if not len(rows):
+        raise Unknown(f"{name} of nothing")
+    return reduce(partial(n.each, partial(n.of, GATHERED[name][0])), rows).reshape(shape)
+
+
+def _running(n: Numbers, step: Step, x: np.ndarray) -> np.ndarray:
+    front = np.moveaxis(x, step.params["axis"], 0)
+    rows = [front[i : i + 1] for i in range(len(front))]
+    rows = rows[::-1] if step.params["reverse"] else rows
+    for i in range(1, len(rows)):
+        rows[i] = n.each(partial(n.of, RUNNING[step.name]), rows[i - 1], rows[i])
+    rows = rows[::-1] if step.params["reverse"] else rows
+    return np.moveaxis(np.concatenate(rows), 0, step.params["axis"])
+
+
+def _dot(n: Numbers, numbers: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(batch, free of a, free of b) the product of arrays, summed over the contracted axes."""
+    (of_a, of_b), (batch_a, batch_b) = numbers
+    free_a = [i for i in range(a.ndim) if i not in (*of_a, *batch_a)]
+    free_b = [i for i in range(b.ndim) if i not in (*of_b, *batch_b)]
+    many, terms = math.prod(a.shape[i] for i in batch_a), math.prod(a.shape[i] for i in of_a)
+    if not terms:
+        raise Unknown("dot_general of nothing")
+    left = a.transpose(*batch_a, *free_a, *of_a).reshape(many, -1, 1, terms)
+    right = b.transpose(*batch_b, *free_b, *of_b).reshape(many, 1, -1, terms)
+    products = n.each(partial(n.of, "mul"), left, right)
+    return reduce(partial(n.each, partial(n.of, "add")), np.moveaxis(products, -1, 0))
+
+
+def _broadcast(params: dict, arrays: Sequence[np.ndarray], shape: Sequence[int]) -> np.ndarray:
+    wide = [1] * len(shape)
+    for axis, to in enumerate(params["broadcast_dimensions"]):
+        wide[to] = arrays[0].shape[axis]
+    return np.broadcast_to(arrays[0].reshape(wide), shape)
+
+
+def _slice(params: dict, arrays: Sequence[np.ndarray], shape: Sequence[int]) -> np.ndarray:
+    first, last = params["start_indices"], params["limit_indices"]
+    strides = params["strides"] or (1,) * len(first)
+    return arrays[0][tuple(slice(*x) for x in zip(first, last, strides, strict=True))]
+
+
+def _pad(params: dict, arrays: Sequence[np.ndarray], shape: Sequence[int]) -> np.ndarray:
+    x, value = arrays
+    out = np.full(shape, value[()], object)
+    for index in np.ndindex(x.shape):
+        at = tuple(
+            low + i * (1 + between)
+            for i, (low, _, between) in zip(index, params["padding_config"], strict=True)
+        )
+        if all(0 <= i < size for i, size in zip(at, shape, strict=True)):
+            out[at] = x[index]
+    return out
+
+
+# steps that only move numbers, by their parameters, the arrays and the shape of the result
+MOVES: dict[str, Callable[..., np.ndarray]] = {
+    "broadcast_in_dim": _broadcast,
+    "reshape": lambda _, arrays, shape: arrays[0].reshape(shape),
+    "squeeze": lambda _, arrays, shape: arrays[0].reshape(shape),
+    "expand_dims": lambda _, arrays, shape: arrays[0].reshape(shape),
+    "transpose": lambda params, arrays, _: arrays[0].transpose(params["permutation"]),
+    "rev": lambda params, arrays, _: np.flip(arrays[0], params["dimensions"]),
+    "concatenate": lambda params, arrays, _: np.concatenate(arrays, params["dimension"]),
+    "slice": _slice,
+    "pad": _pad,
+}
+
+
+MOVED_BY_JAX = ("gather", "scatter", "dynamic_slice", "dynamic_update_slice")
+
+
+def constants(array: np.ndarray, dtype: Any) -> np.ndarray | None:
+    """The values of an array of constants; None where some are not known beforehand."""
+    if any(x.name != "const" for x in array.flat):
+        return None
+    return np.array([x.what for x in array.flat], dtype).reshape(array.shape)
+
+
+def _moved_by_jax(step: Step, arrays: Sequence[np.ndarray], shape: Sequence[int]) -> np.ndarray:
+    """The result of a step that moves numbers to places that are known beforehand.
+
+    JAX moves the numbers of the elements, counted through all arrays, in place of the elements.
+    """
+    moving = 2 if step.name == "dynamic_update_slice" else 1
+    indices = list(enumerate(arrays))[moving:]
+    moved = [arrays[0]] if moving == 1 else [*arrays[:2]]
+    if step.name == "scatter":
+        moved, indices = [arrays[0], arrays[2]], [(1, arrays[1])]
+    count, numbered = 0, []
+    for x in moved:
+        numbered.append(jnp.arange(count, count + x.size).reshape(x.shape))
+        count += x.size
+    known = {i: constants(x, step.ins[i].dtype) for i, x in indices}
+    if any(x is None for x in known.values()):
+        raise Unknown(f"{step.name} at places that are found while it runs")
+    given = {i: jnp.asarray(x) for i, x in known.items()}
+    places = iter(numbered)
+    params = dict(step.params)
+    if "fill_value" in params:
+        params["fill_value"] = -1
+    operands = [given[i] if i in given else next(places) for i in range(len(arrays))]
+    found = np.asarray(step.primitive.bind(*operands, **params))
+    if found.size and found.min() < 0:
+        raise Unknown(f"{step.name} beyond the end")
+    every = np.concatenate([x.ravel() for x in moved])
+    return every[found].reshape(shape)

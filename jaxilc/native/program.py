@@ -1,0 +1,429 @@
+"""The form in which programs are compiled: steps on arrays, in order, without calls.
+
+A program comes from a jaxpr by `lowered`, in which calls are written out. `without_dead` drops the
+steps that nobody reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+CALLS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call"}
+CALLS |= {"remat2", "remat", "checkpoint", "custom_vjp_call_jaxpr"}
+SAME = {"by_sample", "stop_gradient", "copy", "copy_p", "optimization_barrier", "name"}
+UNROLLED = 64  # passes of a loop within a sample, up to which they are written one after another
+
+
+class Unknown(NotImplementedError):
+    """Something that cannot be compiled; the message names it."""
+
+
+class Value:
+    """An array that is known when the program runs.
+
+    shape, dtype: those of the array
+    """
+
+    def __init__(self, shape: Sequence[int], dtype: Any):
+        self.shape, self.dtype = tuple(int(n) for n in shape), dtype
+
+    def __repr__(self) -> str:
+        return f"{self.dtype}{list(self.shape)}"
+
+
+class Const(Value):
+    """An array that is known beforehand."""
+
+    def __init__(self, array: Any):
+        self.array = array
+        super().__init__(np.shape(array), getattr(array, "dtype", np.asarray(array).dtype))
+
+
+class Step:
+    """An operation on arrays.
+
+    name: the name of its primitive in JAX
+    params: the parameters of the primitive; of a scan over trials or samples that was lowered,
+        `length`, `reverse`, `consts` and `carry`, the numbers of such operands, and its `body`
+    ins, outs: its operands and its results
+    primitive: the primitive, where it was not lowered
+    """
+
+    def __init__(self, name: str, params: dict, ins: list, outs: list, primitive: Any = None):
+        self.name, self.params, self.ins, self.outs = name, params, ins, outs
+        self.primitive = primitive
+
+
+class Program:
+    """Steps in order.
+
+    ins: the operands
+    steps: the steps
+    outs: the results, each an operand, a constant, or the result of a step
+    """
+
+    def __init__(self, ins: list[Value], steps: list[Step], outs: list[Value]):
+        self.ins, self.steps, self.outs = ins, steps, outs
+
+
+# From a jaxpr
+# --------------------------------------------------------------------------------------------------
+
+
+def flat(closed: Any) -> Program:
+    """The program of a closed jaxpr with calls written out and loops as they are."""
+    return _inlined(closed.jaxpr, closed.consts, whole=False)
+
+
+def lowered(jaxpr: Any, consts: Sequence[Any] = ()) -> Program:
+    """The program of a jaxpr with everything written out that is not a loop over samples."""
+    return _inlined(jaxpr, consts, whole=True)
+
+
+def _inlined(jaxpr: Any, consts: Sequence[Any], *, whole: bool) -> Program:
+    ins: list[Value] = [Value(v.aval.shape, v.aval.dtype) for v in jaxpr.invars]
+    steps: list[Step] = []
+    outs = _inline(jaxpr, consts, ins, steps, whole)
+    return Program(ins, steps, outs)
+
+
+def _inline(jaxpr: Any, consts: Sequence[Any], ins: list, steps: list[Step], whole: bool) -> list:
+    """The results of a jaxpr for these operands; its steps are added."""
+    known: dict[Any, Value] = {}
+
+    def read(v: Any) -> Value:
+        literal = hasattr(v, "val")  # a number in place of a variable
+        return Const(np.asarray(v.val, v.aval.dtype)) if literal else known[v]
+
+    known.update(zip(jaxpr.constvars, (Const(c) for c in consts), strict=True))
+    known.update(zip(jaxpr.invars, ins, strict=True))
+    for eqn in jaxpr.eqns:
+        operands = [read(v) for v in eqn.invars]
+        outs = _eqn(eqn, operands, steps, whole)
+        known.update(zip(eqn.outvars, outs, strict=True))
+    return [read(v) for v in jaxpr.outvars]
+
+
+def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
+    name, params = eqn.primitive.name, eqn.params
+    if name in CALLS:
+        inner = params.get("jaxpr") or params.get("call_jaxpr") or params.get("fun_jaxpr")
+        return _inline(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), ins, steps,
+                       whole)  # fmt: skip
+    if name in SAME:
+        return ins
+    if name == "ruled":
+        traced = jax.make_jaxpr(params["value"])([jax.ShapeDtypeStruct(x.shape, x.dtype)
+                                                  for x in ins])  # fmt: skip
+        return _inline(traced.jaxpr, traced.consts, ins, steps, whole)
+    if name == "scan" and params["length"] == 1:
+        return _unrolled(params, ins, steps, whole)
+    if name == "scan" and whole:
+        body = lowered(params["jaxpr"].jaxpr, params["jaxpr"].consts)
+        given: dict[str, Any] = {
+            "length": params["length"],
+            "reverse": params["reverse"],
+            "body": body,
+        }
+        given |= {"consts": params["num_consts"], "carry": params["num_carry"]}
+        params = given | {"jaxpr": params["jaxpr"]}
+    if name == "cond" and whole:
+        return _both(params["branches"], ins, steps)
+    if name in PARTS and whole:
+        return PARTS[name](ins, params, partial(_added, steps))
+    outs = [Value(v.aval.shape, v.aval.dtype) for v in eqn.outvars]
+    steps.append(Step(name, params, ins, outs, eqn.primitive))
+    return outs
+
+
+def _added(steps: list[Step], name: str, ins: list, shape: Sequence[int], dtype: Any = None,
+           **params: Any) -> Value:  # fmt: skip
+    """The result of a step that is added; its primitive is that of `jax.lax`."""
+    out = Value(shape, ins[0].dtype if dtype is None else dtype)
+    steps.append(Step(name, params, ins, [out], getattr(lax, f"{name}_p")))
+    return out
+
+
+def _unrolled(params: dict, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
+    """The results of a scan whose passes are written one after another."""
+    length, (consts, carry) = params["length"], (params["num_consts"], params["num_carry"])
+    add, inner = partial(_added, steps), params["jaxpr"]
+    state, rows = ins[consts : consts + carry], ins[consts + carry :]
+    kept: list[list[Value]] = []
+    for i in range(length)[:: -1 if params["reverse"] else 1]:
+        now = [_row(add, x, i) for x in rows]
+        found = _inline(inner.jaxpr, inner.consts, [*ins[:consts], *state, *now], steps, whole)
+        state = found[:carry]
+        kept.append(found[carry:])
+    kept = kept[::-1] if params["reverse"] else kept
+    stacked = [
+        add("concatenate", [_one_row(add, x) for x in column],
+            (length, *column[0].shape), dimension=0)
+        for column in zip(*kept, strict=True)
+    ]  # fmt: skip
+    return [*state, *stacked]
+
+
+def _row(add: Callable[..., Value], x: Value, i: int) -> Value:
+    start, limit = (i, *(0 for _ in x.shape[1:])), (i + 1, *x.shape[1:])
+    part = add("slice", [x], (1, *x.shape[1:]), start_indices=start, limit_indices=limit,
+               strides=None)  # fmt: skip
+    return _reshaped(add, part, x.shape[1:])
+
+
+def _one_row(add: Callable[..., Value], x: Value) -> Value:
+    return _reshaped(add, x, (1, *x.shape))
+
+
+def _reshaped(add: Callable[..., Value], x: Value, shape: Sequence[int]) -> Value:
+    return add("reshape", [x], shape, new_sizes=tuple(shape), dimensions=None, sharding=None)
+
+
+def _both(branches: Sequence[Any], ins: list[Value], steps: list[Step]) -> list[Value]:
+    """The results of a choice, of which all branches are computed, for they have no effects."""
+    index, operands = ins[0], ins[1:]
+    found = [_inline(b.jaxpr, b.consts, operands, steps, True) for b in branches]
+    if isinstance(index, Const):
+        return found[int(np.clip(index.array, 0, len(branches) - 1))]
+    add = partial(_added, steps)
+    outs = found[-1]
+    for i, of in reversed(list(enumerate(found[:-1]))):
+        at = Const(np.asarray(i, index.dtype))
+        here = add("le", [index, at], (), np.dtype(bool))
+        outs = [add("select_n", [here, x, y], x.shape, x.dtype)
+                for x, y in zip(outs, of, strict=True)]  # fmt: skip
+    return outs
+
+
+def _split(ins: list[Value], params: dict, add: Callable[..., Value]) -> list[Value]:
+    axis, start, outs = params["axis"], 0, []
+    for size in params["sizes"]:
+        first, last = [0] * len(ins[0].shape), list(ins[0].shape)
+        first[axis], last[axis] = start, start + size
+        shape = [b - a for a, b in zip(first, last, strict=True)]
+        outs.append(add("slice", ins, shape, start_indices=tuple(first),
+                        limit_indices=tuple(last), strides=None))  # fmt: skip
+        start += size
+    return outs
+
+
+def _stack(ins: list[Value], params: dict, add: Callable[..., Value]) -> list[Value]:
+    axis = params["axis"]
+    shape = list(ins[0].shape)
+    shape.insert(axis, 1)
+    parts = [_reshaped(add, x, shape) for x in ins]
+    shape[axis] = len(ins)
+    return [add("concatenate", parts, shape, dimension=axis)]
+
+
+PARTS: dict[str, Callable[..., list[Value]]] = {"split": _split, "stack": _stack}
+
+
+def loops(program: Program) -> Iterator[Step]:
+    """The loops among the steps of a program, without those within them."""
+    return (step for step in program.steps if step.name == "scan")
+
+
+def with_loops_from(program: Program, shortest: int) -> Program:
+    """The program with every shorter loop, and every loop within a loop, written out.
+
+    Raises Unknown for a loop of more than UNROLLED passes that would have to be written out.
+    """
+
+    def opened(program: Program, shortest: float) -> Program:
+        steps: list[Step] = []
+        new: dict[Value, Value] = {}
+        for step in program.steps:
+            ins = [new.get(x, x) for x in step.ins]
+            if step.name != "scan":
+                steps.append(Step(step.name, step.params, ins, step.outs, step.primitive))
+            elif step.params["length"] >= shortest:
+                body = opened(step.params["body"], float("inf"))
+                steps.append(Step("scan", step.params | {"body": body}, ins, step.outs))
+            else:
+                length = step.params["length"]
+                if length > UNROLLED:
+                    raise Unknown(f"a loop of {length} passes within another")
+                of = step.params | {
+                    "num_consts": step.params["consts"], "num_carry": step.params["carry"]
+                }  # fmt: skip
+                written: list[Step] = []
+                outs = _unrolled(of, ins, written, True)
+                inner = opened(Program([], written, []), float("inf"))
+                steps += inner.steps
+                new |= zip(step.outs, outs, strict=True)
+        return Program(program.ins, steps, [new.get(x, x) for x in program.outs])
+
+    return opened(program, shortest)
+
+
+# Without what nobody reads
+# --------------------------------------------------------------------------------------------------
+
+
+def without_dead(program: Program, wanted: Sequence[bool] | None = None) -> Program:
+    """The program of the wanted results, with all its operands; of loops too, only what is read."""
+    outs = [x for i, x in enumerate(program.outs) if wanted is None or wanted[i]]
+    live, kept = {x for x in outs if not isinstance(x, Const)}, []
+    for step in reversed(program.steps):
+        of = [x in live for x in step.outs]
+        if any(of):
+            if step.name == "scan" and "body" in step.params:
+                step = _without_dead(step, of)
+            kept.append(step)
+            live |= {x for x in step.ins if not isinstance(x, Const)}
+    return Program(program.ins, kept[::-1], outs)
+
+
+def read(program: Program) -> list[bool]:
+    """Whether each operand is read."""
+    live = {*program.outs, *(x for step in program.steps for x in step.ins)}
+    return [x in live for x in program.ins]
+
+
+def _without_dead(step: Step, wanted: Sequence[bool]) -> Step:
+    """A loop with only those results, and what they need from pass to pass."""
+    params, wanted = step.params, list(wanted)
+    consts, carry = params["consts"], params["carry"]
+    while True:
+        body = without_dead(params["body"], wanted)
+        live = read(body)
+        more = [w or live[consts + i] for i, w in enumerate(wanted[:carry])] + wanted[carry:]
+        if more == wanted:
+            break
+        wanted = more
+    stay = [*live[:consts], *wanted[:carry], *live[consts + carry :]]
+
+    def some(of: Sequence[Any], keep: Sequence[bool]) -> list[Any]:
+        return [x for x, k in zip(of, keep, strict=True) if k]
+
+    body = Program(some(body.ins, stay), body.steps, body.outs)
+    of = {"body": body, "consts": sum(live[:consts]), "carry": sum(wanted[:carry])}
+    return Step("scan", params | of, some(step.ins, stay), some(step.outs, wanted))
+
+
+# The loop over trials
+# --------------------------------------------------------------------------------------------------
+
+
+def of_trials(program: Program) -> tuple[list[Step], Step, list[Step]]:
+    """The steps before the loop over trials, this loop, lowered, and the steps after it.
+
+    It is the last loop that contains a loop. A loop over blocks of trials around one over the
+    trials of a block counts as one. Raises Unknown where there is none.
+    """
+    steps = without_dead(program).steps
+    nested = [i for i, step in enumerate(steps) if step.name == "scan" and _has_loop(step)]
+    if not nested:
+        raise Unknown("there is no loop over samples in a loop over trials")
+    at = nested[-1]
+    before, after, step = steps[:at], steps[at + 1 :], steps[at]
+    merged = _as_one(step, partial(_added, before))
+    if merged is not None:
+        step, shaped = merged
+        needed = {x for later in after for x in later.ins} | {*program.outs}
+        after = [one for one in shaped if one.outs[0] in needed] + after
+    params, inner = step.params, step.params["jaxpr"]
+    body = lowered(inner.jaxpr, inner.consts)
+    lengths = [of.params["length"] for of in loops(body)]
+    if not lengths:
+        raise Unknown("there is no loop over samples in a loop over trials")
+    longest = max(lengths)
+    shortest = min(n for n in lengths if 2 * n > longest)
+    body = with_loops_from(body, -(-3 * shortest // 4))
+    of = {"length": params["length"], "reverse": params["reverse"], "body": body}
+    of |= {"consts": params["num_consts"], "carry": params["num_carry"]}
+    read_later = {x for later in after for x in later.ins} | {*program.outs}
+    return before, _without_dead(Step("scan", of, step.ins, step.outs),
+                                 [x in read_later for x in step.outs]), after  # fmt: skip
+
+
+def _has_loop(step: Step) -> bool:
+    def within(jaxpr: Any) -> bool:
+        return any(
+            eqn.primitive.name == "scan" or any(map(within, _jaxprs(eqn))) for eqn in jaxpr.eqns
+        )
+
+    return within(step.params["jaxpr"].jaxpr)
+
+
+def _jaxprs(eqn: Any) -> Iterator[Any]:
+    for value in eqn.params.values():
+        for one in value if isinstance(value, tuple | list) else (value,):
+            one = getattr(one, "jaxpr", one)
+            if hasattr(one, "eqns"):
+                yield one
+
+
+def _as_one(step: Step, add: Callable[..., Value]) -> tuple[Step, list[Step]] | None:
+    """A loop over blocks as one over all trials, and the steps that shape its results.
+
+    None for a loop that does more than to run an inner one. The steps that shape its operands are
+    added before it.
+    """
+    body = without_dead(flat(step.params["jaxpr"]))
+    consts, carry = step.params["num_consts"], step.params["num_carry"]
+    if len(body.steps) != 1 or body.steps[0].name != "scan" or step.params["reverse"]:
+        return None
+    inner = body.steps[0]
+    within = inner.params["num_consts"]
+    if inner.params["num_carry"] != carry or inner.params["reverse"]:
+        return None
+    if body.outs != inner.outs or not _has_loop(inner):
+        return None
+    place = {x: i for i, x in enumerate(body.ins)}
+    source = [x if isinstance(x, Const) else place[x] for x in inner.ins]
+    rows = source[within + carry :]
+    if source[within : within + carry] != list(range(consts, consts + carry)):
+        return None
+    if any(isinstance(i, Const) or i < consts + carry for i in rows):
+        return None
+    if any(not isinstance(i, Const) and i >= consts for i in source[:within]):
+        return None
+    trials = step.params["length"] * inner.params["length"]
+    ins = [i if isinstance(i, Const) else step.ins[i] for i in source[: within + carry]]
+    for i in rows:
+        x = step.ins[i]
+        ins.append(_reshaped(add, x, (trials, *x.shape[2:])))
+    shaped: list[Step] = []
+    outs = list(step.outs[:carry])
+    for x in step.outs[carry:]:
+        whole = Value((trials, *x.shape[2:]), x.dtype)
+        params = {"new_sizes": x.shape, "dimensions": None, "sharding": None}
+        shaped.append(Step("reshape", params, [whole], [x], lax.reshape_p))
+        outs.append(whole)
+    return Step("scan", inner.params | {"length": trials}, ins, outs), shaped
+
+
+# By JAX
+# --------------------------------------------------------------------------------------------------
+
+
+def by_jax(steps: Sequence[Step], known: dict[Value, Any]) -> Callable[[Value], Any]:
+    """The function that gives the value of an array after these steps, computed by JAX.
+
+    known: the values of what the steps read; it is extended. A step of which something is unknown
+    is left out.
+    """
+
+    def value(x: Value) -> Any:
+        return x.array if isinstance(x, Const) else known[x]
+
+    for step in steps:
+        if all(isinstance(x, Const) or x in known for x in step.ins):
+            found = step.primitive.bind(*(_as_jax(value(x)) for x in step.ins), **step.params)
+            several = step.primitive.multiple_results
+            known.update(zip(step.outs, found if several else [found], strict=True))
+    return value
+
+
+def _as_jax(x: Any) -> Any:
+    return x if isinstance(x, jax.Array | jax.core.Tracer) else jnp.asarray(x)

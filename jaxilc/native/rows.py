@@ -1,0 +1,1040 @@
+"""The plan of a loop over trials: which loops over samples there are, and what each computes.
+
+An array with an axis of samples is a `Row`: a rule for its elements at a sample, which may be
+evaluated in any loop over samples, once for each sample that is asked for. Nothing is stored
+between two operations. Stored are the memories from trial to trial, and the results of a scan that
+are read later. Everything between two scans is computed in the loop of the first of them, a few
+samples behind it where it reads ahead.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax import lax
+
+from .operations import (
+    GATHERED,
+    RUNNING,
+    Node,
+    Numbers,
+    applied,
+    constants,
+    elementwise,
+    known,
+    start,
+)
+from .program import Const, Program, Step, Unknown, Value, loops
+
+MOST_NODES = 60_000  # of all loops; a compiler takes seconds for so many
+Array = np.ndarray  # of nodes
+
+
+class Buffer(NamedTuple):
+    """Rows in RAM.
+
+    kind: `given` to the program, `carried` from trial to trial, `kept` within a trial, or `out`
+    number: which of its kind
+    length, width: its rows, and the numbers in each
+    dtype: the type of the numbers
+    alike: whether there is one number for all machines
+    by_trial: whether there are such rows for each trial
+    """
+
+    kind: str
+    number: int
+    length: int
+    width: int
+    dtype: Any
+    alike: bool = False
+    by_trial: bool = False
+
+
+class Row:
+    """An array with an axis of samples.
+
+    shape, axis, dtype: its shape, which of its axes is that of the samples, and its type
+    loop: the first loop in which it can be evaluated
+    fresh: the last loop whose scan it reads; -1 for none
+    """
+
+    def __init__(self, shape: Sequence[int], axis: int, dtype: Any, *rows: Any):
+        self.shape, self.axis, self.dtype = tuple(shape), axis, np.dtype(dtype)
+        self.loop = max([0, *(loop_of(x) for x in rows)])
+        self.fresh = max([-1, *(x.fresh for x in rows if isinstance(x, Row))])
+
+    @property
+    def length(self) -> int:
+        return self.shape[self.axis]
+
+    @property
+    def of_one(self) -> tuple[int, ...]:
+        """The shape of one row."""
+        return (*self.shape[: self.axis], 1, *self.shape[self.axis + 1 :])
+
+
+class Stored(Row):
+    """Rows of a buffer."""
+
+    def __init__(self, shape: Sequence[int], axis: int, buffer: Buffer):
+        super().__init__(shape, axis, buffer.dtype)
+        self.buffer = buffer
+
+
+class Same(Row):
+    """The same row at each sample."""
+
+    def __init__(self, shape: Sequence[int], axis: int, dtype: Any, elements: Array):
+        super().__init__(shape, axis, dtype, elements)
+        self.elements = elements
+
+
+class Count(Row):
+    """The number of the sample."""
+
+
+class Shifted(Row):
+    """Some rows of others: row k is row k + by of those."""
+
+    def __init__(self, row: Row, by: int, length: int):
+        shape = list(row.shape)
+        shape[row.axis] = length
+        super().__init__(shape, row.axis, row.dtype, row)
+        self.row, self.by = row, by
+
+
+class Flipped(Row):
+    """The rows in the reverse order; those of a scan are there when its loop has ended."""
+
+    def __init__(self, row: Row):
+        super().__init__(row.shape, row.axis, row.dtype, row)
+        self.row = row
+        self.loop = max(self.loop, row.fresh + 1)
+
+
+class Joined(Row):
+    """Rows and small arrays one after another.
+
+    parts: the first sample, the number of samples, and the rows or the array
+    """
+
+    def __init__(self, shape: Sequence[int], axis: int, dtype: Any, parts: list[tuple]):
+        super().__init__(shape, axis, dtype, *(part for _, _, part in parts))
+        self.parts = parts
+
+
+class Computed(Row):
+    """A function of the elements of rows at the same sample, and of small arrays."""
+
+    def __init__(self, shape: Sequence[int], axis: int, dtype: Any,
+                 function: Callable[..., Array], operands: Sequence[Any]):  # fmt: skip
+        super().__init__(shape, axis, dtype, *operands)
+        self.function, self.operands = function, operands
+
+
+class Result(Row):
+    """The results of a scan.
+
+    kept: where they are kept for those who read them later, once somebody does
+    """
+
+    def __init__(self, shape: Sequence[int], dtype: Any, scan: Scan, number: int):
+        super().__init__(shape, 0, dtype)
+        self.scan, self.number, self.loop, self.fresh = scan, number, scan.loop, scan.loop
+        self.kept: Buffer | None = None
+
+
+def loop_of(x: Any) -> int:
+    """The loop before which, or in which, a row or an array is known."""
+    return x.loop if isinstance(x, Row) else max([0, *(node.loop for node in x.flat)])
+
+
+class Scan:
+    """A scan over samples.
+
+    loop: the number of the loop that it belongs to
+    offset: the sample of it that is computed at sample k of the loop is k + offset
+    operands: what it reads: small arrays, and rows
+    cells: arrays of the nodes that are carried from sample to sample
+    """
+
+    def __init__(self, step: Step, operands: list, loop: int):
+        self.body: Program = step.params["body"]
+        self.length, self.reverse = step.params["length"], step.params["reverse"]
+        self.consts, self.carry = step.params["consts"], step.params["carry"]
+        self.operands, self.loop, self.offset = operands, loop, 0
+        self.cells: list[Array] = []
+        self.results: list[Result] = []
+
+    @property
+    def rows(self) -> list[Row]:
+        return self.operands[self.consts + self.carry :]
+
+
+class Sink:
+    """Rows that are written to a buffer."""
+
+    def __init__(self, row: Row, buffer: Buffer):
+        self.rows, self.buffer, self.offset, self.length = [row], buffer, 0, row.length
+
+
+class Gathering:
+    """Rows that are put together to one, such as a sum over all samples.
+
+    name: the operation
+    cells: where what was gathered so far is
+    """
+
+    def __init__(self, name: str, row: Row, cells: Array, begin: Array):
+        self.name, self.rows, self.cells, self.begin = name, [row], cells, begin
+        self.offset, self.length = 0, row.length
+
+
+class Segment(NamedTuple):
+    """A range of samples at which a loop computes the same.
+
+    first, last: the samples from which and before which it runs, in either direction
+    stores: buffer, offset, and the elements that are written there
+    cells: pairs of nodes: a cell, and what is then in it
+    results: the elements of results of scans, by scan and number, with the offset
+    """
+
+    first: int
+    last: int
+    stores: list[tuple[Buffer, int, Array]]
+    cells: list[tuple[Node, Node]]
+    results: list[tuple[Result, int, Array]]
+
+
+class Loop:
+    """A loop over samples.
+
+    direction: 1 forward, -1 backward, 0 for either
+    """
+
+    def __init__(self):
+        self.direction = 0
+        self.scans: list[Scan] = []
+        self.sinks: list[Sink] = []
+        self.gatherings: list[Gathering] = []
+        self.segments: list[Segment] = []
+
+    @property
+    def items(self) -> list[Any]:
+        return [*self.scans, *self.sinks, *self.gatherings]
+
+
+class Trials:
+    """The plan of a loop over trials.
+
+    step: the loop, lowered
+    alike: whether each of its operands is the same for all machines
+    fixed: the values of operands that are the same whenever it runs; None for the others
+    real: the floating point type
+    Raises Unknown for what cannot be compiled.
+    """
+
+    def __init__(self, step: Step, alike: Sequence[bool], fixed: Sequence[Any], real: Any):
+        self.n, self.body, self.alike = Numbers(real), step.params["body"], alike
+        self.fixed = fixed
+        self.trials, self.reverse = step.params["length"], step.params["reverse"]
+        self.consts, self.carry = step.params["consts"], step.params["carry"]
+        lengths = [of.params["length"] for of in loops(self.body)]
+        if not lengths:
+            raise Unknown("there is no loop over samples whose results are read")
+        self.shortest = -(-3 * min(lengths) // 4)
+        self.loops: list[Loop] = []
+        self.picks: dict[int, list[Node]] = {}  # by the loop before which they are read
+        self.given: list[Any] = []  # constants with rows, further operands of the program
+        self.buffers: list[Buffer] = []
+        self.reads: list[tuple[Buffer, int, int, int]] = []  # with loop, sign and offset
+        self._cells = 0
+        self._known: dict[Value, Any] = {}
+        self._plan()
+
+    # The arrays
+    # ----------------------------------------------------------------------------------------------
+
+    def axis_of(self, shape: Sequence[int]) -> int | None:
+        """Which axis of an array is that of the samples; None where it has none."""
+        long = [i for i, n in enumerate(shape) if n >= self.shortest]
+        if len(long) > 1:
+            raise Unknown(f"an array of the shape {tuple(shape)}, with two axes of samples")
+        return long[0] if long else None
+
+    def _buffer(self, kind: str, shape: Sequence[int], axis: int, dtype: Any, **how: Any) -> Buffer:
+        width = math.prod(shape) // shape[axis]
+        number = how.pop("number", len(self.body.ins) + len(self.buffers))
+        buffer = Buffer(kind, number, shape[axis], width, np.dtype(dtype), **how)
+        self.buffers.append(buffer)
+        return buffer
+
+    def new_cells(self, shape: Sequence[int], dtype: Any, *, loop: int) -> Array:
+        """An array of new cells, which are known before a loop."""
+        cells = np.empty(shape, object)
+        for i in np.ndindex(*shape):
+            self._cells += 1
+            cells[i] = self.n.place("cell", dtype, ("cell", self._cells), loop=loop, alike=False)
+        return cells
+
+    def value(self, x: Value) -> Any:
+        """The rows or the small array of a value."""
+        if not isinstance(x, Const):
+            return self._known[x]
+        if x not in self._known:
+            axis = self.axis_of(x.shape)
+            if axis is None or not math.prod(x.shape):
+                self._known[x] = self.n.array(x.array)
+            else:
+                self._known[x] = self._constant_rows(np.asarray(x.array), axis)
+        return self._known[x]
+
+    def _constant_rows(self, array: Any, axis: int) -> Row:
+        first = array.take([0], axis)
+        if np.array_equal(array, np.broadcast_to(first, array.shape)):
+            return Same(array.shape, axis, array.dtype, self.n.array(first))
+        self.given.append(array)
+        number = len(self.body.ins) + len(self.given) - 1
+        return Stored(array.shape, axis, self._buffer("given", array.shape, axis, array.dtype,
+                                                      alike=True, number=number))  # fmt: skip
+
+    def _operand(self, i: int, x: Value) -> Any:
+        """The rows or the small array of an operand of the loop over trials."""
+        if jax.dtypes.issubdtype(x.dtype, jax.dtypes.extended):
+            raise Unknown("random numbers, which are drawn in each trial")
+        axis, carried = self.axis_of(x.shape), self.consts <= i < self.consts + self.carry
+        by_trial = i >= self.consts + self.carry
+        if axis is not None:
+            kind = "carried" if carried else "given"
+            alike = self.alike[i] and not carried
+            return Stored(x.shape, axis, self._buffer(kind, x.shape, axis, x.dtype, number=i,
+                                                      alike=alike, by_trial=by_trial))  # fmt: skip
+        if carried:
+            return self.new_cells(x.shape, x.dtype, loop=0)
+        if self.fixed[i] is not None and not by_trial:
+            return self.n.array(self.fixed[i])
+        if math.prod(x.shape) > 4096:
+            raise Unknown(f"an operand of the shape {x.shape}")
+        nodes = np.empty(x.shape, object)
+        kind = "by_trial" if by_trial else "input"
+        for m, at in enumerate(np.ndindex(*x.shape)):
+            nodes[at] = self.n.place(kind, x.dtype, (kind, i, m), alike=self.alike[i])
+        return nodes
+
+    # The steps
+    # ----------------------------------------------------------------------------------------------
+
+    def _plan(self) -> None:
+        self.ins = [self._operand(i, x) for i, x in enumerate(self.body.ins)]
+        self._known |= zip(self.body.ins, self.ins, strict=True)
+        for step in self.body.steps:
+            self._step(step)
+        self.outs = [self.value(x) for x in self.body.outs]
+        for i, (x, out) in enumerate(zip(self.outs, self.body.outs, strict=True)):
+            self._out(i, x, out)
+        for number, loop in enumerate(self.loops):
+            if loop.items:
+                loop.direction = loop.direction or 1
+                _Build(self, number, loop).run()
+
+    def _out(self, i: int, x: Any, out: Value) -> None:
+        """A row among the results is written; one that is carried, if it is another than before."""
+        if not isinstance(x, Row):
+            return
+        if i >= self.carry:
+            buffer = self._buffer("out", x.shape, x.axis, x.dtype, number=i, by_trial=True)
+        else:
+            before = self.ins[self.consts + i]
+            if not isinstance(before, Stored) or before.axis != x.axis:
+                raise Unknown("a memory whose axis of samples changes")
+            if x is before:
+                return
+            buffer = before.buffer
+        self._sink(x, buffer)
+
+    def _sink(self, row: Row, buffer: Buffer) -> None:
+        self.loop(row.loop).sinks.append(Sink(row, buffer))
+
+    def loop(self, number: int) -> Loop:
+        while len(self.loops) <= number:
+            self.loops.append(Loop())
+        return self.loops[number]
+
+    def _step(self, step: Step) -> None:
+        if step.name == "scan":
+            return self._scan(step, [self.value(x) for x in step.ins])
+        if len(step.outs) != 1:
+            raise Unknown(step.name)
+        operands, out = [self.value(x) for x in step.ins], step.outs[0]
+        self._known[out] = self._result(step, operands, out)
+        return None
+
+    def _result(self, step: Step, operands: list, out: Value) -> Any:
+        axis, rows = self.axis_of(out.shape), [x for x in operands if isinstance(x, Row)]
+        if not math.prod(out.shape) and axis is None:
+            return np.empty(out.shape, object)
+        if not rows:
+            return self._from_small(step, operands, out, axis)
+        row = rows[0]
+        if step.name not in HANDLED and not known(step.name):
+            raise Unknown(step.name)
+        if step.name in HANDLED and (found := HANDLED[step.name](self, step, operands)) is not None:
+            return found
+        if axis is None or any(x.length != out.shape[axis] for x in rows):
+            raise Unknown(f"{step.name} of samples")
+        if not _keeps_axis(step, operands, axis):
+            raise Unknown(f"{step.name} that moves the axis of samples")
+        if step.name == "gather":
+            step = _gather_of_row(step, row)
+        shape = (*out.shape[:axis], 1, *out.shape[axis + 1 :])
+        return Computed(out.shape, axis, out.dtype,
+                        lambda *arrays: applied(self.n, step, arrays, shape), operands)  # fmt: skip
+
+    def _from_small(self, step: Step, operands: list, out: Value, axis: int | None) -> Any:
+        if axis is None:
+            return applied(self.n, step, operands)
+        shape = (*out.shape[:axis], 1, *out.shape[axis + 1 :])
+        if step.name == "iota":
+            if step.params["dimension"] == axis:
+                return Count(out.shape, axis, out.dtype)
+            raise Unknown("iota beside samples")
+        if step.name == "broadcast_in_dim":
+            for i, to in enumerate(step.params["broadcast_dimensions"]):
+                if to == axis and operands[0].shape[i] != 1:
+                    raise Unknown("broadcast_in_dim to samples")
+            return Same(out.shape, axis, out.dtype, applied(self.n, step, operands, shape))
+        if step.name == "concatenate" and step.params["dimension"] == axis:
+            return _concatenate(self, step, operands)
+        if step.name == "pad":
+            return _joined_small(step, operands, out, axis)
+        raise Unknown(f"{step.name} that makes samples")
+
+    def pick(self, row: Row, i: int) -> Array:
+        """The elements of a row at a sample that is known beforehand."""
+        if isinstance(row, Stored):
+            return self._picked(row.buffer, row, i, 0)
+        if isinstance(row, Same):
+            return row.elements
+        if isinstance(row, Count):
+            return np.full(row.of_one, self.n.const(i, row.dtype), object)
+        if isinstance(row, Shifted):
+            return self.pick(row.row, i + row.by)
+        if isinstance(row, Flipped):
+            return self.pick(row.row, row.length - 1 - i)
+        if isinstance(row, Joined):
+            first, _, part = next(p for p in row.parts if p[0] <= i < p[0] + p[1])
+            if isinstance(part, Row):
+                return self.pick(part, i - first)
+            return part.take([i - first], row.axis)
+        if isinstance(row, Computed):
+            return row.function(*(self.pick(x, i) if isinstance(x, Row) else x
+                                  for x in row.operands))  # fmt: skip
+        assert isinstance(row, Result)
+        return self._picked(self.kept(row), row, i, row.scan.loop + 1)
+
+    def _picked(self, buffer: Buffer, row: Row, i: int, loop: int) -> Array:
+        nodes = np.empty(row.of_one, object)
+        for m, at in enumerate(np.ndindex(*row.of_one)):
+            place = ("pick", buffer, i, m)
+            nodes[at] = self.n.place("pick", buffer.dtype, place, loop=loop, alike=buffer.alike)
+            if nodes[at] not in self.picks.setdefault(loop, []):
+                self.picks[loop].append(nodes[at])
+        return nodes
+
+    def kept(self, row: Result) -> Buffer:
+        """Where the results of a scan are kept."""
+        if row.kept is None:
+            row.kept = self._buffer("kept", row.shape, row.axis, row.dtype)
+        return row.kept
+
+    def _scan(self, step: Step, operands: list) -> None:
+        consts, carry = step.params["consts"], step.params["carry"]
+        for i, x in enumerate(operands[: consts + carry]):
+            if isinstance(x, Row):
+                if i >= consts:
+                    raise Unknown("rows that are carried from sample to sample")
+                operands[i] = self._table(x)
+        number = max([0, *map(loop_of, operands)])
+        direction = -1 if step.params["reverse"] else 1
+        while self.loop(number).direction not in (0, direction):
+            number += 1
+        scan = Scan(step, operands, number)
+        self.loop(number).direction = direction
+        self.loop(number).scans.append(scan)
+        for x, out in zip(operands[consts : consts + carry], step.outs, strict=False):
+            scan.cells.append(self.new_cells(out.shape, out.dtype, loop=number + 1))
+            self._known[out] = scan.cells[-1]
+            if x.shape != out.shape:
+                raise Unknown("a scan whose carry changes its shape")
+        for i, out in enumerate(step.outs[carry:]):
+            scan.results.append(Result(out.shape, out.dtype, scan, carry + i))
+            self._known[out] = scan.results[-1]
+
+    def _table(self, row: Row) -> Row:
+        """The rows in a buffer, which a scan reads at samples that are found while it runs."""
+        if isinstance(row, Stored) and row.axis == 0:
+            return row
+        buffer = self._buffer("kept", row.shape, row.axis, row.dtype)
+        self._sink(row, buffer)
+        table = Stored(row.shape, row.axis, buffer)
+        table.loop = row.loop + 1
+        return table
+
+
+# Steps on rows that move them along the axis of samples
+# --------------------------------------------------------------------------------------------------
+
+
+def _slice(of: Trials, step: Step, operands: list) -> Any:
+    row, params = operands[0], step.params
+    first, last = params["start_indices"][row.axis], params["limit_indices"][row.axis]
+    if (params["strides"] or (1,) * len(row.shape))[row.axis] != 1:
+        raise Unknown("slice of every other sample")
+    if (first, last) == (0, row.length):
+        return None
+    rest = dict(params)
+    rest["start_indices"] = _with(params["start_indices"], row.axis, 0)
+    rest["limit_indices"] = _with(params["limit_indices"], row.axis, last - first)
+    whole = [a == 0 and b == n for i, (a, b, n) in enumerate(
+        zip(params["start_indices"], params["limit_indices"], row.shape, strict=True))
+        if i != row.axis]  # fmt: skip
+    if last - first < of.shortest:
+        picked = np.concatenate([of.pick(row, i) for i in range(first, last)], row.axis)
+        return applied(of.n, Step("slice", rest, [], step.outs), [picked])
+    moved = Shifted(row, first, last - first)
+    return moved if all(whole) else of._result(Step("slice", rest, [], step.outs), [moved],
+                                               step.outs[0])  # fmt: skip
+
+
+def _with(values: Sequence[int], at: int, value: int) -> tuple[int, ...]:
+    return (*values[:at], value, *values[at + 1 :])
+
+
+def _concatenate(of: Trials, step: Step, operands: list) -> Any:
+    out, axis = step.outs[0], step.params["dimension"]
+    if of.axis_of(out.shape) != axis:
+        return None
+    parts, first = [], 0
+    for x in operands:
+        if x.shape[axis]:
+            parts.append((first, x.shape[axis], x))
+        first += x.shape[axis]
+    return parts[0][2] if len(parts) == 1 else Joined(out.shape, axis, out.dtype, parts)
+
+
+def _pad(of: Trials, step: Step, operands: list) -> Any:
+    row, value = operands
+    out, config = step.outs[0], [tuple(map(int, c)) for c in step.params["padding_config"]]
+    low, high, between = config[row.axis]
+    if between:
+        raise Unknown("pad between samples")
+    if any(c != (0, 0, 0) for i, c in enumerate(config) if i != row.axis):
+        if (low, high) == (0, 0):
+            return None
+        raise Unknown("pad of samples and channels")
+    first, last = max(0, -low), row.length - max(0, -high)
+    if last - first < of.shortest or of.axis_of(out.shape) is None:
+        raise Unknown("pad of a few samples")
+    inner = row if (first, last) == (0, row.length) else Shifted(row, first, last - first)
+    filled = np.full(row.of_one, value[()], object)
+    parts: list[tuple] = []
+    for length, part in ((low, None), (inner.length, inner), (high, None)):
+        if length > 0:
+            if part is None:
+                shape = _with(row.shape, row.axis, length)
+                part = Same(shape, row.axis, row.dtype, filled)
+            parts.append((sum(p[1] for p in parts), length, part))
+    return parts[0][2] if len(parts) == 1 else Joined(out.shape, row.axis, out.dtype, parts)
+
+
+def _joined_small(step: Step, operands: list, out: Value, axis: int) -> Row:
+    """A small array that is padded to the length of a trial."""
+    x, value = operands
+    config = [tuple(map(int, c)) for c in step.params["padding_config"]]
+    low, high, between = config[axis]
+    if between or min(low, high) < 0 or any(
+        c != (0, 0, 0) for i, c in enumerate(config) if i != axis
+    ):  # fmt: skip
+        raise Unknown("pad to samples")
+    filled = np.full(_with(out.shape, axis, 1), value[()], object)
+    parts: list[tuple] = []
+    for length, part in ((low, None), (x.shape[axis], x), (high, None)):
+        if length:
+            same = Same(_with(out.shape, axis, length), axis, out.dtype, filled)
+            parts.append((sum(p[1] for p in parts), length, same if part is None else part))
+    return Joined(out.shape, axis, out.dtype, parts)
+
+
+def _dynamic_slice(of: Trials, step: Step, operands: list) -> Any:
+    """Rows from a sample on that is known beforehand."""
+    row, given = operands[0], [constants(x, int) for x in operands[1:]]
+    starts = [x for x in given if x is not None]
+    if len(starts) < len(given):
+        raise Unknown("dynamic_slice of samples that are found while it runs")
+    sizes = step.params["slice_sizes"]
+    first = [min(max(int(x), 0), n - size)
+             for x, n, size in zip(starts, row.shape, sizes, strict=True)]  # fmt: skip
+    limits = [i + size for i, size in zip(first, sizes, strict=True)]
+    params = {"start_indices": tuple(first), "limit_indices": tuple(limits), "strides": None}
+    return _slice(of, Step("slice", params, [], step.outs), [row])
+
+
+def _scatter(of: Trials, step: Step, operands: list) -> Any:
+    """Rows of which one is replaced."""
+    row, index, new = operands
+    numbers, at = step.params["dimension_numbers"], None
+    if isinstance(row, Row) and not isinstance(index, Row) and not isinstance(new, Row):
+        at = constants(index, int)
+    where = (numbers.inserted_window_dims, numbers.scatter_dims_to_operand_dims)
+    if at is None or at.shape != (1,) or where != ((row.axis,), (row.axis,)):
+        raise Unknown("scatter of samples")
+    i, parts = int(at[0]), []
+    if not 0 <= i < row.length:
+        raise Unknown("scatter beyond the samples")
+    for first, length, part in ((0, i, None), (i, 1, new.reshape(row.of_one)),
+                                (i + 1, row.length - i - 1, None)):  # fmt: skip
+        if length:
+            parts.append((first, length, Shifted(row, first, length) if part is None else part))
+    return Joined(row.shape, row.axis, row.dtype, parts)
+
+
+def _rev(of: Trials, step: Step, operands: list) -> Any:
+    row, turned = operands[0], step.params["dimensions"]
+    if row.axis not in turned:
+        return None
+    if tuple(turned) != (row.axis,):
+        raise Unknown("rev of samples and channels")
+    return Flipped(row)
+
+
+def _gather(of: Trials, step: Step, operands: list) -> Any:
+    """Rows put together to one, where the samples are among the axes of a reduction."""
+    row = operands[0]
+    if row.axis not in step.params["axes"]:
+        return None
+    out = step.outs[0]
+    return _gathered(of, step.name, row, out,
+                     lambda x: applied(of.n, step, [x], out.shape), [row])  # fmt: skip
+
+
+def _gathered(of: Trials, name: str, row: Row, out: Value, function: Callable[..., Array],
+              operands: list) -> Array:  # fmt: skip
+    def of_row(*arrays: Array) -> Array:
+        return function(*arrays).reshape(shape)
+
+    shape = (1, *out.shape)
+    one = Computed((row.length, *out.shape), 0, out.dtype, of_row, operands)
+    cells = of.new_cells(out.shape, out.dtype, loop=one.loop + 1)
+    begin = np.full(out.shape, start(of.n, name, out.dtype), object)
+    of.loop(one.loop).gatherings.append(Gathering(GATHERED[name][0], one, cells, begin))
+    return cells
+
+
+def _running(of: Trials, step: Step, operands: list) -> Any:
+    """A running sum, product, maximum or minimum along the samples, as a scan."""
+    row = operands[0]
+    if step.params["axis"] != row.axis:
+        return None
+    if row.axis != 0:
+        raise Unknown(f"{step.name} along samples that are not the first axis")
+    shape, dtype = row.shape[1:], row.dtype
+    before, x, after = (Value(shape, dtype) for _ in range(3))
+    body = Program([before, x], [Step(RUNNING[step.name], {}, [before, x], [after])],
+                   [after, after])  # fmt: skip
+    gathering = {"cumsum": "reduce_sum", "cumprod": "reduce_prod"}.get(
+        step.name, f"reduce_{step.name[3:]}"
+    )
+    begin = np.full(shape, start(of.n, gathering, dtype), object)
+    params = {"length": row.length, "reverse": step.params["reverse"], "body": body}
+    last, rows = Value(shape, dtype), step.outs[0]
+    of._scan(Step("scan", params | {"consts": 0, "carry": 1}, [], [last, rows]), [begin, row])
+    return of._known[rows]
+
+
+def _place_of_best(of: Trials, step: Step, operands: list) -> Any:
+    """The first sample with the largest or smallest number, or with one that is not a number."""
+    row, (axis,), out = operands[0], step.params["axes"], step.outs[0]
+    if axis != row.axis:
+        raise Unknown(f"{step.name} at each sample")
+    if axis != 0:
+        raise Unknown(f"{step.name} along samples that are not the first axis")
+    shape, dtype, largest = row.shape[1:], row.dtype, step.name == "argmax"
+    begin = start(of.n, "reduce_max" if largest else "reduce_min", dtype) if (
+        dtype.kind == "f") else of.n.const(not largest, dtype)  # fmt: skip
+    if dtype.kind not in "fb":
+        raise Unknown(f"{step.name} of {dtype}")
+    best, at, x, k = Value(shape, dtype), Value(shape, out.dtype), Value(shape, dtype), (
+        Value((), out.dtype))  # fmt: skip
+    steps: list[Step] = []
+
+    def add(name: str, *ins: Value) -> Value:
+        steps.append(Step(name, {}, [*ins], [Value(shape, ins[-1].dtype)]))
+        return steps[-1].outs[0]
+
+    beyond = add("gt" if largest else "lt", x, best)
+    new = add("or", beyond, add("and", add("ne", x, x), add("eq", best, best)))
+    outs = [add("select_n", new, best, x), add("select_n", new, at, k)]
+    body = Program([best, at, x, k], steps, outs)
+    params = {"length": row.length, "reverse": False, "body": body, "consts": 0, "carry": 2}
+    zero, last = of.n.const(0, out.dtype), Value(shape, dtype)
+    begins = [np.full(shape, begin, object), np.full(shape, zero, object)]
+    count = Count((row.length,), 0, out.dtype)
+    of._scan(Step("scan", params, [], [last, out]), [*begins, row, count])
+    return of._known[out]
+
+
+def _dot(of: Trials, step: Step, operands: list) -> Any:
+    """A product that is summed over the samples; None for one that is not."""
+    contracted = step.params["dimension_numbers"][0]
+    rows = [(x, i) for i, x in enumerate(operands) if isinstance(x, Row)]
+    summed = [x.axis in contracted[i] for x, i in rows]
+    if not any(summed):
+        return None
+    if len(rows) != 2 or not all(summed) or (
+        contracted[0].index(rows[0][0].axis) != contracted[1].index(rows[1][0].axis)
+    ):  # fmt: skip
+        raise Unknown("dot_general of samples and something else")
+    out = step.outs[0]
+    if of.axis_of(out.shape) is not None:
+        raise Unknown("dot_general over samples, for each sample")
+    return _gathered(of, "reduce_sum", rows[0][0], out,
+                     lambda *x: applied(of.n, step, x, out.shape), operands)  # fmt: skip
+
+
+def _convolved(of: Trials, step: Step, operands: list) -> Any:
+    """A filter with a few taps along the samples."""
+    row, kernel = operands
+    params, numbers = step.params, step.params["dimension_numbers"]
+    out, plain = step.outs[0], len(numbers.lhs_spec) == 3 and isinstance(row, Row)
+    plain = plain and not isinstance(kernel, Row) and params["batch_group_count"] == 1
+    plain = plain and params["feature_group_count"] == 1
+    ones = (*params["window_strides"], *params["lhs_dilation"], *params["rhs_dilation"])
+    axis = of.axis_of(out.shape)
+    if axis is None or not plain or set(ones) != {1} or numbers.lhs_spec[2] != row.axis or (
+        axis != numbers.out_spec[2]
+    ):  # fmt: skip
+        raise Unknown("conv_general_dilated of this kind")
+    low, high = params["padding"][0]
+    config = [(0, 0, 0)] * 3
+    config[row.axis] = (low, high, 0)
+    length = row.length + low + high
+    padded = Value(_with(row.shape, row.axis, length), row.dtype)
+    zero = np.full((), of.n.const(0, row.dtype), object)
+    wide = _pad(of, Step("pad", {"padding_config": config}, [], [padded]), [row, zero])
+    taps = kernel.transpose(numbers.rhs_spec)  # (out, in, taps)
+    count = taps.shape[2]
+    shifted = [Shifted(wide, i, out.shape[axis]) for i in range(count)]
+    multiply, add = partial(of.n.of, "mul"), partial(of.n.of, "add")
+
+    def of_row(*arrays: Array) -> Array:
+        total = None
+        for i, array in enumerate(arrays):
+            seen = array.transpose(numbers.lhs_spec)[:, None, :, 0]  # (batch, 1, in)
+            products = of.n.each(multiply, seen, taps[None, :, :, i])
+            for channel in np.moveaxis(products, -1, 0):
+                total = channel if total is None else of.n.each(add, total, channel)
+        assert total is not None
+        return total[:, :, None].transpose(np.argsort(numbers.out_spec))
+
+    return Computed(out.shape, axis, out.dtype, of_row, shifted)
+
+
+HANDLED: dict[str, Callable[[Trials, Step, list], Any]] = {
+    "slice": _slice,
+    "concatenate": _concatenate,
+    "pad": _pad,
+    "rev": _rev,
+    "dynamic_slice": _dynamic_slice,
+    "scatter": _scatter,
+    "argmax": _place_of_best,
+    "argmin": _place_of_best,
+    "dot_general": _dot,
+    "conv_general_dilated": _convolved,
+    **dict.fromkeys(GATHERED, _gather),
+    **dict.fromkeys(RUNNING, _running),
+}
+
+
+def _keeps_axis(step: Step, operands: list, axis: int) -> bool:
+    """Whether a step leaves each sample where it is, along the axis of its result."""
+    name, params, out = step.name, step.params, step.outs[0]
+    rows = [x for x in operands if isinstance(x, Row)]
+    if elementwise(name):
+        return all(x.axis == axis for x in rows) and all(
+            isinstance(x, Row) or not x.ndim or x.shape[axis] == 1 for x in operands
+        )
+    if name in ("reshape", "squeeze", "expand_dims"):
+        before = math.prod(rows[0].shape[: rows[0].axis])
+        return before == math.prod(out.shape[:axis])
+    if name == "broadcast_in_dim":
+        return params["broadcast_dimensions"][rows[0].axis] == axis
+    if name == "transpose":
+        return params["permutation"][axis] == rows[0].axis
+    if name == "concatenate":
+        return params["dimension"] != axis and all(x.axis == axis for x in rows)
+    if name == "dot_general":
+        return _axis_of_product(params["dimension_numbers"], operands) == axis
+    if name == "by_columns":
+        return all(x.axis == axis == 0 and x.shape[0] == out.shape[0] for x in rows)
+    if name.startswith("reduce_"):
+        return axis == rows[0].axis - sum(a < rows[0].axis for a in params["axes"])
+    if name == "gather":
+        kept = params["dimension_numbers"]
+        return rows == operands[:1] and rows[0].axis not in (
+            *kept.start_index_map,
+            *kept.collapsed_slice_dims,
+        )
+    return name in ("slice", "pad", "rev", *RUNNING) and rows[0].axis == axis
+
+
+def _axis_of_product(numbers: Any, operands: list) -> int | None:
+    """Which axis of a product is that of the samples; None where they are mixed up."""
+    contracted, batch = numbers
+    places = set()
+    before = len(batch[0])
+    for i, x in enumerate(operands):
+        free = [a for a in range(x.ndim if not isinstance(x, Row) else len(x.shape))
+                if a not in (*contracted[i], *batch[i])]  # fmt: skip
+        if isinstance(x, Row):
+            if x.axis in batch[i]:
+                places.add(list(batch[i]).index(x.axis))
+            elif x.axis in free:
+                places.add(before + free.index(x.axis))
+            else:
+                return None
+        before += len(free)
+    return places.pop() if len(places) == 1 else None
+
+
+def _gather_of_row(step: Step, row: Row) -> Step:
+    sizes = _with(step.params["slice_sizes"], row.axis, 1)
+    return Step("gather", step.params | {"slice_sizes": sizes}, step.ins, step.outs, lax.gather_p)
+
+
+# The segments of a loop
+# --------------------------------------------------------------------------------------------------
+
+
+class _Build:
+    """What builds the segments of a loop from its scans, sinks and gatherings."""
+
+    def __init__(self, of: Trials, number: int, loop: Loop):
+        self.of, self.n, self.number, self.loop = of, of.n, number, loop
+        self.direction = loop.direction
+        self.reached: dict[Row, dict[Scan, int]] = {}
+
+    def run(self) -> None:
+        d, loop = self.direction, self.loop
+        for item in loop.items:
+            behind = 0
+            for row in item.rows:
+                for scan, c in self._reach(row).items():
+                    behind = min(behind, d * scan.offset - c)
+            item.offset = d * behind
+        cuts: set[int] = set()
+        for item in loop.items:
+            cuts |= {-item.offset, item.length - item.offset}
+            for row in item.rows:
+                self._cuts(row, 1, item.offset, cuts, set())
+        low = min(-item.offset for item in loop.items)
+        high = max(item.length - item.offset for item in loop.items)
+        ends = sorted(c for c in cuts if low <= c <= high)
+        pairs = list(itertools.pairwise(ends))
+        for first, last in pairs if d > 0 else pairs[::-1]:
+            loop.segments.append(self._segment(first, last))
+
+    def _reach(self, row: Row) -> dict[Scan, int]:
+        """How far a row reads ahead of itself in the results of each scan of this loop."""
+        if row not in self.reached:
+            found: dict[Scan, int] = {}
+            for inner, by in _inner(row):
+                if isinstance(inner, Result):
+                    pairs: Iterable = [(inner.scan, 0)] if inner.scan.loop == self.number else []
+                else:
+                    pairs = self._reach(inner).items()
+                for scan, c in pairs:
+                    here = c + self.direction * by
+                    found[scan] = max(found.get(scan, here), here)
+            if isinstance(row, Result) and row.scan.loop == self.number:
+                found[row.scan] = 0
+            if found and isinstance(row, Flipped):
+                raise Unknown("a scan that is read in both directions at once")
+            self.reached[row] = found
+        return self.reached[row]
+
+    def _cuts(self, row: Row, sign: int, c: int, cuts: set[int], seen: set) -> None:
+        """Add the samples k at which row sign k + c begins to be computed in another way."""
+        if (row, sign, c) in seen:
+            return
+        seen.add((row, sign, c))
+        if isinstance(row, Flipped):
+            self._cuts(row.row, -sign, row.length - 1 - c, cuts, seen)
+            return
+        if isinstance(row, Joined):
+            for first, length, part in row.parts:
+                each = range(first, first + length + 1) if not isinstance(part, Row) else (
+                    first, first + length)  # fmt: skip
+                cuts.update(p - c if sign > 0 else c - p + 1 for p in each)
+        for inner, by in _inner(row):
+            self._cuts(inner, sign, c + by, cuts, seen)
+
+    def _segment(self, first: int, last: int) -> Segment:
+        stores: list[tuple[Buffer, int, Array]] = []
+        cells: list[tuple[Node, Node]] = []
+        at = _At(self, first, last)
+        for scan in self.loop.scans:
+            if at.active(scan):
+                outs = at.run(scan)
+                for old, new in zip(scan.cells, outs, strict=False):
+                    cells += zip(old.flat, new.flat, strict=True)
+        for sink in self.loop.sinks:
+            if at.active(sink):
+                stores.append((sink.buffer, sink.offset, at.row(sink.rows[0], 1, sink.offset)))
+        for gathering in self.loop.gatherings:
+            if at.active(gathering):
+                new = at.row(gathering.rows[0], 1, gathering.offset).reshape(gathering.cells.shape)
+                old = at.inside(gathering.cells)
+                cells += zip(
+                    gathering.cells.flat,
+                    self.n.each(partial(self.n.of, gathering.name), old, new).flat,
+                    strict=True,
+                )
+        results = [
+            (result, scan.offset, at.done[scan][result.number])
+            for scan in self.loop.scans if scan in at.done for result in scan.results
+        ]  # fmt: skip
+        if len(self.n._known) > MOST_NODES:
+            raise Unknown("a trial of so many operations")
+        return Segment(first, last, stores, cells, results)
+
+
+def _inner(row: Row) -> list[tuple[Row, int]]:
+    """The rows that a row reads, each with the difference of the sample."""
+    if isinstance(row, Shifted):
+        return [(row.row, row.by)]
+    if isinstance(row, Flipped):
+        return [(row.row, 0)]
+    if isinstance(row, Joined):
+        return [(part, -first) for first, _, part in row.parts if isinstance(part, Row)]
+    if isinstance(row, Computed):
+        return [(x, 0) for x in row.operands if isinstance(x, Row)]
+    return []
+
+
+class _At:
+    """What evaluates rows at the samples of a segment."""
+
+    def __init__(self, of: _Build, first: int, last: int):
+        self.of, self.n, self.first, self.last = of, of.n, first, last
+        self.rows: dict[Any, Array] = {}
+        self.done: dict[Scan, list[Array]] = {}
+
+    def active(self, item: Any) -> bool:
+        return self.first + item.offset >= 0 and self.last + item.offset <= item.length
+
+    def inside(self, cells: Array) -> Array:
+        """The nodes of cells within the loop that changes them."""
+        out = np.empty(cells.shape, object)
+        for i in np.ndindex(*cells.shape):
+            x = cells[i]
+            out[i] = self.n.place("now", x.dtype, ("now", x.what), varies=True, alike=False)
+        return out
+
+    def row(self, row: Row, sign: int, c: int) -> Array:
+        """The elements of row sign k + c, at sample k."""
+        key = row, sign, c
+        if key not in self.rows:
+            self.rows[key] = self._row(row, sign, c).reshape(row.of_one)
+        return self.rows[key]
+
+    def _row(self, row: Row, sign: int, c: int) -> Array:
+        if isinstance(row, Stored):
+            return self._load(row.buffer, row, sign, c)
+        if isinstance(row, Same):
+            return row.elements
+        if isinstance(row, Count):
+            index = self.n.place("index", row.dtype, ("index", row.dtype, sign, c), varies=True)
+            return np.full(row.of_one, index, object)
+        if isinstance(row, Shifted):
+            return self.row(row.row, sign, c + row.by)
+        if isinstance(row, Flipped):
+            return self.row(row.row, -sign, row.length - 1 - c)
+        if isinstance(row, Joined):
+            lowest = min(sign * self.first + c, sign * (self.last - 1) + c)
+            highest = max(sign * self.first + c, sign * (self.last - 1) + c)
+            first, length, part = next(p for p in row.parts if p[0] <= lowest < p[0] + p[1])
+            assert highest < first + length
+            if isinstance(part, Row):
+                return self.row(part, sign, c - first)
+            assert lowest == highest
+            return part.take([lowest - first], row.axis)
+        if isinstance(row, Computed):
+            return row.function(*(self.row(x, sign, c) if isinstance(x, Row) else x
+                                  for x in row.operands))  # fmt: skip
+        assert isinstance(row, Result)
+        scan = row.scan
+        if scan.loop == self.of.number:
+            assert sign == 1
+            if c == scan.offset and self.active(scan):
+                return self.run(scan)[row.number]
+            assert self.of.direction * (c - scan.offset) < 0
+        return self._load(self.of.of.kept(row), row, sign, c)
+
+    def _load(self, buffer: Buffer, row: Row, sign: int, c: int) -> Array:
+        self.of.of.reads.append((buffer, self.of.number, sign, c))
+        out = np.empty(row.of_one, object)
+        for m, i in enumerate(np.ndindex(*row.of_one)):
+            place = ("load", buffer, sign, c, m)
+            out[i] = self.n.place("load", buffer.dtype, place, varies=True, alike=buffer.alike)
+        return out
+
+    def run(self, scan: Scan) -> list[Array]:
+        """The results of one sample of a scan."""
+        if scan in self.done:
+            return self.done[scan]
+        body = scan.body
+        known: dict[Value, Any] = {}
+        for i, (x, operand) in enumerate(zip(body.ins, scan.operands, strict=True)):
+            if i < scan.consts:
+                known[x] = operand
+            elif i < scan.consts + scan.carry:
+                known[x] = self.inside(scan.cells[i - scan.consts])
+            else:
+                known[x] = self.row(operand, 1, scan.offset).reshape(x.shape)
+
+        def value(x: Value) -> Any:
+            return self.n.array(x.array) if isinstance(x, Const) else known[x]
+
+        for step in body.steps:
+            operands = [value(x) for x in step.ins]
+            if any(isinstance(x, Row) for x in operands):
+                known[step.outs[0]] = self._read(step, operands)
+            elif len(step.outs) == 1:
+                known[step.outs[0]] = applied(self.n, step, operands)
+            else:
+                raise Unknown(step.name)
+        self.done[scan] = [value(x) for x in body.outs]
+        return self.done[scan]
+
+    def _read(self, step: Step, operands: list) -> Array:
+        """Rows of a table that a scan reads at a sample that is found while it runs."""
+        table = operands[0]
+        if step.name != "dynamic_slice" or not isinstance(table, Stored):
+            raise Unknown(f"{step.name} of all samples within a sample")
+        sizes, shape = step.params["slice_sizes"], table.shape
+        if tuple(sizes[1:]) != tuple(shape[1:]):
+            raise Unknown("dynamic_slice of some channels")
+        self.of.of.reads.append((table.buffer, self.of.number, 0, 0))
+        index, n = operands[1][()], self.n
+        last = n.const(shape[0] - sizes[0], index.dtype)
+        index = n.of("min", n.of("max", index, n.const(0, index.dtype)), last)
+        out = np.empty(sizes, object)
+        for m, i in enumerate(np.ndindex(*sizes)):
+            out[i] = n.of("row", index, dtype=table.dtype, what=(table.buffer, m))
+        return out

@@ -1,0 +1,8 @@
+"""The tests of this folder need the compiler."""
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def compiler():
+    pytest.importorskip("llvmlite", reason="needs llvmlite: pip install 'jaxilc[native]'")

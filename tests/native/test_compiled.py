@@ -1,0 +1,147 @@
+"""Learning by compiled programs, against XLA, and what they refuse."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import CASES, SCHEMES, case
+
+from jaxilc.learning import Sensor, learn
+from jaxilc.native import operations, run, why_not
+from jaxilc.native.program import Unknown
+from jaxilc.native.run import Compiled, Native, differs
+
+TRIALS = 5
+# what a program would need that the compiler does not know, by case
+REFUSED = {
+    "p_type_butterworth": "fft",
+    "cfdl_butterworth": "fft",
+    "error_filtered": "fft",
+    "learning_filter_butterworth": "fft",
+    "p_type_iir": "complex128",
+    "basis_rational": "complex128",
+    "cfdl_mfapc_moves": "lu",
+    "norm_optimal_lifted": "two axes of samples",
+    "estimated_disturbance": "scatter-add",
+    "two_step": "while",
+    "cross_coupled": "reduce_max of int64",
+    "constrained": "platform_index",
+    "on_basis": "platform_index",
+    "basis_functions": "gather of samples",
+    "basis_gradient": "gather of samples",
+    "ball_screw_real": "div of uint32",
+    "in_blocks": "reshape of samples",
+}
+QUICK = ("ffdl_sign", "pid_type_leaky_limited", "p_type_fir", "at_samples", "motor_real")
+GAINS = 1 + 0.002 * np.arange(-8, 9)  # of 17 machines
+
+
+def of_machine(common, gain):
+    """Learning of a machine and a scheme whose every number is scaled."""
+    (machine, scheme), task = common
+
+    def scaled(x):
+        return x * gain if jnp.issubdtype(jnp.asarray(x).dtype, jnp.floating) else x
+
+    history = learn(*jax.tree.map(scaled, (machine, scheme)), task, TRIALS)
+    return history.metrics, history.diverged, history.grown_from, history.final.y, history.memory
+
+
+def arguments(name):
+    machine, scheme, task = case(name)
+    return (machine, scheme), task
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in CASES]
+)
+def test_every_case_learns_as_by_xla_or_is_refused_by_name(name):
+    """With unequal machines in the lanes, and a group that is not full."""
+    common = arguments(name)
+    if name in REFUSED:
+        with pytest.raises(Unknown, match=REFUSED[name]):
+            Compiled(of_machine, common, 1.0)
+        return
+    found = Compiled(of_machine, common, 1.0)(common, GAINS)
+    wanted = jax.jit(jax.vmap(of_machine, (None, 0)))(common, GAINS)
+    assert differs(found, wanted) is None
+
+
+def test_numbers_do_not_depend_on_lanes_groups_threads_or_what_was_in_the_ram(monkeypatch):
+    """To the last bit: alone, in groups of 1, 3 and 8 lanes, on 1 and 5 threads, after NaN."""
+    common = arguments("ffdl_lead_limited")
+    whole = jax.tree.leaves(Compiled(of_machine, common, 1.0)(common, GAINS))
+
+    def same(lanes, gains, part):
+        found = jax.tree.leaves(Compiled(of_machine, common, 1.0, lanes=lanes)(common, gains))
+        for x, y in zip(found, whole, strict=True):
+            np.testing.assert_array_equal(x, np.asarray(y)[part])
+
+    same(8, GAINS[4:5], slice(4, 5))
+    same(1, GAINS[:3], slice(0, 3))
+    aligned = run._aligned
+
+    def poisoned(shape, dtype):
+        room = aligned(shape, dtype)
+        room.reshape(-1).view(np.uint8)[...] = 0xFF
+        return room
+
+    monkeypatch.setattr(run, "_aligned", poisoned)
+    monkeypatch.setattr(run, "_cores", lambda: 5)
+    same(4, GAINS, slice(None))
+    monkeypatch.setattr(run, "_cores", lambda: 1)
+    same(8, GAINS[::-1], slice(None, None, -1))
+
+
+def test_a_machine_that_diverges_touches_no_other():
+    common = arguments("p_type")
+    program = Compiled(of_machine, common, 1.0)
+    calm = jax.tree.leaves(program(common, GAINS))
+    wild = jax.tree.leaves(program(common, np.where(np.arange(17) == 5, 1e90, GAINS)))
+    others = np.arange(17) != 5
+    for x, y in zip(calm, wild, strict=True):
+        np.testing.assert_array_equal(np.asarray(x)[others], np.asarray(y)[others])
+    assert not np.all(np.isfinite(np.asarray(wild[0])[5]))
+    assert np.all(np.isfinite(np.asarray(wild[0])[others]))
+
+
+def test_another_result_than_that_of_xla_is_refused_and_told(monkeypatch, caplog):
+    common = arguments("p_type")
+    xla = jax.jit(jax.vmap(of_machine, (None, 0)))
+    assert Native(of_machine, xla).why_not(common, GAINS) is None
+    wrong = dataclasses.replace(operations.INSTRUCTIONS["sub"], text={"f": "fadd"})
+    monkeypatch.setitem(operations.INSTRUCTIONS, "sub", wrong)
+    reason = Native(of_machine, xla).why_not(common, GAINS)
+    assert "another result than that of XLA" in reason
+    assert "XLA computes instead" in caplog.text
+
+
+def test_the_comparison_finds_a_difference_of_one_machine_and_one_number():
+    wanted = {"a": np.array([[1.0, 1e6], [np.nan, np.inf]]), "b": np.array([1, 2])}
+    assert differs(wanted, wanted) is None
+    for name, at, value in (
+        ("a", (0, 0), 1.01), ("a", (1, 0), 0.0), ("a", (1, 1), -np.inf), ("a", (0, 1), np.nan),
+        ("b", (0,), 2),
+    ):  # fmt: skip
+        found = {key: x.copy() for key, x in wanted.items()}
+        found[name][at] = value
+        assert f"['{name}'] of machine {at[0]}" in differs(found, wanted)
+    near = {**wanted, "a": wanted["a"] * (1 + 1e-12)}
+    assert differs(near, wanted) is None
+
+
+def test_why_not_names_the_reason():
+    machine, scheme, task = case("p_type")
+    assert why_not(machine, scheme, task) is None
+    noisy = dataclasses.replace(machine, sensor=Sensor(noise=1e-3))
+    assert "random numbers" in why_not(noisy, scheme, task)
+    assert "fft" in why_not(machine, SCHEMES["p_type_butterworth"], task)
+
+
+def test_without_llvmlite_the_reason_is_told(monkeypatch):
+    monkeypatch.setattr(run, "_llvm", run._llvm.__wrapped__)
+    monkeypatch.setitem(__import__("sys").modules, "llvmlite", None)
+    monkeypatch.setitem(__import__("sys").modules, "llvmlite.binding", None)
+    assert "pip install jaxilc[native]" in why_not(*case("p_type"))

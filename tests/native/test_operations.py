@@ -1,0 +1,100 @@
+"""Each operation of the table, against JAX, at the edges of its numbers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxilc.native import operations
+from jaxilc.native.run import Compiled
+
+EDGES = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 1.5, 3e-310, -3e-310, 1e300, -1e300, np.inf,
+                  -np.inf, np.nan, 0.1, -7.25, 2.0**52, 1e-5])  # fmt: skip
+WHOLE = np.array([0, 1, -1, 2, -7, 2**31 - 1, -(2**31), 2**40, -(2**62), 5])
+X, Y = (a.ravel() for a in np.meshgrid(EDGES, EDGES))
+SOME, OTHER = (np.resize(a.ravel(), len(X)) for a in np.meshgrid(WHOLE, WHOLE))
+OF_TWO = {
+    "add": jnp.add, "sub": jnp.subtract, "mul": jnp.multiply, "div": jnp.divide,
+    "max": jnp.maximum, "min": jnp.minimum, "eq": jnp.equal, "ne": jnp.not_equal,
+    "lt": jnp.less, "le": jnp.less_equal, "gt": jnp.greater, "ge": jnp.greater_equal,
+    "pow": jnp.power,
+    "select_n": lambda x, y: jnp.where(x > y, x, y), "clamp": lambda x, y: jnp.clip(x, -1.0, y),
+}  # fmt: skip
+OF_ONE = {
+    "neg": jnp.negative, "abs": jnp.abs, "sqrt": jnp.sqrt, "floor": jnp.floor, "ceil": jnp.ceil,
+    "round": jnp.round, "sign": jnp.sign, "is_finite": jnp.isfinite, "exp": jnp.exp,
+    "expm1": jnp.expm1, "log": jnp.log, "log1p": jnp.log1p, "sin": jnp.sin, "cos": jnp.cos,
+    "tan": jnp.tan, "tanh": jnp.tanh, "square": jnp.square,
+    "logistic": jax.nn.sigmoid, "rsqrt": jax.lax.rsqrt,
+    "round_away": lambda x: jax.lax.round(x, jax.lax.RoundingMethod.AWAY_FROM_ZERO),
+    "cube": lambda x: x**3, "inverse square": lambda x: x**-2,
+    "to whole": lambda x: x.astype(int), "to small": lambda x: x.astype(jnp.int32),
+    "to truth": lambda x: x.astype(bool), "from truth": lambda x: (x > 0).astype(float),
+}  # fmt: skip
+OF_WHOLE = {
+    "add": jnp.add, "sub": jnp.subtract, "mul": jnp.multiply, "max": jnp.maximum,
+    "min": jnp.minimum, "and": jnp.bitwise_and, "or": jnp.bitwise_or, "xor": jnp.bitwise_xor,
+    "eq": jnp.equal, "lt": jnp.less, "ge": jnp.greater_equal,
+    "not": lambda i, k: ~i, "neg": lambda i, k: -i, "abs": lambda i, k: jnp.abs(i),
+    "to real": lambda i, k: i.astype(float), "to small": lambda i, k: i.astype(jnp.int32),
+    "to unsigned": lambda i, k: i.astype(jnp.uint32),
+    "from unsigned": lambda i, k: i.astype(jnp.uint32).astype(float),
+    "truths": lambda i, k: (i > k) ^ ((i > 0) & ~(k < 2) | (i == k)),
+}  # fmt: skip
+EXACT = {"add", "sub", "mul", "div", "max", "min", "neg", "abs", "sqrt", "floor", "ceil", "round",
+         "sign", "select_n", "clamp", "square", "round_away"}  # fmt: skip
+
+
+def flushed(x):
+    """Return the numbers with a signed zero for those that are too small to be normal."""
+    return np.where(np.abs(x) < np.finfo(float).tiny, np.copysign(0.0, x), x)
+
+
+def applied(functions, *signals):
+    """Return what the compiled program and JAX find for functions of signals, by name."""
+
+    def learning(common, one):
+        def trial(carry, j):
+            total, _ = jax.lax.scan(lambda s, x: (s + x, None), 0.0, 0.0 * carry[0])
+            return (*one, *(f(*one) for f in functions.values())), total
+
+        def start(x):
+            return jnp.zeros(x.shape, x.dtype)
+
+        results = jax.eval_shape(lambda: [f(*one) for f in functions.values()])
+        carry = (*one, *map(start, results))
+        found, totals = jax.lax.scan(trial, carry, jnp.arange(2))
+        return found[len(one) :], totals
+
+    batch = tuple(np.stack([s, s[::-1], np.roll(s, 7)]) for s in signals)
+    compiled = Compiled(learning, (), tuple(x[0] for x in batch))((), batch)[0]
+    wanted = jax.jit(jax.vmap(lambda *one: [f(*one) for f in functions.values()]))(*batch)
+    return zip(functions, map(np.asarray, compiled), map(np.asarray, wanted), strict=True)
+
+
+@pytest.mark.parametrize("functions", [OF_ONE, OF_TWO], ids=["one", "two"])
+def test_an_operation_on_real_numbers_is_that_of_jax(functions):
+    """Exact ones to the last bit and sign, the others to a few last places."""
+    signals = (X, Y)[: 1 if functions is OF_ONE else 2]
+    for name, found, wanted in applied(functions, *signals):
+        if found.dtype.kind != "f":
+            np.testing.assert_array_equal(found, wanted, err_msg=name)
+            continue
+        found, wanted = flushed(found), flushed(wanted)
+        np.testing.assert_array_equal(np.isnan(found), np.isnan(wanted), err_msg=name)
+        rtol = 0 if name in EXACT else 1e-14
+        np.testing.assert_allclose(found, wanted, rtol=rtol, atol=0, err_msg=name)
+        if name in EXACT:
+            off = (np.signbit(found) != np.signbit(wanted)) & ~np.isnan(wanted)
+            assert not off.any(), name
+
+
+def test_an_operation_on_whole_numbers_is_that_of_jax():
+    for name, found, wanted in applied(OF_WHOLE, SOME, OTHER):
+        np.testing.assert_array_equal(found, wanted, err_msg=name)
+
+
+def test_every_operation_of_the_table_is_tried():
+    tried = {*OF_ONE, *OF_TWO, *OF_WHOLE}
+    made = {"integer_pow", "convert_element_type", "real", "add_any", "round_even", "copysign"}
+    assert {*operations.INSTRUCTIONS, *operations.COMPOSED} - tried <= made
