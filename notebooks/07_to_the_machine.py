@@ -27,6 +27,8 @@
 # %%
 import csv
 import shutil
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -35,7 +37,7 @@ import jax
 import numpy as np
 
 import jaxilc
-from jaxilc import Campaign, Machine, Sensor, load_scenario, plants
+from jaxilc import Campaign, Machine, Sensor, Task, load_scenario, plants
 from jaxilc.figures import campaign_figure
 from jaxilc.hardware import read_measured, write_schedules
 from jaxilc.schemes import Feedforward, Scheme, WithFeedback
@@ -194,6 +196,46 @@ for j in range(1, 19):
 by_hand = np.asarray(jaxilc.feedforward(scheme, task, memory))
 np.testing.assert_allclose(by_hand, campaign.schedules(18)["feedforward"], rtol=1e-9, atol=1e-12)
 print("largest learned input:", np.round(np.max(np.abs(by_hand)), 4), "V")
+
+# %% [markdown]
+# ## The set-point of a closed drive
+#
+# The commonest case of a CNC: the drive is closed, and only its set-point can be changed. One
+# recorded move is enough for the plant file, which `jaxilc init --set-point` writes. `u` starts as
+# the reference, so the first trial has the error of the drive as it is, and not the stroke.
+
+# %%
+drive = Machine(plants.from_control(control.tf([5685.0], [1.0, 90.0, 5685.0])), None, real.sensor)
+s = np.clip(np.arange(401) / 200, 0, 1)
+move = Task(5 * (10 * s**3 - 15 * s**4 + 6 * s**5), dt=0.002, unit="mm", input_unit="mm")
+
+
+@jax.jit
+def drive_plays(u, key):
+    return jaxilc.run_trial(drive, Scheme(), move, Feedforward(u), key).y
+
+
+def record(path, u, number):
+    y = np.asarray(drive_plays(u, jax.random.key(number)))
+    columns = np.column_stack([move.time, np.append(u, u[-1:], axis=0), y])
+    np.savetxt(path, columns, delimiter=",", header="t [s],set [mm],pos_act [mm]", comments="")
+
+
+record(folder / "move.csv", np.asarray(move.reference)[:-1], 0)
+way = ["--record", folder / "move.csv", "--input", "set", "--output", "pos_act"]
+jaxilc_itself = Path(sys.executable).with_name("jaxilc")
+subprocess.run([jaxilc_itself, "init", "--set-point", *way, folder / "drive.toml"], check=True)
+set_point = load_scenario(folder / "drive.toml")
+law, task = set_point.schemes["ilc"], set_point.task
+campaign, errors = Campaign.start(folder / "set-point", law, task), []
+for j in range(1, 7):
+    record(folder / "trial.csv", campaign.schedules()["u"], j)
+    names = {"u": "set", "y": "pos_act"}
+    turn = campaign.turn(read_measured(folder / "trial.csv", task, campaign.recordable(), names))
+    campaign.keep(turn)
+    errors.append(turn.metrics["error"])
+print("RMS errors [mm]:", np.round(errors, 4))
+assert errors[-1] < errors[0] / 20
 
 # %%
 shutil.rmtree(folder)

@@ -43,6 +43,8 @@ NOT_RUN = {
     "grids.md: jaxilc tune": "it takes minutes: tests/outcomes/test_stored_grid.py runs it smaller",
     "how_to.md: pip": "it changes the environment",
     "how_to.md: jaxilc explore": "it serves a page until it is stopped",
+    "how_to.md: jaxilc init": "it needs a recorded move: tests/cli/test_init.py makes one",
+    "how_to.md: jaxilc run drive.toml": RECORD,
     "how_to.md: jaxilc next": RECORD,
     "how_to.md: jaxilc trials": RECORD,
     "potential.md: jaxilc potential": RECORD,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import os
+import re
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +14,7 @@ import typer
 from ..outcomes.outcome import Outcome
 from ..outcomes.request import Request
 from ..outcomes.verdict import Verdict
-from .options import SIMULATE, Pages, file_to_write
+from .options import SIMULATE, InputColumn, OutputColumn, Pages, TimeColumn, file_to_write
 from .present import present
 
 # What `--set-point` puts in place of parts of the file: its scheme then learns from u = r on.
@@ -23,14 +26,16 @@ SET_POINT = {
         '[schemes.ilc.scheme]\nclass = "Filtered"\n'
     ),
     "[plant]\n": (
-        "# Here u is the set-point of a closed drive. A record of both gives the plant:\n"
-        '#   kind = "identified", record = "FILE.csv", input = "set", output = "y", poles = 2\n'
+        "# Here u is the set-point of a closed drive; `jaxilc init --set-point --record FILE.csv`\n"
+        "# writes this file for a drive of which one move was recorded.\n"
         "[plant]\n"
     ),
     '#input_unit = "mm"': 'input_unit = "mm"',
     '"ilc.filter.cutoff"': '"ilc.scheme.filter.cutoff"',
     '"ilc.scheme.lead"': '"ilc.scheme.scheme.lead"',
 }
+_OF_DRIVE = re.compile(r"(?<=\[plant\]\n)kind.*?\n(?=\n)", re.DOTALL)
+_REFERENCE = re.compile(r"(?<=\n)reference = .*")
 
 
 def register(app: typer.Typer) -> None:
@@ -49,9 +54,20 @@ def init(
             "--set-point", help="Correct the set-point of a closed drive: u is r in trial 1."
         ),
     ] = False,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="With --set-point: a recorded move of the drive, as columns."
+        ),
+    ] = None,
+    time_name: TimeColumn = "t",
+    input_name: InputColumn = "u",
+    output_name: OutputColumn = "y",
     force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
 ) -> None:
     """Write a plant file with comments: a machine, its task, schemes and uncertainty.
+
+    With --set-point and --record the machine is fitted to the record, whose set-point is the task.
 
     Example: jaxilc init axis.toml
     """
@@ -64,9 +80,42 @@ def init(
     content = (resources.files("jaxilc.scenarios") / "axis.toml").read_text("utf-8")
     for part, other in (SET_POINT if set_point else {}).items():
         content = content.replace(part, other)
+    if record is not None:
+        if not set_point:
+            raise ValueError("--record is for --set-point; otherwise: jaxilc identify RECORD")
+        content = _of_record(content, record, file, (time_name, input_name, output_name))
     file.parent.mkdir(parents=True, exist_ok=True)
     atomically(file, lambda opened: opened.write(content.encode()))
-    said = f"{file} runs as it is; put your own plant, task and uncertainty into it."
+    own = "uncertainty" if record is not None else "plant, task and uncertainty"
+    said = f"{file} runs as it is; put your own {own} into it."
     following = Request(str(file)).following("run")
     verdict = Verdict((said,), "its first trials", following)
     present(Outcome(command="init", numbers={}, verdict=verdict, kept=[file]), Pages())
+
+
+def _of_record(content: str, record: Path, file: Path, names: tuple[str, str, str]) -> str:
+    """The file for a drive of which a move was recorded: its plant, its task and its units.
+
+    names: of the columns of time, set-point and position
+    Raises as `read_record_file`.
+    """
+    from ..identification.record_files import read_record_file
+
+    time, set_point, position = names
+    read = read_record_file(record, time=time, input=set_point, output=position)
+    place, *called = (json.dumps(of) for of in (os.path.relpath(record, file.parent), *names))
+    columns = zip(("time", "input", "output"), called, strict=True)
+    plant = [f"{name} = {column}\n" for name, column in columns]
+    fitted = f'kind = "identified"            # fitted once, to the record\nrecord = {place}\n'
+    unit = json.dumps((read.output_units or ("",))[0] or "mm")
+    parts = {
+        "dt = 0.001\n": f"dt = {read.record.dt!r}\n",
+        '\nunit = "mm"': f"\nunit = {unit}",
+        'input_unit = "mm"': f"input_unit = {unit}",
+        '"plant.B"': '"plant.gain"',
+    }
+    for part, other in parts.items():
+        content = content.replace(part, other)
+    content = _OF_DRIVE.sub(lambda _: f"{fitted}{''.join(plant)}poles = 2\n", content)
+    moved = f"reference = {{ csv = {place}, column = {called[1]} }}"
+    return _REFERENCE.sub(lambda _: moved, content)

@@ -66,6 +66,52 @@ def test_a_set_point_is_corrected_from_the_error_of_the_drive_on(jaxilc_command,
     assert made.task.input_unit == "mm"
 
 
+def recorded(folder):
+    """Write a move of a drive of 12 Hz that SciPy simulates; return its set-point and position."""
+    drive = scipy.signal.tf2ss([5685.0], [1.0, 90.0, 5685.0])
+    A, B, C, *_ = scipy.signal.cont2discrete(drive, 0.002)
+    s = np.clip(np.arange(401) / 200, 0, 1)
+    r = 5 * (10 * s**3 - 15 * s**4 + 6 * s**5)
+    x, y = np.zeros((2, 1)), [0.0]
+    for held in r[:-1]:
+        x = A @ x + B * held
+        y.append((C @ x).item())
+    rows = [
+        f"{2 * k};{a:.9g};{b:.9g}".replace(".", ",")
+        for k, (a, b) in enumerate(zip(r, y, strict=True))
+    ]
+    (folder / "move.csv").write_text("time [ms];set [mm];pos_act [mm]\n" + "\n".join(rows))
+    return r, np.array(y)
+
+
+def test_a_recorded_move_gives_the_file_of_a_set_point(jaxilc_command, tmp_path):
+    """One command leads from the record to trials, of which the first has the drive's own error.
+
+    It is that up to 6 %, which the filter leaves out of the reference; the stroke is 20 times it.
+    """
+    r, y = recorded(tmp_path)
+    columns = ("--time", "time", "--input", "set", "--output", "pos_act")
+    way = ("init", "--set-point", "--record", "move.csv", *columns, "plants/drive.toml")
+    code, out, err = jaxilc_command(*way)
+    assert (code, err) == (0, "")
+    assert "runs as it is; put your own uncertainty" in " ".join(out.split())
+    made = read_scenario(tmp_path / "plants" / "drive.toml")
+    assert (made.task.dt, made.task.unit, made.task.input_unit) == (0.002, "mm", "mm")
+    np.testing.assert_allclose(np.asarray(made.task.reference)[:, 0], r, atol=1e-8)
+    errors = np.asarray(learn(made.machine, made.schemes["ilc"], made.task, 8).metrics.rms)[:, 0]
+    np.testing.assert_allclose(errors[0], np.sqrt(np.mean((r - y)[1:] ** 2)), rtol=0.1)
+    assert errors[-1] < 0.02 * errors[0]
+    for wrong, said in (
+        (("init", "--record", "move.csv", "b.toml"), "--record is for --set-point"),
+        (("init", "--set-point", "--record", "move.csv", "b.toml"), "has no column 'u'; present"),
+        (("init", "--set-point", "--record", "gone.csv", "b.toml"), "gone.csv"),
+    ):
+        code, out, err = jaxilc_command(*wrong)
+        assert code == 2
+        assert said in err
+        assert not (tmp_path / "b.toml").exists()
+
+
 def test_the_file_runs_as_it_is_and_with_every_choice(jaxilc_command, tmp_path):
     code, out, err = jaxilc_command("init")
     assert (code, err) == (0, "")
