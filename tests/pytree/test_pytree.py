@@ -260,10 +260,11 @@ def test_interval(text, inside, outside):
 
 def test_leaves_have_names():
     names = named_leaves(BOTH)
-    assert list(names)[:4] == [
+    assert list(names)[:5] == [
         "machine.plant.gain",
         "machine.plant.zero",
         "machine.plant.poles",
+        "machine.plant.lead",
         "machine.actuator.limit",
     ]
     assert float(names["scheme.feedback.kp"]) == -4.0
