@@ -49,6 +49,9 @@ for name, law, machine, scheme, task in cases():
     row = {"machine": name, "law": law, "claim": str(found.claim[0])}
     row |= {"reason": str(found.reason[0])}
     printed = printed_conditions(scheme, task, machine)
+    if law == "fixed-filter":  # the left side of eq. 9 with the filter of the error in it
+        filtered = theory.frequency.learning_condition(machine, scheme, task)
+        printed = {"Li 2020, eq. 9, filtered": filtered.condition}
     for place, one in printed.items() or (("", None),):
         rows.append(row | {"paper": place, "value": float(one.value) if one else float("nan")})
         print(rows[-1], flush=True)

@@ -350,6 +350,7 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"(\d+) repeat a number": lambda: sum(row.kind == REPEATED for row in printed()),
         r"and (\d+) are percentages": lambda: sum(row.kind == DERIVED for row in printed()),
         r"of (\d+) printed bounds": lambda: sum(row.at_most for row in independent()),
+        r"Of the (\d+) that are no": lambda: sum(not row.at_most for row in independent()),
         r"To (\d+) of them a number": lambda: sum(row.fitted.among for row in independent()),
         r"The other (\d+) are\s+predicted": lambda: sum(
             not row.fitted.among for row in independent()
