@@ -32,6 +32,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import output
+import scipy.fft
+import scipy.signal
 from conditions_under_attack import lifted
 from jax.flatten_util import ravel_pytree
 
@@ -165,7 +167,48 @@ def moved(rng, scheme):
 
 
 def p_type(scheme, task):
-    return np.eye(task.N), float(scheme.gamma_p) * np.eye(task.N, k=int(scheme.lead))
+    """With the parts of a PID law; a gain on changes has a lead."""
+    N, m = task.N, int(scheme.lead)
+    ahead = np.eye(N, k=m)
+    change = np.where(np.arange(N)[:, None] + m < N, ahead - np.eye(N, k=m - 1), 0.0)
+    parts = zip("pid", (ahead, np.tri(N), change), strict=True)
+    L = sum(float(getattr(scheme, f"gamma_{of}")) * part for of, part in parts)
+    return (1 - float(scheme.leak)) * np.eye(N), L
+
+
+def by_taps(scheme, task):
+    N, taps, keep = task.N, np.asarray(scheme.L), np.asarray(scheme.keep)
+    n, m = len(taps) // 2, len(keep) // 2
+    L = sum(tap * np.eye(N, N + 1, k=1 + scheme.lead + i - n) for i, tap in enumerate(taps))
+    ends = np.pad(np.eye(N), ((m, m), (0, 0)), mode="symmetric")
+    return sum(tap * ends[i : i + N] for i, tap in enumerate(keep)), L
+
+
+def zero_phase(q, samples: int):
+    """A filter that is mirrored at the ends of its signal, by SciPy's cosine transform."""
+    f = np.arange(samples) / (2 * samples * DT)
+    if hasattr(q, "a"):
+        response = scipy.signal.freqz(np.asarray(q.b), np.asarray(q.a), f, fs=1 / DT)[1]
+    else:
+        edges = [q.low, q.high] if hasattr(q, "low") else [q.cutoff]
+        kind = "bandstop" if len(edges) > 1 else "lowpass"
+        edges = np.squeeze(np.array(edges, float))
+        sections = scipy.signal.butter(q.order, edges, kind, fs=1 / DT, output="sos")
+        response = scipy.signal.sosfreqz(sections, f, fs=1 / DT)[1]
+    return scipy.fft.idct(
+        abs(response[:, None]) ** 2 * scipy.fft.dct(np.eye(samples), axis=0), axis=0
+    )
+
+
+def filtered(scheme, task):
+    law = by_taps if hasattr(scheme.scheme, "L") else p_type
+    (keep, L), Q = law(scheme.scheme, task), zero_phase(scheme.filter, task.N)
+    return Q @ keep, Q @ L
+
+
+def error_filtered(scheme, task):
+    keep, L = p_type(scheme.scheme, task)
+    return keep, np.pad(L, ((0, 0), (1, 0))) @ zero_phase(scheme.filter, task.N + 1)
 
 
 def fir(scheme, task):
@@ -190,6 +233,12 @@ def at_samples(scheme, task):
     return keep, L * counted
 
 
+def on_table(scheme, task):
+    """The second of two outputs."""
+    keep, L = p_type(scheme.scheme, task)
+    return keep, np.kron(L, [0.0, 1.0])
+
+
 def cross_coupled(scheme, task):
     """On a straight path, as the one here is."""
     along = np.asarray(task.reference)[task.N // 2]
@@ -199,30 +248,44 @@ def cross_coupled(scheme, task):
     return np.kron(keep, np.eye(2)), np.kron(L, W)
 
 
-def norm_optimal(scheme, task):
-    model = scheme.model
-    G = lifted(*(np.asarray(M) for M in (model.A, model.B, model.C)), task.N)
-    n_u, n_y = np.asarray(model.B).shape[1], np.asarray(model.C).shape[0]
-
-    def weight(w, n):
-        w = np.asarray(w, float)
+def weighed(scheme, task, names: str):
+    """The lifted model of a scheme and the named weights, of all samples."""
+    A, B, C = (np.asarray(getattr(scheme.model, name)) for name in "ABC")
+    found = [lifted(A, B, C, task.N)]
+    for name in names:
+        w, n = np.asarray(getattr(scheme, f"w_{name}"), float), len(C) if name == "q" else len(B.T)
         w = np.diag(np.broadcast_to(w, n)) if w.ndim < 2 else w
-        return np.kron(np.eye(task.N), w)
+        found.append(np.kron(np.eye(task.N), w))
+    return found
 
-    Q, R, S = weight(scheme.w_q, n_y), weight(scheme.w_r, n_u), weight(scheme.w_s, n_u)
+
+def gradient(scheme, task):
+    """With the curvature that the scheme found, of which its step is a share."""
+    G, Q, S = weighed(scheme, task, "qs")
+    step = 1 / float(scheme.prepared(task).solved.curvature)
+    return np.eye(len(S)) - step * S, step * G.T @ Q
+
+
+def norm_optimal(scheme, task):
+    G, Q, R, S = weighed(scheme, task, "qrs")
     H = G.T @ Q @ G + R + S
     return np.linalg.solve(H, G.T @ Q @ G + R), np.linalg.solve(H, G.T @ Q)
 
 
 PLAIN = {
-    "p_type": p_type,
+    **dict.fromkeys(("p_type", "pd_type", "pid_type_leaky_limited"), p_type),
+    **dict.fromkeys(("norm_optimal", "norm_optimal_lifted"), norm_optimal),
+    **dict.fromkeys(("p_type_butterworth", "learning_filter_butterworth", "p_type_iir"), filtered),
+    "learning_filter": by_taps,
+    "error_filtered": error_filtered,
+    "gradient": gradient,
+    "p_type_on_table": on_table,
     "keep_unmeasured": lambda scheme, task: p_type(scheme.scheme, task),
     "warm_start": lambda scheme, task: p_type(scheme.scheme, task),
     "p_type_fir": fir,
     "on_basis": on_basis,
     "at_samples_p_type": at_samples,
     "cross_coupled": cross_coupled,
-    "norm_optimal": norm_optimal,
 }
 
 
@@ -234,11 +297,12 @@ def run_plain(name, machines, scheme, task) -> tuple:
     parts = (*jax.tree.leaves(machines.plant), machines.disturbance.output)
     for A, B, C, d in zip(*map(np.asarray, parts), strict=True):
         G, r = lifted(A, B, C, task.N), (reference - d)[1:].ravel()
+        of_first = L[:, : -len(r)] @ (reference - d)[0][: L.shape[1] - len(r)]
         w, of_errors, of_steps = w0, [], []
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(TRIALS):
                 e = r - G @ w
-                following = keep @ w + L @ e
+                following = keep @ w + L[:, -len(r) :] @ e + of_first
                 of_errors.append(np.sqrt(np.mean(e**2)))
                 of_steps.append(np.linalg.norm(following - w))
                 w = following
@@ -328,7 +392,8 @@ def grow_late(name: str, machines, some, scheme, task, view) -> list[bool]:
             d = run_learn(machines, scheme, task, view, LONG)[1]
             return [grows(d[i], LONG // 8) for i in some]
         keep, L = PLAIN[name](scheme, task)
-        return [_power_grows(keep - L @ _lifted(machines, i, task.N)) for i in some]
+        every = [_lifted(machines, i, task.N) for i in some]
+        return [_power_grows(keep - L[:, -len(G) :] @ G) for G in every]
 
 
 def _lifted(machines, i: int, samples: int) -> np.ndarray:
