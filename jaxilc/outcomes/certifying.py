@@ -199,6 +199,7 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
 
 def _transient(found: Certificate, claimed: np.ndarray) -> dict[str, Any]:
     grows, of_any = claimed & (found.peak > 1 + GROWTH), np.zeros(len(claimed))
+    grows &= ~(found.peak * found.predicted[:, 0] <= found.left)  # else it does not fall afterwards
     if found.outlook is not None:
         decay = found.outlook.decay
         of_any = np.where(claimed & (decay.trials == 0) & ~found.of_error, decay.growth, 0.0)

@@ -156,6 +156,8 @@ def test_claims_are_those_of_single_runs(plant, gain, how, claim, sense):
     runs = found.runs[0]
     if claim in (MONOTONE, CONVERGES):
         assert np.all(np.isfinite(runs))
+        told = certificate_numbers(OfScheme(found, None, 1.0))["transient"]["growth"]
+        assert told is None or told * found.predicted[0, 0] > found.left[0]
         last = np.mean(runs[:, -10:] ** 2), np.mean(found.predicted[0, -10:] ** 2)
         assert last[0] < 10 * last[1] + 1e-20
     if claim == DIVERGES:
