@@ -1,10 +1,11 @@
-"""A small part of `experiments/claims_under_attack.py`, and that it sees a wrong claim."""
+"""Small parts of experiments that attack, and that they see what is wrong."""
 
 import claims_under_attack as attack
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import steps_under_attack as steps
 from cases import SCHEMES
 
 from jaxilc.theory.certificates import DIVERGES, MONOTONE, long_run
@@ -38,3 +39,14 @@ def test_the_attack_sees_a_wrong_claim():
     assert all(seen(swapped, i) == attack.LATE for i in at[MONOTONE])
     lower = found._replace(outlook=found.outlook._replace(floor=0.5 * found.outlook.floor))
     assert any("floor" in seen(lower, i) for i in at[MONOTONE])
+
+
+def test_rounding_at_random_leads_as_far_as_a_fourier_transform_in_single_precision():
+    """Without the errors within the transform it led to less than what is seen."""
+    x = np.random.default_rng(4).standard_normal((50, 256)).astype(np.float32)
+    exact = np.fft.rfft(x.astype(float))
+    with jax.enable_x64(False):
+        single = np.asarray(jnp.fft.rfft(jnp.asarray(x)))
+    drawn = steps.rounded_at_random(jnp.fft.rfft, jnp.uint64(5), jnp.asarray(x.astype(float)))
+    seen, told = (np.linalg.norm(y - exact) for y in (single, np.asarray(drawn)))
+    assert seen < told < 4 * seen
