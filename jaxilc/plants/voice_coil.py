@@ -77,7 +77,7 @@ class VoiceCoil(Plant):
 
 
 def held(a: tuple[float, ...], b: tuple[float, ...], dt: float) -> VoiceCoil:
-    """The motor whose zero-order hold is a difference equation with three real poles.
+    """The motor whose zero-order hold is a difference equation with real poles and zeros.
 
         y[k] = a_1 y[k-1] + a_2 y[k-2] + a_3 y[k-3] + b_1 u[k-1] + b_2 u[k-2] + b_3 u[k-3]
 
