@@ -99,8 +99,8 @@ def begun(folder: Path, plant: str | None, state: Path, schedule: Path):
         write_trial(move, stroke(), IN_ORDER.play(stroke()[:-1], 1), stroke())
         code, said = call("init", "--set-point", "--record", move, file)
         return call(*start) if code == 0 else (code, said)
-    with (folder / "reference.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([("t", "r"), *((k * DT, v) for k, v in enumerate(stroke()))])
+    with (folder / "reference.csv").open("w", newline="") as opened:
+        csv.writer(opened).writerows([("t", "r"), *((k * DT, v) for k, v in enumerate(stroke()))])
     file.write_text(plant)
     return call(*start)
 

@@ -10,8 +10,8 @@ the same schedules, and by how much one step was missed so far.
 s_j is the simulated output of trial j, g the gain by which the measured steps exceed the simulated
 ones, w the share of the step that the machine makes, and q the step over the error. f is the level
 at which learning ends, v its share in the power. The weights of w, f, a, b begin as `GRID` says and
-are those that the trials so far make likely (Bayes, on a grid). A trial that lies far outside
-teaches nothing of the next ones, so a machine that has changed for good is told once.
+are those that the trials so far make likely (Bayes, on a grid). A trial that lies far outside is
+that of another machine: g and the weights begin anew after it, so a change for good is told once.
 """
 
 from __future__ import annotations
@@ -95,7 +95,8 @@ def expected(measured: Any, simulated: Any, task: Task, step: int) -> Expected |
         errors, level = size(r - y), _Level(size(r - y)[0])
         for i in range(1, len(y)):
             told = _told(r - y[i - 1], steps[i - 1], _gain(more, sizes, used, i - 1), size)
-            used[i - 1] &= level.learned(told, errors[i])
+            if not level.learned(told, errors[i]):
+                used[:i], level = False, _Level(size(r - y)[0])
         gain = _gain(more, sizes, used, len(more))
         bands.append(level.ends(_told(r - y[-1], steps[-1], gain, size)))
     ends = np.array(bands)
@@ -134,7 +135,7 @@ class _Level:
         return weights / np.sum(weights), np.log(power) / 2, np.sqrt(spread)
 
     def learned(self, told: np.ndarray, error: float) -> bool:
-        """Whether an error was not far outside; the weights then follow it."""
+        """Whether an error was not far outside; if so, the weights follow it."""
         weights, mean, spread = self._at(told)
         t = (np.log(max(error, 1e-300)) - mean) / spread
         share = float(np.sum(weights * ndtr(t)))

@@ -17,8 +17,8 @@ def trials(seed, count=10, rate=0.4, gain=0.9, rest=3e-3, varies=0.3):
     rng = np.random.default_rng(seed)
     u, never = np.zeros_like(R), rest * rng.standard_normal(R.shape)
     y, s = [], []
-    for _ in range(count):
-        y.append(gain * u + never + rest * varies * rng.standard_normal(R.shape))
+    for of in np.broadcast_to(gain, count):
+        y.append(of * u + never + rest * varies * rng.standard_normal(R.shape))
         s.append(u)
         u = u + rate * (R - y[-1])
     return np.array(y), np.array([*s, u])
@@ -49,6 +49,18 @@ def test_a_lasting_change_is_told_once():
     s = np.concatenate([s, [s[-1]] * 3])
     told = [place.level == "clear" for place in places(y, s, first=5)]
     assert told == [False, True, False, False]
+
+
+def test_after_a_change_of_the_gain_the_bands_begin_anew():
+    """It is told once, where every later trial was told to be another machine before."""
+    told, within = [], []
+    for seed in range(5):
+        changed = trials(seed, rate=0.7, gain=[1.0] * 5 + [0.7] * 5, rest=1e-4, varies=0.1)
+        found = places(*changed, first=5)
+        told.append([place.level == "clear" for place in found])
+        within += [place.level == "within" for place in found[1:]]
+    assert np.array_equal(told, [[True, False, False, False, False]] * 5)
+    assert np.mean(within) >= 0.8
 
 
 def test_there_is_no_band_before_the_third_trial_or_where_the_model_diverges():
