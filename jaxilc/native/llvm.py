@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,13 +38,21 @@ class Text:
 
     lanes: number of machines in a group
     wanted: whether each result of the loop over trials is read by somebody
+    in_vectors: what gives the name of a function of the C library for as many numbers as there are
+        lanes, by its usual name and the number of its operands; None where there is none
     work: bytes that a group needs
     """
 
-    def __init__(self, plan: Trials, lanes: int, wanted: Sequence[bool]):
+    def __init__(
+        self,
+        plan: Trials,
+        lanes: int,
+        wanted: Sequence[bool],
+        in_vectors: Callable[[str, int], str | None],
+    ):
         if plan.reverse:
             raise Unknown("a loop over trials from the last to the first")
-        self.plan, self.lanes, self.wanted = plan, lanes, wanted
+        self.plan, self.lanes, self.wanted, self.in_vectors = plan, lanes, wanted, in_vectors
         self.lines: list[str] = []
         self.declared: set[str] = set()
         self.straight: dict[Node, str] = {}
@@ -214,21 +222,20 @@ class Text:
         return f"v{self.lanes}{letter}{8 * bytes_of(dtype)}"
 
     def _for_each(self, name: str, dtype: Any, args: list[str]) -> str:
-        """The results of a function of the C library, in double precision, for each machine."""
-        kind, scalar = self.type_of(dtype), _scalar(dtype)
+        """The results of a function of the C library, in vectors where it has them."""
+        kind = self.type_of(dtype)
         if name == "@log":  # it would not take tiny numbers as zero, as XLA does here alone
             same = f"@llvm.canonicalize.{self._suffix(dtype)}"
             args = [self._called(same, kind, [kind], args)]
+        vectors = self.in_vectors(name[1:], len(args))
+        if vectors is not None:
+            return self._called(f"@{vectors}", kind, [kind] * len(args), args)
         self.declared.add(f"declare double {name}({', '.join(['double'] * len(args))})")
         found = "poison"
         for lane in range(self.lanes):
             ones = [self.add(f"extractelement {kind} {x}, i32 {lane}") for x in args]
-            if scalar == "float":
-                ones = [self.add(f"fpext float {x} to double") for x in ones]
             one = self.add(f"call double {name}({', '.join(f'double {x}' for x in ones)})")
-            if scalar == "float":
-                one = self.add(f"fptrunc double {one} to float")
-            found = self.add(f"insertelement {kind} {found}, {scalar} {one}, i32 {lane}")
+            found = self.add(f"insertelement {kind} {found}, double {one}, i32 {lane}")
         return found
 
     def _converted(self, node: Node, x: str) -> str:

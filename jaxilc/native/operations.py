@@ -160,8 +160,8 @@ class Numbers:
         if name == "row":
             return self._node(name, args, dtype, what, what, alike=what[0].alike)
         kind = args[0].dtype.kind
-        if instruction(name, kind) is None:
-            raise Unknown(f"{name} of {args[0].dtype}")
+        if instruction(name, kind) is None or any(x.dtype != args[0].dtype for x in args):
+            raise Unknown(f"{name} of {' and '.join(str(x.dtype) for x in args)}")
         known = INSTRUCTIONS[name]
         dtype = BOOL if known.tests else args[0].dtype
         if known.exact is not None and all(x.name == "const" for x in args):
@@ -170,14 +170,17 @@ class Numbers:
         return self._same(name, args) or self._node(name, args, dtype, None, None)
 
     def _same(self, name: str, args: tuple) -> Node | None:
-        """The operand that an operation leaves as it is, to the last bit and sign; else None."""
+        """The operand that an operation leaves as it is, to the last bit and sign; else None.
+
+        As XLA does, a division by a constant becomes a product, which takes less time.
+        """
         one, other = (args * 2)[:2]
         if name == "mul" and _is(other, 1):
             return one
         if name == "mul" and _is(one, 1):
             return other
-        if name == "div" and _is(other, 1):
-            return one
+        if name == "div" and other.name == "const" and _has_reciprocal(other.what):
+            return self.of("mul", one, self.const(1 / other.what, other.dtype))
         if name == "sub" and _is(other, 0) and not np.signbit(other.what):
             return one
         return None
@@ -221,6 +224,12 @@ class Numbers:
         return _filled(
             arrays[0].shape, [function(*x) for x in zip(*(a.flat for a in arrays), strict=True)]
         )
+
+
+def _has_reciprocal(x: Any) -> bool:
+    """Whether the number and its reciprocal are normal numbers."""
+    least = np.finfo(x.dtype).tiny
+    return bool(least <= abs(x) <= 1 / least)
 
 
 def _is(x: Node, value: float) -> bool:
@@ -382,7 +391,9 @@ def applied(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
     if name in RUNNING:
         return _running(n, step, arrays[0])
     if name == "dot_general":
-        return _dot(n, params["dimension_numbers"], *arrays).reshape(shape)
+        cast = partial(n.of, "convert", dtype=out.dtype)
+        factors = [n.each(cast, x) for x in arrays]
+        return _dot(n, params["dimension_numbers"], *factors).reshape(shape)
     if name == "by_columns":
         matrix, vector = arrays
         terms = [n.each(partial(n.of, "mul"), matrix[..., j], vector[..., j, None])

@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -26,6 +26,7 @@ from .rows import Trials
 log = logging.getLogger("jaxilc")
 
 WIDEST = {"avx512f": 64, "avx": 32, "neon": 16}  # bytes of a register, by a feature
+ONCE = "trials that are all alike, of which XLA computes one"
 FEW = 64  # numbers of an operand that are written into the program where they never change
 TOLERANCE = 1e-9  # of the largest number of a machine, by which the check may find a difference
 
@@ -36,6 +37,7 @@ class Compiled:
     fn: the function; it learns over trials
     common, one: its arguments, of which shapes and types are read
     lanes: number of machines in a group; None: as many as a register of the processor holds
+    learns: whether the trials differ, see `ONCE`
     Raises Unknown, which says why, where the function cannot be compiled.
     """
 
@@ -54,7 +56,8 @@ class Compiled:
         self.lanes = _width() // real.itemsize if lanes is None else lanes
         read = {x for step in self._after for x in step.ins} | {*self._program.outs}
         self._wanted = [x in read for x in self._trials.outs]
-        self.text = Text(plan, self.lanes, self._wanted)
+        self.text = Text(plan, self.lanes, self._wanted, partial(_in_vectors, self.lanes))
+        self.learns = _learns(self._trials)
         self._constants = [_contiguous(x) for x in plan.given]
         self._carry, self._count = plan.carry, plan.trials
         self._code = _Code(self.text.text)
@@ -140,6 +143,8 @@ class Native:
     def _tried(self, common: Any, batch: Any) -> Compiled | str:
         try:
             program = Compiled(self._fn, common, jax.tree.map(lambda x: x[0], batch))
+            if not program.learns:
+                return ONCE
         except Unknown as unknown:
             return str(unknown)
         except Exception as error:  # of ours, which is no reason not to learn
@@ -163,10 +168,9 @@ def why_not(machine: Machine, scheme: Scheme, task: Task, trials: int = 2) -> st
         return learn(machine, scheme, task, trials, key=jax.random.key(one)).metrics
 
     try:
-        Compiled(metrics, (machine, scheme, task), np.uint32(0))
+        return None if Compiled(metrics, (machine, scheme, task), np.uint32(0)).learns else ONCE
     except Unknown as unknown:
         return str(unknown)
-    return None
 
 
 def _key(common: Any, batch: Any) -> Any:
@@ -213,6 +217,18 @@ def _alike(program: Program, before: Sequence[Step], step: Step, shared: int) ->
         if any(x in varying for x in one.ins):
             varying.update(one.outs)
     return [isinstance(x, Const) or x not in varying for x in step.ins]
+
+
+def _learns(step: Step) -> bool:
+    """Whether a loop over samples depends on the trials before, or on the number of the trial."""
+    body = step.params["body"]
+    moving = set(body.ins[step.params["consts"] :])
+    for one in body.steps:
+        if any(x in moving for x in one.ins):
+            if one.name == "scan":
+                return True
+            moving.update(one.outs)
+    return False
 
 
 def _fixed(before: Sequence[Step], step: Step) -> list[Any]:
@@ -333,9 +349,22 @@ class _Code:
                 list(pool.map(part, range(threads)))
 
 
+def _in_vectors(lanes: int, name: str, operands: int) -> str | None:
+    """The name of a function of the C library for a vector of numbers; None where it has none."""
+    letter, feature = {8: ("e", "avx512f"), 4: ("d", "avx2"), 2: ("b", "sse2")}.get(lanes, ("", ""))
+    if not _llvm().get_host_cpu_features().get(feature):
+        return None
+    found = f"_ZGV{letter}N{lanes}{'v' * operands}_{name}"
+    try:
+        _address(found)
+    except Unknown:
+        return None
+    return found
+
+
 def _address(name: str) -> int:
     """The address of a function of the C library; raises Unknown where there is none."""
-    for library in (None, "libm.so.6"):
+    for library in (None, "libm.so.6", "libmvec.so.1"):
         try:
             found = getattr(ctypes.CDLL(library), name)
         except (OSError, AttributeError, TypeError):

@@ -137,6 +137,7 @@ def test_why_not_names_the_reason():
     assert why_not(machine, scheme, task) is None
     noisy = dataclasses.replace(machine, sensor=Sensor(noise=1e-3))
     assert "random numbers" in why_not(noisy, scheme, task)
+    assert "all alike" in why_not(machine, SCHEMES["pid_position"], task)
     assert "fft" in why_not(machine, SCHEMES["p_type_butterworth"], task)
 
 

@@ -14,6 +14,7 @@ from fuzz import fuzz, pick
 from jaxilc.native.run import Compiled
 
 TRIALS = 4
+MOVING = ("delay", "ahead", "flip", "scan", "back")
 KINDS = ("mix", "product", "bend", "delay", "ahead", "flip", "scan", "back", "sum", "max", "scale",
          "first", "pick", "cumsum", "cummax", "cummin", "difference", "largest", "channels", "dot",
          "filter", "gain", "worst")  # fmt: skip
@@ -22,9 +23,10 @@ KINDS = ("mix", "product", "bend", "delay", "ahead", "flip", "scan", "back", "su
 def program(rng):
     """Return N, instructions, which rows and numbers are remembered, and which numbers are kept."""
     N, rows, numbers, lines = int(rng.integers(12, 40)), 3, 2, []
-    for _ in range(rng.integers(4, 14)):
-        kind = pick(rng, KINDS)
-        a, b = (int(i) for i in rng.integers(rows, size=2))
+    for _ in range(rng.integers(5, 14)):
+        kind = pick(rng, KINDS + MOVING * 2)
+        a = rows - min(int(rng.geometric(0.5)), rows)  # mostly one of the last
+        b = int(rng.integers(rows))
         s, c = int(rng.integers(numbers)), float(np.round(rng.uniform(-1, 1), 2))
         lines.append((kind, a, b, s, c, int(rng.integers(1, 4))))
         if kind in ("sum", "max", "pick", "largest", "dot", "worst"):
@@ -105,7 +107,8 @@ def by_jax(of):
                     numbers.append(jnp.where(jnp.any(x > 1), 1.0, 0.5 * jnp.all(y < 2)))
         kept = [rows[i] for i in memory]
         kept = [x / (1 + jnp.max(jnp.abs(x))) for x in kept]
-        return (tuple(kept), jnp.tanh(numbers[number])), jnp.stack(numbers)
+        seen = [jnp.arange(1, N + 1) @ x / N for x in rows]  # so that each row is read by somebody
+        return (tuple(kept), jnp.tanh(numbers[number])), jnp.stack(numbers + seen)
 
     def learning(_, one):
         r, gain = one
@@ -180,7 +183,7 @@ def by_numpy(of, r, gain):
         kept = [rows[i] for i in memory]
         kept = [x / (1 + max(abs(x))) for x in kept]
         carried = np.tanh(numbers[number])
-        found.append(numbers)
+        found.append([*numbers, *(np.arange(1, N + 1) @ x / N for x in rows)])
     return [*kept, carried, np.array(found)]
 
 
