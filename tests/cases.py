@@ -79,6 +79,7 @@ from jaxilc.schemes import (
     PIDType,
     PolynomialBasis,
     RationalBasis,
+    RepetitiveControl,
     SelectedBasis,
     StopWhen,
     TwoStep,
@@ -260,6 +261,10 @@ SCHEMES = {
     ),
     "p_type_on_reference": OnReference(
         PIDType(gamma_p=0.4, lead=1), CFDLMFAPC(lam=3.0, phi0=-0.1, P=4, reset="sign")
+    ),
+    "repetitive": WithFeedback(
+        RepetitiveControl(LearningFilter((-0.1, -0.4, -0.1), keep=(0.2, 0.5, 0.2)), 4.6e-3),
+        PID(kp=-4.0, ki=-40.0, kd=-2e-3),
     ),
     "p_type_over_pid": WithFeedback(
         PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0, ki=-40.0, kd=-2e-3)

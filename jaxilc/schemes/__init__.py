@@ -22,6 +22,7 @@ from .mfac import CFDLMFAC, CFDLMFAILC, CFDLMFAPC, FFDLMFAC, FFDLMFAILC, PFDLMFA
 from .norm_optimal import NormOptimal
 from .pid import PID
 from .pid_type import ExponentialPD, HigherOrder, PIDType
+from .repetitive import RepetitiveControl
 from .scheme import Feedforward, Scheme
 from .sliding_mode import ASMC, SMC
 from .two_step import TwoStep
@@ -62,6 +63,7 @@ __all__ = [
     "PIDType",
     "PolynomialBasis",
     "RationalBasis",
+    "RepetitiveControl",
     "Scheme",
     "SelectedBasis",
     "Selection",

@@ -145,6 +145,10 @@ class WithFeedback(LearningAndFeedback):
     def preview(self) -> int:
         return max(self.learning.preview, self.feedback.preview)
 
+    @property
+    def learns(self) -> bool:
+        return self.learning.learns or self.feedback.learns
+
     def shown(self, trial: Trial) -> dict[str, Trial]:
         need_signals(self, trial, feedback="(N, n_u)")
         learning, feedback = (

@@ -23,6 +23,7 @@ ground up:
     q_filter         whether a Q-filter is safe, for a family of machines or on records
     chance           what holds for single runs where something is drawn for each trial, by the
                      moments of what reaches the law (`record_moments`)
+    repetitive       repetitive control within one long trial, and what it does between harmonics
     rounding         how far from its limit a machine that rounds is held
     forecast         the error of each trial, as predicted and as simulated
     certificates     many machines at once, against simulation
@@ -50,6 +51,7 @@ from .bounds import (
 from .carried import CarriedRadius, carried_radius
 from .certificates import CLAIMS, COURSES, Certificate, certify, certify_each
 from .condition import Condition, Premise
+from .repetitive import RepetitiveTest, repetitive_condition
 from .to_python_control import to_control
 
 __all__ = [
@@ -64,6 +66,7 @@ __all__ = [
     "Premise",
     "PremiseShare",
     "PseudoGradient",
+    "RepetitiveTest",
     "bounds_of",
     "carried_radius",
     "certify",
@@ -78,6 +81,7 @@ __all__ = [
     "outlook",
     "ppd_bound",
     "pseudo_gradient_of",
+    "repetitive_condition",
     "structure",
     "to_control",
 ]

@@ -1,0 +1,132 @@
+"""Repetitive control: what is learned between trials, learned within one long trial each period."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..pytree.aliases import Array, Leaf
+from ..pytree.fields import child, leaf, pytree, static
+from ..pytree.needs import known
+from ..signals.task import Sample, Task
+from .learning_filter import LearningFilter
+from .scheme import Scheme, limited
+
+AROUND = np.array([-1, 0, 1, 2])  # samples from which a value between two of them is interpolated
+ROOM = 1.25  # of the memory, over the period with which the scheme is made
+
+
+class Passed(NamedTuple):
+    """What is remembered, the newest sample last.
+
+    v: (M, n_u) what was added to the input;  e: (M, n_y) errors
+    """
+
+    v: Array
+    e: Array
+
+
+@pytree
+class RepetitiveControl(Scheme):
+    """The law of a `LearningFilter`, from period to period of one long trial.
+
+        v[k] = sum_i keep_i v[k - n + i - m] + sum_i L_i e[k - n + 1 + lead + i - l]
+
+    n = period / dt is the period in samples, m and l are the middle taps of keep and L. Between
+    trials the same law is u_{j+1} = Q u_j + L e_j; here the trial before is the period before
+    (Hara, Yamamoto, Omata, Nakano 1988). So L and Q may look ahead, as far as a period allows, and
+    in the first period v is zero. Where n is no whole number, values between samples come from four
+    samples around them (Lagrange). It stands beside a feedback, in parallel:
+
+        WithFeedback(RepetitiveControl(learning_filter(L, Q), period=0.25), PID(...))
+
+    and several stand in parallel for several periods. `theory.repetitive_condition` tells whether
+    it converges, what is left at each frequency, and what a wrong period costs.
+
+    law: taps L and keep, from `learning_filter` or given; one law in all samples
+    period: () of what repeats [s]; at least what L and keep look ahead and three samples more
+    longest: the longest period that `period` may be set to [s]; None is 1.25 times `period`
+
+    `check` raises ValueError for a period that is too short for the law, or longer than `longest`.
+    """
+
+    law: LearningFilter = child()
+    period: Leaf = leaf(interval="(0, inf)")
+    longest: float | None = static(default=None, interval="(0, inf)", optional=True)
+
+    def __post_init__(self) -> None:
+        if self.longest is None and known(self.period):
+            object.__setattr__(self, "longest", ROOM * float(np.max(self.period)))
+
+    def check(self, task: Task) -> None:
+        if self.law.starts:
+            raise ValueError(
+                f"RepetitiveControl: law has starts = {self.law.starts}; allowed is (), one law in "
+                "all samples"
+            )
+        self.law.check(task)
+        if self.longest is None or not (known(self.period) and known(task.dt)):
+            return
+        least = (max(self._ends("e")[1], self._ends("v")[1] + 1) + 2) * task.dt
+        values = np.asarray(self.period)
+        if values.ndim or not least * (1 - 1e-9) <= values <= self.longest:
+            raise ValueError(
+                f"RepetitiveControl: period = {values} s is outside its allowed range [{least:g}, "
+                f"{self.longest:g}]: from what the law looks ahead, to `longest`"
+            )
+
+    def initial_state(self, task: Task) -> Passed:
+        # as many samples before the newest as the longest period and the taps look back
+        past = int(np.ceil((self.longest or 0.0) / task.dt)) + AROUND[-1] + 1
+        of = {"v": task.inputs, "e": task.outputs}
+        return Passed(*(jnp.zeros((past - self._ends(n)[0], of[n])) for n in of))
+
+    def act(self, state: Passed, sample: Sample) -> tuple[Passed, Array]:
+        e = _with(state.e, sample.r - sample.y)
+        v_past = state.v
+        if sample.applied is not None:  # what an actuator has let through
+            v_past = v_past.at[-1].set(sample.applied)
+        periods = self.period / sample.dt
+        whole = jnp.floor(periods)
+        weights = lagrange(periods - whole)
+        of_v = self._of_period("v", self.law.keep, v_past, whole - 1, weights)
+        v = limited(of_v + self._of_period("e", self.law.L, e, whole, weights), self.law.limit)
+        return Passed(_with(v_past, v), e), v
+
+    def _ends(self, name: str) -> tuple[int, int]:
+        """The first and the last sample that the taps see, from the same place a period later."""
+        middle = self.law._taps("L" if name == "e" else "keep") // 2
+        ahead = 1 + self.law.lead if name == "e" else 0
+        return min(ahead - middle, 0), ahead + middle
+
+    def _of_period(
+        self, name: str, taps: Array, past: Array, whole: Array, weights: Array
+    ) -> Array:
+        """(n_u,) the taps on the samples a period ago; the newest of `past` is `whole` later."""
+        last = self._ends(name)[1]
+        count = taps.shape[0] + len(AROUND) - 1
+        first = len(past) - whole.astype(int) + last - taps.shape[0] - AROUND[-1]
+        seen = lax.dynamic_slice_in_dim(past, first, count)
+        between = sum(
+            weights[i] * seen[AROUND[-1] - j : count - (len(AROUND) - 1) + AROUND[-1] - j]
+            for i, j in enumerate(AROUND)
+        )
+        if taps.ndim == 1:
+            return taps @ between
+        return jnp.einsum("pij,pj->i", taps, between)
+
+
+def _with(past: Array, newest: Array) -> Array:
+    return jnp.concatenate([past[1:], newest[None]])
+
+
+def lagrange(share: Array) -> Array:
+    """(4,) weights of x[-1], x[0], x[1], x[2] in x[share], share in [0, 1)."""
+    weights = []
+    for i, at in enumerate(AROUND):
+        others = np.delete(AROUND, i)
+        weights.append(jnp.prod((share - others) / (at - others)))
+    return jnp.stack(weights)

@@ -1,0 +1,130 @@
+"""Repetitive control against a recursion in plain Python, and against its own sensitivity."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxilc import Machine, Task, theory
+from jaxilc.learning import run_trial
+from jaxilc.plants import StateSpace
+from jaxilc.schemes import PID, LearningFilter, RepetitiveControl, WithFeedback, learning_filter
+
+DT, PERIOD = 1e-3, 0.05
+PLANT = StateSpace([[0.9, 0.1], [0.0, 0.7]], [[0.0], [0.3]], [[1.0, 0.0]], dt=DT)
+LAW = LearningFilter((0.3, 0.9, 0.3), keep=(0.2, 0.55, 0.2), lead=2)
+FEEDBACK = PID(kp=0.4)
+
+
+def task_of(reference):
+    return Task(np.asarray(reference, float), dt=DT)
+
+
+def run(scheme, task):
+    machine = Machine(PLANT)
+    made = jax.jit(lambda s: run_trial(machine, s, task, s.initial_memory(task), jax.random.key(0)))
+    return made(scheme)
+
+
+def by_hand(r, period):
+    """(y, v) of plant, PID and the law of `LAW`, sample by sample; a period of whole samples."""
+    A, B, C = np.array([[0.9, 0.1], [0.0, 0.7]]), np.array([0.0, 0.3]), np.array([1.0, 0.0])
+    N, x = len(r) - 1, np.zeros(2)
+    y, e, v = np.zeros(N + 1), np.zeros(N + 1), np.zeros(N)
+    for k in range(N):
+        y[k] = C @ x
+        e[k] = r[k] - y[k]
+        for i, tap in enumerate((0.2, 0.55, 0.2)):
+            if k - period + i - 1 >= 0:
+                v[k] += tap * v[k - period + i - 1]
+        for i, tap in enumerate((0.3, 0.9, 0.3)):
+            if k - period + 3 + i - 1 >= 0:
+                v[k] += tap * e[k - period + 3 + i - 1]
+        x = A @ x + B * (v[k] + 0.4 * e[k])
+    y[N] = C @ x
+    return y, v
+
+
+def test_it_is_the_law_of_the_trial_a_period_later():
+    r = np.sin(2 * np.pi * np.arange(301) / 50) + 0.3 * np.random.default_rng(0).normal(size=301)
+    found = run(WithFeedback(RepetitiveControl(LAW, PERIOD), FEEDBACK), task_of(r))
+    y, v = by_hand(r, 50)
+    np.testing.assert_allclose(found.y[:, 0], y, atol=1e-10)
+    np.testing.assert_allclose(found.u[:, 0] - found.signals["feedback"][:, 0], v, atol=1e-10)
+
+
+@pytest.mark.parametrize("period", [PERIOD, 0.0504, 0.0621])
+def test_what_is_left_at_each_frequency_is_the_sensitivity(period):
+    """A sinusoid long after its start, over that under the feedback alone."""
+    law = learning_filter((0.0, 0.8, 0.0), (0.1, 0.2, 0.4, 0.2, 0.1), lead=3)
+    scheme = WithFeedback(RepetitiveControl(law, period), FEEDBACK)
+    task = task_of(np.zeros(101))
+    found = theory.repetitive_condition(Machine(PLANT), scheme, task)
+    assert found.test.condition.holds, found.test.condition
+    for at in (9, 32, 50, 112):
+        f = found.frequencies[at]
+        k = np.arange(6001)
+        r = np.sin(2 * np.pi * f * DT * k)
+        late = slice(4000, 6000)
+        wave = np.exp(-2j * np.pi * f * DT * k[late])
+        sizes = []
+        for one in (scheme, FEEDBACK):
+            e = np.asarray(run(one, task_of(r)).e)[late, 0]
+            waves = np.stack([wave.real, wave.imag], axis=1)
+            sizes.append(np.linalg.norm(np.linalg.lstsq(waves, e)[0]))
+        assert sizes[0] / sizes[1] == pytest.approx(found.sensitivity[at], rel=2e-3), at
+
+
+def test_a_law_that_breaks_the_condition_diverges_and_one_that_keeps_it_converges():
+    r = np.sin(2 * np.pi * np.arange(4001) / 50)
+    for gain, converges in ((0.8, True), (9.0, False)):
+        law = learning_filter((0.0, gain, 0.0), lead=3)
+        scheme = WithFeedback(RepetitiveControl(law, PERIOD), FEEDBACK)
+        found = theory.repetitive_condition(Machine(PLANT), scheme, task_of(r))
+        e = np.abs(np.asarray(run(scheme, task_of(r)).e)[:, 0])
+        if converges:
+            assert e[-50:].max() < 1e-3 * e[:50].max()
+            assert found.left.max() < 1e-6
+        else:
+            assert not found.test.condition.holds
+            assert e[-50:].max() > 1e3
+
+
+def test_a_wrong_period_costs_what_is_told():
+    law = learning_filter((0.0, 0.8, 0.0), (0.1, 0.2, 0.4, 0.2, 0.1), lead=3)
+    scheme = WithFeedback(RepetitiveControl(law, PERIOD), FEEDBACK)
+    about = Machine(PLANT), scheme, task_of(np.zeros(101))
+    right, wrong = (theory.repetitive_condition(*about, wrong=by) for by in (0.0, 0.02))
+    assert wrong.harmonics[0] == pytest.approx(1 / (1.02 * PERIOD))
+    assert wrong.left[0] > 3 * right.left[0]
+    assert right.worst > 1.0  # the waterbed
+
+
+def test_the_slope_by_the_period_is_that_of_differences():
+    r = task_of(np.sin(2 * np.pi * np.arange(401) / 61.37))
+
+    def cost(period):
+        scheme = WithFeedback(RepetitiveControl(LAW, period, longest=0.08), FEEDBACK)
+        return jnp.sum(run(scheme, r).e ** 2)
+
+    h = 1e-8
+    slope = (cost(0.0612 + h) - cost(0.0612 - h)) / (2 * h)
+    assert float(jax.grad(cost)(0.0612)) == pytest.approx(float(slope), rel=1e-5)
+    many = jax.vmap(cost)(jnp.array([0.05, 0.0612, 0.07]))
+    np.testing.assert_allclose(many[1], cost(0.0612), rtol=1e-12)
+
+
+def test_what_does_not_fit_is_said():
+    task = task_of(np.zeros(101))
+    with pytest.raises(ValueError, match=r"period = 0.004 s is outside its allowed range \[0.006"):
+        RepetitiveControl(LAW, 0.004).check(task)
+    with pytest.raises(ValueError, match=r"period = 0.09 s is outside .* 0.0625\]"):
+        dataclasses.replace(RepetitiveControl(LAW, PERIOD), period=0.09).check(task)
+    with pytest.raises(ValueError, match="law is a PID; allowed is LearningFilter"):
+        RepetitiveControl(FEEDBACK, PERIOD).check(task)
+    with pytest.raises(ValueError, match=r"law has starts = \(40,\); allowed is \(\)"):
+        RepetitiveControl(dataclasses.replace(LAW, L=[LAW.L] * 2, starts=(40,)), PERIOD).check(task)
+    with pytest.raises(ValueError, match="scheme is a PID; allowed are a RepetitiveControl"):
+        theory.repetitive_condition(Machine(PLANT), FEEDBACK, task)
