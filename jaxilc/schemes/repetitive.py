@@ -123,7 +123,7 @@ def _with(past: Array, newest: Array) -> Array:
     return jnp.concatenate([past[1:], newest[None]])
 
 
-def lagrange(share: Array) -> Array:
+def lagrange(share: Array | float) -> Array:
     """(4,) weights of x[-1], x[0], x[1], x[2] in x[share], share in [0, 1)."""
     weights = []
     for i, at in enumerate(AROUND):
