@@ -158,7 +158,8 @@ def _need_stable(A: Numbers, continuous: bool) -> None:
     if growth > 1e-7:
         where = "right of the imaginary axis" if continuous else "outside the unit circle"
         alone = np.abs(np.vdot(left[:, worst], right[:, worst]))  # 1 for orthogonal eigenvectors
-        doubt = np.finfo(float).eps * np.linalg.norm(A) / max(alone, np.finfo(float).tiny)
+        with np.errstate(over="ignore"):  # coefficients beyond 1e154
+            doubt = np.finfo(float).eps * np.linalg.norm(A) / max(alone, np.finfo(float).tiny)
         lost = (
             f". Rounding its {len(A)} coefficients alone moves this pole as far: give zeros, poles "
             "and gain instead"

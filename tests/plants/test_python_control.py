@@ -25,7 +25,7 @@ from jaxilc.plants import (
     to_control,
     voice_coil_motor,
 )
-from jaxilc.plants.from_python_control import canonical_form, from_linear
+from jaxilc.plants.from_python_control import Linear, canonical_form, from_linear
 from jaxilc.plants.to_python_control import initial_state
 from jaxilc.pytree import leaf, pytree
 from jaxilc.schemes import Scheme
@@ -147,6 +147,8 @@ def test_poles_that_rounding_makes_unstable_are_refused_with_the_cause():
         from_linear(canonical_form([1.0], np.poly(poles), DT))
     with pytest.raises(ValueError, match=r"allow_unstable=True$"):
         from_linear(canonical_form([1.0], [1.0, -1.2], DT))
+    with pytest.raises(ValueError, match="the system is unstable"):  # its squares overflow
+        from_linear(Linear(np.diag([1e200, 1.0]), np.ones((2, 1)), np.ones((1, 2)), 0.0, 0.0))
 
 
 @pytest.mark.parametrize(
