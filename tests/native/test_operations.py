@@ -38,6 +38,7 @@ OF_WHOLE = {
     "not": lambda i, k: ~i, "neg": lambda i, k: -i, "abs": lambda i, k: jnp.abs(i),
     "to real": lambda i, k: i.astype(float), "to small": lambda i, k: i.astype(jnp.int32),
     "to unsigned": lambda i, k: i.astype(jnp.uint32),
+    "unsigned to whole": lambda i, k: i.astype(jnp.uint32).astype(int),
     "from unsigned": lambda i, k: i.astype(jnp.uint32).astype(float),
     "truths": lambda i, k: (i > k) ^ ((i > 0) & ~(k < 2) | (i == k)),
 }  # fmt: skip
@@ -92,6 +93,38 @@ def test_an_operation_on_real_numbers_is_that_of_jax(functions):
 def test_an_operation_on_whole_numbers_is_that_of_jax():
     for name, found, wanted in applied(OF_WHOLE, SOME, OTHER):
         np.testing.assert_array_equal(found, wanted, err_msg=name)
+
+
+def test_a_sample_reads_a_table_and_runs_short_loops_either_way():
+    """At its own sample, beyond both ends, and at another one in each machine."""
+    N, few = 40, jnp.array([0.5, -0.2, 0.3])
+
+    def learning(table, start):
+        def tick(at, now):
+            k, x = now
+            near = jax.lax.dynamic_slice_in_dim(table, k - 3, 8)
+            own = jax.lax.dynamic_index_in_dim(table, at, keepdims=False)
+
+            def inner(s, c):
+                return 0.5 * s + c * x, s
+
+            s, seen = jax.lax.scan(inner, own, few, reverse=True)
+            t, also = jax.lax.scan(inner, own, few)
+            found = (near @ jnp.arange(8.0), own, s, t, *seen, *also)
+            return at + jnp.where(x > 0, 2, -1), jnp.stack(found)
+
+        def trial(signal, j):
+            rows = jax.lax.scan(tick, start, (jnp.arange(N), signal))[1]
+            return jnp.tanh(rows[:, 0] - signal), rows
+
+        return jax.lax.scan(trial, table, jnp.arange(3))
+
+    table = jnp.asarray(np.random.default_rng(0).normal(size=N))
+    starts = np.array([0, 5, 39, -3, 100])
+    found = Compiled(learning, table, 0)(table, starts)
+    wanted = jax.jit(jax.vmap(learning, (None, 0)))(table, starts)
+    for x, y in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(x, y, rtol=1e-12, atol=1e-13)
 
 
 def test_every_operation_of_the_table_is_tried():
