@@ -21,6 +21,7 @@ from . import (
     hardware,
     identify,
     init,
+    interrupts,
     pareto,
     potential,
     q_filter,
@@ -147,8 +148,13 @@ def main() -> None:
     measured trial that is refused gives exit code 3.
     """
     gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
+    interrupts.heed()
     try:
         app()
+    except SystemExit as stop:
+        if stop.code == interrupts.CODE:
+            interrupts.leave()
+        raise
     except (ValueError, OSError) as error:
         said = f"error: {_said(error)}"
         with suppress(OSError):  # a full disk takes no message either

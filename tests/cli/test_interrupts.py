@@ -1,0 +1,35 @@
+"""Ctrl-C ends the program in a moment, also where Python does not see it."""
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+# A shell lets what it starts in the background, such as these tests, ignore interrupts.
+BEGIN = """
+import os, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from jaxilc.cli import entry
+def app():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(60)
+    except KeyboardInterrupt:
+        {then}
+entry.app = app
+entry.main()
+"""
+
+
+@pytest.mark.parametrize("then", ["sys.exit(130)", "time.sleep(60)"])
+def test_an_interrupt_ends_the_process_and_says_how_to_go_on(then):
+    """A command that ends by itself, and one that does not, as while a program is compiled."""
+    begun = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", BEGIN.format(then=then)],
+        check=False, capture_output=True, text=True, timeout=50,
+    )  # fmt: skip
+    assert done.returncode == 130
+    assert "stopped; files that were written are whole: the same command" in done.stderr
+    assert time.monotonic() - begun < 40  # 1 and 3 s on a quiet processor
