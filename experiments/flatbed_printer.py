@@ -13,12 +13,9 @@ seven motions of four trials under feedback alone (`arizona_x_trials.npz`).
 4. In simulation, a law of one model learns on another one, down to what is new in each trial.
 """
 
-import os
-from pathlib import Path
-
 import numpy as np
 import scipy.signal
-from output import axes, folder, write_rows
+from output import axes, folder, measured_folder, write_rows
 
 import jaxilc
 from jaxilc.identification import grow_response, modal_lines, read_frequency_response
@@ -254,13 +251,12 @@ def drawn(out, measured, one, told, errors, floor) -> None:
 
 
 def main() -> None:
-    place = os.environ.get("JAXILC_MEASURED")
-    if not place:
-        print("JAXILC_MEASURED names no folder of measured records: nothing is run")
+    place = measured_folder()
+    if place is None:
         return
     jaxilc.setup()
-    out, measured = folder(__file__), read_frequency_response(Path(place) / "arizona_x_frf.csv")
-    trials = np.load(Path(place) / "arizona_x_trials.npz")
+    out, measured = folder(__file__), read_frequency_response(place / "arizona_x_frf.csv")
+    trials = np.load(place / "arizona_x_trials.npz")
     rows, models, chosen = compared(measured)
     write_rows(out / "response.csv", rows)
     num, den, left = feedback(trials)

@@ -11,11 +11,10 @@ judged against what is new.
 """
 
 import math
-import os
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from output import measured_folder
 from scipy.signal import butter, lfilter
 
 from jaxilc.identification import potential_of
@@ -176,8 +175,6 @@ def on_measured(path):
 
 if __name__ == "__main__":
     on_rigs()
-    folder = os.environ.get("JAXILC_MEASURED")
-    if folder:
-        on_measured(Path(folder) / "arizona_x_trials.npz")
-    else:
-        print("measured axis: skipped, JAXILC_MEASURED names no folder")
+    place = measured_folder()
+    if place is not None:
+        on_measured(place / "arizona_x_trials.npz")

@@ -1,6 +1,7 @@
 """The folder for rows and figures of an experiment: out/experiments/NAME."""
 
 import csv
+import os
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -22,6 +23,14 @@ def folder(script: str) -> Path:
     path = Path("out") / "experiments" / Path(script).stem
     path.mkdir(parents=True, exist_ok=True)
     return path
+
+
+def measured_folder() -> Path | None:
+    """The folder of measured records, from JAXILC_MEASURED; None, told, where it names none."""
+    place = os.environ.get("JAXILC_MEASURED")
+    if not place:
+        print("JAXILC_MEASURED names no folder of measured records: they are left out")
+    return Path(place) if place else None
 
 
 def write_rows(path: Path, rows: list[dict], shown: int | None = None) -> None:

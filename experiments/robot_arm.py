@@ -10,14 +10,12 @@ The peer lets an output answer the input of its own sample, as an acceleration d
 package answers one sample later, after the hold, so it needs two poles more for the same fit.
 """
 
-import os
 import time
-from pathlib import Path
 
 import numpy as np
 import scipy.optimize
 import scipy.signal
-from output import folder, write_rows
+from output import folder, measured_folder, write_rows
 
 import jaxilc
 from jaxilc.identification import grow, read_record
@@ -57,12 +55,11 @@ def by_hand(u, y, fitted, order, rng):
 
 
 def main() -> None:
-    place = os.environ.get("JAXILC_MEASURED")
-    if not place:
-        print("JAXILC_MEASURED names no folder of measured records: nothing is run")
+    place = measured_folder()
+    if place is None:
         return
     jaxilc.setup()
-    record = read_record(Path(place) / "robot_arm.csv")
+    record = read_record(place / "robot_arm.csv")
     u, y = np.asarray(record.u)[:, 0], np.asarray(record.y)[:, 0]
     u = np.append(u, u[-1])[: len(y)]
     fitted, rng, rows = round(SHARE * len(y)), np.random.default_rng(0), []

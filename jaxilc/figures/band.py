@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ..sweeps.summary import SchemeSummary
 
 GROWS = 10.0  # an error is shown up to so many times that of the first trial
+RATIOS = (0.1, 1e3)  # of given and tuned errors that are shown
 SAME = 1e-3  # relative difference of medians below which no trial is better than the others
 MANY = 4  # schemes from which on three panels stand side by side
 
@@ -176,12 +177,12 @@ def given_and_tuned(
     parts = np.nanquantile(ratio, (0.0, 0.05, 0.5, 0.95), axis=0, method="inverted_cdf")
     trials = np.arange(1, ratio.shape[1] + 1)
     layers: list[Layer] = [
-        Band(trials, *np.minimum(parts[[1, 3]], GROWS**3), name="5 to 95 % of the machines"),
+        Band(trials, *np.minimum(parts[[1, 3]], RATIOS[1]), name="5 to 95 % of the machines"),
         Curve(trials, parts[2], name="median machine"),
         Curve(trials, parts[0], dash=":", name="least ratio"),
         Rule(1.0, name="above 1: tuning gains"),
     ]
-    ends = limits_of([*np.clip(parts[1:], 1 / GROWS, GROWS**3).ravel(), 1.0], pad=1.2)
+    ends = limits_of([*np.clip(parts[1:], *RATIOS).ravel(), 1.0], pad=1.2)
     below = Panel(TRIAL, Axis("given / tuned", log=True, ends=ends), layers)
     return Figure(
         [*above.panels, below],

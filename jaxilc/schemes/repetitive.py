@@ -50,7 +50,9 @@ class RepetitiveControl(Scheme):
     period: () of what repeats [s]; at least what L and keep look ahead and three samples more
     longest: the longest period that `period` may be set to [s]; None is 1.25 times `period`
 
-    `check` raises ValueError for a period that is too short for the law, or longer than `longest`.
+    `check` raises ValueError for a period that is too short for the law, or longer than `longest`,
+    and where `longest` cannot be told because `period` is traced. A traced period outside of this
+    range makes the input NaN, so that the machine counts as diverged.
     """
 
     law: LearningFilter = child()
@@ -68,19 +70,20 @@ class RepetitiveControl(Scheme):
                 "all samples"
             )
         self.law.check(task)
-        if self.longest is None or not (known(self.period) and known(task.dt)):
+        longest = self._longest
+        if not known(self.period):
             return
-        least = (max(self._ends("e")[1], self._ends("v")[1] + 1) + 2) * task.dt
         values = np.asarray(self.period)
-        if values.ndim or not least * (1 - 1e-9) <= values <= self.longest:
+        if values.ndim or not self._fits(values, task.dt):
             raise ValueError(
-                f"RepetitiveControl: period = {values} s is outside its allowed range [{least:g}, "
-                f"{self.longest:g}]: from what the law looks ahead, to `longest`"
+                f"RepetitiveControl: period = {values} s is outside its allowed range "
+                f"[{self._least * task.dt:g}, {longest:g}]: from what the law looks ahead, to "
+                "`longest`"
             )
 
     def initial_state(self, task: Task) -> Passed:
         # as many samples before the newest as the longest period and the taps look back
-        past = int(np.ceil((self.longest or 0.0) / task.dt)) + AROUND[-1] + 1
+        past = int(np.ceil(self._longest / task.dt)) + AROUND[-1] + 1
         of = {"v": task.inputs, "e": task.outputs}
         return Passed(*(jnp.zeros((past - self._ends(n)[0], of[n])) for n in of))
 
@@ -92,9 +95,27 @@ class RepetitiveControl(Scheme):
         periods = self.period / sample.dt
         whole = jnp.floor(periods)
         weights = lagrange(periods - whole)
+        weights = jnp.where(self._fits(self.period, sample.dt), weights, jnp.nan)
         of_v = self._of_period("v", self.law.keep, v_past, whole - 1, weights)
         v = limited(of_v + self._of_period("e", self.law.L, e, whole, weights), self.law.limit)
         return Passed(_with(v_past, v), e), v
+
+    @property
+    def _longest(self) -> float:
+        if self.longest is None:
+            raise ValueError(
+                "RepetitiveControl: longest = None, and period is traced; allowed is the longest "
+                "period that it may have [s]"
+            )
+        return self.longest
+
+    @property
+    def _least(self) -> int:
+        """The shortest period in samples, with which nothing is needed that is yet to come."""
+        return max(self._ends("e")[1], self._ends("v")[1] + 1) + 2
+
+    def _fits(self, period: Leaf, dt: float) -> Leaf:
+        return (period >= self._least * dt * (1 - 1e-9)) & (period <= self._longest)
 
     def _ends(self, name: str) -> tuple[int, int]:
         """The first and the last sample that the taps see, from the same place a period later."""

@@ -8,7 +8,8 @@ the law u' = Q u + L e over a delay W of one period,
 |Q - L T| < 1 at all frequencies is the condition of the same law between trials; as |W| <= 1, it
 suffices for any period (small gain; Hara, Yamamoto, Omata, Nakano 1988). At the harmonics of the
 period, where W = 1, little is left where Q is near 1. Between them |S| exceeds 1: what does not
-repeat with the period becomes larger there, the more the wider Q is (the waterbed).
+repeat with the period becomes larger there, the more the wider Q is (the waterbed). For a period
+that is no whole number of samples W has the interpolation of `RepetitiveControl` in it.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from .law import law_response
 from .loop import linear_loop, response
 
 POINTS = 32  # frequencies between two harmonics
-MOST = 2**18  # frequencies of a sensitivity
+MOST, AT_ONCE = 2**20, 2**12  # frequencies of a sensitivity, and that are computed at once
 
 
 class RepetitiveTest(NamedTuple):
@@ -64,7 +65,8 @@ def repetitive_condition(
     wrong: relative error of the period: the true period is (1 + wrong) times that of the scheme,
         and `harmonics` are those of the true one
 
-    Raises ValueError for another scheme, for several channels, and as `learning_condition`.
+    Raises ValueError for another scheme, for several channels, for a period of more than 2^20
+    frequencies, and as `learning_condition`.
     """
     repetitive = scheme.learning if isinstance(scheme, WithFeedback) else scheme
     if not isinstance(repetitive, RepetitiveControl):
@@ -86,12 +88,25 @@ def repetitive_condition(
         else repetitive.law
     )
     period, dt = float(repetitive.period), float(task.dt)
-    f = np.arange(1, int(min(0.5 / dt * points * period, MOST)) + 1) / (points * period)
+    count = int(0.5 / dt * points * period)
+    if count > MOST:
+        raise ValueError(
+            f"repetitive_condition: points = {points} make {count:,} frequencies of a period of "
+            f"{period / dt:g} samples; allowed are {MOST:,}"
+        )
+    f = np.arange(1, count + 1) / (points * period)
     true = np.arange(1, int(0.5 / dt * (1 + wrong) * period) + 1) / ((1 + wrong) * period)
-    size, left = (_sensitivity(machine, law, task, period, at) for at in (f, true))
+    size, left = (
+        np.concatenate([_sensitivity(machine, law, task, period, part) for part in _in_parts(at)])
+        for at in (f, true)
+    )
     test = learning_condition(machine, law, task)
     worst = int(np.argmax(size))
     return RepetitiveTest(test, period, f, size, float(size[worst]), float(f[worst]), true, left)
+
+
+def _in_parts(f: np.ndarray) -> list[np.ndarray]:
+    return np.array_split(f, max(1, -(-len(f) // AT_ONCE)))
 
 
 def _sensitivity(machine, law: Scheme, task: Task, period: float, f) -> np.ndarray:

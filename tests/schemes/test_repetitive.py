@@ -11,6 +11,7 @@ from jaxilc import Machine, Task, theory
 from jaxilc.learning import run_trial
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PID, LearningFilter, RepetitiveControl, WithFeedback, learning_filter
+from jaxilc.schemes.repetitive import AROUND, lagrange
 
 DT, PERIOD = 1e-3, 0.05
 PLANT = StateSpace([[0.9, 0.1], [0.0, 0.7]], [[0.0], [0.3]], [[1.0, 0.0]], dt=DT)
@@ -116,6 +117,28 @@ def test_the_slope_by_the_period_is_that_of_differences():
     np.testing.assert_allclose(many[1], cost(0.0612), rtol=1e-12)
 
 
+def test_a_traced_period_out_of_range_is_no_other_period():
+    task = task_of(np.sin(2 * np.pi * np.arange(201) / 50))
+
+    @jax.jit
+    def largest(period):
+        scheme = WithFeedback(RepetitiveControl(LAW, period, longest=0.0625), FEEDBACK)
+        return jnp.max(jnp.abs(run(scheme, task).e))
+
+    for period, fits in ((0.006, True), (0.0625, True), (0.005, False), (0.08, False)):
+        assert np.isfinite(largest(period)) == fits, period
+    with pytest.raises(ValueError, match="longest = None, and period is traced"):
+        jax.eval_shape(lambda p: RepetitiveControl(LAW, p).check(task), 0.05)
+
+
+def test_the_value_between_samples_makes_nothing_larger():
+    """|W| <= 1, without which the condition would not suffice for a fractional period."""
+    w = np.linspace(0, np.pi, 501)
+    for share in np.linspace(0, 1, 41):
+        W = np.exp(-1j * np.outer(w, AROUND)) @ np.asarray(lagrange(share))
+        assert np.max(np.abs(W)) < 1 + 1e-12
+
+
 def test_what_does_not_fit_is_said():
     task = task_of(np.zeros(101))
     with pytest.raises(ValueError, match=r"period = 0.004 s is outside its allowed range \[0.006"):
@@ -126,5 +149,8 @@ def test_what_does_not_fit_is_said():
         RepetitiveControl(FEEDBACK, PERIOD).check(task)
     with pytest.raises(ValueError, match=r"law has starts = \(40,\); allowed is \(\)"):
         RepetitiveControl(dataclasses.replace(LAW, L=[LAW.L] * 2, starts=(40,)), PERIOD).check(task)
+    long = WithFeedback(RepetitiveControl(LAW, 0.4), FEEDBACK)
+    with pytest.raises(ValueError, match="make 2,000,000 frequencies of a period of 400 samples"):
+        theory.repetitive_condition(Machine(PLANT), long, task, points=10_000)
     with pytest.raises(ValueError, match="scheme is a PID; allowed are a RepetitiveControl"):
         theory.repetitive_condition(Machine(PLANT), FEEDBACK, task)
