@@ -198,6 +198,8 @@ class Text:
             case "select":
                 yes = f"{kind} {args[2]}, {kind} {args[1]}"
                 return self.add(f"select <{self.lanes} x i1> {args[0]}, {yes}")
+            case "bits":
+                return self.add(f"bitcast {self.type_of(node.args[0].dtype)} {args[0]} to {kind}")
             case "convert":
                 return self._converted(node, args[0])
         text = instruction(node.name, node.args[0].dtype.kind)

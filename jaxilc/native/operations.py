@@ -21,7 +21,7 @@ from .program import Step, Unknown
 
 LARGEST = 4096  # elements of a small array
 BOOL = np.dtype(bool)
-KINDS = {"f": "float", "b": "bool", "i": "int", "u": "unsigned"}
+TYPES = {np.dtype(t) for t in ("bool", "int32", "int64", "uint32", "float64", "float32")}
 
 
 class Node:
@@ -81,7 +81,11 @@ INSTRUCTIONS = {
     "add": Instruction({"f": "fadd contract", "iu": "add"}, np.add),
     "sub": Instruction({"f": "fsub contract", "iu": "sub"}, np.subtract),
     "mul": Instruction({"f": "fmul contract", "iu": "mul"}, np.multiply),
-    "div": Instruction({"f": "fdiv"}, np.divide),
+    "div": Instruction(
+        {"f": "fdiv", "i": "sdiv", "u": "udiv"},
+        lambda x, y: np.divide(x, y) if x.dtype.kind == "f" else (x - np.fmod(x, y)) // y,
+    ),
+    "rem": Instruction({"i": "srem", "u": "urem"}, np.fmod),
     "neg": Instruction({"f": "fneg"}, np.negative),
     "max": Instruction(
         {"f": "@llvm.maximum", "i": "@llvm.smax", "u": "@llvm.umax", "b": "or"}, np.maximum
@@ -138,7 +142,7 @@ class Numbers:
     def __init__(self, real: Any):
         self.real = np.dtype(real)
         self._known: dict[Any, Node] = {}
-        self._dtypes = {np.dtype(t) for t in ("bool", "int32", "int64", "uint32")} | {self.real}
+        self._dtypes = {t for t in TYPES if t.kind != "f" or t == self.real}
 
     def const(self, value: Any, dtype: Any) -> Node:
         value = np.asarray(value, dtype)[()]
@@ -157,11 +161,18 @@ class Numbers:
             return no if no is yes else self._node(name, args, no.dtype, None, None)
         if name == "convert":
             return self._converted(args[0], np.dtype(dtype))
+        if name == "bits":  # of a real number, as a whole one
+            whole = np.dtype(f"int{8 * args[0].dtype.itemsize}")
+            if args[0].name == "const":
+                return self.const(args[0].what.view(whole), whole)
+            return self._node(name, args, whole, None, None)
         if name == "row":
             return self._node(name, args, dtype, what, what, alike=what[0].alike)
         kind = args[0].dtype.kind
         if instruction(name, kind) is None or any(x.dtype != args[0].dtype for x in args):
             raise Unknown(f"{name} of {' and '.join(str(x.dtype) for x in args)}")
+        if name in ("div", "rem") and kind != "f" and not _is_positive(args[1]):
+            raise Unknown(f"{name} of {args[0].dtype} by what is no positive constant")
         known = INSTRUCTIONS[name]
         dtype = BOOL if known.tests else args[0].dtype
         if known.exact is not None and all(x.name == "const" for x in args):
@@ -226,8 +237,14 @@ class Numbers:
         )
 
 
+def _is_positive(x: Node) -> bool:
+    return x.name == "const" and bool(x.what > 0)
+
+
 def _has_reciprocal(x: Any) -> bool:
-    """Whether the number and its reciprocal are normal numbers."""
+    """Whether the number and its reciprocal are normal real numbers."""
+    if x.dtype.kind != "f":
+        return False
     least = np.finfo(x.dtype).tiny
     return bool(least <= abs(x) <= 1 / least)
 
@@ -315,6 +332,23 @@ def _reciprocal_root(n: Numbers, x: Node) -> Node:
     return n.of("div", n.const(1, x.dtype), n.of("sqrt", x))
 
 
+def _ends(dtype: Any) -> tuple[int, int]:
+    """The least and the largest whole number of a type."""
+    of: Any = np.iinfo(dtype)
+    return int(of.min), int(of.max)
+
+
+def _less_in_order(n: Numbers, x: Node, y: Node) -> Node:
+    """x < y in the order of all numbers, in which -0 < 0, and NaN is beyond infinity."""
+
+    def place(x: Node) -> Node:
+        bits = n.of("bits", x)
+        turned = n.of("xor", bits, n.const(_ends(bits.dtype)[1], bits.dtype))
+        return n.of("select", n.of("lt", bits, n.const(0, bits.dtype)), bits, turned)
+
+    return n.of("lt", place(x), place(y))
+
+
 # primitives of JAX by name; the parameters that are named after it change the result
 COMPOSED: dict[str, tuple[Callable[..., Node], tuple[str, ...]]] = {
     "sign": (_sign, ()),
@@ -331,6 +365,8 @@ COMPOSED: dict[str, tuple[Callable[..., Node], tuple[str, ...]]] = {
     "convert_element_type": (_convert, ("new_dtype",)),
     "add_any": (lambda n, x, y: n.of("add", x, y), ()),
     "rsqrt": (_reciprocal_root, ()),
+    "lt_to": (_less_in_order, ()),
+    "le_to": (lambda n, x, y: _not(n, _less_in_order(n, y, x)), ()),
     "real": (lambda n, x: x, ()),
 }
 # how the elements along an axis are put together: the operation, and what it begins with
@@ -347,6 +383,14 @@ def known(name: str) -> bool:
     return moved or elementwise(name) or name in GATHERED or name in RUNNING
 
 
+def foreign(step: Step) -> bool:
+    """Whether a step is none of these, such as one that draws random numbers."""
+    if step.name in INSTRUCTIONS and instruction(step.name, step.ins[0].dtype.kind) is None:
+        return True
+    types = {x.dtype for x in (*step.ins, *step.outs)}
+    return step.name != "scan" and not (known(step.name) and types <= TYPES)
+
+
 def elementwise(name: str) -> bool:
     """Whether a step of this name is carried out element by element."""
     return name in COMPOSED or name in INSTRUCTIONS
@@ -361,11 +405,11 @@ def one_by_one(n: Numbers, step: Step) -> Callable[..., Node]:
 
 
 def start(n: Numbers, name: str, dtype: Any) -> Node:
-    """What a gathering over no elements gives; raises Unknown where that is not known."""
+    """What a gathering over no elements gives."""
     dtype = np.dtype(dtype)
     value = GATHERED[name][1]
-    if isinstance(value, float) and math.isinf(value) and dtype.kind != "f":
-        raise Unknown(f"{name} of {dtype}")
+    if isinstance(value, float) and dtype.kind != "f":
+        value = (False, True)[value > 0] if dtype == BOOL else _ends(dtype)[value > 0]
     return n.const(value, dtype)
 
 

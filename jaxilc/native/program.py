@@ -120,6 +120,10 @@ def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Val
                        whole)  # fmt: skip
     if name in SAME:
         return ins
+    if name == "platform_index":
+        of = params["platforms"]
+        here = next(i for i, names in enumerate(of) if names is None or "cpu" in names)
+        return [Const(np.asarray(here, eqn.outvars[0].aval.dtype))]
     if name == "ruled":
         traced = jax.make_jaxpr(params["value"])([jax.ShapeDtypeStruct(x.shape, x.dtype)
                                                   for x in ins])  # fmt: skip
@@ -314,8 +318,12 @@ def _without_dead(step: Step, wanted: Sequence[bool]) -> Step:
 # --------------------------------------------------------------------------------------------------
 
 
-def of_trials(program: Program) -> tuple[list[Step], Step, list[Step]]:
+def of_trials(
+    program: Program, foreign: Callable[[Step], bool] = lambda step: False
+) -> tuple[list[Step], Step, list[Step]]:
     """The steps before the loop over trials, this loop, lowered, and the steps after it.
+
+    foreign: which steps JAX computes before the loop where it can, see `computed_ahead`
 
     It is the last loop that contains a loop. A loop over blocks of trials around one over the
     trials of a block counts as one. Raises Unknown where there is none.
@@ -341,9 +349,10 @@ def of_trials(program: Program) -> tuple[list[Step], Step, list[Step]]:
     body = with_loops_from(body, -(-3 * shortest // 4))
     of = {"length": params["length"], "reverse": params["reverse"], "body": body}
     of |= {"consts": params["num_consts"], "carry": params["num_carry"]}
+    ahead, step = computed_ahead(Step("scan", of, step.ins, step.outs), foreign)
+    before += ahead
     read_later = {x for later in after for x in later.ins} | {*program.outs}
-    return before, _without_dead(Step("scan", of, step.ins, step.outs),
-                                 [x in read_later for x in step.outs]), after  # fmt: skip
+    return before, _without_dead(step, [x in read_later for x in step.outs]), after
 
 
 def _has_loop(step: Step) -> bool:
@@ -401,6 +410,83 @@ def _as_one(step: Step, add: Callable[..., Value]) -> tuple[Step, list[Step]] | 
         shaped.append(Step("reshape", params, [whole], [x], lax.reshape_p))
         outs.append(whole)
     return Step("scan", inner.params | {"length": trials}, ins, outs), shaped
+
+
+# What JAX computes ahead
+# --------------------------------------------------------------------------------------------------
+
+
+class _ForEach:
+    """What carries out steps by JAX: once, or for each trial at once.
+
+    steps: the steps
+    consts, rows: the values that they read, and those of which they read one row in each trial
+    outs: their results
+    """
+
+    multiple_results = True
+
+    def __init__(self, steps: list[Step], consts: list[Value], rows: list[Value], outs: list):
+        self.steps, self.consts, self.rows, self.outs = steps, consts, rows, outs
+
+    def bind(self, *arrays: Any) -> list[Any]:
+        of_all, by_trial = arrays[: len(self.consts)], arrays[len(self.consts) :]
+
+        def of_one(*rows: Any) -> list[Any]:
+            known = dict(zip([*self.consts, *self.rows], [*of_all, *rows], strict=True))
+            return [*map(by_jax(self.steps, known), self.outs)]
+
+        return jax.vmap(of_one)(*by_trial) if self.rows else of_one()
+
+
+def computed_ahead(step: Step, foreign: Callable[[Step], bool]) -> tuple[list[Step], Step]:
+    """A loop over trials without the foreign steps that no trial can change, and those steps.
+
+    What JAX draws for a trial does not depend on what was learned before. So it is drawn for all
+    trials before the loop, which reads one row of it in each trial.
+
+    foreign: whether JAX must compute a step
+    """
+    params, body = step.params, step.params["body"]
+    consts, carry = params["consts"], params["carry"]
+    ins, inner = [*step.ins], [*body.ins]
+    learned, varying = {*inner[consts : consts + carry]}, {*inner[consts + carry :]}
+    source: dict[Value, Step] = {}
+    for one in body.steps:
+        source |= dict.fromkeys(one.outs, one)
+        for kind in (learned, varying):
+            if any(x in kind for x in one.ins):
+                kind.update(one.outs)
+    moved: set[Step] = set()
+    for one in body.steps:
+        chain, todo = {one}, [one] if foreign(one) else []
+        while todo:
+            needed = {source[x] for x in todo.pop().ins if x in source} - chain
+            chain |= needed
+            todo += needed
+        if foreign(one) and all(of.primitive and learned.isdisjoint(of.outs) for of in chain):
+            moved |= chain
+    before: list[Step] = []
+    outer = dict(zip(inner, ins, strict=True))
+    for by_trial in (False, True):
+        steps = [x for x in body.steps if x in moved and varying.isdisjoint(x.outs) != by_trial]
+        needed = {x for one in body.steps if one not in steps for x in one.ins} | {*body.outs}
+        outs = [x for one in steps for x in one.outs if x in needed]
+        if not outs:
+            continue
+        made = {x for one in steps for x in one.outs}
+        given = {x: 0 for one in steps for x in one.ins if x in outer and x not in made}
+        fixed = [x for x in given if x not in varying]
+        rows = [x for x in given if x in varying]
+        new = [Value((params["length"], *x.shape) if by_trial else x.shape, x.dtype) for x in outs]
+        before.append(Step("ahead", {}, [outer[x] for x in (*fixed, *rows)], new,
+                           _ForEach(steps, fixed, rows, outs)))  # fmt: skip
+        outer |= zip(outs, new, strict=True)
+        at = len(inner) if by_trial else consts
+        ins[at:at], inner[at:at] = new, outs
+        consts += 0 if by_trial else len(outs)
+    rest = Program(inner, [x for x in body.steps if x not in moved], body.outs)
+    return before, Step("scan", params | {"body": rest, "consts": consts}, ins, step.outs)
 
 
 # By JAX

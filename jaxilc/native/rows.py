@@ -256,6 +256,7 @@ class Trials:
         self.reads: list[tuple[Buffer, int, int, int]] = []  # with loop, sign and offset
         self._cells = 0
         self._known: dict[Value, Any] = {}
+        self._tables: dict[tuple, Row] = {}
         self._plan()
 
     # The arrays
@@ -299,6 +300,10 @@ class Trials:
         first = array.take([0], axis)
         if np.array_equal(array, np.broadcast_to(first, array.shape)):
             return Same(array.shape, axis, array.dtype, self.n.array(first))
+        return self._given(array, axis)
+
+    def _given(self, array: Array, axis: int) -> Row:
+        """The rows of an array of constants, which becomes a further operand of the program."""
         self.given.append(array)
         number = len(self.body.ins) + len(self.given) - 1
         return Stored(array.shape, axis, self._buffer("given", array.shape, axis, array.dtype,
@@ -307,7 +312,7 @@ class Trials:
     def _operand(self, i: int, x: Value) -> Any:
         """The rows or the small array of an operand of the loop over trials."""
         if jax.dtypes.issubdtype(x.dtype, jax.dtypes.extended):
-            raise Unknown("random numbers, which are drawn in each trial")
+            raise Unknown("random numbers that depend on what is learned")
         axis, carried = self.axis_of(x.shape), self.consts <= i < self.consts + self.carry
         by_trial = i >= self.consts + self.carry
         if axis is not None:
@@ -475,6 +480,23 @@ class Trials:
         for i, out in enumerate(step.outs[carry:]):
             scan.results.append(Result(out.shape, out.dtype, scan, carry + i))
             self._known[out] = scan.results[-1]
+
+    def table(self, operands: list[Array]) -> Any:
+        """A small array as rows, where it is known before all trials and the place is not."""
+        array, *places = operands
+        if array.ndim != 1 or constants(places[0], int) is not None:
+            return array
+        first, key = array[0], tuple(array)
+        i = first.what[1] if first.name == "input" else 0
+        if key not in self._tables:
+            values = constants(array, first.dtype)
+            if values is not None:
+                self._tables[key] = self._given(values, 0)
+            elif [x.what for x in array] == [("input", i, m) for m in range(len(array))]:
+                buffer = self._buffer("given", array.shape, 0, first.dtype, alike=first.alike,
+                                      number=i)  # fmt: skip
+                self._tables[key] = Stored(array.shape, 0, buffer)
+        return self._tables.get(key, array)
 
     def _table(self, row: Row) -> Row:
         """The rows in a buffer, which a scan reads at samples that are found while it runs."""
@@ -1013,6 +1035,8 @@ class _At:
 
         for step in body.steps:
             operands = [value(x) for x in step.ins]
+            if step.name == "dynamic_slice" and not isinstance(operands[0], Row):
+                operands[0] = self.of.of.table(operands)
             if any(isinstance(x, Row) for x in operands):
                 known[step.outs[0]] = self._read(step, operands)
             elif len(step.outs) == 1:

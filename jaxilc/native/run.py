@@ -20,6 +20,7 @@ from ..learning.over_trials import learn
 from ..schemes import Scheme
 from ..signals.task import Task
 from .llvm import ALIGNED, Text
+from .operations import foreign
 from .program import Const, Program, Step, Unknown, Value, by_jax, flat, of_trials
 from .rows import Trials
 
@@ -48,7 +49,7 @@ class Compiled:
         closed, shape = jax.make_jaxpr(fn, return_shape=True)(common, one)
         self._tree = jax.tree.structure(shape)
         self._program: Program = flat(closed)
-        self._before, self._trials, self._after = of_trials(self._program)
+        self._before, self._trials, self._after = of_trials(self._program, foreign)
         shared = len(jax.tree.leaves(common))
         self._alike = _alike(self._program, self._before, self._trials, shared)
         real = np.dtype(float)

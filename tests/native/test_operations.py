@@ -16,6 +16,7 @@ SOME, OTHER = (np.resize(a.ravel(), len(X)) for a in np.meshgrid(WHOLE, WHOLE))
 OF_TWO = {
     "add": jnp.add, "sub": jnp.subtract, "mul": jnp.multiply, "div": jnp.divide,
     "max": jnp.maximum, "min": jnp.minimum, "eq": jnp.equal, "ne": jnp.not_equal,
+    "lt_to": jax.lax.lt_to_p.bind, "le_to": jax.lax.le_to_p.bind,
     "lt": jnp.less, "le": jnp.less_equal, "gt": jnp.greater, "ge": jnp.greater_equal,
     "pow": jnp.power,
     "select_n": lambda x, y: jnp.where(x > y, x, y), "clamp": lambda x, y: jnp.clip(x, -1.0, y),
@@ -36,6 +37,10 @@ OF_WHOLE = {
     "min": jnp.minimum, "and": jnp.bitwise_and, "or": jnp.bitwise_or, "xor": jnp.bitwise_xor,
     "eq": jnp.equal, "lt": jnp.less, "ge": jnp.greater_equal,
     "not": lambda i, k: ~i, "neg": lambda i, k: -i, "abs": lambda i, k: jnp.abs(i),
+    "div": lambda i, k: jax.lax.div(i, jnp.array(7)) + jax.lax.div(k, jnp.array(1)),
+    "rem": lambda i, k: jax.lax.rem(i, jnp.array(7)),
+    "unsigned div": lambda i, k: jax.lax.div(i.astype(jnp.uint32), jnp.uint32(3)),
+    "unsigned rem": lambda i, k: jax.lax.rem(i.astype(jnp.uint32), jnp.uint32(3)),
     "to real": lambda i, k: i.astype(float), "to small": lambda i, k: i.astype(jnp.int32),
     "to unsigned": lambda i, k: i.astype(jnp.uint32),
     "unsigned to whole": lambda i, k: i.astype(jnp.uint32).astype(int),
