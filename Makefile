@@ -6,6 +6,8 @@ BIN    := $(VENV)/bin
 PINNED := .ci/requirements.txt
 # Quick tests of these are run as on a processor whose rounding differs; `make test` runs all here.
 ROUNDED := $(addprefix tests/,signals filters learning theory)
+# Tools that keep a history and write lists; no test needs them.
+TOOLS  := $(CURDIR)/.matrix/tools
 UV     := $(shell command -v uv 2>/dev/null)
 
 # The experiments that draw what the papers' figures show, with ours beside the printed numbers.
@@ -14,7 +16,7 @@ DRAWN := cao_2019_identification cao_2019_table_1 cao_2019_table_2 dai_2014_figu
          milc_2024_figures milc_2024_table_1
 
 .DEFAULT_GOAL := help
-.PHONY: help run check lint test matrix papers bench docs wheel clean
+.PHONY: help run check lint test matrix papers bench history sbom docs wheel clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -47,6 +49,16 @@ papers: $(VENV)/.ready  ## each figure of the papers, ours beside the print, to 
 bench: $(VENV)/.ready  ## our speed beside NumPy, Numba, C and others; OPTIONS=--help lists options
 	$(BIN)/python experiments/benchmark/compare.py $(OPTIONS)
 
+history: $(VENV)/.ready $(TOOLS)/.ready  ## the main figures of this commit, to out/history; asv draws them
+	cd .ci/history && $(TOOLS)/bin/asv machine --yes
+	cd .ci/history && $(TOOLS)/bin/asv run --quick --show-stderr \
+	    -E existing:$(CURDIR)/$(BIN)/python --set-commit-hash $$(git rev-parse HEAD)
+
+sbom: $(TOOLS)/.ready  ## what is inside the environment: CycloneDX, to out/sbom.json
+	mkdir -p out
+	$(TOOLS)/bin/cyclonedx-py requirements --pyproject pyproject.toml --of JSON \
+	    -o out/sbom.json $(PINNED)
+
 docs: $(VENV)/.ready  ## guide, tutorials, gallery and API as a site, to out/docs (15 minutes)
 	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py out/docs
 	JAXILC_ALL=1 $(BIN)/python -m pytest -n 2 tests/test_examples.py
@@ -67,4 +79,9 @@ else
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $(PINNED)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 endif
+	touch $@
+
+$(TOOLS)/.ready:
+	$(PYTHON) -m venv $(TOOLS)
+	$(TOOLS)/bin/pip install --quiet --disable-pip-version-check "asv>=0.6" "cyclonedx-bom>=5"
 	touch $@

@@ -1,34 +1,75 @@
 """The gallery: each figure with the code that draws it, which is executed here.
 
-The code of a figure is what its page shows. All figures share two small data sets, whose code
-stands at the top of the page.
+The code of a figure is what its page shows. A picture is drawn twice, for a light and for a dark
+page; small ones at the top lead to the sections.
 """
 
 import re
+import time
 from pathlib import Path
+from typing import Any
 
 PAGE = Path(__file__).parent / "gallery.md"
-BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```python\n(.*?)^```$|^## (.*)$", re.MULTILINE | re.DOTALL)
+OVERVIEW = "<!-- pictures -->"
 
 
 def write(folder: Path) -> bool:
-    """Execute the blocks of the page in order, and write it with a picture below each figure.
+    """Execute the blocks of the page in order, and write it with a picture above each of them.
 
-    A block whose last value is named `axes` has a figure. Returns that there is a page.
+    A block that makes `axes` has a figure. Returns that there is a page.
     """
-    import numpy as np
+    import matplotlib.pyplot as plt
 
     (folder / "gallery").mkdir()
-    known: dict = {}
-    text, parts, last = PAGE.read_text(encoding="utf-8"), [], 0
+    known: dict[str, Any] = {}
+    text, parts, last, small = PAGE.read_text(encoding="utf-8"), [], 0, []
+    title = ""
     for number, block in enumerate(BLOCK.finditer(text)):
+        if block.group(2):
+            title = block.group(2)
+            continue
         known.pop("axes", None)
-        exec(compile(block.group(1), f"gallery, block {number}", "exec"), known)
-        parts.append(text[last : block.end()])
-        last = block.end()
+        begun = time.perf_counter()
+        exec(compile(block.group(1), f"gallery, {title}, block {number}", "exec"), known)
+        print(f"gallery: {title or 'begin'} {time.perf_counter() - begun:.0f} s", flush=True)
+        parts.append(text[last : block.start()])
         if "axes" in known:
-            figure = np.ravel(known["axes"])[0].figure
-            figure.savefig(folder / "gallery" / f"{number}.png", dpi=90)
-            parts.append(f"\n\n![The figure that this code draws](gallery/{number}.png)")
-    (folder / "gallery.md").write_text("".join(parts) + text[last:], encoding="utf-8")
+            name = f"gallery/{number}"
+            _draw(known["axes"], folder / name)
+            parts.append(shown(name, title))
+            small.append(shown(name, title, "thumb", "#" + anchor(title)))
+        parts.append(block.group())
+        last = block.end()
+        plt.close("all")
+    whole = "".join(parts) + text[last:]
+    (folder / "gallery.md").write_text(
+        whole.replace(OVERVIEW, ":::{div} thumbs\n" + "".join(small) + ":::"), encoding="utf-8"
+    )
     return True
+
+
+def _draw(axes: Any, place: Path) -> None:
+    import numpy as np
+
+    from jaxilc.figures.saving import darken
+
+    figure = np.ravel(axes)[0].figure
+    figure.savefig(f"{place}.png", dpi=90)
+    darken(figure)
+    figure.savefig(f"{place}-dark.png", dpi=90)
+
+
+def anchor(title: str) -> str:
+    """The anchor of a heading, as `pages.anchors` makes it."""
+    return re.sub(r"[^\w\- ]", "", title).strip().lower().replace(" ", "-")
+
+
+def shown(name: str, title: str, kind: str = "", target: str = "") -> str:
+    """A picture of Markdown, one for a light and one for a dark page."""
+    return "".join(
+        f"```{{image}} {name}{of}.png\n:alt: {title}\n:class: {page} {kind}\n"
+        + f":target: {target}\n" * bool(target)
+        + "```\n"
+        for page, of in (("only-light", ""), ("only-dark", "-dark"))
+    )

@@ -3,7 +3,8 @@
 import inspect
 import re
 
-FIELD = re.compile(r"^([A-Za-z_][\w ,.*()\[\]+-]{0,60}?): +(\S.*)$")
+NAME = r"\**[A-Za-z_][\w.]*(?:\[[^\]]*\])?(?: \([^)]*\))?"
+FIELD = re.compile(rf"^({NAME}(?:(?:, | and ){NAME})*): +(\S.*)$")
 SPECIAL = re.compile(r"([\\*|])")
 CODE = re.compile(r"(`[^`\n]+`)")
 
@@ -25,13 +26,15 @@ def escaped(text: str) -> str:
 
 
 def blocks_of(lines: list[str]) -> list[list[str]]:
-    """The lines between blank ones."""
+    """The lines between blank ones; fields end where a line is neither a field nor indented."""
     found: list[list[str]] = [[]]
     for line in lines:
+        last = found[-1]
+        of_text = line.strip() and not line.startswith(" ") and not FIELD.match(line)
+        if last and (not line.strip() or (of_text and len(found) > 1 and FIELD.match(last[0]))):
+            found.append([])
         if line.strip():
             found[-1].append(line.rstrip())
-        elif found[-1]:
-            found.append([])
     return [block for block in found if block]
 
 
@@ -42,7 +45,7 @@ def fields_of(block: list[str]) -> list[tuple[str, str]] | None:
         match = FIELD.match(line)
         if match and not line.startswith(" "):
             found.append((match.group(1), match.group(2)))
-        elif found and (line.startswith(" ") or not match):
+        elif found and line.startswith(" "):
             name, text = found[-1]
             found[-1] = (name, f"{text} {line.strip()}")
         else:

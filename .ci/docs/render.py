@@ -64,7 +64,10 @@ def main(out: Path | None) -> int:
             printer.extend(source / "guide" / "printer.md")
         built = Path(staged) / "built"
         kind = "html" if out is not None else "dummy"
-        code = build_main(["-b", kind, "-q", "-W", "--keep-going", str(source), str(built)])
+        tagged = ["-t", "pages"] if out is not None else []
+        code = build_main(
+            ["-b", kind, *tagged, "-q", "-W", "--keep-going", str(source), str(built)]
+        )
         if code == 0 and out is not None:
             pages.check_built(built)
             shutil.rmtree(out, ignore_errors=True)

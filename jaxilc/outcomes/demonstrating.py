@@ -77,7 +77,7 @@ def demo(folder: Path | None = None, *, progress: Progress = silent) -> Outcome:
     ):
         table.add_column(column, justify="right")
     turning = int(before.turning[0])
-    claims = {"plain": before.claim[0], "tuned": after.claim[0]}
+    claims = {"plain": str(before.claim[0]), "tuned": str(after.claim[0])}
     for name, claim in claims.items():
         table.add_row(name, claim, number(UM * worst[name]), f"{share[name]:.0%}")
     numbers: dict[str, Any] = {

@@ -1,0 +1,52 @@
+"""The recipe for conda, the history of speed and the paper say what the project says."""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+from jaxilc import __version__
+
+ROOT = Path(__file__).parents[1]
+RENAMED = {"matplotlib": "matplotlib-base"}  # by conda-forge: the part without Qt
+
+
+def text_of(file: str) -> str:
+    """Return the text of a file of the repository."""
+    return (ROOT / file).read_text(encoding="utf-8")
+
+
+def test_the_recipe_has_the_dependencies_of_the_project():
+    project = tomllib.loads(text_of("pyproject.toml"))["project"]
+    recipe = text_of(".ci/conda/recipe.yaml")
+    needed = re.search(r"\n  run:\n((?:    - .*\n)+)", recipe)
+    asked = [re.split(r"(?=[><=!])", one, maxsplit=1) for one in project["dependencies"]]
+    wanted = {f"{RENAMED.get(name, name)} {bounds}" for name, bounds in asked}
+    assert needed is not None
+    wanted |= {f"python {project['requires-python']}"}
+    assert {*re.findall(r"- (.*)", needed[1])} == wanted
+    assert f'version: "{__version__}"' in recipe
+    assert all(f"{name} = {to}" in recipe for name, to in project["scripts"].items())
+
+
+def test_the_history_times_what_is_there():
+    settings = json.loads(text_of(".ci/history/asv.conf.json"))
+    folder = ROOT / ".ci/history" / settings["benchmark_dir"]
+    timed = re.findall(r"def (time_\w+)", (folder / "main_figures.py").read_text(encoding="utf-8"))
+    assert {"time_sweep", "time_gradient", "time_certify", "time_help"} <= {*timed}
+    assert (ROOT / ".ci/history" / settings["repo"]).resolve() == ROOT
+
+
+def test_the_paper_counts_as_the_project_does():
+    """The numbers of the paper are those of the start page, which test_promises.py computes."""
+    paper, start = (" ".join(text_of(f).split()) for f in (".github/paper.md", "README.md"))
+    numbers = re.search(r"(\d+) independent printed numbers", start)
+    assert numbers is not None
+    assert f"{numbers[1]} independent numbers" in paper
+    told = re.search(r"Of (\d+) conclusions of the papers", start)
+    assert told is not None
+    assert f"of {told[1]} conclusions of these papers" in paper
+    agreed = re.search(r"(\d+) numbers of other software agree", start)
+    assert agreed is not None
+    assert f"on {agreed[1]} of their printed numbers" in paper
+    assert all(f"`{command}`" in paper for command in ("jaxilc reproduce", "jaxilc"))
