@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 PAGE = Path(__file__).parent / "gallery.md"
-BLOCK = re.compile(r"^```python\n(.*?)^```$|^## (.*)$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```python\n(.*?)^```$|^## ([^\n]*)$", re.MULTILINE | re.DOTALL)
 OVERVIEW = "<!-- pictures -->"
 
 

@@ -10,6 +10,8 @@ import re
 import shutil
 from pathlib import Path
 
+import live
+
 ROOT = Path(__file__).parents[2]
 GUIDE = ".ci/docs/guide/"
 CHAPTERS = {  # title of a part: files of the repository
@@ -40,6 +42,8 @@ PAGES = (
 PICTURES = ".github/pictures"
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 PICTURE = re.compile(r'<picture>.*?<img src="([^"]+)" alt="([^"]*)".*?</picture>', re.DOTALL)
+DARK = re.compile(r'\(prefers-color-scheme: dark\)" srcset="([^"]+)"')  # the last one moves
+AFTER = "[ILC in five minutes]"  # of the start page: the live page stands before it
 OUTSIDE = re.compile(r"[a-z]+:")
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#+ +(.*)$", re.MULTILINE)
@@ -52,8 +56,16 @@ def anchors(text: str) -> set[str]:
 
 
 def written(file: str) -> str:
-    """The text of a file of the repository, a picture of HTML as one of Markdown."""
-    return PICTURE.sub(r"![\2](\1)", (ROOT / file).read_text(encoding="utf-8"))
+    """The text of a file of the repository, pictures of HTML as such of Markdown."""
+
+    def both(picture: re.Match) -> str:
+        light, says = picture.groups()
+        dark = DARK.findall(picture.group())
+        if not dark:
+            return f"![{says}]({light})"
+        return f"![{says}]({light}){{.only-light}}\n![{says}]({dark[-1]}){{.only-dark}}"
+
+    return PICTURE.sub(both, (ROOT / file).read_text(encoding="utf-8"))
 
 
 def links(file: str) -> list[tuple[str, str, str]]:
@@ -116,7 +128,12 @@ def write(
     trees["Figures"] = ["gallery"] if gallery else []
     trees["API"] = api
     trees["Inside"] = [f"guide/{name}" for name in ("design", "map", "contributing", "changelog")]
-    with (folder / "index.md").open("a", encoding="utf-8") as index:
+    start = folder / "index.md"
+    text = start.read_text(encoding="utf-8")
+    if gallery:  # and so the live page
+        text = text.replace(AFTER, f"{live.SHOWN}\n{AFTER}", 1)
+    start.write_text(text, encoding="utf-8")
+    with start.open("a", encoding="utf-8") as index:
         for title, names in trees.items():
             if names:
                 listed = "\n".join(names)

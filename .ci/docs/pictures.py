@@ -16,6 +16,7 @@ from PIL import Image
 
 import jaxilc
 from jaxilc import Sweep, figures, load_scenario, run_schemes, scenarios
+from jaxilc.figures.saving import darken
 from jaxilc.figures.within_trial import signal_of
 
 FOLDER = Path(__file__).parents[2] / ".github" / "pictures"
@@ -37,20 +38,23 @@ filter = { class = "ZeroPhaseButterworth", cutoff = 25.0, order = 2 }
 
 
 def keep(axes, name: str) -> None:
-    """Write a picture with few colours."""
-    path = FOLDER / name
-    np.ravel(axes)[0].figure.savefig(path, dpi=100)
-    Image.open(path).convert("RGB").quantize(COLOURS, method=Image.Quantize.MEDIANCUT).save(
-        path, optimize=True
-    )
-    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+    """Write a picture with few colours, one for a light and one for a dark page."""
+    figure = np.ravel(axes)[0].figure
+    for path in (FOLDER / f"{name}.png", FOLDER / f"{name}-dark.png"):
+        if path.stem.endswith("dark"):
+            darken(figure)
+        figure.savefig(path, dpi=100)
+        Image.open(path).convert("RGB").quantize(COLOURS, method=Image.Quantize.MEDIANCUT).save(
+            path, optimize=True
+        )
+        print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 
 
 def _long(micrometres: float) -> str:
     return f"{micrometres / 1e3:.3g} mm" if micrometres > 1e3 else f"{micrometres:.3g} µm"
 
 
-def moving(dataset, trials: int) -> None:
+def moving(dataset, trials: int, *, dark: bool) -> None:
     """Write the butterfly as a picture that moves: the motion and its error, trial by trial."""
     signals = [
         [np.asarray(signal_of(dataset, name, "ilc", j)) for name in ("y", "e")]
@@ -73,9 +77,11 @@ def moving(dataset, trials: int) -> None:
             xlabel="trial", ylabel="largest error [µm]", title=_long(errors[j - 1]),
         )  # fmt: skip
         by_trial.grid(alpha=0.3)
+        if dark:
+            darken(figure)
         figure.savefig(drawn)
         frames.append(Image.open(drawn).convert("RGB").quantize(COLOURS))
-    place, shown = FOLDER / "butterfly.gif", [800] * (trials - 1) + [3000]
+    place, shown = FOLDER / f"butterfly{'-dark' * dark}.gif", [800] * (trials - 1) + [3000]
     frames[0].save(place, save_all=True, append_images=frames[1:], duration=shown, loop=0)
     print(f"{place.name}: {place.stat().st_size / 1000:.0f} kB")
 
@@ -86,15 +92,16 @@ def main() -> None:
     if "butterfly" not in sys.argv[1:]:
         s = scenarios.load("cao-2019").select(("pid", "cfdl-mfailc", "ffdl-mfailc", "ilc-mfapc"))
         sweep = Sweep(s.machine, s.schemes, s.task, 60, uncertainty=s.uncertainty, machines=256)
-        keep(figures.error_band(sweep.run(), tolerance=0.005, scale=1e3, unit="µm"), "sweep.png")
+        keep(figures.error_band(sweep.run(), tolerance=0.005, scale=1e3, unit="µm"), "sweep")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "butterfly.toml"
         file.write_text(BUTTERFLY)
         xy = load_scenario(file)
     dataset, _ = run_schemes(xy.machine, xy.schemes, xy.task, trials=8)
     axes = figures.contour(dataset, "ilc", (3, 4, 8), scale=1e3, unit="µm")
-    keep(axes, "butterfly.png")
-    moving(dataset, 8)
+    keep(axes, "butterfly")
+    for dark in (False, True):
+        moving(dataset, 8, dark=dark)
 
 
 if __name__ == "__main__":

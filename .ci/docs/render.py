@@ -15,6 +15,7 @@ from pathlib import Path
 import api
 import gallery
 import jupytext
+import live
 import nbclient
 import pages
 import papers
@@ -53,6 +54,9 @@ def main(out: Path | None) -> int:
         shutil.copy(HERE / "conf.py", source / "conf.py")
         (source / "_static").mkdir()
         shutil.copy(HERE / "pages.css", source / "_static")
+        (source / "_extra").mkdir()
+        if out is not None:
+            live.write(source / "_extra")
         drawn = gallery.write(source) if out is not None else False
         tutorials = notebooks_in(
             source, execute=out is not None and "JAXILC_FAST" not in os.environ

@@ -31,6 +31,14 @@ for name in ("stdin", "stdout", "stderr"):
 
 out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
 err = Console(stderr=True)
+
+
+def between(text: str) -> None:
+    """Print a text while a progress bar is shown: above the bar, where both are in a terminal."""
+    both = out.is_terminal and err.is_terminal
+    (err if both else out).print(text, highlight=False, soft_wrap=True)
+
+
 log = logging.getLogger("jaxilc")
 counted: defaultdict[str, float] = defaultdict(float)
 

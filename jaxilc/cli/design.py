@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +12,7 @@ import typer
 
 from ..outcomes.request import Request
 from .completion import of_list, schemes_from
-from .console import out
+from .console import between
 from .groups import add
 from .options import (
     DESIGN,
@@ -171,7 +170,7 @@ def _tell(command: str, what: ForMachine, written: LawWritten, **how: Any) -> No
         out=written.out_file,
         force=written.force,
         resume=written.resume,
-        say=partial(out.print, highlight=False, soft_wrap=True),
+        say=between,
         **how,
     )
 

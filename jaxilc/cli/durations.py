@@ -11,6 +11,9 @@ from pathlib import Path
 
 WRITTEN = ("--out", "--json", "--report", "--figures", "--seed")  # take no time of their own
 KEPT = 200  # commands
+# Seconds of a command the first time, on an axis as `init` writes it: two cores, nothing compiled.
+USUAL = {"run": 10.0, "certify": 15.0, "identify": 20.0, "filter": 30.0, "worst-case": 30.0,
+         "tune": 60.0, "design": 90.0, "learn-law": 120.0}  # fmt: skip
 
 
 def file() -> Path | None:

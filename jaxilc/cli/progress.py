@@ -23,11 +23,18 @@ WORTH_KEEPING = 1.0  # seconds from which on the duration of a command is kept
 AFTERWARDS = ("xarray", "zarr", "matplotlib.figure", "matplotlib.backends.backend_agg")
 
 
-def progress_bar(field: str, *, transient: bool = False, expected: float | None = None):
+def progress_bar(
+    field: str,
+    *,
+    transient: bool = False,
+    expected: float | None = None,
+    usual: float | None = None,
+):
     """A progress bar that also shows a field of its tasks; nothing is shown without a terminal.
 
     transient: whether the bar is removed at the end
     expected: seconds that all of it took the last time; the time left before a part is done
+    usual: seconds that all of it takes elsewhere, told where no time is known here
     """
     from rich.progress import (
         BarColumn,
@@ -43,10 +50,11 @@ def progress_bar(field: str, *, transient: bool = False, expected: float | None 
         max_refresh = None  # it falls each second
 
         def render(self, task):
-            if task.finished or task.time_remaining is not None or expected is None:
+            if task.finished or task.time_remaining is not None or not (expected or usual):
                 return super().render(task)
-            left = max(expected - (task.elapsed or 0.0), 1.0)
-            return Text(f"about {left:.0f} s left", style="progress.remaining")
+            left = (expected or 0.0) - (task.elapsed or 0.0)
+            told = f"about {left:.0f} s left" if left > 1.0 else "longer than the last time"
+            return Text(told if expected else f"often {usual:.0f} s", style="progress.remaining")
 
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -76,7 +84,8 @@ def working(command: str) -> Generator[Callable[..., None]]:
     start = time.perf_counter()
     keys = [durations.key_of([command, *sys.argv[1:end]]) for end in (None, 3)]
     known = [seconds for seconds in map(durations.expected, keys) if seconds is not None]
-    with progress_bar("now", transient=True, expected=next(iter(known), None)) as bar:
+    last, usual = next(iter(known), None), durations.USUAL.get(command)
+    with progress_bar("now", transient=True, expected=last, usual=usual) as bar:
         one = bar.add_task(command, total=None, now="starting")
 
         def told(now: str, done: float | None = None, total: float | None = None) -> None:

@@ -96,6 +96,7 @@ def design(
 def _told(chosen: Scenario, steps: int, progress: Progress, say: Progress) -> Told:
     """What a design tells of its course, as progress and as a sentence on its first safe answer."""
     safe, done = [], {}
+    progress("responses of all machines")
 
     def told(stage: str, what: Any) -> None:
         if stage == "safe":

@@ -834,6 +834,16 @@ def test_progress_is_shown_on_a_terminal_alone(monkeypatch):
     assert (shown[True, True], shown[False, False]) == ("", "")
 
 
+def test_a_text_stands_above_the_bar_in_a_terminal_and_in_the_output_elsewhere(monkeypatch):
+    for terminal in (True, False):
+        streams = {name: io.StringIO() for name in ("out", "err")}
+        for name, text in streams.items():
+            monkeypatch.setattr(console, name, Console(file=text, force_terminal=terminal))
+        console.between("an answer")
+        told = {name for name, text in streams.items() if "an answer" in text.getvalue()}
+        assert told == {"err" if terminal else "out"}
+
+
 def test_the_time_left_is_known_from_the_last_time(monkeypatch, tmp_path):
     """A command that took 40 s has about 40 s left when it begins again, whatever its files."""
     monkeypatch.setenv("JAXILC_CACHE", str(tmp_path / "cache"))
@@ -848,6 +858,10 @@ def test_the_time_left_is_known_from_the_last_time(monkeypatch, tmp_path):
     with progress.progress_bar("now", expected=durations.expected(key)) as bar:
         bar.add_task("run", total=None, now="starting")
     assert "about 40 s left" in text.getvalue()
+    for how, said in (({"usual": 90.0}, "often 90 s"), ({"expected": 0.5}, "longer than the last")):
+        with progress.progress_bar("now", **how) as bar:
+            bar.add_task("run", total=None, now="starting")
+        assert said in text.getvalue()
     durations.file().write_text("[")
     assert durations.expected(key) is None
     durations.remember(key, 2.0)

@@ -10,7 +10,6 @@ from jaxilc import (
     Tuning,
     Uniform,
     design,
-    figures,
     identification,
     outcomes,
     run_schemes,
@@ -159,3 +158,4 @@ axes = learned_law_figure(learned.run("taps"), 1e-3, unit="V/mm")
 rows = outcomes.reproduce(["li-2020"]).numbers["rows"]
 axes = printed_and_ours(rows, title="li-2020")
 print(len(reproduction_figures(rows)))  # one for each paper
+# 1

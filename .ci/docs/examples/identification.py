@@ -103,3 +103,4 @@ print(tried[0].poles)
 models, chosen = grow_response(measured, dt=1e-3, highest=3)
 print(type(identified_response(measured, chosen, 1e-3, None)).__name__)
 # Identified
+# Identified

@@ -1,7 +1,7 @@
-"""The main figures by commit: a sweep, a gradient, a certificate and the start of the command line.
+"""The main figures by commit: a sweep, a gradient, a certificate, the start of the command line.
 
-`make history` runs them once on this commit. The sweep and the gradient are those of Cao 2019, small
-enough for a minute; each is compiled before it is timed.
+`make history` runs them once on this commit. The sweep and the gradient are those of Cao 2019, in
+the small; each is compiled before it is timed.
 """
 
 import subprocess
