@@ -155,7 +155,9 @@ def test_docstrings_become_pages_as_they_are_written(monkeypatch):
         "``dt``",
         "    sample time [s]; a line that goes on",
         "``u_, y``",
-        "    signals Raises ValueError.",
+        "    signals",
+        "",
+        "Raises ValueError.",
         "",
     ]
 

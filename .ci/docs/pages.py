@@ -10,8 +10,6 @@ import re
 import shutil
 from pathlib import Path
 
-import live
-
 ROOT = Path(__file__).parents[2]
 GUIDE = ".ci/docs/guide/"
 CHAPTERS = {  # title of a part: files of the repository
@@ -109,12 +107,18 @@ def linked(file: str) -> str:
 
 
 def write(
-    folder: Path, notebooks: list[str], api: list[str], gallery: bool, papers: list[str]
+    folder: Path,
+    notebooks: list[str],
+    api: list[str],
+    gallery: bool,
+    papers: list[str],
+    live: str = "",
 ) -> None:
     """Write all pages of the guide as sources into a folder, the start page with the contents.
 
     notebooks, api, papers: names of the pages of the notebooks, of the modules and of the papers
     gallery: whether there is a page `gallery`
+    live: what the start page shows of the live page
     Raises ValueError for a broken link.
     """
     for file, page in PAGES.items():
@@ -130,9 +134,7 @@ def write(
     trees["Inside"] = [f"guide/{name}" for name in ("design", "map", "contributing", "changelog")]
     start = folder / "index.md"
     text = start.read_text(encoding="utf-8")
-    if gallery:  # and so the live page
-        text = text.replace(AFTER, f"{live.SHOWN}\n{AFTER}", 1)
-    start.write_text(text, encoding="utf-8")
+    start.write_text(text.replace(AFTER, f"{live}\n{AFTER}", 1), encoding="utf-8")
     with start.open("a", encoding="utf-8") as index:
         for title, names in trees.items():
             if names:

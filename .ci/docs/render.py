@@ -62,7 +62,8 @@ def main(out: Path | None) -> int:
             source, execute=out is not None and "JAXILC_FAST" not in os.environ
         )
         of_papers = papers.write(source) if out is not None else []
-        pages.write(source, tutorials, api.write(source), drawn, of_papers)
+        shown = live.SHOWN if out is not None else ""
+        pages.write(source, tutorials, api.write(source), drawn, of_papers, shown)
         plant_file.extend(source / "guide" / "plant_file.md")
         if out is not None:
             printer.extend(source / "guide" / "printer.md")

@@ -1,5 +1,6 @@
 """Plants, friction and repeatable errors from records."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,7 @@ print(isinstance(best_order(orders), Order), best_order(orders).poles)
 # True 1
 
 # %% orders_and_delays
+warnings.simplefilter("ignore", FutureWarning)  # it is now `grow`
 print(orders_and_delays(record, longest=4, structures=((1, 0, 0),), starts=8)[0].delay)
 # 0
 
