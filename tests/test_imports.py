@@ -27,6 +27,7 @@ ORDER = [
     "tuning",
     "design",
     "hardware",
+    "export",
     "scenarios",
     "figures",
     "outcomes",

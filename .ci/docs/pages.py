@@ -22,6 +22,7 @@ CHAPTERS = {  # title of a part: files of the repository
         "paths",
         "potential",
         "differing",
+        "export",
         "many_hosts",
     ),
     "Reference": ("plant_file", "theory", "contents", "notebooks", "citation"),

@@ -18,6 +18,7 @@ from . import (
     demo,
     design,
     explore,
+    export,
     hardware,
     identify,
     init,
@@ -133,6 +134,7 @@ COMMANDS = (
     certify,
     q_filter,
     hardware,
+    export,
     reproduce,
 )
 for room in COMMANDS:

@@ -1,6 +1,7 @@
 from .certifying import certify
 from .demonstrating import demo
 from .designing import design
+from .exporting import check_export, export
 from .filtering import filter_, filter_measured
 from .identifying import Reading, identify
 from .learning_laws import learn_law
@@ -23,8 +24,10 @@ __all__ = [
     "Request",
     "Verdict",
     "certify",
+    "check_export",
     "demo",
     "design",
+    "export",
     "filter_",
     "filter_measured",
     "identify",

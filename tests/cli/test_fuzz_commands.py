@@ -65,6 +65,7 @@ identify record.csv --poles 1 --pairs 0 --zeros 0
 design p.toml --machines 4 --steps 2
 learn-law p.toml --taps 5,3 --machines 4 --steps 2
 reproduce dai-2014
+export p.toml --scheme ilc --limit 9 --machines 4 --out law
 next --state campaign --scenario p.toml --scheme ilc --out n.csv
 trials --state campaign
 list p.toml

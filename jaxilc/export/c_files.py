@@ -1,0 +1,311 @@
+"""The files of a law in C99: `law.h`, `law.c`, and `law_test.c`, a test with its vectors."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..native.program import Program, Step
+from . import guard, operations
+from .c import REAL, Printed, field_name, number, printed, table, type_of
+from .law import Law, said_of_scheme
+
+ARGUMENTS = {
+    "begin": "law *l",
+    "sample": "law *l, int k, const law_real y[LAW_OUTPUTS], law_real u[LAW_INPUTS]",
+    "end": "law *l, const law_real y[LAW_OUTPUTS]",
+}
+MEANING = {
+    "begin": "Before the first sample of each trial.",
+    "sample": "At sample k = 0 ... LAW_SAMPLES - 1: from the measured output y to the input u.",
+    "end": "After the trial, with its last output: learns from it and returns a code of law_code.",
+}
+# arithmetic that C does not have as it is meant here
+OWN = """
+/* The larger and the smaller number; NaN if one is NaN. */
+static inline law_real law_max(law_real a, law_real b) { return a != a || a > b ? a : b; }
+static inline law_real law_min(law_real a, law_real b) { return a != a || a < b ? a : b; }
+
+/* A place of a part within an array, whose last possible one is given. */
+static inline int law_place(int64_t place, int last)
+{
+    return place < 0 ? 0 : place > last ? last : (int) place;
+}
+
+/* The whole part of a number, held within the range of the integer; 0 for NaN. */
+static inline int32_t law_to_int32_t(law_real x)
+{
+    return x >= (law_real) INT32_MAX ? INT32_MAX : x <= (law_real) INT32_MIN ? INT32_MIN
+           : x == x ? (int32_t) x : 0;
+}
+static inline int64_t law_to_int64_t(law_real x)
+{
+    return x >= (law_real) INT64_MAX ? INT64_MAX : x <= (law_real) INT64_MIN ? INT64_MIN
+           : x == x ? (int64_t) x : 0;
+}
+static inline uint32_t law_to_uint32_t(law_real x)
+{
+    return x >= (law_real) UINT32_MAX ? UINT32_MAX : x > 0 ? (uint32_t) x : 0;
+}
+"""
+
+
+def files_of(law: Law, about: Sequence[str], digest: str, trials: Sequence[Any], *,
+             single: bool = False) -> dict[str, str]:  # fmt: skip
+    """The texts of the files by their names.
+
+    about: sentences for the head of each file
+    digest: of the certificate, which the code carries
+    trials: outputs (N+1, n_y) of the trials of the test program
+    single: whether numbers are `float` in place of `double`
+    """
+    bodies = {one.name: printed(one, law.fields, single=single) for one in law.functions}
+    said = _comment([*about, f"certificate {digest}"])
+    return {
+        "law.h": said + _header(law, bodies, digest, single),
+        "law.c": said + _source(law, bodies, digest, single),
+        "law_test.c": said + _test(law, trials, single),
+    }
+
+
+def _comment(lines: Sequence[str]) -> str:
+    wrapped = [part for line in lines for part in textwrap.wrap(_plain(line), 94) or [""]]
+    return "/*\n" + "".join(f" * {line}\n".replace(" \n", "\n") for line in wrapped) + " */\n"
+
+
+def _plain(text: str) -> str:
+    return text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
+
+
+def cost(program: Program) -> int:
+    """The operations on numbers that a program carries out at most."""
+    return sum(map(_cost, program.steps))
+
+
+def _cost(step: Step) -> int:
+    of, size = step.params, math.prod(step.outs[0].shape)
+    if step.name == "scan":
+        return int(of["length"]) * cost(of["body"])
+    if step.name == "while":
+        return int(of["bound"]) * (cost(of["body"]) + cost(of["condition"]))
+    if step.name == "dot_general":
+        return 2 * size * math.prod(step.ins[0].shape[i] for i in of["dimension_numbers"][0][0])
+    if step.name in operations.TOGETHER:
+        return math.prod(step.ins[0].shape)
+    return 0 if step.name in operations.ARRAYS else size
+
+
+def bytes_of(law: Law, *, single: bool = False) -> int:
+    """The bytes of RAM that the law needs, its work space included, without what C pads."""
+    bodies = [printed(one, law.fields, single=single) for one in law.functions]
+    sizes = {"law_real": 4 if single else 8, "bool": 1, "int64_t": 8}
+    kept = sum(x.first.size * sizes.get(type_of(x.first.dtype), 4) for x in law.fields.values())
+    return int(kept + sum(n * sizes.get(kind, 4) for kind, n in _work(bodies).items()))
+
+
+def _work(bodies: Sequence[Printed]) -> dict[str, int]:
+    work: dict[str, int] = {}
+    for body in bodies:
+        for kind, size in body.work.items():
+            work[kind] = max(work.get(kind, 0), size)
+    return work
+
+
+def _header(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) -> str:
+    task = law.task
+    members = []
+    for name, of in law.fields.items():
+        size = "" if of.first.size == 1 else f"[{of.first.size}]"
+        shape = f"{of.first.shape} " if of.first.size > 1 else ""
+        unit = f"[{of.unit}]" if of.unit else ""
+        told = f"  /* {shape}{unit} */".replace(" ]", "]").replace("  */", " */")
+        told = told if shape or unit else ""
+        members.append(f"    {type_of(of.first.dtype)} {field_name(name)}{size};{told}")
+    for kind, size in _work([*bodies.values()]).items():
+        members.append(f"    {kind} work_{kind}[{size}];")
+    codes = "".join(f"    LAW_{name} = {i}, /* {said} */\n" for i, (name, said) in enumerate(
+        zip(guard.CODES, guard.MEANINGS, strict=True)))  # fmt: skip
+    limits = ", ".join(number(x, float, single) for x in law.limit)
+    begun = "".join(f"/* {MEANING[name]} */\n{_returns(name)} law_{name}({of});\n\n"
+                    for name, of in ARGUMENTS.items())  # fmt: skip
+    return f"""#ifndef LAW_H
+#define LAW_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+typedef {"float" if single else "double"} law_real;
+
+#define LAW_SAMPLES {task.N} /* inputs of a trial; it has one output more */
+#define LAW_INPUTS {task.inputs} /* [{_plain(task.input_unit) or "1"}] */
+#define LAW_OUTPUTS {task.outputs} /* [{_plain(task.unit) or "1"}] */
+#define LAW_SAMPLE_TIME {number(task.dt, float, single)} /* [s] */
+#define LAW_LIMIT {{ {limits} }} /* largest |u| [{_plain(task.input_unit) or "1"}] */
+#define LAW_CERTIFICATE "{digest}"
+
+/* What law_end tells. After a refusal the input of the last good trial is played again. */
+enum law_code {{
+{codes}}};
+
+/* All that the law keeps. memory: what was learned; schedule: what is played in this trial; good:
+ * both of the last trial that was not refused; within and record: of this trial; seen: what the
+ * guard remembers; work: room for intermediate results. */
+typedef struct {{
+{chr(10).join(members)}
+}} law;
+
+/* Once, before the first trial. */
+void law_start(law *l);
+
+{begun}#endif
+"""
+
+
+def _returns(name: str) -> str:
+    return "int" if name == "end" else "void"
+
+
+def _source(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) -> str:
+    parts = ['#include "law.h"\n\n#include <math.h>\n']
+    parts.append(f"#define LAW_F(name) {'name##f' if single else 'name'}\n")
+    parts.append(f'const char law_certificate[] = "{digest}";\n{OWN}')
+    for name, text in said_of_scheme(law.scheme, law.task):
+        parts.append(_comment([name, *_plain_lines(text)]))
+    tables, lines = _start(law, single)
+    parts.append(_function("void law_start(law *l)", tables, lines))
+    for name, body in bodies.items():
+        operations_ = cost(next(f.program for f in law.functions if f.name == name))
+        about = [MEANING[name], f"At most {operations_} operations on numbers."]
+        unused = [
+            f"    (void) {x};"
+            for x in ("k", "y", "l")
+            if x in _words(ARGUMENTS[name]) and x not in _words("\n".join(body.lines))
+        ]
+        head = f"{_returns(name)} law_{name}({ARGUMENTS[name]})"
+        parts.append(_comment(about) + _function(head, body.tables, [*unused, *body.lines]))
+    return "\n" + "\n".join(parts)
+
+
+def _words(text: str) -> set[str]:
+    return set(re.findall(r"\w+", text))
+
+
+def _plain_lines(text: str) -> list[str]:
+    return [line.rstrip() for line in text.split("\n")]
+
+
+def _function(head: str, tables: Sequence[str], lines: Sequence[str]) -> str:
+    told = "".join(f"{line}\n" for line in tables)
+    return f"{told}{head}\n{{\n" + "".join(f"{line}\n" for line in lines) + "}\n"
+
+
+def _start(law: Law, single: bool) -> tuple[list[str], list[str]]:
+    """What the fields are at first: loops over one number, or over a table."""
+    tables: list[str] = []
+    lines: list[str] = []
+    known: dict[bytes, str] = {}
+    for name, of in law.fields.items():
+        flat, member, kind = of.first.ravel(), f"l->{field_name(name)}", type_of(of.first.dtype)
+        if flat.size == 1:
+            lines.append(f"    {member} = {number(flat[0], flat.dtype, single)};")
+            continue
+        text = number(flat[0], flat.dtype, single) if flat.size else ""
+        if flat.tobytes() != flat[:1].tobytes() * flat.size:
+            if flat.tobytes() not in known:
+                known[flat.tobytes()] = f"start_c{len(known)}"
+                numbers = [number(x, flat.dtype, single) for x in flat]
+                tables += table(kind, known[flat.tobytes()], numbers)
+            text = f"{known[flat.tobytes()]}[i]"
+        lines += [f"    for (int i = 0; i < {flat.size}; ++i) {{", f"        {member}[i] = {text};",
+                  "    }"]  # fmt: skip
+    return tables, lines
+
+
+# The test program
+# --------------------------------------------------------------------------------------------------
+
+
+def _test(law: Law, trials: Sequence[Any], single: bool) -> str:
+    """A program that plays trials and compares every input, every code and what is then known."""
+    played = law.played(np.float32 if single else np.float64)
+    found = [played.trial(y) for y in trials]
+    outputs = np.concatenate([np.ravel(y) for y in trials])
+    inputs = np.concatenate([u.ravel() for u, _ in found])
+    checked, tables = [], []
+    for i, name in enumerate(law.fields):
+        if not name.startswith(("memory", "schedule", "seen")):
+            continue
+        values, member = np.ravel(played.known[name]), f"l.{field_name(name)}"
+        if values.dtype.kind != "f":
+            continue
+        tables += table(REAL, f"known_{i}", _numbers(values, single))
+        pointer = f"&{member}" if values.size == 1 else member
+        checked.append(f'    wrong += compared("{name}", {pointer}, known_{i}, {values.size});')
+    codes = ", ".join(str(code) for _, code in found)
+    lines = [
+        *table(REAL, "outputs", _numbers(outputs, single)),
+        *table(REAL, "inputs", _numbers(inputs, single)),
+        *tables,
+        f"static const int codes[TRIALS] = {{ {codes} }};",
+    ]
+    return f"""#include "law.h"
+
+#include <math.h>
+#include <stdio.h>
+
+#define TRIALS {len(found)}
+
+{chr(10).join(lines)}
+
+/* Numbers are equal to the last bit, or both are not numbers. */
+static int compared(const char *name, const law_real *found, const law_real *wanted, int count)
+{{
+    int wrong = 0;
+    double most = 0.0;
+    for (int i = 0; i < count; ++i) {{
+        if (found[i] != wanted[i] && !(found[i] != found[i] && wanted[i] != wanted[i])) {{
+            const double off = fabs((double) found[i] - (double) wanted[i]);
+            most = off > most ? off : most;
+            ++wrong;
+        }}
+    }}
+    if (wrong) {{
+        printf("%s: %d of %d numbers differ, by up to %g\\n", name, wrong, count, most);
+    }}
+    return wrong;
+}}
+
+int main(void)
+{{
+    static law l;
+    static law_real played[TRIALS * LAW_SAMPLES * LAW_INPUTS];
+    int wrong = 0;
+    law_start(&l);
+    for (int j = 0; j < TRIALS; ++j) {{
+        const law_real *y = outputs + j * (LAW_SAMPLES + 1) * LAW_OUTPUTS;
+        law_real *u = played + j * LAW_SAMPLES * LAW_INPUTS;
+        law_begin(&l);
+        for (int k = 0; k < LAW_SAMPLES; ++k) {{
+            law_sample(&l, k, y + k * LAW_OUTPUTS, u + k * LAW_INPUTS);
+        }}
+        const int code = law_end(&l, y + LAW_SAMPLES * LAW_OUTPUTS);
+        if (code != codes[j]) {{
+            printf("trial %d ends with code %d in place of %d\\n", j + 1, code, codes[j]);
+            ++wrong;
+        }}
+    }}
+    wrong += compared("u", played, inputs, TRIALS * LAW_SAMPLES * LAW_INPUTS);
+{chr(10).join(checked)}
+    printf(wrong ? "law: %d numbers differ\\n" : "law: all numbers are equal\\n", wrong);
+    return wrong != 0;
+}}
+"""
+
+
+def _numbers(values: np.ndarray, single: bool) -> list[str]:
+    return [number(x, float, single) for x in values]

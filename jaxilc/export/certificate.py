@@ -1,0 +1,78 @@
+"""The certificate of an exported law, and the proof that folder, code and vectors belong to it.
+
+`certificate.json` holds what is claimed, and the SHA-256 of each file. The code carries the digest
+of what is claimed. Neither is a signature: whoever changes all of them can make them agree.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..storage.reading import LARGEST_TREE, read_bytes
+from ..storage.sealed import Damaged, read_json, seal_of, sealed, unsealed
+
+CERTIFICATE = "certificate.json"
+DIGEST, FILES = "certificate", "files"
+CARRIED = re.compile(rb'"([0-9a-f]{64})"')
+
+
+def digest_of(claims: Mapping[str, Any]) -> str:
+    """The digest of what is claimed, which the code carries."""
+    return seal_of(claims)
+
+
+def certificate_of(claims: Mapping[str, Any], files: Mapping[str, str]) -> dict[str, Any]:
+    """The content of `certificate.json`.
+
+    claims: what is claimed of the law
+    files: the texts of the other files by name
+    """
+    hashes = {name: _sha256(text.encode()) for name, text in files.items()}
+    return sealed({**claims, DIGEST: digest_of(claims), FILES: hashes})
+
+
+def check(folder: str | Path) -> dict[str, Any]:
+    """The claims of a folder whose files belong together.
+
+    Raises ValueError naming each file that is missing or was changed, also the plant file, where it
+    is still where it was; and FileNotFoundError where there is no certificate.
+    """
+    folder = Path(folder)
+    try:
+        content = unsealed(read_json(folder / CERTIFICATE))
+    except Damaged as error:
+        raise ValueError(f"{folder / CERTIFICATE} was changed: {error}") from None
+    hashes = content.pop(FILES, None)
+    digest = content.pop(DIGEST, None)
+    if not isinstance(hashes, dict) or digest != digest_of(content):
+        raise ValueError(
+            f"{folder / CERTIFICATE} was changed: its claims are not those it began with"
+        )
+    wrong = []
+    for name, known in hashes.items():
+        path = folder / Path(name).name
+        if not path.is_file():
+            wrong.append(f"{path} is missing")
+            continue
+        found = read_bytes(path, LARGEST_TREE)
+        carried = {one.decode() for one in CARRIED.findall(found)} - {digest}
+        if carried:
+            wrong.append(f"{path} carries the certificate {sorted(carried)[0][:12]} of another law")
+        elif _sha256(found) != known:
+            wrong.append(f"{path} was changed")
+    plant = content.get("plant_file") or {}
+    given = Path(str(plant.get("path", "")))
+    there = plant.get("path") and given.is_file()
+    if there and _sha256(read_bytes(given, LARGEST_TREE)) != plant.get("sha256"):
+        wrong.append(f"{given}, from which the law was made, was changed")
+    if wrong:
+        raise ValueError("; ".join(wrong))
+    return content
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

@@ -1,0 +1,116 @@
+"""The guard of an exported law: what `jaxilc next` refuses, as a part of the traced program.
+
+Each function changes nothing where the law stays inside: it selects between two values, and then
+that of the law to the last bit. The limits are those of `hardware.suspicions`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..hardware.suspicions import DEAD, GROWN, LARGER, LEARNED, LEAST
+from ..pytree.aliases import Array, Tree
+from ..schemes import Scheme
+from ..schemes.parts import trials_of_step
+from ..signals.task import Task, Trial
+
+# what the end of a trial tells, by its code
+CODES = ("LEARNED", "SENSOR", "STUCK", "GROWN", "TOO_LARGE")
+MEANINGS = (
+    "the law has learned from the trial",
+    "refused: an output or an input was not finite",
+    "refused: an output stood still while the input moved",
+    f"refused: the rms error is more than {GROWN:g} times the best",
+    "refused: the next input is beyond its limit, grows too fast, or is not a number",
+)
+
+
+class Seen(NamedTuple):
+    """What the guard remembers.
+
+    best: smallest rms error of a trial so far, infinite before the first one [unit of y]
+    learned: number of trials that were learned from
+    largest: largest value of each learned schedule that was played [its unit]
+    fine: whether every output and input of the present trial was finite
+    """
+
+    best: Array
+    learned: Array
+    largest: dict[str, Array]
+    fine: Array
+
+
+def nothing_seen(scheme: Scheme, task: Task, schedule: Tree) -> Seen:
+    """What the guard knows before the first trial."""
+    largest = dict.fromkeys(_learned(scheme, task, schedule), jnp.zeros(()))
+    return Seen(jnp.asarray(jnp.inf), jnp.zeros(()), largest, jnp.asarray(True))
+
+
+def output(y: Array, last: Array) -> tuple[Array, Array]:
+    """The output that the law sees, the last finite one in place of another; whether it was one."""
+    return jnp.where(jnp.isfinite(y), y, last), jnp.all(jnp.isfinite(y))
+
+
+def applied(u: Array, last: Array, limit: Array) -> tuple[Array, Array]:
+    """The input within its limit, the last one in place of one that is not finite; likewise."""
+    there = jnp.isfinite(u)
+    return jnp.clip(jnp.where(there, u, last), -limit, limit), jnp.all(there)
+
+
+def of_trial(scheme: Scheme, task: Task, seen: Seen, schedule: Tree,
+             trial: Trial) -> tuple[Array, Seen]:  # fmt: skip
+    """The code of a trial before it is learned from, and what the guard remembers of it."""
+    reference = np.asarray(task.reference)
+    e, span = trial.r[1:] - trial.y[1:], np.ptp(reference, axis=0)
+    rms = jnp.sqrt(jnp.sum(e**2) / e.size)
+    y, u = trial.y[1:], trial.u
+    moved = jnp.any(jnp.max(u, axis=0) > jnp.min(u, axis=0))
+    still = jnp.max(y, axis=0) - jnp.min(y, axis=0) < DEAD * span
+    stuck = moved & jnp.any(still & jnp.asarray(span > 0))
+    # a trial that was an experiment is compared with none
+    turns = seen.learned / trials_of_step(scheme, task)
+    compared = turns == jnp.floor(turns)
+    grown = compared & (rms > GROWN * jnp.maximum(seen.best, LEAST * float(np.ptp(reference))))
+    fine = seen.fine & jnp.isfinite(rms)
+    code = jnp.where(~fine, 1, jnp.where(stuck, 2, jnp.where(grown, 3, 0))).astype(jnp.int32)
+    best = jnp.where((code == 0) & compared, jnp.minimum(seen.best, rms), seen.best)
+    played = _learned(scheme, task, schedule)
+    largest = {name: jnp.maximum(seen.largest[name], _peak(name, of, task))
+               for name, of in played.items()}  # fmt: skip
+    return code, Seen(best, seen.learned, largest, seen.fine)
+
+
+def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree, limit: Array,
+            correction: float | None) -> Array:  # fmt: skip
+    """Whether what was learned is played: a number, within its limit, and no larger than learned.
+
+    peak <= 1.1 j / (j - 1) largest,    j: number of trials that are learned from
+    """
+    good = [jnp.all(~jnp.isnan(x)) for x in jax.tree.leaves(memory)]
+    for name, of in scheme.played(schedule, task).items():
+        good.append(jnp.all(jnp.isfinite(of)))
+        if name in ("u", "feedforward", "table.u"):
+            good.append(jnp.all(jnp.abs(of) <= limit))
+        if name == "reference" and correction is not None:
+            good.append(_peak(name, of, task) <= correction)
+    allowed = LARGER * (1 + 1 / jnp.maximum(1.0, seen.learned))
+    for name, of in _learned(scheme, task, schedule).items():
+        largest = seen.largest[name]
+        good.append((largest == 0) | (_peak(name, of, task) <= allowed * largest))
+    return jnp.all(jnp.stack(good)) if good else jnp.asarray(True)
+
+
+def _learned(scheme: Scheme, task: Task, schedule: Tree) -> dict[str, Array]:
+    found = scheme.played(schedule, task) if scheme.learns else {}
+    return {name: of for name, of in found.items() if name in LEARNED}
+
+
+def _peak(name: str, schedule: Array, task: Task) -> Array:
+    reference = np.asarray(task.reference)
+    if name == "reference" and schedule.shape == reference.shape:
+        schedule = schedule - reference
+    return jnp.max(jnp.abs(schedule))

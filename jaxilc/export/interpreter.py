@@ -1,0 +1,263 @@
+"""The meaning of the operations, carried out one after another in NumPy.
+
+This is what printed programs are compared with, to the last bit. It shares no code with printers.
+Functions such as `exp` are those of the C library, as in the printed programs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..native.operations import Node, elementwise
+from ..native.program import Const, Program, Step, Unknown, Value
+from . import operations
+
+
+def interpret(program: Program, operands: Sequence[Any], real: Any = np.float64) -> list[Any]:
+    """The results of a program.
+
+    real: the type of its real numbers, float64 or float32
+    """
+    with np.errstate(all="ignore"):
+        return _run(program, list(operands), np.dtype(real))
+
+
+def carried_out(step: Step, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The results of a step in double precision; raises Unknown for one that is not known."""
+    if not operations.known(step.name):
+        raise Unknown(step.name)
+    with np.errstate(all="ignore"):
+        return _step(step, list(arrays), np.dtype(np.float64))
+
+
+def _run(program: Program, operands: list[Any], real: np.dtype) -> list[Any]:
+    found: dict[Value, Any] = dict(zip(program.ins, operands, strict=True))
+
+    def value(x: Value) -> np.ndarray:
+        return _as(x.array if isinstance(x, Const) else found[x], x.dtype, real)
+
+    for step in program.steps:
+        found.update(zip(step.outs, _step(step, [value(x) for x in step.ins], real), strict=True))
+    return [value(x) for x in program.outs]
+
+
+def _as(array: Any, dtype: Any, real: np.dtype) -> np.ndarray:
+    return np.asarray(array, real if np.dtype(dtype).kind == "f" else dtype)
+
+
+def _step(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[Any]:
+    if step.name == "scan":
+        return _scan(step, ins, real)
+    if step.name == "while":
+        return _while(step, ins, real)
+    if elementwise(step.name):
+        made: dict[Node, Any] = {}
+        found = _node(operations.formula(step).root, ins, real, made)
+        return [np.broadcast_to(found, step.outs[0].shape)]
+    return [_as(ARRAYS[step.name](step, ins), step.outs[0].dtype, real).reshape(step.outs[0].shape)]
+
+
+def _scan(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[Any]:
+    of = step.params
+    consts, state = ins[: of["consts"]], ins[of["consts"] : of["consts"] + of["carry"]]
+    rows, kept = ins[of["consts"] + of["carry"] :], []
+    places = range(of["length"])[:: -1 if of["reverse"] else 1]
+    for i in places:
+        found = _run(of["body"], [*consts, *state, *(x[i] for x in rows)], real)
+        state = found[: of["carry"]]
+        kept.append(found[of["carry"] :])
+    kept = kept[::-1] if of["reverse"] else kept
+    outs = step.outs[of["carry"] :]
+    stacked = [np.reshape([row[j] for row in kept], x.shape) for j, x in enumerate(outs)]
+    return [*state, *stacked]
+
+
+def _while(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[Any]:
+    of = step.params
+    n, m = of["of_condition"], of["of_body"]
+    state = ins[n + m :]
+    for _ in range(of["bound"]):
+        if not _run(of["condition"], [*ins[:n], *state], real)[0]:
+            break
+        state = _run(of["body"], [*ins[n : n + m], *state], real)
+    return state
+
+
+# Single numbers
+# --------------------------------------------------------------------------------------------------
+
+
+def _node(x: Node, ins: list[np.ndarray], real: np.dtype, made: dict[Node, Any]) -> Any:
+    if x not in made:
+        args = [_node(one, ins, real, made) for one in x.args]
+        if x.name == "operand":
+            made[x] = ins[x.what]
+        elif x.name == "const":
+            made[x] = _as(x.what, x.dtype, real)
+        elif x.name == "convert":
+            made[x] = _converted(args[0], x.dtype, real)
+        else:
+            made[x] = _as(SINGLE[x.name](*args), x.dtype, real)
+    return made[x]
+
+
+def _converted(x: np.ndarray, dtype: np.dtype, real: np.dtype) -> np.ndarray:
+    if dtype.kind in "iu" and x.dtype.kind == "f":
+        low, high = np.iinfo(dtype).min, np.iinfo(dtype).max
+        inside = np.where((x > low) & (x < high), x, 0).astype(dtype)  # towards zero
+        return np.where(x >= high, high, np.where(x <= low, low, inside)).astype(dtype)
+    return _as(x, dtype, real)
+
+
+def _larger(a: Any, b: Any) -> Any:
+    return np.where((a != a) | (a > b), a, b)
+
+
+def _smaller(a: Any, b: Any) -> Any:
+    return np.where((a != a) | (a < b), a, b)
+
+
+def _library(name: str) -> Callable[..., Any]:
+    """A function of the C library for each element, as it is at the edges of its range too."""
+    function: Any = getattr(math, name)
+    at_numpy: Any = np.float_power if name == "pow" else getattr(np, name)
+
+    def one(*x: float) -> float:
+        try:
+            return float(function(*x))
+        except (OverflowError, ValueError):
+            return float(at_numpy(*x))
+
+    def each(*arrays: Any) -> Any:
+        arrays = np.broadcast_arrays(*arrays)
+        found = [one(*map(float, x)) for x in zip(*(a.ravel() for a in arrays), strict=True)]
+        return np.reshape(np.array(found, float), arrays[0].shape)
+
+    return each
+
+
+SINGLE: dict[str, Callable[..., Any]] = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative,
+    "max": _larger, "min": _smaller, "abs": np.abs, "sqrt": np.sqrt, "floor": np.floor,
+    "ceil": np.ceil, "round_even": np.rint,
+    "round_away": lambda x: np.copysign(
+        np.floor(np.abs(x)) + (np.abs(x) - np.floor(np.abs(x)) >= 0.5), x
+    ),
+    "copysign": np.copysign, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor,
+    "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
+    "ge": np.greater_equal, "select": lambda which, no, yes: np.where(which, yes, no),
+    **{name: _library(name) for name in
+       ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh", "pow")},
+}  # fmt: skip
+
+
+# Arrays
+# --------------------------------------------------------------------------------------------------
+
+
+def _broadcast(step: Step, ins: list[np.ndarray]) -> np.ndarray:
+    shape, wide = step.outs[0].shape, [1] * len(step.outs[0].shape)
+    for axis, to in enumerate(step.params["broadcast_dimensions"]):
+        wide[to] = ins[0].shape[axis]
+    return np.broadcast_to(ins[0].reshape(wide), shape)
+
+
+def _slice(step: Step, ins: list[np.ndarray]) -> np.ndarray:
+    of = step.params
+    strides = of["strides"] or (1,) * ins[0].ndim
+    parts = zip(of["start_indices"], of["limit_indices"], strides, strict=True)
+    return ins[0][tuple(slice(*part) for part in parts)]
+
+
+def _pad(step: Step, ins: list[np.ndarray]) -> np.ndarray:
+    x, out = ins[0], np.full(step.outs[0].shape, ins[1], ins[0].dtype)
+    to, of = [], []
+    for (low, _, inner), n, m in zip(step.params["padding_config"], x.shape, out.shape,
+                                     strict=True):  # fmt: skip
+        places = low + (1 + inner) * np.arange(n)
+        inside = (places >= 0) & (places < m)
+        to.append(places[inside])
+        of.append(np.flatnonzero(inside))
+    out[np.ix_(*to)] = x[np.ix_(*of)]
+    return out
+
+
+def _iota(step: Step, ins: list[np.ndarray]) -> np.ndarray:
+    shape, axis = step.outs[0].shape, step.params["dimension"]
+    wide = [1] * len(shape)
+    wide[axis] = shape[axis]
+    return np.broadcast_to(np.arange(shape[axis]).reshape(wide), shape)
+
+
+def _part(x: np.ndarray, sizes: Sequence[int], starts: Sequence[Any]) -> tuple[slice, ...]:
+    clamped = [min(max(int(s), 0), n - size)
+               for s, n, size in zip(starts, x.shape, sizes, strict=True)]  # fmt: skip
+    return tuple(slice(a, a + size) for a, size in zip(clamped, sizes, strict=True))
+
+
+def _dynamic_slice(step: Step, ins: list[np.ndarray]) -> np.ndarray:
+    return ins[0][_part(ins[0], step.outs[0].shape, ins[1:])]
+
+
+def _dynamic_update(step: Step, ins: list[np.ndarray]) -> np.ndarray:
+    x = np.array(ins[0])
+    x[_part(x, ins[1].shape, ins[2:])] = ins[1]
+    return x
+
+
+def _gathered(step: Step, ins: list[np.ndarray]) -> np.ndarray:
+    axes, x = step.params["axes"], ins[0]
+    rows = np.moveaxis(x, axes, range(len(axes)))
+    rows = rows.reshape(math.prod(x.shape[i] for i in axes), *rows.shape[len(axes) :])
+    total = np.full(rows.shape[1:], operations.first(step.name, x.dtype), x.dtype)
+    for row in rows:
+        total = SINGLE[operations.TOGETHER[step.name]](total, row)
+    return total
+
+
+def _running(step: Step, ins: list[np.ndarray]) -> np.ndarray:
+    rows = np.array(np.moveaxis(ins[0], step.params["axis"], 0))
+    rows = rows[::-1] if step.params["reverse"] else rows
+    for i in range(1, len(rows)):
+        rows[i] = SINGLE[operations.TOGETHER[step.name]](rows[i - 1], rows[i])
+    rows = rows[::-1] if step.params["reverse"] else rows
+    return np.moveaxis(rows, 0, step.params["axis"])
+
+
+def _dot(step: Step, ins: list[np.ndarray]) -> np.ndarray:
+    (of_a, of_b), (batch_a, batch_b) = step.params["dimension_numbers"]
+    a, b = ins
+    free_a = [i for i in range(a.ndim) if i not in (*of_a, *batch_a)]
+    free_b = [i for i in range(b.ndim) if i not in (*of_b, *batch_b)]
+    batch = [a.shape[i] for i in batch_a]
+    terms = math.prod(a.shape[i] for i in of_a)
+    left = a.transpose(*of_a, *batch_a, *free_a).reshape(terms, math.prod(batch), -1, 1)
+    right = b.transpose(*of_b, *batch_b, *free_b).reshape(terms, math.prod(batch), 1, -1)
+    total = np.zeros((math.prod(batch), left.shape[2], right.shape[3]), a.dtype)
+    for x, y in zip(left, right, strict=True):
+        total = total + x * y
+    return total
+
+
+ARRAYS: dict[str, Callable[[Step, list[np.ndarray]], np.ndarray]] = {
+    "slice": _slice,
+    "reshape": lambda step, ins: ins[0],
+    "squeeze": lambda step, ins: ins[0],
+    "expand_dims": lambda step, ins: ins[0],
+    "transpose": lambda step, ins: ins[0].transpose(step.params["permutation"]),
+    "rev": lambda step, ins: np.flip(ins[0], step.params["dimensions"]),
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda step, ins: np.concatenate(ins, step.params["dimension"]),
+    "pad": _pad,
+    "iota": _iota,
+    "take": lambda step, ins: ins[0].ravel()[step.params["table"]],
+    "dynamic_slice": _dynamic_slice,
+    "dynamic_update_slice": _dynamic_update,
+    **dict.fromkeys(operations.FIRST, _gathered),
+    **dict.fromkeys(("cumsum", "cumprod", "cummax", "cummin"), _running),
+    "dot_general": _dot,
+}

@@ -1,0 +1,333 @@
+"""What is exported: three functions of a law, traced from the scheme, and the fields they work on.
+
+    begin     the state before the first sample of a trial
+    sample    a measured output -> the input of this sample
+    end       the last output of the trial -> what is known after it, and what is played next
+
+These are `Scheme.initial_state`, `Scheme.act` with the actuator, and `Scheme.learn` with
+`Scheme.schedule`, inside the guard. No scheme is written again for the export.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..learning.machine import Actuator
+from ..learning.over_trials import check_length
+from ..learning.playback import unit_of
+from ..native.program import Program, read
+from ..pytree.aliases import Array, Tree
+from ..pytree.named_paths import named_leaves
+from ..schemes import Scheme
+from ..schemes.parts import with_all_parts
+from ..signals.task import Sample, Task, Trial
+from . import guard
+from .interpreter import interpret
+from .steps import program_of
+
+
+class Within(NamedTuple):
+    """What is known within a trial.
+
+    scheme: state of the scheme
+    v: state of the actuator [unit of u]
+    u: the last input as it was applied [unit of u]
+    y: the last finite output [unit of y]
+    """
+
+    scheme: Tree
+    v: Array
+    u: Array
+    y: Array
+
+
+class Record(NamedTuple):
+    """The record of the trial that runs.
+
+    y: (N+1, n_y) output as the law saw it [unit of y]
+    u: (N, n_u) input as it was applied [unit of u]
+    signals: signals of the scheme that its learning reads, each with N rows
+    """
+
+    y: Array
+    u: Array
+    signals: dict[str, Array]
+
+
+class Known(NamedTuple):
+    """All that a law keeps in RAM.
+
+    memory: what was learned
+    schedule: what is played in this trial
+    good: memory and schedule of the last trial that was not refused
+    within, record: of the trial that runs
+    seen: what the guard remembers
+    """
+
+    memory: Tree
+    schedule: Tree
+    good: tuple[Tree, Tree]
+    within: Within
+    record: Record
+    seen: guard.Seen
+
+
+class Field(NamedTuple):
+    """An array that a law keeps.
+
+    first: its value before the first trial
+    unit: its unit, empty where it has none
+    """
+
+    first: np.ndarray
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Function:
+    """A function of a law.
+
+    name: begin, sample or end
+    program: its steps
+    ins, outs: names of its operands and results: fields, or `k`, `y`, `u` and `code`
+    """
+
+    name: str
+    program: Program
+    ins: tuple[str, ...]
+    outs: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Law:
+    """A law as it is exported.
+
+    scheme, task: what it was traced from; the scheme is prepared for the task
+    fields: by name, what it keeps
+    functions: begin, sample and end
+    limit: (n_u,) largest |u| that it plays
+    guarded: whether the guard is in it; without it, it is that of the scheme alone
+    """
+
+    scheme: Scheme
+    task: Task
+    fields: Mapping[str, Field]
+    functions: Sequence[Function]
+    limit: np.ndarray
+    guarded: bool = True
+
+    def played(self, real: Any = np.float64) -> Played:
+        """The law as the interpreter plays it, before its first trial."""
+        return Played(self, real)
+
+
+def law_of(
+    scheme: Scheme,
+    task: Task,
+    limit: Any,
+    *,
+    actuator: Actuator | None = None,
+    correction: float | None = None,
+    memory: Tree = None,
+    guarded: bool = True,
+) -> Law:
+    """The law of a scheme, fresh or in the state that a campaign has reached.
+
+    limit: () or (n_u,) largest |u| that is played [unit of u]
+    correction: largest distance of a learned reference from the task's [unit of y]
+    memory: what was learned; None: nothing yet
+    Raises ValueError where scheme and task do not fit, and Unknown for what cannot be exported.
+    """
+    check_length(task, scheme)
+    scheme.check(task)
+    limit = np.broadcast_to(np.asarray(limit, float), (task.inputs,))
+    ready = scheme.prepared(task)
+    tracer = _Tracer(ready, task, jnp.asarray(limit), actuator, correction, guarded)
+    known = tracer.first(memory)
+    signals = _signals_that_are_read(tracer, known)
+    known = known._replace(record=known.record._replace(signals=signals))
+    fields = {
+        name: Field(np.asarray(value), _unit(name, task))
+        for name, value in named_leaves(known).items()
+    }
+    k, y = jnp.int32(0), jnp.zeros(task.outputs)
+    functions = [
+        _function("begin", tracer.begin, known, {}),
+        _function("sample", tracer.sample, known, {"k": k, "y": y}),
+        _function("end", tracer.end, known, {"y": y}),
+    ]
+    return Law(ready, task, fields, functions, limit, guarded)
+
+
+def _function(name: str, function: Callable[..., Any], known: Known,
+              given: dict[str, Array]) -> Function:  # fmt: skip
+    """A function of what is known, with only the operands that it reads and what it changes."""
+    program = program_of(function, known, *given.values())
+    ins = [*named_leaves(known), *given]
+    result = jax.eval_shape(function, known, *given.values())
+    outs = [*named_leaves(result[0]), *result[1]]
+    same = [x in program.ins and ins[program.ins.index(x)] == to
+            for x, to in zip(program.outs, outs, strict=True)]  # fmt: skip
+    changed = [not one for one in same]
+    kept = Program(program.ins, program.steps,
+                   [x for x, c in zip(program.outs, changed, strict=True) if c])  # fmt: skip
+    live = read(kept)
+    kept = Program([x for x, r in zip(kept.ins, live, strict=True) if r], kept.steps, kept.outs)
+    return Function(
+        name,
+        kept,
+        tuple(x for x, r in zip(ins, live, strict=True) if r),
+        tuple(x for x, c in zip(outs, changed, strict=True) if c),
+    )
+
+
+class _Tracer(NamedTuple):
+    """The functions of a law, to be traced."""
+
+    scheme: Scheme
+    task: Task
+    limit: Array
+    actuator: Actuator | None
+    correction: float | None
+    guarded: bool
+
+    def first(self, memory: Tree) -> Known:
+        scheme, task = self.scheme, self.task
+        memory = scheme.initial_memory(task) if memory is None else memory
+        schedule = scheme.schedule(memory, task)
+        within = self.at_rest()
+        signals = {name: jnp.zeros((task.N, *jnp.shape(x)))
+                   for name, x in scheme.signals(within.scheme).items()}  # fmt: skip
+        record = Record(jnp.zeros((task.N + 1, task.outputs)), jnp.zeros((task.N, task.inputs)),
+                        signals)  # fmt: skip
+        seen = guard.nothing_seen(scheme, task, schedule)
+        known = Known(memory, schedule, (memory, schedule), within, record, seen)
+        return jax.tree.map(jnp.asarray, known)
+
+    def at_rest(self) -> Within:
+        rest = jnp.zeros(self.task.inputs)
+        return Within(
+            self.scheme.initial_state(self.task), rest, rest, jnp.zeros(self.task.outputs)
+        )
+
+    def begin(self, known: Known) -> tuple[Known, dict[str, Array]]:
+        seen = known.seen._replace(fine=jnp.asarray(True))
+        return known._replace(within=self.at_rest(), seen=seen), {}
+
+    def sample(self, known: Known, k: Array, y: Array) -> tuple[Known, dict[str, Array]]:
+        scheme, r, (state, v, u_last, y_last) = self.scheme, self.task.reference, known.within
+        measured, fine = guard.output(y, y_last) if self.guarded else (y, jnp.asarray(True))
+        future = jnp.pad(jnp.asarray(r)[1:], ((0, scheme.preview - 1), (0, 0)), mode="edge")
+        ahead = _rows(future, k, scheme.preview)
+        row = jax.tree.map(lambda rows: _rows(rows, k, 1)[0], known.schedule)
+        seen = Sample(_rows(jnp.asarray(r), k, 1)[0], ahead, measured, row, self.task.dt,
+                      u_last if self.actuator is not None else None)  # fmt: skip
+        state, u = scheme.act(state, seen)
+        if self.actuator is not None:
+            v, u = self.actuator.apply(u, v, self.task.dt)
+        if self.guarded:
+            u, finite = guard.applied(u, u_last, self.limit)
+            v, fine = jnp.where(jnp.isfinite(v), v, u), fine & finite
+        signals = scheme.signals(state)
+        record = jax.tree.map(
+            lambda rows, now: lax.dynamic_update_slice_in_dim(
+                rows, jnp.reshape(now, (1, *rows.shape[1:])), k, 0, allow_negative_indices=False
+            ),
+            known.record,
+            Record(measured, u, {name: signals[name] for name in known.record.signals}),
+        )
+        remembered = known.seen._replace(fine=known.seen.fine & fine)
+        within = Within(state, v, u, measured)
+        return known._replace(within=within, record=record, seen=remembered), {"u": u}
+
+    def end(self, known: Known, y: Array) -> tuple[Known, dict[str, Array]]:
+        scheme, task, seen = self.scheme, self.task, known.seen
+        measured, fine = guard.output(y, known.within.y) if self.guarded else (y, seen.fine)
+        rows = jnp.concatenate([known.record.y[:-1], measured[None]])
+        record = known.record
+        trial = Trial(jnp.asarray(task.reference), rows, record.u, task.dt, record.signals)
+        learned = scheme.learn(known.memory, trial)
+        schedule = scheme.schedule(learned, task)
+        new, now = (learned, schedule), (known.memory, known.schedule)
+        if not self.guarded:
+            known = known._replace(memory=learned, schedule=schedule)
+            return known, {"code": jnp.int32(0)}
+        seen = seen._replace(fine=seen.fine & fine)
+        code, seen = guard.of_trial(scheme, task, seen, known.schedule, trial)
+        inside = guard.of_next(scheme, task, seen, learned, schedule, self.limit, self.correction)
+        good = code == 0
+        code = jnp.where(good & ~inside, 4, code).astype(jnp.int32)
+
+        def chosen(new: Array, now: Array, before: Array) -> Array:
+            """What follows: what was learned, or what was played, or what was good before that."""
+            return jnp.where(good, jnp.where(inside, new, now), before)
+
+        memory, schedule = jax.tree.map(chosen, new, now, known.good)
+        kept = jax.tree.map(lambda now, before: jnp.where(good, now, before), now, known.good)
+        seen = seen._replace(learned=seen.learned + jnp.where(code == 0, 1.0, 0.0))
+        known = known._replace(memory=memory, schedule=schedule, good=kept, seen=seen)
+        return known, {"code": code}
+
+
+def _rows(rows: Array, k: Array, count: int) -> Array:
+    return lax.dynamic_slice_in_dim(rows, k, count, allow_negative_indices=False)
+
+
+def _signals_that_are_read(tracer: _Tracer, known: Known) -> dict[str, Array]:
+    """The signals of the scheme that its learning needs."""
+    program = program_of(lambda record: tracer.end(known._replace(record=record),
+                                                   known.within.y), known.record)  # fmt: skip
+    live = dict(zip(named_leaves(known.record), read(program), strict=True))
+    kept = {name: x for name, x in known.record.signals.items() if live[f"signals.{name}"]}
+    return kept
+
+
+def _unit(name: str, task: Task) -> str:
+    last = name.split(".")[-1].split("[")[0]
+    if name == "seen.best":
+        return task.unit
+    return unit_of(last, task) if last in ("r", "y", "u", "v", "reference", "u_last") else ""
+
+
+def said_of_scheme(scheme: Scheme, task: Task) -> list[tuple[str, str]]:
+    """The class of each part of a scheme, and its docstring, which has the equations."""
+    found: dict[str, str] = {}
+    for part in with_all_parts(scheme, task):
+        cls = type(part.scheme)
+        found[cls.__name__] = inspect.cleandoc(cls.__doc__ or "")
+    return list(found.items())
+
+
+class Played:
+    """A law that the interpreter carries out, operation by operation."""
+
+    def __init__(self, law: Law, real: Any = np.float64):
+        self.law, self.real = law, np.dtype(real)
+        self.known: dict[str, Any] = {name: self._real(f.first) for name, f in law.fields.items()}
+
+    def _real(self, x: Any) -> np.ndarray:
+        x = np.asarray(x)
+        return x.astype(self.real) if x.dtype.kind == "f" else x
+
+    def call(self, name: str, **given: Any) -> dict[str, Any]:
+        """Carry out a function; the results that are no fields are returned."""
+        function = next(one for one in self.law.functions if one.name == name)
+        values = self.known | {key: self._real(value) for key, value in given.items()}
+        found = interpret(function.program, [values[key] for key in function.ins], self.real)
+        results = dict(zip(function.outs, found, strict=True))
+        self.known |= {key: results.pop(key) for key in list(results) if key in self.known}
+        return results
+
+    def trial(self, y: Any) -> tuple[np.ndarray, int]:
+        """The inputs (N, n_u) that answer the outputs (N+1, n_y) of a trial, and its code."""
+        self.call("begin")
+        rows = [self.call("sample", k=np.int32(k), y=y[k])["u"] for k in range(len(y) - 1)]
+        return np.array(rows), int(self.call("end", y=y[-1])["code"])

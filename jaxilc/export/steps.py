@@ -1,0 +1,520 @@
+"""From a function to the steps that every printer knows: the intermediate form of the export.
+
+A function is traced with fixed sizes and lowered by `native.program`. What remains is written by
+the operations of `operations`: steps on constants are carried out, complex numbers become pairs of
+real ones, and transforms, solutions of linear equations and convolutions become loops of sums.
+What cannot be written so is refused by name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..native.program import Const, Program, Step, Unknown, Value, lowered, without_dead
+from ..pytree.aliases import Array, Tree
+from . import operations
+from .interpreter import carried_out
+
+MOST = 64  # rows that are picked one by one
+LARGEST_DENSE = 16  # prime factor of the length of a transform up to which its matrix is stored
+# why a step that remains is refused
+REASONS = {
+    "random_bits": "the law draws random numbers, which a controller cannot repeat",
+    "sort": "the law sorts its samples, which takes a time that is not known beforehand",
+    "eigh": "the law needs eigenvalues of a matrix that is known only while it runs",
+}
+
+
+class Key(Const):
+    """A random key that is known beforehand."""
+
+    def __init__(self, array: Any):
+        self.array = array
+        Value.__init__(self, array.shape, array.dtype)
+
+
+class Pair(NamedTuple):
+    """A complex array as two real ones."""
+
+    re: Value
+    im: Value
+
+
+def program_of(function: Callable[..., Tree], *operands: Tree) -> Program:
+    """The steps of a function of trees of arrays, flattened; raises Unknown for what is refused."""
+    traced = jax.make_jaxpr(function)(*operands)
+    if any(map(_is_key, traced.consts)):
+        raise Unknown(REASONS["random_bits"])
+    return without_dead(_written(lowered(traced.jaxpr, traced.consts)))
+
+
+def _written(program: Program) -> Program:
+    writer = _Writer()
+    outs = writer.all(program)
+    return Program(program.ins, writer.steps, outs)
+
+
+class _Writer:
+    """Steps as they are written by known operations; `now` is what stands for a value."""
+
+    def __init__(self) -> None:
+        self.steps: list[Step] = []
+        self.now: dict[Value, Any] = {}
+
+    def all(self, program: Program) -> list[Any]:
+        for step in program.steps:
+            ins = [self.value(x) for x in step.ins]
+            self.now.update(zip(step.outs, self.one(step, ins), strict=True))
+        return [self.value(x) for x in program.outs]
+
+    def value(self, x: Any) -> Any:
+        x = self.now.get(x, x)
+        if isinstance(x, Const) and _complex(x):
+            return Pair(Const(np.real(x.array)), Const(np.imag(x.array)))
+        return x
+
+    def one(self, step: Step, ins: list[Any]) -> Sequence[Any]:
+        """What stands for the results of a step on these operands."""
+        name = step.name
+        if all(_is_known(x) for x in ins) and name not in ("scan", "while"):
+            return self.constant(step, ins)
+        if any(isinstance(x, Pair) for x in ins) or any(_complex(x) for x in step.outs):
+            if name == "scan" and all(_is_known(x) for x in ins):
+                return self.constant(step, ins)
+            if name not in COMPLEX:
+                raise Unknown(f"{name} of complex numbers")
+            return COMPLEX[name](self, step, ins)
+        if name == "platform_index":
+            return [Const(np.int32(0))]
+        if name == "select_n" and isinstance(ins[0], Const) and uniform(ins[0].array):
+            return [self.kept(ins[1 + int(np.ravel(ins[0].array)[0])], step.outs[0])]
+        if name in REWRITTEN:
+            return self.traced(partial(REWRITTEN[name], step), ins)
+        if name in ("gather", "scatter", "scatter-add"):
+            return self.moved(step, ins)
+        if name == "scan":
+            params = step.params | {"body": _written(step.params["body"])}
+            if all(_is_known(x) for x in ins):
+                return self.constant(Step("scan", params, ins, step.outs), ins)
+            return self.added("scan", params, ins, step.outs)
+        if name == "while":
+            return self.loop(step, ins)
+        if not operations.known(name):
+            kind = "random_bits" if name.startswith("random") else name
+            raise Unknown(REASONS.get(kind, f"the operation {name} is not among the known ones"))
+        return self.added(name, step.params, ins, step.outs)
+
+    def added(self, name: str, params: dict, ins: list, outs: Sequence[Value]) -> list[Value]:
+        new = [Value(x.shape, x.dtype) for x in outs]
+        self.steps.append(Step(name, params, ins, new))
+        return new
+
+    def kept(self, x: Any, out: Value) -> Any:
+        """The operand that was selected, in the shape of the result."""
+        return x if x.shape == out.shape else self.traced(
+            lambda x: jnp.broadcast_to(x, out.shape), [x])[0]  # fmt: skip
+
+    def traced(self, function: Callable[..., Tree], ins: list[Any]) -> list[Any]:
+        """What stands for the results of a function of JAX on these operands; constants stay so."""
+        free = [i for i, x in enumerate(ins) if not isinstance(x, Const)]
+
+        def of_free(*values: Array) -> list[Array]:
+            given = dict(zip(free, values, strict=True))
+            return jax.tree.leaves(
+                function(*(given.get(i, getattr(x, "array", None)) for i, x in enumerate(ins)))
+            )
+
+        shapes = [jax.ShapeDtypeStruct(ins[i].shape, ins[i].dtype) for i in free]
+        jaxpr = jax.make_jaxpr(of_free)(*shapes)
+        inner = lowered(jaxpr.jaxpr, jaxpr.consts)
+        self.now.update(zip(inner.ins, [ins[i] for i in free], strict=True))
+        return self.all(inner)
+
+    def constant(self, step: Step, ins: list[Any]) -> list[Const]:
+        """The results of a step of which all operands are known, by JAX if need be."""
+        arrays = [x.re.array + 1j * x.im.array if isinstance(x, Pair) else x.array for x in ins]
+        special = any(isinstance(x, Pair) or _is_key(x) for x in ins)
+        real = not special and not any(_complex(x) or _is_key(x) for x in step.outs)
+        if operations.known(step.name) and real:
+            with suppress(Unknown):  # numbers of a type that only constants have
+                return [Const(x) for x in carried_out(step, [np.asarray(x) for x in arrays])]
+        if step.name == "scan":
+            return [Const(np.asarray(x)) for x in _scanned(step, arrays)]
+        found = step.primitive.bind(*map(jnp.asarray, arrays), **step.params)
+        found = found if step.primitive.multiple_results else [found]
+        return [Key(x) if _is_key(x) else Const(np.asarray(x)) for x in found]
+
+    def moved(self, step: Step, ins: list[Any]) -> list[Value]:
+        """A step that moves numbers to places: a table where these are known, else one row."""
+        places = ins[1]
+        if not isinstance(places, Const):
+            return self.traced(partial(_at_place, step), ins)
+        table = np.arange(ins[0].size if hasattr(ins[0], "size") else math.prod(ins[0].shape))
+        table = table.reshape(ins[0].shape)
+        where, params = jnp.asarray(places.array), dict(step.params)
+        if step.name == "gather":
+            if "fill_value" in params:
+                params["fill_value"] = -1
+            found = np.asarray(step.primitive.bind(jnp.asarray(table), where, **params))
+            if found.size and found.min() < 0:
+                raise Unknown("gather beyond the end")
+            return self.added("take", {"table": found}, [ins[0]], step.outs)
+        count = math.prod(ins[2].shape)
+        of_updates = jnp.arange(table.size, table.size + count).reshape(ins[2].shape)
+        put = dict(params) | {"update_jaxpr": None, "update_consts": ()}
+        found = np.asarray(lax.scatter_p.bind(jnp.asarray(table), where, of_updates, **put))
+        if np.setdiff1d(np.asarray(of_updates), found).size:
+            raise Unknown(f"{step.name} to one place more than once")
+        dtype = ins[0].dtype
+
+        def flat(*arrays: Array) -> Array:
+            return jnp.concatenate([jnp.ravel(x) for x in arrays])
+
+        if step.name == "scatter":
+            joined = self.traced(flat, [ins[0], ins[2]])
+            return self.added("take", {"table": found}, joined, step.outs)
+        zeros = Const(np.zeros(table.size, dtype))
+        joined = self.traced(flat, [zeros, ins[2]])
+        there = Value(table.shape, dtype)
+        (more,) = self.added("take", {"table": found}, joined, [there])
+        return self.traced(jnp.add, [ins[0], more])
+
+    def loop(self, step: Step, ins: list[Any]) -> list[Value]:
+        """A loop with a condition, which must count up to a bound."""
+        params = step.params
+        n, m = params["cond_nconsts"], params["body_nconsts"]
+        condition, body = (
+            without_dead(_written(lowered(params[key].jaxpr, params[key].consts)))
+            for key in ("cond_jaxpr", "body_jaxpr")
+        )
+        bound = _bound(condition, body, ins[n + m :], n, m)
+        of = {"condition": condition, "body": body, "bound": bound, "of_condition": n}
+        return self.added("while", of | {"of_body": m}, ins, step.outs)
+
+
+def _scanned(step: Step, arrays: list[Any]) -> list[Array]:
+    """The results of a loop on constants, by JAX."""
+    of, inner = step.params, step.params["jaxpr"]
+    n, m = of["consts"], of["consts"] + of["carry"]
+
+    def body(carry: list[Array], rows: list[Array]) -> tuple[list[Array], list[Array]]:
+        outs = jax.core.eval_jaxpr(inner.jaxpr, inner.consts, *arrays[:n], *carry, *rows)
+        return outs[: of["carry"]], outs[of["carry"] :]
+
+    rows = list(map(jnp.asarray, arrays[m:]))
+    carry, kept = lax.scan(body, list(map(jnp.asarray, arrays[n:m])), rows, length=of["length"],
+                           reverse=of["reverse"])  # fmt: skip
+    return [*carry, *kept]
+
+
+def uniform(array: Any) -> bool:
+    """Whether all elements of an array are one number, to the last bit."""
+    flat = np.ravel(array)
+    return bool(len(flat)) and flat.tobytes() == flat[:1].tobytes() * len(flat)
+
+
+def _is_known(x: Any) -> bool:
+    return all(isinstance(part, Const) for part in (x if isinstance(x, Pair) else [x]))
+
+
+def _complex(x: Value) -> bool:
+    return not _is_key(x) and np.issubdtype(np.dtype(x.dtype), np.complexfloating)
+
+
+def _is_key(x: Any) -> bool:
+    return bool(jax.dtypes.issubdtype(x.dtype, jax.dtypes.extended))
+
+
+def _bound(condition: Program, body: Program, first: list[Any], n: int, m: int) -> int:
+    """The passes that a loop makes at most: the body counts up, or halves, to a constant.
+
+    first: what the carried values are before the loop
+    Raises Unknown where the condition has no such comparison.
+    """
+    made = {step.outs[0]: step for step in condition.steps}
+    turned = {step.outs[0]: step for step in body.steps}
+    todo = [condition.outs[0]]
+    while todo:
+        step = made.get(todo.pop())
+        if step is None:
+            continue
+        if step.name == "and":
+            todo += step.ins
+        if step.name not in ("lt", "gt") or step.ins[0] not in condition.ins:
+            continue
+        i = condition.ins.index(step.ins[0]) - n
+        one = turned.get(body.outs[i]) if i >= 0 else None
+        if one is None or body.ins[m + i] != one.ins[0] or not isinstance(step.ins[1], Const):
+            continue
+        by, last, start = one.ins[-1], float(step.ins[1].array), first[i]
+        by = float(by.array) if isinstance(by, Const) else 0.0
+        start = float(start.array) if isinstance(start, Const) else None
+        if (step.name, one.name, by) == ("lt", "add", 1.0) and start is not None:
+            return max(0, math.ceil(last - start))
+        halves = (one.name, by) in (("div", 2.0), ("mul", 0.5))
+        if step.name == "gt" and halves and start is not None and last > 0:
+            return math.ceil(math.log2(start / last)) + 1
+    raise Unknown("the law has a loop of which nobody knows how long it takes")
+
+
+# What is written by other operations
+# --------------------------------------------------------------------------------------------------
+
+
+def _convolved(step: Step, x: Array, kernel: Array) -> Array:
+    """A convolution of rows (batch, channels, samples) as a sum of shifted rows."""
+    of = step.params
+    numbers = of["dimension_numbers"]
+    plain = all(s == tuple(range(3)) for s in numbers) and kernel.shape[:2] == (1, 1)
+    ones = ("window_strides", "lhs_dilation", "rhs_dilation")
+    if not plain or x.shape[1] != 1 or any(tuple(of[name]) != (1,) for name in ones):
+        raise Unknown("a convolution of several channels")
+    x = jnp.pad(x, ((0, 0), (0, 0), of["padding"][0]))
+    taps = kernel.shape[-1]
+    rows = x.shape[-1] - taps + 1
+
+    def add(total: Array, i: Array) -> tuple[Array, None]:
+        part = lax.dynamic_slice_in_dim(x, i, rows, axis=2, allow_negative_indices=False)
+        tap = lax.dynamic_slice_in_dim(kernel, i, 1, axis=2, allow_negative_indices=False)
+        return total + tap * part, None
+
+    shape = (*x.shape[:2], rows)
+    return lax.scan(add, jnp.zeros(shape, x.dtype), jnp.arange(taps, dtype=jnp.int32))[0]
+
+
+def _by_columns(step: Step, matrix: Array, vector: Array) -> Array:
+    return jnp.matmul(matrix, vector[..., None])[..., 0]
+
+
+def _at_place(step: Step, *given: Array) -> Array:
+    """One row read from, or written to, a place that is known while the law runs."""
+    numbers, operand, places = step.params["dimension_numbers"], given[0], given[1]
+    shape, sizes = step.outs[0].shape, step.params.get("slice_sizes", ())
+    take = partial(lax.dynamic_slice, allow_negative_indices=False)
+    if step.name == "gather" and not numbers.operand_batching_dims:
+        if len(numbers.start_index_map) == operand.ndim and places.ndim == 1:
+            where: list[Any] = [0 * places[0]] * operand.ndim
+            for i, axis in enumerate(numbers.start_index_map):
+                where[axis] = places[i]
+            return take(operand, where, sizes).reshape(shape)
+        (axis, *others), rows = numbers.start_index_map, places.reshape(-1)
+        whole = all(n == m for i, (n, m) in enumerate(zip(sizes, operand.shape, strict=True))
+                    if i != axis)  # fmt: skip
+        if not others and whole and sizes[axis] == 1 and places.ndim == 2 and len(rows) <= MOST:
+            at = [[rows[k] if i == axis else 0 * rows[k] for i in range(operand.ndim)]
+                  for k in range(len(rows))]  # fmt: skip
+            found = jnp.concatenate([take(operand, one, sizes) for one in at], axis=axis)
+            (batch,) = set(range(len(shape))) - set(map(int, numbers.offset_dims))
+            kept = int(axis) in map(int, numbers.collapsed_slice_dims)
+            return jnp.moveaxis(found, axis, batch) if kept else found.reshape(shape)
+    raise Unknown(f"{step.name} at several places that are found while it runs")
+
+
+def _triangular_solve(step: Step, a: Array, b: Array) -> Array:
+    """The solution of a triangular set of equations, one unknown after another."""
+    of, n = step.params, a.shape[-1]
+    if a.ndim > 2:
+        return jax.vmap(partial(_triangular_solve, step))(a, b)
+    if not of["left_side"]:
+        raise Unknown("equations with the unknown on the left")
+    a = a.T if of["transpose_a"] else a
+    lower = of["lower"] != of["transpose_a"]
+    places = np.arange(n, dtype=np.int32) if lower else np.arange(n - 1, -1, -1, dtype=np.int32)
+    diagonal = jnp.ones(n, a.dtype) if of["unit_diagonal"] else jnp.diagonal(a)
+    off = jnp.where(np.tri(n, k=-1, dtype=bool) if lower else ~np.tri(n, dtype=bool), a, 0.0)
+
+    def unknown(x: Array, now: Tree) -> tuple[Array, None]:
+        i, row, scale, right = now
+        found = (right - row @ x) / scale
+        return lax.dynamic_update_slice(x, found[None], (i, jnp.int32(0))), None
+
+    rows = (jnp.asarray(places), off[places], diagonal[places], b[places])
+    return lax.scan(unknown, jnp.zeros(b.shape, b.dtype), rows)[0]
+
+
+def _lu(step: Step, a: Array) -> tuple[Array, Array, Array]:
+    """Elimination with the largest pivot of each column (Golub and Van Loan, algorithm 3.4.1)."""
+    n = a.shape[-1]
+    if a.ndim > 2:
+        return jax.vmap(partial(_lu, step))(a)
+    if a.shape[0] != n:
+        raise Unknown("an elimination of a matrix that is not square")
+    order, pivots = jnp.arange(n, dtype=jnp.int32), []
+    count = np.arange(n)
+    for k in range(n - 1):
+        size = jnp.where(count < k, -1.0, jnp.abs(a[:, k]))
+        best = jnp.int32(k)
+        most = size[k]
+        for i in range(k + 1, n):
+            best = jnp.where(size[i] > most, jnp.int32(i), best)
+            most = jnp.maximum(most, size[i])
+        pivots.append(best)
+        here, other = count == k, count == best
+        row_k = a[k]
+        row_p = jnp.sum(jnp.where(other[:, None], a, 0.0), axis=0)
+        a = jnp.where(here[:, None], row_p, jnp.where(other[:, None], row_k, a))
+        kept_k, kept_p = order[k], jnp.sum(jnp.where(other, order, 0))
+        order = jnp.where(here, kept_p, jnp.where(other, kept_k, order)).astype(jnp.int32)
+        factor = jnp.where(count > k, a[:, k] / a[k, k], 0.0)
+        below = a - factor[:, None] * jnp.where(count >= k, a[k], 0.0)
+        a = jnp.where((count > k)[:, None] & (count == k)[None, :], factor[:, None], below)
+    pivots.append(jnp.int32(n - 1))
+    return a, jnp.stack(pivots), order
+
+
+def _linear_solve(step: Step, *given: Array) -> Any:
+    lengths, solve = step.params["const_lengths"], step.params["jaxprs"].solve
+    start = lengths.matvec + lengths.vecmat
+    consts = given[start : start + lengths.solve]
+    right = given[sum(lengths) :]
+    return jax.core.eval_jaxpr(solve.jaxpr, solve.consts, *consts, *right)
+
+
+def _mean_of_log_odds(step: Step, x: Array) -> Array:
+    return 1 / (1 + jnp.exp(-x))
+
+
+REWRITTEN: dict[str, Callable[..., Any]] = {
+    "conv_general_dilated": _convolved,
+    "by_columns": _by_columns,
+    "unstack": lambda step, x: [
+        jnp.squeeze(part, step.params["axis"])
+        for part in jnp.split(x, x.shape[step.params["axis"]], step.params["axis"])
+    ],
+    "triangular_solve": _triangular_solve,
+    "lu": _lu,
+    "custom_linear_solve": _linear_solve,
+    "logistic": _mean_of_log_odds,
+}
+
+
+# Complex numbers
+# --------------------------------------------------------------------------------------------------
+
+
+def dft(re: Array, im: Array, sign: float) -> tuple[Array, Array]:
+    """The discrete Fourier transform along the last axis, by factors (Cooley and Tukey 1965).
+
+        X[k + m s] = sum_q w_p^(q s) w_n^(q k) Y_q[k],    w_n = exp(sign 2 pi i / n), n = p m
+
+    where Y_q is the transform of every p-th sample from q on.
+    """
+    n = re.shape[-1]
+    if n == 1:
+        return re, im
+    p = next(d for d in range(2, n + 1) if n % d == 0)
+    m = n // p
+    re, im = (jnp.moveaxis(x.reshape(*x.shape[:-1], m, p), -1, -2) for x in (re, im))
+    re, im = dft(re, im, sign)
+    turn = sign * 2 * np.pi * np.outer(np.arange(p), np.arange(m)) / n
+    re, im = np.cos(turn) * re - np.sin(turn) * im, np.cos(turn) * im + np.sin(turn) * re
+    powers = np.outer(np.arange(p), np.arange(p)) % p
+    c, s = np.cos(sign * 2 * np.pi * np.arange(p) / p), np.sin(sign * 2 * np.pi * np.arange(p) / p)
+    if p <= LARGEST_DENSE:
+        c, s = c[powers], s[powers]
+        re, im = (jnp.matmul(c, re) - jnp.matmul(s, im), jnp.matmul(c, im) + jnp.matmul(s, re))
+        return re.reshape(*re.shape[:-2], n), im.reshape(*im.shape[:-2], n)
+    twice = np.concatenate([c, c]), np.concatenate([s, s])
+
+    def row(carry: None, places: Array) -> tuple[None, tuple[Array, Array]]:
+        """One frequency of a long prime factor, with w from a table."""
+
+        def add(total: Tree, now: Tree) -> tuple[Tree, None]:
+            at, x, y = now
+            a, b = (lax.dynamic_slice(jnp.asarray(t), (at,), (1,), allow_negative_indices=False)
+                    for t in twice)  # fmt: skip
+            return (total[0] + (a * x - b * y), total[1] + (a * y + b * x)), None
+
+        rows = places, jnp.moveaxis(re, -2, 0), jnp.moveaxis(im, -2, 0)
+        zero = jnp.zeros((*re.shape[:-2], m), re.dtype)
+        return carry, lax.scan(add, (zero, zero), rows)[0]
+
+    found = lax.scan(row, None, jnp.asarray(powers, jnp.int32))[1]
+    re, im = (jnp.moveaxis(x, 0, -2) for x in found)
+    return re.reshape(*re.shape[:-2], n), im.reshape(*im.shape[:-2], n)
+
+
+def _fft(writer: _Writer, step: Step, ins: list[Any]) -> list[Any]:
+    kind, lengths = str(step.params["fft_type"]).rpartition(".")[2], step.params["fft_lengths"]
+    kind = {"0": "FFT", "1": "IFFT", "2": "RFFT", "3": "IRFFT"}.get(kind, kind)
+    if len(lengths) != 1:
+        raise Unknown("a transform along several axes")
+    n = lengths[0]
+
+    def of_real(x: Array) -> tuple[Array, ...]:
+        re, im = dft(x, jnp.zeros_like(x), -1.0)
+        return re[..., : n // 2 + 1], im[..., : n // 2 + 1]
+
+    def to_real(re: Array, im: Array) -> Array:
+        rest = slice((n - 1) // 2, 0, -1)
+        im = im.at[..., 0].set(0.0) if n % 2 else im.at[..., np.array([0, n // 2])].set(0.0)
+        re = jnp.concatenate([re, re[..., rest]], axis=-1)
+        im = jnp.concatenate([im, -im[..., rest]], axis=-1)
+        return dft(re, im, 1.0)[0] / n
+
+    if kind == "RFFT":
+        return [Pair(*writer.traced(of_real, ins))]
+    if kind == "IRFFT":
+        return writer.traced(to_real, list(ins[0]))
+    scale = 1.0 if kind == "FFT" else 1.0 / n
+    both = partial(dft, sign=-1.0 if kind == "FFT" else 1.0)
+    return [Pair(*writer.traced(lambda x, y: [scale * z for z in both(x, y)], list(ins[0])))]
+
+
+def _as_pair(x: Any) -> Pair:
+    return x if isinstance(x, Pair) else Pair(x, Const(np.zeros(x.shape)))
+
+
+def _of_pairs(function: Callable[..., Any]) -> Callable[..., list[Any]]:
+    """A step on complex numbers as a function of the real and imaginary parts of its operands."""
+
+    def write(writer: _Writer, step: Step, ins: list[Any]) -> list[Any]:
+        parts = [part for x in ins for part in _as_pair(x)]
+        found = writer.traced(function, parts)
+        return [Pair(*found)] if len(found) == 2 else found
+
+    return write
+
+
+def _by_parts(writer: _Writer, step: Step, ins: list[Any]) -> list[Any]:
+    """A step that only moves numbers, on real and imaginary parts."""
+    found = []
+    for parts in zip(*map(_as_pair, ins), strict=True):
+        moved = lambda *x: step.primitive.bind(*map(jnp.asarray, x), **step.params)  # noqa: E731
+        found += writer.traced(moved, list(parts))
+    return [Pair(*found)]
+
+
+def _divided(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array]:
+    size = c * c + d * d
+    return (a * c + b * d) / size, (b * c - a * d) / size
+
+
+COMPLEX: dict[str, Callable[..., list[Any]]] = {
+    "fft": _fft,
+    "mul": _of_pairs(lambda a, b, c, d: (a * c - b * d, a * d + b * c)),
+    "add": _of_pairs(lambda a, b, c, d: (a + c, b + d)),
+    "sub": _of_pairs(lambda a, b, c, d: (a - c, b - d)),
+    "div": _of_pairs(_divided),
+    "conj": _of_pairs(lambda a, b: (a, -b)),
+    "real": _of_pairs(lambda a, b: (a,)),
+    "imag": _of_pairs(lambda a, b: (b,)),
+    "complex": _of_pairs(lambda a, b, c, d: (a, c)),
+    "convert_element_type": _of_pairs(lambda a, b: (a * 1.0, b * 1.0)),
+    "abs": _of_pairs(lambda a, b: (jnp.sqrt(a * a + b * b),)),
+    **dict.fromkeys(
+        ("transpose", "reshape", "squeeze", "expand_dims", "slice", "pad", "rev", "concatenate",
+         "broadcast_in_dim"),
+        _by_parts,
+    ),
+}  # fmt: skip

@@ -1,0 +1,225 @@
+"""`export`: a law as a program for a controller, with its certificate; and the proof of both."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..pytree.named_paths import named_leaves
+from ..storage.files import atomically
+from ..storage.sealed import as_json, write_json
+from .certifying import certificate_numbers, certificate_sentence, reason_lines
+from .outcome import Outcome, Progress, silent
+from .request import Request
+from .verdict import Verdict
+
+if TYPE_CHECKING:
+    from ..export.law import Law
+    from ..scenarios import Scenario
+
+FORMATS = ("c",)
+NUMBERS = ("double", "float")
+TESTED = 4  # trials of the test program, the last one with an output that is not a number
+
+
+def export(
+    request: Request | str | None = None,
+    *,
+    folder: str | Path,
+    format: str = "c",
+    state: str | Path | None = None,
+    limit: float | None = None,
+    number: str = "double",
+    machines: int = 64,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Outcome:
+    """A learning law as a program for a controller, with its test program and its certificate.
+
+    request: scenario or plant file, with one scheme that learns; None for that of the campaign
+    folder: where the files are written
+    format: of `FORMATS`
+    state: folder of a campaign, whose memory the law starts with
+    limit: largest |u| that the law plays; that of the campaign or of the actuator if not given
+    number: of `NUMBERS`
+    machines, seed: of the machines for which the law is certified, as for `Sweep`
+    Raises ValueError naming what is allowed, and what of a law cannot be exported.
+    """
+    from ..export import files_of, law_of
+    from ..export.certificate import CERTIFICATE, certificate_of, digest_of
+    from ..native.program import Unknown
+
+    for name, value, allowed in (("format", format, FORMATS), ("number", number, NUMBERS)):
+        if value not in allowed:
+            raise ValueError(f"--{name} {value} is not known; allowed are {', '.join(allowed)}")
+    chosen, name, memory, kept = _chosen(request, state)
+    scheme, actuator = chosen.schemes[name], chosen.machine.actuator
+    largest = kept.get("limit", getattr(actuator, "limit", None)) if limit is None else limit
+    if largest is None or not np.all(np.asarray(largest) > 0):
+        raise ValueError(
+            f"--limit {limit} is no largest input; allowed are numbers above 0, which the law does "
+            "not exceed, or a limit of the actuator in the plant file"
+        )
+    progress("trace")
+    try:
+        law = law_of(scheme, chosen.task, largest, actuator=actuator, memory=memory,
+                     correction=kept.get("correction"))  # fmt: skip
+    except Unknown as error:
+        raise ValueError(f"{name} cannot be exported: {error}") from None
+    progress("certify")
+    claimed = _claimed(chosen, name, machines, seed)
+    source = kept["source"]
+    claims = as_json(
+        {
+            "scheme": name,
+            "class": type(scheme).__name__,
+            "weights": _weights(scheme),
+            "samples": chosen.task.N,
+            "sample_time": chosen.task.dt,
+            "units": {"y": chosen.task.unit, "u": chosen.task.input_unit},
+            "limit": np.broadcast_to(np.asarray(largest, float), (chosen.task.inputs,)).tolist(),
+            "format": format,
+            "number": number,
+            "trials_of_the_campaign": kept.get("trials", 0),
+            **claimed,
+            "plant_file": _plant_file(source),
+        }
+    )
+    digest = digest_of(claims)
+    progress("print")
+    about = [
+        f"{name}: a learning law of jaxilc, from {Path(source).name}.",
+        *claimed["verdict"],
+        "Weights: " + "; ".join(f"{path} = {value}" for path, value in claims["weights"].items()),
+    ]
+    try:
+        files = files_of(law, about, digest, trials_of_test(law), single=number == "float")
+    except Unknown as error:
+        raise ValueError(f"{name} cannot be exported: {error}") from None
+    whole = certificate_of(claims, files)
+    costs = _costs(law, single=number == "float")
+    return Outcome(
+        command="export",
+        numbers=claims | {"certificate": digest} | costs,
+        verdict=Verdict((
+            f"{name} is a program in C: at most {costs['operations_a_sample']} operations a "
+            f"sample and {costs['operations_between_trials']} between two trials, and "
+            f"{costs['bytes']} bytes of memory.",
+            *claimed["verdict"],
+        ), "prove that the files belong together",
+            f"jaxilc export --check {folder}"),
+        folder=Path(folder),
+        files={file: partial(_write, text) for file, text in files.items()}
+        | {CERTIFICATE: lambda path: write_json(path, whole)},
+    )  # fmt: skip
+
+
+def check_export(folder: str | Path) -> Outcome:
+    """What is claimed of an exported law whose files belong together.
+
+    Raises ValueError naming each file that was changed.
+    """
+    from ..export import check
+
+    claims = check(folder)
+    said = f"{folder}: code, vectors and certificate belong together."
+    verdict = Verdict((said, *claims["verdict"]))
+    return Outcome(command="export", numbers=claims, verdict=verdict)
+
+
+def trials_of_test(law: Law) -> list[np.ndarray]:
+    """The outputs of the trials of the test program: ever nearer to the reference, with noise."""
+    r, draw = np.asarray(law.task.reference), np.random.default_rng(0)
+    noise = 0.01 * (np.ptp(r) or 1.0)
+    trials = [r * (1 - 0.5**j) + noise * draw.normal(size=r.shape) for j in range(TESTED)]
+    trials[-1][len(r) // 2] = np.nan
+    return trials
+
+
+def _chosen(
+    request: Request | str | None, state: str | Path | None
+) -> tuple[Scenario, str, Any, dict[str, Any]]:
+    """The scenario, the name of the scheme, the memory, and what a campaign keeps."""
+    if state is not None:
+        from ..scenarios.campaigns import Given, open_campaign
+
+        opened = open_campaign(Path(state), Given(), new=False)
+        campaign, recipe = opened.campaign, opened.recipe
+        rules = {key: value for key, value in recipe["rules"].items() if value is not None}
+        kept = {"source": recipe["scenario"], "trials": campaign.trials} | rules
+        return opened.scenario, recipe["scheme"], campaign.memory(), kept
+    if request is None:
+        raise ValueError("export needs a scenario or a plant file, or --state of a campaign")
+    asked = Request.of(request)
+    chosen = asked.scenario()
+    learning = [name for name, scheme in chosen.schemes.items() if scheme.learns]
+    if len(learning) != 1:
+        raise ValueError(
+            f"export takes one scheme that learns, named by --scheme; {chosen.name} has "
+            f"{', '.join(learning) or 'none'}"
+        )
+    return chosen, learning[0], None, {"source": asked.source}
+
+
+def _claimed(chosen: Scenario, name: str, machines: int, seed: int) -> dict[str, Any]:
+    """What theory claims of the law, on which machines, and with what margin."""
+    from ..runtime.provenance import describe
+    from ..theory.certificates import certify_schemes
+    from ..uncertainty import draw
+
+    drawn = draw(chosen.machine, chosen.uncertainty, machines, seed=seed)
+    one = certify_schemes(chosen.machine, {name: chosen.schemes[name]}, chosen.task, chosen.trials,
+                          chosen.uncertainty, drawn)[name]  # fmt: skip
+    numbers = certificate_numbers(one) | {"printed": {}}
+    sigma = np.asarray(one.certificate.sigma, float)
+    said = certificate_sentence(name, chosen.trials, numbers, chosen.shown_scale, chosen.shown_unit)
+    return {
+        "verdict": [said],
+        "claims": numbers["claims"],
+        "premises": numbers.get("premises", []),
+        "reasons": reason_lines(name, numbers),
+        "margin": float(1 - np.max(sigma)) if np.all(np.isfinite(sigma)) else None,
+        "family": {
+            "machines": len(sigma),
+            "seed": seed,
+            "uncertainty": describe(chosen.uncertainty),
+        },
+        "resolution": {
+            "sensor": describe(chosen.machine.sensor),
+            "actuator": describe(chosen.machine.actuator),
+        },
+    }
+
+
+def _weights(scheme: Any) -> dict[str, Any]:
+    """The weights by their paths; of long ones the shape."""
+    found = {}
+    for path, value in named_leaves(scheme).items():
+        array = np.asarray(value)
+        found[path] = array.tolist() if array.size <= 8 else f"{array.shape} numbers"
+    return found
+
+
+def _costs(law: Law, *, single: bool) -> dict[str, int]:
+    from ..export.c_files import bytes_of, cost
+
+    of = {function.name: cost(function.program) for function in law.functions}
+    return {
+        "operations_a_sample": of["sample"],
+        "operations_between_trials": of["end"],
+        "bytes": bytes_of(law, single=single),
+    }
+
+
+def _plant_file(source: str) -> dict[str, str] | None:
+    from ..scenarios.campaign_source import digest_of
+
+    path = Path(source)
+    return {"path": str(path), "sha256": digest_of(path)} if path.is_file() else None
+
+
+def _write(text: str, path: Path) -> None:
+    atomically(path, lambda file: file.write(text.encode()))

@@ -1,0 +1,78 @@
+"""`jaxilc export`: the files of a law, the proof that they belong together, and refusals."""
+
+import sys
+
+import pytest
+
+from jaxilc.cli import main
+from jaxilc.storage.sealed import read_json
+
+AXIS = """
+[plant]
+kind = "ProcessModel"
+gain = 2.0
+poles = [60.0]
+[task]
+dt = 0.002
+unit = "mm"
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 5.0, duration = 0.1 }
+[schemes.ilc]
+class = "PIDType"
+gamma_p = 0.5
+[schemes.pid]
+class = "PID"
+kp = 1.0
+"""
+
+
+@pytest.fixture
+def command(monkeypatch, capsys, tmp_path):
+    """Return a function that runs the command in a folder with a plant file."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "axis.toml").write_text(AXIS)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["jaxilc", *arguments])
+        try:
+            main()
+        except SystemExit as stop:
+            return stop.code or 0, *capsys.readouterr()
+        return 0, *capsys.readouterr()
+
+    return call
+
+
+def test_a_law_is_written_and_checked(command, tmp_path):
+    code, out, err = command("export", "axis.toml", "--limit", "9", "--machines", "1")
+    assert code == 0, err
+    assert "is a program in C" in " ".join(out.split())
+    folder = tmp_path / "law"
+    certificate = read_json(folder / "certificate.json")
+    assert f'"{certificate["certificate"]}"' in (folder / "law.h").read_text()
+    assert certificate["claims"]["monotone"] + certificate["claims"]["converges"] == 1
+    assert 0 < certificate["margin"] < 1
+    assert command("export", "--check", "law")[0] == 0
+    (tmp_path / "axis.toml").write_text(AXIS.replace("60.0", "61.0"))
+    code, _, err = command("export", "--check", "law")
+    assert code == 2
+    assert "axis.toml, from which the law was made, was changed" in " ".join(err.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["axis.toml"], "--limit None is no largest input"),
+        (["axis.toml", "--limit", "-1"], "--limit -1.0 is no largest input"),
+        (["axis.toml", "--limit", "nan"], "--limit nan is no largest input"),
+        (["axis.toml", "--limit", "1", "--format", "ada"], "--format ada is not known"),
+        (["axis.toml", "--limit", "1", "--number", "half"], "--number half is not known"),
+        (["axis.toml", "--limit", "1", "--scheme", "pid"], "export takes one scheme that learns"),
+        ([], "export needs a scenario or a plant file"),
+        (["--check", "nowhere"], "nowhere/certificate.json: no such file"),
+    ],
+)
+def test_a_mistake_is_one_line_and_nothing_is_written(command, tmp_path, arguments, said):
+    code, _, err = command("export", *arguments)
+    assert code == 2
+    assert said in " ".join(err.split()), err
+    assert not (tmp_path / "law").exists()

@@ -1,0 +1,249 @@
+"""An exported law equals the package's: steps, interpreter, C, guard and certificate.
+
+The interpreter is compared with JAX, and the C program, to the last bit, with the interpreter.
+"""
+
+import shutil
+import subprocess
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import CASES, SCHEMES, task_for
+
+from jaxilc.export import check, files_of, interpret, law_of, program_of
+from jaxilc.export.certificate import CERTIFICATE, certificate_of, digest_of
+from jaxilc.export.guard import CODES
+from jaxilc.export.steps import dft
+from jaxilc.native.program import Unknown
+from jaxilc.outcomes.exporting import trials_of_test
+from jaxilc.signals import Trial
+from jaxilc.storage.sealed import read_json, write_json
+
+FEW = 12
+OFTEN = {"cfdl_book", "ffdl_lead_limited", "p_type_fir", "p_type_stop", "ilc_asmc", "higher_order"}
+REFUSED = {"basis_gradient"}
+LONG = {"constrained", "two_step", "basis_rational"}  # whose solvers iterate
+WARNINGS = ("-std=c99", "-O0", "-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
+CHECKED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+needs_c = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+EVERY = [
+    name if name in OFTEN else pytest.param(name, marks=pytest.mark.slow)
+    for name in SCHEMES
+    if name not in REFUSED | LONG
+]
+
+
+class Signals(dict):
+    """Signals of which those that learning does not read are zero."""
+
+    def __missing__(self, name):
+        return jnp.zeros((FEW, 1))
+
+
+def task_of(name):
+    """Return the task of a case, with few samples."""
+    return task_for(CASES[name][0], FEW)
+
+
+def compiled(folder, texts, *flags, driver="law_test.c"):
+    """Return what a compiled program prints; a warning of the compiler fails."""
+    for file, text in texts.items():
+        (folder / file).write_text(text)
+    made = ["cc", *WARNINGS, *flags, "-o", "law", "law.c", driver, "-lm"]
+    found = subprocess.run(made, cwd=folder, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stderr
+    return subprocess.run(["./law"], cwd=folder, capture_output=True, text=True, check=False)
+
+
+@needs_c
+@pytest.mark.parametrize("name", EVERY)
+def test_the_program_in_c_equals_the_interpreter_to_the_last_bit(name, tmp_path):
+    scheme = SCHEMES[name]
+    law = law_of(scheme, task_of(name), 1e3)
+    for single in (False, True):
+        ran = compiled(tmp_path, files_of(law, [], "0" * 64, trials_of_test(law), single=single))
+        assert (ran.returncode, ran.stdout) == (0, "law: all numbers are equal\n"), ran.stdout
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_the_interpreter_equals_jax_where_the_guard_is_silent(name):
+    """The guard changes no bit, and the law is that of the scheme."""
+    scheme, task = SCHEMES[name], task_of(name)
+    guarded = law_of(scheme, task, 1e3)
+    bare = law_of(scheme, task, 1e3, guarded=False)
+    played, alone = guarded.played(), bare.played()
+    for y in trials_of_test(guarded)[:3]:
+        before = {name: x for name, x in played.known.items() if name.startswith("memory")}
+        (u, code), (v, _) = played.trial(y), alone.trial(y)
+        assert u.tobytes() == v.tobytes()
+        if code:  # the law itself has left its limits, and what follows differs
+            assert all(np.array_equal(x, played.known[n], equal_nan=True)
+                       for n, x in before.items())  # fmt: skip
+            break
+        for field in before:
+            assert played.known[field].tobytes() == alone.known[field].tobytes()
+    fresh = bare.played()
+    memory = bare.scheme.initial_memory(task)
+    fresh.trial(y)
+    known = fresh.known
+    signals = {f.split("signals.")[1]: x for f, x in known.items() if "signals." in f}
+    r = jnp.asarray(task.reference)
+    trial = Trial(r, jnp.asarray(y), known["record.u"], task.dt, Signals(signals))
+    learned = jax.tree.leaves(bare.scheme.learn(memory, trial))
+    found = [x for f, x in known.items() if f.startswith("memory")]
+    for ours, theirs in zip(found, learned, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 2, 12, 17, 34, 60])
+def test_the_transform_of_any_length_is_that_of_numpy(n):
+    x = np.random.default_rng(n).normal(size=(2, n))
+    program = program_of(lambda re, im: dft(re, im, -1.0), *x)
+    re, im = interpret(program, list(x))
+    np.testing.assert_allclose(re + 1j * im, np.fft.fft(x[0] + 1j * x[1]), atol=1e-12)
+
+
+def test_what_cannot_be_exported_is_refused_by_name():
+    key = jax.random.key(0)
+    with pytest.raises(Unknown, match="draws random numbers"):
+        program_of(lambda k: jax.random.normal(jax.random.fold_in(key, k)), jnp.int32(1))
+    with pytest.raises(Unknown, match="draws random numbers"):
+        program_of(lambda k: jax.random.bits(jax.random.wrap_key_data(k)), np.zeros(2, np.uint32))
+    with pytest.raises(Unknown, match="sorts its samples"):
+        program_of(jnp.sort, jnp.arange(3.0))
+    with pytest.raises(Unknown, match="nobody knows how long"):
+        program_of(lambda x: jax.lax.while_loop(lambda y: y > 1, lambda y: y / 3, x), 9.0)
+
+
+def test_the_guard_goes_back_to_the_last_good_input():
+    """NaN, a stuck sensor, growth and a large input each have their code; none is learned from."""
+    task = task_of("p_type")
+    law = law_of(SCHEMES["p_type"], task, 1e3)
+    r = np.asarray(task.reference)
+    good, bad = trials_of_test(law)[:2], np.where(np.arange(len(r))[:, None] == 3, np.nan, r)
+    for y, code in ((bad, "SENSOR"), (0 * r, "STUCK"), (1e3 * r, "GROWN")):
+        played = law.played()
+        first = played.trial(good[0])[0], played.known["memory.u"]
+        assert played.trial(good[1])[1] == 0
+        assert CODES[played.trial(y)[1]] == code
+        u = played.trial(good[1])[0]
+        assert not np.array_equal(first[1], played.known["memory.u"])
+        assert np.array_equal(u, np.asarray(first[1]))
+    small = law_of(SCHEMES["p_type"], task, 0.1).played()
+    assert CODES[small.trial(good[0])[1]] == "TOO_LARGE"
+    assert np.max(np.abs(small.trial(good[0])[0])) <= 0.1
+
+
+FUZZ = """#include "law.h"
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+static uint64_t state = 1;
+
+static uint64_t drawn(void)
+{
+    state ^= state << 13;
+    state ^= state >> 7;
+    state ^= state << 17;
+    return state;
+}
+
+/* Any bits at all, or a number of usual size, or the last one again. */
+static law_real output(law_real last)
+{
+    const uint64_t bits = drawn();
+    double any;
+    memcpy(&any, &bits, sizeof any);
+    switch (drawn() % 8) {
+    case 0: return (law_real) any;
+    case 1: return (law_real) NAN;
+    case 2: return (law_real) INFINITY;
+    case 3: return (law_real) 5e-324;
+    case 4: return last;
+    default: return (law_real) ((double) (bits % 2000) / 1000.0 - 1.0);
+    }
+}
+
+int main(void)
+{
+    static law l;
+    static const law_real limit[LAW_INPUTS] = LAW_LIMIT;
+    law_real y[LAW_OUTPUTS] = { 0 }, u[LAW_INPUTS];
+    law_start(&l);
+    for (long j = 0; j < SAMPLES / LAW_SAMPLES; ++j) {
+        const bool wild = drawn() % 2;
+        law_begin(&l);
+        for (int k = 0; k <= LAW_SAMPLES; ++k) {
+            for (int i = 0; i < LAW_OUTPUTS; ++i) {
+                y[i] = wild ? output(y[i]) : (law_real) ((double) (drawn() % 1000) / 1000.0);
+            }
+            if (k == LAW_SAMPLES) {
+                break;
+            }
+            law_sample(&l, k, y, u);
+            for (int i = 0; i < LAW_INPUTS; ++i) {
+                if (!(fabs(u[i]) <= limit[i])) {
+                    printf("u = %g in trial %ld\\n", (double) u[i], j);
+                    return 1;
+                }
+            }
+        }
+        if (law_end(&l, y) > 4) {
+            return 2;
+        }
+    }
+    return 0;
+}
+"""
+
+
+@needs_c
+@pytest.mark.parametrize("name", ["ilc_asmc", "ffdl_lead_limited"])
+def test_no_output_of_a_sensor_makes_an_input_beyond_its_limit(name, tmp_path):
+    law = law_of(SCHEMES[name], task_of(name), 1.5)
+    texts = files_of(law, [], "0" * 64, trials_of_test(law)[:1]) | {"fuzz.c": FUZZ}
+    ran = compiled(tmp_path, texts, "-DSAMPLES=100000L", *CHECKED, driver="fuzz.c")
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+
+
+def test_what_was_changed_is_named(tmp_path):
+    """Each file, the digest in the code, and what the certificate claims."""
+    law = law_of(SCHEMES["p_type"], task_of("p_type"), 1.0)
+    plant = tmp_path / "axis.toml"
+    plant.write_text("dt = 1")
+    of_plant = {"path": str(plant), "sha256": "0" * 64}
+    claims = {"scheme": "p_type", "verdict": ["none"], "plant_file": None}
+    files = files_of(law, [], digest_of(claims), trials_of_test(law)[:1])
+
+    def write():
+        for name, text in files.items():
+            (tmp_path / name).write_text(text)
+        write_json(tmp_path / CERTIFICATE, certificate_of(claims, files))
+
+    write()
+    assert check(tmp_path) == claims
+    for name in files:
+        write()
+        (tmp_path / name).write_text(files[name] + " ")
+        with pytest.raises(ValueError, match=f"{name} was changed"):
+            check(tmp_path)
+    (tmp_path / "law.c").unlink()
+    with pytest.raises(ValueError, match=r"law.c is missing"):
+        check(tmp_path)
+    write()
+    (tmp_path / "law.h").write_text(files["law.h"].replace(digest_of(claims), "1" * 64))
+    with pytest.raises(ValueError, match="carries the certificate 111111111111 of another law"):
+        check(tmp_path)
+    write()
+    content = read_json(tmp_path / CERTIFICATE)
+    write_json(tmp_path / CERTIFICATE, content | {"scheme": "other"})
+    with pytest.raises(ValueError, match=r"certificate.json was changed"):
+        check(tmp_path)
+    claims["plant_file"] = of_plant
+    files = files_of(law, [], digest_of(claims), trials_of_test(law)[:1])
+    write()
+    with pytest.raises(ValueError, match=r"axis.toml, from which the law was made, was changed"):
+        check(tmp_path)
