@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.core
@@ -120,7 +120,7 @@ def learn(
     if trials * size > LITTLE:
         check_size("learn", 2 * size, trials=trials)
     key = jax.random.key(0) if key is None else key
-    return _program(save or _nothing, int(trials_a_pass), watch)(
+    return _program(save or _nothing, int(trials_a_pass), watch, usual_stored())(
         machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int), start
     )
 
@@ -149,12 +149,15 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
 
 
 @lru_cache(maxsize=PROGRAMS)
-def _program(save: Callable[[Trial], Tree], trials_a_pass: int, watch: Watch | None = None) -> Tree:
-    """The compiled `_learn` for this `save` and this `watch`.
+def _program(
+    save: Callable[[Trial], Tree], trials_a_pass: int, watch: Watch | None = None, stored: int = 0
+) -> Tree:
+    """The compiled `_learn` for this `save`, this `watch`, and the bytes that a gradient stores.
 
     Each new lambda is another `save`, so the programs that were not used for longest are dropped.
     """
-    program = partial(_learn, save=save, watch=watch, trials_a_pass=trials_a_pass)
+    options: dict[str, Any] = {"watch": watch, "trials_a_pass": trials_a_pass, "stored": stored}
+    program = partial(_learn, save=save, **options)
     return jax.jit(program, static_argnames="trials")
 
 
@@ -182,6 +185,7 @@ def _learn(
     save: Callable[[Trial], Tree],
     watch: Watch | None,
     trials_a_pass: int,
+    stored: int,
 ) -> History:
     machine, scheme = machine.sampled(task.dt), scheme.prepared(task)
     known = {} if watch is None else watch.known(machine, scheme, task)
@@ -210,7 +214,7 @@ def _learn(
     # with a number of the type of j, so that the scan finds the trial traced already
     shape = jax.eval_shape(trial_and_learning, memory, start, first)[1]
     blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
-    blocks = _blocks(trials, (memory, start))
+    blocks = _blocks(trials, (memory, start), stored)
     unroll = 1 if trials // blocks % trials_a_pass else trials_a_pass
     block = partial(lax.scan, body, unroll=unroll)
     # a gradient is computed block by block, and each block is run again from the memory at its
@@ -226,12 +230,12 @@ def _learn(
     return History(metrics, saved, *judged, final, memory, start, dict(known) | seen)
 
 
-def _blocks(trials: int, memory: Tree) -> int:
+def _blocks(trials: int, memory: Tree, stored: int) -> int:
     """The number B of blocks of trials for which a gradient stores the memory at the start.
 
     It is 1 where the memories of all trials may be stored.
     """
-    if trials * bytes_of(memory) <= usual_stored():
+    if trials * bytes_of(memory) <= stored:
         return 1
     return max(d for d in range(1, math.isqrt(trials) + 1) if trials % d == 0)
 

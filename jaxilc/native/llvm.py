@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from .operations import CONVERSIONS, Node, instruction
-from .program import Unknown
 from .rows import Array, Buffer, Loop, Row, Segment, Trials
 
 ALIGNED = 64  # bytes
@@ -50,8 +49,6 @@ class Text:
         wanted: Sequence[bool],
         in_vectors: Callable[[str, int], str | None],
     ):
-        if plan.reverse:
-            raise Unknown("a loop over trials from the last to the first")
         self.plan, self.lanes, self.wanted, self.in_vectors = plan, lanes, wanted, in_vectors
         self.lines: list[str] = []
         self.declared: set[str] = set()
@@ -413,7 +410,8 @@ class Text:
 
     def _trials(self, group: str) -> None:
         plan = self.plan
-        j, end = self.loop("0", str(plan.trials))
+        ends = ("0", str(plan.trials), 1)
+        j, end = self.loop(*((str(plan.trials - 1), "-1", -1) if plan.reverse else ends))
         self.do(f"%j = add i64 {j}, 0")
         self.straight = {}
         first = self.add(f"mul i64 {group}, {plan.trials}")

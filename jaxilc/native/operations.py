@@ -431,13 +431,14 @@ def applied(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
     if elementwise(name):
         return n.each(one_by_one(n, step), *arrays)
     if name in GATHERED:
-        return _gathered(n, name, arrays[0], params["axes"], shape)
+        return _gathered(n, name, arrays[0], params["axes"], shape, out.dtype)
     if name in RUNNING:
         return _running(n, step, arrays[0])
     if name == "dot_general":
         cast = partial(n.of, "convert", dtype=out.dtype)
         factors = [n.each(cast, x) for x in arrays]
-        return _dot(n, params["dimension_numbers"], *factors).reshape(shape)
+        zero = n.const(0, out.dtype)
+        return _dot(n, params["dimension_numbers"], *factors, zero).reshape(shape)
     if name == "by_columns":
         matrix, vector = arrays
         terms = [n.each(partial(n.of, "mul"), matrix[..., j], vector[..., j, None])
@@ -453,11 +454,11 @@ def applied(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
 
 
 def _gathered(n: Numbers, name: str, x: np.ndarray, axes: Sequence[int],
-              shape: Sequence[int]) -> np.ndarray:  # fmt: skip
+              shape: Sequence[int], dtype: Any) -> np.ndarray:  # fmt: skip
     front = np.moveaxis(x, axes, range(len(axes)))
     rows = front.reshape(-1, 1, *front.shape[len(axes) :])  # each one an array, not a node
     if not len(rows):
-        raise Unknown(f"{name} of nothing")
+        return np.full(shape, start(n, name, dtype), object)
     return reduce(partial(n.each, partial(n.of, GATHERED[name][0])), rows).reshape(shape)
 
 
@@ -471,17 +472,17 @@ def _running(n: Numbers, step: Step, x: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.concatenate(rows), 0, step.params["axis"])
 
 
-def _dot(n: Numbers, numbers: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _dot(n: Numbers, numbers: Any, a: np.ndarray, b: np.ndarray, zero: Node) -> np.ndarray:
     """(batch, free of a, free of b) the product of arrays, summed over the contracted axes."""
     (of_a, of_b), (batch_a, batch_b) = numbers
     free_a = [i for i in range(a.ndim) if i not in (*of_a, *batch_a)]
     free_b = [i for i in range(b.ndim) if i not in (*of_b, *batch_b)]
     many, terms = math.prod(a.shape[i] for i in batch_a), math.prod(a.shape[i] for i in of_a)
-    if not terms:
-        raise Unknown("dot_general of nothing")
     left = a.transpose(*batch_a, *free_a, *of_a).reshape(many, -1, 1, terms)
     right = b.transpose(*batch_b, *free_b, *of_b).reshape(many, 1, -1, terms)
     products = n.each(partial(n.of, "mul"), left, right)
+    if not terms:
+        return np.full(products.shape[:-1], zero, object)
     return reduce(partial(n.each, partial(n.of, "add")), np.moveaxis(products, -1, 0))
 
 
@@ -562,4 +563,4 @@ def _moved_by_jax(step: Step, arrays: Sequence[np.ndarray], shape: Sequence[int]
     if found.size and found.min() < 0:
         raise Unknown(f"{step.name} beyond the end")
     every = np.concatenate([x.ravel() for x in moved])
-    return every[found].reshape(shape)
+    return _filled(shape, every[found.ravel()])

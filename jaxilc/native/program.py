@@ -6,6 +6,7 @@ steps that nobody reads.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 from jax import lax
 
 CALLS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call"}
-CALLS |= {"remat2", "remat", "checkpoint", "custom_vjp_call_jaxpr"}
+CALLS |= {"remat2", "remat", "checkpoint", "custom_vjp_call_jaxpr", "custom_vmap_call"}
 SAME = {"by_sample", "stop_gradient", "copy", "copy_p", "optimization_barrier", "name"}
 UNROLLED = 64  # passes of a loop within a sample, up to which they are written one after another
 
@@ -115,7 +116,8 @@ def _inline(jaxpr: Any, consts: Sequence[Any], ins: list, steps: list[Step], who
 def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
     name, params = eqn.primitive.name, eqn.params
     if name in CALLS:
-        inner = params.get("jaxpr") or params.get("call_jaxpr") or params.get("fun_jaxpr")
+        names = ("jaxpr", "call_jaxpr", "fun_jaxpr", "call")
+        inner = next(params[name] for name in names if params.get(name))
         return _inline(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), ins, steps,
                        whole)  # fmt: skip
     if name in SAME:
@@ -228,7 +230,16 @@ def _stack(ins: list[Value], params: dict, add: Callable[..., Value]) -> list[Va
     return [add("concatenate", parts, shape, dimension=axis)]
 
 
-PARTS: dict[str, Callable[..., list[Value]]] = {"split": _split, "stack": _stack}
+def _unstack(ins: list[Value], params: dict, add: Callable[..., Value]) -> list[Value]:
+    axis, (x,) = params["axis"], ins
+    shape = [n for i, n in enumerate(x.shape) if i != axis]
+    ones = {"sizes": [1] * x.shape[axis], "axis": axis}
+    return [_reshaped(add, one, shape) for one in _split(ins, ones, add)]
+
+
+PARTS: dict[str, Callable[..., list[Value]]] = {
+    "split": _split, "stack": _stack, "unstack": _unstack,
+}  # fmt: skip
 
 
 def loops(program: Program) -> Iterator[Step]:
@@ -314,45 +325,62 @@ def _without_dead(step: Step, wanted: Sequence[bool]) -> Step:
     return Step("scan", params | of, some(step.ins, stay), some(step.outs, wanted))
 
 
-# The loop over trials
+# The loops over trials
 # --------------------------------------------------------------------------------------------------
 
 
 def of_trials(
     program: Program, foreign: Callable[[Step], bool] = lambda step: False
-) -> tuple[list[Step], Step, list[Step]]:
-    """The steps before the loop over trials, this loop, lowered, and the steps after it.
+) -> tuple[list[tuple[list[Step], Step]], list[Step]]:
+    """Each loop over trials, lowered, with the steps before it; and the steps after the last one.
 
-    foreign: which steps JAX computes before the loop where it can, see `computed_ahead`
+    It is a loop that contains a loop; a gradient has one for the way back. A loop over blocks of
+    trials around one over the trials of a block counts as one.
 
-    It is the last loop that contains a loop. A loop over blocks of trials around one over the
-    trials of a block counts as one. Raises Unknown where there is none.
+    foreign: which steps JAX computes before a loop where it can, see `computed_ahead`
+    Raises Unknown where there is no such loop.
     """
+    found: list[tuple[list[Step], Step]] = []
+    before: list[Step] = []
     steps = without_dead(program).steps
-    nested = [i for i, step in enumerate(steps) if step.name == "scan" and _has_loop(step)]
-    if not nested:
+    for at, step in enumerate(steps):
+        if step.name != "scan" or not _has_loop(step):
+            before.append(step)
+            continue
+        read_later = {x for later in steps[at + 1 :] for x in later.ins} | {*program.outs}
+        whole, shaped = _as_one(step, partial(_added, before)) or (step, [])
+        shaped = [one for one in shaped if one.outs[0] in read_later]
+        read_later |= {one.ins[0] for one in shaped}
+        params = whole.params
+        inner = params["jaxpr"]
+        of = {"length": params["length"], "reverse": params["reverse"]}
+        of |= {"consts": params["num_consts"], "carry": params["num_carry"]}
+        of |= {"body": _with_long_loops(lowered(inner.jaxpr, inner.consts))}
+        ahead, loop = computed_ahead(Step("scan", of, whole.ins, whole.outs), foreign)
+        loop = _without_dead(loop, [x in read_later for x in loop.outs])
+        found.append(([*before, *ahead], loop))
+        before = shaped
+    if not found:
         raise Unknown("there is no loop over samples in a loop over trials")
-    at = nested[-1]
-    before, after, step = steps[:at], steps[at + 1 :], steps[at]
-    merged = _as_one(step, partial(_added, before))
-    if merged is not None:
-        step, shaped = merged
-        needed = {x for later in after for x in later.ins} | {*program.outs}
-        after = [one for one in shaped if one.outs[0] in needed] + after
-    params, inner = step.params, step.params["jaxpr"]
-    body = lowered(inner.jaxpr, inner.consts)
+    return found, before
+
+
+def _with_long_loops(body: Program) -> Program:
+    """A trial in which every loop is written out that is much shorter than the longest."""
     lengths = [of.params["length"] for of in loops(body)]
     if not lengths:
         raise Unknown("there is no loop over samples in a loop over trials")
-    longest = max(lengths)
-    shortest = min(n for n in lengths if 2 * n > longest)
-    body = with_loops_from(body, -(-3 * shortest // 4))
-    of = {"length": params["length"], "reverse": params["reverse"], "body": body}
-    of |= {"consts": params["num_consts"], "carry": params["num_carry"]}
-    ahead, step = computed_ahead(Step("scan", of, step.ins, step.outs), foreign)
-    before += ahead
-    read_later = {x for later in after for x in later.ins} | {*program.outs}
-    return before, _without_dead(step, [x in read_later for x in step.outs]), after
+    shortest = min(n for n in lengths if 2 * n > max(lengths))
+    return with_loops_from(body, -(-3 * shortest // 4))
+
+
+def in_order(step: Step) -> bool:
+    """Whether a step gives another shape to an array whose numbers stay in their order."""
+    shapes = [x.shape for x in (*step.ins, *step.outs)]
+    if len(shapes) != 2 or math.prod(shapes[0]) != math.prod(shapes[1]):
+        return False
+    return step.name in ("reshape", "squeeze", "expand_dims", "broadcast_in_dim", "slice",
+                         "concatenate")  # fmt: skip
 
 
 def _has_loop(step: Step) -> bool:

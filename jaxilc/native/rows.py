@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -304,7 +304,7 @@ class Trials:
 
     def _given(self, array: Array, axis: int) -> Row:
         """The rows of an array of constants, which becomes a further operand of the program."""
-        self.given.append(array)
+        self.given.append(np.moveaxis(array, axis, 0))
         number = len(self.body.ins) + len(self.given) - 1
         return Stored(array.shape, axis, self._buffer("given", array.shape, axis, array.dtype,
                                                       alike=True, number=number))  # fmt: skip
@@ -331,6 +331,12 @@ class Trials:
         for m, at in enumerate(np.ndindex(*x.shape)):
             nodes[at] = self.n.place(kind, x.dtype, (kind, i, m), alike=self.alike[i])
         return nodes
+
+    def moved(self, i: int, *, out: bool = False) -> tuple[int, int]:
+        """From which axis that of the samples of an operand, or of a result, moves where in RAM."""
+        x = (self.outs if out else self.ins)[i]
+        by_trial = i >= (0 if out else self.consts) + self.carry
+        return (x.axis if isinstance(x, Row) else 0) + by_trial, int(by_trial)
 
     # The steps
     # ----------------------------------------------------------------------------------------------
@@ -626,6 +632,21 @@ def _scatter(of: Trials, step: Step, operands: list) -> Any:
     return Joined(row.shape, row.axis, row.dtype, parts)
 
 
+def _gather_rows(of: Trials, step: Step, operands: list) -> Any:
+    """Samples that are known beforehand; None for what is gathered at each sample."""
+    row, index = operands
+    kept = step.params["dimension_numbers"]
+    if not isinstance(row, Row) or row.axis not in kept.collapsed_slice_dims:
+        return None
+    at = None if isinstance(index, Row) else constants(index, int)
+    small = of.axis_of(step.outs[0].shape) is None and kept.start_index_map == (row.axis,)
+    if at is None or not small or (at.size and not 0 <= at.min() <= at.max() < row.length):
+        raise Unknown("gather of samples that are found while it runs")
+    picked = np.concatenate([of.pick(row, int(i)) for i in at.ravel()], row.axis)
+    places = of.n.array(np.arange(at.size, dtype=index.flat[0].dtype).reshape(at.shape))
+    return applied(of.n, step, [picked, places])
+
+
 def _rev(of: Trials, step: Step, operands: list) -> Any:
     row, turned = operands[0], step.params["dimensions"]
     if row.axis not in turned:
@@ -730,41 +751,45 @@ def _dot(of: Trials, step: Step, operands: list) -> Any:
 
 
 def _convolved(of: Trials, step: Step, operands: list) -> Any:
-    """A filter with a few taps along the samples."""
+    """A filter with a few taps along the samples; or the slopes of its taps, a sum over samples."""
     row, kernel = operands
     params, numbers = step.params, step.params["dimension_numbers"]
-    out, plain = step.outs[0], len(numbers.lhs_spec) == 3 and isinstance(row, Row)
-    plain = plain and not isinstance(kernel, Row) and params["batch_group_count"] == 1
-    plain = plain and params["feature_group_count"] == 1
-    ones = (*params["window_strides"], *params["lhs_dilation"], *params["rhs_dilation"])
-    axis = of.axis_of(out.shape)
-    if axis is None or not plain or set(ones) != {1} or numbers.lhs_spec[2] != row.axis or (
-        axis != numbers.out_spec[2]
-    ):  # fmt: skip
+    out, to = step.outs[0], numbers.out_spec
+    ones = (*params["window_strides"], *params["lhs_dilation"], *params["rhs_dilation"],
+            params["batch_group_count"], params["feature_group_count"])  # fmt: skip
+    long, axis = isinstance(kernel, Row), of.axis_of(out.shape)
+    if set(ones) != {1} or len(to) != 3 or not isinstance(row, Row) or (
+        row.axis != numbers.lhs_spec[2] or axis != (None if long else to[2])
+    ) or (long and kernel.axis != numbers.rhs_spec[2]):  # fmt: skip
         raise Unknown("conv_general_dilated of this kind")
     low, high = params["padding"][0]
     config = [(0, 0, 0)] * 3
     config[row.axis] = (low, high, 0)
-    length = row.length + low + high
-    padded = Value(_with(row.shape, row.axis, length), row.dtype)
+    padded = Value(_with(row.shape, row.axis, row.length + low + high), row.dtype)
     zero = np.full((), of.n.const(0, row.dtype), object)
     wide = _pad(of, Step("pad", {"padding_config": config}, [], [padded]), [row, zero])
-    taps = kernel.transpose(numbers.rhs_spec)  # (out, in, taps)
-    count = taps.shape[2]
-    shifted = [Shifted(wide, i, out.shape[axis]) for i in range(count)]
     multiply, add = partial(of.n.of, "mul"), partial(of.n.of, "add")
 
-    def of_row(*arrays: Array) -> Array:
-        total = None
-        for i, array in enumerate(arrays):
-            seen = array.transpose(numbers.lhs_spec)[:, None, :, 0]  # (batch, 1, in)
-            products = of.n.each(multiply, seen, taps[None, :, :, i])
-            for channel in np.moveaxis(products, -1, 0):
-                total = channel if total is None else of.n.each(add, total, channel)
-        assert total is not None
-        return total[:, :, None].transpose(np.argsort(numbers.out_spec))
+    def product(seen: Array, taps: Array) -> Array:
+        """(batch, out) the sum over the channels of (batch, in) and (out, in)."""
+        products = of.n.each(multiply, seen[:, None], taps[None])
+        return reduce(partial(of.n.each, add), np.moveaxis(products, -1, 0))
 
-    return Computed(out.shape, axis, out.dtype, of_row, shifted)
+    def of_row(*arrays: Array) -> Array:
+        seen = [x.transpose(numbers.lhs_spec)[:, :, 0] for x in arrays[:count]]
+        taps = (arrays[count] if long else kernel).transpose(numbers.rhs_spec)
+        each = [product(x, taps[:, :, 0 if long else i]) for i, x in enumerate(seen)]
+        if long:
+            return np.stack(each, -1).transpose(np.argsort(to))
+        total = reduce(partial(of.n.each, add), each)
+        return total[:, :, None].transpose(np.argsort(to))
+
+    count = out.shape[to[2]] if long else kernel.shape[numbers.rhs_spec[2]]
+    length = kernel.length if long else out.shape[to[2]]
+    shifted: list[Any] = [Shifted(wide, i, length) for i in range(count)]
+    if long:
+        return _gathered(of, "reduce_sum", shifted[0], out, of_row, [*shifted, kernel])
+    return Computed(out.shape, to[2], out.dtype, of_row, shifted)
 
 
 HANDLED: dict[str, Callable[[Trials, Step, list], Any]] = {
@@ -774,6 +799,7 @@ HANDLED: dict[str, Callable[[Trials, Step, list], Any]] = {
     "rev": _rev,
     "dynamic_slice": _dynamic_slice,
     "scatter": _scatter,
+    "gather": _gather_rows,
     "argmax": _place_of_best,
     "argmin": _place_of_best,
     "dot_general": _dot,

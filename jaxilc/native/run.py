@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import logging
 import math
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from typing import Any
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.over_trials import learn
+from ..runtime.capacity import host_bytes, shown
+from ..runtime.lanes import all_stored, usual_lanes
+from ..runtime.start import native_wanted
+from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
 from .llvm import ALIGNED, Text
 from .operations import foreign
-from .program import Const, Program, Step, Unknown, Value, by_jax, flat, of_trials
+from .program import Const, Program, Step, Unknown, Value, by_jax, flat, in_order, of_trials
 from .rows import Trials
 
 log = logging.getLogger("jaxilc")
@@ -29,11 +37,18 @@ log = logging.getLogger("jaxilc")
 WIDEST = {"avx512f": 64, "avx": 32, "neon": 16}  # bytes of a register, by a feature
 ONCE = "trials that are all alike, of which XLA computes one"
 FEW = 64  # numbers of an operand that are written into the program where they never change
+SHARE = 0.25  # of the RAM that is free, which may be taken by what is held from loop to loop
+AT_ONCE = 2**27  # bytes of operands and of what is held, that are in the RAM at once
+WAITING = 8  # tickets, of tiles that several devices compute at once
 TOLERANCE = 1e-9  # of the largest number of a machine, by which the check may find a difference
 
 
 class Compiled:
     """A program of a function of what is common to all machines, and of one machine.
+
+    It has one or more loops over trials, each compiled for this processor, between which JAX
+    computes. Rows that only a later loop reads, such as what a gradient needs on its way back, are
+    held for it as they are.
 
     fn: the function; it learns over trials
     common, one: its arguments, of which shapes and types are read
@@ -46,71 +61,221 @@ class Compiled:
                  lanes: int | None = None):  # fmt: skip
         if not jax.config.jax_enable_x64:
             raise Unknown("single precision")
-        closed, shape = jax.make_jaxpr(fn, return_shape=True)(common, one)
+        with all_stored():
+            closed, shape = jax.make_jaxpr(fn, return_shape=True)(common, one)
         self._tree = jax.tree.structure(shape)
         self._program: Program = flat(closed)
-        self._before, self._trials, self._after = of_trials(self._program, foreign)
+        parts, after = of_trials(self._program, foreign)
         shared = len(jax.tree.leaves(common))
-        self._alike = _alike(self._program, self._before, self._trials, shared)
-        real = np.dtype(float)
-        plan = Trials(self._trials, self._alike, _fixed(self._before, self._trials), real)
-        self.lanes = _width() // real.itemsize if lanes is None else lanes
-        read = {x for step in self._after for x in step.ins} | {*self._program.outs}
-        self._wanted = [x in read for x in self._trials.outs]
-        self.text = Text(plan, self.lanes, self._wanted, partial(_in_vectors, self.lanes))
-        self.learns = _learns(self._trials)
-        self._constants = [_contiguous(x) for x in plan.given]
-        self._carry, self._count = plan.carry, plan.trials
-        self._code = _Code(self.text.text)
-        axes = (None, 0)
-        self._first = jax.jit(jax.vmap(self._operands, axes, [None if a else 0
-                                                              for a in self._alike]))  # fmt: skip
-        self._last = jax.jit(jax.vmap(self._results, (*axes, 0)))
+        self.lanes = _width() // np.dtype(float).itemsize if lanes is None else lanes
+        held = _held(parts, after, self._program.outs)
+        varying: set[Value] = set(self._program.ins[shared:])
+        self._loops: list[_Loop] = []
+        where: dict[Value, tuple[int, int]] = {}
+        steps: list[Step] = []
+        for before, step in parts:
+            steps = steps + before
+            for of in before:
+                varying.update(of.outs if any(x in varying for x in of.ins) else ())
+            self._loops.append(_Loop(steps, step, varying, held, self.lanes))
+            where |= self._loops[-1].found_at
+            for x in (x for x in step.ins if x in held):
+                here, there = self._loops[-1].moved[x], where[held[x]]
+                turned = here[0] != here[1] or there[0] != there[1]
+                if turned and (x.shape, here) != (held[x].shape, there):
+                    raise Unknown("a memory whose axis of samples changes")
+            varying.update(step.outs)
+        self._after = steps + after
+        self.learns = any(_learns(loop.step) for loop in self._loops)
+        self._holding = sum(loop.holding for loop in self._loops)
+        self._check_room()
+        for loop in self._loops:
+            axes = [0 if x in loop.each else None for x in loop.given]
+            loop.first = self._by_jax(loop.before, loop.given, axes, loop.moved)
+        self._last = self._by_jax(self._after, self._program.outs, 0, {})
+        self._rooms = _Rooms()
+
+    def _by_jax(self, steps: list[Step], wanted: list[Value], out_axes: Any, moved: dict) -> Any:
+        """The function of the operands, and of what loops found, that JAX computes for a batch.
+
+        moved: from which axis that of the samples of a value moves where
+        """
+        of_loops = [(x, loop.found_at[x]) for loop in self._loops for x in loop.shown]
+
+        def of_one(shared: list, one: list, found: list) -> list:
+            known = dict(zip(self._program.ins, [*shared, *one], strict=True))
+            known |= {x: _turned(array, (to, at))
+                      for (x, (at, to)), array in zip(of_loops, found, strict=False)}  # fmt: skip
+            value = by_jax(steps, known)
+            return [_turned(jnp.asarray(value(x)), moved.get(x, (0, 0))) for x in wanted]
+
+        return jax.jit(jax.vmap(of_one, (None, 0, 0), out_axes))
+
+    def _check_room(self) -> None:
+        """Raises Unknown where what is held for a group of machines takes too much of the RAM."""
+        room, needed = host_bytes(), self._holding * _cores()
+        if room is not None and needed > SHARE * room:
+            raise Unknown(f"the memories of all trials of {self.lanes * _cores()} machines, which "
+                          f"take {shown(needed)} of the RAM")  # fmt: skip
+
+    @property
+    def tile(self) -> int:
+        """The number of machines that are computed at once."""
+        of_one = self._holding + sum(loop.drawn for loop in self._loops) * self.lanes
+        groups = max(1, AT_ONCE // max(of_one, 1) // _cores()) * _cores()
+        return groups * self.lanes
 
     def __call__(self, common: Any, batch: Any) -> Any:
-        """The results of all machines, whose numbers are along the leading axis of the batch."""
+        """The results of all machines, whose numbers are along the leading axis of the batch.
+
+        Under `jit` and `vmap` the compiled loops are callbacks.
+        """
         shared, each = jax.tree.leaves(common), jax.tree.leaves(batch)
-        machines = len(each[0])
-        groups = -(-machines // self.lanes)
-        operands = self._first(shared, each)
-        given = [
-            _contiguous(x) if alike else _grouped(np.asarray(x), groups, self.lanes)
-            for x, alike in zip(operands, self._alike, strict=True)
-        ] + self._constants  # fmt: skip
-        outs = []
-        for i, x in enumerate(self._trials.outs):
-            size = int(np.prod(x.shape, dtype=int))
-            wanted = self._wanted[i] or i >= self._carry
-            dtype = np.uint8 if np.dtype(x.dtype) == bool else x.dtype
-            outs.append(_aligned((groups if wanted else 0, size, self.lanes), dtype))
-        self._code.run(groups, given, outs, self.text.work)
-        found = [
-            _apart(out, x, machines) if wanted else None
-            for out, x, wanted in zip(outs, self._trials.outs, self._wanted, strict=True)
-        ]
-        return jax.tree.unflatten(self._tree, self._last(shared, each, found))
+        machines, tile = len(each[0]), self.tile
+        traced = any(isinstance(x, jax.core.Tracer) for x in (*shared, *each))
+        of_tile = partial(self._of_tile, shared, traced=traced)
+        if machines <= tile:
+            found = of_tile(each)
+        else:
+            count = -(-machines // tile)
+            at = np.minimum(np.arange(count * tile), machines - 1).reshape(count, tile)
+            if traced:
+                found = lax.map(of_tile, [jnp.asarray(x)[at] for x in each])
+                found = [x.reshape(count * tile, *x.shape[2:])[:machines] for x in found]
+            else:
+                parts = [of_tile([np.asarray(x)[i] for x in each]) for i in at]
+                found = [np.concatenate(of)[:machines] for of in zip(*parts, strict=True)]
+        return jax.tree.unflatten(self._tree, found)
+
+    def _of_tile(self, shared: list, each: list, *, traced: bool) -> list:
+        machines, ticket = len(each[0]), jnp.zeros((), jnp.uint32)
+        found: list = []
+        for i, loop in enumerate(self._loops):
+            operands = loop.first(shared, each, found)
+            run = partial(self._run, i, machines)
+            if traced:
+                shapes = [jax.ShapeDtypeStruct((machines, *x.shape), x.dtype) for x in loop.found]
+                like = [jax.ShapeDtypeStruct((), jnp.uint32), *shapes]
+                ticket, *new = jax.pure_callback(run, like, ticket, *operands,
+                                                 vmap_method="sequential")  # fmt: skip
+            else:
+                ticket, *new = run(ticket, *operands)
+            found += new
+        return self._last(shared, each, found)
+
+    def _run(self, i: int, machines: int, ticket: Any, *operands: Any) -> list:
+        """The results of a loop, after the ticket under which others wait for later loops."""
+        loop, groups = self._loops[i], -(-machines // self.lanes)
+        ticket, held = self._rooms.of(int(ticket))
+        outs = loop.run(groups, operands, held)
+        if i + 1 == len(self._loops):
+            self._rooms.free(ticket)
+        pairs = zip(loop.shown, loop.found, strict=True)
+        return [np.uint32(ticket), *(_apart(outs[x], like, machines) for x, like in pairs)]
 
     def bytes_of(self, machines: int) -> int:
-        """The bytes that these machines take: operands and results, twice, and what is carried."""
-        sizes = [
-            0 if alike else math.prod(x.shape)
-            for x, alike in zip(self._trials.ins, self._alike, strict=True)
-        ]
-        sizes += [math.prod(x.shape) for x in self._trials.outs]
-        return 16 * sum(sizes) * machines + self.text.work * _cores()
+        """The bytes that these machines take: what passes JAX, twice, and what loops need."""
+        tile = min(machines, self.tile)
+        passing = [_size(x) for loop in self._loops for x in (*loop.each, *loop.shown)]
+        results = [_size(x) for x in self._program.outs]
+        work = max(loop.text.work for loop in self._loops) * _cores()
+        held = self._holding * -(-tile // self.lanes)
+        return 2 * (sum(passing) * tile + sum(results) * machines) + held + work
 
-    def _operands(self, shared: list, one: list) -> list:
-        known = dict(zip(self._program.ins, [*shared, *one], strict=True))
-        value = by_jax(self._before, known)
-        return [jnp.asarray(value(x)) for x in self._trials.ins]
 
-    def _results(self, shared: list, one: list, found: list) -> list:
-        known = dict(zip(self._program.ins, [*shared, *one], strict=True))
-        by_jax(self._before, known)
-        outs = zip(self._trials.outs, found, strict=True)
-        known |= {x: value for x, value in outs if value is not None}
-        value = by_jax(self._after, known)
-        return [jnp.asarray(value(x)) for x in self._program.outs]
+class _Loop:
+    """A loop over trials, compiled.
+
+    before: the steps by JAX before it, with those before earlier loops
+    step: the loop, lowered
+    varying: the values that differ from machine to machine
+    held: the value of a result of an earlier loop for each operand that waits for this one
+    lanes: number of machines in a group
+    given: the operands that JAX computes
+    each: those of them that differ from machine to machine
+    shown: the results that JAX reads
+    holding: bytes that the results for later loops take for a group
+    drawn: bytes of the operands of a machine
+    """
+
+    def __init__(self, before: list[Step], step: Step, varying: set[Value],
+                 held: dict[Value, Value], lanes: int):  # fmt: skip
+        self.before, self.step, self._held, self._lanes = before, step, held, lanes
+        alike = [isinstance(x, Const) or (x not in varying and x not in held) for x in step.ins]
+        real = np.dtype(float)
+        plan = Trials(step, alike, _fixed(before, step), real)
+        kept = {*held.values()}
+        self.shown = [x for x in step.outs if x not in kept]
+        wanted = [True] * len(step.outs)
+        self.text = Text(plan, lanes, wanted, partial(_in_vectors, lanes))
+        self._constants = [_contiguous(x) for x in plan.given]
+        self.moved: dict[Value, tuple[int, int]] = {}
+        for i, x in enumerate(step.ins):
+            if self.moved.setdefault(x, plan.moved(i)) != plan.moved(i):
+                raise Unknown("an array with two axes of samples")
+        self.found_at = {x: plan.moved(i, out=True) for i, x in enumerate(step.outs)}
+        self.found = [Value(_moved(x.shape, *self.found_at[x]), x.dtype) for x in self.shown]
+        self._code = _Code(self.text.text)
+        self.given = [x for x in step.ins if x not in held]
+        self.each = [x for x, same in zip(step.ins, alike, strict=True)
+                     if not same and x not in held]  # fmt: skip
+        self.holding = sum(_size(x) for x in step.outs if x in kept) * lanes
+        self.drawn = sum(_size(x) for x in self.each)
+        self.first: Any = None
+
+    def run(self, groups: int, operands: Sequence[Any], held: dict[Value, np.ndarray]) -> dict:
+        """The results for groups of machines by value, each (groups, numbers, lanes).
+
+        operands: those of `given`, with machines along the leading axis if they differ
+        held: what waits for later loops, to which that of this one is added
+        """
+        computed = iter(operands)
+        given = []
+        for x in self.step.ins:
+            if x in self._held:
+                given.append(held[self._held[x]])
+                continue
+            value = np.asarray(next(computed))
+            given.append(_grouped(value, groups, self._lanes) if x in self.each
+                         else _contiguous(value))  # fmt: skip
+        outs = {}
+        for x in self.step.outs:
+            shape, dtype = (groups, math.prod(x.shape), self._lanes), _stored(x.dtype)
+            if x in self.shown:
+                outs[x] = _aligned(shape, dtype)
+            else:
+                if x not in held or held[x].shape != shape:
+                    held[x] = _aligned(shape, dtype)
+                outs[x] = held[x]
+        self._code.run(groups, given + self._constants, [*outs.values()], self.text.work)
+        return outs
+
+
+class _Rooms:
+    """Rows that wait in the RAM from one loop over trials to the next, by the number of a ticket.
+
+    A room is used again for the next machines.
+    """
+
+    def __init__(self):
+        self._count, self._lock = itertools.count(1), threading.Lock()
+        self._taken: dict[int, dict] = {}
+        self._free: list[dict] = []
+
+    def of(self, ticket: int) -> tuple[int, dict]:
+        """The ticket and its room; a new one for the ticket 0."""
+        with self._lock:
+            if ticket == 0:
+                ticket = next(self._count)
+                self._taken[ticket] = self._free.pop() if self._free else {}
+                while len(self._taken) > WAITING:
+                    self._taken.pop(next(iter(self._taken)))
+            return ticket, self._taken[ticket]
+
+    def free(self, ticket: int) -> None:
+        """Leave the room of a ticket to the next one."""
+        with self._lock:
+            self._free = [self._taken.pop(ticket)]
 
 
 class Native:
@@ -156,6 +321,27 @@ class Native:
             return program
         log.warning("native: %s, as XLA computes it; XLA computes instead", off)
         return f"another result than that of XLA: {off}"
+
+
+def fastest(
+    fn: Callable[[Any, Any], Any], common: Any, batch: Any, *, lanes: int | None = None
+) -> tuple[Callable[[Any, Any], Any], bool]:
+    """`tiled(fn)`, or a compiled program that does the same, and whether it is the latter.
+
+    A program is compiled where `setup` asks for it. It first computes a tile of this batch, and its
+    results are compared with those of XLA.
+
+    common, batch: arguments, of which a program may be called with others of the same shapes
+    """
+    by_xla = tiled(fn, lanes=lanes)
+    if not native_wanted() or jax.default_backend() != "cpu":
+        return by_xla, False
+    native = Native(fn, by_xla)
+    few = jax.tree.map(lambda x: x[: lanes or usual_lanes() or 1], batch)
+    reason = native.why_not(common, few)
+    log.info("native: computed by %s", f"XLA: {reason}" if reason else "a program for this "
+             "processor")  # fmt: skip
+    return (by_xla, False) if reason else (native.program(common, few), True)
 
 
 def why_not(machine: Machine, scheme: Scheme, task: Task, trials: int = 2) -> str | None:
@@ -211,13 +397,25 @@ def differs(found: Any, wanted: Any) -> str | None:
 # --------------------------------------------------------------------------------------------------
 
 
-def _alike(program: Program, before: Sequence[Step], step: Step, shared: int) -> list[bool]:
-    """Whether each operand of the loop over trials depends on what is common alone."""
-    varying: set[Value] = set(program.ins[shared:])
-    for one in before:
-        if any(x in varying for x in one.ins):
-            varying.update(one.outs)
-    return [isinstance(x, Const) or x not in varying for x in step.ins]
+def _held(parts: list[tuple[list[Step], Step]], after: list[Step],
+          outs: Sequence[Value]) -> dict[Value, Value]:  # fmt: skip
+    """The result of an earlier loop for each operand of a loop that reads it as it is.
+
+    Of these, no step by JAX reads one but to give it another shape.
+    """
+    origin: dict[Value, Value] = {}
+    by_jax, operands = [*outs], []
+    for before, loop in [*parts, (after, None)]:
+        for step in before:
+            if in_order(step) and step.ins[0] in origin:
+                origin[step.outs[0]] = origin[step.ins[0]]
+            else:
+                by_jax += step.ins
+        if loop is not None:
+            operands += loop.ins
+            origin |= {x: x for x in loop.outs}
+    seen = {origin[x] for x in by_jax if x in origin}
+    return {x: origin[x] for x in operands if x in origin and origin[x] not in seen}
 
 
 def _learns(step: Step) -> bool:
@@ -240,6 +438,26 @@ def _fixed(before: Sequence[Step], step: Step) -> list[Any]:
     return [None if x is None or np.size(x) > FEW else np.asarray(x) for x in found]
 
 
+def _size(x: Value) -> int:
+    """The bytes of an array of one machine."""
+    return math.prod(x.shape) * np.dtype(x.dtype).itemsize
+
+
+def _turned(x: Any, move: tuple[int, int]) -> Any:
+    return x if move[0] == move[1] else jnp.moveaxis(x, *move)
+
+
+def _moved(shape: Sequence[int], at: int, to: int) -> tuple[int, ...]:
+    """The shape of an array of which one axis is moved."""
+    rest = [n for i, n in enumerate(shape) if i != at]
+    return (*rest[:to], *shape[at : at + 1], *rest[to:])
+
+
+def _stored(dtype: Any) -> Any:
+    """The type of numbers as they are in RAM."""
+    return np.dtype(np.uint8) if np.dtype(dtype) == bool else np.dtype(dtype)
+
+
 def _aligned(shape: Sequence[int], dtype: Any) -> np.ndarray:
     """An array whose first number is aligned."""
     dtype = np.dtype(dtype)
@@ -251,7 +469,7 @@ def _aligned(shape: Sequence[int], dtype: Any) -> np.ndarray:
 
 def _contiguous(x: Any) -> np.ndarray:
     x = np.asarray(x)
-    x = x.astype(np.uint8) if x.dtype == bool else x
+    x = x.astype(_stored(x.dtype), copy=False)
     out = _aligned(x.shape, x.dtype)
     out[...] = x
     return out
@@ -259,7 +477,7 @@ def _contiguous(x: Any) -> np.ndarray:
 
 def _grouped(x: np.ndarray, groups: int, lanes: int) -> np.ndarray:
     """(groups, ..., lanes) the numbers of (machines, ...); the last machine fills its group."""
-    x = x.astype(np.uint8) if x.dtype == bool else x
+    x = x.astype(_stored(x.dtype), copy=False)
     flat = x.reshape(len(x), math.prod(x.shape[1:]))
     size, whole = flat.shape[1], len(x) // lanes
     out = _aligned((groups, size, lanes), x.dtype)

@@ -25,7 +25,7 @@ def setup(
 
     precision: `float64` or `float32`
     devices: number of CPU devices; None: one for each core
-    native: whether a sweep compiles learning for this processor where it can (see `native`); None:
+    native: whether learning is compiled for this processor where it can be (see `native`); None:
         as the environment variable JAXILC_NATIVE says, `on` or `off`, which is off where it is not
         set
 

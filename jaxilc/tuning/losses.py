@@ -31,6 +31,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import truncated
 from ..learning.within_trial import bytes_of_trial
+from ..native.run import fastest
 from ..pytree.named_paths import replaced
 from ..runtime.lanes import fitting_lanes, usual_lanes
 from ..runtime.tiles import tiled
@@ -68,12 +69,12 @@ class Losses:
     lanes: int
     starts: int
 
-    def tiled(self, of_one, batch):
-        """The result of `tiled(of_one)` over a batch and, under `vmap`, over all starts."""
+    def _lanes_of(self, batch) -> int:
+        """The lanes of `tiled` over a batch and, under `vmap`, over all starts."""
         of_a_device = -(-len(batch[0]) // jax.device_count())
         wide = usual_lanes() is None  # all machines of all starts in one tile, if they fit
         lanes = self.lanes if wide else min(self.lanes, of_a_device)
-        return tiled(of_one, lanes=max(1, lanes // self.starts))
+        return max(1, lanes // self.starts)
 
     def of_machine(
         self, machine: Machine, values: Mapping[str, Any], objective: Objective, *, key=None
@@ -98,16 +99,21 @@ class Losses:
         """
         of_machines, of_nominal = split(objective)
         batch = population.batch(first)
-        run = self.tiled(
-            lambda values, one: self._of_one(values, one, of_machines, population), batch
+        run = tiled(
+            lambda values, one: self._of_one(values, one, of_machines, population),
+            lanes=self._lanes_of(batch),
         )
         risk = self.risk(counted(run(values, batch)))
         if not of_nominal.parts:
             return risk
         return risk + self.of_machine(self.population.machine, values, of_nominal)
 
-    def evaluation(self, objective: Objective, *, clip: float) -> Callable[[Any], Evaluation]:
+    def evaluation(
+        self, objective: Objective, *, clip: float
+    ) -> tuple[Callable[[Any], Evaluation], bool]:
         """A function that evaluates the loss over the machines of the population at z (P,).
+
+        The second result is whether a program compiled for this processor does, see `native`.
 
             value = risk(l_1, ..., l_S) + nominal terms
             slope = sum_s (d risk / d l_s) (d l_s / d z) + slope of the nominal terms
@@ -116,7 +122,9 @@ class Losses:
         """
         of_machines, of_nominal = split(objective)
         batch = self.population.batch()
-        over_machines = self.tiled(partial(self._slope_of_one, objective=of_machines), batch)
+        of_one = partial(self._slope_of_one, objective=of_machines)
+        z = jnp.asarray(self.weights.starts(1, 0.0, 0)[0])
+        over_machines, native = fastest(of_one, z, batch, lanes=self._lanes_of(batch))
 
         def evaluate(z) -> Evaluation:
             losses, slopes, good = repaired(*over_machines(z, batch), clip)
@@ -134,7 +142,7 @@ class Losses:
             dropped = jnp.sum(~good).astype(losses.dtype)
             return Evaluation(value, gradient, residuals, jacobian, dropped)
 
-        return evaluate
+        return evaluate, native
 
     def fitting_lanes(self, objective: Objective, machines: int) -> int:
         """The lanes that suit the backend and fit with slopes, for so many machines at each start.

@@ -39,6 +39,7 @@ from ..sweeps.sweep import Sweep
 from ..uncertainty import Population, Uncertainty, takes_population
 from .descent import (
     OPTIMISERS,
+    Evaluation,
     Method,
     State,
     Step,
@@ -218,7 +219,9 @@ class Tuning:
     def configuration(self) -> dict[str, Any]:
         """All that determines the numbers, as JSON."""
         described = {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)}
-        return described | {"lanes": self._losses.lanes, "environment": environment("optax")}
+        native = self._evaluation[1]
+        around = environment("optax", *["llvmlite"] * native) | ({"native": True} if native else {})
+        return described | {"lanes": self._losses.lanes, "environment": around}
 
     def scheme_of(self, values: Mapping[str, Any]) -> Scheme:
         """The scheme with these values of the weights by name; also usable inside `jit`."""
@@ -363,8 +366,12 @@ class Tuning:
 
     def _method(self) -> Method:
         """The optimiser on the training loss."""
-        evaluate = self._losses.evaluation(self.objective, clip=self.clip)
-        return method_of(self.optimiser, evaluate, self.rate, self.steps)
+        return method_of(self.optimiser, self._evaluation[0], self.rate, self.steps)
+
+    @cached_property
+    def _evaluation(self) -> tuple[Callable[[Any], Evaluation], bool]:
+        """The training loss, and whether a program compiled for this processor computes it."""
+        return self._losses.evaluation(self.objective, clip=self.clip)
 
 
 def in_rounds(f: Callable, rows: Mapping[str, np.ndarray], size: int) -> np.ndarray:

@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..native.run import fastest
 from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, require
 from ..runtime.capacity import check_program, check_size
-from ..runtime.tiles import tiled
 from ..uncertainty import LogUniform, Population, Uncertainty, drawn_machine
 
 GRADIENT_COST = 3  # cost of a gradient beyond that of its loss, in evaluations of the loss
@@ -87,20 +87,22 @@ def worst_case_search(
         starts=starts,
         steps=steps,
     )
+    t = np.concatenate(
+        [np.full((1, box.n), 0.5), qmc.LatinHypercube(box.n, rng=seed).random(starts - 1)]
+    )
     climb = jax.jit(
-        tiled(
+        fastest(
             lambda subject, t: jax.value_and_grad(lambda t: loss(box.at(t, subject)))(t),
+            box.subject,
+            jnp.asarray(t),
             lanes=lanes,
-        )
+        )[0]
     )
     start = jax.ShapeDtypeStruct((starts, box.n), jnp.result_type(float))
     check_program(
         "worst_case_search: a step of all starts",
         "take fewer starts or trials, or a shorter one",
         climb.lower(box.subject, start),
-    )
-    t = np.concatenate(
-        [np.full((1, box.n), 0.5), qmc.LatinHypercube(box.n, rng=seed).random(starts - 1)]
     )
     step, last = np.full_like(t, FIRST), np.zeros_like(t)
     found, at, best = np.full(starts, -np.inf), t.copy(), np.zeros(steps)
@@ -136,7 +138,9 @@ def monte_carlo_search(
     box = _Box(subject, uncertainty)
     check_size("monte_carlo_search", bytes_of_a_draw(box.uncertainty), evaluations=evaluations)
     t = np.random.default_rng(seed).random((evaluations, box.n))
-    look = tiled(lambda subject, t: loss(box.at(t, subject)), lanes=lanes)
+    look = fastest(
+        lambda subject, t: loss(box.at(t, subject)), box.subject, jnp.asarray(t), lanes=lanes
+    )[0]
     losses = np.asarray(look(box.subject, jnp.asarray(t)))
     losses = np.where(np.isfinite(losses), losses, -np.inf)
     return box.worst(t, losses, evaluations, np.maximum.accumulate(losses))

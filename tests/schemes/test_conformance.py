@@ -12,6 +12,7 @@ from jaxilc import tiled
 from jaxilc.learning import Machine, learn, over_trials
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import named_leaves, replaced
+from jaxilc.runtime.lanes import usual_stored
 from jaxilc.schemes import PID, PIDType
 
 THRESHOLDS = ("epsilon", "theta_limit", "delta", "max_error", "growth", "slow", "scheme.rms")
@@ -185,14 +186,15 @@ def test_gradient_of_every_parameter_equals_finite_differences(run):
 
 @of_each_kind
 def test_other_weights_do_not_retrace(run):
-    before = over_trials._program(over_trials._nothing, 1)._cache_size()
+    program = over_trials._program(over_trials._nothing, 1, None, usual_stored())
+    before = program._cache_size()
     for turn in range(10):
         moved = {
             name: np.asarray(value) * (1 - 0.001 * turn)
             for name, value in named_leaves(run.parts).items()
         }
         of(replaced(run.parts, moved), run.task)
-    assert over_trials._program(over_trials._nothing, 1)._cache_size() == before
+    assert program._cache_size() == before
 
 
 def test_dtype_is_preserved(run):

@@ -1,0 +1,114 @@
+"""Gradients by compiled programs, against XLA, and a tuning and a search by them."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import SCHEMES, case
+
+from jaxilc.learning import Disturbance, learn
+from jaxilc.native import operations, run
+from jaxilc.native.program import Unknown
+from jaxilc.native.run import Compiled, Native, differs
+from jaxilc.tuning import Tuning, worst_case_search
+from jaxilc.uncertainty import Uniform
+
+TRIALS = 5
+GAINS = 1 + 0.002 * np.arange(-5, 6)
+UNCERTAIN = {"plant.b": Uniform(0.9, 1.1, relative=True)}
+NAMES = (
+    "cfdl_smooth", "ffdl_sign", "p_type_fir", "p_type_switchable", "at_samples", "voice_coil_dai",
+)  # fmt: skip
+
+
+def by_all_leaves(common, gain):
+    """The loss of a machine, and its slopes by every number of the machine and of the scheme."""
+    (parts, key), task = common
+    leaves, structure = jax.tree.flatten(parts)
+    real = [i for i, x in enumerate(leaves) if jnp.issubdtype(jnp.asarray(x).dtype, jnp.floating)]
+
+    def loss(values):
+        moved = [*leaves]
+        for i, x in zip(real, values, strict=True):
+            moved[i] = x
+        history = learn(*jax.tree.unflatten(structure, moved), task, TRIALS, key=key)
+        return jnp.sum(history.rms[-1] ** 2) + 0.1 * jnp.sum(history.rms)
+
+    value, slopes = jax.value_and_grad(loss)([leaves[i] * gain for i in real])
+    return value, jnp.concatenate([jnp.ravel(x) for x in slopes])
+
+
+def arguments(name, **changed):
+    machine, scheme, task = case(name)
+    return ((dataclasses.replace(machine, **changed), scheme), jax.random.key(3)), task
+
+
+@pytest.mark.parametrize(
+    "name", [n if n == "p_type_switchable" else pytest.param(n, marks=pytest.mark.slow)
+             for n in NAMES]
+)  # fmt: skip
+def test_slopes_by_every_number_are_those_of_xla(name):
+    common = arguments(name)
+    found = Compiled(by_all_leaves, common, 1.0)(common, GAINS)
+    wanted = jax.jit(jax.vmap(by_all_leaves, (None, 0)))(common, GAINS)
+    assert differs(found, wanted) is None
+
+
+def test_slopes_are_the_same_in_tiles_under_jit_and_beside_others(monkeypatch):
+    """To the last bit; with noise, which is drawn once for both ways."""
+    common = arguments("p_type", disturbance=Disturbance(input_noise=1e-2))
+    program = Compiled(by_all_leaves, common, 1.0, lanes=2)
+    whole = jax.tree.leaves(program(common, GAINS))
+    wanted = jax.jit(jax.vmap(by_all_leaves, (None, 0)))(common, GAINS)
+    assert differs(whole, jax.tree.leaves(wanted)) is None
+    monkeypatch.setattr(run, "AT_ONCE", 0)
+    monkeypatch.setattr(run, "_cores", lambda: 2)
+    assert program.tile == 4
+    for call in (program, jax.jit(program)):
+        for x, y in zip(jax.tree.leaves(call(common, GAINS)), whole, strict=True):
+            np.testing.assert_array_equal(x, y)
+    twice = jax.jit(jax.vmap(program, (None, 0)))(common, np.stack([GAINS, GAINS[::-1]]))
+    for x, y in zip(jax.tree.leaves(twice), whole, strict=True):
+        np.testing.assert_array_equal(x[0], y)
+        np.testing.assert_array_equal(x[1], y[::-1])
+
+
+def test_memories_that_the_ram_cannot_hold_are_refused(monkeypatch):
+    monkeypatch.setattr(run, "host_bytes", lambda: 1000)
+    with pytest.raises(Unknown, match="the memories of all trials"):
+        Compiled(by_all_leaves, arguments("p_type"), 1.0)
+
+
+def test_a_wrong_slope_is_refused(monkeypatch, caplog):
+    """Of an operation that only the way back has."""
+    common = arguments("p_type")
+    wrong = lambda n, x, y: n.of("sub", x, y)  # noqa: E731
+    monkeypatch.setitem(operations.COMPOSED, "add_any", (wrong, ()))
+    native = Native(by_all_leaves, jax.jit(jax.vmap(by_all_leaves, (None, 0))))
+    assert "another result than that of XLA" in native.why_not(common, GAINS)
+    assert "XLA computes instead" in caplog.text
+
+
+def test_a_tuning_and_a_search_are_those_of_xla(monkeypatch):
+    """Of two starts; a tuning says what computed its slopes."""
+    machine, _, task = case("arx")
+    of = (machine, SCHEMES["cfdl_smooth"], task, 4, ("lam", "rho", "eta"), UNCERTAIN)
+    how = {"machines": 5, "held_out": 2, "steps": 2, "starts": 2}
+
+    def found():
+        tuning = Tuning(*of, **how)
+        worst = worst_case_search(
+            lambda machine: jnp.sum(learn(machine, SCHEMES["p_type"], task, 4).rms[-1]),
+            machine, UNCERTAIN, starts=3, steps=2,
+        )  # fmt: skip
+        return tuning.run().slope, worst.loss, "native" in tuning.configuration()["environment"]
+
+    slopes, loss, native = found()
+    monkeypatch.setenv("JAXILC_NATIVE", "on")
+    by_program, worst, compiled = found()
+    assert (native, compiled) == (False, True)
+    np.testing.assert_allclose(worst, loss, rtol=1e-11)
+    np.testing.assert_allclose(by_program, slopes, rtol=1e-8)
+    assert np.any(by_program != slopes)  # another did compute them
