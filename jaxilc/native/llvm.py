@@ -297,6 +297,10 @@ class Text:
         self.cells[name] = self.type_of(dtype)
         return name
 
+    def _put(self, cell: Node, value: str) -> None:
+        kind = self.type_of(cell.dtype)
+        self.do(f"store {kind} {value}, ptr {self._cell(cell.what, cell.dtype)}")
+
     def _base(self, buffer: Buffer) -> str:
         """The pointer to the rows of a buffer that are read."""
         if buffer.kind == "given":
@@ -405,8 +409,7 @@ class Text:
             else:
                 for m, cell in enumerate(x.flat):
                     value = self.load(f"%g{number}", str(m), cell.dtype, alike=alike)
-                    kind = self.type_of(cell.dtype)
-                    self.do(f"store {kind} {value}, ptr {self._cell(cell.what, cell.dtype)}")
+                    self._put(cell, value)
 
     def _trials(self, group: str) -> None:
         plan = self.plan
@@ -456,8 +459,7 @@ class Text:
             for m, (node, value) in enumerate(zip(x.flat, values, strict=True)):
                 self.store(value, f"%o{i}", self.add(f"add i64 {at}, {m}"), node.dtype)
         for cell, value in new:
-            kind = self.type_of(cell.dtype)
-            self.do(f"store {kind} {value}, ptr {self._cell(cell.what, cell.dtype)}")
+            self._put(cell, value)
 
     def _end(self, group: str) -> None:
         """What is carried out of the last trial."""
@@ -498,8 +500,7 @@ class Text:
     def _set(self, cells: Array, begin: Array) -> None:
         values = self.values(begin.flat)
         for cell, value in zip(cells.flat, values, strict=True):
-            kind = self.type_of(cell.dtype)
-            self.do(f"store {kind} {value}, ptr {self._cell(cell.what, cell.dtype)}")
+            self._put(cell, value)
 
     def _segment(self, of: Segment, direction: int) -> None:
         stores = list(of.stores)
@@ -522,9 +523,7 @@ class Text:
                 index = self._index(k, 1, offset, buffer.width, m)
                 self.store(self._known(node)[node], self._target(buffer), index, buffer.dtype)
         for cell, new in of.cells:
-            kind = self.type_of(cell.dtype)
-            name = self._cell(cell.what, cell.dtype)
-            self.do(f"store {kind} {self._known(new)[new]}, ptr {name}")
+            self._put(cell, self._known(new)[new])
         self.lines += end
         self.inside = {}
 

@@ -7,7 +7,7 @@ steps that nobody reads.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -330,7 +330,9 @@ def _without_dead(step: Step, wanted: Sequence[bool]) -> Step:
 
 
 def of_trials(
-    program: Program, foreign: Callable[[Step], bool] = lambda step: False
+    program: Program,
+    foreign: Callable[[Step], bool] = lambda step: False,
+    left: Collection[int] = (),
 ) -> tuple[list[tuple[list[Step], Step]], list[Step]]:
     """Each loop over trials, lowered, with the steps before it; and the steps after the last one.
 
@@ -338,13 +340,16 @@ def of_trials(
     trials around one over the trials of a block counts as one.
 
     foreign: which steps JAX computes before a loop where it can, see `computed_ahead`
+    left: the numbers of such loops that are steps like others
     Raises Unknown where there is no such loop.
     """
     found: list[tuple[list[Step], Step]] = []
     before: list[Step] = []
     steps = without_dead(program).steps
+    nested = [step for step in steps if step.name == "scan" and _has_loop(step)]
+    kept = [step for number, step in enumerate(nested) if number not in left]
     for at, step in enumerate(steps):
-        if step.name != "scan" or not _has_loop(step):
+        if step not in kept:
             before.append(step)
             continue
         read_later = {x for later in steps[at + 1 :] for x in later.ins} | {*program.outs}

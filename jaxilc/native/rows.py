@@ -16,6 +16,7 @@ from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
@@ -30,7 +31,7 @@ from .operations import (
     known,
     start,
 )
-from .program import Const, Program, Step, Unknown, Value, loops
+from .program import Const, Program, Step, Unknown, Value, loops, lowered
 
 MOST_NODES = 60_000  # of all loops; a compiler takes seconds for so many
 Array = np.ndarray  # of nodes
@@ -428,28 +429,9 @@ class Trials:
 
     def pick(self, row: Row, i: int) -> Array:
         """The elements of a row at a sample that is known beforehand."""
-        if isinstance(row, Stored):
-            return self._picked(row.buffer, row, i, 0)
-        if isinstance(row, Same):
-            return row.elements
-        if isinstance(row, Count):
-            return np.full(row.of_one, self.n.const(i, row.dtype), object)
-        if isinstance(row, Shifted):
-            return self.pick(row.row, i + row.by)
-        if isinstance(row, Flipped):
-            return self.pick(row.row, row.length - 1 - i)
-        if isinstance(row, Joined):
-            first, _, part = next(p for p in row.parts if p[0] <= i < p[0] + p[1])
-            if isinstance(part, Row):
-                return self.pick(part, i - first)
-            return part.take([i - first], row.axis)
-        if isinstance(row, Computed):
-            return row.function(*(self.pick(x, i) if isinstance(x, Row) else x
-                                  for x in row.operands))  # fmt: skip
-        assert isinstance(row, Result)
-        return self._picked(self.kept(row), row, i, row.scan.loop + 1)
+        return _Picked(self).row(row, 0, i)
 
-    def _picked(self, buffer: Buffer, row: Row, i: int, loop: int) -> Array:
+    def picked(self, buffer: Buffer, row: Row, i: int, loop: int) -> Array:
         nodes = np.empty(row.of_one, object)
         for m, at in enumerate(np.ndindex(*row.of_one)):
             place = ("pick", buffer, i, m)
@@ -544,16 +526,25 @@ def _with(values: Sequence[int], at: int, value: int) -> tuple[int, ...]:
     return (*values[:at], value, *values[at + 1 :])
 
 
+def _joined(shape: Sequence[int], axis: int, dtype: Any, parts: Iterable[tuple[int, Any]]) -> Any:
+    """Rows from parts one after another, each with its number of samples.
+
+    A part with one row, or less, has it at each of its samples.
+    """
+    found: list[tuple] = []
+    for length, part in parts:
+        if length > 0:
+            if not isinstance(part, Row) and part.shape[axis] != length:
+                part = Same(_with(shape, axis, length), axis, dtype, part)
+            found.append((sum(p[1] for p in found), length, part))
+    return found[0][2] if len(found) == 1 else Joined(shape, axis, dtype, found)
+
+
 def _concatenate(of: Trials, step: Step, operands: list) -> Any:
     out, axis = step.outs[0], step.params["dimension"]
     if of.axis_of(out.shape) != axis:
         return None
-    parts, first = [], 0
-    for x in operands:
-        if x.shape[axis]:
-            parts.append((first, x.shape[axis], x))
-        first += x.shape[axis]
-    return parts[0][2] if len(parts) == 1 else Joined(out.shape, axis, out.dtype, parts)
+    return _joined(out.shape, axis, out.dtype, [(x.shape[axis], x) for x in operands])
 
 
 def _pad(of: Trials, step: Step, operands: list) -> Any:
@@ -571,14 +562,8 @@ def _pad(of: Trials, step: Step, operands: list) -> Any:
         raise Unknown("pad of a few samples")
     inner = row if (first, last) == (0, row.length) else Shifted(row, first, last - first)
     filled = np.full(row.of_one, value[()], object)
-    parts: list[tuple] = []
-    for length, part in ((low, None), (inner.length, inner), (high, None)):
-        if length > 0:
-            if part is None:
-                shape = _with(row.shape, row.axis, length)
-                part = Same(shape, row.axis, row.dtype, filled)
-            parts.append((sum(p[1] for p in parts), length, part))
-    return parts[0][2] if len(parts) == 1 else Joined(out.shape, row.axis, out.dtype, parts)
+    parts = [(low, filled), (inner.length, inner), (high, filled)]
+    return _joined(out.shape, row.axis, out.dtype, parts)
 
 
 def _joined_small(step: Step, operands: list, out: Value, axis: int) -> Row:
@@ -591,12 +576,8 @@ def _joined_small(step: Step, operands: list, out: Value, axis: int) -> Row:
     ):  # fmt: skip
         raise Unknown("pad to samples")
     filled = np.full(_with(out.shape, axis, 1), value[()], object)
-    parts: list[tuple] = []
-    for length, part in ((low, None), (x.shape[axis], x), (high, None)):
-        if length:
-            same = Same(_with(out.shape, axis, length), axis, out.dtype, filled)
-            parts.append((sum(p[1] for p in parts), length, same if part is None else part))
-    return Joined(out.shape, axis, out.dtype, parts)
+    parts = [(low, filled), (x.shape[axis], x), (high, filled)]
+    return _joined(out.shape, axis, out.dtype, parts)
 
 
 def _dynamic_slice(of: Trials, step: Step, operands: list) -> Any:
@@ -622,14 +603,12 @@ def _scatter(of: Trials, step: Step, operands: list) -> Any:
     where = (numbers.inserted_window_dims, numbers.scatter_dims_to_operand_dims)
     if at is None or at.shape != (1,) or where != ((row.axis,), (row.axis,)):
         raise Unknown("scatter of samples")
-    i, parts = int(at[0]), []
-    if not 0 <= i < row.length:
+    i, last = int(at[0]), row.length - 1
+    if not 0 <= i <= last:
         raise Unknown("scatter beyond the samples")
-    for first, length, part in ((0, i, None), (i, 1, new.reshape(row.of_one)),
-                                (i + 1, row.length - i - 1, None)):  # fmt: skip
-        if length:
-            parts.append((first, length, Shifted(row, first, length) if part is None else part))
-    return Joined(row.shape, row.axis, row.dtype, parts)
+    parts = [(i, Shifted(row, 0, i)), (1, new.reshape(row.of_one)),
+             (last - i, Shifted(row, i + 1, last - i))]  # fmt: skip
+    return _joined(row.shape, row.axis, row.dtype, parts)
 
 
 def _gather_rows(of: Trials, step: Step, operands: list) -> Any:
@@ -679,25 +658,35 @@ def _gathered(of: Trials, name: str, row: Row, out: Value, function: Callable[..
     return cells
 
 
+def _scanned(of: Trials, tick: Callable, begins: list[Array], rows: list[Row], out: Value, *,
+             reverse: bool = False) -> list:  # fmt: skip
+    """What a scan of a function carries out of its last sample, and its rows, if it has some."""
+    like = [jax.ShapeDtypeStruct(x.shape, x.flat[0].dtype) for x in begins]
+    like += [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in rows]
+    closed = jax.make_jaxpr(tick)(*like)
+    body = lowered(closed.jaxpr, closed.consts)
+    params = {"length": rows[0].length, "reverse": reverse, "body": body, "consts": 0}
+    outs = [Value(x.shape, x.dtype) for x in body.outs[: len(begins)]]
+    outs += [out] * (len(body.outs) - len(begins))
+    of._scan(Step("scan", params | {"carry": len(begins)}, [], outs), [*begins, *rows])
+    return [of._known[x] for x in outs]
+
+
 def _running(of: Trials, step: Step, operands: list) -> Any:
     """A running sum, product, maximum or minimum along the samples, as a scan."""
-    row = operands[0]
+    row, name = operands[0], RUNNING[step.name]
     if step.params["axis"] != row.axis:
         return None
     if row.axis != 0:
         raise Unknown(f"{step.name} along samples that are not the first axis")
-    shape, dtype = row.shape[1:], row.dtype
-    before, x, after = (Value(shape, dtype) for _ in range(3))
-    body = Program([before, x], [Step(RUNNING[step.name], {}, [before, x], [after])],
-                   [after, after])  # fmt: skip
-    gathering = {"cumsum": "reduce_sum", "cumprod": "reduce_prod"}.get(
-        step.name, f"reduce_{step.name[3:]}"
-    )
-    begin = np.full(shape, start(of.n, gathering, dtype), object)
-    params = {"length": row.length, "reverse": step.params["reverse"], "body": body}
-    last, rows = Value(shape, dtype), step.outs[0]
-    of._scan(Step("scan", params | {"consts": 0, "carry": 1}, [], [last, rows]), [begin, row])
-    return of._known[rows]
+    gathering = next(long for long, (short, _) in GATHERED.items() if short == name)
+    begin = np.full(row.shape[1:], start(of.n, gathering, row.dtype), object)
+
+    def tick(before: Any, x: Any) -> tuple:
+        after = getattr(lax, name)(before, x)
+        return after, after
+
+    return _scanned(of, tick, [begin], [row], step.outs[0], reverse=step.params["reverse"])[1]
 
 
 def _place_of_best(of: Trials, step: Step, operands: list) -> Any:
@@ -707,29 +696,18 @@ def _place_of_best(of: Trials, step: Step, operands: list) -> Any:
         raise Unknown(f"{step.name} at each sample")
     if axis != 0:
         raise Unknown(f"{step.name} along samples that are not the first axis")
-    shape, dtype, largest = row.shape[1:], row.dtype, step.name == "argmax"
-    begin = start(of.n, "reduce_max" if largest else "reduce_min", dtype) if (
-        dtype.kind == "f") else of.n.const(not largest, dtype)  # fmt: skip
-    if dtype.kind not in "fb":
-        raise Unknown(f"{step.name} of {dtype}")
-    best, at, x, k = Value(shape, dtype), Value(shape, out.dtype), Value(shape, dtype), (
-        Value((), out.dtype))  # fmt: skip
-    steps: list[Step] = []
+    if row.dtype.kind not in "fb":
+        raise Unknown(f"{step.name} of {row.dtype}")
+    largest, shape = step.name == "argmax", row.shape[1:]
 
-    def add(name: str, *ins: Value) -> Value:
-        steps.append(Step(name, {}, [*ins], [Value(shape, ins[-1].dtype)]))
-        return steps[-1].outs[0]
+    def tick(best: Any, at: Any, x: Any, k: Any) -> tuple:
+        beyond = x > best if largest else x < best
+        new = beyond | ((x != x) & (best == best))
+        return jnp.where(new, x, best), jnp.where(new, k, at)
 
-    beyond = add("gt" if largest else "lt", x, best)
-    new = add("or", beyond, add("and", add("ne", x, x), add("eq", best, best)))
-    outs = [add("select_n", new, best, x), add("select_n", new, at, k)]
-    body = Program([best, at, x, k], steps, outs)
-    params = {"length": row.length, "reverse": False, "body": body, "consts": 0, "carry": 2}
-    zero, last = of.n.const(0, out.dtype), Value(shape, dtype)
-    begins = [np.full(shape, begin, object), np.full(shape, zero, object)]
-    count = Count((row.length,), 0, out.dtype)
-    of._scan(Step("scan", params, [], [last, out]), [*begins, row, count])
-    return of._known[out]
+    begin = start(of.n, "reduce_max" if largest else "reduce_min", row.dtype)
+    begins = [np.full(shape, x, object) for x in (begin, of.n.const(0, out.dtype))]
+    return _scanned(of, tick, begins, [row, Count((row.length,), 0, out.dtype)], out)[1]
 
 
 def _dot(of: Trials, step: Step, operands: list) -> Any:
@@ -975,24 +953,12 @@ def _inner(row: Row) -> list[tuple[Row, int]]:
     return []
 
 
-class _At:
-    """What evaluates rows at the samples of a segment."""
+class _Rows:
+    """What evaluates rows at the samples from `first` to before `last`."""
 
-    def __init__(self, of: _Build, first: int, last: int):
-        self.of, self.n, self.first, self.last = of, of.n, first, last
+    def __init__(self, first: int, last: int):
+        self.first, self.last = first, last
         self.rows: dict[Any, Array] = {}
-        self.done: dict[Scan, list[Array]] = {}
-
-    def active(self, item: Any) -> bool:
-        return self.first + item.offset >= 0 and self.last + item.offset <= item.length
-
-    def inside(self, cells: Array) -> Array:
-        """The nodes of cells within the loop that changes them."""
-        out = np.empty(cells.shape, object)
-        for i in np.ndindex(*cells.shape):
-            x = cells[i]
-            out[i] = self.n.place("now", x.dtype, ("now", x.what), varies=True, alike=False)
-        return out
 
     def row(self, row: Row, sign: int, c: int) -> Array:
         """The elements of row sign k + c, at sample k."""
@@ -1002,13 +968,8 @@ class _At:
         return self.rows[key]
 
     def _row(self, row: Row, sign: int, c: int) -> Array:
-        if isinstance(row, Stored):
-            return self._load(row.buffer, row, sign, c)
         if isinstance(row, Same):
             return row.elements
-        if isinstance(row, Count):
-            index = self.n.place("index", row.dtype, ("index", row.dtype, sign, c), varies=True)
-            return np.full(row.of_one, index, object)
         if isinstance(row, Shifted):
             return self.row(row.row, sign, c + row.by)
         if isinstance(row, Flipped):
@@ -1025,6 +986,54 @@ class _At:
         if isinstance(row, Computed):
             return row.function(*(self.row(x, sign, c) if isinstance(x, Row) else x
                                   for x in row.operands))  # fmt: skip
+        return self.read(row, sign, c)
+
+    def read(self, row: Row, sign: int, c: int) -> Array:
+        """The elements of stored rows, of the results of a scan, or the number of the sample."""
+        raise NotImplementedError
+
+
+class _Picked(_Rows):
+    """What evaluates rows at a sample that is known beforehand; its sign is 0."""
+
+    def __init__(self, of: Trials):
+        super().__init__(0, 1)
+        self.of = of
+
+    def read(self, row: Row, sign: int, c: int) -> Array:
+        if isinstance(row, Stored):
+            return self.of.picked(row.buffer, row, c, 0)
+        if isinstance(row, Count):
+            return np.full(row.of_one, self.of.n.const(c, row.dtype), object)
+        assert isinstance(row, Result)
+        return self.of.picked(self.of.kept(row), row, c, row.scan.loop + 1)
+
+
+class _At(_Rows):
+    """What evaluates rows at the samples of a segment."""
+
+    def __init__(self, of: _Build, first: int, last: int):
+        super().__init__(first, last)
+        self.of, self.n = of, of.n
+        self.done: dict[Scan, list[Array]] = {}
+
+    def active(self, item: Any) -> bool:
+        return self.first + item.offset >= 0 and self.last + item.offset <= item.length
+
+    def inside(self, cells: Array) -> Array:
+        """The nodes of cells within the loop that changes them."""
+        out = np.empty(cells.shape, object)
+        for i in np.ndindex(*cells.shape):
+            x = cells[i]
+            out[i] = self.n.place("now", x.dtype, ("now", x.what), varies=True, alike=False)
+        return out
+
+    def read(self, row: Row, sign: int, c: int) -> Array:
+        if isinstance(row, Stored):
+            return self._load(row.buffer, row, sign, c)
+        if isinstance(row, Count):
+            index = self.n.place("index", row.dtype, ("index", row.dtype, sign, c), varies=True)
+            return np.full(row.of_one, index, object)
         assert isinstance(row, Result)
         scan = row.scan
         if scan.loop == self.of.number:

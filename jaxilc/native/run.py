@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import itertools
 import logging
 import math
@@ -10,7 +11,10 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache, partial
+from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -65,27 +69,11 @@ class Compiled:
             closed, shape = jax.make_jaxpr(fn, return_shape=True)(common, one)
         self._tree = jax.tree.structure(shape)
         self._program: Program = flat(closed)
-        parts, after = of_trials(self._program, foreign)
-        shared = len(jax.tree.leaves(common))
+        self._varying = {*self._program.ins[len(jax.tree.leaves(common)) :]}
         self.lanes = _width() // np.dtype(float).itemsize if lanes is None else lanes
-        held = _held(parts, after, self._program.outs)
-        varying: set[Value] = set(self._program.ins[shared:])
-        self._loops: list[_Loop] = []
-        where: dict[Value, tuple[int, int]] = {}
-        steps: list[Step] = []
-        for before, step in parts:
-            steps = steps + before
-            for of in before:
-                varying.update(of.outs if any(x in varying for x in of.ins) else ())
-            self._loops.append(_Loop(steps, step, varying, held, self.lanes))
-            where |= self._loops[-1].found_at
-            for x in (x for x in step.ins if x in held):
-                here, there = self._loops[-1].moved[x], where[held[x]]
-                turned = here[0] != here[1] or there[0] != there[1]
-                if turned and (x.shape, here) != (held[x].shape, there):
-                    raise Unknown("a memory whose axis of samples changes")
-            varying.update(step.outs)
-        self._after = steps + after
+        left: list[int] = []
+        while not self._compiled(left):
+            pass
         self.learns = any(_learns(loop.step) for loop in self._loops)
         self._holding = sum(loop.holding for loop in self._loops)
         self._check_room()
@@ -94,6 +82,43 @@ class Compiled:
             loop.first = self._by_jax(loop.before, loop.given, axes, loop.moved)
         self._last = self._by_jax(self._after, self._program.outs, 0, {})
         self._rooms = _Rooms()
+
+    def _compiled(self, left: list[int]) -> bool:
+        """Whether all loops over trials could be compiled but those that are left to JAX.
+
+        An earlier one of which nothing waits for a later one, such as what prepares a scheme, is
+        added to those that are left, and all are to be compiled again. Raises Unknown for others.
+        """
+        parts, after = of_trials(self._program, foreign, left)
+        held = _held(parts, after, self._program.outs)
+        befores = (*(before for before, _ in parts), after)
+        read = {x for steps in befores for of in steps for x in of.ins}
+        read |= {*self._program.outs, *held.values(), *(x for _, step in parts for x in step.ins)}
+        varying, where = {*self._varying}, {}
+        self._loops: list[_Loop] = []
+        steps: list[Step] = []
+        for number, (before, step) in enumerate(parts):
+            steps = steps + before
+            for of in before:
+                varying.update(of.outs if any(x in varying for x in of.ins) else ())
+            try:
+                self._loops.append(_Loop(steps, step, varying, read, held, self.lanes))
+            except Unknown:
+                last = number == len(parts) - 1
+                if last or not {*held.values()}.isdisjoint(step.outs):
+                    raise
+                numbers = (n for n in itertools.count() if n not in left)
+                left.append(next(itertools.islice(numbers, number, None)))
+                return False
+            where |= self._loops[-1].found_at
+            for x in (x for x in step.ins if x in held):
+                here, there = self._loops[-1].moved[x], where[held[x]]
+                turned = here[0] != here[1] or there[0] != there[1]
+                if turned and (x.shape, here) != (held[x].shape, there):
+                    raise Unknown("a memory whose axis of samples changes")
+            varying.update(step.outs)
+        self._after = steps + after
+        return True
 
     def _by_jax(self, steps: list[Step], wanted: list[Value], out_axes: Any, moved: dict) -> Any:
         """The function of the operands, and of what loops found, that JAX computes for a batch.
@@ -189,6 +214,7 @@ class _Loop:
     before: the steps by JAX before it, with those before earlier loops
     step: the loop, lowered
     varying: the values that differ from machine to machine
+    read: the values that somebody reads after this loop
     held: the value of a result of an earlier loop for each operand that waits for this one
     lanes: number of machines in a group
     given: the operands that JAX computes
@@ -198,15 +224,15 @@ class _Loop:
     drawn: bytes of the operands of a machine
     """
 
-    def __init__(self, before: list[Step], step: Step, varying: set[Value],
+    def __init__(self, before: list[Step], step: Step, varying: set[Value], read: set[Value],
                  held: dict[Value, Value], lanes: int):  # fmt: skip
         self.before, self.step, self._held, self._lanes = before, step, held, lanes
         alike = [isinstance(x, Const) or (x not in varying and x not in held) for x in step.ins]
         real = np.dtype(float)
         plan = Trials(step, alike, _fixed(before, step), real)
-        kept = {*held.values()}
-        self.shown = [x for x in step.outs if x not in kept]
-        wanted = [True] * len(step.outs)
+        kept = self._kept = {*held.values()}
+        self.shown = [x for x in step.outs if x in read and x not in kept]
+        wanted = [x in read for x in step.outs]
         self.text = Text(plan, lanes, wanted, partial(_in_vectors, lanes))
         self._constants = [_contiguous(x) for x in plan.given]
         self.moved: dict[Value, tuple[int, int]] = {}
@@ -241,8 +267,8 @@ class _Loop:
         outs = {}
         for x in self.step.outs:
             shape, dtype = (groups, math.prod(x.shape), self._lanes), _stored(x.dtype)
-            if x in self.shown:
-                outs[x] = _aligned(shape, dtype)
+            if x not in self._kept:
+                outs[x] = _aligned(shape if x in self.shown else (0,), dtype)
             else:
                 if x not in held or held[x].shape != shape:
                     held[x] = _aligned(shape, dtype)
@@ -537,14 +563,21 @@ class _Code:
             raise Unknown(f"LLVM refuses the program: {error}".replace("\n", " ")) from error
         module.triple, module.data_layout = machine.triple, str(machine.target_data)
         module.verify()
-        options = llvm.create_pipeline_tuning_options(speed_level=2)
-        options.loop_vectorization = options.slp_vectorization = False
-        builder = llvm.create_pass_builder(machine, options)
-        builder.getModulePassManager().run(module, builder)
+        place = _place_of(text)
+        known = None if place is None else _kept(place)
+        if known is None:
+            options = llvm.create_pipeline_tuning_options(speed_level=2)
+            options.loop_vectorization = options.slp_vectorization = False
+            builder = llvm.create_pass_builder(machine, options)
+            builder.getModulePassManager().run(module, builder)
         for function in module.functions:
             if function.is_declaration and not function.name.startswith("llvm."):
                 llvm.add_symbol(function.name, _address(function.name))
         self._engine = llvm.create_mcjit_compiler(module, machine)
+        if place is not None:
+            self._engine.set_object_cache(
+                lambda _, compiled: _keep(place, compiled), lambda _: known
+            )
         self._engine.finalize_object()
         pointer, whole = ctypes.c_void_p, ctypes.c_int64
         kind = ctypes.CFUNCTYPE(None, whole, whole, pointer, pointer, pointer)
@@ -566,6 +599,47 @@ class _Code:
         else:
             with ThreadPoolExecutor(threads) as pool:
                 list(pool.map(part, range(threads)))
+
+
+def _place_of(text: str) -> Path | None:
+    """The file of the machine code of a text, beside the programs that JAX keeps; None for none."""
+    folder = _folder()
+    if not folder:
+        return None
+    processor = _llvm().get_host_cpu_name(), _llvm().get_host_cpu_features().flatten()
+    of = "\0".join((metadata.version("llvmlite"), *processor, text))
+    key = hashlib.sha256(of.encode()).hexdigest()
+    return Path(folder) / f"native-{key}"
+
+
+def _folder() -> str | None:
+    """The folder in which JAX keeps its programs."""
+    kept = jax.config.jax_enable_compilation_cache
+    return jax.config.jax_compilation_cache_dir if kept else None
+
+
+def _kept(place: Path) -> bytes | None:
+    """The machine code of a file; None where there is none, or not what was written under its name.
+
+    Machine code that was damaged, or exchanged for another, would do anything.
+    """
+    try:
+        found = place.read_bytes()
+    except OSError:
+        return None
+    return found[32:] if found[:32] == _seal(place, found[32:]) else None
+
+
+def _keep(place: Path, compiled: bytes) -> None:
+    """Write machine code at once or not at all."""
+    beside = place.with_name(f"{place.name}.{os.getpid()}.{threading.get_ident()}")
+    with suppress(OSError):
+        beside.write_bytes(_seal(place, compiled) + compiled)
+        beside.replace(place)
+
+
+def _seal(place: Path, compiled: bytes) -> bytes:
+    return hashlib.sha256(place.name.encode() + b"\0" + compiled).digest()
 
 
 def _in_vectors(lanes: int, name: str, operands: int) -> str | None:

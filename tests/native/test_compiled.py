@@ -27,7 +27,7 @@ REFUSED = {
     "estimated_disturbance": "scatter-add",
     "repetitive": "dynamic_slice at places",
     "two_step": "while",
-    "cross_coupled": "gather that moves",
+    "cross_coupled": "gather of samples",
     "constrained": "while",
     "basis_functions": "gather of samples",
     "basis_gradient": "gather of samples",
@@ -178,3 +178,26 @@ def test_without_llvmlite_the_reason_is_told(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "llvmlite", None)
     monkeypatch.setitem(__import__("sys").modules, "llvmlite.binding", None)
     assert "pip install jaxilc[native]" in why_not(*case("p_type"))
+
+
+def test_machine_code_is_kept_and_what_was_damaged_is_compiled_again(monkeypatch, tmp_path):
+    """The code of one program under the name of another is not run either."""
+    monkeypatch.setattr(run, "_folder", lambda: str(tmp_path))
+    common, optimised = arguments("p_type"), []
+    builder = run._llvm().create_pass_builder
+    monkeypatch.setattr(
+        run._llvm(), "create_pass_builder", lambda *of: optimised.append(1) or builder(*of)
+    )
+
+    def computed():
+        return jax.tree.leaves(Compiled(of_machine, common, 1.0, lanes=2)(common, GAINS[:3]))
+
+    wanted, (kept,) = computed(), tmp_path.glob("native-*")
+    whole = kept.read_bytes()
+    for written, again in ((whole, 1), (whole[:-1] + b"?", 2), (b"", 3), (b"?" * 99, 4)):
+        kept.write_bytes(written)
+        for x, y in zip(computed(), wanted, strict=True):
+            np.testing.assert_array_equal(x, y)
+        assert len(optimised) == again
+        assert kept.read_bytes()[32:] == whole[32:]
+        assert [*tmp_path.iterdir()] == [kept]
