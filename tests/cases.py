@@ -18,6 +18,7 @@ from jaxilc.learning import Machine
 from jaxilc.plants import (
     BallScrewDrive,
     BoucWen,
+    ByPosition,
     Cogging,
     Creep,
     CuttingForce,
@@ -27,13 +28,16 @@ from jaxilc.plants import (
     FastToolServo,
     FlexibleMode,
     FrictionTable,
+    Harmonics,
     InBlocks,
     InputHysteresis,
     LeadError,
     ModalModel,
     Pendulum,
     PeriodicForce,
+    PositionMap,
     ProcessModel,
+    Splines,
     StateSpace,
     StribeckFriction,
     ThreeAxes,
@@ -67,6 +71,7 @@ from jaxilc.schemes import (
     GivenBasis,
     GradientILC,
     HigherOrder,
+    JoinedBasis,
     KeepUnmeasured,
     Ladder,
     LearningFilter,
@@ -78,6 +83,7 @@ from jaxilc.schemes import (
     OnReference,
     PIDType,
     PolynomialBasis,
+    PositionBasis,
     RationalBasis,
     RepetitiveControl,
     SelectedBasis,
@@ -205,6 +211,13 @@ PLANTS = {
     ),
     "in_blocks": InBlocks(TwoAxes(_LAG, _ARX), length=5),
     "three_axes": ThreeAxes(_LAG, _ARX, InputHysteresis(_LAG, Dahl(0.4, 0.3))),
+    "by_position": ByPosition(
+        _LAG,
+        PositionMap(Splines(-0.1, 0.9, 4), 0.3 * np.cos(np.arange(8)), turning=40.0),
+        ripple=PositionMap(Harmonics(0.7, (0, 1)), (0.1, -0.2, 0.1)),
+        error=PositionMap(Harmonics(0.4, (1,)), (0.01, 0.02)),
+        backlash=0.02,
+    ),
     # so heavy that it swings within a few samples of 1 ms, far from where it is linear
     "pendulum": Pendulum(mass=0.02, damping=0.1, inertia=1e-3, length=0.2, gravity=9e4),
     "motor_and_table": StateSpace(
@@ -430,6 +443,14 @@ SCHEMES = {
         w_r=0.05,
         iterations=2,
     ),
+    "position_basis": BasisFunctions(
+        JoinedBasis(
+            (PolynomialBasis((1,)), PositionBasis(Splines(-0.2, 1.2, 4), turning=50.0, lead=3e-4))
+        ),
+        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT),
+        w_r=0.05,
+        w_s=0.01,
+    ),
     "on_basis": OnBasis(
         PIDType(gamma_p=-1.0, lead=2), GivenBasis(np.sin(np.outer(np.arange(FEW), (0.2, 0.4, 0.7))))
     ),
@@ -472,6 +493,7 @@ _PLANT_OF = {
     "two_step": "pendulum",
     "basis_functions": "mimo",
     "basis_gradient": "discrete",
+    "position_basis": "discrete",
     "at_samples": "discrete",
     "basis_rational": "discrete",
     "inverses": "discrete",

@@ -6,6 +6,7 @@ from .grown import Grown, Tried, grow, orders_and_delays
 from .grown_response import grow_response, identified_response
 from .not_linear import Suspicion, suspicions
 from .orders import Order, best_order, compare_orders, not_significant
+from .pitch import Pitch, pitch_of
 from .potential import Potential, potential_of
 from .record_files import read_record
 from .records import Record, excite, write_record
@@ -20,6 +21,7 @@ __all__ = [
     "Grown",
     "Identified",
     "Order",
+    "Pitch",
     "PoleEstimate",
     "Potential",
     "Record",
@@ -39,6 +41,7 @@ __all__ = [
     "identify_response",
     "not_significant",
     "orders_and_delays",
+    "pitch_of",
     "potential_of",
     "read_frequency_response",
     "read_record",

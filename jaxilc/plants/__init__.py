@@ -21,6 +21,7 @@ from .motor import Cogging, EndEffect, VoiceCoilMotor, voice_coil_motor
 from .nominal_models import cascade, direct_model, multivariable_model
 from .pendulum import Pendulum
 from .plant import Plant
+from .position import ByPosition, Harmonics, PositionMap, Splines
 from .process_model import ProcessModel
 from .to_python_control import to_control
 from .voice_coil import VoiceCoil, voice_coil
@@ -28,6 +29,7 @@ from .voice_coil import VoiceCoil, voice_coil
 __all__ = [
     "BallScrewDrive",
     "BoucWen",
+    "ByPosition",
     "Cogging",
     "Creep",
     "CuttingForce",
@@ -37,6 +39,7 @@ __all__ = [
     "FastToolServo",
     "FlexibleMode",
     "FrictionTable",
+    "Harmonics",
     "InBlocks",
     "InputHysteresis",
     "LeadError",
@@ -44,7 +47,9 @@ __all__ = [
     "Pendulum",
     "PeriodicForce",
     "Plant",
+    "PositionMap",
     "ProcessModel",
+    "Splines",
     "StateSpace",
     "StribeckFriction",
     "ThreeAxes",

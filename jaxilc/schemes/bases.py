@@ -15,14 +15,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..plants.position import Harmonics, PositionMap, Splines, apart
 from ..pytree.aliases import Array, Function, Leaf, Numbers, Tree, Value
-from ..pytree.fields import child, leaf, need_decorated, pytree, static
+from ..pytree.fields import child, leaf, need_decorated, pytree, scalar, static
 from ..pytree.in_short import in_short
 from ..pytree.needs import known, need_numbers
 from ..pytree.ranges import require
 from ..signals.task import Task
 
 ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
+SEEN = 0.1  # of a function of the position, whose largest value is about 1
 MARGIN = 4  # samples beyond each end, which the differences of the highest order need
 
 
@@ -41,6 +43,15 @@ class Basis:
 
     def __init__(self, *values: Any, **named: Any) -> None:
         need_decorated(type(self))
+
+    @property
+    def keeps(self) -> bool:
+        """Whether a parameter stays whose function a trial does not see, in place of becoming 0."""
+        return False
+
+    def seen(self, r: Array, dt: float, inputs: int) -> Array:
+        """(m,) 1 for each function that a trial tells something of, and 0 for those it does not."""
+        return jnp.ones(len(self.names(r.shape[1], inputs)))
 
     def names(self, outputs: int, inputs: int) -> tuple[str, ...]:
         """(m) the names of the parameters theta."""
@@ -123,11 +134,11 @@ class PolynomialBasis(Basis):
 
     def columns(self, r: Array, dt: float, inputs: int) -> Array:
         of_each = self._functions(jnp.asarray(r), dt)  # (N, n_y, p)
-        N, _, p = of_each.shape
+        if not self.coupled:
+            return on_own_inputs(of_each)
+        N = len(of_each)
         eye = jnp.eye(inputs, dtype=of_each.dtype)
-        if self.coupled:
-            return jnp.einsum("kyp,ij->kijyp", of_each, eye).reshape(N, inputs, -1)
-        return jnp.einsum("kip,ij->kijp", of_each, eye).reshape(N, inputs, inputs * p)
+        return jnp.einsum("kyp,ij->kijyp", of_each, eye).reshape(N, inputs, -1)
 
     def check(self, task: Task) -> None:
         if not self.coupled and task.inputs != task.outputs:
@@ -160,6 +171,13 @@ class PolynomialBasis(Basis):
         return (1 - share) * of_each[before] + share * of_each[before + 1]
 
 
+def on_own_inputs(of_each: Array) -> Array:
+    """(N, n, n p) functions (N, n, p) of each reference, for the input of the same number."""
+    N, n, p = of_each.shape
+    eye = jnp.eye(n, dtype=of_each.dtype)
+    return jnp.einsum("kip,ij->kijp", of_each, eye).reshape(N, n, n * p)
+
+
 def _difference(signal: Array, order: int, dt: float) -> Array:
     """(M - 5, n) a derivative of a signal (M, n), in the middle between its samples 2+k and 3+k."""
     M = len(signal)
@@ -169,6 +187,94 @@ def _difference(signal: Array, order: int, dt: float) -> Array:
     if order % 2:
         return (signal[1:] - signal[:-1]) / dt
     return (signal[1:] + signal[:-1]) / 2
+
+
+@pytree
+class PositionBasis(Basis):
+    """Functions of the position where the reference is, so that what is learned is a map over it.
+
+        u[k] = F(r + lead v, v),   r and v in the middle of the samples k and k+1
+
+    An error that repeats in the position (cogging, commutation, the pitch of a screw, friction by
+    place) needs the same map at any speed, so a map that was learned at one serves the others. Each
+    input has a map of its own over the reference of its own output. A place that a trial does not
+    visit keeps what was learned of it: the trial tells of a function that reaches a tenth in it.
+
+    functions: `Harmonics` or `Splines` over the position
+    turning: () velocity from which on forward and backward motion have maps apart, > 0 [unit of y
+        per s]; None: one map
+    lead: () time by which the map is ahead [s], such as a dead time that the model of the law does
+        not have; None: none
+    `map` makes a `PositionMap` of theta.
+    """
+
+    functions: Harmonics | Splines = child()
+    turning: Leaf | None = scalar(default=None, interval="(0, inf)", optional=True)
+    lead: Leaf | None = scalar(default=None, optional=True)
+
+    @property
+    def keeps(self) -> bool:
+        return True
+
+    def names(self, outputs: int, inputs: int) -> tuple[str, ...]:
+        of_one = self.functions.names
+        if self.turning is not None:
+            of_one = tuple(f"{name} {way}" for way in ("forward", "backward") for name in of_one)
+        return tuple(f if inputs == 1 else f"{f}[{i}]" for i in range(inputs) for f in of_one)
+
+    def seen(self, r: Array, dt: float, inputs: int) -> Array:
+        # what is hardly touched would follow from rounding and noise
+        return jnp.where(jnp.max(jnp.abs(self.columns(r, dt, inputs)), (0, 1)) >= SEEN, 1.0, 0.0)
+
+    def columns(self, r: Array, dt: float, inputs: int) -> Array:
+        r = jnp.asarray(r)
+        x, v = (r[1:] + r[:-1]) / 2, (r[1:] - r[:-1]) / dt
+        x = x if self.lead is None else x + self.lead * v
+        return on_own_inputs(apart(self.functions.at(x), v, self.turning))
+
+    def check(self, task: Task) -> None:
+        if task.inputs != task.outputs:
+            raise ValueError(
+                f"PositionBasis: the task has {task.inputs} inputs and {task.outputs} outputs; "
+                "allowed are as many of each, one map for each axis"
+            )
+
+    def map(self, theta: Leaf) -> PositionMap:
+        """The map of the parameters theta (m,) of one axis, as what is added to the input."""
+        return PositionMap(self.functions, theta, self.turning)
+
+
+@pytree
+class JoinedBasis(Basis):
+    """The functions of several bases side by side, such as those of motion and of position.
+
+    bases: two or more that are linear in theta; theta has the parameters of one after the other
+    """
+
+    bases: tuple[Basis, ...] = child()
+
+    def __post_init__(self) -> None:
+        for basis in self.bases:
+            if not basis.linear:
+                name = type(basis).__name__
+                raise ValueError(f"JoinedBasis: a {name} is not linear in theta; give another")
+
+    @property
+    def keeps(self) -> bool:
+        return any(basis.keeps for basis in self.bases)
+
+    def seen(self, r: Array, dt: float, inputs: int) -> Array:
+        return jnp.concatenate([basis.seen(r, dt, inputs) for basis in self.bases])
+
+    def names(self, outputs: int, inputs: int) -> tuple[str, ...]:
+        return tuple(name for basis in self.bases for name in basis.names(outputs, inputs))
+
+    def columns(self, r: Array, dt: float, inputs: int) -> Array:
+        return jnp.concatenate([one.columns(r, dt, inputs) for one in self.bases], axis=-1)
+
+    def check(self, task: Task) -> None:
+        for basis in self.bases:
+            basis.check(task)
 
 
 @pytree

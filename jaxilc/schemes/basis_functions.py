@@ -121,7 +121,8 @@ class BasisFunctions(Scheme):
         push, pull = answers_weighed(push, pull, trial)
         theta = memory.theta
         if self.basis.linear:  # what was played, also where it was limited
-            theta = fitted(self.basis, trial.u, trial.r, dt)
+            start = theta if self.basis.keeps else None
+            theta = fitted(self.basis, trial.u, trial.r, dt, theta=start)
         of = self._gradient if self.update == "gradient" else self._norm_optimal
         return Parameters(of(theta, trial, push, pull, dt))
 
@@ -152,7 +153,7 @@ class BasisFunctions(Scheme):
             for target, of, W in wanted:
                 t, X = self.basis.regression(best, target, of, trial.r, dt, inputs)
                 G, g = G + jnp.einsum("kim,ij,kjn->mn", X, W, X), g + _seen(X, t @ W)
-            best = solved_scaled(G, g)
+            best = best + _told(self.basis, G, g - G @ best, trial.r, dt, inputs)
         return theta + self.step * (best - theta)
 
     def _gradient(
@@ -168,6 +169,8 @@ class BasisFunctions(Scheme):
         G = jnp.einsum("kim,ij,kjn->mn", X, Q, X)
         G += jnp.einsum("kim,ij,kjn->mn", columns, R + S, columns)
         down = _seen(columns, pull(trial.e[1:] @ Q) - trial.u @ S)
+        told = self.basis.seen(trial.r, dt, trial.u.shape[1])
+        G = G * jnp.outer(told, told)
         scale = _scale(G)
         h = largest_eigenvalue(lambda v: (G * jnp.outer(scale, scale)) @ v, theta)
         return theta + self.step * scale**2 * down / jnp.where(h > 0, h, 1.0)
@@ -183,7 +186,8 @@ def fitted(
     u: learned or measured input, from which theta is to be taken over to other references
     r: (N+1, n_y) or (N+1,) the reference of u; the output of that trial may stand in its place,
         which makes theta a fit of the inverse of the machine
-    theta: (m,) parameters from which a `RationalBasis` starts; None: zero
+    theta: (m,) parameters from which a `RationalBasis` starts, and that stay where u tells nothing
+        of them, as of a place that r does not visit; None: zero
     iterations: number of regressions with a `RationalBasis`; of another basis there is one
 
     The function is pure. Raises ValueError where the lengths of u and r do not fit.
@@ -198,8 +202,15 @@ def fitted(
         theta = jnp.zeros(len(basis.names(r.shape[1], inputs)), u.dtype)
     for _ in range(1 if basis.linear else iterations):
         t, X = basis.regression(theta, u, lambda u: u, r, dt, inputs)
-        theta = solved_scaled(jnp.einsum("kim,kin->mn", X, X), _seen(X, t))
+        G = jnp.einsum("kim,kin->mn", X, X)
+        theta = theta + _told(basis, G, _seen(X, t) - G @ theta, r, dt, inputs)
     return theta
+
+
+def _told(basis: Basis, G: Array, g: Array, r: Array, dt: float, inputs: int) -> Array:
+    """G^-1 g of the functions that a trial sees, and 0 for the others, whose parameters stay."""
+    told = basis.seen(r, dt, inputs)
+    return solved_scaled(G * jnp.outer(told, told), g * told)
 
 
 def solved_scaled(G: Array, g: Array) -> Array:

@@ -24,6 +24,7 @@ ground up:
     chance           what holds for single runs where something is drawn for each trial, by the
                      moments of what reaches the law (`record_moments`)
     repetitive       repetitive control within one long trial, and what it does between harmonics
+    visits           which parameters of a basis a trial tells, as of the places it visits
     rounding         how far from its limit a machine that rounds is held
     forecast         the error of each trial, as predicted and as simulated
     certificates     many machines at once, against simulation
@@ -53,6 +54,7 @@ from .certificates import CLAIMS, COURSES, Certificate, certify, certify_each
 from .condition import Condition, Premise
 from .repetitive import RepetitiveTest, repetitive_condition
 from .to_python_control import to_control
+from .visits import Visits, visits
 
 __all__ = [
     "CLAIMS",
@@ -67,6 +69,7 @@ __all__ = [
     "PremiseShare",
     "PseudoGradient",
     "RepetitiveTest",
+    "Visits",
     "bounds_of",
     "carried_radius",
     "certify",
@@ -84,4 +87,5 @@ __all__ = [
     "repetitive_condition",
     "structure",
     "to_control",
+    "visits",
 ]

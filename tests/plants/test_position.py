@@ -1,0 +1,103 @@
+"""Maps over the position, against SciPy's splines and against a plant stepped in plain NumPy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from jaxilc.plants import (
+    ByPosition,
+    Cogging,
+    EndEffect,
+    Harmonics,
+    PositionMap,
+    Splines,
+    StateSpace,
+    motion,
+)
+
+DT = 1e-3
+PLANT = StateSpace([[0.0, 1.0], [-40.0, -2.0]], [[0.0], [50.0]], [[1.0, 0.0]], x0=(0.1, 0.0))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_splines_are_those_of_scipy_and_add_up_to_one(degree):
+    one = Splines(-1.0, 3.0, 9, degree=degree)
+    x = np.linspace(-1.0, 3.0, 98)  # on no knot but the ends
+    found = np.asarray(one.at(x))
+    knots = -1.0 + 4.0 / (9 - degree) * np.arange(-degree, 9 + 1)
+    wanted = BSpline.design_matrix(np.clip(x, -1, 3 - 1e-12), knots, degree).toarray()
+    inner = slice(0, -1) if degree == 0 else slice(None)
+    np.testing.assert_allclose(found[inner], wanted[inner], atol=1e-9)
+    np.testing.assert_allclose(found.sum(axis=1), 1.0, rtol=1e-12)
+    np.testing.assert_array_equal(one.at(7.0), one.at(3.0))  # beyond its end it holds
+    turn = Splines(0.0, 2.0, 8, degree=degree, closed=True)
+    np.testing.assert_allclose(turn.at(x), turn.at(x + 6.0), atol=1e-12)
+    np.testing.assert_allclose(np.asarray(turn.at(x)).sum(axis=1), 1.0, rtol=1e-12)
+
+
+def test_harmonics_are_waves_whose_pitch_has_a_slope():
+    x = np.linspace(0, 1, 7)
+    found = Harmonics(0.3, (0, 2)).at(x)
+    angle = 4 * np.pi * x / 0.3
+    np.testing.assert_allclose(found, np.stack([np.ones(7), np.cos(angle), np.sin(angle)], 1))
+    slope = jax.grad(lambda p: Harmonics(p, (2,)).at(0.2)[1])(0.3)
+    assert slope == pytest.approx(-4 * np.pi * 0.2 / 0.09 * np.cos(4 * np.pi * 0.2 / 0.3))
+
+
+def test_the_plant_is_driven_by_its_maps():
+    """The same plant, sample by sample in plain NumPy."""
+    bins = np.array([1.0, 2.0, 0.5, -1.0, 0.3, 0.1, -0.2, 0.7])
+    force = PositionMap(Splines(-1.0, 1.0, 4, degree=1), bins, turning=0.2)
+    ripple = PositionMap(Harmonics(0.4, (1,)), (0.2, -0.1))
+    error = PositionMap(Harmonics(0.3, (1,)), (0.01, 0.02))
+    plant = ByPosition(PLANT, force, ripple, error, backlash=0.03)
+    u = 3 * np.sin(np.arange(400) / 30)
+    found = np.asarray(motion(plant, jnp.asarray(u)[:, None], DT))[:, 0]
+    held = PLANT.sampled(DT)
+    A, B = np.asarray(held.A), np.asarray(held.B)[:, 0]
+    x, before = np.array([0.1, 0.0]), 0.1
+
+    def lead(x):
+        return x + 0.01 * np.cos(2 * np.pi * x / 0.3) + 0.02 * np.sin(2 * np.pi * x / 0.3)
+
+    after = lead(0.1)
+    wanted = [after]
+    for k in range(400):
+        s = np.tanh((x[0] - before) / DT / 0.2)
+        f = np.interp(x[0], np.linspace(-1, 1, 4), (1 + s) / 2 * bins[:4] + (1 - s) / 2 * bins[4:])
+        share = 1 + 0.2 * np.cos(5 * np.pi * x[0]) - 0.1 * np.sin(5 * np.pi * x[0])
+        before = x[0]
+        x = A @ x + B * (share * u[k] + f)
+        new = lead(x[0])
+        after = min(max(after, new - 0.015), new + 0.015)
+        wanted.append(after)
+    np.testing.assert_allclose(found, wanted, atol=1e-10)
+    assert np.ptp(wanted) > 0.3
+
+
+def test_cogging_and_end_effect_stand_in_for_maps_and_forces_add_up():
+    cogging, end = Cogging(2.0, 0.3, 0.4), EndEffect(stroke=0.2, drop=0.3, buffer_stiffness=9.0)
+    waves = PositionMap(Harmonics(0.3, (1,)), (-2.0 * np.sin(0.4), -2.0 * np.cos(0.4)))
+    u = jnp.asarray(np.sin(np.arange(200) / 20))[:, None]
+    one = motion(ByPosition(ByPosition(PLANT, end, ripple=end), cogging), u, DT)
+    other = motion(ByPosition(ByPosition(PLANT, waves), end, ripple=end), u, DT)
+    away = motion(ByPosition(PLANT, cogging), u, DT)
+    assert np.max(np.abs(one - away)) > 1e-3
+    # the ripple acts on what the map outside of it adds, so the two orders differ by that alone
+    inside = motion(ByPosition(ByPosition(PLANT, cogging), end, ripple=end), u, DT)
+    np.testing.assert_allclose(other, inside, atol=1e-10)
+
+
+def test_what_does_not_fit_is_said():
+    with pytest.raises(ValueError, match=r"orders = \(1, 1\); allowed are different whole"):
+        Harmonics(0.3, (1, 1))
+    with pytest.raises(ValueError, match="low = 2 is not below high = 1"):
+        Splines(2.0, 1.0, 8)
+    with pytest.raises(ValueError, match="count = 3; allowed is more than degree = 3"):
+        Splines(0.0, 1.0, 3)
+    with pytest.raises(ValueError, match=r"weights has shape \(3,\); allowed is \(4,\)"):
+        PositionMap(Harmonics(0.3, (1,)), (1.0, 2.0, 3.0), turning=0.1)
+    with pytest.raises(ValueError, match="position = 1 of a plant with 1 inputs and 1 outputs"):
+        ByPosition(PLANT, position=1)
