@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import product
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -17,6 +19,7 @@ from .scheme import Scheme, limited
 
 AROUND = np.array([-1, 0, 1, 2])  # samples from which a value between two of them is interpolated
 ROOM = 1.25  # of the memory, over the period with which the scheme is made
+MOST = 3  # periods at once; there are 2^P - 1 places at which P of them look back
 
 
 class Passed(NamedTuple):
@@ -43,12 +46,15 @@ class RepetitiveControl(Scheme):
 
         WithFeedback(RepetitiveControl(learning_filter(L, Q), period=0.25), PID(...))
 
-    and several stand in parallel for several periods. `theory.repetitive_condition` tells whether
-    it converges, what is left at each frequency, and what a wrong period costs.
+    `theory.repetitive_condition` tells whether it converges, what is left at each frequency, and
+    what a wrong period costs. Of several periods n_1 .. n_P each is learned as if it were alone: in
+    place of the delay z^-n stands W = 1 - prod_i (1 - z^-n_i), such as z^-n_1 + z^-n_2 -
+    z^-(n_1 + n_2). That is larger than 1 between the harmonics, so it asks more of the law.
 
     law: taps L and keep, from `learning_filter` or given; one law in all samples
-    period: () of what repeats [s]; at least what L and keep look ahead and three samples more
-    longest: the longest period that `period` may be set to [s]; None is 1.25 times `period`
+    period: () of what repeats [s], or (P,) of up to three at once; each at least what L and keep
+        look ahead and three samples more
+    longest: the longest period, or sum of several, that may be set [s]; None is 1.25 times `period`
 
     `check` raises ValueError for a period that is too short for the law, or longer than `longest`,
     and where `longest` cannot be told because `period` is traced. A traced period outside of this
@@ -61,7 +67,7 @@ class RepetitiveControl(Scheme):
 
     def __post_init__(self) -> None:
         if self.longest is None and known(self.period):
-            object.__setattr__(self, "longest", ROOM * float(np.max(self.period)))
+            object.__setattr__(self, "longest", ROOM * float(np.sum(self.period)))
 
     def check(self, task: Task) -> None:
         if self.law.starts:
@@ -74,11 +80,11 @@ class RepetitiveControl(Scheme):
         if not known(self.period):
             return
         values = np.asarray(self.period)
-        if values.ndim or not self._fits(values, task.dt):
+        if values.ndim > 1 or not 0 < values.size <= MOST or not self._fits(values, task.dt):
             raise ValueError(
                 f"RepetitiveControl: period = {values} s is outside its allowed range "
                 f"[{self._least * task.dt:g}, {longest:g}]: from what the law looks ahead, to "
-                "`longest`"
+                f"`longest`, which is for the sum of up to {MOST} periods"
             )
 
     def initial_state(self, task: Task) -> Passed:
@@ -92,12 +98,15 @@ class RepetitiveControl(Scheme):
         v_past = state.v
         if sample.applied is not None:  # what an actuator has let through
             v_past = v_past.at[-1].set(sample.applied)
-        periods = self.period / sample.dt
-        whole = jnp.floor(periods)
-        weights = lagrange(periods - whole)
-        weights = jnp.where(self._fits(self.period, sample.dt), weights, jnp.nan)
-        of_v = self._of_period("v", self.law.keep, v_past, whole - 1, weights)
-        v = limited(of_v + self._of_period("e", self.law.L, e, whole, weights), self.law.limit)
+        v = jnp.zeros_like(v_past[-1])
+        for sign, period in delays(jnp.asarray(self.period)):
+            periods = period / sample.dt
+            whole = jnp.floor(periods)
+            weights = sign * lagrange(periods - whole)
+            weights = jnp.where(self._fits(self.period, sample.dt), weights, jnp.nan)
+            v = v + self._of_period("v", self.law.keep, v_past, whole - 1, weights)
+            v = v + self._of_period("e", self.law.L, e, whole, weights)
+        v = limited(v, self.law.limit)
         return Passed(_with(v_past, v), e), v
 
     @property
@@ -115,7 +124,9 @@ class RepetitiveControl(Scheme):
         return max(self._ends("e")[1], self._ends("v")[1] + 1) + 2
 
     def _fits(self, period: Leaf, dt: float) -> Leaf:
-        return (period >= self._least * dt * (1 - 1e-9)) & (period <= self._longest)
+        xp = np if known(period) else jnp
+        least = self._least * dt * (1 - 1e-9)
+        return xp.all(period >= least) & (xp.sum(period) <= self._longest)
 
     def _ends(self, name: str) -> tuple[int, int]:
         """The first and the last sample that the taps see, from the same place a period later."""
@@ -138,6 +149,14 @@ class RepetitiveControl(Scheme):
         if taps.ndim == 1:
             return taps @ between
         return jnp.einsum("pij,pj->i", taps, between)
+
+
+def delays(period: Array) -> Iterator[tuple[float, Array]]:
+    """The sign and the delay of each term of 1 - prod_i (1 - delay i)."""
+    of_each = jnp.atleast_1d(period)
+    for chosen in product((0.0, 1.0), repeat=len(of_each)):
+        if any(chosen):
+            yield -((-1.0) ** sum(chosen)), jnp.dot(np.array(chosen), of_each)
 
 
 def _with(past: Array, newest: Array) -> Array:

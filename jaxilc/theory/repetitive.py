@@ -9,7 +9,8 @@ the law u' = Q u + L e over a delay W of one period,
 suffices for any period (small gain; Hara, Yamamoto, Omata, Nakano 1988). At the harmonics of the
 period, where W = 1, little is left where Q is near 1. Between them |S| exceeds 1: what does not
 repeat with the period becomes larger there, the more the wider Q is (the waterbed). For a period
-that is no whole number of samples W has the interpolation of `RepetitiveControl` in it.
+that is no whole number of samples W has the interpolation of `RepetitiveControl` in it. For P periods at
+once W is 1 - prod_i (1 - W_i), so |W| <= 2^P - 1, and |Q - L T| < 1 / (2^P - 1) suffices.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from ..learning.machine import Machine
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..schemes import RepetitiveControl, Scheme, WithFeedback
-from ..schemes.repetitive import AROUND, lagrange
+from ..schemes.repetitive import AROUND, delays, lagrange
 from ..signals.task import Task
 from .frequency import FrequencyTest, learning_condition
 from .law import law_response
@@ -36,11 +37,11 @@ MOST, AT_ONCE = 2**20, 2**12  # frequencies of a sensitivity, and that are compu
 class RepetitiveTest(NamedTuple):
     """What repetitive control promises for one machine.
 
-    test: |Q - L T| < 1 at all frequencies, with its premises
-    period: of what is remembered [s]
+    test: (2^P - 1) |Q - L T| < 1 at all frequencies, with its premises; P = 1 for one period
+    period: of what is remembered [s], the sum of several
     frequencies: (F,) [Hz];  sensitivity: (F,) |S|, the error over that of the feedback alone
     worst, worst_at: the largest |S|, and its frequency [Hz]
-    harmonics: (H,) multiples of 1 / period below the Nyquist frequency [Hz]
+    harmonics: (H,) multiples of 1 / period below the Nyquist frequency, of each period [Hz]
     left: (H,) |S| at these
     """
 
@@ -87,7 +88,8 @@ def repetitive_condition(
         if isinstance(scheme, WithFeedback)
         else repetitive.law
     )
-    period, dt = float(repetitive.period), float(task.dt)
+    each, dt = np.atleast_1d(np.asarray(repetitive.period, float)), float(task.dt)
+    period = float(np.sum(each))
     count = int(0.5 / dt * points * period)
     if count > MOST:
         raise ValueError(
@@ -95,12 +97,19 @@ def repetitive_condition(
             f"{period / dt:g} samples; allowed are {MOST:,}"
         )
     f = np.arange(1, count + 1) / (points * period)
-    true = np.arange(1, int(0.5 / dt * (1 + wrong) * period) + 1) / ((1 + wrong) * period)
+    longer = (1 + wrong) * each
+    true = np.unique(
+        np.concatenate([np.arange(1, int(0.5 / dt * one) + 1) / one for one in longer])
+    )
     size, left = (
-        np.concatenate([_sensitivity(machine, law, task, period, part) for part in _in_parts(at)])
+        np.concatenate([_sensitivity(machine, law, task, each, part) for part in _in_parts(at)])
         for at in (f, true)
     )
-    test = learning_condition(machine, law, task)
+    size_of_W = 2 ** len(each) - 1
+    filters = repetitive.law
+    scaled = dataclasses.replace(filters, L=size_of_W * filters.L, keep=size_of_W * filters.keep)
+    whole = dataclasses.replace(scheme, learning=scaled) if law is not filters else scaled
+    test = learning_condition(machine, whole, task)
     worst = int(np.argmax(size))
     return RepetitiveTest(test, period, f, size, float(size[worst]), float(f[worst]), true, left)
 
@@ -109,12 +118,14 @@ def _in_parts(f: np.ndarray) -> list[np.ndarray]:
     return np.array_split(f, max(1, -(-len(f) // AT_ONCE)))
 
 
-def _sensitivity(machine, law: Scheme, task: Task, period: float, f) -> np.ndarray:
+def _sensitivity(machine, law: Scheme, task: Task, each: np.ndarray, f) -> np.ndarray:
     """(F,) |S| at frequencies [Hz]."""
     of = law_response(law, task, f)
     Q, L = (np.asarray(part)[:, 0, 0] for part in of)
     T = np.asarray(response(linear_loop(machine, law, task), f, task.dt))[:, 0, 0]
-    whole, share = divmod(period / float(task.dt), 1.0)
-    late = np.exp(-2j * np.pi * float(task.dt) * np.outer(f, whole + AROUND))
-    W = late @ np.asarray(lagrange(share))
+    W = np.zeros(len(f), complex)
+    for sign, period in delays(each):
+        whole, share = divmod(float(period) / float(task.dt), 1.0)
+        late = np.exp(-2j * np.pi * float(task.dt) * np.outer(f, whole + AROUND))
+        W += sign * (late @ np.asarray(lagrange(share)))
     return np.abs((1 - Q * W) / (1 - (Q - L * T) * W))

@@ -25,6 +25,7 @@ REFUSED = {
     "cfdl_mfapc_moves": "lu",
     "norm_optimal_lifted": "two axes of samples",
     "estimated_disturbance": "scatter-add",
+    "position_basis": "lu",
     "repetitive": "dynamic_slice at places",
     "two_step": "while",
     "cross_coupled": "gather of samples",

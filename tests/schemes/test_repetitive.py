@@ -103,6 +103,38 @@ def test_a_wrong_period_costs_what_is_told():
     assert right.worst > 1.0  # the waterbed
 
 
+def test_two_periods_at_once_are_each_learned_and_what_is_left_is_told():
+    """Against the sensitivity at each frequency, with a law that is good enough for both."""
+    pair, inverse = (0.05, 0.0633), np.array([-0.75, 2.5, 0.0])
+    law = LearningFilter(0.8 * inverse, keep=(0.0, 0.9, 0.0))
+    model = Machine(StateSpace([[0.3]], [[0.4]], [[1.0]], dt=DT))
+    scheme, alone = RepetitiveControl(law, pair), RepetitiveControl(law, pair[0])
+    task = task_of(np.zeros(101))
+    found = theory.repetitive_condition(model, scheme, task)
+    one = theory.repetitive_condition(model, alone, task)
+    assert found.test.condition.value == pytest.approx(3 * one.test.condition.value, rel=1e-6)
+    assert found.test.condition.holds
+    assert set(np.round(1 / np.array(pair), 6)) <= set(np.round(found.harmonics, 6))
+    assert found.worst > 1.5 * one.worst > 1.5  # the waterbed of two
+    k = np.arange(4001)
+
+    @jax.jit
+    def error(scheme, r):
+        task = Task(r, dt=DT)
+        memory = scheme.initial_memory(task)
+        return run_trial(model, scheme, task, memory, jax.random.key(0)).e
+
+    for at in (5, 50, 116, 200):
+        f, late = found.frequencies[at], slice(2000, 4000)
+        wave = np.exp(-2j * np.pi * f * DT * k)
+        waves = np.stack([wave.real, wave.imag], axis=1)[late]
+        e = np.asarray(error(scheme, wave.real))[late, 0]
+        size = np.linalg.norm(np.linalg.lstsq(waves, e)[0])
+        assert size == pytest.approx(found.sensitivity[at], rel=3e-3), f
+    left = found.left[[np.argmin(np.abs(found.harmonics - 1 / period)) for period in pair]]
+    assert np.all(left < 0.35)
+
+
 def test_the_slope_by_the_period_is_that_of_differences():
     r = task_of(np.sin(2 * np.pi * np.arange(401) / 61.37))
 
