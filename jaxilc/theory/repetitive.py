@@ -9,8 +9,9 @@ the law u' = Q u + L e over a delay W of one period,
 suffices for any period (small gain; Hara, Yamamoto, Omata, Nakano 1988). At the harmonics of the
 period, where W = 1, little is left where Q is near 1. Between them |S| exceeds 1: what does not
 repeat with the period becomes larger there, the more the wider Q is (the waterbed). For a period
-that is no whole number of samples W has the interpolation of `RepetitiveControl` in it. For P periods at
-once W is 1 - prod_i (1 - W_i), so |W| <= 2^P - 1, and |Q - L T| < 1 / (2^P - 1) suffices.
+that is no whole number of samples W has the interpolation of `RepetitiveControl` in it. For P
+periods at once W is 1 - prod_i (1 - W_i), so |W| <= 2^P - 1, and |Q - L T| < 1 / (2^P - 1)
+suffices.
 """
 
 from __future__ import annotations

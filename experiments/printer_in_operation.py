@@ -1,0 +1,203 @@
+"""A flatbed printer in running operation: what its records of 30 s show, told from its response.
+
+The records are not ours to give away: `JAXILC_MEASURED` names their folder, without which the
+experiment says so and ends. They are the response of the axis (`arizona_x_frf.csv`) and 30 s each
+under feedback, with feedforward, under repetitive control of 6 s and of 10 s, and with 20 basis
+functions (`arizona_x_repetitive.npz`).
+
+1. What was played is read off: u = C e + what is added. The feedback alone and the control of 10 s
+   have neither the disturbance nor the feedforward in them; the three others have both.
+2. From the response and the disturbance alone, with a law that learns all of its period or of its
+   functions at once, the error of each is told, by fifths. No recorded error is used.
+3. The same with the error that feedforward leaves, as the record of that run shows it.
+4. Two periods at once, 6 s and 10 s, reach what none of the recorded ones does. Its law is designed
+   on one model, its condition is told on the measured lines, and it runs on another model.
+"""
+
+import numpy as np
+import scipy.signal
+from flatbed_printer import DT, closed_loop, rms
+from output import folder, measured_folder, write_rows
+
+import jaxilc
+from jaxilc.identification import grow_response, modal_lines, read_frequency_response
+
+DESIGN, ACTUAL = 14, 18  # orders of the models
+RUNS = "feedback", "repetitive_6s", "repetitive_10s", "basis_20"
+PERIODS = 6.0, 10.0  # [s]
+FUNCTIONS = 20  # of the recorded run: a constant and the 19 lowest lines of the disturbance
+LINE = 0.02  # amplitude of a line that is no leakage
+GAIN, CUTOFF, TAPS = 1.0, 12.0, 400  # of the proposed law; [Hz]
+
+
+def controller(e, u):
+    """(num, den) of C of order 2 in u = C e, and its relative residual."""
+    A = np.column_stack([e[2:], e[1:-1], e[:-2], u[1:-1], u[:-2]])
+    size = np.linalg.norm(A, axis=0)
+    x = np.linalg.lstsq(A / size, u[2:])[0] / size
+    return x[:3], np.append(1.0, -x[3:]), float(np.linalg.norm(A @ x - u[2:]) / np.linalg.norm(u))
+
+
+def later(x, period):
+    """The signal a period later, zero before."""
+    n = round(period / DT)
+    return np.concatenate([np.zeros(n), x[:-n]])
+
+
+def lowest_lines(d, count):
+    """The frequencies [Hz] of the lowest lines of a signal of 30 s."""
+    size = np.abs(np.fft.rfft(d)) / (len(d) / 2)
+    return np.flatnonzero(size > LINE)[:count] / (len(d) * DT)
+
+
+def without(e, lines):
+    """The error less what sines at these frequencies explain of it, all learned at once."""
+    t = DT * np.arange(len(e))
+    A = np.column_stack([wave(2 * np.pi * f * t) for f in lines for wave in (np.cos, np.sin)])
+    return e - A @ np.linalg.lstsq(A, e)[0]
+
+
+def fifths(e):
+    return [1e6 * rms(part) for part in np.split(np.asarray(e, float), 5)]
+
+
+def row(run, told, e, recorded):
+    """One row of the table: predicted by fifths, and the last one over what was recorded."""
+    found = fifths(e)
+    return {
+        "run": run,
+        "told_from": told,
+        **{f"fifth_{i + 1}_um": value for i, value in enumerate(found)},
+        **{f"recorded_{i + 1}_um": value for i, value in enumerate(recorded)},
+        "last_over_recorded": found[-1] / recorded[-1],
+        "largest_ratio": max(max(a / b, b / a) if a * b else np.inf
+                             for a, b in zip(found, recorded, strict=True)),
+    }  # fmt: skip
+
+
+def transfer(one, num, den, f):
+    """T = P / (1 + P C) of a model at frequencies [Hz]."""
+    at = np.maximum(f, 1e-3)
+    P = modal_lines.columns(one.found.theta, one.parts, at, DT) @ one.found.N
+    return P / (1 + P * feedback_at(num, den, at))
+
+
+def feedback_at(num, den, f):
+    z = np.exp(-2j * np.pi * f * DT)
+    return np.polyval(num[::-1], z) / np.polyval(den[::-1], z)
+
+
+def taps_of(one, num, den):
+    """L = GAIN Q / T and Q as taps -TAPS..TAPS, of a design on a model."""
+    N = 2**15
+    f = np.fft.rfftfreq(N, DT)
+    Q = 1 / (1 + (f / CUTOFF) ** 6)
+    T = transfer(one, num, den, f)
+    window = np.hanning(2 * TAPS + 3)[1:-1]
+    return [
+        window * np.roll(np.fft.irfft(part, N), TAPS)[: 2 * TAPS + 1] for part in (GAIN * Q / T, Q)
+    ]
+
+
+def at_lines(taps, f):
+    """The response of taps -TAPS..TAPS at frequencies [Hz]."""
+    return np.exp(-2j * np.pi * DT * np.outer(f, np.arange(-TAPS, TAPS + 1))) @ taps
+
+
+def learned(loop, e_0, law):
+    """The error under two periods at once: v = W (Q v + L e), with W = W_1 + W_2 - W_1 W_2.
+
+    Block by block: all that looks back is a period away, so each block follows from those before.
+    """
+    n = [round(p / DT) for p in PERIODS]
+    back = [(1.0, n[0]), (1.0, n[1]), (-1.0, sum(n))]
+    L, Q = law
+    v, e, block = np.zeros(len(e_0)), e_0.copy(), n[0] - TAPS - 1
+    for start in range(0, len(e_0), block):
+        end = min(start + block, len(e_0))
+        e = e_0 + loop(np.zeros(len(e_0)), v)
+        seen = scipy.signal.fftconvolve(e, L, "same") + scipy.signal.fftconvolve(v, Q, "same")
+        for sign, lag in back:
+            first = max(start, lag)
+            if first < end:
+                v[first:end] += sign * seen[first - lag : end - lag]
+    return e_0 + loop(np.zeros(len(e_0)), v)
+
+
+def main() -> None:
+    place = measured_folder()
+    if place is None:
+        return
+    jaxilc.setup()
+    out, measured = folder(__file__), read_frequency_response(place / "arizona_x_frf.csv")
+    with np.load(place / "arizona_x_repetitive.npz") as file:
+        record = {name: file[name].astype(float) for name in file}
+    d, r = record["disturbance"], record["feedback_r"]
+    r = np.append(r[1:], r[-1]) / 4  # as in the trials of this axis
+    num, den, left = controller(record["feedback_e"], record["feedback_u"])
+    print(f"u = C e to {left:.1e}, C(1) = {num.sum() / den.sum():.6g}")
+    added = {
+        run: record[f"{run}_u"] - scipy.signal.lfilter(num, den, record[f"{run}_e"])
+        for run in (*RUNS, "feedback_feedforward")
+    }
+    forward = added["feedback_feedforward"] - d
+    early = slice(1000, 5000)
+    for run in RUNS:
+        plain, with_both = added[run][early], (added[run] - forward - d)[early]
+        print(f"{run}: from 1 s to 5 s there is added {rms(plain):.4f}, beyond feedforward and "
+              f"disturbance {rms(with_both):.4f}")  # fmt: skip
+
+    models = {one.parts.order: one for one in grow_response(measured, dt=DT)[0]}
+    plants = {
+        order: modal_lines.model_of(modal_lines.values_of(one.found, one.parts), one.parts)
+        for order, one in models.items()
+        if order in (DESIGN, ACTUAL)
+    }
+    loops = {order: closed_loop(plant, num, den) for order, plant in plants.items()}
+    loop, lines = loops[DESIGN], lowest_lines(d, FUNCTIONS)
+    moved, pushed = loop(r, 0 * d), loop(0 * r, d)
+    recorded = {run: fifths(record[f"{run}_e"]) for run in RUNS}
+    alone = "response and disturbance"
+    forecast = {
+        "feedback": moved,
+        "repetitive_6s": pushed - later(pushed, 6.0),
+        "repetitive_10s": moved - later(moved, 10.0),
+        "basis_20": without(pushed, lines),
+    }
+    rows = [row(run, alone, forecast[run], recorded[run]) for run in RUNS]
+    rest = record["feedback_feedforward_e"]
+    own = record["feedback_e"]
+    forecast = {
+        "repetitive_6s": rest - later(rest, 6.0),
+        "repetitive_10s": own - later(own, 10.0),
+        "basis_20": without(rest, lines),
+    }
+    told = "the record of the run without learning"
+    rows += [row(run, told, e, recorded[run]) for run, e in forecast.items()]
+    write_rows(out / "predicted.csv", rows)
+
+    law = taps_of(models[DESIGN], num, den)
+    f, G = measured.frequencies, measured.response
+    T = G / (1 + G * feedback_at(num, den, f))
+    low = np.geomspace(0.02, f[0], 400, endpoint=False)
+    found = []
+    for name, at, of in (("measured lines", f, T), *(
+        (f"model of order {order}, below them", low, transfer(models[order], num, den, low))
+        for order in (DESIGN, ACTUAL)
+    )):  # fmt: skip
+        value = 3 * np.abs(at_lines(law[1], at) - at_lines(law[0], at) * of)
+        found.append({"on": name, "from_hz": at[0], "to_hz": at[-1], "condition": value.max(),
+                      "at_hz": at[np.argmax(value)]})  # fmt: skip
+    print("3 |Q - L T| < 1 suffices for two periods at once:")
+    write_rows(out / "condition.csv", found)
+    proposed = [
+        {"plant": f"model of order {order}", "start": name,
+         **{f"fifth_{i + 1}_um": x for i, x in enumerate(fifths(learned(loops[order], e, law)))}}
+        for order in (DESIGN, ACTUAL)
+        for name, e in (("disturbance", loops[order](0 * r, d)), ("record with feedforward", rest))
+    ]  # fmt: skip
+    write_rows(out / "two_periods.csv", proposed)
+
+
+if __name__ == "__main__":
+    main()
