@@ -151,7 +151,7 @@ class RepetitiveControl(Scheme):
         return jnp.einsum("pij,pj->i", taps, between)
 
 
-def delays(period: Array) -> Iterator[tuple[float, Array]]:
+def delays(period: Array | np.ndarray) -> Iterator[tuple[float, Array]]:
     """The sign and the delay of each term of 1 - prod_i (1 - delay i)."""
     of_each = jnp.atleast_1d(period)
     for chosen in product((0.0, 1.0), repeat=len(of_each)):

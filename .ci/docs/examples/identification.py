@@ -105,4 +105,10 @@ print(tried[0].poles)
 models, chosen = grow_response(measured, dt=1e-3, highest=3)
 print(type(identified_response(measured, chosen, 1e-3, None)).__name__)
 # Identified
-# Identified
+
+# %% pitch_of, Pitch
+place = np.linspace(0, 60, 600)
+force = 3 * np.sin(2 * np.pi * place / 12.0) + 0.1 * rng.standard_normal(600)
+found = pitch_of(place, force, least=5.0, most=20.0)
+print(isinstance(found, Pitch), f"{found.pitch:.2f} mm, {found.amplitudes[0]:.1f} N")
+# True 12.00 mm, 3.0 N

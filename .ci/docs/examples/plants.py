@@ -141,3 +141,12 @@ class Lag(Plant):
 
 print(response(Lag()))
 # 0.651 0.878 0.985
+
+# %% Harmonics, Splines, PositionMap, ByPosition
+print(Harmonics(pitch=12.0, orders=(1,)).at(3.0).round(3))  # cosine and sine a quarter further
+print(Splines(0.0, 50.0, count=6, degree=1).at(15.0).round(3))  # between two of six nodes
+cogging = PositionMap(Harmonics(pitch=0.5, orders=(1,)), weights=(0.3, 0.1))
+print(response(ByPosition(ProcessModel(gain=2.0, poles=(60.0,)), force=cogging)))
+# [0. 1.]
+# [0.  0.5 0.5 0.  0.  0. ]
+# 0.827 1.26 1.63

@@ -6,7 +6,7 @@ import numpy as np
 import jaxilc
 from jaxilc import Machine, Task, Trial
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR, stable_inverse
-from jaxilc.plants import StateSpace, TwoAxes, multivariable_model
+from jaxilc.plants import Harmonics, StateSpace, TwoAxes, multivariable_model
 from jaxilc.pytree import Leaf, leaf, pytree
 from jaxilc.schemes import *
 
@@ -98,6 +98,11 @@ print(errors(OnBasis(PIDType(gamma_p=1.0), PolynomialBasis((0, 1)))))
 print(errors(OnBasis(PIDType(gamma_p=1.0), RationalBasis(PolynomialBasis((0, 1))))))
 # 0.71 0.042 0.00052
 # 0.71 0.042 0.0016
+
+# %% PositionBasis, JoinedBasis
+by_place = PositionBasis(Harmonics(pitch=2.0, orders=(1, 2)))
+print(errors(BasisFunctions(JoinedBasis((PolynomialBasis((0,)), by_place)), P)))
+# 0.71 0.18 0.18
 
 # %% Basis
 print(isinstance(PolynomialBasis((0, 1)), Basis), PolynomialBasis((0, 1)).names(1, 1))

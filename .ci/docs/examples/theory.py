@@ -7,8 +7,17 @@ import numpy as np
 import jaxilc
 from jaxilc import Machine, Sweep, Task, Uniform
 from jaxilc.learning import Variation
-from jaxilc.plants import StateSpace
-from jaxilc.schemes import CFDLMFAILC, PID, LearningFilter, PIDType, RepetitiveControl, WithFeedback
+from jaxilc.plants import Splines, StateSpace
+from jaxilc.schemes import (
+    CFDLMFAILC,
+    PID,
+    BasisFunctions,
+    LearningFilter,
+    PIDType,
+    PositionBasis,
+    RepetitiveControl,
+    WithFeedback,
+)
 from jaxilc.theory import *
 from jaxilc.theory import condition, frequency
 from jaxilc.uncertainty import draw
@@ -87,3 +96,9 @@ print(isinstance(tested, RepetitiveTest), f"between harmonics up to {tested.wors
 # %% to_control
 print(type(to_control(machine, law, task)).__name__)
 # StateSpace
+
+# %% visits, Visits
+bins = BasisFunctions(PositionBasis(Splines(-1.0, 3.0, count=5, degree=1)), machine.plant)
+seen = visits(machine, bins, Task(np.sin(np.arange(101) / 16), dt=1e-3))
+print(isinstance(seen, Visits), [bool(told) for told in seen.told])
+# True [True, True, True, False, False]
