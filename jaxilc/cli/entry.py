@@ -41,6 +41,13 @@ from .start import prefer
 
 LONGEST = 2000  # characters of the message of an error
 LONG_WORD = re.compile(r"(\S{60})\S{200,}(\S{40})")  # such as a value that was given by mistake
+# What is allowed in place of a value that Typer could not read, by the name of its error.
+NO_VALUE = {
+    "int_parsing": "is no whole number",
+    "int_parsing_size": "is too long for a whole number",
+    "float_parsing": "is no number",
+    "string_unicode": "is no text in UTF-8",
+}
 EXIT_CODES = (
     "Exit codes:",
     "0    done",
@@ -53,7 +60,6 @@ EXIT_CODES = (
 
 app = typer.Typer(
     cls=Commands,
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Iterative learning control of machine-tool feed drives.",
@@ -152,13 +158,15 @@ def main() -> None:
     gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
     interrupts.heed()
     try:
-        app()
-    except SystemExit as stop:
-        if stop.code == interrupts.CODE:
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        if code == interrupts.CODE:
             interrupts.leave()
-        raise
-    except (ValueError, OSError) as error:
-        said = f"error: {_said(error)}"
+        sys.exit(code)
+    except Exception as error:
+        usage = hasattr(error, "format_message")  # raised by Typer
+        if not (usage or isinstance(error, ValueError | OSError)):
+            raise
+        said = f"error: {_of_usage(error) if usage else _said(error)}"
         with suppress(OSError):  # a full disk takes no message either
             for text in (traceback.format_exc(), said) if tracebacks() else (said,):
                 err.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -167,13 +175,29 @@ def main() -> None:
         ended()
 
 
-def _said(error: ValueError | OSError) -> str:
+def _of_usage(error: Any) -> str:
+    """The message of an error that Typer raises, with the option and its value."""
+    said, cause = error.format_message(), getattr(error.__cause__, "errors", None)
+    if cause is not None:  # which leave out the value
+        names, wrong = error.param.opts or [error.param.human_readable_name], cause()[0]
+        said = f"{max(names, key=len)} {wrong['input']!r} {NO_VALUE.get(wrong['type'], '')}"
+    context = getattr(error, "ctx", None)
+    asked = f"; {context.command_path} -h tells what is allowed" if context else ""
+    return _short(f"{said[:1].lower()}{said[1:].rstrip('.')}{asked}")
+
+
+def _said(error: Exception) -> str:
     """The message of an error in a short line; for an OSError the file, then what is wrong."""
-    said = " ".join(str(error).split("\n"))
+    said = str(error)
     if isinstance(error, OSError) and error.strerror:
         place = error.filename2 or error.filename or "input or output"
         said = f"{place}: {error.strerror.lower()}"
-    said = LONG_WORD.sub(r"\1...\2", said)
+    return _short(said)
+
+
+def _short(said: str) -> str:
+    """A message in one line, without the middle of long words."""
+    said = LONG_WORD.sub(r"\1...\2", " ".join(said.split("\n")))
     return said if len(said) <= LONGEST else f"{said[: LONGEST - 4]} ..."
 
 

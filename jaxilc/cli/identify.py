@@ -22,9 +22,9 @@ from .options import (
 from .present import tell
 
 
-def _place_to_write(path: Path | None) -> Path | None:
+def _place_to_write(param: typer.CallbackParam, path: Path | None) -> Path | None:
     """The path of a plant file, or of a folder, that can be written."""
-    return file_to_write(path) if _is_plant_file(path) else folder_to_write(path)
+    return (file_to_write if _is_plant_file(path) else folder_to_write)(param, path)
 
 
 def _is_plant_file(path: Path | None) -> bool:

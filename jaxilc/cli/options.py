@@ -26,20 +26,33 @@ MACHINE = "Learn on a real machine"
 PAPERS = "Published results"
 
 
-def file_to_write(path: Path | None) -> Path | None:
+def file_to_write(param: typer.CallbackParam, path: Path | None) -> Path | None:
     """The path of a file for results.
 
+    param: the option, for the message
     Raises ValueError, before anything is computed, if no file can be written there.
     """
     if path is not None and (path.is_dir() or not _may_write(path)):
-        raise ValueError(f"{path} cannot be written; allowed is a file in a folder that can")
+        raise ValueError(
+            f"{_called(param)} {path} cannot be written; allowed is a file in a folder that can"
+        )
     return path
 
 
-def reports_to_write(paths: list[Path] | None) -> list[Path] | None:
+def figure_to_write(param: typer.CallbackParam, path: Path | None) -> Path | None:
+    """The path of a figure; raises ValueError as `file_to_write`, and for another ending."""
+    from ..storage.figure_format import KINDS, chosen
+
+    file_to_write(param, path)
+    if path is None or chosen().kind or path.suffix[1:] in KINDS:
+        return path
+    raise ValueError(f"--plot {path} is none of the formats {', '.join(KINDS)}, by its ending")
+
+
+def reports_to_write(param: typer.CallbackParam, paths: list[Path] | None) -> list[Path] | None:
     """The files of `--report`; raises ValueError as `file_to_write`, and for another ending."""
     for path in paths or []:
-        file_to_write(path)
+        file_to_write(param, path)
         if path.suffix not in (".html", ".json"):
             raise ValueError(f"--report {path} is neither .html, a page, nor .json, the numbers")
         if sum(one.suffix == path.suffix for one in paths or []) > 1:
@@ -47,16 +60,18 @@ def reports_to_write(paths: list[Path] | None) -> list[Path] | None:
     return paths
 
 
-def folder_to_write(path: Path | None) -> Path | None:
-    """The path of a folder for results.
-
-    Raises ValueError, before anything is computed, if no folder can be made there.
-    """
+def folder_to_write(param: typer.CallbackParam, path: Path | None) -> Path | None:
+    """The path of a folder for results; raises ValueError as `file_to_write`."""
     if path is not None and (not _may_write(path) or (path.exists() and not path.is_dir())):
         raise ValueError(
-            f"{path} cannot be a folder for results; allowed is one that can be made or written to"
+            f"{_called(param)} {path} cannot be a folder for results; allowed is one that can be "
+            "made or written to"
         )
     return path
+
+
+def _called(param: typer.CallbackParam) -> str:
+    return max(param.opts, key=len) if param.opts[0].startswith("-") else "the argument"
 
 
 def _may_write(path: Path) -> bool:

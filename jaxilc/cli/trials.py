@@ -18,7 +18,7 @@ from ..outcomes.table import Table
 from ..outcomes.verdict import Verdict
 from .console import err, out
 from .groups import add
-from .options import MACHINE, Pages, file_to_write
+from .options import MACHINE, Pages, figure_to_write
 from .present import written
 from .start import begin
 
@@ -37,7 +37,7 @@ Plot = Annotated[
         "--plot",
         metavar="FIGURE",
         help="Plot errors, prediction and the last trial to this file.",
-        callback=file_to_write,
+        callback=figure_to_write,
     ),
 ]
 LITTLE = 0.02  # share by which the error falls at least in `PATIENCE` trials while it is learned

@@ -396,7 +396,8 @@ class Campaign:
         parent = self.journal.live()[-1]
         if turn.trial != parent["trial"] + 1:
             said = f"trial {turn.trial} does not follow on trial {parent['trial']}"
-            raise ValueError(f"{self.journal.path}: {said}")
+            by = "which another process has made meanwhile; nothing was learned or written"
+            raise ValueError(f"{self.journal.path}: {said}, {by}")
         plain = ("trial", "learned", "source", "input", "hashes", "peaks")
         manifest = {name: getattr(turn, name) for name in plain} | {METRICS: turn.metrics}
         manifest["findings"] = turn.findings

@@ -18,6 +18,7 @@ from ..design import Design, feedback_among
 from ..design.candidates import Candidate
 from ..pytree.named_paths import get_at
 from ..scenarios.design_file import design_path, need_same_folder, write_design
+from ..storage.files import need_unused
 from ..sweeps.store import open_dataset
 from .outcome import Figure, Outcome, Progress, silent
 from .request import Request
@@ -140,9 +141,13 @@ def target_of(request: Request, out: str | Path | None, what: str, *, replace: b
 
 
 def state_of(folder: Path, *, force: bool, resume: bool) -> Path:
-    """The folder for the state, without that of an earlier run if it is to be replaced."""
+    """The folder for the state, without that of an earlier run if it is to be replaced.
+
+    Raises FileExistsError for one that is there, and ValueError where another process uses it.
+    """
     state = folder / "state"
     if state.exists() and not resume:
+        need_unused(state)
         if not force:
             raise FileExistsError(
                 f"{state} exists already; add --resume to go on with it, --force to begin anew, "

@@ -78,11 +78,11 @@ def table_of(found: Potential) -> dict[str, float]:
 
 def _is_campaign(paths: Sequence[Path]) -> bool:
     """Whether the trials are those of a campaign; raises ValueError for other folders."""
-    if not any(path.is_dir() for path in paths):
-        return False
-    if len(paths) > 1:
-        raise ValueError("a folder of a campaign stands alone; allowed is it, or files of trials")
-    return True
+    folder = next((path for path in paths if path.is_dir()), None)
+    if folder is not None and len(paths) > 1:
+        said = "is a folder, of a campaign, which stands alone; allowed is it, or files of trials"
+        raise ValueError(f"{folder} {said}")
+    return folder is not None
 
 
 def _of_campaign(path: Path) -> Repeats:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..scenarios.catalogue import LISTED
+from ..storage.files import need_unused
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
@@ -235,9 +236,11 @@ def settings_of(given: Sequence[str]) -> dict[str, str]:
 def unless_there(place: Path, resume: bool) -> Path:
     """The place of what a computation keeps, inside the folder for results.
 
-    Raises FileExistsError if it exists already and is not to be gone on with.
+    Raises FileExistsError if it exists already and is not to be gone on with, and ValueError where
+    another process is writing there.
     """
     if place.exists() and not resume:
+        need_unused(place)
         raise FileExistsError(
             f"{place} exists already; add --resume to go on with it, or choose another --out"
         )

@@ -66,11 +66,18 @@ def need_free(path: str | Path) -> None:
 
     Where another process is writing there, ValueError names it.
     """
-    if Path(path).is_dir():
-        with only_one(path):
-            pass
+    need_unused(path)
     if Path(path).exists():
         raise FileExistsError(f"{path} exists already; resume it or choose another place")
+
+
+def need_unused(path: str | Path) -> None:
+    """Raises ValueError that names the process that uses a folder, or a folder in it."""
+    if Path(path).is_dir():
+        for folder in (Path(path), *Path(path).iterdir()):
+            if folder.is_dir():
+                with only_one(folder):
+                    pass
 
 
 @contextlib.contextmanager

@@ -1,7 +1,7 @@
 """Every command gets invalid options, and runs up to the point where it would compute.
 
-A command ends without an error, or with a message of one line, and never with exit code 1. fuzz.py
-says how to run more cases.
+A command ends without an error, or with a message of one line that names an option, or what was
+given, and never with exit code 1. fuzz.py says how to run more cases.
 """
 
 import contextlib
@@ -175,6 +175,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "bad.toml").write_text("x = [")
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "fifo")
+    reader = os.open(tmp_path / "fifo", os.O_RDWR)  # without one a writer would wait for ever
     for owner, name in (
         *(
             (over_trials, "_program"),
@@ -195,7 +196,8 @@ def folder(tmp_path, monkeypatch):
         ),
     ):
         monkeypatch.setattr(owner, name, computes)
-    return tmp_path
+    yield tmp_path
+    os.close(reader)
 
 
 FOUND = f"""
@@ -214,15 +216,39 @@ tune p.toml {TUNED} --starts {10**12}
 tune p.toml {TUNED} --steps {10**12}
 certify p.toml --samples {10**12}
 worst-case p.toml --scheme ilc --starts {10**12}
+run p.toml --seed x
+certify p.toml --spread a
+sweep p.toml --machine 4
+run p.toml --replace=1
+trials
+rum p.toml
+next --state campaign --scenario p.toml --scheme ilc --out n.csv --plot n.txt
 """
 
 
 @pytest.mark.parametrize("line", FOUND.strip().split("\n"), ids=lambda line: line[:50])
-def test_what_was_found(line, folder, monkeypatch):
-    """Each of these once ended in a traceback, or was not refused although it was too large."""
+def test_what_was_found(line, folder, monkeypatch, capsys):
+    """Each of these once ended in a traceback or several lines, or was not refused in time."""
     (folder / "deep.json").write_text("[" * 100_000)
     monkeypatch.setattr(sys, "argv", ["jaxilc", *line.split()])
     assert ended() == 2
+    said = capsys.readouterr().err
+    assert of_one_line(said, line.split()), said
+    assert not (folder / "campaign").exists()
+
+
+def of_one_line(said, arguments):
+    """Whether an error is one line, the last one, which names an option or something given."""
+    *before, last = said.rstrip("\n").split("\n")
+    values = [
+        *arguments[1:],
+        *(part for one in arguments[1:] for part in one.split("=")[0].split(".")),
+    ]
+    given = [word.lstrip("-").strip() or word.strip() or (" " if word else "''") for word in values]
+    escaped = [word.encode("unicode_escape").decode() for word in given]  # \x1b is not printed
+    named = any(word[:12] in last for word in given + escaped)
+    warned = all(line.startswith(("warning: ", "note: ")) for line in before)
+    return last.startswith("error: ") and (named or " -h tells" in last) and warned
 
 
 def test_commands(folder, monkeypatch, capsys):
@@ -244,12 +270,17 @@ def test_commands(folder, monkeypatch, capsys):
             option = pick(rng, [o for o in options[name] if o != "--dask"] or [None])
             value = pick(rng, pick(rng, (NUMBERS, NAMES, CHOICES, FILES, LETTERS)))
             if option is None or rng.random() < 0.1:
-                arguments[1] = value
+                arguments[1:2] = [value]
             else:
                 arguments += [option] if option in flags[name] else [option, value]
         monkeypatch.setattr(sys, "argv", ["jaxilc", *arguments])
+        code = None
         with contextlib.suppress(Computes):
-            assert ended() in (None, 0, 2, 3), arguments
-        assert len(capsys.readouterr().err) <= LONGEST, arguments
+            code = ended()
+            assert code in (None, 0, 2, 3), arguments
+        said = capsys.readouterr().err
+        assert len(said) <= LONGEST, arguments
+        if code == 2:
+            assert of_one_line(said, arguments), (arguments, said)
 
     fuzz(100, attempt, ())

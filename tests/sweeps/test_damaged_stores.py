@@ -18,6 +18,8 @@ from store_case import LAYOUT, filled
 from sweep_case import PLAN
 
 from jaxilc import open_dataset, summarise
+from jaxilc.outcomes.designing import state_of
+from jaxilc.outcomes.request import unless_there
 from jaxilc.storage import files
 from jaxilc.sweeps import Sweep
 from jaxilc.sweeps.store import DONE, Store
@@ -224,3 +226,18 @@ def test_a_store_is_in_use_by_one_process_at_a_time(swept, tmp_path):
     ):
         plan.run(store)  # not told to resume it, since it is not there to be resumed
     assert plan.run(store, resume=True).sizes["sample"] == 5
+
+
+def test_what_is_in_use_is_not_to_be_resumed_or_replaced(tmp_path):
+    """Without `--resume` and with `--force`, too, the other process is named."""
+    (tmp_path / "state" / "sweep.zarr").mkdir(parents=True)
+    for place in (tmp_path / "state", tmp_path / "state" / "sweep.zarr"):
+        used = pytest.raises(ValueError, match=r"is in use by process \d+, which is running")
+        with files.only_one(place), used:
+            unless_there(tmp_path / "state", resume=False)
+        used = pytest.raises(ValueError, match=r"is in use by process \d+, which is running")
+        with files.only_one(place), used:
+            state_of(tmp_path, force=True, resume=False)
+    with pytest.raises(FileExistsError, match="add --resume"):
+        unless_there(tmp_path / "state", resume=False)
+    assert not state_of(tmp_path, force=True, resume=False).exists()
