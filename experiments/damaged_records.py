@@ -13,6 +13,7 @@ import contextlib
 import csv
 import functools
 import io
+import json
 import math
 import shutil
 import tempfile
@@ -23,7 +24,7 @@ import numpy as np
 import output
 from campaigns_with_faults import PLANT, begun, call
 from exchanged_entries import attacks
-from kills import COMMANDS
+from kills import COMMANDS, plain
 from kills import PLANT as SMALL
 from two_mass_rig import Rig, read_schedule, stroke, write_trial
 
@@ -112,7 +113,7 @@ def columns_of(text: bytes) -> dict | None:
 def tables_of(text: bytes) -> dict | None:
     """The tables of a plant file; None where there are none, or a number is none."""
     try:
-        return tomllib.loads(text.decode())
+        return tomllib.loads(text.decode("utf-8-sig"))
     except (ValueError, UnicodeDecodeError):
         return None
 
@@ -176,13 +177,18 @@ def trials(folder: Path, rows: list, rng) -> None:
                 print(outcome, damage.__name__, change, text[place - 20 : place + 20], said[-600:])
 
 
-def answers(file: Path, command: str) -> tuple[int, str]:
-    """What a plant file gives: the next input of a campaign, or what `certify` claims."""
-    if command == "certify":
-        return call("certify", file, "--machines", "4", "--trials", "4", "--out", file.parent / "c")
-    state = file.parent / "state"
+def answers(file: Path, command: str) -> tuple[int, object]:
+    """What a plant file gives: the first input of a campaign, or what `certify` claims."""
+    report, state = file.with_name("report.json"), file.parent / "state"
     shutil.rmtree(state, ignore_errors=True)
-    return call("next", "--state", state, "--scenario", file, "--out", file.parent / "u.csv")
+    words = ("next", "--state", state, "--scenario", file, "--out", file.parent / "u.csv")
+    if command == "certify":
+        words = ("certify", file, "--machines", "4", "--trials", "4", "--out", file.parent / "c")
+    code, said = call(*words, "--report", report)
+    if code:
+        return code, said
+    numbers = plain(json.loads(report.read_text()))
+    return 0, {k: v for k, v in numbers.items() if k not in ("source", "said")}  # its checksum
 
 
 def plants(folder: Path, rows: list, rng, text: bytes) -> None:
@@ -202,13 +208,12 @@ def plants(folder: Path, rows: list, rng, text: bytes) -> None:
             if code:
                 outcome = "refused" if refused_in_a_line(said) else "traceback"
             elif tables_of(changed) == whole:
-                comment = said.split("\n")[1:] == expected[command][1].split("\n")[1:]
-                outcome = "right" if comment else "silent"
+                outcome = "right" if said == expected[command][1] else "silent"
             else:
                 outcome = "silent" if tables_of(changed) is None else "as its numbers say"
             counted(rows, f"plant file, {command}", damage.__name__, outcome)
             if outcome in ("silent", "traceback"):
-                print(outcome, damage.__name__, command, changed[:60], said[-900:], flush=True)
+                print(outcome, damage.__name__, command, changed[:60], said, flush=True)
 
 
 def states(folder: Path, rows: list, rng, times: int = 30) -> None:

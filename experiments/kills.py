@@ -127,14 +127,15 @@ def again(command: str, words) -> int:
     return code
 
 
+def plain(value):
+    """JSON without the entries that `TIMES` names."""
+    if isinstance(value, dict):
+        return {k: plain(v) for k, v in value.items() if not TIMES.search(k)}
+    return [plain(v) for v in value] if isinstance(value, list) else value
+
+
 def answer(command: str) -> dict:
     """What a command has left, without what is different at each call."""
-
-    def plain(value, name=""):
-        if isinstance(value, dict):
-            return {k: plain(v, k) for k, v in value.items() if not TIMES.search(k)}
-        return [plain(v) for v in value] if isinstance(value, list) else value
-
     found = {}
     if command == "next":
         trial = json.loads(Path("campaign/000001/manifest.json").read_text())
