@@ -91,9 +91,9 @@ def attacked(folder: Path, other: Path, calls: dict, whole: list, most: int, rng
     return rows
 
 
-def main(most: int = 500) -> None:
+def main(most: int = 500, seed: int = 42) -> None:
     logging.getLogger("jaxilc").setLevel(logging.ERROR)
-    rng, rows = np.random.default_rng(42), []
+    rng, rows = np.random.default_rng(seed), []
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
         host = SWEEP.host()

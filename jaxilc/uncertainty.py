@@ -145,6 +145,8 @@ def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distri
         raise ValueError(f"spread = {brief(half_width)} is not a number")
     if not 0 < half_width < 1:
         raise ValueError(f"spread = {half_width:g} is outside its allowed range (0, 1)")
+    if 1 + half_width == 1:
+        raise ValueError(f"spread = {half_width:g} is lost in rounding; allowed is 1e-15 or more")
     return {name: d.spread(half_width) if d.relative else d for name, d in uncertainty.items()}
 
 

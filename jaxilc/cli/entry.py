@@ -161,7 +161,7 @@ def main() -> None:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
         if code == interrupts.CODE:
             interrupts.leave()
-        sys.exit(code)
+        sys.exit(code or 0)
     except Exception as error:
         usage = hasattr(error, "format_message")  # raised by Typer
         if not (usage or isinstance(error, ValueError | OSError)):

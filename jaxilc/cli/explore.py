@@ -78,14 +78,15 @@ def _try_place(address: str, port: int) -> None:
     try:
         for one in bind_sockets(port, address):
             one.close()
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         raise _refused(address, port, error) from None
 
 
-def _refused(address: str, port: int, error: OSError) -> ValueError:
+def _refused(address: str, port: int, error: OSError | UnicodeError) -> ValueError:
+    why = error.strerror if isinstance(error, OSError) else "no name of a computer"
     return ValueError(
-        f"--address {address} --port {port} cannot be used ({error.strerror}); --port 0 takes any "
-        "port that is free"
+        f"--address {address} --port {port} cannot be used ({why}); --port 0 takes any port that "
+        "is free"
     )
 
 

@@ -6,6 +6,7 @@ given, and never with exit code 1. fuzz.py says how to run more cases.
 
 import contextlib
 import os
+import re
 import shlex
 import sys
 
@@ -223,6 +224,8 @@ run p.toml --replace=1
 trials
 rum p.toml
 next --state campaign --scenario p.toml --scheme ilc --out n.csv --plot n.txt
+learn-law p.toml --taps 5,3 --machines 4 --steps 2 --spread 1e-300
+explore p.toml --port 0 --no-browser --address {"a" * 300}
 """
 
 
@@ -242,11 +245,12 @@ def of_one_line(said, arguments):
     *before, last = said.rstrip("\n").split("\n")
     values = [
         *arguments[1:],
-        *(part for one in arguments[1:] for part in one.split("=")[0].split(".")),
+        *(part for one in arguments[1:] for part in re.split("[=.:]", one)),
     ]
     given = [word.lstrip("-").strip() or word.strip() or (" " if word else "''") for word in values]
     escaped = [word.encode("unicode_escape").decode() for word in given]  # \x1b is not printed
-    named = any(word[:12] in last for word in given + escaped)
+    empty = [" . "] if "" in arguments else []  # as a path
+    named = any(word[:12] in last for word in given + escaped + empty)
     warned = all(line.startswith(("warning: ", "note: ")) for line in before)
     return last.startswith("error: ") and (named or " -h tells" in last) and warned
 
