@@ -35,7 +35,9 @@ def export(
     ] = "c",
     out_dir: Annotated[
         Path,
-        typer.Option("--out", metavar="FOLDER", help="Where it is written."),
+        typer.Option(
+            "--out", metavar="FOLDER", help="Where it is written.", callback=folder_to_write
+        ),
     ] = Path("law"),
     check: Annotated[
         Path | None,
@@ -76,5 +78,5 @@ def export(
     if source is not None:
         asked = Request(source, tuple(scheme or ()), tuple(set_ or ()), params)
     how: dict[str, Any] = {"format": format_, "state": state, "limit": limit, "number": number}
-    how |= {"machines": machines, "seed": seed, "folder": folder_to_write(out_dir)}
+    how |= {"machines": machines, "seed": seed, "folder": out_dir}
     tell("export", asked, pages, **how)
