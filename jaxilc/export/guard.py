@@ -44,6 +44,29 @@ class Seen(NamedTuple):
     fine: Array
 
 
+class Trials(NamedTuple):
+    """What the trials of a campaign tell the guard.
+
+    best: smallest rms error of them, infinite without one [unit of y]
+    learned: number of trials that were learned from
+    largest: largest value of each schedule that was played, by name
+    """
+
+    best: float
+    learned: int
+    largest: dict[str, float]
+
+
+def begun_by(trials: Trials, nothing: Seen) -> Seen:
+    """What the guard knows after the trials of a campaign.
+
+    nothing: what it knows before the first trial
+    """
+    largest = {name: jnp.asarray(trials.largest.get(name, 0.0), float) for name in nothing.largest}
+    best, learned = jnp.asarray(trials.best, float), jnp.asarray(trials.learned, float)
+    return nothing._replace(best=best, learned=learned, largest=largest)
+
+
 def nothing_seen(scheme: Scheme, task: Task, schedule: Tree) -> Seen:
     """What the guard knows before the first trial."""
     largest = dict.fromkeys(_learned(scheme, task, schedule), jnp.zeros(()))

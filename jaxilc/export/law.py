@@ -137,6 +137,7 @@ def law_of(
     actuator: Actuator | None = None,
     correction: float | None = None,
     memory: Tree = None,
+    trials: guard.Trials | None = None,
     guarded: bool = True,
 ) -> Law:
     """The law of a scheme, fresh or in the state that a campaign has reached.
@@ -144,6 +145,7 @@ def law_of(
     limit: () or (n_u,) largest |u| that is played [unit of u]
     correction: largest distance of a learned reference from the task's [unit of y]
     memory: what was learned; None: nothing yet
+    trials: what the guard knows of the trials in which it was learned
     Raises ValueError where scheme and task do not fit, and Unknown for what cannot be exported.
     """
     check_length(task, scheme)
@@ -152,6 +154,8 @@ def law_of(
     ready = scheme.prepared(task)
     tracer = _Tracer(ready, task, jnp.asarray(limit), actuator, correction, guarded)
     known = tracer.first(memory)
+    if trials is not None:
+        known = known._replace(seen=guard.begun_by(trials, known.seen))
     signals = _signals_that_are_read(tracer, known)
     known = known._replace(record=known.record._replace(signals=signals))
     fields = {

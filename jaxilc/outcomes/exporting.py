@@ -17,7 +17,9 @@ from .request import Request
 from .verdict import Verdict
 
 if TYPE_CHECKING:
+    from ..export.guard import Trials
     from ..export.law import Law
+    from ..hardware import Campaign
     from ..scenarios import Scenario
 
 FORMATS = ("c",)
@@ -66,7 +68,7 @@ def export(
     progress("trace")
     try:
         law = law_of(scheme, chosen.task, largest, actuator=actuator, memory=memory,
-                     correction=kept.get("correction"))  # fmt: skip
+                     correction=kept.get("correction"), trials=kept.get("seen"))  # fmt: skip
     except Unknown as error:
         raise ValueError(f"{name} cannot be exported: {error}") from None
     progress("certify")
@@ -83,7 +85,7 @@ def export(
             "limit": np.broadcast_to(np.asarray(largest, float), (chosen.task.inputs,)).tolist(),
             "format": format,
             "number": number,
-            "trials_of_the_campaign": kept.get("trials", 0),
+            "trials_learned_from": kept["seen"].learned if "seen" in kept else 0,
             **claimed,
             "plant_file": _plant_file(source),
         }
@@ -149,7 +151,7 @@ def _chosen(
         opened = open_campaign(Path(state), Given(), new=False)
         campaign, recipe = opened.campaign, opened.recipe
         rules = {key: value for key, value in recipe["rules"].items() if value is not None}
-        kept = {"source": recipe["scenario"], "trials": campaign.trials} | rules
+        kept = {"source": recipe["scenario"], "seen": _seen(campaign)} | rules
         return opened.scenario, recipe["scheme"], campaign.memory(), kept
     if request is None:
         raise ValueError("export needs a scenario or a plant file, or --state of a campaign")
@@ -162,6 +164,20 @@ def _chosen(
             f"{', '.join(learning) or 'none'}"
         )
     return chosen, learning[0], None, {"source": asked.source}
+
+
+def _seen(campaign: Campaign) -> Trials:
+    """What the guard of the law knows of the trials of a campaign."""
+    from ..export.guard import Trials
+    from ..hardware.checks import comparable
+
+    live = campaign.journal.live()
+    of = [e for _, e in comparable(campaign.scheme, campaign.task, live)]
+    largest: dict[str, float] = {}
+    for peaks in (entry.get("peaks", {}) for entry in live[1:]):
+        largest |= {name: max(x, largest.get(name, 0.0)) for name, x in peaks.items()}
+    learned = sum(bool(entry["learned"]) for entry in live[1:])
+    return Trials(min(of, default=float("inf")), learned, largest)
 
 
 def _claimed(chosen: Scenario, name: str, machines: int, seed: int) -> dict[str, Any]:

@@ -14,10 +14,11 @@ from cases import CASES, SCHEMES, task_for
 
 from jaxilc.export import check, files_of, interpret, law_of, program_of
 from jaxilc.export.certificate import CERTIFICATE, certificate_of, digest_of
-from jaxilc.export.guard import CODES
+from jaxilc.export.guard import CODES, Trials
 from jaxilc.export.steps import dft
 from jaxilc.native.program import Unknown
 from jaxilc.outcomes.exporting import trials_of_test
+from jaxilc.schemes import Feedforward
 from jaxilc.signals import Trial
 from jaxilc.storage.sealed import read_json, write_json
 
@@ -134,6 +135,19 @@ def test_the_guard_goes_back_to_the_last_good_input():
     small = law_of(SCHEMES["p_type"], task, 0.1).played()
     assert CODES[small.trial(good[0])[1]] == "TOO_LARGE"
     assert np.max(np.abs(small.trial(good[0])[0])) <= 0.1
+
+
+def test_a_law_starts_with_what_a_campaign_has_learned():
+    task, scheme = task_of("p_type"), SCHEMES["p_type"]
+    memory = Feedforward(jnp.arange(FEW, dtype=float)[:, None] / FEW)
+    of_guard = Trials(best=0.25, learned=3, largest={"u": 1.5})
+    played = law_of(scheme, task, 9.0, memory=memory, trials=of_guard).played()
+    assert [played.known[f"seen.{name}"] for name in ("best", "learned", "largest.u")] == [
+        0.25,
+        3,
+        1.5,
+    ]
+    assert np.array_equal(played.trial(np.asarray(task.reference))[0], memory.u)
 
 
 FUZZ = """#include "law.h"
