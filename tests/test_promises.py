@@ -45,6 +45,7 @@ WORDS = {
     "ten": 10,
     "fifteen": 15,
     "sixteen": 16,
+    "seventeen": 17,
     "twenty": 20,
     "hundred": 100,
 }

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import CASES, SCHEMES, task_for
+from cases import CASES, SAMPLES, SCHEMES, task_for
 
 from jaxilc.export import check, files_of, interpret, law_of, program_of
 from jaxilc.export.certificate import CERTIFICATE, certificate_of, digest_of
@@ -44,8 +44,8 @@ class Signals(dict):
 
 
 def task_of(name):
-    """Return the task of a case, with few samples."""
-    return task_for(CASES[name][0], FEW)
+    """Return the task of a case, with few samples where its times allow it."""
+    return task_for(CASES[name][0], SAMPLES if "switchable" in name else FEW)
 
 
 def compiled(folder, texts, *flags, driver="law_test.c"):
