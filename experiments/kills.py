@@ -8,6 +8,7 @@ same files and the same exit code as the command that nothing stopped. The compi
 kept in one folder, which is empty at first, so that early kills stop their writing, too.
 """
 
+import contextlib
 import importlib
 import json
 import os
@@ -215,12 +216,11 @@ def main(*commands: str) -> None:
     for name in LOADED:
         importlib.import_module(name)
     rng, rows = np.random.default_rng(42), []
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
         os.environ["JAXILC_CACHE"] = f"{name}/programs"
         for command in commands or COMMANDS:
             rows.append(attacked(command, KILLS[command], Path(name), rng))
             print(rows[-1], flush=True)
-        os.chdir("/")
     output.write_rows(output.folder(__file__) / "kills.csv", rows)
 
 
