@@ -49,10 +49,11 @@ papers: $(VENV)/.ready  ## each figure of the papers, ours beside the print, to 
 bench: $(VENV)/.ready  ## our speed beside NumPy, Numba, C and others; OPTIONS=--help lists options
 	$(BIN)/python experiments/benchmark/compare.py $(OPTIONS)
 
-history: $(VENV)/.ready $(TOOLS)/.ready  ## the main figures of this commit, to out/history; asv draws them
+history: $(TOOLS)/.ready  ## the main figures of this commit, by asv, to out/history
 	cd .ci/history && $(TOOLS)/bin/asv machine --yes
-	cd .ci/history && $(TOOLS)/bin/asv run --quick --show-stderr \
-	    -E existing:$(CURDIR)/$(BIN)/python --set-commit-hash $$(git rev-parse HEAD)
+	cd .ci/history && ASV_PYTHONPATH=$(CURDIR):$$($(CURDIR)/$(BIN)/python -c \
+	    'import sysconfig; print(sysconfig.get_path("purelib"))') $(TOOLS)/bin/asv run --quick \
+	    --show-stderr -E existing:$(TOOLS)/bin/python --set-commit-hash $$(git rev-parse HEAD)
 
 sbom: $(TOOLS)/.ready  ## what is inside the environment: CycloneDX, to out/sbom.json
 	mkdir -p out
@@ -81,7 +82,7 @@ else
 endif
 	touch $@
 
-$(TOOLS)/.ready:
-	$(PYTHON) -m venv $(TOOLS)
+$(TOOLS)/.ready: $(VENV)/.ready
+	$(BIN)/python -m venv $(TOOLS)
 	$(TOOLS)/bin/pip install --quiet --disable-pip-version-check "asv>=0.6" "cyclonedx-bom>=5"
 	touch $@

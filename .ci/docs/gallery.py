@@ -44,7 +44,8 @@ def write(folder: Path) -> bool:
         plt.close("all")
     whole = "".join(parts) + text[last:]
     (folder / "gallery.md").write_text(
-        whole.replace(OVERVIEW, ":::{div} thumbs\n" + "".join(small) + ":::"), encoding="utf-8"
+        whole.replace(OVERVIEW, ":::{container} thumbs\n" + "".join(small) + ":::"),
+        encoding="utf-8",
     )
     return True
 
@@ -69,7 +70,7 @@ def shown(name: str, title: str, kind: str = "", target: str = "") -> str:
     """A picture of Markdown, one for a light and one for a dark page."""
     return "".join(
         f"```{{image}} {name}{of}.png\n:alt: {title}\n:class: {page} {kind}\n"
-        + f":target: {target}\n" * bool(target)
+        + f':target: "{target}"\n' * bool(target)
         + "```\n"
         for page, of in (("only-light", ""), ("only-dark", "-dark"))
     )

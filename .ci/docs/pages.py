@@ -44,6 +44,7 @@ PICTURE = re.compile(r'<picture>.*?<img src="([^"]+)" alt="([^"]*)".*?</picture>
 DARK = re.compile(r'\(prefers-color-scheme: dark\)" srcset="([^"]+)"')  # the last one moves
 AFTER = "[ILC in five minutes]"  # of the start page: the live page stands before it
 OUTSIDE = re.compile(r"[a-z]+:")
+SCRIPT = re.compile(r"<script\b.*?</script>", re.DOTALL)  # which may write links of its own
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#+ +(.*)$", re.MULTILINE)
 
@@ -155,7 +156,7 @@ def check_built(folder: Path) -> None:
         for target in loads.findall(text):
             if re.match(r"(https?:)?//", target):
                 raise ValueError(f"{path.name} loads {target} from elsewhere")
-        for target in re.findall(r"<a\b[^>]*?href=\"([^\"]+)\"", text):
+        for target in re.findall(r"<a\b[^>]*?href=\"([^\"]+)\"", SCRIPT.sub("", text)):
             if OUTSIDE.match(target):
                 continue
             name, _, anchor = target.partition("#")

@@ -282,7 +282,9 @@ def explore(
 ) -> Any:
     """An application of Bokeh with sliders for the weights of a scheme.
 
-    In a notebook, `bokeh.io.output_notebook()` and `bokeh.io.show(explore(scenario))` show it.
+    In a notebook, `bokeh.io.output_notebook(bokeh.resources.INLINE)` and
+    `bokeh.io.show(explore(scenario), notebook_url="localhost:8888")` show it, with the address of
+    the notebook as the browser has it: a page of another address gets nothing.
 
     scenario: what is simulated
     scheme: name of the scheme; None for the first one that learns

@@ -155,7 +155,7 @@ class Outcome:
     def __repr__(self) -> str:
         """The verdict, the tables and the lines as text."""
         text = io.StringIO()
-        console = Console(file=text, width=WIDTH)
+        console = Console(file=text, width=WIDTH, force_jupyter=False)  # which prints beside it
         self.show(console)
         for line in self.warnings:
             console.print(line, highlight=False)

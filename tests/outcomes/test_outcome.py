@@ -37,6 +37,14 @@ def test_every_view_has_the_verdict_and_the_cells_of_all_tables(outcome, tmp_pat
     assert outcome._repr_html_().count("<figure><img") == len(outcome.figures)
 
 
+def test_a_notebook_shows_an_outcome_once(outcome, monkeypatch):
+    """Rich would print beside the text, in a notebook, which asks for text and page alike."""
+    outside = repr(outcome)
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert repr(outcome) == outside
+    assert all(said in outside for said in outcome.verdict.said)
+
+
 def test_numbers_are_those_of_the_command(outcome, tmp_path, monkeypatch):
     """The call of a Python user and the command find the same numbers and verdict."""
     monkeypatch.chdir(tmp_path)
