@@ -14,6 +14,7 @@ if tags.has("pages"):  # noqa: F821, which Sphinx defines
     extensions.append("sphinx.ext.viewcode")  # source links, which lead to pages of this site
 html_theme, html_title = "furo", f"jaxilc {release}"
 html_static_path, html_css_files = ["_static"], ["pages.css"]
+html_js_files = ["pages.js"]
 html_extra_path = ["_extra"]  # the live page
 html_show_sphinx = html_copy_source = html_show_sourcelink = False
 html_math_renderer = "mathml"

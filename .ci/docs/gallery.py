@@ -38,7 +38,7 @@ def write(folder: Path) -> bool:
             name = f"gallery/{number}"
             _draw(known["axes"], folder / name)
             parts.append(shown(name, title))
-            small.append(shown(name, title, "thumb", "#" + anchor(title)))
+            small.append(thumb(name, title))
         parts.append(block.group())
         last = block.end()
         plt.close("all")
@@ -66,11 +66,19 @@ def anchor(title: str) -> str:
     return re.sub(r"[^\w\- ]", "", title).strip().lower().replace(" ", "-")
 
 
-def shown(name: str, title: str, kind: str = "", target: str = "") -> str:
+def shown(name: str, title: str) -> str:
     """A picture of Markdown, one for a light and one for a dark page."""
     return "".join(
-        f"```{{image}} {name}{of}.png\n:alt: {title}\n:class: {page} {kind}\n"
-        + f':target: "{target}"\n' * bool(target)
-        + "```\n"
+        f"```{{image}} {name}{of}.png\n:alt: {title}\n:class: {page}\n```\n"
         for page, of in (("only-light", ""), ("only-dark", "-dark"))
     )
+
+
+def thumb(name: str, title: str) -> str:
+    """A small picture, from where Sphinx copies it to, that leads to its section."""
+    place = name.replace("gallery/", "_images/")
+    pictures = "".join(
+        f'<img class="{page}" src="{place}{of}.png" alt="{title}">'
+        for page, of in (("only-light", ""), ("only-dark", "-dark"))
+    )
+    return f'<a href="#{anchor(title)}">{pictures}</a>\n'

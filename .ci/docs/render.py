@@ -53,7 +53,8 @@ def main(out: Path | None) -> int:
         sys.path.insert(0, str(HERE))
         shutil.copy(HERE / "conf.py", source / "conf.py")
         (source / "_static").mkdir()
-        shutil.copy(HERE / "pages.css", source / "_static")
+        for name in ("pages.css", "pages.js"):
+            shutil.copy(HERE / name, source / "_static")
         (source / "_extra").mkdir()
         if out is not None:
             live.write(source / "_extra")

@@ -114,6 +114,11 @@ except FileNotFoundError as error:  # it takes the folder of a campaign with mea
     print(error)
 # no-campaign holds no campaign; start one without --measured
 
+# %% export, check_export (slow)
+Path("axis.toml").write_text(MACHINE)
+outcomes.export("axis.toml", folder="law", limit=2.0, machines=4).save()
+print(outcomes.check_export("law").command)
+
 # %% demo (slow)
 print(outcomes.demo().numbers["claims"])
 # {'plain': 'diverges', 'tuned': 'monotone'}
