@@ -2,15 +2,19 @@ from .campaign import Campaign, Turn
 from .checks import Finding, Rules
 from .input_files import write_schedules
 from .journal import Journal
+from .map_files import MapTable, read_map, write_map
 from .trial_files import Measured, read_measured
 
 __all__ = [
     "Campaign",
     "Finding",
     "Journal",
+    "MapTable",
     "Measured",
     "Rules",
     "Turn",
+    "read_map",
     "read_measured",
+    "write_map",
     "write_schedules",
 ]

@@ -155,7 +155,7 @@ class PositionMap:
                 "each function, and twice as many with turning"
             )
 
-    def at(self, x: Array, v: Array | float = 0.0) -> Array:
+    def at(self, x: Leaf, v: Leaf | float = 0.0) -> Array:
         """The value at positions x, where it moves with the velocity v; of any shape."""
         x, v = jnp.broadcast_arrays(jnp.asarray(x), v)
         return apart(self.functions.at(x), v, self.turning) @ jnp.asarray(self.weights)

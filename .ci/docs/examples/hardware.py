@@ -7,6 +7,7 @@ import numpy as np
 import jaxilc
 from jaxilc import Task
 from jaxilc.hardware import *
+from jaxilc.plants import Harmonics, PositionMap
 from jaxilc.schemes import PIDType
 
 jaxilc.setup()
@@ -36,3 +37,10 @@ print(isinstance(turn, Turn), turn.trial, [isinstance(one, Finding) for one in t
 
 # %% write_schedules
 write_schedules("next.csv", turn.schedules, task, trial=2)
+
+# %% write_map, read_map, MapTable
+learned = PositionMap(Harmonics(pitch=12.0, orders=(1,)), weights=(0.0, 0.02))
+write_map("x.comp", learned, [0.0, 3.0, 6.0, 9.0])  # for LinuxCNC
+again = read_map("x.comp")
+print(isinstance(again, MapTable), again.forward.round(3) + 0.0)
+# True [ 0.    0.02  0.   -0.02]
