@@ -166,6 +166,8 @@ class Explorer:
 
     async def _computed(self, *, alone: bool) -> bool:
         """Compute beside the server, and show; a value that is not allowed is told instead."""
+        if self.told.document is None:  # the page was closed
+            return False
         values, spread = self.values(), self.spread_asked()
         work = functools.partial(self.of.outcome, values, spread, alone=alone)
         loop = asyncio.get_running_loop()

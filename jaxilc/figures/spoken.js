@@ -7,10 +7,15 @@
       const root = Bokeh.index.find_one(model)?.shadow_el;
       const handle = root?.querySelector(".noUi-handle");
       if (!handle) { missing += 1; continue; }
-      const say = () => handle.setAttribute(
-        "aria-valuetext", root.querySelector(".noUi-tooltip").textContent);
+      const say = () => {
+        const told = root.querySelector(".noUi-tooltip").textContent;
+        if (handle.getAttribute("aria-valuetext") !== told) {
+          handle.setAttribute("aria-valuetext", told);
+        }
+      };
       handle.setAttribute("aria-label", model.title);
-      model.properties.value.change.connect(say);
+      // The slider writes a number of its own there each time that it moves.
+      new MutationObserver(say).observe(handle, { attributeFilter: ["aria-valuetext"] });
       model.tags.push("spoken");
       say();
     }
