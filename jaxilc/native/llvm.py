@@ -199,6 +199,10 @@ class Text:
                 return self.add(f"bitcast {self.type_of(node.args[0].dtype)} {args[0]} to {kind}")
             case "convert":
                 return self._converted(node, args[0])
+        if node.dtype.kind == "f" and node.name in ("add", "sub"):
+            for at in (0, 1):
+                if node.args[at].name == "mul":
+                    return self._fused(node, at, args[1 - at])
         text = instruction(node.name, node.args[0].dtype.kind)
         assert text is not None, node.name
         of = self.type_of(node.args[0].dtype)
@@ -210,6 +214,21 @@ class Text:
         if text == "fneg":
             return self.add(f"fneg {of} {args[0]}")
         return self.add(f"{text} {of} {args[0]}, {args[1]}")
+
+    def _fused(self, node: Node, at: int, other: str) -> str:
+        """A sum or difference of a product, which is operand `at`, rounded once.
+
+        It is fused wherever it is computed. A row that is computed in two loops, such as that of a
+        maximum and that of the place of this maximum, would not be the same if LLVM chose.
+        """
+        kind, product = self.type_of(node.dtype), node.args[at]
+        a, b = (self._known(x)[x] for x in product.args)
+        if node.name == "sub" and at == 0:
+            other = self.add(f"fneg {kind} {other}")
+        if node.name == "sub" and at == 1:
+            a = self.add(f"fneg {kind} {a}")
+        name = f"@llvm.fmuladd.{self._suffix(node.dtype)}"
+        return self._called(name, kind, [kind] * 3, [a, b, other])
 
     def _called(self, name: str, kind: str, types: list[str], args: list[str]) -> str:
         self.declared.add(f"declare {kind} {name}({', '.join(types)})")

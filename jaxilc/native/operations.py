@@ -78,9 +78,9 @@ def _of_library(name: str) -> Instruction:
 
 
 INSTRUCTIONS = {
-    "add": Instruction({"f": "fadd contract", "iu": "add"}, np.add),
-    "sub": Instruction({"f": "fsub contract", "iu": "sub"}, np.subtract),
-    "mul": Instruction({"f": "fmul contract", "iu": "mul"}, np.multiply),
+    "add": Instruction({"f": "fadd", "iu": "add"}, np.add),
+    "sub": Instruction({"f": "fsub", "iu": "sub"}, np.subtract),
+    "mul": Instruction({"f": "fmul", "iu": "mul"}, np.multiply),
     "div": Instruction(
         {"f": "fdiv", "i": "sdiv", "u": "udiv"},
         lambda x, y: np.divide(x, y) if x.dtype.kind == "f" else (x - np.fmod(x, y)) // y,
