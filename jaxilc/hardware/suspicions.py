@@ -31,6 +31,8 @@ EXPLAINS = 0.6  # share of the power of a difference that friction or a lag expl
 LEFT_BY_GAIN, LEFT_BY_DELAY = 0.05, 0.02  # shares of that power that a gain and a delay may leave
 LIMITED, LATE = (0.3, 0.9), 0.2  # shares: of the first acceleration; of the speed, where it shows
 BEGUN, FOLLOWS = 0.02, 0.3  # share of the stroke at its begin, and of that, which is followed then
+SLOWER, HELD = 0.92, 2.0  # times the usual: the top speed under a limit, and the time near it
+NEAR_TOP = 0.95  # share of the top speed
 NARROW, JERK = 0.55, 1.2  # share of the power in a narrow band; peak of the first acceleration
 LEAST_SAMPLES = 16  # of a trial whose difference is looked at
 STANDS = 0.1  # share of the motion below which nothing is said of a gain
@@ -204,7 +206,8 @@ def what_changed(y, old, dt: float = 1.0) -> Change:
     The first that fits is named: a gain (or a unit) and a delay are the factor and the shift of the
     expected motion that leave at most 5 and 2 % of the power of the difference; a limit of force
     or speed makes the first acceleration smaller, where the motion begins as expected; a resonance
-    puts most of the power of the difference of the accelerations into a narrow band; friction
+    puts most of the power of the difference of the accelerations into a narrow band; a limit of
+    speed holds a top speed that is below the usual one for longer; friction
     follows the sign of the speed and breaks away with a jerk; what else is
     in step with the speed is a lag of a loop.
 
@@ -231,6 +234,10 @@ def what_changed(y, old, dt: float = 1.0) -> Change:
     if LIMITED[0] < peak < LIMITED[1] and follows > FOLLOWS and parted > LATE:
         text = f"a limit of force or speed: the first acceleration reaches {peak:.0%} of the usual"
         return Change("limit", text, "look at supply, current limit and load; a slower motion fits")
+    top, held = _top_speed(now, old)
+    if top < SLOWER and held > HELD:
+        text = f"a limit of speed: it stays at {top:.0%} of the usual top"
+        return Change("limit", text, "look at supply, pressure and load; a slower motion fits")
     lag, share = _fitted(d, -np.gradient(old))
     rubbed = _rubbed(d, old)
     if (peak > JERK or rubbed > share + 0.02) and max(share, rubbed) > EXPLAINS:
@@ -271,19 +278,13 @@ def _accelerations(now, old, dt: float) -> tuple[float, float, float, float]:
     frequency [Hz].
     """
     n = len(old)
-    window = np.hanning(max(5, n // 40 | 1) + 2)[1:-1]
-
-    def smooth(x):
-        padded = np.pad(x, len(window) // 2, mode="edge")
-        return np.convolve(padded, window / np.sum(window), "valid")
-
-    speed, moved = smooth(np.gradient(old)), smooth(np.gradient(now))
-    usual, found = smooth(np.gradient(speed)), smooth(np.gradient(moved))
+    speed, moved = _smooth(np.gradient(old)), _smooth(np.gradient(now))
+    usual, found = _smooth(np.gradient(speed)), _smooth(np.gradient(moved))
     top = max(2, int(np.argmax(np.abs(speed) > 0.97 * np.max(np.abs(speed)))))
     sign = np.sign(speed[top])
     expected = np.max(sign * usual[:top])
     peak = float(np.max(sign * found[:top]) / expected) if expected > 0 else 1.0
-    parted = smooth(np.abs(now - old))
+    parted = _smooth(np.abs(now - old))
     part = int(np.argmax(parted > 0.03 * np.max(parted)))
     power = np.abs(np.fft.rfft((found - usual) * np.hanning(n))) ** 2
     f, k = np.fft.rfftfreq(n, dt), int(np.argmax(power))
@@ -291,6 +292,20 @@ def _accelerations(now, old, dt: float) -> tuple[float, float, float, float]:
     of_motion = f[int(np.argmax(np.abs(np.fft.rfft(usual * np.hanning(n)))))]
     narrow = float(np.sum(power[near]) / np.sum(power)) if f[k] > 1.5 * of_motion else 0.0
     return peak, float(np.abs(speed[part]) / np.max(np.abs(speed))), narrow, float(f[k])
+
+
+def _top_speed(now, old) -> tuple[float, float]:
+    """The top speed over the expected one, and the time near it over the expected time."""
+    moved, speed = (np.abs(_smooth(np.gradient(x))) for x in (now, old))
+    times = [np.mean(x > NEAR_TOP * np.max(x)) for x in (moved, speed)]
+    return float(np.max(moved) / np.max(speed)), float(times[0] / times[1])
+
+
+def _smooth(x) -> np.ndarray:
+    """A signal without its highest frequencies: the mean over a fortieth of its length."""
+    window = np.hanning(max(5, len(x) // 40 | 1) + 2)[1:-1]
+    padded = np.pad(x, len(window) // 2, mode="edge")
+    return np.convolve(padded, window / np.sum(window), "valid")
 
 
 def _rubbed(d, old) -> float:

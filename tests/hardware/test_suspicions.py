@@ -3,6 +3,7 @@
 import campaigns_with_faults as faults
 import numpy as np
 import pytest
+from rigs_of_many_kinds import cylinder
 from two_mass_rig import DT, Rig, read_schedule, stroke
 from typer.testing import CliRunner
 
@@ -64,6 +65,15 @@ def test_what_changed_is_named(changed, expected):
     inches = suspicions.what_changed(LAST / 25.4, LAST)
     assert inches.text == "another unit: y is 0.03937 times that of the last trial"
     assert suspicions.what_changed(LAST[:5], 2 * LAST[:5]) == suspicions.Change()
+
+
+@pytest.mark.parametrize("pressure", [0.1, 0.06, 0.04])
+def test_a_limit_of_speed_is_no_friction(pressure):
+    """The flow of a hydraulic cylinder at a low pressure was called friction."""
+    before, now = (cylinder(stroke()[:-1], 1, p)[:, None] for p in (1.0, pressure))
+    found = suspicions.what_changed(now, before, DT)
+    assert found.cause == "limit"
+    assert "a limit of speed" in found.text
 
 
 def test_an_input_that_is_not_the_one_to_play_is_refused():
