@@ -46,6 +46,7 @@ WORDS = {
     "fifteen": 15,
     "sixteen": 16,
     "seventeen": 17,
+    "nineteen": 19,
     "twenty": 20,
     "hundred": 100,
 }
