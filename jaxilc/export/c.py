@@ -102,7 +102,7 @@ def number(value: Any, dtype: Any, single: bool) -> str:
 
 def field_name(name: str) -> str:
     """The member of the struct for a field."""
-    return re.sub(r"\W+", "_", name).strip("_")
+    return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
 
 
 class Printed(NamedTuple):
@@ -289,6 +289,8 @@ class _Body:
         if shape:
             self.shape = shape  # which is another, where a view has ended the loop before
             views |= {x: self.views[x] for x in step.ins if x not in self.local and x not in views}
+        if len(shape) > len(_INDEX):
+            raise Unknown(f"an array of {len(shape)} axes")
         names = dict(zip([i for i, n in enumerate(out.shape) if n != 1], _INDEX, strict=False))
         operands = [
             views[x].at([names[i] for i, n in enumerate(x.shape) if n != 1])

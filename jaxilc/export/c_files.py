@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..native.program import Program, Step
+from ..native.program import Program, Step, Unknown
 from . import guard, operations
 from .c import REAL, Printed, field_name, number, printed, table, type_of
 from .law import Law, said_of_scheme
@@ -64,6 +64,9 @@ def files_of(law: Law, about: Sequence[str], digest: str, trials: Sequence[Any],
     trials: outputs (N+1, n_y) of the trials of the test program
     single: whether numbers are `float` in place of `double`
     """
+    names = [field_name(name) for name in law.fields]
+    if len({*names}) < len(names):
+        raise Unknown("two fields of the law have one name in C")
     bodies = {one.name: printed(one, law.fields, single=single) for one in law.functions}
     said = _comment([*about, f"certificate {digest}"])
     return {

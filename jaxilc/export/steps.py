@@ -409,39 +409,48 @@ def dft(re: Array, im: Array, sign: float) -> tuple[Array, Array]:
 
     where Y_q is the transform of every p-th sample from q on.
     """
-    n = re.shape[-1]
+    lead, n = re.shape[:-1], re.shape[-1]
     if n == 1:
         return re, im
-    p = next(d for d in range(2, n + 1) if n % d == 0)
-    m = n // p
-    re, im = (jnp.moveaxis(x.reshape(*x.shape[:-1], m, p), -1, -2) for x in (re, im))
-    re, im = dft(re, im, sign)
+    p = 4 if n % 4 == 0 else next(d for d in range(2, n + 1) if n % d == 0)
+    m, many = n // p, math.prod(lead)
+    # all axes but the last are one, so that loops do not nest deeper with each factor
+    re, im = (jnp.moveaxis(x.reshape(many, m, p), 2, 1).reshape(many * p, m) for x in (re, im))
+    re, im = (x.reshape(many, p, m) for x in dft(re, im, sign))
     turn = sign * 2 * np.pi * np.outer(np.arange(p), np.arange(m)) / n
-    re, im = np.cos(turn) * re - np.sin(turn) * im, np.cos(turn) * im + np.sin(turn) * re
-    powers = np.outer(np.arange(p), np.arange(p)) % p
-    c, s = np.cos(sign * 2 * np.pi * np.arange(p) / p), np.sin(sign * 2 * np.pi * np.arange(p) / p)
-    if p <= LARGEST_DENSE:
-        c, s = c[powers], s[powers]
+    re, im = _product(re, im, np.cos(turn), np.sin(turn))
+    if p > LARGEST_DENSE:
+        re, im = (jnp.moveaxis(x, 1, 2).reshape(many * m, p) for x in (re, im))
+        found = _by_chirps(re, im, sign)
+        re, im = (jnp.moveaxis(x.reshape(many, m, p), 2, 1) for x in found)
+    else:
+        w = np.exp(sign * 2j * np.pi * (np.outer(np.arange(p), np.arange(p)) % p) / p)
+        c, s = w.real, w.imag
         re, im = (jnp.matmul(c, re) - jnp.matmul(s, im), jnp.matmul(c, im) + jnp.matmul(s, re))
-        return re.reshape(*re.shape[:-2], n), im.reshape(*im.shape[:-2], n)
-    twice = np.concatenate([c, c]), np.concatenate([s, s])
+    return re.reshape(*lead, n), im.reshape(*lead, n)
 
-    def row(carry: None, places: Array) -> tuple[None, tuple[Array, Array]]:
-        """One frequency of a long prime factor, with w from a table."""
 
-        def add(total: Tree, now: Tree) -> tuple[Tree, None]:
-            at, x, y = now
-            a, b = (lax.dynamic_slice(jnp.asarray(t), (at,), (1,), allow_negative_indices=False)
-                    for t in twice)  # fmt: skip
-            return (total[0] + (a * x - b * y), total[1] + (a * y + b * x)), None
+def _by_chirps(re: Array, im: Array, sign: float) -> tuple[Array, Array]:
+    """The transform of a long prime length, as a convolution (Bluestein 1970).
 
-        rows = places, jnp.moveaxis(re, -2, 0), jnp.moveaxis(im, -2, 0)
-        zero = jnp.zeros((*re.shape[:-2], m), re.dtype)
-        return carry, lax.scan(add, (zero, zero), rows)[0]
+    X[k] = w[k] sum_j (x[j] w[j]) conj(w[k - j]),    w[k] = exp(sign pi i k^2 / n)
+    """
+    n = re.shape[-1]
+    m = 2 ** math.ceil(math.log2(2 * n - 1))
+    w = np.exp(sign * 1j * np.pi * (np.arange(n) ** 2 % (2 * n)) / n)
+    around = np.concatenate([w, np.zeros(m - 2 * n + 1), w[:0:-1]])
+    other = np.fft.fft(np.conj(around)) / m
+    chirp = w.real, w.imag
+    a, b = _product(re, im, *chirp)
+    padding = [(0, 0)] * (re.ndim - 1) + [(0, m - n)]
+    a, b = dft(jnp.pad(a, padding), jnp.pad(b, padding), -1.0)
+    a, b = dft(*_product(a, b, other.real, other.imag), 1.0)
+    return _product(a[..., :n], b[..., :n], *chirp)
 
-    found = lax.scan(row, None, jnp.asarray(powers, jnp.int32))[1]
-    re, im = (jnp.moveaxis(x, 0, -2) for x in found)
-    return re.reshape(*re.shape[:-2], n), im.reshape(*im.shape[:-2], n)
+
+def _product(a: Array, b: Array, c: Any, d: Any) -> tuple[Array, Array]:
+    """(a + b i) (c + d i)"""
+    return a * c - b * d, a * d + b * c
 
 
 def _fft(writer: _Writer, step: Step, ins: list[Any]) -> list[Any]:
@@ -502,7 +511,7 @@ def _divided(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array]:
 
 COMPLEX: dict[str, Callable[..., list[Any]]] = {
     "fft": _fft,
-    "mul": _of_pairs(lambda a, b, c, d: (a * c - b * d, a * d + b * c)),
+    "mul": _of_pairs(_product),
     "add": _of_pairs(lambda a, b, c, d: (a + c, b + d)),
     "sub": _of_pairs(lambda a, b, c, d: (a - c, b - d)),
     "div": _of_pairs(_divided),

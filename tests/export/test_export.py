@@ -98,12 +98,18 @@ def test_the_interpreter_equals_jax_where_the_guard_is_silent(name):
         np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize("n", [1, 2, 12, 17, 34, 60])
+@pytest.mark.parametrize("n", [1, 2, 12, 17, 34, 60, 2 * 997])
 def test_the_transform_of_any_length_is_that_of_numpy(n):
     x = np.random.default_rng(n).normal(size=(2, n))
     program = program_of(lambda re, im: dft(re, im, -1.0), *x)
     re, im = interpret(program, list(x))
     np.testing.assert_allclose(re + 1j * im, np.fft.fft(x[0] + 1j * x[1]), atol=1e-12)
+
+
+def test_a_long_transform_can_be_printed():
+    """Loops do not nest deeper with each factor of the length."""
+    program = program_of(lambda x: dft(x, 0 * x, -1.0), np.zeros(1024))
+    assert all(len(x.shape) <= 3 for step in program.steps for x in step.outs)
 
 
 def test_what_cannot_be_exported_is_refused_by_name():
