@@ -701,7 +701,7 @@ def test_what_commands_share_is_declared_once():
             if "--machines" in option.opts:
                 of_machines[name] = option.opts
     old = {name for name, names in of_machines.items() if names == ["--machines", "--samples"]}
-    assert old == {"certify", "explore", "pareto", "sweep", "tune"}
+    assert old == {"certify", "explore", "export", "pareto", "sweep", "tune"}
     newer = {"design", "filter", "learn-law"}
     assert {*of_machines} - old == newer, "newer than the old name"
     shared = ("--set", "--params", "--seed", "--spread", "--report")
