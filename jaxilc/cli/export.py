@@ -31,7 +31,11 @@ def export(
     ] = None,
     format_: Annotated[
         str,
-        typer.Option("--format", help="Language: c.", autocompletion=of_list("c")),
+        typer.Option(
+            "--format",
+            help="c, fmu, hal (LinuxCNC) or st (Structured Text).",
+            autocompletion=of_list("c", "fmu", "hal", "st"),
+        ),
     ] = "c",
     out_dir: Annotated[
         Path,
@@ -64,10 +68,11 @@ def export(
     set_: Set = None,
     params: Params = None,
 ) -> None:
-    """A learning law as a C program, with its guard, test program and certificate.
+    """A learning law as a program for a controller, with its guard and certificate.
 
-    The law is the traced program itself, in C99 without allocation. Its guard goes
-    back to the last good input where `next` refuses a trial.
+    The law is the traced program itself: C99 without allocation, an FMU, a component
+    of LinuxCNC or a function block in Structured Text. Its guard goes back to the
+    last good input where `next` refuses a trial.
 
     Example: jaxilc export axis.design.toml --limit 10 --out law
     """

@@ -13,7 +13,7 @@ import numpy as np
 from ..native.program import Program, Step, Unknown
 from . import guard, operations
 from .c import REAL, Printed, field_name, number, printed, table, type_of
-from .law import Law, said_of_scheme
+from .law import Field, Law, said_of_scheme
 
 ARGUMENTS = {
     "begin": "law *l",
@@ -68,7 +68,7 @@ def files_of(law: Law, about: Sequence[str], digest: str, trials: Sequence[Any],
     if len({*names}) < len(names):
         raise Unknown("two fields of the law have one name in C")
     bodies = {one.name: printed(one, law.fields, single=single) for one in law.functions}
-    said = _comment([*about, f"certificate {digest}"])
+    said = comment_of([*about, f"certificate {digest}"])
     return {
         "law.h": said + _header(law, bodies, digest, single),
         "law.c": said + _source(law, bodies, digest, single),
@@ -76,7 +76,7 @@ def files_of(law: Law, about: Sequence[str], digest: str, trials: Sequence[Any],
     }
 
 
-def _comment(lines: Sequence[str]) -> str:
+def comment_of(lines: Sequence[str]) -> str:
     wrapped = [part for line in lines for part in textwrap.wrap(_plain(line), 94) or [""]]
     return "/*\n" + "".join(f" * {line}\n".replace(" \n", "\n") for line in wrapped) + " */\n"
 
@@ -178,9 +178,9 @@ def _source(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) 
     parts.append(f"#define LAW_F(name) {'name##f' if single else 'name'}\n")
     parts.append(f'const char law_certificate[] = "{digest}";\n{OWN}')
     for name, text in said_of_scheme(law.scheme, law.task):
-        parts.append(_comment([name, *_plain_lines(text)]))
-    tables, lines = _start(law, single)
-    parts.append(_function("void law_start(law *l)", tables, lines))
+        parts.append(comment_of([name, *_plain_lines(text)]))
+    tables, lines = start_of(law.fields, single)
+    parts.append(function_of("void law_start(law *l)", tables, lines))
     for name, body in bodies.items():
         operations_ = cost(next(f.program for f in law.functions if f.name == name))
         about = [MEANING[name], f"At most {operations_} operations on numbers."]
@@ -190,7 +190,7 @@ def _source(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) 
             if x in _words(ARGUMENTS[name]) and x not in _words("\n".join(body.lines))
         ]
         head = f"{_returns(name)} law_{name}({ARGUMENTS[name]})"
-        parts.append(_comment(about) + _function(head, body.tables, [*unused, *body.lines]))
+        parts.append(comment_of(about) + function_of(head, body.tables, [*unused, *body.lines]))
     return "\n" + "\n".join(parts)
 
 
@@ -202,17 +202,17 @@ def _plain_lines(text: str) -> list[str]:
     return [line.rstrip() for line in text.split("\n")]
 
 
-def _function(head: str, tables: Sequence[str], lines: Sequence[str]) -> str:
+def function_of(head: str, tables: Sequence[str], lines: Sequence[str]) -> str:
     told = "".join(f"{line}\n" for line in tables)
     return f"{told}{head}\n{{\n" + "".join(f"{line}\n" for line in lines) + "}\n"
 
 
-def _start(law: Law, single: bool) -> tuple[list[str], list[str]]:
+def start_of(fields: Mapping[str, Field], single: bool) -> tuple[list[str], list[str]]:
     """What the fields are at first: loops over one number, or over a table."""
     tables: list[str] = []
     lines: list[str] = []
     known: dict[bytes, str] = {}
-    for name, of in law.fields.items():
+    for name, of in fields.items():
         flat, member, kind = of.first.ravel(), f"l->{field_name(name)}", type_of(of.first.dtype)
         if flat.size == 1:
             lines.append(f"    {member} = {number(flat[0], flat.dtype, single)};")

@@ -17,7 +17,7 @@ from ..storage.sealed import Damaged, read_json, seal_of, sealed, unsealed
 
 CERTIFICATE = "certificate.json"
 DIGEST, FILES = "certificate", "files"
-CARRIED = re.compile(rb'"([0-9a-f]{64})"')
+CARRIED = re.compile(rb"""["']([0-9a-f]{64})["']""")
 
 
 def digest_of(claims: Mapping[str, Any]) -> str:
@@ -25,13 +25,16 @@ def digest_of(claims: Mapping[str, Any]) -> str:
     return seal_of(claims)
 
 
-def certificate_of(claims: Mapping[str, Any], files: Mapping[str, str]) -> dict[str, Any]:
+def certificate_of(claims: Mapping[str, Any], files: Mapping[str, str | bytes]) -> dict[str, Any]:
     """The content of `certificate.json`.
 
     claims: what is claimed of the law
-    files: the texts of the other files by name
+    files: the contents of the other files by name
     """
-    hashes = {name: _sha256(text.encode()) for name, text in files.items()}
+    hashes = {
+        name: _sha256(content.encode() if isinstance(content, str) else content)
+        for name, content in files.items()
+    }
     return sealed({**claims, DIGEST: digest_of(claims), FILES: hashes})
 
 

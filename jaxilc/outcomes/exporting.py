@@ -22,7 +22,12 @@ if TYPE_CHECKING:
     from ..hardware import Campaign
     from ..scenarios import Scenario
 
-FORMATS = ("c",)
+FORMATS = {  # what the program is, in a sentence
+    "c": "a program in C",
+    "fmu": "an FMU 2.0 and 3.0 for co-simulation",
+    "hal": "a component of LinuxCNC's HAL",
+    "st": "a function block in Structured Text",
+}
 NUMBERS = ("double", "float")
 TESTED = 4  # trials of the test program, the last one with an output that is not a number
 
@@ -50,8 +55,10 @@ def export(
     machines, seed: of the machines for which the law is certified, as for `Sweep`
     Raises ValueError naming what is allowed, and what of a law cannot be exported.
     """
-    from ..export import files_of, law_of
+    from ..export import law_of
     from ..export.certificate import CERTIFICATE, certificate_of, digest_of
+    from ..export.formats import FORMATS as WRITERS
+    from ..export.formats import Asked
     from ..native.program import Unknown
 
     for name, value, allowed in (("format", format, FORMATS), ("number", number, NUMBERS)):
@@ -98,16 +105,18 @@ def export(
         "Weights: " + "; ".join(f"{path} = {value}" for path, value in claims["weights"].items()),
     ]
     try:
-        files = files_of(law, about, digest, trials_of_test(law), single=number == "float")
+        single = number == "float"
+        asked = Asked(law, chosen.machine, about, digest, trials_of_test(law), single)
+        files = WRITERS[format](asked)
     except Unknown as error:
         raise ValueError(f"{name} cannot be exported: {error}") from None
     whole = certificate_of(claims, files)
-    costs = _costs(law, single=number == "float")
+    costs = _costs(law, format, single=single)
     return Outcome(
         command="export",
         numbers=claims | {"certificate": digest} | costs,
         verdict=Verdict((
-            f"{name} is a program in C: at most {costs['operations_a_sample']} operations a "
+            f"{name} is {FORMATS[format]}: at most {costs['operations_a_sample']} operations a "
             f"sample and {costs['operations_between_trials']} between two trials, and "
             f"{costs['bytes']} bytes of memory.",
             *claimed["verdict"],
@@ -219,14 +228,15 @@ def _weights(scheme: Any) -> dict[str, Any]:
     return found
 
 
-def _costs(law: Law, *, single: bool) -> dict[str, int]:
+def _costs(law: Law, format: str, *, single: bool) -> dict[str, int]:
     from ..export.c_files import bytes_of, cost
+    from ..export.st import bytes_of_block
 
     of = {function.name: cost(function.program) for function in law.functions}
     return {
         "operations_a_sample": of["sample"],
         "operations_between_trials": of["end"],
-        "bytes": bytes_of(law, single=single),
+        "bytes": bytes_of_block(law) if format == "st" else bytes_of(law, single=single),
     }
 
 
@@ -237,5 +247,6 @@ def _plant_file(source: str) -> dict[str, str] | None:
     return {"path": str(path), "sha256": digest_of(path)} if path.is_file() else None
 
 
-def _write(text: str, path: Path) -> None:
-    atomically(path, lambda file: file.write(text.encode()))
+def _write(content: str | bytes, path: Path) -> None:
+    data = content.encode() if isinstance(content, str) else content
+    atomically(path, lambda file: file.write(data))

@@ -76,3 +76,29 @@ def test_a_mistake_is_one_line_and_nothing_is_written(command, tmp_path, argumen
     assert code == 2
     assert said in " ".join(err.split()), err
     assert not (tmp_path / "law").exists()
+
+
+@pytest.mark.parametrize(
+    ("kind", "files"),
+    [
+        ("hal", {"law.comp", "law.c", "law.h", "law_test.c"}),
+        ("st", {"law.st"}),
+    ],
+)
+def test_other_languages_carry_the_certificate_too(command, tmp_path, kind, files):
+    given = ("export", "axis.toml", "--limit", "9", "--machines", "1", "--format", kind)
+    code, _, err = command(*given)
+    assert code == 0, err
+    folder = tmp_path / "law"
+    assert {path.name for path in folder.iterdir()} == files | {"certificate.json"}
+    digest = read_json(folder / "certificate.json")["certificate"]
+    (first, *_) = sorted(files, reverse=True)
+    text = (folder / ("law.comp" if kind == "hal" else first)).read_text()
+    assert digest in text
+    assert command("export", "--check", "law")[0] == 0
+    path = folder / ("law.comp" if kind == "hal" else first)
+    path.write_text(text.replace(digest, "f" * 64))
+    code, _, err = command("export", "--check", "law")
+    assert code == 2
+    assert "of another law" in " ".join(err.split())
+    assert command(*given, "--number", "float")[0] == 2

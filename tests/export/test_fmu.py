@@ -1,0 +1,181 @@
+"""FMUs of a law and of a plant, called as a simulator calls them."""
+
+import ctypes as c
+import io
+import shutil
+import zipfile
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from cases import case
+
+from jaxilc.export import law_of
+from jaxilc.export.c_files import files_of
+from jaxilc.export.fmu import law_block, packed, plant_block
+from jaxilc.export.formats import FORMATS, Asked
+from jaxilc.export.plant import files_of_plant, model_of
+from jaxilc.native.program import Unknown
+
+compiled = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler, as `cc`")
+VALUES = {"Real": c.c_double, "Float64": c.c_double, "Integer": c.c_int, "Int32": c.c_int32}
+
+
+class Instance:
+    """An FMU of either version, loaded and instantiated; variables by their names."""
+
+    def __init__(self, content, folder):
+        with zipfile.ZipFile(io.BytesIO(content)) as fmu:
+            fmu.extractall(folder)
+        self.root = ElementTree.parse(folder / "modelDescription.xml").getroot()
+        self.version = int(self.root.get("fmiVersion")[0])
+        (library,) = [p for p in (folder / "binaries").rglob("*") if p.is_file()]
+        self.library = c.CDLL(str(library))
+        self.places = {}
+        for one in self.root.find("ModelVariables"):
+            kind = one[0].tag if self.version == 2 else one.tag
+            self.places[one.get("name")] = kind, int(one.get("valueReference"))
+        self.token = self.root.get("guid") or self.root.get("instantiationToken")
+        self.it = self.instantiate(self.token)
+
+    def instantiate(self, token):
+        name, text = b"one", token.encode()
+        if self.version == 2:
+            make = self.library.fmi2Instantiate
+            make.restype = c.c_void_p
+            return c.c_void_p(make(name, 1, text, None, None, 0, 0))
+        make = self.library.fmi3InstantiateCoSimulation
+        make.restype = c.c_void_p
+        flags = [c.c_bool(False)] * 4
+        return c.c_void_p(make(name, text, None, *flags, None, c.c_size_t(0), None, None, None))
+
+    def type_of(self, kind):
+        boolean = c.c_int if self.version == 2 else c.c_bool
+        return VALUES.get(kind, boolean)
+
+    def call(self, name, *given):
+        return getattr(self.library, f"fmi{self.version}{name}")(self.it, *given)
+
+    def access(self, verb, name, value=0):
+        kind, place = self.places.get(name, ("Real" if self.version == 2 else "Float64", 77))
+        held = self.type_of(kind)(value)
+        counts = [c.c_size_t(1)] if self.version == 3 else []
+        status = self.call(f"{verb}{kind}", c.byref(c.c_uint(place)), c.c_size_t(1),
+                           c.byref(held), *counts)  # fmt: skip
+        return status, held.value
+
+    def get(self, name):
+        status, value = self.access("Get", name)
+        assert status == 0
+        return value
+
+    def set(self, name, value):
+        assert self.access("Set", name, value)[0] == 0
+
+    def step(self, size):
+        flags = [c.byref(c.c_bool()) for _ in range(3)] if self.version == 3 else []
+        last = [c.byref(c.c_double())] if self.version == 3 else []
+        back = c.c_int(1) if self.version == 2 else c.c_bool(True)
+        return self.call("DoStep", c.c_double(0.0), c.c_double(size), back, *flags, *last)
+
+
+@pytest.fixture(scope="module")
+def exported():
+    machine, scheme, task = case("norm_optimal")
+    law = law_of(scheme, task, 100.0)
+    rng = np.random.default_rng(0)
+    y = np.asarray(task.reference) + 0.01 * rng.standard_normal(task.reference.shape)
+    model = model_of(machine, task)
+    files = files_of(law, ["A law."], "0" * 64, [y])
+    return law, y, law_block(task, files, "A law."), model
+
+
+@compiled
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_law_plays_in_an_fmu_what_it_plays_here(exported, version, tmp_path):
+    law, y, block, _ = exported
+    fmu, dt = Instance(packed(block, version=version), tmp_path), law.task.dt
+    names = {"y": [f"y[{i + 1}]" for i in range(2)], "u": [f"u[{i + 1}]" for i in range(2)]}
+    played = law.played()
+    fmu.set("start", True)
+    for trial in range(2):
+        wanted, code = played.trial(y)
+        for k, row in enumerate(y):
+            for name, value in zip(names["y"], row, strict=True):
+                fmu.set(name, value)
+            if k == 3:  # a state is kept, spoiled and brought back
+                size = c.c_size_t()
+                state, again = c.c_void_p(), c.c_void_p()
+                get, put, free = ("GetFMUstate", "SetFMUstate", "FreeFMUstate")
+                if version == 3:
+                    get, put, free = (x.replace("state", "State") for x in (get, put, free))
+                assert fmu.call(get, c.byref(state)) == 0
+                text = "FMUstate" if version == 2 else "FMUState"
+                assert fmu.call(f"Serialized{text}Size", state, c.byref(size)) == 0
+                kept = c.create_string_buffer(size.value)
+                assert fmu.call(f"Serialize{text}", state, kept, size) == 0
+                fmu.step(dt)
+                made = "DeSerialize" if version == 2 else "Deserialize"
+                assert fmu.call(f"{made}{text}", kept, size, c.byref(again)) == 0
+                assert fmu.call(put, again) == 0
+                for one in (state, again):
+                    assert fmu.call(free, c.byref(one)) == 0
+            assert fmu.step(dt) == 0
+            if k < len(wanted):
+                assert [fmu.get(name) for name in names["u"]] == list(wanted[k])
+        assert (fmu.get("trial"), fmu.get("code"), fmu.get("running")) == (trial + 1, code, False)
+    assert fmu.step(0.4 * dt) != 0
+    assert fmu.access("Set", "u[1]", 1.0)[0] != 0  # which is no input
+    assert fmu.access("Get", "nobody")[0] != 0
+    assert not fmu.instantiate("{0}").value
+    assert fmu.call("Reset") == 0
+    assert fmu.get("trial") == 0
+    fmu.call("FreeInstance")
+
+
+@compiled
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_plant_answers_in_an_fmu_as_it_answers_here(exported, version, tmp_path):
+    *_, model = exported
+    u = np.random.default_rng(1).standard_normal((model.task.N, 2))
+    wanted = model.response(u)
+    files = files_of_plant(model, ["A plant."])
+    block = plant_block(model.task, files, "A plant.", model.first)
+    fmu = Instance(packed(block, version=version), tmp_path)
+    for trial in range(2):
+        fmu.set("rest", True)
+        for row, answer in zip(u, wanted[1:], strict=True):
+            for i, value in enumerate(row):
+                fmu.set(f"u[{i + 1}]", value)
+            assert fmu.step(model.task.dt) == 0
+            fmu.set("rest", False)
+            assert [fmu.get(f"y[{i + 1}]") for i in range(2)] == list(answer), trial
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_fmu_is_what_the_standard_asks_for(exported, version, tmp_path):
+    fmpy = pytest.importorskip("fmpy.validation", reason="pip install fmpy")
+    law, _, block, model = exported
+    plant = plant_block(law.task, files_of_plant(model, ["A plant."]), "A plant.", model.first)
+    for one in (block, plant):
+        path = tmp_path / f"{one.name}.fmu"
+        path.write_bytes(packed(one, version=version, compiler="no-such-compiler"))
+        assert fmpy.validate_fmu(str(path)) == []
+
+
+def test_an_fmu_without_a_compiler_holds_the_sources_and_no_library(exported):
+    *_, block, _ = exported
+    found = packed(block, version=2, compiler="no-such-compiler")
+    assert found == packed(block, version=2, compiler="no-such-compiler")
+    with zipfile.ZipFile(io.BytesIO(found)) as fmu:
+        names = fmu.namelist()
+    assert "sources/law.c" in names
+    assert not any(name.startswith("binaries") for name in names)
+
+
+def test_single_precision_is_refused_by_name(exported):
+    law, y, *_ = exported
+    asked = Asked(law, None, ["A law."], "0" * 64, [y], single=True)
+    for name in ("fmu", "hal", "st"):
+        with pytest.raises(Unknown, match="`float` in a"):
+            FORMATS[name](asked)

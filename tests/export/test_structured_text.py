@@ -1,0 +1,40 @@
+"""Laws in Structured Text, played by a reader of the language that knows nothing of the printer."""
+
+import numpy as np
+import pytest
+from cases import case
+from structured_text import Block
+
+from jaxilc.export import law_of
+from jaxilc.export.st import function_block
+
+SCHEMES = ["ffdl_book", "p_type_iir", "norm_optimal", "p_type_stop"]
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_a_block_plays_what_the_law_plays_to_the_last_bit(name):
+    _, scheme, task = case(name)
+    law = law_of(scheme, task, 100.0)
+    text = function_block(law, ["A law."], "0" * 64)
+    assert max(map(len, text.split("\n"))) < 2000
+    block, played = Block(text), law.played()
+    rng = np.random.default_rng(0)
+    trials = [(0.9 + 0.03 * j) * np.asarray(task.reference) for j in range(2)]
+    trials = [y + 0.01 * rng.standard_normal(y.shape) for y in trials]
+    trials.append(np.where(np.arange(len(trials[0]))[:, None] == 3, np.nan, trials[0]))
+    for y in trials:
+        found, wanted = block.trial(y), played.trial(y)
+        np.testing.assert_array_equal(found[0], wanted[0])
+        assert found[1] == wanted[1]
+    assert block.known["trials"] == 3
+    assert wanted[1] == 1  # a sensor that fails is told
+
+
+def test_a_block_is_what_the_grammar_of_twincat_takes(tmp_path):
+    blark = pytest.importorskip("blark", reason="pip install blark")
+    _, scheme, task = case("ffdl_book")
+    text = function_block(law_of(scheme, task, 100.0), ["A law."], "0" * 64)
+    parsed = blark.parse_source_code(text)
+    assert parsed.exception is None
+    broken = blark.parse_source_code(text.replace("END_FOR", "END_FRO", 1))
+    assert broken.exception is not None
