@@ -49,6 +49,8 @@ NOT_RUN = {
     "how_to.md: jaxilc trials": RECORD,
     "potential.md: jaxilc potential": RECORD,
     "printer.md: JAXILC_MEASURED": RECORD,
+    "export.md: jaxilc": "it writes programs: tests/cli/test_export_command.py runs it",
+    "export.md: cc": "it compiles: tests/export/test_export.py does",
     "many_hosts.md: dask": "it needs hosts: tests/sweeps runs workers",
     "many_hosts.md: jaxilc sweep": "it needs hosts: tests/sweeps runs workers",
     "many_hosts.md: #!/bin/bash": "it needs SLURM",
