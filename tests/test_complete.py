@@ -537,6 +537,7 @@ ADDED = {
 @pytest.mark.parametrize("kind", ADDED)
 def test_a_place_where_it_is_forgotten_says_so(kind, monkeypatch):
     add, forgotten = ADDED[kind]
+    assert not any(map(lacking, PLACES))  # and all files are read, to which an unwritten one comes
     add(monkeypatch)
     assert {place for place in PLACES if lacking(place)} == forgotten
 
