@@ -93,6 +93,66 @@ def test_a_law_that_breaks_the_condition_diverges_and_one_that_keeps_it_converge
             assert e[-50:].max() > 1e3
 
 
+def a_period_later(plant, kp, law, n):
+    """The map of plant, P feedback and both memories over floor(n) samples, dense, for r = 0."""
+    A, B, C = (np.asarray(M, float) for M in (plant.A, plant.B, plant.C))
+    L, keep, whole, size = np.asarray(law.L), np.asarray(law.keep), int(n), len(A)
+    around = np.arange(-1, 3)  # the value at n is the cubic through those at whole + around
+    weights = np.linalg.solve(np.vander(around, increasing=True).T, (n - whole) ** np.arange(4))
+    M = whole + 8  # samples of v and of e, the newest first, behind the state of the plant
+    e_now = np.concatenate([-C[0], np.zeros(2 * M)])
+    v_now = np.zeros(size + 2 * M)
+    for weight, later in zip(weights, around, strict=True):
+        for i, tap in enumerate(keep):
+            v_now[size + whole + later - i + len(keep) // 2 - 1] += weight * tap
+        for i, tap in enumerate(L):
+            late = whole + later - 1 - law.lead - i + len(L) // 2
+            seen = e_now if late == 0 else np.eye(len(v_now))[size + M + late - 1]
+            v_now += weight * tap * seen
+    step = np.zeros((len(v_now), len(v_now)))
+    step[:size, :size] = A
+    step[:size] += B @ (v_now + kp * e_now)[None]
+    step[size], step[size + M] = v_now, e_now
+    for first in (size, size + M):
+        step[first + 1 : first + M, first : first + M - 1] = np.eye(M - 1)
+    return np.linalg.matrix_power(step, whole)
+
+
+def largest_pole(dense):
+    return np.max(np.abs(np.linalg.eigvals(dense)))
+
+
+def test_the_dense_map_of_a_period_never_contradicts_the_condition():
+    """Where the condition holds, each state of machine and memory dies out over the periods."""
+    rng, task, held, unstable = np.random.default_rng(3), task_of(np.zeros(101)), 0, 0
+    for n in (9, 14.4) * 10:
+        A = rng.normal(size=(2, 2))
+        A *= rng.uniform(0.3, 0.95) / largest_pole(A)
+        plant = StateSpace(A, rng.normal(size=(2, 1)), rng.normal(size=(1, 2)), dt=DT)
+        L, lead = rng.normal(0, 0.2, 3), int(rng.integers(0, 3))
+        law = LearningFilter(L, keep=(0.1, rng.uniform(0.6, 0.8), 0.1), lead=lead)
+        kp = rng.normal(0, 0.1)
+        scheme = WithFeedback(RepetitiveControl(law, n * DT), PID(kp=kp))
+        found = theory.repetitive_condition(Machine(plant), scheme, task)
+        radius = largest_pole(a_period_later(plant, kp, law, n))
+        held, unstable = held + found.test.condition.holds, unstable + (radius > 1)
+        assert not found.test.condition.holds or radius < 1, (radius, found.test.condition)
+    assert held > 3, held
+    assert unstable > 3, unstable
+
+
+def test_over_a_long_period_the_dense_map_contracts_as_the_condition_tells():
+    """The roots of z^n = (Q - L T)(z) come near the circle, and their z^n as 1 / n to the value."""
+    task = task_of(np.zeros(101))
+    for gain in (0.8, 9.0):
+        law, off = learning_filter((0.0, gain, 0.0), lead=3), []
+        for n in (50, 200):
+            scheme = WithFeedback(RepetitiveControl(law, n * DT), FEEDBACK)
+            value = theory.repetitive_condition(Machine(PLANT), scheme, task).test.condition.value
+            off.append(abs(largest_pole(a_period_later(PLANT, 0.4, law, n)) / value - 1))
+        assert off[1] < min(0.06, 0.3 * off[0]), off
+
+
 def test_a_wrong_period_costs_what_is_told():
     law = learning_filter((0.0, 0.8, 0.0), (0.1, 0.2, 0.4, 0.2, 0.1), lead=3)
     scheme = WithFeedback(RepetitiveControl(law, PERIOD), FEEDBACK)
