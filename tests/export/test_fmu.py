@@ -15,6 +15,7 @@ from jaxilc.export.c_files import files_of
 from jaxilc.export.fmu import law_block, packed, plant_block
 from jaxilc.export.formats import FORMATS, Asked
 from jaxilc.export.plant import files_of_plant, model_of
+from jaxilc.learning import learn
 from jaxilc.native.program import Unknown
 
 compiled = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler, as `cc`")
@@ -150,6 +151,36 @@ def test_a_plant_answers_in_an_fmu_as_it_answers_here(exported, version, tmp_pat
             assert fmu.step(model.task.dt) == 0
             fmu.set("rest", False)
             assert [fmu.get(f"y[{i + 1}]") for i in range(2)] == list(answer), trial
+
+
+@compiled
+def test_law_and_plant_learn_together_what_they_learn_here(exported, tmp_path):
+    *_, block, model = exported
+    machine, scheme, task = case("norm_optimal")
+    plant = plant_block(model.task, files_of_plant(model, ["A plant."]), "A plant.", model.first)
+    one = Instance(packed(block, version=2), tmp_path / "law")
+    other = Instance(packed(plant, version=3), tmp_path / "plant")
+    one.set("start", True)
+    rms = []
+    for _ in range(4):
+        y, other_rest = model.first, True
+        error = []
+        for k in range(task.N + 1):
+            for i, value in enumerate(y):
+                one.set(f"y[{i + 1}]", value)
+            assert one.step(task.dt) == 0
+            if k < task.N:
+                other.set("rest", other_rest)
+                other_rest = False
+                for i in (1, 2):
+                    other.set(f"u[{i}]", one.get(f"u[{i}]"))
+                assert other.step(task.dt) == 0
+                y = np.array([other.get(f"y[{i}]") for i in (1, 2)])
+                error.append(task.reference[k + 1] - y)
+        rms.append(np.sqrt(np.mean(np.square(error), axis=0)))
+    history = learn(machine, scheme, task, 4)
+    np.testing.assert_allclose(rms, history.rms, rtol=1e-9)
+    assert rms[-1].max() < rms[0].max()
 
 
 @pytest.mark.parametrize("version", [2, 3])
