@@ -660,7 +660,7 @@ class _Body:
         function = self.function
         for x, name in zip(function.program.ins, function.ins, strict=True):
             self.views[x] = self.place(name, x.shape)
-        in_place = self.in_place()
+        in_place = function.in_place()
         program = function.program
         steps = [step for step in program.steps if step not in in_place.values()]
         read = [x for step in in_place.values() for x in step.ins[1:]]
@@ -690,21 +690,6 @@ class _Body:
         if code:
             self.line(f"return (int) {_closed(code)};")
         return Printed(*self.with_room())
-
-    def in_place(self) -> dict[str, Step]:
-        """The steps by which a result is its operand with a part replaced, by field."""
-        of, found = self.function, {}
-        program = of.program
-        made = {step.outs[0]: step for step in program.steps}
-        for name, x in zip(of.outs, program.outs, strict=True):
-            step = made.get(x)
-            if step is None or step.name != "dynamic_update_slice" or name not in of.ins:
-                continue
-            before = program.ins[of.ins.index(name)]
-            read = [y for other in program.steps for y in other.ins] + program.outs
-            if step.ins[0] is before and read.count(before) == 1 and read.count(x) == 1:
-                found[name] = step
-        return found
 
     def place(self, name: str, shape: tuple[int, ...]) -> View:
         """Where an operand or a result lies: in the struct, or as an argument."""

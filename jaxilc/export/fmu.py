@@ -162,8 +162,9 @@ def packed(block: Block, *, version: int, compiler: str | None = None) -> bytes:
     token = hashlib.sha256(repr(sorted(block.files.items())).encode()).hexdigest()
     token = "{" + "-".join(token[a:b] for a, b in ((0, 8), (8, 12), (12, 16), (16, 20), (20, 32)))
     token += "}"
-    adapter = resources.files("jaxilc.export").joinpath("fmi", f"fmi{version}.c").read_text()
-    sources = {**block.files, "block.h": _block_h(block, token), f"fmi{version}.c": adapter}
+    sources = {**block.files, "block.h": _block_h(block, token)}
+    for name in ("state.h", f"fmi{version}.c"):
+        sources[name] = resources.files("jaxilc.export").joinpath("fmi", name).read_text()
     entries: dict[str, bytes] = {
         "modelDescription.xml": _xml(_description(block, token, sources, version)),
         **{f"sources/{name}": text.encode() for name, text in sources.items()},

@@ -23,7 +23,7 @@ from jax import lax
 from ..learning.machine import Actuator
 from ..learning.over_trials import check_length
 from ..learning.playback import unit_of
-from ..native.program import Program, read
+from ..native.program import Program, Step, read
 from ..pytree.aliases import Array, Tree
 from ..pytree.named_paths import named_leaves
 from ..schemes import Scheme
@@ -104,6 +104,20 @@ class Function:
     program: Program
     ins: tuple[str, ...]
     outs: tuple[str, ...]
+
+    def in_place(self) -> dict[str, Step]:
+        """The steps by which a result is its operand with a part replaced, by field."""
+        found, program = {}, self.program
+        made = {step.outs[0]: step for step in program.steps}
+        read = [y for step in program.steps for y in step.ins] + program.outs
+        for name, x in zip(self.outs, program.outs, strict=True):
+            step = made.get(x)
+            if step is None or step.name != "dynamic_update_slice" or name not in self.ins:
+                continue
+            before = program.ins[self.ins.index(name)]
+            if step.ins[0] is before and read.count(before) == read.count(x) == 1:
+                found[name] = step
+        return found
 
 
 @dataclasses.dataclass(frozen=True)

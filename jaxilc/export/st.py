@@ -425,7 +425,7 @@ class _Block:
         place = lambda name: given[name] if name in given else self.field(name)  # noqa: E731
         program = function.program
         self.values.update(zip(program.ins, map(place, function.ins), strict=True))
-        in_place = updates_in_place(function)
+        in_place = function.in_place()
         self.run(Program(program.ins, [s for s in program.steps if s not in in_place.values()],
                          program.outs))  # fmt: skip
         whole = [(place(name), x) for name, x in zip(function.outs, program.outs, strict=True)
@@ -720,20 +720,6 @@ WRITTEN: dict[str, Callable[[_Block, Step, list[_Flat], _Flat], None]] = {
     **dict.fromkeys(operations.FIRST, _gathered),
     **dict.fromkeys(("cumsum", "cumprod", "cummax", "cummin"), _running),
 }  # fmt: skip
-
-
-def updates_in_place(function: Function) -> dict[str, Step]:
-    """The steps by which a result is its operand with a part replaced, by field."""
-    found, program = {}, function.program
-    made = {step.outs[0]: step for step in program.steps}
-    read = [y for step in program.steps for y in step.ins] + program.outs
-    for name, x in zip(function.outs, program.outs, strict=True):
-        step = made.get(x)
-        if step is not None and step.name == "dynamic_update_slice" and name in function.ins:
-            before = program.ins[function.ins.index(name)]
-            if step.ins[0] is before and read.count(before) == read.count(x) == 1:
-                found[name] = step
-    return found
 
 
 def _filled(words: Sequence[str]) -> list[str]:

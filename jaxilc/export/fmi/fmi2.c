@@ -1,5 +1,6 @@
 /* The functions of FMI 2.0 for co-simulation, around a block: see block.h. */
 #include "block.h"
+#include "state.h"
 
 #include <math.h>
 #include <stddef.h>
@@ -131,57 +132,8 @@ BLOCK_EXPORT Status fmi2DoStep(Component c, double time, double step, int no_way
 
 BLOCK_EXPORT Status fmi2CancelStep(Component c) { return wrong(c, "fmi2CancelStep: not pending"); }
 
-/* The state is one struct without pointers. */
-BLOCK_EXPORT Status fmi2GetFMUstate(Component c, State *state)
-{
-    *state = *state ? *state : malloc(sizeof(block));
-    if (!*state) {
-        return wrong(c, "fmi2GetFMUstate: out of memory");
-    }
-    memcpy(*state, &((Instance *) c)->block, sizeof(block));
-    return OK;
-}
-
-BLOCK_EXPORT Status fmi2SetFMUstate(Component c, State state)
-{
-    memcpy(&((Instance *) c)->block, state, sizeof(block));
-    return OK;
-}
-
-BLOCK_EXPORT Status fmi2FreeFMUstate(Component c, State *state)
-{
-    (void) c;
-    free(*state);
-    *state = NULL;
-    return OK;
-}
-
-BLOCK_EXPORT Status fmi2SerializedFMUstateSize(Component c, State state, size_t *size)
-{
-    (void) c, (void) state;
-    *size = sizeof(block);
-    return OK;
-}
-
-BLOCK_EXPORT Status fmi2SerializeFMUstate(Component c, State state, char bytes[], size_t size)
-{
-    if (size < sizeof(block)) {
-        return wrong(c, "fmi2SerializeFMUstate: too little room");
-    }
-    memcpy(bytes, state, sizeof(block));
-    return OK;
-}
-
-BLOCK_EXPORT Status fmi2DeSerializeFMUstate(Component c, const char bytes[], size_t size,
-                                            State *state)
-{
-    *state = size == sizeof(block) ? malloc(size) : NULL;
-    if (!*state) {
-        return wrong(c, "fmi2DeSerializeFMUstate: these bytes are no state of this FMU");
-    }
-    memcpy(*state, bytes, size);
-    return OK;
-}
+STATE_FUNCTIONS(fmi2GetFMUstate, fmi2SetFMUstate, fmi2FreeFMUstate, fmi2SerializedFMUstateSize,
+                fmi2SerializeFMUstate, fmi2DeSerializeFMUstate, char)
 
 BLOCK_EXPORT Status fmi2GetDirectionalDerivative(Component c, const Reference of[], size_t n,
                                                  const Reference by[], size_t m, const double dv[],

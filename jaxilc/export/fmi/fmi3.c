@@ -1,5 +1,6 @@
 /* The functions of FMI 3.0 for co-simulation, around a block: see block.h. */
 #include "block.h"
+#include "state.h"
 
 #include <stddef.h>
 #include <stdint.h>
@@ -140,57 +141,8 @@ BLOCK_EXPORT Status fmi3DoStep(Component c, double time, double step, bool no_wa
     return OK;
 }
 
-/* The state is one struct without pointers. */
-BLOCK_EXPORT Status fmi3GetFMUState(Component c, State *state)
-{
-    *state = *state ? *state : malloc(sizeof(block));
-    if (!*state) {
-        return wrong(c, "fmi3GetFMUState: out of memory");
-    }
-    memcpy(*state, &((Instance *) c)->block, sizeof(block));
-    return OK;
-}
-
-BLOCK_EXPORT Status fmi3SetFMUState(Component c, State state)
-{
-    memcpy(&((Instance *) c)->block, state, sizeof(block));
-    return OK;
-}
-
-BLOCK_EXPORT Status fmi3FreeFMUState(Component c, State *state)
-{
-    (void) c;
-    free(*state);
-    *state = NULL;
-    return OK;
-}
-
-BLOCK_EXPORT Status fmi3SerializedFMUStateSize(Component c, State state, size_t *size)
-{
-    (void) c, (void) state;
-    *size = sizeof(block);
-    return OK;
-}
-
-BLOCK_EXPORT Status fmi3SerializeFMUState(Component c, State state, uint8_t bytes[], size_t size)
-{
-    if (size < sizeof(block)) {
-        return wrong(c, "fmi3SerializeFMUState: too little room");
-    }
-    memcpy(bytes, state, sizeof(block));
-    return OK;
-}
-
-BLOCK_EXPORT Status fmi3DeserializeFMUState(Component c, const uint8_t bytes[], size_t size,
-                                            State *state)
-{
-    *state = size == sizeof(block) ? malloc(size) : NULL;
-    if (!*state) {
-        return wrong(c, "fmi3DeserializeFMUState: these bytes are no state of this FMU");
-    }
-    memcpy(*state, bytes, size);
-    return OK;
-}
+STATE_FUNCTIONS(fmi3GetFMUState, fmi3SetFMUState, fmi3FreeFMUState, fmi3SerializedFMUStateSize,
+                fmi3SerializeFMUState, fmi3DeserializeFMUState, uint8_t)
 
 BLOCK_EXPORT Status fmi3GetNumberOfVariableDependencies(Component c, Reference of, size_t *count)
 {
