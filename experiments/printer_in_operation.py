@@ -14,13 +14,18 @@ functions (`arizona_x_repetitive.npz`).
    on one model, its condition is told on the measured lines, and it runs on another model.
 """
 
+import jax.numpy as jnp
 import numpy as np
 import scipy.signal
 from flatbed_printer import DT, closed_loop, rms
 from output import folder, measured_folder, write_rows
 
 import jaxilc
+from jaxilc import theory
 from jaxilc.identification import grow_response, modal_lines, read_frequency_response
+from jaxilc.pytree.fields import leaf, pytree
+from jaxilc.schemes import LearningFilter, RepetitiveControl, Scheme, WithFeedback
+from jaxilc.theory.on_lines import MeasuredResponse
 
 DESIGN, ACTUAL = 14, 18  # orders of the models
 RUNS = "feedback", "repetitive_6s", "repetitive_10s", "basis_20"
@@ -75,10 +80,15 @@ def row(run, told, e, recorded):
     }  # fmt: skip
 
 
+def plant_at(one, f):
+    """P of a model at frequencies [Hz]."""
+    return modal_lines.columns(one.found.theta, one.parts, f, DT) @ one.found.N
+
+
 def transfer(one, num, den, f):
     """T = P / (1 + P C) of a model at frequencies [Hz]."""
     at = np.maximum(f, 1e-3)
-    P = modal_lines.columns(one.found.theta, one.parts, at, DT) @ one.found.N
+    P = plant_at(one, at)
     return P / (1 + P * feedback_at(num, den, at))
 
 
@@ -99,9 +109,30 @@ def taps_of(one, num, den):
     ]
 
 
-def at_lines(taps, f):
-    """The response of taps -TAPS..TAPS at frequencies [Hz]."""
-    return np.exp(-2j * np.pi * DT * np.outer(f, np.arange(-TAPS, TAPS + 1))) @ taps
+@pytree
+class ReadOff(Scheme):
+    """u = C e, with C of order 2."""
+
+    num: jnp.ndarray = leaf()
+    den: jnp.ndarray = leaf()
+
+    def initial_state(self, task):
+        return jnp.zeros((2, 1))
+
+    def act(self, state, sample):
+        e = sample.r - sample.y
+        u = self.num[0] * e + state[0]
+        kept = jnp.stack([state[1], 0 * u])
+        return kept + jnp.outer(self.num[1:], e) - jnp.outer(self.den[1:], u), u
+
+
+def condition(response, law, num, den, sigmas):
+    """What theory tells of the law for two periods at once, on lines of the machine alone."""
+    L, Q = law
+    filters = LearningFilter(np.append(L[-2::-1], 0.0), keep=Q[::-1])  # e of one sample later
+    scheme = WithFeedback(RepetitiveControl(filters, PERIODS), ReadOff(num, den))
+    task = jaxilc.Task(np.zeros(4 * TAPS), dt=DT)
+    return theory.repetitive_condition(response, scheme, task, points=2, sigmas=sigmas)
 
 
 def learned(loop, e_0, law):
@@ -177,17 +208,20 @@ def main() -> None:
     write_rows(out / "predicted.csv", rows)
 
     law = taps_of(models[DESIGN], num, den)
-    f, G = measured.frequencies, measured.response
-    T = G / (1 + G * feedback_at(num, den, f))
-    low = np.geomspace(0.02, f[0], 400, endpoint=False)
+    low = np.geomspace(0.02, measured.frequencies[0], 400, endpoint=False)
+    below = {order: plant_at(models[order], low) for order in (DESIGN, ACTUAL)}
     found = []
-    for name, at, of in (("measured lines", f, T), *(
-        (f"model of order {order}, below them", low, transfer(models[order], num, den, low))
-        for order in (DESIGN, ACTUAL)
-    )):  # fmt: skip
-        value = 3 * np.abs(at_lines(law[1], at) - at_lines(law[0], at) * of)
-        found.append({"on": name, "from_hz": at[0], "to_hz": at[-1], "condition": value.max(),
-                      "at_hz": at[np.argmax(value)]})  # fmt: skip
+    for name, of, sigmas in (
+        ("measured lines", measured, 0.0),
+        ("measured lines, off by 3 std of one average", measured, 3.0),
+        *((f"model of order {order}, below them", MeasuredResponse(low, P, 0 * low), 0.0)
+          for order, P in below.items()),
+    ):  # fmt: skip
+        told = condition(of, law, num, den, sigmas)
+        at = of.frequencies
+        found.append({"on": name, "from_hz": at[0], "to_hz": at[-1], "at_hz": told.test.worst,
+                      "condition": told.test.condition.value, "grows": told.worst,
+                      "grows_at_hz": told.worst_at})  # fmt: skip
     print("3 |Q - L T| < 1 suffices for two periods at once:")
     write_rows(out / "condition.csv", found)
     proposed = [

@@ -12,6 +12,8 @@ from jaxilc.learning import run_trial
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import PID, LearningFilter, RepetitiveControl, WithFeedback, learning_filter
 from jaxilc.schemes.repetitive import AROUND, lagrange
+from jaxilc.theory.on_lines import MeasuredResponse
+from jaxilc.uncertainty import Population, Uniform
 
 DT, PERIOD = 1e-3, 0.05
 PLANT = StateSpace([[0.9, 0.1], [0.0, 0.7]], [[0.0], [0.3]], [[1.0, 0.0]], dt=DT)
@@ -151,6 +153,54 @@ def test_over_a_long_period_the_dense_map_contracts_as_the_condition_tells():
             value = theory.repetitive_condition(Machine(PLANT), scheme, task).test.condition.value
             off.append(abs(largest_pole(a_period_later(PLANT, 0.4, law, n)) / value - 1))
         assert off[1] < min(0.06, 0.3 * off[0]), off
+
+
+def test_of_a_family_the_worst_machine_and_the_largest_sensitivity_are_told():
+    law = learning_filter((0.0, 0.8, 0.0), (0.1, 0.2, 0.4, 0.2, 0.1), lead=3)
+    scheme, task = WithFeedback(RepetitiveControl(law, PERIOD), FEEDBACK), task_of(np.zeros(101))
+    spread = {"plant.B": Uniform(0.5, 3.5, relative=True)}
+    family = Population(Machine(PLANT), spread, count=4, seed=1)
+    found = theory.repetitive_condition(family, scheme, task)
+    each = [theory.repetitive_condition(family.machine_of(i), scheme, task) for i in range(4)]
+    values = [one.test.condition.value for one in each]
+    assert found.test.condition.value == max(values) > values[0]
+    assert found.at == {"plant.B": family.drawn["plant.B"][np.argmax(values)]}
+    for name in ("sensitivity", "left"):
+        most = np.max([getattr(one, name) for one in each], axis=0)
+        np.testing.assert_array_equal(getattr(found, name), most)
+
+
+def test_on_measured_lines_the_condition_holds_all_that_their_doubt_allows():
+    """P, C, Q and L by NumPy; responses at the edge of the doubt come near its bound, none beyond.
+
+    C is the PI feedback kp + ki dt / (1 - z^-1) with its sum after the sample.
+    """
+    kp, ki, f = 0.3, 6.0, np.linspace(4.0, 470.0, 160)
+    z, rng = np.exp(2j * np.pi * DT * f), np.random.default_rng(0)
+    A, B = np.array([[0.9, 0.1], [0.0, 0.7]]), np.array([0.0, 0.3])
+    P = np.array([np.linalg.solve(one * np.eye(2) - A, B)[0] for one in z])
+    C = kp + ki * DT * z / (z - 1)
+    Q, L = 0.5 + 0.4 * np.cos(2 * np.pi * DT * f), 0.6 * z**4
+    law = LearningFilter((0.0, 0.6, 0.0), keep=(0.2, 0.5, 0.2), lead=3)
+    scheme = WithFeedback(RepetitiveControl(law, PERIOD), PID(kp=kp, ki=ki))
+    task = task_of(np.zeros(101))
+    std = 0.03 * np.abs(P)
+    exact, found = (
+        theory.repetitive_condition(MeasuredResponse(f, P, of), scheme, task) for of in (0 * f, std)
+    )
+    np.testing.assert_allclose(exact.test.magnitude, np.abs(Q - L * P / (1 + C * P)), rtol=1e-9)
+    turned = np.exp(2j * np.pi * rng.random((400, 1)))
+    near = P + 3 * std * turned
+    share = np.abs(Q - L * near / (1 + C * near)) / found.test.magnitude
+    assert share.max() < 1 + 1e-12
+    assert np.median(share.max(axis=0)) > 0.99
+    assert found.test.condition.verdict == "not claimed"  # lines tell no poles
+    of_model = theory.repetitive_condition(Machine(PLANT), scheme, task)
+    at = (of_model.frequencies >= f[0]) & (of_model.frequencies <= f[-1])
+    np.testing.assert_allclose(exact.sensitivity, of_model.sensitivity[at], rtol=0.02)
+    beyond = MeasuredResponse(np.append(f, 600.0), np.append(P, 0), np.append(std, 0))
+    with pytest.raises(ValueError, match=r"lines go from 4 to 600 Hz; allowed are those up to 500"):
+        theory.repetitive_condition(beyond, scheme, task)
 
 
 def test_a_wrong_period_costs_what_is_told():
