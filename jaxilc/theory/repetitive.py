@@ -18,8 +18,8 @@ most s / (|1 + C P| (|1 + C P| - |C| s)).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -128,7 +128,8 @@ def repetitive_condition(
         dataclasses.replace(scheme, learning=of) if isinstance(scheme, WithFeedback) else of
         for of in (filters, _times(size_of_W, filters))
     )
-    machines, drawn = [machine], {}
+    machines: list[Any] = [machine]
+    drawn: Mapping[str, np.ndarray] = {}
     if isinstance(machine, Population):
         machines, drawn = [machine.machine_of(i) for i in range(machine.size)], machine.drawn
     if isinstance(machine, MeasuredResponse):
