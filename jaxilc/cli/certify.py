@@ -24,7 +24,9 @@ def certify(
 ) -> None:
     """Theory beside simulation: claims for the long run, and predictions of J trials.
 
-    For schemes with the bounds of Cao 2019, their premises are checked too.
+    For schemes with the bounds of Cao 2019, their premises are checked too. Of
+    repetitive control it tells the condition, what grows between the harmonics,
+    and what a wrong period costs.
 
     Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --machines 256
     """

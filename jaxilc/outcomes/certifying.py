@@ -24,10 +24,11 @@ from ..theory.certificates import (
 )
 from ..theory.chance import STILL, SURELY
 from ..theory.printed import printed_conditions
-from ..uncertainty import draw
+from ..uncertainty import Population
 from .bounds import bounds_numbers, premises_table
 from .case import Case
 from .outcome import Figure, Outcome, Progress, silent
+from .periods import of_periods, period_sentences
 from .request import Request
 from .table import Table
 from .verdict import Verdict
@@ -52,7 +53,8 @@ def certify(
 ) -> Outcome:
     """Theory beside simulation: claims for the long run, and predictions of J trials.
 
-    For schemes with the bounds of Cao 2019, their premises are checked too.
+    For schemes with the bounds of Cao 2019, their premises are checked too. Of repetitive control
+    its condition is told, what it does between harmonics, and what a wrong period costs.
 
     request: what is simulated; the name of a scenario or a plant file stands for all of it
     machines, seed, sampling: of the machines drawn, as for `Sweep`
@@ -61,16 +63,23 @@ def certify(
     """
     request = Request.of(request)
     chosen = request.scenario()
-    drawn = draw(chosen.machine, chosen.uncertainty, machines, seed=seed, sampling=sampling)
+    about: dict[str, Any] = {"count": machines, "seed": seed, "sampling": sampling}
+    population = Population(chosen.machine, chosen.uncertainty, **about)
+    drawn = population.drawn
+    periods = of_periods(chosen, population, progress)
     learning = sum(scheme.learns for scheme in chosen.schemes.values())
-    found = certify_schemes(
-        chosen.machine,
-        chosen.schemes,
-        chosen.task,
-        chosen.trials,
-        chosen.uncertainty,
-        drawn,
-        progress=lambda done, name: progress(name, done, learning),
+    found = (
+        {}
+        if periods and not learning
+        else certify_schemes(
+            chosen.machine,
+            chosen.schemes,
+            chosen.task,
+            chosen.trials,
+            chosen.uncertainty,
+            drawn,
+            progress=lambda done, name: progress(name, done, learning),
+        )
     )
     numbers = {
         name: certificate_numbers(one) | {"printed": _printed(chosen, name)}
@@ -87,10 +96,15 @@ def certify(
     broken = [name for name, row in numbers.items() if row["contradicted"]]
     what = "simulation contradicts what was claimed: please report this"
     of_all = {"scenario": request.source, "trials": chosen.trials, "samples": machines}
+    said = [line for name, one in periods.items() for line in period_sentences(name, one)]
     return Outcome(
         command="certify",
-        numbers=of_all | {"schemes": numbers},
-        verdict=certify_verdict(case, numbers, scale),
+        numbers=of_all | {"schemes": numbers} | ({"periods": periods} if periods else {}),
+        verdict=certify_verdict(case, numbers, scale, said)
+        if numbers
+        else Verdict(
+            tuple(said), "many machines by simulation", case.on("sweep", next(iter(periods)))
+        ),
         folder=folder or Path("out") / f"certify-{chosen.name}",
         scenario=chosen,
         tables=tables,
@@ -370,11 +384,14 @@ def _expected(numbers: dict[str, Any]) -> str:
     return f"{courses}; {best}"
 
 
-def certify_verdict(case: Case, numbers: Mapping[str, dict[str, Any]], scale: float) -> Verdict:
+def certify_verdict(
+    case: Case, numbers: Mapping[str, dict[str, Any]], scale: float, besides: Sequence[str] = ()
+) -> Verdict:
     """Which schemes are certified on every machine, which are not, and why.
 
     numbers: results of `certificate_numbers` by scheme
     scale: of the errors in them
+    besides: sentences on other schemes
     """
     certified, said = [], []
     for name, row in numbers.items():
@@ -402,7 +419,7 @@ def certify_verdict(case: Case, numbers: Mapping[str, dict[str, Any]], scale: fl
             reasons = row["reasons"][claim]
             why = max(reasons, key=lambda reason: reasons[reason])
             said.append(f"{name} {does} on {claims[claim]} of {machines} machines: {why}.")
-    return Verdict(tuple(said), *_after_certify(case, numbers, certified))
+    return Verdict((*said, *besides), *_after_certify(case, numbers, certified))
 
 
 def _all(machines: int) -> str:

@@ -5,9 +5,10 @@ the law u' = Q u + L e over a delay W of one period,
 
     e = S e_0,    S = (1 - Q W) / (1 - (Q - L T) W).
 
-|Q - L T| < 1 at all frequencies is the condition of the same law between trials; as |W| <= 1, it
-suffices for any period (small gain; Hara, Yamamoto, Omata, Nakano 1988). At the harmonics of the
-period, where W = 1, little is left where Q is near 1. Between them |S| exceeds 1: what does not
+|Q - L T| < 1 at all frequencies is the condition of the same law between trials, but what happens
+at the ends of a trial does not matter here. As |W| <= 1, it suffices for any period (small gain;
+Hara, Yamamoto, Omata, Nakano 1988). At the harmonics of the period, where W = 1, little is left
+where Q is near 1. Between them |S| exceeds 1: what does not
 repeat with the period becomes larger there, the more the wider Q is (the waterbed). For a period
 that is no whole number of samples W has the interpolation of `RepetitiveControl` in it. For P
 periods at once W is 1 - prod_i (1 - W_i), so |W| <= 2^P - 1, and |Q - L T| < 1 / (2^P - 1)
@@ -30,14 +31,21 @@ from ..pytree.ranges import require
 from ..schemes import LearningFilter, RepetitiveControl, Scheme, WithFeedback
 from ..schemes.repetitive import AROUND, delays, lagrange
 from ..signals.task import Task
-from ..uncertainty import Population
+from ..uncertainty import Population, drawn_machines
 from .condition import condition, premise
-from .frequency import FrequencyTest, learning_condition
+from .frequency import FrequencyTest, on_supremum, parts_of
 from .law import law_response
+from .learning_map import limit_names
 from .loop import linear_loop, on_circle, response
 from .on_lines import MeasuredResponse
+from .outlook import NO_LIMIT
 
 POINTS = 32  # frequencies between two harmonics
+FROM_PERIOD_TO_PERIOD = (
+    "sup |Q - L T| < 1: by small gain the loop through the delay of a period is stable, and each "
+    "frequency comes nearer to its limit by about this factor or more in every period (Hara, "
+    "Yamamoto, Omata, Nakano 1988)"
+)
 ON_LINES = (
     "|Q - L T| < 1 on the measured lines and within their doubt: between periods each of these "
     "frequencies comes nearer to its limit by this factor or more, if the loop is stable"
@@ -92,8 +100,8 @@ def repetitive_condition(
     sigmas: standard deviations by which a measured line may be off
 
     Raises ValueError for another scheme, for several channels, for a period of more than 2^20
-    frequencies, for lines without a harmonic or above the Nyquist frequency, and as
-    `learning_condition`.
+    frequencies, for lines without a harmonic or above the Nyquist frequency, and where machine,
+    scheme and task do not fit.
     """
     repetitive = scheme.learning if isinstance(scheme, WithFeedback) else scheme
     if not isinstance(repetitive, RepetitiveControl):
@@ -136,7 +144,7 @@ def repetitive_condition(
         f, true = (_within(machine, of, dt) for of in (f, true))
         tests = [_on_lines(machine, whole, task, sigmas)]
     else:
-        tests = [learning_condition(one, whole, task) for one in machines]
+        tests = [_on_circle(one, whole, task) for one in machines]
     # one that does not hold is worse than any that does
     top = max(range(len(tests)), key=lambda i: (not (c := tests[i].condition).holds, c.value))
     loops = [_loop_of(one, law, task) for one in machines]
@@ -191,6 +199,15 @@ def _within(measured: MeasuredResponse, f: np.ndarray, dt: float) -> np.ndarray:
             f"to {0.5 / dt:g} Hz, the Nyquist frequency, with a harmonic of the period among them"
         )
     return within
+
+
+def _on_circle(machine: Machine, law: Scheme, task: Task) -> FrequencyTest:
+    """sup |Q - L T| < 1. An operation without ends asks for nothing else, but a linear loop."""
+    parts = parts_of(machine, law, task)
+    names = limit_names(drawn_machines(machine, {}, {}), law, task)
+    free = premise(NO_LIMIT, not names, ", ".join(names))
+    about = [parts.loop], task, [*parts.premises, free], list, None
+    return on_supremum(parts.bounds, FROM_PERIOD_TO_PERIOD, *about)
 
 
 def _on_lines(measured: MeasuredResponse, law: Scheme, task: Task, sigmas: float) -> FrequencyTest:

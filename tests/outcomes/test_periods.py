@@ -1,0 +1,65 @@
+"""What `certify` tells of repetitive control, against theory and a run."""
+
+import numpy as np
+import pytest
+
+from jaxilc import learn, theory
+from jaxilc.outcomes import certify
+from jaxilc.outcomes.request import Request
+
+TURNING = """
+trials = 1
+[plant]
+kind = "transfer_function"
+num = [4000.0]
+den = [1.0, 80.0, 4000.0]
+[task]
+dt = 0.001
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 10.0, duration = 2.0 }
+[schemes.turning]
+class = "WithFeedback"
+feedback = { class = "PID", kp = 0.5 }
+[schemes.turning.learning]
+class = "RepetitiveControl"
+period = 0.1
+law = { class = "LearningFilter", L = [0.1, 0.3, 0.1], keep = [0.1, 0.8, 0.1], lead = 12 }
+[schemes.alone]
+class = "PID"
+kp = 0.5
+[uncertainty."plant.B"]
+distribution = "uniform"
+low = 0.9
+high = 1.1
+relative = true
+"""
+
+
+def test_repetitive_control_is_certified_from_period_to_period(tmp_path):
+    """In numbers as theory has them, in sentences, and so it runs."""
+    (file := tmp_path / "turning.toml").write_text(TURNING)
+    request = Request(str(file))
+    found = certify(request, machines=3)
+    told, chosen = found.numbers["periods"]["turning"], request.scenario()
+    scheme = chosen.schemes["turning"]
+    one = theory.repetitive_condition(chosen.machine, scheme, chosen.task)
+    wrong = theory.repetitive_condition(chosen.machine, scheme, chosen.task, wrong=0.01)
+    assert told["condition"] >= one.test.condition.value
+    assert (told["left"], told["left_if_wrong"]) == (one.left[0], wrong.left[0])
+    assert found.numbers["schemes"] == {}
+    assert set(found.numbers["periods"]) == {"turning"}
+    said = " ".join(found.verdict.said)
+    assert (
+        "turning converges from period to period of 0.1 s on all 3 machines: |Q (1 - L T)|" in said
+    )
+    assert f"grows up to {told['grows']:.3g} times" in said
+    e = np.abs(learn(chosen.machine, scheme, chosen.task, trials=1).final.e[:, 0])
+    assert e[-100:].max() < 0.01 * e[:100].max()
+
+
+def test_a_law_that_is_too_strong_is_not_certified_and_no_scheme_at_all_is_refused(tmp_path):
+    file = tmp_path / "turning.toml"
+    file.write_text(TURNING.replace("[0.1, 0.3, 0.1]", "[0.1, 3.0, 0.1]"))
+    said = certify(Request(str(file), ("turning",)), machines=1).verdict.said
+    assert said[0].startswith("turning is not certified from period to period of 0.1 s: |Q (1 - L")
+    with pytest.raises(ValueError, match="none of alone learns; there is nothing to certify"):
+        certify(Request(str(file), ("alone",)), machines=1)
