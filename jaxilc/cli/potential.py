@@ -53,7 +53,9 @@ def potential(
 
     From two or more repeats of a motion with the same input: the part of the
     error that repeats, and what is new in each trial and is left by any law, with
-    intervals. A first trial unlike the others, and a drift, are told apart.
+    intervals. A first trial unlike the others, and a drift, are told apart. It says
+    whether what repeats does so in a period or in the position within the trial, and
+    which law follows.
 
     Example: jaxilc potential trial-1.csv trial-2.csv trial-3.csv trial-4.csv
     """

@@ -48,7 +48,8 @@ def repeats_of(campaign: Campaign) -> Repeats:
             "between: jaxilc next --no-learn"
         )
     e = np.stack([(np.asarray(task.reference) - y)[:, 0] for y in whole.values()])
-    return Repeats(e, task.dt, task.unit, tuple(f"trial {trial}" for trial in whole))
+    names = tuple(f"trial {trial}" for trial in whole)
+    return Repeats(e, task.dt, task.unit, names, next(iter(whole.values()))[:, 0])
 
 
 def record_of(campaign: Campaign, machine: Machine) -> CampaignRecord:

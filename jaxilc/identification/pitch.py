@@ -77,15 +77,15 @@ def pitch_of(
             f"pitch_of: least = {least:g} makes {count:,} pitches to try over {span:g}; allowed "
             f"are {MOST:,}"
         )
-    beside = np.stack([np.ones_like(x), x - np.mean(x), np.sign(np.gradient(x))], axis=1)
-    rest = s - beside @ np.linalg.lstsq(beside, s)[0]
+    line = beside(x)
+    rest = s - line @ np.linalg.lstsq(line, s)[0]
     total = float(rest @ rest)
     if total <= 1e-24 * float(s @ s):
         raise ValueError("pitch_of: the signal is a straight line and a direction, and no more")
 
     def explained(per: float) -> float:
         """The squares that the harmonics of 1 / per explain, beside the rest."""
-        A = np.hstack([beside, _waves(x, per, orders)])
+        A = np.hstack([line, waves(x, per, orders)])
         return total - float(np.sum((s - A @ np.linalg.lstsq(A, s)[0]) ** 2))
 
     grid = np.linspace(1 / most, 1 / least, count)
@@ -104,11 +104,11 @@ def pitch_of(
             if explained(shorter) >= (1 - ALIKE) * explained(best):
                 best = shorter
                 break
-    A = np.hstack([beside, _waves(x, best, orders)])
+    A = np.hstack([line, waves(x, best, orders)])
     c = np.linalg.lstsq(A, s)[0]
     of_each = c[3:].reshape(-1, 2)
     left = s - A @ c
-    slope = _waves(x, best, orders, slope=True) @ c[3:]
+    slope = waves(x, best, orders, slope=True) @ c[3:]
     slope = slope - A @ np.linalg.lstsq(A, slope)[0]
     noise = np.sqrt(left @ left / (len(x) - A.shape[1] - 1))
     return Pitch(
@@ -119,7 +119,12 @@ def pitch_of(
     )
 
 
-def _waves(x: Numbers, per: float, orders: tuple[int, ...], slope: bool = False) -> Numbers:
+def beside(x: Numbers) -> Numbers:
+    """(N, 3) what counts as no harmonic: a constant, a slope, and the direction of motion."""
+    return np.stack([np.ones_like(x), x - np.mean(x), np.sign(np.gradient(x))], axis=1)
+
+
+def waves(x: Numbers, per: float, orders: tuple[int, ...], slope: bool = False) -> Numbers:
     """(N, 2 len(orders)) cosine and sine of each harmonic, or their derivative by 1 / pitch."""
     found = []
     for i in orders:

@@ -34,12 +34,14 @@ class Repeats(NamedTuple):
     dt: sample time [s]
     unit: of the error, "" where no file tells one
     names: of the trials
+    position: (N,) where the first one was: its output, or else its reference; None if not read
     """
 
     e: np.ndarray
     dt: float
     unit: str
     names: tuple[str, ...]
+    position: np.ndarray | None = None
     __repr__ = in_short
 
 
@@ -64,7 +66,7 @@ def read_repeats(
     """
     if dt is not None:
         require("read_repeats", "dt", dt, "(0, inf)")
-    trials, units, steps, names = [], [], [], []
+    trials, units, steps, names, places = [], [], [], [], []
     for path in map(Path, paths):
         signals = _signals_of(path, time, columns, dt, error)
         e = signals.errors(error, output, reference)
@@ -73,6 +75,7 @@ def read_repeats(
         trials += list(e)
         names += [path.stem if len(e) == 1 else f"{path.stem} {j + 1}" for j in range(len(e))]
         units.append(signals.unit)
+        places += [x[0] for x in map(signals.of, (output, reference)) if x is not None]
         steps.append(signals.dt)
     if not trials:
         raise ValueError("no record is given; needed are M >= 2 repeats of one motion")
@@ -88,7 +91,8 @@ def read_repeats(
             "the same length: give those of one motion, cut alike"
         )
     e = np.stack([one[: min(lengths)] for one in trials])
-    return Repeats(e, steps[0], next(filter(None, units), ""), tuple(names))
+    position = places[0][: e.shape[1]] if places and len(places[0]) >= e.shape[1] else None
+    return Repeats(e, steps[0], next(filter(None, units), ""), tuple(names), position)
 
 
 # How it is done

@@ -14,6 +14,7 @@ from .. import figures
 from ..figures.units import prefixed
 from ..hardware.as_record import repeats_of
 from ..identification.potential import LEVEL, Potential, potential_of
+from ..identification.recurrence import Recurrence, recurrence_of
 from ..identification.repeats import Repeats, read_repeats
 from ..scenarios.campaigns import Given, open_campaign
 from ..scenarios.design_file import write_potential
@@ -54,16 +55,18 @@ def potential(
     repeats = _of_campaign(paths[0]) if _is_campaign(paths) else read_repeats(paths, **reading)
     repeats = repeats._replace(unit=printable(repeats.unit or unit))
     found = potential_of(repeats.e, repeats.dt)
+    within = _within(repeats) if found.cutoff.value else {}
     kept = [] if into is None else [write_potential(into, table_of(found), repeats.unit)]
     following = _next(paths, reading | {"unit": unit}, found, into)
     shown = partial(figures.potential_figure, repeats, found)
     return Outcome(
         command="potential",
-        numbers=_numbers(repeats, found),
+        numbers=_numbers(repeats, found)
+        | {"within": {name: one and dict(one._asdict()) for name, one in within.items()}},
         verdict=Verdict(_said(repeats, found), *following),
         folder=folder or Path("out") / "potential",
         tables=[_table(repeats, found)],
-        lines=_lines(repeats, found),
+        lines=[*_lines(repeats, found), *_recurs(within, repeats.unit)],
         figures={"potential": Figure(OF_DENSITY, shown, live=True)},
         live=lambda: [_live(repeats, found)],
         kept=kept,
@@ -146,6 +149,42 @@ def _said(repeats: Repeats, found: Potential) -> tuple[str, ...]:
         f"{number(found.cutoff.value)} Hz; no law leaves less than what is new in each trial, "
         f"{_size(new.value, unit)} ({_range(new, unit)}).",
     )
+
+
+def _within(repeats: Repeats) -> dict[str, Recurrence | None]:
+    """How what repeats from trial to trial repeats within the trial, over time and position."""
+    e = np.mean(repeats.e, axis=0)
+    time, position = repeats.dt * np.arange(len(e)), repeats.position
+    of_position = None if position is None else recurrence_of(position, e)
+    return {"time": recurrence_of(time, e), "position": of_position}
+
+
+def _recurs(within: Mapping[str, Recurrence | None], unit: str) -> list[str]:
+    """In what the error repeats, and which law follows."""
+    told = {name: one for name, one in within.items() if one}
+    if not told:
+        return []
+    said = []
+    for name, what in (("time", "s"), ("position", unit)):
+        if one := told.get(name):
+            said.append(
+                f"a period of {_size(one.period, what)} in the {name} foretells "
+                f"{100 * one.share:.0f} %"
+            )
+    head = f"Within the trial, of a third that was not looked at, {' and '.join(said)}: "
+    repeats = {name for name, one in told.items() if one.repeats}
+    laws = {
+        frozenset(): "the error repeats from trial to trial only, so learn between trials.",
+        frozenset({"time"}): "it repeats in a period, so RepetitiveControl learns it without a "
+        "stop.",
+        frozenset({"position"}): "it repeats in the position, so a map of PositionBasis learns it "
+        "and serves any speed.",
+    }
+    both = (
+        "at one speed the two are one; record a second speed, as a map over the position serves "
+        "any and a period only its own."
+    )
+    return [head + laws.get(frozenset(repeats), both)]
 
 
 def _lines(repeats: Repeats, found: Potential) -> list[str]:

@@ -1,0 +1,69 @@
+"""Whether an error repeats within its trial, over the time or over the position.
+
+Two thirds of a trial choose the period and its harmonics; the other third, which they have not
+seen, judges them. So do the first two thirds with the last one, and the last two with the first.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .pitch import beside, pitch_of, waves
+
+ORDERS = 1, 2, 3
+PERIODS = 3, 40  # within what is seen, at least and at most
+SAMPLES = 1000  # to which a trial is averaged, about
+JUDGED = 0.7  # share of the squares that is foretold, from which it repeats
+
+
+class Recurrence(NamedTuple):
+    """How a signal repeats within its trial.
+
+    period: [unit of what it repeats over], from the first two thirds
+    share: of the squares of the third that was not seen, as far as it is foretold; the smaller one
+    """
+
+    period: float
+    share: float
+
+    @property
+    def repeats(self) -> bool:
+        return self.share >= JUDGED
+
+
+def recurrence_of(over, signal) -> Recurrence | None:
+    """How a signal (N,) repeats over the time, or over a position; None where nothing can be told.
+
+    That is so where the position does not move enough, and in short records.
+    """
+    block = max(1, len(signal) // SAMPLES)
+    x, s = (
+        np.asarray(a, float)[: len(signal) // block * block].reshape(-1, block).mean(axis=1)
+        for a in (over, signal)
+    )
+    third = len(x) // 3
+    try:
+        ways = [
+            _foretold(x, s, slice(0, 2 * third), slice(2 * third, None)),
+            _foretold(x, s, slice(third, None), slice(0, third)),
+        ]
+    except ValueError:  # too short, at rest, or nothing but a line
+        return None
+    return Recurrence(ways[0].period, min(way.share for way in ways))
+
+
+def _foretold(x, s, seen: slice, rest: slice) -> Recurrence:
+    """The period of a part that is seen, and what it foretells of the rest."""
+    span = float(np.ptp(x[seen]))
+    found = pitch_of(
+        x[seen], s[seen], least=span / PERIODS[1], most=span / PERIODS[0], orders=ORDERS
+    )
+    line, of_period = beside(x), waves(x, 1 / found.pitch, ORDERS)
+    weights = np.linalg.lstsq(np.hstack([line, of_period])[seen], s[seen])[0]
+    # a slope of the rest, or its constant, is none of the period's
+    both = np.stack([s, of_period @ weights[line.shape[1] :]], axis=1)[rest]
+    whole, told = (both - line[rest] @ np.linalg.lstsq(line[rest], both)[0]).T
+    left = float(np.sum((whole - told) ** 2))
+    return Recurrence(found.pitch, max(0.0, 1 - left / max(float(whole @ whole), 1e-300)))
