@@ -70,9 +70,9 @@ def export(
 ) -> None:
     """A learning law as a program for a controller, with its guard and certificate.
 
-    The law is the traced program itself: C99 without allocation, an FMU, a component
-    of LinuxCNC or a function block in Structured Text. Its guard goes back to the
-    last good input where `next` refuses a trial.
+    The law is the traced program itself: C99 without allocation, an FMU, a
+    component of LinuxCNC or a function block in Structured Text. Its guard goes
+    back to the last good input where `next` refuses a trial.
 
     Example: jaxilc export axis.design.toml --limit 10 --out law
     """
