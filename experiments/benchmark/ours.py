@@ -121,7 +121,8 @@ class Learning:
             starts=1,
         )
         lanes = losses.fitting_lanes(self.objective, self.population.size)
-        evaluate = dataclasses.replace(losses, lanes=lanes).evaluation(self.objective, clip=np.inf)
+        of_lanes = dataclasses.replace(losses, lanes=lanes)
+        evaluate, _ = of_lanes.evaluation(self.objective, clip=np.inf)
         return _built(over_starts(evaluate), weights.starts(1, 0.0, SEED))
 
 

@@ -31,8 +31,13 @@ def table_of(made: Any) -> dict[str, Any]:
         value = getattr(made, field.name)
         if field.name in HIDDEN or value is None or _is_default(value, field.default):
             continue
-        table[field.name] = table_of(value) if kind_of(field) == "child" else _plain(value)
+        table[field.name] = _of_part(value) if kind_of(field) == "child" else _plain(value)
     return table
+
+
+def _of_part(value: Any) -> Any:
+    """The table of a part, or those of several."""
+    return [table_of(one) for one in value] if isinstance(value, tuple) else table_of(value)
 
 
 def toml_of(schemes: Mapping[str, Scheme]) -> str:
@@ -74,6 +79,11 @@ def _write(path: Path, text: str) -> None:
 
 
 def _item(value: Any) -> Any:
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        tables = tomlkit.array()
+        for one in value:
+            tables.append(_item(one))
+        return tables
     if not isinstance(value, Mapping):
         return tomlkit.item(value)
     table = tomlkit.inline_table()

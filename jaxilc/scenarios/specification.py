@@ -91,6 +91,9 @@ def _field(
         return numbers(value, where)
     if kind == "static":
         return tuple(value) if isinstance(value, list) else value
+    if typing.get_origin(hint) is tuple and isinstance(value, list):  # parts of one kind
+        kind_of = functools.partial(_field, field, typing.get_args(hint)[0], plant, dt)
+        return tuple(kind_of(one, f"{where}[{i}]") for i, one in enumerate(value))
     if value == "plant":
         value = plant if hint is Plant and plant else _nominal(where, plant, dt)
     elif isinstance(value, Mapping) and "function" in value:

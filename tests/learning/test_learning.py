@@ -304,8 +304,8 @@ def test_trials_are_divided_near_their_root():
     """A gradient stores B + J / B memories of J trials; a prime J cannot be divided."""
     memory = jnp.zeros(2**20)
     for trials, blocks in ((100, 10), (80, 8), (82, 2), (97, 1)):
-        assert _blocks(trials, memory) == blocks
-    assert _blocks(100, jnp.zeros(8)) == 1  # all of them are stored
+        assert _blocks(trials, memory, 2**22) == blocks
+    assert _blocks(100, jnp.zeros(8), 2**22) == 1  # all of them are stored
 
 
 def test_memory_of_a_gradient_grows_like_the_root_of_the_trials():

@@ -37,7 +37,7 @@ N = 40
 U = np.random.default_rng(8).normal(size=(N, 2))
 NONLINEAR = (
     *("fast_tool_servo_nonlinear", "ball_screw_real", "motor_real", "three_axes"),
-    *("pendulum", "time_varying"),
+    *("pendulum", "time_varying", "by_position"),
 )
 LINEAR = {
     name: plant

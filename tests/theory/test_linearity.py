@@ -56,6 +56,7 @@ NOT_LINEAR = {  # the reason, for those plants and schemes of cases.py that lear
     "ball_screw_real": "answers its input by",
     "motor_real": "answers its input by",
     "three_axes": "answers its input by",
+    "by_position": "answers its input by",
     "two_step": "answers its input by",
     "basis_rational": "learns by",
     "pendulum": "answers its input by",
