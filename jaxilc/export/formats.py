@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from ..learning.machine import Machine
 from ..native.program import Unknown
 from . import fmu, hal, st
-from .c_files import files_of
+from .c_files import bytes_of, files_of
 from .law import Law
 from .plant import files_of_plant, model_of
 
@@ -31,38 +31,65 @@ class Asked(NamedTuple):
     single: bool
 
 
-def _c(asked: Asked) -> dict[str, str | bytes]:
+class Made(NamedTuple):
+    """The files of a law.
+
+    files: their contents by name
+    bytes: of RAM that the law needs on the controller
+    warnings: sentences on what is left out
+    """
+
+    files: dict[str, str | bytes]
+    bytes: int
+    warnings: tuple[str, ...] = ()
+
+
+class Format(NamedTuple):
+    """A format: what the law then is, for a sentence, and how its files are made."""
+
+    said: str
+    make: Callable[[Asked], Made]
+
+
+def _c(asked: Asked) -> Made:
     law, about, digest, trials = asked.law, asked.about, asked.digest, asked.trials
-    return {**files_of(law, about, digest, trials, single=asked.single)}
+    files = files_of(law, about, digest, trials, single=asked.single)
+    return Made({**files}, bytes_of(law, single=asked.single))
 
 
-def _fmu(asked: Asked) -> dict[str, str | bytes]:
+def _fmu(asked: Asked) -> Made:
     """FMUs of the law, and of the plant where it can be written in C."""
     _need_double(asked, "FMU")
-    texts, task = files_of(asked.law, asked.about, asked.digest, asked.trials), asked.law.task
+    of_c, task, warnings = _c(asked), asked.law.task, []
+    texts = {name: str(text) for name, text in of_c.files.items()}
     blocks = [fmu.law_block(task, texts, asked.about[0])]
     try:
         model = model_of(asked.machine, task)
-    except Unknown:
-        pass  # a simulator then has a plant of its own
+    except Unknown as error:
+        warnings.append(f"The plant has no FMU: {error} cannot be a part of one.")
     else:
         about = f"The plant for which the law is certified: {type(asked.machine.plant).__name__}."
         blocks.append(fmu.plant_block(task, files_of_plant(model, [about]), about, model.first))
-    made = {f"{block.name}_fmi{version}.fmu": fmu.packed(block, version=version)
-            for block in blocks for version in (2, 3)}  # fmt: skip
-    return {**made, "law_test.c": texts["law_test.c"], "law.h": texts["law.h"],
-            "law.c": texts["law.c"]}  # fmt: skip
+    made: dict[str, str | bytes] = {
+        f"{block.name}_fmi{version}.fmu": fmu.packed(block, version=version)
+        for block in blocks
+        for version in (2, 3)
+    }
+    return Made(made | texts, of_c.bytes, tuple(warnings))
 
 
-def _hal(asked: Asked) -> dict[str, str | bytes]:
+def _hal(asked: Asked) -> Made:
     _need_double(asked, "HAL component, whose pins are double")
-    texts = files_of(asked.law, asked.about, asked.digest, asked.trials)
-    return {"law.comp": hal.component(asked.law.task, texts, asked.about[0]), **texts}
+    of_c = _c(asked)
+    texts = {name: str(text) for name, text in of_c.files.items()}
+    component = hal.component(asked.law.task, texts, asked.about[0])
+    return Made({"law.comp": component, **texts}, of_c.bytes)
 
 
-def _st(asked: Asked) -> dict[str, str | bytes]:
+def _st(asked: Asked) -> Made:
     _need_double(asked, "function block, whose numbers are LREAL")
-    return {"law.st": st.function_block(asked.law, asked.about, asked.digest)}
+    block = st.function_block(asked.law, asked.about, asked.digest)
+    return Made({"law.st": block.text}, block.bytes)
 
 
 def _need_double(asked: Asked, kind: str) -> None:
@@ -70,9 +97,9 @@ def _need_double(asked: Asked, kind: str) -> None:
         raise Unknown(f"`float` in a {kind}")
 
 
-FORMATS: dict[str, Callable[[Asked], dict[str, str | bytes]]] = {
-    "c": _c,
-    "fmu": _fmu,
-    "hal": _hal,
-    "st": _st,
+FORMATS = {
+    "c": Format("a program in C", _c),
+    "fmu": Format("an FMU 2.0 and 3.0 for co-simulation", _fmu),
+    "hal": Format("a component of LinuxCNC's HAL", _hal),
+    "st": Format("a function block in Structured Text", _st),
 }

@@ -13,7 +13,7 @@ import re
 import textwrap
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -142,25 +142,26 @@ END_FUNCTION
 """
 
 
-def function_block(law: Law, about: Sequence[str], digest: str) -> str:
-    """The text of `law.st`; raises Unknown for what Structured Text cannot hold.
+class FunctionBlock(NamedTuple):
+    """The text of `law.st`, and the bytes of its variables and tables without what is padded."""
+
+    text: str
+    bytes: int
+
+
+def function_block(law: Law, about: Sequence[str], digest: str) -> FunctionBlock:
+    """A law in Structured Text; raises Unknown for what the language cannot hold.
 
     about: sentences for its head
     digest: of the certificate, which the block carries
     """
-    return _Block(law).printed(about, digest)
-
-
-def bytes_of_block(law: Law) -> int:
-    """The bytes of the variables and tables of `law.st`, without what a compiler pads."""
-    block = _Block(law)
-    block.printed((), "")
-    total = 0
+    block, total = _Block(law), 0
+    text = block.printed(about, digest)
     for line in [*block.variables, *block.constants, *block.kept]:
         found = re.search(r" : (?:ARRAY\[0\.\.(\d+)\] OF )?(\w+)", line)
         if found:
             total += (int(found[1] or 0) + 1) * BYTES[found[2]]
-    return total
+    return FunctionBlock(text, total)
 
 
 def type_of(dtype: Any) -> str:
@@ -177,7 +178,7 @@ def number(value: Any, dtype: Any) -> str:
     if kind == "b":
         return "TRUE" if value else "FALSE"
     if kind != "f":
-        return str(int(value))
+        return str(int(value)) if value >= 0 else f"({int(value)})"
     if np.isnan(value):
         return "nan"
     if np.isinf(value):
@@ -334,6 +335,8 @@ class _Block:
             return f"SEL({', '.join(map(_open, args))})"
         if x.name == "convert":
             to = type_of(x.dtype)
+            if kind == "f" and to == "UDINT":  # whose conversion rounds
+                raise Unknown("a conversion to UDINT in Structured Text")
             way = f"LAW_TO_{to}" if kind == "f" and to in ("DINT", "LINT") else f"TO_{to}"
             return args[0] if to == type_of(x.args[0].dtype) else f"{way}({_open(args[0])})"
         if x.name in INFIX:

@@ -22,12 +22,6 @@ if TYPE_CHECKING:
     from ..hardware import Campaign
     from ..scenarios import Scenario
 
-FORMATS = {  # what the program is, in a sentence
-    "c": "a program in C",
-    "fmu": "an FMU 2.0 and 3.0 for co-simulation",
-    "hal": "a component of LinuxCNC's HAL",
-    "st": "a function block in Structured Text",
-}
 NUMBERS = ("double", "float")
 TESTED = 4  # trials of the test program, the last one with an output that is not a number
 
@@ -48,7 +42,7 @@ def export(
 
     request: scenario or plant file, with one scheme that learns; None for that of the campaign
     folder: where the files are written
-    format: of `FORMATS`
+    format: of `export.formats.FORMATS`
     state: folder of a campaign, whose memory the law starts with
     limit: largest |u| that the law plays; that of the campaign or of the actuator if not given
     number: of `NUMBERS`
@@ -57,8 +51,7 @@ def export(
     """
     from ..export import law_of
     from ..export.certificate import CERTIFICATE, certificate_of, digest_of
-    from ..export.formats import FORMATS as WRITERS
-    from ..export.formats import Asked
+    from ..export.formats import FORMATS, Asked
     from ..native.program import Unknown
 
     for name, value, allowed in (("format", format, FORMATS), ("number", number, NUMBERS)):
@@ -107,23 +100,24 @@ def export(
     try:
         single = number == "float"
         asked = Asked(law, chosen.machine, about, digest, trials_of_test(law), single)
-        files = WRITERS[format](asked)
+        made = FORMATS[format].make(asked)
     except Unknown as error:
         raise ValueError(f"{name} cannot be exported: {error}") from None
-    whole = certificate_of(claims, files)
-    costs = _costs(law, format, single=single)
+    whole = certificate_of(claims, made.files)
+    costs = _operations(law) | {"bytes": made.bytes}
     return Outcome(
         command="export",
         numbers=claims | {"certificate": digest} | costs,
         verdict=Verdict((
-            f"{name} is {FORMATS[format]}: at most {costs['operations_a_sample']} operations a "
-            f"sample and {costs['operations_between_trials']} between two trials, and "
+            f"{name} is {FORMATS[format].said}: at most {costs['operations_a_sample']} operations "
+            f"a sample and {costs['operations_between_trials']} between two trials, and "
             f"{costs['bytes']} bytes of memory.",
             *claimed["verdict"],
         ), "prove that the files belong together",
             f"jaxilc export --check {folder}"),
+        warnings=made.warnings,
         folder=Path(folder),
-        files={file: partial(_write, text) for file, text in files.items()}
+        files={file: partial(_write, text) for file, text in made.files.items()}
         | {CERTIFICATE: lambda path: write_json(path, whole)},
     )  # fmt: skip
 
@@ -228,15 +222,13 @@ def _weights(scheme: Any) -> dict[str, Any]:
     return found
 
 
-def _costs(law: Law, format: str, *, single: bool) -> dict[str, int]:
-    from ..export.c_files import bytes_of, cost
-    from ..export.st import bytes_of_block
+def _operations(law: Law) -> dict[str, int]:
+    from ..export.c_files import cost
 
     of = {function.name: cost(function.program) for function in law.functions}
     return {
         "operations_a_sample": of["sample"],
         "operations_between_trials": of["end"],
-        "bytes": bytes_of_block(law) if format == "st" else bytes_of(law, single=single),
     }
 
 

@@ -1,6 +1,7 @@
 """FMUs of a law and of a plant, called as a simulator calls them."""
 
 import ctypes as c
+import dataclasses
 import io
 import shutil
 import zipfile
@@ -15,7 +16,7 @@ from jaxilc.export.c_files import files_of
 from jaxilc.export.fmu import law_block, packed, plant_block
 from jaxilc.export.formats import FORMATS, Asked
 from jaxilc.export.plant import files_of_plant, model_of
-from jaxilc.learning import learn
+from jaxilc.learning import Disturbance, learn
 from jaxilc.native.program import Unknown
 
 compiled = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler, as `cc`")
@@ -209,4 +210,15 @@ def test_single_precision_is_refused_by_name(exported):
     asked = Asked(law, None, ["A law."], "0" * 64, [y], single=True)
     for name in ("fmu", "hal", "st"):
         with pytest.raises(Unknown, match="`float` in a"):
-            FORMATS[name](asked)
+            FORMATS[name].make(asked)
+
+
+def test_a_plant_that_has_no_fmu_is_told(exported):
+    law, y, *_ = exported
+    machine = case("norm_optimal")[0]
+    machine = dataclasses.replace(machine, disturbance=Disturbance(input=np.zeros((law.task.N, 2))))
+    made = FORMATS["fmu"].make(Asked(law, machine, ["A law."], "0" * 64, [y], single=False))
+    assert not [name for name in made.files if name.startswith("plant")]
+    assert made.warnings == (
+        "The plant has no FMU: the disturbance of the machine cannot be a part of one.",
+    )

@@ -15,7 +15,7 @@ SCHEMES = ["ffdl_book", "p_type_iir", "norm_optimal", "p_type_stop"]
 def test_a_block_plays_what_the_law_plays_to_the_last_bit(name):
     _, scheme, task = case(name)
     law = law_of(scheme, task, 100.0)
-    text = function_block(law, ["A law."], "0" * 64)
+    text = function_block(law, ["A law."], "0" * 64).text
     assert max(map(len, text.split("\n"))) < 2000
     block, played = Block(text), law.played()
     rng = np.random.default_rng(0)
@@ -33,7 +33,7 @@ def test_a_block_plays_what_the_law_plays_to_the_last_bit(name):
 def test_a_block_is_what_the_grammar_of_twincat_takes(tmp_path):
     blark = pytest.importorskip("blark", reason="pip install blark")
     _, scheme, task = case("ffdl_book")
-    text = function_block(law_of(scheme, task, 100.0), ["A law."], "0" * 64)
+    text = function_block(law_of(scheme, task, 100.0), ["A law."], "0" * 64).text
     parsed = blark.parse_source_code(text)
     assert parsed.exception is None
     broken = blark.parse_source_code(text.replace("END_FOR", "END_FRO", 1))
