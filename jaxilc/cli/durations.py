@@ -11,9 +11,10 @@ from pathlib import Path
 
 WRITTEN = ("--out", "--json", "--report", "--figures", "--seed")  # take no time of their own
 KEPT = 200  # commands
-# Seconds of a command the first time, on an axis as `init` writes it: two cores, nothing compiled.
-USUAL = {"run": 10.0, "certify": 15.0, "identify": 20.0, "filter": 30.0, "worst-case": 30.0,
-         "tune": 60.0, "design": 90.0, "learn-law": 120.0}  # fmt: skip
+# Seconds of a command the first time, measured on an axis as `init` writes it (`identify`: 5000
+# samples): two cores, nothing compiled.
+USUAL = {"run": 6.0, "certify": 16.0, "identify": 6.0, "filter": 11.0, "export": 28.0,
+         "worst-case": 7.0, "tune": 8.0, "design": 62.0, "learn-law": 66.0}  # fmt: skip
 
 
 def file() -> Path | None:

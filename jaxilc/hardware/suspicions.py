@@ -207,9 +207,8 @@ def what_changed(y, old, dt: float = 1.0) -> Change:
     expected motion that leave at most 5 and 2 % of the power of the difference; a limit of force
     or speed makes the first acceleration smaller, where the motion begins as expected; a resonance
     puts most of the power of the difference of the accelerations into a narrow band; a limit of
-    speed holds a top speed that is below the usual one for longer; friction
-    follows the sign of the speed and breaks away with a jerk; what else is
-    in step with the speed is a lag of a loop.
+    speed holds a top speed that is below the usual one for longer; friction follows the sign of the
+    speed and breaks away with a jerk; what else is in step with the speed is a lag of a loop.
 
     y, old: (N+1, n_y) outputs, measured and expected;  dt: sampling time [s]
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import comb, factorial
 from typing import NamedTuple
 
@@ -214,14 +215,7 @@ class ByPosition(Plant):
         return self.plant.n_y
 
     def sampled(self, dt: float) -> ByPosition:
-        return ByPosition(
-            self.plant.sampled(dt),
-            self.force,
-            self.ripple,
-            self.error,
-            self.backlash,
-            self.position,
-        )
+        return replace(self, plant=self.plant.sampled(dt))
 
     def initial_state(self) -> Placed:
         start = self.plant.initial_state()
