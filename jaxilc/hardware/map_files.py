@@ -1,10 +1,20 @@
 """Files with a map over the position, for LinuxCNC, TwinCAT and any program in C.
 
-.comp   LinuxCNC: "nominal forward reverse" in each line, no more than 256, with COMP_FILE_TYPE
-        = 1: what is added to the commanded position
+.comp   LinuxCNC, with COMP_FILE_TYPE = 1: in each line the commanded position, and what is added to
+        it on the way forward and backward (its forward_trim and reverse_trim)
 .csv    position, forward, backward, with a header
 .st     constants in Structured Text, for TwinCAT and other IEC 61131-3 controllers
 .h      the same three arrays in C
+
+Of LinuxCNC, its source tells (`usrmotLoadComp` in src/emc/usr_intf/usrmotintf.cc,
+`EMCMOT_SET_JOINT_COMP` in src/emc/motion/command.c, `compute_screw_comp` and `output_to_hal` in
+control.c there): motor_pos_cmd = pos_cmd + trim and pos_fb = motor_pos_fb - trim. With
+COMP_FILE_TYPE = 1 the second and third numbers are the trims. With 0, the default, they are where
+the axis came to, and the trim is nominal - forward, so this file would be read wrongly. Between
+two lines a trim is a straight line, before the first and after the last one it stays. At rest the
+trim stays. Where the direction changes, it moves with half of the joint's limits of speed
+and acceleration. Trims are kept in single precision; the reading ends at a line without three
+numbers, and lines beyond 256 are reported and left out.
 """
 
 from __future__ import annotations
@@ -21,7 +31,7 @@ from ..pytree.in_short import in_short
 from ..storage.files import atomically
 
 FORMATS = (".comp", ".csv", ".st", ".h")
-MOST = 256  # lines that LinuxCNC reads; it leaves out the others without a word
+MOST = 256  # lines that LinuxCNC keeps
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 
 
@@ -58,14 +68,15 @@ def write_map(path: str | Path, learned: PositionMap, positions: Value) -> MapTa
         )
     if path.suffix == ".comp" and len(x) > MOST:
         raise ValueError(
-            f"write_map: {len(x)} positions for {path.name}; LinuxCNC reads no more than {MOST}"
+            f"write_map: {len(x)} positions for {path.name}; LinuxCNC keeps no more than {MOST}"
         )
     fast = 0.0 if learned.turning is None else 1e3 * float(np.asarray(learned.turning))
     table = MapTable(x, *(np.asarray(learned.at(x, way * fast), float) for way in (1, -1)))
     if not all(np.all(np.isfinite(column)) for column in table):
         raise ValueError("write_map: the map has values that are not finite; allowed are numbers")
     rows = [" ".join(map(repr, row)) for row in np.column_stack(table).tolist()]
-    arrays = {name: ", ".join(map(repr, of.tolist())) for name, of in table._asdict().items()}
+    literals = {name: map(_literal, of.tolist()) for name, of in table._asdict().items()}
+    arrays = {name: ", ".join(of) for name, of in literals.items()}
     match path.suffix:
         case ".comp":  # a comment would end the reading
             text = "\n".join([*rows, ""])
@@ -88,6 +99,11 @@ def write_map(path: str | Path, learned: PositionMap, positions: Value) -> MapTa
             text += "\n#endif\n"
     atomically(path, lambda file: file.write(text.encode()))
     return table
+
+
+def _literal(x: float) -> str:
+    """A number with a point, as IEC 61131-3 asks of a real literal: 1.0e-05, and not 1e-05."""
+    return re.sub(r"^(-?\d+)e", r"\1.0e", repr(x))
 
 
 def read_map(path: str | Path) -> MapTable:

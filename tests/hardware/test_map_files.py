@@ -1,5 +1,6 @@
 """Maps in files for machines: each reads back, and C compiles it."""
 
+import re
 import shutil
 import subprocess
 
@@ -39,6 +40,45 @@ def test_linuxcnc_reads_each_line_as_three_numbers(tmp_path):
     np.testing.assert_array_equal(lines, np.column_stack(table))
 
 
+def test_linuxcnc_comes_to_the_commanded_position(tmp_path):
+    """A screw with an error and backlash, under what LinuxCNC makes of the file by its type."""
+
+    def screw(x, way):
+        return x + 0.02 * np.sin(2 * np.pi * x / 5.0) - 0.01 * way
+
+    place = np.linspace(0, 10, 200)
+    undo = [place - screw(place, way) for way in (1, -1)]
+    splines = Splines(0.0, 10.0, 200, degree=1)
+    write_map(
+        tmp_path / "x.comp", PositionMap(splines, np.concatenate(undo), turning=0.1), place[::2]
+    )
+    rows = np.loadtxt(tmp_path / "x.comp")
+    x = np.linspace(-0.5, 10.5, 333)
+    for kind, most in ((1, 1e-3), (0, np.inf)):
+        for way, column in ((1, 1), (-1, 2)):
+            trims = rows[:, column] if kind else rows[:, 0] - rows[:, column]
+            trim = np.interp(x, rows[:, 0], trims.astype(np.float32))
+            off = np.abs(screw(x + trim, way) - x)[(x > 0) & (x < 10)]
+            assert np.max(off) < most
+    assert np.max(off) > 0.1  # a file of type 1 read as one of type 0, which is the default
+
+
+def test_a_table_in_structured_text_is_what_the_language_takes(tmp_path):
+    """As IEC 61131-3 writes it: a real literal has a point, and the range holds all."""
+    table = write_map(tmp_path / "map.st", MAP, np.r_[X, 1e5, 1e22])
+    text = (tmp_path / "map.st").read_text().split("\n")
+    assert text[0] == "VAR_GLOBAL CONSTANT"
+    assert text[-2:] == ["END_VAR", ""]
+    declared = r" *map_(\w+) : ARRAY\[0\.\.(\d+)\] OF LREAL := \[(.*)\];"
+    for line, name, values in zip(text[1:-2], table._fields, table, strict=True):
+        found = re.fullmatch(declared, line)
+        assert found
+        literals = found[3].split(", ")
+        assert all(re.fullmatch(r"[+-]?\d+\.\d+([Ee][+-]?\d+)?", one) for one in literals)
+        assert (found[1], int(found[2])) == (name, len(values) - 1)
+        np.testing.assert_array_equal(np.array(literals, float), values)
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler of C")
 def test_a_program_in_c_sees_the_same_numbers(tmp_path):
     table = write_map(tmp_path / "map.h", MAP, X)
@@ -59,7 +99,7 @@ def test_a_program_in_c_sees_the_same_numbers(tmp_path):
 def test_what_does_not_fit_is_said(tmp_path):
     with pytest.raises(ValueError, match=r"is none of the formats \.comp, \.csv, \.st, \.h"):
         write_map(tmp_path / "map.txt", MAP, X)
-    with pytest.raises(ValueError, match=r"300 positions for x\.comp; LinuxCNC reads no more than"):
+    with pytest.raises(ValueError, match=r"300 positions for x\.comp; LinuxCNC keeps no more than"):
         write_map(tmp_path / "x.comp", MAP, np.arange(300))
     with pytest.raises(ValueError, match=r"positions of shape \(2,\); allowed are"):
         write_map(tmp_path / "x.csv", MAP, [1.0, 1.0])
