@@ -117,7 +117,7 @@ class Text:
         """The numbers at a place of an array in RAM."""
         kind = self.stored_type(dtype, alike=alike)
         place = self.add(f"getelementptr {kind}, ptr {base}, i64 {index}")
-        found = self.add(f"load {kind}, ptr {place}, align {self._align(dtype, alike)}")
+        found = self.add(f"load {kind}, ptr {place}, align {bytes_of(dtype)}")
         if np.dtype(dtype).kind == "b":
             found = self.add(f"trunc {kind} {found} to {'i1' if alike else self.type_of(dtype)}")
         return self.splat(found, _scalar(dtype)) if alike else found
@@ -127,10 +127,7 @@ class Text:
         if np.dtype(dtype).kind == "b":
             value = self.add(f"zext {self.type_of(dtype)} {value} to {kind}")
         place = self.add(f"getelementptr {kind}, ptr {base}, i64 {index}")
-        self.do(f"store {kind} {value}, ptr {place}, align {self._align(dtype, False)}")
-
-    def _align(self, dtype: Any, alike: bool) -> int:
-        return bytes_of(dtype) * (1 if alike else self.lanes)
+        self.do(f"store {kind} {value}, ptr {place}, align {bytes_of(dtype)}")
 
     # Nodes
     # ----------------------------------------------------------------------------------------------
@@ -353,7 +350,7 @@ class Text:
             *sorted(self.declared),
             "define void @run(i64 %first, i64 %last, ptr %given, ptr %out, ptr %work) #0 {",
             "entry:", *flushing, *head, *body, *restoring, "  ret void", "}",
-            f"attributes #0 = {{ nounwind {width} }}",
+            f"attributes #0 = {{ noinline nounwind {width} }}",
         ])  # fmt: skip
 
     def _flushing(self) -> tuple[list[str], list[str]]:

@@ -1,6 +1,8 @@
 """Learning by compiled programs, against XLA, and what they refuse."""
 
+import ctypes
 import dataclasses
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,7 @@ import pytest
 from cases import CASES, SCHEMES, case
 
 from jaxilc.learning import Disturbance, Sensor, learn
-from jaxilc.native import operations, run, why_not
+from jaxilc.native import code, operations, run, why_not
 from jaxilc.native.program import Unknown
 from jaxilc.native.run import Compiled, Native, differs
 
@@ -70,7 +72,7 @@ def test_every_case_learns_as_by_xla_or_is_refused_by_name(name):
 
 
 def test_numbers_do_not_depend_on_lanes_groups_threads_or_what_was_in_the_ram(monkeypatch):
-    """To the last bit: alone, in groups of 1, 3 and 8 lanes, on 1 and 5 threads, after NaN."""
+    """To the last bit: alone, in groups of 1, 3 and 8 lanes, on 1 and 5 threads, poisoned RAM."""
     common = arguments("ffdl_lead_limited")
     whole = jax.tree.leaves(Compiled(of_machine, common, 1.0)(common, GAINS))
 
@@ -81,18 +83,15 @@ def test_numbers_do_not_depend_on_lanes_groups_threads_or_what_was_in_the_ram(mo
 
     same(8, GAINS[4:5], slice(4, 5))
     same(1, GAINS[:3], slice(0, 3))
-    aligned = run._aligned
-
-    def poisoned(shape, dtype):
-        room = aligned(shape, dtype)
-        room.reshape(-1).view(np.uint8)[...] = 0xFF
-        return room
-
-    monkeypatch.setattr(run, "_aligned", poisoned)
-    monkeypatch.setattr(run, "_cores", lambda: 5)
-    same(4, GAINS, slice(None))
-    monkeypatch.setattr(run, "_cores", lambda: 1)
-    same(8, GAINS[::-1], slice(None, None, -1))
+    mallopt, poison = ctypes.CDLL(None).mallopt, -6
+    assert mallopt(poison, 0x80)  # what is allocated is full of 1.4e306
+    try:
+        for threads, lanes, order in ((5, 4, 1), (1, 8, -1)):
+            for module in (run, code):
+                monkeypatch.setattr(module, "cores", lambda threads=threads: threads)
+            same(lanes, GAINS[::order], slice(None, None, order))
+    finally:
+        mallopt(poison, 0)
 
 
 def test_a_machine_that_diverges_touches_no_other():
@@ -175,7 +174,7 @@ def test_why_not_names_the_reason():
 
 
 def test_without_llvmlite_the_reason_is_told(monkeypatch):
-    monkeypatch.setattr(run, "_llvm", run._llvm.__wrapped__)
+    monkeypatch.setattr(code, "_llvm", code._llvm.__wrapped__)
     monkeypatch.setitem(__import__("sys").modules, "llvmlite", None)
     monkeypatch.setitem(__import__("sys").modules, "llvmlite.binding", None)
     assert "pip install jaxilc[native]" in why_not(*case("p_type"))
@@ -183,12 +182,19 @@ def test_without_llvmlite_the_reason_is_told(monkeypatch):
 
 def test_machine_code_is_kept_and_what_was_damaged_is_compiled_again(monkeypatch, tmp_path):
     """The code of one program under the name of another is not run either."""
-    monkeypatch.setattr(run, "_folder", lambda: str(tmp_path))
-    common, optimised = arguments("p_type"), []
-    builder = run._llvm().create_pass_builder
+    monkeypatch.setattr(code, "_folder", lambda: str(tmp_path))
+    common, optimised, number = arguments("p_type"), [], itertools.count()
+    builder = code._llvm().create_pass_builder
     monkeypatch.setattr(
-        run._llvm(), "create_pass_builder", lambda *of: optimised.append(1) or builder(*of)
+        code._llvm(), "create_pass_builder", lambda *of: optimised.append(1) or builder(*of)
     )
+
+    def anew(text):
+        name = f"kept_{next(number)}"
+        code.Code(text).register(name)
+        return name
+
+    monkeypatch.setattr(run, "target", anew)
 
     def computed():
         return jax.tree.leaves(Compiled(of_machine, common, 1.0, lanes=2)(common, GAINS[:3]))

@@ -64,7 +64,8 @@ def test_slopes_are_the_same_in_tiles_under_jit_and_beside_others(monkeypatch):
     wanted = jax.jit(jax.vmap(by_all_leaves, (None, 0)))(common, GAINS)
     assert differs(whole, jax.tree.leaves(wanted)) is None
     monkeypatch.setattr(run, "AT_ONCE", 0)
-    monkeypatch.setattr(run, "_cores", lambda: 2)
+    monkeypatch.setattr(run, "cores", lambda: 2)
+    program = Compiled(by_all_leaves, common, 1.0, lanes=2)
     assert program.tile == 4
     for call in (program, jax.jit(program)):
         for x, y in zip(jax.tree.leaves(call(common, GAINS)), whole, strict=True):

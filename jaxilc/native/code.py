@@ -1,0 +1,328 @@
+"""Machine code for the processor at hand, from the text of a program, and how XLA calls it.
+
+The text of a program ends with a handler: the function that XLA calls with the buffers of operands
+and results (`jaxlib/include/xla/ffi/api/c_api.h`). It runs the groups of machines on threads of its
+own, each of which takes the next group that no other has taken.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import sys
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from .llvm import ALIGNED
+from .program import Unknown
+
+WIDEST = {"avx512f": 64, "avx": 32, "neon": 16}  # bytes of a register, by a feature
+# Places of fields in bytes in the structures of XLA's interface, versions 0.3 to 0.5.
+EXTENSION, API, OPERANDS, RESULTS = 8, 16, 72, 112  # of the frame of a call
+METADATA, MAJOR, MINOR, TRAITS = 24, 24, 28, 32  # of its extension, which asks for the version
+MINOR_OF_API = 36
+DATA, SIZES = 24, 40  # of a buffer
+LARGE, PAGE, HUGE = 2**22, 2**12, 14  # bytes of a result that is given huge pages, and the advice
+_targets: dict[str, Code] = {}
+_lock = threading.Lock()
+
+PART = """
+%task = type {{ i64, i64, i64, ptr, ptr, ptr }} ; next group, next thread, groups, given, out, work
+declare i32 @pthread_create(ptr, ptr, ptr, ptr)
+declare i32 @pthread_join(i64, ptr)
+declare i32 @madvise(ptr, i64, i32)
+
+define ptr @part(ptr %pointer) {{
+entry:
+  %task = load %task, ptr %pointer
+  %threads = getelementptr i64, ptr %pointer, i64 1
+  %thread = atomicrmw add ptr %threads, i64 1 monotonic
+  %groups = extractvalue %task %task, 2
+  %given = extractvalue %task %task, 3
+  %out = extractvalue %task %task, 4
+  %room = extractvalue %task %task, 5
+  %at = mul i64 %thread, {work}
+  %work = getelementptr i8, ptr %room, i64 %at
+  br label %next
+next:
+  %group = atomicrmw add ptr %pointer, i64 1 monotonic
+  %more = icmp slt i64 %group, %groups
+  br i1 %more, label %run, label %end
+run:
+  %after = add i64 %group, 1
+  call void @run(i64 %group, i64 %after, ptr %given, ptr %out, ptr %work)
+  br label %next
+end:
+  ret ptr null
+}}
+
+define ptr @handler(ptr %frame) {{
+  %task = alloca %task
+  %given = alloca ptr, i64 {operands}
+  %out = alloca ptr, i64 {results}
+{told}
+{begun}
+  %fewer = icmp slt i64 %groups, %cores
+  %wanted = select i1 %fewer, i64 %groups, i64 %cores
+  %ids = alloca i64, i64 %cores
+  br label %create
+create:
+  %i = phi i64 [1, %begin], [%i1, %created]
+  %all = icmp sge i64 %i, %wanted
+  br i1 %all, label %own, label %one
+one:
+  %id = getelementptr i64, ptr %ids, i64 %i
+  %failed = call i32 @pthread_create(ptr %id, ptr null, ptr @part, ptr %task)
+  %ready = icmp eq i32 %failed, 0
+  br i1 %ready, label %created, label %own
+created:
+  %i1 = add i64 %i, 1
+  br label %create
+own:
+  %none = call ptr @part(ptr %task)
+  br label %join
+join:
+  %j = phi i64 [1, %own], [%j1, %joined]
+  %done = icmp sge i64 %j, %i
+  br i1 %done, label %end, label %joined
+joined:
+  %its = getelementptr i64, ptr %ids, i64 %j
+  %thread = load i64, ptr %its
+  %ended = call i32 @pthread_join(i64 %thread, ptr null)
+  %j1 = add i64 %j, 1
+  br label %join
+end:
+  ret ptr null
+}}
+"""
+
+
+def callable_by_xla(text: str, operands: int, results: Sequence[int | None], work: int) -> str:
+    """The text of a program with its handler.
+
+    operands: number of operands, each a buffer
+    results: the bytes of each result for a group; None for one that nobody reads
+    work: bytes that a group needs
+
+    Further buffers of results are those that are read, with the groups as their first axis, and the
+    room for the work of all threads, see `room`.
+    """
+    lines: list[str] = []
+
+    def add(text: str) -> str:
+        lines.append(f"  %x{len(lines)} = {text}")
+        return f"%x{len(lines) - 1}"
+
+    def do(text: str) -> None:
+        lines.append(f"  {text}")
+
+    def place(base: str, offset: int | str) -> str:
+        return add(f"getelementptr i8, ptr {base}, i64 {offset}")
+
+    def field(base: str, offset: int, kind: str = "ptr") -> str:
+        return add(f"load {kind}, ptr {place(base, offset)}")
+
+    extension = field("%frame", EXTENSION)
+    asked = add(f"icmp ne ptr {extension}, null")
+    do(f"br i1 {asked}, label %version, label %begin\nversion:")
+    metadata, minor = field(extension, METADATA), field(field("%frame", API), MINOR_OF_API, "i32")
+    for value, offset in (("0", MAJOR), (minor, MINOR), ("0", TRAITS)):
+        do(f"store i32 {value}, ptr {place(metadata, offset)}")
+    do("ret ptr null")
+    told, lines = lines, [""] * len(lines)  # whose names are not given again
+    do("begin:")
+    given, found = field("%frame", OPERANDS), field("%frame", RESULTS)
+    number = 0
+    for i in range(operands):
+        do(f"store ptr {field(field(given, 8 * i), DATA)}, ptr {place('%given', 8 * i)}")
+    groups = field(field(field(found, 0), SIZES), 0, "i64")
+    for i, size in enumerate(results):
+        data = "null" if size is None else field(field(found, 8 * number), DATA)
+        do(f"store ptr {data}, ptr {place('%out', 8 * i)}")
+        number += size is not None
+        if size is not None and size >= LARGE and sys.platform == "linux":
+            first = add(f"ptrtoint ptr {data} to i64")
+            first = add(f"and i64 {add(f'add i64 {first}, {PAGE - 1}')}, -{PAGE}")
+            size = add(f"sub i64 {add(f'mul i64 {groups}, {size}')}, {PAGE}")
+            first = add(f"inttoptr i64 {first} to ptr")
+            add(f"call i32 @madvise(ptr {first}, i64 {size}, i32 {HUGE})")
+    buffer = field(found, 8 * number)
+    first = add(f"ptrtoint ptr {field(buffer, DATA)} to i64")
+    first = add(f"and i64 {add(f'add i64 {first}, {ALIGNED - 1}')}, -{ALIGNED}")
+    room = add(f"inttoptr i64 {first} to ptr")
+    task = ("i64 0", "i64 0", f"i64 {groups}", "ptr %given", "ptr %out", f"ptr {room}")
+    for i, value in enumerate(task):
+        do(f"store {value}, ptr {place('%task', 8 * i)}")
+    do(f"%groups = add i64 {groups}, 0")
+    do(f"%cores = add i64 {field(field(buffer, SIZES), 0, 'i64')}, 0")
+    return text + PART.format(
+        operands=max(operands, 1), results=max(len(results), 1), work=_whole(work),
+        told="\n".join(told), begun="\n".join(filter(None, lines)),
+    )  # fmt: skip
+
+
+def _whole(work: int) -> int:
+    """The bytes of so many of which the next are aligned."""
+    return -(-work // ALIGNED) * ALIGNED
+
+
+def room(work: int) -> tuple[int, int]:
+    """The shape of the room for the work of all threads, in bytes."""
+    return cores(), _whole(work) + ALIGNED
+
+
+def target(text: str) -> str:
+    """The name under which XLA calls the program of a text, which is compiled if it was not yet.
+
+    The name follows from the text, since XLA keeps programs with the names of what they call on
+    disk. A program stays for the life of the process.
+    """
+    name = f"jaxilc_{_key_of(text)}"
+    if name not in _targets:
+        code = Code(text)
+        with _lock:
+            if name not in _targets:
+                code.register(name)
+    return name
+
+
+@cache
+def _llvm() -> Any:
+    """The module of llvmlite, ready for this processor; raises Unknown without it."""
+    try:
+        import llvmlite.binding as llvm
+    except ImportError as error:
+        raise Unknown("llvmlite is not installed: pip install jaxilc[native]") from error
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm
+
+
+@cache
+def width() -> int:
+    """The bytes of a register of this processor."""
+    known = _llvm().get_host_cpu_features()
+    return next((size for name, size in WIDEST.items() if known.get(name)), 16)
+
+
+class Code:
+    """The machine code of a text."""
+
+    def __init__(self, text: str):
+        llvm = _llvm()
+        machine = llvm.Target.from_default_triple().create_target_machine(
+            cpu=llvm.get_host_cpu_name(),
+            features=llvm.get_host_cpu_features().flatten(),
+            opt=3,
+            jit=True,
+        )
+        try:
+            module = llvm.parse_assembly(text)
+        except RuntimeError as error:
+            raise Unknown(f"LLVM refuses the program: {error}".replace("\n", " ")) from error
+        module.triple, module.data_layout = machine.triple, str(machine.target_data)
+        module.verify()
+        place = _place_of(text)
+        known = None if place is None else _kept(place)
+        if known is None:
+            options = llvm.create_pipeline_tuning_options(speed_level=2)
+            options.loop_vectorization = options.slp_vectorization = False
+            builder = llvm.create_pass_builder(machine, options)
+            builder.getModulePassManager().run(module, builder)
+        for function in module.functions:
+            if function.is_declaration and not function.name.startswith("llvm."):
+                llvm.add_symbol(function.name, _address(function.name))
+        self._engine = llvm.create_mcjit_compiler(module, machine)
+        if place is not None:
+            self._engine.set_object_cache(
+                lambda _, compiled: _keep(place, compiled), lambda _: known
+            )
+        self._engine.finalize_object()
+
+    def register(self, name: str) -> None:
+        """Let XLA call it under a name that has no other."""
+        kind = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
+        handler = jax.ffi.pycapsule(kind(self._engine.get_function_address("handler")))
+        jax.ffi.register_ffi_target(name, handler, platform="cpu", api_version=1)
+        _targets[name] = self
+
+
+def _place_of(text: str) -> Path | None:
+    """The file of the machine code of a text, beside the programs that JAX keeps; None for none."""
+    folder = _folder()
+    if not folder:
+        return None
+    return Path(folder) / f"native-{_key_of(text)}"
+
+
+def _key_of(text: str) -> str:
+    """What the machine code of a text depends on, in short."""
+    processor = _llvm().get_host_cpu_name(), _llvm().get_host_cpu_features().flatten()
+    of = "\0".join((metadata.version("llvmlite"), *processor, text))
+    return hashlib.sha256(of.encode()).hexdigest()
+
+
+def _folder() -> str | None:
+    """The folder in which JAX keeps its programs."""
+    kept = jax.config.jax_enable_compilation_cache
+    return jax.config.jax_compilation_cache_dir if kept else None
+
+
+def _kept(place: Path) -> bytes | None:
+    """The machine code of a file; None where there is none, or not what was written under its name.
+
+    Machine code that was damaged, or exchanged for another, would do anything.
+    """
+    try:
+        found = place.read_bytes()
+    except OSError:
+        return None
+    return found[32:] if found[:32] == _seal(place, found[32:]) else None
+
+
+def _keep(place: Path, compiled: bytes) -> None:
+    """Write machine code at once or not at all."""
+    beside = place.with_name(f"{place.name}.{os.getpid()}.{threading.get_ident()}")
+    with suppress(OSError):
+        beside.write_bytes(_seal(place, compiled) + compiled)
+        beside.replace(place)
+
+
+def _seal(place: Path, compiled: bytes) -> bytes:
+    return hashlib.sha256(place.name.encode() + b"\0" + compiled).digest()
+
+
+def in_vectors(lanes: int, name: str, operands: int) -> str | None:
+    """The name of a function of the C library for a vector of numbers; None where it has none."""
+    letter, feature = {8: ("e", "avx512f"), 4: ("d", "avx2"), 2: ("b", "sse2")}.get(lanes, ("", ""))
+    if not _llvm().get_host_cpu_features().get(feature):
+        return None
+    found = f"_ZGV{letter}N{lanes}{'v' * operands}_{name}"
+    try:
+        _address(found)
+    except Unknown:
+        return None
+    return found
+
+
+def _address(name: str) -> int:
+    """The address of a function of the C library; raises Unknown where there is none."""
+    for library in (None, "libm.so.6", "libmvec.so.1"):
+        try:
+            found = getattr(ctypes.CDLL(library), name)
+        except (OSError, AttributeError, TypeError):
+            continue
+        return ctypes.cast(found, ctypes.c_void_p).value or 0
+    raise Unknown(f"{name}, which is not in the C library")
+
+
+def cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
