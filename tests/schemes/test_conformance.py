@@ -24,29 +24,41 @@ LANES = 3  # of a batch
 LONG = {"p_type_switchable", "asmc_carried_limited"}
 # Without jit each operation is compiled by itself, which takes seconds. So this is for the plants,
 # filters and laws that ask whether values are known.
-WITHOUT_JIT = (
-    "p_type_butterworth",
-    "norm_optimal",
-    "basis_rational",
-    "asmc_carried_limited",
-    "fast_tool_servo_nonlinear",
-)
-# All lines of code that these run are those of other cases.
+WITHOUT_JIT = ("p_type_butterworth", "norm_optimal", "fast_tool_servo_nonlinear")
+# All lines of code that these run are those of other cases, as the coverage of each case tells.
 ALIKE = {
     "pid_position",
+    "pid_feedforward",
     "p_type",
     "pd_type",
+    "cfdl_book",
     "cfdl_none",
+    "cfdl_lead_limited",
     "pfdl_book",
     "pfdl_sign",
     "pfdl_none",
+    "ffdl_none",
     "cfdl_smooth",
+    "cfdl_mfac",
+    "pfdl_mfac",
+    "ilc_mfapc",
     "p_type_fir",
+    "ffdl_fir",
     "p_type_over_pid",
     "p_type_on_table",
     "learning_filter",
+    "higher_order",
+    "dilc",
     "voice_coil_exact",
+    "voice_coil_printed",
     "voice_coil_dai",
+    "arx",
+    "continuous",
+    "discrete",
+    "mimo",
+    "motor",
+    "motor_and_table",
+    "pendulum",
 }
 
 
@@ -54,9 +66,7 @@ PARTED = (  # one of each kind
     "p_type_ladder",
     "ffdl_book",
     "norm_optimal",
-    "constrained",
-    "basis_functions",
-    "higher_order",
+    "higher_order_leaky_limited",
     "keep_unmeasured",
     "ilc_asmc",
 )
