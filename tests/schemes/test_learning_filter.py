@@ -92,10 +92,10 @@ def test_matrices_and_segments_are_the_sum_over_their_taps():
 
 def test_derivatives_are_those_of_the_sum():
     random = np.random.default_rng(5)
-    for shape in ((7,), (7, 2, 3)):
+    for shape, order in (((7,), 1), ((7, 2, 3), 2)):
         taps = jnp.asarray(random.standard_normal(shape))
         signal = jnp.asarray(random.standard_normal((30, 3)))
-        jax.test_util.check_grads(correlated, (taps, signal), order=2, atol=1e-5, rtol=1e-5)
+        jax.test_util.check_grads(correlated, (taps, signal), order=order, atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.parametrize("late", [30, 190])

@@ -139,6 +139,10 @@ class Case(NamedTuple):
     share: str  # path of one weight
 
 
+# The last case holds both, so it alone is enough where a program takes seconds to compile.
+both = pytest.mark.parametrize("case", ["both, under feedback"], indirect=True, scope="module")
+
+
 def law(gains, **limits):
     return PIDType(gamma_p=gains[0], gamma_d=gains[1], **limits)
 
@@ -165,6 +169,7 @@ def test_they_learn(case):
     np.testing.assert_allclose(ours.rms, theirs.rms, **ALGEBRA)
 
 
+@both
 def test_a_machine_plays_them(case, tmp_path):
     memories = [learn(MACHINE, s, TASK, TRIALS).memory for s in (case.own, case.theirs)]
     ours, theirs = (
@@ -184,6 +189,7 @@ def test_a_machine_plays_them(case, tmp_path):
         np.testing.assert_allclose(rows, turns[1].schedules[name], **ALGEBRA)
 
 
+@both
 def test_theory_claims_the_same_of_them(case):
     drawn = draw(MACHINE, GAIN, 3)
     ours, theirs = (
@@ -200,12 +206,14 @@ def test_theory_claims_the_same_of_them(case):
     np.testing.assert_allclose(ours.value, theirs.value, rtol=1e-8)
 
 
+@both
 def test_a_sweep_runs_them(case):
     schemes = {"ours": case.own, "theirs": case.theirs}
     found = Sweep(MACHINE, schemes, TASK, 3, GAIN, samples=4, lanes=2).run()["rms"]
     np.testing.assert_allclose(found.sel(scheme="ours"), found.sel(scheme="theirs"), **ALGEBRA)
 
 
+@both
 def test_their_weights_are_tuned_by_name(case):
     assert case.share in named_leaves(case.own)
     problem = Tuning(
@@ -242,10 +250,11 @@ class Silent(Scheme):
         return Kept(self.field.learn(memory.inner, trial), memory.trials + 1)
 
 
-@pytest.mark.parametrize("around", [lambda s: s, lambda s: WithFeedback(s, FEEDBACK)])
-def test_a_limit_of_a_scheme_that_is_no_part_is_not_claimed_away(around):
+def test_a_limit_of_a_scheme_that_is_no_part_is_not_claimed_away():
     """The error of a P-type law with a limit stalls, so that `monotone` would be wrong."""
-    free, limited = (around(Silent(PIDType(gamma_p=0.5, limit=x))) for x in (None, 0.3))
+    free, limited = (
+        WithFeedback(Silent(PIDType(gamma_p=0.5, limit=x)), FEEDBACK) for x in (None, 0.3)
+    )
     assert set(certify(MACHINE, free, TASK, 5, {}, {}).claim) != {"not claimed"}
     found = certify(MACHINE, limited, TASK, 5, {}, {})
     assert set(found.claim) == {"not claimed"}
