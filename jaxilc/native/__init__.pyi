@@ -1,5 +1,7 @@
+from .function import compiled
 from .run import why_not
 
 __all__ = [
+    "compiled",
     "why_not",
 ]

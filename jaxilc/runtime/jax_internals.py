@@ -2,11 +2,11 @@
 
 These parts are `jax.extend.core.Primitive`, `jax.interpreters` (`ad`, `batching`, `mlir`) and
 `jax.experimental.layout`. `rows_together` uses them to set the layout of arrays in RAM,
-`product_by_columns` to give a product its derivatives, and `with_slope` to give them to any
-function. The fallback of the first does nothing, that of the second leaves the derivatives to JAX,
-and that of the third is `jax.custom_jvp`; then programs are slower, and results are the same up to
-their rounding, but for second derivatives in reverse mode, which lose a part. The fallbacks are
-used
+`product_by_columns` to give a product its derivatives, `with_slope` to give them to any function,
+and `with_batches` to give a function a rule for batches. The fallback of the first does nothing,
+that of the second leaves the derivatives to JAX, that of the third is `jax.custom_jvp`, and that of
+the last is `custom_vmap`; then programs are slower, and results are the same up to their rounding,
+but for second derivatives in reverse mode, which lose a part. The fallbacks are used
 
     if this version of JAX lacks one of these parts, or they behave differently. A RuntimeWarning,
     once in a process, reports this and names the version.
@@ -25,13 +25,14 @@ import os
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_batching import custom_vmap
 
 SWITCH = "JAXILC_JAX_INTERNALS"
 COLUMNS = 8  # of a matrix, up to which their sum is faster than a matrix product
@@ -107,6 +108,26 @@ def once(arguments: Any, refusal: str) -> Any:
     return jax.tree.map(with_slope(lambda x: x, refuse), arguments)
 
 
+def with_batches(
+    function: Callable[..., list], batched: Callable[..., list], outs: tuple[Any, ...]
+) -> Callable[..., list]:
+    """The function of arrays, with a rule of its own for a batch.
+
+    `jax.custom_batching.custom_vmap` says the same, but traces the function even where only its
+    rule is used. Here it is traced when it is computed.
+
+    batched: the results of a batch, from its size, whether each argument has an axis of the batch
+        in front, and the arguments
+    outs: shape and type of each result of the function
+    """
+    known = _found()[0]
+    if known is None:
+        plain = custom_vmap(function)
+        plain.def_vmap(lambda count, moved, *x: (batched(count, moved, *x), [True] * len(outs)))
+        return plain
+    return partial(known.batches, function=function, rule=batched, outs=outs)
+
+
 def sealed_programs() -> None:
     """Let JAX keep a program together with a checksum over it and its key.
 
@@ -154,11 +175,13 @@ class Known(NamedTuple):
     rows: that of `rows_together`
     product: that of `product_by_columns`
     ruled: that of `with_slope`
+    batches: that of `with_batches`
     """
 
     rows: Callable[..., Any]
     product: Callable[..., Any]
     ruled: Callable[..., Any]
+    batches: Callable[..., Any]
 
 
 @cache
@@ -167,7 +190,9 @@ def _found() -> tuple[Known | None, str | None]:
     if os.environ.get(SWITCH, "") == "off":
         return None, f"{SWITCH} is off"
     try:
-        known = Known(_rows_primitive(), _product_primitive(), _ruled_primitive())
+        known = Known(
+            _rows_primitive(), _product_primitive(), _ruled_primitive(), _batches_primitive()
+        )
         _try_out(known)
     except Exception as error:  # another version of JAX may raise any error
         reason = f"{type(error).__name__}: {error}"
@@ -301,6 +326,31 @@ def _ruled_primitive() -> Callable[..., Any]:
     return ruled.bind
 
 
+def _batches_primitive() -> Callable[..., Any]:
+    """The function `bind(*x, function, rule, outs)` of a primitive with a rule for batches."""
+    from jax.extend.core import Primitive
+    from jax.interpreters import batching, mlir
+
+    def batched(x, dims, *, rule, **_):
+        moved = [d is not None for d in dims]
+        front = [jnp.moveaxis(a, d, 0) if m else a for a, d, m in zip(x, dims, moved, strict=True)]
+        found = rule(front[moved.index(True)].shape[0], moved, *front)
+        return found, [0] * len(found)
+
+    def evaluated(*x, function, **_):
+        return function(*x)
+
+    batches = Primitive("batches")
+    batches.multiple_results = True
+    batches.def_impl(evaluated)
+    batches.def_abstract_eval(
+        lambda *_, outs, **how: [jax.core.ShapedArray(x.shape, x.dtype) for x in outs]
+    )
+    mlir.register_lowering(batches, mlir.lower_fun(evaluated, multiple_results=True))
+    batching.primitive_batchers[batches] = batched
+    return batches.bind
+
+
 def _try_out(known: Known) -> None:
     """Try the primitives with `vmap`, `grad`, `jvp` and the lowering to XLA, without compiling.
 
@@ -312,6 +362,10 @@ def _try_out(known: Known) -> None:
         product = known.product(turned[0] * turned[1], x[0])
         return jnp.sum(known.ruled(product, value=lambda x: x, slope=lambda x, dx: dx)[0])
 
+    def batch(x):
+        double = {"function": lambda x: [2 * x], "rule": lambda n, moved, x: [2 * x]}
+        return known.batches(x, **double, outs=(jax.ShapeDtypeStruct(x.shape, x.dtype),))
+
     one = jax.ShapeDtypeStruct((2, 3, 1), jnp.result_type(float))
-    whole = jax.vmap(lambda x: (jax.grad(all_ways)(x), jax.jvp(all_ways, (x,), (x,))))
+    whole = jax.vmap(lambda x: (jax.grad(all_ways)(x), jax.jvp(all_ways, (x,), (x,)), batch(x)))
     jax.jit(whole).lower(one)

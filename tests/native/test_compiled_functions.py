@@ -1,0 +1,82 @@
+"""Functions whose programs compose with the transformations of JAX."""
+
+import dataclasses
+import logging
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import case
+
+from jaxilc.learning import learn
+from jaxilc.native import compiled, operations
+from jaxilc.native.run import differs
+from jaxilc.pytree.named_paths import replaced
+from jaxilc.runtime import jax_internals
+
+LAM, B = jnp.array([0.5, 0.6]), 1 + 0.01 * jnp.arange(-8, 9)
+machine, scheme, task = case("p_type")
+
+
+def rms(machine, scheme):
+    return learn(machine, scheme, task, 4).rms
+
+
+def by_weights(function):
+    """The errors by a gain of the scheme and by one of the plant, relative."""
+
+    def errors(gain, b):
+        one = replaced(machine, {"plant.b": machine.plant.b * b})
+        return function(one, replaced(scheme, {"gamma_p": scheme.gamma_p * gain}))
+
+    return errors
+
+
+def last(function):
+    return lambda *at: by_weights(function)(*at)[-1, 0]
+
+
+def both(function):
+    """By two nested batches, 34 machines; and values with slopes of 17."""
+    over = jax.vmap(jax.vmap(by_weights(function), (None, 0)), (0, None))
+    slopes = jax.vmap(jax.value_and_grad(last(function), argnums=(0, 1)), (None, 0))
+    return jax.jit(lambda: (jnp.concatenate(over(LAM, B)), slopes(0.7, B)))()
+
+
+def test_a_compiled_function_composes_with_jit_vmap_and_grad(caplog):
+    caplog.set_level(logging.INFO, "jaxilc")
+    found, wanted = both(compiled(rms, machine, scheme)), both(rms)
+    assert caplog.text.count("a program for this processor") == 3  # forward for two batches, back
+    assert differs(found, wanted) is None
+    assert any(np.any(x != y) for x, y in zip(*map(jax.tree.leaves, (found, wanted)), strict=True))
+
+
+def test_it_does_so_without_primitives_and_where_the_batch_is_inside_the_slope(monkeypatch):
+    monkeypatch.setattr(jax_internals, "_found", lambda: (None, "off"))
+    fast = compiled(rms, machine, scheme)
+
+    def slope(function):
+        return jax.grad(lambda gain: jnp.sum(jax.vmap(last(function), (None, 0))(gain, B)))(0.7)
+
+    np.testing.assert_allclose(slope(fast), slope(rms), rtol=1e-9)
+    np.testing.assert_allclose(fast(machine, scheme), rms(machine, scheme), rtol=1e-9)
+
+
+def test_a_wrong_program_is_told_while_jax_traces_and_xla_computes(monkeypatch, caplog):
+    wrong = dataclasses.replace(operations.INSTRUCTIONS["sub"], text={"f": "fadd"})
+    monkeypatch.setitem(operations.INSTRUCTIONS, "sub", wrong)
+    over = [
+        jax.jit(jax.vmap(by_weights(f), (None, 0))) for f in (compiled(rms, machine, scheme), rms)
+    ]
+    np.testing.assert_array_equal(*(f(1.0, B) for f in over))
+    assert "XLA computes instead" in caplog.text
+
+
+def test_arguments_are_those_of_the_example_in_shape_and_type():
+    fast = compiled(lambda x, n: {"y": x * n}, np.ones(3), 2)
+    np.testing.assert_array_equal(fast(np.arange(3.0), 4)["y"], [0, 4, 8])  # by XLA
+    with pytest.raises(ValueError, match=r"compiled: arguments\[0\] = float64\[2\] is not float64"):
+        fast(np.ones(2), 2)
+    with pytest.raises(ValueError, match=r"compiled: arguments = .* as in the example"):
+        fast(np.ones(3))
