@@ -48,10 +48,9 @@ from jaxilc.plants import ProcessModel, StateSpace, TimeVaryingStateSpace
 from jaxilc.schemes import ASMC, CFDLMFAILC, SMC, ExponentialPD, Filtered, PIDType, WithFeedback
 from jaxilc.signals.task import Trial
 from jaxilc.theory import bounds_of, frequency
-from jaxilc.theory.frequency import tried_plants
+from jaxilc.theory.frequency import bound_of_set, tried_plants
 from jaxilc.theory.law import law_of
 from jaxilc.theory.sliding import printed_condition, sampled_condition, sliding
-from jaxilc.theory.whole_set import bound_of_set
 from jaxilc.uncertainty import Uniform
 
 PREMISES = ("linear", "alone", "signs", "damped", "printed")

@@ -18,7 +18,7 @@ import scipy.signal
 from output import axes, folder, measured_folder, write_rows
 
 import jaxilc
-from jaxilc.identification import grow_response, modal_lines, read_frequency_response
+from jaxilc.identification import grow_response, grown_response, read_frequency_response
 from jaxilc.theory.on_lines import MeasuredResponse
 
 DT, MOTIONS, ORDERS = 1e-3, range(1, 8), (4, 8, 12, 18, 20)
@@ -97,7 +97,7 @@ def compared(measured):
             P = vector_fitting(f[among], G[among], weights[among], order, f[judged])
             rows.append({**row, "by": "vector fitting", **quality(G[judged], P, good)})
             one = next(one for one in grown if one.parts.order == order)
-            P = modal_lines.columns(one.found.theta, one.parts, f[judged], DT) @ one.found.N
+            P = grown_response.columns(one.found.theta, one.parts, f[judged], DT) @ one.found.N
             by = "grown, chosen" if one is chosen else "grown"
             rows.append({**row, "by": by, **quality(G[judged], P, good)})
     return rows, {one.parts.order: one for one in models}, chosen
@@ -203,7 +203,7 @@ def learned(loop, design, num, den, trials):
         ends = scipy.signal.windows.tukey(N, 2 * ENDS / (N * DT))
         f = np.fft.rfftfreq(2 * N, DT)
         at = np.maximum(f, f[1] / 10)
-        P = modal_lines.columns(design.found.theta, design.parts, at, DT) @ design.found.N
+        P = grown_response.columns(design.found.theta, design.parts, at, DT) @ design.found.N
         later = np.exp(-2j * np.pi * at * DT)
         C = np.polyval(num[::-1], later) / np.polyval(den[::-1], later)
         Q, inverse = 1 / (1 + (f / CUTOFF) ** 4), (1 + P * C) / P
@@ -225,7 +225,7 @@ def learned(loop, design, num, den, trials):
 def drawn(out, measured, one, told, errors, floor) -> None:
     """The pictures: the response and its model, an error that was predicted, and learning."""
     f, G = measured.frequencies, measured.response
-    P = modal_lines.columns(one.found.theta, one.parts, f, DT) @ one.found.N
+    P = grown_response.columns(one.found.theta, one.parts, f, DT) @ one.found.N
     place = axes(size=(7.2, 3.6))
     place.loglog(f, np.abs(G), ".", color="0.6", ms=3, label="measured")
     place.loglog(f, np.abs(P), color="C0", lw=1.2, label=f"model of order {one.parts.order}")
@@ -265,7 +265,7 @@ def main() -> None:
     predictions, loops, told = [], {}, {}
     for order in sorted({8, 12, 14, 18, chosen.parts.order}):
         one = models[order]
-        plant = modal_lines.model_of(modal_lines.values_of(one.found, one.parts), one.parts)
+        plant = grown_response.model_of(grown_response.values_of(one.found, one.parts), one.parts)
         loops[order] = closed_loop(plant, num, den)
         rows, told[order] = predicted(loops[order], trials, order)
         predictions += rows

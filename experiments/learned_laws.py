@@ -47,8 +47,8 @@ from learned_opponents import (
 import jaxilc
 from jaxilc import Sweep
 from jaxilc.design.candidates import Absent, candidates
+from jaxilc.design.judging import proof_of
 from jaxilc.design.learned import STARTS, LearnedLaw
-from jaxilc.design.proof import proof_of
 from jaxilc.design.responses import Family, designed_on, family_of
 from jaxilc.design.tuned import contraction
 from jaxilc.design.window import Filters, Window

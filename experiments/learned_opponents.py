@@ -19,10 +19,16 @@ from pathlib import Path
 import numpy as np
 from learned_families import Case
 
-from jaxilc.design.candidates import INVERSE_GAINS, Absent, Candidate
+from jaxilc.design.candidates import (
+    INVERSE_GAINS,
+    ORDER,
+    Absent,
+    Candidate,
+    response_of_pd,
+    rms_of,
+    widest,
+)
 from jaxilc.design.responses import Family
-from jaxilc.design.safe_weights import ORDER, response_of_pd, widest
-from jaxilc.design.simulated import rms_of
 from jaxilc.design.tuned import tuned
 from jaxilc.filters import ZeroPhaseButterworth, stable_inverse, zpetc
 from jaxilc.plants import StateSpace

@@ -22,7 +22,7 @@ from output import folder, measured_folder, write_rows
 
 import jaxilc
 from jaxilc import theory
-from jaxilc.identification import grow_response, modal_lines, read_frequency_response
+from jaxilc.identification import grow_response, grown_response, read_frequency_response
 from jaxilc.pytree.fields import leaf, pytree
 from jaxilc.schemes import LearningFilter, RepetitiveControl, Scheme, WithFeedback
 from jaxilc.theory.on_lines import MeasuredResponse
@@ -82,7 +82,7 @@ def row(run, told, e, recorded):
 
 def plant_at(one, f):
     """P of a model at frequencies [Hz]."""
-    return modal_lines.columns(one.found.theta, one.parts, f, DT) @ one.found.N
+    return grown_response.columns(one.found.theta, one.parts, f, DT) @ one.found.N
 
 
 def transfer(one, num, den, f):
@@ -180,7 +180,7 @@ def main() -> None:
 
     models = {one.parts.order: one for one in grow_response(measured, dt=DT)[0]}
     plants = {
-        order: modal_lines.model_of(modal_lines.values_of(one.found, one.parts), one.parts)
+        order: grown_response.model_of(grown_response.values_of(one.found, one.parts), one.parts)
         for order, one in models.items()
         if order in (DESIGN, ACTUAL)
     }

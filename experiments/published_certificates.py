@@ -13,7 +13,7 @@ import output
 
 import jaxilc
 from jaxilc import theory
-from jaxilc.theory.printed import printed_conditions
+from jaxilc.theory.certificates import printed_conditions
 
 jaxilc.setup()
 folder = output.folder(__file__)

@@ -4,8 +4,8 @@ from .filters import inversion
 from .filters.switching import SwitchableFilter, instantaneous_frequency, segments
 from .hardware.campaign import Campaign
 from .identification.estimation import identify
-from .identification.record_files import read_record
-from .identification.records import Record, excite, write_record
+from .identification.record_files import read_record, write_record
+from .identification.records import Record, excite
 from .learning.known_metrics import Metrics
 from .learning.machine import Actuator, Disturbance, Machine, Sensor
 from .learning.metrics import Keep, measure, repeatability

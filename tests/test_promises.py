@@ -277,7 +277,7 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         ),
         r"drawn ones and, up to (\w+) uncertain": lambda: of(f"{THEORY}.frequency.CORNERS"),
         r"affine in each of up to (\w+) uncertain": lambda: of(f"{THEORY}.frequency.CORNERS"),
-        r"up to (\w+) of its zeros, poles": lambda: of(f"{THEORY}.whole_set.MOST_NUMBERS"),
+        r"up to (\w+) of its zeros, poles": lambda: of(f"{THEORY}.frequency.MOST_NUMBERS"),
         r"At the start, (\d+) machines are drawn": lambda: of(f"{BAND}.MACHINES"),
         r"band of a trial holds (\d+) % of them": lambda: 100 * (1 - 2 * of(f"{BAND}.OUTSIDE")),
         r"outside its band in one trial of (\w+),": lambda: 0.5 / of(f"{BAND}.OUTSIDE"),
@@ -288,9 +288,7 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
             of(f"{BAND}.WORK") // (of(f"{BAND}.MACHINES") * 2000),
             2000,
         ),
-        r"more than ([\d,]+) samples together": lambda: of(
-            "jaxilc.hardware.as_record.MOST_SAMPLES"
-        ),
+        r"more than ([\d,]+) samples together": lambda: of("jaxilc.hardware.campaign.MOST_SAMPLES"),
         r"It is under (\d) MB": lambda: math.ceil(of("jaxilc.figures.report.ROOM") / 1e6),
         r"more than ([\d.]+) times its least": lambda: 1 + of("jaxilc.learning.divergence.GROWTH"),
         r"(\w+) at least\) is more than (\d) % below .* at most (\d) % less": lambda: (

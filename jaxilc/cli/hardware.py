@@ -126,8 +126,7 @@ def next_(
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
-    from ..hardware.short_trials import read_short
-    from ..hardware.trial_files import OPTIONS, read_measured
+    from ..hardware.trial_files import OPTIONS, read_measured, read_short
     from ..scenarios.campaigns import Given, open_campaign
 
     begin()

@@ -5,7 +5,7 @@ Each law has a few weights. A grid of them is looked at in frequency, over all m
 
     |Q (1 - L P)| <= 1 - margin    at each frequency, on each machine
 
-Of P-type and PD-type laws the best by this prediction are simulated (`simulated`), since their lead
+Of P-type and PD-type laws the best by this prediction are simulated (`rms_of`), since their lead
 costs the end of the trial.
 """
 
@@ -14,7 +14,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
+import scipy.fft
 
 from ..filters import ZeroPhaseBandStop, ZeroPhaseButterworth
 from ..filters.inversion import stable_inverse
@@ -29,9 +31,9 @@ from ..schemes import (
     learning_filter,
 )
 from ..signals.task import Task
-from ..theory.loop import minimal
+from ..theory.loop import Loop, minimal
+from ..theory.on_lines import Change, Lines, largest_cutoff, low_pass
 from .responses import Family, resonance_band
-from .safe_weights import ORDER, Found, best_simulated, response_of_pd, widest
 
 GAINS = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)  # of the inverse of the largest steady gain
 INVERSE_GAINS = (0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
@@ -283,3 +285,229 @@ def _named(bounds: dict[str, Any], feedback: Scheme | None) -> dict[str, Any]:
 
 def _model(family: Family, task: Task) -> StateSpace:
     return StateSpace(*minimal(family.loops[0], task.N), dt=task.dt)
+
+
+# Weights that are safe by frequency
+# --------------------------------------------------------------------------------------------------
+
+ORDER = 2  # of the robustness filter, in one pass
+SHARES = (0.98, 0.75, 0.55, 0.4)  # of the largest cutoff that is allowed
+ALIKE = 3  # laws of one lead that are kept
+SIMULATED = 96  # laws that are simulated, with the ends of the trial
+ROUNDS, STRIDE, SHORTEST = 12, 1.5, 1.06  # of the search around the best one: number, factors
+LOWER = 0.998  # share of the error that counts as lower
+# of this search: powers of the factor for gain and cutoff, and steps of the lead
+STEPS = (
+    (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1),
+    (1, -1, 0), (-1, 1, 0), (0, 1, -1), (0, -1, 1), (1, 0, -1), (-1, 0, 1),
+)  # fmt: skip
+EDGES = ((1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1))  # and for both edges of a notch
+NARROWER = 0.25  # power of the factor for an edge
+
+
+class Found(NamedTuple):
+    """Weights of the least predicted error, with that error and the largest contraction."""
+
+    weights: dict[str, float]
+    predicted: float
+    largest: float
+
+
+def widest(family: Family, laws, task: Task, trials: int, margin: float) -> list[Found]:
+    """Laws with cutoffs that keep the margin: of each lead the `ALIKE` of least predicted error.
+
+    They come in the order of their predicted errors.
+
+    laws: dictionaries of weights, with the response `L` (F,) of u' = keep (u + L e) before the
+        filter, and `keep` where it is not 1
+    """
+    lowest, highest = min(2 / task.duration, 0.05 / task.dt), min(0.45 / task.dt, family.highest)
+    still = Change(1.0, 0, np.inf, ORDER)
+    found: dict[Any, list[Found]] = {}
+    for law in laws:
+        L, keep = law.pop("L"), law.pop("keep", np.ones(len(family.frequencies)))
+        lines = Lines(family.frequencies, family.P, 0.0 * family.P.real, keep, keep * L, task.dt)
+        most = largest_cutoff([lines], still, 1 - margin, lowest)
+        for share in SHARES:
+            if most is None:
+                break
+            cutoff = min(share * most, highest)
+            with_filter = keep * low_pass(family.frequencies, cutoff, task.dt, ORDER)
+            weights = law | {"cutoff": float(cutoff)}
+            alike = found.setdefault(law.get("lead"), [])
+            _add(family, alike, weights, with_filter, L, trials, margin)
+    return sorted((one for alike in found.values() for one in alike), key=lambda one: one.predicted)
+
+
+def _add(family, alike: list[Found], weights, Q, L, trials, margin) -> None:
+    """Add weights that keep the margin to the best ones, if they are among these."""
+    full = len(alike) == ALIKE
+    if full and alike[-1].predicted <= family.rms(Q, L, trials, [0])[0]:
+        return  # without a look at the other machines
+    largest = float(family.largest(Q, L))
+    if not largest <= 1 - margin:
+        return
+    predicted = float(np.max(family.rms(Q, L, trials)))
+    if not full or predicted < alike[-1].predicted:
+        alike.append(Found(weights, predicted, largest))
+        alike.sort(key=lambda one: one.predicted)
+        del alike[ALIKE:]
+
+
+def best_simulated(
+    family: Family, found: list[Found], task: Task, trials: int, margin: float
+) -> Found:
+    """The law of least error where the ends of the trial count too: the best found, and around it.
+
+    What noise adds to each is that of the frequency response. From the best law found the search
+    goes on by steps of gain, cutoff and lead, alone and in pairs, that keep the margin and lower
+    the error; where none does, the steps become shorter.
+    """
+    found = found[:SIMULATED]
+    sizes = np.abs(family.P).sum(axis=1)
+    which = np.unique(np.r_[0, np.argsort(sizes)[:: max(1, len(sizes) // 4)], np.argmax(sizes)])
+    loops = [family.loops[i] for i in which]
+    quiet = family._replace(error=0 * family.error)
+
+    def errors_of(laws):
+        errors = rms_of(loops, family.first_error, laws, task.dt, trials, ORDER)
+        noise = [np.max(quiet.rms(*_responses(family, law, task.dt), trials)) for law in laws]
+        return np.nan_to_num(np.hypot(np.max(errors, axis=1), noise), nan=np.inf)
+
+    errors = errors_of([one.weights for one in found])
+    best, stride = found[int(np.argmin(errors))]._replace(predicted=float(np.min(errors))), STRIDE
+    for _ in range(ROUNDS):
+        near = [one for law in _beside(best.weights, stride, task)
+                if (one := _kept(family, law, task.dt, margin))]  # fmt: skip
+        errors = errors_of([one.weights for one in near]) if near else np.array([np.inf])
+        if np.min(errors) < LOWER * best.predicted:
+            best = near[int(np.argmin(errors))]._replace(predicted=float(np.min(errors)))
+        elif stride < SHORTEST:
+            break
+        else:
+            stride = stride**0.5
+    return best
+
+
+def _beside(weights: dict[str, Any], stride: float, task: Task) -> list[dict[str, Any]]:
+    """Laws beside one: its gain, cutoff and edges by a factor, its lead by some samples."""
+    lead, cutoff = int(weights["lead"]), weights["cutoff"]
+    some = max(1, round(lead * (stride - 1) / 2))
+    laws = []
+    for gain, width, longer in STEPS:
+        changed = weights | {name: weights[name] * stride**gain for name in ("gamma_p", "gamma_d")}
+        changed |= {"lead": lead + longer * some, "cutoff": cutoff * stride**width}
+        if 0 <= changed["lead"] < task.N // 2 and changed["cutoff"] < 0.45 / task.dt:
+            laws.append(changed)
+    for steps in EDGES if "low" in weights else ():
+        low, high = (
+            weights[edge] * stride ** (NARROWER * step)
+            for edge, step in zip(("low", "high"), steps, strict=True)
+        )
+        if low < high < 0.45 / task.dt:
+            laws.append(weights | {"low": low, "high": high})
+    return laws
+
+
+def _kept(family: Family, law: dict[str, Any], dt: float, margin: float) -> Found | None:
+    """The law with its contraction, or None if it does not keep the margin or the cutoff."""
+    if law["cutoff"] > family.highest:
+        return None
+    largest = float(family.largest(*_responses(family, law, dt)))
+    return Found(law, np.inf, largest) if largest <= 1 - margin else None
+
+
+def _responses(family: Family, law: dict[str, Any], dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) Q and L of a P-type or PD-type law, with its notch if it has one."""
+    return low_pass(family.frequencies, law["cutoff"], dt, ORDER), response_of_pd(family, law, dt)
+
+
+def response_of_pd(family: Family, law, dt: float) -> np.ndarray:
+    """(F,) L of a P-type or PD-type law, with its notch if it has one."""
+    change = 1 - family.advance(-1, dt)
+    L = family.advance(1 + law["lead"], dt) * (law["gamma_p"] + law["gamma_d"] * change)
+    if "low" not in law:
+        return L
+    return L * notch_of(law, np.pi * dt * family.frequencies, dt)
+
+
+# P-type and PD-type laws with the ends of the trial
+# --------------------------------------------------------------------------------------------------
+
+
+def rms_of(
+    loops: Sequence[Loop], error, laws: Sequence[dict[str, Any]], dt: float, trial: int, order: int
+) -> np.ndarray:
+    """(laws, S) root mean square error of a trial, over its samples after the first.
+
+        e_j = e_1 - P u_j,  u_{j+1} = Q (u_j + gamma_p d_j[k+1+m] + gamma_d (d_j[k+1+m] - d_j[k+m]))
+
+    with d_j = F e_j. P is a convolution with the impulse response; Q and the band-stop filter F,
+    where a law has one, mirror the trial at its ends and are products after a cosine transform.
+    Nothing is compiled, so laws of many leads cost milliseconds each. Noise and limits are left
+    out. A lead beyond the delay of the plant leaves the last samples of a trial without an error to
+    learn from, of which the frequency response knows nothing.
+
+    loops: of S machines
+    error: (N+1,) of the first trial, in which nothing was learned
+    laws: numbers gamma_p, gamma_d, lead and cutoff of each, and the edges low and high of F
+    order: of the filter, in one pass
+    """
+    error = np.asarray(error, float)
+    N = len(error) - 1
+    size = scipy.fft.next_fast_len(2 * N, real=True)
+    P = scipy.fft.rfft(np.stack([impulse_response(loop, N) for loop in loops]), size)
+    cutoffs = np.array([law["cutoff"] for law in laws])
+    lines = np.arange(N) / (2 * N * dt)
+    Q = low_pass(lines, cutoffs[:, None], dt, order)[:, None]
+    angles = np.pi / 2 * np.arange(N + 1) / (N + 1)
+    F = np.stack([notch_of(law, angles, dt) for law in laws])[:, None]
+    u = np.zeros((len(laws), len(loops), N))
+    for _ in range(trial - 1):
+        e = _weighted(F, _error(error, P, u, size))
+        u = u + np.stack([_step(law, one) for law, one in zip(laws, e, strict=True)])
+        u = _weighted(Q, u)
+    return np.sqrt(np.mean(_error(error, P, u, size)[..., 1:] ** 2, axis=-1))
+
+
+def notch_of(law: dict[str, Any], angles, dt: float) -> np.ndarray:
+    """(F,) the filter F of a law at pi f dt = angles, 1 if it has none."""
+    if "low" not in law:
+        return np.ones(len(angles))
+    return np.asarray(_response(ZeroPhaseBandStop(law["low"], law["high"]), angles, dt))
+
+
+_response = jax.jit(lambda notch, angles, dt: notch.response(angles, dt))
+
+
+def impulse_response(loop: Loop, samples: int) -> np.ndarray:
+    """(N,) C A^k B of a loop of one input and output."""
+    A, B, C = (np.asarray(M, float) for M in loop)
+    found, x = np.empty(samples), B[:, 0]
+    for k in range(samples):
+        found[k] = C[0] @ x
+        x = A @ x
+    return found
+
+
+def _error(error, P, u, size: int) -> np.ndarray:
+    """(laws, S, N+1) the error of the trial in which u (laws, S, N) is played."""
+    y = scipy.fft.irfft(P * scipy.fft.rfft(u, size), size)[..., : u.shape[-1]]
+    return error - np.concatenate([np.zeros((*u.shape[:-1], 1)), y], axis=-1)
+
+
+def _weighted(response, signal) -> np.ndarray:
+    """Signals (..., N), mirrored at their ends, through zero-phase filters."""
+    if np.all(response == 1):
+        return signal
+    return scipy.fft.idct(response * scipy.fft.dct(signal, norm="ortho"), norm="ortho")
+
+
+def _step(law: dict[str, Any], e) -> np.ndarray:
+    """(S, N) L e of errors (S, N+1); beyond the end of the trial they count as zero."""
+    lead, N = int(law["lead"]), e.shape[-1] - 1
+    step = np.zeros((len(e), N))
+    step[:, : N - lead] = law["gamma_p"] * e[:, 1 + lead :]
+    change = np.diff(e, axis=-1)[:, lead:]
+    step[:, : N - lead] += law["gamma_d"] * change
+    return step

@@ -20,8 +20,8 @@ from ..signals.task import Task
 from ..theory.law import law_of, learning_law
 from ..tuning.risks import Risk
 from .by_response import by_response, sizes_of
+from .candidates import impulse_response
 from .responses import Family
-from .simulated import impulse_response
 from .window import Filters, Window, leads_of
 
 BRIEF = 150  # steps at each lead, and after machines have joined

@@ -32,8 +32,7 @@ from ..uncertainty import takes_population
 from .by_response import moved, sizes_of
 from .candidates import Candidate
 from .first_taps import FirstTaps, best_of_leads, exchanged, held, radius_in_a_trial
-from .judging import Verdict, judged_trials
-from .proof import Proof, proof_of
+from .judging import Proof, Verdict, judged_trials, proof_of
 from .question import Question, Told
 from .responses import Family
 from .tuned import penalty

@@ -15,9 +15,8 @@ from ..schemes import Scheme, WithFeedback
 from ..uncertainty import takes_population
 from . import candidates
 from .candidates import Absent, Candidate
-from .judging import Limits, Verdict, judged_trials, limits_of, ranked
+from .judging import Limits, Proof, Verdict, judged_trials, limits_of, proof_of, ranked
 from .learned import LEARNED, LearnedLaw
-from .proof import Proof, proof_of
 from .question import Question, Told
 from .responses import Family
 from .tuned import tuned

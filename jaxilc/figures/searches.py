@@ -16,7 +16,7 @@ from .units import written
 if TYPE_CHECKING:
     from ..tuning.problem import Tuned
     from ..tuning.trade_off import Point
-    from ..tuning.worst_machine import Search
+    from ..tuning.worst_case import Search
 
 NEAR = (0.12, 0.06)  # shares of the axes within which two points have one label
 WIDE = 10.0  # ratio of the ends of an axis beyond which it is logarithmic

@@ -1,15 +1,14 @@
-from .estimation import identify
+from .estimation import Order, best_order, compare_orders, identify, not_significant
 from .fitting import Fit, fit
 from .frequency_response import read_frequency_response
 from .friction_model import FrictionModel, friction_of
 from .grown import Grown, Tried, grow, orders_and_delays
 from .grown_response import grow_response, identified_response
 from .not_linear import Suspicion, suspicions
-from .orders import Order, best_order, compare_orders, not_significant
 from .pitch import Pitch, pitch_of
 from .potential import Potential, potential_of
-from .record_files import read_record
-from .records import Record, excite, write_record
+from .record_files import read_record, write_record
+from .records import Record, excite
 from .repeats import Repeats, read_repeats
 from .response_estimation import compare_response_orders, identify_response
 from .verdict import Estimate, Identified, PoleEstimate

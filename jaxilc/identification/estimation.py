@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+import scipy
 
+from ..learning.machine import Machine
 from ..plants import Plant, ProcessModel
 from ..plants.process_model import LONGEST_DELAY
+from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, require
-from .many_starts import from_many_starts
-from .problem import checked_record, free_elements, need_samples, problem_of
-from .records import Record
-from .verdict import Identified, judged
+from ..runtime.capacity import check_size
+from ..runtime.tiles import tiled
+from .problem import (
+    SAMPLES_PER_PARAMETER,
+    Minimum,
+    Problem,
+    checked_record,
+    free_elements,
+    need_samples,
+    problem_of,
+)
+from .records import Record, as_columns, output_from_rest
+from .verdict import Identified, fit_of, judged
 
 MOST = 50  # largest number of poles, pairs or zeros; a record can determine far fewer
 REWEIGHTINGS = 5  # iterations of the weights of several outputs
@@ -120,3 +135,352 @@ def later(record: Record, delay: int) -> Record:
         )
     moved = np.pad(of_each, ((0, 0), (delay, 0), (0, 0)))[:, :N]
     return record._replace(u=moved.reshape(u.shape))
+
+
+# The best of many drawn structures
+# --------------------------------------------------------------------------------------------------
+
+REFINED = 16  # number of starts, those with the best fit, that are refined
+
+
+def from_many_starts(problem: Problem, starts: int, seed: int) -> Minimum:
+    """The best fit from many drawn structures.
+
+    Each structure is scored by the least squares of its numerator and bias, and the best ones are
+    refined. The best fit of these is regrouped (an overdamped pair becomes two real poles, see
+    `ProcessModel.regrouped`) and refined to the tolerances.
+    """
+    # Bytes for the numbers drawn, and for the products of all pairs of the simulated signals.
+    each = 8 * (100 + 8 * len(problem.names) ** 2)
+    check_size("identify", each, starts=starts)
+    shape, task = cast(ProcessModel, problem.plant), problem.task
+    drawn = drawn_plants(shape, (1 / task.duration, 0.5 * np.pi / task.dt), starts, seed)
+    fitted = np.arange(len(problem.record.y)) < problem.samples
+    products = np.asarray(
+        _products()((problem.task, problem.record.u, problem.record.y, fitted), drawn)
+    )
+    scored = [_numerator(product) for product in products]
+    best = [
+        i
+        for i in sorted(range(starts), key=lambda i: scored[i][0])[:REFINED]
+        if np.isfinite(scored[i][0])
+    ]
+    begin = [
+        problem.start(with_numerator(jax.tree.map(lambda leaf, i=i: leaf[i], drawn), scored[i][1]))
+        for i in best
+    ]
+    winner = min(
+        (problem.solve(theta, ftol=1e-4, max_nfev=30) for theta in begin),
+        key=lambda found: found.cost,
+    )
+    return problem.solve(problem.start(problem.plant_at(winner.theta).regrouped()))
+
+
+def drawn_plants(
+    shape: ProcessModel, rates: tuple[float, float], starts: int, seed: int
+) -> ProcessModel:
+    """Plants with drawn denominators, stacked over `starts`.
+
+    The rates of the poles are log-uniform between the two given [rad/s], the dampings log-uniform
+    in [0.05, 2]. All zeros of a plant are put at the geometric mean of its rates, which
+    `_inner_products` starts from.
+
+    shape: a plant with as many poles, pairs and zeros
+    """
+    m, n, q = shape.zeros.shape[0], shape.poles.shape[0], shape.frequencies.shape[0]
+    unit = scipy.stats.qmc.LatinHypercube(n + 2 * q, rng=seed).random(starts)
+    slowest, fastest = rates
+    drawn = slowest * (fastest / slowest) ** unit[:, : n + q]
+    zeros = np.repeat(np.exp(np.mean(np.log(drawn), axis=1, keepdims=True)), m, axis=1)
+    return ProcessModel(
+        np.ones(starts), zeros, drawn[:, :n], drawn[:, n:], 0.05 * 40 ** unit[:, n + q :]
+    )
+
+
+@functools.cache
+def _products():
+    """The function `_inner_products` for many plants, made on first use, when devices are known."""
+    return tiled(_inner_products)
+
+
+def _inner_products(common, plant: ProcessModel):
+    """(m+3, m+3) inner products of 1, the outputs w_0 .. w_m and y over the fitted samples.
+
+    w_k is simulated with the numerator (1 - s / a)^k, where a is the m-fold zero of the plant
+    given: a numerator of order m is a linear combination of these, so that it can be found by
+    linear least squares.
+    """
+    task, u, y, fitted = common
+    outputs = [
+        output_from_rest(Machine(dataclasses.replace(plant, zeros=plant.zeros[:k])), task, u)[:, 0]
+        for k in range(plant.zeros.shape[0] + 1)
+    ]
+    columns = jnp.stack([jnp.ones_like(y[:, 0]), *outputs, y[:, 0]]) * fitted
+    return columns @ columns.T
+
+
+def _numerator(products):
+    """The least sum of squares over bias and numerator, and the (m+1,) numerator weights."""
+    if not np.all(np.isfinite(products)):
+        return np.inf, None
+    size = np.sqrt(np.maximum(np.diag(products)[:-1], np.finfo(float).tiny))
+    weights = (
+        np.linalg.lstsq(products[:-1, :-1] / np.outer(size, size), products[:-1, -1] / size)[0]
+        / size
+    )
+    return float(products[-1, -1] - weights @ products[:-1, -1]), weights[1:]
+
+
+def with_numerator(plant: ProcessModel, weights) -> ProcessModel:
+    """The plant with the numerator sum_k weights_k (1 - s / a)^k.
+
+    A ProcessModel has no complex zeros. In place of a complex pair it gets two real zeros that are
+    moved apart by the imaginary part: two equal ones would have equal derivatives and stay equal.
+    """
+    roots = np.polynomial.polynomial.polyroots(weights)
+    a = plant.zeros[0] if len(roots) else 1.0
+    return dataclasses.replace(plant, gain=np.sum(weights), zeros=a * (1 - roots.real - roots.imag))
+
+
+# The choice of an order
+# --------------------------------------------------------------------------------------------------
+
+# (poles, pairs, zeros): orders 1 to 4. A pair may have two real poles.
+STRUCTURES = ((1, 0, 0), (0, 1, 0), (0, 1, 1), (1, 1, 0), (1, 1, 1), (0, 2, 0), (0, 2, 1))
+SMALLEST = 1e-9  # of the output's standard deviation; a smaller residual is rounding
+
+
+class Order(NamedTuple):
+    """The fit of one structure.
+
+    poles, pairs, zeros: numbers of real poles, pairs of poles and zeros
+    parameters: number of fitted numbers, with the bias, and with the delay where it is not 0
+    rms: root mean square of the residual over the fitted part [unit of y]
+    bic: Bayesian information criterion, see `information`
+    validation_fit: fit over the validation part [%]
+    found: the identification
+    delay: dead time in samples, of a fit to a record
+    """
+
+    poles: int
+    pairs: int
+    zeros: int
+    parameters: int
+    rms: float
+    bic: float
+    validation_fit: float
+    found: Identified
+    delay: int = 0
+    __repr__ = in_short
+
+
+def compare_orders(
+    record: Record,
+    *,
+    structures: Sequence[tuple[int, int, int]] = STRUCTURES,
+    delay: int = 0,
+    starts: int = 64,
+    seed: int = 0,
+    each: Callable[[tuple[int, int, int]], object] = lambda structure: None,
+) -> list[Order]:
+    """Fits of several structures to a record of one input and one output, in the order given.
+
+    structures: (poles, pairs, zeros) of each
+    delay: dead time of all of them in samples
+    starts, seed: as for `identify`; the first 70 % of the record are fitted
+    each: called with each structure before it is fitted
+    A structure of too many parameters for the record is left out, except the first one.
+    Raises ValueError as `identify` does.
+    """
+    found = []
+    for i, (poles, pairs, zeros) in enumerate(structures):
+        if i and not long_enough(record, 2 + poles + 2 * pairs + zeros):
+            continue
+        each((poles, pairs, zeros))
+        fit = identify(
+            record, poles=poles, pairs=pairs, zeros=zeros, delay=delay, starts=starts, seed=seed
+        )
+        residual = (np.asarray(record.y).reshape(len(fit.simulated), -1) - fit.simulated)[
+            : fit.samples, 0
+        ]
+        smallest = SMALLEST * float(np.std(np.asarray(record.y)[: fit.samples]))
+        number = len(fit.parameters) + (delay > 0)
+        found.append(
+            Order(
+                poles,
+                pairs,
+                zeros,
+                number,
+                float(np.sqrt(np.mean(residual**2))),
+                information(residual, number, smallest),
+                float(fit.validation_fit[0]),
+                fit,
+                delay,
+            )
+        )
+    return found
+
+
+def long_enough(record: Record, parameters: int) -> bool:
+    """Whether the fitted part of a record has enough samples for so many parameters."""
+    return round(0.7 * len(record.y)) >= SAMPLES_PER_PARAMETER * parameters
+
+
+def information(residual, parameters: int, smallest: float = 0.0) -> float:
+    """The Bayesian information criterion of a fit with Gaussian residuals (Schwarz 1978).
+
+        BIC = n ln(sum e^2 / n) + p ln n
+
+    residual: (n,);  parameters: p;  smallest: root mean square below which the residual is rounding
+    """
+    n = len(residual)
+    mean = max(float(np.mean(np.asarray(residual) ** 2)), smallest**2, np.finfo(float).tiny)
+    return n * float(np.log(mean)) + parameters * float(np.log(n))
+
+
+def best_order(orders: Sequence[Order]) -> Order:
+    """The structure of the smallest BIC. A fit that did not converge is taken only if all did not.
+
+    Raises ValueError for no structures.
+    """
+    if not orders:
+        raise ValueError("best_order: orders = () is empty; allowed is at least one")
+    return min(orders, key=lambda order: (not order.found.converged, order.bic))
+
+
+def not_significant(found: Identified) -> list[str]:
+    """Sentences on the poles and zeros of a ProcessModel that the record does not show.
+
+    A zero or a pole makes no difference where its 95 % interval, taken of its reciprocal, contains
+    0, since 1 - s / zero and 1 + s / pole are then 1. A zero and a real pole cancel where their
+    intervals, of places in s, overlap.
+    """
+    if not isinstance(found.plant, ProcessModel):
+        return []
+    said, places = [], {}
+    for name, (value, low, high) in found.parameters.items():
+        kind = name.partition("[")[0]
+        if kind not in ("zeros", "poles", "frequencies"):
+            continue
+        half = (high - low) / 2
+        # of the reciprocal, to first order, the half-width is half / value^2
+        if not half < abs(value):
+            what = {"zeros": "zero", "poles": "pole", "frequencies": "pair of poles"}[kind]
+            said.append(
+                f"the {what} {name} = {value:.4g} rad/s is not significant: the 95 % interval of "
+                "its reciprocal contains 0; leave it out"
+            )
+        elif kind != "frequencies":
+            places[name] = (-high, -low) if kind == "poles" else (low, high)
+    for zero, (low, high) in places.items():
+        for pole, (left, right) in places.items():
+            of_both = zero.startswith("zeros") and pole.startswith("poles")
+            if of_both and low <= right and left <= high:
+                said.append(
+                    f"the zero {zero} and the pole {pole} are not significant: their 95 % "
+                    "intervals overlap, so that they may cancel; leave both out"
+                )
+    return said
+
+
+# A second record judges a plant
+# --------------------------------------------------------------------------------------------------
+
+MUCH = 2.0  # rms error over that of the record that was fitted, from which on a plant is doubted
+
+
+class Validation(NamedTuple):
+    """How well a plant predicts a record.
+
+    simulated: (N+1, n_y) the output of the plant, with the bias that makes the mean residual 0
+    fit: (n_y,) 100 (1 - |y - simulated| / |y - mean y|) [%]
+    rms: (n_y,) rms error of prediction [unit of y]
+    """
+
+    simulated: np.ndarray
+    fit: np.ndarray
+    rms: np.ndarray
+    __repr__ = in_short
+
+
+def validated(record: Record, plant: Plant, share: float = 0.0) -> Validation:
+    """How well a plant predicts a record that begins at rest, or the last part of it.
+
+    share: [0, 1), first part of the record, which is not judged; the bias is then that of it
+    Raises ValueError for a record that does not fit the plant.
+    """
+    record = checked_record(record)
+    first = free_elements(plant, None)[:1]
+    problem = problem_of(record, plant, first, share or 1.0)
+    residual = problem.residual(problem.start(plant))
+    late = slice(problem.samples if share else 0, None)
+    fit = fit_of(record.y[late], residual[late])
+    rms = np.sqrt(np.mean(residual[late] ** 2, axis=0))
+    return Validation(record.y - residual, fit, rms)
+
+
+# Records of a closed loop
+# --------------------------------------------------------------------------------------------------
+
+OWN, LAGS = 60, 20  # past samples of the input, and of the residual, that predict the input
+SAMPLES, MOST_LOOKED_AT = 5, 20_000  # for each parameter at least, and of a record at most
+CHANCE = 1e-5  # with which an open loop is taken for a closed one
+SHARE = 0.1  # of the samples: length of F at most
+LONGEST = 400  # samples
+
+
+def feedback_seen(record: Record, residual) -> bool:
+    """Whether the input answers the residual of a fit, so that a loop is closed (Granger's test).
+
+    The input is predicted from its own past, then from the residual too, that of the same sample
+    included. In an open loop the second prediction is no better, also where the model is not the
+    plant: what it misses is made of the past of the input.
+
+    residual: (N+1, 1) recorded output minus the simulated one; one input and one output
+    """
+    u = as_columns("feedback_seen", "u", record.u)[:MOST_LOOKED_AT, 0]
+    e = np.asarray(residual, float)[: len(u), 0]
+    parameters = 1 + OWN + LAGS
+    freedom = len(u) - OWN - parameters
+    if freedom < SAMPLES * parameters:
+        return False
+    windows = np.lib.stride_tricks.sliding_window_view
+    own = np.column_stack([np.ones(len(u) - OWN), windows(u[:-1], OWN)])
+    answered = windows(e[OWN - LAGS + 1 :], LAGS)
+    left = [_left(past, u[OWN:]) for past in (own, np.column_stack([own, answered]))]
+    if not left[1] > 1e-12 * np.sum((u - np.mean(u)) ** 2):
+        return False  # an input that predicts itself, such as a sinusoid
+    ratio = (left[0] - left[1]) / LAGS / (left[1] / freedom)
+    return bool(scipy.stats.f.sf(ratio, LAGS, freedom) < CHANCE)
+
+
+def of_reference(record: Record, reference) -> Record:
+    """The record with the part of its input that the reference made, in place of the input.
+
+        u_r = F r,    F: an impulse response by least squares
+
+    With a feedback the input answers the noise of the output, and a fit to u is biased where that
+    noise is not white. A fit from u_r to y is not, whatever noise and feedback are: what the
+    feedback added is noise of the output (Van den Hof and Schrama 1993).
+
+    reference: (N,) recorded reference
+    Raises ValueError for a reference that does not move.
+    """
+    u, r = (as_columns("of_reference", "u", one)[:, 0] for one in (record.u, reference))
+    if not np.ptp(r) > 0:
+        raise ValueError(
+            "identify: the reference does not move, so that nothing but noise excites the loop; "
+            "record a motion, or add an excitation to the reference"
+        )
+    taps = int(min(LONGEST, SHARE * len(u)))
+    first = np.concatenate([r[:1], np.zeros(taps - 1)])
+    past = scipy.linalg.toeplitz(r - r[0], first - r[0] * (np.arange(taps) == 0))
+    past = np.column_stack([past, np.ones(len(u))])
+    found, *_ = np.linalg.lstsq(past, u, rcond=1e-8)
+    return record._replace(u=(past @ found)[:, None])
+
+
+def _left(past: np.ndarray, u: np.ndarray) -> float:
+    """The sum of squares that a linear prediction leaves."""
+    found, *_ = np.linalg.lstsq(past, u, rcond=1e-10)
+    return float(np.sum((u - past @ found) ** 2))

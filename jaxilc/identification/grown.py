@@ -26,15 +26,22 @@ from ..plants import ModalModel, Plant, ProcessModel
 from ..plants.process_model import LONGEST_DELAY
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
-from .dead_time import LONGEST_LOOKED_FOR, first_lag
-from .estimation import identify
+from .estimation import Order, compare_orders, identify
 from .not_linear import Suspicion, suspicions
-from .orders import Order, compare_orders
-from .problem import SAMPLES_PER_PARAMETER, checked_record, need_excitation, need_samples
-from .records import Record
+from .problem import (
+    SAMPLES_PER_PARAMETER,
+    checked_record,
+    need_excitation,
+    need_samples,
+    unit_columns,
+)
+from .records import Record, as_columns
 from .verdict import Identified
 
 Numbers = np.ndarray
+LONGEST_LOOKED_FOR = 50  # samples, the default of the longest delay that is looked for
+BEYOND = 10  # lags beyond the longest delay, so that its answer is seen
+SIGNIFICANT = 4.0  # standard errors from which on an answer to the input is no chance
 HIGHEST = 24  # order that is looked for
 PATIENCE = 3  # orders without a smaller criterion, after which growing ends
 LAGS = 60  # of the difference equation that is reduced
@@ -185,9 +192,8 @@ def evaluated(signals: Signals, parts: Parts, slopes: bool = True) -> tuple[Numb
     the columns span is taken away.
     """
     X, dens = columns(signals, parts)
-    length = np.linalg.norm(X, axis=0)
-    length[length == 0] = 1.0
-    Q, R = np.linalg.qr(X / length)
+    scaled, length = unit_columns(X)
+    Q, R = np.linalg.qr(scaled)
     b = Q.T @ signals.y
     residual = signals.y - Q @ b
     if not slopes:
@@ -304,10 +310,7 @@ def reduced_poles(signals: Signals, delay: int, clip: bool = True) -> Callable[[
         rows.append(np.concatenate([past.reshape(len(past), -1), late.reshape(len(late), -1)], 1))
         wanted.append(y[m:])
     X, Y = np.concatenate(rows), np.concatenate(wanted)
-    X = np.hstack([X, np.ones((len(X), 1))])
-    length = np.linalg.norm(X, axis=0)
-    length[length == 0] = 1.0
-    X /= length
+    X, length = unit_columns(np.hstack([X, np.ones((len(X), 1))]))
     gram = X.T @ X
     theta = np.linalg.solve(gram + 1e-12 * np.eye(len(gram)), X.T @ Y) / length[:, None]
     a = theta[: n_y * m].reshape(n_y, m, n_y)
@@ -343,12 +346,10 @@ def larger(signals: Signals, parts: Parts) -> tuple[list[Parts], list[Parts]]:
     Of a long record some rows decide.
     """
     some = slice(None, None, max(1, signals.samples // SAMPLED))
-    X = columns(signals, parts)[0]
-    length = np.linalg.norm(X, axis=0)
-    length[length == 0] = 1.0
-    N = np.linalg.lstsq(X / length, signals.y)[0]
-    residual = (signals.y - X / length @ N)[some]
-    Q = np.linalg.qr((X / length)[some])[0]
+    X, _ = unit_columns(columns(signals, parts)[0])
+    N = np.linalg.lstsq(X, signals.y)[0]
+    residual = (signals.y - X @ N)[some]
+    Q = np.linalg.qr(X[some])[0]
     none = Parts(np.zeros((0, 2)), np.zeros(0), 0, False, parts.delay)
     rates = np.log(np.geomspace(1 / signals.duration, np.pi / signals.dt, GRID))
     lags = [none._replace(lags=np.array([w])) for w in rates]
@@ -517,9 +518,8 @@ def improved(
 def numerators(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
     """(c, n_y) what the columns are multiplied by, and (T (N+1), n_y) the output, of all rows."""
     X = columns(signals, parts)[0]
-    length = np.linalg.norm(X[: signals.samples], axis=0)
-    length[length == 0] = 1.0
-    N = np.linalg.lstsq(X[: signals.samples] / length, signals.y[: signals.samples])[0]
+    fitted, length = unit_columns(X[: signals.samples])
+    N = np.linalg.lstsq(fitted, signals.y[: signals.samples])[0]
     return N / length[:, None], X / length @ N
 
 
@@ -617,10 +617,9 @@ def with_zeros(signals: Signals, fitted: Fitted) -> list[WithZeros]:
         return np.hstack([X[:, :1], X[:, 1:] @ into_states(parts, signals.dt) @ T])
 
     def solved(x: Numbers, degree: int) -> tuple[Numbers, Numbers]:
-        X = basis(parts.at(x), degree)
-        length = np.linalg.norm(X, axis=0)
-        N = np.linalg.lstsq(X / length, signals.y[:, 0])[0]
-        return N / length, X / length @ N - signals.y[:, 0]
+        X, length = unit_columns(basis(parts.at(x), degree))
+        N = np.linalg.lstsq(X, signals.y[:, 0])[0]
+        return N / length, X @ N - signals.y[:, 0]
 
     low, high = bounds(signals, parts)
     found: list[WithZeros] = []
@@ -868,3 +867,41 @@ def orders_and_delays(
     warnings.warn("orders_and_delays is now grow, without a list", FutureWarning, stacklevel=2)
     delay = grow(record, longest=longest).chosen.delay
     return compare_orders(record, delay=delay, **options)
+
+
+# The dead time, as the first answer tells it
+# --------------------------------------------------------------------------------------------------
+
+
+def first_lag(record: Record, longest: int = LONGEST_LOOKED_FOR) -> int:
+    """The samples between the input and the first significant answer, less the one of the hold.
+
+    A difference equation of high order is fitted by linear least squares, where the noise is white:
+
+        y[k] = c + sum_{i=1..n} (a_i y[k-i] + b_i u[k-i])
+
+    The estimate is i - 1 of the first b_i that is more than 4 standard errors from 0. It is 0 where
+    none is, or where the record is too short for such a fit. Of several experiments, the first is
+    taken.
+    """
+    y, u = (
+        as_columns("first_lag", "y", record.y)[:, 0],
+        as_columns("first_lag", "u", record.u)[:, 0],
+    )
+    n = min(longest + BEYOND, (len(u) - 1) // 6)
+    if n < 1:
+        return 0
+    lagged = np.lib.stride_tricks.sliding_window_view
+    rows = np.hstack([lagged(y[:-1], n)[:, ::-1], lagged(u, n)[:, ::-1]])
+    scale = np.std(rows, axis=0)
+    scale[scale == 0] = 1.0
+    rows = np.hstack([np.ones((len(rows), 1)), rows / scale])
+    wanted = y[n:]
+    found, _, rank, _ = np.linalg.lstsq(rows, wanted)
+    freedom = len(wanted) - rank
+    if freedom < 1:
+        return 0
+    variance = np.sum((wanted - rows @ found) ** 2) / freedom
+    errors = np.sqrt(variance * np.abs(np.diag(np.linalg.pinv(rows.T @ rows))))
+    answers = np.abs(found[1 + n :]) > SIGNIFICANT * errors[1 + n :]
+    return min(int(np.argmax(answers)), longest) if np.any(answers) else 0

@@ -24,24 +24,21 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from ..plants import ModalModel
+from ..plants.process_model import samples_of
 from ..pytree.aliases import Numbers
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..theory.on_lines import MeasuredResponse
-from . import modal_lines
-from .modal_lines import Parts, Problem, Projected
-from .problem import SAMPLES_PER_PARAMETER
-from .response_estimation import checked_lines, enough_lines, whiteness_of_lines
-from .response_problem import longest_delay
-from .verdict import CONFIDENCE, LAGS, WHITE, Estimate, Identified, inverse_of_normal, poles_of
+from .problem import SAMPLES_PER_PARAMETER, unit_columns
+from .response_estimation import checked_lines, enough_lines, longest_delay, of_lines
+from .verdict import CONFIDENCE, LAGS, Estimate, Identified, inverse_of_normal
 
 HIGHEST = 20  # order that is looked for
-# Of what is grown; each of them gets one mode after the other.
-BEGUN = (Parts(), Parts(lags=1), Parts(integrators=1), Parts(integrators=2), Parts(direct=True))
 ALL_UP_TO = 8  # order from which on only the best of these are grown further
 KEPT = 2
 PATIENCE = 3  # orders without a smaller criterion, after which growing ends
-GRID, DAMPINGS = 80, (0.01, 0.05, 0.3, 1.1, 4.0)  # modes that are tried
+GRID, DAMPINGS_TRIED = 80, (0.01, 0.05, 0.3, 1.1, 4.0)  # modes that are tried
 DELAYS = 60  # that are tried for a first part
 PLACES = 3  # of those, so many are refined
 APART = 0.15  # of the logarithm of the frequency, between two of them
@@ -52,6 +49,260 @@ COVERED = 0.9  # of the lines, whose spread machines that are drawn independentl
 MOST_SCALED = 2.0  # times the width of an interval, to cover them
 POSITIVE, CLOSEST = ("poles", "frequencies", "dampings"), 0.9  # share of a value of its interval
 GOOD = 0.9  # coherence, from which on lines are counted in the shares within 10 and 30 %
+STEP = 1e-6  # of a logarithm, in central differences
+UNIT = 2 * np.pi  # [rad/s] by which integrators are scaled, so that columns have like sizes
+DAMPED = (1e-4, 30.0)  # that are looked for; from 1 on, a mode is two real poles
+BESIDE = 1e-7  # of damping 1, where the two poles of a mode coincide, in which 1 is not taken
+BELOW, ABOVE = 1 / 30, 4.0  # times the first and the last line, rates that are looked for
+SHARE = 0.95  # of half the sample rate, up to which rates are looked for
+
+
+# Least squares of sums of parts on lines
+# --------------------------------------------------------------------------------------------------
+
+
+class Parts(NamedTuple):
+    """Which parts a model has.
+
+    The values theta of its poles and delay are the logarithms of the rates of the lags, of the
+    frequencies and of the dampings of the modes, and the delay [s].
+    """
+
+    lags: int = 0
+    modes: int = 0
+    integrators: int = 0
+    direct: bool = False
+
+    @property
+    def order(self) -> int:
+        return self.lags + 2 * self.modes + self.integrators
+
+    @property
+    def numerators(self) -> int:
+        return self.integrators + self.lags + 2 * self.modes + self.direct
+
+    @property
+    def numbers(self) -> int:
+        """Values that are fitted, the delay among them."""
+        return self.numerators + self.lags + 2 * self.modes + 1
+
+
+def columns(theta: Numbers, parts: Parts, f: Numbers, dt: float | None) -> Numbers:
+    """(F, numerators) responses of the parts: integrators, lags, modes (a and b by turns), direct.
+
+    They are those of `ModalModel`, in units of 1 / (2 pi s) for integrators: in s without dt, else
+    of `sampled(dt)`.
+    """
+    s, delay = (2j * np.pi * f)[:, None], float(theta[-1])
+    p, w, zeta = np.split(np.exp(theta[:-1]), np.cumsum([parts.lags, parts.modes]))
+    if dt is None:
+        late = np.exp(-s * delay)
+        integrators = late * (UNIT / s) ** np.arange(1, 1 + parts.integrators)
+        lags, direct = late / (1 + s / p), late
+        mode = late / (1 + 2 * zeta * s / w + (s / w) ** 2)
+        modes = mode, s / w * mode
+    else:
+        whole, rest = samples_of(delay, dt, "ModalModel")
+        z, now = np.exp(s * dt), dt - rest
+        late = z**-whole
+        first = (now + rest / z) / (z - 1)
+        second = (dt * first + rest * (dt - rest / 2) / z + now**2 / 2) / (z - 1)
+        both = np.hstack([late * UNIT * first, late * UNIT**2 * second])
+        integrators, direct = both[:, : parts.integrators], late / z
+        lags = late * p * _held(-p, z, dt, rest)
+        apart = zeta + BESIDE * (np.abs(zeta - 1) < BESIDE)
+        root = w * np.sqrt(apart**2 - 1 + 0j)
+        one, other = -apart * w + root, -apart * w - root
+        of_one, of_other = _held(one, z, dt, rest), _held(other, z, dt, rest)
+        scaled = late * w / (one - other)
+        modes = scaled * w * (of_one - of_other), scaled * (one * of_one - other * of_other)
+    turns = np.stack(modes, axis=2).reshape(len(f), -1)
+    return np.hstack([integrators, lags, turns, direct[:, : int(parts.direct)]])
+
+
+def _held(pole: Numbers, z: Numbers, dt: float, rest: float) -> Numbers:
+    """(F, poles) 1 / (s - pole) behind a hold, delayed by a part of a sample."""
+    now = dt - rest
+    after = np.exp(pole * now) * np.expm1(pole * rest) / pole
+    return (np.expm1(pole * now) / pole + after / z) / (z - np.exp(pole * dt))
+
+
+def slopes(theta: Numbers, parts: Parts, f: Numbers, dt: float | None, numerators: Numbers):
+    """(F, theta) derivatives of the response by theta, by differences of the part that moves."""
+    found = np.empty((len(f), len(theta)), complex)
+    lags, modes = parts.lags, parts.modes
+    for i in range(len(theta)):
+        if i < lags:
+            own, at, first, of = Parts(lags=1), [i, -1], parts.integrators + i, 0
+        elif i < len(theta) - 1:
+            mode = (i - lags) % modes
+            own, at = Parts(modes=1), [lags + mode, lags + modes + mode, -1]
+            first, of = parts.integrators + lags + 2 * mode, (i - lags) // modes
+        else:
+            own, at, first, of = parts, list(range(len(theta))), 0, i
+        step = STEP if own is not parts else STEP / f[-1]
+        ahead, behind = theta[at], theta[at]
+        ahead[of] += step
+        behind[of] -= step if own is not parts else min(step, theta[-1])
+        moved = columns(ahead, own, f, dt) - columns(behind, own, f, dt)
+        N = numerators[first : first + own.numerators]
+        found[:, i] = moved @ N / (ahead[of] - behind[of])
+    return found
+
+
+class Problem(NamedTuple):
+    """Weighted least squares on lines.
+
+    f, G: (F,) frequencies [Hz] and measured response
+    weights: (F,) by which complex residuals are multiplied
+    dt: sample time of the hold [s]; None for continuous time
+    longest: the longest delay that is allowed [s]
+    delay: where it is fixed [s]; None where it is fitted
+    """
+
+    f: Numbers
+    G: Numbers
+    weights: Numbers
+    dt: float | None
+    longest: float
+    delay: float | None
+
+    def bounds(self, parts: Parts) -> tuple[Numbers, Numbers]:
+        """The least and largest theta."""
+        rates = 2 * np.pi * np.array([BELOW * self.f[0], ABOVE * self.f[-1]])
+        if self.dt is not None:
+            rates[1] = min(rates[1], SHARE * np.pi / self.dt)
+        late = (0.0, self.longest) if self.delay is None else (self.delay, self.delay)
+        both = [np.repeat(rates[i], parts.lags + parts.modes) for i in (0, 1)]
+        low, high = (
+            np.append(np.log([*both[i], *[DAMPED[i]] * parts.modes]), late[i]) for i in (0, 1)
+        )
+        return low, high
+
+    def projected(self, theta: Numbers, parts: Parts) -> Projected:
+        """The best numerators at theta, and what they leave."""
+        A = stacked(self.weights[:, None] * columns(theta, parts, self.f, self.dt))
+        y = stacked(self.weights * self.G)
+        scaled, length = unit_columns(A)
+        Q, U = np.linalg.qr(scaled)
+        numerators = np.linalg.lstsq(U, Q.T @ y, rcond=1e-13)[0] / length
+        left = y - Q @ (Q.T @ y)
+        return Projected(theta, Q, numerators, left, float(left @ left))
+
+    def least_squares(
+        self, theta: Numbers, parts: Parts, steps: int = 40, tolerance: float = 1e-6
+    ) -> tuple[Projected, bool]:
+        """The minimum near theta by Levenberg-Marquardt steps within the bounds, and if it is one.
+
+        tolerance: relative decrease of the cost below which a step ends the search
+        """
+        low, high = self.bounds(parts)
+        now = self.projected(np.clip(theta, low, high), parts)
+        mu = 1e-3
+        for _ in range(steps):
+            J = -stacked(self.weights[:, None] * slopes(now.theta, parts, self.f, self.dt, now.N))
+            J = J - now.Q @ (now.Q.T @ J)
+            J, size = unit_columns(J)
+            g, H = J.T @ now.left, J.T @ J
+            at_bound = ((now.theta <= low) & (g > 0)) | ((now.theta >= high) & (g < 0))
+            free = np.flatnonzero(~at_bound)
+            for _ in range(8):
+                step = np.zeros(len(g))
+                step[free] = -np.linalg.solve(
+                    H[np.ix_(free, free)] + mu * np.eye(len(free)), g[free]
+                )
+                step = step / size
+                step[:-1] = np.clip(step[:-1], -1.0, 1.0)
+                new = self.projected(np.clip(now.theta + step, low, high), parts)
+                if new.cost < now.cost:
+                    break
+                mu *= 6
+            else:
+                return now, True
+            gained = (now.cost - new.cost) / now.cost
+            now, mu = new, max(mu / 5, 1e-9)
+            if gained < tolerance:
+                return now, True
+        return now, False
+
+
+class Projected(NamedTuple):
+    """A place of the search.
+
+    theta: poles and delay;  N: numerators
+    Q: orthonormal basis of the weighted columns, (2 F, numerators)
+    left: (2 F,) weighted residual, real parts first;  cost: its sum of squares
+    """
+
+    theta: Numbers
+    Q: Numbers
+    N: Numbers
+    left: Numbers
+    cost: float
+
+
+def stacked(values: Numbers) -> Numbers:
+    """Real parts, then imaginary parts."""
+    return np.concatenate([values.real, values.imag])
+
+
+def jacobian(at: Projected, parts: Parts, f: Numbers, dt: float | None) -> Numbers:
+    """(F, numbers) derivatives by what `values_of` answers, the delay last."""
+    d_theta = slopes(at.theta, parts, f, dt, at.N)
+    values = np.exp(at.theta[:-1])
+    scaled = np.append(values, 1.0)
+    d_numerators = columns(at.theta, parts, f, dt) / _units(parts)
+    return np.hstack([d_theta[:, :-1] / scaled[:-1], d_numerators, d_theta[:, -1:]])
+
+
+def _units(parts: Parts) -> Numbers:
+    """What each numerator is multiplied by, in a ModalModel."""
+    return np.append(
+        UNIT ** np.arange(1.0, 1 + parts.integrators),
+        np.ones(parts.numerators - parts.integrators),
+    )
+
+
+def values_of(at: Projected, parts: Parts) -> Numbers:
+    """Rates, frequencies, dampings, numerators and delay as a ModalModel has them."""
+    return np.concatenate([np.exp(at.theta[:-1]), at.N * _units(parts), at.theta[-1:]])
+
+
+def names_of(parts: Parts) -> tuple[str, ...]:
+    """The paths of these values in a ModalModel."""
+    n, q = parts.lags, parts.modes
+    poles = [f"poles[{i}]" for i in range(n)]
+    poles += [f"{name}[{i}]" for name in ("frequencies", "dampings") for i in range(q)]
+    single = ["integrator", "double_integrator"][: parts.integrators]
+    gains = [f"pole_gains[{i}]" for i in range(n)]
+    gains += [f"{name}[{i}]" for i in range(q) for name in ("mode_gains", "mode_rates")]
+    return (*poles, *single, *gains, *["direct"] * parts.direct, "delay")
+
+
+def model_of(values: Numbers, parts: Parts) -> ModalModel:
+    """The plant of these values."""
+    n, q, i = parts.lags, parts.modes, parts.integrators
+    p, w, zeta, single, R, modes, direct, delay = np.split(
+        values, np.cumsum([n, q, q, i, n, 2 * q, parts.direct])
+    )
+    return ModalModel(
+        p,
+        R,
+        w,
+        zeta,
+        modes[::2],
+        modes[1::2],
+        *(float(single[k]) if k < i else None for k in (0, 1)),
+        float(direct[0]) if parts.direct else None,
+        delay=float(delay[0]),
+    )
+
+
+# The growth
+# --------------------------------------------------------------------------------------------------
+
+# Of what is grown; each of them gets one mode after the other.
+BEGUN = (Parts(), Parts(lags=1), Parts(integrators=1), Parts(integrators=2), Parts(direct=True))
 
 
 class LineModel(NamedTuple):
@@ -225,7 +476,7 @@ class _Growing:
 
     def curve(self, one: LineModel) -> Numbers:
         """(F,) the response of a model."""
-        return modal_lines.columns(one.found.theta, one.parts, self.f, self.dt) @ one.found.N
+        return columns(one.found.theta, one.parts, self.f, self.dt) @ one.found.N
 
     def _delays(self, count: int = DELAYS) -> Numbers:
         if self.delay is not None:
@@ -242,7 +493,7 @@ class _Growing:
     def _with_one_more(self, problem: Problem, theta: Numbers, parts: Parts) -> Numbers:
         """theta of these parts, where a mode more than those of theta explains most."""
         before = parts._replace(modes=parts.modes - 1)
-        y = modal_lines.stacked(problem.weights * problem.G)
+        y = stacked(problem.weights * problem.G)
         if before.numerators:
             at = problem.projected(theta, before)
             Q, left, delays = at.Q, at.left, theta[-1:]
@@ -253,12 +504,12 @@ class _Growing:
         peaks = self.f[np.argsort(-size)[:10]]
         frequencies = np.append(np.linspace(low[0], high[0], GRID), np.log(2 * np.pi * peaks))
         frequencies = np.clip(frequencies, low[0], high[0])
-        w, zeta = (of.ravel() for of in np.meshgrid(frequencies, np.log(DAMPINGS)))
+        w, zeta = (of.ravel() for of in np.meshgrid(frequencies, np.log(DAMPINGS_TRIED)))
         tried = Parts(modes=len(w))
         places: list[tuple[float, Numbers]] = []
         for late in delays:
-            A = modal_lines.columns(np.concatenate([w, zeta, [late]]), tried, problem.f, self.dt)
-            A = modal_lines.stacked(problem.weights[:, None] * A)
+            A = columns(np.concatenate([w, zeta, [late]]), tried, problem.f, self.dt)
+            A = stacked(problem.weights[:, None] * A)
             A = A - Q @ (Q.T @ A)
             A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
             first, second, on = A[:, ::2], A[:, 1::2], left @ A
@@ -296,14 +547,14 @@ class _Growing:
         """The minimum near theta, with the noise that its residual has."""
         at = self.problem(self.variances(P, *noise)).projected(theta, parts)
         for _ in range(rounds):
-            P = modal_lines.columns(at.theta, parts, self.f, self.dt) @ at.N
+            P = columns(at.theta, parts, self.f, self.dt) @ at.N
             noise = self.noise(P)
             problem = self.problem(self.variances(P, *noise))
             at, _ = problem.least_squares(at.theta, parts, 30, tolerance)
         return self._judged(at, parts, *noise)
 
     def _judged(self, at: Projected, parts: Parts, floor: float, scale: float) -> LineModel:
-        P = modal_lines.columns(at.theta, parts, self.f, self.dt) @ at.N
+        P = columns(at.theta, parts, self.f, self.dt) @ at.N
         error, number = np.abs(self.G - P), parts.numbers - (self.delay is not None)
         coherence = self.measured.coherence
         good = np.ones(len(P), bool) if coherence is None else coherence > GOOD
@@ -344,7 +595,7 @@ class _Growing:
             out = np.arange(len(v)) % HELD_OUT == i
             problem = self.problem(v, ~out)
             at, _ = problem.least_squares(one.found.theta, one.parts, 8, SHORT)
-            P = modal_lines.columns(at.theta, one.parts, self.f, self.dt) @ at.N
+            P = columns(at.theta, one.parts, self.f, self.dt) @ at.N
             own = self.variances(P, one.floor, one.scale)[out]
             found[out] = 2 * (np.log(own) + np.abs(self.G - P)[out] ** 2 / own)
         return found
@@ -378,50 +629,29 @@ def identified_response(
     parts, noise = one.parts, (one.floor, one.scale)
     problem = growing.problem(growing.variances(growing.curve(one), *noise))
     at, converged = problem.least_squares(one.found.theta, parts, 200, LONG)
-    values, names = modal_lines.values_of(at, parts), modal_lines.names_of(parts)
+    values, names = values_of(at, parts), names_of(parts)
     fitted = len(names) - (delay is not None)
     names = names[:fitted]
-    J_of = modal_lines.jacobian(at, parts, growing.f, dt)[:, :fitted]
+    J_of = jacobian(at, parts, growing.f, dt)[:, :fitted]
     J = J_of * problem.weights[:, None]
-    P, known = modal_lines.columns(at.theta, parts, growing.f, dt) @ at.N, growing.scaled
+    P, known = columns(at.theta, parts, growing.f, dt) @ at.N, growing.scaled
     residual = at.left
     error = residual[: len(growing.f)] + 1j * residual[len(growing.f) :]
     freedom = max(2 * len(error) - fitted, 1)
     ratio = float(np.sqrt(residual @ residual / freedom))
-    covariance = inverse_of_normal(modal_lines.stacked(J))
+    covariance = inverse_of_normal(stacked(J))
     covariance = covariance * max(ratio, 1.0) ** 2 * _in_common(error)
     spread = np.sum((J_of @ covariance) * J_of.conj(), axis=1).real
     spread = spread + growing.variances(P, noise[0], 0.0)
     apart = _apart(J_of, covariance, spread, dict(zip(names, values, strict=False)))
-    tail = 0.5 + CONFIDENCE / 2
-    half = scipy.special.stdtrit(freedom, tail) * np.sqrt(np.diag(covariance))
-    plant = modal_lines.model_of(values, parts)
-    whiteness = whiteness_of_lines(error)
-    weighted = problem.weights * growing.G
-    of_lines = growing.variances(P, 0.0, 1.0) if known else np.abs(P) ** 2
-    told = np.abs(growing.G - P) / np.sqrt(np.maximum(of_lines, np.min(of_lines[of_lines > 0])))
+    width = scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2)
+    of_error = growing.variances(P, 0.0, 1.0) if known else np.abs(P) ** 2
+    told = np.abs(growing.G - P) / np.sqrt(np.maximum(of_error, np.min(of_error[of_error > 0])))
     told *= np.sqrt(2) if known else 1.0  # each line has two numbers
-    count = freedom if known else len(error)
-    return Identified(
-        plant=plant,
-        parameters={
-            name: Estimate(float(v), float(v - h), float(v + h))
-            for name, v, h in zip(names, values, half, strict=False)
-        },
-        covariance=covariance,
-        poles=poles_of(_Named(names, plant), values[:fitted], covariance),
-        samples=len(error),
-        simulated=P[:, None],
-        fit=np.array([100 * (1 - np.linalg.norm(error) / np.linalg.norm(weighted))]),
-        validation_fit=np.array([np.nan]),
-        residual_std=np.array([float(np.sqrt(np.sum(told**2) / count))]),
-        whiteness=np.array([whiteness]),
-        white=whiteness >= WHITE,
-        converged=converged,
-        of_response=True,
-        std_known=known,
-        apart=apart,
-    )
+    std = float(np.sqrt(np.sum(told**2) / (freedom if known else len(error))))
+    fitted = model_of(values, parts), names, values[: len(names)], covariance, width, P
+    weighted = problem.weights * growing.G
+    return of_lines(*fitted, error, weighted, std, known=known, converged=converged, apart=apart)
 
 
 def _apart(
@@ -446,10 +676,9 @@ def _apart(
     alike = covariance[np.ix_(finite, finite)] / np.outer(std, std)
     least[finite] = std**2 / np.maximum(np.diag(np.linalg.pinv(alike, hermitian=True)), 1.0)
     A = np.abs(J[:, :n]) ** 2 / spread[:, None]
-    size = np.linalg.norm(A, axis=0)
-    size[size == 0] = 1.0
+    scaled, size = unit_columns(A)
     missing = np.maximum(1 - A @ least[:n], 0.0)
-    variance = least[:n] + scipy.optimize.nnls(A / size, missing)[0] / size
+    variance = least[:n] + scipy.optimize.nnls(scaled, missing)[0] / size
     reached = A @ variance
     variance = variance * float(np.clip(np.quantile(1 / reached, COVERED), 1.0, MOST_SCALED**2))
     found = {}
@@ -459,13 +688,6 @@ def _apart(
             half = min(half, CLOSEST * value)
         found[name] = Estimate(float(value), float(value - half), float(value + half))
     return found
-
-
-class _Named(NamedTuple):
-    """What `poles_of` asks of a problem."""
-
-    names: tuple[str, ...]
-    plant: object
 
 
 def _in_common(error: Numbers) -> float:

@@ -192,6 +192,13 @@ def least_squares_from(problem, theta, **options) -> Minimum:
     return Minimum(coordinates.to_values(found.x), found.cost, found.status > 0)
 
 
+def unit_columns(X) -> tuple[np.ndarray, np.ndarray]:
+    """X with columns of length 1, and their lengths before; a column of zeros stays as it is."""
+    length = np.linalg.norm(X, axis=0)
+    length[length == 0] = 1.0
+    return X / length, length
+
+
 def checked_record(record: Record) -> Record:
     """The record with u (N, n_u) and y (N+1, n_y); raises ValueError for an invalid record."""
     u, y = as_columns("identify", "u", record.u), as_columns("identify", "y", record.y)

@@ -1,30 +1,38 @@
 """Records of experiments from files: text of columns, exports of scopes, .mat files.
 
 text            columns with a header (`storage.columns`); t, u and y are their names
-TwinCAT Scope   its text export, see `twincat`
+TwinCAT Scope   its text export, see `read_twincat`
 halsampler      LinuxCNC's sampler writes columns without a header and without a time, separated
                 by blanks; with its option -t the number of the sample comes first. Names and
                 sample time are given: columns = ["sample", "u", "y"], dt = 0.001. A line
                 `overrun` says that samples were lost there
-MATLAB          .mat files, see `mat_record`
+MATLAB          .mat files, see `read_mat_signals`
 """
 
 from __future__ import annotations
 
+import csv
+import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..pytree.closest import listed
 from ..pytree.ranges import brief, require
-from ..storage.columns import missing, name_and_unit, numbers_in, read_columns
-from ..storage.reading import quoted
-from .mat_record import read_mat_signals
-from .records import Record
-from .resampling import Signal, resampled
-from .time_column import STEP_TOLERANCE, place_of_time, seconds_in
-from .twincat import is_twincat, read_twincat
+from ..storage.columns import (
+    LARGEST_TABLE,
+    is_number,
+    missing,
+    name_and_unit,
+    numbers_in,
+    read_columns,
+)
+from ..storage.files import atomically
+from ..storage.mat_files import Other, read_mat
+from ..storage.reading import quoted, read_text
+from .records import Record, as_columns
 
 SAMPLE = "sample"  # name of a column of numbers of samples
 LOST = "overrun"  # line of halsampler
@@ -122,6 +130,29 @@ def read_record_file(
         tuple(one.unit for one in of_inputs),
         tuple(one.unit for one in of_outputs),
         resample,
+    )
+
+
+def write_record(
+    path: str | Path, record: Record, *, time: str = "t", input: str = "u", output: str = "y"
+) -> None:
+    """Write a record as `read_record` reads it, with the time in seconds.
+
+    Several inputs become the columns u_0, u_1, ..., and likewise several outputs. The last row
+    repeats the last u.
+    """
+    u, y = as_columns("write_record", "u", record.u), as_columns("write_record", "y", record.y)
+    header = [time if name_and_unit_of_time(time)[1] else f"{time} [s]"]
+    for name, signal in ((input, u), (output, y)):
+        header += (
+            [name] if signal.shape[1] == 1 else [f"{name}_{i}" for i in range(signal.shape[1])]
+        )
+    rows = np.hstack([np.arange(len(y))[:, None] * record.dt, np.vstack([u, u[-1:]]), y])
+    atomically(
+        path,
+        lambda file: np.savetxt(
+            file, rows, fmt="%.17g", delimiter=",", header=",".join(header), comments=""
+        ),
     )
 
 
@@ -243,3 +274,411 @@ def _place(path, name: str, header: list[str], option: str) -> int:
         if name in headings:
             return headings.index(name)
     raise ValueError("read_record: " + missing(path, name, header, f"--{option} ({option})"))
+
+
+# Onto one grid
+# --------------------------------------------------------------------------------------------------
+
+RESAMPLED = (
+    "resampled to {dt:g} s: outputs by linear interpolation between their samples, inputs by the "
+    "mean over each new sample of the value that was held"
+)
+FINEST = 0.1  # of the median step of the record, the smallest new sample time
+FEWEST = 10  # new samples
+LONGEST_GAP = 10  # median steps without a sample that are bridged
+
+
+class Signal(NamedTuple):
+    """A signal as a file has it.
+
+    times: (rows,) times [s]
+    values: (rows,) values; of an input the last one may be NaN
+    places: place of each row in the file, for messages
+    unit: unit, "" where the file has none
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    places: list[str]
+    unit: str = ""
+
+
+def resampled(
+    path, inputs: list[Signal], outputs: list[Signal], dt: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """u (N, n_u) and y (N+1, n_y) on a grid of step dt, from the first common time on.
+
+    An input is held from each of its times to the next, and its new value is the mean of that over
+    the new sample, so that the area under it is kept. An output is interpolated linearly: it is
+    sampled, not filtered, since the model is sampled in the same way and has no aliasing to match.
+
+    Raises ValueError naming file and place for a gap, and for a step that does not suit the record.
+    """
+    signals = [*inputs, *outputs]
+    steps = [np.diff(one.times) for one in signals]
+    middle = max(float(np.median(of)) for of in steps)
+    start = max(one.times[0] for one in signals)
+    end = min(
+        [one.times[-1] for one in outputs]
+        + [one.times[-1] + float(np.median(np.diff(one.times))) for one in inputs]
+    )
+    low, high = FINEST * middle, (end - start) / FEWEST
+    if not low <= dt <= high:
+        raise ValueError(
+            f"read_record: --dt {dt:g} (resample) is outside its allowed range "
+            f"[{low:.3g}, {high:.3g}] s for {path}, whose median step is {middle:.6g} s"
+        )
+    for one, of in zip(signals, steps, strict=True):
+        k = int(np.argmax(of))
+        if of[k] > max(LONGEST_GAP * np.median(of), dt):
+            raise ValueError(
+                f"read_record: {path}, {one.places[k + 1]}: {of[k]:.6g} s without a sample, where "
+                f"the median step is {np.median(of):.6g} s; cut the record there, since nothing is "
+                "known of the gap"
+            )
+    grid = start + dt * np.arange(int(np.floor((end - start) / dt * (1 + 1e-12))) + 1)
+    u = [np.diff(_integral(one, grid)) / dt for one in inputs]
+    y = [np.interp(grid, one.times, one.values) for one in outputs]
+    return np.stack(u, axis=1), np.stack(y, axis=1)
+
+
+def _integral(held: Signal, grid) -> np.ndarray:
+    """The integral over time of a signal that is held from each of its times to the next."""
+    known = np.isfinite(held.values)
+    times, values = held.times[known], held.values[known]
+    last = float(np.median(np.diff(times)))
+    area = np.concatenate([[0.0], np.cumsum(values * np.append(np.diff(times), last))])
+    return np.interp(grid, np.append(times, times[-1] + last), area)
+
+
+# The column of the time
+# --------------------------------------------------------------------------------------------------
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+OTHER_NAMES = {"sec": "s", "seconds": "s", "msec": "ms", "µs": "us", "μs": "us"}
+# From this mean step on, a time without a unit is doubted: a drive is sampled faster than 10 Hz.
+DOUBTFUL = 0.1
+# Share of the sample time by which a step of a record's time may differ from the others.
+STEP_TOLERANCE = 0.01
+_WITH_UNIT = re.compile(r"^(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
+_WITH_SUFFIX = re.compile(r"^(.+)_([a-zµμ]+)$")
+
+
+def name_and_unit_of_time(heading: str) -> tuple[str, str | None]:
+    """The name and the unit of a heading: `t [ms]`, `t (ms)` and `t_ms` are ("t", "ms").
+
+    The unit is None where there is none. A suffix is a unit only if it is one of time.
+    """
+    if found := _WITH_UNIT.match(heading):
+        unit = (found[2] if found[2] is not None else found[3]).strip()
+        return found[1], OTHER_NAMES.get(unit, unit)
+    if (found := _WITH_SUFFIX.match(heading)) and (OTHER_NAMES.get(found[2], found[2]) in SECONDS):
+        return found[1], OTHER_NAMES.get(found[2], found[2])
+    return heading, None
+
+
+def place_of_time(name: str, header: list[str]) -> int | None:
+    """The index of the column of the time, or None.
+
+    It is found by its whole heading, or by its heading without the unit. The name `t` also stands
+    for `time`, and capitals do not matter.
+    """
+    if name in header:
+        return header.index(name)
+    wanted = {name.lower(), "time"} if name == "t" else {name.lower()}
+    for i, heading in enumerate(header):
+        if name_and_unit_of_time(heading)[0].lower() in wanted:
+            return i
+    return None
+
+
+def seconds_in(path, heading: str, unit: str | None, times: np.ndarray) -> float:
+    """Seconds in one unit of the time column.
+
+    heading: heading of the column
+    unit: unit that was given, None for that of the heading
+    times: the column
+    Raises ValueError for a unit that is not known, a given unit that is not that of the heading,
+    and a time without a unit whose mean step would be 0.1 s or more.
+    """
+    named = name_and_unit_of_time(heading)[1]
+    if unit is not None and unit not in SECONDS:
+        raise ValueError(f"time_unit = {unit!r} is not one of {', '.join(SECONDS)}")
+    if unit is not None and named not in (None, unit):
+        raise ValueError(
+            f"read_record: {path}: the heading {heading!r} has another unit than --time-unit {unit}"
+        )
+    unit = unit or named
+    if unit is not None:
+        if unit not in SECONDS:
+            raise ValueError(
+                f"read_record: {path}: the unit {unit!r} of {heading!r} is not one of "
+                f"{', '.join(SECONDS)}; --time-unit has no effect on a heading with a unit"
+            )
+        return SECONDS[unit]
+    step = (times[-1] - times[0]) / max(len(times) - 1, 1)
+    if len(times) > 1 and step >= DOUBTFUL:
+        raise ValueError(
+            f"read_record: {path}: {heading} steps by {step:.6g} and has no unit; in seconds that "
+            f"would be {1 / step:.3g} samples a second, in milliseconds {1e3 / step:.3g}. Give "
+            f"--time-unit s, ms or us (time_unit), or write the unit into the heading: "
+            f"{heading} [ms]"
+        )
+    return 1.0
+
+
+# Files of MATLAB
+# --------------------------------------------------------------------------------------------------
+
+LARGEST = 256_000_000  # bytes of a file, packed or unpacked
+EXPORT = "{0} = struct('Time', {0}.Time, 'Data', {0}.Data); save('record.mat', '{0}', ..., '-v7')"
+
+
+def read_mat_signals(
+    path: str | Path, time: str, names: list[str], unit: str | None, dt: float | None
+) -> list[Signal]:
+    """The signals of these names in a .mat file of version 5 to 7; a name may be a path, `log.u`.
+
+    arrays              variables t, u and y, as vectors of one length
+    a structure         fields t, u and y of one structure
+    times of its own    a structure u with the fields Time and Data, as of a timeseries; or time and
+                        signals.values, Simulink's "structure with time" of one signal
+
+    An object of MATLAB, such as a timeseries itself, and a file of version 7.3 (HDF5) cannot be
+    read; in MATLAB u = struct('Time', u.Time, 'Data', u.Data) makes a structure of it.
+
+    time: name of the times of arrays
+    unit: unit of the times, None for seconds
+    dt: sample time of arrays without times [s]
+    Raises ValueError naming file and signal for what is missing or cannot be read; where it is an
+    object or a file of version 7.3, with the line of MATLAB that exports it.
+    """
+    try:
+        content = read_mat(path, LARGEST)
+    except ValueError as error:
+        if "version 7.3" not in str(error):
+            raise
+        raise ValueError(
+            f"read_record: {path} is a MATLAB file of version 7.3 (HDF5), which is not read; save "
+            f"it again: save('record.mat', {', '.join(map(repr, names))}, '-v7')"
+        ) from None
+    return [_mat_signal(path, content, time, name, unit, dt) for name in names]
+
+
+def _mat_signal(path, content, time: str, name: str, unit, dt) -> Signal:
+    level, value = _found(path, content, name)
+    own = _own_times(value) if isinstance(value, dict) else None
+    if isinstance(value, dict):
+        if own is None:
+            raise ValueError(
+                f"read_record: {path}: {name} is a structure of {', '.join(value) or 'nothing'}; "
+                "allowed are the fields Time and Data, or time and signals.values"
+            )
+        times, values = (_vector(path, f"{name}.{part}", of) for part, of in own)
+    else:
+        values = _vector(path, name, value)
+        key = next((k for k in _spellings(time) if k in level), None)
+        if key is None and dt is None:
+            raise ValueError(
+                f"read_record: {path} has no times {time!r} beside {name}; present are "
+                f"{listed(level)}. Name them with --time, or give --dt (dt)"
+            )
+        times = np.arange(len(values)) * (dt or 0.0)
+        if key is not None:
+            times = _vector(path, key, level[key])
+    if len(times) != len(values):
+        raise ValueError(
+            f"read_record: {path}: {name} has {len(values)} values and {len(times)} times"
+        )
+    for what, of in (("its times", times), (name, values)):
+        if not np.all(np.isfinite(of[:-1])):
+            k = int(np.argmin(np.isfinite(of)))
+            raise ValueError(f"read_record: {path}, row {k + 1}: {what} is not a finite number")
+    scale = 1.0 if dt is not None and own is None else seconds_in(path, time, unit, times)
+    return Signal(times * scale, values, [f"row {k + 1}" for k in range(len(values))])
+
+
+def _found(path, content: dict[str, Any], name: str) -> tuple[dict[str, Any], Any]:
+    """The structure (or file) that holds a signal, and the signal."""
+    level, *rest = [content]
+    for part in name.split("."):
+        if part not in level and level is content:  # within the only structure that has it
+            holders = [of for of in content.values() if isinstance(of, dict) and part in of]
+            level = holders[0] if len(holders) == 1 else level
+        if part not in level:
+            raise ValueError(
+                f"read_record: {path} has no variable {name!r}; present are "
+                f"{listed(level)}; --input (input) and --output (output) name others"
+            )
+        rest.append((level, level[part]))
+        level = level[part] if isinstance(level[part], dict) else {}
+    return rest[-1]
+
+
+def _own_times(value: dict[str, Any]) -> tuple[tuple[str, Any], tuple[str, Any]] | None:
+    """The times and the data of a structure that has both, each with the name of its field."""
+    fields = {key.lower(): key for key in value}
+    if "time" not in fields:
+        return None
+    time = fields["time"]
+    signals = value.get("signals")
+    if isinstance(signals, dict) and "values" in signals:
+        return (time, value[time]), ("signals.values", signals["values"])
+    data = fields.get("data", fields.get("values"))
+    return None if data is None else ((time, value[time]), (data, value[data]))
+
+
+def _vector(path, name: str, value: Any) -> np.ndarray:
+    """A vector of numbers, whatever its orientation."""
+    if isinstance(value, Other):
+        said = value.said
+        if "object" in said:
+            said = f"an object of MATLAB, which is not read; in MATLAB: {EXPORT.format(name)}"
+        raise ValueError(f"read_record: {path}: {name} is {said}")
+    if not isinstance(value, np.ndarray):
+        raise ValueError(f"read_record: {path}: {name} is no array of numbers")
+    plain = np.squeeze(np.asarray(value, float))
+    if plain.ndim != 1:
+        raise ValueError(
+            f"read_record: {path}: {name} has the shape {value.shape}; allowed is a vector"
+        )
+    return plain
+
+
+def _spellings(time: str) -> tuple[str, ...]:
+    return (time, "time", "Time", "tout") if time == "t" else (time,)
+
+
+# Exports of TwinCAT Scope
+# --------------------------------------------------------------------------------------------------
+
+END = "EOF"
+OF_THE_SCOPE = ("File", "StartRecord", "EndRecord", "Starttime of export", "Endtime of export")
+TICKS = 1e15  # times above this are ticks of 100 ns, since 1601; 1e15 ms are 30,000 years
+MOST_HEADER = 64  # lines
+
+
+class _Export(NamedTuple):
+    """The header of an export: the rows of its channels by key, the times' columns, its data."""
+
+    channels: dict[str, list[str]]
+    times: list[int]
+    rows: list[list[str]]
+    first: int
+
+
+def is_twincat(path: str | Path) -> bool:
+    """Whether a text file is an export of TwinCAT Scope: `Name`, then a key of the scope."""
+    text = read_text(path, LARGEST_TABLE)[:4096]
+    if not text.startswith("Name") or not _separator(text):
+        return False
+    heads = [line.split(_separator(text))[0] for line in text.splitlines()[:MOST_HEADER]]
+    return any(head.strip('"') in OF_THE_SCOPE for head in heads)
+
+
+def _separator(text: str) -> str:
+    """What stands behind the first key, `Name`; "" where that separates nothing."""
+    behind = text[4:5]
+    return "" if behind.isalnum() or behind in "\r\n\"'" else behind
+
+
+def read_twincat(path: str | Path, names: list[str]) -> list[Signal]:
+    r"""The channels with these names, or with these names of symbols such as `MAIN.position`.
+
+        Name<TAB>my scope                     the scope: name, file, start and end of the export
+        File<TAB>C:\my scope.csv
+        (blank lines)
+        Name<TAB>torque<TAB>Name<TAB>position   the channels, key and value: Name, SymbolComment,
+        SampleTime[ms]<TAB>1<TAB>SampleTime[ms]<TAB>1    Data-Type, SampleTime[ms], SymbolName,
+        Unit<TAB>(None)<TAB>Unit<TAB>mm (Length)         Unit and others; some have Name only
+        (blank line)
+        0<TAB>-1,0379<TAB>0<TAB>0,25          pairs of time [ms] and value
+        EOF                                   where this was asked for
+
+    The key `Name` stands above each column of times. With the option "Timelines: for each sample
+    time", channels of one sample time share a column: Name, a, b, Name, c. The separator is what
+    stands behind the first `Name`: a tab, semicolon, comma or colon; not a blank, since keys and
+    names have blanks within. A decimal mark is a comma or a point. With "Full timestamp" the times
+    are ticks of 100 ns since 1601. Channels of longer sample times end in earlier rows, or repeat
+    their last time and value ("Interpolation: fill with previous value").
+
+    Raises ValueError naming the file: for a channel that is missing, a value that is not a number,
+    and times whose step is not the sample time that the header tells.
+    """
+    export = _export(path)
+    return [_channel(path, export, name) for name in names]
+
+
+def _export(path) -> _Export:
+    text = read_text(path, LARGEST_TABLE)
+    separator = _separator(text)
+    if separator == " ":
+        raise ValueError(
+            f"read_record: {path} is an export of TwinCAT Scope separated by blanks; export it "
+            "with tabs or semicolons"
+        )
+    read = csv.reader(text.splitlines(), delimiter=separator)
+    rows = [[cell.strip() for cell in row] or [""] for row in read]
+    first = next((i for i, row in enumerate(rows) if is_number(row[0])), len(rows))
+    heads = [i for i in range(first) if rows[i][0] == "Name"]
+    if not heads or first == len(rows):
+        raise ValueError(
+            f"read_record: {path} is an export of TwinCAT Scope without channels or without data"
+        )
+    channels = {row[0]: row for row in rows[heads[-1] : first] if row[0]}
+    times = [i for i, cell in enumerate(channels["Name"]) if cell == "Name"]
+    end = next((i for i, row in enumerate(rows[first:], first) if row[0] == END), len(rows))
+    decimal = separator != ","
+    data = [[c.replace(",", ".") for c in row] if decimal else row for row in rows[first:end]]
+    return _Export(channels, times, data, first + 1)
+
+
+def _channel(path, export: _Export, name: str) -> Signal:
+    names = export.channels["Name"]
+    symbols = export.channels.get("SymbolName", [])
+    places = [i for i in range(len(names)) if i not in export.times and names[i]]
+    at = [i for i in places if name in (names[i], *symbols[i : i + 1])]
+    if len(at) != 1:
+        present = listed(names[i] for i in places)
+        what = "no channel" if not at else f"{len(at)} channels"
+        raise ValueError(f"read_record: {path} has {what} {brief(name)}; present are {present}")
+    column = max(i for i in export.times if i < at[0])
+    lines, times, values = [], [], []
+    for line, row in enumerate(export.rows, export.first):
+        cells = row[column : column + 1] + row[at[0] : at[0] + 1]
+        if not any(cells):
+            continue  # a channel of a longer sample time has ended
+        found = numbers_in(cells, (0, 1))
+        if not np.all(np.isfinite(found)):
+            raise ValueError(
+                f"read_record: {path}, line {line}: {name} = {cells} is not a time and a value"
+            )
+        again = times and cells[0] == times[-1] and found[1] == values[-1]
+        if not again:
+            lines.append(f"line {line}")
+            times.append(cells[0])
+            values.append(found[1])
+    seconds = _seconds(times)
+    _check_step(path, export, name, at[0], seconds)
+    unit = (export.channels.get("Unit", [])[at[0] : at[0] + 1] or [""])[0].split(" (")[0]
+    return Signal(seconds, np.array(values), lines, "" if unit == "(None)" else unit)
+
+
+def _seconds(times: list[str]) -> np.ndarray:
+    """The times in seconds; ticks are subtracted as whole numbers, which a float could not hold."""
+    if times and float(times[0]) > TICKS:
+        return np.array([int(t) - int(times[0]) for t in times]) * 1e-7
+    return np.array(times, float) * 1e-3
+
+
+def _check_step(path, export: _Export, name: str, at: int, seconds) -> None:
+    told = export.channels.get("SampleTime[ms]", [])[at : at + 1]
+    if not told or not is_number(told[0]) or len(seconds) < 2:
+        return
+    expected = float(told[0].replace(",", ".")) * 1e-3
+    step = float(np.median(np.diff(seconds)))
+    if expected > 0 and abs(step / expected - 1) > STEP_TOLERANCE:
+        raise ValueError(
+            f"read_record: {path}: the times of {name} step by {1e3 * step:.6g} ms where its "
+            f"SampleTime[ms] is {1e3 * expected:g}; export with a column of times for each channel"
+        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -16,8 +15,6 @@ from ..pytree.in_short import in_short
 from ..schemes import Scheme
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial
-from ..storage.files import atomically
-from .time_column import name_and_unit_of_time
 
 
 class Record(NamedTuple):
@@ -53,29 +50,6 @@ def excite(machine: Machine, u, dt: float, *, key: jax.Array | None = None) -> R
     machine.check(task)
     trial = played(machine, task, u, jax.random.key(0) if key is None else key)
     return Record(trial.u, trial.y, dt)
-
-
-def write_record(
-    path: str | Path, record: Record, *, time: str = "t", input: str = "u", output: str = "y"
-) -> None:
-    """Write a record as `read_record` reads it, with the time in seconds.
-
-    Several inputs become the columns u_0, u_1, ..., and likewise several outputs. The last row
-    repeats the last u.
-    """
-    u, y = as_columns("write_record", "u", record.u), as_columns("write_record", "y", record.y)
-    header = [time if name_and_unit_of_time(time)[1] else f"{time} [s]"]
-    for name, signal in ((input, u), (output, y)):
-        header += (
-            [name] if signal.shape[1] == 1 else [f"{name}_{i}" for i in range(signal.shape[1])]
-        )
-    rows = np.hstack([np.arange(len(y))[:, None] * record.dt, np.vstack([u, u[-1:]]), y])
-    atomically(
-        path,
-        lambda file: np.savetxt(
-            file, rows, fmt="%.17g", delimiter=",", header=",".join(header), comments=""
-        ),
-    )
 
 
 def as_columns(function, name, values) -> np.ndarray:

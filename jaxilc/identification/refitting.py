@@ -20,10 +20,9 @@ from ..plants import Plant
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import get_at
 from ..uncertainty import Normal, Uncertainty
-from .estimation import identify
+from .estimation import identify, validated
 from .problem import checked_record, free_elements, problem_of
 from .records import Record
-from .validation import validated
 from .verdict import Estimate, Identified, inverse_of_normal, widened
 
 UNKNOWN = 0.5  # half-width of a number without an interval, as a share of it

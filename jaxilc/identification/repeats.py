@@ -21,7 +21,7 @@ from ..pytree.ranges import require
 from ..storage.columns import name_and_unit, numbers_in, read_columns
 from ..storage.mat_files import read_mat
 from ..storage.sealed import Damaged, read_arrays
-from .time_column import STEP_TOLERANCE, place_of_time, seconds_in
+from .record_files import STEP_TOLERANCE, place_of_time, seconds_in
 
 LARGEST = 256_000_000  # bytes of a file
 SHORTER = 0.01  # share by which trials may differ in length; all are cut to the shortest

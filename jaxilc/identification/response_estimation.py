@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
-from typing import cast
+from typing import NamedTuple, TypeAlias, cast
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from ..plants import ProcessModel
-from ..plants.process_model import LONGEST_DELAY
+from ..plants import ModalModel, Plant, ProcessModel
+from ..plants.process_model import LONGEST_DELAY, cascade, samples_of
+from ..pytree.named_paths import get_at, replaced
 from ..pytree.ranges import SEEDS, require
 from ..theory.on_lines import MeasuredResponse
-from .estimation import MOST
-from .orders import STRUCTURES, Order, information
-from .problem import SAMPLES_PER_PARAMETER, Minimum
-from .response_problem import ResponseProblem, best_of_many_starts, response_problem
-from .verdict import CONFIDENCE, LAGS, WHITE, Estimate, Identified, inverse_of_normal, poles_of
+from .estimation import MOST, REFINED, STRUCTURES, Order, drawn_plants, information, with_numerator
+from .problem import SAMPLES_PER_PARAMETER, Coordinates, Minimum, free_elements, least_squares_from
+from .verdict import (
+    CONFIDENCE,
+    LAGS,
+    WHITE,
+    Estimate,
+    Identified,
+    estimates,
+    inverse_of_normal,
+    poles_of,
+)
 
 LARGEST = 1e100  # of a response, whose square must be a number
 IN_DISC = 1.7308  # sqrt(-ln 0.05): |r| <= this / sqrt(F) in 95 % of cases, r complex and normal
@@ -47,8 +58,10 @@ def identify_response(
 
     measured: the lines
     poles, pairs, zeros, starts, seed: as for `identify`
-    dt: sample time [s] of the zero-order hold within the response; None for a response between
-        two signals in continuous time. `model_response` says what P is in each case
+    dt: sample time [s]; P(z) then leads from the samples of u, held over each sample, to those of
+        y, as a controller measures them, and is the response of `plant.sampled(dt)`. None: G(s)
+        from u to y in continuous time, as an analyser measures between two voltages; a hold in
+        the path would be fitted as poles and delay
     delay: dead time [s]; None where it is fitted, between 0 and 25 periods of the fastest line
 
     In the result `simulated` is the complex response of the fit, and a row of `parameters` is
@@ -173,27 +186,51 @@ def _judged(problem: ResponseProblem, found: Minimum) -> Identified:
     covariance = inverse_of_normal(problem.sensitivity(theta)[:, 0]) * (1.0 if known else ratio**2)
     tail = 0.5 + CONFIDENCE / 2
     width = scipy.special.ndtri(tail) if known else scipy.special.stdtrit(freedom, tail)
-    half = width * np.sqrt(np.diag(covariance))
-    named = zip(problem.names, theta, half, strict=True)
-    plant, delay = problem.plant_at(theta), problem.delay_at(theta)
+    plant = dataclasses.replace(problem.plant_at(theta), delay=problem.delay_at(theta))
     weighted = problem.weights * measured.response
     error = residual[: len(weighted)] + 1j * residual[len(weighted) :]
+    fitted = plant, problem.names, theta, covariance, width, problem.response(theta)
+    return of_lines(*fitted, error, weighted, ratio, known=known, converged=found.converged)
+
+
+def of_lines(
+    plant: Plant,
+    names: Sequence[str],
+    theta: np.ndarray,
+    covariance: np.ndarray,
+    width: float,
+    P: np.ndarray,
+    error: np.ndarray,
+    weighted: np.ndarray,
+    std: float,
+    *,
+    known: bool,
+    converged: bool,
+    apart: dict[str, Estimate] | None = None,
+) -> Identified:
+    """The result of a fit to the lines of a response.
+
+    names, theta: (P,) what was fitted;  width: of an interval, in standard deviations
+    P: (F,) response of the plant;  error, weighted: (F,) weighted residual and measured response
+    std: `residual_std`;  known, apart: `std_known` and `apart` of the result
+    """
     whiteness = whiteness_of_lines(error)
     return Identified(
-        plant=dataclasses.replace(plant, delay=delay),
-        parameters={name: Estimate(float(v), float(v - h), float(v + h)) for name, v, h in named},
+        plant=plant,
+        parameters=estimates(names, theta, width * np.sqrt(np.diag(covariance))),
         covariance=covariance,
-        poles=poles_of(problem, theta, covariance),
-        samples=len(weighted),
-        simulated=problem.response(theta)[:, None],
+        poles=poles_of(plant, names, theta, covariance),
+        samples=len(error),
+        simulated=P[:, None],
         fit=np.array([100 * (1 - np.linalg.norm(error) / np.linalg.norm(weighted))]),
         validation_fit=np.array([np.nan]),
-        residual_std=np.array([ratio]),
+        residual_std=np.array([std]),
         whiteness=np.array([whiteness]),
         white=whiteness >= WHITE,
-        converged=found.converged,
+        converged=converged,
         of_response=True,
         std_known=known,
+        apart=apart,
     )
 
 
@@ -207,3 +244,333 @@ def whiteness_of_lines(error) -> float:
     power = max(float(np.real(np.vdot(error, error))), np.finfo(float).tiny)
     r = np.array([np.vdot(error[:-lag], error[lag:]) for lag in lags]) / power
     return float(np.mean(np.abs(r) <= IN_DISC / np.sqrt(len(error)))) if len(r) else 1.0
+
+
+# The least-squares problem
+# --------------------------------------------------------------------------------------------------
+
+SEARCHED = 400  # lines at most in the search from many starts
+PERIODS = 25  # of the fastest line, the longest delay that is looked for
+STEPS = 8  # delays a period of the fastest line, for the starts
+
+
+class ResponseProblem(NamedTuple):
+    """The least-squares problem of a response: theta (P,) holds the values of `names`.
+
+    measured: the measured lines
+    plant: a ProcessModel of the structure that is fitted
+    names: elements of the plant that are fitted, and `delay` last where it is
+    coordinates: coordinates in which the optimiser works
+    weights: (F,) numbers by which the complex residuals are multiplied; sqrt(2) / std makes their
+        parts of variance 1
+    dt: sample time of the hold [s]; None for continuous time
+    delay: the delay where it is fixed [s]
+    longest: the longest delay that is allowed [s]
+    """
+
+    measured: MeasuredResponse
+    plant: ProcessModel
+    names: tuple[str, ...]
+    coordinates: Coordinates
+    weights: np.ndarray
+    dt: float | None
+    delay: float | None
+    longest: float
+
+    @property
+    def samples(self) -> int:
+        return 2 * len(self.weights)
+
+    @property
+    def scale(self) -> np.ndarray:
+        return np.ones(1)
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        plant = self.plant
+        return np.size(plant.zeros), np.size(plant.poles), np.size(plant.frequencies)
+
+    def _evaluated(self, theta):
+        values = theta if self.delay is None else np.append(theta, self.delay)
+        response, slopes = response_and_slopes(
+            values, self.counts, self.measured.frequencies, self.dt
+        )
+        return response, slopes[:, : len(theta)]
+
+    def response(self, theta):
+        """(F,) the model's response."""
+        return self._evaluated(theta)[0]
+
+    def residual(self, theta):
+        """(2 F, 1) the weighted measured response minus that of the model: real parts first."""
+        with np.errstate(all="ignore"):  # a step that is too long; the optimiser shortens it
+            try:
+                error = self.weights * (self.measured.response - self.response(theta))
+            except np.linalg.LinAlgError:
+                error = np.full(len(self.weights), np.inf)
+        parts = np.concatenate([error.real, error.imag])
+        return np.where(np.isfinite(parts), parts, 1e100)[:, None]
+
+    def sensitivity(self, theta):
+        """(2 F, 1, P) derivatives of the weighted response of the model, exact."""
+        slopes = self.weights[:, None] * self._evaluated(theta)[1]
+        return np.concatenate([slopes.real, slopes.imag])[:, None, :]
+
+    def start(self, plant: ProcessModel, delay: float) -> np.ndarray:
+        """The vector theta of a plant."""
+        values = [float(get_at(plant, name)) for name in self.names if name != "delay"]
+        return np.array(values + ([delay] if self.delay is None else []))
+
+    def plant_at(self, theta) -> ProcessModel:
+        """The plant with the values theta, but without its delay."""
+        named = zip(self.names, map(float, theta), strict=True)
+        return replaced(self.plant, {name: v for name, v in named if name != "delay"})
+
+    def delay_at(self, theta) -> float:
+        return float(theta[-1]) if self.delay is None else self.delay
+
+    def solve(self, theta, **options) -> Minimum:
+        return least_squares_from(self, theta, **options)
+
+
+def response_problem(
+    measured: MeasuredResponse, plant: ProcessModel, dt: float | None, delay: float | None
+) -> ResponseProblem:
+    """The problem of a measured response; delay: [s], None where it is fitted."""
+    f, G, std = (np.asarray(x) for x in measured[:3])
+    names, coordinates = (
+        free_elements(plant, None),
+        Coordinates.of(plant, free_elements(plant, None)),
+    )
+    longest = longest_delay(f, dt)
+    if delay is None:  # the coordinate of the bias of a record is that of the delay
+        names = (*names, "delay")
+        coordinates.low[-1], coordinates.high[-1] = 0.0, longest
+    else:
+        coordinates = Coordinates(*(of[:-1] for of in coordinates))
+    scatter = std if std.any() else np.maximum(np.abs(G), 1e-9 * np.max(np.abs(G)))
+    scatter = np.maximum(scatter, np.min(scatter[scatter > 0]))
+    return ResponseProblem(
+        measured, plant, names, coordinates, np.sqrt(2) / scatter, dt, delay, longest
+    )
+
+
+def longest_delay(f: np.ndarray, dt: float | None) -> float:
+    """The longest delay [s] that lines at frequencies f [Hz] are searched for."""
+    longest = float(min(PERIODS / f[-1], 0.5 / np.median(np.diff(f))))
+    return longest if dt is None else min(longest, LONGEST_DELAY * dt)
+
+
+def best_of_many_starts(problem: ResponseProblem, starts: int, seed: int) -> Minimum:
+    """The best fit from many drawn structures, as `from_many_starts` finds it for a record.
+
+    Each structure is scored with each of many delays by the least squares of its numerator. There,
+    the hold is (1 - exp(-s dt)) / (s dt), without the aliases. Of more than 400 lines, every n-th
+    is taken for the search.
+    """
+    every = -(-len(problem.weights) // SEARCHED)
+    if every > 1:
+        f, G, std = (np.asarray(of)[::every] for of in problem.measured[:3])
+        measured = MeasuredResponse(f, G, std)
+        thinned = problem._replace(measured=measured, weights=problem.weights[::every])
+        return problem.solve(best_of_many_starts(thinned, starts, seed).theta)
+    f = problem.measured.frequencies
+    rates = (np.pi * f[0], 4 * np.pi * f[-1])
+    drawn = drawn_plants(problem.plant, rates, starts, seed)
+    delays = [problem.delay]
+    if problem.delay is None:
+        delays = np.linspace(0.0, problem.longest, 2 + int(STEPS * problem.longest * f[-1]))
+    scored = [
+        _scored(problem, jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], drawn), delays)
+        for i in range(starts)
+    ]
+    scored = sorted((one for one in scored if np.isfinite(one[0])), key=lambda one: one[0])
+    begin = [problem.start(plant, delay) for _, plant, delay in scored[:REFINED]]
+    winner = min(
+        (problem.solve(theta, ftol=1e-4, max_nfev=30) for theta in begin),
+        key=lambda found: found.cost,
+    )
+    regrouped = problem.plant_at(winner.theta).regrouped()
+    return problem.solve(problem.start(regrouped, problem.delay_at(winner.theta)))
+
+
+def _scored(problem: ResponseProblem, plant: ProcessModel, delays):
+    """The least sum of squares of a denominator, the plant with its numerator, and the delay."""
+    measured, w = problem.measured, problem.weights
+    s, m = 2j * np.pi * measured.frequencies, problem.counts[0]
+    held = 1.0 if problem.dt is None else -np.expm1(-s * problem.dt) / (s * problem.dt)
+    slow = np.prod(1 + s[:, None] / plant.poles, axis=1)
+    at = s[:, None] / plant.frequencies
+    slow = slow * np.prod(1 + 2 * plant.dampings * at + at**2, axis=1)
+    zero = 1 - s / (plant.zeros[0] if m else 1.0)
+    basis = (w * held / slow)[:, None] * zero[:, None] ** np.arange(m + 1)
+    size = np.linalg.norm(basis, axis=0)
+    if not (np.all(np.isfinite(size)) and np.all(size)):
+        return np.inf, plant, 0.0
+    basis = basis / size
+    wanted = (w * measured.response)[:, None] * np.exp(np.outer(s, delays))
+    products = np.real(basis.conj().T @ wanted)
+    weights = np.linalg.pinv(np.real(basis.conj().T @ basis), hermitian=True) @ products
+    left = np.sum(np.abs(w * measured.response) ** 2) - np.sum(weights * products, axis=0)
+    best = int(np.argmin(left))
+    return left[best], with_numerator(plant, weights[:, best] / size), float(delays[best])
+
+
+# The response of a fitted plant, and its band
+# --------------------------------------------------------------------------------------------------
+
+Lines: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+# Of the complex step; the derivative is exact to rounding, since nothing is subtracted.
+STEP = 1e-30
+FIELDS = ("gain", "zeros", "poles", "frequencies", "dampings", "delay")
+LINES, LOWEST = 400, 1e-4  # frequencies, and the lowest one as a share of the sample rate
+MOST_SPREAD = 5.0  # standard deviation of log |P| that is told at most
+
+
+def response_and_slopes(
+    values: np.ndarray, counts: tuple[int, int, int], f: np.ndarray, dt: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) response and (F, P) its derivatives by the parameters.
+
+        P(z) = z^-d C (z I - A)^-1 (B_0 + z^-1 B_1)
+
+    The derivatives of A, B_0, B_1 and C are found by a complex step (Squire, Trapp 1998), those of
+    P follow from them.
+
+    values: (P,) gain, zeros, poles, frequencies, dampings, delay [s]
+    counts: numbers of zeros, poles and pairs
+    f: (F,) frequencies [Hz]
+    dt: sample time of the zero-order hold [s]; None for continuous time
+    """
+    s = 2j * np.pi * f
+    whole = 0 if dt is None else samples_of(values[-1], dt)[0]
+    z = s if dt is None else np.exp(s * dt)
+    A, B, C = _matrices(values, counts, dt, whole)
+    steps = values + 1j * STEP * np.eye(len(values))
+    slopes = [[M.imag / STEP for M in _matrices(row, counts, dt, whole)] for row in steps]
+    outer = np.exp(-s * values[-1]) if dt is None else z ** (-whole)
+    powers = np.stack([np.ones_like(z), 1 / z])[: B.shape[1]]
+    inner = z[:, None, None] * np.eye(len(A)) - A
+    x = np.linalg.solve(inner, (B @ powers).T[:, :, None])[:, :, 0]
+    left = np.linalg.solve(np.swapaxes(inner, 1, 2), np.broadcast_to(C.T, (len(f), len(A), 1)))
+    left = left[:, :, 0]
+    response = outer * (x @ C[0])
+    derivatives = np.empty((len(f), len(values)), complex)
+    for i, (dA, dB, dC) in enumerate(slopes):
+        driven = x @ dA.T + (dB @ powers).T
+        derivatives[:, i] = outer * (x @ dC[0] + np.sum(left * driven, axis=1))
+    if dt is None:
+        derivatives[:, -1] = -s * response
+    return response, derivatives
+
+
+def _matrices(values, counts, dt, whole):
+    """A (n, n), B (n, 1) or (n, 2) with B_0 and B_1, and C (1, n)."""
+    m, n, q = counts
+    gain, zeros, poles, frequencies, dampings, delay = np.split(values, np.cumsum([1, m, n, q, q]))
+    A, B, C = cascade(gain[0], zeros, poles, frequencies, dampings, array=np.array)
+    if dt is None:
+        return A, B, C
+    rest = delay[0] - whole * dt
+    A_d, B_now = _held(A, B, dt - rest)
+    A_rest, B_rest = _held(A, B, rest)
+    return A_rest @ A_d, np.hstack([B_now, A_d @ B_rest]), C
+
+
+def _held(A, B, dt):
+    """Exact zero-order hold over a time dt, as `plants.linear.zoh` has it."""
+    n = len(A)
+    block = np.zeros((n + 1, n + 1), np.result_type(A, B, dt))
+    block[:n, :n], block[:n, n:] = A * dt, B * dt
+    transition = scipy.linalg.expm(block)
+    return transition[:n, :n], transition[:n, n:]
+
+
+# The band
+# --------------------------------------------------------------------------------------------------
+
+
+class ResponseBand(NamedTuple):
+    """A frequency response with its 95 % band.
+
+    f:      (F,) frequencies [Hz]
+    P:      (F,) complex response
+    phase:  (F,) its phase without jumps [deg]
+    factor: (F,) the band is from |P| / factor to |P| factor; None where a parameter is not
+        determined by the record
+    half:   (F,) half of the band of the phase [deg]; None likewise
+    """
+
+    f: np.ndarray
+    P: np.ndarray
+    phase: np.ndarray
+    factor: np.ndarray | None
+    half: np.ndarray | None
+
+
+def response_band(identified: Identified, dt: float) -> ResponseBand:
+    """The response of the plant up to half of the sample rate, with its 95 % band.
+
+    With the covariance S of the parameters and the derivatives g of log P by them, the standard
+    deviations of log |P| and of the phase are those of Re(g)^T S Re(g) and Im(g)^T S Im(g).
+
+    dt: sample time of the record [s]
+    Raises ValueError for a plant that is not a `ProcessModel` or a `ModalModel` of one input and
+    one output.
+    """
+    plant = identified.plant
+    if not isinstance(plant, ProcessModel | ModalModel) or plant.n_u != 1 or plant.n_y != 1:
+        raise ValueError(
+            f"response_band: the plant is a {type(plant).__name__}; allowed is a ProcessModel or a "
+            "ModalModel of one input and one output"
+        )
+    f = np.geomspace(LOWEST / dt, 0.5 / dt, LINES)
+    if isinstance(plant, ModalModel):
+        P, g, S = _of_modes(identified, plant, dt, f)
+    else:
+        P, g, S = _of_process(identified, plant, dt, f)
+    phase = np.unwrap(np.angle(P)) * 180 / np.pi
+    if not np.all(np.isfinite(S)):
+        return ResponseBand(f, P, phase, None, None)
+    variances = [np.einsum("fi,ij,fj->f", part, S, part) for part in (g.real, g.imag)]
+    of_log, of_phase = np.sqrt(np.maximum(variances, 0))
+    factor = np.exp(1.96 * np.minimum(of_log, MOST_SPREAD))
+    return ResponseBand(f, P, phase, factor, 1.96 * np.minimum(of_phase, np.pi) * 180 / np.pi)
+
+
+def _of_modes(identified: Identified, plant: ModalModel, dt: float, f: np.ndarray) -> Lines:
+    """(F,) P, (F, n) derivatives of log P by the fitted numbers, and (n, n) their covariance."""
+    names = tuple(name for name in identified.parameters if not name.startswith("bias"))
+    values = np.array([identified.parameters[name].value for name in names])
+    (real, imag), (by_real, by_imag) = _sampled_response(values, names, plant, dt, f)
+    P = np.asarray(real) + 1j * np.asarray(imag)
+    g = (np.asarray(by_real) + 1j * np.asarray(by_imag)) / P[:, None]
+    return P, g, np.asarray(identified.covariance)[: len(names), : len(names)]
+
+
+@functools.partial(jax.jit, static_argnames=("names", "dt"))
+def _sampled_response(values, names, plant, dt, f):
+    def at(values):
+        system = replaced(plant, dict(zip(names, values, strict=True))).sampled(dt)
+        z = jnp.exp(2j * jnp.pi * f * dt)[:, None, None]
+        P = system.C @ jnp.linalg.solve(z * jnp.eye(len(system.A)) - system.A, system.B + 0j)
+        return P[:, 0, 0].real, P[:, 0, 0].imag
+
+    return at(values), jax.jacfwd(at)(values)
+
+
+def _of_process(identified: Identified, plant: ProcessModel, dt: float, f: np.ndarray) -> Lines:
+    """The same, of a ProcessModel."""
+    fields = [np.atleast_1d(np.asarray(getattr(plant, name), float)) for name in FIELDS]
+    counts = (len(fields[1]), len(fields[2]), len(fields[3]))
+    P, slopes = response_and_slopes(np.concatenate(fields), counts, f, dt)
+    names = [f"{n}[{i}]" for n, of in zip(FIELDS, fields, strict=True) for i in range(len(of))]
+    place = {name: i for i, name in enumerate(names)}
+    place |= {name: place[f"{name}[0]"] for name in FIELDS if f"{name}[0]" in place}
+    known = [(k, place[n]) for k, n in enumerate(identified.parameters) if n in place]
+    rows, columns = (np.array(x, int) for x in zip(*known, strict=True))
+    return (
+        P,
+        (slopes / P[:, None])[:, columns],
+        np.asarray(identified.covariance)[np.ix_(rows, rows)],
+    )

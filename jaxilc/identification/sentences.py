@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..plants import ModalModel, ProcessModel
-from .orders import not_significant
+from .estimation import not_significant
 from .verdict import Identified
 
 if TYPE_CHECKING:

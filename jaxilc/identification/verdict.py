@@ -12,7 +12,7 @@ import scipy
 from ..plants import ModalModel, Plant, ProcessModel
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import replaced
-from .problem import Minimum, Problem
+from .problem import Minimum, Problem, unit_columns
 
 CONFIDENCE = 0.95
 LAGS = 20  # lags of the residual's autocorrelation that are tested
@@ -134,12 +134,11 @@ def judged(problem: Problem, found: Minimum) -> Identified:
     biases = (
         ["bias"] if problem.plant.n_y == 1 else [f"bias[{i}]" for i in range(problem.plant.n_y)]
     )
-    named = zip((*problem.names, *biases), theta, half, strict=True)
     modelled = isinstance(problem.plant, ProcessModel | ModalModel)
-    poles = poles_of(problem, theta, covariance) if modelled else ()
+    poles = poles_of(problem.plant, problem.names, theta, covariance) if modelled else ()
     return Identified(
         plant=problem.plant_at(theta),
-        parameters={name: Estimate(float(v), float(v - h), float(v + h)) for name, v, h in named},
+        parameters=estimates((*problem.names, *biases), theta, half),
         covariance=covariance,
         poles=poles,
         samples=samples,
@@ -159,13 +158,12 @@ def inverse_of_normal(J):
     A parameter that takes part in a direction without effect on the output gets inf on the diagonal
     and 0 in the rest of its row and column.
     """
-    length = np.linalg.norm(J, axis=0)
-    length[length == 0] = 1.0
-    _, s, directions = np.linalg.svd(np.linalg.qr(J / length, mode="r"))
+    scaled, length = unit_columns(J)
+    _, s, directions = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
     dead = s < 1e-10 * s[0]
     undetermined = np.any(np.abs(directions[dead]) > 1e-3, axis=0)
-    scaled = directions[~dead] / s[~dead, None]
-    inverse = scaled.T @ scaled / np.outer(length, length)
+    kept = directions[~dead] / s[~dead, None]
+    inverse = kept.T @ kept / np.outer(length, length)
     inverse[undetermined] = inverse[:, undetermined] = 0.0
     inverse[undetermined, undetermined] = np.inf
     return inverse
@@ -224,14 +222,18 @@ def _whiteness(residual) -> float:
     return float(np.mean(np.abs(r) <= 1.96 / np.sqrt(len(e))))
 
 
-def poles_of(problem, theta, covariance) -> tuple[PoleEstimate, ...]:
+def estimates(names, values, half) -> dict[str, Estimate]:
+    """Values with their intervals by name, from the half widths."""
+    named = zip(names, values, half, strict=True)
+    return {name: Estimate(float(v), float(v - h), float(v + h)) for name, v, h in named}
+
+
+def poles_of(plant: Plant, names, theta, covariance) -> tuple[PoleEstimate, ...]:
     """The poles, with quantiles over draws from the normal distribution of their parameters."""
     which = [
-        i
-        for i, name in enumerate(problem.names)
-        if name.startswith(("poles", "frequencies", "dampings"))
+        i for i, name in enumerate(names) if name.startswith(("poles", "frequencies", "dampings"))
     ]
-    names, covariance = tuple(problem.names[i] for i in which), covariance[np.ix_(which, which)]
+    names, covariance = tuple(names[i] for i in which), covariance[np.ix_(which, which)]
     known = bool(np.all(np.isfinite(covariance)))
     draws = np.zeros((DRAWS, len(which)))
     if known:
@@ -243,10 +245,10 @@ def poles_of(problem, theta, covariance) -> tuple[PoleEstimate, ...]:
             * std
         )
     poles = np.asarray(
-        _poles_at(theta[which] + np.vstack([np.zeros(len(which)), draws]), names, problem.plant)
+        _poles_at(theta[which] + np.vstack([np.zeros(len(which)), draws]), names, plant)
     )
 
-    def estimates(part):
+    def of_part(part):
         tails = np.quantile(part[1:], (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2), axis=0).T
         return [
             Estimate(v, *(tail if known else (-np.inf, np.inf)))
@@ -255,7 +257,7 @@ def poles_of(problem, theta, covariance) -> tuple[PoleEstimate, ...]:
 
     return tuple(
         PoleEstimate(*row)
-        for row in zip(poles[0].tolist(), estimates(poles.real), estimates(poles.imag), strict=True)
+        for row in zip(poles[0].tolist(), of_part(poles.real), of_part(poles.imag), strict=True)
     )
 
 

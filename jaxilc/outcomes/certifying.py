@@ -21,9 +21,9 @@ from ..theory.certificates import (
     NOTHING,
     TURNS,
     certify_schemes,
+    printed_conditions,
 )
 from ..theory.chance import STILL, SURELY
-from ..theory.printed import printed_conditions
 from ..uncertainty import Population
 from .bounds import bounds_numbers, premises_table
 from .case import Case

@@ -28,8 +28,8 @@ from .verdict import Verdict
 
 if TYPE_CHECKING:
     from ..design import Designed, Learned, Recommended
+    from ..design.judging import Proof
     from ..design.judging import Verdict as Judged
-    from ..design.proof import Proof
     from ..design.question import Told
     from ..scenarios import Scenario
 

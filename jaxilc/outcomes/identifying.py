@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .. import figures, identification
-from ..identification.closed_loop import feedback_seen, of_reference
+from ..identification.estimation import (
+    MUCH,
+    feedback_seen,
+    not_significant,
+    of_reference,
+    validated,
+)
 from ..identification.frequency_response import is_frequency_response
 from ..identification.friction_model import friction_of
 from ..identification.grown_response import (
@@ -23,14 +29,9 @@ from ..identification.grown_response import (
 )
 from ..identification.not_linear import sentences as of_suspicions
 from ..identification.not_linear import suspicions
-from ..identification.orders import not_significant
-from ..identification.record_files import read_record_file
-from ..identification.resampling import RESAMPLED
+from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, is_twincat, read_record_file
 from ..identification.sentences import on_lines
 from ..identification.sentences import verdict as sentences_on
-from ..identification.time_column import STEP_TOLERANCE
-from ..identification.twincat import is_twincat
-from ..identification.validation import MUCH, validated
 from ..plants import ProcessModel
 from ..scenarios.identified_file import write_plant_file
 from ..theory.on_lines import MeasuredResponse

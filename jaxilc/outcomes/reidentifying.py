@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import figures, identification
-from ..hardware.as_record import record_of
+from ..hardware.campaign import record_of
 from ..identification.refitting import Refit, beyond_nyquist, held_out, refit
 from ..identification.sentences import NOT_WHITE, sentence
 from ..plants import ProcessModel

@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import figures
 from ..figures.units import prefixed
-from ..hardware.as_record import repeats_of
+from ..hardware.campaign import repeats_of
 from ..identification.potential import LEVEL, Potential, potential_of
 from ..identification.recurrence import Recurrence, recurrence_of
 from ..identification.repeats import Repeats, read_repeats

@@ -13,8 +13,7 @@ import numpy as np
 from .. import figures
 from ..pytree.named_paths import get_at
 from ..storage.sealed import write_json
-from ..tuning.worst_case import GRADIENT_COST
-from ..tuning.worst_machine import worst_machine
+from ..tuning.worst_case import GRADIENT_COST, worst_machine
 from .case import Case, both
 from .outcome import Figure, Outcome, Progress, silent
 from .request import Request
@@ -25,7 +24,7 @@ from .words import number
 if TYPE_CHECKING:
     from ..figures.page import Live
     from ..scenarios import Scenario
-    from ..tuning.worst_machine import WorstMachine
+    from ..tuning.worst_case import WorstMachine
     from ..uncertainty import Uncertainty
 
 FEW = 6  # settings of the worst machine that the next command repeats
@@ -46,7 +45,7 @@ def worst_case(
     """The worst machine by climbing the gradient of its error, against machines drawn by chance.
 
     request: what is simulated, with one scheme; its last trial is the one whose metric is large
-    starts, steps, evaluations, draws, seed: as for `tuning.worst_machine`
+    starts, steps, evaluations, draws, seed: as for `tuning.worst_case`
     folder: for the results; out/worst-case-NAME if not given
     Raises ValueError naming what is allowed.
     """

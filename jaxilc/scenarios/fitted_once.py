@@ -18,8 +18,7 @@ import numpy as np
 
 from .. import identification
 from ..identification.frequency_response import is_frequency_response
-from ..identification.record_files import read_record
-from ..identification.twincat import is_twincat
+from ..identification.record_files import is_twincat, read_record
 from ..plants import ProcessModel
 from ..storage.columns import LARGEST_TABLE
 from ..storage.reading import read_bytes, read_tree

@@ -33,8 +33,8 @@ import numpy as np
 from .. import scenarios
 from ..learning.metrics import Keep, best_trial
 from ..learning.over_trials import learn
+from ..theory.certificates import printed_conditions
 from ..theory.loop import linear_loop, pole_radius
-from ..theory.printed import printed_conditions
 from . import Published, Scenario
 from .loading import with_reading
 from .published import FALLS, NOTHING, NUMBER, OVER_TRIALS, Conclusion

@@ -16,22 +16,20 @@ ground up:
     lifted           G, L and Q of a whole trial as matrices of the simulator and the scheme
     contraction      gain and growth of the map of all that any scheme knows
     enclosure        what a response is on arcs of frequency, and its largest value from above
-    frequency        |Q (keep - L P)| < 1 of one machine, of every plant within a bound, and of a
-                     set of plants
-    whole_set        what is proved of all plants of such a set
+    frequency        |Q (keep - L P)| < 1 of one machine, of every plant within a bound, of the
+                     plants of a set that are tried, and what is proved of all
     on_lines         a law on the lines of a response, modelled or measured, and how far it may go
     q_filter         whether a Q-filter is safe, for a family of machines or on records
     chance           what holds for single runs where something is drawn for each trial, by the
-                     moments of what reaches the law (`record_moments`)
+                     moments of what reaches the law
     repetitive       repetitive control within one long trial, and what it does between harmonics
     visits           which parameters of a basis a trial tells, as of the places it visits
     rounding         how far from its limit a machine that rounds is held
-    forecast         the error of each trial, as predicted and as simulated
-    certificates     many machines at once, against simulation
-    carried          learning where each trial starts from the end of the one before
+    certificates     claims and predictions of many machines against simulation; the conditions that
+                     papers print for a scheme; learning where each trial starts from the end of the
+                     one before
     bounds           d1 and d2 of Cao 2019 from the plant, and contraction as observed
     sliding          the conditions of Xu 2024
-    printed          the conditions that papers print for a scheme, by itself
 """
 
 from ..plants import structure
@@ -49,8 +47,15 @@ from .bounds import (
     ppd_bound,
     pseudo_gradient_of,
 )
-from .carried import CarriedRadius, carried_radius
-from .certificates import CLAIMS, COURSES, Certificate, certify, certify_each
+from .certificates import (
+    CLAIMS,
+    COURSES,
+    CarriedRadius,
+    Certificate,
+    carried_radius,
+    certify,
+    certify_each,
+)
 from .condition import Condition, Premise
 from .repetitive import RepetitiveTest, repetitive_condition
 from .to_python_control import to_control

@@ -43,36 +43,69 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
+from jax.flatten_util import ravel_pytree
 
 from ..learning.divergence import GROWTH
 from ..learning.machine import Machine
-from ..learning.over_trials import check
+from ..learning.over_trials import check, learn
+from ..learning.within_trial import first_start, run_and_measure
+from ..plants.structure import obstacle
 from ..pytree.in_short import in_short
 from ..runtime.capacity import check_size
-from ..schemes import FFDLMFAILC, Scheme
+from ..runtime.tiles import tiled_with
+from ..schemes import (
+    ASMC,
+    FFDLMFAILC,
+    SMC,
+    ExponentialPD,
+    NormOptimal,
+    PIDType,
+    Scheme,
+    WithFeedback,
+)
 from ..schemes.parts import trials_of_step
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, draw, drawn_machines
 from .bounds import Checked, checked_machines
-from .chance import EVERY, SQUARE, STILL, SURELY, UnderChance, draws, learned_alike, under_chance
-from .forecast import follow, growth_of, peaks, predict, simulate, simulate_runs
+from .chance import (
+    EVERY,
+    SQUARE,
+    STILL,
+    SURELY,
+    RecordMoments,
+    UnderChance,
+    draws,
+    learned_alike,
+    under_chance,
+)
+from .condition import Condition
+from .frequency import learning_condition
 from .learning_map import (
     DENSE,
     LearningMaps,
+    View,
     changes_nothing,
     count_of,
     ends_at_zero,
     first_of,
     joined,
+    known_as,
     limit_names,
     maps_of,
     that_fit,
     view_of,
 )
+from .lifted import weights_condition
 from .linearity import keeps_all, learning_premises
 from .outlook import Outlook, outlook_of, share_words
 from .rounding import LARGEST, Ball, ball_of, linear_part
+from .sliding import printed_condition
+from .spectrum import radius_with_doubt
+from .trials import learned_from, trial_of
 
 CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
 COURSES = FALLS, NOT_ALWAYS, TURNS, GROWS = "falls", "falls, not always", "turns", "grows"
@@ -541,3 +574,307 @@ def _rises(errors, first, least=0.0) -> bool:
 def _best(errors) -> np.ndarray:
     """(S,) the index of the smallest error."""
     return np.argmin(np.nan_to_num(errors, nan=np.inf), axis=1)
+
+
+# The conditions that papers print for a scheme
+# --------------------------------------------------------------------------------------------------
+
+
+def printed_conditions(
+    scheme: Scheme, task: Task, machine: Machine | None = None
+) -> dict[str, Condition]:
+    """The conditions by their places in the papers; empty for a scheme of which none speaks.
+
+    MILC 2024, Theorem 2, of norm-optimal learning, see `weights_condition`, and Xu 2024, eq. 36, of
+    learning over sliding mode, see `printed_condition`. With a machine also Li 2020, eq. 9, of
+    P-type learning over feedback, see `learning_condition`. That of Cao 2019 has many premises of a
+    trial, see `bounds_of`.
+    """
+    law = scheme
+    while (inner := getattr(law, "learning", getattr(law, "scheme", None))) is not None:
+        law = inner
+    if isinstance(law, NormOptimal):
+        return {"MILC 2024, Theorem 2": weights_condition(law)}
+    over_sliding = isinstance(scheme, WithFeedback) and isinstance(scheme.feedback, SMC | ASMC)
+    if isinstance(law, ExponentialPD) and over_sliding:
+        return {"Xu 2024, eq. 36": printed_condition(scheme, task).condition}
+    if machine is not None and isinstance(scheme, WithFeedback) and _p_type(scheme.learning):
+        return {"Li 2020, eq. 9": learning_condition(machine, scheme, task).condition}
+    return {}
+
+
+def _p_type(law: Scheme) -> bool:
+    """Whether a law is w_{j+1} = w_j + phi e_j, with nothing else."""
+    if not isinstance(law, PIDType) or law.lead or law.limit is not None:
+        return False
+    return not np.any([np.any(x) for x in (law.gamma_i, law.gamma_d, law.leak)])
+
+
+# The error of each trial, as predicted and as simulated
+# --------------------------------------------------------------------------------------------------
+
+# trials simulated before the prediction takes over: from the third on a law of two-trial
+# increments is what it will be
+FIRST = 2
+AHEAD = 4  # times a power that contracts: trials in which the largest error is looked for
+LAST_LOOK = 4096  # trials, at most
+SETTLED = 1e-3  # relative distance of the error from that of the limit
+
+
+def predict(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:
+    """(S, J) root mean square errors by linear theory.
+
+    Two learning steps are simulated; then the learning map is linearised at what they left.
+    Estimates are frozen at their start; rules of when to learn, and limits, are left out. Where a
+    rule runs several equal trials before its scheme learns once, each error is repeated that many
+    times. Where a scheme makes experiments, a step is all of them.
+    """
+    law = scheme.frozen().unlimited()
+    repeats = scheme.trials_a_step // law.trials_a_step
+    found = np.asarray(tiled_with(_predict, trials=-(-trials // repeats))((law, task), machines))
+    return np.repeat(found, repeats, axis=1)[:, :trials]
+
+
+def peaks(
+    machines: Machine, scheme: Scheme, task: Task, predicted, powers, floor
+) -> tuple[np.ndarray, np.ndarray]:
+    """(S,) the largest error by theory, in units of the first, and its trial, counted from 1.
+
+    Of machines with an error that is known at the limit, it is looked for beyond the J trials: in
+    four times the trials after which the distance from the limit has surely fallen, and further
+    until the error has fallen below the first one or is that of the limit. The latter counts, too;
+    its trial is the last one that was looked at.
+
+    predicted: (S, J) of `predict`
+    powers: (S,) power of the learning map that is known to contract, on these machines; 0 where
+        none is, as where a claim rests on the mean square of what is drawn
+    floor: (S,) error at the limit; NaN where none is known, or where the error falls in every trial
+    """
+    sizes, known = [_finite_or_infinite(predicted)], np.isfinite(floor)
+    if np.any(known):
+        trials = AHEAD * max(int(np.max(powers[known])), 1)
+        while trials <= LAST_LOOK:
+            if trials > predicted.shape[1]:
+                predicted = predict(machines, scheme, task, trials)
+            first, last = _finite_or_infinite(predicted)[known][:, [0, -1]].T
+            there = np.abs(last - floor[known]) <= SETTLED * floor[known]
+            if np.all((last <= first) | there):
+                break
+            trials *= AHEAD
+        beyond = np.column_stack([predicted[:, sizes[0].shape[1] :], floor])
+        sizes.append(np.where(known[:, None], _finite_or_infinite(beyond), -np.inf))
+    every = np.concatenate(sizes, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        peak = np.max(every, axis=1) / every[:, 0]
+    trial = np.minimum(np.argmax(every, axis=1) + 1, predicted.shape[1])
+    return np.where(np.isnan(peak), 1.0, peak), trial
+
+
+def growth_of(errors) -> np.ndarray:
+    """(S,) the largest rise of errors (S, J) above a lower one before it, as a factor."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rises = errors / np.minimum.accumulate(errors, axis=1)
+    return np.max(np.nan_to_num(rises, nan=np.inf), axis=1)
+
+
+def _finite_or_infinite(errors) -> np.ndarray:
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def simulate(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:
+    """(S, J) root mean square errors as `learn` simulates them, without noise."""
+    return np.asarray(tiled_with(_simulate, trials=trials)((scheme, task), machines))
+
+
+def simulate_runs(
+    machines: Machine, scheme: Scheme, task: Task, trials: int, runs: int
+) -> np.ndarray:
+    """(S, R, J) root mean square errors of R runs of each machine, with all that is drawn.
+
+    As theory does, they begin when machine and reference have changed for the last time.
+    """
+    keys = jax.random.split(jax.random.key(11), runs)
+    return np.asarray(tiled_with(_simulate_runs, trials=trials)((scheme, task, keys), machines))
+
+
+def follow(
+    machines: Machine, scheme: Scheme, task: Task, trials: int, limit, view: View
+) -> tuple[np.ndarray, np.ndarray]:
+    """(S, J) root mean square errors as simulated, and (S, J) distances from a limit.
+
+    The distance is that of what is played from a limit (S, n), see `learning_map`.
+    """
+    run = tiled_with(_follow, trials=trials, view=view)
+    errors, distance = run((scheme, task), (machines, jnp.asarray(limit)))
+    return np.asarray(errors), np.asarray(distance)
+
+
+# One machine at a time
+# --------------------------------------------------------------------------------------------------
+
+
+def _predict(common, machine, *, trials):
+    """(J,) root mean square errors of one machine.
+
+    The first trials are simulated; the others follow by the learning map, linearised after them.
+    """
+    scheme, task = common
+    machine, scheme = machine.unlimited(), scheme.prepared(task)
+    steps = -(-trials // scheme.trials_a_step)
+
+    def simulated(memory, _):
+        """The memory after a learning step, and the errors (M, N, n_y) of its M trials."""
+        trial = trial_of(machine, scheme, task, memory)
+        return learned_from(machine, scheme, memory, trial), trial.e[1:]
+
+    def a_step(memory, _=None):
+        return lax.scan(simulated, memory, length=scheme.trials_a_step)
+
+    def pushed(floats):
+        following, errors = a_step(back(floats))
+        return _floats(following)[0], errors
+
+    memory, first = lax.scan(a_step, scheme.initial_memory(task), length=FIRST)
+    floats, back = _floats(memory)
+    (following, errors), push = jax.linearize(pushed, floats)
+    moved = jax.tree.map(jnp.subtract, following, floats)
+
+    def turn(d, _):
+        step_of_memory, of_errors = push(d)
+        return jax.tree.map(jnp.add, moved, step_of_memory), _rms(errors + of_errors)
+
+    _, later = lax.scan(turn, jax.tree.map(jnp.zeros_like, floats), length=max(steps - FIRST, 1))
+    return jnp.concatenate([_rms(first), later]).ravel()[:trials]
+
+
+def _rms(errors):
+    """(...) root mean squares of errors (..., N, n_y)."""
+    return jnp.sqrt(jnp.mean(errors**2, axis=(-2, -1)))
+
+
+def _floats(memory):
+    """The floating leaves of a memory that are signals, and the way back.
+
+    Counters and flags are held.
+    """
+    leaves, shape = jax.tree.flatten(memory)
+    free = [jnp.issubdtype(jnp.result_type(x), jnp.floating) and jnp.ndim(x) > 0 for x in leaves]
+
+    def back(floats):
+        given = iter(floats)
+        return shape.unflatten([next(given) if f else x for x, f in zip(leaves, free, strict=True)])
+
+    return [x for x, f in zip(leaves, free, strict=True) if f], back
+
+
+def _simulate_runs(common, machine, *, trials):
+    scheme, task, keys = common
+    machine, task = machine.after_changes(task)
+    return jax.vmap(lambda key: _error(learn(machine, scheme, task, trials, key=key)))(keys)
+
+
+def _simulate(common, machine, *, trials):
+    return _error(learn(machine.noiseless(), *common, trials))
+
+
+def _follow(common, one, *, trials, view):
+    """(J,) root mean square errors as simulated, and distances from the limit of learning."""
+    (scheme, task), (machine, limit) = common, one
+    scheme = scheme.prepared(task)
+
+    def turn(memory, _):
+        w = known_as(memory, scheme, task, view)
+        trial = trial_of(machine, scheme, task, memory)
+        after = learned_from(machine, scheme, memory, trial)
+        return after, (_rms(trial.e[1:]), jnp.linalg.norm(w - limit))
+
+    return lax.scan(turn, scheme.initial_memory(task), length=trials)[1]
+
+
+def _error(history):
+    """() root mean square over all outputs, for each of J trials."""
+    return jnp.sqrt(jnp.mean(history.rms**2, axis=1))
+
+
+# Where each trial starts from the end of the one before
+# --------------------------------------------------------------------------------------------------
+
+MOST = 4000  # numbers of a memory and a state together, whose map is made as a matrix
+
+
+class CarriedRadius(NamedTuple):
+    """What `carried_radius` found.
+
+    claim: "converges", "diverges" or "not claimed"
+    reason: on what it rests
+    radius: spectral radius of the map; NaN where nothing is linear
+    doubt: by how much rounding may have moved it
+    """
+
+    claim: str
+    reason: str
+    radius: float
+    doubt: float
+
+
+def carried_radius(machine: Machine, scheme: Scheme, task: Task) -> CarriedRadius:
+    """Whether learning converges on a machine whose state is carried from trial to trial.
+
+        (w_{j+1}, x_{j+1}[0]) = F(w_j, x_j[0])
+
+    w is all that the scheme knows and x the state of plant, feedback and actuator. Without noise
+    and limits F is affine, if machine and law are, and then it converges if and only if its
+    spectral radius is below 1. For `carried` = 1 that is the stability of repetitive control in
+    blocks of one trial. Nothing is said of what happens before: the error may grow at first. Where
+    samples are lost, late or cut off by chance, the radius is that of the mean of all runs, and
+    nothing is claimed, since single runs may grow all the same.
+
+    Raises ValueError for a machine that does not carry its state, and for one whose map would be a
+    matrix of more than 4000 rows.
+    """
+    if not machine.carries:
+        raise ValueError(
+            "carried_radius: the machine starts each trial alike; allowed is one whose variation "
+            "has `carried`; certify is for the others"
+        )
+    if trials_of_step(scheme, task) > 1:
+        said = f"{type(scheme).__name__} makes experiments between its steps"
+        return CarriedRadius(NOTHING, said, np.nan, np.nan)
+    free, law = machine.unlimited().noiseless(), scheme.unlimited().prepared(task)
+    key = jax.random.key(0)
+
+    def begun(free, law, task):
+        memory = law.initial_memory(task)
+        return memory, first_start(free.sampled(task.dt), law, task, key)
+
+    flat, unravel = ravel_pytree(begun(free, law, task))
+    if flat.size > MOST:
+        raise ValueError(
+            f"carried_radius: memory and state have {flat.size} numbers; allowed are {MOST}: take "
+            "a shorter trial"
+        )
+
+    def following(fixed, z):
+        free, law, task = fixed
+        memory, start = unravel(z)
+        trial, _, end = run_and_measure(free, law, task, memory, key, None, start)
+        return ravel_pytree((law.learn(memory, free.shown(trial, key)), end))[0]
+
+    fixed = free, law, task
+    why = obstacle(following, fixed, flat)
+    if why:
+        said = f"a trial and learning from it is no linear map, by {why}"
+        return CarriedRadius(NOTHING, said, np.nan, np.nan)
+    M = np.asarray(jax.jit(jax.jacfwd(following, argnums=1))(fixed, jnp.zeros_like(flat)))
+    radius, doubt = radius_with_doubt(M)
+    said = machine.said_of_claims() + (
+        f"the largest eigenvalue of learning and carried state together is {radius:.6g}, as long "
+        "as no limit is met"
+    )
+    claim = CONVERGES if radius + doubt < 1 else DIVERGES if radius - doubt > 1 else NOTHING
+    variation = machine.variation
+    assert variation is not None
+    if variation.draws and not RecordMoments.of(variation, task.N + 1).certain:
+        claim, said = NOTHING, f"of single runs nothing is known; in the mean of all runs {said}"
+        said += ". A `sweep` draws runs"
+    return CarriedRadius(claim, said, float(radius), float(doubt))

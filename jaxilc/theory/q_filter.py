@@ -26,7 +26,7 @@ from ..pytree.ranges import require
 from ..schemes import Filtered, LearningFilter, PIDType, Scheme
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machines
-from .frequency import Tried, grid, largest_of, tried_plants
+from .frequency import Tried, WholeSet, bound_of_set, grid, largest_of, tried_plants
 from .law import law_of, law_response
 from .learning_map import maps_of, view_of
 from .linearity import invariant_loop, linear_law, of_last_trial
@@ -43,7 +43,6 @@ from .on_lines import (
     low_pass,
 )
 from .rounding import ball_of
-from .whole_set import WholeSet, bound_of_set
 
 CUTOFF, GAIN, LEAD = "largest cutoff", "largest gain", "best lead, largest cutoff"
 GAINS = {PIDType: ("gamma_p", "gamma_i", "gamma_d"), LearningFilter: ("L",)}

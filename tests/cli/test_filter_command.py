@@ -14,7 +14,7 @@ from jaxilc.scenarios.scheme_table import toml_of, write_with_scheme
 from jaxilc.schemes import Filtered, LearningFilter, PIDType, WithFeedback
 from jaxilc.schemes.pid import PID
 from jaxilc.theory import q_filter
-from jaxilc.theory.frequency import Tried
+from jaxilc.theory.frequency import Tried, WholeSet
 from jaxilc.theory.loop import Loop
 from jaxilc.theory.on_lines import Change, Lines
 from jaxilc.theory.q_filter import (
@@ -27,7 +27,6 @@ from jaxilc.theory.q_filter import (
     with_law,
     without_low_pass,
 )
-from jaxilc.theory.whole_set import WholeSet
 
 AXIS = """
 [plant]

@@ -25,7 +25,7 @@ from jaxilc.outcomes import demonstrating
 from jaxilc.scenarios import reproduction
 from jaxilc.sweeps import Sweep
 from jaxilc.theory import certificates, q_filter
-from jaxilc.tuning import Tuning, worst_machine
+from jaxilc.tuning import Tuning, worst_case
 
 PLANT = """
 trials = 3
@@ -186,7 +186,7 @@ def folder(tmp_path, monkeypatch):
             (LearnedLaw, "learned_taps"),
             (reproduction, "_of_scenario"),
             (certificates, "certify"),
-            (worst_machine, "worst_case_search"),
+            (worst_case, "worst_case_search"),
             (q_filter, "question"),
             (q_filter, "measured_question"),
         ),

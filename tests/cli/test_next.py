@@ -10,7 +10,7 @@ import scipy.signal
 from typer.testing import CliRunner
 
 from jaxilc.cli import app
-from jaxilc.hardware import Journal, as_record, prediction
+from jaxilc.hardware import Journal, campaign, prediction
 from jaxilc.runtime.provenance import describe
 from jaxilc.scenarios import load_scenario
 
@@ -250,7 +250,7 @@ def test_of_many_trials_some_are_fitted(copied, monkeypatch):
     folder, go_on = copied
     for j in (3, 4, 5):
         go_on("--measured", measure(folder, j, 1.02)[0])
-    monkeypatch.setattr(as_record, "MOST_SAMPLES", 3 * (N + 1))
+    monkeypatch.setattr(campaign, "MOST_SAMPLES", 3 * (N + 1))
     call(
         "identify", "--state", folder / "x", "--out", folder / "new", "--report", folder / "i.json"
     )

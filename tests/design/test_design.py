@@ -9,11 +9,18 @@ import scipy.signal
 
 from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import Design, feedback_among
-from jaxilc.design.candidates import LAWS, Absent, candidates
+from jaxilc.design.candidates import (
+    LAWS,
+    ORDER,
+    Absent,
+    Found,
+    best_simulated,
+    candidates,
+    impulse_response,
+    rms_of,
+)
 from jaxilc.design.judging import judged_trials, ranked, verdict
 from jaxilc.design.responses import designed_on, family_of, resonance_band
-from jaxilc.design.safe_weights import ORDER, Found, best_simulated
-from jaxilc.design.simulated import impulse_response, rms_of
 from jaxilc.design.tuned import contraction
 from jaxilc.filters import ZeroPhaseBandStop, ZeroPhaseButterworth
 from jaxilc.learning import learn

@@ -13,8 +13,8 @@ from jaxilc.design import LearnedLaw
 from jaxilc.design.by_response import by_response, moved, sizes_of
 from jaxilc.design.candidates import Candidate, candidates
 from jaxilc.design.first_taps import FirstTaps
+from jaxilc.design.judging import _further
 from jaxilc.design.learned import Passed, gate, kept_or
-from jaxilc.design.proof import _further
 from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.tuned import UNSAFE, contraction, penalty
 from jaxilc.design.window import Filters, ShapedFilter, window_of

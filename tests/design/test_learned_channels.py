@@ -8,7 +8,7 @@ import pytest
 from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw
 from jaxilc.design.by_response import by_response, moved, of_matrices, sizes_of
-from jaxilc.design.proof import Proof
+from jaxilc.design.judging import Proof
 from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.window import ShapedFilter, along, window_of
 from jaxilc.plants import StateSpace

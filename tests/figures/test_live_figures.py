@@ -12,8 +12,7 @@ from jaxilc.figures.page import live as page_of
 from jaxilc.figures.report import html_report, write_report
 from jaxilc.figures.style import COLOURS, luminance, readable
 from jaxilc.outcomes.certifying import _live
-from jaxilc.tuning.worst_case import WorstCase
-from jaxilc.tuning.worst_machine import Search, WorstMachine
+from jaxilc.tuning.worst_case import Search, WorstCase, WorstMachine
 
 DRAWN = np.array([3.0, 1.0, np.inf, 2.0])
 

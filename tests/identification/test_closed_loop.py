@@ -6,7 +6,7 @@ import scipy.signal
 
 from jaxilc import outcomes
 from jaxilc.identification import Record, identify
-from jaxilc.identification.closed_loop import feedback_seen, of_reference
+from jaxilc.identification.estimation import feedback_seen, of_reference
 from jaxilc.plants import ProcessModel
 
 DT, N, POLE, GAIN = 0.01, 2000, 8.0, 2.0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from jaxilc.identification import Record, grow, identify, orders_and_delays
-from jaxilc.identification.dead_time import first_lag
 from jaxilc.identification.estimation import later
+from jaxilc.identification.grown import first_lag
 
 DT = 1e-3
 

@@ -6,7 +6,7 @@ import pytest
 import scipy.signal
 
 from jaxilc.identification import Record, identify
-from jaxilc.identification.many_starts import _inner_products
+from jaxilc.identification.estimation import _inner_products
 from jaxilc.identification.problem import checked_record
 from jaxilc.identification.records import first_of, output_from_rest, task_of
 from jaxilc.learning import Machine

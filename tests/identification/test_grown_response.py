@@ -8,11 +8,11 @@ import pytest
 
 from jaxilc.identification import (
     grow_response,
+    grown_response,
     identified_response,
-    modal_lines,
     read_frequency_response,
 )
-from jaxilc.identification.modal_lines import Parts, Projected
+from jaxilc.identification.grown_response import Parts, Projected
 from jaxilc.outcomes import identify
 from jaxilc.theory.on_lines import MeasuredResponse
 
@@ -34,10 +34,10 @@ def drawn(parts, seed, delay=2.3e-3):
 )
 def test_the_columns_are_those_of_the_plant_and_the_slopes_their_differences(parts, dt):
     at = drawn(parts, 0)
-    values = modal_lines.values_of(at, parts)
-    plant = modal_lines.model_of(values, parts)
+    values = grown_response.values_of(at, parts)
+    plant = grown_response.model_of(values, parts)
     assert (plant.order, len(values)) == (parts.order, parts.numbers)
-    found = modal_lines.columns(at.theta, parts, F, dt) @ at.N
+    found = grown_response.columns(at.theta, parts, F, dt) @ at.N
     if dt is None:
         expected = np.asarray(plant.transfer(2j * np.pi * F))[:, 0, 0]
     else:
@@ -46,7 +46,7 @@ def test_the_columns_are_those_of_the_plant_and_the_slopes_their_differences(par
         z = np.exp(2j * np.pi * F * dt)[:, None, None]
         expected = (C @ np.linalg.solve(z * np.eye(len(A)) - A, B))[:, 0, 0]
     np.testing.assert_allclose(found, expected, rtol=1e-10)
-    J = modal_lines.jacobian(at, parts, F, dt)
+    J = grown_response.jacobian(at, parts, F, dt)
     direction = np.random.default_rng(1).normal(size=len(values)) * 1e-6 * np.abs(values)
     n = parts.lags + 2 * parts.modes
     units = values[n:-1] / at.N
@@ -54,7 +54,7 @@ def test_the_columns_are_those_of_the_plant_and_the_slopes_their_differences(par
     for sign in (1, -1):
         new = values + sign * direction
         theta = np.append(np.log(new[:n]), new[-1])
-        moved.append(modal_lines.columns(theta, parts, F, dt) @ (new[n:-1] / units))
+        moved.append(grown_response.columns(theta, parts, F, dt) @ (new[n:-1] / units))
     slope = (moved[0] - moved[1]) / 2
     np.testing.assert_allclose(J @ direction, slope, atol=1e-6 * np.max(np.abs(slope)))
 
@@ -69,7 +69,7 @@ def flexible(seed, modes, integrators, lines, dt, averages, known):
     numerators = np.ravel(np.column_stack([gains, np.zeros(modes)]))
     numerators = np.concatenate([np.zeros(integrators - 1), [1 / (2 * np.pi) ** 2], numerators])
     at = Projected(theta, None, numerators, None, 0.0)
-    P = modal_lines.columns(theta, parts, f, dt) @ numerators
+    P = grown_response.columns(theta, parts, f, dt) @ numerators
     c = 1 / (1.02 + 0.3 * np.median(np.abs(P)) / np.abs(P))
     std = np.abs(P) * np.sqrt((1 - c) / (c * averages))
     G = P + std * ([1, 1j] @ rng.normal(size=(2, lines))) / np.sqrt(2)
@@ -91,7 +91,9 @@ def test_the_order_of_a_simulated_machine_is_found_and_its_intervals_hold(seed, 
     relative = np.sqrt(np.mean(np.abs(found.simulated[:, 0] / P - 1) ** 2))
     noise = np.sqrt(np.mean(np.abs(measured.response / P - 1) ** 2))
     assert relative < 0.3 * noise
-    true = dict(zip(modal_lines.names_of(parts), modal_lines.values_of(at, parts), strict=True))
+    true = dict(
+        zip(grown_response.names_of(parts), grown_response.values_of(at, parts), strict=True)
+    )
     order = np.argsort([found.parameters[f"frequencies[{i}]"].value for i in range(modes)])
     within = []
     for j, i in enumerate(order):
@@ -112,7 +114,7 @@ def test_machines_drawn_as_if_independent_spread_as_far_as_the_lines_are_from_th
     models, _ = grow_response(measured, dt=DT, highest=8)
     one = next(one for one in models if one.parts == Parts(0, 3, 2))
     found, rng = identified_response(measured, one, DT, None), np.random.default_rng(0)
-    names = modal_lines.names_of(one.parts)
+    names = grown_response.names_of(one.parts)
     low, high = (
         np.array([getattr(found.apart.get(n, found.parameters[n]), end) for n in names])
         for end in ("low", "high")
@@ -120,7 +122,7 @@ def test_machines_drawn_as_if_independent_spread_as_far_as_the_lines_are_from_th
     low[-1] = high[-1] = found.plant.delay
     far = []
     for _ in range(200):
-        held = modal_lines.model_of(rng.uniform(low, high), one.parts).sampled(DT)
+        held = grown_response.model_of(rng.uniform(low, high), one.parts).sampled(DT)
         A, B, C = (np.asarray(M) for M in (held.A, held.B, held.C))
         z = np.exp(2j * np.pi * measured.frequencies * DT)[:, None, None]
         P = (C @ np.linalg.solve(z * np.eye(len(A)) - A, B))[:, 0, 0]

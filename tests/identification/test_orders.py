@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from jaxilc.identification import Estimate, Identified, Record, orders
-from jaxilc.identification.orders import Order, best_order, compare_orders, information
+from jaxilc.identification import Estimate, Identified, Record, estimation, not_significant
+from jaxilc.identification.estimation import (
+    Order,
+    best_order,
+    compare_orders,
+    information,
+    long_enough,
+)
 from jaxilc.plants import ProcessModel
 
 RECORD = Record(np.ones((200, 1)), np.sin(np.arange(201.0))[:, None], 1e-3)
@@ -49,7 +55,7 @@ def test_a_parameter_that_only_fits_noise_is_not_chosen(monkeypatch):
         simulated = (1 - factor[poles, pairs, zeros]) * record.y
         return made(dict.fromkeys(names, (1.0, 0.1)), simulated=simulated)
 
-    monkeypatch.setattr(orders, "identify", identified)
+    monkeypatch.setattr(estimation, "identify", identified)
     found = compare_orders(RECORD, structures=tuple(factor))
     assert asked == list(factor)
     assert [one.parameters for one in found] == [3, 4, 5, 6]
@@ -62,8 +68,8 @@ def test_a_parameter_that_only_fits_noise_is_not_chosen(monkeypatch):
     best = best_order(found)
     assert (best.poles, best.pairs, best.zeros) == (1, 1, 0)
     # of 24 samples 17 are fitted: enough for three parameters
-    assert not orders.long_enough(RECORD._replace(y=RECORD.y[:24]), 4)
-    assert orders.long_enough(RECORD._replace(y=RECORD.y[:24]), 3)
+    assert not long_enough(RECORD._replace(y=RECORD.y[:24]), 4)
+    assert long_enough(RECORD._replace(y=RECORD.y[:24]), 3)
 
 
 def test_a_fit_that_did_not_converge_is_a_last_resort():
@@ -95,6 +101,6 @@ PLANT = ProcessModel(1.0, (-60.0,), (60.0,), (300.0,), (0.5,))
     ],
 )
 def test_what_the_record_does_not_show_is_named(parameters, said):
-    found = orders.not_significant(made(parameters, PLANT))
+    found = not_significant(made(parameters, PLANT))
     assert len(found) == len(said)
     assert all(sentence.startswith(start) for sentence, start in zip(found, said, strict=True))

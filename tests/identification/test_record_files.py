@@ -5,8 +5,7 @@ import pytest
 import scipy.io
 
 from jaxilc.identification import read_record
-from jaxilc.identification.record_files import read_record_file
-from jaxilc.identification.resampling import Signal, resampled
+from jaxilc.identification.record_files import Signal, read_record_file, resampled
 from jaxilc.storage.mat_files import Other
 
 U, Y = np.array([1.0, -2.0, 0.5, 4.0]), np.array([0.0, 0.25, -1.5, 2.0])
@@ -206,7 +205,7 @@ def test_what_matlab_must_export_differently_is_said(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="has no variable 'w'; present are t, u, y"):
         read_record(path, input="w")
     monkeypatch.setattr(
-        "jaxilc.identification.mat_record.read_mat",
+        "jaxilc.identification.record_files.read_mat",
         lambda *_: {"u": Other("an object, such as text")},
     )
     with pytest.raises(ValueError, match=r"u = struct\('Time', u.Time, 'Data', u.Data\); save\("):

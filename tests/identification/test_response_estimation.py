@@ -5,8 +5,8 @@ import pytest
 import scipy.signal
 
 from jaxilc.identification import compare_response_orders, identify_response
-from jaxilc.identification.model_response import response_and_slopes
-from jaxilc.identification.orders import best_order, not_significant
+from jaxilc.identification.estimation import best_order, not_significant
+from jaxilc.identification.response_estimation import response_and_slopes
 from jaxilc.theory.on_lines import MeasuredResponse
 
 DT = 1e-3

@@ -30,7 +30,7 @@ from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Trial
 from jaxilc.theory import carried_radius
 from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, certify
-from jaxilc.tuning.worst_machine import worst_machine
+from jaxilc.tuning.worst_case import worst_machine
 
 N, A, B, GAIN = 20, 0.7, 0.3, 0.8
 PLANT = StateSpace([[A]], [[B]], [[1.0]], dt=DT)

@@ -23,7 +23,7 @@ ROOMS = (
         "theory.outlook",
         "theory.frequency",
         "theory.certificates",
-        "tuning.worst_machine",
+        "tuning.worst_case",
     ),
 )
 SMALL = (int, float, str, bool, type(None))

@@ -21,7 +21,7 @@ from jaxilc.schemes import (
     WithFeedback,
 )
 from jaxilc.signals import Task
-from jaxilc.theory.forecast import predict, simulate
+from jaxilc.theory.certificates import predict, simulate
 
 N, GAIN = 10, 0.7
 TASK = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N), dt=DT)

@@ -21,7 +21,7 @@ from jaxilc.plants import BallScrewDrive, StateSpace, cascade, direct_model, mul
 from jaxilc.schemes import PID, MultivariableILC, NormOptimal, OnOutputs, PIDType, WithFeedback
 from jaxilc.signals import Task
 from jaxilc.theory import contraction, frequency, lifted
-from jaxilc.theory.printed import printed_conditions
+from jaxilc.theory.certificates import printed_conditions
 
 N, TRIALS = 100, 35  # 5 blocks of 7 trials; of an even number each would be compiled twice
 GAIN = 6.0  # C_P [V/mm]

@@ -25,7 +25,7 @@ from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Task, Trial
 from jaxilc.theory import carried_radius, certificates, certify
 from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, OfScheme
-from jaxilc.theory.record_moments import RecordMoments
+from jaxilc.theory.chance import RecordMoments
 
 DT, N = 1e-3, 40
 TASK = Task(np.sin(np.linspace(0, 2 * np.pi, N + 1)), DT)

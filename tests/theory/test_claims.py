@@ -28,10 +28,10 @@ from jaxilc.schemes import (
 )
 from jaxilc.signals import Task
 from jaxilc.theory import BoundsWatch, bounds_of, contraction, frequency, lifted, sliding
+from jaxilc.theory.certificates import printed_conditions
 from jaxilc.theory.enclosure import arc_of_loop, size, supremum
 from jaxilc.theory.learning_map import Matrices
 from jaxilc.theory.loop import Loop
-from jaxilc.theory.printed import printed_conditions
 from jaxilc.uncertainty import Uniform
 
 STATIC = Machine(DifferenceEquation((0.0,), (1.0,), dt=DT))

@@ -32,7 +32,7 @@ from jaxilc.schemes import (
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task
 from jaxilc.theory import frequency, lifted
-from jaxilc.theory.printed import printed_conditions
+from jaxilc.theory.certificates import printed_conditions
 from jaxilc.uncertainty import Normal, Uniform
 
 ARX_MACHINE = Machine(PLANTS["arx"])

@@ -8,7 +8,7 @@ from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import CFDLMFAILC, Filtered, HigherOrder, PIDType
 from jaxilc.theory.enclosure import Disc
-from jaxilc.theory.frequency import learning_condition, tried_plants
+from jaxilc.theory.frequency import bound_of_set, learning_condition, tried_plants
 from jaxilc.theory.law import law_of
 from jaxilc.theory.loop import linear_loop, responses
 from jaxilc.theory.on_lines import (
@@ -20,7 +20,6 @@ from jaxilc.theory.on_lines import (
     peak,
 )
 from jaxilc.theory.q_filter import offers_of, question
-from jaxilc.theory.whole_set import bound_of_set
 from jaxilc.uncertainty import Uniform
 
 DT, GAMMA, LEAD, CUTOFF = 1e-3, 0.5, 8, 30.0

@@ -15,8 +15,7 @@ from jaxilc.schemes import PID, ModelFreeGradient, PIDType
 from jaxilc.signals import Task
 from jaxilc.tuning import Tuning, monte_carlo_search, worst_case_search
 from jaxilc.tuning.objectives import Final, judge
-from jaxilc.tuning.worst_case import GRADIENT_COST
-from jaxilc.tuning.worst_machine import worst_machine
+from jaxilc.tuning.worst_case import GRADIENT_COST, worst_machine
 from jaxilc.uncertainty import LogUniform, Normal, Uniform
 
 N = 40
