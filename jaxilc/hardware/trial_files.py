@@ -104,8 +104,13 @@ def read_measured(
     declared or not the task's, for a value that is not finite, for a gap or an uneven step of the
     time, for another sample time or length (nothing is resampled), and for another reference.
     """
-    N, shapes = task.N, _shapes(task, others)
-    found = _read(path, shapes, names or {}, columns, task.dt)
+    shapes = _shapes(task, others)
+    return _checked(path, task, shapes, _read(path, shapes, names or {}, columns, task.dt))
+
+
+def _checked(path: str | Path, task: Task, shapes: dict[str, Any], found: _File) -> Measured:
+    """The trial that a file holds; raises ValueError as `read_measured`."""
+    N = task.N
     for name, (values, unit) in found.columns.items():
         _check_unit(path, name, unit, unit_of(name, task))
         short = shapes[name][0] == N
@@ -127,18 +132,6 @@ def read_measured(
         _check_reference(path, signals["r"], found.places, task)
     besides = {name: values for name, values in signals.items() if name not in ("t", "r", "y", "u")}
     return Measured(signals["y"], signals.get("u"), besides, found.ignored, str(path))
-
-
-def rows_of_time(
-    path: str | Path,
-    task: Task,
-    others: Mapping[str, tuple[int, int]] | None = None,
-    names: Mapping[str, str] | None = None,
-    columns: Sequence[str] = (),
-) -> int:
-    """The number of rows of a file of a trial, which may have fewer than the task."""
-    found = _read(path, _shapes(task, others), names or {}, columns, task.dt)
-    return len(found.columns["t"][0])
 
 
 def _shapes(task: Task, others: Mapping[str, tuple[int, int]] | None) -> dict[str, Any]:
@@ -403,25 +396,26 @@ def read_short(
     the other signals are NaN, until `completed` knows them.
     Raises ValueError as `read_measured`, and for a file of fewer than two samples.
     """
-    last = rows_of_time(path, task, others, names, columns) - 1
+    found = _read(path, _shapes(task, others), names or {}, columns, task.dt)
+    last = len(found.columns["t"][0]) - 1
     if last >= task.N:
-        return read_measured(path, task, others, names, columns)
+        return _checked(path, task, _shapes(task, others), found)
     if last < 1:
         raise ValueError(f"{path} has {last + 1} samples; a trial that ended early needs two")
     short = dataclasses.replace(task, reference=task.reference[: last + 1], settle=None)
     left = task.N - last
     shapes = {name: (rows - left, n) for name, (rows, n) in (others or {}).items()}
-    found = read_measured(path, short, shapes, names, columns)
+    measured = _checked(path, short, _shapes(short, shapes), found)
 
     def filled(values):
         return (
             None if values is None else np.pad(values, ((0, left), (0, 0)), constant_values=np.nan)
         )
 
-    return found._replace(
-        y=np.concatenate([found.y, np.asarray(task.reference)[last + 1 :]]),
-        u=filled(found.u),
-        others={name: filled(values) for name, values in found.others.items()},
+    return measured._replace(
+        y=np.concatenate([measured.y, np.asarray(task.reference)[last + 1 :]]),
+        u=filled(measured.u),
+        others={name: filled(values) for name, values in measured.others.items()},
         samples=last,
     )
 

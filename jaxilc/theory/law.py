@@ -227,15 +227,11 @@ def _impulses(scheme, task, place):
 
     The first is for an impulse of what was played, the second for an impulse of the error.
     """
-    scheme = scheme.prepared(task)
-    at = jnp.zeros((task.N, _width(scheme, task))), jnp.zeros((task.N, task.outputs))
-    _, push = jax.linearize(
-        lambda u, e: next_learned(scheme, task, scheme.initial_memory(task), u, e), *at
-    )
+    widths, push = (_width(scheme, task), task.outputs), _change(scheme, task)
 
     def answers(argument):
-        channels = at[argument].shape[1]
-        rows = [jnp.zeros((channels, *a.shape)) for a in at]
+        channels = widths[argument]
+        rows = [jnp.zeros((channels, task.N, width)) for width in widths]
         rows[argument] = rows[argument].at[:, place].set(jnp.eye(channels))
         return jnp.moveaxis(jax.vmap(push)(*rows), 0, -1).reshape(task.N, -1)
 
@@ -253,11 +249,15 @@ def _matrices(scheme, task, memory):
 @jax.jit
 def _pushed(scheme, task, u, e):
     """(N, n_w) what is learned from a change of what was played and of the error."""
+    return _change(scheme, task)(u, e)
+
+
+def _change(scheme: Scheme, task: Task):
+    """From a change of what was played (N, n_w) and of the error (N, n_y) to what is learned."""
     scheme = scheme.prepared(task)
-    still = jnp.zeros_like(u), jnp.zeros_like(e)
-    return jax.jvp(
-        lambda u, e: next_learned(scheme, task, scheme.initial_memory(task), u, e), still, (u, e)
-    )[1]
+    following = partial(next_learned, scheme, task, scheme.initial_memory(task))
+    still = jnp.zeros((task.N, _width(scheme, task))), jnp.zeros((task.N, task.outputs))
+    return jax.linearize(following, *still)[1]
 
 
 def _convolved(of: Taps, signal, late: int = 0):

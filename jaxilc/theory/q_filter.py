@@ -13,7 +13,7 @@ proved: a resonance that is narrower than the spacing of the lines does not show
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -124,7 +124,7 @@ class Places(NamedTuple):
 def places_in(scheme: Scheme) -> Places:
     """Where cutoff, gain and lead of a scheme stand."""
     path, found = _first(scheme, _is_low_pass)
-    of_law, law = _first(scheme, lambda one: isinstance(one, tuple(GAINS)))
+    of_law, law = _first(scheme, _is_known)
     names = () if law is None else next(v for k, v in GAINS.items() if isinstance(law, k))
     gains = tuple(f"{of_law}{name}" for name in names if np.any(np.asarray(getattr(law, name))))
     return Places(
@@ -137,24 +137,12 @@ def places_in(scheme: Scheme) -> Places:
 
 def without_low_pass(scheme: Scheme) -> Scheme:
     """The scheme without its zero-phase Butterworth filter on what is learned."""
-    if _is_low_pass(scheme):
-        return child_of(scheme, "scheme")
-    for name, part in scheme._fields_that_are_schemes().items():
-        changed = without_low_pass(part)
-        if changed is not part:
-            return dataclasses.replace(scheme, **{name: changed})
-    return scheme
+    return _changed(scheme, _is_low_pass, lambda filtered: child_of(filtered, "scheme")) or scheme
 
 
 def with_low_pass(scheme: Scheme, q: ZeroPhaseButterworth) -> Scheme | None:
     """The scheme with a filter around its learning part; None where it has no part known here."""
-    if isinstance(scheme, tuple(GAINS)):
-        return Filtered(scheme, q)
-    for name, part in scheme._fields_that_are_schemes().items():
-        made = with_low_pass(part, q)
-        if made is not None:
-            return dataclasses.replace(scheme, **{name: made})
-    return None
+    return _changed(scheme, _is_known, lambda law: Filtered(law, q))
 
 
 def with_law(scheme: Scheme, law: Scheme) -> Scheme:
@@ -162,11 +150,9 @@ def with_law(scheme: Scheme, law: Scheme) -> Scheme:
 
     Raises ValueError where the scheme has no part of a kind that is known here.
     """
-    if _is_low_pass(scheme) or isinstance(scheme, tuple(GAINS)):
-        return law
-    for name, part in scheme._fields_that_are_schemes().items():
-        if part.learns:
-            return dataclasses.replace(scheme, **{name: with_law(part, law)})
+    made = _changed(scheme, lambda one: _is_low_pass(one) or _is_known(one), lambda _: law)
+    if made is not None:
+        return made
     known = ", ".join(kind.__name__ for kind in GAINS)
     raise ValueError(
         f"{type(scheme).__name__} has no learning part that can be replaced; allowed is one of "
@@ -192,6 +178,23 @@ def scheme_of(scheme: Scheme, places: Places, change: Change) -> Scheme:
 
 def _is_low_pass(scheme) -> bool:
     return isinstance(scheme, Filtered) and isinstance(scheme.filter, ZeroPhaseButterworth)
+
+
+def _is_known(scheme: Scheme) -> bool:
+    return isinstance(scheme, tuple(GAINS))
+
+
+def _changed(
+    scheme: Scheme, wanted: Callable[[Scheme], bool], change: Callable[[Scheme], Scheme]
+) -> Scheme | None:
+    """The scheme with its first part that is wanted changed; None where it has none."""
+    if wanted(scheme):
+        return change(scheme)
+    for name, part in scheme._fields_that_are_schemes().items():
+        made = _changed(part, wanted, change)
+        if made is not None:
+            return dataclasses.replace(scheme, **{name: made})
+    return None
 
 
 def _first(scheme: Scheme, wanted, at: str = "") -> tuple[str, Any]:

@@ -329,16 +329,11 @@ def largest(
     steps = min(steps, n, m)
 
     def fresh(x, basis):
-        """The direction that x adds to the basis, and its length.
-
-        What rounding alone leaves over is no direction.
-        """
+        """The direction that x adds to the basis, and its length."""
         scale = jnp.linalg.norm(x)
         for _ in range(2):
             x = x - (basis @ x) @ basis
-        size = jnp.linalg.norm(x)
-        size = jnp.where(size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0)
-        return jnp.where(size > 0, x / jnp.where(size > 0, size, 1.0), 0.0), size
+        return _direction(x, scale)
 
     def advance(i, now):
         U, V, alpha, beta = now
@@ -467,9 +462,7 @@ def krylov(apply: Callable, start, steps: int) -> tuple[jax.Array, jax.Array]:
     They come from Arnoldi's process, begun at `start` (n,). apply: v -> J v. Where the process
     comes to its end earlier, the remaining rows of V are zero.
     """
-    size = jnp.linalg.norm(start)
-    unit = jnp.where(size > 0, start / jnp.where(size > 0, size, 1.0), 0.0)
-    V = jnp.zeros((steps + 1, start.size), start.dtype).at[0].set(unit)
+    V = jnp.zeros((steps + 1, start.size), start.dtype).at[0].set(_direction(start, 0.0)[0])
 
     def advance(i, now):
         V, H = now
@@ -478,11 +471,14 @@ def krylov(apply: Callable, start, steps: int) -> tuple[jax.Array, jax.Array]:
         first = V @ x
         x = x - first @ V
         second = V @ x
-        x = x - second @ V
-        size = jnp.linalg.norm(x)
-        # what rounding left over is no direction
-        size = jnp.where(size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0)
-        H = H.at[:, i].set(first + second).at[i + 1, i].set(size)
-        return V.at[i + 1].set(jnp.where(size > 0, x / jnp.where(size > 0, size, 1.0), 0.0)), H
+        x, size = _direction(x - second @ V, scale)
+        return V.at[i + 1].set(x), H.at[:, i].set(first + second).at[i + 1, i].set(size)
 
     return lax.fori_loop(0, steps, advance, (V, jnp.zeros((steps + 1, steps), start.dtype)))
+
+
+def _direction(x, scale):
+    """x of length 1, and its length; zero where rounding alone is left of a length `scale`."""
+    size = jnp.linalg.norm(x)
+    size = jnp.where(size > ROUNDING * jnp.finfo(x.dtype).eps * scale, size, 0.0)
+    return jnp.where(size > 0, x / jnp.where(size > 0, size, 1.0), 0.0), size
