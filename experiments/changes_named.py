@@ -2,7 +2,7 @@
 
 `two_mass_rig` learns four motions with a plain law in NumPy, on a drive with little friction and on
 one with much. Then one thing changes while the last input is played again. The table has, for each
-kind of change, how often `suspicions.what_changed` names which cause.
+kind of change, how often `checks.what_changed` names which cause.
 """
 
 import collections
@@ -12,7 +12,7 @@ import output
 from scipy.signal import butter, filtfilt
 from two_mass_rig import DT, Rig, stroke
 
-from jaxilc.hardware.suspicions import what_changed
+from jaxilc.hardware.checks import what_changed
 
 TIME = np.arange(601) * DT
 EASED = np.clip((TIME - 0.05) / 0.3, 0, 1)

@@ -238,7 +238,7 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
             of(f"{DESIGN}.responses.MACHINES"),
             of(f"{DESIGN}.responses.CORNERS"),
         ),
-        r"law the (\d+) with the least predicted": lambda: of(f"{DESIGN}.safe_weights.SIMULATED"),
+        r"law the (\d+) with the least predicted": lambda: of(f"{DESIGN}.candidates.SIMULATED"),
         r"the learning, on (\d+) machines, with a penalty where step 1": lambda: of(
             f"{DESIGN}.search.TUNED_ON"
         ),
@@ -250,11 +250,13 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"by the error that (\d+) % of them do not exceed": lambda: (
             100 * of("jaxilc.sweeps.summary.QUANTILES")[-1]
         ),
-        r"nominal machine and of the (\w+) that are worst": lambda: of(f"{DESIGN}.proof.ENCLOSED"),
-        r"nominal machine and the (\w+) that are worst": lambda: of(f"{DESIGN}.proof.ENCLOSED"),
+        r"nominal machine and of the (\w+) that are worst": lambda: of(
+            f"{DESIGN}.judging.ENCLOSED"
+        ),
+        r"nominal machine and the (\w+) that are worst": lambda: of(f"{DESIGN}.judging.ENCLOSED"),
         r"looked at on (\d+) other mach.* at most (\w+) times, until none of (\d+) ": lambda: (
             of(f"{DESIGN}.learned.WATCH"),
-            of(f"{DESIGN}.first_taps.ROUNDS"),
+            of(f"{DESIGN}.by_response.ROUNDS"),
             of(f"{DESIGN}.learned.WATCH"),
         ),
         r"least mean log e_J \+ 1/(\d) log": lambda: 1 / of(f"{DESIGN}.learned.RISE"),

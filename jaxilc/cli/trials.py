@@ -287,8 +287,8 @@ def against_prediction(
     prediction: prediction of the campaign, None without one; both are then empty, as they are for a
         trial that ended early, whose error is that of a part
     """
+    from ..hardware.checks import GROWN_BEYOND
     from ..hardware.prediction import next_step
-    from ..hardware.suspicions import GROWN_BEYOND
 
     if prediction is None or turn.record.weight is not None:
         return "", []

@@ -29,9 +29,16 @@ from ..tuning import Tuning
 from ..tuning.objectives import Final, Holding, Objective
 from ..tuning.risks import Mean, Risk
 from ..uncertainty import takes_population
-from .by_response import moved, sizes_of
+from .by_response import (
+    FirstTaps,
+    best_of_leads,
+    exchanged,
+    held,
+    moved,
+    radius_in_a_trial,
+    sizes_of,
+)
 from .candidates import Candidate
-from .first_taps import FirstTaps, best_of_leads, exchanged, held, radius_in_a_trial
 from .judging import Proof, Verdict, judged_trials, proof_of
 from .question import Question, Told
 from .responses import Family
@@ -118,7 +125,7 @@ class LearnedLaw(Question):
 
     1. The start: the taps of the best safe law of a few weights (`candidates`).
     2. The taps of least predicted error over the family, by its frequency responses; machines on
-       which they break the bound join the family (`first_taps`).
+       which they break the bound join the family (`by_response`).
     3. The better of both, tuned through learning: least mean log e_J + 1/2 log max_j e_j, with the
        monotone condition over the family as a penalty. The segments of a law part only here.
     4. The gate: |keep - L P| <= 1 - margin on a denser family of other machines, and no growth from

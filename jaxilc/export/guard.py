@@ -1,7 +1,7 @@
 """The guard of an exported law: what `jaxilc next` refuses, as a part of the traced program.
 
 Each function changes nothing where the law stays inside: it selects between two values, and then
-that of the law to the last bit. The limits are those of `hardware.suspicions`.
+that of the law to the last bit. The limits are those of `hardware.checks`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..hardware.suspicions import DEAD, GROWN, LARGER, LEARNED, LEAST
+from ..hardware.checks import DEAD, GROWN, LARGER, LEARNED, LEAST
 from ..pytree.aliases import Array, Tree
 from ..schemes import Scheme
 from ..schemes.parts import trials_of_step

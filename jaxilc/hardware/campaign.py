@@ -28,7 +28,7 @@ from ..runtime.provenance import describe, environment, need_same
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.sealed import as_json
-from . import calibration, checks, suspicions
+from . import calibration, checks
 from .calibration import Expected
 from .checks import Finding, Rules
 from .journal import BACK, METRICS, Journal
@@ -286,7 +286,7 @@ class Campaign:
         following = learned(scheme, task, memory, record) if learn else memory
         following_schedules = schedules(scheme, following, task)
         findings += _of_the_next(following, following_schedules, task, self.actuator, self.rules)
-        peaks = {name: suspicions.peak(name, of, task) for name, of in played.items()}
+        peaks = {name: checks.peak(name, of, task) for name, of in played.items()}
         if measured.u is not None:
             findings += self._as_the_machine_can(record, commanded, played, live)
         if learn:
@@ -317,15 +317,15 @@ class Campaign:
         y, u = np.asarray(record.y), np.asarray(record.u)
         last = self.journal.arrays(live[-1], TRIAL) if len(live) > 1 else None
         moved = last is not None and bool(np.any(np.ptp(last["y"], axis=0) > 0))
-        expected, still = (last["y"], suspicions.STILL) if moved else (r, suspicions.DEAD)
-        findings = suspicions.frozen("y", y[1:], expected[1:], u, accept, still=still)
-        findings += suspicions.frozen("u", u, commanded, commanded, accept)
-        findings += suspicions.jumped(y, r, last and last["y"], accept, self.task.unit)
+        expected, still = (last["y"], checks.STILL) if moved else (r, checks.DEAD)
+        findings = checks.frozen("y", y[1:], expected[1:], u, accept, still=still)
+        findings += checks.frozen("u", u, commanded, commanded, accept)
+        findings += checks.jumped(y, r, last and last["y"], accept, self.task.unit)
         if set(played) == {"u"} and not findings:  # else the input depends on y
             others = {
                 m["trial"]: self.journal.arrays(m, TRIAL)["u"] for m in live[-PAST:] if m["trial"]
             }
-            findings += suspicions.misplayed(u, commanded, others, accept)
+            findings += checks.misplayed(u, commanded, others, accept)
         return findings
 
     def _no_larger(
@@ -340,7 +340,7 @@ class Campaign:
             name: max([of, *(m.get("peaks", {}).get(name, 0.0) for m in live[1:])])
             for name, of in peaks.items()
         }
-        return suspicions.larger(following, largest, learned, self.task, self.rules.accept)
+        return checks.larger(following, largest, learned, self.task, self.rules.accept)
 
     def _against_those_before(
         self, record: Trial, error: float, played: str, expected: Expected | None
@@ -357,7 +357,7 @@ class Campaign:
             findings += checks.repeated(record, last_y, self.rules, unit)
         errors = checks.comparable(self.scheme, self.task, live)
         return findings + (
-            self.grown_beyond(record, error, suspicions.GROWN, expected)
+            self.grown_beyond(record, error, checks.GROWN, expected)
             or checks.grown(error, errors, self.rules, unit)
         )
 
@@ -375,17 +375,17 @@ class Campaign:
             return []
         live, task = self.journal.live(), self.task
         errors = [e for _, e in checks.comparable(self.scheme, task, live)]
-        best = max(min(errors, default=np.inf), suspicions.LEAST * np.ptp(task.reference))
+        best = max(min(errors, default=np.inf), checks.LEAST * np.ptp(task.reference))
         if error <= times * best or record.weight is not None:
             return []
         changed = self.what_changed(record, expected)
-        return suspicions.grown_beyond(error, best, changed, self.rules.accept, task.unit)
+        return checks.grown_beyond(error, best, changed, self.rules.accept, task.unit)
 
-    def what_changed(self, record: Trial, expected: Expected | None) -> suspicions.Change:
+    def what_changed(self, record: Trial, expected: Expected | None) -> checks.Change:
         """What explains a trial after the first that is not as expected, or not as the last one."""
         last = self.journal.arrays(self.journal.live()[-1], TRIAL)["y"]
         output = last if expected is None else expected.output
-        return suspicions.what_changed(np.asarray(record.y), output, self.task.dt)
+        return checks.what_changed(np.asarray(record.y), output, self.task.dt)
 
     def keep(self, turn: Turn) -> None:
         """Store a turn; the campaign then continues from it.

@@ -1,4 +1,10 @@
-"""The checks of a measured trial before it is learned from, and of the next input of a machine."""
+"""The checks of a measured trial before it is learned from, and of the next input of a machine.
+
+A trial teaches the next input. From a dead encoder, another unit or another schedule a law learns
+as eagerly as from a good trial, and the machine then plays it. So a trial is compared with the
+reference, with the trial before and with what was played, and each refusal says what was seen, what
+is suspected, and the option that accepts it.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..learning.machine import Actuator
+from ..learning.playback import unit_of
 from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.parts import trials_of_step
@@ -20,7 +27,7 @@ AS_PLAYED = 1e-4  # share of a schedule's peak by which the machine's record of 
 AS_COMMANDED = 0.01
 # Share of a signal's peak by which two files of one trial may differ; one may have 9 digits only.
 SAME = 1e-8
-# What `Rules.accept` may name: the refusals of `suspicions`.
+# What `Rules.accept` may name: the refusals of `checks`.
 ACCEPTED = ("frozen", "jump", "schedule", "growth", "input")
 LITTLE = 0.5  # share of the error; if repeated trials differ by more, little can be learned
 
@@ -37,7 +44,7 @@ class Rules(NamedTuple):
         unit of y
     growth: share by which the RMS error may exceed that of the last trial without a warning
     stop_on_growth: refuse growth instead of warning
-    accept: what is not refused but warned of, of `ACCEPTED`; see `suspicions`
+    accept: what is not refused but warned of, of `ACCEPTED`; see `checks`
     """
 
     limit: float | None = None
@@ -267,3 +274,318 @@ def rms_over_all(trial: Trial) -> float:
 
 def _rms(signal) -> float:
     return float(np.sqrt(np.mean(np.asarray(signal) ** 2)))
+
+
+# What refuses a trial by default: its machine, or its file, is not what it was
+# --------------------------------------------------------------------------------------------------
+
+STILL = 0.02  # share of the range of the last trial below which a channel counts as constant
+DEAD = 1e-3  # share of the range of the reference, where no trial before has moved
+TRAVEL = 0.25  # share of that range over which a channel that stands still ought to have moved
+FASTER = 5.0  # times the fastest step of reference and last trial that no motion exceeds
+ROUGH = 20.0  # times the median step: in the first trial, a step below it may be noise
+MISPLAYED = 0.1  # share of the input's rms by which the recorded input may differ
+GROWN, GROWN_BEYOND = 10.0, 3.0  # times the best error; the second for one above the band, too
+LEAST = 1e-6  # share of the range of the reference; errors below it are rounding
+LEARNED = {"u", "feedforward", "reference"}  # schedules that are learned from errors
+LARGER = 1.1  # the next input may exceed what learning from a constant error would give by 10 %
+EXPLAINS = 0.6  # share of the power of a difference that friction or a lag explains
+LEFT_BY_GAIN, LEFT_BY_DELAY = 0.05, 0.02  # shares of that power that a gain and a delay may leave
+LIMITED, LATE = (0.3, 0.9), 0.2  # shares: of the first acceleration; of the speed, where it shows
+BEGUN, FOLLOWS = 0.02, 0.3  # share of the stroke at its begin, and of that, which is followed then
+SLOWER, HELD = 0.92, 2.0  # times the usual: the top speed under a limit, and the time near it
+NEAR_TOP = 0.95  # share of the top speed
+NARROW, JERK = 0.55, 1.2  # share of the power in a narrow band; peak of the first acceleration
+LEAST_SAMPLES = 16  # of a trial whose difference is looked at
+STANDS = 0.1  # share of the motion below which nothing is said of a gain
+SAME_UNIT = 0.02  # share by which a factor between units may differ
+UNITS = (10.0, 25.4, 180 / np.pi, 1e3, 1e6)  # what one unit is of another, mostly
+
+
+def accepting(name: str) -> str:
+    """How a refusal ends: the option that accepts what was seen."""
+    return f"--set campaign.accept={name} accepts it"
+
+
+def _refused(name: str, text: str, accept: tuple[str, ...]) -> Finding:
+    if name in accept:
+        return Finding("warning", f"{text} (accepted)")
+    return Finding("refusal", f"{text}; {accepting(name)}")
+
+
+def frozen(
+    name: str, signal, expected, moved, accept: tuple[str, ...], *, still: float = STILL
+) -> list[Finding]:
+    """Channels that stand still while they ought to move.
+
+    name: name of the signal
+    signal, expected: (rows, n) the signal and what it is compared with, in one unit
+    moved: (rows, n) what makes the signal move; where it stands still too, nothing is said
+    still: share of the expected range below which a channel counts as constant
+    """
+    found = []
+    for i, (s, x) in enumerate(zip(np.transpose(signal), np.transpose(expected), strict=True)):
+        called = name if np.shape(signal)[1] == 1 else f"{name}{i}"
+        span = np.ptp(x)
+        if span == 0 or not np.any(np.ptp(moved, axis=0) > 0):
+            continue
+        if np.ptp(s) < still * span:
+            seen = f"{called} is constant up to {np.ptp(s):.3g}, where a range of {span:.3g}"
+        else:
+            first, last = _longest_run(s)
+            driven = np.ptp(moved[first : last + 1], axis=0) > TRAVEL * np.ptp(moved, axis=0)
+            travelled = np.ptp(x[first : last + 1])
+            if travelled <= TRAVEL * span or not np.any(driven):
+                continue
+            seen = f"{called} stands still from sample {first} to {last}, where {travelled:.3g}"
+        source = "the encoder, its cable or" if name == "y" else "what records it:"
+        text = f"{seen} was expected; suspected is {source} the column of the file"
+        found.append(_refused("frozen", text, accept))
+    return found
+
+
+def _longest_run(s) -> tuple[int, int]:
+    """The first and the last sample of the longest run of equal values."""
+    ends = np.flatnonzero(np.concatenate([np.diff(s) != 0, [True]]))
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    longest = int(np.argmax(ends - starts))
+    return int(starts[longest]), int(ends[longest])
+
+
+def jumped(y, r, last_y, accept: tuple[str, ...], unit: str) -> list[Finding]:
+    """A step of an output that the motion cannot make.
+
+    last_y: (N+1, n_y) output of the trial before, None without one
+    """
+    found = []
+    for i in range(np.shape(y)[1]):
+        steps = np.abs(np.diff(y[:, i]))
+        usual = np.max(np.abs(np.diff(r[:, i])))
+        if last_y is not None:
+            usual = max(usual, float(np.max(np.abs(np.diff(last_y[:, i])))))
+        grid = float(np.min(steps[steps > 0], initial=np.inf))
+        allowed = max(FASTER * usual, 3 * min(grid, usual))
+        if last_y is None:
+            allowed = max(allowed, ROUGH * float(np.median(steps)))
+        k = int(np.argmax(steps))
+        if usual > 0 and steps[k] > allowed:
+            called = "y" if np.shape(y)[1] == 1 else f"y{i}"
+            text = (
+                f"{called} jumps by {steps[k]:.3g} {unit} at sample {k + 1}, where reference and "
+                f"last trial make steps of {usual:.3g} {unit} at most; suspected is the encoder "
+                "(lost counts, noise) or a wrong unit"
+            )
+            found.append(_refused("jump", text, accept))
+    return found
+
+
+def misplayed(u, commanded, others: Mapping[int, Any], accept: tuple[str, ...]) -> list[Finding]:
+    """A recorded input that is not the schedule of this trial, which was its whole input.
+
+    u, commanded: (N, n_u) the recorded input, and that of the scheme
+    others: inputs of the trials before, by number, one of which may have been played
+    """
+    size, off = _rms(commanded), _rms(u - commanded)
+    if off <= MISPLAYED * max(size, _rms(u)):
+        return []
+    found = [j for j, other in others.items() if _rms(u - other) <= 0.1 * off]
+    whose = f"it is that of trial {found[0]}" if found else "suspected is another schedule"
+    text = (
+        f"the recorded input is {off:.3g} (rms) away from the one to play, whose rms is "
+        f"{size:.3g}; {whose}, or another unit or file"
+    )
+    return [_refused("schedule", text, accept)]
+
+
+def grown_beyond(
+    error: float, best: float, changed: Change, accept: tuple[str, ...], unit: str
+) -> list[Finding]:
+    """The refusal of an error that is far beyond the best of the campaign."""
+    cause = changed.text or "the encoder, a wrong unit or schedule, or a changed machine"
+    then = f" ({changed.then})" if changed.then else ""
+    text = (
+        f"the RMS error is {error:.4g} {unit}, {error / best:.3g} times the best; "
+        f"suspected is {cause}{then}"
+    )
+    return [_refused("growth", text, accept)]
+
+
+def peak(name: str, schedule, task: Task) -> float:
+    """The largest value of a schedule; of a reference, the largest distance from the task's."""
+    if name == "reference" and np.shape(schedule) == np.shape(task.reference):
+        schedule = schedule - np.asarray(task.reference)
+    return float(np.max(np.abs(schedule), initial=0.0))
+
+
+def larger(
+    schedules: Mapping[str, Any],
+    played: Mapping[str, float],
+    learned: int,
+    task: Task,
+    accept: tuple[str, ...],
+) -> list[Finding]:
+    """A next schedule that is larger than learning from a constant error would make it.
+
+        peak <= 1.1 j / (j - 1) largest,    j > 1: number of trials that are learned from
+
+    From u_1 = 0 a constant error makes u_{j+1} = j / (j - 1) u_j; one that falls makes less. After
+    the first trial twice what it played is allowed; where it played nothing, nothing is a bound.
+
+    played: the largest value of each schedule in the trials so far
+    learned: j
+    """
+    found = []
+    for name in LEARNED & schedules.keys():
+        largest, reached = played.get(name, 0.0), peak(name, schedules[name], task)
+        allowed = LARGER * (1 + 1 / max(1, learned - 1)) * largest
+        if largest and reached > allowed:
+            unit = unit_of(name, task)
+            text = (
+                f"the next {name} would reach {reached:.6g} {unit}, where {largest:.6g} {unit} is "
+                f"the largest that was played and {allowed:.4g} {unit} is allowed; suspected is "
+                "the encoder, a wrong unit, or a law that diverges"
+            )
+            found.append(_refused("input", text, accept))
+    return found
+
+
+class Change(NamedTuple):
+    """What made an output differ from the one that was expected.
+
+    cause: `gain`, `unit`, `delay`, `limit`, `resonance`, `friction`, `lag`, or empty: none fits
+    text: the cause with its size
+    then: what to do about it
+    """
+
+    cause: str = ""
+    text: str = ""
+    then: str = ""
+
+
+def what_changed(y, old, dt: float = 1.0) -> Change:
+    """What explains the difference of an output from the one that was expected.
+
+    The first that fits is named: a gain (or a unit) and a delay are the factor and the shift of the
+    expected motion that leave at most 5 and 2 % of the power of the difference; a limit of force
+    or speed makes the first acceleration smaller, where the motion begins as expected; a resonance
+    puts most of the power of the difference of the accelerations into a narrow band; a limit of
+    speed holds a top speed that is below the usual one for longer; friction follows the sign of the
+    speed and breaks away with a jerk; what else is in step with the speed is a lag of a loop.
+
+    y, old: (N+1, n_y) outputs, measured and expected;  dt: sampling time [s]
+    """
+    i = int(np.argmax(np.sum((y - old) ** 2, axis=0)))
+    now, old = (np.asarray(x, float)[:, i] - x[0, i] for x in (y, old))
+    d = now - old
+    if len(d) < LEAST_SAMPLES or not np.any(d) or not np.any(old):
+        return Change()
+    factor, share = _fitted(d, old)
+    if share > 1 - LEFT_BY_GAIN:
+        return _gain(1 + factor)
+    late, share = _shift(d, old)
+    if share > 1 - LEFT_BY_DELAY:
+        text = f"a delay that is {late * dt * 1e3:+.3g} ms ({late:+.2g} samples) longer"
+        return Change("delay", text, "identify the plant again")
+    peak, parted, narrow, frequency = _accelerations(now, old, dt)
+    if narrow > NARROW and peak > JERK:
+        text = f"a resonance at {frequency:.3g} Hz"
+        return Change("resonance", text, "look for what is loose, and identify the plant again")
+    begun = int(np.argmax(np.abs(old) > BEGUN * np.max(np.abs(old))))
+    follows = now[begun] / old[begun]
+    if LIMITED[0] < peak < LIMITED[1] and follows > FOLLOWS and parted > LATE:
+        text = f"a limit of force or speed: the first acceleration reaches {peak:.0%} of the usual"
+        return Change("limit", text, "look at supply, current limit and load; a slower motion fits")
+    top, held = _top_speed(now, old)
+    if top < SLOWER and held > HELD:
+        text = f"a limit of speed: it stays at {top:.0%} of the usual top"
+        return Change("limit", text, "look at supply, pressure and load; a slower motion fits")
+    lag, share = _fitted(d, -np.gradient(old))
+    rubbed = _rubbed(d, old)
+    if (peak > JERK or rubbed > share + 0.02) and max(share, rubbed) > EXPLAINS:
+        text = "friction (or play) that grew" if lag > 0 else "friction (or play) that fell"
+        return Change("friction", text, "look at guides, grease and cover; warm the axis up")
+    if share > EXPLAINS:
+        text = f"a lag that is {lag:+.2g} samples longer (a gain of a loop, viscous friction)"
+        return Change("lag", text, "look at the gains of the drive, and identify the plant again")
+    return Change()
+
+
+def _gain(now: float) -> Change:
+    """The change where the output is `now` times the expected one."""
+    if any(abs(now / one - 1) < SAME_UNIT for unit in UNITS for one in (unit, 1 / unit)):
+        text = f"another unit: y is {now:.4g} times that of the last trial"
+        return Change("unit", text, "look at the columns of the file")
+    if abs(now) < STANDS:
+        return Change()
+    return Change("gain", f"a gain that changed by {now - 1:+.0%}", "identify the plant again")
+
+
+def _shift(d, old) -> tuple[float, float]:
+    """The shift of the expected motion [samples] that explains most, and the share it explains."""
+    k, most = np.arange(len(old)), len(old) // 8
+    start = _fitted(d, -np.gradient(old))[0]
+    tried = np.clip(start * np.linspace(0.5, 2.0, 61), -most, most)
+    left = [np.sum((np.interp(k - late, k, old) - old - d) ** 2) for late in tried]
+    best = int(np.argmin(left))
+    return float(tried[best]), float(1 - left[best] / np.sum(d**2))
+
+
+def _accelerations(now, old, dt: float) -> tuple[float, float, float, float]:
+    """How the acceleration differs from the expected one.
+
+    Returns its largest value until the first top speed, over the expected one; the share of that
+    speed that is reached when the outputs part; the share of the power of the difference that is
+    within 20 % of the frequency of most power, 0 where the motion itself has as high ones; and this
+    frequency [Hz].
+    """
+    n = len(old)
+    speed, moved = _smooth(np.gradient(old)), _smooth(np.gradient(now))
+    usual, found = _smooth(np.gradient(speed)), _smooth(np.gradient(moved))
+    top = max(2, int(np.argmax(np.abs(speed) > 0.97 * np.max(np.abs(speed)))))
+    sign = np.sign(speed[top])
+    expected = np.max(sign * usual[:top])
+    peak = float(np.max(sign * found[:top]) / expected) if expected > 0 else 1.0
+    parted = _smooth(np.abs(now - old))
+    part = int(np.argmax(parted > 0.03 * np.max(parted)))
+    power = np.abs(np.fft.rfft((found - usual) * np.hanning(n))) ** 2
+    f, k = np.fft.rfftfreq(n, dt), int(np.argmax(power))
+    near = np.abs(f - f[k]) < 0.2 * f[k] + f[1]
+    of_motion = f[int(np.argmax(np.abs(np.fft.rfft(usual * np.hanning(n)))))]
+    narrow = float(np.sum(power[near]) / np.sum(power)) if f[k] > 1.5 * of_motion else 0.0
+    return peak, float(np.abs(speed[part]) / np.max(np.abs(speed))), narrow, float(f[k])
+
+
+def _top_speed(now, old) -> tuple[float, float]:
+    """The top speed over the expected one, and the time near it over the expected time."""
+    moved, speed = (np.abs(_smooth(np.gradient(x))) for x in (now, old))
+    times = [np.mean(x > NEAR_TOP * np.max(x)) for x in (moved, speed)]
+    return float(np.max(moved) / np.max(speed)), float(times[0] / times[1])
+
+
+def _smooth(x) -> np.ndarray:
+    """A signal without its highest frequencies: the mean over a fortieth of its length."""
+    window = np.hanning(max(5, len(x) // 40 | 1) + 2)[1:-1]
+    padded = np.pad(x, len(window) // 2, mode="edge")
+    return np.convolve(padded, window / np.sum(window), "valid")
+
+
+def _rubbed(d, old) -> float:
+    """The share of the difference that a force against the speed explains, through a slow loop."""
+    from scipy.signal import lfilter  # which takes half a second to load
+
+    speed = np.gradient(old)
+    sign = np.tanh(speed / (0.02 * np.max(np.abs(speed))))
+    shares = []
+    for rise in (5, 20, 40, 80):
+        kept = np.exp(-1 / rise)
+        shares.append(_fitted(d, lfilter([1 - kept], [1, -kept], sign))[1])
+    return max(shares)
+
+
+def _fitted(d, by) -> tuple[float, float]:
+    """The factor of the best fit, and the share of the power that it explains."""
+    size = float(by @ by)
+    if not size:
+        return 0.0, 0.0
+    factor = float(d @ by) / size
+    return factor, factor**2 * size / float(d @ d)

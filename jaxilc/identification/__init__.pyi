@@ -1,10 +1,9 @@
 from .estimation import Order, best_order, compare_orders, identify, not_significant
 from .fitting import Fit, fit
 from .frequency_response import read_frequency_response
-from .friction_model import FrictionModel, friction_of
 from .grown import Grown, Tried, grow, orders_and_delays
 from .grown_response import grow_response, identified_response
-from .not_linear import Suspicion, suspicions
+from .not_linear import FrictionModel, Suspicion, friction_of, suspicions
 from .pitch import Pitch, pitch_of
 from .potential import Potential, potential_of
 from .record_files import read_record, write_record

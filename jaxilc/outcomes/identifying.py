@@ -20,15 +20,14 @@ from ..identification.estimation import (
     validated,
 )
 from ..identification.frequency_response import is_frequency_response
-from ..identification.friction_model import friction_of
 from ..identification.grown_response import (
     LineModel,
     criterion,
     identified_response,
     share_of_noise,
 )
+from ..identification.not_linear import friction_of, suspicions
 from ..identification.not_linear import sentences as of_suspicions
-from ..identification.not_linear import suspicions
 from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, is_twincat, read_record_file
 from ..identification.sentences import on_lines
 from ..identification.sentences import verdict as sentences_on

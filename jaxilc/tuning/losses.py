@@ -5,8 +5,8 @@ How learning affects the gradients:
     clips, quantisers, resets     Their docstrings say what the gradient is: zero, straight-through,
                                   or that of the branch that was taken. `reset="smooth"` has the
                                   whole gradient (`schemes.mfac`).
-    a diverging learning process  `bounded.Bounded` limits its error to a ceiling. The gradient is
-                                  that of the trial that reached the ceiling.
+    a diverging learning process  `objectives.Bounded` limits its error to a ceiling. The gradient
+                                  is that of the trial that reached the ceiling.
     many trials                   Where learning amplifies, the slope of log e grows with the number
                                   of trials. `clip` bounds the slope of each machine. `truncate`
                                   takes the slope through the last trials only, which is not the
@@ -38,9 +38,8 @@ from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Population
-from .bounded import Bounded
 from .descent import Evaluation, counted, repaired
-from .objectives import Objective, Run, Sum, judge
+from .objectives import Bounded, Objective, Run, Sum, judge
 from .risks import Risk
 from .weights import Weights
 

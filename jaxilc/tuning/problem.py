@@ -40,6 +40,7 @@ from ..uncertainty import Population, Uncertainty, takes_population
 from .descent import (
     OPTIMISERS,
     Evaluation,
+    Folder,
     Method,
     State,
     Step,
@@ -48,11 +49,11 @@ from .descent import (
     for_starts,
     method_of,
     over_starts,
+    stored_lanes,
 )
 from .losses import Losses
 from .objectives import Final, Objective
 from .risks import Mean, Risk
-from .states import Folder, stored_lanes
 from .weights import Bijection, NamesOrBounds, Tuned, Weights
 
 if TYPE_CHECKING:

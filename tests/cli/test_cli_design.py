@@ -106,7 +106,7 @@ def small(file, monkeypatch):
     """The same plant file, for a law that is learned in seconds, of three trials."""
     monkeypatch.setattr("jaxilc.design.learned.DENSE", 5)
     monkeypatch.setattr("jaxilc.design.learned.WATCH", 5)
-    monkeypatch.setattr("jaxilc.design.first_taps.leads_of", lambda *_: [4])
+    monkeypatch.setattr("jaxilc.design.by_response.leads_of", lambda *_: [4])
     file.write_text(FILE.replace("trials = 4", "trials = 3"))
     return file
 

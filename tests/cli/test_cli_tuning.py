@@ -23,7 +23,7 @@ from jaxilc.plants import StateSpace
 from jaxilc.scenarios.parameters import differing, with_parameters, write_parameters
 from jaxilc.schemes import CFDLMFAILC
 from jaxilc.tuning import Tuning, monte_carlo_search, pareto
-from jaxilc.tuning import states as of_tuning
+from jaxilc.tuning import descent as of_tuning
 from jaxilc.tuning.objectives import (
     D2,
     Contraction,

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from jaxilc import Machine, Sensor, Task, Uniform
-from jaxilc.design.by_response import by_response, sizes_of
-from jaxilc.design.first_taps import best_of_leads, exchanged, radius_in_a_trial
+from jaxilc.design.by_response import (
+    best_of_leads,
+    by_response,
+    exchanged,
+    radius_in_a_trial,
+    sizes_of,
+)
 from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.window import Filters, leads_of, window_of
 from jaxilc.plants import ProcessModel, StateSpace
@@ -82,7 +87,7 @@ def test_of_the_leads_one_with_safe_ends_is_taken_and_of_these_the_best(lag, mon
     assert lead == min(losses, key=losses.get)
     assert sizes_of(lag, at(lead), filters, DT).max() < 1
     monkeypatch.setattr(
-        "jaxilc.design.first_taps.radius_in_a_trial", lambda f, w, *_: float(w.lead == lead)
+        "jaxilc.design.by_response.radius_in_a_trial", lambda f, w, *_: float(w.lead == lead)
     )
     assert best_of_leads(lag, at, [None], *args, Mean())[0] != lead
 

@@ -10,9 +10,8 @@ import pytest
 
 from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw
-from jaxilc.design.by_response import by_response, moved, sizes_of
+from jaxilc.design.by_response import FirstTaps, by_response, moved, sizes_of
 from jaxilc.design.candidates import Candidate, candidates
-from jaxilc.design.first_taps import FirstTaps
 from jaxilc.design.judging import _further
 from jaxilc.design.learned import Passed, gate, kept_or
 from jaxilc.design.responses import designed_on, family_of
@@ -174,7 +173,7 @@ class Enough(Exception):
 def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, monkeypatch):
     monkeypatch.setattr("jaxilc.design.learned.DENSE", 3)
     monkeypatch.setattr("jaxilc.design.learned.WATCH", 3)
-    monkeypatch.setattr("jaxilc.design.first_taps.leads_of", lambda *_: [4])
+    monkeypatch.setattr("jaxilc.design.by_response.leads_of", lambda *_: [4])
     monkeypatch.setattr(LearnedLaw, "_safe", lambda *_: [])
     asked = LearnedLaw(
         MACHINE, TASK, 2, WIDE, taps=(5, 5), start="nothing", metric="rms", margin=MARGIN,

@@ -8,7 +8,7 @@ from two_mass_rig import DT, Rig, read_schedule, stroke
 from typer.testing import CliRunner
 
 from jaxilc.cli import app
-from jaxilc.hardware import Rules, suspicions
+from jaxilc.hardware import Rules, checks
 
 R = stroke()
 U = R[:-1, None]
@@ -21,28 +21,28 @@ def said(findings):
 
 def test_a_channel_that_stands_still_is_seen_and_one_that_rests_is_not():
     dead = np.zeros_like(LAST)
-    (found,) = said(suspicions.frozen("y", dead, LAST, U, ()))
+    (found,) = said(checks.frozen("y", dead, LAST, U, ()))
     assert found.startswith("refusal: y is constant up to 0")
     assert found.endswith("--set campaign.accept=frozen accepts it")
     halfway = faults.frozen(LAST[:, 0])[:, None]
-    (found,) = said(suspicions.frozen("y", halfway, LAST, U, ("frozen",)))
+    (found,) = said(checks.frozen("y", halfway, LAST, U, ("frozen",)))
     assert found.startswith("warning: y stands still from sample 120 to 600")
     for good in (LAST, Rig(coulomb=100.0).play(U[:, 0], 2)[:, None]):
-        assert suspicions.frozen("y", good, LAST, U, ()) == []
+        assert checks.frozen("y", good, LAST, U, ()) == []
     # The first trial of a law that has learned nothing plays nothing, and nothing moves.
-    assert suspicions.frozen("y", dead, R[:, None], 0 * U, (), still=suspicions.DEAD) == []
+    assert checks.frozen("y", dead, R[:, None], 0 * U, (), still=checks.DEAD) == []
 
 
 def test_lost_counts_and_another_unit_are_steps_that_no_motion_makes():
     y = LAST.copy()
-    assert suspicions.jumped(y, R[:, None], None, (), "mm") == []
+    assert checks.jumped(y, R[:, None], None, (), "mm") == []
     y[300:] -= 2.0
-    (found,) = said(suspicions.jumped(y, R[:, None], LAST, (), "mm"))
+    (found,) = said(checks.jumped(y, R[:, None], LAST, (), "mm"))
     assert "y jumps by 2 mm at sample 300" in found
-    (found,) = said(suspicions.jumped(1000 * LAST, R[:, None], LAST, (), "mm"))
+    (found,) = said(checks.jumped(1000 * LAST, R[:, None], LAST, (), "mm"))
     assert "wrong unit" in found
     rough = LAST + np.random.default_rng(0).normal(0, 0.1, LAST.shape)
-    assert suspicions.jumped(rough, R[:, None], None, (), "mm") == []
+    assert checks.jumped(rough, R[:, None], None, (), "mm") == []
 
 
 @pytest.mark.parametrize(
@@ -59,28 +59,28 @@ def test_lost_counts_and_another_unit_are_steps_that_no_motion_makes():
 )
 def test_what_changed_is_named(changed, expected):
     y = Rig(**changed).play(U[:, 0], 2)[:, None]
-    found = suspicions.what_changed(y, LAST, DT)
+    found = checks.what_changed(y, LAST, DT)
     assert found.text.startswith(expected)
     assert found.then
-    inches = suspicions.what_changed(LAST / 25.4, LAST)
+    inches = checks.what_changed(LAST / 25.4, LAST)
     assert inches.text == "another unit: y is 0.03937 times that of the last trial"
-    assert suspicions.what_changed(LAST[:5], 2 * LAST[:5]) == suspicions.Change()
+    assert checks.what_changed(LAST[:5], 2 * LAST[:5]) == checks.Change()
 
 
 @pytest.mark.parametrize("pressure", [0.1, 0.06, 0.04])
 def test_a_limit_of_speed_is_no_friction(pressure):
     """The flow of a hydraulic cylinder at a low pressure was called friction."""
     before, now = (cylinder(stroke()[:-1], 1, p)[:, None] for p in (1.0, pressure))
-    found = suspicions.what_changed(now, before, DT)
+    found = checks.what_changed(now, before, DT)
     assert found.cause == "limit"
     assert "a limit of speed" in found.text
 
 
 def test_an_input_that_is_not_the_one_to_play_is_refused():
-    (found,) = said(suspicions.misplayed(0.5 * U, U, {1: 0 * U, 3: 0.5 * U}, ()))
+    (found,) = said(checks.misplayed(0.5 * U, U, {1: 0 * U, 3: 0.5 * U}, ()))
     assert "it is that of trial 3" in found
     noisy = U + np.random.default_rng(0).normal(0, 0.1, U.shape)
-    assert suspicions.misplayed(noisy, U, {}, ()) == []
+    assert checks.misplayed(noisy, U, {}, ()) == []
 
 
 def test_rules_name_what_is_accepted():

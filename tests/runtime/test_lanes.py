@@ -21,7 +21,7 @@ from jaxilc.runtime import capacity, lanes
 from jaxilc.runtime.lanes import SHARE, WIDE, fitting_lanes, lanes_for, usual_lanes
 from jaxilc.schemes import PIDType
 from jaxilc.signals.task import Task
-from jaxilc.tuning.states import Folder, stored_lanes
+from jaxilc.tuning.descent import Folder, stored_lanes
 
 DEVICES = jax.device_count()
 

@@ -13,7 +13,7 @@ from gain_case import PROBLEM
 
 from jaxilc.storage import files
 from jaxilc.storage.sealed import archive, read_arrays
-from jaxilc.tuning.states import Folder
+from jaxilc.tuning.descent import Folder
 
 
 @pytest.fixture(autouse=True)
