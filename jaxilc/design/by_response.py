@@ -24,6 +24,7 @@ import scipy.linalg
 import scipy.optimize
 
 from ..learning.metrics import largest
+from ..pytree.aliases import Numbers
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..theory.law import law_of, learning_law
@@ -125,11 +126,11 @@ class Problem(NamedTuple):
 
     family: Family
     start: Filters
-    of_L: Any
-    of_keep: Any
-    unit: Any
-    to_L: Any
-    to_keep: Any
+    of_L: Numbers
+    of_keep: Numbers
+    unit: Numbers | None
+    to_L: Numbers
+    to_keep: Numbers
 
 
 def _loss(z, of: Problem, below: float, counted, risk: Risk):

@@ -12,7 +12,7 @@ costs the end of the trial.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -44,6 +44,7 @@ WIDER = 4.0  # factor by which a tuning may change a weight, to either side
 TOLERANCES = (1e-9, 1e-7, 1e-5, 1e-4)  # shares of the largest tap that are left out
 EDGES_WIDER, APART = 1.5, 1.001  # the same for the edges of a notch, which stay apart
 FREER = 100.0  # the same for the weights of norm-optimal learning
+Bounds: TypeAlias = dict[str, tuple[float, float]]
 
 
 class Candidate(NamedTuple):
@@ -61,7 +62,7 @@ class Candidate(NamedTuple):
     name: str
     words: str
     scheme: Scheme
-    bounds: dict[str, tuple[float, float]]
+    bounds: Bounds
     largest: float
     predicted: float
 
@@ -150,11 +151,7 @@ def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
         return Absent("model-inverse", str(error))
     L = 1 / family.P[0]
     found = widest(
-        family,
-        ({"gamma_p": gain, "L": gain * L} for gain in INVERSE_GAINS),
-        task,
-        trials,
-        margin,
+        family, ({"gamma_p": gain, "L": gain * L} for gain in INVERSE_GAINS), task, trials, margin
     )
     if not found:
         return Absent("model-inverse", _NO_WEIGHTS)
@@ -278,7 +275,7 @@ def _under(scheme: Scheme, feedback: Scheme | None) -> Scheme:
     return scheme if feedback is None else WithFeedback(scheme, feedback)
 
 
-def _named(bounds: dict[str, Any], feedback: Scheme | None) -> dict[str, Any]:
+def _named(bounds: Bounds, feedback: Scheme | None) -> Bounds:
     """The bounds by the names that the weights have under the feedback."""
     return bounds if feedback is None else {f"learning.{w}": b for w, b in bounds.items()}
 
@@ -323,7 +320,7 @@ def widest(family: Family, laws, task: Task, trials: int, margin: float) -> list
     """
     lowest, highest = min(2 / task.duration, 0.05 / task.dt), min(0.45 / task.dt, family.highest)
     still = Change(1.0, 0, np.inf, ORDER)
-    found: dict[Any, list[Found]] = {}
+    found: dict[float | None, list[Found]] = {}
     for law in laws:
         L, keep = law.pop("L"), law.pop("keep", np.ones(len(family.frequencies)))
         lines = Lines(family.frequencies, family.P, 0.0 * family.P.real, keep, keep * L, task.dt)
@@ -389,7 +386,7 @@ def best_simulated(
     return best
 
 
-def _beside(weights: dict[str, Any], stride: float, task: Task) -> list[dict[str, Any]]:
+def _beside(weights: dict[str, float], stride: float, task: Task) -> list[dict[str, float]]:
     """Laws beside one: its gain, cutoff and edges by a factor, its lead by some samples."""
     lead, cutoff = int(weights["lead"]), weights["cutoff"]
     some = max(1, round(lead * (stride - 1) / 2))
@@ -409,7 +406,7 @@ def _beside(weights: dict[str, Any], stride: float, task: Task) -> list[dict[str
     return laws
 
 
-def _kept(family: Family, law: dict[str, Any], dt: float, margin: float) -> Found | None:
+def _kept(family: Family, law: dict[str, float], dt: float, margin: float) -> Found | None:
     """The law with its contraction, or None if it does not keep the margin or the cutoff."""
     if law["cutoff"] > family.highest:
         return None
@@ -417,7 +414,7 @@ def _kept(family: Family, law: dict[str, Any], dt: float, margin: float) -> Foun
     return Found(law, np.inf, largest) if largest <= 1 - margin else None
 
 
-def _responses(family: Family, law: dict[str, Any], dt: float) -> tuple[np.ndarray, np.ndarray]:
+def _responses(family: Family, law: dict[str, float], dt: float) -> tuple[np.ndarray, np.ndarray]:
     """(F,) Q and L of a P-type or PD-type law, with its notch if it has one."""
     return low_pass(family.frequencies, law["cutoff"], dt, ORDER), response_of_pd(family, law, dt)
 
@@ -436,7 +433,12 @@ def response_of_pd(family: Family, law, dt: float) -> np.ndarray:
 
 
 def rms_of(
-    loops: Sequence[Loop], error, laws: Sequence[dict[str, Any]], dt: float, trial: int, order: int
+    loops: Sequence[Loop],
+    error,
+    laws: Sequence[dict[str, float]],
+    dt: float,
+    trial: int,
+    order: int,
 ) -> np.ndarray:
     """(laws, S) root mean square error of a trial, over its samples after the first.
 
@@ -470,7 +472,7 @@ def rms_of(
     return np.sqrt(np.mean(_error(error, P, u, size)[..., 1:] ** 2, axis=-1))
 
 
-def notch_of(law: dict[str, Any], angles, dt: float) -> np.ndarray:
+def notch_of(law: dict[str, float], angles, dt: float) -> np.ndarray:
     """(F,) the filter F of a law at pi f dt = angles, 1 if it has none."""
     if "low" not in law:
         return np.ones(len(angles))
@@ -503,7 +505,7 @@ def _weighted(response, signal) -> np.ndarray:
     return scipy.fft.idct(response * scipy.fft.dct(signal, norm="ortho"), norm="ortho")
 
 
-def _step(law: dict[str, Any], e) -> np.ndarray:
+def _step(law: dict[str, float], e) -> np.ndarray:
     """(S, N) L e of errors (S, N+1); beyond the end of the trial they count as zero."""
     lead, N = int(law["lead"]), e.shape[-1] - 1
     step = np.zeros((len(e), N))

@@ -24,6 +24,7 @@ from scipy.special import ndtr, ndtri
 from ..pytree.ranges import is_whole
 from ..signals.task import Task
 from . import prediction
+from .journal import Manifest
 from .prediction import Band, Place, as_lists, band_of
 
 SHARE = 0.9  # of the trials that lie within the band
@@ -63,7 +64,7 @@ class Expected(NamedTuple):
         return {"step": self.step, "far": self.far.tolist(), **as_lists(self.rms, self.largest)}
 
 
-def kept(manifest: dict[str, Any]) -> Expected | None:
+def kept(manifest: Manifest) -> Expected | None:
     """What was expected of a trial, from its manifest; None where it holds nothing of the kind."""
     found = manifest.get("expected")
     if not isinstance(found, dict):
@@ -75,7 +76,7 @@ def kept(manifest: dict[str, Any]) -> Expected | None:
     return Expected(int(found["step"]), rms, largest, np.array(far, float), np.empty(0))
 
 
-def expected(measured: Any, simulated: Any, task: Task, step: int) -> Expected | None:
+def expected(measured: np.ndarray, simulated: np.ndarray, task: Task, step: int) -> Expected | None:
     """What the next trial of a campaign should measure; None before the third, or without a model.
 
     measured: (j, N+1, n_y) outputs of the trials so far [unit of y]

@@ -26,12 +26,13 @@ from ..pytree.in_short import in_short
 from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, environment, need_same
 from ..schemes import Scheme
+from ..schemes.scheme import Memory
 from ..signals.task import Task, Trial
 from ..storage.sealed import as_json
 from . import calibration, checks
 from .calibration import Expected
 from .checks import Finding, Rules
-from .journal import BACK, METRICS, Journal
+from .journal import BACK, METRICS, Journal, Manifest
 from .prediction import next_step
 from .trial_files import Measured, completed, ended, stored
 
@@ -59,7 +60,7 @@ class Turn(NamedTuple):
 
     trial: int
     record: Trial
-    memory: Any
+    memory: Memory
     schedules: dict[str, np.ndarray]
     metrics: dict[str, Any]
     hashes: dict[str, str]
@@ -173,14 +174,14 @@ class Campaign:
         """The number of trials measured, without those that were undone."""
         return self.journal.live()[-1]["trial"]
 
-    def memory(self, trial: int | None = None) -> Any:
+    def memory(self, trial: int | None = None) -> Memory:
         """The memory after a trial, None for the last one.
 
         Raises ValueError for a trial that is not one of the past, and for a damaged memory.
         """
         return self.memory_of(self._after(trial))
 
-    def memory_of(self, entry: dict[str, Any]) -> Any:
+    def memory_of(self, entry: Manifest) -> Memory:
         """The memory after an entry; raises ValueError where it is damaged."""
         template = self.scheme.initial_memory(self.task)
         found, needed = self.journal.arrays(entry, MEMORY), _arrays_of(template)
@@ -208,7 +209,7 @@ class Campaign:
         measured, simulated = [], []
         key = jax.random.key(0)  # one noise for all, which the differences do not hold
 
-        def output(entry: dict[str, Any]) -> np.ndarray:
+        def output(entry: Manifest) -> np.ndarray:
             return np.asarray(_output(machine, self.scheme, self.task, self.memory_of(entry), key))
 
         for before, now in pairwise(live[-PAST - 1 :]):
@@ -307,7 +308,11 @@ class Campaign:
         )
 
     def _as_the_machine_can(
-        self, record: Trial, commanded: Any, played: dict[str, np.ndarray], live: list
+        self,
+        record: Trial,
+        commanded: np.ndarray,
+        played: dict[str, np.ndarray],
+        live: list[Manifest],
     ) -> list[Finding]:
         """Whether the channels of a trial move, as a machine can, and belong to this trial.
 
@@ -329,7 +334,11 @@ class Campaign:
         return findings
 
     def _no_larger(
-        self, following: dict[str, np.ndarray], peaks: dict[str, float], record: Trial, live: list
+        self,
+        following: dict[str, np.ndarray],
+        peaks: dict[str, float],
+        record: Trial,
+        live: list[Manifest],
     ) -> list[Finding]:
         """Whether the next schedules are no larger than learning would make them.
 
@@ -418,7 +427,7 @@ class Campaign:
             {},
         )
 
-    def _after(self, trial: int | None) -> dict[str, Any]:
+    def _after(self, trial: int | None) -> Manifest:
         """The entry after an earlier trial, or the last entry for None."""
         if trial is None:
             return self.journal.live()[-1]
@@ -429,7 +438,7 @@ class Campaign:
         return behind[trial]
 
     def _is_measured(
-        self, entry: dict[str, Any], record: Trial, error: float, *, with_input: bool
+        self, entry: Manifest, record: Trial, error: float, *, with_input: bool
     ) -> bool:
         """Whether a measured trial is that of an entry, up to the rounding of a file.
 
@@ -443,7 +452,7 @@ class Campaign:
             not with_input or checks.same(known["u"], record.u)
         )
 
-    def _append(self, manifest: dict[str, Any], arrays: dict[str, dict[str, Any]]) -> None:
+    def _append(self, manifest: Manifest, arrays: dict[str, dict[str, Any]]) -> None:
         known = {
             "recipe": self.recipe,
             "configuration": self.configuration,
@@ -460,7 +469,7 @@ def refuse(findings: list[Finding]) -> None:
         raise ValueError("; ".join(texts))
 
 
-def _known_as(entry: dict[str, Any]) -> str:
+def _known_as(entry: Manifest) -> str:
     """A text that says as which trial an entry is stored already."""
     if entry["learned"]:
         return "which was learned from already;"
@@ -476,7 +485,7 @@ def _hash_of(*arrays) -> str:
 
 
 def _of_the_next(
-    memory: Any,
+    memory: Memory,
     schedules: dict[str, np.ndarray],
     task: Task,
     actuator: Actuator | None,
@@ -502,17 +511,17 @@ _measured = jax.jit(measure)  # one program instead of one for each operation
 
 
 @jax.jit
-def learned(scheme: Scheme, task: Task, memory: Any, trial: Trial):
+def learned(scheme: Scheme, task: Task, memory: Memory, trial: Trial):
     """The memory after a trial."""
     return scheme.prepared(task).learn(memory, trial)
 
 
 @jax.jit
-def _output(machine: Machine, scheme: Scheme, task: Task, memory: Any, key: Any):
+def _output(machine: Machine, scheme: Scheme, task: Task, memory: Memory, key: jax.Array):
     return run_trial(machine, scheme.prepared(task), task, memory, key).y
 
 
-def _arrays_of(tree: Any) -> dict[str, Any]:
+def _arrays_of(tree: Memory) -> dict[str, Any]:
     """The leaves in order; each name is a running number and the path of the leaf."""
     return {f"{i:03d} {name}": leaf for i, (name, leaf) in enumerate(named_leaves(tree).items())}
 
@@ -562,7 +571,7 @@ def repeats_of(campaign: Campaign) -> Repeats:
     Raises ValueError where no schedule was played twice.
     """
     journal, task = campaign.journal, campaign.task
-    played: dict[str, list[dict[str, Any]]] = {}
+    played: dict[str, list[Manifest]] = {}
     for one in journal.live()[1:]:
         played.setdefault(str(one["hashes"].get("played")), []).append(one)
     same = max(played.values(), key=len, default=[])

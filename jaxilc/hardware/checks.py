@@ -19,7 +19,7 @@ from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.parts import trials_of_step
 from ..signals.task import Task, Trial
-from .journal import METRICS
+from .journal import METRICS, Manifest
 
 AT_LIMIT = 1e-3  # share of the limit; an input that is this close to it counts as saturated
 AS_PLAYED = 1e-4  # share of a schedule's peak by which the machine's record of it may differ
@@ -171,7 +171,7 @@ def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
     return [Finding("warning" if difference > LITTLE * error else "note", text)]
 
 
-def experiment_numbers(scheme: Scheme, task: Task, live: list[dict[str, Any]]) -> list[int]:
+def experiment_numbers(scheme: Scheme, task: Task, live: list[Manifest]) -> list[int]:
     """Which experiment of its learning step each trial is, and the one after them.
 
     The number is 0 for a trial that plays what was learned, as all do of most schemes.
@@ -182,7 +182,7 @@ def experiment_numbers(scheme: Scheme, task: Task, live: list[dict[str, Any]]) -
     return (learned % trials_of_step(scheme, task)).tolist()
 
 
-def comparable(scheme: Scheme, task: Task, live: list[dict[str, Any]]) -> list[tuple[int, float]]:
+def comparable(scheme: Scheme, task: Task, live: list[Manifest]) -> list[tuple[int, float]]:
     """The numbers and errors of the trials before with which the error of this one is compared.
 
     Of a scheme that makes experiments these are the trials that played what it had learned; an

@@ -23,7 +23,7 @@ import re
 import secrets
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -53,6 +53,7 @@ BACK = "--undo goes back to an earlier trial"
 _ENTRY = re.compile(r"^\d{6}$")
 MOST = 10**6  # entries that a head may name
 METRICS = "figures"  # key of a trial's metrics, as in the first campaigns
+Manifest: TypeAlias = dict[str, Any]  # of an entry, as JSON
 _NEEDED = {"trial": int, "recipe": dict, "configuration": dict}
 _NEEDED_OF = {
     "start": {},
@@ -96,7 +97,7 @@ class Journal:
             )
         self.path.mkdir(parents=True, exist_ok=True)
 
-    def manifests(self) -> list[dict[str, Any]]:
+    def manifests(self) -> list[Manifest]:
         """The manifests of all entries, in order.
 
         Raises FileNotFoundError where there are none, and ValueError where none can be read.
@@ -110,11 +111,11 @@ class Journal:
             )
         return manifests
 
-    def last_known(self) -> dict[str, Any]:
+    def last_known(self) -> Manifest:
         """The last manifest that can be read; raises as `manifests` does."""
         return next(m for m in reversed(self.manifests()) if m["event"] != DAMAGED)
 
-    def live(self) -> list[dict[str, Any]]:
+    def live(self) -> list[Manifest]:
         """The manifests of the start and of all trials that were not undone, in order.
 
         Raises ValueError where one of them is damaged.
@@ -137,7 +138,7 @@ class Journal:
         """Write the head that names all entries that are there."""
         self._write_head(*self._read())
 
-    def behind(self) -> list[dict[str, Any]]:
+    def behind(self) -> list[Manifest]:
         """The manifests to which an undo can go back.
 
         These are the manifests of `live` without the last one. Where one of them is damaged, these
@@ -151,7 +152,7 @@ class Journal:
                 m for m in manifests if m["event"] in ("start", "trial") and _is_whole(manifests, m)
             ]
 
-    def arrays(self, manifest: Mapping[str, Any], name: str) -> dict[str, np.ndarray]:
+    def arrays(self, manifest: Manifest, name: str) -> dict[str, np.ndarray]:
         """The arrays in a file of an entry; raises ValueError for a damaged file."""
         file = self.path / f"{manifest['serial']:06d}" / name
         try:
@@ -162,7 +163,7 @@ class Journal:
         except (OSError, Damaged) as error:
             raise ValueError(f"{file} cannot be read ({_said(error)}); {BACK}") from None
 
-    def append(self, manifest: Mapping[str, Any], arrays: Mapping[str, Mapping[str, Any]]) -> None:
+    def append(self, manifest: Manifest, arrays: Mapping[str, Mapping[str, Any]]) -> None:
         """Append an entry.
 
         arrays: arrays by name, in a dictionary by the name of their file
@@ -198,7 +199,7 @@ class Journal:
         with contextlib.suppress(OSError):  # the entry is there, and names the one before it
             self._write_head([*before, as_json(whole)], head)
 
-    def log(self) -> list[dict[str, Any]]:
+    def log(self) -> list[Manifest]:
         """A row for every entry in order: event, trial, metrics, warnings.
 
         `live` says whether the entry still counts, or was undone.
@@ -226,7 +227,7 @@ class Journal:
             rows.append(row | {"warnings": "; ".join(warnings)})
         return rows
 
-    def _read(self) -> tuple[list[dict[str, Any]], list[str]]:
+    def _read(self) -> tuple[list[Manifest], list[str]]:
         """The manifests of all entries, and the head; an empty one if it is another campaign's."""
         for head in (self._head(), []):
             manifests = [self._manifest(serial, head) for serial in range(self._next())]
@@ -264,7 +265,7 @@ class Journal:
         known = isinstance(found, list) and all(isinstance(one, str) for one in found)
         return found if known and len(found) < MOST else []
 
-    def _write_head(self, manifests: Sequence[dict[str, Any]], known: Sequence[str]) -> None:
+    def _write_head(self, manifests: Sequence[Manifest], known: Sequence[str]) -> None:
         entries = [
             known[serial] if serial < len(known) and m["event"] == DAMAGED else _seal(m)
             for serial, m in enumerate(manifests)
@@ -274,7 +275,7 @@ class Journal:
     def _place(self, serial: int, wrong: str) -> str:
         return f"{self.path / f'{serial:06d}' / MANIFEST} cannot be read ({wrong})"
 
-    def _manifest(self, serial: int, head: Sequence[str]) -> dict[str, Any]:
+    def _manifest(self, serial: int, head: Sequence[str]) -> Manifest:
         entry, wrong = self.path / f"{serial:06d}", []
         for name in (MANIFEST, COPY):
             try:
@@ -287,7 +288,7 @@ class Journal:
         return {"serial": serial, "event": DAMAGED, "trial": 0, "wrong": wrong[0]}
 
 
-def _checked(content: Any, serial: int) -> dict[str, Any]:
+def _checked(content: Any, serial: int) -> Manifest:
     """The manifest of an entry; raises Damaged naming what is wrong with it."""
     unchecked = isinstance(content, dict) and content.get("format") == UNCHECKED
     manifest = content if unchecked else unsealed(content)
@@ -316,7 +317,7 @@ def _checked(content: Any, serial: int) -> dict[str, Any]:
     return manifest
 
 
-def _seal(manifest: Mapping[str, Any]) -> str:
+def _seal(manifest: Manifest) -> str:
     """The checksum of a manifest; an empty text for one that cannot be read."""
     return "" if manifest["event"] == DAMAGED else seal_of(manifest)
 
@@ -329,7 +330,7 @@ def _is_finding(value: Any) -> bool:
     return isinstance(value, list) and len(value) == 2 and all(isinstance(x, str) for x in value)
 
 
-def _led_to(manifests: Sequence[dict[str, Any]], last: dict[str, Any]) -> list[dict[str, Any]]:
+def _led_to(manifests: Sequence[Manifest], last: dict[str, Any]) -> list[Manifest]:
     """The manifests from the start to the entry `last`; raises Damaged where one is damaged."""
     chain = [manifests[last["to"]] if last["event"] == "undo" else last]
     while chain[0]["event"] == "trial":
@@ -340,7 +341,7 @@ def _led_to(manifests: Sequence[dict[str, Any]], last: dict[str, Any]) -> list[d
     return chain
 
 
-def _is_whole(manifests: Sequence[dict[str, Any]], last: dict[str, Any]) -> bool:
+def _is_whole(manifests: Sequence[Manifest], last: dict[str, Any]) -> bool:
     try:
         return bool(_led_to(manifests, last))
     except Damaged:
@@ -351,7 +352,7 @@ def _said(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
-def write_log(path: str | Path, rows: Sequence[dict[str, Any]]) -> Path:
+def write_log(path: str | Path, rows: Sequence[Manifest]) -> Path:
     """Write the rows of `Journal.log` with a column for each name; missing values are empty."""
     text = io.StringIO()
     names = list(dict.fromkeys(name for row in rows for name in row))

@@ -30,6 +30,7 @@ from ..storage.sealed import Damaged, read_json, sealed, unsealed, write_json
 from ..sweeps.host import Host
 from ..sweeps.plan import Chunk, Plan
 from ..uncertainty import Population, Uncertainty
+from .journal import Manifest
 
 FILE, FORMAT = "prediction.json", 1
 MACHINES, SEED = 256, 20250  # drawn machines, and the seed of their draw and of their noise
@@ -207,7 +208,7 @@ def _band(values: np.ndarray) -> Band:
     return Band(low, median, np.maximum(ordered[count - 1 - beyond], median * (1 + SAME)))
 
 
-def distance(band: Band, values: Any, smallest: float = 0.0) -> np.ndarray:
+def distance(band: Band, values: np.ndarray, smallest: float = 0.0) -> np.ndarray:
     """How far out errors lie on a band: 0 at its median, 1 at its upper and -1 at its lower end.
 
         log(error / median) / |log(end / median)|,  end: that of the side on which the error lies
@@ -223,7 +224,7 @@ def distance(band: Band, values: Any, smallest: float = 0.0) -> np.ndarray:
     return np.where(np.isinf(median), 0.0, np.where(log >= median, up, down))
 
 
-def steps(live: list[dict[str, Any]]) -> list[int]:
+def steps(live: list[Manifest]) -> list[int]:
     """The predicted trial that each measured trial is compared with.
 
     A trial that was not learned from leaves the memory as it is, so the next one repeats its step.
@@ -237,7 +238,7 @@ def steps(live: list[dict[str, Any]]) -> list[int]:
     return found
 
 
-def next_step(live: list[dict[str, Any]]) -> int:
+def next_step(live: list[Manifest]) -> int:
     """The predicted trial that the next measured one is compared with."""
     return 1 + sum(bool(manifest["learned"]) for manifest in live[1:])
 

@@ -384,7 +384,7 @@ def _check_reference(path, r, places, task: Task) -> None:
 
 
 def read_short(
-    path: Any,
+    path: str | Path,
     task: Task,
     others: Mapping[str, tuple[int, int]] | None = None,
     names: Mapping[str, str] | None = None,

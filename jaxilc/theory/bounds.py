@@ -28,6 +28,7 @@ from ..learning.metrics import largest
 from ..learning.over_trials import learn
 from ..learning.watch import Watch, Watched
 from ..plants.structure import obstacle
+from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..runtime.tiles import tiled_with
 from ..schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAC, FFDLMFAILC, PFDLMFAILC, Scheme
@@ -70,7 +71,7 @@ class PseudoGradient(NamedTuple):
 
 
 def pseudo_gradient_of(
-    machine: Machine, task: Task, *, L_y: int = 0, L_u: int = 1, u: Any = None
+    machine: Machine, task: Task, *, L_y: int = 0, L_u: int = 1, u: Value = None
 ) -> PseudoGradient:
     """The pseudo gradient of a machine along a trial, from the derivatives of its own step.
 
@@ -184,7 +185,7 @@ class Bounds(NamedTuple):
     __repr__ = in_short
 
 
-def bounds_of(machine: Machine, scheme: Scheme, task: Task, u: Any = None) -> Bounds:
+def bounds_of(machine: Machine, scheme: Scheme, task: Task, u: Value = None) -> Bounds:
     """The bounds of Cao 2019, eq. 9 and 13 to 15, of a scheme on a machine.
 
     They need no trial. For FFDL- and PFDL-MFAILC the paper bounds the pseudo gradient (Theorem 2)

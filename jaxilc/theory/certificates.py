@@ -41,7 +41,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -423,7 +423,7 @@ def _within(found: LongRun, ball: Ball) -> LongRun:
     until = ball.until(found.of_error, found.sigma)
     ball = ball._replace(error=np.fmin(ball.error, np.where(found.of_error, until, np.inf)))
     claim, reason = found.claim.copy(), found.reason.copy()
-    ahead: Any = found.outlook
+    ahead = cast(Outlook, found.outlook)
     for i in np.flatnonzero((claim != NOTHING) | ahead.decay.converges):
         what = ball.of[i]
         if claim[i] == DIVERGES:

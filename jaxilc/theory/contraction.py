@@ -30,20 +30,13 @@ from ..plants.structure import blind, followers, obstacle
 from ..pytree.named_paths import named_leaves
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
+from ..schemes.scheme import Memory
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machine
 from .condition import Condition, Premise, condition, premise
 from .linearity import linear_law
 from .spectrum import SingularValue, SpectralRadius, singular_value, spectral_radius_of
-from .trials import (
-    LEARNED,
-    Prescribed,
-    learned_from,
-    learned_memory,
-    step,
-    trial_of,
-    with_output,
-)
+from .trials import LEARNED, Prescribed, learned_from, learned_memory, step, trial_of, with_output
 
 __all__ = [
     "LEARNED",
@@ -99,10 +92,10 @@ def learning_map(
     machine: Machine,
     scheme: Scheme,
     task: Task,
-    memory: Any = None,
+    memory: Memory = None,
     *,
     leaves: tuple[str, ...] | None = None,
-    weights: Mapping[str, Any] | None = None,
+    weights: Mapping[str, float] | None = None,
 ) -> Map:
     """One trial and its learning, as a map on the weighted memory.
 
@@ -161,7 +154,7 @@ def learning_map(
 
 
 def error_map(
-    machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1
+    machine: Machine, scheme: Scheme, task: Task, memory: Memory = None, *, trials: int = 1
 ) -> Map:
     """From the error of a trial, (N n_y,), to those of the next `trials` trials, (J, N n_y).
 
@@ -199,8 +192,8 @@ def error_growth(
 
     f, at: an `error_map` over J `trials`
     """
-    how: dict[str, Any] = {"steps": steps, "tolerance": tolerance}
-    return lax.map(lambda row: singular_value(f, at, row=row, **how), jnp.arange(trials))
+    run = partial(singular_value, f, at, steps=steps, tolerance=tolerance)
+    return lax.map(lambda row: run(row=row), jnp.arange(trials))
 
 
 def over_plants(
@@ -246,7 +239,7 @@ def _names(name: str, leaf: str) -> bool:
     return leaf == name or leaf.startswith((f"{name}.", f"{name}["))
 
 
-def _weight(leaf: str, value, weights: Mapping[str, Any], size_y):
+def _weight(leaf: str, value, weights: Mapping[str, float], size_y):
     named = [name for name in weights if _names(name, leaf)]
     if named:
         return weights[max(named, key=len)]
@@ -264,7 +257,7 @@ def _rms(signal):
 
 
 def contracting(
-    machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, weights=None, **options
+    machine: Machine, scheme: Scheme, task: Task, memory: Memory = None, *, weights=None, **options
 ) -> Condition:
     """The learning map contracts in the norm of the weighted memory.
 
@@ -282,7 +275,7 @@ def contracting(
 
 
 def attracting(
-    machine: Machine, scheme: Scheme, task: Task, memory: Any = None, **options
+    machine: Machine, scheme: Scheme, task: Task, memory: Memory = None, **options
 ) -> Condition:
     """The fixed point of the learning map attracts.
 
@@ -308,7 +301,13 @@ def attracting(
 
 
 def error_contracting(
-    machine: Machine, scheme: Scheme, task: Task, memory: Any = None, *, trials: int = 1, **options
+    machine: Machine,
+    scheme: Scheme,
+    task: Task,
+    memory: Memory = None,
+    *,
+    trials: int = 1,
+    **options,
 ) -> Condition:
     """A change of the error, whatever its shape, is smaller `trials` trials later; see `error_map`.
 
@@ -377,7 +376,7 @@ def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premi
     return (local, _differentiable(smooth)), NEARBY if why else EVERYWHERE
 
 
-def _like_learned(machine, scheme, task) -> Any:
+def _like_learned(machine, scheme, task) -> Memory:
     """The shapes of a memory that was learned, which are all that reading a program needs."""
     return jax.eval_shape(learned_memory, machine, scheme, task)
 

@@ -12,7 +12,7 @@ u[k] is learned from e[k+1+m].
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ import numpy as np
 from ..filters.zero_phase import Filter
 from ..schemes import Scheme
 from ..schemes.parts import with_all_parts
+from ..schemes.scheme import Memory
 from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import on_circle
@@ -137,7 +138,7 @@ class LawMatrices(NamedTuple):
     L: np.ndarray
 
 
-def learning_law(scheme: Scheme, task: Task, memory: Any = None) -> LawMatrices:
+def learning_law(scheme: Scheme, task: Task, memory: Memory = None) -> LawMatrices:
     """The learning law of a scheme with a feedforward over one trial, as matrices.
 
     It is found by linearising the scheme's own `learn` and `feedforward`. A law that adapts

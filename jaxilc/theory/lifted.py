@@ -13,7 +13,6 @@ the same numbers without a matrix.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +22,7 @@ from jax import lax
 from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..schemes import NormOptimal, Scheme
+from ..schemes.scheme import Memory
 from ..signals.task import Task
 from ..uncertainty import drawn_machines
 from .condition import Condition, condition, premise
@@ -60,7 +60,7 @@ def lifted_plant(
     task: Task,
     *,
     about=None,
-    memory: Any = None,
+    memory: Memory = None,
     time_invariant: bool | None = None,
 ) -> np.ndarray:
     """(N n_y, N n_w) G = d y[1..N] / d w[0..N-1] of what is played, w, exactly from the simulator.
@@ -165,7 +165,7 @@ def mfailc_map(G, phi, lam, rho=1.0, *, lead: int = 0) -> np.ndarray:
 
 
 def learning_conditions(
-    machine: Machine, scheme: Scheme, task: Task, *, about=None, memory: Any = None
+    machine: Machine, scheme: Scheme, task: Task, *, about=None, memory: Memory = None
 ) -> dict[str, Condition]:
     """The conditions `monotone` and `asymptotic` of the input, and `monotone_error` of the error.
 

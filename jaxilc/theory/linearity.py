@@ -13,8 +13,6 @@ Whether one is met is for `outlook` to say.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +23,7 @@ from ..learning.variation import Variation
 from ..plants.structure import CONSTANT, dependence, obstacle
 from ..schemes import Scheme
 from ..schemes.parts import trials_of_step, with_all_parts
+from ..schemes.scheme import Memory
 from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import tick_of
@@ -36,7 +35,7 @@ ONE_TRIAL = "what is learned follows from the last trial alone"
 INVARIANT = "loop linear and time invariant"
 
 
-def linear_law(scheme: Scheme, task: Task, memory: Any = None) -> Premise:
+def linear_law(scheme: Scheme, task: Task, memory: Memory = None) -> Premise:
     """The premise that learning is an affine map, the same after every trial.
 
     The map goes from what a scheme knows, and from a trial, to what it knows next. An estimator, a
@@ -65,7 +64,7 @@ def linear_law(scheme: Scheme, task: Task, memory: Any = None) -> Premise:
 
 
 def linear_trial(
-    machine: Machine, scheme: Scheme | None, task: Task, *, memory: Any = None
+    machine: Machine, scheme: Scheme | None, task: Task, *, memory: Memory = None
 ) -> Premise:
     """The premise that the output of a trial is an affine function of what is played in it."""
     free = None if scheme is None else scheme.unlimited()
@@ -77,7 +76,9 @@ def linear_trial(
     return premise(LINEAR, False, nonlinear_part(machine, scheme, task, memory) or why)
 
 
-def nonlinear_part(machine: Machine, scheme: Scheme | None, task: Task, memory: Any = None) -> str:
+def nonlinear_part(
+    machine: Machine, scheme: Scheme | None, task: Task, memory: Memory = None
+) -> str:
     """Which part of a trial is not linear, and by what, in words; empty if every part is."""
     why = obstacle(output_alone, (machine.unlimited(), task), jnp.zeros((task.N, task.inputs)))
     if why:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -211,7 +211,7 @@ def reachable(M, moves) -> np.ndarray:
         there = grown
 
 
-def drifting(M, push, Y, L, *, least: float, outputs: int, alike: Any = True, seen: Any = True):
+def drifting(M, push, Y, L, *, least: float, outputs: int, alike=True, seen=True):
     """Why an output surely grows with the number of trials, in words; empty where none is known to.
 
     Some places of w stay as they are but for errors that no place moves: those of the first samples
@@ -404,7 +404,7 @@ class SpectralRadius(NamedTuple):
     steps: int
 
 
-def spectral_radius_of(f: Callable, at, *, steps: int = 100, begin: Any = None) -> SpectralRadius:
+def spectral_radius_of(f: Callable, at, *, steps: int = 100, begin=None) -> SpectralRadius:
     """The spectral radius of the derivative J of f at a point, by Arnoldi's process.
 
         J V = V H + h v e^T,  V orthonormal

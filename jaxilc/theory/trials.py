@@ -14,6 +14,7 @@ from ..learning.machine import Disturbance, Machine
 from ..learning.variation import Variation
 from ..learning.within_trial import run_trial
 from ..plants import InBlocks
+from ..pytree.aliases import Value
 from ..pytree.fields import child, pytree
 from ..schemes import Scheme, WithFeedback
 from ..schemes.compose import Pair
@@ -73,12 +74,7 @@ def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
 
 
 def played(
-    machine: Machine,
-    scheme: Scheme | None,
-    task: Task,
-    memory,
-    learned,
-    key: Key = None,
+    machine: Machine, scheme: Scheme | None, task: Task, memory, learned, key: Key = None
 ) -> Trial:
     """A trial that plays `learned` (N, m) in place of what the scheme learned.
 
@@ -93,7 +89,7 @@ def played(
     return trial_of(machine, _Playing(scheme), task, (memory, learned), key)
 
 
-def next_learned(scheme: Scheme, task: Task, memory, learned, e, e0: Any = 0.0):
+def next_learned(scheme: Scheme, task: Task, memory, learned, e, e0: Value = 0.0):
     """(N, m) what a scheme plays after a trial that played `learned` (N, m) with errors e (N, n_y).
 
     e:  (N, n_y) the errors e[1..N]

@@ -49,7 +49,7 @@ class Visits(NamedTuple):
     __repr__ = in_short
 
 
-def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory | None = None) -> Visits:
+def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory = None) -> Visits:
     """Which parameters of a basis learning finds on this motion, and how fast.
 
     scheme: `BasisFunctions` with a basis that is linear in theta, alone or beside a feedback
