@@ -179,11 +179,13 @@ class Placed(NamedTuple):
 class ByPosition(Plant):
     """Any plant of one input, with what depends on its position x.
 
-        the plant is driven by  (1 + ripple(x, v)) u + force(x, v),   v = (x[k] - x[k-1]) / dt
+        the plant is driven by  (1 + ripple(x, v)) u + force(x, v)
         y = play(x + error(x, v)),   play[k] = clip(play[k-1], . - backlash / 2, . + backlash / 2)
 
     So it has cogging, friction by place and direction, and commutation (force, ripple), and the
-    pitch error of a screw, and its backlash (error, backlash). A force is held over a sample. A map
+    pitch error of a screw, and its backlash (error, backlash). Position and velocity of force and
+    ripple are those in the middle of a sample, over which both are held: the first step, with the
+    velocity of the sample before, tells them, so that forces are right to second order in dt. A map
     that depends on the direction is a damper near rest, so let `turning` of a friction be more than
     half of what it changes the velocity by within a sample. Several forces stand within each other,
     `ByPosition(ByPosition(plant, force=...), force=...)`; several axes side by side, in `TwoAxes`.
@@ -224,22 +226,26 @@ class ByPosition(Plant):
 
     def step(self, x: Placed, u: Array, dt: float) -> Placed:
         now = self._position(x.plant)
-        v = (now - x.before) / dt
-        if isinstance(self.ripple, EndEffect):
-            u = self.ripple.factor(now) * u
-        elif self.ripple is not None:
-            u = (1 + self.ripple.at(now, v)) * u
-        if isinstance(self.force, PositionMap):
-            u = u + self.force.at(now, v)
-        elif self.force is not None:
-            u = u + self.force.force(now)
-        plant = self.plant.step(x.plant, u, dt)
-        new = after = self._position(plant)
+        seen, v = now, (now - x.before) / dt
+        for _ in range(2):  # as if it went on as before, then in the middle of the sample
+            plant = self.plant.step(x.plant, self._driven(u, seen, v), dt)
+            new = after = self._position(plant)
+            seen, v = (now + new) / 2, (new - now) / dt
         if self.error is not None:
             after = new + self.error.at(new, (new - now) / dt)
         if self.backlash is not None:
             after = jnp.clip(x.after, after - self.backlash / 2, after + self.backlash / 2)
         return Placed(plant, now, after)
+
+    def _driven(self, u: Array, x: Array, v: Array) -> Array:
+        """The input of the plant, with what the maps make of it at a position."""
+        if isinstance(self.ripple, EndEffect):
+            u = self.ripple.factor(x) * u
+        elif self.ripple is not None:
+            u = (1 + self.ripple.at(x, v)) * u
+        if isinstance(self.force, PositionMap):
+            return u + self.force.at(x, v)
+        return u if self.force is None else u + self.force.force(x)
 
     def output(self, x: Placed) -> Array:
         return self.plant.output(x.plant).at[self.position].set(x.after)

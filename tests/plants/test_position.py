@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.interpolate import BSpline
 
 from jaxilc.plants import (
@@ -65,16 +66,51 @@ def test_the_plant_is_driven_by_its_maps():
     after = lead(0.1)
     wanted = [after]
     for k in range(400):
-        s = np.tanh((x[0] - before) / DT / 0.2)
-        f = np.interp(x[0], np.linspace(-1, 1, 4), (1 + s) / 2 * bins[:4] + (1 - s) / 2 * bins[4:])
-        share = 1 + 0.2 * np.cos(5 * np.pi * x[0]) - 0.1 * np.sin(5 * np.pi * x[0])
-        before = x[0]
-        x = A @ x + B * (share * u[k] + f)
+        seen, v = x[0], (x[0] - before) / DT
+        for _ in range(2):
+            s = np.tanh(v / 0.2)
+            of_way = (1 + s) / 2 * bins[:4] + (1 - s) / 2 * bins[4:]
+            f = np.interp(seen, np.linspace(-1, 1, 4), of_way)
+            share = 1 + 0.2 * np.cos(5 * np.pi * seen) - 0.1 * np.sin(5 * np.pi * seen)
+            then = A @ x + B * (share * u[k] + f)
+            seen, v = (x[0] + then[0]) / 2, (then[0] - x[0]) / DT
+        before, x = x[0], then
         new = lead(x[0])
         after = min(max(after, new - 0.015), new + 0.015)
         wanted.append(after)
     np.testing.assert_allclose(found, wanted, atol=1e-10)
     assert np.ptp(wanted) > 0.3
+
+
+def test_forces_are_right_to_second_order():
+    """Halved sample times, against an integration in continuous time."""
+    bins = np.array([1.0, 0.2, -1.0, 0.5])
+    force = PositionMap(Harmonics(0.2, (1, 3)), bins)
+    friction = PositionMap(Harmonics(1.0, (0,)), (-2.0, 2.0), turning=0.5)
+    ripple = PositionMap(Harmonics(0.4, (1,)), (0.2, -0.1))
+    plant = ByPosition(ByPosition(PLANT, force, ripple), friction)
+    held, T = 12 * np.sin(np.arange(25)), 0.02
+
+    def slope(t, x):
+        angle = 2 * np.pi * x[0] * np.array([1, 3]) / 0.2
+        f = bins[::2] @ np.cos(angle) + bins[1::2] @ np.sin(angle)
+        u = held[min(int(t / T), 24)] - 2 * np.tanh(x[1] / 0.5)
+        turn = 5 * np.pi * x[0]
+        share = 1 + 0.2 * np.cos(turn) - 0.1 * np.sin(turn)
+        return PLANT.A @ x + PLANT.B[:, 0] * (share * u + f)
+
+    y, x = [0.1], np.array([0.1, 0.0])
+    for k in range(25):
+        span = (k * T, (k + 1 - 1e-9) * T)
+        x = solve_ivp(slope, span, x, rtol=1e-9, atol=1e-12).y[:, -1]
+        y.append(x[0])
+    off = []
+    for parts in (10, 20, 40):
+        u = jnp.asarray(np.repeat(held, parts))[:, None]
+        found = np.asarray(motion(plant, u, T / parts))[::parts, 0]
+        off.append(np.max(np.abs(found - y)))
+    assert np.ptp(y) > 0.2
+    assert np.all(np.log2(np.divide(off[:-1], off[1:])) > 1.8), off
 
 
 def test_cogging_and_end_effect_stand_in_for_maps_and_forces_add_up():
