@@ -372,14 +372,6 @@ def _lu(step: Step, a: Array) -> tuple[Array, Array, Array]:
     return a, jnp.stack(pivots), order
 
 
-def _linear_solve(step: Step, *given: Array) -> Any:
-    lengths, solve = step.params["const_lengths"], step.params["jaxprs"].solve
-    start = lengths.matvec + lengths.vecmat
-    consts = given[start : start + lengths.solve]
-    right = given[sum(lengths) :]
-    return jax.core.eval_jaxpr(solve.jaxpr, solve.consts, *consts, *right)
-
-
 def _mean_of_log_odds(step: Step, x: Array) -> Array:
     return 1 / (1 + jnp.exp(-x))
 
@@ -393,7 +385,6 @@ REWRITTEN: dict[str, Callable[..., Any]] = {
     ],
     "triangular_solve": _triangular_solve,
     "lu": _lu,
-    "custom_linear_solve": _linear_solve,
     "logistic": _mean_of_log_odds,
 }
 

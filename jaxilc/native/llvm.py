@@ -49,6 +49,7 @@ class Text:
         wanted: Sequence[bool],
         in_vectors: Callable[[str, int], str | None],
     ):
+        assert all(wanted[plan.carry :])  # there is no room for others
         self.plan, self.lanes, self.wanted, self.in_vectors = plan, lanes, wanted, in_vectors
         self.lines: list[str] = []
         self.declared: set[str] = set()
@@ -278,7 +279,7 @@ class Text:
 
     def _row(self, node: Node, index: str) -> str:
         """Number m of the row of a table at an index, which may be another for each machine."""
-        buffer, m = node.what
+        buffer, m, _ = node.what
         base, kind = self._base(buffer), self.type_of(node.args[0].dtype)
         alike = node.args[0].alike
         scalar = _scalar(node.args[0].dtype)

@@ -16,8 +16,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
-from .program import Step, Unknown
+from .program import UNROLLED, Step, Unknown
 
 LARGEST = 4096  # elements of a small array
 BOOL = np.dtype(bool)
@@ -167,7 +168,7 @@ class Numbers:
                 return self.const(args[0].what.view(whole), whole)
             return self._node(name, args, whole, None, None)
         if name == "row":
-            return self._node(name, args, dtype, what, what, alike=what[0].alike)
+            return self._node(name, args, dtype, what, what, alike=what[0].alike, loop=what[2])
         kind = args[0].dtype.kind
         if instruction(name, kind) is None or any(x.dtype != args[0].dtype for x in args):
             raise Unknown(f"{name} of {' and '.join(str(x.dtype) for x in args)}")
@@ -447,7 +448,7 @@ def applied(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
     if name in MOVES:
         return MOVES[name](params, arrays, shape)
     if name in MOVED_BY_JAX:
-        return _moved_by_jax(step, arrays, shape)
+        return _moved_by_jax(n, step, arrays, shape)
     if name == "iota":
         return n.array(np.asarray(step.primitive.bind(**params)))
     raise Unknown(name)
@@ -526,7 +527,9 @@ MOVES: dict[str, Callable[..., np.ndarray]] = {
 }
 
 
-MOVED_BY_JAX = ("gather", "scatter", "dynamic_slice", "dynamic_update_slice")
+# further ones, by the number of the first operand that says where
+MOVED_BY_JAX = {"gather": 1, "scatter": 1, "scatter-add": 1, "dynamic_slice": 1,
+                "dynamic_update_slice": 2}  # fmt: skip
 
 
 def constants(array: np.ndarray, dtype: Any) -> np.ndarray | None:
@@ -536,31 +539,125 @@ def constants(array: np.ndarray, dtype: Any) -> np.ndarray | None:
     return np.array([x.what for x in array.flat], dtype).reshape(array.shape)
 
 
-def _moved_by_jax(step: Step, arrays: Sequence[np.ndarray], shape: Sequence[int]) -> np.ndarray:
-    """The result of a step that moves numbers to places that are known beforehand.
+def _moved_by_jax(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
+                  shape: Sequence[int]) -> np.ndarray:  # fmt: skip
+    """The result of a step that moves numbers from places, or to them.
 
     JAX moves the numbers of the elements, counted through all arrays, in place of the elements.
     """
-    moving = 2 if step.name == "dynamic_update_slice" else 1
-    indices = list(enumerate(arrays))[moving:]
-    moved = [arrays[0]] if moving == 1 else [*arrays[:2]]
-    if step.name == "scatter":
-        moved, indices = [arrays[0], arrays[2]], [(1, arrays[1])]
-    count, numbered = 0, []
+    first, to = MOVED_BY_JAX[step.name], step.name.startswith("scatter")
+    known = {i: constants(arrays[i], step.ins[i].dtype)
+             for i in range(first, 2 if to else len(arrays))}  # fmt: skip
+    unknown = [i for i, x in known.items() if x is None]
+    if unknown:
+        return _anywhere(n, step, arrays, shape, unknown)
+    if to:
+        return _scattered(n, step, arrays, jnp.asarray(known[1]))
+    moved, numbered, count = arrays[:first], [], 0
     for x in moved:
         numbered.append(jnp.arange(count, count + x.size).reshape(x.shape))
         count += x.size
-    known = {i: constants(x, step.ins[i].dtype) for i, x in indices}
-    if any(x is None for x in known.values()):
-        raise Unknown(f"{step.name} at places that are found while it runs")
-    given = {i: jnp.asarray(x) for i, x in known.items()}
-    places = iter(numbered)
-    params = dict(step.params)
-    if "fill_value" in params:
-        params["fill_value"] = -1
-    operands = [given[i] if i in given else next(places) for i in range(len(arrays))]
-    found = np.asarray(step.primitive.bind(*operands, **params))
+    params = step.params | ({"fill_value": -1} if step.name == "gather" else {})
+    found = np.asarray(step.primitive.bind(*numbered, *map(jnp.asarray, known.values()), **params))
     if found.size and found.min() < 0:
         raise Unknown(f"{step.name} beyond the end")
     every = np.concatenate([x.ravel() for x in moved])
     return _filled(shape, every[found.ravel()])
+
+
+def _window(step: Step, axes: int, new: Sequence[int]) -> list[int]:
+    """The shape of what a scatter writes at a place, from the shape of all that is new."""
+    of = step.params["dimension_numbers"]
+    sizes = iter([new[i] for i in of.update_window_dims])
+    left_out = (*of.inserted_window_dims, *of.operand_batching_dims)
+    return [1 if i in left_out else next(sizes) for i in range(axes)]
+
+
+def _scattered(n: Numbers, step: Step, arrays: Sequence[np.ndarray], index: Any) -> np.ndarray:
+    """Numbers of which some are replaced, or to which some are added.
+
+    They are at the places from which a gather of the same windows would read.
+    """
+    (old, _, new), of = arrays, step.params["dimension_numbers"]
+    clip, fill = lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP
+    numbers = lax.GatherDimensionNumbers(
+        of.update_window_dims, of.inserted_window_dims, of.scatter_dims_to_operand_dims,
+        of.operand_batching_dims, of.scatter_indices_batching_dims,
+    )  # fmt: skip
+    places = lax.gather(
+        jnp.arange(old.size).reshape(old.shape), index, numbers,
+        _window(step, old.ndim, new.shape), fill_value=-1,
+        mode=clip if step.params["mode"] == clip else fill,
+    )  # fmt: skip
+    out = old.copy()
+    for place, x in zip(np.asarray(places).flat, new.flat, strict=True):
+        if place >= 0:
+            out.flat[place] = n.of("add", out.flat[place], x) if "add" in step.name else x
+    return out
+
+
+def _anywhere(n: Numbers, step: Step, arrays: Sequence[np.ndarray], shape: Sequence[int],
+              unknown: Sequence[int]) -> np.ndarray:  # fmt: skip
+    """The result of a step at places along one axis that are found while it runs.
+
+    It is chosen among those at all places, or each place has what is added there.
+    """
+    x, index, name, params = arrays[0], arrays[unknown[0]], step.name, step.params
+    of, refused = params.get("dimension_numbers"), f"{name} at places that are found while it runs"
+    if name == "dynamic_slice" and len(unknown) == 1:
+        axes, windows, wide = (unknown[0] - 1,), range(x.ndim), shape
+        sizes = params["slice_sizes"]
+    elif name == "dynamic_update_slice" and len(unknown) == 1:
+        axes, windows, wide = (unknown[0] - 2,), range(x.ndim), shape
+        sizes = arrays[1].shape
+    elif name == "gather" and not of.operand_batching_dims:
+        axes, windows, wide = of.start_index_map, of.offset_dims, shape
+        sizes = params["slice_sizes"]
+    elif name == "scatter-add" and not of.operand_batching_dims:
+        axes, windows, wide = (
+            of.scatter_dims_to_operand_dims, of.update_window_dims, arrays[2].shape
+        )  # fmt: skip
+        sizes = _window(step, x.ndim, wide)
+    else:
+        raise Unknown(refused)
+    last, dtype = x.shape[axes[0]] - sizes[axes[0]], index.flat[0].dtype
+    if len(axes) != 1 or not 0 <= last < UNROLLED:
+        raise Unknown(refused)
+    batch = iter(index.shape)
+    place = index.reshape([1 if i in windows else next(batch) for i in range(len(wide))])
+    clipped = name.startswith("dynamic") or params["mode"] == lax.GatherScatterMode.CLIP
+    promised = name == "gather" and params["mode"] == lax.GatherScatterMode.PROMISE_IN_BOUNDS
+    if clipped or promised:
+        low, high = n.const(0, dtype), n.const(last, dtype)
+        place = n.each(lambda p: n.of("min", n.of("max", p, low), high), place)
+
+    def at(i: int, **changed: Any) -> np.ndarray:
+        """The result for all machines at place i."""
+        given = [changed.get(f"_{k}", a) for k, a in enumerate(arrays)]
+        given[unknown[0]] = n.array(np.full(index.shape, i, dtype))
+        return _moved_by_jax(n, step, given, shape)
+
+    def here(i: int, no: np.ndarray, yes: np.ndarray) -> np.ndarray:
+        is_here = n.each(lambda p: n.of("eq", p, n.const(i, dtype)), place)
+        return n.each(partial(n.of, "select"), is_here, no, yes)
+
+    if name == "scatter-add":
+        found, new = x, arrays[2]
+        nothing = n.array(np.zeros(new.shape, new.flat[0].dtype))
+        for i in range(last + 1):
+            found = at(i, _0=found, _2=here(i, nothing, new))
+        return found
+    found = at(last)
+    if not (clipped or promised):
+        found = np.full(shape, _beyond(n, params["fill_value"], found.flat[0].dtype), object)
+        last += 1
+    for i in reversed(range(last)):
+        found = here(i, found, at(i))
+    return found
+
+
+def _beyond(n: Numbers, fill: Any, dtype: np.dtype) -> Node:
+    """What a gather finds beyond the end."""
+    if fill is None and dtype.kind != "f":
+        raise Unknown(f"gather of {dtype} beyond the end")
+    return n.const(np.nan if fill is None else fill, dtype)

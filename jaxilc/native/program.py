@@ -17,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .solves import written
+
 CALLS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call"}
 CALLS |= {"remat2", "remat", "checkpoint", "custom_vjp_call_jaxpr", "custom_vmap_call"}
 SAME = {"by_sample", "stop_gradient", "copy", "copy_p", "optimization_barrier", "name"}
@@ -122,6 +124,8 @@ def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Val
                        whole)  # fmt: skip
     if name in SAME:
         return ins
+    if name == "custom_linear_solve":
+        return _solved(params, ins, steps, whole)
     if name == "platform_index":
         of = params["platforms"]
         here = next(i for i, names in enumerate(of) if names is None or "cpu" in names)
@@ -148,6 +152,14 @@ def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Val
     outs = [Value(v.aval.shape, v.aval.dtype) for v in eqn.outvars]
     steps.append(Step(name, params, ins, outs, eqn.primitive))
     return outs
+
+
+def _solved(params: dict, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
+    """The results of what solves a linear equation, of whose functions it needs one."""
+    counts, solve = params["const_lengths"], params["jaxprs"].solve
+    first, last = counts.matvec + counts.vecmat, sum(counts)
+    own = ins[first : first + counts.solve]
+    return _inline(solve.jaxpr, solve.consts, [*own, *ins[last:]], steps, whole)
 
 
 def _added(steps: list[Step], name: str, ins: list, shape: Sequence[int], dtype: Any = None,
@@ -248,7 +260,7 @@ def loops(program: Program) -> Iterator[Step]:
 
 
 def with_loops_from(program: Program, shortest: int) -> Program:
-    """The program with every shorter loop, and every loop within a loop, written out.
+    """The program with every shorter loop, every loop within a loop and small solves written out.
 
     Raises Unknown for a loop of more than UNROLLED passes that would have to be written out.
     """
@@ -258,7 +270,10 @@ def with_loops_from(program: Program, shortest: int) -> Program:
         new: dict[Value, Value] = {}
         for step in program.steps:
             ins = [new.get(x, x) for x in step.ins]
-            if step.name != "scan":
+            if (small := written(step.name, step.params, ins)) is not None:
+                outs = _inline(small.jaxpr, small.consts, ins, steps, True)
+                new |= zip(step.outs, outs, strict=True)
+            elif step.name != "scan":
                 steps.append(Step(step.name, step.params, ins, step.outs, step.primitive))
             elif step.params["length"] >= shortest:
                 body = opened(step.params["body"], float("inf"))
@@ -270,10 +285,11 @@ def with_loops_from(program: Program, shortest: int) -> Program:
                 of = step.params | {
                     "num_consts": step.params["consts"], "num_carry": step.params["carry"]
                 }  # fmt: skip
-                written: list[Step] = []
-                outs = _unrolled(of, ins, written, True)
-                inner = opened(Program([], written, []), float("inf"))
+                passes: list[Step] = []
+                outs = _unrolled(of, ins, passes, True)
+                inner = opened(Program([], passes, outs), float("inf"))
                 steps += inner.steps
+                outs = inner.outs
                 new |= zip(step.outs, outs, strict=True)
         return Program(program.ins, steps, [new.get(x, x) for x in program.outs])
 
@@ -362,11 +378,14 @@ def of_trials(
         of |= {"consts": params["num_consts"], "carry": params["num_carry"]}
         of |= {"body": _with_long_loops(lowered(inner.jaxpr, inner.consts))}
         ahead, loop = computed_ahead(Step("scan", of, whole.ins, whole.outs), foreign)
-        loop = _without_dead(loop, [x in read_later for x in loop.outs])
         found.append(([*before, *ahead], loop))
         before = shaped
     if not found:
         raise Unknown("there is no loop over samples in a loop over trials")
+    read_later = {*program.outs, *(x for step in before for x in step.ins)}
+    for i, (steps, loop) in reversed([*enumerate(found)]):
+        found[i] = steps, _without_dead(loop, [x in read_later for x in loop.outs])
+        read_later |= {x for step in (*steps, found[i][1]) for x in step.ins}
     return found, before
 
 

@@ -34,6 +34,7 @@ from .operations import (
 from .program import Const, Program, Step, Unknown, Value, loops, lowered
 
 MOST_NODES = 60_000  # of all loops; a compiler takes seconds for so many
+RUNS = 18  # into which samples that are gathered may fall apart
 Array = np.ndarray  # of nodes
 
 
@@ -317,6 +318,8 @@ class Trials:
         axis, carried = self.axis_of(x.shape), self.consts <= i < self.consts + self.carry
         by_trial = i >= self.consts + self.carry
         if axis is not None:
+            if self.fixed[i] is not None and not (carried or by_trial) and x.dtype.kind in "iu":
+                return self._constant_rows(self.fixed[i], axis)
             kind = "carried" if carried else "given"
             alike = self.alike[i] and not carried
             return Stored(x.shape, axis, self._buffer(kind, x.shape, axis, x.dtype, number=i,
@@ -427,6 +430,17 @@ class Trials:
             return _joined_small(step, operands, out, axis)
         raise Unknown(f"{step.name} that makes samples")
 
+    def whole_numbers(self, x: Any) -> np.ndarray | None:
+        """The whole numbers of an array or of rows; None where they are not known beforehand."""
+        if not isinstance(x, Row):
+            return constants(x, int)
+        found: list[Any] = []
+        for i in range(x.length):
+            found.append(constants(_Picked(self, save=False).row(x, 0, i), int))
+            if found[-1] is None:
+                return None
+        return np.concatenate(found, x.axis)
+
     def pick(self, row: Row, i: int) -> Array:
         """The elements of a row at a sample that is known beforehand."""
         return _Picked(self).row(row, 0, i)
@@ -488,8 +502,11 @@ class Trials:
 
     def _table(self, row: Row) -> Row:
         """The rows in a buffer, which a scan reads at samples that are found while it runs."""
-        if isinstance(row, Stored) and row.axis == 0:
-            return row
+        stored = isinstance(row, Stored) and row.axis == 0
+        return row if stored else self.table_of(row)
+
+    def table_of(self, row: Row) -> Stored:
+        """The rows in a buffer of their own, for the loops after the one that computes them."""
         buffer = self._buffer("kept", row.shape, row.axis, row.dtype)
         self._sink(row, buffer)
         table = Stored(row.shape, row.axis, buffer)
@@ -594,36 +611,125 @@ def _dynamic_slice(of: Trials, step: Step, operands: list) -> Any:
     return _slice(of, Step("slice", params, [], step.outs), [row])
 
 
+def _inside(places: Array | None, within: int) -> None:
+    if places is not None and places.size and not 0 <= places.min() <= places.max() < within:
+        raise Unknown("samples beyond the end")
+
+
+def _runs(places: Array, within: int) -> list[tuple[int, int, int]]:
+    """The places as runs of those that follow one another: first, length, and place less number."""
+    _inside(places, within)
+    ends = [0, *(np.flatnonzero(np.diff(places) != 1) + 1), len(places)]
+    if len(ends) > RUNS:
+        raise Unknown("samples in so many parts")
+    return [(int(a), int(b - a), int(places[a] - a)) for a, b in itertools.pairwise(ends)]
+
+
 def _scatter(of: Trials, step: Step, operands: list) -> Any:
-    """Rows of which one is replaced."""
-    row, index, new = operands
-    numbers, at = step.params["dimension_numbers"], None
-    if isinstance(row, Row) and not isinstance(index, Row) and not isinstance(new, Row):
-        at = constants(index, int)
-    where = (numbers.inserted_window_dims, numbers.scatter_dims_to_operand_dims)
-    if at is None or at.shape != (1,) or where != ((row.axis,), (row.axis,)):
-        raise Unknown("scatter of samples")
-    i, last = int(at[0]), row.length - 1
-    if not 0 <= i <= last:
-        raise Unknown("scatter beyond the samples")
-    parts = [(i, Shifted(row, 0, i)), (1, new.reshape(row.of_one)),
-             (last - i, Shifted(row, i + 1, last - i))]  # fmt: skip
-    return _joined(row.shape, row.axis, row.dtype, parts)
+    """Rows of which some are replaced, or have others added; None for the same in each row."""
+    (row, index, new), out = operands, step.outs[0]
+    numbers, axis = step.params["dimension_numbers"], of.axis_of(out.shape)
+    to, inserted = numbers.scatter_dims_to_operand_dims, numbers.inserted_window_dims
+    if axis is not None and axis not in to and not isinstance(index, Row):
+        return None
+    at = of.whole_numbers(index)
+    if at is None:
+        raise Unknown(f"{step.name} of samples that are found while it runs")
+    if axis not in inserted and at.size == 1 and len(step.ins[2].shape) == len(out.shape):
+        at = at.ravel() + np.arange(step.ins[2].shape[axis])  # one window
+    shape = _with(out.shape, axis or 0, at.size)
+    batch = [i for i in range(len(shape)) if i not in numbers.update_window_dims]
+    if to != (axis,) or inserted not in ((), to) or not (
+        (step.ins[2].shape == shape and (not inserted or batch == [axis]))
+        or step.ins[2].shape == (*shape[:axis], *shape[axis + 1 :])
+    ):  # fmt: skip
+        raise Unknown(f"{step.name} of samples")
+    if not isinstance(new, Row):
+        new = new.reshape(shape)
+    runs = _runs(at.ravel(), out.shape[axis])
+
+    def part(first: int, length: int) -> Any:
+        if isinstance(new, Row):
+            return Shifted(new, first, length)
+        return new.take(range(first, first + length), axis)
+
+    if step.name == "scatter-add":
+        zero = np.full(_with(shape, axis, 1), of.n.const(0, out.dtype), object)
+        added = [
+            _joined(out.shape, axis, out.dtype, [
+                (first + by, zero), (length, part(first, length)),
+                (out.shape[axis] - first - by - length, zero),
+            ]) for first, length, by in runs
+        ]  # fmt: skip
+        add = partial(of.n.each, partial(of.n.of, "add"))
+        return Computed(out.shape, axis, out.dtype, lambda *x: reduce(add, x), [row, *added])
+    parts, end = [], 0
+    for first, length, by in runs:
+        if first + by < end:
+            raise Unknown("scatter of samples that are not in order")
+        parts += [(first + by - end, Shifted(row, end, first + by - end)),
+                  (length, part(first, length))]  # fmt: skip
+        end = first + by + length
+    parts.append((row.length - end, Shifted(row, end, row.length - end)))
+    return _joined(row.shape, axis, row.dtype, parts)
 
 
 def _gather_rows(of: Trials, step: Step, operands: list) -> Any:
-    """Samples that are known beforehand; None for what is gathered at each sample."""
+    """Samples at other places; None for what is gathered at each sample."""
     row, index = operands
-    kept = step.params["dimension_numbers"]
-    if not isinstance(row, Row) or row.axis not in kept.collapsed_slice_dims:
+    kept, out = step.params["dimension_numbers"], step.outs[0]
+    if not isinstance(row, Row) or row.axis not in kept.start_index_map:
         return None
-    at = None if isinstance(index, Row) else constants(index, int)
-    small = of.axis_of(step.outs[0].shape) is None and kept.start_index_map == (row.axis,)
-    if at is None or not small or (at.size and not 0 <= at.min() <= at.max() < row.length):
-        raise Unknown("gather of samples that are found while it runs")
-    picked = np.concatenate([of.pick(row, int(i)) for i in at.ravel()], row.axis)
-    places = of.n.array(np.arange(at.size, dtype=index.flat[0].dtype).reshape(at.shape))
-    return applied(of.n, step, [picked, places])
+    axis, at = of.axis_of(out.shape), of.whole_numbers(index)
+    if kept.start_index_map != (row.axis,):
+        raise Unknown("gather of samples and channels")
+    if row.axis not in kept.collapsed_slice_dims:  # one window
+        if at is None or at.size != 1 or len(out.shape) != len(row.shape):
+            raise Unknown("gather of this kind of samples")
+        places = [of.n.array(np.int64(at.flat[0] if i == row.axis else 0))
+                  for i in range(len(out.shape))]  # fmt: skip
+        _inside(at.ravel() + np.arange(out.shape[row.axis]), row.length)
+        sizes = {"slice_sizes": step.params["slice_sizes"]}
+        return _dynamic_slice(of, Step("", sizes, [], step.outs), [row, *places])
+    batch = [i for i in range(len(out.shape)) if i not in kept.offset_dims]
+    if axis is None:
+        count = math.prod(step.ins[1].shape[:-1])
+        picked = [of.pick(row, int(i)) for i in at.ravel()] if at is not None else (
+            _rows_at(of, step, row)(index))  # fmt: skip
+        _inside(at, row.length)
+        new = np.arange(count, dtype=step.ins[1].dtype).reshape(step.ins[1].shape)
+        return applied(of.n, step, [np.concatenate(picked, row.axis), of.n.array(new)])
+    if batch != [row.axis] or out.shape != _with(row.shape, row.axis, index.shape[0]):
+        raise Unknown("gather that moves the axis of samples")
+    if at is None:
+        read = _rows_at(of, step, row)
+        found = Computed(out.shape, axis, out.dtype, lambda i: read(i)[0], [index])
+        found.loop = max(found.loop, row.loop + 1)
+        return found
+    runs = _runs(at.ravel(), row.length)
+    parts = [(length, Shifted(row, first + by, length)) for first, length, by in runs]
+    return _joined(out.shape, axis, out.dtype, parts)
+
+
+def _rows_at(of: Trials, step: Step, row: Row) -> Callable[[Array], list[Array]]:
+    """What reads rows at places that are found while the program runs."""
+    table, n = of.table_of(row), of.n
+    beyond = step.params["mode"] == lax.GatherScatterMode.FILL_OR_DROP
+    if beyond and (step.params["fill_value"] is not None or row.dtype.kind != "f"):
+        raise Unknown("gather beyond the end")
+
+    def at(place: Node) -> Array:
+        low, high = n.const(0, place.dtype), n.const(row.length - 1, place.dtype)
+        inside, found = n.of("min", n.of("max", place, low), high), np.empty(row.of_one, object)
+        for m, i in enumerate(np.ndindex(*row.of_one)):
+            what = (table.buffer, m, table.loop)
+            found[i] = n.of("row", inside, dtype=row.dtype, what=what)
+            if beyond:
+                nothing = n.const(np.nan, row.dtype)
+                found[i] = n.of("select", n.of("eq", inside, place), nothing, found[i])
+        return found
+
+    return lambda places: [at(place) for place in places.flat]
 
 
 def _rev(of: Trials, step: Step, operands: list) -> Any:
@@ -777,6 +883,7 @@ HANDLED: dict[str, Callable[[Trials, Step, list], Any]] = {
     "rev": _rev,
     "dynamic_slice": _dynamic_slice,
     "scatter": _scatter,
+    "scatter-add": _scatter,
     "gather": _gather_rows,
     "argmax": _place_of_best,
     "argmin": _place_of_best,
@@ -810,6 +917,12 @@ def _keeps_axis(step: Step, operands: list, axis: int) -> bool:
         return all(x.axis == axis == 0 and x.shape[0] == out.shape[0] for x in rows)
     if name.startswith("reduce_"):
         return axis == rows[0].axis - sum(a < rows[0].axis for a in params["axes"])
+    if name in ("scatter", "scatter-add"):
+        kept = params["dimension_numbers"]
+        left = [i for i in range(len(out.shape)) if i not in kept.inserted_window_dims]
+        return len(rows) == 2 and rows == [operands[0], operands[2]] and axis in left and (
+            rows[1].axis == kept.update_window_dims[left.index(axis)]
+        )  # fmt: skip
     if name == "gather":
         kept = params["dimension_numbers"]
         return rows == operands[:1] and rows[0].axis not in (
@@ -994,19 +1107,31 @@ class _Rows:
 
 
 class _Picked(_Rows):
-    """What evaluates rows at a sample that is known beforehand; its sign is 0."""
+    """What evaluates rows at a sample that is known beforehand; its sign is 0.
 
-    def __init__(self, of: Trials):
+    save: whether what it reads is needed
+    """
+
+    def __init__(self, of: Trials, *, save: bool = True):
         super().__init__(0, 1)
-        self.of = of
+        self.of, self.save = of, save
 
     def read(self, row: Row, sign: int, c: int) -> Array:
         if isinstance(row, Stored):
-            return self.of.picked(row.buffer, row, c, 0)
+            given = row.buffer.number - len(self.of.body.ins)
+            if row.buffer.kind == "given" and given >= 0:
+                return self.of.n.array(self.of.given[given][c].reshape(row.of_one))
+            return self._picked(row.buffer, row, c, 0)
         if isinstance(row, Count):
             return np.full(row.of_one, self.of.n.const(c, row.dtype), object)
         assert isinstance(row, Result)
-        return self.of.picked(self.of.kept(row), row, c, row.scan.loop + 1)
+        return self._picked(self.of.kept(row) if self.save else None, row, c, row.scan.loop + 1)
+
+    def _picked(self, buffer: Any, row: Row, c: int, loop: int) -> Array:
+        if self.save:
+            return self.of.picked(buffer, row, c, loop)
+        nothing = self.of.n.place("nothing", row.dtype, "nothing")
+        return np.full(row.of_one, nothing, object)
 
 
 class _At(_Rows):
@@ -1095,5 +1220,5 @@ class _At(_Rows):
         index = n.of("min", n.of("max", index, n.const(0, index.dtype)), last)
         out = np.empty(sizes, object)
         for m, i in enumerate(np.ndindex(*sizes)):
-            out[i] = n.of("row", index, dtype=table.dtype, what=(table.buffer, m))
+            out[i] = n.of("row", index, dtype=table.dtype, what=(table.buffer, m, table.loop))
         return out

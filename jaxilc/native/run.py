@@ -31,7 +31,7 @@ from .rows import Trials
 log = logging.getLogger("jaxilc")
 
 ONCE = "trials that are all alike, of which XLA computes one"
-FEW = 64  # numbers of an operand that are written into the program where they never change
+FEW = 64  # real numbers of an operand that are written into the program where they never change
 SHARE = 0.25  # of the RAM that is free, which may be taken by what is held from loop to loop
 AT_ONCE = 2**27  # bytes of operands and of what is held, that are in the RAM at once
 TOLERANCE = 1e-9  # of the largest number of a machine, by which the check may find a difference
@@ -384,7 +384,8 @@ def _fixed(before: Sequence[Step], step: Step) -> list[Any]:
     known: dict[Value, Any] = {}
     by_jax(before, known)
     found = [x.array if isinstance(x, Const) else known.get(x) for x in step.ins]
-    return [None if x is None or np.size(x) > FEW else np.asarray(x) for x in found]
+    few = (x is not None and (np.size(x) <= FEW or x.dtype.kind in "iu") for x in found)
+    return [np.asarray(x) if small else None for x, small in zip(found, few, strict=True)]
 
 
 def _size(x: Value) -> int:

@@ -24,16 +24,10 @@ REFUSED = {
     "learning_filter_butterworth": "complex128",
     "p_type_iir": "complex128",
     "basis_rational": "complex128",
-    "cfdl_mfapc_moves": "lu",
     "norm_optimal_lifted": "two axes of samples",
-    "estimated_disturbance": "scatter-add",
-    "position_basis": "lu",
-    "repetitive": "dynamic_slice at places",
     "two_step": "while",
-    "cross_coupled": "gather of samples",
     "constrained": "while",
-    "basis_functions": "gather of samples",
-    "basis_gradient": "gather of samples",
+    "basis_gradient": "eigh",
     "in_blocks": "reshape of samples",
 }
 QUICK = ("ffdl_sign", "pid_type_leaky_limited", "p_type_fir", "at_samples", "motor_real")

@@ -17,7 +17,7 @@ TRIALS = 4
 MOVING = ("delay", "ahead", "flip", "scan", "back")
 KINDS = ("mix", "product", "bend", "delay", "ahead", "flip", "scan", "back", "sum", "max", "scale",
          "first", "pick", "cumsum", "cummax", "cummin", "difference", "largest", "channels", "dot",
-         "filter", "gain", "worst")  # fmt: skip
+         "filter", "gain", "worst", "around", "search", "solve")  # fmt: skip
 
 
 def program(rng, without=()):
@@ -29,7 +29,7 @@ def program(rng, without=()):
         b = int(rng.integers(rows))
         s, c = int(rng.integers(numbers)), float(np.round(rng.uniform(-1, 1), 2))
         lines.append((kind, a, b, s, c, int(rng.integers(1, 4))))
-        if kind in ("sum", "max", "pick", "largest", "dot", "worst"):
+        if kind in ("sum", "max", "pick", "largest", "dot", "worst", "solve"):
             numbers += 1
         elif kind in ("scan", "back"):
             rows, numbers = rows + 1, numbers + 1
@@ -103,6 +103,13 @@ def by_jax(of):
                     rows.append(jnp.convolve(x, jnp.array([0.25, 0.5, c]), mode="same"))
                 case "gain":
                     rows.append(x / (2 + x * x) + 0.01 * j)
+                case "around":
+                    rows.append(x[jnp.clip(jnp.arange(N) - d, 0, N - 1)])
+                case "search":
+                    rows.append(x[(jnp.abs(y) * N).astype(int) % N])
+                case "solve":  # of which no row is always the first
+                    A = jnp.array([[z, 1 + x[d] ** 2], [2.0, y[d]]])
+                    numbers.append(jnp.tanh(jnp.linalg.solve(A, jnp.array([1.0, c]))[0]))
                 case "worst":
                     numbers.append(jnp.where(jnp.any(x > 1), 1.0, 0.5 * jnp.all(y < 2)))
         kept = [rows[i] for i in memory]
@@ -177,6 +184,13 @@ def by_numpy(of, r, gain):
                              for k in range(N)])  # fmt: skip
             if kind == "gain":
                 rows.append(x / (2 + x**2) + 0.01 * j)
+            if kind == "around":
+                rows.append([x[max(k - d, 0)] for k in range(N)])
+            if kind == "search":
+                rows.append([x[int(abs(v) * N) % N] for v in y])
+            if kind == "solve":
+                A = [[z, 1 + x[d] ** 2], [2.0, y[d]]]
+                numbers.append(np.tanh(np.linalg.solve(A, [1.0, c])[0]))
             if kind == "worst":
                 numbers.append(1.0 if any(v > 1 for v in x) else 0.5 * all(w < 2 for w in y))
             rows[-1] = np.asarray(rows[-1], float)
@@ -207,7 +221,7 @@ def test_the_gradient_of_a_random_program_is_that_of_jax():
     """By the reference and the gain, backward through all trials, unlike in each machine."""
 
     def attempt(rng):
-        of, machines = program(rng, ("cummax", "cummin")), int(pick(rng, (1, 5, 9)))
+        of, machines = program(rng, ("cummax", "cummin", "search")), int(pick(rng, (1, 5, 9)))
         r, gain = rng.normal(size=(machines, of[0])), rng.uniform(0.5, 1.5, machines)
         learning = by_jax(of)
 

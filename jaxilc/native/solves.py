@@ -1,0 +1,88 @@
+"""Linear algebra of small matrices, written out: what LAPACK computes, from single operations.
+
+Each function has the operands and the parameters of a primitive of JAX, and its results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+MOST = 16  # rows of a matrix that is written out
+
+
+def _lu(a: jax.Array, **_: Any) -> tuple:
+    """L below the diagonal and U, the row that came to each place, and the order of all rows."""
+    n, steps = len(a), range(min(a.shape))
+    rows, order, pivots = [*a], [*jnp.arange(n, dtype=jnp.int32)], []
+    for k in steps:
+        best, size = jnp.asarray(k, jnp.int32), jnp.abs(rows[k][k])
+        for i in range(k + 1, n):
+            larger = jnp.abs(rows[i][k]) > size
+            best = jnp.where(larger, i, best)
+            size = jnp.where(larger, jnp.abs(rows[i][k]), size)
+        pivots.append(best)
+        for of in (rows, order):
+            top = of[k]
+            for i in range(k + 1, n):
+                of[k] = jnp.where(best == i, of[i], of[k])
+                of[i] = jnp.where(best == i, top, of[i])
+        pivot = rows[k][k]
+        for i in range(k + 1, n):
+            share = jnp.where(pivot == 0, rows[i][k], rows[i][k] / pivot)
+            rest = rows[i][k + 1 :] - share * rows[k][k + 1 :]
+            rows[i] = jnp.concatenate([rows[i][:k], share[None], rest])
+    return jnp.stack(rows), jnp.stack(pivots), jnp.stack(order)
+
+
+def _triangular_solve(a: jax.Array, b: jax.Array, *, left_side: bool, lower: bool,
+                      transpose_a: bool, unit_diagonal: bool, **_: Any) -> tuple:  # fmt: skip
+    """(n, m) the solution of a x = b; of x a = b where a is not on the left side."""
+    if transpose_a == left_side:
+        a, lower = a.T, not lower
+    b = b if left_side else b.T
+    n, x = len(a), {}
+    for i in range(n) if lower else reversed(range(n)):
+        left = b[i]
+        for j in x:
+            left = left - a[i, j] * x[j]
+        x[i] = left if unit_diagonal else left / a[i, i]
+    found = jnp.stack([x[i] for i in range(n)])
+    return (found if left_side else found.T,)
+
+
+def _sort(keys: jax.Array, *others: jax.Array, **_: Any) -> tuple:
+    """Whole numbers in ascending order, and other arrays in the same one."""
+    columns = [[*x] for x in (keys, *others)]
+    for last in reversed(range(len(keys))):
+        for i in range(last):
+            turned = columns[0][i] > columns[0][i + 1]
+            for of in columns:
+                low, high = of[i : i + 2]
+                of[i : i + 2] = jnp.where(turned, high, low), jnp.where(turned, low, high)
+    return (*(jnp.stack(x) for x in columns),)
+
+
+WRITTEN: dict[str, Callable[..., tuple]] = {
+    "lu": _lu, "triangular_solve": _triangular_solve, "sort": _sort,
+}  # fmt: skip
+
+
+def written(name: str, params: dict, operands: Sequence[Any]) -> Any:
+    """The jaxpr of a primitive on small real matrices, or on few whole numbers; else None.
+
+    operands: their shapes and types
+    """
+    if name not in WRITTEN:
+        return None
+    shape, kind = operands[0].shape, operands[0].dtype.kind
+    axes, kinds = (1, "iu") if name == "sort" else (2, "f")
+    if len(shape) != axes or kind not in kinds or params.get("num_keys", 1) != 1:
+        return None
+    if not 0 < min(shape) <= max(shape) <= MOST:
+        return None
+    like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in operands]
+    return jax.make_jaxpr(lambda *x: WRITTEN[name](*x, **params))(*like)
