@@ -14,6 +14,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ from peers import METRICS, Peer, Problem
 from timing import OURS, Entry, Row, cores, difference, in_turns, limit, need_agreement
 
 from jaxilc.learning.divergence import CEILING
+from jaxilc.native.program import Unknown
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.runtime.capacity import check_size
 from jaxilc.tuning.objectives import FLOOR, Final
@@ -157,6 +159,10 @@ def compare_gradients(
     ):
         program = _learning(which).derivatives(by, forward=forward)
         entries[name] = Entry(_called(program.run), len(which.b), J, N, program.built)
+    with suppress(Unknown):  # where llvmlite is missing
+        program = _learning(of).derivatives(weights, forward=False, native=True)
+        name = f"{P} weights native"
+        entries[name] = Entry(_called(program.run), len(of.b), J, N, program.built)
     for name, (peer, built) in opponents.items():
         slope = of_few if name == BY_DIFFERENCES else of_all
         entries[name] = Entry(partial(peer, slope), len(slope.problem.b), J, N, built)

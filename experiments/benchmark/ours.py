@@ -9,9 +9,11 @@ operations.
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import jax
@@ -27,10 +29,12 @@ from jaxilc.learning.machine import Machine
 from jaxilc.learning.metrics import Keep
 from jaxilc.learning.over_trials import learn
 from jaxilc.learning.within_trial import bytes_of_trial
+from jaxilc.native.program import Unknown
 from jaxilc.plants import StateSpace
 from jaxilc.pytree.named_paths import get_at, interval_at, named_leaves
 from jaxilc.runtime.capacity import check_program, check_size
 from jaxilc.runtime.lanes import usual_lanes
+from jaxilc.runtime.start import NATIVE
 from jaxilc.runtime.tiles import tiled
 from jaxilc.scenarios import Scenario
 from jaxilc.scenarios.xu_2024 import MODEL
@@ -100,11 +104,13 @@ class Learning:
 
         return of_a_trial(run, self.population.machine, self.scheme, self.task)
 
-    def derivatives(self, weights: Weights, *, forward: bool) -> Program:
+    def derivatives(self, weights: Weights, *, forward: bool, native: bool = False) -> Program:
         """The `Evaluation` of the loss at the start of a tuning of these weights.
 
         forward: true for forward, false for reverse differentiation
-        Raises ValueError where the program does not fit into RAM.
+        native: whether a program compiled for this processor computes it
+        Raises ValueError where the program does not fit into RAM, Unknown where none can be
+        compiled.
         """
         losses = Losses(
             population=self.population,
@@ -122,7 +128,10 @@ class Learning:
         )
         lanes = losses.fitting_lanes(self.objective, self.population.size)
         of_lanes = dataclasses.replace(losses, lanes=lanes)
-        evaluate, _ = of_lanes.evaluation(self.objective, clip=np.inf)
+        with _wanted(native):
+            evaluate, compiled = of_lanes.evaluation(self.objective, clip=np.inf)
+        if native and not compiled:
+            raise Unknown("a gradient that XLA computes")
         return _built(over_starts(evaluate), weights.starts(1, 0.0, SEED))
 
 
@@ -135,6 +144,19 @@ def of_each(found: Evaluation) -> np.ndarray:
     """(S, 1, 1+P) the loss of each machine and its slopes, from the `Evaluation` of one start."""
     both = np.concatenate([found.residuals[0][:, None], found.slopes[0]], axis=1)
     return len(both) ** 0.5 * both[:, None]
+
+
+@contextmanager
+def _wanted(native: bool) -> Iterator[None]:
+    """Let programs be compiled for this processor, or by XLA."""
+    before = os.environ.get(NATIVE)
+    os.environ[NATIVE] = "on" if native else "off"
+    try:
+        yield
+    finally:
+        os.environ.pop(NATIVE)
+        if before is not None:
+            os.environ[NATIVE] = before
 
 
 def _built(f: Callable, *arguments) -> Program:

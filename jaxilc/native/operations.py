@@ -603,7 +603,8 @@ def _anywhere(n: Numbers, step: Step, arrays: Sequence[np.ndarray], shape: Seque
     It is chosen among those at all places, or each place has what is added there.
     """
     x, index, name, params = arrays[0], arrays[unknown[0]], step.name, step.params
-    of, refused = params.get("dimension_numbers"), f"{name} at places that are found while it runs"
+    of: Any = params.get("dimension_numbers")
+    refused = f"{name} at places that are found while it runs"
     if name == "dynamic_slice" and len(unknown) == 1:
         axes, windows, wide = (unknown[0] - 1,), range(x.ndim), shape
         sizes = params["slice_sizes"]

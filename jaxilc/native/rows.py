@@ -633,11 +633,11 @@ def _scatter(of: Trials, step: Step, operands: list) -> Any:
     if axis is not None and axis not in to and not isinstance(index, Row):
         return None
     at = of.whole_numbers(index)
-    if at is None:
+    if at is None or axis is None:
         raise Unknown(f"{step.name} of samples that are found while it runs")
     if axis not in inserted and at.size == 1 and len(step.ins[2].shape) == len(out.shape):
         at = at.ravel() + np.arange(step.ins[2].shape[axis])  # one window
-    shape = _with(out.shape, axis or 0, at.size)
+    shape = _with(out.shape, axis, at.size)
     batch = [i for i in range(len(shape)) if i not in numbers.update_window_dims]
     if to != (axis,) or inserted not in ((), to) or not (
         (step.ins[2].shape == shape and (not inserted or batch == [axis]))

@@ -1,5 +1,6 @@
 """`make bench`: every program that is timed computes what the package computes."""
 
+import importlib.util
 import json
 import platform
 from collections import Counter
@@ -262,6 +263,7 @@ def test_the_command(tmp_path, capsys):
     numbers, text = json.loads(file.read_text()), capsys.readouterr().out
     assert set(numbers["rows"]) == {"cfdl/2", "cfdl gradient/2", "plant/2", "long/200"}
     ways = {OURS, "1 weight forward", "5 weights forward", "5 weights reverse"}
+    ways |= {"5 weights native"} if importlib.util.find_spec("llvmlite") else set()
     assert ways <= set(numbers["rows"]["cfdl gradient/2"])
     assert {"python-control", "SciPy lfilter", OURS} == set(numbers["rows"]["plant/2"])
     assert {"SciPy lfilter", contests.BLOCKS, OURS} == set(numbers["rows"]["long/200"])

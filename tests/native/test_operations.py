@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxilc.native import operations
+from jaxilc.native import operations, solves
 from jaxilc.native.run import Compiled
 
 EDGES = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 1.5, 3e-310, -3e-310, 1e300, -1e300, np.inf,
@@ -130,6 +130,59 @@ def test_a_sample_reads_a_table_and_runs_short_loops_either_way():
     wanted = jax.jit(jax.vmap(learning, (None, 0)))(table, starts)
     for x, y in zip(found, wanted, strict=True):
         np.testing.assert_allclose(x, y, rtol=1e-12, atol=1e-13)
+
+
+def test_numbers_move_from_and_to_places_that_are_found_while_it_runs():
+    """Other ones in each machine, among them places before the first and beyond the last."""
+
+    def learning(signal, start):
+        def tick(at, x):
+            few, two = x * jnp.arange(1.0, 6.0), jnp.stack([at, at + 1])
+            found = (
+                few.at[at].get(mode="fill"), few.at[at].get(mode="clip"), *few.at[at].add(x),
+                *few.at[two].add(jnp.stack([x, 2 * x])), *jax.lax.dynamic_slice(few, (at,), (2,)),
+                *jax.lax.dynamic_update_slice(few, 9 * x[None], (at,)),
+            )  # fmt: skip
+            return at + 1, jnp.stack(found)
+
+        def trial(signal, j):
+            rows = jax.lax.scan(tick, start, signal)[1]
+            return jnp.tanh(rows[:, 1] - signal), rows
+
+        return jax.lax.scan(trial, signal, jnp.arange(2))[1]
+
+    signal, starts = jnp.linspace(-1.0, 1.0, 16) ** 3, np.array([-8, 0, 3, 40])
+    found = np.asarray(Compiled(learning, signal, 0)(signal, starts))
+    wanted = np.asarray(jax.jit(jax.vmap(learning, (None, 0)))(signal, starts))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-13)
+    assert np.isnan(wanted).any()
+
+
+@pytest.mark.parametrize("shape", [(4, 4), (3, 5), (5, 2)])
+def test_a_small_elimination_is_that_of_lapack(shape):
+    a = np.round(np.random.default_rng(0).normal(size=shape), 1)  # with equal pivots, too
+    for x in (a, np.zeros(shape)):
+        for found, wanted in zip(solves._lu(x), jax.lax.linalg.lu(x), strict=True):
+            np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("flags", [(True, True), (True, False), (False, True), (False, False)])
+def test_a_small_triangular_solve_is_that_of_lapack(flags):
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(3, 3)) + 3 * np.eye(3), rng.normal(size=(3, 3))
+    left, lower = flags
+    for transposed, unit in ((False, False), (True, True)):
+        how = {"lower": lower, "transpose_a": transposed, "unit_diagonal": unit}
+        (found,) = solves._triangular_solve(a, b, left_side=left, **how)
+        wanted = jax.lax.linalg.triangular_solve(a, b, left_side=left, **how)
+        np.testing.assert_allclose(found, wanted, rtol=1e-12)
+
+
+def test_few_whole_numbers_are_sorted_and_equal_ones_keep_their_order():
+    keys = np.array([3, -1, 3, 0, -1, 2])
+    sorted_by_jax = jax.lax.sort((keys, np.arange(6)), num_keys=1)
+    for found, wanted in zip(solves._sort(keys, np.arange(6)), sorted_by_jax, strict=True):
+        np.testing.assert_array_equal(found, wanted)
 
 
 def test_every_operation_of_the_table_is_tried():
