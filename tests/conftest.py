@@ -1,7 +1,9 @@
 """This file starts JAX before any test module uses it."""
 
+import base64
 import gc
 import os
+from pathlib import Path
 
 from instructions import limited
 
@@ -25,9 +27,11 @@ jaxilc.runtime.setup()
 
 import jax  # noqa: E402
 import pytest  # noqa: E402
+import typer.main  # noqa: E402
 from cases import PLANTS, task_for  # noqa: E402
 from jax.experimental.compilation_cache import compilation_cache  # noqa: E402
 
+from jaxilc import figures  # noqa: E402
 from jaxilc.learning import Machine  # noqa: E402
 from jaxilc.sweeps import host  # noqa: E402
 
@@ -35,6 +39,20 @@ if QUICKLY_COMPILED:  # a pass of two trials takes twice as long to compile
     host.TRIALS_A_PASS = 1
 
 
+_make, _made = typer.main.get_command, {}
+
+
+def get_command(program):
+    """Make the commands of a program once: for each line that is run, typer makes all of them."""
+    key = program, *program.registered_commands
+    return _made[key] if key in _made else _made.setdefault(key, _make(program))
+
+
+typer.main.get_command = get_command
+
+PIXEL = (
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII="
+)
 LISTS = ("quick", "shipped")  # of pyproject.toml, and the markers of what they list
 
 
@@ -92,6 +110,18 @@ def compiled_once(tmp_path_factory):
     for name, value in before.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
+
+
+@pytest.fixture
+def unpainted(monkeypatch):
+    """Save figures as a picture of one pixel: they are drawn, but to paint them takes a second."""
+
+    def save(_, path, **__):
+        path = Path(path)
+        path.write_bytes(base64.b64decode(PIXEL))
+        return path
+
+    monkeypatch.setattr(figures, "save", save)
 
 
 @pytest.fixture(scope="session")

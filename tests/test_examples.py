@@ -82,7 +82,7 @@ def printed_by(call) -> str:
     return text.getvalue()
 
 
-@pytest.mark.parametrize("page", due(pages_with("python"), 2), ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", due(pages_with("python"), 1), ids=lambda page: page.stem)
 def test_python_prints_what_the_page_says(page, compiled_once, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     known: dict = {}

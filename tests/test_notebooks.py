@@ -1,4 +1,4 @@
-"""Notebooks are executed as notebooks: those that changed lately, and two others in turn.
+"""Notebooks are executed as notebooks: those that changed lately, and another in turn.
 
 There is no display and no network, no file is left behind, and every figure is shown.
 """
@@ -74,7 +74,7 @@ def test_a_section_that_learns_asserts_what_came_out(path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", due(NOTEBOOKS, 2), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", due(NOTEBOOKS, 1), ids=lambda path: path.stem)
 def test_runs_as_a_notebook(path, tmp_path):
     jupytext, nbclient, nbformat, _ = (
         pytest.importorskip(name, reason=f"needs {name}: pip install 'jaxilc[notebooks]'")

@@ -17,6 +17,7 @@ import contextlib
 import csv
 import dataclasses
 import datetime
+import functools
 import hashlib
 import io
 import re
@@ -34,6 +35,8 @@ from ..storage.sealed import (
     Damaged,
     archive,
     as_json,
+    json_content,
+    json_of,
     json_text,
     read_arrays,
     read_json,
@@ -230,10 +233,10 @@ class Journal:
     def _read(self) -> tuple[list[Manifest], list[str]]:
         """The manifests of all entries, and the head; an empty one if it is another campaign's."""
         for head in (self._head(), []):
-            manifests = [self._manifest(serial, head) for serial in range(self._next())]
-            if not head or any(m["event"] != DAMAGED for m in manifests[: len(head)]):
+            found = [self._manifest(serial, head) for serial in range(self._next())]
+            if not head or any(seal for _, seal in found[: len(head)]):
                 break
-        seals = [_seal(m) for m in manifests]
+        manifests, seals = [dict(m) for m, _ in found], [seal for _, seal in found]
         for serial in range(max(1, len(head)), len(manifests)):
             if seals[serial - 1] and manifests[serial].get("previous") not in (
                 None,
@@ -266,26 +269,31 @@ class Journal:
         return found if known and len(found) < MOST else []
 
     def _write_head(self, manifests: Sequence[Manifest], known: Sequence[str]) -> None:
-        entries = [
-            known[serial] if serial < len(known) and m["event"] == DAMAGED else _seal(m)
-            for serial, m in enumerate(manifests)
-        ]
+        entries = [*known, *map(_seal, manifests[len(known) :])]
         write_json(self.path / HEAD, sealed({"entries": entries}))
 
     def _place(self, serial: int, wrong: str) -> str:
         return f"{self.path / f'{serial:06d}' / MANIFEST} cannot be read ({wrong})"
 
-    def _manifest(self, serial: int, head: Sequence[str]) -> Manifest:
+    def _manifest(self, serial: int, head: Sequence[str]) -> tuple[Manifest, str]:
+        """The manifest of an entry, and its checksum: an empty text where it cannot be read."""
         entry, wrong = self.path / f"{serial:06d}", []
         for name in (MANIFEST, COPY):
             try:
-                manifest = _checked(read_json(entry / name), serial)
-                if serial < len(head) and _seal(manifest) != head[serial]:
+                manifest, seal = _read_once(entry / name, json_content(entry / name), serial)
+                if serial < len(head) and seal != head[serial]:
                     raise Damaged(OTHER)
-                return manifest
+                return manifest, seal
             except (OSError, Damaged) as error:
                 wrong.append(f"{entry / name} cannot be read ({_said(error)})")
-        return {"serial": serial, "event": DAMAGED, "trial": 0, "wrong": wrong[0]}
+        return {"serial": serial, "event": DAMAGED, "trial": 0, "wrong": wrong[0]}, ""
+
+
+@functools.lru_cache(maxsize=1024)  # a command reads every manifest some thirty times
+def _read_once(file: Path, text: str, serial: int) -> tuple[Manifest, str]:
+    """The manifest in the text of a file, and its checksum; raises as `_checked`."""
+    manifest = _checked(json_of(file, text), serial)
+    return manifest, seal_of(manifest)
 
 
 def _checked(content: Any, serial: int) -> Manifest:

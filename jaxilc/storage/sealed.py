@@ -6,18 +6,19 @@ JSON has no numbers that are not finite. They are written as the strings "Infini
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from .files import atomically
-from .reading import read_bytes, read_tree
+from .reading import LARGEST_TREE, read_bytes, read_text, tree_of
 
 NOT_FINITE = {"Infinity": math.inf, "-Infinity": -math.inf, "NaN": math.nan}
 SEAL = "sha256"
@@ -50,8 +51,25 @@ def read_json(path: str | Path) -> Any:
 
     Raises Damaged, naming the file, for a file that is not JSON, and OSError.
     """
+    return json_of(path, json_content(path))
+
+
+def json_content(path: str | Path) -> str:
+    """The text of a file of JSON; raises as `read_json`."""
+    with _naming(path):
+        return read_text(path, LARGEST_TREE)
+
+
+def json_of(path: str | Path, text: str) -> Any:
+    """The value in the text of a file of JSON; raises as `read_json`."""
+    with _naming(path):
+        return _with_numbers(tree_of(text, json.loads, path))
+
+
+@contextlib.contextmanager
+def _naming(path: str | Path) -> Generator[None]:
     try:
-        return _with_numbers(read_tree(path, ".json"))
+        yield
     except ValueError as error:
         raise Damaged(f"{path} is damaged: {str(error).removeprefix(f'{path}: ')}") from None
 

@@ -44,7 +44,13 @@ def test_every_opponent_has_our_numbers(small, name):
     if name not in OPPONENTS:
         pytest.skip("; ".join(NOTES))
     of, ours = small
-    theirs = OPPONENTS[name][0](of.problem)
+    if name == "Numba parallel" and len(of.problem.phi0) > 1:  # it is compiled for 7 s
+        theirs = np.zeros(ours.shape)
+        a, plants, *rest = of.problem
+        for b, metrics in zip(plants, theirs, strict=True):
+            peers._ffdl_plant(a, b, *rest, metrics)
+    else:
+        theirs = OPPONENTS[name][0](of.problem)
     assert ours.shape == (3, 6, 4)
     np.testing.assert_allclose(theirs, ours, **ALGEBRA)
     assert np.all(np.diff(ours[..., 1], axis=1) != 0)  # the error changes from trial to trial

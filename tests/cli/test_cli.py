@@ -24,8 +24,10 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 import jaxilc
+from jaxilc import figures
 from jaxilc.cli import app, console, durations, main, progress
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
+from jaxilc.figures import saving
 from jaxilc.outcomes import running
 from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
@@ -68,7 +70,7 @@ COLOUR = re.compile("\x1b\\[[0-9;]*3[0-7]")
 
 
 @pytest.fixture
-def jaxilc_command(monkeypatch, capsys, tmp_path):
+def jaxilc_command(monkeypatch, capsys, tmp_path, unpainted):
     """Return a function that runs the command in this process.
 
     It returns the exit code, standard output and standard error.
@@ -99,7 +101,10 @@ def test_list_names_scenarios_and_all_that_can_be_set(jaxilc_command):
     assert all(path in flat for path in settable(jaxilc.scenarios.load("cao-2019").machine))
 
 
-def test_run_prints_ours_beside_the_published_and_writes_everything(jaxilc_command, tmp_path):
+def test_run_prints_ours_beside_the_published_and_writes_everything(
+    jaxilc_command, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(figures, "save", saving.save)  # painted
     code, out, _ = jaxilc_command(
         "run",
         "cao-2019",
@@ -425,55 +430,55 @@ def test_a_mistake_is_one_line_that_names_what_is_allowed(
     assert not list(tmp_path.glob("out/*/*")), "nothing may be written"
 
 
-def command(store, *more):
+def swept(*lines, wait=0.0):
+    """Start a process that sweeps a small plant, once for each line of further options.
+
+    wait: [s] before each chunk is written, so that the process still runs when it is killed
+    """
     # a shell lets what it starts in the background, such as these tests, ignore interrupts
-    heeds = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    program = f"{heeds}; from jaxilc.cli import main; main()"
-    schemes = [part for name in ("pid", "cfdl-mfailc") for part in ("--scheme", name)]
-    return [
-        sys.executable,
-        "-c",
-        program,
-        "sweep",
-        "cao-2019",
-        "--trials",
-        "3",
-        "--machines",
-        "1000",  # four chunks of each scheme, so that it still runs after the first one
-        *schemes,
-        "--out",
-        str(store),
-        *more,
-    ]
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """Return the store of an uninterrupted sweep."""
-    store = tmp_path_factory.mktemp("sweep") / "whole"
-    subprocess.run(command(store), check=True, capture_output=True)
-    return store
+    heeds = "import signal, sys, time; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    program = f"""{heeds}
+from jaxilc.cli import main
+from jaxilc.sweeps.store import Store
+write = Store.write
+Store.write = lambda *given: (time.sleep({wait}), write(*given))[1]
+for line in {lines!r}:
+    sys.argv = ["jaxilc", "sweep", "mine.toml", "--trials", "2", *line.split()]
+    try:
+        main()
+    except SystemExit as stop:
+        if stop.code:
+            sys.exit(stop.code)
+"""
+    words = [sys.executable, "-c", program]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_a_killed_sweep_resumes_bit_for_bit(tmp_path, whole, how):
-    killed = tmp_path / "killed"
-    process = subprocess.Popen(
-        command(killed), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    first_chunk = killed / "dataset.zarr" / "chunk_done" / "c" / "0" / "0"
-    while not first_chunk.exists() and process.poll() is None:
-        time.sleep(0.01)
-    os.kill(process.pid, how)
-    _, err = process.communicate()
-    assert process.returncode == (-signal.SIGKILL if how is signal.SIGKILL else 130)
-    if how is signal.SIGINT:
-        assert "--resume goes on" in err
-    assert not np.all(jaxilc.open_dataset(killed / "dataset.zarr")["finite"])
-    again = subprocess.run(command(killed, "--resume"), check=True, capture_output=True, text=True)
-    assert "sample-steps" in again.stdout
-    xr.testing.assert_identical(*(jaxilc.open_dataset(d / "dataset.zarr") for d in (whole, killed)))
+def test_a_killed_sweep_resumes_bit_for_bit(tmp_path, monkeypatch):
+    """It is killed after its first chunk, and interrupted after another one."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text(PLANT + LEARNER + UNCERTAIN)
+    killed = "--machines 3000 --out killed"  # 12 chunks
+    done, before = tmp_path / "killed/dataset.zarr/chunk_done/c/0", 0
+    for how, more in ((signal.SIGKILL, ""), (signal.SIGINT, " --resume")):
+        process = swept(killed + more, wait=0.5)
+        while len(list(done.glob("*"))) <= before and process.poll() is None:
+            time.sleep(0.01)
+        os.kill(process.pid, how)
+        _, err = process.communicate()
+        assert process.returncode == (-signal.SIGKILL if how is signal.SIGKILL else 130), err
+        assert ("--resume goes on" in " ".join(err.split())) == (how is signal.SIGINT)
+        finite = jaxilc.open_dataset(tmp_path / "killed/dataset.zarr")["finite"]
+        assert not np.all(finite)
+        assert np.any(finite)
+        before = len(list(done.glob("*")))
+    process = swept(f"{killed} --resume", "--machines 3000 --out whole")
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    assert out.count("sample-steps") == 2
+    of = (jaxilc.open_dataset(tmp_path / name / "dataset.zarr") for name in ("whole", "killed"))
+    xr.testing.assert_identical(*of)
 
 
 def test_reproduce_prints_every_published_number_with_its_verdict(jaxilc_command, tmp_path):
@@ -583,7 +588,7 @@ def test_identify_reads_a_frequency_response(jaxilc_command, tmp_path, monkeypat
         assert said in " ".join(err.split())
 
 
-def test_a_run_leaves_a_report(tmp_path):
+def test_a_run_leaves_a_report(tmp_path, unpainted):
     """A run writes one page with the table, its figures, and the command that made it."""
     page = tmp_path / "page.html"
     result = CliRunner().invoke(

@@ -155,7 +155,7 @@ def _next_plays(law):
     np.testing.assert_allclose(played, expected, atol=1e-9 * np.max(np.abs(expected)))
 
 
-def test_a_law_that_the_gate_refuses_is_not_written(small, capsys, monkeypatch):
+def test_a_law_that_the_gate_refuses_is_not_written(small, capsys, monkeypatch, unpainted):
     monkeypatch.setattr("jaxilc.design.learned.gate", lambda *_: "|Q (1 - L P)| is 1.2 at 7 Hz")
     assert jaxilc("learn-law", small.name, "--taps", "5,3", "--steps", 0, "--start", "nothing") == 1
     seen = capsys.readouterr()

@@ -134,7 +134,9 @@ def test_tune_gives_the_numbers_of_the_library(tuned, scenario):
     assert all(part in page for part in ("jaxilc tune", "held-out loss", "<td>phi0</td>"))
 
 
-def test_a_parameter_file_reaches_other_commands_and_set_goes_on_top(tuned, scenario, tmp_path):
+def test_a_parameter_file_reaches_other_commands_and_set_goes_on_top(
+    tuned, scenario, tmp_path, unpainted
+):
     folder, _ = tuned
     values = json.loads((folder / "params.json").read_text())["schemes"]["cfdl-mfailc"]
     assert values.keys() == {"lam", "phi0", "lead"}, (
@@ -181,7 +183,7 @@ def test_every_command_names_a_parameter_file_of_another_scenario(command, tmp_p
     assert not (tmp_path / "out").exists()
 
 
-def test_a_stopped_tuning_resumes_to_the_same_parameters(tuned, tmp_path, monkeypatch):
+def test_a_stopped_tuning_resumes_to_the_same_parameters(tuned, tmp_path, monkeypatch, unpainted):
     folder, _ = tuned
     write, states = of_tuning.Folder.write, []
 

@@ -117,7 +117,7 @@ def test_a_trial_stands_beside_its_prediction(begun):
     assert texts[2].rstrip().endswith(measured)
 
 
-def test_another_machine_is_told_and_its_plant_is_found(copied):
+def test_another_machine_is_told_and_its_plant_is_found(copied, unpainted):
     folder, go_on = copied
     go_on("--undo", 0)
     for j in (1, 2):
@@ -245,7 +245,7 @@ def test_what_is_not_the_input_of_the_plant_is_not_fitted(copied, tmp_path):
         call("identify")
 
 
-def test_of_many_trials_some_are_fitted(copied, monkeypatch):
+def test_of_many_trials_some_are_fitted(copied, monkeypatch, unpainted):
     """Where they have more samples than are read, those that are fitted lie evenly spread."""
     folder, go_on = copied
     for j in (3, 4, 5):
@@ -287,7 +287,7 @@ def test_a_trial_that_ended_early_is_learned_from_as_far_as_it_goes(copied):
     assert "weight" in journal.arrays(journal.live()[-1], "trial.npz")
 
 
-def test_trials_without_learning_tell_when_to_stop(copied):
+def test_trials_without_learning_tell_when_to_stop(copied, unpainted):
     folder, go_on = copied
     with pytest.raises(ValueError, match="played twice"):
         call("potential", folder / "x")

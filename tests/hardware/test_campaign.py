@@ -614,7 +614,7 @@ def _ladder():
 
 
 @pytest.mark.parametrize(
-    "name", ["p_type_on_reference", "milc", "dilc", "ffdl_sign", "asmc_over_ilc", "ladder"]
+    "name", ["p_type_on_reference", "milc", "ffdl_sign", "asmc_over_ilc", "ladder"]
 )
 def test_what_a_scheme_learns_from_y_and_u_alone_is_what_it_learns_in_simulation(tmp_path, name):
     machine, scheme, task = (

@@ -28,13 +28,14 @@ def test_every_view_has_the_verdict_and_the_cells_of_all_tables(outcome, tmp_pat
     tables = [table for table in outcome.tables if isinstance(table, Table)]
     cells = [str(cell) for table in tables for column in table.columns for cell in column.cells]
     assert len(cells) > 5
+    shown = outcome._repr_html_()
     for said in (*outcome.verdict.said, *cells):
         assert said in plain
-        for html in (page, outcome._repr_html_()):
+        for html in (page, shown):
             assert said.replace("'", "&#39;").replace("<", "&lt;") in html
     unlike_live = [figure for figure in outcome.figures.values() if not figure.live]
     assert page.count("<figure><img") == len(unlike_live)
-    assert outcome._repr_html_().count("<figure><img") == len(outcome.figures)
+    assert shown.count("<figure><img") == len(outcome.figures)
 
 
 def test_a_notebook_shows_an_outcome_once(outcome, monkeypatch):
