@@ -3,6 +3,8 @@
 What is listed here gets every test of test_conformance.py.
 """
 
+import os
+
 import numpy as np
 
 from jaxilc.filters import (
@@ -544,3 +546,9 @@ def case(name):
     """Return (machine, scheme, task) of a case."""
     plant, scheme = CASES[name]
     return Machine(plant), scheme, task_for(plant, FEW if name in _FEW else SAMPLES)
+
+
+def few(chosen, every):
+    """Return the chosen ones of `every`, or with JAXILC_ALL=1, as by `make matrix`, all of them."""
+    assert {*chosen} <= {*every}, f"{ {*chosen} - {*every} } are not there"
+    return [x for x in every if x in chosen or os.environ.get("JAXILC_ALL") == "1"]

@@ -251,6 +251,7 @@ def test_the_simplest_of_equal_laws_is_first_and_lost_ones_are_left_out():
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("compiled_once")
 def test_a_design_that_is_resumed_ends_as_it_was(tmp_path):
     machine = Machine(ProcessModel(2.0, poles=[150.0]), sensor=Sensor(noise=1e-4))
     task = Task(TASK.reference[:61], dt=DT)

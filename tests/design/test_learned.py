@@ -170,6 +170,7 @@ class Enough(Exception):
     """Raised where a test has seen what it wants."""
 
 
+@pytest.mark.usefixtures("compiled_once")
 def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, monkeypatch):
     monkeypatch.setattr("jaxilc.design.learned.DENSE", 3)
     monkeypatch.setattr("jaxilc.design.learned.WATCH", 3)

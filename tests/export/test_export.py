@@ -3,6 +3,7 @@
 The interpreter is compared with JAX, and the C program, to the last bit, with the interpreter.
 """
 
+import functools
 import shutil
 import subprocess
 
@@ -10,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import CASES, SAMPLES, SCHEMES, task_for
+from cases import CASES, SAMPLES, SCHEMES, few, task_for
 
 from jaxilc.export import check, files_of, interpret, law_of, program_of
 from jaxilc.export.certificate import CERTIFICATE, certificate_of, digest_of
@@ -29,10 +30,15 @@ LONG = {"constrained", "two_step", "basis_rational"}  # whose solvers iterate
 WARNINGS = ("-std=c99", "-O0", "-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
 CHECKED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 needs_c = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+# with those above, each operation of the export and each way to print it
+COVERING = {
+    "at_samples", "cfdl_mfapc_moves", "cfdl_smooth", "error_filtered", "estimated_disturbance",
+    "gradient", "inverses", "learning_filter_butterworth", "model_free", "p_type_iir",
+    "p_type_ladder", "p_type_on_reference", "p_type_switchable", "repetitive", "smc_hold_limited",
+}  # fmt: skip
 EVERY = [
     name if name in OFTEN else pytest.param(name, marks=pytest.mark.slow)
-    for name in SCHEMES
-    if name not in REFUSED | LONG
+    for name in few(OFTEN | COVERING, [n for n in SCHEMES if n not in REFUSED | LONG])
 ]
 
 
@@ -48,6 +54,12 @@ def task_of(name):
     return task_for(CASES[name][0], SAMPLES if "switchable" in name else FEW)
 
 
+@functools.cache
+def exported(name):
+    """Return the law of a case, which two tests take."""
+    return law_of(SCHEMES[name], task_of(name), 1e3)
+
+
 def compiled(folder, texts, *flags, driver="law_test.c"):
     """Return what a compiled program prints; a warning of the compiler fails."""
     for file, text in texts.items():
@@ -61,8 +73,7 @@ def compiled(folder, texts, *flags, driver="law_test.c"):
 @needs_c
 @pytest.mark.parametrize("name", EVERY)
 def test_the_program_in_c_equals_the_interpreter_to_the_last_bit(name, tmp_path):
-    scheme = SCHEMES[name]
-    law = law_of(scheme, task_of(name), 1e3)
+    law = exported(name)
     for single in (False, True):
         ran = compiled(tmp_path, files_of(law, [], "0" * 64, trials_of_test(law), single=single))
         assert (ran.returncode, ran.stdout) == (0, "law: all numbers are equal\n"), ran.stdout
@@ -72,7 +83,7 @@ def test_the_program_in_c_equals_the_interpreter_to_the_last_bit(name, tmp_path)
 def test_the_interpreter_equals_jax_where_the_guard_is_silent(name):
     """The guard changes no bit, and the law is that of the scheme."""
     scheme, task = SCHEMES[name], task_of(name)
-    guarded = law_of(scheme, task, 1e3)
+    guarded = exported(name)
     bare = law_of(scheme, task, 1e3, guarded=False)
     played, alone = guarded.played(), bare.played()
     for y in trials_of_test(guarded)[:3]:

@@ -1,5 +1,7 @@
 """These tests compare the loop over trials with the same loop by hand, and check the metrics."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -74,7 +76,7 @@ def test_learn_is_the_loop_by_hand(name, machine, task):
     assert int(history.diverged_at) == 0
 
 
-@pytest.mark.parametrize("name", ["pd_type", "cfdl_sign", "p_type_fir", "cfdl_lead_limited"])
+@pytest.mark.parametrize("name", ["pd_type", "cfdl_lead_limited"])
 def test_a_measured_machine_learns_as_the_simulated_one(name, machine, task):
     """A measured machine learns as the simulated one does.
 
@@ -95,7 +97,7 @@ def test_a_measured_machine_learns_as_the_simulated_one(name, machine, task):
     assert np.max(np.abs(u)) > 1
 
 
-@pytest.mark.parametrize("name", ["pid_position", "ffdl_book", "p_type_over_pid"])
+@pytest.mark.parametrize("name", ["ffdl_book", "p_type_over_pid"])
 def test_going_on_from_a_memory_equals_one_long_run(name, machine, task):
     scheme = SCHEMES[name]
     whole = learn(machine, scheme, task, TRIALS)
@@ -294,7 +296,7 @@ def test_gradient_of_the_metrics_is_that_of_their_definition(settle):
 
     for mode in (jax.jacrev, jax.jacfwd):
         found, expected = (
-            mode(lambda *signals, f=f: weights @ f(*signals), argnums=(0, 1))(y, u)
+            jax.jit(mode(lambda *signals, f=f: weights @ f(*signals), argnums=(0, 1)))(y, u)
             for f in (ours, by_definition)
         )
         assert_trees_close(found, expected)
@@ -325,6 +327,7 @@ def test_memory_of_a_gradient_grows_like_the_root_of_the_trials():
                 memory, first = history.memory, first + J
             return history.rms[-1, 0]
 
+        @functools.cache
         def compiled(*trials):
             return jax.jit(jax.grad(lambda lam: last(lam, *trials))).lower(0.5).compile()
 

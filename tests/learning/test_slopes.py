@@ -59,28 +59,10 @@ TRIALS = 3  # one block of the scan; four are two, in which each trial is compil
 # Objectives see a scheme through its history alone, and test_conformance.py compares the gradient
 # of each weight of each case. So one scheme of each kind of loop and of memory is enough here.
 JUDGED = (
-    "pid_type_leaky_limited",
-    "cfdl_lead_limited",
-    "ffdl_none",
-    "p_type_on_reference",
-    "p_type_stop",
-    "p_type_ladder",
-    "norm_optimal",
-    "constrained",
-    "two_step",
-    "milc",
+    "pid_type_leaky_limited", "ffdl_none", "p_type_on_reference", "p_type_stop", "two_step",
     "ilc_asmc",
-)
-CONTRACTING = (
-    "ffdl_book",
-    "p_type_on_reference",
-    "p_type_butterworth",
-    "gradient",
-    "basis_functions",
-    "norm_optimal",
-    "estimated_disturbance",
-    "ilc_asmc",
-)
+)  # fmt: skip
+CONTRACTING = ("ffdl_book", "p_type_butterworth", "gradient", "basis_functions")
 FLAT = ("gradient",)  # its norm is 1 whatever the weights, as there are inputs that do not answer
 
 
@@ -131,10 +113,10 @@ NESTINGS = {  # the inner derivative, then the outer one
     "reverse, reverse": (jax.grad, jax.grad),
 }
 # One scheme for each rule of ours for a derivative; with the first one, all four nestings.
-CURVED = ("p_type", "ffdl_book", "ilc_asmc", "constrained", "two_step")
+CURVED = ("p_type", "ffdl_book", "constrained", "two_step")
 
 
-def sum_of_metrics(name, trials=2):
+def sum_of_metrics(name, trials):
     """Return the sum of all metrics of all trials as a function of x of `line_through`."""
     machine, scheme, task = case(name)
     moved = line_through(scheme)
@@ -153,7 +135,7 @@ def test_second_derivatives_of_all_metrics_equal_finite_differences(name):
     A rule for the derivative of a metric was lost in the parts of a loop that JAX computes before
     it goes back through it, and the error was then a constant to the second derivative.
     """
-    of = sum_of_metrics(name)
+    of = sum_of_metrics(name, 1 if SCHEMES[name].first_derivatives_only else 2)
     ways = list(NESTINGS.values())[0 if name == CURVED[0] else 3 :]
     if SCHEMES[name].first_derivatives_only:
         for inner, outer in ways:
@@ -279,8 +261,8 @@ def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
         trials=6,
         objective=Final("rms", floor=1e-9) + EveryTrial("rms", floor=1e-9),
     )
-    whole = jax.jit(partial(loss_of_gain, problem))(0.4)
-    for K in (1, 3, 9):
+    whole = loss_of_gain(problem, 0.4)
+    for K in (1, 3):
         short = dataclasses.replace(problem, truncate=K)
         value, slope = jax.jit(jax.value_and_grad(partial(loss_of_gain, short)))(0.4)
         factors = np.array([max(0, j - 1 - max(0, 6 - K)) for j in range(1, 7)])

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import CASES, SCHEMES, case
+from cases import CASES, SCHEMES, case, few
 
 from jaxilc.learning import Disturbance, Sensor, learn
 from jaxilc.native import code, operations, run, why_not
@@ -31,6 +31,14 @@ REFUSED = {
     "in_blocks": "reshape of samples",
 }
 QUICK = ("ffdl_sign", "pid_type_leaky_limited", "p_type_fir", "at_samples", "motor_real")
+# with those above, each operation of the compiler, each reason to refuse, each kind of plant
+COVERING = (
+    "asmc_carried_limited", "ball_screw_real", "basis_functions", "by_position", "cfdl_mfapc",
+    "cfdl_mfapc_moves", "cfdl_smooth", "constrained", "cross_coupled", "estimated_disturbance",
+    "fast_tool_servo_nonlinear", "gradient", "ilc_asmc", "in_blocks", "model_free",
+    "norm_optimal_lifted", "on_basis", "p_type_iir", "p_type_on_table", "p_type_stop", "pendulum",
+    "repetitive", "time_varying",
+)  # fmt: skip
 GAINS = 1 + 0.002 * np.arange(-8, 9)  # of 17 machines
 
 
@@ -51,8 +59,10 @@ def arguments(name):
 
 
 @pytest.mark.parametrize(
-    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in CASES]
-)
+    "name",
+    [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow)
+     for n in few(QUICK + COVERING, CASES)],
+)  # fmt: skip
 def test_every_case_learns_as_by_xla_or_is_refused_by_name(name):
     """With unequal machines in the lanes, and a group that is not full."""
     common = arguments(name)

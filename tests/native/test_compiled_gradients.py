@@ -18,9 +18,7 @@ from jaxilc.uncertainty import Uniform
 TRIALS = 5
 GAINS = 1 + 0.002 * np.arange(-5, 6)
 UNCERTAIN = {"plant.b": Uniform(0.9, 1.1, relative=True)}
-NAMES = (
-    "cfdl_smooth", "ffdl_sign", "p_type_fir", "p_type_switchable", "at_samples", "voice_coil_dai",
-)  # fmt: skip
+NAMES = ("cfdl_smooth", "p_type_fir", "p_type_switchable")
 
 
 def by_all_leaves(common, gain):

@@ -214,7 +214,7 @@ def test_a_random_program_computes_what_numpy_computes():
                 np.testing.assert_allclose(x[machine], y, rtol=0, atol=1e-11 * scale,
                                            err_msg=f"{machine} {of}")  # fmt: skip
 
-    assert fuzz(14, attempt, allowed=())  # none of them is refused
+    assert fuzz(10, attempt, allowed=())  # none of them is refused
 
 
 def test_the_gradient_of_a_random_program_is_that_of_jax():
@@ -237,4 +237,4 @@ def test_the_gradient_of_a_random_program_is_that_of_jax():
         assert differs(found, wanted) is None, of
 
     attempt(np.random.default_rng(31))  # a maximum, and the rows that reach it, in two loops
-    assert fuzz(6, attempt, allowed=())  # none of them is refused
+    assert fuzz(3, attempt, allowed=())  # none of them is refused

@@ -79,8 +79,12 @@ def watched(machine, scheme, trials=12, task=TASK):
     }
 
 
+def played(trial):
+    return trial.y, trial.u
+
+
 def signals(machine, scheme, trials, task=TASK):
-    y, u = jaxilc.learn(machine, scheme, task, trials, save=lambda trial: (trial.y, trial.u)).saved
+    y, u = jaxilc.learn(machine, scheme, task, trials, save=played).saved
     return np.asarray(y)[..., 0], np.asarray(u)[..., 0]
 
 
@@ -416,8 +420,8 @@ def test_a_disturbance_that_repeats_changes_nothing():
     assert np.nanmin(found["share_kept"]) == 1.0
 
 
-@pytest.mark.parametrize(("lam", "trials"), [(1.0, 100), (3.0, 300)])
-def test_lambda_above_b_squared_over_four_guarantees_nothing_on_a_dynamic_plant(lam, trials):
+@pytest.mark.parametrize("lam", [1.0, 3.0])
+def test_lambda_above_b_squared_over_four_guarantees_nothing_on_a_dynamic_plant(lam):
     """lam > b^2/4 guarantees nothing on a dynamic plant.
 
     On a 60 Hz servo loop the error of CFDL-MFAILC is reduced by a factor of a thousand, and then
@@ -427,7 +431,7 @@ def test_lambda_above_b_squared_over_four_guarantees_nothing_on_a_dynamic_plant(
     servo = StateSpace([[0.0, 1.0], [-w * w, -1.4 * w]], [[0.0], [w * w]], [[1.0, 0.0]])
     task = Task(reference=0.5 - 0.5 * np.cos(2 * np.pi * np.arange(201) / 200), dt=DT)
     scheme = CFDLMFAILC(lam=lam, phi0=0.5, eta=0.01, reset="sign")
-    history = jaxilc.learn(Machine(servo), scheme, task, trials, watch=BoundsWatch())
+    history = jaxilc.learn(Machine(servo), scheme, task, 300, watch=BoundsWatch())
     errors, found = np.asarray(history.rms)[:, 0], history.watched
     best = int(np.argmin(errors))
     assert 15 * lam < best < 25 * lam
@@ -459,21 +463,22 @@ def test_grids_of_weights_and_plants_are_one_batch():
     np.testing.assert_allclose(found, alone, rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["d2", "M1", "b", "left_out", "radius", "ppd_rest"])
-def test_gradients_are_those_of_differences(name):
-    def value(x):
+def test_gradients_are_those_of_differences():
+    @jax.jit
+    def values(x):
         lam, phi0, b0, a0 = x
         machine = dynamic_machine((a0, -0.2), (b0, 0.4))
         scheme = dataclasses.replace(SCHEME, lam=lam, phi0=phi0)
-        return getattr(bounds_of(machine, scheme, TASK), name)
+        found = bounds_of(machine, scheme, TASK)
+        names = ("d2", "M1", "b", "left_out", "radius", "ppd_rest")
+        return jnp.stack([getattr(found, name) for name in names])
 
     at, along = np.array([0.6, 0.5, 0.8, 0.6]), np.array([0.3, -0.7, 0.5, 0.4])
-    value = jax.jit(value)
-    slope = jax.grad(value)(at) @ along
+    slopes = jax.jacrev(values)(at) @ along
     step = 1e-5
-    expected = (value(at + step * along) - value(at - step * along)) / (2 * step)
-    assert abs(float(expected)) > 1e-6
-    np.testing.assert_allclose(slope, expected, rtol=1e-6)
+    expected = (values(at + step * along) - values(at - step * along)) / (2 * step)
+    assert np.all(abs(expected) > 1e-6)
+    np.testing.assert_allclose(slopes, expected, rtol=1e-6)
 
 
 def test_the_watch_changes_no_number_of_the_run_and_nothing_of_its_gradient():

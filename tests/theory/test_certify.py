@@ -117,7 +117,7 @@ def test_with_a_filter_or_a_leak_the_distance_from_the_limit_falls_and_its_floor
 
 def test_a_law_that_keeps_all_leaves_nothing_however_small_its_gain():
     """At 1e-12 the limit is known to a few digits only, and its error all the same to be zero."""
-    found = certified(FIRST_ORDER, PIDType(gamma_p=1e-12), 3, B)
+    found = certified(FIRST_ORDER, PIDType(gamma_p=1e-12), 15, B)
     assert set(found.claim) == {"converges"}
     assert "falls to 1 - " in found.reason[0]
     assert not np.any(found.floor)
@@ -159,7 +159,7 @@ def test_a_wrong_sign_is_claimed_to_diverge_and_does():
     assert np.all(found.turning == 1)
 
 
-@pytest.mark.parametrize("lead", [0, 1, 2])
+@pytest.mark.parametrize("lead", [1, 2])
 def test_a_plant_with_dead_time_and_a_law_with_less_lead_are_claimed_to_diverge(lead):
     """Twelve random plants wait for two samples more; NumPy runs 3,000 trials of each.
 
@@ -199,7 +199,7 @@ def test_a_plant_with_dead_time_and_a_law_with_less_lead_are_claimed_to_diverge(
 def test_nothing_is_pushed_by_an_error_of_zero_or_beyond_a_limit():
     late = StateSpace([[0.5, 0.0], [1.0, 0.0]], [[0.5], [0.0]], [[0.0, 1.0]], dt=DT)
     drifts = certify(Machine(late), PIDType(gamma_p=0.5), TASK, 2)
-    at_rest = certify(Machine(late), PIDType(gamma_p=0.5), Task(np.zeros(9), dt=DT), 2)
+    at_rest = certify(Machine(late), PIDType(gamma_p=0.5), Task(np.zeros(N + 1), dt=DT), 2)
     limited = certify(Machine(late, Actuator(limit=50.0)), PIDType(gamma_p=0.5), TASK, 2)
     claims = [found.claim[0] for found in (drifts, at_rest, limited)]
     assert claims == ["diverges", "not claimed", "not claimed"]
@@ -226,9 +226,7 @@ def test_what_adapts_or_stops_is_never_claimed(scheme):
     assert type(scheme).__name__ in found.reason[0]
 
 
-@pytest.mark.parametrize(
-    "scheme", [PIDType(), LearningFilter((0.0,) * 3), NormOptimal(SERVO.plant, w_q=0.0, w_r=1.0)]
-)
+@pytest.mark.parametrize("scheme", [PIDType(), NormOptimal(SERVO.plant, w_q=0.0, w_r=1.0)])
 def test_of_a_law_that_changes_nothing_nothing_is_claimed(scheme):
     found = certified(SERVO, scheme, 3, GAIN, samples=2)
     assert set(found.claim) == {"not claimed"}
@@ -313,9 +311,9 @@ def test_a_limit_that_is_met_late_is_told_with_its_trial():
 
 def test_a_limit_out_of_reach_takes_nothing_from_a_claim_and_one_within_reach_all():
     scheme = PIDType(gamma_p=0.8)
-    far = certified(replace(FIRST_ORDER, actuator=Actuator(limit=1e3)), scheme, 10, B)
+    far = certified(replace(FIRST_ORDER, actuator=Actuator(limit=1e3)), scheme, 15, B)
     assert set(far.claim) == {"monotone"}
-    near = certified(replace(FIRST_ORDER, actuator=Actuator(limit=0.3)), scheme, 10, B)
+    near = certified(replace(FIRST_ORDER, actuator=Actuator(limit=0.3)), scheme, 15, B)
     assert set(near.claim) == {"not claimed"}
     assert set(near.expected) == {"falls"} != set(near.observed), (
         "theory leaves limits out, so the confusion table can fail"
@@ -434,7 +432,6 @@ def test_frozen_stops_estimators_alone():
 
 
 SCHEMES = {
-    "filtered": Filtered(PIDType(gamma_p=0.4), ZeroPhaseButterworth(100.0)),
     "feedback": WithFeedback(PIDType(gamma_p=0.4), PID(kp=0.1, ki=2.0)),
     "norm-optimal": NormOptimal(
         StateSpace([[0.6]], [[0.4]], [[1.0]], dt=DT), w_q=1.0, w_r=0.2, w_s=0.01
