@@ -33,11 +33,11 @@ REFUSED = {
 QUICK = ("ffdl_sign", "pid_type_leaky_limited", "p_type_fir", "at_samples", "motor_real")
 # with those above, each operation of the compiler, each reason to refuse, each kind of plant
 COVERING = (
-    "asmc_carried_limited", "ball_screw_real", "basis_functions", "by_position", "cfdl_mfapc",
-    "cfdl_mfapc_moves", "cfdl_smooth", "constrained", "cross_coupled", "estimated_disturbance",
-    "fast_tool_servo_nonlinear", "gradient", "ilc_asmc", "in_blocks", "model_free",
-    "norm_optimal_lifted", "on_basis", "p_type_iir", "p_type_on_table", "p_type_stop", "pendulum",
-    "repetitive", "time_varying",
+    "asmc_carried_limited", "ball_screw_real", "basis_functions", "basis_gradient", "by_position",
+    "cfdl_mfapc", "cfdl_mfapc_moves", "cfdl_smooth", "constrained", "cross_coupled",
+    "estimated_disturbance", "fast_tool_servo_nonlinear", "gradient", "ilc_asmc", "in_blocks",
+    "model_free", "norm_optimal_lifted", "on_basis", "p_type_iir", "p_type_on_table",
+    "p_type_stop", "pendulum", "repetitive", "time_varying",
 )  # fmt: skip
 GAINS = 1 + 0.002 * np.arange(-8, 9)  # of 17 machines
 
