@@ -21,7 +21,9 @@ from .solves import written
 
 CALLS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call"}
 CALLS |= {"remat2", "remat", "checkpoint", "custom_vjp_call_jaxpr", "custom_vmap_call"}
+CALLS |= {"eval_jaxpr"}
 SAME = {"by_sample", "stop_gradient", "copy", "copy_p", "optimization_barrier", "name"}
+OBJECT = "call_hi_primitive"
 UNROLLED = 64  # passes of a loop within a sample, up to which they are written one after another
 
 
@@ -130,6 +132,9 @@ def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Val
         of = params["platforms"]
         here = next(i for i, names in enumerate(of) if names is None or "cpu" in names)
         return [Const(np.asarray(here, eqn.outvars[0].aval.dtype))]
+    if name == OBJECT:
+        traced = _expanded(eqn)
+        return _inline(traced.jaxpr, traced.consts, ins, steps, whole)
     if name == "ruled":
         traced = jax.make_jaxpr(params["value"])([jax.ShapeDtypeStruct(x.shape, x.dtype)
                                                   for x in ins])  # fmt: skip
@@ -143,7 +148,7 @@ def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Val
             "reverse": params["reverse"],
             "body": body,
         }
-        given |= {"consts": params["num_consts"], "carry": params["num_carry"]}
+        given |= dict(zip(("consts", "carry"), _counts(params), strict=True))
         params = given | {"jaxpr": params["jaxpr"]}
     if name == "cond" and whole:
         return _both(params["branches"], ins, steps)
@@ -162,6 +167,21 @@ def _solved(params: dict, ins: list[Value], steps: list[Step], whole: bool) -> l
     return _inline(solve.jaxpr, solve.consts, [*own, *ins[last:]], steps, whole)
 
 
+def _expanded(eqn: Any) -> Any:
+    """The closed jaxpr of a call for which JAX 0.12 has an object, such as a checkpoint."""
+    of = eqn.params["_prim"]
+    like = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in eqn.invars]
+    return jax.make_jaxpr(lambda *x: jax.tree.leaves(of.expand(*of.in_tree.unflatten(x))))(*like)
+
+
+def _counts(params: dict) -> tuple[int, int]:
+    """The numbers of operands that each pass of a scan reads whole, and of those it carries."""
+    if "num_consts" in params:
+        return params["num_consts"], params["num_carry"]
+    consts, carry, _ = params["ft_in"].unpack()  # JAX 0.12
+    return len(consts), len(carry)
+
+
 def _added(steps: list[Step], name: str, ins: list, shape: Sequence[int], dtype: Any = None,
            **params: Any) -> Value:  # fmt: skip
     """The result of a step that is added; its primitive is that of `jax.lax`."""
@@ -172,7 +192,7 @@ def _added(steps: list[Step], name: str, ins: list, shape: Sequence[int], dtype:
 
 def _unrolled(params: dict, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
     """The results of a scan whose passes are written one after another."""
-    length, (consts, carry) = params["length"], (params["num_consts"], params["num_carry"])
+    length, (consts, carry) = params["length"], _counts(params)
     add, inner = partial(_added, steps), params["jaxpr"]
     state, rows = ins[consts : consts + carry], ins[consts + carry :]
     kept: list[list[Value]] = []
@@ -375,7 +395,7 @@ def of_trials(
         params = whole.params
         inner = params["jaxpr"]
         of = {"length": params["length"], "reverse": params["reverse"]}
-        of |= {"consts": params["num_consts"], "carry": params["num_carry"]}
+        of |= dict(zip(("consts", "carry"), _counts(params), strict=True))
         of |= {"body": _with_long_loops(lowered(inner.jaxpr, inner.consts))}
         ahead, loop = computed_ahead(Step("scan", of, whole.ins, whole.outs), foreign)
         found.append(([*before, *ahead], loop))
@@ -417,7 +437,8 @@ def _has_loop(step: Step) -> bool:
 
 
 def _jaxprs(eqn: Any) -> Iterator[Any]:
-    for value in eqn.params.values():
+    expanded = [_expanded(eqn)] if eqn.primitive.name == OBJECT else []
+    for value in (*eqn.params.values(), expanded):
         for one in value if isinstance(value, tuple | list) else (value,):
             one = getattr(one, "jaxpr", one)
             if hasattr(one, "eqns"):
@@ -431,12 +452,12 @@ def _as_one(step: Step, add: Callable[..., Value]) -> tuple[Step, list[Step]] | 
     added before it.
     """
     body = without_dead(flat(step.params["jaxpr"]))
-    consts, carry = step.params["num_consts"], step.params["num_carry"]
+    consts, carry = _counts(step.params)
     if len(body.steps) != 1 or body.steps[0].name != "scan" or step.params["reverse"]:
         return None
     inner = body.steps[0]
-    within = inner.params["num_consts"]
-    if inner.params["num_carry"] != carry or inner.params["reverse"]:
+    within, of_inner = _counts(inner.params)
+    if of_inner != carry or inner.params["reverse"]:
         return None
     if body.outs != inner.outs or not _has_loop(inner):
         return None
