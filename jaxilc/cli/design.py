@@ -100,17 +100,26 @@ def design(
         ),
     ] = None,
     steps: Annotated[int, typer.Option(help="Steps of each tuning at most.")] = 30,
+    record: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FILE",
+            help="Trial without learning, with columns e or y and r; repeatable. It tells in what "
+            "the error repeats.",
+        ),
+    ] = None,
 ) -> None:
     """Which learning law for this machine, with which weights, is it safe, and what will it reach.
 
     It tries several laws: safe weights by the frequency response of all machines,
     tuned by gradient, one of them by its taps (see `learn-law`), and judged on machines
     that were not used. The best one is written to a plant file that every other command
-    takes.
+    takes. With --record it says whether the error repeats from trial to trial, in a
+    period or in the position, and writes the law that follows beside it.
 
     Example: jaxilc design axis.toml
     """
-    _tell("design", what, written, laws=law or (), steps=steps)
+    _tell("design", what, written, laws=law or (), steps=steps, record=record or ())
 
 
 def learn_law(

@@ -2,6 +2,8 @@
 
 Two thirds of a trial choose the period and its harmonics; the other third, which they have not
 seen, judges them. So do the first two thirds with the last one, and the last two with the first.
+Over even steps, as of the time, the mean of all periods that are seen foretells the rest, too: few
+long periods of any shape, where three harmonics tell many short ones. The better of both counts.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .pitch import beside, pitch_of, waves
+from .pitch import ALIKE, beside, pitch_of, waves
 
 ORDERS = 1, 2, 3
 PERIODS = 3, 40  # within what is seen, at least and at most
@@ -44,14 +46,44 @@ def recurrence_of(over, signal) -> Recurrence | None:
         for a in (over, signal)
     )
     third = len(x) // 3
+    ways = ((slice(0, 2 * third), slice(2 * third, None)), (slice(third, None), slice(0, third)))
+    steps = np.diff(x)
+    even = len(steps) > 0 and float(np.ptp(steps)) <= 1e-6 * abs(float(steps[0]))
+    found = []
     try:
-        ways = [
-            _foretold(x, s, slice(0, 2 * third), slice(2 * third, None)),
-            _foretold(x, s, slice(third, None), slice(0, third)),
-        ]
+        for how in (_foretold, _repeated) if even else (_foretold,):
+            both = [how(x, s, *way) for way in ways]
+            found.append(Recurrence(both[0].period, min(one.share for one in both)))
     except ValueError:  # too short, at rest, or nothing but a line
         return None
-    return Recurrence(ways[0].period, min(way.share for way in ways))
+    return max(found, key=lambda one: one.share)
+
+
+def _repeated(x, s, seen: slice, rest: slice) -> Recurrence:
+    """The period with which a part that is seen repeats itself, of any shape."""
+    line, n = beside(x), len(s[seen])
+    flat = s - line @ np.linalg.lstsq(line[seen], s[seen])[0]
+    part = flat[seen]
+    lags = np.arange(n // PERIODS[1] + 1, n // 2 + 1)
+    off = np.array([np.mean((part[lag:] - part[:-lag]) ** 2) for lag in lags])
+    at = int(np.argmin(off))
+    alike = off[at] + ALIKE * 2 * float(np.var(part))
+    parts = [lag for k in range(5, 1, -1) if (lag := round(lags[at] / k)) >= lags[0]]
+    period = next((lag for lag in parts if off[lag - lags[0]] <= alike), lags[at])
+    phase = np.arange(len(s)) % period
+    mean = np.bincount(phase[seen], part) / np.bincount(phase[seen])
+    return Recurrence(float(period * abs(x[1] - x[0])), _share(s, mean[phase], line, rest))
+
+
+def _share(s, foretold, line, rest: slice) -> float:
+    """The share of the squares of the rest that is foretold.
+
+    A slope of the rest, or its constant, is none of the period's.
+    """
+    both = np.stack([s, foretold], axis=1)[rest]
+    whole, told = (both - line[rest] @ np.linalg.lstsq(line[rest], both)[0]).T
+    left = float(np.sum((whole - told) ** 2))
+    return max(0.0, 1 - left / max(float(whole @ whole), 1e-300))
 
 
 def _foretold(x, s, seen: slice, rest: slice) -> Recurrence:
@@ -62,8 +94,5 @@ def _foretold(x, s, seen: slice, rest: slice) -> Recurrence:
     )
     line, of_period = beside(x), waves(x, 1 / found.pitch, ORDERS)
     weights = np.linalg.lstsq(np.hstack([line, of_period])[seen], s[seen])[0]
-    # a slope of the rest, or its constant, is none of the period's
-    both = np.stack([s, of_period @ weights[line.shape[1] :]], axis=1)[rest]
-    whole, told = (both - line[rest] @ np.linalg.lstsq(line[rest], both)[0]).T
-    left = float(np.sum((whole - told) ** 2))
-    return Recurrence(found.pitch, max(0.0, 1 - left / max(float(whole @ whole), 1e-300)))
+    foretold = of_period @ weights[line.shape[1] :]
+    return Recurrence(found.pitch, _share(s, foretold, line, rest))

@@ -54,29 +54,33 @@ def read_repeats(
     time: str = "t",
     columns: Sequence[str] = (),
     dt: float | None = None,
+    without: float | None = None,
 ) -> Repeats:
     """The errors of all trials in these files, in their order.
 
     error: name of the error; where a file has none, it is reference - output
     time: name of the times; a file without them needs `dt`
     columns: names of the columns of text without a header
-    dt: sample time [s] of files without times
+    dt: sample time [s] of all files, whatever times they have
+    without: sample time [s] of files without times
     Raises ValueError naming the file for what is missing or no number, for sample times that differ
     and for trials whose lengths differ by more than 1 %.
     """
-    if dt is not None:
-        require("read_repeats", "dt", dt, "(0, inf)")
+    for name, value in (("dt", dt), ("without", without)):
+        if value is not None:
+            require("read_repeats", name, value, "(0, inf)")
     trials, units, steps, names, places = [], [], [], [], []
     for path in map(Path, paths):
         signals = _signals_of(path, time, columns, dt, error)
         e = signals.errors(error, output, reference)
-        if signals.dt is None:
+        step = without if signals.dt is None else signals.dt
+        if step is None:
             raise ValueError(f"{path} has no times {time!r}; name them with --time, or give --dt")
         trials += list(e)
         names += [path.stem if len(e) == 1 else f"{path.stem} {j + 1}" for j in range(len(e))]
         units.append(signals.unit)
         places += [x[0] for x in map(signals.of, (output, reference)) if x is not None]
-        steps.append(signals.dt)
+        steps.append(step)
     if not trials:
         raise ValueError("no record is given; needed are M >= 2 repeats of one motion")
     uneven = [one for one in steps if abs(one / steps[0] - 1) > STEP_TOLERANCE]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ from ..scenarios.design_file import design_path, need_same_folder, write_design
 from ..storage.files import need_unused
 from ..sweeps.store import open_dataset
 from .outcome import Figure, Outcome, Progress, silent
+from .recurring import Following, following, recurs, repeats_in, within_numbers, within_trial
 from .request import Request
 from .sweeping import live_store
 from .table import Table
@@ -32,7 +33,12 @@ if TYPE_CHECKING:
     from ..design.judging import Verdict as Judged
     from ..design.question import Told
     from ..scenarios import Scenario
+    from ..schemes import Scheme
 
+NOTHING_RECURS = (
+    "The record tells nothing of how the error repeats: what is new in each trial is larger, or "
+    "the trial is too short."
+)
 EDGES = {"low": "notch from", "high": "notch to"}
 CAUSES = {
     "law": "the filter and the number of trials",
@@ -50,6 +56,7 @@ def design(
     machines: int = 257,
     steps: int = 30,
     seed: int = 0,
+    record: Sequence[str | Path] = (),
     out: str | Path | None = None,
     force: bool = False,
     resume: bool = False,
@@ -59,8 +66,14 @@ def design(
 ) -> Outcome:
     """Which learning law for a machine, with which weights, is it safe, and what will it reach.
 
+    With a record it tells whether the error repeats from trial to trial, in a period or in the
+    position. For the latter two a law of its own is written beside the recommended one, where its
+    condition holds.
+
     request: a plant file, or what is asked of one; the feedback of its scheme is taken
     laws, margin, machines, steps, seed: as for `Design`
+    record: files of trials without learning, or the folder of a campaign, as for `potential`; a
+        file without times has the sample time of the task
     out: plant file to write; beside the one given, as axis.design.toml, if not given
     force: whether that file, and the state in the folder, are replaced
     resume: whether to go on with the state in the folder
@@ -71,6 +84,13 @@ def design(
     request = Request.of(request)
     target = target_of(request, out, "design", replace=force or resume)
     chosen = request.machine_to_design()
+    within, lines = None, []
+    if record:
+        repeats = repeats_in(record, without=float(chosen.task.dt))
+        repeats = repeats._replace(unit=repeats.unit or chosen.task.unit)
+        within = within_trial(repeats)
+        lines = recurs(within, repeats) or [NOTHING_RECURS]
+        say(lines[0])
     place = folder or Path("out") / f"design-{chosen.name}"
     limit = _limit(chosen)
     question = Design(
@@ -81,14 +101,24 @@ def design(
     designed = question.run(state, resume=resume, told=_told(chosen, steps, progress, say))
     best = designed.chosen
     said = _sentences(chosen, designed)
+    further, numbers = Following(), _numbers(chosen, designed)
+    if within is not None:
+        ranked = [best.verdict] if best else []
+        ranked += [one for one in designed.others if not one.lost]
+        laws_found = [one.candidate.scheme for one in ranked]
+        further = following(chosen, within, laws_found, progress)
+        numbers |= within_numbers(within) | {"following": further.numbers}
     return Outcome(
         command="design",
-        numbers=_numbers(chosen, designed),
+        numbers=numbers,
         verdict=Verdict(said) if best is None else on_the_machine(said, target),
         folder=place,
         scenario=chosen,
         tables=[_table(chosen, designed)],
-        kept=() if best is None else written(request, target, best.verdict.candidate, said),
+        lines=[*lines, *further.lines],
+        kept=()
+        if best is None
+        else written(request, target, best.verdict.candidate, said, further.schemes),
         failed="" if best else "no law is recommended, and no plant file was written",
         **of_judged(state, chosen, "design", "The errors by trial of the laws"),
     )
@@ -170,9 +200,18 @@ def about(chosen: Scenario) -> dict[str, Any]:
     }
 
 
-def written(request: Request, target: Path, law: Candidate, said: Sequence[str]) -> list[Path]:
-    """Write the plant file with a law in it, and sentences at its head; return its path."""
-    return [write_design(target, request.source, {law.name: law.scheme}, said)]
+def written(
+    request: Request,
+    target: Path,
+    law: Candidate,
+    said: Sequence[str],
+    beside: Mapping[str, Scheme] | None = None,
+) -> list[Path]:
+    """Write the plant file with a law in it, and sentences at its head; return its path.
+
+    beside: further schemes by name
+    """
+    return [write_design(target, request.source, {law.name: law.scheme, **(beside or {})}, said)]
 
 
 def _limit(chosen: Scenario) -> float | None:

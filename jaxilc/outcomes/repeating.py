@@ -11,18 +11,15 @@ from typing import Any
 import numpy as np
 
 from .. import figures
-from ..figures.units import prefixed
-from ..hardware.campaign import repeats_of
 from ..identification.potential import LEVEL, Potential, potential_of
-from ..identification.recurrence import Recurrence, recurrence_of
-from ..identification.repeats import Repeats, read_repeats
-from ..scenarios.campaigns import Given, open_campaign
+from ..identification.repeats import Repeats
 from ..scenarios.design_file import write_potential
 from ..storage.printable import printable
 from .outcome import Figure, Outcome, Progress, silent
+from .recurring import recurs, repeats_in, within_numbers, within_trial
 from .table import Table
 from .verdict import Verdict
-from .words import number
+from .words import number, sized
 
 FEW = 4  # trials, from which on a drift can be told from what is new
 SURE = 1.5  # end of an interval over its estimate, from which on more trials are asked for
@@ -52,21 +49,20 @@ def potential(
     """
     paths = [Path(one) for one in ([records] if isinstance(records, str | Path) else records)]
     progress("reading")
-    repeats = _of_campaign(paths[0]) if _is_campaign(paths) else read_repeats(paths, **reading)
+    repeats = repeats_in(paths, **reading)
     repeats = repeats._replace(unit=printable(repeats.unit or unit))
     found = potential_of(repeats.e, repeats.dt)
-    within = _within(repeats) if found.cutoff.value else {}
+    within = within_trial(repeats, found)
     kept = [] if into is None else [write_potential(into, table_of(found), repeats.unit)]
     following = _next(paths, reading | {"unit": unit}, found, into)
     shown = partial(figures.potential_figure, repeats, found)
     return Outcome(
         command="potential",
-        numbers=_numbers(repeats, found)
-        | {"within": {name: one and dict(one._asdict()) for name, one in within.items()}},
+        numbers=_numbers(repeats, found) | within_numbers(within),
         verdict=Verdict(_said(repeats, found), *following),
         folder=folder or Path("out") / "potential",
         tables=[_table(repeats, found)],
-        lines=[*_lines(repeats, found), *_recurs(within, repeats.unit)],
+        lines=[*_lines(repeats, found), *recurs(within, repeats)],
         figures={"potential": Figure(OF_DENSITY, shown, live=True)},
         live=lambda: [_live(repeats, found)],
         kept=kept,
@@ -79,19 +75,6 @@ def table_of(found: Potential) -> dict[str, float]:
     return {"floor": found.new.value, "stop": found.stop, "cutoff": found.cutoff.value}
 
 
-def _is_campaign(paths: Sequence[Path]) -> bool:
-    """Whether the trials are those of a campaign; raises ValueError for other folders."""
-    folder = next((path for path in paths if path.is_dir()), None)
-    if folder is not None and len(paths) > 1:
-        said = "is a folder, of a campaign, which stands alone; allowed is it, or files of trials"
-        raise ValueError(f"{folder} {said}")
-    return folder is not None
-
-
-def _of_campaign(path: Path) -> Repeats:
-    return repeats_of(open_campaign(path, Given(), new=False).campaign)
-
-
 def _live(repeats: Repeats, found: Potential):
     from ..figures.page import live
 
@@ -102,12 +85,8 @@ def _live(repeats: Repeats, found: Potential):
 # --------------------------------------------------------------------------------------------------
 
 
-def _size(value: float, unit: str) -> str:
-    return " ".join(filter(None, (number((of := prefixed(value, unit))[0]), of[1])))
-
-
 def _range(of, unit: str) -> str:
-    return f"{_size(of.low, unit)} to {_size(of.high, unit)}"
+    return f"{sized(of.low, unit)} to {sized(of.high, unit)}"
 
 
 def _table(repeats: Repeats, found: Potential) -> Table:
@@ -116,21 +95,21 @@ def _table(repeats: Repeats, found: Potential) -> Table:
     for column in ("part of the error", "value", "interval"):
         table.add_column(column, justify="left" if column.startswith("part") else "right")
     table.add_row(
-        "repeats: learning can remove it", _size(found.repeatable.value, unit),
+        "repeats: learning can remove it", sized(found.repeatable.value, unit),
         _range(found.repeatable, unit),
     )  # fmt: skip
     table.add_row(
-        "new in each trial: no law can", _size(found.new.value, unit), _range(found.new, unit)
+        "new in each trial: no law can", sized(found.new.value, unit), _range(found.new, unit)
     )
     if found.start:
-        table.add_row("of the first trial alone", _size(found.start, unit), "")
+        table.add_row("of the first trial alone", sized(found.start, unit), "")
     if found.drift:
-        table.add_row("drift from trial to trial", _size(found.drift, unit), "")
-    table.add_row("left with the cutoff below", _size(found.left, unit), "")
+        table.add_row("drift from trial to trial", sized(found.drift, unit), "")
+    table.add_row("left with the cutoff below", sized(found.left, unit), "")
     table.add_row("bandwidth worth learning", f"{number(found.cutoff.value)} Hz",
                   f"{number(found.cutoff.low)} to {number(found.cutoff.high)} Hz")  # fmt: skip
     table.add_row("trials to average", str(found.averages), "")
-    table.add_row("stop when a trial is below", _size(found.stop, unit), "")
+    table.add_row("stop when a trial is below", sized(found.stop, unit), "")
     return table
 
 
@@ -140,51 +119,15 @@ def _said(repeats: Repeats, found: Potential) -> tuple[str, ...]:
     if found.cutoff.value == 0:
         return (
             "Learning has nothing to gain: at no frequency does more of the error repeat than is "
-            f"new in each trial, {_size(new.value, unit)} ({_range(new, unit)}).",
+            f"new in each trial, {sized(new.value, unit)} ({_range(new, unit)}).",
         )
     return (
-        f"Learning can bring the error from {_size(found.repeatable.value, unit)} to "
-        f"{_size(found.left, unit)} rms, a factor of "
+        f"Learning can bring the error from {sized(found.repeatable.value, unit)} to "
+        f"{sized(found.left, unit)} rms, a factor of "
         f"{number(found.repeatable.value / found.left)}, by what lies below "
         f"{number(found.cutoff.value)} Hz; no law leaves less than what is new in each trial, "
-        f"{_size(new.value, unit)} ({_range(new, unit)}).",
+        f"{sized(new.value, unit)} ({_range(new, unit)}).",
     )
-
-
-def _within(repeats: Repeats) -> dict[str, Recurrence | None]:
-    """How what repeats from trial to trial repeats within the trial, over time and position."""
-    e = np.mean(repeats.e, axis=0)
-    time, position = repeats.dt * np.arange(len(e)), repeats.position
-    of_position = None if position is None else recurrence_of(position, e)
-    return {"time": recurrence_of(time, e), "position": of_position}
-
-
-def _recurs(within: Mapping[str, Recurrence | None], unit: str) -> list[str]:
-    """In what the error repeats, and which law follows."""
-    told = {name: one for name, one in within.items() if one}
-    if not told:
-        return []
-    said = []
-    for name, what in (("time", "s"), ("position", unit)):
-        if one := told.get(name):
-            said.append(
-                f"a period of {_size(one.period, what)} in the {name} foretells "
-                f"{100 * one.share:.0f} %"
-            )
-    head = f"Within the trial, of a third that was not looked at, {' and '.join(said)}: "
-    repeats = {name for name, one in told.items() if one.repeats}
-    laws = {
-        frozenset(): "the error repeats from trial to trial only, so learn between trials.",
-        frozenset({"time"}): "it repeats in a period, so RepetitiveControl learns it without a "
-        "stop.",
-        frozenset({"position"}): "it repeats in the position, so a map of PositionBasis learns it "
-        "and serves any speed.",
-    }
-    both = (
-        "at one speed the two are one; record a second speed, as a map over the position serves "
-        "any and a period only its own."
-    )
-    return [head + laws.get(frozenset(repeats), both)]
 
 
 def _lines(repeats: Repeats, found: Potential) -> list[str]:
@@ -192,12 +135,12 @@ def _lines(repeats: Repeats, found: Potential) -> list[str]:
     unit, lines = repeats.unit, []
     if found.start:
         lines.append(
-            f"The first trial is unlike the others, by {_size(found.start, unit)} rms, and is left "
+            f"The first trial is unlike the others, by {sized(found.start, unit)} rms, and is left "
             "out: it began elsewhere. Let the machine make the motion once before each series."
         )
     if found.drift:
         lines.append(
-            f"The trials drift, by {_size(found.drift, unit)} rms from one to the next: it is not "
+            f"The trials drift, by {sized(found.drift, unit)} rms from one to the next: it is not "
             "counted as new, since a law that goes on learning follows it."
         )
     if found.trials < FEW:

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from ..figures.units import prefixed
+
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
 
@@ -17,6 +19,11 @@ def number(value: float) -> str:
     if value == 0 or 1e-3 <= abs(value) < 1e5:
         return np.format_float_positional(value, precision=3, fractional=False, trim="-")
     return f"{value:.2e}"
+
+
+def sized(value: float, unit: str) -> str:
+    """A number with its unit, with a prefix such as µ."""
+    return " ".join(filter(None, (number((of := prefixed(value, unit))[0]), of[1])))
 
 
 def counted(reasons: Iterable[str]) -> dict[str, int]:

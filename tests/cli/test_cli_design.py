@@ -55,7 +55,10 @@ def test_the_laws_that_are_completed_are_those_that_are_tried():
 def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, capsys):
     asked = ("--margin", 0.1, "--law", "p-type", "--machines", 9, "--steps", 2)
     reports = ("--report", "design.json", "--report", "design.html")
-    assert jaxilc("design", file.name, *asked, *reports) == 0
+    t = 0.001 * np.arange(1500)
+    e = np.sin(2 * np.pi * t / 0.1)
+    np.savez("trial.npz", t=t, e=e, r=np.cumsum(t * (t % 0.7)))
+    assert jaxilc("design", file.name, *asked, *reports, "--record", "trial.npz") == 0
     said = " ".join(capsys.readouterr().out.split())
     for part in (
         "A first safe answer, by frequency alone: P-type",
@@ -66,6 +69,8 @@ def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, caps
         "Tolerance 0.9 mm: 95 % of the machines are within it from trial",
         "Stop after trial",
         "Most of the error comes from",
+        "it repeats in a period, so RepetitiveControl learns it without a stop",
+        "repetitive converges from period to period of 0.1 s",
         "Next, before `jaxilc next` plays it on the machine: jaxilc run axis.design.toml",
     ):
         assert part in said
@@ -74,7 +79,9 @@ def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, caps
     assert page.count("<figure><img") == 1, "design.png, and not the file of the same name"
     assert numbers["chosen"]["law"] == "p-type"
     assert numbers["proof"]["margin"] >= 0.1 - 1e-3
-    law = read_scenario(file.parent / "axis.design.toml").schemes["p-type"]
+    schemes = read_scenario(file.parent / "axis.design.toml").schemes
+    assert float(schemes["repetitive"].period) == numbers["within"]["time"]["period"]
+    law = schemes["p-type"]
     assert float(law.scheme.gamma_p) == numbers["chosen"]["weights"]["scheme.gamma_p"]
     assert jaxilc("design", file.name, *asked) == 2
     assert "add --force" in capsys.readouterr().err
@@ -93,6 +100,7 @@ def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, caps
         (("axis.toml", "--scheme", "ilc"), "scheme = 'ilc'"),
         (("axis.toml", "--out", "sub/a.toml"), "a design lies beside"),
         (("axis.toml", "--out", "a.json"), "must end with .toml"),
+        (("axis.toml", "--record", "none.csv"), "none.csv"),
     ],
 )
 def test_mistakes_are_refused_before_anything_is_written(file, capsys, words, said):

@@ -1,9 +1,21 @@
 """In what an error repeats: `potential` on records whose errors are made one way or another."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from jaxilc import Task, learn
+from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.identification.recurrence import Recurrence
+from jaxilc.identification.repeats import Repeats
 from jaxilc.outcomes import potential
+from jaxilc.outcomes.outcome import silent
+from jaxilc.outcomes.recurring import following, recurs, within_trial
+from jaxilc.plants import ByPosition, Harmonics, PositionMap, StateSpace
+from jaxilc.scenarios.from_file import read_scenario
+from jaxilc.schemes import PID, Filtered, NormOptimal, PIDType, WithFeedback
+from jaxilc.signals.task import Trial
 
 t = 1e-3 * np.arange(3001)
 BACK_AND_FORTH = 60 * np.sin(np.pi * t / 2.1) ** 2 + 4 * t  # [mm], at many speeds
@@ -25,6 +37,8 @@ BY_PLACE = np.sin(2 * np.pi * BACK_AND_FORTH / 7.3) + 0.4 * np.cos(4 * np.pi * B
         (BACK_AND_FORTH, BUMP, "repeats from trial to trial only", None),
         (BACK_AND_FORTH, 3 * t, "repeats from trial to trial only", None),
         (STEADY, np.sin(2 * np.pi * STEADY / 5), "at one speed the two are one", ("time", 0.25)),
+        # few periods of many harmonics
+        (BACK_AND_FORTH, np.exp(-((t % 0.91 / 0.06 - 3) ** 2)), "in a period, so", ("time", 0.91)),
     ],
 )
 def test_what_the_error_repeats_in_is_told_with_the_law(tmp_path, position, of_trial, said, period):
@@ -39,3 +53,73 @@ def test_what_the_error_repeats_in_is_told_with_the_law(tmp_path, position, of_t
     if period:
         name, size = period
         assert found.numbers["within"][name]["period"] == pytest.approx(size, rel=0.02)
+
+
+def test_one_trial_tells_less_than_two():
+    rng = np.random.default_rng(1)
+    for e, said in (
+        (np.sin(2 * np.pi * t / 0.23), "a resonance that rings; a second one does"),
+        (rng.normal(size=len(t)), "one trial does not tell whether it repeats"),
+    ):
+        one = Repeats(e[None], 1e-3, "mm", ("a",), BACK_AND_FORTH)
+        assert said in recurs(within_trial(one), one)[0]
+    noise = Repeats(rng.normal(size=(3, len(t))), 1e-3, "mm", ("a", "b", "c"), BACK_AND_FORTH)
+    assert within_trial(noise) == {}
+
+
+@pytest.fixture
+def axis(tmp_path):
+    (path := tmp_path / "axis.toml").write_text(
+        """
+[plant]
+kind = "ProcessModel"
+gain = 2.0
+poles = [150.0]
+[task]
+dt = 0.001
+unit = "mm"
+reference = { function = "sinusoid", amplitude = 20.0, frequency = 1.0, duration = 1.0 }
+[uncertainty]
+"plant.gain" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
+"""
+    )
+    return read_scenario(path)
+
+
+P_TYPE = WithFeedback(Filtered(PIDType(gamma_p=0.3, lead=4), ZeroPhaseButterworth(40.0)), PID(0.2))
+
+
+def test_a_law_between_trials_learns_from_period_to_period(axis):
+    """With the same taps, and the worst machine of the family judged."""
+    found = following(axis, {"time": Recurrence(0.2, 0.9)}, [P_TYPE], silent)
+    scheme = found.schemes["repetitive"]
+    assert "converges from period to period of 0.2 s on all 17 machines" in found.lines[0]
+    laws, task = (P_TYPE.learning, scheme.learning.law), axis.task
+    e = np.random.default_rng(0).normal(size=(1001, 1))
+    trial = Trial(e, 0 * e, 0 * e[1:], 1e-3)
+    wanted, got = (law.schedule(law.learn(law.initial_memory(task), trial), task).u for law in laws)
+    inner = slice(300, 700)
+    np.testing.assert_allclose(got[inner], wanted[inner], atol=1e-5 * np.max(np.abs(wanted)))
+    shape = np.sin(2 * np.pi * np.arange(2001) / 200)
+    whole = learn(axis.machine, scheme, Task(shape, dt=1e-3), 1).final.e[:, 0]
+    assert np.std(whole[-200:]) < 0.05 * np.std(whole[:200])
+
+
+def test_a_period_that_is_too_short_or_a_law_without_taps_is_told(axis):
+    short = following(axis, {"time": Recurrence(0.01, 0.9)}, [P_TYPE], silent)
+    assert not short.schemes
+    assert "repetitive is not written: RepetitiveControl: period" in short.lines[0]
+    model = StateSpace([[0.82]], [[0.28]], [[1.0]], dt=1e-3)
+    optimal = WithFeedback(NormOptimal(model, w_r=0.1), PID(0.2))
+    both = following(axis, {"time": Recurrence(0.2, 0.9)}, [optimal, P_TYPE], silent)
+    assert list(both.schemes) == ["repetitive"]
+    assert following(axis, {"time": Recurrence(0.2, 0.3)}, [P_TYPE], silent).lines == []
+
+
+def test_an_error_by_place_gets_a_map(axis):
+    found = following(axis, {"position": Recurrence(7.0, 0.9)}, [P_TYPE], silent)
+    assert "by-position, a map with a pitch of 7 mm" in found.lines[0]
+    cogging = PositionMap(Harmonics(7.0, (1,)), (0.5, 0.3))
+    machine = dataclasses.replace(axis.machine, plant=ByPosition(axis.machine.plant, cogging))
+    rms = learn(machine, found.schemes["by-position"], axis.task, 5).rms[:, 0]
+    assert rms[-1] < 0.05 * rms[0]
