@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +40,7 @@ def pitch_of(
     least: float,
     most: float,
     orders: tuple[int, ...] = (1, 2, 3),
+    known: Sequence[float] = (),
 ) -> Pitch:
     """The pitch with which a signal repeats over the position, by least squares.
 
@@ -52,6 +54,8 @@ def pitch_of(
     signal: (N,) an error, an input or a torque there
     least, most: range of the pitch [unit of position]
     orders: harmonics that are looked for
+    known: other pitches, such as that of the magnets beside that of the screw; what their harmonics
+        of the same orders explain is no part of the one that is looked for
 
     Raises ValueError for signals that do not fit, for a motion that is shorter than two pitches of
     `most`, and for a range of more pitches than can be tried.
@@ -77,7 +81,9 @@ def pitch_of(
             f"pitch_of: least = {least:g} makes {count:,} pitches to try over {span:g}; allowed "
             f"are {MOST:,}"
         )
-    line = beside(x)
+    for pitch in known:
+        require("pitch_of", "known", pitch, "(0, inf)")
+    line = np.hstack([beside(x), *(waves(x, 1 / pitch, orders) for pitch in known)])
     rest = s - line @ np.linalg.lstsq(line, s)[0]
     total = float(rest @ rest)
     if total <= 1e-24 * float(s @ s):
@@ -106,15 +112,15 @@ def pitch_of(
                 break
     A = np.hstack([line, waves(x, best, orders)])
     c = np.linalg.lstsq(A, s)[0]
-    of_each = c[3:].reshape(-1, 2)
+    own = c[line.shape[1] :]
     left = s - A @ c
-    slope = waves(x, best, orders, slope=True) @ c[3:]
+    slope = waves(x, best, orders, slope=True) @ own
     slope = slope - A @ np.linalg.lstsq(A, slope)[0]
     noise = np.sqrt(left @ left / (len(x) - A.shape[1] - 1))
     return Pitch(
         1 / best,
         float(noise / np.linalg.norm(slope) / best**2),
-        np.hypot(*of_each.T),
+        np.hypot(*own.reshape(-1, 2).T),
         1 - float(left @ left) / total,
     )
 

@@ -22,11 +22,12 @@ class Harmonics:
 
         cos(2 pi i x / pitch), sin(2 pi i x / pitch),   i in orders;   for i = 0 the constant 1
 
-    pitch: () > 0, the period [unit of x]; it has a gradient
-    orders: different whole numbers from 0
+    pitch: () > 0, the period [unit of x], or (P,) of several combs that add up, such as that of the
+        screw beside that of the magnets; it has a gradient
+    orders: different whole numbers from 0, of each pitch
     """
 
-    pitch: Leaf = scalar(interval="(0, inf)")
+    pitch: Leaf = leaf(interval="(0, inf)")
     orders: tuple[int, ...] = static(default=(1, 2, 3, 4))
 
     def __post_init__(self) -> None:
@@ -35,20 +36,26 @@ class Harmonics:
             raise ValueError(
                 f"Harmonics: orders = {self.orders}; allowed are different whole numbers from 0"
             )
+        if self.pitch.ndim > 1 or not self.pitch.size:
+            raise ValueError(
+                f"Harmonics: pitch has shape {self.pitch.shape}; allowed are () and (P,), P >= 1"
+            )
 
     @property
     def names(self) -> tuple[str, ...]:
-        of_each = [("constant",) if i == 0 else (f"cos {i}", f"sin {i}") for i in self.orders]
-        return tuple(name for names in of_each for name in names)
+        found = ["constant"] if 0 in self.orders else []
+        for n in range(self.pitch.size):
+            of = "" if self.pitch.size == 1 else f" of pitch {n + 1}"
+            found += [f"{wave} {i}{of}" for i in self.orders if i for wave in ("cos", "sin")]
+        return tuple(found)
 
     def at(self, x: Array) -> Array:
         """(..., m) the functions at positions x of any shape."""
-        angle = 2 * jnp.pi * jnp.asarray(x) / self.pitch
-        found = [
-            wave(i * angle)
-            for i in self.orders
-            for wave in ((jnp.cos, jnp.sin) if i else (jnp.ones_like,))
-        ]
+        x = jnp.asarray(x)
+        found = [jnp.ones_like(x)] if 0 in self.orders else []
+        for pitch in self.pitch if self.pitch.ndim else (self.pitch,):
+            angle = 2 * jnp.pi * x / pitch
+            found += [wave(i * angle) for i in self.orders if i for wave in (jnp.cos, jnp.sin)]
         return jnp.stack(found, axis=-1)
 
 

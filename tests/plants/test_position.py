@@ -18,7 +18,7 @@ from jaxilc.plants import (
     motion,
 )
 
-DT = 1e-3
+DT, WAVES = 1e-3, ("cos", "sin")
 PLANT = StateSpace([[0.0, 1.0], [-40.0, -2.0]], [[0.0], [50.0]], [[1.0, 0.0]], x0=(0.1, 0.0))
 
 
@@ -43,6 +43,10 @@ def test_harmonics_are_waves_whose_pitch_has_a_slope():
     found = Harmonics(0.3, (0, 2)).at(x)
     angle = 4 * np.pi * x / 0.3
     np.testing.assert_allclose(found, np.stack([np.ones(7), np.cos(angle), np.sin(angle)], 1))
+    combs = Harmonics((0.3, 0.2), (0, 2))
+    two = [found, np.asarray(Harmonics(0.2, (2,)).at(x))]
+    np.testing.assert_allclose(combs.at(x), np.hstack(two), rtol=1e-12)
+    assert combs.names == ("constant", *(f"{w} 2 of pitch {n}" for n in (1, 2) for w in WAVES))
     slope = jax.grad(lambda p: Harmonics(p, (2,)).at(0.2)[1])(0.3)
     assert slope == pytest.approx(-4 * np.pi * 0.2 / 0.09 * np.cos(4 * np.pi * 0.2 / 0.3))
 
@@ -129,6 +133,8 @@ def test_cogging_and_end_effect_stand_in_for_maps_and_forces_add_up():
 def test_what_does_not_fit_is_said():
     with pytest.raises(ValueError, match=r"orders = \(1, 1\); allowed are different whole"):
         Harmonics(0.3, (1, 1))
+    with pytest.raises(ValueError, match=r"pitch has shape \(0,\); allowed are \(\) and"):
+        Harmonics(())
     with pytest.raises(ValueError, match="low = 2 is not below high = 1"):
         Splines(2.0, 1.0, 8)
     with pytest.raises(ValueError, match="count = 3; allowed is more than degree = 3"):

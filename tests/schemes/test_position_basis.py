@@ -213,6 +213,21 @@ def test_the_pitch_is_found_from_a_record(pitch):
     assert pitch_of(x, np.sin(2 * np.pi * x / 5.1), least=2, most=20).pitch == pytest.approx(5.1)
 
 
+def test_combs_of_two_pitches_are_found_one_after_the_other_and_learned_at_once():
+    task, combs = there_and_back(30.0), Harmonics((12.0, 3.7), (1, 2))
+    force = PositionMap(combs, (3.0, 1.0, 0.5, 0.8, 1.0, -1.0, 0.4, 0.2))
+    x = np.asarray(task.reference)[:, 0]
+    record = np.asarray(force.at(x)) + np.random.default_rng(0).normal(size=len(x))
+    one = pitch_of(x, record, least=2, most=20).pitch
+    two = pitch_of(x, record, least=2, most=20, known=(one,)).pitch
+    assert (one, two) == (pytest.approx(12.0, rel=0.01), pytest.approx(3.7, rel=0.01))
+    machine, left = Machine(ByPosition(DRIVE, force)), []
+    for pitch in (12.0, (12.0, 3.7)):
+        basis = JoinedBasis((PolynomialBasis((1, 2)), PositionBasis(Harmonics(pitch, (1, 2)))))
+        left.append(rms(law(basis), task, 6, machine=machine)[1])
+    assert left[1] < 0.01 * left[0]
+
+
 def test_what_does_not_fit_is_said():
     task, position = there_and_back(60.0), PositionBasis(Harmonics(12.0))
     with pytest.raises(ValueError, match="a RationalBasis is not linear in theta"):
