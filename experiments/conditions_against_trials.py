@@ -51,7 +51,7 @@ from jaxilc.theory import bounds_of, frequency
 from jaxilc.theory.frequency import bound_of_set, tried_plants
 from jaxilc.theory.law import law_of
 from jaxilc.theory.sliding import printed_condition, sampled_condition, sliding
-from jaxilc.uncertainty import Uniform
+from jaxilc.uncertainty import Population, Uniform
 
 PREMISES = ("linear", "alone", "signs", "damped", "printed")
 
@@ -292,8 +292,9 @@ def whole(rng, kind, count):
                 return scipy.signal.cont2discrete((A, B, C, D), DT)[:3]
 
         task = task_of(60)
-        tried = tried_plants(machine, box, law, task, machines=4, climbers=0)
-        proof = bound_of_set(machine, law, task, law_of(law, task), box, tried)
+        of = Population(machine, box, count=4, sampling="latin-hypercube")
+        tried = tried_plants(of, law, task, climbers=0)
+        proof = bound_of_set(of, law, task, law_of(law, task), tried)
         counts.update(["tried", "proved" if proof.proved else "not proved"])
         if not proof.proved:
             why.update([proof.how.split(",")[0]])

@@ -251,12 +251,11 @@ def _between(family: Family, sizes, which, found, scheme: Scheme, task: Task) ->
     values = sizes.copy()
     for i, one in zip(which, found, strict=True):
         values[i] = one.value
-    machine, uncertainty = family.population.machine, family.population.uncertainty
-    names = tuple(uncertainty)
+    names = tuple(family.population.uncertainty)
     drawn = [np.asarray(family.drawn[name]) for name in names]
     points = np.stack(drawn, axis=1) if names else np.zeros((1, 0))
     loops = [minimal(loop, task.N) for loop in family.loops]
     radii = np.array([radius_of(loop) for loop in loops])
     nowhere = np.full(len(values), np.nan)
     tried = Tried(names, points, values, nowhere, nowhere, radii, loops)
-    return bound_of_set(machine, scheme, task, law_of(scheme, task), uncertainty, tried)
+    return bound_of_set(family.population, scheme, task, law_of(scheme, task), tried)

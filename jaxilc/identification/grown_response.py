@@ -42,6 +42,7 @@ GRID, DAMPINGS_TRIED = 80, (0.01, 0.05, 0.3, 1.1, 4.0)  # modes that are tried
 DELAYS = 60  # that are tried for a first part
 PLACES = 3  # of those, so many are refined
 APART = 0.15  # of the logarithm of the frequency, between two of them
+ROUNDS = 2  # of noise and model in turn
 SHORT, LONG = 1e-4, 1e-8  # relative decrease that ends a search which compares, and the last
 FLOORS = (1e-6, 3.0)
 HELD_OUT = 5  # every so many lines are held out in turn
@@ -258,8 +259,7 @@ def jacobian(at: Projected, parts: Parts, f: Numbers, dt: float | None) -> Numbe
 def _units(parts: Parts) -> Numbers:
     """What each numerator is multiplied by, in a ModalModel."""
     return np.append(
-        UNIT ** np.arange(1.0, 1 + parts.integrators),
-        np.ones(parts.numerators - parts.integrators),
+        UNIT ** np.arange(1.0, 1 + parts.integrators), np.ones(parts.numerators - parts.integrators)
     )
 
 
@@ -478,10 +478,10 @@ class _Growing:
         """(F,) the response of a model."""
         return columns(one.found.theta, one.parts, self.f, self.dt) @ one.found.N
 
-    def _delays(self, count: int = DELAYS) -> Numbers:
+    def _delays(self) -> Numbers:
         if self.delay is not None:
             return np.array([self.delay])
-        return np.linspace(0.0, self.longest, count)
+        return np.linspace(0.0, self.longest, DELAYS)
 
     def _first(self, problem: Problem, parts: Parts) -> Numbers:
         """The best theta of a grid, for at most one lag."""
@@ -536,21 +536,15 @@ class _Growing:
         return min(refined, key=lambda at: at.cost).theta
 
     def _refined(
-        self,
-        theta: Numbers,
-        parts: Parts,
-        noise: tuple[float, float],
-        P: Numbers,
-        rounds: int = 2,
-        tolerance: float = SHORT,
+        self, theta: Numbers, parts: Parts, noise: tuple[float, float], P: Numbers
     ) -> LineModel:
         """The minimum near theta, with the noise that its residual has."""
         at = self.problem(self.variances(P, *noise)).projected(theta, parts)
-        for _ in range(rounds):
+        for _ in range(ROUNDS):
             P = columns(at.theta, parts, self.f, self.dt) @ at.N
             noise = self.noise(P)
             problem = self.problem(self.variances(P, *noise))
-            at, _ = problem.least_squares(at.theta, parts, 30, tolerance)
+            at, _ = problem.least_squares(at.theta, parts, 30, SHORT)
         return self._judged(at, parts, *noise)
 
     def _judged(self, at: Projected, parts: Parts, floor: float, scale: float) -> LineModel:

@@ -140,7 +140,7 @@ class Supremum(NamedTuple):
     angle: float
 
 
-def supremum(bounds: Callable, low: float, high: float, tolerance: float = TOLERANCE) -> Supremum:
+def supremum(bounds: Callable, low: float, high: float) -> Supremum:
     """The largest value of a function of the angle on [low, high], within [0, pi].
 
     bounds: from the centres (F,) and half widths (F,) of arcs to the values (F,) at the centres and
@@ -158,13 +158,13 @@ def supremum(bounds: Callable, low: float, high: float, tolerance: float = TOLER
         top = np.argmax(value)
         if value[top] > best:
             best, where = float(value[top]), float(centre[top])
-        left = upper > best * (1 + tolerance)
+        left = upper > best * (1 + TOLERANCE)
         done = max(done, np.max(upper[~left], initial=-np.inf))
         if not np.isfinite(best) or looked > MOST:
             return Supremum(best, max(done, float(np.max(upper[left], initial=best))), where)
         h = h[left] / 4
         centre, h = (centre[left][:, None] + parts * h[:, None]).ravel(), np.repeat(h, 4)
-    return Supremum(best, max(best, min(done, best * (1 + tolerance))), where)
+    return Supremum(best, max(best, min(done, best * (1 + TOLERANCE))), where)
 
 
 def arc_of_taps(of: Taps, centre) -> Arc:

@@ -48,7 +48,7 @@ from ..runtime.earlier_names import takes_also
 from ..runtime.tiles import tiled_with
 from ..schemes import NormOptimal, Scheme, WithFeedback
 from ..signals.task import Task
-from ..uncertainty import Uncertainty, draw, drawn_machine, drawn_machines
+from ..uncertainty import Population, Uncertainty, drawn_machine, drawn_machines
 from .condition import Condition, Premise, condition, premise
 from .enclosure import Arc, Disc, arc_of_loop, arc_of_taps, balanced, exactly, size, supremum
 from .law import Law, Taps, at_points, filter_response, law_of, law_response, learning_law
@@ -533,9 +533,9 @@ def family_condition(
     Premises that differ from plant to plant are looked at for every plant tried. Raises ValueError
     as `draw` does.
     """
-    how: dict[str, Any] = {"machines": machines, "sampling": sampling, "seed": seed}
-    how |= {"climbers": climbers, "steps": steps, "frequencies": frequencies}
-    found = tried_plants(machine, uncertainty, scheme, task, **how)
+    population = Population(machine, uncertainty, count=machines, seed=seed, sampling=sampling)
+    how: dict[str, Any] = {"climbers": climbers, "steps": steps, "frequencies": frequencies}
+    found = tried_plants(population, scheme, task, **how)
     top, parts = found.top, parts_of(machine, scheme, task)
     radius = np.max(found.radii)
     poles = premise(STABLE, stable(found.radii), f"largest |pole| {radius:.6g}")
@@ -582,25 +582,22 @@ class Tried(NamedTuple):
 
 
 def tried_plants(
-    machine: Machine,
-    uncertainty: Uncertainty,
+    population: Population,
     scheme: Scheme,
     task: Task,
     *,
-    machines: int = 128,
-    sampling: str = "latin-hypercube",
-    seed: int = 0,
     climbers: int = 8,
     steps: int = 60,
     frequencies=None,
 ) -> Tried:
-    """sup |Q (keep - L P)| of each plant that `family_condition` tries; the arguments are its own.
+    """sup |Q (keep - L P)| of each plant that `family_condition` tries; the options are its own.
 
     Without uncertainty the one plant is the machine itself. Raises ValueError as `draw` does.
     """
+    machine, uncertainty = population.machine, population.uncertainty
     check(machine, scheme, task)
     names, law = tuple(uncertainty.items()), law_of(scheme, task)
-    points = _points(machine, uncertainty, machines, sampling, seed)
+    points = _points(population)
     common = (machine.unlimited(), scheme.unlimited(), task)
 
     def tried(points):
@@ -734,14 +731,13 @@ def _box(uncertainty: Uncertainty) -> tuple[np.ndarray, np.ndarray]:
     return np.array([min(ends) for ends in corners]), np.array([max(ends) for ends in corners])
 
 
-def _points(machine, uncertainty: Uncertainty, machines, sampling, seed) -> np.ndarray:
+def _points(population: Population) -> np.ndarray:
     """(S, names) the plants drawn, moved into the box, and its corners."""
-    if not uncertainty:
+    if not population.uncertainty:
         return np.zeros((1, 0))
-    low, high = _box(uncertainty)
-    drawn = draw(machine, uncertainty, machines, seed=seed, sampling=sampling)
-    points = np.clip(np.stack([drawn[name] for name in uncertainty], axis=1), low, high)
-    if len(uncertainty) > CORNERS:
+    low, high = _box(population.uncertainty)
+    points = np.clip(np.stack([*population.drawn.values()], axis=1), low, high)
+    if len(population.uncertainty) > CORNERS:
         return points
     corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
     return np.concatenate([points, corners])
@@ -822,7 +818,7 @@ class WholeSet(NamedTuple):
 
 
 def bound_of_set(
-    machine: Machine, scheme: Scheme, task: Task, law: Law, uncertainty: Uncertainty, tried: Tried
+    population: Population, scheme: Scheme, task: Task, law: Law, tried: Tried
 ) -> WholeSet:
     """The bound over the box that the distributions span. Two sets have one:
 
@@ -844,6 +840,7 @@ def bound_of_set(
     law:   of the scheme
     tried: the plants of the box that were tried, its corners among them up to 8 numbers
     """
+    machine, uncertainty = population.machine, population.uncertainty
     if not np.all(stable(tried.radii)):
         return WholeSet(np.inf, "a loop that was tried is not stable")
     if not uncertainty:

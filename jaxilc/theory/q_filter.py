@@ -25,7 +25,7 @@ from ..pytree.named_paths import child_of, get_at, replaced
 from ..pytree.ranges import require
 from ..schemes import Filtered, LearningFilter, PIDType, Scheme
 from ..signals.task import Task
-from ..uncertainty import Uncertainty, drawn_machines
+from ..uncertainty import Population, Uncertainty, drawn_machines
 from .frequency import Tried, WholeSet, bound_of_set, grid, largest_of, tried_plants
 from .law import law_of, law_response
 from .learning_map import maps_of, view_of
@@ -258,8 +258,8 @@ def question(
     machine, scheme and task do not fit.
     """
     need_linear(machine, scheme, task)
-    how: dict[str, Any] = {"machines": machines, "sampling": sampling, "seed": seed}
-    tried = tried_plants(machine, uncertainty, scheme, task, climbers=0, **how)
+    population = Population(machine, uncertainty, count=machines, seed=seed, sampling=sampling)
+    tried = tried_plants(population, scheme, task, climbers=0)
     law = law_of(scheme, task)
     f = grid(task, points=POINTS, near=np.linalg.eigvals(tried.loops[0].A))
     f = np.unique(np.concatenate([f, tried.worst[np.isfinite(tried.worst)]]))
@@ -269,7 +269,7 @@ def question(
         for one in (scheme, without_low_pass(scheme))
     )
     curves = curves_of(whole)
-    proof = bound_of_set(machine, scheme, task, law, uncertainty, tried)
+    proof = bound_of_set(population, scheme, task, law, tried)
     top, places = float(tried.values[tried.top]), places_in(scheme)
     cutoff = float(get_at(scheme, places.cutoff)) if places.cutoff else np.inf
     change, floor = Change(1.0, 0, cutoff, places.order), floor_of(machine, scheme, task, top)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import partial
 from typing import Any
 
 import jax
@@ -55,12 +54,12 @@ def learned_from(machine: Machine, scheme: Scheme, memory, trial: Trial, key: Ke
     return scheme.learn(memory, shown_of(machine, trial, key))
 
 
-@partial(jax.jit, static_argnames="trials")
-def learned_memory(machine: Machine, scheme: Scheme, task: Task, trials: int = LEARNED):
-    """The memory after so many trials from the start, without noise."""
+@jax.jit
+def learned_memory(machine: Machine, scheme: Scheme, task: Task):
+    """The memory after `LEARNED` trials from the start, without noise."""
     scheme = scheme.prepared(task)
     turn = lambda _, memory: step(machine, scheme, task, memory)  # noqa: E731
-    return lax.fori_loop(0, trials, turn, scheme.initial_memory(task))
+    return lax.fori_loop(0, LEARNED, turn, scheme.initial_memory(task))
 
 
 def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:

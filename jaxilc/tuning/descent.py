@@ -35,6 +35,7 @@ from ..storage.sealed import (
     write_json,
 )
 
+DAMPING = 1e-2  # of least squares, at its start
 OPTIMISERS = ("adam", "lbfgs", "least-squares")
 
 
@@ -159,7 +160,7 @@ class Damped(NamedTuple):
     at: Evaluation
 
 
-def by_least_squares(evaluate: Callable[[Any], Evaluation], damping: float = 1e-2) -> Method:
+def by_least_squares(evaluate: Callable[[Any], Evaluation]) -> Method:
     """Levenberg-Marquardt on the residuals r with the Jacobian J (Marquardt 1963).
 
         (J^T J + damping diag(J^T J)) dz = -J^T r
@@ -169,7 +170,7 @@ def by_least_squares(evaluate: Callable[[Any], Evaluation], damping: float = 1e-
     """
 
     def init(z):
-        return Damped(jnp.full((), damping, z.dtype), evaluate(z))
+        return Damped(jnp.full((), DAMPING, z.dtype), evaluate(z))
 
     def step(z, state):
         r, J = state.at.residuals, state.at.slopes

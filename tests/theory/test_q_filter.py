@@ -11,16 +11,9 @@ from jaxilc.theory.enclosure import Disc
 from jaxilc.theory.frequency import bound_of_set, learning_condition, tried_plants
 from jaxilc.theory.law import law_of
 from jaxilc.theory.loop import linear_loop, responses
-from jaxilc.theory.on_lines import (
-    Change,
-    Lines,
-    best_lead,
-    largest_cutoff,
-    largest_gain,
-    peak,
-)
+from jaxilc.theory.on_lines import Change, Lines, best_lead, largest_cutoff, largest_gain, peak
 from jaxilc.theory.q_filter import offers_of, question
-from jaxilc.uncertainty import Uniform
+from jaxilc.uncertainty import Population, Uniform
 
 DT, GAMMA, LEAD, CUTOFF = 1e-3, 0.5, 8, 30.0
 TASK = Task(np.sin(2 * np.pi * np.arange(301) / 300), dt=DT)
@@ -139,9 +132,10 @@ def test_gains_are_proved_by_their_corners_and_a_pole_is_not():
     law = Filtered(PIDType(gamma_p=0.8, lead=LEAD), ZeroPhaseButterworth(40.0))
     wide = Uniform(0.7, 1.3, relative=True)
     both = {"plant.B": wide, "plant.C": wide}
-    tried = tried_plants(plant, both, law, TASK, machines=2, climbers=0)
+    of = Population(plant, both, count=2, sampling="latin-hypercube")
+    tried = tried_plants(of, law, TASK, climbers=0)
     taps = law_of(law, TASK)
-    proof = bound_of_set(plant, law, TASK, taps, both, tried)
+    proof = bound_of_set(of, law, TASK, taps, tried)
     P = 0.1 / (np.exp(2j * np.pi * F[:-1] * DT) - 0.9)
     worst = max(
         float(np.max(size(F[:-1], k * P, gamma=0.8, cutoff=40.0)))
@@ -150,7 +144,7 @@ def test_gains_are_proved_by_their_corners_and_a_pole_is_not():
     assert proof.bound == pytest.approx(worst, rel=1e-3)
     assert "corner" in proof.how
     pole = {"plant.A": Uniform(0.95, 1.05, relative=True)}
-    proof = bound_of_set(plant, law, TASK, taps, pole, tried)
+    proof = bound_of_set(Population(plant, pole), law, TASK, taps, tried)
     assert not proof.proved
     assert "not affine in plant.A" in proof.how
 
