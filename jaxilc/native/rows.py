@@ -34,6 +34,7 @@ from .operations import (
 from .program import Const, Program, Step, Unknown, Value, loops, lowered
 
 MOST_NODES = 60_000  # of all loops; a compiler takes seconds for so many
+LATELY = 3  # samples back to which what a scan found stays in registers
 RUNS = 18  # into which samples that are gathered may fall apart
 Array = np.ndarray  # of nodes
 
@@ -967,6 +968,7 @@ class _Build:
         self.of, self.n, self.number, self.loop = of, of.n, number, loop
         self.direction = loop.direction
         self.reached: dict[Row, dict[Scan, int]] = {}
+        self.lately: dict[Result, list[Array]] = {}
 
     def run(self) -> None:
         d, loop = self.direction, self.loop
@@ -987,6 +989,25 @@ class _Build:
         pairs = list(itertools.pairwise(ends))
         for first, last in pairs if d > 0 else pairs[::-1]:
             loop.segments.append(self._segment(first, last))
+        for segment in loop.segments:
+            self._pass_on(segment)
+
+    def before(self, row: Result, back: int) -> Array:
+        """The cells with the results of a scan of this loop that many samples before."""
+        cells = self.lately.setdefault(row, [])
+        while len(cells) < back:
+            cells.append(self.of.new_cells(row.of_one, row.dtype, loop=self.number + 1))
+        return cells[back - 1]
+
+    def _pass_on(self, segment: Segment) -> None:
+        """Let the cells of `before` hold what the next sample sees there."""
+        here = {row: x for row, _, x in segment.results}
+        for row, cells in self.lately.items():
+            if row in here:
+                segment.cells.extend(zip(cells[0].flat, here[row].flat, strict=True))
+            for newer, older in itertools.pairwise(cells):
+                inside = _inside_loop(self.n, newer)
+                segment.cells.extend(zip(older.flat, inside.flat, strict=True))
 
     def _reach(self, row: Row) -> dict[Scan, int]:
         """How far a row reads ahead of itself in the results of each scan of this loop."""
@@ -1038,7 +1059,7 @@ class _Build:
         for gathering in self.loop.gatherings:
             if at.active(gathering):
                 new = at.row(gathering.rows[0], 1, gathering.offset).reshape(gathering.cells.shape)
-                old = at.inside(gathering.cells)
+                old = _inside_loop(self.n, gathering.cells)
                 cells += zip(
                     gathering.cells.flat,
                     self.n.each(partial(self.n.of, gathering.name), old, new).flat,
@@ -1134,6 +1155,15 @@ class _Picked(_Rows):
         return np.full(row.of_one, nothing, object)
 
 
+def _inside_loop(n: Numbers, cells: Array) -> Array:
+    """The nodes of cells within the loop that changes them."""
+    out = np.empty(cells.shape, object)
+    for i in np.ndindex(*cells.shape):
+        x = cells[i]
+        out[i] = n.place("now", x.dtype, ("now", x.what), varies=True, alike=False)
+    return out
+
+
 class _At(_Rows):
     """What evaluates rows at the samples of a segment."""
 
@@ -1144,14 +1174,6 @@ class _At(_Rows):
 
     def active(self, item: Any) -> bool:
         return self.first + item.offset >= 0 and self.last + item.offset <= item.length
-
-    def inside(self, cells: Array) -> Array:
-        """The nodes of cells within the loop that changes them."""
-        out = np.empty(cells.shape, object)
-        for i in np.ndindex(*cells.shape):
-            x = cells[i]
-            out[i] = self.n.place("now", x.dtype, ("now", x.what), varies=True, alike=False)
-        return out
 
     def read(self, row: Row, sign: int, c: int) -> Array:
         if isinstance(row, Stored):
@@ -1165,7 +1187,10 @@ class _At(_Rows):
             assert sign == 1
             if c == scan.offset and self.active(scan):
                 return self.run(scan)[row.number]
-            assert self.of.direction * (c - scan.offset) < 0
+            back = self.of.direction * (scan.offset - c)
+            assert back > 0
+            if back <= LATELY:
+                return _inside_loop(self.n, self.of.before(row, back))
         return self._load(self.of.of.kept(row), row, sign, c)
 
     def _load(self, buffer: Buffer, row: Row, sign: int, c: int) -> Array:
@@ -1186,7 +1211,7 @@ class _At(_Rows):
             if i < scan.consts:
                 known[x] = operand
             elif i < scan.consts + scan.carry:
-                known[x] = self.inside(scan.cells[i - scan.consts])
+                known[x] = _inside_loop(self.n, scan.cells[i - scan.consts])
             else:
                 known[x] = self.row(operand, 1, scan.offset).reshape(x.shape)
 
