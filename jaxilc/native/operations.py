@@ -193,6 +193,10 @@ class Numbers:
             return other
         if name == "div" and other.name == "const" and _has_reciprocal(other.what):
             return self.of("mul", one, self.const(1 / other.what, other.dtype))
+        if name == "div" and other.name == "select" and all(map(_is_power_of_two, other.args[1:])):
+            which, *cases = other.args  # as in the slopes of a maximum
+            inverse = (self.const(1 / x.what, x.dtype) for x in cases)
+            return self.of("mul", one, self.of("select", which, *inverse))
         if name == "sub" and _is(other, 0) and not np.signbit(other.what):
             return one
         return None
@@ -248,6 +252,11 @@ def _has_reciprocal(x: Any) -> bool:
         return False
     least = np.finfo(x.dtype).tiny
     return bool(least <= abs(x) <= 1 / least)
+
+
+def _is_power_of_two(x: Node) -> bool:
+    """Whether a product with the reciprocal is the quotient, to the last bit."""
+    return x.name == "const" and _has_reciprocal(x.what) and abs(np.frexp(x.what)[0]) == 0.5
 
 
 def _is(x: Node, value: float) -> bool:
