@@ -32,10 +32,9 @@ from learned_laws import JUDGES, MARGIN, METRIC, RISK, SEED, noise_of
 
 import jaxilc
 from jaxilc import Machine, Sweep, Task
-from jaxilc.design.candidates import Candidate, candidates
+from jaxilc.design.candidates import Candidate, candidates, contraction, tuned
 from jaxilc.design.learned import LearnedLaw
 from jaxilc.design.responses import designed_on, family_of
-from jaxilc.design.tuned import contraction, tuned
 from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import Scheme
 from jaxilc.tuning.objectives import EveryTrial

@@ -46,11 +46,10 @@ from learned_opponents import (
 
 import jaxilc
 from jaxilc import Sweep
-from jaxilc.design.candidates import Absent, candidates
+from jaxilc.design.candidates import Absent, candidates, contraction
 from jaxilc.design.judging import proof_of
 from jaxilc.design.learned import STARTS, LearnedLaw
 from jaxilc.design.responses import Family, designed_on, family_of
-from jaxilc.design.tuned import contraction
 from jaxilc.design.window import Filters, Window
 from jaxilc.plants import StateSpace
 from jaxilc.runtime.start import keep_programs

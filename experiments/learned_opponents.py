@@ -26,10 +26,10 @@ from jaxilc.design.candidates import (
     Candidate,
     response_of_pd,
     rms_of,
+    tuned,
     widest,
 )
 from jaxilc.design.responses import Family
-from jaxilc.design.tuned import tuned
 from jaxilc.filters import ZeroPhaseButterworth, stable_inverse, zpetc
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import FFDLMFAILC, ErrorFiltered, Filtered, PIDType, Scheme

@@ -18,10 +18,9 @@ from learned_laws import JUDGES, MARGIN, METRIC, RISK, SEED
 
 import jaxilc
 from jaxilc import Sweep
-from jaxilc.design.candidates import Candidate, candidates
+from jaxilc.design.candidates import Candidate, candidates, contraction
 from jaxilc.design.learned import STARTS, LearnedLaw
 from jaxilc.design.responses import Family, designed_on, family_of
-from jaxilc.design.tuned import contraction
 from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import LearningFilter
 

@@ -38,11 +38,10 @@ from .by_response import (
     radius_in_a_trial,
     sizes_of,
 )
-from .candidates import Candidate
+from .candidates import Candidate, penalty
 from .judging import Proof, Verdict, judged_trials, proof_of
 from .question import Question, Told
 from .responses import Family
-from .tuned import penalty
 from .window import Filters, ShapedFilter, Window, window_of
 
 SPARE = 0.02  # beyond the margin, kept in the search for machines that it has not seen

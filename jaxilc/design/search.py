@@ -14,12 +14,11 @@ from ..pytree.ranges import require
 from ..schemes import Scheme, WithFeedback
 from ..uncertainty import takes_population
 from . import candidates
-from .candidates import Absent, Candidate
+from .candidates import Absent, Candidate, tuned
 from .judging import Limits, Proof, Verdict, judged_trials, limits_of, proof_of, ranked
 from .learned import LEARNED, LearnedLaw
 from .question import Question, Told
 from .responses import Family
-from .tuned import tuned
 
 LAWS = (*candidates.LAWS, LEARNED)  # that a design tries, from the simplest to the most complex
 TUNED_ON, HELD_OUT = 24, 24  # machines
@@ -102,7 +101,7 @@ class Design(Question):
         out: folder for the states of the tunings and the store of the sweep
         resume: go on with what is in the folder; a design that was killed lost no finished step
         told: called with `safe` and a Candidate or Absent; `tuning` and (name, step, steps);
-            `tuned` and the Candidate; `judging` and the machines; `judged` and the Verdicts;
+            `candidates` and the Candidate; `judging` and the machines; `judged` and the Verdicts;
             `proving` and the chosen Candidate
         Raises ValueError for a machine that is not allowed, before anything is simulated.
         """

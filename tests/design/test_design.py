@@ -16,12 +16,12 @@ from jaxilc.design.candidates import (
     Found,
     best_simulated,
     candidates,
+    contraction,
     impulse_response,
     rms_of,
 )
 from jaxilc.design.judging import judged_trials, ranked, verdict
 from jaxilc.design.responses import designed_on, family_of, resonance_band
-from jaxilc.design.tuned import contraction
 from jaxilc.filters import ZeroPhaseBandStop, ZeroPhaseButterworth
 from jaxilc.learning import learn
 from jaxilc.plants import ProcessModel, StateSpace

@@ -11,11 +11,10 @@ import pytest
 from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw
 from jaxilc.design.by_response import FirstTaps, by_response, moved, sizes_of
-from jaxilc.design.candidates import Candidate, candidates
+from jaxilc.design.candidates import UNSAFE, Candidate, candidates, contraction, penalty
 from jaxilc.design.judging import _further
 from jaxilc.design.learned import Passed, gate, kept_or
 from jaxilc.design.responses import designed_on, family_of
-from jaxilc.design.tuned import UNSAFE, contraction, penalty
 from jaxilc.design.window import Filters, ShapedFilter, window_of
 from jaxilc.plants import ProcessModel
 from jaxilc.theory.law import law_of, learning_law
