@@ -9,15 +9,18 @@ functions (`arizona_x_repetitive.npz`).
    have neither the disturbance nor the feedforward in them; the three others have both.
 2. From the response and the disturbance alone, with a law that learns all of its period or of its
    functions at once, the error of each is told, by fifths. No recorded error is used.
-3. The same with the error that feedforward leaves, as the record of that run shows it.
-4. Two periods at once, 6 s and 10 s, reach what none of the recorded ones does. Its law is designed
+3. The same with the mass, the friction and what is new in a trial as the seven other motions of the
+   axis show them, which the response from 3 Hz on does not. No run that is told is looked at,
+   but for the feedforward that was played.
+4. The same with the error that feedforward leaves, as the record of that run shows it.
+5. Two periods at once, 6 s and 10 s, reach what none of the recorded ones does. Its law is designed
    on one model, its condition is told on the measured lines, and it runs on another model.
 """
 
 import jax.numpy as jnp
 import numpy as np
 import scipy.signal
-from flatbed_printer import DT, closed_loop, rms
+from flatbed_printer import DT, MOTIONS, closed_loop, rms
 from output import folder, measured_folder, write_rows
 
 import jaxilc
@@ -31,6 +34,7 @@ DESIGN, ACTUAL = 14, 18  # orders of the models
 RUNS = "feedback", "repetitive_6s", "repetitive_10s", "basis_20"
 PERIODS = 6.0, 10.0  # [s]
 FUNCTIONS = 20  # of the recorded run: a constant and the 19 lowest lines of the disturbance
+RIGID, TURNING = 8.0, 1e-3  # below which the axis is a mass [Hz], and friction turns [m/s]
 LINE = 0.02  # amplitude of a line that is no leakage
 GAIN, CUTOFF, TAPS = 1.0, 12.0, 400  # of the proposed law; [Hz]
 
@@ -60,6 +64,45 @@ def without(e, lines):
     t = DT * np.arange(len(e))
     A = np.column_stack([wave(2 * np.pi * f * t) for f in lines for wave in (np.cos, np.sin)])
     return e - A @ np.linalg.lstsq(A, e)[0]
+
+
+def of_motions(place, which=MOTIONS):
+    """Mass, viscous and Coulomb friction of other motions, and what is new in each trial."""
+    with np.load(place / "arizona_x_trials.npz") as file:
+        motions = [[file[f"exp{i}_{name}"].astype(float) for name in "rue"] for i in which]
+    A, u = [], []
+    for r, inputs, _ in motions:
+        v = np.gradient(r / 4) / DT
+        A.append(np.column_stack([np.gradient(v) / DT, v, np.tanh(v / TURNING), np.ones(len(v))]))
+        u.append(np.mean(inputs[1:], axis=0))  # the first trial began elsewhere
+    new = [np.sqrt(np.mean(np.var(e[1:], axis=0, ddof=1))) for *_, e in motions]
+    return *np.linalg.lstsq(np.vstack(A), np.concatenate(u))[0][:3], float(np.median(new))
+
+
+def force_over_position(measured, f, mass, viscous):
+    """1 / P at frequencies [Hz] of the measured response with another mass and viscous friction."""
+    lines = measured.frequencies
+    shape = (2j * np.pi * lines) ** 2 * measured.response
+    rigid = np.median(np.abs(shape[lines < RIGID]))
+    H = np.interp(f, lines, shape.real) + 1j * np.interp(f, lines, shape.imag)
+    H = np.where(f < lines[0], rigid, H) / (rigid * mass)
+    s = 2j * np.pi * f
+    return s**2 / H + viscous * s
+
+
+def with_friction(measured, num, den, r, forces, mass, viscous, coulomb):
+    """The error of the measured response with another mass and friction, under the feedback."""
+    N = 2 ** int(np.ceil(np.log2(2 * len(r))))
+    f = np.fft.rfftfreq(N, DT)
+    D, C = force_over_position(measured, f, mass, viscous), feedback_at(num, den, f)
+    acting = forces - coulomb * np.tanh(np.gradient(r) / DT / TURNING)
+    E = (D * np.fft.rfft(r - r[0], N) - np.fft.rfft(acting, N)) / (D + C)
+    return np.fft.irfft(E, N)[: len(r)]
+
+
+def beside(e, new):
+    """An error with what is new in a trial beside it, as a random one of this rms."""
+    return e + new * np.random.default_rng(0).normal(size=len(e))
 
 
 def fifths(e):
@@ -196,6 +239,32 @@ def main() -> None:
         "basis_20": without(pushed, lines),
     }
     rows = [row(run, alone, forecast[run], recorded[run]) for run in RUNS]
+    *axis, new = of_motions(place)
+    names = "mass", "viscous friction", "Coulomb friction"
+    print("; ".join(f"{name} {x:.4g}" for name, x in zip(names, axis, strict=True)),
+          f"; new in each trial {1e6 * new:.3g} um")  # fmt: skip
+    alone, both = (
+        with_friction(measured, num, den, r, forces, *axis) for forces in (0 * d, d + forward)
+    )
+    forecast = {
+        "feedback": beside(alone, new),
+        "repetitive_6s": beside(both - later(both, 6.0), 2**0.5 * new),
+        "repetitive_10s": beside(alone - later(alone, 10.0), 2**0.5 * new),
+        "basis_20": beside(without(both, lines), new),
+    }
+    told = "response, disturbance and the seven other motions"
+    rows += [row(run, told, e, recorded[run]) for run, e in forecast.items()]
+    for i in MOTIONS:
+        *one, _ = of_motions(place, (i,))
+        e = without(with_friction(measured, num, den, r, d + forward, *one), lines)
+        rows.append(
+            row("basis_20", f"motion {i} alone in place of the seven", e, recorded["basis_20"])
+        )
+    late = np.where(np.arange(len(d)) * DT < 13, 0.0, record["repetitive_10s_e"])
+    top = int(np.argmax(np.abs(late)))
+    print(
+        f"repetitive_10s: from 13 s on at most {1e6 * abs(late[top]):.0f} um, at {DT * top:.1f} s"
+    )
     rest = record["feedback_feedforward_e"]
     own = record["feedback_e"]
     forecast = {
@@ -210,9 +279,12 @@ def main() -> None:
     law = taps_of(models[DESIGN], num, den)
     low = np.geomspace(0.02, measured.frequencies[0], 400, endpoint=False)
     below = {order: plant_at(models[order], low) for order in (DESIGN, ACTUAL)}
+    at = measured.frequencies
+    P = 1 / force_over_position(measured, at, *axis[:2])
     found = []
     for name, of, sigmas in (
         ("measured lines", measured, 0.0),
+        ("them with mass and friction of the motions", MeasuredResponse(at, P, 0 * at), 0.0),
         ("measured lines, off by 3 std of one average", measured, 3.0),
         *((f"model of order {order}, below them", MeasuredResponse(low, P, 0 * low), 0.0)
           for order, P in below.items()),
