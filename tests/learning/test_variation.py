@@ -364,7 +364,7 @@ def test_a_sweep_draws_what_differs():
     assert len(np.unique(np.asarray(dataset["rms"])[0, :, -1])) == 4
 
 
-LAWS = ["cfdl_book", "model_free", "constrained", "milc", "at_samples", "ilc_asmc"]
+LAWS = ["model_free", "constrained", "at_samples", "ilc_asmc"]
 
 
 @pytest.mark.slow
