@@ -67,6 +67,7 @@ PROGRAM = (
     "import sys; from jaxilc.cli import main; sys.argv[0] = 'jaxilc'; main()",
 )
 COLOUR = re.compile("\x1b\\[[0-9;]*3[0-7]")
+pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
 @pytest.fixture
@@ -287,10 +288,7 @@ def test_sweep_tells_the_bounds_beside_the_contraction(jaxilc_command, tmp_path)
             "Known: pid, cfdl-mfailc, pfdl-mfailc, ffdl-mfailc, ilc-mfapc",
         ),
         (("run", "cao-2019", "--trials", "0"), "--trials 0 is outside its allowed range [1, inf)"),
-        (
-            ("run", "cao-2019", "--set", "lam=1"),
-            "'lam' cannot be set; did you mean cfdl-mfailc",
-        ),
+        (("run", "cao-2019", "--set", "lam=1"), "'lam' cannot be set; did you mean cfdl-mfailc"),
         (("run", "cao-2019", "--set", "plnat=exact"), "'plnat' cannot be set; did you mean plant"),
         (("run", "cao-2019", "--set", "pid.kq=1"), "'pid.kq' cannot be set; did you mean pid.k"),
         (
@@ -355,10 +353,7 @@ def test_sweep_tells_the_bounds_beside_the_contraction(jaxilc_command, tmp_path)
             ("sweep", "cao-2019", "--grid", "reading=stroke,stroke"),
             "--grid 'reading=stroke,stroke' has equal values",
         ),
-        (
-            ("sweep", "cao-2019", "--grid", "frequency=0.5,1"),
-            "a dataset needs one for all",
-        ),
+        (("sweep", "cao-2019", "--grid", "frequency=0.5,1"), "a dataset needs one for all"),
         (
             ("run", "dai-2014", "--set", "machine.plant=3"),
             "'machine.plant' cannot be set; did you mean plant.",
@@ -734,10 +729,7 @@ def test_a_table_fits_80_columns_and_nothing_is_cut(jaxilc_command, monkeypatch,
 def started(*words, **environment):
     """Run the console script as another process, without a terminal, and return its result."""
     return subprocess.run(
-        [*PROGRAM, *words],
-        capture_output=True,
-        text=True,
-        env=PLAIN | environment,
+        [*PROGRAM, *words], capture_output=True, text=True, env=PLAIN | environment
     )
 
 

@@ -30,6 +30,8 @@ reference = { function = "sinusoid", amplitude = 1.0, frequency = 20.0, duration
 "plant.gain" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
 """
 
+pytestmark = pytest.mark.usefixtures("compiled_once")
+
 
 def jaxilc(*words) -> int:
     with (

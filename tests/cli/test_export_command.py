@@ -24,6 +24,8 @@ class = "PID"
 kp = 1.0
 """
 
+pytestmark = pytest.mark.usefixtures("compiled_once")
+
 
 @pytest.fixture
 def command(monkeypatch, capsys, tmp_path):
@@ -79,11 +81,7 @@ def test_a_mistake_is_one_line_and_nothing_is_written(command, tmp_path, argumen
 
 
 @pytest.mark.parametrize(
-    ("kind", "files"),
-    [
-        ("hal", {"law.comp", "law.c", "law.h", "law_test.c"}),
-        ("st", {"law.st"}),
-    ],
+    ("kind", "files"), [("hal", {"law.comp", "law.c", "law.h", "law_test.c"}), ("st", {"law.st"})]
 )
 def test_other_languages_carry_the_certificate_too(command, tmp_path, kind, files):
     given = ("export", "axis.toml", "--limit", "9", "--machines", "1", "--format", kind)

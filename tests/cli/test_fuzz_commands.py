@@ -190,11 +190,7 @@ def folder(tmp_path, monkeypatch):
             (q_filter, "question"),
             (q_filter, "measured_question"),
         ),
-        *(
-            (demonstrating, "learn"),
-            (estimation, "problem_of"),
-            (explorer, "explore"),
-        ),
+        *((demonstrating, "learn"), (estimation, "problem_of"), (explorer, "explore")),
     ):
         monkeypatch.setattr(owner, name, computes)
     yield tmp_path
@@ -243,10 +239,7 @@ def test_what_was_found(line, folder, monkeypatch, capsys):
 def of_one_line(said, arguments):
     """Whether an error is one line, the last one, which names an option or something given."""
     *before, last = said.rstrip("\n").split("\n")
-    values = [
-        *arguments[1:],
-        *(part for one in arguments[1:] for part in re.split("[=.:]", one)),
-    ]
+    values = [*arguments[1:], *(part for one in arguments[1:] for part in re.split("[=.:]", one))]
     given = [word.lstrip("-").strip() or word.strip() or (" " if word else "''") for word in values]
     escaped = [word.encode("unicode_escape").decode() for word in given]  # \x1b is not printed
     empty = [" . "] if "" in arguments else []  # as a path

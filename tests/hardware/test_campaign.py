@@ -135,6 +135,11 @@ def call(*arguments):
     return result.exit_code, result.stdout, result.stderr
 
 
+def go_on(state, out, *more):
+    """Return what `next` of the campaign in a folder prints, as `call` does."""
+    return call("next", "--state", state, "--out", out, *more)
+
+
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
     """Run a campaign of 20 trials through files only.
@@ -144,20 +149,7 @@ def session(tmp_path_factory):
     folder = tmp_path_factory.mktemp("session")
     rig = Rig(folder)
     state, played = folder / "state", []
-    assert (
-        call(
-            "next",
-            "--state",
-            state,
-            "--scenario",
-            rig.file,
-            "--scheme",
-            "ilc",
-            "--out",
-            folder / "next-1.csv",
-        )[0]
-        == 0
-    )
+    assert go_on(state, folder / "next-1.csv", "--scenario", rig.file, "--scheme", "ilc")[0] == 0
     for j in range(1, TRIALS + 1):
         y, u = rig.measure(folder / f"next-{j}.csv", j, folder / f"trial-{j}.csv")
         played.append((y, u))
@@ -230,7 +222,7 @@ def test_twenty_trials_through_files_are_the_loop_in_memory(session):
 
 def test_the_log_is_printed_written_and_plotted(copied):
     _, state, folder = copied
-    call("next", "--state", state, "--undo", 12, "--out", folder / "next.csv")
+    go_on(state, folder / "next.csv", "--undo", 12)
     code, out, _ = call(
         "trials", "--state", state, "--csv", folder / "log.csv", "--plot", folder / "log.png"
     )
@@ -253,17 +245,17 @@ def test_the_log_is_printed_written_and_plotted(copied):
 
 def test_undo_goes_back_to_the_table_that_was_played_and_on_from_there(copied, session):
     rig, state, folder = copied
-    call("next", "--state", state, "--undo", 15, "--out", folder / "next.csv")
+    go_on(state, folder / "next.csv", "--undo", 15)
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-16.csv").read_bytes()
     # The same trial is measured again, and its data are learned from once more.
     rig.measure(folder / "next.csv", 16, folder / "again.csv")
-    call("next", "--state", state, "--measured", folder / "again.csv", "--out", folder / "next.csv")
+    go_on(state, folder / "next.csv", "--measured", folder / "again.csv")
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-17.csv").read_bytes()
-    call("next", "--state", state, "--undo", 0, "--out", folder / "next.csv")
+    go_on(state, folder / "next.csv", "--undo", 0)
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-1.csv").read_bytes()
     assert len(Journal(state).manifests()) == TRIALS + 4, "nothing is thrown away"
     with pytest.raises(ValueError, match="trial = 0 is not one to go back to"):
-        call("next", "--state", state, "--undo", 0, "--out", folder / "next.csv")
+        go_on(state, folder / "next.csv", "--undo", 0)
 
 
 class Killed(BaseException):
@@ -292,26 +284,16 @@ def test_killed_at_any_moment_nothing_is_lost(copied, monkeypatch, when):
         broken.setattr(files.shutil, "rmtree", lambda *_, **__: None)
         broken.setattr(*KILLED_IN[when], killed)
         with pytest.raises(Killed):
-            call(
-                "next",
-                "--state",
-                state,
-                "--measured",
-                folder / "trial.csv",
-                "--out",
-                folder / "next.csv",
-            )
+            go_on(state, folder / "next.csv", "--measured", folder / "trial.csv")
     assert all(f.read_bytes() == content for f, content in before.items())
     assert not (folder / "next.csv").exists()
     stored = when == "table"  # the entry was complete, but its table was not
     assert Journal(state).live()[-1]["trial"] == TRIALS + stored
     arguments = ("--measured", folder / "trial.csv") * (not stored)
-    call("next", "--state", state, *arguments, "--out", folder / "next.csv")
+    go_on(state, folder / "next.csv", *arguments)
     assert Journal(state).live()[-1]["trial"] == TRIALS + 1
-    call("next", "--state", state, "--undo", TRIALS, "--out", folder / "other.csv")
-    call(
-        "next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "other.csv"
-    )
+    go_on(state, folder / "other.csv", "--undo", TRIALS)
+    go_on(state, folder / "other.csv", "--measured", folder / "trial.csv")
     assert (folder / "next.csv").read_bytes() == (folder / "other.csv").read_bytes()
 
 
@@ -334,15 +316,8 @@ def test_a_dry_run_reports_and_changes_nothing(copied):
     rig, state, folder = copied
     rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     before = sorted(folder.rglob("*"))
-    code, out, _ = call(
-        "next",
-        "--state",
-        state,
-        "--measured",
-        folder / "trial.csv",
-        "--dry-run",
-        "--out",
-        folder / "next.csv",
+    code, out, _ = go_on(
+        state, folder / "next.csv", "--measured", folder / "trial.csv", "--dry-run"
     )
     assert code == 0
     assert "trial 21: RMS error" in out
@@ -356,16 +331,7 @@ def test_a_trial_of_the_same_table_tells_how_repeatable_the_machine_is(copied):
     rig, state, folder = copied
     rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     y21 = read_trace(folder / "trial.csv")
-    call(
-        "next",
-        "--state",
-        state,
-        "--measured",
-        folder / "trial.csv",
-        "--no-learn",
-        "--out",
-        folder / "next.csv",
-    )
+    go_on(state, folder / "next.csv", "--measured", folder / "trial.csv", "--no-learn")
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-21.csv").read_bytes()
     rig.measure(folder / "next.csv", 22, folder / "again.csv")
     difference = np.sqrt(np.mean((read_trace(folder / "again.csv") - y21) ** 2))
@@ -442,7 +408,7 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
     k = int(np.argmax(np.abs(table)))
     limit = round(0.9 * abs(table[k]), 3)
     rig.measure(rig.folder / "next-20.csv", 20, folder / "trial.csv")
-    call("next", "--state", state, "--undo", 19, "--out", folder / "next.csv")
+    go_on(state, folder / "next.csv", "--undo", 19)
     arguments = (
         "next",
         "--state",
@@ -517,15 +483,7 @@ def test_a_trace_that_is_not_of_this_task_is_refused(copied, change, message):
         "\n".join(change((folder / "trial.csv").read_text().splitlines()))
     )
     with pytest.raises(ValueError, match=message):
-        call(
-            "next",
-            "--state",
-            state,
-            "--measured",
-            folder / "trial.csv",
-            "--out",
-            folder / "next.csv",
-        )
+        go_on(state, folder / "next.csv", "--measured", folder / "trial.csv")
     assert Journal(state).live()[-1]["trial"] == TRIALS
     assert not (folder / "next.csv").exists()
 
@@ -564,10 +522,7 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
             "growth = -1 is outside its allowed range [0, inf)",
         ),
         ((*start, "--scheme", "pid"), "scheme = 'pid' is not one of those that learn; known: ilc"),
-        (
-            ("next", "--state", folder / "new", "--out", out),
-            "the first call needs --scenario",
-        ),
+        (("next", "--state", folder / "new", "--out", out), "the first call needs --scenario"),
         (
             ("next", "--state", rig.folder, "--scenario", rig.file, "--out", out),
             "exists already; choose another folder",
@@ -593,8 +548,8 @@ def test_a_damaged_entry_is_named_and_can_be_left_behind(copied):
     with pytest.raises(
         ValueError, match=r"000020/memory.npz cannot be read .*--undo goes back to an earlier trial"
     ):
-        call("next", "--state", state, "--out", folder / "next.csv")
-    call("next", "--state", state, "--undo", 19, "--out", folder / "next.csv")
+        go_on(state, folder / "next.csv")
+    go_on(state, folder / "next.csv", "--undo", 19)
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-20.csv").read_bytes()
     manifest = json.loads((state / "000020" / "manifest.json").read_text())
     assert manifest["trial"] == 20
@@ -603,7 +558,7 @@ def test_a_damaged_entry_is_named_and_can_be_left_behind(copied):
         ValueError,
         match=r"000003/manifest.json cannot be read .*--undo goes back to an earlier trial",
     ):
-        call("next", "--state", state, "--out", folder / "next.csv")
+        go_on(state, folder / "next.csv")
 
 
 def _ladder():

@@ -133,8 +133,7 @@ def test_a_cpu_keeps_its_lanes():
 
 
 @pytest.mark.parametrize(
-    ("samples", "expected"),
-    [(2048, 16), (2049, 16), (4096, 16), (4097, 8), (8192, 8), (8193, 16)],
+    ("samples", "expected"), [(2048, 16), (2049, 16), (4096, 16), (4097, 8), (8192, 8), (8193, 16)]
 )
 def test_half_a_tile_is_taken_where_only_that_fits_into_the_cache(samples, expected):
     task = Task(np.zeros(samples + 1), dt=1e-3)

@@ -2,17 +2,7 @@
 
 import numpy as np
 import pytest
-from reading_search import (
-    ROUNDING,
-    WORST,
-    Reading,
-    bic,
-    judged,
-    left_out,
-    met,
-    misfits,
-    search,
-)
+from reading_search import ROUNDING, WORST, Reading, bic, judged, left_out, met, misfits, search
 
 PRINTED = np.array([8.0, 4.0, 1.0])
 

@@ -292,12 +292,7 @@ FREE = {  # how many numbers were fitted to print, by scenario and scheme; for l
         "model-free": {0},
         "constrained": {0},
     },
-    "li-2020": {
-        "feedback": {3, 5},
-        "feedforward": {4},
-        "p-type": {4, 5},
-        "fixed-filter": {5},
-    },
+    "li-2020": {"feedback": {3, 5}, "feedforward": {4}, "p-type": {4, 5}, "fixed-filter": {5}},
     "milc-2024": {"dilc": {4}, "milc": {4}},
     "pendulum": {"two-step": {0}, "two-step-limited": {0}},
     "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6, 9}, "ilc-asmc": {9}},

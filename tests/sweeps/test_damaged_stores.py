@@ -219,10 +219,7 @@ def test_a_store_is_in_use_by_one_process_at_a_time(swept, tmp_path):
     plan, store, _ = swept
     with (
         files.only_one(store),
-        pytest.raises(
-            ValueError,
-            match=r"store.zarr is in use by process \d+, which is running",
-        ),
+        pytest.raises(ValueError, match=r"store.zarr is in use by process \d+, which is running"),
     ):
         plan.run(store)  # not told to resume it, since it is not there to be resumed
     assert plan.run(store, resume=True).sizes["sample"] == 5

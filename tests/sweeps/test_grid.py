@@ -220,11 +220,7 @@ def made_up(errors, lost):
     gone = np.stack([lost & False, lost], axis=-1)[None, :, :, None]
     at = (2 * lost)[None, :, :, None]
     return xr.Dataset(
-        {
-            "settled_error": (dims, whole),
-            "finite": (dims, ~gone),
-            "diverged_at": (dims[:-1], at),
-        },
+        {"settled_error": (dims, whole), "finite": (dims, ~gone), "diverged_at": (dims[:-1], at)},
         {"scheme": ["law"], "a": [0.1, 1.0, 10.0], "b": [1, 2, 3, 4]},
     )
 

@@ -317,10 +317,7 @@ def test_a_watch_adds_its_variables_of_machines_and_of_trials(tmp_path):
     dataset = WATCHED.run(tmp_path / "store.zarr")
     assert dataset["d2"].dims == ("scheme", "sample")
     assert dataset["contraction_norm"].dims == ("scheme", "sample", "trial")
-    assert (dataset["b"].attrs["units"], dataset["lam_min"].attrs["units"]) == (
-        "mm/V",
-        "(mm/V)^2",
-    )
+    assert (dataset["b"].attrs["units"], dataset["lam_min"].attrs["units"]) == ("mm/V", "(mm/V)^2")
     for name, scheme in WATCHED.schemes.items():
         alone = jaxilc.learn(WATCHED.machine_of(4), scheme, SMALL, 4, watch=BoundsWatch())
         for key in BoundsWatch().variables(SMALL):
