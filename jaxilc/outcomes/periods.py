@@ -8,7 +8,7 @@ import numpy as np
 
 from ..schemes import RepetitiveControl, WithFeedback
 from ..theory.condition import HOLDS
-from ..theory.repetitive import POINTS, repetitive_condition
+from ..theory.repetitive import POINTS, largest_gain, repetitive_condition
 from .outcome import Progress
 from .words import number
 
@@ -25,6 +25,8 @@ def of_periods(
 ) -> dict[str, dict[str, Any]]:
     """The condition of each scheme of repetitive control, as numbers by its name.
 
+    tracked: largest change of a period that is tracked [s per s]; None where it stays
+    times: by how much the condition is stricter for it
     verdict, reasons: of the condition on the worst machine, and the premises that are broken
     machines, at: number of machines, and the numbers of the worst one
     condition, condition_at: its largest value, and where [Hz]
@@ -49,8 +51,11 @@ def of_periods(
                 (chosen.machine, WRONG),
             )
         )
+        tracking = repetitive.tracking
         condition, lost = worst.test.condition, wrong.harmonics[wrong.left >= 1]
         found[name] = {
+            "tracked": None if tracking is None else float(tracking.fastest),
+            "times": largest_gain(0.0 if tracking is None else float(tracking.fastest)),
             "period": np.atleast_1d(np.asarray(repetitive.period, float)).tolist(),
             "verdict": str(condition.verdict),
             "reasons": [f"{one.name}: {one.detail}" for one in condition.broken],
@@ -70,19 +75,22 @@ def of_periods(
 def period_sentences(name: str, numbers: dict[str, Any]) -> list[str]:
     """The content of `of_periods` for one scheme, in words."""
     several, count = 2 ** len(numbers["period"]) - 1, numbers["machines"]
-    period = " and ".join(number(one) for one in numbers["period"])
+    several = numbers["times"] if numbers["tracked"] else several
+    period = " and ".join(number(one) for one in numbers["period"]) + " s"
+    if numbers["tracked"]:
+        period += f", which is tracked and changes by {number(numbers['tracked'])} s/s at most,"
     at = ", ".join(f"{key} = {number(value)}" for key, value in numbers["at"].items())
     value = (
-        f"{f'{several} ' if several > 1 else ''}|Q (1 - L T)| is at most "
+        f"{f'{number(several)} ' if several > 1 else ''}|Q (1 - L T)| is at most "
         f"{number(numbers['condition'])}, at {number(numbers['condition_at'])} Hz"
         + (f" on the worst ({at})" if at else "")
     )
     if numbers["verdict"] == HOLDS:
         whose = "the nominal machine" if count == 1 else f"all {count} machines"
-        head = f"converges from period to period of {period} s on {whose}: {value}"
+        head = f"converges from period to period of {period} on {whose}: {value}"
     else:
         why = f"; not held is {'; '.join(numbers['reasons'])}" if numbers["reasons"] else ""
-        head = f"is not certified from period to period of {period} s: {value}{why}"
+        head = f"is not certified from period to period of {period.rstrip(',')}: {value}{why}"
     lost = numbers["no_gain_if_wrong"]
     beyond = "" if lost is None else f"; that at {number(lost)} Hz is then no smaller"
     return [

@@ -24,7 +24,7 @@ from .mfac import CFDLMFAC, CFDLMFAILC, CFDLMFAPC, FFDLMFAC, FFDLMFAILC, PFDLMFA
 from .norm_optimal import NormOptimal
 from .pid import PID
 from .pid_type import ExponentialPD, HigherOrder, PIDType
-from .repetitive import RepetitiveControl
+from .repetitive import PeriodTracking, RepetitiveControl
 from .scheme import Feedforward, Scheme
 from .sliding_mode import ASMC, SMC
 from .two_step import TwoStep
@@ -64,6 +64,7 @@ __all__ = [
     "OnOutputs",
     "OnReference",
     "PIDType",
+    "PeriodTracking",
     "PolynomialBasis",
     "PositionBasis",
     "RationalBasis",

@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 
 from ..pytree.aliases import Array, Leaf
-from ..pytree.fields import child, leaf, pytree, static
+from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
 from ..signals.task import Sample, Task
 from .learning_filter import LearningFilter
@@ -26,10 +26,105 @@ class Passed(NamedTuple):
     """What is remembered, the newest sample last.
 
     v: (M, n_u) what was added to the input;  e: (M, n_y) errors
+    tracked: the period, where it is tracked; else None
     """
 
     v: Array
     e: Array
+    tracked: Tracked | None = None
+
+
+class Tracked(NamedTuple):
+    """A period that is tracked.
+
+    period: () [s];  drift: () its change [s per s]
+    power: (2,) sums over about a period of the squares of correction and slope
+    angle: (M,) measured angles [periods], the newest last; None where no angle is measured
+    """
+
+    period: Array
+    drift: Array
+    power: Array
+    angle: Array | None
+
+
+@pytree
+class PeriodTracking:
+    """How `RepetitiveControl` follows a period that drifts.
+
+    With `angle`, an output of the machine counts the periods, such as the encoder of a spindle in
+    turns: the period found is the time since this angle was one less, between samples by straight
+    lines. Without, it is found from what the law corrects. If v comes too late by a shift, its
+    correction L e lies along its slope v', so the shift is -sum L e v' / sum v'^2, over about the
+    last period (a gradient of |L e|^2, normalised; with a share of sum (L e)^2 in the denominator,
+    so that what no shift within the range explains changes little). Either feeds a loop that
+    follows a steady drift without a lag,
+
+        period += rate (found - period) dt / period + drift dt
+        drift  += rate^2 / 4 (found - period) dt / period^2
+
+    within: the period stays within (1 -+ within) times the `period` of the scheme
+    fastest: () largest change of the period [s per s], whatever is found
+    rate: () share of a wrong period that is corrected within a period
+    angle: number of the output that grows by 1 in each period, and that the law does not see; None:
+        none is measured
+
+    An estimate locks where what repeats is shifted by less than half of its shortest wave, in one
+    period: with ten harmonics from 5 % of the period on, it may lock to a wrong one.
+    """
+
+    within: Leaf = scalar(default=0.05, interval="(0, 1)")
+    fastest: Leaf = scalar(default=1e-3, interval="(0, 0.5]")
+    rate: Leaf = scalar(default=0.5, interval="(0, 2]")
+    angle: int | None = static(default=None, interval="[0, inf)", whole=True, optional=True)
+
+    def start(self, period: Array, samples: int) -> Tracked:
+        zero = jnp.zeros(())
+        angle = None if self.angle is None else jnp.full(samples, -jnp.inf)
+        return Tracked(jnp.asarray(period) + zero, zero, jnp.zeros(2), angle)
+
+    def after(
+        self, was: Tracked, guess: Leaf, dt: float, y: Array, correction: Array, slope: Array
+    ) -> Tracked:
+        """The period after a sample.
+
+        guess: () [s], which is the middle of the range
+        y: (n_y,) all outputs
+        correction, slope: (n_u,) L e, and the change of v in a sample, at the same place
+        """
+        power, angle, share = was.power, was.angle, dt / was.period
+        if angle is not None:
+            angle = jnp.concatenate([angle[1:], y[self.angle][None]])
+            found = _time_since(angle, dt, was.period) - was.period
+        else:
+            squares = jnp.stack([jnp.sum(correction**2), jnp.sum(slope**2)])
+            power = (1 - share) * power + squares
+            of_range = self.within * guess / dt
+            size = power[1] + power[0] / of_range**2
+            along = jnp.sum(correction * slope)
+            moved = size > 0
+            found = -jnp.where(moved, along / jnp.where(moved, size, 1.0), 0.0) * dt / share
+        drift = jnp.clip(was.drift + self.rate**2 / 4 * found * share / was.period, *self._most)
+        step = jnp.clip(self.rate * found * share + drift * dt, *(dt * x for x in self._most))
+        low, high = guess * (1 - self.within), guess * (1 + self.within)
+        period = was.period + step
+        inside = (period > low) & (period < high)
+        return Tracked(jnp.clip(period, low, high), jnp.where(inside, drift, 0.0), power, angle)
+
+    @property
+    def _most(self) -> tuple[Leaf, Leaf]:
+        return -self.fastest, self.fastest
+
+
+def _time_since(angle: Array, dt: float, unknown: Array) -> Array:
+    """() the time since the angle was 1 less than its newest; `unknown` where it never was."""
+    less = angle[-1] - angle  # falling, 0 at the newest
+    late = jnp.sum(less < 1)  # samples since then, rounded up
+    at = jnp.clip(len(angle) - 1 - late, 0, len(angle) - 2)
+    before, after = less[at], less[at + 1]
+    seen = (before >= 1) & (before < jnp.inf) & (after < 1)
+    share = jnp.where(seen, (1 - after) / jnp.where(seen, before - after, 1.0), 0.0)
+    return jnp.where(seen, (len(angle) - 2 - at + share) * dt, unknown)
 
 
 @pytree
@@ -55,6 +150,8 @@ class RepetitiveControl(Scheme):
     period: () of what repeats [s], or (P,) of up to three at once; each at least what L and keep
         look ahead and three samples more
     longest: the longest period, or sum of several, that may be set [s]; None is 1.25 times `period`
+    tracking: of one period that drifts, for which `period` is the first guess and the middle of its
+        range; None: the period stays. The signal `period` of a trial records it
 
     `check` raises ValueError for a period that is too short for the law, or longer than `longest`,
     and where `longest` cannot be told because `period` is traced. A traced period outside of this
@@ -64,6 +161,7 @@ class RepetitiveControl(Scheme):
     law: LearningFilter = child()
     period: Leaf = leaf(interval="(0, inf)")
     longest: float | None = static(default=None, interval="(0, inf)", optional=True)
+    tracking: PeriodTracking | None = child(default=None)
 
     def __post_init__(self) -> None:
         if self.longest is None and known(self.period):
@@ -75,14 +173,25 @@ class RepetitiveControl(Scheme):
                 f"RepetitiveControl: law has starts = {self.law.starts}; allowed is (), one law in "
                 "all samples"
             )
-        self.law.check(task)
+        if self._angle is not None and self._angle >= task.outputs:
+            raise ValueError(
+                f"RepetitiveControl: tracking.angle = {self._angle} is none of the task's outputs "
+                f"0..{task.outputs - 1}"
+            )
+        self.law.check(self._seen_by_law(task))
         longest = self._longest
-        if not known(self.period):
+        if self.tracking is not None and self.period.ndim:
+            raise ValueError(
+                f"RepetitiveControl: period has shape {self.period.shape}; allowed is (), one "
+                "period, with tracking"
+            )
+        if not known((self.period, self.tracking)):
             return
         values = np.asarray(self.period)
-        if values.ndim > 1 or not 0 < values.size <= MOST or not self._fits(values, task.dt):
+        if values.ndim > 1 or not 0 < values.size <= MOST or not self._fits(task.dt):
+            around = "" if self.tracking is None else f" -+ {100 * self.tracking.within:g} %"
             raise ValueError(
-                f"RepetitiveControl: period = {values} s is outside its allowed range "
+                f"RepetitiveControl: period = {values} s{around} is outside its allowed range "
                 f"[{self._least * task.dt:g}, {longest:g}]: from what the law looks ahead, to "
                 f"`longest`, which is for the sum of up to {MOST} periods"
             )
@@ -90,24 +199,42 @@ class RepetitiveControl(Scheme):
     def initial_state(self, task: Task) -> Passed:
         # as many samples before the newest as the longest period and the taps look back
         past = int(np.ceil(self._longest / task.dt)) + AROUND[-1] + 1
-        of = {"v": task.inputs, "e": task.outputs}
-        return Passed(*(jnp.zeros((past - self._ends(n)[0], of[n])) for n in of))
+        of = {"v": task.inputs, "e": self._seen_by_law(task).outputs}
+        if self.tracking is not None:
+            past = max(past, self._back + 2)  # also the slope
+        v, e = (jnp.zeros((past - self._ends(n)[0], of[n])) for n in of)
+        start = None if self.tracking is None else self.tracking.start(self.period, past + 1)
+        return Passed(v, e, start)
 
     def act(self, state: Passed, sample: Sample) -> tuple[Passed, Array]:
-        e = _with(state.e, sample.r - sample.y)
+        error, period, tracked = sample.r - sample.y, self.period, state.tracked
+        if self._angle is not None:
+            error = jnp.delete(error, self._angle)
+        e = _with(state.e, error)
         v_past = state.v
         if sample.applied is not None:  # what an actuator has let through
             v_past = v_past.at[-1].set(sample.applied)
+        if self.tracking is not None and tracked is not None:
+            shifted = self._shifted(v_past, e)
+            tracked = self.tracking.after(tracked, self.period, sample.dt, sample.y, *shifted)
+            period = tracked.period
         v = jnp.zeros_like(v_past[-1])
-        for sign, period in delays(jnp.asarray(self.period)):
-            periods = period / sample.dt
+        for sign, delay in delays(jnp.asarray(period)):
+            periods = delay / sample.dt
             whole = jnp.floor(periods)
             weights = sign * lagrange(periods - whole)
-            weights = jnp.where(self._fits(self.period, sample.dt), weights, jnp.nan)
+            weights = jnp.where(self._fits(sample.dt), weights, jnp.nan)
             v = v + self._of_period("v", self.law.keep, v_past, whole - 1, weights)
             v = v + self._of_period("e", self.law.L, e, whole, weights)
         v = limited(v, self.law.limit)
-        return Passed(_with(v_past, v), e), v
+        return Passed(_with(v_past, v), e, tracked), v
+
+    def signals(self, state: Passed) -> dict[str, Array]:
+        return {} if state.tracked is None else {"period": state.tracked.period[None]}
+
+    @property
+    def _angle(self) -> int | None:
+        return None if self.tracking is None else self.tracking.angle
 
     @property
     def _longest(self) -> float:
@@ -123,10 +250,34 @@ class RepetitiveControl(Scheme):
         """The shortest period in samples, with which nothing is needed that is yet to come."""
         return max(self._ends("e")[1], self._ends("v")[1] + 1) + 2
 
-    def _fits(self, period: Leaf, dt: float) -> Leaf:
-        xp = np if known(period) else jnp
-        least = self._least * dt * (1 - 1e-9)
-        return xp.all(period >= least) & (xp.sum(period) <= self._longest)
+    def _fits(self, dt: float) -> Leaf:
+        """Whether memory and law reach over the period, and over all of its range."""
+        xp, within = (np if known((self.period, self.tracking)) else jnp), 0.0
+        if self.tracking is not None:
+            within = self.tracking.within
+        least, longest = self._least * dt * (1 - 1e-9), self._longest * (1 + 1e-9)
+        low, high = (1 - within) * self.period, (1 + within) * xp.sum(self.period)
+        return xp.all(low >= least) & (high <= longest)
+
+    def sees(self, task: Task) -> tuple[int, ...]:
+        """The numbers of the outputs from which the law learns: all but the angle."""
+        return tuple(i for i in range(task.outputs) if i != self._angle)
+
+    def _seen_by_law(self, task: Task) -> Task:
+        return task if self._angle is None else task.of_outputs(self.sees(task))
+
+    @property
+    def _back(self) -> int:
+        """Samples back to the newest place of which correction and slope of v are known."""
+        return max(self._ends("e")[1], 2)
+
+    def _shifted(self, v: Array, e: Array) -> tuple[Array, Array]:
+        """(n_u,) L e and the change of v per sample at the newest place where both are known."""
+        later = self._back - self._ends("e")[1]
+        newest = len(e) - later
+        correction = _through(self.law.L, e[newest - self.law._taps("L") : newest])
+        at = len(v) - self._back  # the newest of v is of a sample ago
+        return correction, (v[at + 1] - v[at - 1]) / 2
 
     def _ends(self, name: str) -> tuple[int, int]:
         """The first and the last sample that the taps see, from the same place a period later."""
@@ -142,13 +293,15 @@ class RepetitiveControl(Scheme):
         count = taps.shape[0] + len(AROUND) - 1
         first = len(past) - whole.astype(int) + last - taps.shape[0] - AROUND[-1]
         seen = lax.dynamic_slice_in_dim(past, first, count)
-        between = sum(
-            weights[i] * seen[AROUND[-1] - j : count - (len(AROUND) - 1) + AROUND[-1] - j]
-            for i, j in enumerate(AROUND)
-        )
-        if taps.ndim == 1:
-            return taps @ between
-        return jnp.einsum("pij,pj->i", taps, between)
+        windows = [AROUND[-1] - j + np.arange(taps.shape[0]) for j in AROUND]
+        return _through(taps, jnp.tensordot(weights, seen[np.stack(windows)], axes=1))
+
+
+def _through(taps: Array, seen: Array) -> Array:
+    """(n,) the taps on as many samples."""
+    if taps.ndim == 1:
+        return taps @ seen
+    return jnp.einsum("pij,pj->i", taps, seen)
 
 
 def delays(period: Array | np.ndarray) -> Iterator[tuple[float, Array]]:

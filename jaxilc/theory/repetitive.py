@@ -12,15 +12,18 @@ where Q is near 1. Between them |S| exceeds 1: what does not
 repeat with the period becomes larger there, the more the wider Q is (the waterbed). For a period
 that is no whole number of samples W has the interpolation of `RepetitiveControl` in it. For P
 periods at once W is 1 - prod_i (1 - W_i), so |W| <= 2^P - 1, and |Q - L T| < 1 / (2^P - 1)
-suffices. On measured lines T = P / (1 + C P), and a response P that is off by s makes T off by at
-most s / (|1 + C P| (|1 + C P| - |C| s)).
+suffices. The delay of a period that is tracked changes; within its limits it makes no signal more
+than `largest_gain` times larger in the 2-norm, so |Q - L T| < 1 / largest_gain suffices. Of several
+channels |.| is the largest singular value. On measured lines T = P / (1 + C P), and a response P
+that is off by s makes T off by at most s / (|1 + C P| (|1 + C P| - |C| s)).
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,13 +31,13 @@ from ..learning.machine import Machine
 from ..plants import StateSpace
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
-from ..schemes import LearningFilter, RepetitiveControl, Scheme, WithFeedback
+from ..schemes import OnOutputs, RepetitiveControl, Scheme, WithFeedback
 from ..schemes.repetitive import AROUND, delays, lagrange
 from ..signals.task import Task
 from ..uncertainty import Population, drawn_machines
 from .condition import condition, premise
-from .frequency import FrequencyTest, on_supremum, parts_of
-from .law import law_response
+from .frequency import FrequencyTest, Parts, on_supremum, parts_of
+from .law import Law, at_points, law_of, law_response
 from .learning_map import limit_names
 from .loop import linear_loop, on_circle, response
 from .on_lines import MeasuredResponse
@@ -50,14 +53,16 @@ ON_LINES = (
     "|Q - L T| < 1 on the measured lines and within their doubt: between periods each of these "
     "frequencies comes nearer to its limit by this factor or more, if the loop is stable"
 )
+SLOPE = 1.61  # largest 2-norm of the derivatives of the four weights of `lagrange`
 MOST, AT_ONCE = 2**20, 2**12  # frequencies of a sensitivity, and that are computed at once
 
 
 class RepetitiveTest(NamedTuple):
     """What repetitive control promises for one machine, for a family, or on measured lines.
 
-    test: (2^P - 1) |Q - L T| < 1 at all frequencies, with its premises; P = 1 for one period. Of a
-        family it is that of its worst machine; on lines it has the doubt of each line in it
+    test: (2^P - 1) |Q - L T| < 1 at all frequencies, with its premises; P = 1 for one period, and
+        `largest_gain` in the place of 2^P - 1 for one that is tracked. Of a family it is that of
+        its worst machine; on lines it has the doubt of each line in it
     period: of what is remembered [s], the sum of several
     frequencies: (F,) [Hz];  sensitivity: (F,) |S|, the error over that of the feedback alone, of a
         family the largest
@@ -99,9 +104,12 @@ def repetitive_condition(
         and `harmonics` are those of the true one
     sigmas: standard deviations by which a measured line may be off
 
-    Raises ValueError for another scheme, for several channels, for a period of more than 2^20
-    frequencies, for lines without a harmonic or above the Nyquist frequency, and where machine,
-    scheme and task do not fit.
+    Where the period is tracked, the condition claims that all stays bounded and converges whatever
+    is tracked, right or wrong; `sensitivity` and `left` are those of the period of the scheme.
+
+    Raises ValueError for another scheme, for lines of several channels, for a period of more than
+    2^20 frequencies, for lines without a harmonic or above the Nyquist frequency, and where
+    machine, scheme and task do not fit.
     """
     repetitive = scheme.learning if isinstance(scheme, WithFeedback) else scheme
     if not isinstance(repetitive, RepetitiveControl):
@@ -109,10 +117,10 @@ def repetitive_condition(
             f"repetitive_condition: scheme is a {type(scheme).__name__}; allowed are a "
             "RepetitiveControl and WithFeedback(RepetitiveControl(...), feedback)"
         )
-    if task.inputs != 1 or task.outputs != 1:
+    if isinstance(machine, MeasuredResponse) and (task.inputs, task.outputs) != (1, 1):
         raise ValueError(
             f"repetitive_condition: the task has {task.inputs} inputs and {task.outputs} outputs; "
-            "allowed is one of each"
+            "allowed is one of each on measured lines"
         )
     require("repetitive_condition", "wrong", wrong, "(-1, inf)")
     require("repetitive_condition", "sigmas", sigmas, "[0, inf)")
@@ -131,25 +139,31 @@ def repetitive_condition(
     true = np.unique(
         np.concatenate([np.arange(1, int(0.5 / dt * one) + 1) / one for one in longer])
     )
-    filters, size_of_W = repetitive.law, 2 ** len(each) - 1
-    law, whole = (
-        dataclasses.replace(scheme, learning=of) if isinstance(scheme, WithFeedback) else of
-        for of in (filters, _times(size_of_W, filters))
-    )
-    machines: list[Any] = [machine]
+    size_of_W: float = 2 ** len(each) - 1
+    if repetitive.tracking is not None:
+        size_of_W = largest_gain(float(repetitive.tracking.fastest))
+    law, seen = _between_trials(scheme, repetitive, task), repetitive.sees(task)
     drawn: Mapping[str, np.ndarray] = {}
-    if isinstance(machine, Population):
-        machines, drawn = [machine.machine_of(i) for i in range(machine.size)], machine.drawn
     if isinstance(machine, MeasuredResponse):
         f, true = (_within(machine, of, dt) for of in (f, true))
-        tests = [_on_lines(machine, whole, task, sigmas)]
+        tests = [_on_lines(machine, law, task, sigmas, size_of_W)]
+        loops, taps = [_closed(machine, law, task)], law_of(law, task)
     else:
-        tests = [_on_circle(one, whole, task) for one in machines]
+        machines: list[Machine] = []
+        if isinstance(machine, Population):
+            machines, drawn = [machine.machine_of(i) for i in range(machine.size)], machine.drawn
+        else:
+            machines = [machine]
+        every = [_parts_seen(one, law, task, seen) for one in machines]
+        tests = [
+            _on_circle(one, of, law, task, size_of_W)
+            for one, of in zip(machines, every, strict=True)
+        ]
+        loops, taps = [_response_of(of, task) for of in every], every[0].law
     # one that does not hold is worse than any that does
     top = max(range(len(tests)), key=lambda i: (not (c := tests[i].condition).holds, c.value))
-    loops = [_loop_of(one, law, task) for one in machines]
     size, left = (
-        np.concatenate([_sensitivity(loops, law, task, each, part) for part in _in_parts(of)])
+        np.concatenate([_sensitivity(loops, taps, task, each, part) for part in _in_parts(of)])
         for of in (f, true)
     )
     worst, at = int(np.argmax(size)), {name: float(of[top]) for name, of in drawn.items()}
@@ -157,28 +171,63 @@ def repetitive_condition(
     return RepetitiveTest(tests[top], period, f, size, *of_size, true, left, at)
 
 
-def _times(size: int, of: LearningFilter) -> LearningFilter:
-    return dataclasses.replace(of, L=size * of.L, keep=size * of.keep)
+def _between_trials(scheme: Scheme, of: RepetitiveControl, task: Task) -> Scheme:
+    """The scheme with the same law between trials."""
+    law: Scheme = of.law
+    if len(of.sees(task)) < task.outputs:
+        law = OnOutputs(law, of.sees(task))
+    return dataclasses.replace(scheme, learning=law) if isinstance(scheme, WithFeedback) else law
+
+
+@functools.cache
+def largest_gain(fastest: float) -> float:
+    """How many times larger a delay makes a signal in the 2-norm, however it changes.
+
+    fastest: rho, largest change of the delay in samples per sample, below 1
+
+    Around each sample c lies a window of 2 h + 1 samples. In it the delay is that of c, up to
+    rho h. With the delay of c nothing is made larger (|W| <= 1), and of each sample of the past no
+    more than (2 h + 4) / (1 - rho) + 1 windows see anything. The rest is rho h times the slope of
+    what is interpolated, which is at most SLOPE times the 2-norm of the samples around. Both are
+    averaged over all windows, and h is the best:
+
+        min_h sqrt(((2 h + 4) / (1 - rho) + 1) / (2 h + 1)) + SLOPE rho h sqrt(6 / (1 - rho) + 1)
+    """
+    if not fastest:
+        return 1.0
+    h = np.unique(np.geomspace(1, max(1.0, 1 / fastest), 4000).astype(int))
+    within = np.sqrt(((2 * h + 4) / (1 - fastest) + 1) / (2 * h + 1))
+    return float(np.min(within + SLOPE * fastest * h * np.sqrt(6 / (1 - fastest) + 1)))
 
 
 def _in_parts(f: np.ndarray) -> list[np.ndarray]:
     return np.array_split(f, max(1, -(-len(f) // AT_ONCE)))
 
 
-def _loop_of(
-    machine: Machine | MeasuredResponse, law: Scheme, task: Task
-) -> Callable[[np.ndarray], np.ndarray]:
+def _parts_seen(machine: Machine, law: Scheme, task: Task, seen: tuple[int, ...]) -> Parts:
+    """Loop and law, of the outputs that the law sees."""
+    parts, rows = parts_of(machine, law, task), list(seen)
+    L = parts.law.L._replace(taps=parts.law.L.taps[..., rows])
+    loop = parts.loop._replace(C=parts.loop.C[rows])
+    return parts._replace(loop=loop, law=parts.law._replace(L=L))
+
+
+def _response_of(parts: Parts, task: Task) -> Callable[[np.ndarray], np.ndarray]:
     """T at frequencies [Hz]."""
-    if not isinstance(machine, MeasuredResponse):
-        loop = linear_loop(machine, law, task)
-        return lambda f: np.asarray(response(loop, f, task.dt))[:, 0, 0]
-    C, lines = _feedback_of(law, task), machine.frequencies
+    return lambda f: np.asarray(response(parts.loop, f, task.dt))
+
+
+def _closed(
+    measured: MeasuredResponse, law: Scheme, task: Task
+) -> Callable[[np.ndarray], np.ndarray]:
+    """T at frequencies [Hz], with straight lines between those of P."""
+    C, lines = _feedback_of(law, task), measured.frequencies
 
     def closed(f):
-        P = np.interp(f, lines, machine.response.real) + 1j * np.interp(
-            f, lines, machine.response.imag
+        P = np.interp(f, lines, measured.response.real) + 1j * np.interp(
+            f, lines, measured.response.imag
         )
-        return P / (1 + C(f) * P)
+        return (P / (1 + C(f) * P))[:, None, None]
 
     return closed
 
@@ -186,8 +235,8 @@ def _loop_of(
 def _feedback_of(law: Scheme, task: Task) -> Callable[[np.ndarray], np.ndarray]:
     """C at frequencies [Hz], read off the loop around a delay of one sample: C = 1 / T - z."""
     delay = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=task.dt))
-    T = _loop_of(delay, law, task)
-    return lambda f: 1 / T(f) - np.asarray(on_circle(f, task.dt))
+    loop = linear_loop(delay, law, task)
+    return lambda f: np.asarray(1 / response(loop, f, task.dt)[:, 0, 0] - on_circle(f, task.dt))
 
 
 def _within(measured: MeasuredResponse, f: np.ndarray, dt: float) -> np.ndarray:
@@ -201,16 +250,23 @@ def _within(measured: MeasuredResponse, f: np.ndarray, dt: float) -> np.ndarray:
     return within
 
 
-def _on_circle(machine: Machine, law: Scheme, task: Task) -> FrequencyTest:
+def _on_circle(
+    machine: Machine, parts: Parts, law: Scheme, task: Task, size_of_W: float
+) -> FrequencyTest:
     """sup |Q - L T| < 1. An operation without ends asks for nothing else, but a linear loop."""
-    parts = parts_of(machine, law, task)
     names = limit_names(drawn_machines(machine, {}, {}), law, task)
     free = premise(NO_LIMIT, not names, ", ".join(names))
+
+    def bounds(centre: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return parts.nominal(centre, h).scaled(size_of_W * np.ones_like(h)).bounds(h)
+
     about = [parts.loop], task, [*parts.premises, free], list, None
-    return on_supremum(parts.bounds, FROM_PERIOD_TO_PERIOD, *about)
+    return on_supremum(bounds, FROM_PERIOD_TO_PERIOD, *about)
 
 
-def _on_lines(measured: MeasuredResponse, law: Scheme, task: Task, sigmas: float) -> FrequencyTest:
+def _on_lines(
+    measured: MeasuredResponse, law: Scheme, task: Task, sigmas: float, size_of_W: float
+) -> FrequencyTest:
     """|Q - L T| with the doubt of each line; nothing is claimed of what lines do not tell."""
     f, P, std = measured.frequencies, measured.response, measured.std
     Q, L = (np.asarray(part)[:, 0, 0] for part in law_response(law, task, f))
@@ -219,7 +275,7 @@ def _on_lines(measured: MeasuredResponse, law: Scheme, task: Task, sigmas: float
     surely = loop - np.abs(C) * off
     with np.errstate(divide="ignore"):
         doubt = np.where(surely > 0, off / (loop * np.maximum(surely, 0)), np.inf)
-    size = np.abs(Q - L * P / (1 + C * P)) + np.abs(L) * doubt
+    size = size_of_W * (np.abs(Q - L * P / (1 + C * P)) + np.abs(L) * doubt)
     top, above = int(np.argmax(size)), f[size >= 1]
     known = measured.averages_known and np.any(std)
     said = "lines do not tell it" + ("" if known else ", and their doubt is not known")
@@ -228,12 +284,19 @@ def _on_lines(measured: MeasuredResponse, law: Scheme, task: Task, sigmas: float
     return FrequencyTest(claim, f, size, float(f[top]), float(above[0]) if len(above) else np.inf)
 
 
-def _sensitivity(loops, law: Scheme, task: Task, each: np.ndarray, f: np.ndarray) -> np.ndarray:
+def _sensitivity(loops, law: Law, task: Task, each: np.ndarray, f: np.ndarray) -> np.ndarray:
     """(F,) the largest |S| of closed loops T at frequencies [Hz]."""
-    Q, L = (np.asarray(part)[:, 0, 0] for part in law_response(law, task, f))
+    z = on_circle(f, task.dt)
+    Q, L = (np.asarray(at_points(part, z)) for part in (law.keep, law.L))
     W = np.zeros(len(f), complex)
     for sign, period in delays(each):
         whole, share = divmod(float(period) / float(task.dt), 1.0)
         late = np.exp(-2j * np.pi * float(task.dt) * np.outer(f, whole + AROUND))
         W += sign * (late @ np.asarray(lagrange(share)))
-    return np.max([np.abs((1 - Q * W) / (1 - (Q - L * T(f)) * W)) for T in loops], axis=0)
+    W, sizes = W[:, None, None], []
+    for loop in loops:
+        T = loop(f)
+        added = np.linalg.solve(np.eye(Q.shape[-1]) - W * (Q - L @ T), W * L)
+        S = np.eye(T.shape[1]) - T @ added
+        sizes.append(np.linalg.svd(S, compute_uv=False)[:, 0])
+    return np.max(sizes, axis=0)

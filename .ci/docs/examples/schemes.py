@@ -151,6 +151,15 @@ e = np.abs(jaxilc.learn(Machine(P), scheme, turning, trials=1).final.e[:, 0])
 print([f"{e[50 * i : 50 * i + 50].max():.2f}" for i in (0, 3, 7)])  # by period of one trial
 # ['0.59', '0.25', '0.08']
 
+# %% PeriodTracking
+drifting = Task(np.sin(np.arange(801) * 2 * np.pi / 51), dt=1e-3)  # 2 % longer than thought
+for tracking in (None, PeriodTracking(fastest=0.01)):
+    scheme = WithFeedback(RepetitiveControl(law, period=0.05, tracking=tracking), pid)
+    e = np.abs(jaxilc.learn(Machine(P), scheme, drifting, trials=1).final.e[:, 0])
+    print(f"{e[750:].max():.2f}")
+# 0.24
+# 0.08
+
 # %% CFDLMFAC, PFDLMFAC, FFDLMFAC, CFDLMFAPC
 print(errors(CFDLMFAC(phi0=0.2, lam=0.1)))  # feedbacks that adapt within a trial
 print(errors(PFDLMFAC(phi0=(0.2, 0.0), lam=0.1)))
