@@ -83,6 +83,7 @@ from jaxilc.schemes import (
     OnBasis,
     OnOutputs,
     OnReference,
+    PeriodTracking,
     PIDType,
     PolynomialBasis,
     PositionBasis,
@@ -278,7 +279,11 @@ SCHEMES = {
         PIDType(gamma_p=0.4, lead=1), CFDLMFAPC(lam=3.0, phi0=-0.1, P=4, reset="sign")
     ),
     "repetitive": WithFeedback(
-        RepetitiveControl(LearningFilter((-0.1, -0.4, -0.1), keep=(0.2, 0.5, 0.2)), 4.6e-3),
+        RepetitiveControl(
+            LearningFilter((-0.1, -0.4, -0.1), keep=(0.2, 0.5, 0.2)),
+            4.6e-3,
+            tracking=PeriodTracking(),
+        ),
         PID(kp=-4.0, ki=-40.0, kd=-2e-3),
     ),
     "p_type_over_pid": WithFeedback(

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..schemes import RepetitiveControl, WithFeedback
 from ..theory.condition import HOLDS
-from ..theory.repetitive import POINTS, largest_gain, repetitive_condition
+from ..theory.repetitive import POINTS, largest_gain, repetitive_condition, side_by_side
 from .outcome import Progress
 from .words import number
 
@@ -26,6 +25,7 @@ def of_periods(
     """The condition of each scheme of repetitive control, as numbers by its name.
 
     tracked: largest change of a period that is tracked [s per s]; None where it stays
+    in_parallel: the number of those that stand side by side
     times: by how much the condition is stricter for it
     verdict, reasons: of the condition on the worst machine, and the premises that are broken
     machines, at: number of machines, and the numbers of the worst one
@@ -37,11 +37,11 @@ def of_periods(
     """
     found = {}
     for name, scheme in chosen.schemes.items():
-        repetitive = scheme.learning if isinstance(scheme, WithFeedback) else scheme
-        if not isinstance(repetitive, RepetitiveControl):
+        beside, _ = side_by_side(scheme)
+        if not beside:
             continue
         progress(name)
-        harmonics = 0.5 * float(np.sum(repetitive.period)) / float(chosen.task.dt)
+        harmonics = 0.5 * sum(float(np.sum(one.period)) for one in beside) / float(chosen.task.dt)
         how = {"points": int(np.clip(ENOUGH / harmonics, 2, POINTS))}
         worst, right, wrong = (
             repetitive_condition(machine, scheme, chosen.task, wrong=by, **how)
@@ -51,12 +51,13 @@ def of_periods(
                 (chosen.machine, WRONG),
             )
         )
-        tracking = repetitive.tracking
+        tracking, periods = beside[0].tracking, [np.atleast_1d(one.period) for one in beside]
         condition, lost = worst.test.condition, wrong.harmonics[wrong.left >= 1]
         found[name] = {
             "tracked": None if tracking is None else float(tracking.fastest),
             "times": largest_gain(0.0 if tracking is None else float(tracking.fastest)),
-            "period": np.atleast_1d(np.asarray(repetitive.period, float)).tolist(),
+            "period": np.concatenate(periods).astype(float).tolist(),
+            "in_parallel": len(beside),
             "verdict": str(condition.verdict),
             "reasons": [f"{one.name}: {one.detail}" for one in condition.broken],
             "machines": population.size,
@@ -74,14 +75,19 @@ def of_periods(
 
 def period_sentences(name: str, numbers: dict[str, Any]) -> list[str]:
     """The content of `of_periods` for one scheme, in words."""
-    several, count = 2 ** len(numbers["period"]) - 1, numbers["machines"]
+    count, parallel = numbers["machines"], numbers["in_parallel"]
+    several = 1 if parallel > 1 else 2 ** len(numbers["period"]) - 1
     several = numbers["times"] if numbers["tracked"] else several
     period = " and ".join(number(one) for one in numbers["period"]) + " s"
     if numbers["tracked"]:
         period += f", which is tracked and changes by {number(numbers['tracked'])} s/s at most,"
     at = ", ".join(f"{key} = {number(value)}" for key, value in numbers["at"].items())
+    times, L = (
+        f"{number(several)} " if several > 1 else "",
+        "L" if parallel == 1 else f"{parallel} L",
+    )
     value = (
-        f"{f'{number(several)} ' if several > 1 else ''}|Q (1 - L T)| is at most "
+        f"{times}|Q (1 - {L} T)| is at most "
         f"{number(numbers['condition'])}, at {number(numbers['condition_at'])} Hz"
         + (f" on the worst ({at})" if at else "")
     )

@@ -24,7 +24,7 @@ from .mfac import CFDLMFAC, CFDLMFAILC, CFDLMFAPC, FFDLMFAC, FFDLMFAILC, PFDLMFA
 from .norm_optimal import NormOptimal
 from .pid import PID
 from .pid_type import ExponentialPD, HigherOrder, PIDType
-from .repetitive import PeriodTracking, RepetitiveControl
+from .repetitive import PeriodTracking, RepetitiveControl, harmonic_taps
 from .scheme import Feedforward, Scheme
 from .sliding_mode import ASMC, SMC
 from .two_step import TwoStep
@@ -77,6 +77,7 @@ __all__ = [
     "WarmStart",
     "WithFeedback",
     "fitted",
+    "harmonic_taps",
     "learning_filter",
     "select_basis",
     "started",

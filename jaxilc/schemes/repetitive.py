@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..pytree.aliases import Array, Leaf
+from ..pytree.aliases import Array, Leaf, Value
 from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
 from ..signals.task import Sample, Task
@@ -302,6 +302,44 @@ def _through(taps: Array, seen: Array) -> Array:
     if taps.ndim == 1:
         return taps @ seen
     return jnp.einsum("pij,pj->i", taps, seen)
+
+
+def harmonic_taps(
+    values: Value, period: float, *, dt: float, reach: int | None = None
+) -> np.ndarray | Array:
+    """(2 reach + 1,) taps of a filter with a value of its own at each harmonic of a period.
+
+        sum_p taps_p exp(2 pi i h p dt / period) = values_h,   h = 0, 1, 2, ..;  0 beyond the values
+
+    They are taps of L or keep of a `LearningFilter` in `RepetitiveControl`, such as a gain for each
+    harmonic, 0 for one that shall not be learned, or the inverse of a measured response there.
+    Between the harmonics the response follows from them: `theory.repetitive_condition` tells it. Of
+    all such taps these have the least sum of squares.
+
+    values: (H,) real or complex; it may be traced, so that each has a gradient
+    period: [s];  dt: sample time [s]
+    reach: None is half of a period
+
+    Raises ValueError for more values than harmonics below the Nyquist frequency, and for a reach
+    that is too short for them.
+    """
+    values, n = 1.0 * jnp.atleast_1d(jnp.asarray(values)), period / dt
+    most = int(np.floor(n / 2 * (1 + 1e-12))) + 1
+    if values.ndim != 1 or values.size > most:
+        raise ValueError(
+            f"harmonic_taps: values has shape {values.shape}; allowed is (H,) of up to {most} "
+            "harmonics below the Nyquist frequency, the constant included"
+        )
+    least = int(np.ceil((n - 1) / 2 - 1e-9))
+    reach = least if reach is None else reach
+    if reach < least:
+        raise ValueError(f"harmonic_taps: reach = {reach} samples; allowed is [{least}, inf)")
+    angle = 2 * np.pi / n * np.outer(np.arange(most), np.arange(-reach, reach + 1))
+    rows = np.concatenate([np.cos(angle), np.sin(angle[1:])])
+    wanted = jnp.zeros(most, values.dtype).at[: values.size].set(values)
+    parts = jnp.concatenate([jnp.real(wanted), jnp.imag(wanted)[1:]])
+    taps = np.linalg.pinv(rows, rcond=1e-9) @ parts
+    return taps if not known(values) else np.asarray(taps)
 
 
 def delays(period: Array | np.ndarray) -> Iterator[tuple[float, Array]]:

@@ -12,10 +12,18 @@ where Q is near 1. Between them |S| exceeds 1: what does not
 repeat with the period becomes larger there, the more the wider Q is (the waterbed). For a period
 that is no whole number of samples W has the interpolation of `RepetitiveControl` in it. For P
 periods at once W is 1 - prod_i (1 - W_i), so |W| <= 2^P - 1, and |Q - L T| < 1 / (2^P - 1)
-suffices. The delay of a period that is tracked changes; within its limits it makes no signal more
-than `largest_gain` times larger in the 2-norm, so |Q - L T| < 1 / largest_gain suffices. Of several
-channels |.| is the largest singular value. On measured lines T = P / (1 + C P), and a response P
-that is off by s makes T off by at most s / (|1 + C P| (|1 + C P| - |C| s)).
+suffices. That is P of them in series, with the internal models of all. P in parallel, each with
+the same law from the same error, v = sum_i v_i with v_i = W_i (Q v_i + L e), are one law Q and P L
+over the delay
+
+    W = N / (D + Q N),   N = sum_i W_i prod_{j != i} (1 - Q W_j) / P,   D = prod_i (1 - Q W_i).
+
+W / (1 - Q W) maps the unit disc to a disc where |Q| < 1, which is convex and so has the mean of P
+of its points in it, so |W| <= 1: |Q - P L T| < 1 suffices. The delay of a period that is tracked
+changes; within its limits it makes no signal more than `largest_gain` times larger in the 2-norm,
+so |Q - L T| < 1 / largest_gain suffices. Of several channels |.| is the largest singular value. On
+measured lines T = P / (1 + C P), and a response P that is off by s makes T off by at most
+s / (|1 + C P| (|1 + C P| - |C| s)).
 """
 
 from __future__ import annotations
@@ -25,6 +33,7 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from ..learning.machine import Machine
@@ -36,6 +45,7 @@ from ..schemes.repetitive import AROUND, delays, lagrange
 from ..signals.task import Task
 from ..uncertainty import Population, drawn_machines
 from .condition import condition, premise
+from .enclosure import arc_of_taps, supremum
 from .frequency import FrequencyTest, Parts, on_supremum, parts_of
 from .law import Law, at_points, law_of, law_response
 from .learning_map import limit_names
@@ -43,6 +53,7 @@ from .loop import linear_loop, on_circle, response
 from .on_lines import MeasuredResponse
 from .outlook import NO_LIMIT
 
+ROUNDED = 2e-6  # above 1, within which a supremum is enclosed
 POINTS = 32  # frequencies between two harmonics
 FROM_PERIOD_TO_PERIOD = (
     "sup |Q - L T| < 1: by small gain the loop through the delay of a period is stable, and each "
@@ -69,6 +80,7 @@ class RepetitiveTest(NamedTuple):
     worst, worst_at: the largest |S|, and its frequency [Hz]
     harmonics: (H,) multiples of 1 / period below the Nyquist frequency, of each period [Hz]
     left: (H,) |S| at these
+    factor: (H,) |Q - L T| at these, by which each of them comes nearer to its limit in a period
     at: the numbers of the worst machine of a family, by name
     """
 
@@ -80,6 +92,7 @@ class RepetitiveTest(NamedTuple):
     worst_at: float
     harmonics: np.ndarray
     left: np.ndarray
+    factor: np.ndarray
     at: dict[str, float]
     __repr__ = in_short
 
@@ -98,7 +111,10 @@ def repetitive_condition(
     machine: one; a `Population`, for the worst of those that are drawn; or the measured response of
         one without its feedback. Lines claim nothing: they tell the value of the condition, and,
         joined by straight lines, the sensitivity between the first and the last of them
-    scheme: `WithFeedback(RepetitiveControl(...), feedback)`, or a `RepetitiveControl` alone
+    scheme: `WithFeedback(RepetitiveControl(...), feedback)`, or a `RepetitiveControl` alone; or
+        several in parallel, of one law and a period each, `WithFeedback(RepetitiveControl(law, p),
+        WithFeedback(RepetitiveControl(law, q), feedback))`, for which `test` and `factor` have P L
+        in the place of L
     points: frequencies between two harmonics, so that no narrow peak is missed
     wrong: relative error of the period: the true period is (1 + wrong) times that of the scheme,
         and `harmonics` are those of the true one
@@ -111,11 +127,17 @@ def repetitive_condition(
     2^20 frequencies, for lines without a harmonic or above the Nyquist frequency, and where
     machine, scheme and task do not fit.
     """
-    repetitive = scheme.learning if isinstance(scheme, WithFeedback) else scheme
-    if not isinstance(repetitive, RepetitiveControl):
+    beside, feedback = side_by_side(scheme)
+    if not beside:
         raise ValueError(
             f"repetitive_condition: scheme is a {type(scheme).__name__}; allowed are a "
             "RepetitiveControl and WithFeedback(RepetitiveControl(...), feedback)"
+        )
+    repetitive = beside[0]
+    if len(beside) > 1 and not _alike(beside, task):
+        raise ValueError(
+            f"repetitive_condition: {len(beside)} RepetitiveControl in parallel; allowed are those "
+            "of one law, for one input and one output, with one period each that is not tracked"
         )
     if isinstance(machine, MeasuredResponse) and (task.inputs, task.outputs) != (1, 1):
         raise ValueError(
@@ -125,8 +147,10 @@ def repetitive_condition(
     require("repetitive_condition", "wrong", wrong, "(-1, inf)")
     require("repetitive_condition", "sigmas", sigmas, "[0, inf)")
     require("repetitive_condition", "points", points, "[2, 1e4]", whole=True)
-    repetitive.check(task)
-    each, dt = np.atleast_1d(np.asarray(repetitive.period, float)), float(task.dt)
+    for one in beside:
+        one.check(task)
+    each, dt = np.concatenate([np.atleast_1d(one.period) for one in beside]), float(task.dt)
+    each = each.astype(float)
     period = float(np.sum(each))
     count = int(0.5 / dt * points * period)
     if count > MOST:
@@ -139,10 +163,11 @@ def repetitive_condition(
     true = np.unique(
         np.concatenate([np.arange(1, int(0.5 / dt * one) + 1) / one for one in longer])
     )
-    size_of_W: float = 2 ** len(each) - 1
+    parallel = len(beside) > 1
+    size_of_W: float = 1 if parallel else 2 ** len(each) - 1
     if repetitive.tracking is not None:
         size_of_W = largest_gain(float(repetitive.tracking.fastest))
-    law, seen = _between_trials(scheme, repetitive, task), repetitive.sees(task)
+    law, seen = _between_trials(beside, feedback, task), repetitive.sees(task)
     drawn: Mapping[str, np.ndarray] = {}
     if isinstance(machine, MeasuredResponse):
         f, true = (_within(machine, of, dt) for of in (f, true))
@@ -156,27 +181,57 @@ def repetitive_condition(
             machines = [machine]
         every = [_parts_seen(one, law, task, seen) for one in machines]
         tests = [
-            _on_circle(one, of, law, task, size_of_W)
+            _on_circle(one, of, law, task, size_of_W, parallel)
             for one, of in zip(machines, every, strict=True)
         ]
         loops, taps = [_response_of(of, task) for of in every], every[0].law
     # one that does not hold is worse than any that does
     top = max(range(len(tests)), key=lambda i: (not (c := tests[i].condition).holds, c.value))
-    size, left = (
-        np.concatenate([_sensitivity(loops, taps, task, each, part) for part in _in_parts(of)])
+    (size, _), (left, factor) = (
+        np.concatenate(
+            [_sensitivity(loops, taps, task, each, part, parallel) for part in _in_parts(of)],
+            axis=1,
+        )
         for of in (f, true)
     )
     worst, at = int(np.argmax(size)), {name: float(of[top]) for name, of in drawn.items()}
     of_size = float(size[worst]), float(f[worst])
-    return RepetitiveTest(tests[top], period, f, size, *of_size, true, left, at)
+    return RepetitiveTest(tests[top], period, f, size, *of_size, true, left, factor, at)
 
 
-def _between_trials(scheme: Scheme, of: RepetitiveControl, task: Task) -> Scheme:
-    """The scheme with the same law between trials."""
-    law: Scheme = of.law
+def side_by_side(scheme: Scheme) -> tuple[list[RepetitiveControl], Scheme | None]:
+    """The repetitive controls of a scheme, and the feedback beside them; None without one."""
+    found: list[RepetitiveControl] = []
+    while isinstance(scheme, WithFeedback) and isinstance(scheme.learning, RepetitiveControl):
+        found.append(scheme.learning)
+        scheme = scheme.feedback
+    if isinstance(scheme, RepetitiveControl):
+        return [*found, scheme], None
+    return found, scheme
+
+
+def _alike(beside: list[RepetitiveControl], task: Task) -> bool:
+    """Whether they differ by their periods alone."""
+    first = beside[0].law
+    return (task.inputs, task.outputs) == (1, 1) and all(
+        one.tracking is None
+        and np.size(one.period) == 1
+        and jax.tree.structure(one.law) == jax.tree.structure(first)  # type: ignore[operator]  # of JAX
+        and all(
+            np.array_equal(*pair)
+            for pair in zip(jax.tree.leaves(one.law), jax.tree.leaves(first), strict=True)
+        )
+        for one in beside
+    )
+
+
+def _between_trials(beside: list[RepetitiveControl], feedback: Scheme | None, task: Task) -> Scheme:
+    """The same law between trials; of several in parallel L is their number times it."""
+    of = beside[0]
+    law: Scheme = dataclasses.replace(of.law, L=len(beside) * of.law.L)
     if len(of.sees(task)) < task.outputs:
         law = OnOutputs(law, of.sees(task))
-    return dataclasses.replace(scheme, learning=law) if isinstance(scheme, WithFeedback) else law
+    return law if feedback is None else WithFeedback(law, feedback)
 
 
 @functools.cache
@@ -251,7 +306,7 @@ def _within(measured: MeasuredResponse, f: np.ndarray, dt: float) -> np.ndarray:
 
 
 def _on_circle(
-    machine: Machine, parts: Parts, law: Scheme, task: Task, size_of_W: float
+    machine: Machine, parts: Parts, law: Scheme, task: Task, size_of_W: float, parallel: bool
 ) -> FrequencyTest:
     """sup |Q - L T| < 1. An operation without ends asks for nothing else, but a linear loop."""
     names = limit_names(drawn_machines(machine, {}, {}), law, task)
@@ -260,7 +315,11 @@ def _on_circle(
     def bounds(centre: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return parts.nominal(centre, h).scaled(size_of_W * np.ones_like(h)).bounds(h)
 
-    about = [parts.loop], task, [*parts.premises, free], list, None
+    premises = [*parts.premises, free]
+    if parallel:
+        Q = supremum(lambda centre, h: arc_of_taps(parts.law.keep, centre).bounds(h), 0.0, np.pi)
+        premises.append(premise("|Q| <= 1", Q.bound <= 1 + ROUNDED, f"up to {Q.bound:.6g}"))
+    about = [parts.loop], task, premises, list, None
     return on_supremum(bounds, FROM_PERIOD_TO_PERIOD, *about)
 
 
@@ -284,19 +343,33 @@ def _on_lines(
     return FrequencyTest(claim, f, size, float(f[top]), float(above[0]) if len(above) else np.inf)
 
 
-def _sensitivity(loops, law: Law, task: Task, each: np.ndarray, f: np.ndarray) -> np.ndarray:
-    """(F,) the largest |S| of closed loops T at frequencies [Hz]."""
+def _sensitivity(
+    loops, law: Law, task: Task, each: np.ndarray, f: np.ndarray, parallel: bool
+) -> np.ndarray:
+    """(2, F) the largest |S| and |Q - L T| of closed loops T at frequencies [Hz]."""
     z = on_circle(f, task.dt)
     Q, L = (np.asarray(at_points(part, z)) for part in (law.keep, law.L))
-    W = np.zeros(len(f), complex)
-    for sign, period in delays(each):
-        whole, share = divmod(float(period) / float(task.dt), 1.0)
-        late = np.exp(-2j * np.pi * float(task.dt) * np.outer(f, whole + AROUND))
-        W += sign * (late @ np.asarray(lagrange(share)))
+    if parallel:
+        late, q = np.array([_delay(one, f, task) for one in each]), Q[:, 0, 0]
+        left = 1 - q * late
+        others = [np.prod(np.delete(left, i, axis=0), axis=0) for i in range(len(each))]
+        mean = np.mean(late * others, axis=0)
+        W = mean / (np.prod(left, axis=0) + q * mean)
+    else:
+        W = sum(
+            (sign * _delay(float(one), f, task) for sign, one in delays(each)), np.zeros(len(f))
+        )
     W, sizes = W[:, None, None], []
     for loop in loops:
         T = loop(f)
-        added = np.linalg.solve(np.eye(Q.shape[-1]) - W * (Q - L @ T), W * L)
-        S = np.eye(T.shape[1]) - T @ added
-        sizes.append(np.linalg.svd(S, compute_uv=False)[:, 0])
+        factor = Q - L @ T
+        S = np.eye(T.shape[1]) - T @ np.linalg.solve(np.eye(Q.shape[-1]) - W * factor, W * L)
+        sizes.append([np.linalg.svd(one, compute_uv=False)[:, 0] for one in (S, factor)])
     return np.max(sizes, axis=0)
+
+
+def _delay(period: float, f: np.ndarray, task: Task) -> np.ndarray:
+    """(F,) the delay of a period, between samples as `RepetitiveControl` has it."""
+    whole, share = divmod(float(period) / float(task.dt), 1.0)
+    late = np.exp(-2j * np.pi * float(task.dt) * np.outer(f, whole + AROUND))
+    return late @ np.asarray(lagrange(share))

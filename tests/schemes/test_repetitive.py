@@ -10,7 +10,14 @@ import pytest
 from jaxilc import Machine, Task, theory
 from jaxilc.learning import run_trial
 from jaxilc.plants import StateSpace
-from jaxilc.schemes import PID, LearningFilter, RepetitiveControl, WithFeedback, learning_filter
+from jaxilc.schemes import (
+    PID,
+    LearningFilter,
+    RepetitiveControl,
+    WithFeedback,
+    harmonic_taps,
+    learning_filter,
+)
 from jaxilc.schemes.repetitive import AROUND, lagrange
 from jaxilc.theory.on_lines import MeasuredResponse
 from jaxilc.uncertainty import Population, Uniform
@@ -95,29 +102,35 @@ def test_a_law_that_breaks_the_condition_diverges_and_one_that_keeps_it_converge
             assert e[-50:].max() > 1e3
 
 
-def a_period_later(plant, kp, law, n):
-    """The map of plant, P feedback and both memories over floor(n) samples, dense, for r = 0."""
+def a_period_later(plant, kp, law, *periods):
+    """The map of plant, P feedback and all memories over the first period, dense, for r = 0.
+
+    Several periods are those of as many controls in parallel.
+    """
     A, B, C = (np.asarray(M, float) for M in (plant.A, plant.B, plant.C))
-    L, keep, whole, size = np.asarray(law.L), np.asarray(law.keep), int(n), len(A)
+    L, keep, size = np.asarray(law.L), np.asarray(law.keep), len(A)
     around = np.arange(-1, 3)  # the value at n is the cubic through those at whole + around
-    weights = np.linalg.solve(np.vander(around, increasing=True).T, (n - whole) ** np.arange(4))
-    M = whole + 8  # samples of v and of e, the newest first, behind the state of the plant
-    e_now = np.concatenate([-C[0], np.zeros(2 * M)])
-    v_now = np.zeros(size + 2 * M)
-    for weight, later in zip(weights, around, strict=True):
-        for i, tap in enumerate(keep):
-            v_now[size + whole + later - i + len(keep) // 2 - 1] += weight * tap
-        for i, tap in enumerate(L):
-            late = whole + later - 1 - law.lead - i + len(L) // 2
-            seen = e_now if late == 0 else np.eye(len(v_now))[size + M + late - 1]
-            v_now += weight * tap * seen
-    step = np.zeros((len(v_now), len(v_now)))
+    M = int(max(periods)) + 8  # samples, the newest first, behind the state of the plant
+    unit = np.eye(size + (1 + len(periods)) * M)  # e, and v of each
+    e_now, v_now = np.concatenate([-C[0], 0 * unit[0, size:]]), []
+    for own, n in enumerate(periods, 1):
+        whole = int(n)
+        weights = np.linalg.solve(np.vander(around, increasing=True).T, (n - whole) ** np.arange(4))
+        v = 0 * e_now
+        for weight, later in zip(weights, around, strict=True):
+            for i, tap in enumerate(keep):
+                v += weight * tap * unit[size + own * M + whole + later - i + len(keep) // 2 - 1]
+            for i, tap in enumerate(L):
+                late = whole + later - 1 - law.lead - i + len(L) // 2
+                v += weight * tap * (e_now if late == 0 else unit[size + late - 1])
+        v_now.append(v)
+    step = 0 * unit
     step[:size, :size] = A
-    step[:size] += B @ (v_now + kp * e_now)[None]
-    step[size], step[size + M] = v_now, e_now
-    for first in (size, size + M):
-        step[first + 1 : first + M, first : first + M - 1] = np.eye(M - 1)
-    return np.linalg.matrix_power(step, whole)
+    step[:size] += B @ (sum(v_now) + kp * e_now)[None]
+    for i, now in enumerate((e_now, *v_now)):
+        first = size + i * M
+        step[first], step[first + 1 : first + M] = now, unit[first : first + M - 1]
+    return np.linalg.matrix_power(step, int(periods[0]))
 
 
 def largest_pole(dense):
@@ -245,6 +258,85 @@ def test_two_periods_at_once_are_each_learned_and_what_is_left_is_told():
     assert np.all(left < 0.35)
 
 
+def in_parallel(law, periods, kp):
+    one, other = (RepetitiveControl(law, n * DT) for n in periods)
+    return WithFeedback(one, WithFeedback(other, PID(kp=kp)))
+
+
+INVERSE = np.array([0.642, -1.6, 1.0]) / 0.03  # of `PLANT` under `FEEDBACK`
+HALF = np.array([-1, 0, 9, 16, 9, 0, -1]) / 32
+
+
+def test_periods_in_parallel_need_what_one_needs_and_grow_less_between_than_in_series():
+    task, pair = task_of(np.zeros(101)), (50, 63.3)
+    law, both = (learning_filter(INVERSE, HALF, gain=by) for by in (0.4, 0.8))
+    parallel = in_parallel(law, pair, 0.4)
+    series = WithFeedback(RepetitiveControl(both, tuple(n * DT for n in pair)), FEEDBACK)
+    alone = WithFeedback(RepetitiveControl(both, pair[0] * DT), FEEDBACK)
+    found, other, one = (
+        theory.repetitive_condition(Machine(PLANT), of, task) for of in (parallel, series, alone)
+    )
+    assert found.test.condition.holds
+    assert found.test.condition.value == pytest.approx(one.test.condition.value)
+    assert one.worst < found.worst < 0.8 * other.worst
+    k, late = np.arange(6001), slice(4000, 6000)
+    for at in (5, 50, 116):
+        wave, sizes = np.exp(-2j * np.pi * found.frequencies[at] * DT * k), []
+        waves = np.stack([wave.real, wave.imag], axis=1)[late]
+        for of in (parallel, FEEDBACK):
+            e = np.asarray(run(of, task_of(wave.real)).e)[late, 0]
+            sizes.append(np.linalg.norm(np.linalg.lstsq(waves, e)[0]))
+        assert sizes[0] / sizes[1] == pytest.approx(found.sensitivity[at], rel=1e-3)
+
+
+def test_the_dense_map_never_contradicts_the_condition_of_periods_in_parallel():
+    rng, task, held, unstable = np.random.default_rng(7), task_of(np.zeros(101)), 0, 0
+    for _ in range(10):
+        plant = StateSpace([[rng.uniform(-0.5, 0.8)]], [[1.0]], [[rng.uniform(0.3, 1)]], dt=DT)
+        law = LearningFilter(rng.uniform(-0.1, 0.8, 3), keep=(0.1, 0.75, 0.1))
+        kp, periods = rng.normal(0, 0.1), (9, 14.4)
+        scheme = in_parallel(law, periods, kp)
+        found = theory.repetitive_condition(Machine(plant), scheme, task).test.condition
+        radius = largest_pole(a_period_later(plant, kp, law, *periods))
+        held, unstable = held + found.holds, unstable + (radius > 1)
+        assert not found.holds or radius < 1, (radius, found)
+    assert held > 1, held
+    assert unstable > 1, unstable
+
+
+def test_each_harmonic_has_a_gain_of_its_own():
+    """The second harmonic of a run is left as it is, and the condition says so at each of them."""
+    k, learned = np.arange(3001), np.array([1.0, 1.0, 0.0, 1.0])
+    z = np.exp(2j * np.pi / 50 * np.arange(4))
+    T = 0.03 / (z**2 - 1.6 * z + 0.642)
+    L = harmonic_taps(0.8 * learned / (z * T), PERIOD, dt=DT)  # of e a sample later
+    law = LearningFilter(L, keep=harmonic_taps(0.99 * learned, PERIOD, dt=DT))
+    scheme = WithFeedback(RepetitiveControl(law, PERIOD), FEEDBACK)
+    found = theory.repetitive_condition(Machine(PLANT), scheme, task_of(np.zeros(101)))
+    assert found.test.condition.holds
+    np.testing.assert_allclose(found.factor[:4], [0.19, 0, 0.19, 0], atol=1e-6)
+    np.testing.assert_allclose(found.left[:4], [0.01 / 0.81, 1, 0.01 / 0.81, 1], rtol=1e-6)
+    waves = np.exp(2j * np.pi / 50 * np.outer(k[-500:], (1, 2, 3)))
+    r = sum(np.sin(2 * np.pi * h * k / 50) for h in (1, 2, 3))
+    sizes = [
+        np.abs(np.asarray(run(of, task_of(r)).e)[-500:, 0] @ waves) for of in (scheme, FEEDBACK)
+    ]
+    np.testing.assert_allclose(sizes[0] / sizes[1], found.left[:3], rtol=1e-3)
+
+
+@pytest.mark.parametrize("n", [9, 50, 50.4, 61.37])
+def test_taps_of_harmonics_have_their_values_there_and_a_slope(n):
+    values = np.array([1.0, 0.8, 0.5 - 0.3j, 0.2j])
+    taps = harmonic_taps(values, n * DT, dt=DT)
+    p = np.arange(len(taps)) - len(taps) // 2
+    found = [np.sum(taps * np.exp(2j * np.pi * h * p / n)) for h in range(int(n / 2) + 1)]
+    np.testing.assert_allclose(found[:4], values, atol=1e-12)
+    np.testing.assert_allclose(found[4:], 0, atol=1e-12)
+    slopes = jax.jacobian(lambda g: harmonic_taps(g, n * DT, dt=DT))(jnp.ones(3))
+    one = harmonic_taps(np.array([0, 1.0]), n * DT, dt=DT)
+    np.testing.assert_allclose(slopes[:, 1], one, atol=1e-12)
+
+
 def test_the_slope_by_the_period_is_that_of_differences():
     r = task_of(np.sin(2 * np.pi * np.arange(401) / 61.37))
 
@@ -296,3 +388,12 @@ def test_what_does_not_fit_is_said():
         theory.repetitive_condition(Machine(PLANT), long, task, points=10_000)
     with pytest.raises(ValueError, match="scheme is a PID; allowed are a RepetitiveControl"):
         theory.repetitive_condition(Machine(PLANT), FEEDBACK, task)
+    other = dataclasses.replace(
+        in_parallel(LAW, (50, 60), 0.4), learning=RepetitiveControl(LAW, (0.05, 0.06))
+    )
+    with pytest.raises(ValueError, match="2 RepetitiveControl in parallel; allowed are"):
+        theory.repetitive_condition(Machine(PLANT), other, task)
+    with pytest.raises(ValueError, match=r"values has shape \(5,\); allowed is \(H,\) of up to 4"):
+        harmonic_taps(np.ones(5), 7 * DT, dt=DT)
+    with pytest.raises(ValueError, match=r"reach = 3 samples; allowed is \[25, inf\)"):
+        harmonic_taps(np.ones(5), PERIOD, dt=DT, reach=3)

@@ -151,6 +151,11 @@ e = np.abs(jaxilc.learn(Machine(P), scheme, turning, trials=1).final.e[:, 0])
 print([f"{e[50 * i : 50 * i + 50].max():.2f}" for i in (0, 3, 7)])  # by period of one trial
 # ['0.59', '0.25', '0.08']
 
+# %% harmonic_taps
+taps = harmonic_taps((1.0, 1.0, 0.0, 0.5), period=0.05, dt=1e-3)  # the second is not learned
+print(taps.shape, f"{np.sum(taps):.2f}")
+# (51,) 1.00
+
 # %% PeriodTracking
 drifting = Task(np.sin(np.arange(801) * 2 * np.pi / 51), dt=1e-3)  # 2 % longer than thought
 for tracking in (None, PeriodTracking(fastest=0.01)):
