@@ -88,6 +88,7 @@ from jaxilc.schemes import (
     PolynomialBasis,
     PositionBasis,
     RationalBasis,
+    RepetitiveBasis,
     RepetitiveControl,
     SelectedBasis,
     StopWhen,
@@ -284,6 +285,10 @@ SCHEMES = {
             4.6e-3,
             tracking=PeriodTracking(),
         ),
+        PID(kp=-4.0, ki=-40.0, kd=-2e-3),
+    ),
+    "repetitive_basis": WithFeedback(
+        RepetitiveBasis(Harmonics(5.2e-3, (0, 1, 2)), gain=-0.1, lead=1e-3, keep=0.98),
         PID(kp=-4.0, ki=-40.0, kd=-2e-3),
     ),
     "p_type_over_pid": WithFeedback(

@@ -25,6 +25,7 @@ from .norm_optimal import NormOptimal
 from .pid import PID
 from .pid_type import ExponentialPD, HigherOrder, PIDType
 from .repetitive import PeriodTracking, RepetitiveControl, harmonic_taps
+from .repetitive_basis import RepetitiveBasis
 from .scheme import Feedforward, Scheme
 from .sliding_mode import ASMC, SMC
 from .two_step import TwoStep
@@ -68,6 +69,7 @@ __all__ = [
     "PolynomialBasis",
     "PositionBasis",
     "RationalBasis",
+    "RepetitiveBasis",
     "RepetitiveControl",
     "Scheme",
     "SelectedBasis",

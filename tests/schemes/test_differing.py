@@ -56,6 +56,7 @@ REFUSED = {
         **dict.fromkeys(("ilc_mfapc", "p_type_over_pid", "dilc", "ilc_asmc"), NOTHING_LEARNED),
         "model_free": "ModelFreeGradient makes experiments between its steps",
         "repetitive": "learns no feedforward signal u",
+        "repetitive_basis": "learns no feedforward signal u",
     },
 }
 

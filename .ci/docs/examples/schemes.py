@@ -151,6 +151,13 @@ e = np.abs(jaxilc.learn(Machine(P), scheme, turning, trials=1).final.e[:, 0])
 print([f"{e[50 * i : 50 * i + 50].max():.2f}" for i in (0, 3, 7)])  # by period of one trial
 # ['0.59', '0.25', '0.08']
 
+# %% RepetitiveBasis
+waves = Harmonics(pitch=0.05, orders=(1,))  # a resonator, with a lead for the phase of the loop
+scheme = WithFeedback(RepetitiveBasis(waves, gain=0.05, lead=0.003), pid)
+e = np.abs(jaxilc.learn(Machine(P), scheme, turning, trials=1).final.e[:, 0])
+print([f"{e[50 * i : 50 * i + 50].max():.2f}" for i in (0, 3, 7)])
+# ['0.50', '0.06', '0.00']
+
 # %% harmonic_taps
 taps = harmonic_taps((1.0, 1.0, 0.0, 0.5), period=0.05, dt=1e-3)  # the second is not learned
 print(taps.shape, f"{np.sum(taps):.2f}")

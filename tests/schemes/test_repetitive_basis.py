@@ -1,0 +1,149 @@
+"""Weights of functions of the period, learned within one trial, against what they are equal to."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+
+from jaxilc import Machine, Task
+from jaxilc.learning import run_trial
+from jaxilc.plants import Harmonics, Splines, StateSpace
+from jaxilc.schemes import PID, LearningFilter, RepetitiveBasis, RepetitiveControl, WithFeedback
+from jaxilc.signals.task import Sample
+
+DT, n = 1e-3, 25
+PLANT = StateSpace([[0.9, 0.1], [0.0, 0.7]], [[0.0], [0.3]], [[1.0, 0.0]], dt=DT)
+HARMONICS = Harmonics(n * DT, (1, 2, 3))
+WAVE = np.random.default_rng(1).normal(size=(3, 2))
+
+
+def repeating(samples, phase=0.0):
+    """Three harmonics of the period."""
+    angle = 2 * np.pi * (np.arange(samples) / n + phase)
+    return sum(
+        a * np.cos(h * angle) + b * np.sin(h * angle) for h, (a, b) in enumerate(WAVE, start=1)
+    )
+
+
+@jax.jit
+def run(scheme, r):
+    task = Task(r, dt=DT)
+    beside = WithFeedback(scheme, PID(kp=0.4))
+    memory = beside.initial_memory(task)
+    return run_trial(Machine(PLANT), beside, task, memory, jax.random.key(0)).e[:, 0]
+
+
+@jax.jit
+def answer(scheme, e):
+    """u of the law alone, to an error that is given."""
+    task = Task(jnp.zeros(len(e)), dt=DT)
+
+    def tick(state, now):
+        return scheme.act(state, Sample(now, None, jnp.zeros(1), None, DT))
+
+    return jax.lax.scan(tick, scheme.initial_state(task), e[:, None])[1][:, 0]
+
+
+def test_harmonics_are_resonators():
+    """By `lfilter` of the transfer function that is printed, each with gain and lead of its own."""
+    e = np.random.default_rng(0).normal(size=300)
+    gains, leads, keep = np.array([0.3, 0.2, 0.1]), np.array([0.003, 0.004, 0.001]), 0.995
+    scheme = RepetitiveBasis(
+        HARMONICS, gain=np.repeat(gains, 2), lead=np.repeat(leads, 2), keep=keep
+    )
+    expected = 0
+    for h, (gain, lead) in enumerate(zip(gains, leads, strict=True), start=1):
+        a, b = 2 * np.pi * h / n, 2 * np.pi * h * lead / (n * DT)
+        top = gain * np.array([0, np.cos(a + b), -keep * np.cos(b)])
+        expected = expected + scipy.signal.lfilter(top, [1, -2 * keep * np.cos(a), keep**2], e)
+    np.testing.assert_allclose(answer(scheme, e), expected, atol=1e-10)
+
+
+def test_all_harmonics_of_a_period_are_repetitive_control():
+    e, g, lead = np.random.default_rng(0).normal(size=200), 0.6, 3
+    orders = tuple(range((n + 1) // 2))
+    gain = g / n * np.array([1.0, *([2.0] * (n - 1))])
+    basis = RepetitiveBasis(Harmonics(n * DT, orders), gain=gain, lead=lead * DT)
+    law = LearningFilter((g,), lead=lead - 1)
+    np.testing.assert_allclose(
+        answer(basis, e), answer(RepetitiveControl(law, n * DT), e), atol=1e-10
+    )
+
+
+@pytest.mark.parametrize("by_period", [False, True])
+def test_splines_are_the_dense_sums_over_the_samples_before(by_period):
+    e = np.random.default_rng(0).normal(size=120)
+    splines = Splines(0.0, n * DT, 6, degree=1, closed=True)
+    scheme = RepetitiveBasis(splines, gain=0.2, lead=2 * DT, keep=0.9, by_period=by_period)
+    at = DT * np.arange(120)
+    f, seen = np.asarray(splines.at(at)), np.asarray(splines.at(at - 2 * DT))
+    u = np.zeros(120)
+    for k in range(120):
+        for i in range(k):
+            steps = k // n - i // n if by_period else k - i
+            if steps:
+                u[k] += 0.2 * 0.9 ** (steps - 1) * f[k] @ seen[i] * e[i]
+    np.testing.assert_allclose(answer(scheme, e), u, atol=1e-12)
+
+
+def test_it_learns_what_its_functions_can_make_beside_a_feedback():
+    r, h = repeating(3001), np.arange(1, 4)
+    z = np.exp(2j * np.pi * h / n)
+    T = 0.03 / (z**2 - 1.6 * z + 0.642)  # of plant and feedback
+    leads = np.repeat(-np.angle(T) / (2 * np.pi * h) * n * DT, 2)
+    gains = np.repeat(0.03 / np.abs(T), 2)
+    before = np.max(np.abs(run(PID(kp=0.0), r)[-n:]))
+    for by_period in (False, True):
+        scheme = RepetitiveBasis(HARMONICS, gain=gains, lead=leads, by_period=by_period)
+        assert np.max(np.abs(run(scheme, r)[-n:])) < 1e-3 * before, by_period
+    two = RepetitiveBasis(
+        dataclasses.replace(HARMONICS, orders=(1, 2)), gain=gains[:4], lead=leads[:4]
+    )
+    assert 0.1 * before < np.max(np.abs(run(two, r)[-n:])) < before  # the third
+
+
+def test_the_period_has_a_slope_and_a_batch_is_that_of_single_runs():
+    r = repeating(201)
+
+    def cost(period):
+        functions = dataclasses.replace(HARMONICS, pitch=period)
+        return jnp.sum(run(RepetitiveBasis(functions, gain=0.03, lead=0.005), r) ** 2)
+
+    h, at = 1e-8, 0.0253
+    slope = float(cost(at + h) - cost(at - h)) / (2 * h)
+    assert float(jax.grad(cost)(at)) == pytest.approx(slope, rel=1e-4)
+    np.testing.assert_allclose(jax.vmap(cost)(jnp.array([0.025, at]))[1], cost(at), rtol=1e-10)
+
+
+def test_an_angle_takes_the_place_of_time():
+    """At any speed the weights are those of the angle; the second output is the angle."""
+    turns = np.cumsum(1 / (n * (1 + 0.3 * np.sin(np.arange(3001) / 400))))
+    scheme = RepetitiveBasis(Harmonics(1.0, (1,)), gain=0.1, lead=0.0, angle=1)
+
+    @jax.jit
+    def closed(turns):
+        def tick(carry, angle):
+            state, y = carry
+            d = jnp.cos(2 * jnp.pi * angle)
+            sample = Sample(jnp.zeros(2), None, jnp.stack([y, angle]), None, DT)
+            state, u = scheme.act(state, sample)
+            return (state, u[0] + d), y
+
+        task = Task(jnp.zeros((3001, 2)), dt=DT, inputs=1)
+        return jax.lax.scan(tick, (scheme.initial_state(task), 0.0), turns)[1]
+
+    y = np.abs(closed(turns))
+    assert y[-100:].max() < 0.1 * y[:30].max()
+
+
+def test_what_does_not_fit_is_said():
+    task = Task(np.zeros(101), dt=DT)
+    with pytest.raises(ValueError, match=r"gain has shape \(5,\); allowed are \(\) and \(6,\)"):
+        RepetitiveBasis(HARMONICS, gain=np.ones(5)).check(task)
+    with pytest.raises(ValueError, match=r"angle = 1 is none of the task's outputs 0..0"):
+        RepetitiveBasis(HARMONICS, gain=1.0, angle=1).check(task)
+    with pytest.raises(ValueError, match="RepetitiveBasis works channel by channel"):
+        RepetitiveBasis(HARMONICS, gain=1.0).check(Task(np.zeros((101, 2)), dt=DT, inputs=1))
