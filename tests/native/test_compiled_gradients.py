@@ -74,6 +74,24 @@ def test_slopes_are_the_same_in_tiles_under_jit_and_beside_others(monkeypatch):
         np.testing.assert_array_equal(x[1], y[::-1])
 
 
+def test_a_loop_keeps_no_rows_that_only_dead_steps_read():
+    """As of a solve, whose matrix no slope reads: for such rows there is no room."""
+
+    def loss(gain):
+        def trial(u, j):
+            y = jax.lax.scan(lambda x, k: (0.5 * x + u, x * gain), gain, jnp.arange(8))[1]
+            A = jnp.array([[gain, 1 + y[-1] ** 2], [2.0, u]])
+            return jnp.tanh(jnp.linalg.solve(A, y[:2])[0]), jnp.mean(y**2)
+
+        return jnp.sum(jax.lax.scan(trial, gain, jnp.arange(3))[1])
+
+    def slopes(_, gain):
+        return jax.value_and_grad(loss)(gain)
+
+    found = Compiled(slopes, (), 1.0)((), GAINS)
+    assert differs(found, jax.jit(jax.vmap(slopes, (None, 0)))((), GAINS)) is None
+
+
 def test_memories_that_the_ram_cannot_hold_are_refused(monkeypatch):
     monkeypatch.setattr(run, "host_bytes", lambda: 1000)
     with pytest.raises(Unknown, match="the memories of all trials"):
