@@ -300,9 +300,13 @@ def _seal(place: Path, compiled: bytes) -> bytes:
     return hashlib.sha256(place.name.encode() + b"\0" + compiled).digest()
 
 
-def in_vectors(lanes: int, name: str, operands: int) -> str | None:
-    """The name of a function of the C library for a vector of numbers; None where it has none."""
-    letter, feature = {8: ("e", "avx512f"), 4: ("d", "avx2"), 2: ("b", "sse2")}.get(lanes, ("", ""))
+def in_vectors(lanes: int, size: int, name: str, operands: int) -> str | None:
+    """The name of a function of the C library for a vector of numbers; None where it has none.
+
+    size: bytes of a number
+    """
+    registers = {64: ("e", "avx512f"), 32: ("d", "avx2"), 16: ("b", "sse2")}
+    letter, feature = registers.get(lanes * size, ("", ""))
     if not _llvm().get_host_cpu_features().get(feature):
         return None
     found = f"_ZGV{letter}N{lanes}{'v' * operands}_{name}"

@@ -239,19 +239,20 @@ class Text:
 
     def _for_each(self, name: str, dtype: Any, args: list[str]) -> str:
         """The results of a function of the C library, in vectors where it has them."""
-        kind = self.type_of(dtype)
+        kind, scalar = self.type_of(dtype), _scalar(dtype)
         if name == "@log":  # it would not take tiny numbers as zero, as XLA does here alone
             same = f"@llvm.canonicalize.{self._suffix(dtype)}"
             args = [self._called(same, kind, [kind], args)]
+        name += "f" if scalar == "float" else ""
         vectors = self.in_vectors(name[1:], len(args))
         if vectors is not None:
             return self._called(f"@{vectors}", kind, [kind] * len(args), args)
-        self.declared.add(f"declare double {name}({', '.join(['double'] * len(args))})")
+        self.declared.add(f"declare {scalar} {name}({', '.join([scalar] * len(args))})")
         found = "poison"
         for lane in range(self.lanes):
             ones = [self.add(f"extractelement {kind} {x}, i32 {lane}") for x in args]
-            one = self.add(f"call double {name}({', '.join(f'double {x}' for x in ones)})")
-            found = self.add(f"insertelement {kind} {found}, double {one}, i32 {lane}")
+            one = self.add(f"call {scalar} {name}({', '.join(f'{scalar} {x}' for x in ones)})")
+            found = self.add(f"insertelement {kind} {found}, {scalar} {one}, i32 {lane}")
         return found
 
     def _converted(self, node: Node, x: str) -> str:

@@ -34,7 +34,8 @@ ONCE = "trials that are all alike, of which XLA computes one"
 FEW = 64  # real numbers of an operand that are written into the program where they never change
 SHARE = 0.25  # of the RAM that is free, which may be taken by what is held from loop to loop
 AT_ONCE = 2**27  # bytes of operands and of what is held, that are in the RAM at once
-TOLERANCE = 1e-9  # of the largest number of a machine, by which the check may find a difference
+# of the largest number of a machine, by which the check may find a difference, by bytes of a number
+TOLERANCE = {8: 1e-9, 4: 1e-4}
 
 
 class Compiled:
@@ -52,14 +53,12 @@ class Compiled:
 
     def __init__(self, fn: Callable[[Any, Any], Any], common: Any, one: Any,
                  lanes: int | None = None):  # fmt: skip
-        if not jax.config.jax_enable_x64:
-            raise Unknown("single precision")
         with all_stored():
             closed, shape = jax.make_jaxpr(fn, return_shape=True)(common, one)
         self._tree = jax.tree.structure(shape)
         self._program: Program = flat(closed)
         self._shared = len(jax.tree.leaves(common))
-        self.lanes = width() // np.dtype(float).itemsize if lanes is None else lanes
+        self.lanes = width() // _real().itemsize if lanes is None else lanes
         left: list[int] = []
         while not self._compiled(left):
             pass
@@ -204,9 +203,9 @@ class _Loop:
                  lanes: int):  # fmt: skip
         self.step, self._lanes = step, lanes
         self._alike = [isinstance(x, Const) or x not in varying for x in step.ins]
-        plan = Trials(step, self._alike, _fixed(before, step), np.dtype(float))
+        plan = Trials(step, self._alike, _fixed(before, step), _real())
         wanted = [x in read for x in step.outs]
-        text = Text(plan, lanes, wanted, partial(in_vectors, lanes))
+        text = Text(plan, lanes, wanted, partial(in_vectors, lanes, _real().itemsize))
         self.work = text.work
         self._constants = [np.ascontiguousarray(x) for x in plan.given]
         self._moved = [plan.moved(i) for i in range(len(step.ins))]
@@ -342,7 +341,7 @@ def differs(found: Any, wanted: Any) -> str | None:
             finite = np.isfinite(y)
             scale = np.max(np.abs(np.where(finite, y, 0)), axis=1, keepdims=True, initial=0)
             with np.errstate(invalid="ignore"):
-                near = np.abs(x - y) <= TOLERANCE * scale
+                near = np.abs(x - y) <= TOLERANCE[y.itemsize] * scale
             off = ~np.where(finite, near, (x == y) | (np.isnan(x) & np.isnan(y)))
         if off.any():
             machine, at = (int(i) for i in np.argwhere(off)[0])
@@ -386,6 +385,11 @@ def _fixed(before: Sequence[Step], step: Step) -> list[Any]:
     found = [x.array if isinstance(x, Const) else known.get(x) for x in step.ins]
     few = (x is not None and (np.size(x) <= FEW or x.dtype.kind in "iu") for x in found)
     return [np.asarray(x) if small else None for x, small in zip(found, few, strict=True)]
+
+
+def _real() -> np.dtype:
+    """The floating point type, as the precision is now."""
+    return np.dtype(jnp.result_type(float))
 
 
 def _size(x: Value) -> int:

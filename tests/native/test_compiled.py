@@ -75,6 +75,21 @@ def test_every_case_learns_as_by_xla_or_is_refused_by_name(name):
     assert differs(found, wanted) is None
 
 
+@pytest.mark.parametrize("name", ["ffdl_lead_limited", "fast_tool_servo_nonlinear"])
+def test_single_precision_is_compiled_too(name):
+    """As precisely as the numbers of XLA, which are singles; one has functions of the C library."""
+    common, gains = arguments(name), GAINS.astype(np.float32)
+    jax.config.update("jax_enable_x64", False)
+    try:
+        found = Compiled(of_machine, common, gains[0])(common, gains)
+        wanted = jax.jit(jax.vmap(of_machine, (None, 0)))(common, gains)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+    assert {x.dtype.name for x in jax.tree.leaves(found)} >= {"float32"}
+    assert not any(x.dtype == float for x in jax.tree.leaves(found))
+    assert differs(found, wanted) is None
+
+
 def test_numbers_do_not_depend_on_lanes_groups_threads_or_what_was_in_the_ram(monkeypatch):
     """To the last bit: alone, in groups of 1, 3 and 8 lanes, on 1 and 5 threads, poisoned RAM."""
     common = arguments("ffdl_lead_limited")
