@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import functools
 import importlib
+import inspect
 import pkgutil
 import re
 import runpy
@@ -23,7 +24,7 @@ from typer.main import get_command
 
 import jaxilc
 from jaxilc import filters, plants, scenarios, schemes, uncertainty
-from jaxilc.cli import app, entry, options
+from jaxilc.cli import app, options
 from jaxilc.filters import Filter
 from jaxilc.learning import known_metrics
 from jaxilc.learning.divergence import Course
@@ -127,18 +128,11 @@ def commands_of(registered):
     return get_command(app).commands
 
 
-def command_modules():
-    """Return the modules that register commands, but for those that another one registers."""
-    found = {p.stem for p in files("jaxilc/cli/*.py") if "\ndef register(" in p.read_text()}
-    return found - said("jaxilc/cli/*.py", form=r"{}\.register\(app\)")
-
-
 def with_verdict():
-    """Return the commands whose modules speak of one; `explore` goes on until it is stopped."""
-    stems = {name: one.callback.__module__.rpartition(".")[2] for name, one in commands().items()}
-    words = {name: " ".join(said(f"jaxilc/cli/{stem}*.py")) for name, stem in stems.items()}
-    said_by = {"tell", "present", "verdict"}  # an outcome, which has one, or one of its own
-    return {name for name, text in words.items() if said_by & {*text.lower().split()}}
+    """Return the commands that tell of an outcome, or print a verdict of their own."""
+    called = {name: inspect.getsource(inspect.unwrap(c.callback)) for name, c in commands().items()}
+    tells = r"(tell|present|verdict|_close)\("
+    return {name for name, text in called.items() if re.search(tells, text)}
 
 
 def kinds_of(base):
@@ -215,7 +209,7 @@ PLACES = {
         said(f"{GUIDE}/contents.md", form="`{}`"),
     ),
     # scenarios
-    "SCENARIOS of loading.py": lambda: (scenario_modules(), scenario_functions()),
+    "SCENARIOS of from_file.py": lambda: (scenario_modules(), scenario_functions()),
     "scenarios/__init__.pyi": lambda: (scenario_functions(), scenarios.__all__),
     "LISTED of catalogue.py": lambda: (scenarios.SCENARIOS, scenarios.LISTED),
     "tests/scenarios": lambda: (scenarios.SCENARIOS, said("tests/scenarios/*.py", form='"{}"')),
@@ -225,8 +219,8 @@ PLACES = {
     ),
     # commands
     "COMMANDS of entry.py": lambda: (
-        command_modules(),
-        {room.__name__.rpartition(".")[2] for room in entry.COMMANDS},
+        said("jaxilc/cli/*.py", form=r"Example: jaxilc (?:--quiet )?{}"),
+        commands(),
     ),
     "an example in its help": lambda: (
         commands(),
@@ -334,7 +328,7 @@ SECOND_LISTS = {  # modules that list names again, with what compares them, or w
     "jaxilc/scenarios/catalogue.py": "known without JAX; a place above",
     "jaxilc/scenarios/file_task.py": "references that a file may name; a place above",
     "jaxilc/signals/references.py": "the references themselves",
-    "jaxilc/scenarios/loading.py": "the list of scenarios, and those with several readings",
+    "jaxilc/scenarios/from_file.py": "the list of scenarios, and those with several readings",
     "jaxilc/cli/durations.py": "how long a command often takes; none is needed",
 }
 
@@ -458,7 +452,7 @@ ADDED = {
     "public filter": (shown(Filter, filters), {"tests/cases.py", "tests/filters", "contents.md"}),
     "module of a scenario": (
         lambda m: m.delitem(scenarios.SCENARIOS, "pendulum"),
-        {"SCENARIOS of loading.py"},
+        {"SCENARIOS of from_file.py"},
     ),
     "scenario": (
         scenario,
@@ -467,8 +461,8 @@ ADDED = {
             *("experiments, notebooks", "contents.md"),
         },
     ),
-    "module of a command": (
-        lambda m: m.setattr(entry, "COMMANDS", entry.COMMANDS[1:]),
+    "command of the list": (
+        lambda m: m.setattr(app, "registered_commands", app.registered_commands[1:]),
         {"COMMANDS of entry.py"},
     ),
     "command": (

@@ -294,8 +294,8 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"It is under (\d) MB": lambda: math.ceil(of("jaxilc.figures.report.ROOM") / 1e6),
         r"more than ([\d.]+) times its least": lambda: 1 + of("jaxilc.learning.divergence.GROWTH"),
         r"(\w+) at least\) is more than (\d) % below .* at most (\d) % less": lambda: (
-            of("jaxilc.outcomes.trends.WINDOW"),
-            *[100 * of("jaxilc.outcomes.trends.CHANGE")] * 2,
+            of("jaxilc.outcomes.words.WINDOW"),
+            *[100 * of("jaxilc.outcomes.words.CHANGE")] * 2,
         ),
     },
     "design.md": {

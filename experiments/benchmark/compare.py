@@ -41,7 +41,7 @@ from timing import OURS, Cost, Row, as_json, computer, in_words
 
 import jaxilc
 from jaxilc.cli.console import out
-from jaxilc.outcomes.table import Table
+from jaxilc.outcomes.outcome import Table
 from jaxilc.scenarios import Scenario
 from jaxilc.scenarios.from_file import load_scenario
 from jaxilc.storage.sealed import write_json

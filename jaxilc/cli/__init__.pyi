@@ -1,6 +1,3 @@
 from .entry import app, main
 
-__all__ = [
-    "app",
-    "main",
-]
+__all__ = ["app", "main"]

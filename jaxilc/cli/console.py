@@ -1,4 +1,4 @@
-"""The messages of the command line: how many are printed, and where.
+"""The messages of the command line: how many are printed, and where; and how JAX starts.
 
 Results go to standard output, everything else to standard error.
 """
@@ -13,7 +13,7 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
-from ..outcomes.table import Console
+from ..outcomes.outcome import Console
 from ..runtime.events import COMPILING, COMPUTING
 
 PIPED_WIDTH = 160  # columns of output that does not go to a terminal
@@ -33,10 +33,19 @@ out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
 err = Console(stderr=True)
 
 
+def say(text: str) -> None:
+    """Print a text in one line."""
+    out.print(text, soft_wrap=True)
+
+
+def warn(text: str) -> None:
+    """Print a text on standard error, in one line."""
+    err.print(text, soft_wrap=True)
+
+
 def between(text: str) -> None:
     """Print a text while a progress bar is shown: above the bar, where both are in a terminal."""
-    both = out.is_terminal and err.is_terminal
-    (err if both else out).print(text, highlight=False, soft_wrap=True)
+    (warn if out.is_terminal and err.is_terminal else say)(text)
 
 
 log = logging.getLogger("jaxilc")
@@ -149,3 +158,28 @@ def _follow() -> None:
 
     monitoring.register_event_duration_secs_listener(compiled)
     monitoring.register_event_listener(found)
+
+
+# How JAX starts for a command
+# --------------------------------------------------------------------------------------------------
+
+
+_preferred = {"precision": "float64"}
+
+
+def prefer(precision: str) -> None:
+    """Set the precision of what is computed: float64 or float32.
+
+    Raises ValueError for another one.
+    """
+    if precision not in ("float64", "float32"):
+        raise ValueError(f"precision = {precision!r} is not one of 'float64', 'float32'")
+    _preferred["precision"] = precision
+
+
+def begin() -> None:
+    """Start JAX, with a cache of compiled programs that is kept on the disk."""
+    from ..runtime.start import keep_programs, setup
+
+    setup(precision=_preferred["precision"])
+    log_jax(keep_programs())

@@ -6,38 +6,21 @@ import gc
 import re
 import sys
 import traceback
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Annotated, Any
 
 import typer
 import typer.core
 from rich.markup import escape
+from typer import Option
 
-from . import (
-    certify,
-    demo,
-    design,
-    explore,
-    export,
-    hardware,
-    identify,
-    init,
-    interrupts,
-    pareto,
-    potential,
-    q_filter,
-    reproduce,
-    run,
-    sweep,
-    tune,
-    worst_case,
-)
-from .completion import of_list
-from .console import ended, err, speak, tracebacks
-from .hardware import Refused
-from .options import FigureFormat
-from .renamed import Commands
-from .start import prefer
+from . import commands, interrupts
+from .console import ended, err, prefer, speak, tracebacks
+from .explore import explore
+from .hardware import Refused, next_, trials
+from .init import init
+from .options import DESIGN, MACHINE, PROVE, SIMULATE, Commands, FigureFormat, add, of_list
 
 LONGEST = 2000  # characters of the message of an error
 LONG_WORD = re.compile(r"(\S{60})\S{200,}(\S{40})")  # such as a value that was given by mistake
@@ -80,13 +63,13 @@ def _version(asked: bool) -> None:
 def options(
     quiet: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--quiet", "-q", help="Print warnings and errors only; files are written all the same."
         ),
     ] = False,
     verbose: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--verbose",
             "-v",
             help="Log versions, devices and every program compiled, with times; show tracebacks.",
@@ -94,16 +77,14 @@ def options(
     ] = False,
     precision: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="float64, if not given, or float32.", autocompletion=of_list("float64", "float32")
         ),
     ] = None,
     figures: FigureFormat = None,
     version: Annotated[
         bool,
-        typer.Option(
-            "--version", callback=_version, is_eager=True, help="Show the version and exit."
-        ),
+        Option("--version", callback=_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
     """What holds for every command; before its name.
@@ -124,27 +105,25 @@ class Command(typer.core.TyperCommand):
             one.help = escape(one.help or "")
 
 
-# in the order of `--help`
-COMMANDS = (
-    demo,
-    init,
-    run,
-    sweep,
-    explore,
-    potential,
-    identify,
-    design,
-    tune,
-    pareto,
-    worst_case,
-    certify,
-    q_filter,
-    hardware,
-    export,
-    reproduce,
-)
-for room in COMMANDS:
-    room.register(app)
+# What one wants, and its commands, in the order of `--help`.
+COMMANDS: dict[str, list[Callable[..., None]]] = {
+    SIMULATE: [commands.demo, init, commands.list_, commands.run, commands.sweep, explore],
+    DESIGN: [
+        commands.potential,
+        commands.identify,
+        commands.design,
+        commands.learn_law,
+        commands.tune,
+        commands.pareto,
+        commands.worst_case,
+    ],
+    PROVE: [commands.certify, commands.filter_],
+    MACHINE: [next_, trials, commands.export],
+    "Published results": [commands.reproduce],
+}
+for panel, of_panel in COMMANDS.items():
+    for function in of_panel:
+        add(app, function, panel)
 for registered in app.registered_commands:
     registered.cls = Command
 
@@ -169,7 +148,7 @@ def main() -> None:
         said = f"error: {_of_usage(error) if usage else _said(error)}"
         with suppress(OSError):  # a full disk takes no message either
             for text in (traceback.format_exc(), said) if tracebacks() else (said,):
-                err.print(text, highlight=False, markup=False, soft_wrap=True)
+                err.print(text, soft_wrap=True)
         sys.exit(3 if isinstance(error, Refused) else 2)
     finally:
         ended()

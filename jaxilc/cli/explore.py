@@ -6,32 +6,25 @@ import secrets
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
-from .console import out
-from .groups import add
-from .options import SIMULATE, GridAxes, Machines, OutFolder, Simulated, at_least
+from .console import begin, out
+from .options import GridAxes, Machines, OutFolder, Simulated, at_least
 from .progress import working
-from .start import begin
 
 LOOPBACK = "127.0.0.1"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command to the command line."""
-    add(app, explore, SIMULATE)
 
 
 def explore(
     what: Simulated,
     machines: Machines = 32,
     grid: GridAxes = None,
-    port: Annotated[int, typer.Option(help="Port of the page; 0 for any that is free.")] = 5006,
+    port: Annotated[int, Option(help="Port of the page; 0 for any that is free.")] = 5006,
     address: Annotated[
-        str, typer.Option(help="Address to listen on; others than this computer may then connect.")
+        str, Option(help="Address to listen on; others than this computer may then connect.")
     ] = LOOPBACK,
     browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
+        bool, Option("--browser/--no-browser", help="Open the page in a browser.")
     ] = True,
     out_dir: OutFolder = None,
 ) -> None:
@@ -53,7 +46,7 @@ def explore(
         told("reading the scenario")
         chosen = request.scenario()
         from ..figures.explorer import explore as application
-        from ..outcomes.stored_grid import open_grid
+        from ..outcomes.request import open_grid
 
         told("compiling")
         axes = request.grid(grid, chosen) if grid else None
@@ -126,7 +119,7 @@ def _serve(shown, address: str, port: int, *, browser: bool) -> None:
     import webbrowser
 
     server, page = server_of(shown, address, port)
-    out.print(f"{page} is the page; Ctrl-C ends it", highlight=False)
+    out.print(f"{page} is the page; Ctrl-C ends it")
     server.start()
     if browser:
         server.io_loop.add_callback(webbrowser.open, page)

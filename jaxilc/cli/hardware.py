@@ -1,52 +1,559 @@
-"""`jaxilc next`: learning on a real machine, from a measured trial to the input of the next one."""
+"""`jaxilc next` and `jaxilc trials`: learning on a real machine, and the log of a campaign."""
 
 from __future__ import annotations
 
+import re
+import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
+from ..outcomes.outcome import Table, Verdict
 from ..outcomes.request import settings_of
-from . import trials
-from .completion import scenarios_from, schemes_from
-from .console import err, out
-from .groups import add
+from .console import begin, out, say, warn
 from .options import (
-    MACHINE,
     InputColumn,
     OutputColumn,
     Pages,
     Params,
     Set,
     TimeColumn,
+    figure_to_write,
+    scenarios_from,
+    schemes_from,
 )
 from .present import written
-from .start import begin
-from .trials import Folder, Plot
 
 if TYPE_CHECKING:
+    from ..figures.page import Live
     from ..hardware.calibration import Expected
+    from ..hardware.campaign import Campaign, Turn
+    from ..hardware.checks import Finding
     from ..hardware.journal import Journal
-    from ..hardware.prediction import Prediction
+    from ..hardware.prediction import Place, Prediction
     from ..scenarios.campaigns import Opened
+
+
+Folder = Annotated[Path, Option("--state", help="Folder of the campaign.")]
+Plot = Annotated[
+    Path | None,
+    Option(
+        "--plot",
+        metavar="FIGURE",
+        help="Plot errors, prediction and the last trial to this file.",
+        callback=figure_to_write,
+    ),
+]
+LITTLE = 0.02  # share by which the error falls at least in `PATIENCE` trials while it is learned
+PATIENCE = 3
+_LAST_NUMBER = re.compile(r"^(.*?)(\d+)(\D*)$")
+UNCHANGED = (
+    "while scheme, task and actuator are the same: learning goes on as before, and what is "
+    "predicted follows the file as it is now"
+)
+
+
+def trials(
+    state: Folder,
+    pages: Pages,
+    table: Annotated[Path | None, Option("--csv", help="Write the log to this file.")] = None,
+    plot: Plot = None,
+) -> None:
+    """The log of a campaign: every trial with its metrics, undone ones included.
+
+    Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
+    """
+    from ..figures.report import command_report
+    from ..hardware.journal import Journal, units, write_log
+    from ..hardware.prediction import kept
+    from ..scenarios.campaign_source import belongs_to, said_of_change, said_of_source
+
+    journal, report = Journal(state), pages.page
+    rows = journal.log()
+    known = journal.last_known()
+    recipe = known["recipe"] if "scenario" in known["recipe"] else {}
+    live, prediction = _live(journal), kept(journal.path, str(known.get("configuration_hash")))
+    log = _log_table(str(state), rows, _band_texts(live, prediction))
+    out.print(log)
+    said = said_of_source(recipe) if recipe else []
+    changed = said_of_change(recipe, UNCHANGED) if recipe else ""
+    files = []
+    if table is not None:
+        files.append(write_log(table, rows))
+    now = _opened(state) if live and (plot or report) else None
+    if plot is not None:
+        files.append(save_figure(plot, now, rows, live, (prediction, None), units(journal)))
+    for line in said:
+        say(line)
+    if changed:
+        warn(f"warning: {changed}")
+    unit = units(journal)[0]
+    sentences = verdict(live, None, prediction, unit, 0.02) if live else []
+    following = next_command(state, len(live) or 1, _last_file(live), None)
+    for line in (*sentences, following) if live else ():
+        say(line)
+    if report is not None:
+        found = _verdict(sentences, following) if live else Verdict(())
+        asked = {"campaign": "; ".join(said)} if said else {}
+        shown = _explored(now, (rows, live, prediction), units(journal))
+        files += command_report(report, "trials", [log], verdict=found, live=shown, asked=asked)
+    numbers = {
+        "source": belongs_to(recipe) if recipe else {},
+        "changed": changed,
+        "trials": rows,
+        "predicted": None if prediction is None else _as_numbers(live, prediction),
+        "verdict": sentences,
+        "next": following if live else "",
+    }
+    written(files, pages.numbers, numbers)
+
+
+def _verdict(lines: list[str], following: str) -> Verdict:
+    """The verdict on a campaign for its page, from the lines that are printed."""
+    said = [line.removeprefix("verdict: ") for line in lines]
+    what, _, command = following.partition(", then: ")
+    return Verdict(tuple(line[:1].upper() + line[1:] for line in said), what, command)
+
+
+def _explored(
+    now: Campaign | None,
+    found: tuple[list[dict[str, Any]], list[dict[str, Any]], Prediction | None],
+    units: tuple[str, str],
+) -> list[Live]:
+    """The interactive figures of a campaign.
+
+    now: the campaign; None: no trial is then shown in time
+    found: rows of the journal, manifests that count, and what was predicted
+    """
+    from ..figures import browsers
+    from ..figures.campaign import bands_by_trial, campaign_figure
+    from ..figures.page import live as page_of
+    from ..hardware.campaign import TRIAL
+
+    rows, live, prediction = found
+    bands = None if prediction is None or not live else bands_by_trial(live, prediction)
+    shown = []
+    if any(row["event"] == "trial" for row in rows):
+        of = campaign_figure.described(rows, unit=units[0], input_unit=units[1], bands=bands)
+        shown.append(page_of(of))
+    if now is not None and len(live) > 1:
+        measured = {m["trial"]: now.journal.arrays(m, TRIAL) for m in live[1:]}
+        shown.append(browsers.measured_trials(now.task, measured))
+    return shown
+
+
+def _live(journal: Journal) -> list[dict[str, Any]]:
+    """The manifests that count; none where the campaign must be taken back first."""
+    try:
+        return journal.live()
+    except ValueError:
+        return []
+
+
+def _last_file(live: list[dict[str, Any]]) -> Path | None:
+    return Path(live[-1]["source"]) if len(live) > 1 else None
+
+
+def _opened(state: Path) -> Campaign | None:
+    """The campaign with its task, None where its plant file does not give it any more."""
+    from ..scenarios.campaigns import Given, open_campaign
+
+    begin()
+    try:
+        return open_campaign(state, Given(), new=False).campaign
+    except (ValueError, OSError) as error:
+        warn(f"warning: the figure has no reference: {error}")
+        return None
+
+
+def save_figure(
+    path: Path,
+    now: Campaign | None,
+    rows: list[dict[str, Any]],
+    live: list[dict[str, Any]],
+    predicted: tuple[Prediction | None, Expected | None],
+    units: tuple[str, str] = ("", ""),
+) -> Path:
+    """Write the figure of a campaign, and return its file.
+
+    now: the campaign; None: the figure then shows no trial in time
+    live: manifests that count
+    predicted: the prediction of the plant file, and what is expected of the next trial
+    units: units of y and of u, for a campaign that is not given
+    """
+    from .. import figures
+    from ..figures.campaign import LastTrial, bands_by_trial, campaign_figure
+    from ..hardware.campaign import TRIAL
+
+    last, unit, input_unit = None, *units
+    if now is not None:
+        task, unit, input_unit = now.task, now.task.unit, now.task.input_unit
+        if len(live) > 1:
+            signals = now.journal.arrays(live[-1], TRIAL)
+            last = LastTrial(
+                live[-1]["trial"], task.time, task.reference, signals["y"], signals["u"]
+            )
+    prediction, expected = predicted
+    known = prediction is not None and live
+    bands = bands_by_trial(live, prediction, expected) if known else None
+    axes = campaign_figure(rows, unit=unit, input_unit=input_unit, bands=bands, last=last)
+    return figures.save(axes, path)
+
+
+def _places(live: list[dict[str, Any]], prediction: Prediction):
+    """Each trial that counts with its place on what was expected, by the serial of its entry."""
+    from ..hardware.calibration import kept
+    from ..hardware.journal import METRICS
+    from ..hardware.prediction import steps
+
+    for manifest, step in zip(live[1:], steps(live), strict=True):
+        yield manifest["serial"], _place(prediction, step, manifest[METRICS], kept(manifest))
+
+
+def _as_numbers(live: list[dict[str, Any]], prediction: Prediction) -> dict[str, Any]:
+    places = [
+        {"serial": serial, **place._asdict()}
+        for serial, place in _places(live, prediction)
+        if place
+    ]
+    return {"machines": prediction.machines, **prediction.bands(), "trials": places}
+
+
+def _band_texts(live: list[dict[str, Any]], prediction: Prediction | None) -> dict[int, str]:
+    """The predicted RMS error of each trial that counts, as text, by the serial of its entry."""
+    if prediction is None:
+        return {}
+    marks = {"within": "", "slight": " (outside)", "clear": " (far outside)"}
+    return {
+        serial: f"{place.rms[0]:.3g} to {place.rms[1]:.3g}{marks[place.level]}"
+        for serial, place in _places(live, prediction)
+        if place and place.rms[0] < place.rms[1]
+    }
+
+
+def _log_table(title: str, rows: list[dict], predicted: dict[int, str]) -> Table:
+    """A table with a row for each entry of the journal, and all channels of each metric.
+
+    predicted: text on the predicted RMS error by the serial of an entry; without any, no column
+    """
+    band = ("predicted rms",) if predicted else ()
+    columns = ("entry", "trial", "event", "rms error", *band, "max error", "effort", "file")
+    shown = Table(*columns, "warnings", title=title)
+    for row in rows:
+        metrics = [
+            " ".join(f"{v:.4g}" for name, v in row.items() if name.startswith(start))
+            for start in ("max_error", "effort")
+        ]
+        learned = "" if row["learned"] in ("", True) else ", not learned"
+        undone = ", undone" if row["event"] == "trial" and not row["live"] else ""
+        error = f"{row['rms_error']:.4g}" if row["rms_error"] != "" else ""
+        shown.add_row(
+            str(row["serial"]),
+            str(row["trial"]),
+            f"{row['event']}{learned}{undone}",
+            error,
+            *([predicted.get(row["serial"], "")] if band else []),
+            *metrics,
+            str(row["source"]),
+            row["warnings"],
+        )
+    return shown
+
+
+# Sentences
+# --------------------------------------------------------------------------------------------------
+
+
+def against_prediction(
+    now: Campaign, turn: Turn, prediction: Prediction | None
+) -> tuple[str, list[Finding]]:
+    """The sentence on what was predicted for a trial, and a finding where it lies outside.
+
+    prediction: prediction of the campaign, None without one; both are then empty, as they are for a
+        trial that ended early, whose error is that of a part
+    """
+    from ..hardware.checks import GROWN_BEYOND
+    from ..hardware.prediction import next_step
+
+    if prediction is None or turn.record.weight is not None:
+        return "", []
+    live, unit = now.journal.live(), now.task.unit
+    place = _place(prediction, next_step(live), turn.metrics, turn.expected)
+    if place is None:
+        return "", []
+    if turn.expected is None and prediction.certain:
+        median = f"{float(prediction.rms.median[place.step - 1]):.3g} {unit}".strip()
+        return f"predicted: RMS error {median}; the file gives no uncertainty and no noise", []
+    found = [] if place.level == "within" else [_outside(now, turn, place, prediction)]
+    if place.level == "clear" and place.distance > 0 and not turn.refusals:
+        error = turn.metrics["error"]
+        found += now.grown_beyond(turn.record, error, GROWN_BEYOND, turn.expected)
+    share = f"95 % of {prediction.machines} drawn machines"
+    if turn.expected is not None:
+        share = "90 % by the trials so far"
+    return f"predicted: {_range(place, unit)}, {share}", found
+
+
+def _outside(now: Campaign, turn: Turn, place: Place, prediction: Prediction) -> Finding:
+    """The finding of a trial outside its band, with what it means and what to do."""
+    from ..hardware.checks import Finding
+
+    above, trial, side = place.distance > 0, turn.trial, _side(turn, place)
+    fit = f"jaxilc identify --state {shlex.quote(str(now.journal.path))}"
+    fit += f" --out {new_plant_file(now.recipe)}"
+    if turn.expected is not None:
+        return _unexpected(now, turn, place, fit)
+    if place.level == "slight":
+        text = (
+            f"trial {trial}: the {place.error} is {side} the 95 % band, as far out as that of one "
+            "trial in twenty is on a machine that is as the file says; look at the next trials"
+        )
+        return Finding("note", text)
+    text = (
+        f"trial {trial} lies outside the 95 % band: its {place.error} is {side} it, further out "
+        f"than 99 % of the drawn machines come in any of {prediction.trials} trials. The plant "
+        "differs from the file"
+    )
+    if not above:
+        text += ": it learns faster, so the margin to instability is not that of the file either"
+    elif not prediction.noisy:
+        text += (
+            ", or it is the noise, of which the file states none: measure a trial twice "
+            "(--no-learn) and give the noise under [machine.sensor]"
+        )
+    what_next = "Re-identify" if not above else "Stop and look for the cause, or re-identify"
+    return Finding("warning", f"{text}. {what_next}: {fit}")
+
+
+def _side(turn: Turn, place: Place) -> str:
+    """On which side of its band an error lies, in words."""
+    if not place.distance > 0:
+        return "below"
+    largest = place.error != "RMS error"
+    error = max(turn.metrics["max_error"]) if largest else turn.metrics["error"]
+    return f"{error / (place.largest if largest else place.rms)[1]:.3g} times the upper end of"
+
+
+def _unexpected(now: Campaign, turn: Turn, place: Place, fit: str) -> Finding:
+    """The finding of a trial outside the band that the trials before gave.
+
+    fit: the command that fits the plant again
+    """
+    from ..hardware.checks import Finding
+
+    side = _side(turn, place)
+    text = f"trial {turn.trial}: the {place.error} is {side} the band of the trials so far"
+    if place.level == "slight":
+        return Finding("note", f"{text}, as it is in one trial of ten; look at the next trials")
+    changed = now.what_changed(turn.record, turn.expected)
+    text += f"; suspected is {changed.text or 'a changed machine'}"
+    then = (changed.then or "look for the cause, or identify the plant again").capitalize()
+    return Finding("warning", f"{text}. It is told once: the next band begins here. {then}: {fit}")
+
+
+def step_back(now: Campaign) -> str:
+    """How to play the best input so far again; an empty text before the first trial."""
+    from ..hardware.checks import comparable
+
+    errors = comparable(now.scheme, now.task, now.journal.live())
+    if not errors:
+        return ""
+    best, least = min(errors, key=lambda one: one[1])
+    words = ["jaxilc", "next", "--state", str(now.journal.path), "--undo", str(best - 1)]
+    said = f"{least:.4g} {now.task.unit}".rstrip()
+    return f"; back to the input of trial {best} ({said}): {shlex.join(words)} --out NEXT"
+
+
+def new_plant_file(recipe: dict[str, Any]) -> str:
+    """A name for a plant file that is fitted to the trials of a campaign: axis.toml, axis-2.toml.
+
+    recipe: recipe of the campaign
+    """
+    file = recipe.get("file")
+    given = Path(str(file.get("given"))) if isinstance(file, dict) else Path("axis.toml")
+    found = _LAST_NUMBER.match(given.stem)
+    numbered = found is not None and found[1].endswith("-") and not found[3]
+    stem = f"{found[1]}{int(found[2]) + 1}" if found and numbered else f"{given.stem}-2"
+    return shlex.quote(str(given.with_name(f"{stem}.toml")))
+
+
+def coming(
+    live: list[dict[str, Any]],
+    predicted: tuple[Prediction | None, Expected | None],
+    trial: int,
+    unit: str,
+) -> str:
+    """A sentence on what is predicted for the next trial, empty without a band.
+
+    predicted: the prediction of the plant file, and what the trials so far expect
+    """
+    from ..hardware.prediction import next_step
+
+    (prediction, expected), step = predicted, next_step(live) if live else 1
+    if expected is not None:
+        low, _, high = (float(end[0]) for end in expected.rms)
+    elif prediction is None or prediction.certain or step > prediction.trials:
+        return ""
+    else:
+        low, _, high = (float(end[step - 1]) for end in prediction.rms)
+    return f"trial {trial} is predicted to have an RMS error of {low:.3g} to {high:.3g} {unit}"
+
+
+def verdict(
+    live: list[dict[str, Any]],
+    turn: Turn | None,
+    prediction: Prediction | None,
+    unit: str,
+    growth: float,
+    experiments: Sequence[int] = (),
+    stop: float | None = None,
+) -> list[str]:
+    """One or two sentences on what the campaign has reached.
+
+    live: manifests of the start and of the trials that count, see `Journal.live`
+    turn: the trial of this call, None without one; it counts if it is not among the manifests
+    growth: share by which an error may grow without a warning
+    experiments: see `checks.experiment_numbers`; empty where no trial is an experiment
+    stop: RMS error below which nothing shows that there is more to learn; None: it is not known
+    """
+    from ..hardware.journal import METRICS
+
+    errors = [(m["trial"], m[METRICS]["error"]) for m in live[1:]]
+    if turn is not None and (not errors or errors[-1][0] < turn.trial):
+        errors.append((turn.trial, turn.metrics["error"]))
+    if not errors:
+        if prediction is None or prediction.certain:
+            return ["no trial is measured yet"]
+        low, _, high = (float(end[-1]) for end in prediction.rms)
+        after = f"an RMS error of {low:.3g} to {high:.3g} {unit}".rstrip()
+        last = prediction.trials
+        return [f"no trial is measured yet; the plant file predicts {after} for trial {last}"]
+    numbers, last = list(experiments)[: len(errors)] or [0] * len(errors), errors[-1][0]
+    errors = [one for one, number in zip(errors, numbers, strict=True) if not number]
+    (first, begun), (trial, error) = errors[0], errors[-1]
+    if numbers[-1]:
+        said = (
+            f"verdict: trial {last} is experiment {numbers[-1]} between two learning steps, whose "
+            f"error says nothing of them; trial {trial} had an RMS error of {error:.4g} {unit}"
+        )
+        return [said.rstrip()]
+    best, least = min(errors, key=lambda one: one[1])
+    said = f"verdict: trial {trial} has an RMS error of {error:.4g} {unit}".rstrip()
+    if len(errors) > 1:
+        said += f", {_share(error, begun)} of that of trial {first}"
+    if stop is not None and error <= stop:
+        return [
+            f"{said}; what is new in each trial explains all of it (below {stop:.3g} {unit}), so "
+            f"learning has ended: the input of trial {best} may be played from now on"
+        ]
+    if error > (1 + growth) * least:
+        return [f"{said}; the best was trial {best} with {least:.4g} {unit}".rstrip()]
+    before = [value for _, value in errors[:-PATIENCE]]
+    if before and least > (1 - LITTLE) * min(before):
+        return [
+            f"{said}; it has not fallen by {LITTLE:.0%} in the last {PATIENCE} trials: learning "
+            f"has ended, and the input of trial {best} may be played from now on"
+        ]
+    return [said]
+
+
+def _share(error: float, begun: float) -> str:
+    return f"{error / begun:.3g} times" if error > begun else f"{error / begun:.2%}"
+
+
+def next_command(
+    state: Path,
+    trial: int,
+    measured: Path | None,
+    out_file: Path | None,
+    columns: Mapping[str, str] | None = None,
+) -> str:
+    """What to do next: play, record, and the command that takes the record.
+
+    trial: number of the next trial
+    measured, out_file: files of this call; the names of the next ones follow them
+    columns: options that name columns of the record, with their values
+    """
+    played = out_file or Path("next.csv")
+    record = Path(f"trial-{trial}.csv") if measured is None else _with_number(measured, trial)
+    after = _numbered_on(played, trial)
+    words = ["jaxilc", "next", "--state", state, "--measured", record]
+    for option, name in (columns or {}).items():
+        *set_, option = option.split()
+        words += [*set_, f"{option}={name}"]
+    command = shlex.join(map(str, [*words, "--out", after]))
+    return f"play {played}, record it, then: {command}"
+
+
+def _with_number(path: Path, trial: int) -> Path:
+    """The name of the record of a trial after that of another one: trial-3.csv, trial-4.csv."""
+    found = _LAST_NUMBER.match(path.stem)
+    stem = f"{found[1]}{trial}{found[3]}" if found else f"{path.stem}-{trial}"
+    return path.with_name(stem + path.suffix)
+
+
+def _numbered_on(path: Path, trial: int) -> Path:
+    """The name of the file with the next input; its number goes on if it is that of the trial."""
+    found = _LAST_NUMBER.match(path.stem)
+    if found is None or int(found[2]) != trial:
+        return path
+    return path.with_name(f"{found[1]}{trial + 1}{found[3]}{path.suffix}")
+
+
+def turn_numbers(
+    live: list[dict[str, Any]], turn: Turn | None, prediction: Prediction | None
+) -> dict[str, Any]:
+    """The trial of a call and its prediction, for the file of the numbers."""
+    from ..hardware.prediction import next_step
+
+    if turn is None:
+        return {}
+    kept = live[:-1] if live and live[-1]["trial"] == turn.trial else live
+    place = None
+    if prediction is not None:
+        place = _place(prediction, next_step(kept), turn.metrics, turn.expected)
+    found: dict[str, Any] = {
+        "trial": turn.trial,
+        "metrics": turn.metrics,
+        "findings": [f._asdict() for f in turn.findings],
+    }
+    return found if place is None else found | {"predicted": place._asdict()}
+
+
+def _place(
+    prediction: Prediction, step: int, metrics: dict[str, Any], expected: Expected | None
+) -> Place | None:
+    """Where a trial lies on what the trials before it expected, or else the plant file."""
+    from ..hardware.prediction import place_of
+
+    errors = metrics["error"], max(metrics.get("max_error") or [0.0])
+    return place_of(prediction, step, *errors) if expected is None else expected.place(*errors)
+
+
+def _range(place: Place, unit: str) -> str:
+    rms, most = (" to ".join(f"{end:.3g}" for end in band) for band in (place.rms, place.largest))
+    return f"RMS error {rms} {unit}".rstrip() + f", largest {most} {unit}".rstrip()
+
+
+# `jaxilc next`
+# --------------------------------------------------------------------------------------------------
 
 
 Measured = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--measured", metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign."
     ),
 ]
 Next = Annotated[
     Path | None,
-    typer.Option(
-        "--out", metavar="NEXT", help="What the machine plays next: .csv, .mat or .h (C)."
-    ),
+    Option("--out", metavar="NEXT", help="What the machine plays next: .csv, .mat or .h (C)."),
 ]
 ScenarioName = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--scenario",
         metavar="NAME|FILE",
         help="Scenario or plant file to start from.",
@@ -55,19 +562,18 @@ ScenarioName = Annotated[
 ]
 SchemeName = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--scheme", help="Scheme; not needed where only one learns.", autocompletion=schemes_from
     ),
 ]
 NoLearn = Annotated[
-    bool,
-    typer.Option("--no-learn", help="Look at the trial only; the same schedule is played again."),
+    bool, Option("--no-learn", help="Look at the trial only; the same schedule is played again.")
 ]
 Undo = Annotated[
     int | None,
-    typer.Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
+    Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
 ]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Check and report; write nothing.")]
+DryRun = Annotated[bool, Option("--dry-run", help="Check and report; write nothing.")]
 
 
 # What `--set campaign.NAME=VALUE` sets, with the type of the value and what it means.
@@ -91,12 +597,6 @@ OF_CAMPAIGN = {
 
 class Refused(ValueError):
     """The checks refuse a measured trial, or the next input that follows from it."""
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to the command line."""
-    add(app, next_, MACHINE, "next")
-    trials.register(app)
 
 
 def next_(
@@ -144,11 +644,8 @@ def next_(
         settings=settings,
         predict=of.get("predict"),
         rules={
-            "limit": of.get("limit"),
             "correction": of.get("largest_correction"),
-            "saturation": of.get("saturation"),
-            "repeatability": of.get("repeatability"),
-            "growth": of.get("growth"),
+            **{name: of.get(name) for name in ("limit", "saturation", "repeatability", "growth")},
         },
         accept_saturation=of.get("accept_saturation", False),
         stop_on_growth=of.get("stop_on_growth", False),
@@ -169,13 +666,8 @@ def next_(
             measured, now.task, now.recordable(), names, headings
         )
         prediction = _predicted(opened, compute=True, store=not dry_run)
-        turn = _turn(
-            opened,
-            record,
-            prediction,
-            learn=not no_learn,
-            replay_input=of.get("replayed_input", False),
-        )
+        replayed = of.get("replayed_input", False)
+        turn = _turn(opened, record, prediction, learn=not no_learn, replay_input=replayed)
         if not dry_run:
             now.keep(turn)
         schedules, trial = turn.schedules, turn.trial + 1
@@ -247,11 +739,9 @@ def _bind(journal: Journal) -> None:
     """Bind the entries of a campaign of before, and say so; one without its head stays as it is."""
     journal.live()  # raises where entries have been bound before
     journal.bind()
-    out.print(
+    say(
         f"note: nothing said which entries belong to {journal.path}, which is older than that; "
-        "those that are there do from now on",
-        highlight=False,
-        soft_wrap=True,
+        "those that are there do from now on"
     )
 
 
@@ -261,10 +751,10 @@ def _say_source(opened: Opened) -> list[str]:
 
     said = said_of_source(opened.recipe)
     for line in said:
-        out.print(line, highlight=False, soft_wrap=True)
-    changed = said_of_change(opened.recipe, trials.UNCHANGED)
+        say(line)
+    changed = said_of_change(opened.recipe, UNCHANGED)
     if changed:
-        err.print(f"warning: {changed}", highlight=False, soft_wrap=True)
+        warn(f"warning: {changed}")
     return [*said, changed] if changed else said
 
 
@@ -290,7 +780,7 @@ def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | No
             store=store,
         )
     except ValueError as error:
-        out.print(f"note: nothing is predicted: {error}", highlight=False, soft_wrap=True)
+        say(f"note: nothing is predicted: {error}")
         return None
 
 
@@ -308,25 +798,23 @@ def _turn(opened: Opened, record, prediction: Prediction | None, **how):
 
     now = opened.campaign
     turn = now.turn(record, **how, expected=_expected(opened, prediction))
-    predicted, finding = trials.against_prediction(now, turn, prediction)
+    predicted, finding = against_prediction(now, turn, prediction)
     turn.findings.extend(finding)
     largest = ", ".join(f"{value:.6g}" for value in turn.metrics["max_error"])
     unit = now.task.unit
     rms = f"RMS error {turn.metrics['error']:.6g} {unit}"
-    out.print(f"trial {turn.trial}: {rms}, largest {largest} {unit}", highlight=False)
+    say(f"trial {turn.trial}: {rms}, largest {largest} {unit}")
     if predicted:
-        out.print(predicted, highlight=False, soft_wrap=True)
+        say(predicted)
     if record.ignored:
-        out.print(f"not used: {', '.join(record.ignored)}", highlight=False, markup=False)
+        say(f"not used: {', '.join(record.ignored)}")
     for kind, text in turn.findings:
         if kind != "refusal":
-            (err if kind == "warning" else out).print(
-                f"{kind}: {text}", highlight=False, markup=False, soft_wrap=True
-            )
+            (warn if kind == "warning" else say)(f"{kind}: {text}")
     try:
         refuse(turn.findings)
     except ValueError as error:
-        back = trials.step_back(now)
+        back = step_back(now)
         raise Refused(f"{error}. Nothing was learned or written{back}") from None
     return turn
 
@@ -342,12 +830,12 @@ def _played(path: Path | None, schedules, task, trial: int, number: str) -> None
         f"{name} up to {np.max(np.abs(schedule)):.6g} {unit_of(name, task)}".strip()
         for name, schedule in schedules.items()
     )
-    out.print(f"next: trial {trial}, {peaks}", highlight=False, markup=False, soft_wrap=True)
+    say(f"next: trial {trial}, {peaks}")
     if path is None:
-        out.print("dry run: nothing was written", highlight=False)
+        say("dry run: nothing was written")
         return
     write_schedules(path, schedules, task, trial=trial, number=number)
-    out.print(f"written: {path}", highlight=False, markup=False, soft_wrap=True)
+    say(f"written: {path}")
 
 
 def _close(
@@ -368,6 +856,7 @@ def _close(
     columns: options that name columns of the measured trial, with their values
     """
     from ..hardware.checks import experiment_numbers
+    from ..scenarios.campaign_source import belongs_to
 
     measured, out_file, plot, json_file = files
     prediction = predicted[0]
@@ -375,23 +864,23 @@ def _close(
     rows = journal.log() if journal.exists else []
     live = journal.live() if journal.exists else []
     if plot is not None and live and not dry_run:
-        plot = trials.save_figure(plot, now, rows, live, predicted)
+        plot = save_figure(plot, now, rows, live, predicted)
     numbers_of = experiment_numbers(now.scheme, now.task, live)
     known = opened.scenario.potential
     stop = None if known is None else known.stop
     growth, unit = now.rules.growth, now.task.unit
-    verdict = trials.verdict(live, turn, prediction, unit, growth, numbers_of, stop)
-    following = trials.next_command(journal.path, trial, measured, out_file, columns)
-    step = "" if dry_run else trials.coming(live, predicted, trial, now.task.unit)
-    for line in (*([step] if step else []), *verdict, following):
-        out.print(line, highlight=False, soft_wrap=True)
+    said = verdict(live, turn, prediction, unit, growth, numbers_of, stop)
+    following = next_command(journal.path, trial, measured, out_file, columns)
+    step = "" if dry_run else coming(live, predicted, trial, now.task.unit)
+    for line in (*([step] if step else []), *said, following):
+        say(line)
     numbers: dict[str, Any] = {
-        "source": trials.source_numbers(opened.recipe),
+        "source": belongs_to(opened.recipe),
         "said": source,
         "next_trial": trial,
-        "verdict": verdict,
+        "verdict": said,
         "next": following,
-        **trials.turn_numbers(live, turn, prediction),
+        **turn_numbers(live, turn, prediction),
     }
     paths = [plot] if plot is not None and live and not dry_run else []
     written(paths, None if dry_run else json_file, numbers)

@@ -9,12 +9,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-from ..outcomes.outcome import Outcome
+from ..outcomes.outcome import Outcome, Verdict
 from ..outcomes.request import Request
-from ..outcomes.verdict import Verdict
-from .options import SIMULATE, InputColumn, OutputColumn, Pages, TimeColumn, file_to_write
+from .options import InputColumn, OutputColumn, Pages, TimeColumn, file_to_write
 from .present import present
 
 # What `--set-point` puts in place of parts of the file: its scheme then learns from u = r on.
@@ -38,32 +37,22 @@ _OF_DRIVE = re.compile(r"(?<=\[plant\]\n)kind.*?\n(?=\n)", re.DOTALL)
 _REFERENCE = re.compile(r"(?<=\n)reference = .*")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to the command line."""
-    app.command(rich_help_panel=SIMULATE)(init)
-
-
 def init(
     file: Annotated[
-        Path,
-        typer.Argument(metavar="[FILE]", help="The file to write.", callback=file_to_write),
+        Path, Argument(metavar="[FILE]", help="The file to write.", callback=file_to_write)
     ] = Path("axis.toml"),
     set_point: Annotated[
         bool,
-        typer.Option(
-            "--set-point", help="Correct the set-point of a closed drive: u is r in trial 1."
-        ),
+        Option("--set-point", help="Correct the set-point of a closed drive: u is r in trial 1."),
     ] = False,
     record: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="With --set-point: a recorded move of the drive, as columns."
-        ),
+        Option(metavar="FILE", help="With --set-point: a recorded move of the drive, as columns."),
     ] = None,
     time_name: TimeColumn = "t",
     input_name: InputColumn = "u",
     output_name: OutputColumn = "y",
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    force: Annotated[bool, Option("--force", help="Replace a file that exists.")] = False,
 ) -> None:
     """Write a plant file with comments: a machine, its task, schemes and uncertainty.
 

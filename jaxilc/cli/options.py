@@ -6,24 +6,64 @@ This module does not import JAX, so that `--help` and the completion of a shell 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import inspect
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import typer
+import typer.core
+from typer import Argument, Option
 
 from ..learning.known_metrics import TUNED
 from ..outcomes.request import Request
 from ..outcomes.terms import OBJECTIVES, RISKS
-from .completion import of_list, scenarios_from, schemes_from
-from .console import err
+from ..scenarios.catalogue import SCHEMES
+from ..storage.reading import read_tree
+from .console import warn
 
-# What one wants, in the order of `jaxilc --help`; each command belongs to one of these groups.
+# Completion by a shell
+# --------------------------------------------------------------------------------------------------
+
+
+def scenarios_from(incomplete: str) -> list[str]:
+    """Scenarios whose name begins with this text; if none does, the shell completes a file name."""
+    return [name for name in SCHEMES if name.startswith(incomplete)]
+
+
+def schemes_from(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Schemes, of the scenario or file of the command, whose name begins with this text."""
+    # While the value of an option is completed, the arguments are not yet parsed.
+    scenario = ctx.params.get("scenario") or next(iter(ctx.args), "")
+    return [
+        name for name in SCHEMES.get(scenario) or _of_file(scenario) if name.startswith(incomplete)
+    ]
+
+
+def of_list(*words: str) -> Callable[[str], list[str]]:
+    """A completion function that offers those of the words that begin with the text."""
+    return lambda incomplete: [word for word in words if word.startswith(incomplete)]
+
+
+def _of_file(path: str) -> list[str]:
+    """The names of the schemes in a scenario file; an empty list where it cannot be read."""
+    try:
+        return list(read_tree(path)["schemes"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return []  # the file does not exist, or is not complete
+
+
+# Checks of values
+# --------------------------------------------------------------------------------------------------
+
+
+# What one wants: groups of commands in `jaxilc --help`.
 SIMULATE = "Simulate"
 DESIGN = "Design"
 PROVE = "Prove"
 MACHINE = "Learn on a real machine"
-PAPERS = "Published results"
 
 
 def file_to_write(param: typer.CallbackParam, path: Path | None) -> Path | None:
@@ -117,7 +157,7 @@ def at_least(low: int, **given: int | None) -> None:
 
 ScenarioName = Annotated[
     str,
-    typer.Argument(
+    Argument(
         metavar="SCENARIO",
         help="Of `jaxilc list`, or your own, a TOML or JSON file.",
         autocompletion=scenarios_from,
@@ -125,17 +165,15 @@ ScenarioName = Annotated[
 ]
 Schemes = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--scheme", help="Scheme to use; repeatable. All if not given.", autocompletion=schemes_from
     ),
 ]
-OneScheme = Annotated[
-    str, typer.Option("--scheme", help="Scheme to use.", autocompletion=schemes_from)
-]
-Trials = Annotated[int | None, typer.Option(help="Trials J; the scenario's own if not given.")]
+OneScheme = Annotated[str, Option("--scheme", help="Scheme to use.", autocompletion=schemes_from)]
+Trials = Annotated[int | None, Option(help="Trials J; the scenario's own if not given.")]
 Set = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--set",
         metavar="PATH=VALUE",
         help="Set a leaf, a static field or an option of the scenario; repeatable.",
@@ -143,7 +181,7 @@ Set = Annotated[
 ]
 Params = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--params",
         metavar="FILE",
         help="Parameters that `tune` wrote, or the folder of a `sweep --grid` for its best point; "
@@ -152,7 +190,7 @@ Params = Annotated[
 ]
 GridAxes = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--grid",
         metavar="PATH=VALUES",
         help="An axis of a grid: LOW:HIGH:COUNT, LOW:HIGH:COUNTlog or values with commas, for what "
@@ -161,29 +199,27 @@ GridAxes = Annotated[
 ]
 MetricName = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--metric",
         help=f"Metric that tables show and --tolerance limits: {', '.join(TUNED)} or one of the "
         "scenario, such as contour_max; its own if not given.",
         autocompletion=of_list(*TUNED),
     ),
 ]
-Seed = Annotated[
-    int, typer.Option(help="Seed of noise and of drawn machines.", callback=seed_in_range)
-]
+Seed = Annotated[int, Option(help="Seed of noise and of drawn machines.", callback=seed_in_range)]
 
 # Machines that are drawn
 # --------------------------------------------------------------------------------------------------
 
 Machines = Annotated[
-    int, typer.Option("--machines", "--samples", help="Machines, the nominal one included.")
+    int, Option("--machines", "--samples", help="Machines, the nominal one included.")
 ]
 Spread = Annotated[
-    float | None, typer.Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")
+    float | None, Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")
 ]
 Sampling = Annotated[
     str,
-    typer.Option(
+    Option(
         help="monte-carlo, latin-hypercube, sobol or corners.",
         autocompletion=of_list("monte-carlo", "latin-hypercube", "sobol", "corners"),
     ),
@@ -193,57 +229,53 @@ Sampling = Annotated[
 # --------------------------------------------------------------------------------------------------
 
 Weights = Annotated[
-    str,
-    typer.Option(
-        metavar="A,B,C",
-        help="To tune, with or without bounds: lam=0.1:10,phi0.",
-    ),
+    str, Option(metavar="A,B,C", help="To tune, with or without bounds: lam=0.1:10,phi0.")
 ]
 TERMS = f"Terms NAME[:NUMBER][@METRIC] with + between, each WEIGHT* or 1; NAME of {OBJECTIVES}."
-OverMachines = Annotated[str, typer.Option("--risk", help=f"Over the machines: {RISKS}.")]
+OverMachines = Annotated[str, Option("--risk", help=f"Over the machines: {RISKS}.")]
 TunedOn = Annotated[
-    int,
-    typer.Option("--machines", "--samples", help="Machines to tune on, the nominal one included."),
+    int, Option("--machines", "--samples", help="Machines to tune on, the nominal one included.")
 ]
-Steps = Annotated[int, typer.Option(help="Steps at most.")]
+Steps = Annotated[int, Option(help="Steps at most.")]
 
 # Columns of a file that was measured
 # --------------------------------------------------------------------------------------------------
 
-TimeColumn = Annotated[str, typer.Option("--time", help="Column of the time.")]
-InputColumn = Annotated[str, typer.Option("--input", help="Column of the input.")]
-OutputColumn = Annotated[str, typer.Option("--output", help="Column of the output.")]
+TimeColumn = Annotated[str, Option("--time", help="Column of the time.")]
+InputColumn = Annotated[str, Option("--input", help="Column of the input.")]
+OutputColumn = Annotated[str, Option("--output", help="Column of the output.")]
+Columns = Annotated[
+    str | None, Option(metavar="A,B,C", help="Names of the columns of a file without a header.")
+]
 
 # Files that are written
 # --------------------------------------------------------------------------------------------------
 
 OutFolder = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--out",
         help="Folder for all results; out/COMMAND-SCENARIO if not given.",
         callback=folder_to_write,
     ),
 ]
-Details = Annotated[
-    bool, typer.Option("--details", help="Print what the tables are a summary of, too.")
-]
+Details = Annotated[bool, Option("--details", help="Print what the tables are a summary of, too.")]
 Replace = Annotated[
-    bool, typer.Option("--replace", help="Replace the run of other settings in the folder.")
+    bool, Option("--replace", help="Replace the run of other settings in the folder.")
 ]
 FigureFormat = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--figures",
         metavar="FORMAT",
         help="Format and style of figures: png, svg or pdf; print or dark; both as svg,dark.",
         callback=figures_as,
     ),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the folder.")]
+Resume = Annotated[bool, Option("--resume", help="Go on with what is in the folder.")]
 Reports = Annotated[
     list[Path] | None,
-    typer.Option(
+    Option(
         "--report",
         help="Write what was found to this file: .html is one self-contained page, .json has every "
         "printed number; repeatable.",
@@ -261,12 +293,12 @@ def left(option: str, instead: str) -> Any:
     instead: what does the same now, in words
     """
 
-    def warn(value: Any) -> Any:
+    def check(value: Any) -> Any:
         if value:
-            err.print(f"warning: {option} will go: {instead}", highlight=False, soft_wrap=True)
+            warn(f"warning: {option} will go: {instead}")
         return value
 
-    return typer.Option(option, hidden=True, help=f"Left: {instead}.", callback=warn)
+    return Option(option, hidden=True, help=f"Left: {instead}.", callback=check)
 
 
 def in_python(option: str) -> Any:
@@ -277,6 +309,22 @@ def in_python(option: str) -> Any:
 
 # Groups
 # --------------------------------------------------------------------------------------------------
+
+
+def asked(
+    source: str,
+    schemes: list[str] | None,
+    set_: list[str] | None,
+    params: Path | None = None,
+    **more: Any,
+) -> Request:
+    """What is asked of a scenario by options, of which any may be missing."""
+    return Request(source, tuple(schemes or ()), tuple(set_ or ()), params, **more)
+
+
+def names_in(text: str | None) -> list[str]:
+    """The names in a text with commas; none where there is no text."""
+    return [name.strip() for name in text.split(",")] if text else []
 
 
 @dataclasses.dataclass(frozen=True)
@@ -290,18 +338,9 @@ class Simulated:
     params: Params = None
 
     def request(self, **more: Any) -> Request:
-        """What is asked of the scenario.
-
-        more: further fields of a request
-        """
-        return Request(
-            self.scenario,
-            tuple(self.scheme or ()),
-            tuple(self.set_ or ()),
-            self.params,
-            self.trials,
-            **more,
-        )
+        """What is asked of the scenario, with further fields of a request."""
+        more |= {"trials": self.trials}
+        return asked(self.scenario, self.scheme, self.set_, self.params, **more)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -316,8 +355,8 @@ class OneSimulated:
 
     def request(self, trials: int | None) -> Request:
         """What is asked of the scenario, with a number of trials."""
-        settings = tuple(self.set_ or ())
-        return Request(self.scenario, (self.scheme,), settings, self.params, trials, self.spread)
+        more = {"trials": trials, "spread": self.spread}
+        return asked(self.scenario, [self.scheme], self.set_, self.params, **more)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -379,3 +418,105 @@ class Written(Pages):
     """Where results go."""
 
     out_dir: OutFolder = None
+
+
+# Commands whose options stand in groups
+# --------------------------------------------------------------------------------------------------
+
+
+def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
+    """Add a command with the name of a function to the command line.
+
+    A parameter of the function whose type is a dataclass is a group: the command has an option for
+    each of its fields, and the function gets the object.
+
+    panel: the group of commands in `jaxilc --help`
+    """
+    hints = get_type_hints(function, include_extras=True)
+    shown, groups = {}, {}
+    for parameter in inspect.signature(function).parameters.values():
+        kind = hints[parameter.name]
+        if dataclasses.is_dataclass(kind):
+            of_group = get_type_hints(kind, include_extras=True)
+            groups[parameter.name] = kind, [one.name for one in dataclasses.fields(kind)]
+            for one in dataclasses.fields(kind):
+                missing = one.default is dataclasses.MISSING
+                default = inspect.Parameter.empty if missing else one.default
+                shown[one.name] = _option(one.name, of_group[one.name], default)
+        else:
+            shown[parameter.name] = _option(parameter.name, kind, parameter.default)
+
+    @functools.wraps(function)
+    def command(**values: Any) -> None:
+        of_groups = {
+            group: kind(**{name: values.pop(name) for name in names})
+            for group, (kind, names) in groups.items()
+        }
+        function(**of_groups, **values)
+
+    ordered = sorted(shown.values(), key=lambda one: one.default is not inspect.Parameter.empty)
+    command.__signature__ = inspect.Signature(ordered)  # ty: ignore[missing-attribute]
+    command.__annotations__ = {one.name: one.annotation for one in ordered}
+    name = command.__name__.strip("_").replace("_", "-")
+    app.command(name, rich_help_panel=panel)(command)
+
+
+def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+
+
+# Options that have another name since this version: they are taken, with a warning
+# --------------------------------------------------------------------------------------------------
+
+
+BEFORE = ("--figures", "--precision")  # now stand before the name of the command
+# For each command what replaces an option; `{}` is its value, and without it the option is a flag.
+OF_ALL = {"--json": "--report {}"}
+CAMPAIGN = (
+    *("limit", "largest-correction", "saturation", "repeatability", "growth"),
+    *("reference", "number"),
+)
+RENAMED: dict[str, dict[str, str]] = {
+    "next": {
+        "--plant-file": "--scenario {}",
+        **{f"--{n}": f"--set campaign.{n.replace('-', '_')}={{}}" for n in CAMPAIGN},
+        **{
+            f"--{name}": f"--set campaign.{name.replace('-', '_')}=true"
+            for name in ("accept-saturation", "stop-on-growth", "replayed-input", "short-trial")
+        },
+        "--predict": "--set campaign.predict=true",
+        "--no-predict": "--set campaign.predict=false",
+    }
+}
+
+
+class Commands(typer.core.TyperGroup):
+    """The commands, which also take the names that options had until now."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, now_named(args, [*self.commands]))
+
+
+def now_named(words: list[str], commands: list[str]) -> list[str]:
+    """The words of a command line with options as they are called now.
+
+    words: words after the name of the program
+    commands: names of all commands
+    """
+    at = next((i for i, word in enumerate(words) if word in commands), len(words))
+    known = OF_ALL | RENAMED.get(words[at], {}) if words[at:] else {}
+    before, after, rest = words[:at], words[at : at + 1], words[at + 1 :]
+    while rest:
+        word, *rest = rest
+        name, equals, value = word.partition("=")
+        if name not in (*known, *BEFORE):
+            after.append(word)
+            continue
+        now = known.get(name, f"{name} {{}}")
+        if "{}" in now and not equals and rest:
+            value, *rest = rest
+        said = f"{now.format(value)} ... {words[at]}" if name in BEFORE else now.format(value)
+        warn(f"warning: {name} is now {said}")
+        option, of = now.split(" ")
+        (before if name in BEFORE else after).extend((option, of.format(value)))
+    return before + after

@@ -8,28 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from .console import err, out
+from .console import begin, err, out, say
+from .options import Pages, Written
 from .progress import working
-from .start import begin
 
 if TYPE_CHECKING:
     from ..outcomes.outcome import Outcome
-    from .options import Pages
 
 
 def tell(
-    command: str,
-    asked: Any,
-    pages: Pages,
-    *,
-    bar: bool = True,
-    details: bool = False,
-    **how: Any,
+    command: str, pages: Pages, *asked: Any, bar: bool = True, details: bool = False, **how: Any
 ) -> None:
-    """Ask a request of the library, and present the outcome.
+    """Ask the library, and present the outcome.
 
-    command: name of the function of `outcomes`
-    asked: its first argument, such as a request
+    pages: its files; the function gets their folder, where results have one
+    asked: first arguments of the function, such as a request
     bar: whether a progress bar is shown; a search with a bar of its own shows that
     details: whether the details of the outcome are printed, too
     how: further arguments of the function
@@ -40,7 +33,8 @@ def tell(
         from .. import outcomes
 
         how |= {"progress": progress} if bar else {}
-        outcome = getattr(outcomes, command)(asked, **how)
+        how |= {"folder": pages.out_dir} if isinstance(pages, Written) else {}
+        outcome = getattr(outcomes, command)(*asked, **how)
     present(outcome, pages, details=details)
 
 
@@ -53,7 +47,7 @@ def present(outcome: Outcome, pages: Pages, *, details: bool = False) -> None:
 
     outcome.show(out, details=details)
     for line in outcome.warnings:
-        err.print(line, highlight=False)
+        err.print(line)
     with working("figures") if outcome.figures else nullcontext(silent) as progress:
         paths = outcome.save(progress=progress)
     if pages.page is not None:
@@ -61,7 +55,7 @@ def present(outcome: Outcome, pages: Pages, *, details: bool = False) -> None:
     written(paths, pages.numbers, outcome.as_json())
     outcome.conclude(out)
     if outcome.failed:
-        err.print(outcome.failed, highlight=False)
+        err.print(outcome.failed)
         raise typer.Exit(1)
 
 
@@ -73,6 +67,5 @@ def written(paths: list[Path], file: Path | None, numbers: Any) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_json(file, numbers)
         paths = [*paths, file]
-    if paths:
-        for path in paths:
-            out.print(f"written: {path}", highlight=False, soft_wrap=True)
+    for path in paths:
+        say(f"written: {path}")

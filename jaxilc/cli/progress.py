@@ -57,10 +57,10 @@ def progress_bar(
             return Text(told if expected else f"often {usual:.0f} s", style="progress.remaining")
 
     columns = (
-        TextColumn("{task.description}", markup=False),
+        TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn(f"{{task.fields[{field}]}}", markup=False),
+        TextColumn(f"{{task.fields[{field}]}}"),
     )
     return Progress(
         *columns,
@@ -114,10 +114,7 @@ def thread_for_later(*works: Callable[[], object]) -> threading.Thread:
 
 def stopped(store: Path) -> NoReturn:
     """Print how to continue after Ctrl-C, and end with exit code 130."""
-    console.err.print(
-        f"stopped; {store} holds what is done: the same command with --resume goes on",
-        highlight=False,
-    )
+    console.warn(f"stopped; {store} holds what is done: the same command with --resume goes on")
     sys.exit(130)
 
 
@@ -158,12 +155,8 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
                 raise
             raise ValueError(f"--dask: {error}") from None
         except ChunkFailed as error:
-            console.err.print(f"error: {error}", highlight=False, markup=False, soft_wrap=True)
-            console.err.print(
-                f"{store} holds what is done: the same command with --resume goes on",
-                highlight=False,
-                soft_wrap=True,
-            )
+            console.warn(f"error: {error}")
+            console.warn(f"{store} holds what is done: the same command with --resume goes on")
             sys.exit(1)
     console.stage_ends("run")
     return Swept(dataset, time.perf_counter() - start, sum(counted.values()) * of_a_machine)

@@ -5,17 +5,16 @@ layers. `paper` draws it with Matplotlib, `page` with Bokeh for a page; of a pub
 `error_by_trial`, `error_by_trial.described(...)` is the description.
 
     band          a sweep at a glance: one panel a scheme, and the yield against the tolerance
-    grid_map      a grid at a glance: a map over two axes, or a line over one
-    contraction_map  how the error contracts over a grid, and where the bounds say so
+    grid_map      a grid at a glance: a map over two axes, or a line over one, also of how the error
+                  contracts and where the bounds say so
     by_trial      errors against the trial: one machine, and theory against simulation
     within_trial  signals against time with a zoom, and the contour of two axes
-    by_frequency  spectrum and time-frequency map of the error, |Q (keep - L P)|
-    learned       a learned law in time and frequency, beside the inverse of the plant
-    q_filter      whether a Q-filter is safe, and by how much
+    by_frequency  spectrum and time-frequency map of the error, |Q (keep - L P)|, whether a Q-filter
+                  is safe, and a learned law beside the inverse of the plant
     published     the numbers of a paper and ours
     searches      tunings, trade-offs, worst machines
     browsers      pages with a choice: a trial, a parameter, a paper; live_grid: a point of a grid
-    experiments   identification: the record, and the model against it
+    experiments   identification: the record, the model against it, and repeats of a motion
     campaign      a campaign on a real machine
     report        one HTML page with figures and tables
     saving        files: PNG, SVG or PDF, for print or on a dark ground

@@ -1,15 +1,23 @@
 from . import report
 from .band import error_band, given_and_tuned
-from .by_frequency import frequency_tests, spectrum, time_frequency
+from .by_frequency import (
+    frequency_tests,
+    learned_law_figure,
+    q_filter_figure,
+    spectrum,
+    time_frequency,
+)
 from .by_trial import certificate, error_by_trial
 from .campaign import campaign_figure
-from .contraction_map import contraction_map, contraction_of
-from .experiments import record_figure, response_figure, response_fit_figure, validation_figure
-from .grid_map import grid_map
-from .learned import learned_law_figure
-from .potential import potential_figure
+from .experiments import (
+    potential_figure,
+    record_figure,
+    response_figure,
+    response_fit_figure,
+    validation_figure,
+)
+from .grid_map import contraction_map, contraction_of, grid_map
 from .published import printed_and_ours, reproduction_figures
-from .q_filter import q_filter_figure
 from .saving import choose, save
 from .searches import final_error_by_trials, loss_by_step, pareto_front, worst_against_chance
 from .style import COLOURS, DASHES, MARKS

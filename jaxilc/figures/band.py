@@ -83,10 +83,7 @@ def band_together(
     scale: float = 1.0,
     unit: str = "",
 ) -> Figure:
-    """The same in one panel, for a page, whose legend hides schemes.
-
-    rows: what `summarise` gives
-    """
+    """The same in one panel, for a page, whose legend hides schemes."""
     layers: list[Layer] = []
     seen: list[float] = []
     for i, row in zip(numbers_of(row.scheme for row in rows), rows, strict=True):

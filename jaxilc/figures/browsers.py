@@ -47,10 +47,7 @@ PAPER = "figures.forEach((one, i) => { one.visible = names[i] === select.value; 
 
 
 def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
-    """Output, error and input of a trial that a slider chooses, of a scheme and an output.
-
-    dataset: result of `run_schemes`
-    """
+    """Output, error and input of a trial that a slider chooses, of a scheme and an output."""
     from bokeh.layouts import column
     from bokeh.models import ColumnDataSource, CustomJS, CustomJSTickFormatter, Div, Select, Slider
 
@@ -244,10 +241,7 @@ def _drawn_errors(errors: np.ndarray, limit: float | None) -> tuple[np.ndarray, 
 
 
 def papers(numbers: Sequence[Mapping[str, Any]]) -> Live:
-    """The printed numbers and ours; a menu chooses the paper.
-
-    numbers: rows of `reproduction.reproduce`, as dictionaries
-    """
+    """The printed numbers and ours; a menu chooses the paper."""
     from bokeh.layouts import column
     from bokeh.models import CustomJS, Select
 

@@ -1,22 +1,47 @@
-"""Errors and learning by frequency: spectrum, time-frequency map, and the test of convergence."""
+"""Figures over frequency: spectrum, time-frequency map, convergence, filters and learned laws."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .description import FREQUENCY, TIME, Axis, Cells, Colours, Curve, Figure, Layer, Panel, Rule
+from .description import (
+    FREQUENCY,
+    TIME,
+    Axis,
+    Band,
+    Cells,
+    Colours,
+    Curve,
+    Figure,
+    Layer,
+    Panel,
+    Rule,
+)
 from .paper import draw, drawn
-from .style import DASHES, limits_of, marks_of, numbers_of, shades_of, style_of
+from .style import (
+    COLOURS,
+    DASHES,
+    GREY,
+    colour_of,
+    limits_of,
+    marks_of,
+    numbers_of,
+    shades_of,
+    style_of,
+)
 from .units import written
 from .within_trial import outputs_of, signal_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from ..design import Learned
     from ..theory.frequency import FrequencyTest
+    from ..theory.q_filter import Curves
+
 
 DECADES, SHADES = 8, 3  # decades of amplitude that all maps show at most, and the faintest one
 SEEN = 6  # decades of amplitude that a spectrum shows at most
@@ -26,12 +51,7 @@ SLOWEST = 2  # line of a map from which on it is shown: a Hann window spreads a 
 
 @drawn
 def spectrum(
-    dataset: xr.Dataset,
-    scheme: str,
-    trials: Sequence[int],
-    *,
-    scale: float = 1.0,
-    unit: str = "",
+    dataset: xr.Dataset, scheme: str, trials: Sequence[int], *, scale: float = 1.0, unit: str = ""
 ) -> Figure:
     """Amplitude of the error against frequency for chosen trials, with log axes.
 
@@ -195,3 +215,214 @@ def _peaks(f, amplitude):
         np.arange(len(f)), np.flatnonzero(np.diff(np.floor(60 * np.log10(f / f[0])))) + 1
     )
     return np.array([group[np.argmax(np.nan_to_num(amplitude[group]))] for group in groups])
+
+
+# Whether a Q-filter is safe: plant, filter, L P and |Q (1 - L P)| of a family
+# --------------------------------------------------------------------------------------------------
+
+
+PASSED = 1e-2  # |Q| below which nothing of L P is shown
+SLOWEST_SHOWN = 1e-3  # of the last frequency shown
+LEAST = 1e-3  # least magnitude of P shown, against the largest
+SIZES = (0.01, 10.0)  # of |Q| and |L P| that are shown
+
+
+@drawn
+def q_filter_figure(
+    families: Mapping[str, Curves], *, margin: float = 0.0, unit: str = ""
+) -> Figure:
+    """|P|, then |Q| and |L P|, then |Q (1 - L P)| with its band, against frequency; three axes.
+
+    The band is from the least to the largest value of the family; of a measured response it is its
+    scatter. The largest value is marked. The frequencies shown end where |Q| has fallen to 0.01.
+
+    families: curves by name, from `theory.q_filter`
+    margin:   that was asked for; 0 for no line
+    unit:     of P, output per input
+    """
+    plants: list[Layer] = []
+    parts: list[Layer] = []
+    sizes: list[Layer] = []
+    looks = numbers_of(families)
+    for i, (name, curves) in enumerate(families.items()):
+        f, style = curves.f, style_of(looks[i])
+        if not any(_same_plant(curves, other) for other in list(families.values())[:i]):
+            plants.append(Curve(f, np.abs(curves.P), name=name, **style))
+        LP = np.where(np.abs(curves.Q) > PASSED, np.abs(curves.LP), np.nan)
+        parts.append(Curve(f, LP, name=f"|L P|, {name}", **style))
+        shade = f"#{3 * f'{127 * i // len(families):02x}'}"
+        parts.append(Curve(f, np.abs(curves.Q), style["dash"], name=f"|Q|, {name}", colour=shade))
+        top = int(np.argmax(curves.high))
+        said = f"{name}; shaded: its family\nat most {curves.high[top]:.3g} at {f[top]:.3g} Hz"
+        colour: dict[str, Any] = {"name": said, "colour": style["colour"]}
+        sizes += [
+            Curve(f, curves.nominal, name=said, **style),
+            Band(f, curves.low, curves.high, alpha=0.2, **colour),
+            Curve([f[top]], [curves.high[top]], dash="", mark="o", size=5, **colour),
+        ]
+    first = next(iter(families.values()))
+    without = "|1 − L P| without Q,\nlargest"
+    sizes += [Curve(first.f, first.without, dash=":", name=without, colour=GREY)]
+    sizes.append(Rule(1.0, name="1: learning may diverge"))
+    if margin:
+        sizes.append(Rule(1 - margin, dash="--", name=f"{1 - margin:g}: asked for"))
+    found, of_P, tall = _ends_of_families([*families.values()])
+    along = FREQUENCY._replace(ends=found)
+    return Figure(
+        [Panel(along, Axis("|P|", unit, log=True, ends=of_P), plants),
+         Panel(along, Axis("|Q|, |L P|", log=True, ends=SIZES), parts),
+         Panel(along, Axis("|Q (1 − L P)|", ends=(0, max(1.3, min(1.2 * tall, 5.0)))), sizes)],
+        "Whether the Q-filter is safe: |Q (1 − L P)| must stay below 1.",
+        size=(7.2, 7.6),
+    )  # fmt: skip
+
+
+def _ends_of_families(
+    families: Sequence[Curves],
+) -> tuple[tuple[float, float], tuple[float, float], float]:
+    """Frequencies up to which Q passes anything, |P| within three decades, and the largest test."""
+    passed = max(np.max(c.f[np.abs(c.Q) > PASSED], initial=c.f[0]) for c in families)
+    lowest = max(min(c.f[0] for c in families), SLOWEST_SHOWN * passed)
+    sizes = [np.abs(c.P[(c.f >= lowest) & (c.f <= passed)]) for c in families]
+    largest = max(float(np.max(values)) for values in sizes)
+    least = min(float(np.min(values)) for values in sizes)
+    tall = max(float(np.max(c.high)) for c in families)
+    return (lowest, passed), (max(least, LEAST * largest) / 2, 2 * largest), tall
+
+
+def _same_plant(one: Curves, other: Curves) -> bool:
+    seen = np.interp(one.f, other.f, np.abs(other.P))
+    return bool(np.allclose(np.abs(one.P), seen, rtol=0.02))
+
+
+# A learned law in time and in frequency, beside the inverse of the plant
+# --------------------------------------------------------------------------------------------------
+
+
+SHOWN_OF_L = 1e-3  # share of the largest |L| down to which it is shown
+SLOWEST_OF_LAW = 2e-4  # of the last frequency
+DARK = "#333333"
+PALEST = 0.4  # opacity of the last segment
+
+
+@drawn
+def learned_law_figure(learned: Learned, dt: float, *, unit: str = "") -> Figure:
+    """The taps of L and Q over time, and their responses beside 1 / P; four axes.
+
+    The law is u_{j+1} = Q u_j + L e_j, so that L is Q / P where it inverts the plant. Below stand
+    |L| with |1 / P| and |Q / P| of the nominal machine, and |Q| with |Q - L P| of the nominal
+    machine and the largest of the family. Of several channels each pair has a colour of its own,
+    and the segments of a scheduled law are the paler the later they are; |Q| and |Q - L P| are then
+    the largest singular values.
+
+    dt: sample time [s]
+    unit: of L, input per output
+    Raises ValueError for a law that was refused at its gate, which has no taps.
+    """
+    if learned.passed is None:
+        raise ValueError(f"learned_law_figure: the law was refused: {learned.refused}")
+    filters, window, family = learned.passed.filters, learned.window, learned.family
+    L, keep = (_whole(taps, bool(window.starts)) for taps in filters)
+    taps = [_taps(L, 1 + window.lead, dt, "L", unit), _taps(keep, 0, dt, "Q", "")]
+    f = family.frequencies
+    of_L, of_keep = window.responses(f, dt)
+    L, keep = (
+        np.einsum("fp,spij->sfij", of, taps) for of, taps in ((of_L, L), (of_keep + 0j, keep))
+    )
+    P = family.P[:, :, None, None] if family.P.ndim == 2 else family.P
+    along, top = (
+        FREQUENCY._replace(ends=(max(f[0], SLOWEST_OF_LAW * f[-1]), f[-1])),
+        np.max(np.abs(L)),
+    )
+    of_law = Axis("magnitude", unit, log=True, ends=(SHOWN_OF_L * top, 10 * top))
+    of_sizes = Axis("magnitude", ends=(0, 1.25))
+    return Figure(
+        [*taps, Panel(along, of_law, _inverses(f, L, keep, P[0]), legend="best"),
+         Panel(along, of_sizes, _sizes(f, L, keep, P), legend="best")],
+        "The law in time, the look-ahead of each tap, and in frequency, beside the inverse of the "
+        "plant.",
+        columns=2, size=(9.0, 6.4), shares="",
+    )  # fmt: skip
+
+
+def _taps(taps, middle: int, dt: float, name: str, unit: str) -> Panel:
+    """The taps (S, p, n, m) over the time by which they look ahead."""
+    p = taps.shape[1]
+    shift = 1e3 * dt * (middle + np.arange(p) - p // 2)
+    look: dict[str, Any] = {"mark": ".", "size": 3, "width": 0.8}
+    layers: list[Layer] = [Curve(shift, line, **look, **of) for of, line in _each(taps, name)]
+    layers += [
+        Curve([], [], colour=GREY, alpha=_opacity(s, len(taps)), name=f"segment {s + 1}")
+        for s in range(len(taps) if len(taps) > 1 else 0)
+    ]
+    layers.append(Rule(0.0, "x"))
+    several = taps[:, 0].size > 1
+    return Panel(
+        Axis("looks ahead by [ms]"), Axis("L" * (name == "L"), unit), layers, f"{p} taps of {name}",
+        "best" if several else "", 2 if taps[0, 0].size > 1 else 1,
+    )  # fmt: skip
+
+
+def _inverses(f, L, keep, P) -> list[Layer]:
+    """|L| of each segment and pair beside |Q / P|, and beside |1 / P| of one channel."""
+    alone, layers = L[:, 0].size == 1, []
+    for values, dash, name, colour in (
+        (L, "-", "|L|, learned", COLOURS[0]),
+        (keep @ np.linalg.pinv(P), "--", "|Q / P|", COLOURS[1]),
+    ):
+        for look, line in _each(values, ""):
+            look |= {"colour": colour, "name": name} if alone else {}
+            layers.append(Curve(f, np.abs(line), dash, **look))
+        if not alone:
+            layers.append(Curve([], [], dash, colour=GREY, name=name))
+    if L[0, 0].size == 1:
+        inverse = 1 / np.abs(P[:, 0, 0])
+        layers.append(Curve(f, inverse, ":", colour=GREY, name="|1 / P|, the inverse"))
+    return layers
+
+
+def _sizes(f, L, keep, P) -> list[Layer]:
+    """|Q|, |Q - L P| of the nominal machine, and the largest of the family and of all segments."""
+
+    def size(matrices):
+        return np.linalg.norm(matrices, ord=2, axis=(-2, -1))
+
+    sizes = np.max([size(Q - one @ P) for Q, one in zip(keep, L, strict=True)], axis=0)
+    layers: list[Layer] = []
+    for i, Q in enumerate(size(keep)):
+        name = "|Q|" if len(keep) == 1 else f"|Q|, segment {i + 1}"
+        pale = _opacity(i, len(keep))
+        layers.append(Curve(f, Q, "--", colour=DARK, alpha=pale, name=name))
+    largest = np.max(sizes, axis=0)
+    return [
+        *layers,
+        Curve(f, sizes[0], name="|Q − L P|, nominal"),
+        Curve(f, largest, colour=COLOURS[1], name=f"largest of {len(P)}"),
+        Rule(1.0),
+    ]
+
+
+def _each(values, name: str) -> list[tuple[dict[str, Any], np.ndarray]]:
+    """Look and line of each segment and pair of channels of values (S, K, n, m).
+
+    The name tells the pair, in the first segment.
+    """
+    S, _, n, m = values.shape
+    found = []
+    for s in range(S):
+        for pair, (i, j) in enumerate(np.ndindex(n, m)):
+            label = f"{name}{i + 1}{j + 1}" if n * m > 1 else name
+            look = {"colour": colour_of(pair), "alpha": _opacity(s, S), "name": label * (not s)}
+            found.append((look, values[s, :, i, j]))
+    return found
+
+
+def _opacity(segment: int, segments: int) -> float:
+    return float(np.linspace(1.0, PALEST, segments)[segment])
+
+
+def _whole(taps, scheduled: bool) -> np.ndarray:
+    """Taps as (S, p, n, m), also of one segment and of one channel."""
+    taps = np.asarray(taps, float)
+    taps = taps if scheduled else taps[None]
+    return taps if taps.ndim == 4 else taps[:, :, None, None]

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..pytree.ranges import value_text
-from .contraction_map import contraction_of
 from .description import Axis, Colours, Curve, Panel
 from .grid_map import (
     QUANTILES,
     SHOWN,
     axes_of_map,
     called_of,
+    contraction_of,
     in_order,
     layers_of,
     marked,
@@ -109,10 +109,7 @@ def map_of(
     unit: str = "",
     **size: Any,
 ) -> GridMap:
-    """The map of one scheme, with all numbers of `grid_map` on hover; the best point is chosen.
-
-    size: further arguments of the figure
-    """
+    """The map of one scheme, with all numbers of `grid_map` on hover; the best point is chosen."""
     from bokeh.models import TapTool
 
     from ..sweeps.points import labels_for, last_errors

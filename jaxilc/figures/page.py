@@ -79,9 +79,9 @@ class Live(NamedTuple):
     model: Any
 
 
-def live(figure: Figure) -> Live:
-    """A described figure, with its caption."""
-    return Live(figure.caption, model_of(figure))
+def live(figure: Figure | Live) -> Live:
+    """A described figure, with its caption; one that is interactive already as it is."""
+    return figure if isinstance(figure, Live) else Live(figure.caption, model_of(figure))
 
 
 def model_of(figure: Figure) -> Any:

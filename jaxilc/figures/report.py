@@ -28,6 +28,7 @@ from ..storage.files import atomically
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
+    from .description import Figure
     from .page import Live
 
 NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -234,12 +235,11 @@ def command_report(
     lines: Sequence[str] = (),
     asked: Mapping[str, object] | None = None,
     verdict: Said | None = None,
-    live: Sequence[Live | None] = (),
+    live: Sequence[Figure | Live | None] = (),
 ) -> list[Path]:
     """Write the page of a command of the command line, and return a list with its file.
 
     path: path of the page; None writes nothing, and the list is empty
-    command: name of the command
     tables: tables that were printed
     figures: axes or files; a PDF is named on the page, other files are left out
     scenario: the scenario that was run, None for a command without one
@@ -247,8 +247,10 @@ def command_report(
     lines: lines that were printed besides the tables
     asked: further rows below the name of the command
     verdict: what the command found
-    live: interactive figures; None for one that there is nothing to show in
+    live: interactive figures, or descriptions of them; None for one that has nothing to show
     """
+    from . import page
+
     if path is None:
         return []
     rows: dict[str, object] = {"command": shlex.join(["jaxilc", *sys.argv[1:]])}
@@ -279,7 +281,7 @@ def command_report(
                 else (),
             },
             verdict=verdict or (_Lines(lines) if lines else None),
-            live=[one for one in live if one is not None],
+            live=[page.live(one) for one in live if one is not None],
         )
     ]
 

@@ -1,22 +1,18 @@
 from .certifying import certify
 from .demonstrating import demo
-from .designing import design
+from .designing import design, learn_law
 from .exporting import check_export, export
 from .filtering import filter_, filter_measured
-from .identifying import Reading, identify
-from .learning_laws import learn_law
+from .identifying import Reading, identify, identify_campaign
 from .listing import scenarios, settings
-from .outcome import Outcome
-from .reidentifying import identify_campaign
+from .outcome import Outcome, Verdict
 from .repeating import potential
 from .reproducing import reproduce
 from .request import Request
 from .running import run
 from .searching import worst_case
 from .sweeping import sweep
-from .trading import pareto
-from .tuning import tune
-from .verdict import Verdict
+from .tuning import pareto, tune
 
 __all__ = [
     "Outcome",

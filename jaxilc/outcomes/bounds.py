@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..theory.bounds import OF_MACHINES, OF_TRIALS, checked
-from .table import Table
+from .outcome import Numbers, Table
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 GREW = 1e-9  # of an error, below which it is rounding that has grown
 
 
-def bounds_numbers(found: Checked) -> dict[str, Any]:
+def bounds_numbers(found: Checked) -> Numbers:
     """The numbers of the bounds of Cao 2019 over machines.
 
     premises: on how many machines each held, and where it was broken
@@ -29,7 +29,7 @@ def bounds_numbers(found: Checked) -> dict[str, Any]:
     return {"premises": of_premises, "bound": found.verdicts, "care": found.care}
 
 
-def watched_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
+def watched_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Numbers]:
     """What a `BoundsWatch` found of each scheme that learns, over machines and trials, by scheme.
 
     Over a grid each machine counts at each point, and the last trial of a point with fewer trials
@@ -76,11 +76,8 @@ def _spread(values) -> list[float] | None:
     return [float(of(values)) for of in (np.min, np.median, np.max)]
 
 
-def premises_table(name: str, numbers: dict[str, Any]) -> Table:
-    """The number of machines on which each premise of the bounds held, and where it failed.
-
-    numbers: those of `bounds_numbers`
-    """
+def premises_table(name: str, numbers: Numbers) -> Table:
+    """The number of machines on which each premise of the bounds held, and where it failed."""
     machines = sum(numbers["bound"].values())
     tested = "; ".join(
         f"it {verdict} on {count}"
@@ -90,32 +87,20 @@ def premises_table(name: str, numbers: dict[str, Any]) -> Table:
     if numbers["care"]:
         tested += f"; d2 is {numbers['care']:.4g} times the largest ratio, in the median"
     nothing = f"it was claimed on none of {machines} machines, so nothing of it was tested"
-    table = Table("premise", title=f"{name}: the bound of Cao 2019: {tested or nothing}")
-    table.add_column("held on", justify="right")
-    table.add_column("broken at, of all samples", justify="right")
+    title = f"{name}: the bound of Cao 2019: {tested or nothing}"
+    table = Table("premise", right=("held on", "broken at, of all samples"), title=title)
     for premise, row in numbers["premises"].items():
         held = f"{row['held']} of {machines}" if row["held"] else "no machine"
         table.add_row(premise, held, _of_all(row["share_broken"]))
     return table
 
 
-def contraction_table(numbers: dict[str, dict[str, Any]]) -> Table:
-    """How much smaller each trial made the error, beside d2 of the plant, by scheme.
-
-    numbers: those of `watched_numbers`
-    """
+def contraction_table(numbers: dict[str, Numbers]) -> Table:
+    """How much smaller each trial made the error, beside d2 of the plant, by scheme."""
     title = "contraction of a trial: d2 of the plant, and |e_j| / |e_j-1| as observed"
-    table = Table("scheme", title=title)
-    for column in (
-        "d2",
-        "left out by its theory",
-        "norm, median",
-        "norm, worst",
-        "samples, median",
-        "samples, worst",
-        "trials that grew",
-    ):
-        table.add_column(column, justify="right")
+    observed = ("norm, median", "norm, worst", "samples, median", "samples, worst")
+    columns = ("d2", "left out by its theory", *observed, "trials that grew")
+    table = Table("scheme", right=columns, title=title)
     for name, row in numbers.items():
         d2 = "not proved" if row["d2"] is None else f"{row['d2'][0]:.5g} to {row['d2'][2]:.5g}"
         left = "" if row["left_out"] is None else f"{100 * row['left_out'][1]:.5g} %"
@@ -130,11 +115,8 @@ def _of_all(share: float) -> str:
     return "nowhere" if share == 0 else "< 0.01 %" if share < 1e-4 else f"{100 * share:.2f} %"
 
 
-def bounds_tables(numbers: dict[str, Any]) -> list[Table]:
-    """The tables of `watched_numbers`, none without any; the premises are those of all points.
-
-    numbers: those of a sweep
-    """
+def bounds_tables(numbers: Numbers) -> list[Table]:
+    """The tables of `watched_numbers`, none without any; the premises are those of all points."""
     at_best = numbers.get("bounds", {})
     of_all = numbers.get("grid", {}).get("bounds", at_best)
     where = " at all points" if "grid" in numbers else ""

@@ -24,20 +24,19 @@ from ..theory.certificates import (
     printed_conditions,
 )
 from ..theory.chance import STILL, SURELY
+from ..theory.condition import HOLDS
+from ..theory.repetitive import POINTS, largest_gain, repetitive_condition, side_by_side
 from ..uncertainty import Population
 from .bounds import bounds_numbers, premises_table
 from .case import Case
-from .outcome import Figure, Outcome, Progress, silent
-from .periods import of_periods, period_sentences
+from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .table import Table
-from .verdict import Verdict
 from .words import counted, number
 
 if TYPE_CHECKING:
-    from ..figures.page import Live
     from ..scenarios import Scenario
     from ..theory.certificates import Certificate, OfScheme
+
 
 COURSE_WORDS = {TURNS: "have a best trial and then turn", GROWS: "end above their start"}
 
@@ -116,13 +115,18 @@ def certify(
             )
             for name, one in found.items()
         },
-        live=partial(_live, chosen, found, drawn),
+        live=lambda: [
+            figures.certificate.described(
+                one.certificate, scale=scale, unit=unit, title=name, parameters=drawn
+            )
+            for name, one in found.items()
+        ],
         asked={"machines": machines, "seed": seed, "sampling": sampling},
         failed=f"{', '.join(broken)}: {what}" if broken else "",
     )
 
 
-def _printed(chosen: Scenario, name: str) -> dict[str, dict[str, Any]]:
+def _printed(chosen: Scenario, name: str) -> dict[str, Numbers]:
     """The conditions that papers print for a scheme: their values, verdicts and broken premises."""
     found = printed_conditions(chosen.schemes[name], chosen.task, chosen.machine)
     return {
@@ -136,18 +140,7 @@ def _printed(chosen: Scenario, name: str) -> dict[str, dict[str, Any]]:
     }
 
 
-def _live(chosen: Scenario, found: Mapping[str, OfScheme], drawn: Mapping[str, Any]) -> list[Live]:
-    """The errors of each machine by trial, in the colour of its claim, for each scheme."""
-    from ..figures.page import live
-
-    shown: dict[str, Any] = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
-    return [
-        live(figures.certificate.described(one.certificate, title=name, parameters=drawn, **shown))
-        for name, one in found.items()
-    ]
-
-
-def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
+def certificate_numbers(of_scheme: OfScheme) -> Numbers:
     """The content of a certificate, as counts of machines.
 
     The keys of the dictionary are:
@@ -211,7 +204,7 @@ def certificate_numbers(of_scheme: OfScheme) -> dict[str, Any]:
     return numbers
 
 
-def _transient(found: Certificate, claimed: np.ndarray) -> dict[str, Any]:
+def _transient(found: Certificate, claimed: np.ndarray) -> Numbers:
     grows, of_any = claimed & (found.peak > 1 + GROWTH), np.zeros(len(claimed))
     grows &= ~(found.peak * found.predicted[:, 0] <= found.left)  # else it does not fall afterwards
     if found.outlook is not None:
@@ -226,45 +219,31 @@ def _transient(found: Certificate, claimed: np.ndarray) -> dict[str, Any]:
     }
 
 
-def certificate_tables(name: str, trials: int, numbers: dict[str, Any]) -> list[Table]:
-    """The tables of claims, of the course by theory and simulation, and of premises.
-
-    The arguments are those of `certificate_sentence`.
-    """
-    claims = Table(title=f"{name}: what is claimed, however many trials are run")
-    for column in ("in the long run", "machines"):
-        claims.add_column(column, justify="right" if column == "machines" else "left")
-    for claim, count in numbers["claims"].items():
-        claims.add_row(claim, str(count))
+def certificate_tables(name: str, trials: int, numbers: Numbers) -> list[Table]:
+    """The tables of claims, of the course by theory and simulation, and of premises."""
+    claims = Table(
+        "in the long run",
+        right=["machines"],
+        title=f"{name}: what is claimed, however many trials are run",
+        rows=((claim, str(count)) for claim, count in numbers["claims"].items()),
+    )
     what = f"machines by their error within {trials} trials"
-    courses = Table("by theory", title=f"{name}: {what}, by theory and simulation")
-    for course in COURSES:
-        courses.add_column(course, justify="right")
+    title = f"{name}: {what}, by theory and simulation"
+    courses = Table("by theory", right=COURSES, title=title)
     for course, row in numbers["confusion"].items():
         head = f"{course} ({numbers['expected'][course]})"
         courses.add_row(head, *(str(row[c]) for c in COURSES))
     return [claims, courses, *([premises_table(name, numbers)] if "premises" in numbers else [])]
 
 
-def certificate_sentence(
-    name: str, trials: int, numbers: dict[str, Any], scale: float, unit: str
-) -> str:
-    """The content of a certificate in words.
-
-    name: name of the scheme
-    trials: number J of trials
-    numbers: result of `certificate_numbers`
-    scale, unit: scale and unit in which errors are shown
-    """
+def certificate_sentence(name: str, trials: int, numbers: Numbers, scale: float, unit: str) -> str:
+    """The content of a certificate in words."""
     in_the_long_run, within = _claimed(numbers, scale, unit), _expected(numbers)
     return f"{name}: {in_the_long_run}. Within {trials} trials {within}.{transient_words(numbers)}"
 
 
-def reason_lines(name: str, numbers: dict[str, Any]) -> list[str]:
-    """A sentence on each reason of a claim, or of its absence, with its number of machines.
-
-    The arguments are those of `certificate_sentence`.
-    """
+def reason_lines(name: str, numbers: Numbers) -> list[str]:
+    """A sentence on each reason of a claim, or of its absence, with its number of machines."""
     return [
         f"{name}, {claim} on {count}: {reason}."
         for claim, reasons in numbers["reasons"].items()
@@ -272,7 +251,7 @@ def reason_lines(name: str, numbers: dict[str, Any]) -> list[str]:
     ]
 
 
-def printed_lines(name: str, numbers: dict[str, Any]) -> list[str]:
+def printed_lines(name: str, numbers: Numbers) -> list[str]:
     """A sentence on each condition that a paper prints for a scheme, of its nominal model alone."""
     return [
         f"{name}, by {place}, of the nominal model alone: {number(of['value'])} is "
@@ -283,11 +262,8 @@ def printed_lines(name: str, numbers: dict[str, Any]) -> list[str]:
     ]
 
 
-def transient_words(numbers: dict[str, Any]) -> str:
-    """A sentence on how far the error grows before it falls; empty where it does not.
-
-    numbers: result of `certificate_numbers`
-    """
+def transient_words(numbers: Numbers) -> str:
+    """A sentence on how far the error grows before it falls; empty where it does not."""
     transient, machines = numbers["transient"], sum(numbers["claims"].values())
     if not transient["machines"]:
         return ""
@@ -304,7 +280,7 @@ def transient_words(numbers: dict[str, Any]) -> str:
     return f" Before it falls, {', and '.join(grown)}."
 
 
-def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
+def _claimed(numbers: Numbers, scale: float, unit: str) -> str:
     """The claims for an unlimited number of trials, in words."""
     claims, machines = numbers["claims"], sum(numbers["claims"].values())
     certified = claims[MONOTONE] + claims[CONVERGES]
@@ -331,7 +307,7 @@ def _claimed(numbers: dict[str, Any], scale: float, unit: str) -> str:
     return ", ".join(parts)
 
 
-def senses_words(numbers: dict[str, Any]) -> str:
+def senses_words(numbers: Numbers) -> str:
     """In which senses claims hold for single runs, between commas; empty where nothing is drawn."""
     senses = numbers["senses"]
     if len(senses) < 2:
@@ -339,7 +315,7 @@ def senses_words(numbers: dict[str, Any]) -> str:
     return ", " + " and ".join(f"{sense} on {count}" for sense, count in senses.items()) + ","
 
 
-def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
+def left_words(numbers: Numbers, scale: float, unit: str) -> str:
     """What learning leaves in the long run, in words."""
     floor = scale * numbers["floor"]
     if floor == float("inf"):
@@ -359,7 +335,7 @@ def left_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
     )
 
 
-def rounding_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
+def rounding_words(numbers: Numbers, scale: float, unit: str) -> str:
     """How much of an error is due to rounding, after a comma; empty where nothing is rounded."""
     if numbers["rounding"] is None:
         return ""
@@ -367,7 +343,7 @@ def rounding_words(numbers: dict[str, Any], scale: float, unit: str) -> str:
     return f", of which {numbers['held_by']} makes up to {size}"
 
 
-def _expected(numbers: dict[str, Any]) -> str:
+def _expected(numbers: Numbers) -> str:
     """The course of the error within the trials, by theory and by simulation, in words."""
     expected, observed, turning = numbers["expected"], numbers["observed"], numbers["turning"]
     bad = {c: (expected[c], observed[c]) for c in (TURNS, GROWS) if expected[c] or observed[c]}
@@ -385,12 +361,10 @@ def _expected(numbers: dict[str, Any]) -> str:
 
 
 def certify_verdict(
-    case: Case, numbers: Mapping[str, dict[str, Any]], scale: float, besides: Sequence[str] = ()
+    case: Case, numbers: Mapping[str, Numbers], scale: float, besides: Sequence[str] = ()
 ) -> Verdict:
     """Which schemes are certified on every machine, which are not, and why.
 
-    numbers: results of `certificate_numbers` by scheme
-    scale: of the errors in them
     besides: sentences on other schemes
     """
     certified, said = [], []
@@ -426,7 +400,7 @@ def _all(machines: int) -> str:
     return "the nominal machine" if machines == 1 else f"all {machines} machines"
 
 
-def _how(row: dict[str, Any]) -> str:
+def _how(row: Numbers) -> str:
     claims = row["claims"]
     if not claims[CONVERGES]:
         return "is monotone" + (f" until {row['held_by']} holds it" if row["held_by"] else "")
@@ -434,7 +408,7 @@ def _how(row: dict[str, Any]) -> str:
 
 
 def _after_certify(
-    case: Case, numbers: Mapping[str, dict[str, Any]], certified: Sequence[str]
+    case: Case, numbers: Mapping[str, Numbers], certified: Sequence[str]
 ) -> tuple[str, str]:
     fit = [name for name in certified if not numbers[name]["transient"]["machines"]]
     if fit:
@@ -452,7 +426,104 @@ def _after_certify(
     return "many machines by simulation", case.on("sweep", next(iter(numbers)))
 
 
-def _ends_badly(row: dict[str, Any]) -> bool:
+def _ends_badly(row: Numbers) -> bool:
     """Whether a scheme diverges, or its error grows before it falls or at the end, somewhere."""
     grows = row["observed"][TURNS] or row["observed"][GROWS] or row["transient"]["machines"]
     return bool(row["claims"][DIVERGES] or grows)
+
+
+# Repetitive control: its condition, the waterbed, and a wrong period
+# --------------------------------------------------------------------------------------------------
+
+
+WRONG = 0.01  # relative error of a period whose price is told
+ENOUGH = 2**14  # frequencies, about
+
+
+def of_periods(
+    chosen: Scenario, population: Population, progress: Progress
+) -> dict[str, dict[str, Any]]:
+    """The condition of each scheme of repetitive control, as numbers by its name.
+
+    tracked: largest change of a period that is tracked [s per s]; None where it stays
+    in_parallel: the number of those that stand side by side
+    times: by how much the condition is stricter for it
+    verdict, reasons: of the condition on the worst machine, and the premises that are broken
+    machines, at: number of machines, and the numbers of the worst one
+    condition, condition_at: its largest value, and where [Hz]
+    grows, grows_at: the largest growth of what does not repeat in the period, and where [Hz]
+    left, left_if_wrong: shares of the first harmonic that are left of the nominal machine, with the
+        right period and with a true one that is WRONG longer
+    no_gain_if_wrong: the first harmonic that is then not made smaller [Hz]; None if there is none
+    """
+    found = {}
+    for name, scheme in chosen.schemes.items():
+        beside, _ = side_by_side(scheme)
+        if not beside:
+            continue
+        progress(name)
+        harmonics = 0.5 * sum(float(np.sum(one.period)) for one in beside) / float(chosen.task.dt)
+        how = {"points": int(np.clip(ENOUGH / harmonics, 2, POINTS))}
+        worst, right, wrong = (
+            repetitive_condition(machine, scheme, chosen.task, wrong=by, **how)
+            for machine, by in (
+                (population, 0.0),
+                (chosen.machine, 0.0),
+                (chosen.machine, WRONG),
+            )
+        )
+        tracking, periods = beside[0].tracking, [np.atleast_1d(one.period) for one in beside]
+        condition, lost = worst.test.condition, wrong.harmonics[wrong.left >= 1]
+        found[name] = {
+            "tracked": None if tracking is None else float(tracking.fastest),
+            "times": largest_gain(0.0 if tracking is None else float(tracking.fastest)),
+            "period": np.concatenate(periods).astype(float).tolist(),
+            "in_parallel": len(beside),
+            "verdict": str(condition.verdict),
+            "reasons": [f"{one.name}: {one.detail}" for one in condition.broken],
+            "machines": population.size,
+            "at": worst.at,
+            "condition": float(condition.value),
+            "condition_at": worst.test.worst,
+            "grows": worst.worst,
+            "grows_at": worst.worst_at,
+            "left": float(right.left[0]),
+            "left_if_wrong": float(wrong.left[0]),
+            "no_gain_if_wrong": float(lost[0]) if len(lost) else None,
+        }
+    return found
+
+
+def period_sentences(name: str, numbers: dict[str, Any]) -> list[str]:
+    """The content of `of_periods` for one scheme, in words."""
+    count, parallel = numbers["machines"], numbers["in_parallel"]
+    several = 1 if parallel > 1 else 2 ** len(numbers["period"]) - 1
+    several = numbers["times"] if numbers["tracked"] else several
+    period = " and ".join(number(one) for one in numbers["period"]) + " s"
+    if numbers["tracked"]:
+        period += f", which is tracked and changes by {number(numbers['tracked'])} s/s at most,"
+    at = ", ".join(f"{key} = {number(value)}" for key, value in numbers["at"].items())
+    times, L = (
+        f"{number(several)} " if several > 1 else "",
+        "L" if parallel == 1 else f"{parallel} L",
+    )
+    value = (
+        f"{times}|Q (1 - {L} T)| is at most "
+        f"{number(numbers['condition'])}, at {number(numbers['condition_at'])} Hz"
+        + (f" on the worst ({at})" if at else "")
+    )
+    if numbers["verdict"] == HOLDS:
+        whose = "the nominal machine" if count == 1 else f"all {count} machines"
+        head = f"converges from period to period of {period} on {whose}: {value}"
+    else:
+        why = f"; not held is {'; '.join(numbers['reasons'])}" if numbers["reasons"] else ""
+        head = f"is not certified from period to period of {period.rstrip(',')}: {value}{why}"
+    lost = numbers["no_gain_if_wrong"]
+    beyond = "" if lost is None else f"; that at {number(lost)} Hz is then no smaller"
+    return [
+        f"{name} {head}.",
+        f"{name}: what does not repeat in the period grows up to {number(numbers['grows'])} times, "
+        f"at {number(numbers['grows_at'])} Hz. Of the first harmonic {number(numbers['left'])} is "
+        f"left, or {number(numbers['left_if_wrong'])} if the true period is {100 * WRONG:g} % "
+        f"longer{beyond}.",
+    ]

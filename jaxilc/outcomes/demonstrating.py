@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,9 +20,7 @@ from ..signals.task import Task
 from ..sweeps import Sweep, summarise
 from ..tuning import Tuning
 from ..uncertainty import Uniform
-from .outcome import Figure, Outcome, Progress, silent
-from .table import Table
-from .verdict import Verdict
+from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .words import number
 
 MACHINE = Machine(ProcessModel(1.0, (), (), (63.0, 380.0), (0.6, 0.02)))
@@ -68,19 +65,12 @@ def demo(folder: Path | None = None, *, progress: Progress = silent) -> Outcome:
     rows = {row.scheme: row for row in summarise(dataset, tolerance=TOLERANCE, metric=METRIC)}
     worst = {name: float(row.worst[-1]) for name, row in rows.items()}
     share = {name: float(row.yield_share) for name, row in rows.items()}
-    table = Table(title=f"{MACHINES} machines whose gain differs by 10 %, after {TRIALS} trials")
-    for column in (
-        "law",
-        "claim of theory",
-        "worst rms error [µm]",
-        f"within {UM * TOLERANCE:g} µm",
-    ):
-        table.add_column(column, justify="right")
+    columns = ("law", "claim of theory", "worst rms error [µm]", f"within {UM * TOLERANCE:g} µm")
+    title = f"{MACHINES} machines whose gain differs by 10 %, after {TRIALS} trials"
     turning = int(before.turning[0])
     claims = {"plain": str(before.claim[0]), "tuned": str(after.claim[0])}
-    for name, claim in claims.items():
-        table.add_row(name, claim, number(UM * worst[name]), f"{share[name]:.0%}")
-    numbers: dict[str, Any] = {
+    cells = [(n, c, number(UM * worst[n]), f"{share[n]:.0%}") for n, c in claims.items()]
+    numbers: Numbers = {
         "rms": rms.tolist(), "best_trial": best + 1, "turning": turning, "claims": claims,
         "weights": tuned.values, "worst": worst, "yield": share,
     }  # fmt: skip
@@ -105,7 +95,7 @@ def demo(folder: Path | None = None, *, progress: Progress = silent) -> Outcome:
             "jaxilc init axis.toml",
         ),
         folder=folder or Path("out") / "demo",
-        tables=[table],
+        tables=[Table(right=columns, title=title, rows=cells)],
         figures={
             "demo": Figure(
                 "The error by trial of both laws on a thousand machines: median and quantiles.",

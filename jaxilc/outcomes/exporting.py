@@ -12,9 +12,8 @@ from ..pytree.named_paths import named_leaves
 from ..storage.files import atomically
 from ..storage.sealed import as_json, write_json
 from .certifying import certificate_numbers, certificate_sentence, reason_lines
-from .outcome import Outcome, Progress, silent
+from .outcome import Numbers, Outcome, Progress, Verdict, silent
 from .request import Request
-from .verdict import Verdict
 
 if TYPE_CHECKING:
     from ..export.guard import Trials
@@ -183,7 +182,7 @@ def _seen(campaign: Campaign) -> Trials:
     return Trials(min(of, default=float("inf")), learned, largest)
 
 
-def _claimed(chosen: Scenario, name: str, machines: int, seed: int) -> dict[str, Any]:
+def _claimed(chosen: Scenario, name: str, machines: int, seed: int) -> Numbers:
     """What theory claims of the law, on which machines, and with what margin."""
     from ..runtime.provenance import describe
     from ..theory.certificates import certify_schemes
@@ -226,10 +225,7 @@ def _operations(law: Law) -> dict[str, int]:
     from ..export.c_files import cost
 
     of = {function.name: cost(function.program) for function in law.functions}
-    return {
-        "operations_a_sample": of["sample"],
-        "operations_between_trials": of["end"],
-    }
+    return {"operations_a_sample": of["sample"], "operations_between_trials": of["end"]}
 
 
 def _plant_file(source: str) -> dict[str, str] | None:

@@ -13,17 +13,15 @@ import numpy as np
 
 from .. import figures
 from ..identification.frequency_response import read_frequency_response
-from ..scenarios.scheme_table import write_with_scheme
+from ..scenarios.design_file import write_with_scheme
 from ..theory import q_filter
 from ..theory.loop import responses
 from ..theory.on_lines import Lines
 from ..theory.q_filter import PLaw, lines_of, with_law
 from ..tuning.synthesis import synthesised
 from ..uncertainty import Uniform, check
-from .outcome import Figure, Outcome, Progress, silent
+from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .table import Table
-from .verdict import Verdict
 from .words import number
 
 if TYPE_CHECKING:
@@ -35,6 +33,8 @@ ORDER = 2  # of one pass of the filter of a measured law
 LINES_A_TAP = 4  # of the grid on which filters are synthesised
 UNSEEN = 0.05  # |Q| beyond the last line that is worth a warning
 PASSED = 0.1  # |Q| from which on a resonance lies inside the band
+_answers = partial(Table, "", "", show_header=False)  # of a title, and rows of two texts
+ON_LINES = ": |Q (1 - L P)| + |Q L| s on its lines"
 CAPTION = "Whether the Q-filter is safe: |Q (1 - L P)| must stay below 1."
 
 
@@ -163,7 +163,9 @@ def filter_measured(
         folder=place,
         tables=[
             *(
-                _answer_table(f"{name}: |Q (1 - L P)| + |Q L| s on its lines", _record_rows(test))
+                _answers(
+                    title=f"{name}: |Q (1 - L P)| + |Q L| s on its lines", rows=_record_rows(test)
+                )
                 for name, test in zip(names, answered.tests, strict=True)
             ),
             _offers_table(answered.now, answered.offers, margin),
@@ -269,7 +271,7 @@ def _scheme_answer(asked: _Asked) -> Outcome:
         numbers=_scheme_numbers(answered, offered, chosen.shown_scale) | {"synthesis": made},
         verdict=verdict,
         tables=[
-            _answer_table(title, _scheme_rows(answered, over, *in_unit)),
+            _answers(title=title, rows=_scheme_rows(answered, over, *in_unit)),
             _offers_table(answered.now, offered, margin, *in_unit),
         ],
         figures={name: Figure(f"{name}. {CAPTION}", draw)},
@@ -353,7 +355,7 @@ def _scheme_next(
     return Verdict(tuple(said), "the whole trial with its ends", shlex.join(command))
 
 
-def _scheme_numbers(answered: Question, offered: Sequence[Offer], scale: float) -> dict[str, Any]:
+def _scheme_numbers(answered: Question, offered: Sequence[Offer], scale: float) -> Numbers:
     tried, top = answered.tried, answered.tried.top
     return _law_numbers(answered, offered, scale) | {
         "largest_found": float(tried.values[top]),
@@ -435,7 +437,7 @@ def _record_rows(test: RecordTest) -> list[tuple[str, str]]:
     return rows
 
 
-def _record_numbers(test: RecordTest) -> dict[str, Any]:
+def _record_numbers(test: RecordTest) -> Numbers:
     return {
         "peak": test.peak,
         "frequency": test.worst,
@@ -525,22 +527,12 @@ def _records_synthesised(
 # --------------------------------------------------------------------------------------------------
 
 
-def _answer_table(title: str, rows: Sequence[tuple[str, str]]) -> Table:
-    """The table of what was found, a row for each."""
-    table = Table("", "", title=title, show_header=False)
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
 def _offers_table(now: Offer, offers: Sequence[Offer], margin: float, scale=1.0, unit="") -> Table:
     """The table of how far the law may go; the error that is left only where it is known."""
     known = any(np.isfinite(one.floor) for one in (now, *offers))
-    table = Table(
-        "law", "set", title=f"how far it may go with a margin of {margin:g}, and what that buys"
-    )
-    for head in ("largest", "learned to 1/10 up to", *([f"rms left [{unit or 'y'}]"] * known)):
-        table.add_column(head, justify="right")
+    columns = ("largest", "learned to 1/10 up to", *([f"rms left [{unit or 'y'}]"] * known))
+    title = f"how far it may go with a margin of {margin:g}, and what that buys"
+    table = Table("law", "set", right=columns, title=title)
     for one in (now, *offers):
         reach = f"{number(one.learned_up_to)} Hz" if one.peak < 1 else "–"
         left = [number(scale * one.floor)] * known
@@ -581,7 +573,7 @@ def _best_of(offers: Sequence[Offer]) -> Offer | None:
 
 def _law_numbers(
     answered: Question | MeasuredQuestion, offered: Sequence[Offer], scale: float = 1.0
-) -> dict[str, Any]:
+) -> Numbers:
     """Whether a law is safe, and how far it may go, as JSON."""
     return {
         "safe": bool(answered.peak < 1),
@@ -592,7 +584,7 @@ def _law_numbers(
     }
 
 
-def _offer_numbers(one: Offer, scale: float = 1.0) -> dict[str, Any]:
+def _offer_numbers(one: Offer, scale: float = 1.0) -> Numbers:
     """An offer as JSON; the error that is left in the unit shown."""
     return {
         "what": one.what,

@@ -1,4 +1,4 @@
-"""`identify`: a plant from a recorded experiment or a measured frequency response."""
+"""`identify`: a plant from a record, a measured frequency response, or the trials of a campaign."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .. import figures, identification
+from ..hardware.campaign import record_of
 from ..identification.estimation import (
     MUCH,
     feedback_seen,
@@ -19,7 +20,6 @@ from ..identification.estimation import (
     of_reference,
     validated,
 )
-from ..identification.frequency_response import is_frequency_response
 from ..identification.grown_response import (
     LineModel,
     criterion,
@@ -28,19 +28,24 @@ from ..identification.grown_response import (
 )
 from ..identification.not_linear import friction_of, suspicions
 from ..identification.not_linear import sentences as of_suspicions
-from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, is_twincat, read_record_file
-from ..identification.sentences import on_lines
+from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, read_record_file
+from ..identification.refitting import Refit, beyond_nyquist, held_out, refit
+from ..identification.sentences import NOT_WHITE, on_lines, sentence
 from ..identification.sentences import verdict as sentences_on
 from ..plants import ProcessModel
-from ..scenarios.identified_file import write_plant_file
+from ..scenarios.campaigns import Given, Opened, open_campaign
+from ..scenarios.file_plant import is_response
+from ..scenarios.identified_file import write_plant_file, write_refitted
 from ..theory.on_lines import MeasuredResponse
-from .outcome import Figure, Outcome, Progress, silent
-from .table import Table
-from .verdict import Verdict
+from ..theory.q_filter import question
+from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 
 if TYPE_CHECKING:
-    from ..figures.page import Live
-    from ..identification import Grown, Order
+    from ..figures.description import Figure as Description
+    from ..identification import Grown, Identified, Order, Record
+    from ..plants import Plant
+    from ..scenarios import Scenario
+
 
 ANY = "any"  # zeros, of a model that has as many as its poles allow
 SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
@@ -87,15 +92,15 @@ def identify(
     """
     asked = reading if isinstance(reading, Reading) else Reading(**(reading or {}))
     record = Path(record)
-    is_response = _is_response(record, asked.columns)
-    if is_response and plant_file is not None and asked.dt is None:
+    of_lines = is_response(record, asked.columns)
+    if of_lines and plant_file is not None and asked.dt is None:
         raise ValueError(
             "--out FILE.toml of a frequency response needs --dt, the sample time of its hold"
         )
     progress("fitting")
-    of = _of_response if is_response else _of_record
+    of = _of_response if of_lines else _of_record
     fitted, closed = of(record, asked, progress), []
-    if not is_response:
+    if not of_lines:
         fitted, closed = _of_loop(record, asked, fitted)
     found = fitted.found
     lines, has_law = sentences_on(found, fitted.dt) + closed, True
@@ -179,7 +184,7 @@ def _on_second(
     path: Path, asked: Reading, fitted: Fitted
 ) -> tuple[list[str], dict[str, Any], Figure]:
     """What a second record says of the plant: sentences, numbers and a figure."""
-    if fitted.dt is None or _is_response(path, asked.columns):
+    if fitted.dt is None or is_response(path, asked.columns):
         raise ValueError(
             f"--validate {path} must be a record in time; a plant of a response needs --dt for it"
         )
@@ -211,7 +216,7 @@ def _on_second(
     return said, {"validate": numbers}, Figure(SECOND, draw)
 
 
-def numbers_of(found: Any) -> dict[str, Any]:
+def numbers_of(found: Any) -> Numbers:
     """The quantities that were identified, with their 95 % intervals."""
     return {
         name: {"value": value, "low": low, "high": high}
@@ -286,27 +291,18 @@ class Fitted(NamedTuple):
     grown: Grown | None = None
 
 
-def _is_response(path: Path, names: Sequence[str]) -> bool:
-    """Whether the file is a frequency response, which its header tells."""
-    if names or path.suffix.lower() == ".mat" or is_twincat(path):
-        return False
-    return is_frequency_response(path)
-
-
 def live_of(
     measured: Any, found: Any, dt: float | None, units: tuple[str, str]
-) -> list[Live | None]:
+) -> list[Description]:
     """A record beside its model and the Bode diagram, or a response and the one fitted to it."""
-    from ..figures.page import live
-
     if found.of_response:
-        return [live(figures.response_fit_figure.described(measured, found))]
+        return [figures.response_fit_figure.described(measured, found)]
     by_name: dict[str, Any] = {"input_unit": units[0], "output_unit": units[1]}
     described = figures.validation_figure.described
-    shown: list[Live | None] = [live(described(measured, found, unit=units[1], **by_name))]
+    shown = [described(measured, found, unit=units[1], **by_name)]
     plant = found.plant
     if dt is not None and plant.n_u == plant.n_y == 1:
-        shown.append(live(figures.response_figure.described(found, dt, **by_name)))
+        shown.append(figures.response_figure.described(found, dt, **by_name))
     return shown
 
 
@@ -455,9 +451,8 @@ def _structure(best) -> dict[str, Any]:
 
 def identification_table(title: str, rows: Sequence[tuple[str, float, float, float]]) -> Table:
     """The table of identified quantities with their 95 % intervals."""
-    table = Table(title=f"{title}: identified, with 95 % intervals")
-    for column in ("quantity", "value", "low", "high"):
-        table.add_column(column, justify="left" if column == "quantity" else "right")
+    title = f"{title}: identified, with 95 % intervals"
+    table = Table("quantity", right=("value", "low", "high"), title=title)
     for name, *values in rows:
         largest = NOTHING * np.max(np.abs(values), where=np.isfinite(values), initial=0.0)
         shown = [0.0 if abs(v) < largest else v for v in values]
@@ -471,11 +466,10 @@ def grown_response_table(orders: Sequence[LineModel], chosen: LineModel) -> Tabl
     The columns in % are the error that is the model's own, the median of the relative error, and
     the shares of lines within 10 and 30 %; held out is -2 log likelihood a line, above the chosen.
     """
-    table = Table(title=f"models by order; BIC above that of the chosen one ({chosen.bic:.1f})")
     counts = ("order", "lags", "modes", "integr.", "direct")
     errors = ("floor [%]", "median [%]", "<10 %", "<30 %", "fit [%]")
-    for column in (*counts, *errors, "BIC", "held out", ""):
-        table.add_column(column, justify="right")
+    title = f"models by order; BIC above that of the chosen one ({chosen.bic:.1f})"
+    table = Table(right=(*counts, *errors, "BIC", "held out", ""), title=title)
     for one in orders:
         of_error = (one.floor, one.median, *one.within, one.fit / 100)
         table.add_row(
@@ -501,9 +495,9 @@ def grown_table(grown: Grown) -> Table:
     optional = ("integrators", "direct", "delay")
     there = [name for name in optional if any(getattr(one, name) for one in shown)]
     count = f"{len(shown)} of {len(grown.tried)}" if len(shown) < len(grown.tried) else "models"
-    table = Table(title=f"{count} by BIC, above that of the chosen one ({least:.1f})")
-    for column in ("order", "lags", "modes", *there, "rms", "BIC", "valid. [%]", ""):
-        table.add_column(column, justify="right")
+    columns = ("order", "lags", "modes", *there, "rms", "BIC", "valid. [%]", "")
+    title = f"{count} by BIC, above that of the chosen one ({least:.1f})"
+    table = Table(right=columns, title=title)
     for one in shown:
         counts = (one.order, one.lags, one.modes, *(int(getattr(one, name)) for name in there))
         values = (f"{one.rms:.4g}", f"{one.bic - least:+.1f}", f"{one.validation_fit:.4g}")
@@ -524,15 +518,12 @@ def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) 
     shown = list(orders)
     if len(shown) > MOST_ORDERS:
         shown = sorted(shown, key=lambda one: one.bic)[:MOST_ORDERS]
-    count = (
-        f"{len(shown)} of {len(orders)} structures" if len(shown) < len(orders) else "structures"
-    )
-    table = Table(title=f"{count} by BIC, above the smallest ({best.bic:.1f})")
+    count = f"{len(shown)} of {len(orders)} " if len(shown) < len(orders) else ""
+    title = f"{count}structures by BIC, above the smallest ({best.bic:.1f})"
     delay = ("delay" if dt else "delay [ms]",) * delayed
     last = () if of_response else ("valid. [%]",)
     rms = "rms / std" if of_response else "rms"
-    for column in ("poles", "pairs", "zeros", *delay, rms, "BIC", *last, ""):
-        table.add_column(column, justify="right")
+    table = Table(right=("poles", "pairs", "zeros", *delay, rms, "BIC", *last, ""), title=title)
     for one in shown:
         counts = (one.poles, one.pairs, one.zeros)
         late = (f"{_delay(one) / (dt or 1e-3):.4g}",) * delayed
@@ -547,3 +538,210 @@ def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) 
 def _delay(one: Order) -> float:
     """The delay of a fitted plant [s]."""
     return float(getattr(one.found.plant, "delay", 0.0))
+
+
+# `identify --state`: the plant of a campaign again, never made worse
+# --------------------------------------------------------------------------------------------------
+
+
+CLOSED = (
+    "note: a loop was closed in these trials, so that the noise of the output is in the input; the "
+    "intervals hold only if this noise is white"
+)
+ENOUGH = 90.0  # [%] of the output that a fit explains, from which on no other start is tried
+
+
+def identify_campaign(
+    state: Path,
+    counts: Mapping[str, int | None],
+    *,
+    delay: int | None = None,
+    auto: bool = False,
+    plant_file: Path | None = None,
+    folder: Path | None = None,
+    progress: Progress = silent,
+) -> Outcome:
+    """A plant from the trials of a campaign, and the campaign's plant file with it.
+
+    state: folder of the campaign
+    counts: numbers of poles, pairs and zeros; without any, those of the campaign's own plant
+    delay: dead time in samples; None: that of the campaign's own plant
+    auto: whether the structure is chosen by a table
+    plant_file: plant file to write
+    folder: for the figure; out/identify if not given
+    """
+    opened = open_campaign(state, Given(), new=False)
+    measured = record_of(opened.campaign, opened.scenario.machine)
+    record, known = measured.record, opened.scenario.machine.plant
+    numbers = ", ".join(map(str, measured.trials))
+    source = f"{len(measured.trials)} of {measured.measured} trials of {state}: {numbers}"
+    progress("fitting")
+    tables = []
+    if auto:
+        late = _delay_of(known, record.dt) if delay is None else delay
+        orders = identification.compare_orders(record, delay=late)
+        best = identification.best_order(orders)
+        again = _judged(record, known, best.found)
+        tables.append(orders_table(orders, best, record.dt))
+    else:
+        again = _fitted(record, opened.scenario, counts, delay)
+    found, unit = again.found, opened.campaign.task.unit
+    tables.append(identification_table(source, found.summary()))
+    lines = [] if found.white else [NOT_WHITE]
+    lines += map(sentence, identification.not_significant(found))
+    lines += [f"{name} keeps its value and its interval: {why}" for name, why in again.kept.items()]
+    lines += [CLOSED] * measured.closed
+    beyond = sorted(beyond_nyquist(found, record.dt))
+    lines.append(_verdict(again, beyond, unit))
+    better = again.better and not beyond
+    warnings, kept, margins = [], [], {}
+    if not better:
+        lines.append(
+            "next: go on with the plant file as it is: jaxilc next --state "
+            f"{shlex.quote(str(state))} --measured TRIAL --out next.csv"
+        )
+    elif plant_file is not None:
+        kept = [_write(plant_file, opened, again, source)]
+        after, warnings, margins = _after(plant_file, state, opened)
+        lines += after
+    sound = {"white": bool(found.white), "converged": bool(found.converged)}
+    used = {"trials": list(measured.trials), "closed_loop": measured.closed, "verdict": lines}
+    judged = {"kept": again.kept, "before": again.before, "after": again.after, "better": better}
+    units = opened.campaign.task.input_unit, unit
+    return Outcome(
+        command="identify",
+        numbers=numbers_of(found) | sound | used | judged | {"margin": margins},
+        verdict=Verdict(tuple(lines)),
+        folder=folder or Path("out") / "identify",
+        tables=tables,
+        warnings=warnings,
+        figures={
+            "validation": Figure(
+                CAPTIONS["validation"], partial(figures.validation_figure, record, found), live=True
+            )
+        },
+        kept=kept,
+        live=partial(live_of, record, found, record.dt, units),
+        asked=counts,
+    )
+
+
+def _verdict(again: Refit, beyond: list[str], unit: str) -> str:
+    """Which of the two plants predicts the trials that were not fitted better."""
+    before, after = (f"{of:.3g} {unit}".rstrip() for of in (again.before, again.after))
+    fit = f"{float(np.min(again.found.fit)):.4g} %"
+    if beyond:
+        return (
+            f"verdict: the fit puts {', '.join(beyond)} beyond the Nyquist frequency, where no "
+            "sample can have seen it, so it is refused and the plant file stays; give a smaller "
+            "structure (--poles, --pairs)"
+        )
+    if not again.better:
+        return (
+            f"verdict: the plant file stays, since it predicts the last trials, which were not "
+            f"fitted, as well: rms error {before}, of the new fit {after}"
+        )
+    return (
+        f"verdict: the plant of these trials explains {fit} of their output, and predicts the last "
+        f"ones, which were not fitted, better: rms error {after} in place of {before}"
+    )
+
+
+def _delay_of(plant, dt: float) -> int:
+    """The dead time of a plant in whole samples; 0 of a plant that has none."""
+    return round(getattr(plant, "delay", 0.0) / dt)
+
+
+def _judged(record: Record, known: Plant, found: Identified) -> Refit:
+    """A fit that begins anew, beside the known plant."""
+    return Refit(found, {}, held_out(record, known), held_out(record, found.plant))
+
+
+def _fitted(
+    record: Record, scenario: Scenario, counts: Mapping[str, int | None], delay: int | None
+) -> Refit:
+    """The fit of the structure that was asked for, or else of that of the campaign's plant.
+
+    A ProcessModel is fitted from its own values. Where the result explains little, the campaign's
+    plant is no start, and many others are tried.
+    """
+    plant = scenario.machine.plant
+    structure: dict[str, Any] = {
+        name: 1 if value is None else value for name, value in counts.items()
+    }
+    own = delay is None and all(value is None for value in counts.values())
+    if isinstance(plant, ProcessModel) and own:
+        again = refit(record, plant, scenario.uncertainty)
+        if np.min(again.found.fit) >= ENOUGH:
+            return again
+        structure = {
+            "poles": len(plant.poles),
+            "pairs": len(plant.frequencies),
+            "zeros": len(plant.zeros),
+        }
+    late = _delay_of(plant, record.dt) if delay is None else delay
+    return _judged(record, plant, identification.identify(record, **structure, delay=late))
+
+
+def _write(path: Path, opened: Opened, again: Refit, source: str) -> Path:
+    """Write the plant file of the campaign with the fitted plant, and what it is known by."""
+    recipe = opened.recipe
+    own = Path(recipe["scenario"])
+    if "file" not in recipe or own.suffix != ".toml":
+        raise ValueError(
+            f"the campaign belongs to {recipe['scenario']}, which is no plant file in TOML; the "
+            "fitted plant is above, and --out FOLDER takes its figure"
+        )
+    found = again.found
+    noise = float(max(found.residual_std)) if found.white else None
+    notes = [] if found.white else [NOT_WHITE]
+    notes += [f"{name}: as before, since {why}" for name, why in again.kept.items()]
+    notes.append(
+        f"rms error of prediction of the last trials: {again.after:.4g}, before {again.before:.4g}"
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return write_refitted(path, own, found, fitted_to=source, noise=noise, notes=notes)
+
+
+def _after(
+    path: Path, state: Path, opened: Opened
+) -> tuple[list[str], list[str], dict[str, float]]:
+    """What to do with the new plant file, a warning where the campaign cannot go on, margins."""
+    file, folder = shlex.quote(str(path)), shlex.quote(str(state))
+    try:
+        now = open_campaign(state, Given(scenario=str(path)), new=False)
+    except ValueError as error:
+        name = shlex.quote(opened.recipe["scheme"])
+        start = (
+            "next: the scheme of the new file is another one, so start a campaign with it: jaxilc "
+            f"next --state FOLDER --scenario {file} --scheme {name} --out next.csv"
+        )
+        return [start], [f"warning: {error}"], {}
+    try:
+        before, after = map(_margin, (opened, now))
+    except ValueError as error:
+        said, margins = [f"note: the margin of the law is not computed: {error}"], {}
+    else:
+        margins = {"before": before, "after": after}
+        said = [
+            f"the law: |Q (1 - L P)| is at most {after:.3f} on the new plant and within its "
+            f"intervals, {before:.3f} by the old file"
+            + ", so neither is proved safe"
+            * (min(before, after) >= 1)
+        ]
+        if before < 1 <= after:
+            said.append(f"next: this is no longer safe, a new law: jaxilc design {file}")
+            why = "the law of the campaign is not safe on the new plant; do not go on with it"
+            return said, [f"warning: {why}"], margins
+    on = (
+        f"next: go on with the new file: jaxilc next --state {folder} --scenario {file} "
+        "--measured TRIAL --out next.csv; its uncertainty is what is predicted from then on"
+    )
+    return [*said, on], [], margins
+
+
+def _margin(opened: Opened) -> float:
+    """The largest |Q (1 - L P)| of a campaign's law over the machines of its plant file."""
+    of, campaign = opened.scenario, opened.campaign
+    answered, _ = question(of.machine, campaign.scheme, campaign.task, of.uncertainty)
+    return float(answered.now.peak)

@@ -9,10 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..scenarios.catalogue import LISTED
-from .outcome import Outcome
+from .outcome import Outcome, Table, Verdict
 from .request import Request
-from .table import Table
-from .verdict import Verdict
 
 if TYPE_CHECKING:
     from ..scenarios import Scenario
@@ -69,7 +67,6 @@ def _brief(value: Any) -> str:
 def list_verdict(case: Case, values: Mapping[str, Any], options: Sequence[str]) -> Verdict:
     """How much can be set, and a run with one of the values, as it stands.
 
-    values: values by path, as `Scenario.settable` has them
     options: names of the options of the scenario
     """
     import numpy as np

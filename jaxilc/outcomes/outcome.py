@@ -1,21 +1,174 @@
-"""What a command found, as one object of which terminal, JSON, page and notebook are views."""
+"""What a command found, as one object of which terminal, JSON, page and notebook are views.
+
+This module does not import NumPy or JAX, so that commands that need neither stay fast.
+"""
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
-from .table import Console, Table
-from .verdict import Verdict
+import rich.console
+import rich.table
+from rich.console import ConsoleOptions, RenderResult
+from rich.text import Text
+
+from ..storage.printable import printable
 
 if TYPE_CHECKING:
+    from ..figures.description import Figure as Description
     from ..figures.page import Live
     from ..scenarios import Scenario
 
+
+class Verdict(NamedTuple):
+    """What a command found, and what to do next.
+
+    said: one or two sentences
+    what: what the next command does, in words
+    following: the next command, quoted for a shell; empty if there is none
+    """
+
+    said: tuple[str, ...]
+    what: str = ""
+    following: str = ""
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines to print."""
+        head = f"Next, {self.what}: " if self.what else "Next: "
+        return [*self.said, *([head + self.following] if self.following else [])]
+
+    def as_json(self) -> dict[str, object]:
+        """The entries for the file of the numbers."""
+        return {"verdict": list(self.said), "next": self.following}
+
+
+# Tables that fit the width of a terminal
+# --------------------------------------------------------------------------------------------------
+
+
+WHOLE = 0.6  # share of the width; a column that is wider than this is always folded
+NARROWEST = 4  # least width of a column, with the space beside the text
+
+
+class Console(rich.console.Console):
+    """A console of rich that never interprets text as markup, and colours no part of it.
+
+    Titles, names and paths come from the user, and are shown unchanged.
+    """
+
+    def __init__(self, **options: Any):
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(printable(text), **options)
+
+
+class Table(rich.table.Table):
+    """A table of rich that is never truncated, with a title that may be wider than the table.
+
+    Title, headers and cells are shown unchanged on every console. Where the columns do not fit
+    beside each other without breaking a word, the table is printed in several parts, one below the
+    other, and each part begins with the first column.
+
+    headers: of the columns of texts;  right: of those of numbers, which stand behind them
+    """
+
+    def __init__(
+        self,
+        *headers: str,
+        right: Iterable[str] = (),
+        title: str = "",
+        rows: Iterable[Iterable[str]] = (),
+        **options: Any,
+    ):
+        super().__init__(title=_plain(title) if title else None, **options)
+        for header in headers:
+            self.add_column(header)
+        for header in right:
+            self.add_column(header, justify="right")
+        for row in rows:
+            self.add_row(*row)
+
+    def add_column(self, header: Any = "", *args: Any, whole: bool = False, **options: Any) -> None:
+        """Add a column.
+
+        whole: whether other columns are folded before this one
+        """
+        options = {"overflow": "fold", "no_wrap": whole} | options
+        super().add_column(_plain(header), *args, **options)
+
+    def add_row(self, *cells: Any, **options: Any) -> None:
+        super().add_row(*map(_plain, cells), **options)
+
+    def __rich_console__(
+        self, console: rich.console.Console, options: ConsoleOptions
+    ) -> RenderResult:
+        if self.title:
+            yield Text(str(self.title), style="table.title")
+        for part in self._parts(console, options):
+            yield from rich.table.Table.__rich_console__(part, console, options)
+
+    def _parts(self, console: rich.console.Console, options: ConsoleOptions) -> Iterator[Table]:
+        """Tables without a title that fit the width: one, or several with the same first column."""
+        room = options.max_width - 1
+        sizes = []
+        for column in self.columns:
+            least, most = self._measure_column(console, options, column)
+            sizes.append((most if column.no_wrap and most <= WHOLE * room else least, most))
+        groups: list[list[int]] = [[*range(len(sizes))]]
+        if sum(least + 1 for least, _ in sizes) > room and len(sizes) > 1:
+            groups = [[0]]
+            for i in range(1, len(sizes)):
+                wide = sum(sizes[k][1] + 1 for k in (*groups[-1], i)) > room
+                if wide and len(groups[-1]) > 1:
+                    groups.append([0])
+                groups[-1].append(i)
+        for group in groups:
+            widths = _shared(room - len(group), [sizes[i] for i in group])
+            part = copy.copy(self)
+            part.title, part.columns = None, []
+            for place, (i, width) in enumerate(zip(group, widths, strict=True)):
+                column = copy.copy(self.columns[i])
+                column._index, column.no_wrap = place, False
+                column.width = width - self._get_padding_width(place)
+                part.columns.append(column)
+            yield part
+
+
+def _shared(room: int, sizes: list[tuple[int, int]]) -> list[int]:
+    """Widths of columns that fit the room: the widest are reduced, each down to its least width.
+
+    Where even the least widths do not fit, the widest columns become narrower than that.
+
+    room: width that all columns share
+    sizes: for each column its least width, at which no word is broken, and its width without a fold
+    """
+    widths, least = [most for _, most in sizes], [low for low, _ in sizes]
+    while sum(widths) > room:
+        loose = [i for i, width in enumerate(widths) if width > least[i]]
+        widest = max(loose or range(len(widths)), key=lambda i: widths[i])
+        if widths[widest] <= NARROWEST:
+            break
+        widths[widest] -= 1
+    return widths
+
+
+def _plain(cell: Any) -> Any:
+    return Text(printable(cell)) if isinstance(cell, str) else cell
+
+
+# What a command found
+# --------------------------------------------------------------------------------------------------
+
+
 WIDTH = 100  # columns of an outcome as text
+Numbers: TypeAlias = dict[str, Any]  # what was found, as JSON, by keys that stay the same
 
 
 class Progress(Protocol):
@@ -43,11 +196,6 @@ class Figure(NamedTuple):
     live: bool = False
 
 
-def nothing_live() -> Sequence[Live | None]:
-    """The interactive figures of an outcome that has none."""
-    return ()
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Outcome:
     """What a command found. `print` shows it as the command does, a notebook as a page does.
@@ -64,7 +212,7 @@ class Outcome:
     figures: figures by the names of their files
     files: functions that write a further file or store at a place, by its name
     kept: files and stores that were written while computing
-    live: a function that makes the interactive figures of a page
+    live: a function that makes or describes the interactive figures of a page
     asked: further rows of a page, below the name of the command
     configuration: all that determines the numbers; None for that of the scenario
     failed: a sentence where the numbers contradict each other, or nothing was found; the command
@@ -72,7 +220,7 @@ class Outcome:
     """
 
     command: str
-    numbers: Any
+    numbers: Numbers
     verdict: Verdict
     folder: Path | None = None
     scenario: Scenario | None = None
@@ -83,7 +231,7 @@ class Outcome:
     figures: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
     files: Mapping[str, Callable[[Path], object]] = dataclasses.field(default_factory=dict)
     kept: Sequence[Path] = ()
-    live: Callable[[], Sequence[Live | None]] = nothing_live
+    live: Callable[[], Sequence[Description | Live | None]] = tuple
     asked: Mapping[str, object] = dataclasses.field(default_factory=dict)
     configuration: Mapping[str, object] | None = None
     failed: str = ""
@@ -91,18 +239,18 @@ class Outcome:
     def show(self, console: Console, *, details: bool = False) -> None:
         """Print what was found in sentences, then the tables and the lines."""
         for line in self.verdict.said:
-            console.print(line, highlight=False)
+            console.print(line)
         for table in (*self.tables, *(self.details if details else ())):
-            console.print(table, highlight=False)
+            console.print(table)
         for line in self.lines:
-            console.print(line, highlight=False)
+            console.print(line)
 
     def conclude(self, console: Console) -> None:
         """Print the next command, as one line, so that it can be copied."""
         for line in self.verdict.lines[len(self.verdict.said) :]:
-            console.print(line, highlight=False, soft_wrap=True)
+            console.print(line, soft_wrap=True)
 
-    def as_json(self) -> Any:
+    def as_json(self) -> Numbers:
         """The numbers, with the entries `verdict` and `next`."""
         return self.numbers | self.verdict.as_json()
 
@@ -158,7 +306,7 @@ class Outcome:
         console = Console(file=text, width=WIDTH, force_jupyter=False)  # which prints beside it
         self.show(console)
         for line in self.warnings:
-            console.print(line, highlight=False)
+            console.print(line)
         self.conclude(console)
         return text.getvalue().rstrip()
 

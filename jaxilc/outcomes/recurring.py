@@ -35,8 +35,8 @@ from ..theory.law import Taps, law_of
 from ..theory.loop import linear_loop, minimal
 from ..theory.visits import visits
 from ..uncertainty import Population
+from .certifying import of_periods, period_sentences
 from .outcome import Progress
-from .periods import of_periods, period_sentences
 from .words import number, sized
 
 if TYPE_CHECKING:
@@ -156,11 +156,7 @@ def following(
 
 
 def _in_period(
-    found: Following,
-    chosen: Scenario,
-    period: float,
-    laws: Sequence[Scheme],
-    progress: Progress,
+    found: Following, chosen: Scenario, period: float, laws: Sequence[Scheme], progress: Progress
 ) -> None:
     """Repetitive control by the taps of the first law that has its condition, if there is one."""
     population = Population(chosen.machine, chosen.uncertainty, count=MACHINES)

@@ -15,10 +15,8 @@ from ..identification.potential import LEVEL, Potential, potential_of
 from ..identification.repeats import Repeats
 from ..scenarios.design_file import write_potential
 from ..storage.printable import printable
-from .outcome import Figure, Outcome, Progress, silent
+from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .recurring import recurs, repeats_in, within_numbers, within_trial
-from .table import Table
-from .verdict import Verdict
 from .words import number, sized
 
 FEW = 4  # trials, from which on a drift can be told from what is new
@@ -64,7 +62,7 @@ def potential(
         tables=[_table(repeats, found)],
         lines=[*_lines(repeats, found), *recurs(within, repeats)],
         figures={"potential": Figure(OF_DENSITY, shown, live=True)},
-        live=lambda: [_live(repeats, found)],
+        live=lambda: [figures.potential_figure.described(repeats, found)],
         kept=kept,
         asked={"records": ", ".join(map(str, paths))},
     )
@@ -73,12 +71,6 @@ def potential(
 def table_of(found: Potential) -> dict[str, float]:
     """The numbers of a table [potential] of a plant file."""
     return {"floor": found.new.value, "stop": found.stop, "cutoff": found.cutoff.value}
-
-
-def _live(repeats: Repeats, found: Potential):
-    from ..figures.page import live
-
-    return live(figures.potential_figure.described(repeats, found))
 
 
 # What is said
@@ -91,26 +83,25 @@ def _range(of, unit: str) -> str:
 
 def _table(repeats: Repeats, found: Potential) -> Table:
     M, unit = found.trials, repeats.unit
-    table = Table(title=f"{M} trials of {repeats.e.shape[1]} samples: rms values, {LEVEL:.0%}")
-    for column in ("part of the error", "value", "interval"):
-        table.add_column(column, justify="left" if column.startswith("part") else "right")
-    table.add_row(
-        "repeats: learning can remove it", sized(found.repeatable.value, unit),
-        _range(found.repeatable, unit),
-    )  # fmt: skip
-    table.add_row(
-        "new in each trial: no law can", sized(found.new.value, unit), _range(found.new, unit)
+    size, cutoff = partial(sized, unit=unit), found.cutoff
+    band = f"{number(cutoff.low)} to {number(cutoff.high)} Hz"
+    rows = [
+        ("repeats: learning can remove it", size(found.repeatable.value),
+         _range(found.repeatable, unit)),
+        ("new in each trial: no law can", size(found.new.value), _range(found.new, unit)),
+        ("of the first trial alone", size(found.start) if found.start else "", ""),
+        ("drift from trial to trial", size(found.drift) if found.drift else "", ""),
+        ("left with the cutoff below", size(found.left), ""),
+        ("bandwidth worth learning", f"{number(cutoff.value)} Hz", band),
+        ("trials to average", str(found.averages), ""),
+        ("stop when a trial is below", size(found.stop), ""),
+    ]  # fmt: skip
+    return Table(
+        "part of the error",
+        right=("value", "interval"),
+        title=f"{M} trials of {repeats.e.shape[1]} samples: rms values, {LEVEL:.0%}",
+        rows=(row for row in rows if row[1]),
     )
-    if found.start:
-        table.add_row("of the first trial alone", sized(found.start, unit), "")
-    if found.drift:
-        table.add_row("drift from trial to trial", sized(found.drift, unit), "")
-    table.add_row("left with the cutoff below", sized(found.left, unit), "")
-    table.add_row("bandwidth worth learning", f"{number(found.cutoff.value)} Hz",
-                  f"{number(found.cutoff.low)} to {number(found.cutoff.high)} Hz")  # fmt: skip
-    table.add_row("trials to average", str(found.averages), "")
-    table.add_row("stop when a trial is below", sized(found.stop, unit), "")
-    return table
 
 
 def _said(repeats: Repeats, found: Potential) -> tuple[str, ...]:
@@ -175,7 +166,7 @@ def _next(
     return "for `design` and `next` to use it", shlex.join([*words, "--into", "axis.toml"])
 
 
-def _numbers(repeats: Repeats, found: Potential) -> dict[str, Any]:
+def _numbers(repeats: Repeats, found: Potential) -> Numbers:
     values: dict[str, Any] = {
         name: dict(of._asdict()) if hasattr(of, "_asdict") else of
         for name, of in found._asdict().items()

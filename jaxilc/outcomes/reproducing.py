@@ -7,22 +7,17 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from .. import figures
+from ..figures import browsers
 from ..figures.published import label_of
 from ..scenarios import reproduction
-from ..scenarios.loading import options
+from ..scenarios.from_file import options
 from ..scenarios.published import COMPARED, NUMBER, Published
 from ..scenarios.reproduction import Judged, Row, described
-from .outcome import Figure, Outcome, Progress, silent
+from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .table import Table
-from .verdict import Verdict
 from .words import number
-
-if TYPE_CHECKING:
-    from ..figures.page import Live
 
 COLUMNS = ("scheme", "trial", "quantity", "published", "ours", "ratio", "verdict")
 IN_NUMBERS = ("trial", "published", "ours", "ratio")  # columns of numbers
@@ -79,14 +74,8 @@ def reproduce(
             )
             for name, of_paper in papers
         },
-        live=partial(_live, numbers),
+        live=lambda: [browsers.papers(numbers)],
     )
-
-
-def _live(numbers: Sequence[dict[str, Any]]) -> list[Live]:
-    from ..figures.browsers import papers
-
-    return [papers(numbers)]
 
 
 # Tables
@@ -99,9 +88,8 @@ def _by_paper(rows: Sequence[Row], judged: Sequence[Judged]) -> Table:
     Counted are the numbers that a paper prints for the first time: how many are met, of those that
     were fitted to and of those that are predicted, and how many are within 10 % and 3 %.
     """
-    table = Table(title="independent printed numbers that are met, and conclusions that hold")
-    for column in ("", "reading", *NUMBERS_IN_SUMMARY):
-        table.add_column(column, justify="right" if column in NUMBERS_IN_SUMMARY else "left")
+    title = "independent printed numbers that are met, and conclusions that hold"
+    table = Table("", "reading", right=NUMBERS_IN_SUMMARY, title=title)
     names = dict.fromkeys(row.scenario for row in rows if row.published.agreement is None)
     for name in [*names, *(["all"] if len(names) > 1 else [])]:
         of = [row for row in rows if name in ("all", row.scenario)]
@@ -118,7 +106,7 @@ def _by_paper(rows: Sequence[Row], judged: Sequence[Judged]) -> Table:
     return table
 
 
-def _not_met(numbers: Sequence[dict[str, Any]]) -> list[str]:
+def _not_met(numbers: Sequence[Numbers]) -> list[str]:
     """A line for each counted row that is not met, the open ones first, and one for the others."""
     rows = [row for row in numbers if row["verdict"] not in ("met", "agrees")]
     lines = [
@@ -132,10 +120,7 @@ def _not_met(numbers: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _concluded(one: Judged, *, asked: bool = True) -> str:
-    """A conclusion of a paper, whether it holds, and our numbers.
-
-    asked: whether its place is told, and what was simulated for each number
-    """
+    """A conclusion of a paper, whether it holds, and our numbers."""
     sign = {"falls": " > ", "does not rise": " >= ", "alike": " ~ "}[one.conclusion.order]
     sides = sign.join(
         described(side) if isinstance(side, Published) else "it" for side in one.conclusion.sides
@@ -147,14 +132,12 @@ def _concluded(one: Judged, *, asked: bool = True) -> str:
     return f"{said} ({sides})" if asked else said
 
 
-def _tables(numbers: Sequence[dict[str, Any]]) -> list[Table | str]:
+def _tables(numbers: Sequence[Numbers]) -> list[Table | str]:
     """A table of published numbers for each scenario, with lines below it.
 
     The lines have the source of the rows, and how the paper was read; rows of a scheme with the
     same text share a line. Where numbers of other software are all of one quantity, it stands in
     the title with its unit, so that many digits fit beside each other.
-
-    numbers: rows of `reproduction.reproduce`, as dictionaries
     """
     shown: list[Table | str] = []
     for scenario, group in groupby(numbers, key=lambda row: row["scenario"]):
@@ -177,7 +160,7 @@ def _tables(numbers: Sequence[dict[str, Any]]) -> list[Table | str]:
     return shown
 
 
-def _lines(rows: Sequence[dict[str, Any]]) -> list[str]:
+def _lines(rows: Sequence[Numbers]) -> list[str]:
     """How the rows of a scenario were read, as lines; the first row of a line has its place."""
     trials: dict[tuple[str, str, str], list[str]] = {}
     for row in rows:
@@ -191,7 +174,7 @@ def _lines(rows: Sequence[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+def _cells(row: Numbers) -> tuple[str, ...]:
     """The cells of a row, in the order of `COLUMNS`.
 
     A comparison with another scheme has the quantity that is compared, and `% less` or `% of it`.
@@ -208,7 +191,7 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _compared(row: dict[str, Any]) -> tuple[str, str, str]:
+def _compared(row: Numbers) -> tuple[str, str, str]:
     """The published number, ours and their ratio; those of other software with all digits."""
     if row["agreement"] is None:
         less = "< " * row["at_most"]
@@ -219,7 +202,7 @@ def _compared(row: dict[str, Any]) -> tuple[str, str, str]:
     return published, f"{row['ours']:.{DIGITS}g}", f"{row['ratio']:.{8 if near else 2}f}"
 
 
-def _reading(row: dict[str, Any]) -> str:
+def _reading(row: Numbers) -> str:
     """The options, how the paper was read, what was fitted, and why the row is open, as text."""
     options = [f"{name} {value}" for name, value in row["options"].items() if name != "plant"]
     against = [f"compared with {row['against']}"] if row["against"] else []

@@ -6,8 +6,9 @@ This module does not import NumPy or JAX, so that commands that need neither sta
 from __future__ import annotations
 
 import dataclasses
+import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,10 @@ from ..scenarios.catalogue import LISTED
 from ..storage.files import need_unused
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from ..scenarios import Scenario
+
 
 FILES = (".toml", ".json")  # endings of plant files
 # The options of what is simulated, which a command repeats if the user has given them.
@@ -68,9 +72,8 @@ class Request:
         The metric judges it, and the spread widens its uncertainty.
         Raises ValueError naming what is allowed.
         """
-        from ..scenarios.judging import judged
         from ..scenarios.parameters import with_parameters
-        from ..uncertainty import with_spread
+        from ..scenarios.scenario import judged
 
         here = self.expanded()
         chosen, values = here._with_options()
@@ -82,10 +85,7 @@ class Request:
             chosen = with_parameters(chosen, here.params)
         chosen = here._with_trials(chosen.with_values(values)).select(here.schemes)
         chosen.check()
-        if here.spread is not None:
-            wide = with_spread(chosen.uncertainty, here.spread)
-            chosen = dataclasses.replace(chosen, uncertainty=wide)
-        return judged(chosen, here.metric)
+        return judged(here._widened(chosen), here.metric)
 
     def of_one_scheme(self) -> tuple[Scenario, str]:
         """The scenario as it is asked for, and the name of its only scheme.
@@ -103,13 +103,18 @@ class Request:
         Of `schemes` the first one is taken, whose feedback counts; all if there is none.
         """
         from ..scenarios.from_file import load_scenario
-        from ..uncertainty import with_spread
 
         chosen = self._with_trials(load_scenario(self.source, settings_of(self.set)))
-        if self.spread is not None:
-            wide = with_spread(chosen.uncertainty, self.spread)
-            chosen = dataclasses.replace(chosen, uncertainty=wide)
-        return chosen.select(self.schemes)
+        return self._widened(chosen).select(self.schemes)
+
+    def _widened(self, chosen: Scenario) -> Scenario:
+        """A scenario with the spread of its uncertainty that is asked for."""
+        from ..uncertainty import with_spread
+
+        if self.spread is None:
+            return chosen
+        wide = with_spread(chosen.uncertainty, self.spread)
+        return dataclasses.replace(chosen, uncertainty=wide)
 
     def _with_options(self) -> tuple[Scenario, dict[str, str]]:
         """The scenario with its options, and the settings that are left."""
@@ -138,7 +143,6 @@ class Request:
         if self.params is None or not Path(self.params).is_dir():
             return self
         from .. import scenarios
-        from .stored_grid import best_of
 
         def load(of: Mapping[str, str]) -> Scenario:
             texts = tuple(f"{path}={text}" for path, text in of.items())
@@ -160,7 +164,6 @@ class Request:
         """The grid of the scenario with further axes, for `Sweep`.
 
         axes: texts PATH=VALUES; an axis may be an option of the scenario
-        chosen: the scenario of this request
         """
         grid, read = dict(chosen.grid), set()
         for axis in axes:
@@ -186,7 +189,6 @@ class Request:
     def following(self, command: str, *words: str, scheme: str = "", **changed: object) -> str:
         """The words of another command for the same scenario, quoted for a shell.
 
-        words: further words at the end
         scheme: name of the scheme, empty for none
         changed: values of options in place of those that were given; None leaves one out
         """
@@ -204,10 +206,7 @@ class Request:
         return [word for name, value in options for word in (f"--{name}", str(value))]
 
     def name_of(self, best: str, schemes: Sequence[str]) -> str:
-        """The name of a scheme, empty where it is the only one and the user has not named it.
-
-        schemes: names of all schemes of this command
-        """
+        """The name of a scheme, empty where it is the only one and the user has not named it."""
         return best if self.schemes or len(schemes) > 1 else ""
 
     def without(self, scheme: str) -> Request:
@@ -245,3 +244,110 @@ def unless_there(place: Path, resume: bool) -> Path:
             f"{place} exists already; add --resume to go on with it, or choose another --out"
         )
     return place
+
+
+# A grid that `jaxilc sweep` stored, and its best point as settings of another command
+# --------------------------------------------------------------------------------------------------
+
+
+SHOWN = 3  # settings in which a scenario differs, of those that are told
+
+
+def open_grid(folder: Path) -> xr.Dataset:
+    """The dataset over a grid in a folder for results, or at the place of the store itself.
+
+    Raises ValueError for a folder without a sweep, a sweep that is damaged or not complete, and one
+    without a grid.
+    """
+    from ..sweeps.store import open_dataset, stored_configuration
+
+    store = folder / "dataset.zarr"
+    store = store if store.is_dir() else folder
+    try:
+        known = stored_configuration(store)
+    except ValueError:
+        raise ValueError(
+            f"--params {folder} is neither a parameter file nor the folder of a sweep"
+        ) from None
+    if "grid" not in known:
+        raise ValueError(f"--params {folder} has no grid; a sweep with --grid has one")
+    dataset = open_dataset(store)
+    left = int((dataset["diverged_at"] < 0).sum())
+    if left:
+        raise ValueError(
+            f"--params {folder} is not complete: {left} of {dataset['diverged_at'].size} runs are "
+            "missing; the same sweep with --resume goes on"
+        )
+    return dataset
+
+
+def best_of(
+    folder: Path, settings: Mapping[str, str], load: Callable[[Mapping[str, str]], Scenario]
+) -> dict[str, Any]:
+    """The values of all axes at the best point of a stored grid, by name.
+
+    It is the best one by the metric and the tolerance of the scenario, over its schemes.
+
+    settings: texts of `--set`, which may differ from the sweep
+    load: the scenario with such texts
+    Raises ValueError as `open_grid` does, and for a sweep of another scenario, or one of which more
+    than 5 % of the machines diverge at every point.
+    """
+    from ..sweeps.points import best_points, labels_of
+
+    dataset = open_grid(folder)
+    axes = {*labels_of(dataset)}
+    bare = load(
+        {path: text for path, text in settings.items() if not {path, f"machine.{path}"} & axes}
+    )
+    schemes = [name for name in bare.schemes if name in dataset["scheme"]]
+    if not schemes:
+        raise ValueError(
+            f"--params {folder} has the schemes {', '.join(map(str, dataset['scheme'].values))}, "
+            f"and none of {', '.join(bare.schemes)}"
+        )
+    _need_same(folder, dataset.attrs["configuration"], bare, schemes, settings)
+    limit = bare.look["tolerance"]
+    found = best_points(dataset.sel(scheme=schemes), limit, metric=bare.judged_by)
+    best = min(found, key=lambda of: of.rank)
+    if not math.isfinite(best.error):
+        raise ValueError(f"--params {folder}: {best.sentences[0]}")
+    return point_of(dataset, best.point)
+
+
+def point_of(dataset: xr.Dataset, point: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a point by all names of its axes; those of an array are text for `--set`."""
+    from ..sweeps.points import labels_of
+
+    here = dataset.coords.to_dataset().sel(point)
+    found = {name: here[name].item() for name in labels_of(dataset)}
+    return {
+        name: x.replace(" ", ",") if isinstance(x, str) and "." in name else x
+        for name, x in found.items()
+    }
+
+
+def _need_same(folder, stored: Mapping[str, Any], bare: Scenario, schemes, settings) -> None:
+    """Raises ValueError where a sweep had another machine, task or law than `--set` explains."""
+    from ..pytree.named_paths import owner_of
+    from ..runtime.provenance import describe, differences
+    from ..storage.sealed import as_json
+
+    of = {name: describe(bare.schemes[name]) for name in schemes}
+    now = as_json({"machine": describe(bare.machine), "task": describe(bare.task), "schemes": of})
+    then = {name: stored[name] for name in ("machine", "task")}
+    then["schemes"] = {name: stored["schemes"][name] for name in schemes}
+    given = []
+    for owner, path in (owner_of(path.partition("[")[0], bare.schemes) for path in settings):
+        given.append(f"{owner}.{path}" if owner == "machine" else f"schemes.{owner}.{path}")
+    wrong = [
+        line
+        for line in differences(then, now)
+        if not any(line.startswith((f"{path}:", f"{path}.")) for path in given)
+    ]
+    if wrong:
+        more = f" and {len(wrong) - SHOWN} more" if len(wrong) > SHOWN else ""
+        raise ValueError(
+            f"--params {folder} is a grid of another scenario, or of other settings; it differs in "
+            f"{'; '.join(wrong[:SHOWN])}{more}"
+        )

@@ -16,23 +16,19 @@ from .. import figures
 from ..learning.divergence import CEILING, GROWTH
 from ..learning.known_metrics import ERRORS, OF_TRIALS
 from ..runtime.provenance import differences
-from ..scenarios.loading import options
+from ..scenarios.from_file import options
 from ..scenarios.reproduction import met
 from ..storage.files import whole_folder
 from ..sweeps import runs
-from . import trends
-from .case import Case, diverged
-from .outcome import Figure, Outcome, Progress, silent
+from .case import HEADS, Case, diverged, experiment_lines, output_names, shown_trials
+from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, settings_of
-from .simulated import HEADS, experiment_lines, output_names, shown_trials
-from .table import Table
-from .trends import Trend, trend_of
-from .verdict import Verdict
-from .words import number
+from .words import DIVERGES, EXACT, FALLS, GROWS, SETTLED, Trend, number, trend_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from ..figures.description import Figure as Description
     from ..figures.page import Live
     from ..scenarios import Published, Scenario
 
@@ -144,10 +140,9 @@ def _figures(chosen: Scenario, dataset: xr.Dataset) -> dict[str, Figure]:
     return drawn
 
 
-def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Live]:
+def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Description | Live]:
     """The errors by trial, and a trial that a slider chooses."""
     from ..figures import browsers
-    from ..figures.page import live
 
     scale, unit = chosen.shown(chosen.judged_by)
     errors = figures.error_by_trial.described(
@@ -159,14 +154,11 @@ def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Live]:
         tolerance=chosen.tolerance,
     )
     within = browsers.trials(dataset, scale=chosen.shown_scale, unit=chosen.shown_unit)
-    return [live(errors), within]
+    return [errors, within]
 
 
-def _published_lines(chosen: Scenario, numbers: dict[str, Any], *, changed: bool) -> list[str]:
-    """What is told of published numbers.
-
-    changed: whether a setting changed a value of the machine or of a scheme
-    """
+def _published_lines(chosen: Scenario, numbers: Numbers, *, changed: bool) -> list[str]:
+    """What is told of published numbers."""
     if chosen.due and changed:
         return [
             "published values hold for the scenario as it stands; --set or --params changed it here"
@@ -205,13 +197,11 @@ def _folder(asked: Path | None, name: str, made_with: dict[str, Any], *, replace
     return asked
 
 
-def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Any]:
+def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> Numbers:
     """The metrics of a run [shown unit] by scheme, metric and trial, with the published ones.
 
     With several channels the largest counts. The errors of a trial that diverged are infinite (see
     `learning.divergence`).
-
-    dataset: result of `run_schemes`
     """
     schemes: dict[str, Any] = {}
     for name in scenario.schemes:
@@ -256,11 +246,8 @@ def _largest(dataset: xr.Dataset, scheme: str) -> xr.Dataset:
     return dataset.sel(scheme=scheme).max(["channel", "input"], skipna=False)
 
 
-def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> dict[str, Any]:
-    """The errors of each output by its name and trial [shown unit]; nothing for a single output.
-
-    chosen: metrics of one scheme
-    """
+def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> Numbers:
+    """The errors of each output by its name and trial [shown unit]; nothing for a single output."""
     if scenario.task.outputs == 1:
         return {}
     sound = ~chosen["diverged"]
@@ -278,17 +265,14 @@ def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> dict[str, Any]:
     return {"axes": axes}
 
 
-def _grown(chosen: xr.Dataset) -> dict[str, Any]:
-    """The rms error of the last trial in units of that of the best trial, and its number.
-
-    chosen: metrics of one scheme by trial
-    """
+def _grown(chosen: xr.Dataset) -> Numbers:
+    """The rms error of the last trial in units of that of the best trial, and its number."""
     rms = chosen["rms"].values
     best = int(np.nanargmin(np.where(np.isfinite(rms), rms, np.inf)))
     return {"best": best + 1, "grown_to": float(rms[-1] / rms[best]) if rms[best] > 0 else 1.0}
 
 
-def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) -> dict[str, Any]:
+def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) -> Numbers:
     """A published number and ours, which is None for a trial that was not run.
 
     `met` is whether they are near, as `reproduce` judges it.
@@ -307,7 +291,7 @@ def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) ->
     }
 
 
-def run_table(scenario: Scenario, numbers: dict[str, Any]) -> Table:
+def run_table(scenario: Scenario, numbers: Numbers) -> Table:
     """The table of the metric by which the scenario is judged, for each trial and scheme.
 
     A published value is shown in brackets, and the title says so where there is one.
@@ -324,16 +308,12 @@ def run_table(scenario: Scenario, numbers: dict[str, Any]) -> Table:
             cells.append(number(rows[metric][str(j)]) + "".join(f" ({v:g})" for v in values))
         rows_by_trial.append((str(j), *cells))
     what = f"{metric.replace('_', ' ')} [{unit}] by trial{printed}"
-    table = Table(title=f"{scenario.title}\n{what}")
-    table.add_column("trial", justify="right")
-    for name in scenario.schemes:
-        table.add_column(name, justify="right")
-    for row in rows_by_trial:
-        table.add_row(*row)
-    return table
+    return Table(
+        right=("trial", *scenario.schemes), title=f"{scenario.title}\n{what}", rows=rows_by_trial
+    )
 
 
-def other_rows(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
+def other_rows(scenario: Scenario, numbers: Numbers) -> list[str]:
     """The published numbers that have no cell in `run_table`, one line each."""
     in_table = {(scenario.judged_by, j) for j in shown_trials(scenario)}
     lines = []
@@ -346,7 +326,7 @@ def other_rows(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
     return lines
 
 
-def reading_lines(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
+def reading_lines(scenario: Scenario, numbers: Numbers) -> list[str]:
     """A sentence where ours and published numbers part: what is simulated, what `reproduce` judges.
 
     A paper can be read in several ways, and it can print several forms of its plant.
@@ -368,29 +348,24 @@ def reading_lines(scenario: Scenario, numbers: dict[str, Any]) -> list[str]:
     return [". ".join([*said, f"jaxilc reproduce {scenario.name} says how each number was read."])]
 
 
-def last_trial_table(numbers: dict[str, Any]) -> Table:
+def last_trial_table(numbers: Numbers) -> Table:
     """The table of the errors of the last trial of a run by every metric, and of the best trial."""
     last = str(numbers["trials"])
-    table = Table(title=f"trial {last}, errors in {numbers['unit'] or 'the unit of y'}")
-    for column in ("scheme", *HEADS, "best trial (by rms)"):
-        table.add_column(column, justify="left" if column == "scheme" else "right")
+    title = f"trial {last}, errors in {numbers['unit'] or 'the unit of y'}"
+    table = Table("scheme", right=(*HEADS, "best trial (by rms)"), title=title)
     for name, rows in numbers["schemes"].items():
         errors = (number(rows[m.name][last]) for m in ERRORS)
         table.add_row(name, *errors, str(rows["best"]))
     return table
 
 
-def axes_table(numbers: dict[str, Any]) -> Table | None:
-    """The table of the errors of the last trial of a run, axis by axis, and of the contour.
-
-    None for a single output.
-    """
+def axes_table(numbers: Numbers) -> Table | None:
+    """The table of the errors of the last trial of a run, axis by axis, and of the contour."""
     if not any("axes" in rows for rows in numbers["schemes"].values()):
         return None
     last = str(numbers["trials"])
-    table = Table(title=f"trial {last} by axis, errors in {numbers['unit'] or 'the unit of y'}")
-    for column in ("scheme", "axis", *HEADS):
-        table.add_column(column, justify="left" if column in ("scheme", "axis") else "right")
+    title = f"trial {last} by axis, errors in {numbers['unit'] or 'the unit of y'}"
+    table = Table("scheme", "axis", right=HEADS, title=title)
     for name, rows in numbers["schemes"].items():
         for axis, errors in rows["axes"].items():
             table.add_row(name, axis, *(number(errors[m.name][last]) for m in ERRORS))
@@ -400,7 +375,7 @@ def axes_table(numbers: dict[str, Any]) -> Table | None:
     return table
 
 
-def course_lines(numbers: dict[str, Any]) -> list[str]:
+def course_lines(numbers: Numbers) -> list[str]:
     """A line for each scheme of a run that diverged, or whose error has grown."""
     lines = []
     for name, rows in numbers["schemes"].items():
@@ -418,12 +393,9 @@ def course_lines(numbers: dict[str, Any]) -> list[str]:
     return lines
 
 
-def run_verdict(
-    case: Case, numbers: dict[str, Any], errors: Mapping[str, Sequence[float]]
-) -> Verdict:
+def run_verdict(case: Case, numbers: Numbers, errors: Mapping[str, Sequence[float]]) -> Verdict:
     """Which scheme ends with the least error, how far it came, and where it goes.
 
-    numbers: result of `run_numbers`
     errors: errors of the trials by scheme [unit of the case], infinite where a trial diverged
     """
     trials, errors = numbers["trials"], case.of_learned(errors)
@@ -435,11 +407,11 @@ def run_verdict(
         if name != best and not diverged(of) and of[-1] <= (1 + ALIKE) * last
     ]
     course = trend_of(errors[best])
-    if course.kind == trends.DIVERGES:
+    if course.kind == DIVERGES:
         which = best if len(errors) == 1 else "Every scheme"
         said = (f"{which} diverges within {trials} trials.",)
         return Verdict(said, *case.remedy(best))
-    if last > trends.EXACT * first:
+    if last > EXACT * first:
         course = _with_rms(course, numbers["schemes"][best])
     begun = f", after {case.size(first)} in trial 1" if trials > 1 else ""
     it = f"; {_subject(course)}" if course.words and case.learns[best] else ""
@@ -451,7 +423,7 @@ def run_verdict(
     return Verdict(tuple(one for one in sentences if one), *after)
 
 
-def _larger_elsewhere(case: Case, best: str, numbers: dict[str, Any]) -> str:
+def _larger_elsewhere(case: Case, best: str, numbers: Numbers) -> str:
     """A sentence where the best scheme errs more than another one at some sample of the trial.
 
     Empty where it does not, and where schemes are compared by another metric than a settled or an
@@ -469,15 +441,12 @@ def _larger_elsewhere(case: Case, best: str, numbers: dict[str, Any]) -> str:
     return f"Over the whole trial it errs by up to {ours}, and {least} by {other}."
 
 
-def _with_rms(course: Trend, row: dict[str, Any]) -> Trend:
-    """The trend of a metric; it also grows if the rms error of the same run does.
-
-    row: numbers of a scheme of a run
-    """
-    if course.kind in (trends.FALLS, trends.SETTLED) and row["grown_from"]:
+def _with_rms(course: Trend, row: Numbers) -> Trend:
+    """The trend of a metric; it also grows if the rms error of the same run does."""
+    if course.kind in (FALLS, SETTLED) and row["grown_from"]:
         times, best = number(row["grown_to"]), row["best"]
         words = f"its rms error has grown {times} times since trial {best}"
-        return course._replace(kind=trends.GROWS, words=words)
+        return course._replace(kind=GROWS, words=words)
     return course
 
 
@@ -487,9 +456,9 @@ def _subject(course: Trend) -> str:
 
 
 def _after_run(case: Case, best: str, course: Trend, passed: bool, trials: int) -> tuple[str, str]:
-    if not case.learns[best] or course.kind == trends.GROWS:
+    if not case.learns[best] or course.kind == GROWS:
         return case.remedy(best)
-    if course.kind == trends.FALLS and (case.tolerance is None or not passed):
+    if course.kind == FALLS and (case.tolerance is None or not passed):
         return "until it settles", case.on("run", best, trials=2 * trials)
     if not passed:
         return case.remedy(best)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,14 +15,12 @@ from ..pytree.named_paths import get_at
 from ..storage.sealed import write_json
 from ..tuning.worst_case import GRADIENT_COST, worst_machine
 from .case import Case, both
-from .outcome import Figure, Outcome, Progress, silent
+from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .table import Table
-from .verdict import Verdict
 from .words import number
 
 if TYPE_CHECKING:
-    from ..figures.page import Live
+    from ..figures.description import Figure as Description
     from ..scenarios import Scenario
     from ..tuning.worst_case import WorstMachine
     from ..uncertainty import Uncertainty
@@ -111,9 +109,8 @@ def worst_case(
     )
 
 
-def _live(found: WorstMachine, shown: dict[str, str]) -> list[Live]:
+def _live(found: WorstMachine, shown: dict[str, str]) -> list[Description]:
     """The machines drawn and those searched for, and what each search found with what effort."""
-    from ..figures.page import live
     from ..figures.searches import worst_by_effort
 
     values = {name: one.value for name, one in found.searches.items()}
@@ -121,10 +118,10 @@ def _live(found: WorstMachine, shown: dict[str, str]) -> list[Live]:
     chance = figures.worst_against_chance.described(
         found.by_chance, values, nominal=found.nominal, machines=machines, **shown
     )
-    return [live(chance), live(worst_by_effort.described(found.searches, **shown))]
+    return [chance, worst_by_effort.described(found.searches, **shown)]
 
 
-def worst_case_numbers(found: WorstMachine, uncertainty: Uncertainty) -> dict[str, Any]:
+def worst_case_numbers(found: WorstMachine, uncertainty: Uncertainty) -> Numbers:
     """The result and cost of each search, with the machine as arguments of `--set`."""
     searches = {
         name: {
@@ -152,13 +149,13 @@ def _settings(machine, uncertainty: Uncertainty) -> list[str]:
     return found
 
 
-def worst_case_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table]:
+def worst_case_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
     """The tables of the result and cost of each search, and of the worst machine for `--set`."""
     metric = f"{numbers['figure'].replace('_', ' ')} [{numbers['unit']}]"
     what = f"largest {metric} at trial {numbers['trial']}, nominal {number(numbers['nominal'])}"
-    table = Table("search", title=f"{scenario.title}\n{numbers['scheme']}: {what}")
-    for column in ("found", "evaluations", "of them until found", "until level with chance"):
-        table.add_column(column, justify="right")
+    columns = ("found", "evaluations", "of them until found", "until level with chance")
+    title = f"{scenario.title}\n{numbers['scheme']}: {what}"
+    table = Table("search", right=columns, title=title)
     for name, row in numbers["searches"].items():
         level = row["level_with_chance"]
         table.add_row(
@@ -169,13 +166,11 @@ def worst_case_tables(scenario: Scenario, numbers: dict[str, Any]) -> list[Table
             "never" if level is None else str(level),
         )
     worst = numbers["searches"][found_by(numbers["searches"])]
-    rebuilt = Table("--set", title="the worst machine")
-    for setting in worst["set"]:
-        rebuilt.add_row(setting)
-    return [table, rebuilt]
+    settings = ((setting,) for setting in worst["set"])
+    return [table, Table("--set", title="the worst machine", rows=settings)]
 
 
-def found_by(searches: Mapping[str, dict[str, Any]]) -> str:
+def found_by(searches: Mapping[str, Numbers]) -> str:
     """The search that found the worst machine, or one as bad, with the fewest evaluations."""
     loss = max(row["loss"] for row in searches.values())
     near = [
@@ -186,11 +181,8 @@ def found_by(searches: Mapping[str, dict[str, Any]]) -> str:
     return min(near, key=lambda name: searches[name]["needed"])
 
 
-def worst_case_verdict(case: Case, scheme: str, numbers: dict[str, Any]) -> Verdict:
-    """How much larger the error of the worst machine is, and which search found it.
-
-    numbers: result of `worst_case_numbers`, with the trial
-    """
+def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
+    """How much larger the error of the worst machine is, and which search found it."""
     searches, nominal = numbers["searches"], numbers["nominal"]
     name = found_by(searches)
     worst, trial = searches[name], numbers["trial"]

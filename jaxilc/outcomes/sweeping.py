@@ -20,19 +20,15 @@ from ..sweeps.summary import axes_of, summarise
 from ..sweeps.sweep import Sweep
 from ..theory.bounds import BoundsWatch
 from .bounds import bounds_tables, watched_numbers
-from .case import Case, both
-from .outcome import Figure, Outcome
-from .request import Request, unless_there
-from .simulated import experiment_lines, output_names, shown_trials
-from .stored_grid import point_of
-from .table import Table
-from .trends import trend_of
-from .verdict import Verdict
-from .words import number
+from .case import Case, both, experiment_lines, output_names, shown_trials
+from .outcome import Figure, Numbers, Outcome, Table, Verdict
+from .request import Request, point_of, unless_there
+from .words import number, trend_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from ..figures.description import Figure as Description
     from ..figures.page import Live
     from ..scenarios import Scenario
     from ..sweeps.points import BestPoint
@@ -153,7 +149,7 @@ def _told(found: _Found, swept: Swept, stores: list[Path]) -> Outcome:
         request = _at(request, dataset, _first(best))
         dataset = at_best(dataset, best)
         chosen = dataclasses.replace(chosen, trials=dataset.sizes["trial"])
-    scale, unit = chosen.shown(chosen.judged_by)
+    scale, drawn = chosen.shown(chosen.judged_by)[0], chosen.look | {"tolerance": tolerance}
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])
     numbers |= axes_numbers(chosen, dataset, tolerance)
@@ -166,7 +162,6 @@ def _told(found: _Found, swept: Swept, stores: list[Path]) -> Outcome:
     verdict = sweep_verdict(Case.of(chosen, request), numbers, highs)
     if best:
         verdict = verdict._replace(said=(*_first(best).sentences, *verdict.said))
-    drawn = {"metric": chosen.judged_by, "tolerance": tolerance, "scale": scale, "unit": unit}
     several = any(size > 1 for size in sizes.values())
     return Outcome(
         command="sweep",
@@ -192,7 +187,7 @@ def _told(found: _Found, swept: Swept, stores: list[Path]) -> Outcome:
     )
 
 
-def _tables(numbers: dict[str, Any]) -> list[Table]:
+def _tables(numbers: Numbers) -> list[Table]:
     """The tables of a sweep."""
     every = [
         grid_table(numbers),
@@ -219,7 +214,7 @@ def live_sweep(
     drawn: Mapping[str, Any],
     grid: xr.Dataset | None = None,
     best: Sequence[BestPoint] = (),
-) -> list[Live | None]:
+) -> list[Description | Live | None]:
     """The errors by trial of all machines, and each machine against its parameters.
 
     drawn: metric, tolerance, scale and unit
@@ -227,7 +222,6 @@ def live_sweep(
     """
     from ..figures import browsers, live_grid
     from ..figures.band import band_together
-    from ..figures.page import live
 
     parameters = {
         str(name): values.values
@@ -236,18 +230,15 @@ def live_sweep(
     }
     return [
         live_grid.grid(grid, best=[*best], **drawn) if grid is not None and best else None,
-        live(band_together(summary, **drawn)),
+        band_together(summary, **drawn),
         browsers.machines(dataset, parameters, **drawn),
     ]
 
 
-def live_store(chosen: Scenario, dataset: xr.Dataset) -> list[Live | None]:
+def live_store(chosen: Scenario, dataset: xr.Dataset) -> list[Description | Live | None]:
     """The same of machines on which laws were judged, in the units of the scenario."""
-    scale, unit = chosen.shown(chosen.judged_by)
-    limit = None if chosen.tolerance is None else chosen.tolerance / scale
-    summary = summarise(dataset, limit, metric=chosen.judged_by)
-    drawn = {"metric": chosen.judged_by, "tolerance": limit, "scale": scale, "unit": unit}
-    return live_sweep(dataset, summary, drawn)
+    look = chosen.look
+    return live_sweep(dataset, summarise(dataset, look["tolerance"], metric=look["metric"]), look)
 
 
 def _tolerance(chosen: Scenario, tolerance: float | None) -> float | None:
@@ -260,12 +251,11 @@ def _tolerance(chosen: Scenario, tolerance: float | None) -> float | None:
 
 def sweep_numbers(
     scenario: Scenario, summary: Sequence[SchemeSummary], tolerance: float | None, machines: int
-) -> dict[str, Any]:
+) -> Numbers:
     """The summary of a sweep [shown unit] by scheme, with quantiles and the worst machine by trial.
 
     tolerance: largest metric that passes [unit of the dataset]; None, and null for the yields, if
         none is known
-    machines: number S of machines
     """
     k, unit = scenario.shown(scenario.judged_by)
     schemes = {
@@ -301,9 +291,7 @@ def sweep_numbers(
     }
 
 
-def axes_numbers(
-    scenario: Scenario, dataset: xr.Dataset, tolerance: float | None
-) -> dict[str, Any]:
+def axes_numbers(scenario: Scenario, dataset: xr.Dataset, tolerance: float | None) -> Numbers:
     """The largest error of the last trial over the machines of a sweep, by scheme and axis.
 
     Besides the outputs there is the contour, where it is a metric. All are in the shown unit, with
@@ -332,13 +320,8 @@ def axes_numbers(
     return {"axes": found}
 
 
-def grid_numbers(
-    scenario: Scenario, best: Sequence[BestPoint], axes: Mapping[str, int]
-) -> dict[str, Any]:
-    """The best point of each scheme of a grid, with its error [shown unit].
-
-    axes: the number of values of each axis
-    """
+def grid_numbers(scenario: Scenario, best: Sequence[BestPoint], axes: Mapping[str, int]) -> Numbers:
+    """The best point of each scheme of a grid, with its error [shown unit]."""
     k, _ = scenario.shown(scenario.judged_by)
     found = {}
     for of in best:
@@ -348,18 +331,15 @@ def grid_numbers(
     return {"grid": {"axes": dict(axes), "best": found}}
 
 
-def swept_axes_table(numbers: dict[str, Any]) -> Table | None:
-    """The table of the largest errors of the last trial of a sweep, axis by axis, and contour.
-
-    None for a single output.
-    """
+def swept_axes_table(numbers: Numbers) -> Table | None:
+    """The table of the largest errors of the last trial of a sweep, axis by axis, and contour."""
     if "axes" not in numbers:
         return None
     tolerance, unit = numbers["tolerance"], numbers["unit"]
     within = () if tolerance is None else (f"within {tolerance:g}",)
-    table = Table(title=f"largest error [{unit}] of trial {numbers['trials']} by axis")
-    for column in ("scheme", "axis", *within, "median", "95 %", "worst (machine)"):
-        table.add_column(column, justify="left" if column in ("scheme", "axis") else "right")
+    columns = (*within, "median", "95 %", "worst (machine)")
+    title = f"largest error [{unit}] of trial {numbers['trials']} by axis"
+    table = Table("scheme", "axis", right=columns, title=title)
     for name, axes in numbers["axes"].items():
         for axis, at in axes.items():
             share = [] if tolerance is None else [f"{at['yield']:.1%}"]
@@ -368,7 +348,7 @@ def swept_axes_table(numbers: dict[str, Any]) -> Table | None:
     return table
 
 
-def sweep_lines(numbers: dict[str, Any]) -> list[str]:
+def sweep_lines(numbers: Numbers) -> list[str]:
     """A line for each scheme of a sweep under which machines diverged, or their errors grew."""
     lines = []
     for name, row in numbers["schemes"].items():
@@ -387,7 +367,7 @@ def sweep_lines(numbers: dict[str, Any]) -> list[str]:
     return lines
 
 
-def yield_table(numbers: dict[str, Any]) -> Table:
+def yield_table(numbers: Numbers) -> Table:
     """The table of yields with their intervals, and of shares that have grown or diverged.
 
     There is no column of yields without a tolerance. The number in brackets, `(from)`, is the
@@ -396,10 +376,9 @@ def yield_table(numbers: dict[str, Any]) -> Table:
     known = numbers["tolerance"] is not None
     within = f" within {numbers['tolerance']:g} {numbers['unit']}" if known else ""
     what = f"{numbers['figure']} of trial {numbers['trials']}{within}"
-    table = Table(title=f"{numbers['samples']} machines, {what}")
     yields = ("yield (95 % interval)",) if known else ()
-    for column in ("scheme", *yields, "grown (from)", "diverged (from)"):
-        table.add_column(column, justify="left" if column == "scheme" else "right")
+    columns = (*yields, "grown (from)", "diverged (from)")
+    table = Table("scheme", right=columns, title=f"{numbers['samples']} machines, {what}")
     for name, row in numbers["schemes"].items():
         low, high = row["yield_interval"] or (0.0, 0.0)
         table.add_row(
@@ -416,18 +395,15 @@ def _share(share: float, trial: int) -> str:
     return f"{share:.1%}" + (f" ({trial})" if trial else "")
 
 
-def grid_table(numbers: dict[str, Any]) -> Table | None:
-    """The table of the best point of each scheme, to which all other tables belong.
-
-    None for a sweep without a grid.
-    """
+def grid_table(numbers: Numbers) -> Table | None:
+    """The table of the best point of each scheme, to which all other tables belong."""
     if "grid" not in numbers:
         return None
     axes, best = numbers["grid"]["axes"], numbers["grid"]["best"]
     count = f"{np.prod([*axes.values()], dtype=int)} points"
-    table = Table(title=f"best of {count}: 95 % {numbers['figure']} [{numbers['unit']}]")
-    for column in ("scheme", *axes, "95 %", "points within twice", "points that diverge"):
-        table.add_column(column, justify="left" if column == "scheme" else "right")
+    columns = (*axes, "95 %", "points within twice", "points that diverge")
+    title = f"best of {count}: 95 % {numbers['figure']} [{numbers['unit']}]"
+    table = Table("scheme", right=columns, title=title)
     for name, row in best.items():
         at = [value_text(x) for x in row["point"].values()]
         shares = (f"{row['near']:.1%}", f"{row['diverged']:.1%}")
@@ -435,12 +411,12 @@ def grid_table(numbers: dict[str, Any]) -> Table | None:
     return table
 
 
-def spread_table(numbers: dict[str, Any]) -> Table:
+def spread_table(numbers: Numbers) -> Table:
     """The table of quantiles over the machines in the last trial, and of the worst machine."""
     last = str(numbers["trials"])
-    table = Table(title=f"{numbers['figure']} [{numbers['unit']}] of trial {last}")
-    for column in ("scheme", "median", "5 %", "95 %", "worst", "its machine"):
-        table.add_column(column, justify="left" if column == "scheme" else "right")
+    columns = ("median", "5 %", "95 %", "worst", "its machine")
+    title = f"{numbers['figure']} [{numbers['unit']}] of trial {last}"
+    table = Table("scheme", right=columns, title=title)
     for name, row in numbers["schemes"].items():
         at = row["by_trial"][last]
         quantiles = (number(at[of]) for of in ("median", "low", "high", "worst"))
@@ -448,24 +424,19 @@ def spread_table(numbers: dict[str, Any]) -> Table:
     return table
 
 
-def band_table(numbers: dict[str, Any]) -> Table:
+def band_table(numbers: Numbers) -> Table:
     """The table of the median and the 95 % quantile for each trial and scheme."""
-    table = Table(title=f"{numbers['figure']} [{numbers['unit']}] by trial: median (95 % quantile)")
-    table.add_column("trial", justify="right")
-    for name in numbers["schemes"]:
-        table.add_column(name, justify="right")
+    title = f"{numbers['figure']} [{numbers['unit']}] by trial: median (95 % quantile)"
+    table = Table(right=("trial", *numbers["schemes"]), title=title)
     for j in next(iter(numbers["schemes"].values()))["by_trial"]:
         rows = [row["by_trial"][j] for row in numbers["schemes"].values()]
         table.add_row(j, *(f"{number(r['median'])} ({number(r['high'])})" for r in rows))
     return table
 
 
-def sweep_verdict(
-    case: Case, numbers: dict[str, Any], highs: Mapping[str, Sequence[float]]
-) -> Verdict:
+def sweep_verdict(case: Case, numbers: Numbers, highs: Mapping[str, Sequence[float]]) -> Verdict:
     """Which scheme has the largest yield, or the least error on 95 % of the machines.
 
-    numbers: result of `sweep_numbers`
     highs: 95 % quantile of each trial by scheme [unit of the case]
     """
     rows, highs = numbers["schemes"], case.of_learned(highs)
@@ -482,7 +453,7 @@ def sweep_verdict(
     return Verdict(both(said, second), *_after_sweep(case, best, not lost, enough))
 
 
-def _yield(case: Case, numbers: dict[str, Any], row: dict[str, Any]) -> str:
+def _yield(case: Case, numbers: Numbers, row: Numbers) -> str:
     """How many machines end within the tolerance; empty if none is known."""
     if row["yield"] is None:
         return ""
@@ -496,7 +467,7 @@ def _yield(case: Case, numbers: dict[str, Any], row: dict[str, Any]) -> str:
     return f"{which} end within {case.size(numbers['tolerance'])}; "
 
 
-def _spread(case: Case, numbers: dict[str, Any], row: dict[str, Any]) -> str:
+def _spread(case: Case, numbers: Numbers, row: Numbers) -> str:
     """The 95 % quantile of the last trial, and the worst machine."""
     at = row["by_trial"][str(numbers["trials"])]
     which = "of them" if row["yield"] is not None else f"of {numbers['samples']} machines"
@@ -509,7 +480,7 @@ def _spread(case: Case, numbers: dict[str, Any], row: dict[str, Any]) -> str:
     )
 
 
-def _lost(row: dict[str, Any], metric: str) -> str:
+def _lost(row: Numbers, metric: str) -> str:
     """A sentence on the machines that diverge or whose metric grows, empty if there are none."""
     parts = []
     if row["diverged"]:

@@ -160,7 +160,6 @@ def numbers_of(option: str, text: str, *, whole: bool = False) -> list[float]:
 def _unknown(what: str, name: str, listed: str) -> str:
     """The message that a name is not one of those listed, with the closest ones first.
 
-    what: the option and the name
     listed: names with what may follow them, such as `cvar[:alpha]`, and commas between them
     """
     forms = {re.split(r"[\[:]", form)[0]: form for form in listed.split(", ")}

@@ -1,7 +1,6 @@
 from . import cao_2019, cao_2019_rig, dai_2014, double_mass, li_2020, milc_2024, pendulum, xu_2024
 from .catalogue import LISTED, Listed
-from .from_file import load_scenario
-from .loading import SCENARIOS, load, options
+from .from_file import SCENARIOS, load, load_scenario, options
 from .published import Fit, Published
 from .reproduction import reproduce
 from .scenario import Quantity, Scenario

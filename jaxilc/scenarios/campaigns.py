@@ -18,8 +18,7 @@ from ..pytree.ranges import is_number
 from ..runtime.provenance import differences
 from ..storage.sealed import as_json
 from .campaign_source import digest_of, said_of_change
-from .from_file import load_scenario
-from .loading import SCENARIOS, options
+from .from_file import SCENARIOS, load_scenario, options
 from .parameters import differing, with_parameters
 from .scenario import Scenario
 
@@ -110,10 +109,7 @@ def open_campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False
 
 
 def _parameters(bare: Scenario, scheme: str, path: Path) -> dict[str, Any]:
-    """The values of a parameter file for the scheme, as the recipe holds them.
-
-    bare: scenario without these values
-    """
+    """The values of a parameter file for the scheme, as the recipe holds them."""
     tuned = with_parameters(bare, path)
     values = as_json(differing(tuned.schemes[scheme], bare.schemes[scheme]))
     return {"given": str(path), "sha256": digest_of(path), "values": values}

@@ -31,7 +31,7 @@ from ..schemes import (
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import chosen, conclusions, published, readings
+from .published import printed, readings
 from .scenario import Quantity, Scenario
 
 
@@ -83,18 +83,17 @@ def cao_2019(
     if reading not in READINGS:
         raise ValueError(not_one_of(f"cao-2019: reading = {reading!r}", reading, READINGS))
     of = READINGS[reading]
-    printed = (reference, frequency) == ("sinusoid", 0.5)
+    of_paper = printed("cao-2019", reading)
+    if (reference, frequency) != ("sinusoid", 0.5):
+        of_paper |= {"published": (), "conclusions": ()}
     return Scenario(
-        name="cao-2019",
+        **of_paper,
         title="Voice-coil motor for noncircular turning, MFAILC (Cao 2019)",
         machine=Machine(voice_coil(plant)),
         task=task_of(reference, frequency, reading),
         schemes=schemes_of(of),
         trials=80,
         uncertainty=MOTOR_UNCERTAINTY,
-        published=published("cao-2019", reading) if printed else (),
-        conclusions=conclusions("cao-2019", reading) if printed else (),
-        chosen=chosen("cao-2019", reading),
         tolerance=5.0,
         shown_unit="µm",
         shown_scale=1e3,
@@ -144,12 +143,7 @@ def schemes_of(of: Reading) -> dict[str, Scheme]:
             lam=1.2, eta=1.0, mu=1.1, rho=0.98, phi0=of.phi0["pfdl-mfailc"], reset=of.reset
         ),
         "ffdl-mfailc": FFDLMFAILC(
-            lam=1.2,
-            eta=1.0,
-            mu=1.1,
-            rho=0.98,
-            phi0=of.phi0["ffdl-mfailc"],
-            reset=of.reset,
+            lam=1.2, eta=1.0, mu=1.1, rho=0.98, phi0=of.phi0["ffdl-mfailc"], reset=of.reset
         ),
         "ilc-mfapc": WithFeedback(
             learning=PIDType(gamma_p=-0.2, gamma_i=0.0, gamma_d=-1.0),

@@ -20,7 +20,7 @@ from ..schemes import CFDLMFAILC, PID, Filtered, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import chosen, conclusions, published, readings
+from .published import printed, readings
 from .scenario import Scenario
 
 LAM, ETA, MU, RHO, PHI0 = 1.5, 1.0, 1.0, 1.0, 1.0  # printed
@@ -71,7 +71,7 @@ def cao_2019_rig(
     offset = READINGS[reading].offset
     drift = Disturbance(input=np.full((len(r) - 1, 1), offset)) if offset else None
     return Scenario(
-        name="cao-2019-rig",
+        **printed("cao-2019-rig", reading),
         title=f"Voice-coil motor on the laboratory rig at {frequency:g} Hz (Cao 2019)",
         machine=Machine(
             motor, Actuator(limit=10.0, resolution=20.0 / 2**16), Sensor(resolution=1e-4), drift
@@ -88,9 +88,6 @@ def cao_2019_rig(
                 "plant.speed_gain",
             )
         },
-        published=published("cao-2019-rig", reading),
-        conclusions=conclusions("cao-2019-rig", reading),
-        chosen=chosen("cao-2019-rig", reading),
         tolerance=5.0,
         shown_unit="µm",
         shown_scale=1e3,

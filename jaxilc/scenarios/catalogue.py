@@ -19,64 +19,58 @@ class Listed(NamedTuple):
     samples: int
 
 
+def _listed(title: str, schemes: str, trials: int, samples: int) -> Listed:
+    return Listed(title, tuple(schemes.split()), trials, samples)
+
+
 LISTED = {
-    "cao-2019": Listed(
+    "cao-2019": _listed(
         "Voice-coil motor for noncircular turning, MFAILC (Cao 2019)",
-        ("pid", "cfdl-mfailc", "pfdl-mfailc", "ffdl-mfailc", "ilc-mfapc"),
+        "pid cfdl-mfailc pfdl-mfailc ffdl-mfailc ilc-mfapc",
         trials=80,
         samples=2000,
     ),
-    "cao-2019-rig": Listed(
+    "cao-2019-rig": _listed(
         "Voice-coil motor on the laboratory rig at 0.5 Hz (Cao 2019)",
-        ("pid", "cfdl-mfailc"),
-        80,
-        10_000,
+        "pid cfdl-mfailc",
+        trials=80,
+        samples=10_000,
     ),
-    "dai-2014": Listed(
+    "dai-2014": _listed(
         "Voice-coil motor under predictive MFAC at 0.5 Hz (Dai 2014)",
-        ("pid", "cfdl-mfapc"),
-        1,
-        8000,
+        "pid cfdl-mfapc",
+        trials=1,
+        samples=8000,
     ),
-    "double-mass": Listed(
+    "double-mass": _listed(
         "Two masses on a spring, the tests of IterativeLearningControl2.jl",
-        ("inverse-filter", "norm-optimal", "gradient", "model-free", "constrained"),
-        28,
-        471,
+        "inverse-filter norm-optimal gradient model-free constrained",
+        trials=28,
+        samples=471,
     ),
-    "li-2020": Listed(
+    "li-2020": _listed(
         "CNC axis along a butterfly, simulation (Li 2020)",
-        (
-            "feedback",
-            "feedforward",
-            "p-type",
-            "higher-order",
-            "fixed-filter",
-            "switchable",
-            "stop",
-            "ladder",
-            "series",
-        ),
+        "feedback feedforward p-type higher-order fixed-filter switchable stop ladder series",
         trials=40,
         samples=9998,
     ),
-    "milc-2024": Listed(
+    "milc-2024": _listed(
         "Flexible ball-screw drive, direct and multivariable norm-optimal ILC (MILC 2024)",
-        ("dilc", "milc"),
-        11,
-        4000,
+        "dilc milc",
+        trials=11,
+        samples=4000,
     ),
-    "pendulum": Listed(
+    "pendulum": _listed(
         "Pendulum swung upright, two-step nonlinear ILC (gILC)",
-        ("two-step", "two-step-limited"),
-        5,
-        1999,
+        "two-step two-step-limited",
+        trials=5,
+        samples=1999,
     ),
-    "xu-2024": Listed(
+    "xu-2024": _listed(
         "Piezo fast tool servo, adaptive sliding mode and iterative learning (Xu 2024)",
-        ("pid", "smc", "asmc", "ilc-asmc"),
-        10,
-        5000,
+        "pid smc asmc ilc-asmc",
+        trials=10,
+        samples=5000,
     ),
 }
 SCHEMES = {name: listed.schemes for name, listed in LISTED.items()}

@@ -15,7 +15,7 @@ from ..schemes import CFDLMFAPC, PID
 from ..signals import references
 from ..signals.task import Task
 from .cao_2019 import MOTOR_UNCERTAINTY
-from .published import chosen, conclusions, published
+from .published import printed
 from .scenario import Scenario
 
 # By frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed;
@@ -47,7 +47,7 @@ def dai_2014(plant: str = "printed", frequency: float = 0.5) -> Scenario:
     setting = SETTINGS[frequency]
     duration = setting["periods"] * period
     return Scenario(
-        name="dai-2014",
+        **printed("dai-2014"),
         title=f"Voice-coil motor under predictive MFAC at {frequency:g} Hz (Dai 2014)",
         machine=Machine(voice_coil(plant)),
         task=Task(
@@ -61,9 +61,6 @@ def dai_2014(plant: str = "printed", frequency: float = 0.5) -> Scenario:
         schemes={"pid": PID(**setting["pid"]), "cfdl-mfapc": CFDLMFAPC(**setting["mfapc"])},
         trials=1,
         uncertainty=MOTOR_UNCERTAINTY,
-        published=published("dai-2014"),
-        conclusions=conclusions("dai-2014"),
-        chosen=chosen("dai-2014"),
         tolerance=0.03,
         shown_unit="mm",
         show_trials=(1,),

@@ -10,24 +10,108 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from ..learning.machine import Disturbance, Machine
+from ..learning.metrics import root_mean_square
 from ..plants import StateSpace, motion
-from ..schemes import (
-    ConstrainedNormOptimal,
-    GradientILC,
-    ModelFreeGradient,
-    NormOptimal,
-    Scheme,
-)
-from ..signals.task import Task, Trial
+from ..pytree.aliases import Leaf
+from ..pytree.fields import child, leaf, pytree
+from ..schemes import ConstrainedNormOptimal, GradientILC, ModelFreeGradient, NormOptimal, Scheme
+from ..schemes.scheme import Feedforward
+from ..signals.task import Task, Trial, product
 from ..uncertainty import Uniform
-from .double_mass_law import InverseLaw
-from .error_norm import error_norm
-from .published import chosen, published
+from .published import printed
 from .scenario import Quantity, Scenario
+
+
+def error_norm(trial: Trial) -> jax.Array:
+    """||e||_2 of a trial: the root of the sum of the squared errors, over all samples and outputs.
+
+    It grows with the number of samples; the metric `rms` does not.
+    """
+    e = trial.e.reshape(-1, 1)
+    return root_mean_square(e)[0] * e.size**0.5
+
+
+# The law by model inverse and zero-phase filter as that package runs it
+# --------------------------------------------------------------------------------------------------
+
+
+class WholeRecord(NamedTuple):
+    """a: (N+1, 1) what was learned, of which the last sample acts on nothing within the trial."""
+
+    a: jax.Array
+
+
+@pytree
+class InverseLaw(Scheme):
+    """a_{j+1} = Q (a_j + gain G^-1 e_j), over records of N+1 samples (`HeuristicILC` there).
+
+    G^-1 runs forward from rest, so the zeros of the model must lie within the unit circle. It looks
+    one sample ahead; at the last sample it repeats its value. Q is the lag 1/(T s + 1), sampled
+    with a zero-order hold, first backward and then forward in time, from rest each time.
+
+    These ends are why this law is not a `LearningFilter`: they are part of the numbers that the
+    scenario compares with.
+
+    model: sampled model G of one input and one output
+    gain: () share of the inverse
+    time_constant: () T [s]
+    """
+
+    model: StateSpace = child()
+    gain: Leaf = leaf(interval="(0, inf)")
+    time_constant: Leaf = leaf(interval="(0, inf)")
+
+    def check(self, task: Task) -> None:
+        if (self.model.n_u, self.model.n_y, task.inputs, task.outputs) != (1, 1, 1, 1):
+            raise ValueError(
+                f"InverseLaw: the model has {self.model.n_u} inputs and {self.model.n_y} outputs, "
+                f"the task {task.inputs} and {task.outputs}; allowed is one of each"
+            )
+        self.model.sampled(task.dt)
+
+    def initial_memory(self, task: Task) -> WholeRecord:
+        return WholeRecord(jnp.zeros((task.N + 1, task.inputs)))
+
+    def schedule(self, memory: WholeRecord, task: Task) -> Feedforward:
+        return Feedforward(memory.a[:-1])
+
+    def learn(self, memory: WholeRecord, trial: Trial) -> WholeRecord:
+        played = jnp.concatenate([trial.u, memory.a[-1:]])
+        wanted = self.gain * self._inverse(trial.e[1:], trial.dt)
+        both = played + jnp.concatenate([wanted, wanted[-1:]])
+        pole = jnp.exp(-trial.dt / self.time_constant)
+        return WholeRecord(_lagged(_lagged(both[::-1], pole)[::-1], pole))
+
+    def _inverse(self, e, dt):
+        """(N, 1) the input that moves the output of the model by e (N, 1), one sample later."""
+        A, B, C = (getattr(self.model.sampled(dt), name) for name in "ABC")
+        first = (C @ B)[0, 0]
+
+        def tick(x, e_next):
+            u = (e_next - product(C, product(A, x))) / first
+            return product(A, x) + product(B, u), u
+
+        return lax.scan(tick, jnp.zeros(A.shape[-1]), e)[1]
+
+
+def _lagged(signal, pole):
+    """The signal behind the sampled lag (1 - pole) / (z - pole), from rest."""
+
+    def tick(state, x):
+        return pole * state + (1 - pole) * x, state
+
+    return lax.scan(tick, jnp.zeros_like(signal[0]), signal)[1]
+
+
+# The scenario
+# --------------------------------------------------------------------------------------------------
+
 
 SAMPLE_TIME = 0.02
 DURATION = 3 * np.pi
@@ -174,7 +258,7 @@ def double_mass(
     plant = loop_from(loop, at, second)
     norm = of_position if second == "controller" else error_norm
     return Scenario(
-        name="double-mass",
+        **printed("double-mass"),
         title="Two masses on a spring, the tests of IterativeLearningControl2.jl",
         machine=Machine(plant, disturbance=Disturbance(output=without_learning(loop, r, second))),
         task=Task(r, dt=SAMPLE_TIME, unit="m", input_unit="N", inputs=plant.n_u),
@@ -183,8 +267,6 @@ def double_mass(
         ),
         trials=28,
         uncertainty={"plant.B": Uniform(0.9, 1.1, relative=True)},
-        published=published("double-mass"),
-        chosen=chosen("double-mass"),
         shown_unit="mm",
         shown_scale=1e3,
         show_trials=(1, 2, 3, 5, 10, 28),

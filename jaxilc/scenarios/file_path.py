@@ -29,7 +29,7 @@ from ..signals.segments import FARTHEST, SHORTEST, Straight
 from ..signals.tool_path import Dwell, Followed, Move, follow
 from ..storage.columns import missing, name_and_unit, numbers_in, read_columns
 from ..storage.reading import quoted, read_text
-from .values import Table, list_of_numbers, number, numbers, one_of, text, whole
+from .specification import Table, list_of_numbers, number, numbers, one_of, text, whole
 
 UNITS = "lengths in the `unit` of the task, times in s, feeds in that unit per s"
 LARGEST_PROGRAM = 16_000_000  # bytes

@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
+import hashlib
 import typing
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import scipy
 
-from .. import plants
-from ..plants import Plant, from_control
+from .. import identification, plants
+from ..identification.frequency_response import is_frequency_response
+from ..identification.record_files import is_twincat, read_record
+from ..plants import Plant, ProcessModel, from_control
 from ..plants.cnc_axis import Axes
 from ..plants.from_python_control import Linear, canonical_form, from_linear
 from ..plants.linear import LARGEST_ORDER
 from ..pytree.ranges import brief, require
-from .fitted_once import Options, identified_plant
-from .specification import built, classes
-from .values import (
+from ..storage.columns import LARGEST_TABLE
+from ..storage.reading import read_bytes, read_tree
+from ..storage.sealed import json_text, sealed, unsealed, write_json
+from .specification import (
     Table,
+    built,
+    classes,
     flag,
     list_of,
     list_of_numbers,
@@ -33,11 +40,97 @@ from .values import (
     whole,
 )
 
+# A plant that is fitted once, then read from a file beside it
+# --------------------------------------------------------------------------------------------------
+
+
+FORMAT = 1  # of the file, and of the way in which a plant is fitted
+LEAVES = tuple(field.name for field in dataclasses.fields(ProcessModel))
+
+
+class Options(NamedTuple):
+    """How a record is read and fitted, as `read_record` and `identify` have it.
+
+    reading: options of `read_record`
+    structure: poles, pairs, zeros
+    delay: in samples; None: 0 for a record, fitted for a frequency response
+    averages: of the coherence of a frequency response
+    """
+
+    reading: dict[str, Any]
+    structure: dict[str, Any]
+    delay: int | None
+    averages: int | None
+
+
+def identified_plant(record: Path, options: Options, folder: Path) -> tuple[ProcessModel, str]:
+    """The plant, and a sentence on its fit.
+
+    folder: where the fit is kept
+    Raises ValueError as `read_record`, `read_frequency_response` and `identify`, and OSError for a
+    record that cannot be read.
+    """
+    asked = {"format": FORMAT, **options._asdict()}
+    key = hashlib.sha256(json_text(asked).encode()).hexdigest()[:8]
+    checksum = hashlib.sha256(read_bytes(record, LARGEST_TABLE)).hexdigest()
+    kept = folder / f"{record.name}.{key}.fit.json"
+    known = {"record": checksum, "options": asked}
+    with contextlib.suppress(ValueError, OSError, KeyError, TypeError):
+        found = unsealed(read_tree(kept, ".json"))
+        if found["record"] == checksum:
+            plant = ProcessModel(**{name: found["plant"][name] for name in LEAVES})
+            return plant, f"{found['said']} (kept in {kept.name})"
+    plant, said = _fitted(record, options)
+    values = {name: np.asarray(getattr(plant, name)).tolist() for name in LEAVES}
+    if kept.is_file() or not kept.exists():
+        with contextlib.suppress(OSError):  # a folder that cannot be written
+            write_json(kept, sealed({**known, "plant": values, "said": said}))
+    return plant, said
+
+
+def _fitted(record: Path, options: Options) -> tuple[ProcessModel, str]:
+    """The plant, fitted to the record, and a sentence on it."""
+    if is_response(record, options.reading["columns"]):
+        dt = options.reading["dt"]
+        if dt is None:
+            raise ValueError(
+                f"{record} is a frequency response: give dt, the sample time of the hold in it [s]"
+            )
+        found = identification.identify_response(
+            identification.read_frequency_response(record, averages=options.averages),
+            **options.structure,
+            dt=dt,
+            delay=None if options.delay is None else options.delay * dt,
+        )
+    else:
+        found = identification.identify(
+            read_record(record, **options.reading), **options.structure, delay=options.delay or 0
+        )
+    values = ", ".join(f"{name} = {one.value:.6g}" for name, one in found.parameters.items())
+    plant = cast(ProcessModel, found.plant)
+    if plant.delay and "delay" not in found.parameters:
+        values += f", delay = {plant.delay:.6g}"
+    fit = float(np.min(found.fit))
+    return plant, f"the plant was identified from {record.name}: {values}; fit {fit:.4g} %"
+
+
+def is_response(record: Path, columns: Sequence[str]) -> bool:
+    """Whether a file is a frequency response, which its header tells.
+
+    columns: names of the columns of a file without a header
+    """
+    if record.suffix.lower() == ".mat" or columns or is_twincat(record):
+        return False
+    return is_frequency_response(record)
+
+
+# The table
+# --------------------------------------------------------------------------------------------------
+
 
 def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
     """The plant that a table describes.
 
-    folder: folder of the file
     notes: list to which texts on the choices for the plant are appended
     Raises ValueError naming the key that is wrong.
     """

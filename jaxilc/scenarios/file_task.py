@@ -1,10 +1,27 @@
-"""Machine, task and uncertainty of a TOML or JSON file."""
+"""Machine, task and uncertainty of a TOML or JSON file.
+
+[machine.variation]          # offset, scatter, carried, shortest, dropped, late, delayed, delay
+scatter = 1e-3
+shortest = 0.8
+
+# the plant from trial 21 on: values that are set, or multiplied, by their names in the plant
+[machine.variation.change]
+first = 21
+over = 1
+set = { "x0" = [0.0, 0.0] }
+scale = { "B" = 1.2 }
+
+# further references, each from a trial on; without `first` they change after each trial
+[[machine.variation.references]]
+first = 11
+reference = { function = "sinusoid", amplitude = 2.0, frequency = 0.5, duration = 2.0 }
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +29,17 @@ import numpy as np
 
 from ..identification.record_files import read_record
 from ..learning.machine import Actuator, Disturbance, Machine, Sensor
+from ..learning.variation import PlantChange, References, Variation
 from ..plants import Plant
 from ..plants.cnc_axis import Axes
+from ..pytree.named_paths import get_at, replaced
 from ..pytree.ranges import require
 from ..schemes.at_samples import windows_of
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import LogUniform, Normal, Uniform
 from .file_path import Setting, planned_path
-from .file_variation import variation_of
-from .specification import built, called
-from .values import Table, flag, list_of, number, one_of, text, whole
+from .specification import Table, built, called, flag, list_of, number, numbers, one_of, text, whole
 
 UNITS = "lengths in the `unit` of the task, times in s, frequencies in Hz, angles in rad"
 REFERENCES = ("sinusoid", "multisine", "chirp", "s_curve", "noncircular")
@@ -54,7 +71,6 @@ def machine_of(
 def task_of(values: Any, where: str, folder: Path, plant: Plant, notes: list[str]) -> Task:
     """The task that a table describes.
 
-    folder: folder of the file
     notes: list to which a text on how a path is followed is appended
     """
     table = Table(values, where)
@@ -113,7 +129,7 @@ def reference_of(
         raise ValueError(f"{at}: the outputs have {lengths} samples; allowed is one length")
     if len(columns) != plant.n_y:
         raise ValueError(
-            f"{at}: the plant has {plant.n_y} outputs{_said(names)}, and "
+            f"{at}: the plant has {plant.n_y} outputs{_named(names)}, and "
             f"{len(columns)} of them {'has' if len(columns) == 1 else 'have'} a reference; "
             "needed is a list with one for each output, or a path"
         )
@@ -140,7 +156,7 @@ def is_path(reference: Any) -> bool:
     return isinstance(reference, Mapping) and "path" in reference
 
 
-def _said(names: tuple[str, ...]) -> str:
+def _named(names: tuple[str, ...]) -> str:
     return f" ({', '.join(names)})" if names else ""
 
 
@@ -186,3 +202,73 @@ def uncertainty_of(values: Any, where: str):
             yield name, cls(**fields)
         except ValueError as error:
             raise ValueError(f"{inner.where}: {error}") from None
+
+
+# How the trials differ
+# --------------------------------------------------------------------------------------------------
+
+
+_PARTS = ("change", "references", "averaged")
+
+
+def variation_of(
+    values: Any, where: str, plant: Plant, task: Task, reference: Callable[[Any, str], np.ndarray]
+) -> Variation:
+    """The variation that a table describes.
+
+    Raises ValueError naming the key that is wrong.
+    """
+    table = Table(values, where)
+    change = table.take("change", lambda v, at: _change(v, at, plant), None)
+    references = table.take(
+        "references", lambda v, at: _further_references(v, at, task, reference), None
+    )
+    table.take("averaged", flag, False)
+    numbers_of = {key: value for key, value in table.values.items() if key not in _PARTS}
+    made = built(numbers_of, where, cls=Variation)
+    fields = {f: getattr(made, f) for f in numbers_of}
+    return Variation(**fields, change=change, references=references)
+
+
+def _change(values: Any, where: str, plant: Plant) -> PlantChange:
+    table = Table(values, where)
+    first, over = table.take("first", whole), table.take("over", whole, 1)
+    given = table.take("set", _named_numbers, {})
+    factors = table.take("scale", _named_numbers, {})
+    table.done()
+    if not given and not factors:
+        raise ValueError(f"{where}: set and scale are missing; at least one is needed")
+    try:
+        scaled = {name: np.asarray(get_at(plant, name)) * x for name, x in factors.items()}
+        return PlantChange(replaced(plant, scaled | given), first, over, plant)
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{where}: {error.args[0]!s}") from None
+
+
+def _named_numbers(value: Any, where: str) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{where} is no table of names and numbers")
+    return {name: numbers(x, f"{where}.{name}") for name, x in value.items()}
+
+
+def _further_references(values: Any, where: str, task: Task, reference: Callable) -> References:
+    def one(value, at):
+        table = Table(value, at)
+        first = table.take("first", whole, None)
+        r = table.take("reference", reference)
+        table.done()
+        if r.shape != np.shape(task.reference):
+            raise ValueError(
+                f"{at}: the reference has shape {r.shape}; that of the task has "
+                f"{np.shape(task.reference)}, and all need one length"
+            )
+        return first, r
+
+    found = list_of(one)(values, where)
+    first = tuple(first for first, _ in found if first is not None)
+    if first and len(first) != len(found):
+        raise ValueError(f"{where}: first is needed for each of them, or for none")
+    try:
+        return References(np.stack([np.asarray(task.reference), *(r for _, r in found)]), first)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None

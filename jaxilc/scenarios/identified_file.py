@@ -14,21 +14,220 @@ import dataclasses
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, cast
 
+import jax
 import numpy as np
 
+from ..filters import ZeroPhaseButterworth
 from ..identification import Estimate, Identified, Record, not_significant
+from ..learning.machine import Machine
 from ..plants import ModalModel, Plant, ProcessModel
 from ..pytree.named_paths import interval_at
+from ..schemes import Filtered, PIDType
+from ..signals import references
+from ..signals.task import Task
 from ..storage.files import atomically
 from ..storage.printable import printable
 from ..storage.reading import LARGEST_TREE, read_text, tree_of
-from ..theory.on_lines import MeasuredResponse
-from ..uncertainty import Uniform
-from .starting_law import ORDER, StartingLaw, StartingTask, starting_law, starting_task
+from ..theory.frequency import Largest, Loop, grid, largest_of, linear_loop, response
+from ..theory.law import law_of
+from ..theory.loop import minimal
+from ..theory.on_lines import Lines, MeasuredResponse, low_pass, widest
+from ..uncertainty import Population, Uncertainty, Uniform
+
+# The law to start with
+# --------------------------------------------------------------------------------------------------
+
+
+ORDER = 2  # of the filter, in one pass
+LARGEST = (0.9, 0.97)  # values of |Q (1 - L P)| that are allowed; the second if the first fails
+SHARES = (0.15, 0.25, 0.4, 0.6, 0.8, 1.0)  # of the inverse of the DC gain, tried as learning gain
+CORNERS = 8  # parameters up to which all corners of their intervals are taken
+DRAWN = 129  # machines that are taken for more parameters
+NEAREST = 4  # of the worst machines on the grid, whose largest value is enclosed
+
+
+class StartingLaw(NamedTuple):
+    """A learning law, and what the theory says about it.
+
+    gamma_p: learning gain [unit of u per unit of y]
+    lead: samples of look-ahead
+    cutoff: of the robustness filter [Hz]
+    machines: number of machines for which it was chosen, the fitted one included
+    nominal, worst: sup |Q (1 - L P)| of the fitted plant and of the worst of these machines
+    at: frequency of the worst value [Hz]
+    """
+
+    gamma_p: float
+    lead: int
+    cutoff: float
+    machines: int
+    nominal: float
+    worst: float
+    at: float
+
+    @property
+    def scheme(self) -> Filtered:
+        learning = PIDType(gamma_p=self.gamma_p, lead=self.lead)
+        return Filtered(learning, ZeroPhaseButterworth(cutoff=self.cutoff, order=ORDER))
+
+
+class StartingTask(NamedTuple):
+    """A sinusoid from rest to 2 amplitude and back, which the law learns.
+
+    amplitude: [unit of y];  frequency: [Hz];  duration: [s], two periods
+    """
+
+    amplitude: float
+    frequency: float
+    duration: float
+
+    def task(self, dt: float) -> Task:
+        r = references.sinusoid(
+            self.amplitude,
+            self.frequency,
+            duration=self.duration,
+            dt=dt,
+            phase=-np.pi / 2,
+            offset=self.amplitude,
+        )
+        return Task(r, dt=dt)
+
+
+def starting_law(
+    plant: ProcessModel | ModalModel, uncertainty: Uncertainty, dt: float, samples: int
+) -> StartingLaw | None:
+    """The filtered P-type law of the largest cutoff that learns on every plant of the intervals.
+
+        u_{j+1} = Q (u_j + gamma_p e_j[k+1+lead]),    sup_w |Q (1 - gamma_p z^(1+lead) P)| <= 0.9
+
+    The largest value of the condition is looked for over the corners of the intervals (over draws
+    where there are many parameters), on a grid of frequencies; those of the fitted plant and of the
+    worst corners are then enclosed between the lines of the grid, with the law of the scheme's own
+    program. Among laws whose
+    cutoff is at least 0.7 of the largest possible one, the one that learns low frequencies fastest
+    is taken. Where 0.9 cannot be reached, 0.97 is allowed.
+
+    uncertainty: distributions of leaves, named as in a plant file, such as `plant.gain`
+    dt: sample time [s]
+    samples: length of the record, which limits lead and cutoff
+    The result is None where there is no such law, for instance where the sign of the DC gain is
+    not known.
+    """
+    machine, long = Machine(plant), Task(np.zeros(max(samples, 16)), dt=dt)
+    corners = "corners" if len(uncertainty) <= CORNERS else "sobol"
+    machines = Population(machine, uncertainty, count=DRAWN, sampling=corners).machines
+    f = grid(long, points=300, near=np.exp(np.asarray(plant.all_poles) * dt))
+    loops, P = _responses(machines, Task(np.zeros(16), dt=dt), f)
+    for largest in LARGEST:
+        law = _largest_cutoff(P, f, dt, long, largest, round(plant.delay / dt))
+        for _ in range(4):
+            if law is None:
+                break
+            kept = 1 - law.gamma_p * np.exp(2j * np.pi * f * dt * (1 + law.lead)) * P
+            sizes = np.max(low_pass(f, law.cutoff, dt, ORDER) * np.abs(kept), axis=1)
+            nominal, *others = _enclosed(loops, [0, *np.argsort(-sizes)[:NEAREST]], law, dt)
+            worst = max(others, key=lambda one: one.value)
+            law = law._replace(
+                nominal=float(nominal.value), worst=float(worst.value), at=float(worst.worst)
+            )
+            if law.worst < (1 + largest) / 2:
+                return law
+            law = law._replace(cutoff=_rounded(0.7 * law.cutoff, 2))
+    return None
+
+
+def starting_task(
+    law: StartingLaw, plant: ProcessModel | ModalModel, largest_input: float, dt: float
+) -> StartingTask:
+    """Two periods of a sinusoid at a fifth of the law's cutoff, or slower.
+
+    Its amplitude needs at most half of the largest input of the record, by the fitted gain.
+    """
+    samples = int(np.clip(round(10 / (law.cutoff * dt)), max(100, 8 * law.lead), 20000))
+    frequency = 2 / (samples * dt)
+    slowest = 1e-3 * frequency  # for the gain at rest, also where the plant integrates
+    gain = np.abs([_response_of(plant, 2j * np.pi * f) for f in (slowest, frequency)])
+    allowed = 0.5 * largest_input / np.sum(1 / gain)
+    return StartingTask(_rounded(float(allowed), 1), float(frequency), samples * dt)
+
+
+# How it is done
+# --------------------------------------------------------------------------------------------------
+
+
+def _responses(machines, task: Task, f) -> tuple[list[Loop], np.ndarray]:
+    """The loop of each machine, and (S, F) P(z) at frequencies f (F,) [Hz]."""
+    loops, P = _compiled_responses(machines, task, f)
+    return [Loop(*one) for one in zip(*map(np.asarray, loops), strict=True)], np.asarray(P)
+
+
+@jax.jit
+def _compiled_responses(machines, task, f):
+    loops = jax.vmap(lambda one: linear_loop(one, None, task))(machines)
+    return loops, jax.vmap(lambda loop: response(loop, f, task.dt)[:, 0, 0])(loops)
+
+
+def _largest_cutoff(P, f, dt, task, largest, delay: int) -> StartingLaw | None:
+    """The law that is chosen on the grid, whose largest values are not known yet, or None.
+
+    P: (S, F) responses of the machines at frequencies f (F,) [Hz]
+    delay: of the plant, in samples
+    """
+    steady = P[:, 0].real
+    if np.any(steady * steady[0] <= 0) or not np.all(np.isfinite(P)):
+        return None
+    leads = np.r_[0, np.geomspace(1, max(1, min(500, task.N // 8)), 40).astype(int)]
+    leads = np.unique(np.r_[leads, delay + leads])
+    unit = 1 / np.max(np.abs(steady))
+    gains = [_rounded(share * unit, 3) * np.sign(steady[0]) for share in SHARES]
+    lowest = min(2 / task.duration, 0.1 / dt)
+    law = widest([_lines(P, f, dt)], ORDER, gains, leads, largest, lowest)
+    if law is None:
+        return None
+    cutoff = _rounded(min(law.cutoff, 0.4 / dt), 2)
+    return StartingLaw(law.gain, law.lead, cutoff, len(P), np.inf, np.inf, np.nan)
+
+
+def _lines(P, f, dt) -> Lines:
+    """The responses with a law of gain 1 and lead 0."""
+    one = np.exp(2j * np.pi * f * dt)
+    return Lines(f, P, np.zeros(P.shape), np.ones(len(f)), one, dt)
+
+
+def _enclosed(loops: list[Loop], which, law: StartingLaw, dt: float) -> list[Largest]:
+    """sup |Q (1 - L P)| of some of the loops, enclosed over all frequencies."""
+    task = Task(np.zeros(max(64, 2 * law.lead)), dt=dt)
+    taps = law_of(law.scheme, task)
+    reduced = [minimal(loops[i], task.N) for i in which]
+    return [largest_of(taps, loop, task) for loop in reduced]
+
+
+def _response_of(plant: ProcessModel | ModalModel, s: complex) -> complex:
+    """G(s) without the delay, of which the size does not depend."""
+    if isinstance(plant, ModalModel):
+        return complex(np.asarray(plant.transfer(np.array([s])))[0, 0, 0])
+    zeros, poles, w, zeta = (
+        np.asarray(x) for x in (plant.zeros, plant.poles, plant.frequencies, plant.dampings)
+    )
+    slow = np.prod(1 + s / poles) * np.prod(1 + 2 * zeta * s / w + (s / w) ** 2)
+    return complex(float(plant.gain) * np.prod(1 - s / zeros) / slow)
+
+
+def _rounded(value: float, digits: int) -> float:
+    """The value rounded towards 0 to so many significant digits."""
+    if not value or not np.isfinite(value):
+        return value
+    unit = 10.0 ** (np.floor(np.log10(abs(value))) - digits + 1)
+    return float(f"{np.trunc(value / unit * (1 + 1e-12)) * unit:.{digits}g}")
+
+
+# The plant file
+# --------------------------------------------------------------------------------------------------
+
 
 TRIALS = 20
 RATES = ("poles", "frequencies", "dampings")
@@ -96,7 +295,6 @@ def write_plant_file(
 
     measured: the record or the response that was fitted
     dt: sample time with which a response was fitted [s]
-    source: name of the record, for the comments
     units: units of input and output, as the record names them
     force: whether a file of this name is replaced
     The result is the law, or None where there is none; the file then has no scheme.
@@ -121,15 +319,18 @@ def write_plant_file(
     over = "the ends of these intervals"
     if law is None and uncertainty:
         law, over = starting_law(plant, {}, facts.dt, facts.samples), "the fitted plant only"
-    lines = [
-        *_heading(found, facts, source),
-        f"trials = {TRIALS}",
-        *_plant(plant, facts.dt, found.parameters.get("delay")),
-        *_uncertainty(uncertainty, left_out, found.apart is not None),
-        *_task(law, plant, facts, units),
-        *_scheme(law, over, plant),
-    ]
-    text = "\n".join(lines) + "\n"
+    input_unit, unit = map(_text, units)
+    text = _text_of(
+        found,
+        facts,
+        law,
+        over=over,
+        uncertainty=uncertainty,
+        left_out=left_out,
+        source=comment(source),
+        unit=unit,
+        input_unit=input_unit,
+    )
     atomically(path, lambda file: file.write(text.encode()))
     return law
 
@@ -156,132 +357,74 @@ def intervals(found: Identified) -> tuple[dict[str, Uniform], dict[str, Estimate
     return certain, left_out
 
 
-# The tables
-# --------------------------------------------------------------------------------------------------
+# What a key of [plant] is, for the comment behind it.
+NOTES = {
+    "gain": "DC gain [unit per input_unit]",
+    "zeros": "[rad/s], positive: non-minimum phase",
+    "poles": "[rad/s], positive: stable",
+    "pole_gains": "DC gain of each of these lags [unit per input_unit]",
+    "frequencies": "of the pairs of poles [rad/s]",
+    "dampings": "of the pairs of poles",
+    "mode_gains": "DC gain of each pair",
+    "mode_rates": "what each pair gives of its rate",
+    "integrator": "[unit per input_unit and s]",
+    "double_integrator": "[unit per input_unit and s^2]",
+    "direct": "direct feedthrough, seen a sample later",
+}
 
 
-def _heading(found: Identified, facts: Experiment, source: str) -> Iterator[str]:
+def _text_of(found: Identified, facts: Experiment, law: StartingLaw | None, **more: Any) -> str:
+    """The content of the file, by the layout in `identified.toml.jinja2`."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
     plant = cast(Fittable, found.plant)
-    poles, pairs = np.size(plant.poles), np.size(plant.frequencies)
-    validation = float(found.validation_fit[0])
-    yield f"# Plant fitted by `jaxilc identify` to {comment(source)}."
-    yield f"# {facts.said}."
+    lags, pairs, modal = np.size(plant.poles), np.size(plant.frequencies), False
     if isinstance(plant, ProcessModel):
-        counts = f"real poles {poles}, pairs of poles {pairs}, zeros {np.size(plant.zeros)}"
+        counts = f"real poles {lags}, pairs of poles {pairs}, zeros {np.size(plant.zeros)}"
     else:
-        counts = f"lags {poles}, modes {pairs}, integrators {plant.order - poles - 2 * pairs}"
-    yield f"# Order {plant.order}: {counts}."
-    if isinstance(plant, ModalModel):
-        places = ", ".join(f"{zero:.4g}" for zero in plant.all_zeros() if zero.imag >= 0)
-        yield f"# Its zeros are at {places or 'none'} rad/s (and their conjugates)."
-    residual = (
-        "residual over scatter" if found.of_response else "standard deviation of the residual"
-    )
-    yield (
-        f"# Fit {found.fit[0]:.4g} %"
-        + (f", of the validation part {validation:.4g} %" if np.isfinite(validation) else "")
-        + f"; {residual} {found.residual_std[0]:.4g}."
-    )
-    if "bias" in found.parameters:
-        at_rest = found.parameters["bias"].value
-        yield f"# The output at rest was {at_rest:.6g}; the plant starts at 0."
-    if not found.white:
-        yield "# The residual is not white: another structure may fit better. The intervals are"
-        yield "# widened to what its spectrum says."
-    yield from (f"# {sentence}." for sentence in not_significant(found))
-    if not found.converged:
-        yield "# The fit did not meet its tolerances: the structure may be too large."
-    yield "# Fitted: [plant] and [uncertainty]. Chosen, to be changed: the other tables."
-
-
-def _plant(plant: Fittable, dt: float, delay: Estimate | None) -> Iterator[str]:
-    product = "gain prod(1 - s / zeros) / (prod(1 + s / poles) ...)"
-    what = product if isinstance(plant, ProcessModel) else "a sum of lags and modes"
-    yield f"\n[plant]                        # {what}"
-    notes = {
-        "gain": "DC gain [unit per input_unit]",
-        "zeros": "[rad/s], positive: non-minimum phase",
-        "poles": "[rad/s], positive: stable",
-        "pole_gains": "DC gain of each of these lags [unit per input_unit]",
-        "frequencies": "of the pairs of poles [rad/s]",
-        "dampings": "of the pairs of poles",
-        "mode_gains": "DC gain of each pair",
-        "mode_rates": "what each pair gives of its rate",
-        "integrator": "[unit per input_unit and s]",
-        "double_integrator": "[unit per input_unit and s^2]",
-        "direct": "direct feedthrough, seen a sample later",
-    }
-    for name, value in _plant_values(plant).items():
-        if name != "delay":
-            yield f"{name} = {_value(value)}" + f"  # {notes.get(name)}" * (name in notes)
-    if plant.delay:
-        yield f"delay = {float(plant.delay)!r}  # dead time [s], {plant.delay / dt:.4g} samples"
-    if delay is not None:
-        yield f"# delay: 95 % interval {delay.low:.6g} .. {delay.high:.6g} s; it is not drawn"
-
-
-def _uncertainty(
-    uncertainty: dict[str, Uniform], left_out: dict[str, Estimate], apart: bool
-) -> Iterator[str]:
-    yield "\n[uncertainty]                  # the 95 % intervals, as if independent of each other"
-    if apart:
-        yield "# As wide as independent draws of them need to be, to spread the response as far as"
-        yield "# the fit is uncertain and the lines are from it."
-    for name, (value, low, high) in left_out.items():
-        yield (
-            f"# {name} = {value:.6g} has none: the record leaves it between {low:.4g} and "
-            f"{high:.4g}"
-        )
-    for name, uniform in uncertainty.items():
-        yield (
-            f'"{name}" = {{ distribution = "uniform", low = {uniform.low!r}, '
-            f"high = {uniform.high!r} }}"
-        )
-
-
-def _task(
-    law: StartingLaw | None, plant: Fittable, facts: Experiment, units: tuple[str, str]
-) -> Iterator[str]:
-    input_unit, unit = units
-    yield "\n[task]"
-    yield f"dt = {float(facts.dt)!r}  # of the record [s]"
-    yield f"unit = {_text(unit)}"
-    yield f"input_unit = {_text(input_unit)}"
+        modal, integrators = True, plant.order - lags - 2 * pairs
+        counts = f"lags {lags}, modes {pairs}, integrators {integrators}"
+        more["zeros"] = ", ".join(f"{z:.4g}" for z in plant.all_zeros() if z.imag >= 0)
+        more["integrates"] = integrators > 0
     start = StartingTask(1.0, 2 / (1000 * facts.dt), 1000 * facts.dt)
     if law is not None:
         start = starting_task(law, plant, facts.largest_input or np.inf, facts.dt)
         if facts.largest_input is None:
             start = start._replace(amplitude=1.0)
-    yield "\n[task.reference]               # put your own motion here"
-    yield 'function = "sinusoid"'
-    yield f"amplitude = {start.amplitude!r}  # with the offset: from 0 to twice this, and back"
-    yield f"offset = {start.amplitude!r}"
-    yield f"phase = {-np.pi / 2!r}"
-    yield f"frequency = {start.frequency!r}  # [Hz]"
-    yield f"duration = {start.duration!r}  # [s]"
-
-
-def _scheme(law: StartingLaw | None, over: str, plant: Fittable) -> Iterator[str]:
-    if law is None:
-        yield "\n# There is no [schemes.ilc]: no filtered P-type law was found that learns on the"
-        yield "# fitted plant."
-        if isinstance(plant, ModalModel) and plant.order > 2 * plant.frequencies.size + np.size(
-            plant.poles
-        ):
-            yield "# It integrates: close a loop around it first, by a scheme of"
-            yield '# class = "WithFeedback" whose feedback, such as a PID, makes it stable.'
-        return
-    yield f"\n# Chosen for {over} ({law.machines} machines):"
-    yield (
-        f"# sup |Q (1 - L P)| is {law.nominal:.3f} on the fitted plant and {law.worst:.3f} at worst"
-        f" ({law.at:.3g} Hz);"
+    validation = float(found.validation_fit[0])
+    validated = f", of the validation part {validation:.4g} %" if np.isfinite(validation) else ""
+    made = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
     )
-    yield "# learning is stable where it is below 1."
-    yield "[schemes.ilc]"
-    yield 'class = "Filtered"'
-    yield f'scheme = {{ class = "PIDType", gamma_p = {law.gamma_p!r}, lead = {law.lead} }}'
-    yield (
-        f'filter = {{ class = "ZeroPhaseButterworth", cutoff = {law.cutoff!r}, order = {ORDER} }}'
+    made.filters |= {"g4": "{:.4g}".format, "g6": "{:.6g}".format, "toml": _value}
+    return made.get_template("identified.toml.jinja2").render(
+        **{"integrates": False} | more,
+        found=found,
+        facts=facts,
+        plant=plant,
+        law=law,
+        start=start,
+        modal=modal,
+        counts=counts,
+        validated=validated,
+        residual="residual over scatter"
+        if found.of_response
+        else "standard deviation of the residual",
+        bias=found.parameters.get("bias"),
+        doubts=not_significant(found),
+        trials=TRIALS,
+        formula="a sum of lags and modes"
+        if modal
+        else "gain prod(1 - s / zeros) / (prod(1 + s / poles) ...)",
+        values=_plant_values(plant),
+        notes=NOTES,
+        delay=found.parameters.get("delay"),
+        phase=-np.pi / 2,
+        order=ORDER,
     )
 
 
@@ -311,9 +454,6 @@ def write_refitted(
 ) -> Path:
     """Write the plant file of a campaign with the fitted plant in place of its own.
 
-    path: file to write, in TOML
-    source: plant file of the campaign, in TOML
-    fitted_to: what the plant was fitted to, for a comment
     noise: standard deviation of the noise of the sensor [unit of y], None to state none; it is left
         out where the file has a table `[machine]` with a sensor or a disturbance
     notes: sentences on the fit, for comments; those of an earlier fit go

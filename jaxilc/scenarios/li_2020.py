@@ -37,7 +37,7 @@ from ..schemes import (
 from ..signals import paths
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import chosen, conclusions, published
+from .published import printed
 from .scenario import Quantity, Scenario
 
 # With these gains the loop's spectral radius is 0.913.
@@ -166,16 +166,13 @@ def li_2020(
         }
     name = "plant.x.B" if two else "plant.B"
     return Scenario(
-        name="li-2020",
+        **printed("li-2020"),
         title=f"CNC axis along a butterfly, {setting} (Li 2020)",
         machine=machine,
         task=Task(r, dt=SAMPLE_TIME, unit="mm", names=("x", "y") if two else ()),
         schemes=schemes_for(gain, r),
         trials=trials,
         uncertainty={name: Uniform(0.9, 1.1, relative=True)},
-        published=published("li-2020"),
-        conclusions=conclusions("li-2020"),
-        chosen=chosen("li-2020"),
         tolerance=5.0,
         shown_unit="µm",
         shown_scale=1e3,

@@ -32,7 +32,7 @@ from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedbac
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import chosen, conclusions, published, readings
+from .published import printed, readings
 from .scenario import Quantity, Scenario
 
 DT = 1 / 4000
@@ -179,7 +179,7 @@ def milc_2024(axis: str = "x", reading: str = "short-stroke") -> Scenario:
     of = READINGS[reading]
     drive, r = nominal_drive(of.antiresonance, of.force_gain, of.unit), path(of)
     return Scenario(
-        name="milc-2024",
+        **printed("milc-2024", reading),
         title="Flexible ball-screw drive, direct and multivariable norm-optimal ILC (MILC 2024)",
         machine=real_machine(drive, of.noise, PITCH[axis]),
         task=Task(reference=np.stack([r, r], axis=1), dt=DT, inputs=1, unit="mm", input_unit="V"),
@@ -189,9 +189,6 @@ def milc_2024(axis: str = "x", reading: str = "short-stroke") -> Scenario:
             f"plant.{name}": Uniform(0.9, 1.1, relative=True)
             for name in ("stiffness", "table_mass", "motor_mass", "force_gain")
         },
-        published=published("milc-2024", reading),
-        conclusions=conclusions("milc-2024", reading),
-        chosen=chosen("milc-2024", reading),
         tolerance=1.0,
         shown_unit="µm",
         shown_scale=1e3,

@@ -17,8 +17,8 @@ from ..plants import Pendulum
 from ..schemes import TwoStep
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .error_norm import error_norm
-from .published import chosen, published
+from .double_mass import error_norm
+from .published import printed
 from .scenario import Quantity, Scenario
 
 SAMPLE_TIME = 1 / 500
@@ -41,7 +41,7 @@ def pendulum() -> Scenario:
     model = Pendulum(mass=0.495, damping=0.105)
     weights: dict[str, Any] = {"w_y": 1e8, "w_alpha": 1e-10, "w_q": 1e8, "w_s": 1e-10}
     return Scenario(
-        name="pendulum",
+        **printed("pendulum"),
         title="Pendulum swung upright, two-step nonlinear ILC (gILC)",
         machine=Machine(Pendulum()),
         task=Task(swing(), dt=SAMPLE_TIME, unit="rad", input_unit="N m"),
@@ -54,8 +54,6 @@ def pendulum() -> Scenario:
             "plant.mass": Uniform(0.98, 1.02, relative=True),
             "plant.damping": Uniform(0.9, 1.1, relative=True),
         },
-        published=published("pendulum"),
-        chosen=chosen("pendulum"),
         shown_unit="rad",
         show_trials=(1, 2, 3, 4, 5),
         quantities={"error_norm": Quantity(error_norm)},

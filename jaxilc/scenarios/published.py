@@ -200,6 +200,16 @@ def conclusions(name: str, reading: str = "") -> tuple[Conclusion, ...]:
     return tuple(several)
 
 
+def printed(name: str, reading: str = "") -> dict[str, Any]:
+    """The fields of the scenario of a paper that follow from its file."""
+    return {
+        "name": name,
+        "published": published(name, reading),
+        "conclusions": conclusions(name, reading),
+        "chosen": chosen(name, reading),
+    }
+
+
 def _row(found: dict[str, Any], fields: dict[str, Any], reading: str) -> Published:
     """A row of a file, with the fields of a reading."""
     for key, value in list(fields.items()):

@@ -36,7 +36,7 @@ from ..learning.over_trials import learn
 from ..theory.certificates import printed_conditions
 from ..theory.loop import linear_loop, pole_radius
 from . import Published, Scenario
-from .loading import with_reading
+from .from_file import with_reading
 from .published import FALLS, NOTHING, NUMBER, OVER_TRIALS, Conclusion
 
 MET = 0.3
@@ -198,10 +198,7 @@ def _of_scenario(
 
 
 def _concluded(
-    name: str,
-    one: Conclusion,
-    ours: Mapping[Published, float],
-    unit: Callable[[Published], str],
+    name: str, one: Conclusion, ours: Mapping[Published, float], unit: Callable[[Published], str]
 ) -> Judged:
     """A conclusion with our numbers, and whether it holds."""
     x = [ours[side] if isinstance(side, Published) else side for side in one.sides]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from ..learning.known_metrics import METRICS
+from ..learning.known_metrics import METRICS, TUNED
 from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..pytree.closest import known_names, not_one_of
@@ -153,6 +153,13 @@ class Scenario:
         raise ValueError(not_one_of(f"metric = {metric!r}", metric, names))
 
     @property
+    def look(self) -> dict[str, Any]:
+        """The metric that judges, as figures take it; its tolerance in the unit of simulation."""
+        scale, unit = self.shown(self.judged_by)
+        limit = None if self.tolerance is None else self.tolerance / scale
+        return {"metric": self.judged_by, "tolerance": limit, "scale": scale, "unit": unit}
+
+    @property
     def due(self) -> tuple[Published, ...]:
         """The published rows of a single run for these options, with any form of the plant."""
         return tuple(
@@ -231,3 +238,18 @@ def _need_name(what: str, name: str, allowed: re.Pattern, said: str) -> None:
             f"{what} = {brief(name)} is no name; allowed are up to 50 of {said}, a letter or "
             "digit first"
         )
+
+
+def judged(scenario: Scenario, metric: str | None) -> Scenario:
+    """The scenario judged by another metric; None for the one it has.
+
+    Its tolerance belongs to the metric that it had, so another metric has none.
+    Raises ValueError naming the metrics that exist.
+    """
+    if metric is None:
+        return scenario
+    known = (*TUNED, *scenario.quantities)
+    if metric not in known:
+        raise ValueError(not_one_of(f"metric = {metric!r}", metric, known))
+    tolerance = scenario.tolerance if metric == scenario.judged_by else None
+    return dataclasses.replace(scenario, judged_by=metric, tolerance=tolerance)

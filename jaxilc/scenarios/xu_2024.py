@@ -22,7 +22,7 @@ from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import chosen, conclusions, file_of, published, readings
+from .published import file_of, printed, readings
 from .scenario import Quantity, Scenario
 
 DT = 1e-4
@@ -105,7 +105,7 @@ def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "large-
         *(["load"] if load else []),
     ]
     return Scenario(
-        name="xu-2024",
+        **printed("xu-2024", reading),
         title="Piezo fast tool servo, adaptive sliding mode and iterative learning (Xu 2024)",
         machine=Machine(
             servo(FITTED["A"], load or None, disturbance),
@@ -122,9 +122,6 @@ def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "large-
         schemes=schemes_for(FITTED, READINGS[reading]),
         trials=LEARNED_TRIAL,
         uncertainty={f"plant.{name}": Uniform(0.8, 1.2, relative=True) for name in names},
-        published=published("xu-2024", reading),
-        conclusions=conclusions("xu-2024", reading),
-        chosen=chosen("xu-2024", reading),
         tolerance=1000.0,
         shown_unit="nm",
         shown_scale=1e3,

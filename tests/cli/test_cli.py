@@ -32,7 +32,7 @@ from jaxilc.outcomes import running
 from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
 from jaxilc.scenarios.from_file import read_scenario
-from jaxilc.scenarios.starting_law import StartingLaw
+from jaxilc.scenarios.identified_file import StartingLaw
 from jaxilc.theory.bounds import frozen_growth
 
 PLANT = """

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxilc import outcomes
-from jaxilc.cli import design, main
+from jaxilc.cli import commands, main
 from jaxilc.design import LAWS
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import LearningFilter
@@ -51,7 +51,7 @@ def file(tmp_path, monkeypatch):
 
 
 def test_the_laws_that_are_completed_are_those_that_are_tried():
-    assert tuple(LAWS) == design.LAWS  # the command names them without an import of JAX
+    assert tuple(LAWS) == commands.LAWS  # the command names them without an import of JAX
 
 
 def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, capsys):

@@ -10,7 +10,7 @@ import pytest
 from jaxilc.cli import main
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.pytree.named_paths import replaced
-from jaxilc.scenarios.scheme_table import toml_of, write_with_scheme
+from jaxilc.scenarios.design_file import toml_of, write_with_scheme
 from jaxilc.schemes import Filtered, LearningFilter, PIDType, WithFeedback
 from jaxilc.schemes.pid import PID
 from jaxilc.theory import q_filter

@@ -31,7 +31,7 @@ exec(compile(source, spec.origin, "exec"), vars(module))
 
 from jaxilc import load_scenario
 from jaxilc.cli import main
-from jaxilc.figures.exploration import Exploration
+from jaxilc.figures.explorer import Exploration
 
 for line in sys.argv[1].split("\\n"):
     sys.argv = ["jaxilc", *shlex.split(line)]

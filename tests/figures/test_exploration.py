@@ -19,8 +19,7 @@ from browser import looking_at, needs_chromium
 
 from jaxilc import Machine, Sweep, Task, learn
 from jaxilc.cli.explore import LOOPBACK, server_of
-from jaxilc.figures.exploration import Exploration, _computed
-from jaxilc.figures.explorer import Explorer
+from jaxilc.figures.explorer import Exploration, Explorer, _computed
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios import Scenario

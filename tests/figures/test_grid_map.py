@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from jaxilc import figures
-from jaxilc.figures.contraction_map import PREMISES
+from jaxilc.figures.grid_map import PREMISES
 
 
 def dataset_of(errors, b):

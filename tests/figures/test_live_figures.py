@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from browser import needs_chromium, opened
 
-from jaxilc.figures import browsers, searches
+from jaxilc.figures import browsers, certificate, searches
 from jaxilc.figures.page import live as page_of
 from jaxilc.figures.report import html_report, write_report
 from jaxilc.figures.style import COLOURS, luminance, readable
-from jaxilc.outcomes.certifying import _live
 from jaxilc.tuning.worst_case import Search, WorstCase, WorstMachine
 
 DRAWN = np.array([3.0, 1.0, np.inf, 2.0])
@@ -107,8 +106,9 @@ def test_a_machine_has_its_claim_and_its_parameters_under_the_pointer():
     simulated = np.array([[3.0, 1.0], [2.0, np.inf], [1.0, 0.5]])
     found = SimpleNamespace(claim=np.array(["monotone", "diverges", "monotone"]),
                             predicted=simulated, simulated=simulated)  # fmt: skip
-    chosen, drawn = SimpleNamespace(shown_scale=1.0, shown_unit="mm"), {"gain": np.arange(3.0)}
-    (live,) = _live(chosen, {"law": SimpleNamespace(certificate=found)}, drawn)
+    described = certificate.described(found, unit="mm", parameters={"gain": np.arange(3.0)})
+    live = page_of(described)
+    assert page_of(live) is live
     errors, claims = live.model.children
     lines = [r.data_source.data for r in errors.renderers if "xs" in r.data_source.data]
     assert [of["t0"].tolist() for of in lines] == [[0, 2], [1]]  # machines

@@ -62,10 +62,7 @@ class = "Filtered"
 scheme = { class = "PIDType", gamma_p = 0.6, gamma_d = 10.0, lead = 4 }
 filter = { class = "ZeroPhaseButterworth", cutoff = 60.0 }
 """
-PROGRAM = (
-    "import sys; from jaxilc.cli import entry, hardware; {} "
-    "hardware.register(entry.app); entry.main()"
-)
+PROGRAM = "import sys; from jaxilc.cli import entry; {} entry.main()"
 
 
 def real_machine(axis):

@@ -9,7 +9,7 @@ from cases import ALGEBRA
 from fuzz import flipped, fuzz
 from gain_case import GAINS, STATIC, TASK
 
-from jaxilc.cli.trials import new_plant_file, next_command, verdict
+from jaxilc.cli.hardware import new_plant_file, next_command, verdict
 from jaxilc.figures.campaign import bands_by_trial
 from jaxilc.hardware import prediction as predictions
 from jaxilc.hardware.prediction import (

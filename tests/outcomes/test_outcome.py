@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from jaxilc import outcomes
 from jaxilc.cli import app
-from jaxilc.cli.renamed import RENAMED, now_named
+from jaxilc.cli.options import RENAMED, now_named
 from jaxilc.outcomes import Request
-from jaxilc.outcomes.table import Table
+from jaxilc.outcomes.outcome import Table
 
 EVERY, SCREEN = 80, 50  # options of all commands, and lines of a help of 100 columns
 PID = Request("cao-2019", ("pid",), trials=2)

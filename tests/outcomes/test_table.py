@@ -7,8 +7,8 @@ import re
 import pytest
 from rich.console import Console
 
-from jaxilc.outcomes.table import Console as Plain
-from jaxilc.outcomes.table import Table
+from jaxilc.outcomes.outcome import Console as Plain
+from jaxilc.outcomes.outcome import Table
 from jaxilc.storage.printable import printable
 
 TITLE = (

@@ -12,16 +12,14 @@ from jaxilc.outcomes import certifying
 from jaxilc.outcomes.case import Case
 from jaxilc.outcomes.certifying import certify_verdict
 from jaxilc.outcomes.listing import list_verdict
+from jaxilc.outcomes.outcome import Console, Verdict
 from jaxilc.outcomes.reproducing import reproduce_verdict
 from jaxilc.outcomes.request import REPEATED, Request
 from jaxilc.outcomes.running import run_verdict
 from jaxilc.outcomes.searching import worst_case_verdict
 from jaxilc.outcomes.sweeping import sweep_verdict
-from jaxilc.outcomes.table import Console
-from jaxilc.outcomes.trading import budget_verdict, front_verdict
-from jaxilc.outcomes.trends import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
-from jaxilc.outcomes.tuning import tune_verdict
-from jaxilc.outcomes.verdict import Verdict
+from jaxilc.outcomes.tuning import budget_verdict, front_verdict, tune_verdict
+from jaxilc.outcomes.words import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
 from jaxilc.scenarios.published import NOTHING, Fit, Published
 from jaxilc.scenarios.reproduction import Row
 

@@ -8,9 +8,8 @@ from cases import DT, SCHEMES
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.filters.inversion import stable_inverse
 from jaxilc.plants import StateSpace
-from jaxilc.scenarios.design_file import design_path, need_same_folder, write_design
+from jaxilc.scenarios.design_file import design_path, need_same_folder, table_of, write_design
 from jaxilc.scenarios.from_file import read_scenario
-from jaxilc.scenarios.scheme_table import table_of
 from jaxilc.scenarios.specification import scheme as read
 from jaxilc.schemes import ErrorFiltered, Filtered, PIDType
 

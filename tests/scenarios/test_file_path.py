@@ -10,11 +10,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from jaxilc import figures
+from jaxilc.outcomes.outcome import Console
 from jaxilc.outcomes.running import axes_table, run_numbers
 from jaxilc.outcomes.sweeping import axes_numbers, sweep_numbers, swept_axes_table
-from jaxilc.outcomes.table import Console
 from jaxilc.scenarios.from_file import read_scenario
-from jaxilc.scenarios.judging import judged
+from jaxilc.scenarios.scenario import judged
 from jaxilc.signals import contour_error
 from jaxilc.sweeps import Sweep
 from jaxilc.sweeps.runs import run_schemes

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from jaxilc.plants import ProcessModel
-from jaxilc.scenarios import fitted_once
-from jaxilc.scenarios.file_plant import plant_of
-from jaxilc.scenarios.fitted_once import Options, identified_plant
+from jaxilc.scenarios import file_plant
+from jaxilc.scenarios.file_plant import Options, identified_plant, plant_of
 
 PLANT = ProcessModel(1 / 3, (), (60.1,), (200.7, 300.0), (0.3, 1.1), delay=0.004)
 READING = {"time": "t", "input": "u", "output": "y", "time_unit": None, "columns": []}
@@ -27,7 +26,7 @@ def fits(tmp_path, monkeypatch):
         return PLANT, "said"
 
     (tmp_path / "record.csv").write_text("t,u,y\n0,1,2\n")
-    monkeypatch.setattr(fitted_once, "_fitted", fit)
+    monkeypatch.setattr(file_plant, "_fitted", fit)
     return made
 
 
@@ -36,7 +35,7 @@ def plant(folder, **change):
 
 
 def same(a, b):
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in fitted_once.LEAVES)
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in file_plant.LEAVES)
 
 
 def test_it_is_fitted_once_to_the_last_bit(tmp_path, fits):
@@ -92,7 +91,7 @@ def test_what_cannot_be_written_is_no_error(tmp_path, fits, monkeypatch):
         raise PermissionError(path)
 
     with monkeypatch.context() as context:
-        context.setattr(fitted_once, "write_json", refused)
+        context.setattr(file_plant, "write_json", refused)
         plant(tmp_path)
         plant(tmp_path)
     assert len(fits) == 2

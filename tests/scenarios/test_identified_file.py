@@ -9,8 +9,7 @@ from jaxilc.identification import Estimate, Identified, Record
 from jaxilc.learning import learn
 from jaxilc.plants import ProcessModel
 from jaxilc.scenarios.from_file import read_scenario
-from jaxilc.scenarios.identified_file import intervals, write_plant_file
-from jaxilc.scenarios.starting_law import starting_law
+from jaxilc.scenarios.identified_file import intervals, starting_law, write_plant_file
 from jaxilc.theory.on_lines import MeasuredResponse
 from jaxilc.uncertainty import Uniform
 

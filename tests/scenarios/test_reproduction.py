@@ -15,7 +15,7 @@ from jaxilc import scenarios
 from jaxilc.learning import Machine, check, learn
 from jaxilc.plants import DifferenceEquation
 from jaxilc.scenarios import Fit, Published, Scenario, reproduce, reproduction
-from jaxilc.scenarios.loading import JUDGED
+from jaxilc.scenarios.from_file import JUDGED
 from jaxilc.scenarios.published import (
     ALIKE,
     FALLS,

@@ -15,7 +15,7 @@ import pytest
 import scipy.io
 from cases import DT
 
-from jaxilc.cli.completion import schemes_from
+from jaxilc.cli.options import schemes_from
 from jaxilc.hardware import read_measured
 from jaxilc.identification import read_record
 from jaxilc.scenarios import load

@@ -1,0 +1,799 @@
+"""The commands that are one call of the library: options are read, an outcome is presented."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer import Argument, Option
+
+from ..outcomes.terms import numbers_of
+from .console import begin, between, prefer
+from .options import (
+    TERMS,
+    Columns,
+    Details,
+    GridAxes,
+    InputColumn,
+    Machines,
+    MetricName,
+    OneSimulated,
+    OutputColumn,
+    Pages,
+    Params,
+    Replace,
+    Resume,
+    Sampling,
+    Schemes,
+    Seed,
+    Set,
+    Simulated,
+    Spread,
+    TimeColumn,
+    Trials,
+    Tuned,
+    Written,
+    asked,
+    at_least,
+    file_to_write,
+    folder_to_write,
+    in_python,
+    left,
+    names_in,
+    of_list,
+    scenarios_from,
+    schemes_from,
+)
+from .present import present, tell
+from .progress import run_search, run_sweep
+
+
+def demo(written: Written) -> None:
+    """A law that looks good and diverges, the certificate that knew, a tuned one.
+
+    A made-up axis learns; theory is asked; a law is tuned by gradient and judged
+    on a thousand machines. Half a minute, nothing to prepare.
+
+    Example: jaxilc demo --report demo.html
+    """
+    tell("demo", written)
+
+
+def list_(
+    scenario: Annotated[
+        str | None,
+        Argument(
+            metavar="[SCENARIO]", help="Show all that can be set.", autocompletion=scenarios_from
+        ),
+    ] = None,
+) -> None:
+    """List the scenarios, or all that can be set in one.
+
+    Example: jaxilc list cao-2019
+    """
+    from ..outcomes import listing
+
+    if scenario is not None:
+        begin()
+    present(listing.scenarios() if scenario is None else listing.settings(scenario), Pages())
+
+
+def run(
+    what: Simulated,
+    written: Written,
+    metric: MetricName = None,
+    seed: Seed = 0,
+    replace: Replace = False,
+    details: Details = False,
+) -> None:
+    """Learn on the nominal machine: errors beside the published ones, figures, dataset.
+
+    Example: jaxilc run cao-2019 --scheme ffdl-mfailc --set ffdl-mfailc.lam=0.5
+    """
+    tell("run", written, what.request(metric=metric), details=details, seed=seed, replace=replace)
+
+
+def sweep(
+    what: Simulated,
+    written: Written,
+    machines: Machines = 1024,
+    seed: Seed = 0,
+    spread: Spread = None,
+    metric: MetricName = None,
+    tolerance: Annotated[
+        float | None, Option(help="Largest metric that passes, the one tables show, in its unit.")
+    ] = None,
+    grid: GridAxes = None,
+    resume: Resume = False,
+    dask: Annotated[
+        str | None,
+        Option(
+            metavar="ADDRESS",
+            help="Compute on workers of this Dask scheduler: its address, or the file it wrote.",
+        ),
+    ] = None,
+    bounds: Annotated[
+        bool,
+        Option(
+            "--bounds",
+            help="Contraction of each trial; d1, d2 and premises of Cao 2019, on each machine.",
+        ),
+    ] = False,
+    sampling: Annotated[str | None, left("--sampling", "Sweep(sampling=...) does it")] = None,
+    keep: Annotated[list[str] | None, left("--keep", "Sweep(keep=...) does it")] = None,
+) -> None:
+    """Schemes against many uncertain machines: yield, quantiles, worst case, figure, dataset.
+
+    With --grid they run at every point of a grid; tables and figure are those of the best point.
+
+    Example: jaxilc sweep cao-2019 --machines 4096 --spread 0.2 --out out/wide
+    """
+    tell(
+        "sweep",
+        written,
+        what.request(spread=spread, metric=metric, tolerance=tolerance),
+        bar=False,
+        machines=machines,
+        seed=seed,
+        sampling=sampling or "monte-carlo",
+        grid=grid or (),
+        keep=keep or (),
+        bounds=bounds,
+        resume=resume,
+        run=partial(run_sweep, cluster=dask),
+    )
+
+
+def certify(
+    what: Simulated,
+    written: Written,
+    machines: Machines = 64,
+    seed: Seed = 0,
+    spread: Spread = None,
+    sampling: Sampling = "monte-carlo",
+) -> None:
+    """Theory beside simulation: claims for the long run, and predictions of J trials.
+
+    For schemes with the bounds of Cao 2019, their premises are checked too. Of
+    repetitive control it tells the condition, what grows between the harmonics,
+    and what a wrong period costs.
+
+    Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --machines 256
+    """
+    tell(
+        "certify",
+        written,
+        what.request(spread=spread),
+        machines=machines,
+        seed=seed,
+        sampling=sampling,
+    )
+
+
+def potential(
+    record: Annotated[
+        list[str],
+        Argument(
+            metavar="RECORD...",
+            help="Files with one trial each or with several, or the folder of a campaign.",
+        ),
+    ],
+    written: Written,
+    error: Annotated[
+        str, Option(metavar="NAME", help="Column or array of the error; e_0, e_1 ... too.")
+    ] = "e",
+    output_name: OutputColumn = "y",
+    reference: Annotated[
+        str, Option(metavar="NAME", help="Of the reference, for a file without the error.")
+    ] = "r",
+    time_name: TimeColumn = "t",
+    dt: Annotated[float | None, Option(help="Sample time in s, without times.")] = None,
+    unit: Annotated[str, Option(help="Of the error, where no heading tells it.")] = "",
+    columns: Columns = None,
+    into: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE",
+            help="Plant file that gets what is found, for `design` and `next`.",
+            callback=file_to_write,
+        ),
+    ] = None,
+) -> None:
+    """Is learning worth it, up to which frequency, and when is it done?
+
+    From two or more repeats of a motion with the same input: the part of the
+    error that repeats, and what is new in each trial and is left by any law, with
+    intervals. A first trial unlike the others, and a drift, are told apart. It says
+    whether what repeats does so in a period or in the position within the trial, and
+    which law follows.
+
+    Example: jaxilc potential trial-1.csv trial-2.csv trial-3.csv trial-4.csv
+    """
+    tell(
+        "potential",
+        written,
+        record,
+        into=into,
+        unit=unit,
+        error=error,
+        output=output_name,
+        reference=reference,
+        time=time_name,
+        dt=dt,
+        columns=names_in(columns),
+    )
+
+
+def worst_case(
+    what: OneSimulated,
+    written: Written,
+    trial: Annotated[
+        int | None,
+        Option(help="Trial whose metric is to be large; the scenario's last if not given."),
+    ] = None,
+    starts: Annotated[int, Option(help="Places to climb from.")] = 16,
+    steps: Annotated[int, Option(help="Steps of each climb.")] = 30,
+    evaluations: Annotated[
+        int | None,
+        Option(help="Learning processes to spend on either search, in place of --steps."),
+    ] = None,
+    draws: Annotated[int | None, Option(help="A larger search by chance besides.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """The worst machine by climbing the gradient of its error, against machines drawn by chance.
+
+    A gradient counts as three evaluations on top of the one that it belongs to.
+
+    Example: jaxilc worst-case cao-2019 --scheme cfdl-mfailc --trial 40 --draws 10000
+    """
+    at_least(1, trial=trial, starts=starts, steps=steps, draws=draws)
+    tell(
+        "worst_case",
+        written,
+        what.request(trial),
+        starts=starts,
+        steps=steps,
+        evaluations=evaluations,
+        draws=draws,
+        seed=seed,
+    )
+
+
+def tune(
+    what: OneSimulated,
+    how: Tuned,
+    written: Written,
+    objective: Annotated[str, Option(help=TERMS)] = "final",
+    limit: Annotated[
+        list[str] | None,
+        Option(
+            metavar="NAME=NUMBER",
+            help="Largest d2 (Cao 2019, every machine) or contraction (nominal); repeatable.",
+        ),
+    ] = None,
+    compare_trials: Annotated[int | None, in_python("--compare-trials")] = None,
+) -> None:
+    """Tune weights by gradient through the learning, and compare them on machines not seen.
+
+    Example: jaxilc tune cao-2019 --scheme cfdl-mfailc --weights lam,eta,mu,phi0
+    --set cfdl-mfailc.lead=3 --objective holding:20
+    """
+    at_least(1, compare_trials=compare_trials)
+    tell(
+        "tune",
+        written,
+        what.request(how.trials),
+        **how.arguments(),
+        objective=objective,
+        limits=limit or (),
+        compare_trials=compare_trials,
+        run=run_search,
+    )
+
+
+def pareto(
+    what: OneSimulated,
+    how: Tuned,
+    written: Written,
+    objective: Annotated[
+        list[str] | None, Option(help=f"Give two, or one and --budgets. {TERMS}")
+    ] = None,
+    budgets: Annotated[
+        str | None, Option(metavar="J,K,L", help="Numbers of trials to tune for.")
+    ] = None,
+    first: Annotated[str | None, left("--first", "--objective, given first, does it")] = None,
+    second: Annotated[str | None, left("--second", "--objective, given twice, does it")] = None,
+    shares: Annotated[str | None, in_python("--shares")] = None,
+) -> None:
+    """Two objectives against each other, or one against the number of trials.
+
+    Give --objective twice for the former, --budgets for the latter. Each point is a tuning by
+    itself, from the weights as given, and leaves a parameter file. With --resume, more may follow.
+
+    Example: jaxilc pareto li-2020 --scheme fixed-filter --weights learning.filter.cutoff=2:200
+    --objective final --objective effort --trials 15 --steps 20
+    """
+    given = objective or ["final"]
+    tell(
+        "pareto",
+        written,
+        what.request(how.trials),
+        **how.arguments(),
+        objectives=(first or given[0], *given[1:], *([second] if second else ())),
+        shares=numbers_of("--shares", shares) if shares else (),
+        budgets=[int(J) for J in numbers_of("--budgets", budgets, whole=True)] if budgets else (),
+        run=run_search,
+    )
+
+
+def reproduce(
+    written: Written,
+    scenario: Annotated[
+        list[str] | None,
+        Argument(
+            metavar="[SCENARIO]...",
+            help="Scenarios; all if none is given.",
+            autocompletion=scenarios_from,
+        ),
+    ] = None,
+    reading: Annotated[
+        str | None,
+        Option(
+            "--reading",
+            metavar="NAME",
+            help="Reading of a paper that has several; the one that is taken if none is given.",
+        ),
+    ] = None,
+    details: Details = False,
+) -> None:
+    """Every published number and conclusion beside ours, and how the paper was read.
+
+    Printed are a line for each paper, and what is not met; --details says why. With --out there is
+    a picture for each paper, with the printed numbers and ours; a report has all rows.
+
+    Example: jaxilc reproduce cao-2019 --reading amplitude --report out/cao-2019.html
+    """
+    tell("reproduce", written, scenario or (), details=details, reading=reading)
+
+
+def export(
+    pages: Pages,
+    source: Annotated[
+        str | None,
+        Argument(
+            metavar="SCENARIO",
+            help="Of `jaxilc list`, or your own, a TOML or JSON file.",
+            autocompletion=scenarios_from,
+        ),
+    ] = None,
+    format_: Annotated[
+        str,
+        Option(
+            "--format",
+            help="c, fmu, hal (LinuxCNC) or st (Structured Text).",
+            autocompletion=of_list("c", "fmu", "hal", "st"),
+        ),
+    ] = "c",
+    out_dir: Annotated[
+        Path,
+        Option("--out", metavar="FOLDER", help="Where it is written.", callback=folder_to_write),
+    ] = Path("law"),
+    check: Annotated[
+        Path | None,
+        Option(
+            "--check",
+            metavar="FOLDER",
+            help="Prove that code, vectors and certificate of a folder belong together.",
+        ),
+    ] = None,
+    state: Annotated[
+        Path | None,
+        Option("--state", metavar="FOLDER", help="Start with what a campaign has learned."),
+    ] = None,
+    limit: Annotated[
+        float | None,
+        Option(help="Largest |input|, never exceeded; the machine's own if not given."),
+    ] = None,
+    number: Annotated[
+        str, Option(help="double or float.", autocompletion=of_list("double", "float"))
+    ] = "double",
+    scheme: Schemes = None,
+    machines: Machines = 64,
+    seed: Seed = 0,
+    set_: Set = None,
+    params: Params = None,
+) -> None:
+    """A learning law as a program for a controller, with its guard and certificate.
+
+    The law is the traced program itself: C99 without allocation, an FMU, a
+    component of LinuxCNC or a function block in Structured Text. Its guard goes
+    back to the last good input where `next` refuses a trial.
+
+    Example: jaxilc export axis.design.toml --limit 10 --out law
+    """
+    if check is not None:
+        tell("check_export", pages, check, bar=False)
+        return
+    request = None if source is None else asked(source, scheme, set_, params)
+    how: dict[str, Any] = {"format": format_, "state": state, "limit": limit, "number": number}
+    how |= {"machines": machines, "seed": seed, "folder": out_dir}
+    tell("export", pages, request, **how)
+
+
+def _place_to_write(param: typer.CallbackParam, path: Path | None) -> Path | None:
+    """The path of a plant file, or of a folder, that can be written."""
+    return (file_to_write if _is_plant_file(path) else folder_to_write)(param, path)
+
+
+def _is_plant_file(path: Path | None) -> bool:
+    return path is not None and path.suffix == ".toml"
+
+
+def _zeros(zeros: str | None) -> int | str | None:
+    """The number of zeros, or `any`."""
+    if zeros is None or zeros == "any":
+        return zeros
+    if not zeros.isdecimal():
+        raise ValueError(f"--zeros {zeros} is neither a whole number nor `any`")
+    return int(zeros)
+
+
+def identify(
+    pages: Pages,
+    record: Annotated[
+        Path | None,
+        Argument(
+            metavar="RECORD",
+            help="Columns of time, input, output; or of a frequency response; or a .mat file.",
+        ),
+    ] = None,
+    state: Annotated[
+        Path | None,
+        Option(
+            "--state", help="Folder of a campaign, whose trials are the record, in place of one."
+        ),
+    ] = None,
+    poles: Annotated[int | None, Option(help="Real poles; 1 if not given.")] = None,
+    pairs: Annotated[
+        int | None, Option(help="Pairs of poles, real or complex; 1 if not given.")
+    ] = None,
+    zeros: Annotated[
+        str | None,
+        Option(
+            metavar="N|any", help="Real zeros, or `any`, real and complex ones; 1 if not given."
+        ),
+    ] = None,
+    delay: Annotated[
+        int | None,
+        Option(help="Dead time in samples; chosen by --auto, fitted to a response, else 0."),
+    ] = None,
+    auto: Annotated[
+        bool, Option("--auto", help="Choose poles, zeros and delay: complex zeros, too.")
+    ] = False,
+    time_name: TimeColumn = "t",
+    time_unit: Annotated[
+        str | None, left("--time-unit", "the unit in the heading of the times does it")
+    ] = None,
+    input_name: InputColumn = "u",
+    output_name: OutputColumn = "y",
+    columns: Columns = None,
+    dt: Annotated[
+        float | None,
+        Option(
+            help="Sample time in s: of a file without times, of a response's hold; new for others."
+        ),
+    ] = None,
+    validate: Annotated[
+        Path | None,
+        Option(metavar="FILE", help="A second record, of the same columns, which judges."),
+    ] = None,
+    resample: Annotated[float | None, left("--resample", "--dt DT does it")] = None,
+    averages: Annotated[
+        int | None,
+        left("--averages", "reading={'averages': N} in Python, of jaxilc.outcomes, does it"),
+    ] = None,
+    out_dir: Annotated[
+        Path | None,
+        Option(
+            "--out",
+            help="Plant file FILE.toml to write; or folder for figures, out/identify otherwise.",
+            callback=_place_to_write,
+        ),
+    ] = None,
+    force: Annotated[bool, Option("--force", help="Replace a plant file.")] = False,
+) -> None:
+    """A plant from a recorded experiment or a measured frequency response, with its reliability.
+
+    A frequency response is known by its header: frequency, then re and im, or magnitude and phase,
+    each with its unit, or complex text; std, variance or coherence if there is one.
+    With --out axis.toml it also writes a plant file that every other command takes.
+    With --state the record is what a campaign of `jaxilc next` has measured; the plant
+    file is then that of the campaign, with the fitted plant in it.
+
+    Example: jaxilc identify record.csv --auto --out axis.toml
+    """
+    counts = {"poles": poles, "pairs": pairs, "zeros": _zeros(zeros)}
+    for name, value in counts.items():
+        if auto and value is not None:
+            raise ValueError(f"--{name} {value} is not allowed with --auto, which chooses it")
+    at_least(0, delay=delay)
+    at_least(1, averages=averages)
+    plant_file = out_dir if _is_plant_file(out_dir) else None
+    if plant_file is not None and plant_file.exists() and not force:
+        raise FileExistsError(f"{plant_file} exists already; add --force to replace it")
+    folder = None if plant_file is not None else out_dir
+    places: dict[str, Any] = {"plant_file": plant_file, "folder": folder}
+    if state is not None:
+        if zeros == "any":
+            raise ValueError("--zeros any is for a RECORD; with --state it is a number")
+        for_files = {"dt": dt, "resample": resample, "columns": columns, "averages": averages}
+        for_files["validate"] = validate
+        wrong = [f"--{name}" for name, value in for_files.items() if value is not None]
+        if record is not None or wrong:
+            raise ValueError(f"{', '.join(wrong) or 'RECORD'} and --state exclude each other")
+        how: dict[str, Any] = {"counts": counts, "delay": delay, "auto": auto}
+        tell("identify_campaign", pages, state, **how, **places)
+        return
+    if record is None:
+        raise ValueError("RECORD is missing; give a file, or --state and the folder of a campaign")
+    structure = {name: 1 if value is None else value for name, value in counts.items()}
+    reading = {
+        "structure": {} if auto else structure,
+        "delay": delay,
+        "dt": dt,
+        "averages": averages,
+        "time": time_name,
+        "input": input_name,
+        "output": output_name,
+        "time_unit": time_unit,
+        "columns": names_in(columns),
+        "resample": resample,
+    }
+    tell("identify", pages, record, reading=reading, validate=validate, **places)
+
+
+RECORDS = (".csv", ".txt", ".dat", ".frf")
+FILTER_DOES = "outcomes.filter_{}(...) in Python does it"
+MEASURED = FILTER_DOES.format("measured")
+TAPS = 41  # of each filter that --synthesise finds
+
+
+def filter_(
+    source: Annotated[
+        list[str],
+        Argument(
+            metavar="SCENARIO|FRF.csv...",
+            help="Of `jaxilc list`, a TOML or JSON file, or measured frequency responses.",
+        ),
+    ],
+    written: Written,
+    scheme: Schemes = None,
+    margin: Annotated[float, Option(help="1 - |Q (1 - L P)| that an offer keeps.")] = 0.1,
+    vary: Annotated[
+        list[str] | None,
+        Option(
+            "--vary",
+            metavar="PATH=SHARE",
+            help="Instead of the file's uncertainty: plant.gain=15%; repeatable.",
+        ),
+    ] = None,
+    spread: Spread = None,
+    machines: Annotated[int, Option(help="Machines drawn, beside all corners.")] = 32,
+    seed: Seed = 0,
+    set_: Set = None,
+    params: Params = None,
+    gain: Annotated[float | None, Option(help="Learning gain, for an FRF.")] = None,
+    lead: Annotated[int, Option(help="Lead of the learning [samples], for an FRF.")] = 0,
+    cutoff: Annotated[float | None, Option(help="Of the filter [Hz], for an FRF.")] = None,
+    dt: Annotated[float | None, Option(help="Sample time [s], for an FRF.")] = None,
+    taps: Annotated[
+        int | None,
+        Option(metavar="N", help="Find filters Q and L of N taps by convex optimisation too."),
+    ] = None,
+    sampling: Annotated[str | None, left("--sampling", FILTER_DOES.format(""))] = None,
+    order: Annotated[int | None, left("--order", MEASURED)] = None,
+    sigmas: Annotated[float | None, left("--sigmas", MEASURED)] = None,
+    averages: Annotated[int | None, left("--averages", MEASURED)] = None,
+    synthesise: Annotated[bool, left("--synthesise", "--taps N does it")] = False,
+    band: Annotated[float | None, left("--band", FILTER_DOES.format(""))] = None,
+) -> None:
+    """Is my Q-filter safe, by how much, and how far may I go?
+
+    |Q (1 - L P)| below 1 at every frequency, for every machine of the uncertainty or every line of
+    a measured response, with the largest cutoff, gain and lead that keep a margin.
+
+    Example: jaxilc filter axis.toml --vary plant.gain=15% --vary plant.frequencies=20%
+    """
+    how: dict[str, Any] = {"margin": margin}
+    how |= {"taps": TAPS if synthesise and taps is None else taps}
+    law = {"gain": gain, "cutoff": cutoff, "dt": dt}
+    records = [Path(one).suffix.lower() in RECORDS for one in source]
+    if all(records):
+        _only_for("a scenario", scheme=scheme, vary=vary, spread=spread, set=set_, params=params)
+        missing = [f"--{name}" for name, value in law.items() if value is None]
+        if missing:
+            raise ValueError(
+                f"a measured response needs a law: {', '.join(missing)} not given; u is learned by "
+                "u + gain e[k + 1 + lead] with a low-pass of --cutoff"
+            )
+        how |= law | {"lead": lead}
+        of_author = {"order": order, "sigmas": sigmas, "averages": averages, "band": band}
+    elif any(records) or len(source) > 1:
+        raise ValueError(
+            f"filter takes one scenario, or measured responses {', '.join(RECORDS)}; given are "
+            f"{', '.join(source)}"
+        )
+    else:
+        _only_for("a measured response", **law, averages=averages)
+        how |= {"vary": vary or (), "machines": machines, "seed": seed}
+        of_author = {"sampling": sampling, "band": band}
+    how |= {name: value for name, value in of_author.items() if value is not None}
+    if all(records):
+        tell("filter_measured", written, source, **how)
+    else:
+        request = asked(source[0], scheme, set_, params, spread=spread)
+        tell("filter_", written, request, **how)
+
+
+def _only_for(what: str, **given: object) -> None:
+    """Raises ValueError for an option that belongs to the other kind of source."""
+    for name, value in given.items():
+        if value is not None:
+            raise ValueError(f"--{name} is for {what} only")
+
+
+LAWS = ("p-type", "pd-type", "p-type-notch", "model-inverse", "norm-optimal", "learned")
+INSTEAD = "outcomes.learn_law({}=...) in Python does it"
+
+
+@dataclasses.dataclass(frozen=True)
+class ForMachine:
+    """The machine that a law is for, and how the law is judged."""
+
+    plant_file: Annotated[
+        str, Argument(metavar="FILE", help="Plant file, TOML or JSON; see `jaxilc init`.")
+    ]
+    scheme: Annotated[
+        str | None,
+        Option(help="Scheme of the file whose feedback is taken.", autocompletion=schemes_from),
+    ] = None
+    margin: Annotated[
+        float, Option(help="Least distance of |Q (1 - L P)| from 1, on every machine.")
+    ] = 0.05
+    trials: Trials = None
+    machines: Annotated[int, Option(help="Machines that judge.")] = 257
+    spread: Spread = None
+    seed: Seed = 0
+    set_: Set = None
+
+
+@dataclasses.dataclass(frozen=True)
+class LawWritten(Written):
+    """The plant file that is left, the folder of the state, and where else results go."""
+
+    out_dir: Annotated[
+        Path | None,
+        Option(
+            "--state",
+            help="Folder for the state; out/COMMAND-NAME if not given.",
+            callback=folder_to_write,
+        ),
+    ] = None
+    out_file: Annotated[
+        Path | None,
+        Option(
+            "--out",
+            metavar="FILE",
+            help="Plant file to write; beside the one given, as axis.design.toml or "
+            "axis.learned.toml, if not given.",
+            callback=file_to_write,
+        ),
+    ] = None
+    force: Annotated[bool, Option("--force", help="Replace that file, and its state.")] = False
+    resume: Resume = False
+
+
+def design(
+    what: ForMachine,
+    written: LawWritten,
+    law: Annotated[
+        list[str] | None,
+        Option(help="Law to try; repeatable. All if not given.", autocompletion=of_list(*LAWS)),
+    ] = None,
+    steps: Annotated[int, Option(help="Steps of each tuning at most.")] = 30,
+    record: Annotated[
+        list[str] | None,
+        Option(
+            metavar="FILE",
+            help="Trial without learning, with columns e or y and r; repeatable. It tells in what "
+            "the error repeats.",
+        ),
+    ] = None,
+) -> None:
+    """Which learning law for this machine, with which weights, is it safe, and what will it reach.
+
+    It tries several laws: safe weights by the frequency response of all machines,
+    tuned by gradient, one of them by its taps (see `learn-law`), and judged on machines
+    that were not used. The best one is written to a plant file that every other command
+    takes. With --record it says whether the error repeats from trial to trial, in a
+    period or in the position, and writes the law that follows beside it.
+
+    Example: jaxilc design axis.toml
+    """
+    _tell("design", what, written, laws=law or (), steps=steps, record=record or ())
+
+
+def learn_law(
+    what: ForMachine,
+    written: LawWritten,
+    taps: Annotated[
+        str, Option(metavar="L,Q", help="Odd numbers of taps of L and of Q.")
+    ] = "61,31",
+    limit: Annotated[
+        float | None, Option(help="Largest |u| that is learned; none if not given.")
+    ] = None,
+    steps: Annotated[
+        int, Option(help="Steps through learning; 0 for the frequency response alone.")
+    ] = 60,
+    start: Annotated[str | None, left("--start", INSTEAD.format("start"))] = None,
+    segments: Annotated[str, left("--segments", INSTEAD.format("segments"))] = "",
+    decentralised: Annotated[bool, left("--decentralised", INSTEAD.format("coupled"))] = False,
+    trained_on: Annotated[int | None, left("--trained-on", INSTEAD.format("trained_on"))] = None,
+    objective: Annotated[str | None, left("--objective", INSTEAD.format("objective"))] = None,
+    risk: Annotated[str | None, left("--risk", INSTEAD.format("risk"))] = None,
+) -> None:
+    """Learn the update law itself, the taps of L and Q, and prove it safe before it is written.
+
+    The taps come from gradients through the learning of many machines. A law that
+    is not safe on every machine of a dense family is taken back, or not written. Of
+    several channels the taps are matrices.
+
+    Example: jaxilc learn-law axis.toml --taps 61,31
+    """
+    of_author = {"start": start, "trained_on": trained_on, "objective": objective, "risk": risk}
+    _tell(
+        "learn_law",
+        what,
+        written,
+        taps=_numbers("taps", taps, int, "two odd numbers, as in 61,31", 2),
+        segments=_numbers("segments", segments, float, "times in seconds, as in 0.2,0.5"),
+        coupled=not decentralised,
+        limit=limit,
+        steps=steps,
+        **{name: value for name, value in of_author.items() if value is not None},
+    )
+
+
+def _tell(command: str, what: ForMachine, written: LawWritten, **how: Any) -> None:
+    """Ask for a law, and print sentences on the way to it."""
+    prefer("float64")  # what is proved of a law holds in it
+    schemes = [] if what.scheme is None else [what.scheme]
+    tell(
+        command,
+        written,
+        asked(what.plant_file, schemes, what.set_, trials=what.trials, spread=what.spread),
+        margin=what.margin,
+        machines=what.machines,
+        seed=what.seed,
+        out=written.out_file,
+        force=written.force,
+        resume=written.resume,
+        say=between,
+        **how,
+    )
+
+
+def _numbers(
+    option: str, text: str, kind: Callable[[str], float], allowed: str, count: int | None = None
+) -> tuple[float, ...]:
+    """Numbers with commas between. Raises ValueError for other text, and for another count."""
+    with suppress(ValueError):
+        found = tuple(kind(part) for part in text.split(",") if part.strip())
+        if count in (None, len(found)):
+            return found
+    raise ValueError(f"--{option} {text!r} is not allowed; allowed are {allowed}")
