@@ -68,12 +68,12 @@ def repeats_in(paths: Sequence[str | Path], **reading: Any) -> Repeats:
 def within_trial(repeats: Repeats, found: Potential | None = None) -> Within:
     """How what repeats from trial to trial repeats within the trial, over time and position.
 
-    Empty where of several trials nothing repeats.
+    Empty where of several trials nothing repeats, or by chance alone.
     found: what learning can gain, where it is known already
     """
     if len(repeats.e) > 1:
         found = found or potential_of(repeats.e, repeats.dt)
-        if not found.cutoff.value:
+        if not found.cutoff.value or not found.repeatable.low:
             return {}
     e = np.mean(repeats.e, axis=0)
     time, position = repeats.dt * np.arange(len(e)), repeats.position
@@ -237,7 +237,7 @@ def _in_position(
     found.schemes[BY_PLACE] = scheme
     found.lines.append(
         f"{BY_PLACE}, a map with a pitch of {sized(pitch, task.unit)} beside the motion's own "
-        f"functions, learns {told} of its {count} functions on the motion of {chosen.name}: what "
-        f"is left of an error of its parameters is {number(seen.rate)} times as large after each "
+        f"functions, learns {told} of its {count} functions on the motion of {chosen.name}. At "
+        f"most {number(max(seen.rate, 1e-3))} of an error of its parameters is left after each "
         "trial, on the nominal machine."
     )

@@ -63,8 +63,10 @@ def test_one_trial_tells_less_than_two():
     ):
         one = Repeats(e[None], 1e-3, "mm", ("a",), BACK_AND_FORTH)
         assert said in recurs(within_trial(one), one)[0]
-    noise = Repeats(rng.normal(size=(3, len(t))), 1e-3, "mm", ("a", "b", "c"), BACK_AND_FORTH)
-    assert within_trial(noise) == {}
+    for seed in (1, 41):  # of the latter some is taken as repeating, by chance
+        e = np.random.default_rng(seed).normal(size=(3, len(t)))
+        noise = Repeats(e, 1e-3, "mm", ("a", "b", "c"), BACK_AND_FORTH)
+        assert within_trial(noise) == {}
 
 
 @pytest.fixture
