@@ -258,6 +258,24 @@ def test_two_periods_at_once_are_each_learned_and_what_is_left_is_told():
     assert np.all(left < 0.35)
 
 
+def test_of_two_channels_the_largest_singular_values_are_told():
+    """Condition and sensitivity by NumPy, of a plant whose channels act on each other."""
+    A, B = np.array([[0.8, 0.05], [0.1, 0.7]]), np.array([[0.2, 0.02], [0.0, 0.3]])
+    law = LearningFilter((0.1, 0.3, 0.1), keep=(0.1, 0.8, 0.1), lead=1)
+    task = Task(np.zeros((101, 2)), dt=DT)
+    machine = Machine(StateSpace(A, B, np.eye(2), dt=DT))
+    found = theory.repetitive_condition(machine, RepetitiveControl(law, PERIOD), task)
+    z = np.exp(2j * np.pi * DT * found.frequencies)[:, None, None]
+    T = np.linalg.solve(z * np.eye(2) - A, B + 0 * z)
+    Q, L = (0.8 + 0.1 * (z + 1 / z)) * np.eye(2), (0.3 + 0.1 * (z + 1 / z)) * z**2
+    factor, W = Q - L * T, z**-50
+    S = np.eye(2) - T @ np.linalg.solve(np.eye(2) - W * factor, W * L * np.eye(2))
+    np.testing.assert_allclose(found.sensitivity, np.linalg.norm(S, 2, axis=(1, 2)), rtol=1e-8)
+    most = np.max(np.linalg.norm(factor, 2, axis=(1, 2)))
+    assert most <= found.test.condition.value < 1.01 * most
+    assert found.test.condition.holds
+
+
 def in_parallel(law, periods, kp):
     one, other = (RepetitiveControl(law, n * DT) for n in periods)
     return WithFeedback(one, WithFeedback(other, PID(kp=kp)))
