@@ -6,6 +6,7 @@ import itertools
 import logging
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, cast
 
@@ -34,6 +35,7 @@ ONCE = "trials that are all alike, of which XLA computes one"
 FEW = 64  # real numbers of an operand that are written into the program where they never change
 SHARE = 0.25  # of the RAM that is free, which may be taken by what is held from loop to loop
 AT_ONCE = 2**27  # bytes of operands and of what is held, that are in the RAM at once
+QUICKLY: dict[str, Any] = {"xla_backend_optimization_level": 0}  # half the time to compile
 # of the largest number of a machine, by which the check may find a difference, by bytes of a number
 TOLERANCE = {8: 1e-9, 4: 1e-4}
 
@@ -272,11 +274,19 @@ class Native:
         except Exception as error:  # of ours, which is no reason not to learn
             log.warning("native: %s: %s; XLA computes instead", type(error).__name__, error)
             return f"an error of the compiler, {type(error).__name__}: {error}"
-        off = differs(program(common, batch), self._xla(common, batch))
+        with ThreadPoolExecutor(1) as aside:  # both are compiled at once, where there are cores
+            wanted = aside.submit(_once, self._xla, common, batch)
+            off = differs(_once(program, common, batch), wanted.result())
         if off is None:
             return program
         log.warning("native: %s, as XLA computes it; XLA computes instead", off)
         return f"another result than that of XLA: {off}"
+
+
+def _once(fn: Callable[[Any, Any], Any], common: Any, batch: Any) -> Any:
+    """The results of a function, which XLA compiles without its optimiser, for it runs once."""
+    traced = jax.jit(lambda *arguments: fn(*arguments)).lower(common, batch)
+    return traced.compile(compiler_options=QUICKLY)(common, batch)
 
 
 def fastest(
