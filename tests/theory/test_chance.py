@@ -135,10 +135,13 @@ def test_the_mean_square_error_of_each_trial_is_that_over_all_that_can_be_drawn(
         (AT_ONCE, 0.7, {"dropped": 0.2}, MONOTONE, "in mean square"),
         (AT_ONCE, 0.7, {"shortest": 0.5}, MONOTONE, "in mean square"),
         (AT_ONCE, 0.7, {"scatter": 0.1}, MONOTONE, "for every draw"),
+        (WAITS, 2.0, {"dropped": 0.2}, DIVERGES, "almost surely"),
         (LAGS, 1.0, {"late": 3}, CONVERGES, "in mean square"),
         (LAGS, 2.0, {"late": 3}, NOTHING, "in the mean"),
+        (LAGS, 2.5, {"late": 3}, NOTHING, "in the mean"),
         (LAGS, 3.5, {"late": 3}, NOTHING, "in the mean"),
         (LAGS, 1.0, {"delayed": 0.4, "delay": 3}, MONOTONE, "in mean square"),
+        (LAGS, 2.0, {"delayed": 0.4, "delay": 3}, CONVERGES, "in mean square"),
         (LAGS, 3.0, {"delayed": 0.4, "delay": 3}, CONVERGES, "in mean square"),
         (LAGS, 3.5, {"delayed": 0.4, "delay": 3}, NOTHING, "in the mean"),
         (LAGS, 2.5, {"shortest": 0.3}, CONVERGES, "in mean square"),  # was looked at for ever
