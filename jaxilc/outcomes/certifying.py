@@ -26,6 +26,7 @@ from ..theory.certificates import (
 from ..theory.chance import STILL, SURELY
 from ..theory.condition import HOLDS
 from ..theory.repetitive import POINTS, largest_gain, repetitive_condition, side_by_side
+from ..theory.repetitive_basis import basis_condition, basis_of
 from ..uncertainty import Population
 from .bounds import bounds_numbers, premises_table
 from .case import Case
@@ -65,7 +66,7 @@ def certify(
     about: dict[str, Any] = {"count": machines, "seed": seed, "sampling": sampling}
     population = Population(chosen.machine, chosen.uncertainty, **about)
     drawn = population.drawn
-    periods = of_periods(chosen, population, progress)
+    periods = of_periods(chosen, population, progress) | of_bases(chosen, population, progress)
     learning = sum(scheme.learns for scheme in chosen.schemes.values())
     found = (
         {}
@@ -494,8 +495,57 @@ def of_periods(
     return found
 
 
+def of_bases(
+    chosen: Scenario, population: Population, progress: Progress
+) -> dict[str, dict[str, Any]]:
+    """What `basis_condition` tells of each `RepetitiveBasis` of the time, as numbers by its name.
+
+    map: the largest |eigenvalue| of the map of a period, on the worst machine
+    keep: what is left of a weight after a step
+    verdict, reasons, machines, at: as in `of_periods`
+    """
+    found = {}
+    for name, scheme in chosen.schemes.items():
+        basis, _ = basis_of(scheme)
+        if basis is None or basis.angle is not None:
+            continue
+        progress(name)
+        condition, period, at = basis_condition(population, scheme, chosen.task)
+        found[name] = {
+            "map": float(condition.value),
+            "keep": float(basis.keep),
+            "period": [period],
+            "verdict": str(condition.verdict),
+            "reasons": [f"{one.name}: {one.detail}" for one in condition.broken],
+            "machines": population.size,
+            "at": at,
+        }
+    return found
+
+
+def _basis_sentence(name: str, numbers: dict[str, Any]) -> str:
+    """The content of `of_bases` for one scheme, in words."""
+    count, period = numbers["machines"], f"{number(numbers['period'][0])} s"
+    at = ", ".join(f"{key} = {number(value)}" for key, value in numbers["at"].items())
+    value = f"the largest eigenvalue of its map is {number(numbers['map'])}" + (
+        f" on the worst ({at})" if at else ""
+    )
+    if numbers["verdict"] != HOLDS:
+        why = f"; not held is {'; '.join(numbers['reasons'])}" if numbers["reasons"] else ""
+        return f"{name} is not certified from period to period of {period}: {value}{why}."
+    whose = "the nominal machine" if count == 1 else f"all {count} machines"
+    keep = numbers["keep"]
+    left = "nothing" if keep == 1 else f"a part, as keep = {number(keep)} forgets,"
+    return (
+        f"{name} converges from period to period of {period} on {whose}: {value}. Of what its "
+        f"functions hold {left} is left."
+    )
+
+
 def period_sentences(name: str, numbers: dict[str, Any]) -> list[str]:
-    """The content of `of_periods` for one scheme, in words."""
+    """The content of `of_periods` or `of_bases` for one scheme, in words."""
+    if "map" in numbers:
+        return [_basis_sentence(name, numbers)]
     count, parallel = numbers["machines"], numbers["in_parallel"]
     several = 1 if parallel > 1 else 2 ** len(numbers["period"]) - 1
     several = numbers["times"] if numbers["tracked"] else several

@@ -23,6 +23,8 @@ ground up:
     chance           what holds for single runs where something is drawn for each trial, by the
                      moments of what reaches the law
     repetitive       repetitive control within one long trial, and what it does between harmonics
+    repetitive_basis
+                     basis functions within one long trial, by the map of a period
     visits           which parameters of a basis a trial tells, as of the places it visits
     rounding         how far from its limit a machine that rounds is held
     certificates     claims and predictions of many machines against simulation; the conditions that
@@ -58,6 +60,7 @@ from .certificates import (
 )
 from .condition import Condition, Premise
 from .repetitive import RepetitiveTest, repetitive_condition
+from .repetitive_basis import PeriodTest, basis_condition
 from .to_python_control import to_control
 from .visits import Visits, visits
 
@@ -70,11 +73,13 @@ __all__ = [
     "Certificate",
     "Checked",
     "Condition",
+    "PeriodTest",
     "Premise",
     "PremiseShare",
     "PseudoGradient",
     "RepetitiveTest",
     "Visits",
+    "basis_condition",
     "bounds_of",
     "carried_radius",
     "certify",

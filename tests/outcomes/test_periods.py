@@ -69,3 +69,25 @@ def test_a_law_that_is_too_strong_is_not_certified_and_no_scheme_at_all_is_refus
     assert "0.1 s, which is tracked and changes by 1.00e-06 s/s at most, on the nominal" in said[0]
     with pytest.raises(ValueError, match="none of alone learns; there is nothing to certify"):
         certify(Request(str(file), ("alone",)), machines=1)
+
+
+def test_functions_of_a_period_are_certified_by_its_map(tmp_path):
+    before, _, after = TURNING.partition('class = "RepetitiveControl"')
+    waves = f"""{before}class = "RepetitiveBasis"
+gain = GAIN
+lead = 0.012
+functions = {{ class = "Harmonics", pitch = 0.1, orders = [1, 2] }}
+[schemes.alone]{after.partition("[schemes.alone]")[2]}"""
+    (file := tmp_path / "waves.toml").write_text(waves.replace("GAIN", "0.002"))
+    found = certify(Request(str(file)), machines=3)
+    assert found.verdict.said[0].startswith(
+        "turning converges from period to period of 0.1 s on all 3 machines: the largest eigenvalue"
+    )
+    assert found.verdict.said[0].endswith("Of what its functions hold nothing is left.")
+    chosen = Request(str(file)).scenario()
+    e = np.abs(learn(chosen.machine, chosen.schemes["turning"], chosen.task, trials=1).final.e)
+    rate = (e[-100:].max() / e[-1100:-1000].max()) ** 0.1
+    assert rate < found.numbers["periods"]["turning"]["map"]
+    file.write_text(waves.replace("GAIN", "0.2"))
+    said = certify(Request(str(file), ("turning",)), machines=1).verdict.said
+    assert said[0].startswith("turning is not certified from period to period of 0.1 s: the large")

@@ -9,10 +9,12 @@ import pytest
 import scipy.signal
 
 from jaxilc import Machine, Task
-from jaxilc.learning import run_trial
+from jaxilc.learning import Actuator, run_trial
 from jaxilc.plants import Harmonics, Splines, StateSpace
 from jaxilc.schemes import PID, LearningFilter, RepetitiveBasis, RepetitiveControl, WithFeedback
 from jaxilc.signals.task import Sample
+from jaxilc.theory import basis_condition
+from jaxilc.uncertainty import Population, Uniform
 
 DT, n = 1e-3, 25
 PLANT = StateSpace([[0.9, 0.1], [0.0, 0.7]], [[0.0], [0.3]], [[1.0, 0.0]], dt=DT)
@@ -147,3 +149,52 @@ def test_what_does_not_fit_is_said():
         RepetitiveBasis(HARMONICS, gain=1.0, angle=1).check(task)
     with pytest.raises(ValueError, match="RepetitiveBasis works channel by channel"):
         RepetitiveBasis(HARMONICS, gain=1.0).check(Task(np.zeros((101, 2)), dt=DT, inputs=1))
+
+
+def test_the_map_of_a_period_tells_how_fast_the_error_falls_or_grows():
+    """Random gains, functions and lengths of a period, by the simulator's own long run."""
+    rng, verdicts, last = np.random.default_rng(6), [], n * 400
+    for functions in (
+        HARMONICS,
+        Harmonics(24.5 * DT, (0, 2)),
+        Splines(0.0, n * DT, 5, degree=1, closed=True),
+    ):
+        for by_period, gain in ((False, 0.05), (False, 0.4), (True, 0.02), (True, 0.2)):
+            gains = gain * rng.uniform(0.7, 1.3, len(functions.names))
+            scheme = RepetitiveBasis(functions, gains, lead=5 * DT, keep=1.0, by_period=by_period)
+            found = basis_condition(
+                Machine(PLANT), WithFeedback(scheme, PID(kp=0.4)), Task(np.zeros(60), dt=DT)
+            )
+            e = np.abs(run(scheme, jnp.zeros(last).at[1:3].set(1.0)))
+            early, late = (np.max(e[k * 49 : (k + 10) * 49]) for k in (100, 190))
+            rate = (late / early) ** (found.period / DT / (90 * 49))
+            np.testing.assert_allclose(found.condition.value, rate, rtol=0.01)
+            verdicts.append(found.condition.verdict)
+    assert {*verdicts} == {"holds", "fails"}
+
+
+@pytest.mark.parametrize(
+    ("scheme", "said"),
+    [
+        (PID(kp=0.4), "scheme is a PID; allowed are a RepetitiveBasis of the time"),
+        (RepetitiveBasis(HARMONICS, 0.1, angle=0), "RepetitiveBasis of basis.angle = 0"),
+        (RepetitiveBasis(Harmonics(np.pi * 1e-2, (1,)), 0.1), "the period is 31.4159265 samples"),
+        (RepetitiveBasis(Harmonics(3e3, (1,)), 0.1), "take 3,000,000; allowed are 131,072"),
+    ],
+)
+def test_what_has_no_map_of_a_period_is_refused(scheme, said):
+    with pytest.raises(ValueError, match=said):
+        basis_condition(Machine(PLANT), scheme, Task(np.zeros(60), dt=DT))
+
+
+def test_a_limit_and_a_family_are_told():
+    task, basis = Task(np.zeros(60), dt=DT), RepetitiveBasis(HARMONICS, 0.1, lead=5 * DT)
+    found = basis_condition(Machine(PLANT, actuator=Actuator(limit=1.0)), basis, task).condition
+    assert (found.verdict, len(found.broken)) == ("not claimed", 1)
+    drawn = Population(Machine(PLANT), {"plant.B": Uniform(0.8, 1.2, relative=True)}, 5)
+    worst = basis_condition(drawn, basis, task)
+    each = [
+        basis_condition(drawn.machine_of(i), basis, task).condition.value for i in range(drawn.size)
+    ]
+    assert worst.condition.value == max(each) > min(each)
+    assert worst.at == {"plant.B": drawn.drawn["plant.B"][np.argmax(each)]}

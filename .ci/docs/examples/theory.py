@@ -7,7 +7,7 @@ import numpy as np
 import jaxilc
 from jaxilc import Machine, Sweep, Task, Uniform
 from jaxilc.learning import Variation
-from jaxilc.plants import Splines, StateSpace
+from jaxilc.plants import Harmonics, Splines, StateSpace
 from jaxilc.schemes import (
     CFDLMFAILC,
     PID,
@@ -15,6 +15,7 @@ from jaxilc.schemes import (
     LearningFilter,
     PIDType,
     PositionBasis,
+    RepetitiveBasis,
     RepetitiveControl,
     WithFeedback,
 )
@@ -92,6 +93,12 @@ scheme = WithFeedback(RepetitiveControl(taps, period=0.05), PID(kp=1.0))
 tested = repetitive_condition(machine, scheme, turning)
 print(isinstance(tested, RepetitiveTest), f"between harmonics up to {tested.worst:.2f} times")
 # True between harmonics up to 1.28 times
+
+# %% basis_condition, PeriodTest
+waves = RepetitiveBasis(Harmonics(0.05, (1, 2)), gain=0.05, lead=0.005)
+tested = basis_condition(machine, WithFeedback(waves, PID(kp=1.0)), turning)
+print(isinstance(tested, PeriodTest), f"nearer by {tested.condition.value:.2f} in a period")
+# True nearer by 0.65 in a period
 
 # %% to_control
 print(type(to_control(machine, law, task)).__name__)
