@@ -93,6 +93,7 @@ class RecordMoments(NamedTuple):
     late: int
     of_delays: np.ndarray | None
     joint: Any
+    __repr__ = in_short
 
     @classmethod
     def of(cls, variation: Variation, rows: int) -> RecordMoments:

@@ -96,7 +96,7 @@ print(isinstance(tested, RepetitiveTest), f"between harmonics up to {tested.wors
 
 # %% basis_condition, PeriodTest
 waves = RepetitiveBasis(Harmonics(0.05, (1, 2)), gain=0.05, lead=0.005)
-tested = basis_condition(machine, WithFeedback(waves, PID(kp=1.0)), turning)
+tested = basis_condition(machine, WithFeedback(waves, PID(kp=1.0)), task)
 print(isinstance(tested, PeriodTest), f"nearer by {tested.condition.value:.2f} in a period")
 # True nearer by 0.65 in a period
 
