@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 
 from jaxilc.signals.gcode import read_gcode
 from jaxilc.signals.references import s_curve
-from jaxilc.signals.segments import Chain, Straight
+from jaxilc.signals.segments import Arc, Chain, Straight
 from jaxilc.signals.tool_path import Dwell, Move, follow
 
 LIMITS = {"acceleration": 500.0, "jerk": 2e4, "dt": 2e-3}
@@ -212,3 +212,10 @@ def test_a_path_that_would_take_too_long_is_refused_before_it_is_planned(monkeyp
         follow(read_gcode(pairs, "xy"), corner=0.01, **LIMITS)
     with pytest.raises(AssertionError, match="planned"):
         follow(read_gcode(rounded, "xy"), corner=0.01, **LIMITS)
+
+
+def test_slopes_of_a_helix_are_its_derivative():
+    """Also along the axis that is not in its plane, and where the radius is another in the end."""
+    arc = Arc(np.array([3.0, 0.0, 0.5]), np.array([0.0, 2.0, 4.0]), np.zeros(2), (0, 1), np.pi / 2)
+    y = arc.at(np.array([0.0, 1e-6, arc.length - 1e-6, arc.length]))
+    np.testing.assert_allclose(arc.slopes, (y[[1, 3]] - y[[0, 2]]) / 1e-6, atol=1e-5)
