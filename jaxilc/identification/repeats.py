@@ -140,8 +140,8 @@ class _Signals(NamedTuple):
             return e
         if y is None or r is None:
             raise ValueError(
-                f"{self.path} has neither {error!r} nor {output!r} and {reference!r}; --error "
-                f"names the error of the trials; present are {listed(self.found)}"
+                f"{self.path} has neither {error!r} nor {output!r} and {reference!r}; `jaxilc "
+                f"potential --error NAME` takes another column; present are {listed(self.found)}"
             )
         if y.shape[1] != r.shape[1] or len(r) not in (1, len(y)):
             raise ValueError(

@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import figures
 from ..learning.divergence import GROWTH
+from ..plants import Harmonics
 from ..theory.certificates import (
     CLAIMS,
     CONVERGES,
@@ -24,7 +25,7 @@ from ..theory.certificates import (
     printed_conditions,
 )
 from ..theory.chance import STILL, SURELY
-from ..theory.condition import HOLDS
+from ..theory.condition import HOLDS, NOT_CLAIMED, Condition
 from ..theory.repetitive import POINTS, largest_gain, repetitive_condition, side_by_side
 from ..theory.repetitive_basis import basis_condition, basis_of
 from ..uncertainty import Population
@@ -481,7 +482,7 @@ def of_periods(
             "period": np.concatenate(periods).astype(float).tolist(),
             "in_parallel": len(beside),
             "verdict": str(condition.verdict),
-            "reasons": [f"{one.name}: {one.detail}" for one in condition.broken],
+            "reasons": _reasons(condition),
             "machines": population.size,
             "at": worst.at,
             "condition": float(condition.value),
@@ -498,47 +499,60 @@ def of_periods(
 def of_bases(
     chosen: Scenario, population: Population, progress: Progress
 ) -> dict[str, dict[str, Any]]:
-    """What `basis_condition` tells of each `RepetitiveBasis` of the time, as numbers by its name.
+    """What `basis_condition` tells of each `RepetitiveBasis`, as numbers by its name.
 
-    map: the largest |eigenvalue| of the map of a period, on the worst machine
+    map: the largest |eigenvalue| of the map of a period, on the worst machine; None where the
+        functions have no such map, as `reasons` tells
     keep: what is left of a weight after a step
+    harmonic: whether the functions are harmonics
     verdict, reasons, machines, at: as in `of_periods`
     """
     found = {}
     for name, scheme in chosen.schemes.items():
         basis, _ = basis_of(scheme)
-        if basis is None or basis.angle is not None:
+        if basis is None:
             continue
         progress(name)
-        condition, period, at = basis_condition(population, scheme, chosen.task)
-        found[name] = {
-            "map": float(condition.value),
-            "keep": float(basis.keep),
-            "period": [period],
-            "verdict": str(condition.verdict),
-            "reasons": [f"{one.name}: {one.detail}" for one in condition.broken],
-            "machines": population.size,
-            "at": at,
-        }
+        about = {"keep": float(basis.keep), "harmonic": isinstance(basis.functions, Harmonics)}
+        told: dict[str, Any] = {"map": None, "verdict": NOT_CLAIMED, "at": {}}
+        try:
+            condition, period, at = basis_condition(population, scheme, chosen.task)
+        except ValueError as error:
+            told["reasons"] = [str(error)]
+        else:
+            told |= {"map": float(condition.value), "period": [period], "at": at}
+            told |= {"verdict": str(condition.verdict), "reasons": _reasons(condition)}
+        found[name] = about | told | {"machines": population.size}
     return found
+
+
+def _reasons(condition: Condition) -> list[str]:
+    return [f"{one.name}: {one.detail}" for one in condition.broken]
+
+
+def _machines(numbers: dict[str, Any]) -> tuple[str, str]:
+    """On which machines a condition holds, and the numbers of the worst one, in words."""
+    count = numbers["machines"]
+    at = ", ".join(f"{key} = {number(value)}" for key, value in numbers["at"].items())
+    whose = "the nominal machine" if count == 1 else f"all {count} machines"
+    return whose, f" on the worst ({at})" if at else ""
 
 
 def _basis_sentence(name: str, numbers: dict[str, Any]) -> str:
     """The content of `of_bases` for one scheme, in words."""
-    count, period = numbers["machines"], f"{number(numbers['period'][0])} s"
-    at = ", ".join(f"{key} = {number(value)}" for key, value in numbers["at"].items())
-    value = f"the largest eigenvalue of its map is {number(numbers['map'])}" + (
-        f" on the worst ({at})" if at else ""
-    )
+    whose, worst = _machines(numbers)
+    if numbers["map"] is None:
+        return f"{name} is not certified from period to period: {numbers['reasons'][0]}."
+    period = f"from period to period of {number(numbers['period'][0])} s"
+    value = f"the largest eigenvalue of its map is {number(numbers['map'])}{worst}"
     if numbers["verdict"] != HOLDS:
         why = f"; not held is {'; '.join(numbers['reasons'])}" if numbers["reasons"] else ""
-        return f"{name} is not certified from period to period of {period}: {value}{why}."
-    whose = "the nominal machine" if count == 1 else f"all {count} machines"
-    keep = numbers["keep"]
+        return f"{name} is not certified {period}: {value}{why}."
+    keep, of = numbers["keep"], "" if numbers["harmonic"] else " of a disturbance at the input"
     left = "nothing" if keep == 1 else f"a part, as keep = {number(keep)} forgets,"
     return (
-        f"{name} converges from period to period of {period} on {whose}: {value}. Of what its "
-        f"functions hold {left} is left."
+        f"{name} converges {period} on {whose}: {value}. Of what its functions hold{of} {left} "
+        "is left."
     )
 
 
@@ -546,24 +560,22 @@ def period_sentences(name: str, numbers: dict[str, Any]) -> list[str]:
     """The content of `of_periods` or `of_bases` for one scheme, in words."""
     if "map" in numbers:
         return [_basis_sentence(name, numbers)]
-    count, parallel = numbers["machines"], numbers["in_parallel"]
+    parallel = numbers["in_parallel"]
     several = 1 if parallel > 1 else 2 ** len(numbers["period"]) - 1
     several = numbers["times"] if numbers["tracked"] else several
     period = " and ".join(number(one) for one in numbers["period"]) + " s"
     if numbers["tracked"]:
         period += f", which is tracked and changes by {number(numbers['tracked'])} s/s at most,"
-    at = ", ".join(f"{key} = {number(value)}" for key, value in numbers["at"].items())
+    whose, worst = _machines(numbers)
     times, L = (
         f"{number(several)} " if several > 1 else "",
         "L" if parallel == 1 else f"{parallel} L",
     )
     value = (
         f"{times}|Q (1 - {L} T)| is at most "
-        f"{number(numbers['condition'])}, at {number(numbers['condition_at'])} Hz"
-        + (f" on the worst ({at})" if at else "")
+        f"{number(numbers['condition'])}, at {number(numbers['condition_at'])} Hz{worst}"
     )
     if numbers["verdict"] == HOLDS:
-        whose = "the nominal machine" if count == 1 else f"all {count} machines"
         head = f"converges from period to period of {period} on {whose}: {value}"
     else:
         why = f"; not held is {'; '.join(numbers['reasons'])}" if numbers["reasons"] else ""

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -44,7 +44,7 @@ from ..schemes import OnOutputs, RepetitiveControl, Scheme, WithFeedback
 from ..schemes.repetitive import AROUND, delays, lagrange
 from ..signals.task import Task
 from ..uncertainty import Population, drawn_machines
-from .condition import condition, premise
+from .condition import Condition, condition, premise
 from .enclosure import arc_of_taps, supremum
 from .frequency import FrequencyTest, Parts, on_supremum, parts_of
 from .law import Law, at_points, law_of, law_response
@@ -174,19 +174,14 @@ def repetitive_condition(
         tests = [_on_lines(machine, law, task, sigmas, size_of_W)]
         loops, taps = [_closed(machine, law, task)], law_of(law, task)
     else:
-        machines: list[Machine] = []
-        if isinstance(machine, Population):
-            machines, drawn = [machine.machine_of(i) for i in range(machine.size)], machine.drawn
-        else:
-            machines = [machine]
+        machines, drawn = members(machine)
         every = [_parts_seen(one, law, task, seen) for one in machines]
         tests = [
             _on_circle(one, of, law, task, size_of_W, parallel)
             for one, of in zip(machines, every, strict=True)
         ]
         loops, taps = [_response_of(of, task) for of in every], every[0].law
-    # one that does not hold is worse than any that does
-    top = max(range(len(tests)), key=lambda i: (not (c := tests[i].condition).holds, c.value))
+    top = worst_of([test.condition for test in tests])
     (size, _), (left, factor) = (
         np.concatenate(
             [_sensitivity(loops, taps, task, each, part, parallel) for part in _in_parts(of)],
@@ -197,6 +192,18 @@ def repetitive_condition(
     worst, at = int(np.argmax(size)), {name: float(of[top]) for name, of in drawn.items()}
     of_size = float(size[worst]), float(f[worst])
     return RepetitiveTest(tests[top], period, f, size, *of_size, true, left, factor, at)
+
+
+def members(machine: Machine | Population) -> tuple[list[Machine], Mapping[str, np.ndarray]]:
+    """The machines of a population and what was drawn of each; of one machine nothing is drawn."""
+    if isinstance(machine, Population):
+        return [machine.machine_of(i) for i in range(machine.size)], machine.drawn
+    return [machine], {}
+
+
+def worst_of(conditions: Sequence[Condition]) -> int:
+    """The number of the worst one; one that does not hold is worse than any that does."""
+    return max(range(len(conditions)), key=lambda i: (not conditions[i].holds, conditions[i].value))
 
 
 def side_by_side(scheme: Scheme) -> tuple[list[RepetitiveControl], Scheme | None]:

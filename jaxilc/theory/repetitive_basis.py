@@ -4,8 +4,8 @@ The loop of machine, feedback and `RepetitiveBasis` is linear, and the functions
 period, so from sample to sample it is x[k+1] = M[k] x[k] + what acts on it, with M the same a
 period later. Its product over a period is the monodromy matrix, whose eigenvalues are within the
 unit circle if and only if all comes to its limit exponentially (Floquet; Bittanti, Colaneri 2009,
-ch. 3). What the functions hold of the disturbance is then removed where `keep` is 1, as by the
-internal model of a resonator.
+ch. 3). Where `keep` is 1, what the functions hold of a disturbance at the input is then removed: w
+is its negative. Harmonics hold what acts anywhere, since a linear loop makes of each the same one.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from .learning_map import limit_names
 from .linearity import invariant_loop
 from .loop import Loop
 from .outlook import NO_LIMIT
+from .repetitive import members, worst_of
 
 PERIODS, WHOLE = 64, 1e-6  # periods that are tried for a whole number of samples, and what is whole
 MOST, AT_ONCE = 2**17, 2**10  # samples of these periods, and maps that are multiplied at once
@@ -65,7 +66,7 @@ def basis_condition(machine: Machine | Population, scheme: Scheme, task: Task) -
     """
     basis, feedback = basis_of(scheme)
     if basis is None or basis.angle is not None:
-        what = type(scheme).__name__ if basis is None else f"RepetitiveBasis of {basis.angle = }"
+        what = type(scheme).__name__ if basis is None else "RepetitiveBasis of an angle"
         raise ValueError(
             f"basis_condition: scheme is a {what}; allowed are a RepetitiveBasis of the time and "
             "WithFeedback(RepetitiveBasis(...), feedback)"
@@ -76,12 +77,7 @@ def basis_condition(machine: Machine | Population, scheme: Scheme, task: Task) -
         functions.pitch if isinstance(functions, Harmonics) else functions.high - functions.low
     )
     count, samples = _whole(period / float(task.dt))
-    drawn = machine.drawn if isinstance(machine, Population) else {}
-    machines = (
-        [machine.machine_of(i) for i in range(machine.size)]
-        if isinstance(machine, Population)
-        else [machine]
-    )
+    machines, drawn = members(machine)
     plays, learns, ends = _of_samples(basis, samples, float(task.dt), period)
     parts, found = np.array_split(np.arange(samples), -(-samples // AT_ONCE)), []
     for one in machines:
@@ -99,7 +95,7 @@ def basis_condition(machine: Machine | Population, scheme: Scheme, task: Task) -
         product = functools.reduce(lambda before, of: of @ before, map(_product, maps))
         radius = float(np.max(np.abs(np.linalg.eigvals(product)))) ** (1 / count)
         found.append(condition(radius, OF_PERIOD, premises=premises))
-    top = max(range(len(found)), key=lambda i: (not found[i].holds, found[i].value))
+    top = worst_of(found)
     return PeriodTest(found[top], period, {name: float(of[top]) for name, of in drawn.items()})
 
 

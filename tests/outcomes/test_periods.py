@@ -91,3 +91,8 @@ functions = {{ class = "Harmonics", pitch = 0.1, orders = [1, 2] }}
     file.write_text(waves.replace("GAIN", "0.2"))
     said = certify(Request(str(file), ("turning",)), machines=1).verdict.said
     assert said[0].startswith("turning is not certified from period to period of 0.1 s: the large")
+    file.write_text(waves.replace("GAIN", "0.002").replace("pitch = 0.1", "pitch = 0.0999734"))
+    said = certify(Request(str(file)), machines=1).verdict.said  # as a tuning leaves a period
+    assert (
+        "turning is not certified from period to period: basis_condition: the period is" in said[0]
+    )

@@ -9,7 +9,7 @@ import pytest
 import scipy.signal
 
 from jaxilc import Machine, Task
-from jaxilc.learning import Actuator, run_trial
+from jaxilc.learning import Actuator, Disturbance, learn, run_trial
 from jaxilc.plants import Harmonics, Splines, StateSpace
 from jaxilc.schemes import PID, LearningFilter, RepetitiveBasis, RepetitiveControl, WithFeedback
 from jaxilc.signals.task import Sample
@@ -177,7 +177,7 @@ def test_the_map_of_a_period_tells_how_fast_the_error_falls_or_grows():
     ("scheme", "said"),
     [
         (PID(kp=0.4), "scheme is a PID; allowed are a RepetitiveBasis of the time"),
-        (RepetitiveBasis(HARMONICS, 0.1, angle=0), "RepetitiveBasis of basis.angle = 0"),
+        (RepetitiveBasis(HARMONICS, 0.1, angle=0), "scheme is a RepetitiveBasis of an angle"),
         (RepetitiveBasis(Harmonics(np.pi * 1e-2, (1,)), 0.1), "the period is 31.4159265 samples"),
         (RepetitiveBasis(Harmonics(3e3, (1,)), 0.1), "take 3,000,000; allowed are 131,072"),
     ],
@@ -198,3 +198,24 @@ def test_a_limit_and_a_family_are_told():
     ]
     assert worst.condition.value == max(each) > min(each)
     assert worst.at == {"plant.B": drawn.drawn["plant.B"][np.argmax(each)]}
+
+
+@pytest.mark.parametrize("by_period", [False, True])
+def test_what_splines_hold_is_removed_at_the_input_and_what_harmonics_hold_anywhere(by_period):
+    """A loop makes of a harmonic another size and phase of it, and of a spline no spline."""
+    splines, last = Splines(0.0, n * DT, 5, degree=1, closed=True), 24_000
+    force = np.asarray(splines.at(DT * np.arange(last))) @ [0.5, -1.0, 0.3, 0.8, -0.6]
+    moved = Machine(PLANT, disturbance=Disturbance(input=force[:, None]))
+    of_splines, of_harmonics = (
+        RepetitiveBasis(functions, gain, lead=5 * DT, by_period=by_period)
+        for functions, gain in ((splines, 0.05), (HARMONICS, 0.1 if by_period else 0.05))
+    )
+    beside = WithFeedback(of_splines, PID(kp=0.4))
+    task = Task(np.zeros(last + 1), dt=DT)
+    assert basis_condition(moved, beside, task).condition.holds
+    e = np.abs(learn(moved, beside, task, 1).final.e[:, 0])
+    assert e[-n:].max() < 1e-4 * e[: 4 * n].max()
+    left = np.abs(run(of_splines, jnp.asarray(np.resize(force, last + 1))))
+    assert left[-n:].max() > 0.05 * left[: 4 * n].max()
+    left = np.abs(run(of_harmonics, jnp.asarray(repeating(last + 1))))
+    assert left[-n:].max() < 1e-4 * left[: 4 * n].max()
