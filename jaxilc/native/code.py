@@ -31,6 +31,7 @@ METADATA, MAJOR, MINOR, TRAITS = 24, 24, 28, 32  # of its extension, which asks 
 MINOR_OF_API = 36
 DATA, SIZES = 24, 40  # of a buffer
 LARGE, PAGE, HUGE = 2**22, 2**12, 14  # bytes of a result that is given huge pages, and the advice
+AGREED = b"agrees with XLA"
 _targets: dict[str, Code] = {}
 _lock = threading.Lock()
 
@@ -185,7 +186,7 @@ def target(text: str) -> str:
     The name follows from the text, since XLA keeps programs with the names of what they call on
     disk. A program stays for the life of the process.
     """
-    name = f"jaxilc_{_key_of(text)}"
+    name = f"jaxilc_{key_of(text)}"
     if name not in _targets:
         code = Code(text)
         with _lock:
@@ -230,7 +231,7 @@ class Code:
             raise Unknown(f"LLVM refuses the program: {error}".replace("\n", " ")) from error
         module.triple, module.data_layout = machine.triple, str(machine.target_data)
         module.verify()
-        place = _place_of(text)
+        place = _place(key_of(text))
         known = None if place is None else _kept(place)
         if known is None:
             options = llvm.create_pipeline_tuning_options(speed_level=2)
@@ -255,19 +256,38 @@ class Code:
         _targets[name] = self
 
 
-def _place_of(text: str) -> Path | None:
-    """The file of the machine code of a text, beside the programs that JAX keeps; None for none."""
+def _place(key: str) -> Path | None:
+    """The file of a key, beside the programs that JAX keeps; None where it keeps none."""
     folder = _folder()
-    if not folder:
-        return None
-    return Path(folder) / f"native-{_key_of(text)}"
+    return Path(folder) / f"native-{key}" if folder else None
 
 
-def _key_of(text: str) -> str:
-    """What the machine code of a text depends on, in short."""
+def key_of(*texts: str) -> str:
+    """What the machine code of texts depends on, in short."""
     processor = _llvm().get_host_cpu_name(), _llvm().get_host_cpu_features().flatten()
-    of = "\0".join((metadata.version("llvmlite"), *processor, text))
+    versions = (metadata.version(name) for name in ("llvmlite", "jaxlib"))
+    of = "\0".join((*versions, *processor, *texts))
     return hashlib.sha256(of.encode()).hexdigest()
+
+
+@cache
+def of_compiler() -> str:
+    """The text of this compiler, in short."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(of.read_bytes() for of in files)).hexdigest()
+
+
+def agreed(key: str) -> bool:
+    """Whether a process noted that the program of this key agrees with XLA."""
+    place = _place(key)
+    return place is not None and _kept(place) == AGREED
+
+
+def agree(key: str) -> None:
+    """Note that the program of this key agrees with XLA, where JAX keeps its programs on disk."""
+    place = _place(key)
+    if place is not None:
+        _keep(place, AGREED)
 
 
 def _folder() -> str | None:

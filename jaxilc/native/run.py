@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 import logging
 import math
+import re
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, cast
 
@@ -19,11 +19,22 @@ from ..learning.machine import Machine
 from ..learning.over_trials import learn
 from ..runtime.capacity import host_bytes, shown
 from ..runtime.lanes import all_stored, usual_lanes
-from ..runtime.start import native_wanted
+from ..runtime.start import native_unwanted
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
-from .code import callable_by_xla, cores, in_vectors, room, target, width
+from .code import (
+    agree,
+    agreed,
+    callable_by_xla,
+    cores,
+    in_vectors,
+    key_of,
+    of_compiler,
+    room,
+    target,
+    width,
+)
 from .llvm import Text
 from .operations import foreign
 from .program import Const, Program, Step, Unknown, Value, by_jax, flat, in_order, of_trials
@@ -57,6 +68,7 @@ class Compiled:
                  lanes: int | None = None):  # fmt: skip
         with all_stored():
             closed, shape = jax.make_jaxpr(fn, return_shape=True)(common, one)
+        self._jaxpr = closed.jaxpr
         self._tree = jax.tree.structure(shape)
         self._program: Program = flat(closed)
         self._shared = len(jax.tree.leaves(common))
@@ -115,6 +127,12 @@ class Compiled:
                           f"take {shown(needed)} of the RAM")  # fmt: skip
 
     @property
+    def key(self) -> str:
+        """What its numbers depend on besides its arguments, in short."""
+        text = re.sub("0x[0-9a-f]+", "", str(self._jaxpr))
+        return key_of(of_compiler(), text, *(of.name for of in self._loops))
+
+    @property
     def tile(self) -> int:
         """The number of machines that are computed at once."""
         of_one = self._holding + sum(loop.drawn for loop in self._loops) * self.lanes
@@ -163,8 +181,7 @@ class Compiled:
 
         known: by value, arrays of all groups, (groups, ..., lanes), of what varies
         """
-        made = {x for step in steps for x in step.outs}
-        wanted = [x for x in made if x in read]
+        wanted = [x for step in steps for x in step.outs if x in read]
         of = [x for x in known if any(x in step.ins for step in steps)]
 
         def of_one(arrays: list) -> list:
@@ -198,6 +215,7 @@ class _Loop:
     each: the operands that differ from machine to machine
     shown: the results that somebody reads
     drawn: bytes of the operands of a machine
+    name: the name under which XLA calls it, which follows from what it computes
     work: bytes that a group needs
     """
 
@@ -215,7 +233,7 @@ class _Loop:
         self._found = {x: plan.moved(i, out=True) for i, x in enumerate(step.outs) if x in read}
         results = [lanes * _size(x) if x in read else None for x in step.outs]
         operands = len(step.ins) + len(plan.given)
-        self._name = target(callable_by_xla(text.text, operands, results, text.work))
+        self.name = target(callable_by_xla(text.text, operands, results, text.work))
         self.each = [x for x, same in zip(step.ins, self._alike, strict=True) if not same]
         self.drawn = sum(_size(x) for x in self.each)
 
@@ -230,7 +248,7 @@ class _Loop:
             for x, move in self._found.items()
         ]
         like.append(jax.ShapeDtypeStruct(room(self.work), np.uint8))
-        call = jax.ffi.ffi_call(self._name, like, vmap_method="sequential")
+        call = jax.ffi.ffi_call(self.name, like, vmap_method="sequential")
         found = call(*operands, *self._constants)
         moves = zip(self._found.items(), found, strict=False)
         return {x: _turned(array, to + 1, at + 1) for (x, (at, to)), array in moves}
@@ -251,6 +269,7 @@ class Native:
         """The reason why XLA computes these arguments; None where a compiled program does.
 
         A new program first computes this batch, and its results are compared with those of XLA.
+        Where machine code is kept on disk, it is noted there that they agree, for later processes.
         """
         key = _key(common, batch)
         if key not in self._programs:
@@ -274,40 +293,66 @@ class Native:
         except Exception as error:  # of ours, which is no reason not to learn
             log.warning("native: %s: %s; XLA computes instead", type(error).__name__, error)
             return f"an error of the compiler, {type(error).__name__}: {error}"
-        with ThreadPoolExecutor(1) as aside:  # both are compiled at once, where there are cores
-            wanted = aside.submit(_once, self._xla, common, batch)
-            off = differs(_once(program, common, batch), wanted.result())
+        key = program.key
+        if agreed(key):
+            return program
+        both = jax.jit(lambda *arguments: (program(*arguments), self._xla(*arguments)))
+        traced = both.lower(common, batch)
+        off = differs(*traced.compile(compiler_options=QUICKLY)(common, batch))
         if off is None:
+            agree(key)
             return program
         log.warning("native: %s, as XLA computes it; XLA computes instead", off)
         return f"another result than that of XLA: {off}"
 
 
-def _once(fn: Callable[[Any, Any], Any], common: Any, batch: Any) -> Any:
-    """The results of a function, which XLA compiles without its optimiser, for it runs once."""
-    traced = jax.jit(lambda *arguments: fn(*arguments)).lower(common, batch)
-    return traced.compile(compiler_options=QUICKLY)(common, batch)
-
-
 def fastest(
-    fn: Callable[[Any, Any], Any], common: Any, batch: Any, *, lanes: int | None = None
+    fn: Callable[[Any, Any], Any],
+    common: Any,
+    batch: Any,
+    *,
+    steps: float,
+    lanes: int | None = None,
 ) -> tuple[Callable[[Any, Any], Any], bool]:
     """`tiled(fn)`, or a compiled program that does the same, and whether it is the latter.
 
-    A program is compiled where `setup` asks for it. It first computes a tile of this batch, and its
-    results are compared with those of XLA.
+    A program is compiled where `setup` asks for it, or the sample-steps are worth it. It first
+    computes a tile of this batch, and its results are compared with those of XLA.
 
     common, batch: arguments, of which a program may be called with others of the same shapes
+    steps: number of sample-steps of all calls together, see `native_unwanted`
     """
     by_xla = tiled(fn, lanes=lanes)
-    if not native_wanted() or jax.default_backend() != "cpu":
-        return by_xla, False
-    native = Native(fn, by_xla)
+    native, reason = Native(fn, by_xla), native_unwanted(steps)
     few = jax.tree.map(lambda x: x[: lanes or usual_lanes() or 1], batch)
-    reason = native.why_not(common, few)
+    reason = reason or native.why_not(common, few)
     log.info("native: computed by %s", f"XLA: {reason}" if reason else "a program for this "
              "processor")  # fmt: skip
     return (by_xla, False) if reason else (native.program(common, few), True)
+
+
+def sample_steps(fn: Callable[[Any, Any], Any], common: Any, batch: Any) -> float:
+    """The sample-steps of a function over a batch: the turns of the loops that have none within."""
+
+    def turns(jaxpr: Any) -> float:
+        found = 0.0
+        for step in jaxpr.eqns:
+            within = sum(
+                turns(getattr(x, "jaxpr", x))
+                for x in jax.tree.leaves([*step.params.values()], is_leaf=_has_steps)
+                if _has_steps(x)
+            )
+            found += (
+                step.params["length"] * max(within, 1) if step.primitive.name == "scan" else within
+            )
+        return found
+
+    one = jax.tree.map(lambda x: x[0], batch)
+    return turns(jax.make_jaxpr(fn)(common, one).jaxpr) * len(jax.tree.leaves(batch)[0])
+
+
+def _has_steps(x: Any) -> bool:
+    return hasattr(x, "eqns")
 
 
 def why_not(machine: Machine, scheme: Scheme, task: Task, trials: int = 2) -> str | None:

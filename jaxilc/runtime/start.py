@@ -7,6 +7,7 @@ import os
 import platform
 import warnings
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 
 import jax
@@ -16,6 +17,9 @@ from .jax_internals import sealed_programs
 from .xla_options import chosen
 
 NATIVE = "JAXILC_NATIVE"
+SETTINGS = ("auto", "on", "off")
+WORTH = 5e7  # sample-steps that take XLA about as long as to compile them here, once for all
+STEPS_OF_SLOPE = 6  # sample-steps that take as long as one with its slope
 
 
 def setup(
@@ -26,8 +30,8 @@ def setup(
     precision: `float64` or `float32`
     devices: number of CPU devices; None: one for each core
     native: whether learning is compiled for this processor where it can be (see `native`); None:
-        as the environment variable JAXILC_NATIVE says, `on` or `off`, which is off where it is not
-        set
+        as the environment variable JAXILC_NATIVE says: `on`, `off`, or, as where it is not set,
+        `auto`: where that saves more time than it takes
 
     Without `setup` XLA dispatches every small operation of a loop separately, which is several
     times slower. Options that XLA_FLAGS contains already are not changed. If JAX has an
@@ -52,7 +56,7 @@ def setup(
         )
     if native is not None:
         os.environ[NATIVE] = "on" if native else "off"
-    native_wanted()
+    _native_setting()
     jax.config.update("jax_enable_x64", precision == "float64")
     # XLA's pool has a thread per core. If every device makes a batched LAPACK call at once, all
     # threads wait for each other; additional threads prevent this. XLA reads this variable.
@@ -80,12 +84,31 @@ def setup(
         )
 
 
-def native_wanted() -> bool:
-    """Whether learning is compiled for this processor; raises ValueError for another setting."""
-    given = os.environ.get(NATIVE) or "off"
-    if given not in ("on", "off"):
-        raise ValueError(f"{NATIVE} = {given!r} is not one of 'on', 'off'")
-    return given == "on" and jax.config.jax_platforms in (None, "", "cpu")
+def native_unwanted(steps: float) -> str | None:
+    """The reason why learning is not to be compiled for this processor; None where it is to be.
+
+    steps: machines x trials x samples, times STEPS_OF_SLOPE where slopes are computed too
+    Raises ValueError for another setting.
+    """
+    setting = _native_setting()
+    if setting == "off":
+        return f"{NATIVE} is off"
+    if jax.default_backend() != "cpu":
+        return f"JAX computes on {jax.default_backend()}"
+    if setting == "on":
+        return None
+    if steps < WORTH:
+        return f"{steps:.2g} sample-steps, where fewer than {WORTH:.0e} are not worth compiling"
+    return (
+        None if find_spec("llvmlite") else "llvmlite is not installed: pip install jaxilc[native]"
+    )
+
+
+def _native_setting() -> str:
+    given = os.environ.get(NATIVE) or "auto"
+    if given not in SETTINGS:
+        raise ValueError(f"{NATIVE} = {given!r} is not one of {', '.join(map(repr, SETTINGS))}")
+    return given
 
 
 def keep_programs() -> Path | None:

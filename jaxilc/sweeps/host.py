@@ -25,12 +25,12 @@ from ..learning.known_metrics import METRICS
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
 from ..learning.watch import Watch
-from ..native.run import Native
+from ..native.run import Compiled, Native
 from ..pytree.named_paths import replaced
 from ..runtime import capacity, provenance
 from ..runtime.events import COMPILING, COMPUTING
 from ..runtime.lanes import fitting_lanes
-from ..runtime.start import native_wanted
+from ..runtime.start import native_unwanted
 from ..runtime.tiles import tiled
 from ..uncertainty import drawn_machine
 from .plan import Chunk, Plan
@@ -65,10 +65,12 @@ class Host:
         make = _shared_program if shared else _program
         counts = {variant.trials for variant in plan.variants.values()}
         self._programs = {n: make(*of_machine, n, plan.lanes) for n in counts}
-        native = shared and native_wanted() and jax.default_backend() == "cpu"
-        self._natives = {
-            n: _shared_native(*of_machine, n, plan.lanes) for n in counts if native
-        }  # none on a cluster, whose workers may differ in their processors
+        self._natives: dict[int, Native | str] = {}
+        for n in counts:
+            why_not = native_unwanted(plan.members * n * plan.task.N)
+            if not shared:
+                why_not = "the workers of a cluster may differ in their processors"
+            self._natives[n] = why_not or _shared_native(*of_machine, n, plan.lanes)
         self._by_trial = {
             n: v.dims.index("trial") - 1 for n, v in plan.variables.items() if "trial" in v.dims
         }
@@ -80,7 +82,9 @@ class Host:
         `native` are the variants that a program compiled for this processor computes; a first tile
         of each is then computed by XLA too, and compared.
         """
-        reasons = {name: self._why_not(name) for name in self.plan.variants if self._natives}
+        names = [*self.plan.variants]
+        with ThreadPoolExecutor(COMPILERS) as compilers:
+            reasons = dict(zip(names, compilers.map(self._why_not, names), strict=True))
         for name, reason in reasons.items():
             by = "a program for this processor" if reason is None else f"XLA: {reason}"
             log.info("native: %s is computed by %s", name, by)
@@ -90,10 +94,17 @@ class Host:
 
     def _why_not(self, name: str) -> str | None:
         """The reason why XLA computes a variant; None where it does not."""
-        if not self._natives:
-            return "not asked for"
         native = self._natives[self.plan.variants[name].trials]
+        if isinstance(native, str):
+            return native
         return native.why_not(*self._arguments(name, 0, self.plan.lanes))
+
+    def _native(self, name: str, arguments: tuple[Any, Any]) -> Compiled | None:
+        """The program for this processor of a variant; None where XLA computes it."""
+        native = self._natives[self.plan.variants[name].trials]
+        if isinstance(native, str) or self._why_not(name) is not None:
+            return None
+        return native.program(*arguments)
 
     def fitting_lanes(self) -> int:
         """The lanes that suit the backend and fit for every scheme, see `runtime.lanes`.
@@ -120,9 +131,9 @@ class Host:
 
     def bytes_of(self, name: str, size: int) -> int:
         """Bytes that `size` members of a variant need; the program is compiled, but not run."""
-        if self._why_not(name) is None:
-            native = self._natives[self.plan.variants[name].trials]
-            return native.program(*self._arguments(name, 0, 1)).bytes_of(size)
+        native = self._native(name, self._arguments(name, 0, 1))
+        if native is not None:
+            return native.bytes_of(size)
         return capacity.program_bytes(self._run(name).lower(*self._arguments(name, 0, size)))
 
     def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
@@ -172,10 +183,8 @@ class Host:
     def _started(self, chunk: Chunk) -> Started:
         """The results of `compute` as arrays that need not be computed yet, or what gives them."""
         arguments = self._arguments(chunk.name, chunk.start, self.plan.chunk)
-        if self._why_not(chunk.name) is None:
-            native = self._natives[self.plan.variants[chunk.name].trials]
-            return partial(native.program(*arguments), *arguments)
-        return self._run(chunk.name)(*arguments)
+        native = self._native(chunk.name, arguments)
+        return self._run(chunk.name)(*arguments) if native is None else partial(native, *arguments)
 
     def _run(self, name: str) -> Any:
         """The compiled function of a variant."""

@@ -34,6 +34,7 @@ from ..learning.within_trial import bytes_of_trial
 from ..native.run import fastest
 from ..pytree.named_paths import replaced
 from ..runtime.lanes import fitting_lanes, usual_lanes
+from ..runtime.start import STEPS_OF_SLOPE
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
@@ -108,7 +109,7 @@ class Losses:
         return risk + self.of_machine(self.population.machine, values, of_nominal)
 
     def evaluation(
-        self, objective: Objective, *, clip: float
+        self, objective: Objective, *, clip: float, steps: int
     ) -> tuple[Callable[[Any], Evaluation], bool]:
         """A function that evaluates the loss over the machines of the population at z (P,).
 
@@ -118,12 +119,19 @@ class Losses:
             slope = sum_s (d risk / d l_s) (d l_s / d z) + slope of the nominal terms
 
         clip: bound on the slope of a machine, see `descent.repaired`
+        steps: number of times that it will evaluate from each start
         """
         of_machines, of_nominal = split(objective)
         batch = self.population.batch()
         of_one = partial(self._slope_of_one, objective=of_machines)
         z = jnp.asarray(self.weights.starts(1, 0.0, 0)[0])
-        over_machines, native = fastest(of_one, z, batch, lanes=self._lanes_of(batch))
+        sample_steps = (
+            steps * self.starts * len(jax.tree.leaves(batch)[0]) * self.trials * self.task.N
+        )
+        over_machines, native = fastest(
+            of_one, z, batch, lanes=self._lanes_of(batch),
+            steps=sample_steps * (1 if self._forward else STEPS_OF_SLOPE),
+        )  # fmt: skip
 
         def evaluate(z) -> Evaluation:
             losses, slopes, good = repaired(*over_machines(z, batch), clip)

@@ -372,7 +372,7 @@ class Tuning:
     @cached_property
     def _evaluation(self) -> tuple[Callable[[Any], Evaluation], bool]:
         """The training loss, and whether a program compiled for this processor computes it."""
-        return self._losses.evaluation(self.objective, clip=self.clip)
+        return self._losses.evaluation(self.objective, clip=self.clip, steps=self.steps)
 
 
 def in_rounds(f: Callable, rows: Mapping[str, np.ndarray], size: int) -> np.ndarray:

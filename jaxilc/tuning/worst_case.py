@@ -21,7 +21,7 @@ from ..learning.known_metrics import bytes_of_metrics
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
-from ..native.run import fastest
+from ..native.run import fastest, sample_steps
 from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, require
 from ..runtime.capacity import check_program, check_size
@@ -99,14 +99,12 @@ def worst_case_search(
     t = np.concatenate(
         [np.full((1, box.n), 0.5), qmc.LatinHypercube(box.n, rng=seed).random(starts - 1)]
     )
-    climb = jax.jit(
-        fastest(
-            lambda subject, t: jax.value_and_grad(lambda t: loss(box.at(t, subject)))(t),
-            box.subject,
-            jnp.asarray(t),
-            lanes=lanes,
-        )[0]
-    )
+
+    def of_one(subject, t):
+        return jax.value_and_grad(lambda t: loss(box.at(t, subject)))(t)
+
+    given = of_one, box.subject, jnp.asarray(t)
+    climb = jax.jit(fastest(*given, steps=steps * sample_steps(*given), lanes=lanes)[0])
     start = jax.ShapeDtypeStruct((starts, box.n), jnp.result_type(float))
     check_program(
         "worst_case_search: a step of all starts",
@@ -147,9 +145,8 @@ def monte_carlo_search(
     box = _Box(subject, uncertainty)
     check_size("monte_carlo_search", bytes_of_a_draw(box.uncertainty), evaluations=evaluations)
     t = np.random.default_rng(seed).random((evaluations, box.n))
-    look = fastest(
-        lambda subject, t: loss(box.at(t, subject)), box.subject, jnp.asarray(t), lanes=lanes
-    )[0]
+    given = lambda subject, t: loss(box.at(t, subject)), box.subject, jnp.asarray(t)
+    look = fastest(*given, steps=sample_steps(*given), lanes=lanes)[0]
     losses = np.asarray(look(box.subject, jnp.asarray(t)))
     losses = np.where(np.isfinite(losses), losses, -np.inf)
     return box.worst(t, losses, evaluations, np.maximum.accumulate(losses))

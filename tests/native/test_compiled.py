@@ -227,3 +227,23 @@ def test_machine_code_is_kept_and_what_was_damaged_is_compiled_again(monkeypatch
         assert len(optimised) == again
         assert kept.read_bytes()[32:] == whole[32:]
         assert [*tmp_path.iterdir()] == [kept]
+
+
+def test_what_agreed_with_xla_is_not_compared_again(monkeypatch, tmp_path):
+    """It is noted on disk, and XLA's own programs are found there: their text is the same again."""
+    monkeypatch.setattr(code, "_folder", lambda: str(tmp_path))
+    common, compared = arguments("ffdl_sign"), []
+    monkeypatch.setattr(run, "differs", lambda *of: compared.append(1) or differs(*of))
+
+    def text():
+        native = Native(of_machine, jax.vmap(of_machine, (None, 0)))
+        assert native.why_not(common, GAINS[:2]) is None
+        program = native.program(common, GAINS[:2])
+        return jax.jit(program).lower(common, GAINS[:2]).as_text()
+
+    assert text() == text()
+    assert len(compared) == 1
+    for noted in tmp_path.glob("native-*"):
+        noted.write_bytes(b"agrees with XLA")  # which no process wrote
+    text()
+    assert len(compared) == 2

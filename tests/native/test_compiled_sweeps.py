@@ -1,11 +1,17 @@
 """Sweeps whose learning is compiled for this processor."""
 
+import dataclasses
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import SCHEMES, case
 
-from jaxilc.runtime import setup
-from jaxilc.runtime.start import native_wanted
+from jaxilc.learning import learn
+from jaxilc.native.run import sample_steps
+from jaxilc.runtime import setup, start
+from jaxilc.runtime.start import STEPS_OF_SLOPE, WORTH, native_unwanted
 from jaxilc.sweeps import Sweep, open_dataset
 from jaxilc.sweeps.store import stored_configuration
 from jaxilc.uncertainty import Uniform
@@ -53,14 +59,41 @@ def test_what_is_not_known_is_computed_by_xla(monkeypatch):
     np.testing.assert_array_equal(found["rms"], sweep(unknown).run()["rms"])
 
 
-def test_the_switch_is_on_off_or_named(monkeypatch):
+def test_the_switch_is_auto_on_off_or_named(monkeypatch):
+    """Where nothing is said, what is worth the time is compiled, and of one machine nothing is."""
     monkeypatch.delenv("JAXILC_NATIVE", raising=False)
-    assert not native_wanted()
-    for text, wanted in (("", False), ("off", False), ("on", True)):
+    assert "10 sample-steps, where fewer than" in native_unwanted(10)
+    assert native_unwanted(WORTH) is None
+    for text, wanted in (("", False), ("auto", False), ("off", False), ("on", True)):
         monkeypatch.setenv("JAXILC_NATIVE", text)
-        assert native_wanted() is wanted
+        assert (native_unwanted(10) is None) is wanted
     monkeypatch.setenv("JAXILC_NATIVE", "yes")
-    with pytest.raises(ValueError, match="JAXILC_NATIVE = 'yes' is not one of 'on', 'off'"):
+    with pytest.raises(ValueError, match="JAXILC_NATIVE = 'yes' is not one of 'auto', 'on', 'off'"):
         setup()
     setup(native=False)
-    assert not native_wanted()
+    assert native_unwanted(WORTH) == "JAXILC_NATIVE is off"
+    monkeypatch.delenv("JAXILC_NATIVE")
+    monkeypatch.setattr(start, "find_spec", lambda name: None)
+    assert "llvmlite is not installed" in native_unwanted(WORTH)
+
+
+def test_a_sweep_that_is_worth_it_is_compiled_without_being_asked(monkeypatch):
+    monkeypatch.delenv("JAXILC_NATIVE", raising=False)
+    one = sweep(("p_type",))
+    assert "native" not in one.host().environment
+    monkeypatch.setattr(start, "WORTH", 21 * 4 * one.task.N)
+    assert one.host().environment["native"] == ["p_type"]
+
+
+def test_the_steps_of_what_is_computed_are_counted():
+    machine, _, task = case("arx")
+
+    def loss(common, gain):
+        machine, scheme = common
+        return jnp.sum(learn(machine, dataclasses.replace(scheme, gamma_p=gain), task, 4).rms)
+
+    of = (machine, SCHEMES["p_type"]), np.ones(3)
+    steps = sample_steps(loss, *of)
+    assert steps == 3 * 4 * 2 * task.N  # the law sums the errors in a loop of its own
+    slope = sample_steps(jax.value_and_grad(loss, argnums=1), *of)
+    assert 2 * steps <= slope <= STEPS_OF_SLOPE * steps
