@@ -213,6 +213,8 @@ class Population:
         if self.sampling not in SAMPLINGS:
             said = f"sampling = {brief(self.sampling)}"
             raise ValueError(not_one_of(said, self.sampling, SAMPLINGS))
+        if not isinstance(self.grid, Mapping):
+            raise ValueError(f"Population: grid = {brief(self.grid)} is not values by name")
         require("Population", "count", self.count, "[1, inf)", whole=True)
         require("Population", "seed", self.seed, SEEDS, whole=True)
         check(self.machine, self.uncertainty)

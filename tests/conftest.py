@@ -80,6 +80,21 @@ def pytest_collection_modifyitems(config, items):
             file = test.partition("::")[0]
             if {test, file, file + bracket + case} & listed and test not in left_out:
                 item.add_marker(name)
+    if any("::" in argument for argument in config.args):
+        return
+    cases = {}  # of `thorough` tests
+    for item in items:
+        if item.get_closest_marker("thorough"):
+            of_case = getattr(item, "callspec", None)
+            cases.setdefault(item.function, {})[of_case and of_case.id] = item
+    spared = set()
+    for function, of in cases.items():
+        always = {*next(iter(of.values())).get_closest_marker("thorough").kwargs.get("but", ())}
+        assert always <= {*of}, f"{function.__name__} has no cases {always - {*of}}"
+        spared |= {item for case, item in of.items() if case not in always}
+    if os.environ.get("JAXILC_ALL") != "1":
+        config.hook.pytest_deselected(items=[*spared])
+        items[:] = [item for item in items if item not in spared]
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -158,6 +158,12 @@ def test_bad_input_is_named(uncertainty, kwargs, message):
         draw(MACHINE, uncertainty, **({"machines": 50} | kwargs))
 
 
+def test_a_grid_that_has_no_names_is_refused():
+    """A count in its place would otherwise leave a population of 1024 machines."""
+    with pytest.raises(ValueError, match="Population: grid = 5 is not values by name"):
+        Population(MACHINE, UNCERTAINTY, 5)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -80,9 +80,9 @@ def basis_condition(machine: Machine | Population, scheme: Scheme, task: Task) -
     machines, drawn = members(machine)
     plays, learns, ends = _of_samples(basis, samples, float(task.dt), period)
     parts, found = np.array_split(np.arange(samples), -(-samples // AT_ONCE)), []
+    names = limit_names(drawn_machines(machines[0], {}, {}), scheme, task)  # and of all others
     for one in machines:
         loop = reduced(one, feedback, task)
-        names = limit_names(drawn_machines(one, {}, {}), scheme, task)
         premises = (
             invariant_loop(one, feedback, task),
             of_poles([loop]),

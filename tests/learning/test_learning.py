@@ -46,6 +46,7 @@ def assert_trees_close(one, other, **tolerance):
     )
 
 
+@pytest.mark.thorough(but=["ffdl_book"])
 @pytest.mark.parametrize("name", ["pd_type", "ffdl_book", "p_type_over_pid"])
 def test_learn_is_the_loop_by_hand(name, machine, task):
     """`learn` gives the same numbers as the loop by hand.

@@ -127,6 +127,7 @@ def sum_of_metrics(name, trials):
     return of
 
 
+@pytest.mark.thorough(but=["p_type"])
 @pytest.mark.parametrize("name", CURVED)
 def test_second_derivatives_of_all_metrics_equal_finite_differences(name):
     """The second derivative is wrong by a part that no first derivative shows.
@@ -148,6 +149,7 @@ def test_second_derivatives_of_all_metrics_equal_finite_differences(name):
     np.testing.assert_allclose(found(at)[1], expected, **DIFFERENCES)
 
 
+@pytest.mark.thorough(but=["basis_functions"])
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONTRACTING)
 def test_slope_of_contraction_equals_finite_differences(name):

@@ -367,6 +367,7 @@ def test_a_sweep_draws_what_differs():
 LAWS = ["model_free", "constrained", "at_samples", "ilc_asmc"]
 
 
+@pytest.mark.thorough(but=["model_free"])
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_every_law_runs_where_trials_differ(name):

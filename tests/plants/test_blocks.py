@@ -97,6 +97,7 @@ def outputs(plant, task, u):
     return run_trial(Machine(plant), Scheme(), task, Feedforward(u), jax.random.key(0)).y
 
 
+@pytest.mark.thorough(but=["continuous", "motor_and_table"])
 @pytest.mark.parametrize("name", LINEAR)
 def test_every_linear_plant_moves_as_in_steps(no_steps, name):
     """Every linear plant moves in blocks as it does in steps.
@@ -133,6 +134,7 @@ def assert_same_learning(one, other):
 
 
 # The window acts in `measure`, which gets the record of a trial and knows none of the parts.
+@pytest.mark.thorough(but=["bare-settle1", "limit-settle2"])
 @pytest.mark.parametrize(
     ("part", "settle"), [("bare", None), *((part, (0.0, 0.02)) for part in PARTS)]
 )

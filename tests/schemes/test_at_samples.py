@@ -100,6 +100,7 @@ def test_what_is_free_is_not_learned_from(name):
     np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.thorough(but=["gradient"])
 @pytest.mark.parametrize("name", ["gradient", "constrained", "two_step", "estimated"])
 def test_every_law_with_a_model_comes_to_the_points(name):
     history = learn(

@@ -179,6 +179,19 @@ def test_what_was_learned_serves_a_reference_of_another_length_and_size():
 STARTABLE = [name for name, scheme in SCHEMES.items() if scheme.learns]
 
 
+@pytest.mark.thorough(
+    but=[
+        "p_type",
+        "ffdl_sign",
+        "norm_optimal",
+        "milc",
+        "p_type_over_pid",
+        "two_step",
+        "basis_functions",
+        "at_samples",
+        "p_type_stop",
+    ]
+)
 @pytest.mark.parametrize("name", STARTABLE)
 def test_any_law_starts_from_an_input(name):
     _, scheme, task = case(name)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALGEBRA, CASES, DIFFERENCES, FEW, case, task_for
+from cases import ALGEBRA, CASES, DIFFERENCES, FEW, case, few, task_for
 
 from jaxilc import tiled
 from jaxilc.learning import Machine, learn, over_trials
@@ -25,43 +25,6 @@ LONG = {"p_type_switchable", "asmc_carried_limited"}
 # Without jit each operation is compiled by itself, which takes seconds. So this is for the plants,
 # filters and laws that ask whether values are known.
 WITHOUT_JIT = ("p_type_butterworth", "norm_optimal", "fast_tool_servo_nonlinear")
-# All lines of code that these run are those of other cases, as the coverage of each case tells.
-ALIKE = {
-    "pid_position",
-    "pid_feedforward",
-    "p_type",
-    "pd_type",
-    "cfdl_book",
-    "cfdl_none",
-    "cfdl_lead_limited",
-    "pfdl_book",
-    "pfdl_sign",
-    "pfdl_none",
-    "ffdl_none",
-    "cfdl_smooth",
-    "cfdl_mfac",
-    "pfdl_mfac",
-    "ilc_mfapc",
-    "p_type_fir",
-    "ffdl_fir",
-    "p_type_over_pid",
-    "p_type_on_table",
-    "learning_filter",
-    "higher_order",
-    "dilc",
-    "voice_coil_exact",
-    "voice_coil_printed",
-    "voice_coil_dai",
-    "arx",
-    "continuous",
-    "discrete",
-    "mimo",
-    "motor",
-    "motor_and_table",
-    "pendulum",
-}
-
-
 PARTED = (  # one of each kind
     "p_type_ladder",
     "ffdl_book",
@@ -70,6 +33,15 @@ PARTED = (  # one of each kind
     "keep_unmeasured",
     "ilc_asmc",
 )
+# With those above: what fewer than ten tests elsewhere run, as the coverage of each case tells.
+COVERING = (
+    "asmc_carried_limited", "at_samples_p_type", "ball_screw_real", "basis_gradient",
+    "basis_rational", "by_position", "cfdl_mfapc_moves", "constrained", "ffdl_smooth",
+    "fast_tool_servo_linear", "in_blocks", "modal", "motor_real", "on_basis", "p_type_switchable",
+    "pid_increment_limited", "pid_position_limited", "position_basis", "repetitive", "three_axes",
+    "two_step", "warm_start",
+)  # fmt: skip
+OFTEN = {*COVERING, *PARTED, *WITHOUT_JIT}
 of_each_kind = pytest.mark.parametrize("run", PARTED, indirect=True, scope="module")
 # These programs of single machines are compiled in addition to those of batches.
 alone = pytest.mark.parametrize(
@@ -108,7 +80,7 @@ batched = jax.jit(jax.vmap(jax.value_and_grad(loss, has_aux=True), in_axes=(0, N
 sampled = jax.jit(lambda machine, dt: machine.sampled(dt), static_argnums=1)
 
 
-@pytest.fixture(scope="module", params=[name for name in CASES if name not in ALIKE])
+@pytest.fixture(scope="module", params=few(OFTEN, CASES))
 def run(request) -> Run:
     machine, scheme, task = case(request.param)
     if request.param not in LONG:

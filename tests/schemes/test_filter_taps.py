@@ -77,6 +77,7 @@ Q = control.tf([0.3], [1.0, -0.7], DT)
 IIR = ZeroPhaseIIR((0.0461, 0.0922, 0.0461), (1.0, -1.3073, 0.4918))
 
 
+@pytest.mark.thorough(but=["lead", "zpetc", "model"])
 @pytest.mark.parametrize(
     ("L", "Q", "options", "of_L", "of_Q"),
     [

@@ -165,6 +165,7 @@ NESTS = {
 }
 
 
+@pytest.mark.thorough(but=["filter_inside", "around_feedback", "mfailc"])
 @pytest.mark.parametrize("nest", NESTS)
 def test_guards_with_nothing_to_do_change_nothing(nest):
     build, plain = NESTS[nest]

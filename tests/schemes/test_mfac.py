@@ -459,6 +459,7 @@ def loss(scheme):
 losses = jax.jit(jax.vmap(loss))
 
 
+@pytest.mark.thorough(but=["mfapc_moves"])
 @pytest.mark.parametrize("law", SMOOTH)
 def test_gradient_of_every_weight_and_lanes_of_a_batch(law):
     """The gradient of every weight is correct, and the lanes of a batch equal single runs.

@@ -95,6 +95,7 @@ def everything(trial):
     return trial.y[:, 0], trial.u[:, 0]
 
 
+@pytest.mark.thorough(but=["ffdl-over_feedback"])
 @pytest.mark.parametrize("feedback", [False, True], ids=["alone", "over_feedback"])
 @pytest.mark.parametrize("name", WINDOWS)
 def test_increments_are_of_what_the_actuator_applied(name, feedback):

@@ -47,6 +47,7 @@ def lifted(model, N=N):
     return G.reshape(N * len(C), -1)
 
 
+@pytest.mark.thorough(but=["feedback1-mean"])
 @pytest.mark.parametrize("about", ["trial", "mean"])
 @pytest.mark.parametrize("feedback", [None, PID(kp=GAIN)])
 def test_it_is_gradient_learning_by_the_exact_model(about, feedback):

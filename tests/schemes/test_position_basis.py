@@ -193,6 +193,7 @@ def test_it_is_differentiable_by_the_pitch_and_batched():
     np.testing.assert_allclose(many[1], cost(12.1), rtol=1e-9)
 
 
+@pytest.mark.thorough(but=["7.3"])
 @pytest.mark.parametrize("pitch", [12.0, 7.3])
 def test_the_pitch_is_found_from_a_record(pitch):
     task = there_and_back(30.0)

@@ -65,6 +65,7 @@ def test_it_is_the_law_of_the_trial_a_period_later():
     np.testing.assert_allclose(found.u[:, 0] - found.signals["feedback"][:, 0], v, atol=1e-10)
 
 
+@pytest.mark.thorough(but=["0.0504"])
 @pytest.mark.parametrize("period", [PERIOD, 0.0504, 0.0621])
 def test_what_is_left_at_each_frequency_is_the_sensitivity(period):
     """A sinusoid long after its start, over that under the feedback alone."""

@@ -191,7 +191,7 @@ def test_a_limit_and_a_family_are_told():
     task, basis = Task(np.zeros(60), dt=DT), RepetitiveBasis(HARMONICS, 0.1, lead=5 * DT)
     found = basis_condition(Machine(PLANT, actuator=Actuator(limit=1.0)), basis, task).condition
     assert (found.verdict, len(found.broken)) == ("not claimed", 1)
-    drawn = Population(Machine(PLANT), {"plant.B": Uniform(0.8, 1.2, relative=True)}, 5)
+    drawn = Population(Machine(PLANT), {"plant.B": Uniform(0.8, 1.2, relative=True)}, count=5)
     worst = basis_condition(drawn, basis, task)
     each = [
         basis_condition(drawn.machine_of(i), basis, task).condition.value for i in range(drawn.size)

@@ -420,6 +420,7 @@ def test_a_disturbance_that_repeats_changes_nothing():
     assert np.nanmin(found["share_kept"]) == 1.0
 
 
+@pytest.mark.thorough(but=["3.0"])
 @pytest.mark.parametrize("lam", [1.0, 3.0])
 def test_lambda_above_b_squared_over_four_guarantees_nothing_on_a_dynamic_plant(lam):
     """lam > b^2/4 guarantees nothing on a dynamic plant.

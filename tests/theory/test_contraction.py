@@ -61,6 +61,7 @@ def maps(machine, scheme, task):
     return dense, (contraction.singular_value(*learning), contraction.singular_value(*error))
 
 
+@pytest.mark.thorough(but=["p_type"])
 @pytest.mark.parametrize("name", ["p_type", "ffdl", "ilc_mfapc"])
 def test_singular_values_are_those_of_the_dense_matrix(name):
     """The singular values are those of the dense matrix, to 1e-6 at N = 200.

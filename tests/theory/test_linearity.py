@@ -201,6 +201,7 @@ class Bent(Scheme):
         return self.scheme.learn(memory, trial._replace(y=trial.r - e))
 
 
+@pytest.mark.thorough(but=["Bent"])
 @pytest.mark.parametrize("wrapper", [OnlyTen, Bent])
 def test_a_wrapper_that_nobody_knows_cannot_slip_through(wrapper):
     machines = drawn_machines(Machine(DifferenceEquation((0.7,), (0.3,), dt=DT)), {}, {})
