@@ -333,9 +333,9 @@ class _Body:
 
     def text(self, x: Node, operands: Sequence[str]) -> str:
         if x.name == "operand":
-            return operands[x.what]
+            return operands[x.operand]
         if x.name == "const":
-            return number(x.what, x.dtype, self.single)
+            return number(x.value, x.dtype, self.single)
         args = [self.text(one, operands) for one in x.args]
         closed, kind = [_closed(one) for one in args], x.args[0].dtype.kind
         one = _NEUTRAL.get(x.name)

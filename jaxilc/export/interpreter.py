@@ -95,9 +95,9 @@ def _node(x: Node, ins: list[np.ndarray], real: np.dtype, made: dict[Node, Any])
     if x not in made:
         args = [_node(one, ins, real, made) for one in x.args]
         if x.name == "operand":
-            made[x] = ins[x.what]
+            made[x] = ins[x.operand]
         elif x.name == "const":
-            made[x] = _as(x.what, x.dtype, real)
+            made[x] = _as(x.value, x.dtype, real)
         elif x.name == "convert":
             made[x] = _converted(args[0], x.dtype, real)
         else:

@@ -326,9 +326,9 @@ class _Block:
 
     def formula(self, x: Node, operands: Sequence[str]) -> str:
         if x.name == "operand":
-            return operands[x.what]
+            return operands[x.operand]
         if x.name == "const":
-            return number(x.what, x.dtype)
+            return number(x.value, x.dtype)
         args = [self.formula(one, operands) for one in x.args]
         kind = x.args[0].dtype.kind
         if x.name == "select":

@@ -150,8 +150,7 @@ class _Writer:
                 return [Const(x) for x in carried_out(step, [np.asarray(x) for x in arrays])]
         if step.name == "scan":
             return [Const(np.asarray(x)) for x in _scanned(step, arrays)]
-        found = step.primitive.bind(*map(jnp.asarray, arrays), **step.params)
-        found = found if step.primitive.multiple_results else [found]
+        found = step.bound(*arrays)
         return [Key(x) if _is_key(x) else Const(np.asarray(x)) for x in found]
 
     def moved(self, step: Step, ins: list[Any]) -> list[Value]:
@@ -163,9 +162,7 @@ class _Writer:
         table = table.reshape(ins[0].shape)
         where, params = jnp.asarray(places.array), dict(step.params)
         if step.name == "gather":
-            if "fill_value" in params:
-                params["fill_value"] = -1
-            found = np.asarray(step.primitive.bind(jnp.asarray(table), where, **params))
+            found = np.asarray(step.bound(table, where, fill_value=-1)[0])
             if found.size and found.min() < 0:
                 raise Unknown("gather beyond the end")
             return self.added("take", {"table": found}, [ins[0]], step.outs)
@@ -490,8 +487,7 @@ def _by_parts(writer: _Writer, step: Step, ins: list[Any]) -> list[Any]:
     """A step that only moves numbers, on real and imaginary parts."""
     found = []
     for parts in zip(*map(_as_pair, ins), strict=True):
-        moved = lambda *x: step.primitive.bind(*map(jnp.asarray, x), **step.params)  # noqa: E731
-        found += writer.traced(moved, list(parts))
+        found += writer.traced(step.bound, list(parts))
     return [Pair(*found)]
 
 

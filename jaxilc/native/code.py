@@ -17,7 +17,7 @@ from contextlib import suppress
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import jax
 
@@ -152,9 +152,9 @@ def callable_by_xla(text: str, operands: int, results: Sequence[int | None], wor
         if size is not None and size >= LARGE and sys.platform == "linux":
             first = add(f"ptrtoint ptr {data} to i64")
             first = add(f"and i64 {add(f'add i64 {first}, {PAGE - 1}')}, -{PAGE}")
-            size = add(f"sub i64 {add(f'mul i64 {groups}, {size}')}, {PAGE}")
+            length = add(f"sub i64 {add(f'mul i64 {groups}, {size}')}, {PAGE}")
             first = add(f"inttoptr i64 {first} to ptr")
-            add(f"call i32 @madvise(ptr {first}, i64 {size}, i32 {HUGE})")
+            add(f"call i32 @madvise(ptr {first}, i64 {length}, i32 {HUGE})")
     buffer = field(found, 8 * number)
     first = add(f"ptrtoint ptr {field(buffer, DATA)} to i64")
     first = add(f"and i64 {add(f'add i64 {first}, {ALIGNED - 1}')}, -{ALIGNED}")
@@ -196,7 +196,7 @@ def target(text: str) -> str:
 
 
 @cache
-def _llvm() -> Any:
+def _llvm() -> ModuleType:
     """The module of llvmlite, ready for this processor; raises Unknown without it."""
     try:
         import llvmlite.binding as llvm

@@ -6,21 +6,29 @@ import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
-from typing import Any
+from typing import TypeAlias, TypeVar, TypeVarTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import CustomVJPPrimal, SymbolicZero
 
 from ..runtime.jax_internals import with_batches
 from .run import Compiled, Native
 
 log = logging.getLogger("jaxilc")
+Given = TypeVarTuple("Given")  # trees of arrays
+Found = TypeVar("Found")
+Array = TypeVar("Array")
+Arrays: TypeAlias = list[jax.Array]
+Kept: TypeAlias = tuple[Arrays, list[float | None]]  # and a number for what a slope is asked for
+Operands: TypeAlias = Sequence[jax.Array | np.ndarray]
+Program: TypeAlias = Compiled[Operands, Operands, Arrays]
 AT_FIRST = 3  # machines near the example, whose results are compared with those of XLA
 NEAR = 1e-3  # by which the numbers of each of them differ from those of the one before
 
 
-def compiled(fn: Callable[..., Any], *example: Any) -> Callable[..., Any]:
+def compiled(fn: Callable[[*Given], Found], *example: *Given) -> Callable[[*Given], Found]:
     """The function, computed by programs for this processor, under `jit`, `vmap` and `grad` too.
 
     fn: function of pytrees; it learns over trials
@@ -40,15 +48,15 @@ def compiled(fn: Callable[..., Any], *example: Any) -> Callable[..., Any]:
     shapes = [jax.typeof(x) for x in leaves]
     results = jax.tree.structure(jax.eval_shape(fn, *example))
 
-    def of_leaves(*given: Any) -> list:
+    def of_leaves(*given: jax.Array) -> Arrays:
         return jax.tree.leaves(fn(*jax.tree.unflatten(structure, given)))
 
     function = _Function(of_leaves, leaves)
 
-    def call(*arguments: Any) -> Any:
+    def call(*arguments: *Given) -> Found:
         given, of = jax.tree.flatten(arguments)
         given = [jnp.asarray(x) for x in given]
-        if of != structure:
+        if of != structure:  # type: ignore[operator]  # of JAX
             raise ValueError(f"compiled: arguments = {of} are not {structure}, as in the example")
         for i, (x, like) in enumerate(zip(given, shapes, strict=True)):
             if (x.shape, x.dtype) != (like.shape, like.dtype):
@@ -68,7 +76,7 @@ class _Function:
     example: arrays, near which programs are compared with XLA
     """
 
-    def __init__(self, fn: Callable[..., list], example: Sequence[Any]):
+    def __init__(self, fn: Callable[..., Arrays], example: Operands):
         self._fn, self._example = fn, example
         self._outs = jax.eval_shape(fn, *example)
         self.over = cache(self._over)
@@ -76,32 +84,34 @@ class _Function:
         one = self.over((False,) * len(example))
         call = jax.custom_vjp(lambda *given: one(*given))
 
-        def forward(*given: Any) -> tuple:
+        def forward(*given: CustomVJPPrimal) -> tuple[Arrays, Kept]:
             values = [x.value for x in given]
             return call(*values), (values, [0.0 if x.perturbed else None for x in given])
 
-        def backward(kept: tuple, slopes: Sequence[Any]) -> tuple:
+        def backward(
+            kept: Kept, slopes: Sequence[jax.Array | SymbolicZero]
+        ) -> tuple[jax.Array | None, ...]:
             values, asked = kept
-            known = tuple(not isinstance(x, jax.custom_derivatives.SymbolicZero) for x in slopes)
+            known = tuple(not isinstance(x, SymbolicZero) for x in slopes)
             by = tuple(x is not None for x in asked)
-            given = [x for x, k in zip(slopes, known, strict=True) if k]
+            given = [x for x in slopes if not isinstance(x, SymbolicZero)]
             found = iter(self._slopes(by, known)(*values, *given) if any(known) else [])
             return tuple(next(found, None) if b else None for b in by)
 
         call.defvjp(forward, backward, symbolic_zeros=True)
         self._call = call
 
-    def __call__(self, *given: Any) -> list:
+    def __call__(self, *given: jax.Array) -> Arrays:
         return self._call(*given)
 
     def _slopes_by(self, by: tuple[bool, ...], known: tuple[bool, ...]) -> _Function:
         """The function that gives, from the slopes of some results, those of some operands."""
         n = len(self._example)
 
-        def slopes(*given: Any) -> list:
+        def slopes(*given: jax.Array) -> Arrays:
             values, of_results = list(given[:n]), list(given[n:])
 
-            def some(moved: list) -> list:
+            def some(moved: Arrays) -> Arrays:
                 new = iter(moved)
                 found = self._fn(*(next(new) if b else x for x, b in zip(values, by, strict=True)))
                 return [x for x, k in zip(found, known, strict=True) if k]
@@ -112,11 +122,11 @@ class _Function:
         ones = [np.ones(x.shape, x.dtype) for x, k in zip(self._outs, known, strict=True) if k]
         return _Function(slopes, [*self._example, *ones])
 
-    def _over(self, moved: tuple[bool, ...], machines: int = 1) -> Callable[..., list]:
+    def _over(self, moved: tuple[bool, ...], machines: int = 1) -> Callable[..., Arrays]:
         """The function of machines; the operands that are moved have an axis of them in front."""
         several = any(moved)
 
-        def batched(count: int, outer: Sequence[bool], *given: Any) -> list:
+        def batched(count: int, outer: Sequence[bool], *given: jax.Array) -> Arrays:
             of_all = []
             for x, inside, outside in zip(given, moved, outer, strict=True):
                 if inside and not outside:
@@ -132,7 +142,7 @@ class _Function:
                      for x in self._outs)  # fmt: skip
         return with_batches(partial(self._computed, moved), batched, outs)
 
-    def _computed(self, moved: tuple[bool, ...], *given: Any) -> list:
+    def _computed(self, moved: tuple[bool, ...], *given: jax.Array) -> Arrays:
         """The results of machines, by a program where one can be made, else by XLA."""
         if not any(moved):
             alone = self._computed((True,) * len(given), *(x[None] for x in given))
@@ -142,7 +152,7 @@ class _Function:
             return jax.vmap(self._fn, [0 if m else None for m in moved])(*given)
         return program(*_parts(given, moved))
 
-    def _program_of(self, moved: tuple[bool, ...]) -> Compiled | None:
+    def _program_of(self, moved: tuple[bool, ...]) -> Program | None:
         """The program of machines whose moved operands differ; None where XLA computes them.
 
         It is made in a thread of its own, since JAX may trace what calls this function in this one.
@@ -150,13 +160,13 @@ class _Function:
         with ThreadPoolExecutor(1) as aside:
             return aside.submit(self._made, moved).result()
 
-    def _made(self, moved: tuple[bool, ...]) -> Compiled | None:
+    def _made(self, moved: tuple[bool, ...]) -> Program | None:
 
-        def of_one(common: list, one: list) -> list:
+        def of_one(common: Operands, one: Operands) -> Arrays:
             source = iter(common), iter(one)
             return self._fn(*(next(source[m]) for m in moved))
 
-        def near(x: Any) -> Any:
+        def near(x: jax.Array | np.ndarray) -> jax.Array:
             real = jnp.issubdtype(x.dtype, jnp.floating)
             return jnp.stack([x * (1 + NEAR * k) if real else x for k in range(AT_FIRST)])
 
@@ -168,7 +178,7 @@ class _Function:
         return native.program(*arguments) if reason is None else None
 
 
-def _parts(given: Sequence[Any], moved: Sequence[bool]) -> tuple[list, list]:
+def _parts(given: Sequence[Array], moved: Sequence[bool]) -> tuple[list[Array], list[Array]]:
     """What is common, and what is not."""
     pairs = [*zip(given, moved, strict=True)]
     return [x for x, m in pairs if not m], [x for x, m in pairs if m]

@@ -15,19 +15,19 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
-from .operations import CONVERSIONS, Node, instruction
-from .rows import Array, Buffer, Loop, Row, Segment, Trials
+from .operations import CONVERSIONS, Array, Node, Number, instruction
+from .places import At, AtIndex, Buffer, Cell, Given, Sample
+from .rows import Loop, Row, Segment, Stored, Trials, small
 
 ALIGNED = 64  # bytes
 FLUSH = 0x8040  # of the register MXCSR: results and operands too small to be normal are zero
 TYPES = {"float64": "double", "float32": "float", "bool": "i1"}
 
 
-def bytes_of(dtype: Any) -> int:
+def bytes_of(dtype: np.dtype) -> int:
     """The bytes of a number in RAM; a truth value takes one."""
     return np.dtype(dtype).itemsize
 
@@ -75,15 +75,15 @@ class Text:
         self.count += 1
         return f"b{self.count}"
 
-    def type_of(self, dtype: Any) -> str:
+    def type_of(self, dtype: np.dtype) -> str:
         return f"<{self.lanes} x {_scalar(dtype)}>"
 
-    def stored_type(self, dtype: Any, *, alike: bool = False) -> str:
+    def stored_type(self, dtype: np.dtype, *, alike: bool = False) -> str:
         """The type of numbers as they are in RAM."""
         scalar = "i8" if np.dtype(dtype).kind == "b" else _scalar(dtype)
         return scalar if alike else f"<{self.lanes} x {scalar}>"
 
-    def const(self, value: Any, dtype: Any) -> str:
+    def const(self, value: Number, dtype: np.dtype) -> str:
         one = f"{_scalar(dtype)} {_number(value, dtype)}"
         return f"<{', '.join([one] * self.lanes)}>"
 
@@ -114,7 +114,7 @@ class Text:
         ]  # fmt: skip
         return k, end
 
-    def load(self, base: str, index: str, dtype: Any, *, alike: bool) -> str:
+    def load(self, base: str, index: str, dtype: np.dtype, *, alike: bool) -> str:
         """The numbers at a place of an array in RAM."""
         kind = self.stored_type(dtype, alike=alike)
         place = self.add(f"getelementptr {kind}, ptr {base}, i64 {index}")
@@ -123,7 +123,7 @@ class Text:
             found = self.add(f"trunc {kind} {found} to {'i1' if alike else self.type_of(dtype)}")
         return self.splat(found, _scalar(dtype)) if alike else found
 
-    def store(self, value: str, base: str, index: str, dtype: Any) -> None:
+    def store(self, value: str, base: str, index: str, dtype: np.dtype) -> None:
         kind = self.stored_type(dtype)
         if np.dtype(dtype).kind == "b":
             value = self.add(f"zext {self.type_of(dtype)} {value} to {kind}")
@@ -158,38 +158,30 @@ class Text:
 
     def _printed(self, node: Node, args: list[str], k: str | None) -> str:
         kind = self.type_of(node.dtype)
-        match node.name:
-            case "const":
-                return self.const(node.what, node.dtype)
-            case "cell" | "now":
-                cell = node.what if node.name == "cell" else node.what[1]
-                return self.add(f"load {kind}, ptr {self._cell(cell, node.dtype)}")
-            case "input":
-                _, number, m = node.what
-                return self.load(f"%g{number}", str(m), node.dtype, alike=node.alike)
-            case "by_trial":
-                _, number, m = node.what
-                size = math.prod(self.plan.body.ins[number].shape)
-                at = self.add(f"mul i64 %j, {size}")
-                at = self.add(f"add i64 {at}, {m}")
+        match node.what:
+            case Cell():
+                return self.add(f"load {kind}, ptr {self._cell(node)}")
+            case Given(number, m):
+                at = str(m)
+                if node.name == "by_trial":
+                    size = math.prod(self.plan.body.ins[number].shape)
+                    at = self.add(f"mul i64 %j, {size}")
+                    at = self.add(f"add i64 {at}, {m}")
                 return self.load(f"%g{number}", at, node.dtype, alike=node.alike)
-            case "pick":
-                _, buffer, i, m = node.what
-                return self.load(self._base(buffer), str(i * buffer.width + m), node.dtype,
-                                 alike=buffer.alike)  # fmt: skip
-            case "load":
-                _, buffer, sign, c, m = node.what
+            case At(buffer, sign, c, m):
                 index = self._index(k, sign, c, buffer.width, m)
                 return self.load(self._base(buffer), index, node.dtype, alike=buffer.alike)
-            case "index":
-                _, _, sign, c = node.what
+            case Sample(sign, c):
                 index = self._index(k, sign, c, 1, 0)
                 wide = self.splat(index, "i64")
                 if bytes_of(node.dtype) == 8:
                     return wide
                 return self.add(f"trunc <{self.lanes} x i64> {wide} to {kind}")
-            case "row":
-                return self._row(node, args[0])
+            case AtIndex() as where:
+                return self._row(node, where, args[0])
+        match node.name:
+            case "const":
+                return self.const(node.value, node.dtype)
             case "select":
                 yes = f"{kind} {args[2]}, {kind} {args[1]}"
                 return self.add(f"select <{self.lanes} x i1> {args[0]}, {yes}")
@@ -198,9 +190,9 @@ class Text:
             case "convert":
                 return self._converted(node, args[0])
         if node.dtype.kind == "f" and node.name in ("add", "sub"):
-            for at in (0, 1):
-                if node.args[at].name == "mul":
-                    return self._fused(node, at, args[1 - at])
+            for i in (0, 1):
+                if node.args[i].name == "mul":
+                    return self._fused(node, i, args[1 - i])
         text = instruction(node.name, node.args[0].dtype.kind)
         assert text is not None, node.name
         of = self.type_of(node.args[0].dtype)
@@ -233,11 +225,11 @@ class Text:
         given = ", ".join(f"{t} {x}" for t, x in zip(types, args, strict=True))
         return self.add(f"call {kind} {name}({given})")
 
-    def _suffix(self, dtype: Any) -> str:
+    def _suffix(self, dtype: np.dtype) -> str:
         letter = "f" if np.dtype(dtype).kind == "f" else "i"
         return f"v{self.lanes}{letter}{8 * bytes_of(dtype)}"
 
-    def _for_each(self, name: str, dtype: Any, args: list[str]) -> str:
+    def _for_each(self, name: str, dtype: np.dtype, args: list[str]) -> str:
         """The results of a function of the C library, in vectors where it has them."""
         kind, scalar = self.type_of(dtype), _scalar(dtype)
         if name == "@log":  # it would not take tiny numbers as zero, as XLA does here alone
@@ -271,16 +263,18 @@ class Text:
         return self.add(f"{text} {of} {x} to {to}")
 
     def _index(self, k: str | None, sign: int, c: int, width: int, m: int) -> str:
-        """The place of number m of row sign k + c; k may be known beforehand."""
+        """The place of number m of row sign k + c; k, or sign k, may be known beforehand."""
+        if sign == 0:
+            return str(c * width + m)
         assert k is not None
         if not k.startswith("%"):
             return str((sign * int(k) + c) * width + m)
         at = self.add(f"mul i64 {k}, {sign * width}")
         return self.add(f"add i64 {at}, {c * width + m}")
 
-    def _row(self, node: Node, index: str) -> str:
+    def _row(self, node: Node, where: AtIndex, index: str) -> str:
         """Number m of the row of a table at an index, which may be another for each machine."""
-        buffer, m, _ = node.what
+        buffer, m, _ = where
         base, kind = self._base(buffer), self.type_of(node.args[0].dtype)
         alike = node.args[0].alike
         scalar = _scalar(node.args[0].dtype)
@@ -310,14 +304,15 @@ class Text:
     # Places
     # ----------------------------------------------------------------------------------------------
 
-    def _cell(self, cell: tuple, dtype: Any) -> str:
-        name = f"%cell{cell[1]}"
-        self.cells[name] = self.type_of(dtype)
+    def _cell(self, cell: Node) -> str:
+        assert isinstance(cell.what, Cell)
+        name = f"%cell{cell.what.number}"
+        self.cells[name] = self.type_of(cell.dtype)
         return name
 
     def _put(self, cell: Node, value: str) -> None:
         kind = self.type_of(cell.dtype)
-        self.do(f"store {kind} {value}, ptr {self._cell(cell.what, cell.dtype)}")
+        self.do(f"store {kind} {value}, ptr {self._cell(cell)}")
 
     def _base(self, buffer: Buffer) -> str:
         """The pointer to the rows of a buffer that are read."""
@@ -403,9 +398,10 @@ class Text:
         self._end(group)
         self.lines += end
 
-    def _carried(self) -> Iterable[tuple[int, Any]]:
+    def _carried(self) -> Iterable[tuple[int, Stored | Array]]:
         """The number among the carried, and the cells or rows."""
-        return ((i, self.plan.ins[self.plan.consts + i]) for i in range(self.plan.carry))
+        ins = self.plan.ins[self.plan.consts : self.plan.consts + self.plan.carry]
+        return ((i, x) for i, x in enumerate(ins) if isinstance(x, Stored | Array))
 
     def _begin(self) -> None:
         """What is carried into the first trial."""
@@ -413,7 +409,7 @@ class Text:
         for i, x in self._carried():
             number = plan.consts + i
             alike = plan.alike[number]
-            if isinstance(x, Row):
+            if isinstance(x, Stored):
                 buffer = x.buffer
                 size = buffer.length * buffer.width
                 if size:
@@ -464,13 +460,14 @@ class Text:
 
     def _results(self, trial: str) -> None:
         """What each trial gives, and the single numbers that it carries to the next one."""
-        plan, new = self.plan, []
+        plan = self.plan
+        new: list[tuple[Node, str]] = []
         for i, x in enumerate(plan.outs):
             if isinstance(x, Row):
                 continue
             values = self.values(x.flat)
             if i < plan.carry:
-                cells = plan.ins[plan.consts + i]
+                cells = small(plan.ins[plan.consts + i])
                 new += zip(cells.flat, values, strict=True)
                 continue
             at = self.add(f"mul i64 {trial}, {x.size}")
@@ -484,7 +481,7 @@ class Text:
         for i, x in self._carried():
             if not self.wanted[i]:
                 continue
-            if isinstance(x, Row):
+            if isinstance(x, Stored):
                 buffer = x.buffer
                 size = buffer.length * buffer.width
                 at = self.add(f"mul i64 {group}, {size}")
@@ -499,7 +496,7 @@ class Text:
             else:
                 at = self.add(f"mul i64 {group}, {x.size}")
                 for m, cell in enumerate(x.flat):
-                    name = self._cell(cell.what, cell.dtype)
+                    name = self._cell(cell)
                     value = self.add(f"load {self.type_of(cell.dtype)}, ptr {name}")
                     self.store(value, f"%o{i}", self.add(f"add i64 {at}, {m}"), cell.dtype)
 
@@ -509,7 +506,7 @@ class Text:
     def _loop(self, loop: Loop) -> None:
         for scan in loop.scans:
             for i, cells in enumerate(scan.cells):
-                self._set(cells, scan.operands[scan.consts + i])
+                self._set(cells, scan.begin(i))
         for gathering in loop.gatherings:
             self._set(gathering.cells, gathering.begin)
         for segment in loop.segments:
@@ -530,7 +527,7 @@ class Text:
         self.values(_first_known(nodes))
         self.inside = {}
         if of.last - of.first == 1:
-            k, end = str(of.first), []
+            k, end = str(of.first), list[str]()
         elif direction > 0:
             k, end = self.loop(str(of.first), str(of.last))
         else:
@@ -575,12 +572,12 @@ def _doubled(plan: Trials) -> list[Buffer]:
     return found
 
 
-def _scalar(dtype: Any) -> str:
+def _scalar(dtype: np.dtype) -> str:
     dtype = np.dtype(dtype)
     return TYPES.get(dtype.name, f"i{8 * dtype.itemsize}")
 
 
-def _number(value: Any, dtype: Any) -> str:
+def _number(value: Number, dtype: np.dtype) -> str:
     if np.dtype(dtype).kind == "f":
         return f"0x{np.float64(value).view(np.uint64):016X}"
     return ("true" if value else "false") if np.dtype(dtype).kind == "b" else str(int(value))

@@ -9,17 +9,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from functools import partial, reduce
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from numpy.typing import ArrayLike, DTypeLike
 
+from .places import AtIndex, Place
 from .program import UNROLLED, Step, Unknown
+from .solves import Parameters
 
+Array: TypeAlias = np.ndarray  # of nodes
+Number: TypeAlias = np.bool | np.integer | np.floating
 LARGEST = 4096  # elements of a small array
 BOOL = np.dtype(bool)
 TYPES = {np.dtype(t) for t in ("bool", "int32", "int64", "uint32", "float64", "float32")}
@@ -31,7 +36,7 @@ class Node:
     name: an operation of `INSTRUCTIONS`, `const`, or a place from which it is read
     args: the nodes that an operation is of
     dtype: its type
-    what: the number of a constant, or which place
+    what: the number of a constant, which place, or which operand of a formula; else None
     loop: the number of the loop over samples before which it is known
     varies: whether it changes from sample to sample of that loop
     alike: whether it is the same for all machines
@@ -39,12 +44,25 @@ class Node:
 
     __slots__ = ("alike", "args", "dtype", "loop", "name", "varies", "what")
 
-    def __init__(self, name: str, args: tuple, dtype: Any, what: Any = None, *,
+    def __init__(self, name: str, args: tuple[Node, ...], dtype: np.dtype,
+                 what: Number | Place | int | None = None, *,
                  loop: int = 0, varies: bool = False, alike: bool = True):  # fmt: skip
         self.name, self.args, self.dtype, self.what = name, args, np.dtype(dtype), what
-        self.loop = max([loop, *(x.loop for x in args)])
-        self.varies = varies or any(x.varies for x in args)
-        self.alike = alike and all(x.alike for x in args)
+        self.loop: int = max([loop, *(x.loop for x in args)])
+        self.varies: bool = varies or any(x.varies for x in args)
+        self.alike: bool = alike and all(x.alike for x in args)
+
+    @property
+    def value(self) -> Number:
+        """The number of a constant."""
+        assert isinstance(self.what, Number)
+        return self.what
+
+    @property
+    def operand(self) -> int:
+        """Which operand of a formula this is."""
+        assert isinstance(self.what, int)
+        return self.what
 
 
 # The table
@@ -63,11 +81,11 @@ class Instruction:
     """
 
     text: dict[str, str]
-    exact: Callable[..., Any] | None = None
+    exact: Callable[..., Number] | None = None
     tests: bool = False
 
 
-def _compared(of_floats: str, of_ints: str, exact: Any) -> Instruction:
+def _compared(of_floats: str, of_ints: str, exact: Callable[..., Number]) -> Instruction:
     signed = of_ints if of_ints in ("eq", "ne") else f"s{of_ints}"
     unsigned = of_ints if of_ints in ("eq", "ne") else f"u{of_ints}"
     texts = {"f": f"fcmp {of_floats}", "i": f"icmp {signed}", "u": f"icmp {unsigned}"}
@@ -140,35 +158,39 @@ class Numbers:
     real: the floating point type of the program
     """
 
-    def __init__(self, real: Any):
+    def __init__(self, real: DTypeLike):
         self.real = np.dtype(real)
-        self._known: dict[Any, Node] = {}
+        self._known: dict[Hashable, Node] = {}
         self._dtypes = {t for t in TYPES if t.kind != "f" or t == self.real}
 
-    def const(self, value: Any, dtype: Any) -> Node:
-        value = np.asarray(value, dtype)[()]
-        return self._node("const", (), dtype, value, np.asarray(value).tobytes())
+    def const(self, value: Number | float, dtype: np.dtype) -> Node:
+        number: Number = dtype.type(value)
+        return self._node("const", (), dtype, number, np.asarray(number).tobytes())
 
-    def place(self, name: str, dtype: Any, what: Any, **how: Any) -> Node:
+    def place(self, name: str, dtype: np.dtype, what: Place | int | None, *, loop: int = 0,
+              varies: bool = False, alike: bool = True) -> Node:  # fmt: skip
         """A number that is read from a place; the same one for the same place."""
-        return self._node(name, (), dtype, what, what, **how)
+        return self._node(name, (), dtype, what, what, loop=loop, varies=varies, alike=alike)
 
-    def of(self, name: str, *args: Node, dtype: Any = None, what: Any = None) -> Node:
+    def row(self, index: Node, dtype: np.dtype, what: AtIndex) -> Node:
+        """A number of the row of a table at an index."""
+        return self._node("row", (index,), dtype, what, what, loop=what.loop,
+                          alike=what.buffer.alike)  # fmt: skip
+
+    def of(self, name: str, *args: Node, dtype: np.dtype | None = None) -> Node:
         """The result of an operation on nodes, by its name in the table."""
         if name == "select":
             no, yes = args[1:]
             if args[0].name == "const":
-                return yes if args[0].what else no
+                return yes if args[0].value else no
             return no if no is yes else self._node(name, args, no.dtype, None, None)
         if name == "convert":
             return self._converted(args[0], np.dtype(dtype))
         if name == "bits":  # of a real number, as a whole one
             whole = np.dtype(f"int{8 * args[0].dtype.itemsize}")
             if args[0].name == "const":
-                return self.const(args[0].what.view(whole), whole)
+                return self.const(args[0].value.view(whole), whole)
             return self._node(name, args, whole, None, None)
-        if name == "row":
-            return self._node(name, args, dtype, what, what, alike=what[0].alike, loop=what[2])
         kind = args[0].dtype.kind
         if instruction(name, kind) is None or any(x.dtype != args[0].dtype for x in args):
             raise Unknown(f"{name} of {' and '.join(str(x.dtype) for x in args)}")
@@ -178,10 +200,10 @@ class Numbers:
         dtype = BOOL if known.tests else args[0].dtype
         if known.exact is not None and all(x.name == "const" for x in args):
             with np.errstate(all="ignore"):
-                return self.const(known.exact(*(x.what for x in args)), dtype)
+                return self.const(known.exact(*(x.value for x in args)), dtype)
         return self._same(name, args) or self._node(name, args, dtype, None, None)
 
-    def _same(self, name: str, args: tuple) -> Node | None:
+    def _same(self, name: str, args: tuple[Node, ...]) -> Node | None:
         """The operand that an operation leaves as it is, to the last bit and sign; else None.
 
         As XLA does, a division by a constant becomes a product, which takes less time.
@@ -191,13 +213,13 @@ class Numbers:
             return one
         if name == "mul" and _is(one, 1):
             return other
-        if name == "div" and other.name == "const" and _has_reciprocal(other.what):
-            return self.of("mul", one, self.const(1 / other.what, other.dtype))
+        if name == "div" and other.name == "const" and _has_reciprocal(other.value):
+            return self.of("mul", one, self.const(1 / other.value, other.dtype))
         if name == "div" and other.name == "select" and all(map(_is_power_of_two, other.args[1:])):
             which, *cases = other.args  # as in the slopes of a maximum
-            inverse = (self.const(1 / x.what, x.dtype) for x in cases)
+            inverse = (self.const(1 / x.value, x.dtype) for x in cases)
             return self.of("mul", one, self.of("select", which, *inverse))
-        if name == "sub" and _is(other, 0) and not np.signbit(other.what):
+        if name == "sub" and _is(other, 0) and not np.signbit(other.value):
             return one
         return None
 
@@ -205,9 +227,9 @@ class Numbers:
         if x.dtype == dtype:
             return x
         if x.name == "const":
-            if x.dtype.kind == "f" and dtype.kind in "iu" and not np.isfinite(x.what):
-                raise Unknown(f"{x.what} as {dtype}")
-            return self.const(x.what.astype(dtype), dtype)
+            if x.dtype.kind == "f" and dtype.kind in "iu" and not np.isfinite(x.value):
+                raise Unknown(f"{x.value} as {dtype}")
+            return self.const(x.value.astype(dtype), dtype)
         if dtype == BOOL:
             return self.of("ne", x, self.const(0, x.dtype))
         between = x.dtype.kind in "iu" and dtype.kind in "iu"
@@ -215,26 +237,28 @@ class Numbers:
             raise Unknown(f"{x.dtype} as {dtype}")
         return self._node("convert", (x,), dtype, None, None)
 
-    def _node(self, name: str, args: tuple, dtype: Any, what: Any, key: Any, **how: Any) -> Node:
-        dtype = np.dtype(dtype) if not jax.dtypes.issubdtype(dtype, jax.dtypes.extended) else dtype
-        if dtype not in self._dtypes:
+    def _node(self, name: str, args: tuple[Node, ...], dtype: np.dtype,
+              what: Number | Place | int | None, key: Hashable, *,
+              loop: int = 0, varies: bool = False, alike: bool = True) -> Node:  # fmt: skip
+        if jnp.issubdtype(dtype, jax.dtypes.extended) or np.dtype(dtype) not in self._dtypes:
             raise Unknown(f"numbers of the type {dtype}")
-        known = (name, tuple(map(id, args)), dtype, key)
+        known = (name, tuple(map(id, args)), np.dtype(dtype), key)
         if known not in self._known:
-            self._known[known] = Node(name, args, dtype, what, **how)
+            self._known[known] = Node(name, args, dtype, what, loop=loop, varies=varies,
+                                      alike=alike)  # fmt: skip
         return self._known[known]
 
     # Arrays of them
     # ----------------------------------------------------------------------------------------------
 
-    def array(self, values: Any) -> np.ndarray:
+    def array(self, values: ArrayLike) -> Array:
         """An array of constants."""
         values = np.asarray(values)
         if values.size > LARGEST:
             raise Unknown(f"an array of {values.size} numbers that are no rows of a trial")
         return _filled(values.shape, [self.const(v, values.dtype) for v in values.ravel()])
 
-    def each(self, function: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
+    def each(self, function: Callable[..., Node], *arrays: Array) -> Array:
         """The function of the elements of arrays, of which some may be single numbers."""
         arrays = tuple(np.broadcast_arrays(*arrays))
         return _filled(
@@ -243,12 +267,12 @@ class Numbers:
 
 
 def _is_positive(x: Node) -> bool:
-    return x.name == "const" and bool(x.what > 0)
+    return x.name == "const" and bool(x.value > 0)
 
 
-def _has_reciprocal(x: Any) -> bool:
+def _has_reciprocal(x: Number) -> bool:
     """Whether the number and its reciprocal are normal real numbers."""
-    if x.dtype.kind != "f":
+    if not isinstance(x, np.floating):
         return False
     least = np.finfo(x.dtype).tiny
     return bool(least <= abs(x) <= 1 / least)
@@ -256,14 +280,14 @@ def _has_reciprocal(x: Any) -> bool:
 
 def _is_power_of_two(x: Node) -> bool:
     """Whether a product with the reciprocal is the quotient, to the last bit."""
-    return x.name == "const" and _has_reciprocal(x.what) and abs(np.frexp(x.what)[0]) == 0.5
+    return x.name == "const" and _has_reciprocal(x.value) and abs(np.frexp(x.value)[0]) == 0.5
 
 
 def _is(x: Node, value: float) -> bool:
-    return x.name == "const" and x.what == value
+    return x.name == "const" and bool(x.value == value)
 
 
-def _filled(shape: Sequence[int], items: Sequence[Any]) -> np.ndarray:
+def _filled(shape: Sequence[int], items: Sequence[Node] | Array) -> Array:
     out = np.empty(len(items), object)
     out[:] = items
     return out.reshape(shape)
@@ -330,11 +354,11 @@ def _clamp(n: Numbers, low: Node, x: Node, high: Node) -> Node:
     return n.of("min", n.of("max", low, x), high)
 
 
-def _round(n: Numbers, x: Node, *, rounding_method: Any) -> Node:
+def _round(n: Numbers, x: Node, *, rounding_method: lax.RoundingMethod) -> Node:
     return n.of("round_even" if int(rounding_method) == 1 else "round_away", x)
 
 
-def _convert(n: Numbers, x: Node, *, new_dtype: Any) -> Node:
+def _convert(n: Numbers, x: Node, *, new_dtype: np.dtype) -> Node:
     return n.of("convert", x, dtype=new_dtype)
 
 
@@ -342,9 +366,9 @@ def _reciprocal_root(n: Numbers, x: Node) -> Node:
     return n.of("div", n.const(1, x.dtype), n.of("sqrt", x))
 
 
-def _ends(dtype: Any) -> tuple[int, int]:
+def _ends(dtype: np.dtype) -> tuple[int, int]:
     """The least and the largest whole number of a type."""
-    of: Any = np.iinfo(dtype)
+    of = np.iinfo(dtype.name)
     return int(of.min), int(of.max)
 
 
@@ -380,7 +404,7 @@ COMPOSED: dict[str, tuple[Callable[..., Node], tuple[str, ...]]] = {
     "real": (lambda n, x: x, ()),
 }
 # how the elements along an axis are put together: the operation, and what it begins with
-GATHERED = {
+GATHERED: dict[str, tuple[str, float]] = {
     "reduce_sum": ("add", 0), "reduce_prod": ("mul", 1), "reduce_max": ("max", -np.inf),
     "reduce_min": ("min", np.inf), "reduce_and": ("and", True), "reduce_or": ("or", False),
 }  # fmt: skip
@@ -414,7 +438,7 @@ def one_by_one(n: Numbers, step: Step) -> Callable[..., Node]:
     return partial(n.of, step.name)
 
 
-def start(n: Numbers, name: str, dtype: Any) -> Node:
+def start(n: Numbers, name: str, dtype: np.dtype) -> Node:
     """What a gathering over no elements gives."""
     dtype = np.dtype(dtype)
     value = GATHERED[name][1]
@@ -427,8 +451,8 @@ def start(n: Numbers, name: str, dtype: Any) -> Node:
 # --------------------------------------------------------------------------------------------------
 
 
-def applied(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
-            shape: Sequence[int] | None = None) -> np.ndarray:  # fmt: skip
+def applied(n: Numbers, step: Step, arrays: Sequence[Array],
+            shape: Sequence[int] | None = None) -> Array:  # fmt: skip
     """The result of a step with one result on arrays of nodes.
 
     shape: that of the result, where it is not that of the step because an array has one row only
@@ -446,9 +470,9 @@ def applied(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
         return _running(n, step, arrays[0])
     if name == "dot_general":
         cast = partial(n.of, "convert", dtype=out.dtype)
-        factors = [n.each(cast, x) for x in arrays]
+        a, b = (n.each(cast, x) for x in arrays)
         zero = n.const(0, out.dtype)
-        return _dot(n, params["dimension_numbers"], *factors, zero).reshape(shape)
+        return _dot(n, params["dimension_numbers"], a, b, zero).reshape(shape)
     if name == "by_columns":
         matrix, vector = arrays
         terms = [n.each(partial(n.of, "mul"), matrix[..., j], vector[..., j, None])
@@ -459,12 +483,12 @@ def applied(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
     if name in MOVED_BY_JAX:
         return _moved_by_jax(n, step, arrays, shape)
     if name == "iota":
-        return n.array(np.asarray(step.primitive.bind(**params)))
+        return n.array(step.bound()[0])
     raise Unknown(name)
 
 
-def _gathered(n: Numbers, name: str, x: np.ndarray, axes: Sequence[int],
-              shape: Sequence[int], dtype: Any) -> np.ndarray:  # fmt: skip
+def _gathered(n: Numbers, name: str, x: Array, axes: Sequence[int],
+              shape: Sequence[int], dtype: np.dtype) -> Array:  # fmt: skip
     front = np.moveaxis(x, axes, range(len(axes)))
     rows = front.reshape(-1, 1, *front.shape[len(axes) :])  # each one an array, not a node
     if not len(rows):
@@ -472,7 +496,7 @@ def _gathered(n: Numbers, name: str, x: np.ndarray, axes: Sequence[int],
     return reduce(partial(n.each, partial(n.of, GATHERED[name][0])), rows).reshape(shape)
 
 
-def _running(n: Numbers, step: Step, x: np.ndarray) -> np.ndarray:
+def _running(n: Numbers, step: Step, x: Array) -> Array:
     front = np.moveaxis(x, step.params["axis"], 0)
     rows = [front[i : i + 1] for i in range(len(front))]
     rows = rows[::-1] if step.params["reverse"] else rows
@@ -482,7 +506,7 @@ def _running(n: Numbers, step: Step, x: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.concatenate(rows), 0, step.params["axis"])
 
 
-def _dot(n: Numbers, numbers: Any, a: np.ndarray, b: np.ndarray, zero: Node) -> np.ndarray:
+def _dot(n: Numbers, numbers: lax.DotDimensionNumbers, a: Array, b: Array, zero: Node) -> Array:
     """(batch, free of a, free of b) the product of arrays, summed over the contracted axes."""
     (of_a, of_b), (batch_a, batch_b) = numbers
     free_a = [i for i in range(a.ndim) if i not in (*of_a, *batch_a)]
@@ -496,20 +520,20 @@ def _dot(n: Numbers, numbers: Any, a: np.ndarray, b: np.ndarray, zero: Node) -> 
     return reduce(partial(n.each, partial(n.of, "add")), np.moveaxis(products, -1, 0))
 
 
-def _broadcast(params: dict, arrays: Sequence[np.ndarray], shape: Sequence[int]) -> np.ndarray:
+def _broadcast(params: Parameters, arrays: Sequence[Array], shape: Sequence[int]) -> Array:
     wide = [1] * len(shape)
     for axis, to in enumerate(params["broadcast_dimensions"]):
         wide[to] = arrays[0].shape[axis]
     return np.broadcast_to(arrays[0].reshape(wide), shape)
 
 
-def _slice(params: dict, arrays: Sequence[np.ndarray], shape: Sequence[int]) -> np.ndarray:
+def _slice(params: Parameters, arrays: Sequence[Array], shape: Sequence[int]) -> Array:
     first, last = params["start_indices"], params["limit_indices"]
     strides = params["strides"] or (1,) * len(first)
     return arrays[0][tuple(slice(*x) for x in zip(first, last, strides, strict=True))]
 
 
-def _pad(params: dict, arrays: Sequence[np.ndarray], shape: Sequence[int]) -> np.ndarray:
+def _pad(params: Parameters, arrays: Sequence[Array], shape: Sequence[int]) -> Array:
     x, value = arrays
     out = np.full(shape, value[()], object)
     for index in np.ndindex(x.shape):
@@ -523,7 +547,7 @@ def _pad(params: dict, arrays: Sequence[np.ndarray], shape: Sequence[int]) -> np
 
 
 # steps that only move numbers, by their parameters, the arrays and the shape of the result
-MOVES: dict[str, Callable[..., np.ndarray]] = {
+MOVES: dict[str, Callable[..., Array]] = {
     "broadcast_in_dim": _broadcast,
     "reshape": lambda _, arrays, shape: arrays[0].reshape(shape),
     "squeeze": lambda _, arrays, shape: arrays[0].reshape(shape),
@@ -541,15 +565,15 @@ MOVED_BY_JAX = {"gather": 1, "scatter": 1, "scatter-add": 1, "dynamic_slice": 1,
                 "dynamic_update_slice": 2}  # fmt: skip
 
 
-def constants(array: np.ndarray, dtype: Any) -> np.ndarray | None:
+def constants(array: Array, dtype: DTypeLike) -> np.ndarray | None:
     """The values of an array of constants; None where some are not known beforehand."""
     if any(x.name != "const" for x in array.flat):
         return None
-    return np.array([x.what for x in array.flat], dtype).reshape(array.shape)
+    return np.array([x.value for x in array.flat], dtype).reshape(array.shape)
 
 
-def _moved_by_jax(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
-                  shape: Sequence[int]) -> np.ndarray:  # fmt: skip
+def _moved_by_jax(n: Numbers, step: Step, arrays: Sequence[Array],
+                  shape: Sequence[int]) -> Array:  # fmt: skip
     """The result of a step that moves numbers from places, or to them.
 
     JAX moves the numbers of the elements, counted through all arrays, in place of the elements.
@@ -566,8 +590,9 @@ def _moved_by_jax(n: Numbers, step: Step, arrays: Sequence[np.ndarray],
     for x in moved:
         numbered.append(jnp.arange(count, count + x.size).reshape(x.shape))
         count += x.size
-    params = step.params | ({"fill_value": -1} if step.name == "gather" else {})
-    found = np.asarray(step.primitive.bind(*numbered, *map(jnp.asarray, known.values()), **params))
+    changed = {"fill_value": -1} if step.name == "gather" else {}
+    places = [x for x in known.values() if x is not None]
+    found = np.asarray(step.bound(*numbered, *places, **changed)[0])
     if found.size and found.min() < 0:
         raise Unknown(f"{step.name} beyond the end")
     every = np.concatenate([x.ravel() for x in moved])
@@ -582,7 +607,7 @@ def _window(step: Step, axes: int, new: Sequence[int]) -> list[int]:
     return [1 if i in left_out else next(sizes) for i in range(axes)]
 
 
-def _scattered(n: Numbers, step: Step, arrays: Sequence[np.ndarray], index: Any) -> np.ndarray:
+def _scattered(n: Numbers, step: Step, arrays: Sequence[Array], index: jax.Array) -> Array:
     """Numbers of which some are replaced, or to which some are added.
 
     They are at the places from which a gather of the same windows would read.
@@ -605,14 +630,13 @@ def _scattered(n: Numbers, step: Step, arrays: Sequence[np.ndarray], index: Any)
     return out
 
 
-def _anywhere(n: Numbers, step: Step, arrays: Sequence[np.ndarray], shape: Sequence[int],
-              unknown: Sequence[int]) -> np.ndarray:  # fmt: skip
+def _anywhere(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[int],
+              unknown: Sequence[int]) -> Array:  # fmt: skip
     """The result of a step at places along one axis that are found while it runs.
 
     It is chosen among those at all places, or each place has what is added there.
     """
     x, index, name, params = arrays[0], arrays[unknown[0]], step.name, step.params
-    of: Any = params.get("dimension_numbers")
     refused = f"{name} at places that are found while it runs"
     if name == "dynamic_slice" and len(unknown) == 1:
         axes, windows, wide = (unknown[0] - 1,), range(x.ndim), shape
@@ -620,10 +644,10 @@ def _anywhere(n: Numbers, step: Step, arrays: Sequence[np.ndarray], shape: Seque
     elif name == "dynamic_update_slice" and len(unknown) == 1:
         axes, windows, wide = (unknown[0] - 2,), range(x.ndim), shape
         sizes = arrays[1].shape
-    elif name == "gather" and not of.operand_batching_dims:
+    elif name == "gather" and not (of := params["dimension_numbers"]).operand_batching_dims:
         axes, windows, wide = of.start_index_map, of.offset_dims, shape
         sizes = params["slice_sizes"]
-    elif name == "scatter-add" and not of.operand_batching_dims:
+    elif name == "scatter-add" and not (of := params["dimension_numbers"]).operand_batching_dims:
         axes, windows, wide = (
             of.scatter_dims_to_operand_dims, of.update_window_dims, arrays[2].shape
         )  # fmt: skip
@@ -641,13 +665,13 @@ def _anywhere(n: Numbers, step: Step, arrays: Sequence[np.ndarray], shape: Seque
         low, high = n.const(0, dtype), n.const(last, dtype)
         place = n.each(lambda p: n.of("min", n.of("max", p, low), high), place)
 
-    def at(i: int, **changed: Any) -> np.ndarray:
+    def at(i: int, **changed: Array) -> Array:
         """The result for all machines at place i."""
         given = [changed.get(f"_{k}", a) for k, a in enumerate(arrays)]
         given[unknown[0]] = n.array(np.full(index.shape, i, dtype))
         return _moved_by_jax(n, step, given, shape)
 
-    def here(i: int, no: np.ndarray, yes: np.ndarray) -> np.ndarray:
+    def here(i: int, no: Array, yes: Array) -> Array:
         is_here = n.each(lambda p: n.of("eq", p, n.const(i, dtype)), place)
         return n.each(partial(n.of, "select"), is_here, no, yes)
 
@@ -666,7 +690,7 @@ def _anywhere(n: Numbers, step: Step, arrays: Sequence[np.ndarray], shape: Seque
     return found
 
 
-def _beyond(n: Numbers, fill: Any, dtype: np.dtype) -> Node:
+def _beyond(n: Numbers, fill: float | None, dtype: np.dtype) -> Node:
     """What a gather finds beyond the end."""
     if fill is None and dtype.kind != "f":
         raise Unknown(f"gather of {dtype} beyond the end")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
 import jax
 import jax.core
@@ -17,7 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .solves import written
+from .solves import Parameters, written
+
+if TYPE_CHECKING:
+    from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
+
+T = TypeVar("T")
+Known: TypeAlias = jax.Array | np.ndarray | np.generic
 
 CALLS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call"}
 CALLS |= {"remat2", "remat", "checkpoint", "custom_vjp_call_jaxpr", "custom_vmap_call"}
@@ -37,7 +43,7 @@ class Value:
     shape, dtype: those of the array
     """
 
-    def __init__(self, shape: Sequence[int], dtype: Any):
+    def __init__(self, shape: Sequence[int], dtype: np.dtype):
         self.shape, self.dtype = tuple(int(n) for n in shape), dtype
 
     def __repr__(self) -> str:
@@ -47,9 +53,15 @@ class Value:
 class Const(Value):
     """An array that is known beforehand."""
 
-    def __init__(self, array: Any):
+    def __init__(self, array: Known):
         self.array = array
-        super().__init__(np.shape(array), getattr(array, "dtype", np.asarray(array).dtype))
+        super().__init__(np.shape(array), array.dtype)
+
+
+class Primitive(Protocol):
+    """What computes a step by JAX: a primitive of JAX, or `_ForEach`."""
+
+    def bind(self, *arrays: jax.Array, **params: object) -> jax.Array | Sequence[jax.Array]: ...
 
 
 class Step:
@@ -62,9 +74,16 @@ class Step:
     primitive: the primitive, where it was not lowered
     """
 
-    def __init__(self, name: str, params: dict, ins: list, outs: list, primitive: Any = None):
+    def __init__(self, name: str, params: Parameters, ins: list[Value], outs: list[Value],
+                 primitive: Primitive | None = None):  # fmt: skip
         self.name, self.params, self.ins, self.outs = name, params, ins, outs
         self.primitive = primitive
+
+    def bound(self, *arrays: Known, **changed: object) -> list[jax.Array]:
+        """The results of its primitive by JAX, with some parameters changed."""
+        assert self.primitive is not None
+        found = self.primitive.bind(*map(_as_jax, arrays), **self.params | changed)
+        return [found] if isinstance(found, jax.Array) else [*found]
 
 
 class Program:
@@ -83,30 +102,38 @@ class Program:
 # --------------------------------------------------------------------------------------------------
 
 
-def flat(closed: Any) -> Program:
+def flat(closed: ClosedJaxpr) -> Program:
     """The program of a closed jaxpr with calls written out and loops as they are."""
     return _inlined(closed.jaxpr, closed.consts, whole=False)
 
 
-def lowered(jaxpr: Any, consts: Sequence[Any] = ()) -> Program:
+def lowered(jaxpr: Jaxpr, consts: Sequence[Known] = ()) -> Program:
     """The program of a jaxpr with everything written out that is not a loop over samples."""
     return _inlined(jaxpr, consts, whole=True)
 
 
-def _inlined(jaxpr: Any, consts: Sequence[Any], *, whole: bool) -> Program:
-    ins: list[Value] = [Value(v.aval.shape, v.aval.dtype) for v in jaxpr.invars]
+def _inlined(jaxpr: Jaxpr, consts: Sequence[Known], *, whole: bool) -> Program:
+    ins = [_value(v) for v in jaxpr.invars]
     steps: list[Step] = []
     outs = _inline(jaxpr, consts, ins, steps, whole)
     return Program(ins, steps, outs)
 
 
-def _inline(jaxpr: Any, consts: Sequence[Any], ins: list, steps: list[Step], whole: bool) -> list:
-    """The results of a jaxpr for these operands; its steps are added."""
-    known: dict[Any, Value] = {}
+def _value(v: Var | Literal) -> Value:
+    if not isinstance(v.aval, jax.core.ShapedArray):
+        raise Unknown(f"a value of the type {v.aval}")
+    return Value(v.aval.shape, v.aval.dtype)
 
-    def read(v: Any) -> Value:
-        literal = hasattr(v, "val")  # a number in place of a variable
-        return Const(np.asarray(v.val, v.aval.dtype)) if literal else known[v]
+
+def _inline(jaxpr: Jaxpr, consts: Sequence[Known], ins: list[Value], steps: list[Step],
+            whole: bool) -> list[Value]:  # fmt: skip
+    """The results of a jaxpr for these operands; its steps are added."""
+    known: dict[Var, Value] = {}
+
+    def read(v: Var | Literal) -> Value:
+        if hasattr(v, "val"):  # a number in place of a variable
+            return Const(np.asarray(v.val, _value(v).dtype))
+        return known[v]
 
     known.update(zip(jaxpr.constvars, (Const(c) for c in consts), strict=True))
     known.update(zip(jaxpr.invars, ins, strict=True))
@@ -117,7 +144,7 @@ def _inline(jaxpr: Any, consts: Sequence[Any], ins: list, steps: list[Step], who
     return [read(v) for v in jaxpr.outvars]
 
 
-def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
+def _eqn(eqn: JaxprEqn, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
     name, params = eqn.primitive.name, eqn.params
     if name in CALLS:
         names = ("jaxpr", "call_jaxpr", "fun_jaxpr", "call")
@@ -131,7 +158,7 @@ def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Val
     if name == "platform_index":
         of = params["platforms"]
         here = next(i for i, names in enumerate(of) if names is None or "cpu" in names)
-        return [Const(np.asarray(here, eqn.outvars[0].aval.dtype))]
+        return [Const(np.asarray(here, _value(eqn.outvars[0]).dtype))]
     if name == OBJECT:
         traced = _expanded(eqn)
         return _inline(traced.jaxpr, traced.consts, ins, steps, whole)
@@ -143,7 +170,7 @@ def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Val
         return _unrolled(params, ins, steps, whole)
     if name == "scan" and whole:
         body = lowered(params["jaxpr"].jaxpr, params["jaxpr"].consts)
-        given: dict[str, Any] = {
+        given: Parameters = {
             "length": params["length"],
             "reverse": params["reverse"],
             "body": body,
@@ -154,12 +181,12 @@ def _eqn(eqn: Any, ins: list[Value], steps: list[Step], whole: bool) -> list[Val
         return _both(params["branches"], ins, steps)
     if name in PARTS and whole:
         return PARTS[name](ins, params, partial(_added, steps))
-    outs = [Value(v.aval.shape, v.aval.dtype) for v in eqn.outvars]
+    outs = [_value(v) for v in eqn.outvars]
     steps.append(Step(name, params, ins, outs, eqn.primitive))
     return outs
 
 
-def _solved(params: dict, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
+def _solved(params: Parameters, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
     """The results of what solves a linear equation, of whose functions it needs one."""
     counts, solve = params["const_lengths"], params["jaxprs"].solve
     first, last = counts.matvec + counts.vecmat, sum(counts)
@@ -167,14 +194,14 @@ def _solved(params: dict, ins: list[Value], steps: list[Step], whole: bool) -> l
     return _inline(solve.jaxpr, solve.consts, [*own, *ins[last:]], steps, whole)
 
 
-def _expanded(eqn: Any) -> Any:
+def _expanded(eqn: JaxprEqn) -> ClosedJaxpr:
     """The closed jaxpr of a call for which JAX 0.12 has an object, such as a checkpoint."""
     of = eqn.params["_prim"]
-    like = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in eqn.invars]
+    like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in map(_value, eqn.invars)]
     return jax.make_jaxpr(lambda *x: jax.tree.leaves(of.expand(*of.in_tree.unflatten(x))))(*like)
 
 
-def _counts(params: dict) -> tuple[int, int]:
+def _counts(params: Parameters) -> tuple[int, int]:
     """The numbers of operands that each pass of a scan reads whole, and of those it carries."""
     if "num_consts" in params:
         return params["num_consts"], params["num_carry"]
@@ -182,15 +209,15 @@ def _counts(params: dict) -> tuple[int, int]:
     return len(consts), len(carry)
 
 
-def _added(steps: list[Step], name: str, ins: list, shape: Sequence[int], dtype: Any = None,
-           **params: Any) -> Value:  # fmt: skip
+def _added(steps: list[Step], name: str, ins: list[Value], shape: Sequence[int],
+           dtype: np.dtype | None = None, **params: object) -> Value:  # fmt: skip
     """The result of a step that is added; its primitive is that of `jax.lax`."""
     out = Value(shape, ins[0].dtype if dtype is None else dtype)
     steps.append(Step(name, params, ins, [out], getattr(lax, f"{name}_p")))
     return out
 
 
-def _unrolled(params: dict, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
+def _unrolled(params: Parameters, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
     """The results of a scan whose passes are written one after another."""
     length, (consts, carry) = params["length"], _counts(params)
     add, inner = partial(_added, steps), params["jaxpr"]
@@ -225,7 +252,7 @@ def _reshaped(add: Callable[..., Value], x: Value, shape: Sequence[int]) -> Valu
     return add("reshape", [x], shape, new_sizes=tuple(shape), dimensions=None, sharding=None)
 
 
-def _both(branches: Sequence[Any], ins: list[Value], steps: list[Step]) -> list[Value]:
+def _both(branches: Sequence[ClosedJaxpr], ins: list[Value], steps: list[Step]) -> list[Value]:
     """The results of a choice, of which all branches are computed, for they have no effects."""
     index, operands = ins[0], ins[1:]
     found = [_inline(b.jaxpr, b.consts, operands, steps, True) for b in branches]
@@ -241,7 +268,7 @@ def _both(branches: Sequence[Any], ins: list[Value], steps: list[Step]) -> list[
     return outs
 
 
-def _split(ins: list[Value], params: dict, add: Callable[..., Value]) -> list[Value]:
+def _split(ins: list[Value], params: Parameters, add: Callable[..., Value]) -> list[Value]:
     axis, start, outs = params["axis"], 0, []
     for size in params["sizes"]:
         first, last = [0] * len(ins[0].shape), list(ins[0].shape)
@@ -253,7 +280,7 @@ def _split(ins: list[Value], params: dict, add: Callable[..., Value]) -> list[Va
     return outs
 
 
-def _stack(ins: list[Value], params: dict, add: Callable[..., Value]) -> list[Value]:
+def _stack(ins: list[Value], params: Parameters, add: Callable[..., Value]) -> list[Value]:
     axis = params["axis"]
     shape = list(ins[0].shape)
     shape.insert(axis, 1)
@@ -262,7 +289,7 @@ def _stack(ins: list[Value], params: dict, add: Callable[..., Value]) -> list[Va
     return [add("concatenate", parts, shape, dimension=axis)]
 
 
-def _unstack(ins: list[Value], params: dict, add: Callable[..., Value]) -> list[Value]:
+def _unstack(ins: list[Value], params: Parameters, add: Callable[..., Value]) -> list[Value]:
     axis, (x,) = params["axis"], ins
     shape = [n for i, n in enumerate(x.shape) if i != axis]
     ones = {"sizes": [1] * x.shape[axis], "axis": axis}
@@ -353,7 +380,7 @@ def _without_dead(step: Step, wanted: Sequence[bool]) -> Step:
         wanted = more
     stay = [*live[:consts], *wanted[:carry], *live[consts + carry :]]
 
-    def some(of: Sequence[Any], keep: Sequence[bool]) -> list[Any]:
+    def some(of: Sequence[T], keep: Sequence[bool]) -> list[T]:
         return [x for x, k in zip(of, keep, strict=True) if k]
 
     body = Program(some(body.ins, stay), body.steps, body.outs)
@@ -428,19 +455,18 @@ def in_order(step: Step) -> bool:
 
 
 def _has_loop(step: Step) -> bool:
-    def within(jaxpr: Any) -> bool:
+    def within(jaxpr: Jaxpr | ClosedJaxpr) -> bool:
         return any(
             eqn.primitive.name == "scan" or any(map(within, _jaxprs(eqn))) for eqn in jaxpr.eqns
         )
 
-    return within(step.params["jaxpr"].jaxpr)
+    return within(step.params["jaxpr"])
 
 
-def _jaxprs(eqn: Any) -> Iterator[Any]:
+def _jaxprs(eqn: JaxprEqn) -> Iterator[Jaxpr | ClosedJaxpr]:
     expanded = [_expanded(eqn)] if eqn.primitive.name == OBJECT else []
     for value in (*eqn.params.values(), expanded):
         for one in value if isinstance(value, tuple | list) else (value,):
-            one = getattr(one, "jaxpr", one)
             if hasattr(one, "eqns"):
                 yield one
 
@@ -463,10 +489,10 @@ def _as_one(step: Step, add: Callable[..., Value]) -> tuple[Step, list[Step]] | 
         return None
     place = {x: i for i, x in enumerate(body.ins)}
     source = [x if isinstance(x, Const) else place[x] for x in inner.ins]
-    rows = source[within + carry :]
+    rows = [i for i in source[within + carry :] if not isinstance(i, Const)]
     if source[within : within + carry] != list(range(consts, consts + carry)):
         return None
-    if any(isinstance(i, Const) or i < consts + carry for i in rows):
+    if len(rows) < len(source) - within - carry or any(i < consts + carry for i in rows):
         return None
     if any(not isinstance(i, Const) and i >= consts for i in source[:within]):
         return None
@@ -497,17 +523,17 @@ class _ForEach:
     outs: their results
     """
 
-    multiple_results = True
-
-    def __init__(self, steps: list[Step], consts: list[Value], rows: list[Value], outs: list):
+    def __init__(self, steps: list[Step], consts: list[Value], rows: list[Value],
+                 outs: list[Value]):  # fmt: skip
         self.steps, self.consts, self.rows, self.outs = steps, consts, rows, outs
 
-    def bind(self, *arrays: Any) -> list[Any]:
+    def bind(self, *arrays: jax.Array, **_: object) -> list[jax.Array]:
         of_all, by_trial = arrays[: len(self.consts)], arrays[len(self.consts) :]
 
-        def of_one(*rows: Any) -> list[Any]:
-            known = dict(zip([*self.consts, *self.rows], [*of_all, *rows], strict=True))
-            return [*map(by_jax(self.steps, known), self.outs)]
+        def of_one(*rows: jax.Array) -> list[jax.Array]:
+            read = [*self.consts, *self.rows]
+            known: dict[Value, Known] = dict(zip(read, [*of_all, *rows], strict=True))
+            return [*map(_as_jax, map(by_jax(self.steps, known), self.outs))]
 
         return jax.vmap(of_one)(*by_trial) if self.rows else of_one()
 
@@ -566,23 +592,21 @@ def computed_ahead(step: Step, foreign: Callable[[Step], bool]) -> tuple[list[St
 # --------------------------------------------------------------------------------------------------
 
 
-def by_jax(steps: Sequence[Step], known: dict[Value, Any]) -> Callable[[Value], Any]:
+def by_jax(steps: Sequence[Step], known: dict[Value, Known]) -> Callable[[Value], Known]:
     """The function that gives the value of an array after these steps, computed by JAX.
 
     known: the values of what the steps read; it is extended. A step of which something is unknown
     is left out.
     """
 
-    def value(x: Value) -> Any:
+    def value(x: Value) -> Known:
         return x.array if isinstance(x, Const) else known[x]
 
     for step in steps:
         if all(isinstance(x, Const) or x in known for x in step.ins):
-            found = step.primitive.bind(*(_as_jax(value(x)) for x in step.ins), **step.params)
-            several = step.primitive.multiple_results
-            known.update(zip(step.outs, found if several else [found], strict=True))
+            known.update(zip(step.outs, step.bound(*map(value, step.ins)), strict=True))
     return value
 
 
-def _as_jax(x: Any) -> Any:
+def _as_jax(x: Known) -> jax.Array:
     return x if isinstance(x, jax.Array | jax.core.Tracer) else jnp.asarray(x)

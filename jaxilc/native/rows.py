@@ -13,7 +13,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial, reduce
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from jax import lax
 from .operations import (
     GATHERED,
     RUNNING,
+    Array,
     Node,
     Numbers,
     applied,
@@ -31,32 +32,12 @@ from .operations import (
     known,
     start,
 )
+from .places import At, AtIndex, Buffer, Cell, Given, Sample
 from .program import Const, Program, Step, Unknown, Value, loops, lowered
 
 MOST_NODES = 60_000  # of all loops; a compiler takes seconds for so many
 LATELY = 3  # samples back to which what a scan found stays in registers
 RUNS = 18  # into which samples that are gathered may fall apart
-Array = np.ndarray  # of nodes
-
-
-class Buffer(NamedTuple):
-    """Rows in RAM.
-
-    kind: `given` to the program, `carried` from trial to trial, `kept` within a trial, or `out`
-    number: which of its kind
-    length, width: its rows, and the numbers in each
-    dtype: the type of the numbers
-    alike: whether there is one number for all machines
-    by_trial: whether there are such rows for each trial
-    """
-
-    kind: str
-    number: int
-    length: int
-    width: int
-    dtype: Any
-    alike: bool = False
-    by_trial: bool = False
 
 
 class Row:
@@ -67,10 +48,12 @@ class Row:
     fresh: the last loop whose scan it reads; -1 for none
     """
 
-    def __init__(self, shape: Sequence[int], axis: int, dtype: Any, *rows: Any):
+    loop: int
+
+    def __init__(self, shape: Sequence[int], axis: int, dtype: np.dtype, *rows: Item):
         self.shape, self.axis, self.dtype = tuple(shape), axis, np.dtype(dtype)
         self.loop = max([0, *(loop_of(x) for x in rows)])
-        self.fresh = max([-1, *(x.fresh for x in rows if isinstance(x, Row))])
+        self.fresh: int = max([-1, *(x.fresh for x in rows if isinstance(x, Row))])
 
     @property
     def length(self) -> int:
@@ -93,7 +76,7 @@ class Stored(Row):
 class Same(Row):
     """The same row at each sample."""
 
-    def __init__(self, shape: Sequence[int], axis: int, dtype: Any, elements: Array):
+    def __init__(self, shape: Sequence[int], axis: int, dtype: np.dtype, elements: Array):
         super().__init__(shape, axis, dtype, elements)
         self.elements = elements
 
@@ -121,22 +104,27 @@ class Flipped(Row):
         self.loop = max(self.loop, row.fresh + 1)
 
 
+class Part(NamedTuple):
+    """Some rows among others, from a sample on; or a small array in their place."""
+
+    first: int
+    length: int
+    rows: Item
+
+
 class Joined(Row):
-    """Rows and small arrays one after another.
+    """Rows and small arrays one after another."""
 
-    parts: the first sample, the number of samples, and the rows or the array
-    """
-
-    def __init__(self, shape: Sequence[int], axis: int, dtype: Any, parts: list[tuple]):
-        super().__init__(shape, axis, dtype, *(part for _, _, part in parts))
+    def __init__(self, shape: Sequence[int], axis: int, dtype: np.dtype, parts: list[Part]):
+        super().__init__(shape, axis, dtype, *(part.rows for part in parts))
         self.parts = parts
 
 
 class Computed(Row):
     """A function of the elements of rows at the same sample, and of small arrays."""
 
-    def __init__(self, shape: Sequence[int], axis: int, dtype: Any,
-                 function: Callable[..., Array], operands: Sequence[Any]):  # fmt: skip
+    def __init__(self, shape: Sequence[int], axis: int, dtype: np.dtype,
+                 function: Callable[..., Array], operands: Sequence[Item]):  # fmt: skip
         super().__init__(shape, axis, dtype, *operands)
         self.function, self.operands = function, operands
 
@@ -147,15 +135,32 @@ class Result(Row):
     kept: where they are kept for those who read them later, once somebody does
     """
 
-    def __init__(self, shape: Sequence[int], dtype: Any, scan: Scan, number: int):
+    def __init__(self, shape: Sequence[int], dtype: np.dtype, scan: Scan, number: int):
         super().__init__(shape, 0, dtype)
         self.scan, self.number, self.loop, self.fresh = scan, number, scan.loop, scan.loop
         self.kept: Buffer | None = None
 
 
-def loop_of(x: Any) -> int:
+def rows_of(x: Item) -> Row:
+    """The rows; raises Unknown for a small array in their place."""
+    if not isinstance(x, Row):
+        raise Unknown("a small array where rows are expected")
+    return x
+
+
+def small(x: Item) -> Array:
+    """The small array; raises Unknown for rows in its place."""
+    if isinstance(x, Row):
+        raise Unknown("rows where a small array is expected")
+    return x
+
+
+def loop_of(x: Item) -> int:
     """The loop before which, or in which, a row or an array is known."""
     return x.loop if isinstance(x, Row) else max([0, *(node.loop for node in x.flat)])
+
+
+Item: TypeAlias = Row | Array  # an array with an axis of samples, or a small one
 
 
 class Scan:
@@ -167,7 +172,7 @@ class Scan:
     cells: arrays of the nodes that are carried from sample to sample
     """
 
-    def __init__(self, step: Step, operands: list, loop: int):
+    def __init__(self, step: Step, operands: list[Item], loop: int):
         self.body: Program = step.params["body"]
         self.length, self.reverse = step.params["length"], step.params["reverse"]
         self.consts, self.carry = step.params["consts"], step.params["carry"]
@@ -177,14 +182,19 @@ class Scan:
 
     @property
     def rows(self) -> list[Row]:
-        return self.operands[self.consts + self.carry :]
+        return [*map(rows_of, self.operands[self.consts + self.carry :])]
+
+    def begin(self, i: int) -> Array:
+        """What it carries into its first sample."""
+        return small(self.operands[self.consts + i])
 
 
 class Sink:
     """Rows that are written to a buffer."""
 
     def __init__(self, row: Row, buffer: Buffer):
-        self.rows, self.buffer, self.offset, self.length = [row], buffer, 0, row.length
+        self.rows: list[Row] = [row]
+        self.buffer, self.offset, self.length = buffer, 0, row.length
 
 
 class Gathering:
@@ -195,7 +205,8 @@ class Gathering:
     """
 
     def __init__(self, name: str, row: Row, cells: Array, begin: Array):
-        self.name, self.rows, self.cells, self.begin = name, [row], cells, begin
+        self.rows: list[Row] = [row]
+        self.name, self.cells, self.begin = name, cells, begin
         self.offset, self.length = 0, row.length
 
 
@@ -221,7 +232,7 @@ class Loop:
     direction: 1 forward, -1 backward, 0 for either
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.direction = 0
         self.scans: list[Scan] = []
         self.sinks: list[Sink] = []
@@ -229,7 +240,7 @@ class Loop:
         self.segments: list[Segment] = []
 
     @property
-    def items(self) -> list[Any]:
+    def items(self) -> list[Scan | Sink | Gathering]:
         return [*self.scans, *self.sinks, *self.gatherings]
 
 
@@ -243,8 +254,10 @@ class Trials:
     Raises Unknown for what cannot be compiled.
     """
 
-    def __init__(self, step: Step, alike: Sequence[bool], fixed: Sequence[Any], real: Any):
-        self.n, self.body, self.alike = Numbers(real), step.params["body"], alike
+    def __init__(self, step: Step, alike: Sequence[bool], fixed: Sequence[np.ndarray | None],
+                 real: np.dtype):  # fmt: skip
+        self.n, self.alike = Numbers(real), alike
+        self.body: Program = step.params["body"]
         self.fixed = fixed
         self.trials, self.reverse = step.params["length"], step.params["reverse"]
         self.consts, self.carry = step.params["consts"], step.params["carry"]
@@ -254,12 +267,12 @@ class Trials:
         self.shortest = -(-3 * min(lengths) // 4)
         self.loops: list[Loop] = []
         self.picks: dict[int, list[Node]] = {}  # by the loop before which they are read
-        self.given: list[Any] = []  # constants with rows, further operands of the program
+        self.given: list[np.ndarray] = []  # constants with rows, further operands of the program
         self.buffers: list[Buffer] = []
         self.reads: list[tuple[Buffer, int, int, int]] = []  # with loop, sign and offset
         self._cells = 0
-        self._known: dict[Value, Any] = {}
-        self._tables: dict[tuple, Row] = {}
+        self._known: dict[Value, Item] = {}
+        self._tables: dict[tuple[Node, ...], Row] = {}
         self._plan()
 
     # The arrays
@@ -272,69 +285,72 @@ class Trials:
             raise Unknown(f"an array of the shape {tuple(shape)}, with two axes of samples")
         return long[0] if long else None
 
-    def _buffer(self, kind: str, shape: Sequence[int], axis: int, dtype: Any, **how: Any) -> Buffer:
+    def _buffer(self, kind: str, shape: Sequence[int], axis: int, dtype: np.dtype, *,
+                number: int | None = None, alike: bool = False,
+                by_trial: bool = False) -> Buffer:  # fmt: skip
         width = math.prod(shape) // shape[axis]
-        number = how.pop("number", len(self.body.ins) + len(self.buffers))
-        buffer = Buffer(kind, number, shape[axis], width, np.dtype(dtype), **how)
+        number = len(self.body.ins) + len(self.buffers) if number is None else number
+        buffer = Buffer(kind, number, shape[axis], width, np.dtype(dtype), alike, by_trial)
         self.buffers.append(buffer)
         return buffer
 
-    def new_cells(self, shape: Sequence[int], dtype: Any, *, loop: int) -> Array:
+    def new_cells(self, shape: Sequence[int], dtype: np.dtype, *, loop: int) -> Array:
         """An array of new cells, which are known before a loop."""
         cells = np.empty(shape, object)
         for i in np.ndindex(*shape):
             self._cells += 1
-            cells[i] = self.n.place("cell", dtype, ("cell", self._cells), loop=loop, alike=False)
+            cells[i] = self.n.place("cell", dtype, Cell(self._cells), loop=loop, alike=False)
         return cells
 
-    def value(self, x: Value) -> Any:
+    def value(self, x: Value) -> Item:
         """The rows or the small array of a value."""
         if not isinstance(x, Const):
             return self._known[x]
         if x not in self._known:
             axis = self.axis_of(x.shape)
             if axis is None or not math.prod(x.shape):
-                self._known[x] = self.n.array(x.array)
+                self._known[x] = self.n.array(np.asarray(x.array))
             else:
                 self._known[x] = self._constant_rows(np.asarray(x.array), axis)
         return self._known[x]
 
-    def _constant_rows(self, array: Any, axis: int) -> Row:
+    def _constant_rows(self, array: np.ndarray, axis: int) -> Row:
         first = array.take([0], axis)
         if np.array_equal(array, np.broadcast_to(first, array.shape)):
             return Same(array.shape, axis, array.dtype, self.n.array(first))
         return self._given(array, axis)
 
-    def _given(self, array: Array, axis: int) -> Row:
+    def _given(self, array: np.ndarray, axis: int) -> Row:
         """The rows of an array of constants, which becomes a further operand of the program."""
         self.given.append(np.moveaxis(array, axis, 0))
         number = len(self.body.ins) + len(self.given) - 1
         return Stored(array.shape, axis, self._buffer("given", array.shape, axis, array.dtype,
                                                       alike=True, number=number))  # fmt: skip
 
-    def _operand(self, i: int, x: Value) -> Any:
+    def _operand(self, i: int, x: Value) -> Item:
         """The rows or the small array of an operand of the loop over trials."""
-        if jax.dtypes.issubdtype(x.dtype, jax.dtypes.extended):
+        if jnp.issubdtype(x.dtype, jax.dtypes.extended):
             raise Unknown("random numbers that depend on what is learned")
         axis, carried = self.axis_of(x.shape), self.consts <= i < self.consts + self.carry
+        fixed = self.fixed[i]
         by_trial = i >= self.consts + self.carry
         if axis is not None:
-            if self.fixed[i] is not None and not (carried or by_trial) and x.dtype.kind in "iu":
-                return self._constant_rows(self.fixed[i], axis)
+            if fixed is not None and not (carried or by_trial) and x.dtype.kind in "iu":
+                return self._constant_rows(fixed, axis)
             kind = "carried" if carried else "given"
             alike = self.alike[i] and not carried
             return Stored(x.shape, axis, self._buffer(kind, x.shape, axis, x.dtype, number=i,
                                                       alike=alike, by_trial=by_trial))  # fmt: skip
         if carried:
             return self.new_cells(x.shape, x.dtype, loop=0)
-        if self.fixed[i] is not None and not by_trial:
-            return self.n.array(self.fixed[i])
+        if fixed is not None and not by_trial:
+            return self.n.array(fixed)
         if math.prod(x.shape) > 4096:
             raise Unknown(f"an operand of the shape {x.shape}")
         nodes = np.empty(x.shape, object)
         kind = "by_trial" if by_trial else "input"
         for m, at in enumerate(np.ndindex(*x.shape)):
-            nodes[at] = self.n.place(kind, x.dtype, (kind, i, m), alike=self.alike[i])
+            nodes[at] = self.n.place(kind, x.dtype, Given(i, m), alike=self.alike[i])
         return nodes
 
     def moved(self, i: int, *, out: bool = False) -> tuple[int, int]:
@@ -359,7 +375,7 @@ class Trials:
                 loop.direction = loop.direction or 1
                 _Build(self, number, loop).run()
 
-    def _out(self, i: int, x: Any, out: Value) -> None:
+    def _out(self, i: int, x: Item, out: Value) -> None:
         """A row among the results is written; one that is carried, if it is another than before."""
         if not isinstance(x, Row):
             return
@@ -391,12 +407,12 @@ class Trials:
         self._known[out] = self._result(step, operands, out)
         return None
 
-    def _result(self, step: Step, operands: list, out: Value) -> Any:
+    def _result(self, step: Step, operands: list[Item], out: Value) -> Item:
         axis, rows = self.axis_of(out.shape), [x for x in operands if isinstance(x, Row)]
         if not math.prod(out.shape) and axis is None:
             return np.empty(out.shape, object)
         if not rows:
-            return self._from_small(step, operands, out, axis)
+            return self._from_small(step, [*map(small, operands)], out, axis)
         row = rows[0]
         if step.name not in HANDLED and not known(step.name):
             raise Unknown(step.name)
@@ -412,7 +428,8 @@ class Trials:
         return Computed(out.shape, axis, out.dtype,
                         lambda *arrays: applied(self.n, step, arrays, shape), operands)  # fmt: skip
 
-    def _from_small(self, step: Step, operands: list, out: Value, axis: int | None) -> Any:
+    def _from_small(self, step: Step, operands: list[Array], out: Value,
+                    axis: int | None) -> Item:  # fmt: skip
         if axis is None:
             return applied(self.n, step, operands)
         shape = (*out.shape[:axis], 1, *out.shape[axis + 1 :])
@@ -426,20 +443,22 @@ class Trials:
                     raise Unknown("broadcast_in_dim to samples")
             return Same(out.shape, axis, out.dtype, applied(self.n, step, operands, shape))
         if step.name == "concatenate" and step.params["dimension"] == axis:
-            return _concatenate(self, step, operands)
+            parts = [(x.shape[axis], x) for x in operands]
+            return _joined(out.shape, axis, out.dtype, parts)
         if step.name == "pad":
             return _joined_small(step, operands, out, axis)
         raise Unknown(f"{step.name} that makes samples")
 
-    def whole_numbers(self, x: Any) -> np.ndarray | None:
+    def whole_numbers(self, x: Item) -> np.ndarray | None:
         """The whole numbers of an array or of rows; None where they are not known beforehand."""
         if not isinstance(x, Row):
             return constants(x, int)
-        found: list[Any] = []
+        found: list[np.ndarray] = []
         for i in range(x.length):
-            found.append(constants(_Picked(self, save=False).row(x, 0, i), int))
-            if found[-1] is None:
+            one = constants(_Picked(self, save=False).row(x, 0, i), int)
+            if one is None:
                 return None
+            found.append(one)
         return np.concatenate(found, x.axis)
 
     def pick(self, row: Row, i: int) -> Array:
@@ -449,10 +468,11 @@ class Trials:
     def picked(self, buffer: Buffer, row: Row, i: int, loop: int) -> Array:
         nodes = np.empty(row.of_one, object)
         for m, at in enumerate(np.ndindex(*row.of_one)):
-            place = ("pick", buffer, i, m)
-            nodes[at] = self.n.place("pick", buffer.dtype, place, loop=loop, alike=buffer.alike)
-            if nodes[at] not in self.picks.setdefault(loop, []):
-                self.picks[loop].append(nodes[at])
+            node = self.n.place("pick", buffer.dtype, At(buffer, 0, i, m), loop=loop,
+                                alike=buffer.alike)  # fmt: skip
+            nodes[at] = node
+            if node not in self.picks.setdefault(loop, []):
+                self.picks[loop].append(node)
         return nodes
 
     def kept(self, row: Result) -> Buffer:
@@ -461,7 +481,7 @@ class Trials:
             row.kept = self._buffer("kept", row.shape, row.axis, row.dtype)
         return row.kept
 
-    def _scan(self, step: Step, operands: list) -> None:
+    def _scan(self, step: Step, operands: list[Item]) -> None:
         consts, carry = step.params["consts"], step.params["carry"]
         for i, x in enumerate(operands[: consts + carry]):
             if isinstance(x, Row):
@@ -484,18 +504,18 @@ class Trials:
             scan.results.append(Result(out.shape, out.dtype, scan, carry + i))
             self._known[out] = scan.results[-1]
 
-    def table(self, operands: list[Array]) -> Any:
+    def table(self, operands: Sequence[Array]) -> Item:
         """A small array as rows, where it is known before all trials and the place is not."""
         array, *places = operands
         if array.ndim != 1 or constants(places[0], int) is not None:
             return array
         first, key = array[0], tuple(array)
-        i = first.what[1] if first.name == "input" else 0
+        i = first.what.operand if first.name == "input" else 0
         if key not in self._tables:
             values = constants(array, first.dtype)
             if values is not None:
                 self._tables[key] = self._given(values, 0)
-            elif [x.what for x in array] == [("input", i, m) for m in range(len(array))]:
+            elif [x.what for x in array] == [Given(i, m) for m in range(len(array))]:
                 buffer = self._buffer("given", array.shape, 0, first.dtype, alike=first.alike,
                                       number=i)  # fmt: skip
                 self._tables[key] = Stored(array.shape, 0, buffer)
@@ -519,8 +539,8 @@ class Trials:
 # --------------------------------------------------------------------------------------------------
 
 
-def _slice(of: Trials, step: Step, operands: list) -> Any:
-    row, params = operands[0], step.params
+def _slice(of: Trials, step: Step, operands: list[Item]) -> Item | None:
+    row, params = rows_of(operands[0]), step.params
     first, last = params["start_indices"][row.axis], params["limit_indices"][row.axis]
     if (params["strides"] or (1,) * len(row.shape))[row.axis] != 1:
         raise Unknown("slice of every other sample")
@@ -544,29 +564,30 @@ def _with(values: Sequence[int], at: int, value: int) -> tuple[int, ...]:
     return (*values[:at], value, *values[at + 1 :])
 
 
-def _joined(shape: Sequence[int], axis: int, dtype: Any, parts: Iterable[tuple[int, Any]]) -> Any:
+def _joined(shape: Sequence[int], axis: int, dtype: np.dtype,
+            parts: Iterable[tuple[int, Row | Array]]) -> Item:  # fmt: skip
     """Rows from parts one after another, each with its number of samples.
 
     A part with one row, or less, has it at each of its samples.
     """
-    found: list[tuple] = []
+    found: list[Part] = []
     for length, part in parts:
         if length > 0:
             if not isinstance(part, Row) and part.shape[axis] != length:
                 part = Same(_with(shape, axis, length), axis, dtype, part)
-            found.append((sum(p[1] for p in found), length, part))
-    return found[0][2] if len(found) == 1 else Joined(shape, axis, dtype, found)
+            found.append(Part(sum(p.length for p in found), length, part))
+    return found[0].rows if len(found) == 1 else Joined(shape, axis, dtype, found)
 
 
-def _concatenate(of: Trials, step: Step, operands: list) -> Any:
+def _concatenate(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     out, axis = step.outs[0], step.params["dimension"]
     if of.axis_of(out.shape) != axis:
         return None
     return _joined(out.shape, axis, out.dtype, [(x.shape[axis], x) for x in operands])
 
 
-def _pad(of: Trials, step: Step, operands: list) -> Any:
-    row, value = operands
+def _pad(of: Trials, step: Step, operands: list[Item]) -> Item | None:
+    row, value = rows_of(operands[0]), small(operands[1])
     out, config = step.outs[0], [tuple(map(int, c)) for c in step.params["padding_config"]]
     low, high, between = config[row.axis]
     if between:
@@ -580,11 +601,11 @@ def _pad(of: Trials, step: Step, operands: list) -> Any:
         raise Unknown("pad of a few samples")
     inner = row if (first, last) == (0, row.length) else Shifted(row, first, last - first)
     filled = np.full(row.of_one, value[()], object)
-    parts = [(low, filled), (inner.length, inner), (high, filled)]
+    parts: list[tuple[int, Item]] = [(low, filled), (inner.length, inner), (high, filled)]
     return _joined(out.shape, row.axis, out.dtype, parts)
 
 
-def _joined_small(step: Step, operands: list, out: Value, axis: int) -> Row:
+def _joined_small(step: Step, operands: list[Array], out: Value, axis: int) -> Item:
     """A small array that is padded to the length of a trial."""
     x, value = operands
     config = [tuple(map(int, c)) for c in step.params["padding_config"]]
@@ -598,9 +619,9 @@ def _joined_small(step: Step, operands: list, out: Value, axis: int) -> Row:
     return _joined(out.shape, axis, out.dtype, parts)
 
 
-def _dynamic_slice(of: Trials, step: Step, operands: list) -> Any:
+def _dynamic_slice(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     """Rows from a sample on that is known beforehand."""
-    row, given = operands[0], [constants(x, int) for x in operands[1:]]
+    row, given = rows_of(operands[0]), [constants(small(x), int) for x in operands[1:]]
     starts = [x for x in given if x is not None]
     if len(starts) < len(given):
         raise Unknown("dynamic_slice of samples that are found while it runs")
@@ -612,12 +633,12 @@ def _dynamic_slice(of: Trials, step: Step, operands: list) -> Any:
     return _slice(of, Step("slice", params, [], step.outs), [row])
 
 
-def _inside(places: Array | None, within: int) -> None:
+def _inside(places: np.ndarray | None, within: int) -> None:
     if places is not None and places.size and not 0 <= places.min() <= places.max() < within:
         raise Unknown("samples beyond the end")
 
 
-def _runs(places: Array, within: int) -> list[tuple[int, int, int]]:
+def _runs(places: np.ndarray, within: int) -> list[tuple[int, int, int]]:
     """The places as runs of those that follow one another: first, length, and place less number."""
     _inside(places, within)
     ends = [0, *(np.flatnonzero(np.diff(places) != 1) + 1), len(places)]
@@ -626,14 +647,14 @@ def _runs(places: Array, within: int) -> list[tuple[int, int, int]]:
     return [(int(a), int(b - a), int(places[a] - a)) for a, b in itertools.pairwise(ends)]
 
 
-def _scatter(of: Trials, step: Step, operands: list) -> Any:
+def _scatter(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     """Rows of which some are replaced, or have others added; None for the same in each row."""
-    (row, index, new), out = operands, step.outs[0]
+    (item, index, new), out = operands, step.outs[0]
     numbers, axis = step.params["dimension_numbers"], of.axis_of(out.shape)
     to, inserted = numbers.scatter_dims_to_operand_dims, numbers.inserted_window_dims
     if axis is not None and axis not in to and not isinstance(index, Row):
         return None
-    at = of.whole_numbers(index)
+    at, row = of.whole_numbers(index), rows_of(item)
     if at is None or axis is None:
         raise Unknown(f"{step.name} of samples that are found while it runs")
     if axis not in inserted and at.size == 1 and len(step.ins[2].shape) == len(out.shape):
@@ -649,7 +670,7 @@ def _scatter(of: Trials, step: Step, operands: list) -> Any:
         new = new.reshape(shape)
     runs = _runs(at.ravel(), out.shape[axis])
 
-    def part(first: int, length: int) -> Any:
+    def part(first: int, length: int) -> Item:
         if isinstance(new, Row):
             return Shifted(new, first, length)
         return new.take(range(first, first + length), axis)
@@ -664,7 +685,8 @@ def _scatter(of: Trials, step: Step, operands: list) -> Any:
         ]  # fmt: skip
         add = partial(of.n.each, partial(of.n.of, "add"))
         return Computed(out.shape, axis, out.dtype, lambda *x: reduce(add, x), [row, *added])
-    parts, end = [], 0
+    parts: list[tuple[int, Item]] = []
+    end = 0
     for first, length, by in runs:
         if first + by < end:
             raise Unknown("scatter of samples that are not in order")
@@ -675,7 +697,7 @@ def _scatter(of: Trials, step: Step, operands: list) -> Any:
     return _joined(row.shape, axis, row.dtype, parts)
 
 
-def _gather_rows(of: Trials, step: Step, operands: list) -> Any:
+def _gather_rows(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     """Samples at other places; None for what is gathered at each sample."""
     row, index = operands
     kept, out = step.params["dimension_numbers"], step.outs[0]
@@ -696,7 +718,7 @@ def _gather_rows(of: Trials, step: Step, operands: list) -> Any:
     if axis is None:
         count = math.prod(step.ins[1].shape[:-1])
         picked = [of.pick(row, int(i)) for i in at.ravel()] if at is not None else (
-            _rows_at(of, step, row)(index))  # fmt: skip
+            _rows_at(of, step, row)(small(index)))  # fmt: skip
         _inside(at, row.length)
         new = np.arange(count, dtype=step.ins[1].dtype).reshape(step.ins[1].shape)
         return applied(of.n, step, [np.concatenate(picked, row.axis), of.n.array(new)])
@@ -723,18 +745,17 @@ def _rows_at(of: Trials, step: Step, row: Row) -> Callable[[Array], list[Array]]
         low, high = n.const(0, place.dtype), n.const(row.length - 1, place.dtype)
         inside, found = n.of("min", n.of("max", place, low), high), np.empty(row.of_one, object)
         for m, i in enumerate(np.ndindex(*row.of_one)):
-            what = (table.buffer, m, table.loop)
-            found[i] = n.of("row", inside, dtype=row.dtype, what=what)
+            x = n.row(inside, row.dtype, AtIndex(table.buffer, m, table.loop))
             if beyond:
-                nothing = n.const(np.nan, row.dtype)
-                found[i] = n.of("select", n.of("eq", inside, place), nothing, found[i])
+                x = n.of("select", n.of("eq", inside, place), n.const(np.nan, row.dtype), x)
+            found[i] = x
         return found
 
     return lambda places: [at(place) for place in places.flat]
 
 
-def _rev(of: Trials, step: Step, operands: list) -> Any:
-    row, turned = operands[0], step.params["dimensions"]
+def _rev(of: Trials, step: Step, operands: list[Item]) -> Item | None:
+    row, turned = rows_of(operands[0]), step.params["dimensions"]
     if row.axis not in turned:
         return None
     if tuple(turned) != (row.axis,):
@@ -742,9 +763,9 @@ def _rev(of: Trials, step: Step, operands: list) -> Any:
     return Flipped(row)
 
 
-def _gather(of: Trials, step: Step, operands: list) -> Any:
+def _gather(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     """Rows put together to one, where the samples are among the axes of a reduction."""
-    row = operands[0]
+    row = rows_of(operands[0])
     if row.axis not in step.params["axes"]:
         return None
     out = step.outs[0]
@@ -753,7 +774,7 @@ def _gather(of: Trials, step: Step, operands: list) -> Any:
 
 
 def _gathered(of: Trials, name: str, row: Row, out: Value, function: Callable[..., Array],
-              operands: list) -> Array:  # fmt: skip
+              operands: Sequence[Item]) -> Array:  # fmt: skip
     def of_row(*arrays: Array) -> Array:
         return function(*arrays).reshape(shape)
 
@@ -765,8 +786,8 @@ def _gathered(of: Trials, name: str, row: Row, out: Value, function: Callable[..
     return cells
 
 
-def _scanned(of: Trials, tick: Callable, begins: list[Array], rows: list[Row], out: Value, *,
-             reverse: bool = False) -> list:  # fmt: skip
+def _scanned(of: Trials, tick: Callable[..., tuple[jax.Array, jax.Array]], begins: list[Array],
+             rows: list[Row], out: Value, *, reverse: bool = False) -> list[Item]:  # fmt: skip
     """What a scan of a function carries out of its last sample, and its rows, if it has some."""
     like = [jax.ShapeDtypeStruct(x.shape, x.flat[0].dtype) for x in begins]
     like += [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in rows]
@@ -779,9 +800,9 @@ def _scanned(of: Trials, tick: Callable, begins: list[Array], rows: list[Row], o
     return [of._known[x] for x in outs]
 
 
-def _running(of: Trials, step: Step, operands: list) -> Any:
+def _running(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     """A running sum, product, maximum or minimum along the samples, as a scan."""
-    row, name = operands[0], RUNNING[step.name]
+    row, name = rows_of(operands[0]), RUNNING[step.name]
     if step.params["axis"] != row.axis:
         return None
     if row.axis != 0:
@@ -789,16 +810,16 @@ def _running(of: Trials, step: Step, operands: list) -> Any:
     gathering = next(long for long, (short, _) in GATHERED.items() if short == name)
     begin = np.full(row.shape[1:], start(of.n, gathering, row.dtype), object)
 
-    def tick(before: Any, x: Any) -> tuple:
+    def tick(before: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         after = getattr(lax, name)(before, x)
         return after, after
 
     return _scanned(of, tick, [begin], [row], step.outs[0], reverse=step.params["reverse"])[1]
 
 
-def _place_of_best(of: Trials, step: Step, operands: list) -> Any:
+def _place_of_best(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     """The first sample with the largest or smallest number, or with one that is not a number."""
-    row, (axis,), out = operands[0], step.params["axes"], step.outs[0]
+    row, (axis,), out = rows_of(operands[0]), step.params["axes"], step.outs[0]
     if axis != row.axis:
         raise Unknown(f"{step.name} at each sample")
     if axis != 0:
@@ -807,7 +828,9 @@ def _place_of_best(of: Trials, step: Step, operands: list) -> Any:
         raise Unknown(f"{step.name} of {row.dtype}")
     largest, shape = step.name == "argmax", row.shape[1:]
 
-    def tick(best: Any, at: Any, x: Any, k: Any) -> tuple:
+    def tick(
+        best: jax.Array, at: jax.Array, x: jax.Array, k: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
         beyond = x > best if largest else x < best
         new = beyond | ((x != x) & (best == best))
         return jnp.where(new, x, best), jnp.where(new, k, at)
@@ -817,7 +840,7 @@ def _place_of_best(of: Trials, step: Step, operands: list) -> Any:
     return _scanned(of, tick, begins, [row, Count((row.length,), 0, out.dtype)], out)[1]
 
 
-def _dot(of: Trials, step: Step, operands: list) -> Any:
+def _dot(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     """A product that is summed over the samples; None for one that is not."""
     contracted = step.params["dimension_numbers"][0]
     rows = [(x, i) for i, x in enumerate(operands) if isinstance(x, Row)]
@@ -835,24 +858,26 @@ def _dot(of: Trials, step: Step, operands: list) -> Any:
                      lambda *x: applied(of.n, step, x, out.shape), operands)  # fmt: skip
 
 
-def _convolved(of: Trials, step: Step, operands: list) -> Any:
+def _convolved(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     """A filter with a few taps along the samples; or the slopes of its taps, a sum over samples."""
     row, kernel = operands
     params, numbers = step.params, step.params["dimension_numbers"]
     out, to = step.outs[0], numbers.out_spec
     ones = (*params["window_strides"], *params["lhs_dilation"], *params["rhs_dilation"],
             params["batch_group_count"], params["feature_group_count"])  # fmt: skip
-    long, axis = isinstance(kernel, Row), of.axis_of(out.shape)
+    axis, slopes = of.axis_of(out.shape), isinstance(kernel, Row)
     if set(ones) != {1} or len(to) != 3 or not isinstance(row, Row) or (
-        row.axis != numbers.lhs_spec[2] or axis != (None if long else to[2])
-    ) or (long and kernel.axis != numbers.rhs_spec[2]):  # fmt: skip
+        row.axis != numbers.lhs_spec[2] or axis != (None if slopes else to[2])
+    ) or (isinstance(kernel, Row) and kernel.axis != numbers.rhs_spec[2]):  # fmt: skip
         raise Unknown("conv_general_dilated of this kind")
     low, high = params["padding"][0]
     config = [(0, 0, 0)] * 3
     config[row.axis] = (low, high, 0)
     padded = Value(_with(row.shape, row.axis, row.length + low + high), row.dtype)
     zero = np.full((), of.n.const(0, row.dtype), object)
-    wide = _pad(of, Step("pad", {"padding_config": config}, [], [padded]), [row, zero])
+    item = _pad(of, Step("pad", {"padding_config": config}, [], [padded]), [row, zero])
+    assert item is not None
+    wide = rows_of(item)
     multiply, add = partial(of.n.of, "mul"), partial(of.n.of, "add")
 
     def product(seen: Array, taps: Array) -> Array:
@@ -860,24 +885,32 @@ def _convolved(of: Trials, step: Step, operands: list) -> Any:
         products = of.n.each(multiply, seen[:, None], taps[None])
         return reduce(partial(of.n.each, add), np.moveaxis(products, -1, 0))
 
-    def of_row(*arrays: Array) -> Array:
-        seen = [x.transpose(numbers.lhs_spec)[:, :, 0] for x in arrays[:count]]
-        taps = (arrays[count] if long else kernel).transpose(numbers.rhs_spec)
-        each = [product(x, taps[:, :, 0 if long else i]) for i, x in enumerate(seen)]
-        if long:
+    def seen(arrays: Sequence[Array]) -> list[Array]:
+        return [x.transpose(numbers.lhs_spec)[:, :, 0] for x in arrays]
+
+    def shifted(count: int, length: int) -> list[Row]:
+        return [Shifted(wide, i, length) for i in range(count)]
+
+    if isinstance(kernel, Row):
+
+        def slopes_of_row(*arrays: Array) -> Array:
+            errors = arrays[-1].transpose(numbers.rhs_spec)[:, :, 0]
+            each = [product(x, errors) for x in seen(arrays[:-1])]
             return np.stack(each, -1).transpose(np.argsort(to))
-        total = reduce(partial(of.n.each, add), each)
-        return total[:, :, None].transpose(np.argsort(to))
 
-    count = out.shape[to[2]] if long else kernel.shape[numbers.rhs_spec[2]]
-    length = kernel.length if long else out.shape[to[2]]
-    shifted: list[Any] = [Shifted(wide, i, length) for i in range(count)]
-    if long:
-        return _gathered(of, "reduce_sum", shifted[0], out, of_row, [*shifted, kernel])
-    return Computed(out.shape, to[2], out.dtype, of_row, shifted)
+        rows = shifted(out.shape[to[2]], kernel.length)
+        return _gathered(of, "reduce_sum", rows[0], out, slopes_of_row, [*rows, kernel])
+    taps = kernel.transpose(numbers.rhs_spec)
+
+    def of_row(*arrays: Array) -> Array:
+        each = [product(x, taps[:, :, i]) for i, x in enumerate(seen(arrays))]
+        return reduce(partial(of.n.each, add), each)[:, :, None].transpose(np.argsort(to))
+
+    rows = shifted(kernel.shape[numbers.rhs_spec[2]], out.shape[to[2]])
+    return Computed(out.shape, to[2], out.dtype, of_row, rows)
 
 
-HANDLED: dict[str, Callable[[Trials, Step, list], Any]] = {
+HANDLED: dict[str, Callable[[Trials, Step, list[Item]], Item | None]] = {
     "slice": _slice,
     "concatenate": _concatenate,
     "pad": _pad,
@@ -895,7 +928,7 @@ HANDLED: dict[str, Callable[[Trials, Step, list], Any]] = {
 }
 
 
-def _keeps_axis(step: Step, operands: list, axis: int) -> bool:
+def _keeps_axis(step: Step, operands: list[Item], axis: int) -> bool:
     """Whether a step leaves each sample where it is, along the axis of its result."""
     name, params, out = step.name, step.params, step.outs[0]
     rows = [x for x in operands if isinstance(x, Row)]
@@ -933,14 +966,13 @@ def _keeps_axis(step: Step, operands: list, axis: int) -> bool:
     return name in ("slice", "pad", "rev", *RUNNING) and rows[0].axis == axis
 
 
-def _axis_of_product(numbers: Any, operands: list) -> int | None:
+def _axis_of_product(numbers: lax.DotDimensionNumbers, operands: list[Item]) -> int | None:
     """Which axis of a product is that of the samples; None where they are mixed up."""
     contracted, batch = numbers
     places = set()
     before = len(batch[0])
     for i, x in enumerate(operands):
-        free = [a for a in range(x.ndim if not isinstance(x, Row) else len(x.shape))
-                if a not in (*contracted[i], *batch[i])]  # fmt: skip
+        free = [a for a in range(len(x.shape)) if a not in (*contracted[i], *batch[i])]
         if isinstance(x, Row):
             if x.axis in batch[i]:
                 places.add(list(batch[i]).index(x.axis))
@@ -1015,12 +1047,13 @@ class _Build:
             found: dict[Scan, int] = {}
             for inner, by in _inner(row):
                 if isinstance(inner, Result):
-                    pairs: Iterable = [(inner.scan, 0)] if inner.scan.loop == self.number else []
+                    here = inner.scan.loop == self.number
+                    pairs: Iterable[tuple[Scan, int]] = [(inner.scan, 0)] if here else []
                 else:
                     pairs = self._reach(inner).items()
                 for scan, c in pairs:
-                    here = c + self.direction * by
-                    found[scan] = max(found.get(scan, here), here)
+                    ahead = c + self.direction * by
+                    found[scan] = max(found.get(scan, ahead), ahead)
             if isinstance(row, Result) and row.scan.loop == self.number:
                 found[row.scan] = 0
             if found and isinstance(row, Flipped):
@@ -1028,7 +1061,8 @@ class _Build:
             self.reached[row] = found
         return self.reached[row]
 
-    def _cuts(self, row: Row, sign: int, c: int, cuts: set[int], seen: set) -> None:
+    def _cuts(self, row: Row, sign: int, c: int, cuts: set[int],
+              seen: set[tuple[Row, int, int]]) -> None:  # fmt: skip
         """Add the samples k at which row sign k + c begins to be computed in another way."""
         if (row, sign, c) in seen:
             return
@@ -1092,7 +1126,7 @@ class _Rows:
 
     def __init__(self, first: int, last: int):
         self.first, self.last = first, last
-        self.rows: dict[Any, Array] = {}
+        self.rows: dict[tuple[Row, int, int], Array] = {}
 
     def row(self, row: Row, sign: int, c: int) -> Array:
         """The elements of row sign k + c, at sample k."""
@@ -1111,7 +1145,9 @@ class _Rows:
         if isinstance(row, Joined):
             lowest = min(sign * self.first + c, sign * (self.last - 1) + c)
             highest = max(sign * self.first + c, sign * (self.last - 1) + c)
-            first, length, part = next(p for p in row.parts if p[0] <= lowest < p[0] + p[1])
+            first, length, part = next(
+                p for p in row.parts if p.first <= lowest < p.first + p.length
+            )
             assert highest < first + length
             if isinstance(part, Row):
                 return self.row(part, sign, c - first)
@@ -1142,26 +1178,22 @@ class _Picked(_Rows):
             given = row.buffer.number - len(self.of.body.ins)
             if row.buffer.kind == "given" and given >= 0:
                 return self.of.n.array(self.of.given[given][c].reshape(row.of_one))
-            return self._picked(row.buffer, row, c, 0)
+            return self._picked(row.buffer if self.save else None, row, c, 0)
         if isinstance(row, Count):
             return np.full(row.of_one, self.of.n.const(c, row.dtype), object)
         assert isinstance(row, Result)
         return self._picked(self.of.kept(row) if self.save else None, row, c, row.scan.loop + 1)
 
-    def _picked(self, buffer: Any, row: Row, c: int, loop: int) -> Array:
-        if self.save:
+    def _picked(self, buffer: Buffer | None, row: Row, c: int, loop: int) -> Array:
+        if buffer is not None:
             return self.of.picked(buffer, row, c, loop)
-        nothing = self.of.n.place("nothing", row.dtype, "nothing")
+        nothing = self.of.n.place("nothing", row.dtype, None)
         return np.full(row.of_one, nothing, object)
 
 
 def _inside_loop(n: Numbers, cells: Array) -> Array:
     """The nodes of cells within the loop that changes them."""
-    out = np.empty(cells.shape, object)
-    for i in np.ndindex(*cells.shape):
-        x = cells[i]
-        out[i] = n.place("now", x.dtype, ("now", x.what), varies=True, alike=False)
-    return out
+    return n.each(lambda x: n.place("now", x.dtype, x.what, varies=True, alike=False), cells)
 
 
 class _At(_Rows):
@@ -1172,14 +1204,14 @@ class _At(_Rows):
         self.of, self.n = of, of.n
         self.done: dict[Scan, list[Array]] = {}
 
-    def active(self, item: Any) -> bool:
+    def active(self, item: Scan | Sink | Gathering) -> bool:
         return self.first + item.offset >= 0 and self.last + item.offset <= item.length
 
     def read(self, row: Row, sign: int, c: int) -> Array:
         if isinstance(row, Stored):
             return self._load(row.buffer, row, sign, c)
         if isinstance(row, Count):
-            index = self.n.place("index", row.dtype, ("index", row.dtype, sign, c), varies=True)
+            index = self.n.place("index", row.dtype, Sample(sign, c), varies=True)
             return np.full(row.of_one, index, object)
         assert isinstance(row, Result)
         scan = row.scan
@@ -1197,7 +1229,7 @@ class _At(_Rows):
         self.of.of.reads.append((buffer, self.of.number, sign, c))
         out = np.empty(row.of_one, object)
         for m, i in enumerate(np.ndindex(*row.of_one)):
-            place = ("load", buffer, sign, c, m)
+            place = At(buffer, sign, c, m)
             out[i] = self.n.place("load", buffer.dtype, place, varies=True, alike=buffer.alike)
         return out
 
@@ -1206,32 +1238,32 @@ class _At(_Rows):
         if scan in self.done:
             return self.done[scan]
         body = scan.body
-        known: dict[Value, Any] = {}
+        known: dict[Value, Item] = {}
         for i, (x, operand) in enumerate(zip(body.ins, scan.operands, strict=True)):
             if i < scan.consts:
                 known[x] = operand
             elif i < scan.consts + scan.carry:
                 known[x] = _inside_loop(self.n, scan.cells[i - scan.consts])
             else:
-                known[x] = self.row(operand, 1, scan.offset).reshape(x.shape)
+                known[x] = self.row(rows_of(operand), 1, scan.offset).reshape(x.shape)
 
-        def value(x: Value) -> Any:
-            return self.n.array(x.array) if isinstance(x, Const) else known[x]
+        def value(x: Value) -> Item:
+            return self.n.array(np.asarray(x.array)) if isinstance(x, Const) else known[x]
 
         for step in body.steps:
             operands = [value(x) for x in step.ins]
             if step.name == "dynamic_slice" and not isinstance(operands[0], Row):
-                operands[0] = self.of.of.table(operands)
+                operands[0] = self.of.of.table([*map(small, operands)])
             if any(isinstance(x, Row) for x in operands):
                 known[step.outs[0]] = self._read(step, operands)
             elif len(step.outs) == 1:
-                known[step.outs[0]] = applied(self.n, step, operands)
+                known[step.outs[0]] = applied(self.n, step, [*map(small, operands)])
             else:
                 raise Unknown(step.name)
-        self.done[scan] = [value(x) for x in body.outs]
+        self.done[scan] = [small(value(x)) for x in body.outs]
         return self.done[scan]
 
-    def _read(self, step: Step, operands: list) -> Array:
+    def _read(self, step: Step, operands: list[Item]) -> Array:
         """Rows of a table that a scan reads at a sample that is found while it runs."""
         table = operands[0]
         if step.name != "dynamic_slice" or not isinstance(table, Stored):
@@ -1240,10 +1272,10 @@ class _At(_Rows):
         if tuple(sizes[1:]) != tuple(shape[1:]):
             raise Unknown("dynamic_slice of some channels")
         self.of.of.reads.append((table.buffer, self.of.number, 0, 0))
-        index, n = operands[1][()], self.n
+        index, n = small(operands[1]).item(), self.n
         last = n.const(shape[0] - sizes[0], index.dtype)
         index = n.of("min", n.of("max", index, n.const(0, index.dtype)), last)
         out = np.empty(sizes, object)
         for m, i in enumerate(np.ndindex(*sizes)):
-            out[i] = n.of("row", index, dtype=table.dtype, what=(table.buffer, m, table.loop))
+            out[i] = n.row(index, table.dtype, AtIndex(table.buffer, m, table.loop))
         return out

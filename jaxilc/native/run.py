@@ -6,15 +6,16 @@ import itertools
 import logging
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from functools import partial
-from typing import Any, cast
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeGuard, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ..learning.known_metrics import Metrics
 from ..learning.machine import Machine
 from ..learning.over_trials import learn
 from ..runtime.capacity import host_bytes, shown
@@ -37,21 +38,39 @@ from .code import (
 )
 from .llvm import Text
 from .operations import foreign
-from .program import Const, Program, Step, Unknown, Value, by_jax, flat, in_order, of_trials
+from .program import (
+    Const,
+    Known,
+    Program,
+    Step,
+    Unknown,
+    Value,
+    by_jax,
+    flat,
+    in_order,
+    of_trials,
+)
 from .rows import Trials
 
+if TYPE_CHECKING:
+    from jax.extend.core import ClosedJaxpr, Jaxpr
+
 log = logging.getLogger("jaxilc")
+Common = TypeVar("Common")  # trees of arrays: what is common to all machines,
+One = TypeVar("One")  # one machine, or several, which are along the leading axis,
+Found = TypeVar("Found")  # and results
+Arrays: TypeAlias = dict[Value, jax.Array]
 
 ONCE = "trials that are all alike, of which XLA computes one"
 FEW = 64  # real numbers of an operand that are written into the program where they never change
 SHARE = 0.25  # of the RAM that is free, which may be taken by what is held from loop to loop
 AT_ONCE = 2**27  # bytes of operands and of what is held, that are in the RAM at once
-QUICKLY: dict[str, Any] = {"xla_backend_optimization_level": 0}  # half the time to compile
+QUICKLY: dict[str, str | bool] = {"xla_backend_optimization_level": "0"}  # half the time to compile
 # of the largest number of a machine, by which the check may find a difference, by bytes of a number
 TOLERANCE = {8: 1e-9, 4: 1e-4}
 
 
-class Compiled:
+class Compiled(Generic[Common, One, Found]):
     """A program of a function of what is common and of one machine.
 
     It has one or more loops over trials, each compiled for this processor, between which XLA
@@ -64,7 +83,7 @@ class Compiled:
     Raises Unknown, which says why, where the function cannot be compiled.
     """
 
-    def __init__(self, fn: Callable[[Any, Any], Any], common: Any, one: Any,
+    def __init__(self, fn: Callable[[Common, One], Found], common: Common, one: One,
                  lanes: int | None = None):  # fmt: skip
         with all_stored():
             closed, shape = jax.make_jaxpr(fn, return_shape=True)(common, one)
@@ -139,12 +158,12 @@ class Compiled:
         groups = max(1, AT_ONCE // max(of_one, 1) // cores()) * cores()
         return groups * self.lanes
 
-    def __call__(self, common: Any, batch: Any) -> Any:
+    def __call__(self, common: Common, batch: One) -> Found:
         """The results of all machines, whose numbers are along the leading axis of the batch."""
         found = self._call(jax.tree.leaves(common), jax.tree.leaves(batch))
         return jax.tree.unflatten(self._tree, found)
 
-    def _of_batch(self, shared: list, each: list) -> list:
+    def _of_batch(self, shared: list[jax.Array], each: list[jax.Array]) -> list[jax.Array]:
         machines, tile = len(each[0]), self.tile
         if machines <= tile:
             return self._of_tile(shared, each)
@@ -153,12 +172,12 @@ class Compiled:
         found = lax.map(partial(self._of_tile, shared), [jnp.asarray(x)[at] for x in each])
         return [x.reshape(count * tile, *x.shape[2:])[:machines] for x in found]
 
-    def _of_tile(self, shared: list, each: list) -> list:
+    def _of_tile(self, shared: list[jax.Array], each: list[jax.Array]) -> list[jax.Array]:
         """The results of machines, of which the last one fills its group."""
         machines = len(each[0])
         groups = -(-machines // self.lanes)
         at = np.minimum(np.arange(groups * self.lanes), machines - 1).reshape(groups, self.lanes)
-        known = dict(zip(self._program.ins, shared, strict=False))
+        known: Arrays = dict(zip(self._program.ins, shared, strict=False))
         grouped = [jnp.moveaxis(jnp.asarray(x)[at], 1, -1) for x in each]
         known |= zip(self._program.ins[self._shared :], grouped, strict=True)
         for number, (before, _) in enumerate(self._parts):
@@ -168,7 +187,7 @@ class Compiled:
         known |= self._by_xla(self._after, known, groups, {*outs})
         found = []
         for x in outs:
-            array = jnp.asarray(known[x] if x in known else cast(Const, x).array)
+            array = jnp.asarray(x.array) if isinstance(x, Const) else known[x]
             if x not in self._varying:
                 found.append(jnp.broadcast_to(array, (machines, *array.shape)))
             else:
@@ -176,7 +195,7 @@ class Compiled:
                 found.append(array.reshape(groups * self.lanes, *x.shape)[:machines])
         return found
 
-    def _by_xla(self, steps: list[Step], known: dict, groups: int, read: set[Value]) -> dict:
+    def _by_xla(self, steps: list[Step], known: Arrays, groups: int, read: set[Value]) -> Arrays:
         """What steps between the loops make that is read later.
 
         known: by value, arrays of all groups, (groups, ..., lanes), of what varies
@@ -184,11 +203,11 @@ class Compiled:
         wanted = [x for step in steps for x in step.outs if x in read]
         of = [x for x in known if any(x in step.ins for step in steps)]
 
-        def of_one(arrays: list) -> list:
-            value = by_jax(steps, dict(zip(of, arrays, strict=True)))
-            return [*map(value, wanted)]
+        def of_one(arrays: list[jax.Array]) -> list[jax.Array]:
+            given: dict[Value, Known] = dict(zip(of, arrays, strict=True))
+            return [*map(jnp.asarray, map(by_jax(steps, given), wanted))]
 
-        def axes(values: Sequence[Value], axis: int) -> list:
+        def axes(values: Sequence[Value], axis: int) -> list[int | None]:
             return [axis if x in self._varying else None for x in values]
 
         for axis, size in ((-1, self.lanes), (0, groups)):
@@ -237,7 +256,7 @@ class _Loop:
         self.each = [x for x, same in zip(step.ins, self._alike, strict=True) if not same]
         self.drawn = sum(_size(x) for x in self.each)
 
-    def __call__(self, known: dict[Value, Any], groups: int) -> dict[Value, Any]:
+    def __call__(self, known: Arrays, groups: int) -> Arrays:
         """The results for groups of machines by value, from those of what it reads."""
         operands = []
         for x, alike, (at, to) in zip(self.step.ins, self._alike, self._moved, strict=True):
@@ -254,18 +273,18 @@ class _Loop:
         return {x: _turned(array, to + 1, at + 1) for (x, (at, to)), array in moves}
 
 
-class Native:
+class Native(Generic[Common, One, Found]):
     """A function of what is common and of one machine, compiled where that is possible.
 
     fn: the function
     xla: the function of what is common and of a batch that computes the same by XLA
     """
 
-    def __init__(self, fn: Callable[[Any, Any], Any], xla: Callable[[Any, Any], Any]):
+    def __init__(self, fn: Callable[[Common, One], Found], xla: Callable[[Common, One], Found]):
         self._fn, self._xla = fn, xla
-        self._programs: dict[Any, Compiled | str] = {}
+        self._programs: dict[Hashable, Compiled[Common, One, Found] | str] = {}
 
-    def why_not(self, common: Any, batch: Any) -> str | None:
+    def why_not(self, common: Common, batch: One) -> str | None:
         """The reason why XLA computes these arguments; None where a compiled program does.
 
         A new program first computes this batch, and its results are compared with those of XLA.
@@ -277,13 +296,13 @@ class Native:
         found = self._programs[key]
         return found if isinstance(found, str) else None
 
-    def program(self, common: Any, batch: Any) -> Compiled:
+    def program(self, common: Common, batch: One) -> Compiled[Common, One, Found]:
         """The program of arguments for which `why_not` gave no reason."""
         found = self._programs[_key(common, batch)]
         assert isinstance(found, Compiled)
         return found
 
-    def _tried(self, common: Any, batch: Any) -> Compiled | str:
+    def _tried(self, common: Common, batch: One) -> Compiled[Common, One, Found] | str:
         try:
             program = Compiled(self._fn, common, jax.tree.map(lambda x: x[0], batch))
             if not program.learns:
@@ -307,13 +326,13 @@ class Native:
 
 
 def fastest(
-    fn: Callable[[Any, Any], Any],
-    common: Any,
-    batch: Any,
+    fn: Callable[[Common, One], Found],
+    common: Common,
+    batch: One,
     *,
     steps: float,
     lanes: int | None = None,
-) -> tuple[Callable[[Any, Any], Any], bool]:
+) -> tuple[Callable[[Common, One], Found], bool]:
     """`tiled(fn)`, or a compiled program that does the same, and whether it is the latter.
 
     A program is compiled where `setup` asks for it, or the sample-steps are worth it. It first
@@ -331,14 +350,14 @@ def fastest(
     return (by_xla, False) if reason else (native.program(common, few), True)
 
 
-def sample_steps(fn: Callable[[Any, Any], Any], common: Any, batch: Any) -> float:
+def sample_steps(fn: Callable[[Common, One], Found], common: Common, batch: One) -> float:
     """The sample-steps of a function over a batch: the turns of the loops that have none within."""
 
-    def turns(jaxpr: Any) -> float:
+    def turns(jaxpr: Jaxpr | ClosedJaxpr) -> float:
         found = 0.0
         for step in jaxpr.eqns:
             within = sum(
-                turns(getattr(x, "jaxpr", x))
+                turns(x)
                 for x in jax.tree.leaves([*step.params.values()], is_leaf=_has_steps)
                 if _has_steps(x)
             )
@@ -348,10 +367,10 @@ def sample_steps(fn: Callable[[Any, Any], Any], common: Any, batch: Any) -> floa
         return found
 
     one = jax.tree.map(lambda x: x[0], batch)
-    return turns(jax.make_jaxpr(fn)(common, one).jaxpr) * len(jax.tree.leaves(batch)[0])
+    return turns(jax.make_jaxpr(fn)(common, one)) * len(jax.tree.leaves(batch)[0])
 
 
-def _has_steps(x: Any) -> bool:
+def _has_steps(x: object) -> TypeGuard[Jaxpr | ClosedJaxpr]:
     return hasattr(x, "eqns")
 
 
@@ -361,7 +380,7 @@ def why_not(machine: Machine, scheme: Scheme, task: Task, trials: int = 2) -> st
     Nothing is compared with XLA, and nothing is run. Raises ValueError as `learn` does.
     """
 
-    def metrics(common: Any, one: Any) -> Any:
+    def metrics(common: tuple[Machine, Scheme, Task], one: np.uint32) -> Metrics:
         machine, scheme, task = common
         return learn(machine, scheme, task, trials, key=jax.random.key(one)).metrics
 
@@ -371,7 +390,7 @@ def why_not(machine: Machine, scheme: Scheme, task: Task, trials: int = 2) -> st
         return str(unknown)
 
 
-def _key(common: Any, batch: Any) -> Any:
+def _key(common: Common, batch: One) -> Hashable:
     """What a program depends on: the structure, shapes and types of its arguments."""
     shared, of_shared = jax.tree.flatten(common)
     each, of_each = jax.tree.flatten(batch)
@@ -379,7 +398,7 @@ def _key(common: Any, batch: Any) -> Any:
     return of_shared, of_each, (*map(jax.typeof, shared),), (*shapes,)
 
 
-def differs(found: Any, wanted: Any) -> str | None:
+def differs(found: Found, wanted: Found) -> str | None:
     """What differs between results of a compiled program and those of XLA; None where nothing does.
 
     found, wanted: trees of arrays with the machines along the leading axis. Whole numbers and truth
@@ -433,13 +452,15 @@ def _learns(step: Step) -> bool:
     return False
 
 
-def _fixed(before: Sequence[Step], step: Step) -> list[Any]:
+def _fixed(before: Sequence[Step], step: Step) -> list[np.ndarray | None]:
     """The values of operands of the loop over trials that depend on no argument; else None."""
-    known: dict[Value, Any] = {}
+    known: dict[Value, Known] = {}
     by_jax(before, known)
     found = [x.array if isinstance(x, Const) else known.get(x) for x in step.ins]
-    few = (x is not None and (np.size(x) <= FEW or x.dtype.kind in "iu") for x in found)
-    return [np.asarray(x) if small else None for x, small in zip(found, few, strict=True)]
+    return [
+        np.asarray(x) if x is not None and (np.size(x) <= FEW or x.dtype.kind in "iu") else None
+        for x in found
+    ]
 
 
 def _real() -> np.dtype:
@@ -452,7 +473,7 @@ def _size(x: Value) -> int:
     return math.prod(x.shape) * np.dtype(x.dtype).itemsize
 
 
-def _turned(x: Any, at: int, to: int) -> Any:
+def _turned(x: jax.Array, at: int, to: int) -> jax.Array:
     return x if at == to else jnp.moveaxis(x, at, to)
 
 

@@ -6,15 +6,29 @@ Each function has the operands and the parameters of a primitive of JAX, and its
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+
+if TYPE_CHECKING:
+    from jax.extend.core import ClosedJaxpr
+
+Parameters: TypeAlias = dict[str, Any]  # of a primitive of JAX; each has a type of its own
+
+
+class Shaped(Protocol):
+    """What has the shape and the type of an array."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+
 
 MOST = 16  # rows of a matrix that is written out
 
 
-def _lu(a: jax.Array, **_: Any) -> tuple:
+def _lu(a: jax.Array, **_: object) -> tuple[jax.Array, ...]:
     """L below the diagonal and U, the row that came to each place, and the order of all rows."""
     n, steps = len(a), range(min(a.shape))
     rows, order, pivots = [*a], [*jnp.arange(n, dtype=jnp.int32)], []
@@ -39,12 +53,14 @@ def _lu(a: jax.Array, **_: Any) -> tuple:
 
 
 def _triangular_solve(a: jax.Array, b: jax.Array, *, left_side: bool, lower: bool,
-                      transpose_a: bool, unit_diagonal: bool, **_: Any) -> tuple:  # fmt: skip
+                      transpose_a: bool, unit_diagonal: bool,
+                      **_: object) -> tuple[jax.Array, ...]:  # fmt: skip
     """(n, m) the solution of a x = b; of x a = b where a is not on the left side."""
     if transpose_a == left_side:
         a, lower = a.T, not lower
     b = b if left_side else b.T
-    n, x = len(a), {}
+    n = len(a)
+    x: dict[int, jax.Array] = {}
     for i in range(n) if lower else reversed(range(n)):
         left = b[i]
         for j in x:
@@ -54,7 +70,7 @@ def _triangular_solve(a: jax.Array, b: jax.Array, *, left_side: bool, lower: boo
     return (found if left_side else found.T,)
 
 
-def _sort(keys: jax.Array, *others: jax.Array, **_: Any) -> tuple:
+def _sort(keys: jax.Array, *others: jax.Array, **_: object) -> tuple[jax.Array, ...]:
     """Whole numbers in ascending order, and other arrays in the same one."""
     columns = [[*x] for x in (keys, *others)]
     for last in reversed(range(len(keys))):
@@ -66,12 +82,12 @@ def _sort(keys: jax.Array, *others: jax.Array, **_: Any) -> tuple:
     return (*(jnp.stack(x) for x in columns),)
 
 
-WRITTEN: dict[str, Callable[..., tuple]] = {
+WRITTEN: dict[str, Callable[..., tuple[jax.Array, ...]]] = {
     "lu": _lu, "triangular_solve": _triangular_solve, "sort": _sort,
 }  # fmt: skip
 
 
-def written(name: str, params: dict, operands: Sequence[Any]) -> Any:
+def written(name: str, params: Parameters, operands: Sequence[Shaped]) -> ClosedJaxpr | None:
     """The jaxpr of a primitive on small real matrices, or on few whole numbers; else None.
 
     operands: their shapes and types
