@@ -26,7 +26,7 @@ def api(monkeypatch):
     return importlib.import_module("api")
 
 
-@pytest.mark.parametrize("file", due(FILES, 2), ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", due(FILES, 1), ids=lambda file: file.stem)
 def test_an_example_prints_what_the_page_says(file, api, compiled_once, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     begin, examples = api.examples_of(file.stem)

@@ -44,7 +44,7 @@ UNSEEN = (
 )
 SETTINGS = f"[mypy]\n[mypy-{','.join(f'{name}.*' for name in UNSEEN)}]\nfollow_imports = skip\n"
 CHECKERS = {  # the words before the scripts on the command line
-    "mypy": ["--no-incremental", "--python-executable", sys.executable],
+    "mypy": ["--cache-dir", str(ROOT / ".mypy_cache/users"), "--python-executable", sys.executable],
     "pyright": ["--pythonpath", sys.executable],
     "ty": ["check", "--quiet", "--python", sys.prefix, "--extra-search-path", str(ROOT)],
 }
@@ -79,12 +79,9 @@ def test_a_users_script_passes_type_checkers(name, scripts):
         pytest.skip(f"needs {name}: pip install {name}, or npm install --global pyright")
     path = {"MYPYPATH": str(ROOT), "PYTHONPATH": str(ROOT)}
     found = subprocess.run(
-        [checker, *CHECKERS[name], *map(str, scripts)],
-        cwd=scripts[0].parent,
-        env=os.environ | path,
-        capture_output=True,
-        text=True,
-    )
+        [checker, *CHECKERS[name], *map(str, scripts)], cwd=scripts[0].parent,
+        env=os.environ | path, capture_output=True, text=True,
+    )  # fmt: skip
     assert found.returncode == 0, found.stdout + found.stderr
 
 
@@ -146,20 +143,10 @@ def test_docstrings_become_pages_as_they_are_written(monkeypatch):
     u_, y: signals
     Raises ValueError."""
     assert plain.as_rst(text) == [
-        "The error: \\|e\\| \\* 2 of ``dt``.",
-        "",
-        "::",
-        "",
-        "        y = a * x   (eq. 1)",
-        "",
-        "``dt``",
-        "    sample time [s]; a line that goes on",
-        "``u_, y``",
-        "    signals",
-        "",
-        "Raises ValueError.",
-        "",
-    ]
+        "The error: \\|e\\| \\* 2 of ``dt``.", "", "::", "", "        y = a * x   (eq. 1)", "",
+        "``dt``", "    sample time [s]; a line that goes on", "``u_, y``", "    signals", "",
+        "Raises ValueError.", "",
+    ]  # fmt: skip
 
 
 def test_the_file_that_init_writes_is_the_start_page_s_example():

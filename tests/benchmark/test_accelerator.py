@@ -14,15 +14,9 @@ from jaxilc.runtime import capacity, lanes
 
 SIZES = pytest.mark.parametrize("sizes", [ACCELERATOR, CPU])
 DONE = {
-    "status": MEASURED,
-    "bytes": 4096 * 1e5,
-    "compile_seconds": 3.0,
-    "seconds": 1.0,
-    "seconds_a_pass": 2e-5,
-    "ns_a_step": 5.0,
-    "share_of_bandwidth": 0.01,
-    "off_by": 0.0,
-}
+    "status": MEASURED, "bytes": 4096 * 1e5, "compile_seconds": 3.0, "seconds": 1.0,
+    "seconds_a_pass": 2e-5, "ns_a_step": 5.0, "share_of_bandwidth": 0.01, "off_by": 0.0,
+}  # fmt: skip
 
 
 def done(*fields, **changes):

@@ -5,6 +5,7 @@ import json
 import platform
 from collections import Counter
 from functools import partial
+from types import SimpleNamespace
 
 import compare
 import contests
@@ -263,6 +264,20 @@ def test_every_kind_takes_some_time(kind, monkeypatch):
 SMALL = ["--trials", "4", "--samples", "24", "--long", "200", "--schemes", "cfdl", "--repeats", "1"]
 
 
+@pytest.fixture
+def of_no_size(monkeypatch):
+    """Let what is measured by size compute nothing: each size would be a program."""
+    by_size, nothing = contests.cost_by_size, SimpleNamespace(ours=lambda: lambda: None)
+
+    def measured(*given, **more):
+        with monkeypatch.context() as patched:
+            patched.setattr(contests, "setting", lambda *_, **__: nothing)
+            return by_size(*given, **more)
+
+    monkeypatch.setattr(contests, "cost_by_size", measured)
+
+
+@pytest.mark.usefixtures("of_no_size")
 def test_the_command(tmp_path, capsys):
     file = tmp_path / "bench.json"
     compare.main(["--plants", "2", *SMALL, "--json", str(file)])

@@ -8,9 +8,10 @@ import jax
 import numpy as np
 import pytest
 
-from jaxilc import outcomes
 from jaxilc.cli import commands, main
 from jaxilc.design import LAWS
+from jaxilc.design.learned import STARTS, LearnedLaw, Taps
+from jaxilc.outcomes.designing import state_of
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import LearningFilter
 
@@ -81,16 +82,23 @@ def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, caps
     assert page.count("<figure><img") == 1, "design.png, and not the file of the same name"
     assert numbers["chosen"]["law"] == "p-type"
     assert numbers["proof"]["margin"] >= 0.1 - 1e-3
+    assert set(numbers["proof"]["claims"]) <= {"monotone", "converges"}
     schemes = read_scenario(file.parent / "axis.design.toml").schemes
     assert float(schemes["repetitive"].period) == numbers["within"]["time"]["period"]
     law = schemes["p-type"]
     assert float(law.scheme.gamma_p) == numbers["chosen"]["weights"]["scheme.gamma_p"]
     assert jaxilc("design", file.name, *asked) == 2
     assert "add --force" in capsys.readouterr().err
-    how = {"margin": 0.1, "laws": ["p-type"], "machines": 9, "steps": 2, "resume": True}
-    found = outcomes.design(file.name, **how).as_json()
-    for name in ("chosen", "others", "limits", "verdict", "next"):
-        assert found[name] == numbers[name]
+
+
+def test_a_state_is_resumed_replaced_or_refused(tmp_path):
+    (state := tmp_path / "state").mkdir()
+    with pytest.raises(FileExistsError, match="add --resume to go on with it, --force to begin"):
+        state_of(tmp_path, force=False, resume=False)
+    assert state_of(tmp_path, force=False, resume=True) == state
+    assert state.exists()
+    assert state_of(tmp_path, force=True, resume=False) == state
+    assert not state.exists()
 
 
 @pytest.mark.parametrize(
@@ -117,6 +125,7 @@ def small(file, monkeypatch):
     monkeypatch.setattr("jaxilc.design.learned.DENSE", 5)
     monkeypatch.setattr("jaxilc.design.learned.WATCH", 5)
     monkeypatch.setattr("jaxilc.design.by_response.leads_of", lambda *_: [4])
+    monkeypatch.setitem(STARTS, "safe", ("p-type",))
     file.write_text(FILE.replace("trials = 4", "trials = 3"))
     return file
 
@@ -165,9 +174,11 @@ def _next_plays(law):
     np.testing.assert_allclose(played, expected, atol=1e-9 * np.max(np.abs(expected)))
 
 
-def test_a_law_that_the_gate_refuses_is_not_written(small, capsys, monkeypatch, unpainted):
-    monkeypatch.setattr("jaxilc.design.learned.gate", lambda *_: "|Q (1 - L P)| is 1.2 at 7 Hz")
-    assert jaxilc("learn-law", small.name, "--taps", "5,3", "--steps", 0, "--start", "nothing") == 1
+def test_a_law_that_the_gate_refuses_is_not_written(small, capsys, monkeypatch):
+    refused = Taps(None, mock.Mock(lead=4), None, "|Q (1 - L P)| is 1.2 at 7 Hz")
+    monkeypatch.setattr(LearnedLaw, "learned_taps", lambda *_, **__: refused)
+    monkeypatch.setattr(LearnedLaw, "_safe", lambda *_: [])
+    assert jaxilc("learn-law", small.name, "--taps", "5,3", "--steps", 0) == 1
     seen = capsys.readouterr()
     assert "The learned law is refused: |Q (1 - L P)| is 1.2 at 7 Hz." in seen.out
     assert "no plant file was written" in seen.err

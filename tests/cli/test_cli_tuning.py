@@ -22,7 +22,7 @@ from jaxilc.outcomes.words import number
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios.parameters import differing, with_parameters, write_parameters
 from jaxilc.schemes import CFDLMFAILC
-from jaxilc.tuning import Tuning, monte_carlo_search, pareto
+from jaxilc.tuning import Tuning, monte_carlo_search
 from jaxilc.tuning import descent as of_tuning
 from jaxilc.tuning.objectives import (
     D2,
@@ -36,7 +36,7 @@ from jaxilc.tuning.objectives import (
     TrialsTo,
 )
 from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
-from jaxilc.tuning.trade_off import Point
+from jaxilc.tuning.trade_off import Point, held_out_losses
 from jaxilc.uncertainty import with_spread
 
 SHORT = ("--set", "frequency=50")  # 20 samples a trial
@@ -47,10 +47,30 @@ TUNE = (
     *("--unseen", 4, "--spread", 0.2),
 )
 PARETO = (
-    *("pareto", "cao-2019", "--scheme", "cfdl-mfailc", *SHORT, "--set", "cfdl-mfailc.lead=2"),
-    *("--weights", "lam,phi0", "--bounds", "lam=0.1:5", "--machines", 3, "--held-out", 2),
-    *("--steps", 2, "--spread", 0.2),
+    *("pareto", "axis.toml", "--scheme", "ilc", "--weights", "gamma_p=0.1:8"),
+    *("--set", "ilc.lead=1", "--machines", 3, "--held-out", 2, "--steps", 2, "--seed", 1),
 )
+AXIS = """
+judged_by = "settled_error"
+[plant]
+kind = "state_space"
+A = [[0.9]]
+B = [[0.1]]
+C = [[1.0]]
+dt = 0.001
+[task]
+dt = 0.001
+unit = "mm"
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
+[schemes.ilc]
+class = "PIDType"
+gamma_p = 1.0
+[uncertainty."plant.B"]
+distribution = "uniform"
+low = 0.8
+high = 1.2
+relative = true
+"""
 
 
 def call(*arguments):
@@ -78,11 +98,26 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory):
-    """Return the folder of a tuning, and what the command printed."""
+    """Return the folder of a tuning that was stopped and resumed, and what the command printed."""
     folder = tmp_path_factory.mktemp("tune")
-    reports = ("--report", folder / "numbers.json", "--report", folder / "page.html")
-    code, out, err = call(*TUNE, "--out", folder, *reports)
+    write, states = of_tuning.Folder.write, []
+
+    def stop_at_two(self, state):
+        write(self, state)
+        states.append(state)
+        if len(states) == 2:
+            raise KeyboardInterrupt
+
+    asked = (*TUNE, "--out", folder)
+    with mock.patch.object(of_tuning.Folder, "write", stop_at_two):
+        code, _, err = call(*asked)
+        assert (code, "--resume goes on" in err) == (130, True)
+        code, _, err = call(*asked)
+        assert (code, "add --resume" in err) == (2, True)
+        reports = ("--report", folder / "numbers.json", "--report", folder / "page.html")
+        code, out, err = call(*asked, "--resume", *reports)
     assert code == 0, err
+    assert len(states) == 3
     return folder, out
 
 
@@ -90,22 +125,14 @@ def tuned(tmp_path_factory):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_tune_gives_the_numbers_of_the_library(tuned, scenario):
+def test_a_resumed_tuning_gives_the_numbers_of_the_library_at_once(tuned, scenario):
     folder, out = tuned
     s = scenario.with_values({"cfdl-mfailc.lead": 2})
     problem = Tuning(
-        s.machine,
-        s.schemes["cfdl-mfailc"],
-        s.task,
-        4,
-        {"lam": (0.1, 5.0), "phi0": None},
-        with_spread(s.uncertainty, 0.2),
-        Final() + 0.3 * Growth("max_error"),
-        CVaR(0.5),
-        machines=3,
-        held_out=2,
-        steps=3,
-    )
+        s.machine, s.schemes["cfdl-mfailc"], s.task, 4, {"lam": (0.1, 5.0), "phi0": None},
+        with_spread(s.uncertainty, 0.2), Final() + 0.3 * Growth("max_error"), CVaR(0.5), machines=3,
+        held_out=2, steps=3,
+    )  # fmt: skip
     found = problem.run()
     numbers = json.loads((folder / "numbers.json").read_text())
     assert {name: row["tuned"] for name, row in numbers["weights"].items()} == found.values
@@ -143,25 +170,13 @@ def test_a_parameter_file_reaches_other_commands_and_set_goes_on_top(
         "what was set by hand belongs to what was tuned"
     )
     arguments = (
-        "run",
-        "cao-2019",
-        *SHORT,
-        "--scheme",
-        "cfdl-mfailc",
-        "--params",
-        folder / "params.json",
-        "--trials",
-        4,
-    )
+        "run", "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", "--params", folder / "params.json",
+        "--trials", 4,
+    )  # fmt: skip
     code, _, err = call(
-        *arguments,
-        "--set",
-        "cfdl-mfailc.lam=0.9",
-        "--out",
-        tmp_path / "run",
-        "--report",
+        *arguments, "--set", "cfdl-mfailc.lam=0.9", "--out", tmp_path / "run", "--report",
         tmp_path / "run.json",
-    )
+    )  # fmt: skip
     assert code == 0, err
     scheme = jaxilc.pytree.replaced(scenario.schemes["cfdl-mfailc"], values | {"lam": 0.9})
     ours = 1e3 * jaxilc.learn(scenario.machine, scheme, scenario.task, 4).settled_error[-1, 0]
@@ -183,36 +198,20 @@ def test_every_command_names_a_parameter_file_of_another_scenario(command, tmp_p
     assert not (tmp_path / "out").exists()
 
 
-def test_a_stopped_tuning_resumes_to_the_same_parameters(tuned, tmp_path, monkeypatch, unpainted):
-    folder, _ = tuned
-    write, states = of_tuning.Folder.write, []
-
-    def stop_at_two(self, state):
-        write(self, state)
-        states.append(state)
-        if len(states) == 2:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(of_tuning.Folder, "write", stop_at_two)
-    code, _, err = call(*TUNE, "--out", tmp_path)
-    assert code == 130
-    assert "--resume goes on" in err
-    code, _, err = call(*TUNE, "--out", tmp_path)
-    assert code == 2
-    assert "add --resume" in err
-    code, _, err = call(*TUNE, "--out", tmp_path, "--resume")
-    assert code == 0, err
-    assert len(states) == 3
-    one, other = (json.loads((place / "params.json").read_text()) for place in (folder, tmp_path))
-    assert one == other
-
-
 # pareto
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture
+def axis(tmp_path, monkeypatch):
+    """Return the scenario of a small file, in the folder of which the command runs."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "axis.toml").write_text(AXIS)
+    return jaxilc.load_scenario("axis.toml").with_values({"ilc.lead": 1})
+
+
 @pytest.mark.slow
-def test_pareto_gives_the_numbers_of_the_library(scenario, tmp_path):
+def test_pareto_gives_the_losses_of_the_weights_that_it_writes(axis, tmp_path):
     objectives = ("--objective", "final", "--objective", "effort", "--shares", "0.2,0.95")
     reports = ("--report", tmp_path / "numbers.json", "--report", tmp_path / "page.html")
     asked = (*PARETO, *objectives, "--trials", 3, "--out", tmp_path)
@@ -222,73 +221,40 @@ def test_pareto_gives_the_numbers_of_the_library(scenario, tmp_path):
     assert code == 2
     assert "add --resume" in err
     numbers = json.loads((tmp_path / "numbers.json").read_text())
-    problem = problem_of_pareto(scenario, 3)
-    points = pareto(problem, Final(), Effort(), (0.2, 0.95))
-    shares = [str(p.share) for p in points]
-    assert list(numbers["points"]) == ["given", *shares]
-    assert numbers["left_out"] == [share for share in (0.2, 0.95) if str(share) not in shares]
-    given = [
-        float(problem.held_out_loss(problem.start, objective)) for objective in (Final(), Effort())
-    ]
-    np.testing.assert_allclose(
-        [numbers["points"]["given"][name] for name in ("first", "second")], given, rtol=1e-12
-    )
-    for p in points:
-        assert numbers["points"][str(p.share)] == {
-            "first": p.first,
-            "second": p.second,
-            "weights": p.tuned.values,
-        }
-        assert f"{p.second:.6g}" in out
-        params = json.loads((tmp_path / f"params-share-{p.share}.json").read_text())
-        assert params["schemes"]["cfdl-mfailc"] == p.tuned.values | {"lead": 2}
+    given, *shares = points = numbers["points"]
+    assert sorted([*map(float, shares), *numbers["left_out"]]) == [0.2, 0.95]
+    assert (given, bool(shares)) == ("given", True)
+    problem = Tuning(
+        axis.machine, axis.schemes["ilc"], axis.task, 3, {"gamma_p": (0.1, 8.0)}, axis.uncertainty,
+        machines=3, held_out=2, steps=2, seed=1,
+    )  # fmt: skip
+    losses = held_out_losses(problem, Final(), Effort())
+    for which, row in points.items():
+        weights = problem.start if which == "given" else row["weights"]
+        np.testing.assert_allclose([row["first"], row["second"]], losses(weights), rtol=1e-12)
+    for share in shares:
+        assert f"{points[share]['second']:.6g}" in out
+        params = json.loads((tmp_path / f"params-share-{share}.json").read_text())
+        assert params["schemes"]["ilc"] == points[share]["weights"] | {"lead": 1}
     assert (tmp_path / "front.png").stat().st_size > 10_000
     assert "share of first" in (tmp_path / "page.html").read_text()
 
 
 @pytest.mark.slow
-def test_budgets_of_trials_are_judged_at_their_own_trial(scenario, tmp_path):
-    code, out, err = call(
-        *PARETO,
-        "--budgets",
-        "2,4",
-        "--unseen",
-        1,
-        "--out",
-        tmp_path,
-        "--report",
-        tmp_path / "numbers.json",
-    )
+def test_budgets_of_trials_are_judged_at_their_own_trial(axis, tmp_path):
+    report = ("--unseen", 1, "--out", tmp_path, "--report", tmp_path / "numbers.json")
+    code, out, err = call(*PARETO, "--budgets", "2,4", *report)
     assert code == 0, err
-    numbers = json.loads((tmp_path / "numbers.json").read_text())
-    for J in (2, 4):
-        row, problem = numbers["budgets"][str(J)], problem_of_pareto(scenario, J)
-        assert J > 2 or row["weights"] == problem.run().values
-        for which, scheme in (
-            ("given", problem.scheme),
-            ("tuned", problem.scheme_of(row["weights"])),
-        ):
-            ours = 1e3 * float(
-                jaxilc.learn(scenario.machine, scheme, scenario.task, J).settled_error[-1, 0]
-            )
+    budgets = json.loads((tmp_path / "numbers.json").read_text())["budgets"]
+    assert budgets["2"]["weights"] != budgets["4"]["weights"]
+    for J, row in budgets.items():
+        for which, weights in (("given", {}), ("tuned", row["weights"])):
+            law = jaxilc.pytree.replaced(axis.schemes["ilc"], weights)
+            history = jaxilc.learn(axis.machine, law, axis.task, 4)
+            ours = axis.shown_scale * float(history.settled_error[int(J) - 1, 0])
             np.testing.assert_allclose(row[which]["worst"], ours, rtol=1e-12)
             assert number(ours) in out
     assert (tmp_path / "trials.png").stat().st_size > 10_000
-
-
-def problem_of_pareto(scenario, trials):
-    s = scenario.with_values({"cfdl-mfailc.lead": 2})
-    uncertainty = with_spread(s.uncertainty, 0.2)
-    options = {"machines": 3, "held_out": 2, "steps": 2}
-    return Tuning(
-        s.machine,
-        s.schemes["cfdl-mfailc"],
-        s.task,
-        trials,
-        {"lam": (0.1, 5.0), "phi0": None},
-        uncertainty,
-        **options,
-    )
 
 
 # worst-case
@@ -349,22 +315,16 @@ def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path):
     [
         ("final", ((1.0, Final("rms")),)),
         ("2*final:20 + 0.3*final@max_error", ((2.0, Final("rms", 20)), (0.3, Final("max_error")))),
-        (
-            "holding:5+every-trial@max_error",
-            ((1.0, Holding(5, "rms")), (1.0, EveryTrial("max_error"))),
-        ),
+        ("holding:5+every-trial@max_error",
+         ((1.0, Holding(5, "rms")), (1.0, EveryTrial("max_error")))),
         ("trials-to:5", ((1.0, TrialsTo(0.005, "rms")),)),
-        (
-            "growth:3+effort:2+input-rate",
-            ((1.0, Growth("rms", 3)), (1.0, Effort(2.0)), (1.0, InputRate(1.0))),
-        ),
+        ("growth:3+effort:2+input-rate",
+         ((1.0, Growth("rms", 3)), (1.0, Effort(2.0)), (1.0, InputRate(1.0)))),
         ("0.1*contraction:0.9", ((0.1, Contraction(0.9)),)),
-        (
-            with_limits("final", ["d2=0.95", "contraction = 1"]),
-            ((1.0, Final("rms")), (100.0, D2(0.95)), (100.0, Contraction(1.0))),
-        ),
+        (with_limits("final", ["d2=0.95", "contraction = 1"]),
+         ((1.0, Final("rms")), (100.0, D2(0.95)), (100.0, Contraction(1.0)))),
     ],
-)
+)  # fmt: skip
 def test_objectives_are_what_they_say(text, terms):
     assert objective_of(text, "rms", 1e3).terms == terms
 
@@ -391,120 +351,58 @@ def test_risks_are_what_they_say():
         ("tune", ("--weights", "gain"), "weights: 'gain' is not a parameter here; known: lam"),
         ("tune", ("--weights", "eta,lam=1"), "--weights 'lam=1' is not NAME=LOW:HIGH"),
         ("tune", ("--weights", "lam", "--limit", "d2"), "--limit 'd2' is not NAME=NUMBER"),
-        (
-            "tune",
-            ("--weights", "lam", "--limit", "d3=1"),
-            "--limit: 'd3' is not one of d2, contraction",
-        ),
-        (
-            "tune",
-            ("--weights", "lam", "--limit", "d2=-1"),
-            "d2: -1 is outside its allowed range (0, inf)",
-        ),
+        ("tune", ("--weights", "lam", "--limit", "d3=1"),
+         "--limit: 'd3' is not one of d2, contraction"),
+        ("tune", ("--weights", "lam", "--limit", "d2=-1"),
+         "d2: -1 is outside its allowed range (0, inf)"),
         ("tune", ("--weights", "lam=a:1"), "lam: 'a' is not a number"),
         ("tune", ("--weights", "lam = 2:3"), "the start lam = 1.0 is outside its bounds (2, 3)"),
-        (
-            "tune",
-            ("--weights", "lam", "--objective", "best"),
-            "--objective: 'best' is not one of final[:trial], every-trial",
-        ),
-        (
-            "tune",
-            ("--weights", "lam", "--objective", "final:0"),
-            "final: '0' is not the number of a trial",
-        ),
-        (
-            "tune",
-            ("--weights", "lam", "--objective", "final:100"),
-            "trial = 100 is outside its allowed range [1, 80]",
-        ),
-        (
-            "tune",
-            ("--weights", "lam", "--objective", "final@speed"),
-            "metric = 'speed' is not one of max_error, rms, settled_error",
-        ),
-        (
-            "tune",
-            ("--weights", "lam", "--objective", "-1*final"),
-            "weight of final: -1 is outside its allowed range (0, inf)",
-        ),
-        (
-            "tune",
-            ("--weights", "lam", "--objective", "2*finl:5"),
-            "--objective: 'finl' is unknown; did you mean final[:trial]? Known: final[:trial], ",
-        ),
-        (
-            "tune",
-            ("--weights", "lam", "--risk", "median"),
-            "--risk 'median' is unknown; did you mean mean? Known: mean, worst, cvar[:alpha]",
-        ),
-        (
-            "tune",
-            ("--weights", "lam", "--risk", "cvar:1"),
-            "alpha = 1 is outside its allowed range [0, 1)",
-        ),
-        (
-            "tune",
-            ("--weights", "lam", "--steps", "0"),
-            "steps = 0 is outside its allowed range [1, inf)",
-        ),
-        (
-            "tune",
-            ("--weights", "lam", "--spread", "2"),
-            "spread = 2 is outside its allowed range (0, 1)",
-        ),
+        ("tune", ("--weights", "lam", "--objective", "best"),
+         "--objective: 'best' is not one of final[:trial], every-trial"),
+        ("tune", ("--weights", "lam", "--objective", "final:0"),
+         "final: '0' is not the number of a trial"),
+        ("tune", ("--weights", "lam", "--objective", "final:100"),
+         "trial = 100 is outside its allowed range [1, 80]"),
+        ("tune", ("--weights", "lam", "--objective", "final@speed"),
+         "metric = 'speed' is not one of max_error, rms, settled_error"),
+        ("tune", ("--weights", "lam", "--objective", "-1*final"),
+         "weight of final: -1 is outside its allowed range (0, inf)"),
+        ("tune", ("--weights", "lam", "--objective", "2*finl:5"),
+         "--objective: 'finl' is unknown; did you mean final[:trial]? Known: final[:trial], "),
+        ("tune", ("--weights", "lam", "--risk", "median"),
+         "--risk 'median' is unknown; did you mean mean? Known: mean, worst, cvar[:alpha]"),
+        ("tune", ("--weights", "lam", "--risk", "cvar:1"),
+         "alpha = 1 is outside its allowed range [0, 1)"),
+        ("tune", ("--weights", "lam", "--steps", "0"),
+         "steps = 0 is outside its allowed range [1, inf)"),
+        ("tune", ("--weights", "lam", "--spread", "2"),
+         "spread = 2 is outside its allowed range (0, 1)"),
         ("tune", ("--weights", "lam", "--params", "none.json"), "none.json"),
-        (
-            "pareto",
-            ("--weights", "lam"),
-            "--objective final: needed are two objectives, or one and --budgets",
-        ),
-        (
-            "pareto",
-            ("--weights", "lam", "--objective", "final", "--objective", "effort", "--budgets", "5"),
-            "--objective final, effort --budgets 5: needed are two objectives, or one and",
-        ),
-        (
-            "pareto",
-            ("--weights", "lam", "--budgets", "5", "--trials", "9"),
-            "--trials 9 has no meaning beside --budgets 5",
-        ),
-        (
-            "pareto",
-            ("--weights", "lam", "--budgets", "5,0"),
-            "--budgets: '0' is not a number of trials",
-        ),
-        (
-            "pareto",
-            ("--weights", "lam", "--budgets", "5,5"),
-            "--budgets: 5 is given more than once",
-        ),
-        (
-            "pareto",
-            ("--weights", "lam", "--objective", "final", "--objective", "best"),
-            "--objective: 'best' is not one of final[:trial]",
-        ),
+        ("pareto", ("--weights", "lam"),
+         "--objective final: needed are two objectives, or one and --budgets"),
+        ("pareto",
+         ("--weights", "lam", "--objective", "final", "--objective", "effort", "--budgets", "5"),
+         "--objective final, effort --budgets 5: needed are two objectives, or one and"),
+        ("pareto", ("--weights", "lam", "--budgets", "5", "--trials", "9"),
+         "--trials 9 has no meaning beside --budgets 5"),
+        ("pareto", ("--weights", "lam", "--budgets", "5,0"),
+         "--budgets: '0' is not a number of trials"),
+        ("pareto", ("--weights", "lam", "--budgets", "5,5"),
+         "--budgets: 5 is given more than once"),
+        ("pareto", ("--weights", "lam", "--objective", "final", "--objective", "best"),
+         "--objective: 'best' is not one of final[:trial]"),
         ("worst-case", ("--trial", "0"), "--trial 0 is outside its allowed range [1, inf)"),
-        (
-            "worst-case",
-            ("--evaluations", "10"),
-            "--evaluations 10 is outside its allowed range [64, inf)",
-        ),
+        ("worst-case", ("--evaluations", "10"),
+         "--evaluations 10 is outside its allowed range [64, inf)"),
         ("worst-case", ("--draws", "0"), "--draws 0 is outside its allowed range [1, inf)"),
         ("worst-case", ("--starts", "0"), "--starts 0 is outside its allowed range [1, inf)"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_one_line_and_nothing_is_written(command, arguments, message, tmp_path):
     code, _, err = call(
-        command,
-        "cao-2019",
-        *SHORT,
-        "--scheme",
-        "cfdl-mfailc",
-        *arguments,
-        "--out",
+        command, "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", *arguments, "--out",
         tmp_path / "out",
-    )
+    )  # fmt: skip
     assert code == 2
     assert message in err
     assert err.count("\n") == 1
@@ -565,20 +463,14 @@ def test_a_parameter_file_holds_what_differs(scenario, tmp_path):
         ("[1]", "is not a parameter file"),
         ('{"schemes": {}}', "is not a parameter file"),
         ('{"scenario": "cao-2019", "schemes": {"pid": 3}}', "is not a parameter file"),
-        (
-            '{"scenario": "cao-2019", "schemes": {"smc": {"lam": 1}}}',
-            "scheme = 'smc' is not one of pid, cfdl-mfailc",
-        ),
-        (
-            '{"scenario": "cao-2019", "schemes": {"pid": {"kq": 1}}}',
-            "'pid.kq' cannot be set; did you mean pid.k",
-        ),
-        (
-            '{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0}}}',
-            r"lam = 0 is outside its allowed range \(0, inf\)",
-        ),
+        ('{"scenario": "cao-2019", "schemes": {"smc": {"lam": 1}}}',
+         "scheme = 'smc' is not one of pid, cfdl-mfailc"),
+        ('{"scenario": "cao-2019", "schemes": {"pid": {"kq": 1}}}',
+         "'pid.kq' cannot be set; did you mean pid.k"),
+        ('{"scenario": "cao-2019", "schemes": {"cfdl-mfailc": {"lam": 0}}}',
+         r"lam = 0 is outside its allowed range \(0, inf\)"),
     ],
-)
+)  # fmt: skip
 def test_a_bad_parameter_file_is_named(scenario, tmp_path, content, message):
     file = tmp_path / "p.json"
     file.write_text(content)

@@ -179,11 +179,8 @@ def test_a_scheme_is_written_as_it_is_read(here):
     read = tomllib.loads(path.read_text())["schemes"]
     assert set(read) == {"ilc", "ilc-fir"}
     assert read["ilc-fir"] == {
-        "class": "LearningFilter",
-        "L": [0.1, 0.2, 1 / 3],
-        "keep": [0.25, 0.5, 0.25],
-        "lead": 4,
-    }
+        "class": "LearningFilter", "L": [0.1, 0.2, 1 / 3], "keep": [0.25, 0.5, 0.25], "lead": 4,
+    }  # fmt: skip
     whole = Filtered(PIDType(gamma_p=0.4), ZeroPhaseButterworth(20.0))
     nested = tomllib.loads(toml_of({"a b": whole}))["schemes"]["a b"]
     assert nested["scheme"] == {"class": "PIDType", "gamma_p": 0.4}

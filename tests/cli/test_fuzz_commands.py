@@ -75,67 +75,21 @@ explore p.toml --machines 2 --port 0 --no-browser
 """.strip().split("\n")
 ]
 NUMBERS = (
-    "0",
-    "-1",
-    "1",
-    "2",
-    "1.5",
-    "1e9",
-    str(10**9),
-    str(10**12),
-    str(10**23),
-    "1e300",
-    "1e-300",
-    "nan",
-    "inf",
-    "-inf",
-    "1,2",
-    "1:2",
-)
+    "0", "-1", "1", "2", "1.5", "1e9", str(10**9), str(10**12), str(10**23), "1e300", "1e-300",
+    "nan", "inf", "-inf", "1,2", "1:2",
+)  # fmt: skip
 NAMES = (
-    "",
-    "x",
-    "lam",
-    "gamma_p",
-    "plant.B",
-    "ilc",
-    "ilc,mf",
-    "cao-2019",
-    "final",
-    "final:0",
-    "2*final+effort",
-    "effort",
-    "cvar:0.5",
-    "worst",
-)
+    "", "x", "lam", "gamma_p", "plant.B", "ilc", "ilc,mf", "cao-2019", "final", "final:0",
+    "2*final+effort", "effort", "cvar:0.5", "worst",
+)  # fmt: skip
 CHOICES = (
-    "sobol",
-    "corners",
-    "lbfgs",
-    "least-squares",
-    "float32",
-    "settled_error",
-    "growth",
-    "none",
-    "a=b",
-    "ilc.gamma_p=nan",
-    "ilc.lead=3",
-)
+    "sobol", "corners", "lbfgs", "least-squares", "float32", "settled_error", "growth", "none",
+    "a=b", "ilc.gamma_p=nan", "ilc.lead=3",
+)  # fmt: skip
 FILES = (
-    "p.toml",
-    "bad.json",
-    "bad.toml",
-    "fifo",
-    "folder",
-    "../x",
-    "/dev/null",
-    "/dev/zero",
-    "o.mat",
-    "o.h",
-    "record.csv",
-    "-",
-    "--",
-)
+    "p.toml", "bad.json", "bad.toml", "fifo", "folder", "../x", "/dev/null", "/dev/zero", "o.mat",
+    "o.h", "record.csv", "-", "--",
+)  # fmt: skip
 LETTERS = ("\x1b[31m", "[bold]", ":x:", "\u202e", "\n", "\udcff", "é", "a" * 300, "b" * 5000)
 
 

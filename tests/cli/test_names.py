@@ -33,22 +33,9 @@ def write(folder, file="axis.json", /, **changes):
 
 
 BAD_NAMES = (
-    "x/../../../escaped",
-    "/tmp/x",
-    "..",
-    ".hidden",
-    "",
-    " x",
-    "a\\b",
-    "a\nb",
-    "\x1b[31mred",
-    "a:b",
-    "[bold]",
-    "a" * 51,
-    "\ud800",
-    "_x",
-    "-x",
-)
+    "x/../../../escaped", "/tmp/x", "..", ".hidden", "", " x", "a\\b", "a\nb", "\x1b[31mred", "a:b",
+    "[bold]", "a" * 51, "\ud800", "_x", "-x",
+)  # fmt: skip
 GOOD_NAMES = ("axis", "X-Achse 2", "Förderachse_3", "两轴", "v1.2 (copy)")
 
 
@@ -102,16 +89,12 @@ def test_a_file_of_another_name_gives_one_that_is_allowed(tmp_path, file, name):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {"title": "\x1b[2J"},
-            r"title = '\\x1b\[2J' cannot be shown; allowed are printable characters in one line",
-        ),
+        ({"title": "\x1b[2J"},
+         r"title = '\\x1b\[2J' cannot be shown; allowed are printable characters in one line"),
         ({"title": "two\nlines"}, "title = .* cannot be shown"),
         ({"title": "\u202eright to left"}, "title = .* cannot be shown"),
-        (
-            {"shown_unit": "mm]"},
-            r"shown_unit = 'mm\]' cannot be shown; allowed are .* without \[ \]",
-        ),
+        ({"shown_unit": "mm]"},
+         r"shown_unit = 'mm\]' cannot be shown; allowed are .* without \[ \]"),
         ({"task": FILE["task"] | {"unit": "m;m"}}, "unit = 'm;m' cannot be shown"),
         ({"task": FILE["task"] | {"unit": "$x$"}}, "unit = .* cannot be shown"),
         ({"task": FILE["task"] | {"input_unit": "*/ int x;"}}, "input_unit = .* cannot be shown"),
@@ -119,7 +102,7 @@ def test_a_file_of_another_name_gives_one_that_is_allowed(tmp_path, file, name):
         ({"shown_scale": 0.0}, r"shown_scale = 0 is outside its allowed range \(0, inf\)"),
         ({"show_trials": [0]}, r"show_trials\[0\] = 0 is outside its allowed range \[1, inf\)"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_shown_is_refused(tmp_path, changes, message):
     with pytest.raises(ValueError, match=message):
         read_scenario(write(tmp_path, **changes))

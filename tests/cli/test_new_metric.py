@@ -7,8 +7,10 @@ import json
 import subprocess
 import sys
 
+from jaxilc import figures
+
 ADD = '''
-import importlib.util, shlex, sys
+import importlib.util, shlex, shutil, sys
 name = "jaxilc.learning.known_metrics"
 spec = importlib.util.find_spec(name)
 source = spec.loader.get_source(name)
@@ -30,9 +32,11 @@ sys.modules[name] = module
 exec(compile(source, spec.origin, "exec"), vars(module))
 
 from jaxilc import load_scenario
+from jaxilc import figures
 from jaxilc.cli import main
 from jaxilc.figures.explorer import Exploration
 
+figures.save = lambda _, path, **__: shutil.copy("pixel.png", path)  # drawn, but not painted
 for line in sys.argv[1].split("\\n"):
     sys.argv = ["jaxilc", *shlex.split(line)]
     try:
@@ -77,9 +81,10 @@ next --state c --measured m.csv --out n2.csv
 trials --state c"""
 
 
-def test_a_new_metric_works_everywhere(tmp_path):
+def test_a_new_metric_works_everywhere(tmp_path, unpainted):
     for metric in ("peak_input", "late_rms"):
         (tmp_path / f"{metric}.toml").write_text(f'judged_by = "{metric}"\n{PLANT}')
+    figures.save(None, tmp_path / "pixel.png")
     rows = "".join(f"{k / 1000},0.0,0.0\n" for k in range(31))
     (tmp_path / "m.csv").write_text(f"t [s],y [mm],u [V]\n{rows}")
     done = subprocess.run(

@@ -206,13 +206,9 @@ def test_nothing_is_predicted_where_it_is_not_wanted(copied):
 def test_what_is_not_the_input_of_the_plant_is_not_fitted(copied, tmp_path):
     folder, _ = copied
     new = (
-        "--scenario",
-        folder / "loop.toml",
-        "--set",
-        "campaign.predict=false",
-        "--out",
+        "--scenario", folder / "loop.toml", "--set", "campaign.predict=false", "--out",
         folder / "next.csv",
-    )
+    )  # fmt: skip
     law = 'class = "WithFeedback"\nlearning = { class = "PIDType" }\nfeedback = { class = "PID" }'
     (folder / "loop.toml").write_text(
         AXIS.replace('class = "PIDType"\ngamma_p = 1.0\nlead = 3', law)
@@ -228,15 +224,11 @@ def test_what_is_not_the_input_of_the_plant_is_not_fitted(copied, tmp_path):
     call(
         "next",
         *(
-            "--state",
-            tmp_path / "loop",
-            "--measured",
-            tmp_path / "t.csv",
-            "--set",
+            "--state", tmp_path / "loop", "--measured", tmp_path / "t.csv", "--set",
             "campaign.replayed_input=true",
         ),
         *("--out", folder / "next.csv"),
-    )
+    )  # fmt: skip
     with pytest.raises(ValueError, match=r"trial 1 was not measured .* In a closed loop"):
         call("identify", "--state", tmp_path / "loop", "--out", tmp_path)
     with pytest.raises(ValueError, match="RECORD and --state exclude each other"):

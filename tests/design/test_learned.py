@@ -18,6 +18,7 @@ from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.window import Filters, ShapedFilter, window_of
 from jaxilc.plants import ProcessModel
 from jaxilc.theory.law import law_of, learning_law
+from jaxilc.tuning import Tuning
 
 DT, N, TRIALS, MARGIN = 1e-3, 120, 5, 0.1
 MACHINE = Machine(
@@ -175,6 +176,9 @@ def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, mon
     monkeypatch.setattr("jaxilc.design.learned.WATCH", 3)
     monkeypatch.setattr("jaxilc.design.by_response.leads_of", lambda *_: [4])
     monkeypatch.setattr(LearnedLaw, "_safe", lambda *_: [])
+    make, programs = Tuning._programs.func, []  # of the tuning, which is the same each time
+    once = property(lambda self: (programs or programs.append(make(self)) or programs)[0])
+    monkeypatch.setattr(Tuning, "_programs", once)
     asked = LearnedLaw(
         MACHINE, TASK, 2, WIDE, taps=(5, 5), start="nothing", metric="rms", margin=MARGIN,
         trained_on=2, held_out=0, steps=4,

@@ -526,12 +526,9 @@ def test_labels_do_not_overlap():
     dataset = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0, 1e-3)])
     names = [f"scheme-number-{i}" for i in range(9)]
     dataset = xr.concat(
-        [dataset.assign_coords(scheme=[name]) for name in names],
-        "scheme",
-        data_vars="minimal",
-        coords="minimal",
-        compat="equals",
-    )
+        [dataset.assign_coords(scheme=[name]) for name in names], "scheme", data_vars="minimal",
+        coords="minimal", compat="equals",
+    )  # fmt: skip
     rows = [
         Published(names[0], 1, "rms", 2.0, ""),
         Published(names[0], 2, "rms", 1.0, "", at_most=True),

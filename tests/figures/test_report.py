@@ -149,21 +149,15 @@ def test_every_figure_is_embedded(tmp_path):
     tree = parsed(html_report("t", {}, figures=figures))
     pictures = [picture(image) for image in tree.iter("img")]
     assert [kind for kind, _ in pictures] == [
-        "image/png",
-        "image/svg+xml",
-        "image/png",
-        "image/png",
-    ]
+        "image/png", "image/svg+xml", "image/png", "image/png",
+    ]  # fmt: skip
     assert pictures[0][1] == (tmp_path / "error-band.png").read_bytes()
     assert pictures[1][1] == (tmp_path / "second.svg").read_bytes()
     # The header of a PNG file holds its size: 2 in by 1 in at 120 dots per inch.
     assert struct.unpack(">II", pictures[2][1][16:24]) == (240, 120)
     assert [f.text for f in tree.iter("figcaption")] == [
-        "error band",
-        "a caption",
-        "error by trial",
-        None,
-    ]
+        "error band", "a caption", "error by trial", None,
+    ]  # fmt: skip
 
 
 def test_figures_that_cannot_be_embedded_are_refused(tmp_path):
@@ -309,18 +303,14 @@ def test_a_page_is_small_whatever_it_shows():
     names = [f"scheme-{i}" for i in range(S)]
     run = xr.Dataset(
         {
-            "r": (dims[2:], e[0, 0]),
-            "y": (dims, e),
-            "e": (dims, e),
+            "r": (dims[2:], e[0, 0]), "y": (dims, e), "e": (dims, e),
             "u": (("scheme", "trial", "input_time", "input"), e[:, :, :-1]),
         },
         coords={
-            "scheme": names,
-            "trial": np.arange(1, J + 1),
-            "channel": axes,
+            "scheme": names, "trial": np.arange(1, J + 1), "channel": axes,
             "time": np.arange(N + 1) * 1e-3,
         },
-    )
+    )  # fmt: skip
     long = xr.Dataset(
         {"rms": (("scheme", "trial"), rng.uniform(size=(6, 50_000)))},
         coords={"scheme": names[:6], "trial": np.arange(1, 50_001)},

@@ -151,14 +151,9 @@ def session(tmp_path_factory):
         y, u = rig.measure(folder / f"next-{j}.csv", j, folder / f"trial-{j}.csv")
         played.append((y, u))
         arguments = (
-            "next",
-            "--state",
-            state,
-            "--measured",
-            folder / f"trial-{j}.csv",
-            "--out",
+            "next", "--state", state, "--measured", folder / f"trial-{j}.csv", "--out",
             folder / f"next-{j + 1}.csv",
-        )
+        )  # fmt: skip
         if j == 7:  # once in a process of its own
             program = PROGRAM.format("sys.argv[0] = 'jaxilc';")
             done = subprocess.run(
@@ -233,11 +228,8 @@ def test_the_log_is_printed_written_and_plotted(copied):
     top, _ = campaign_figure(Journal(state).log(), unit="mm", input_unit="V")
     counts = {line.get_label(): len(line.get_xdata()) for line in top.lines}
     assert counts == {
-        "rms error": 12,
-        "rms error, undone": 8,
-        "max error": 12,
-        "max error, undone": 8,
-    }
+        "rms error": 12, "rms error, undone": 8, "max error": 12, "max error, undone": 8,
+    }  # fmt: skip
 
 
 def test_undo_goes_back_to_the_table_that_was_played_and_on_from_there(copied, session):
@@ -333,14 +325,8 @@ def test_a_trial_of_the_same_table_tells_how_repeatable_the_machine_is(copied):
     rig.measure(folder / "next.csv", 22, folder / "again.csv")
     difference = np.sqrt(np.mean((read_trace(folder / "again.csv") - y21) ** 2))
     arguments = (
-        "next",
-        "--state",
-        state,
-        "--measured",
-        folder / "again.csv",
-        "--out",
-        folder / "next.csv",
-    )
+        "next", "--state", state, "--measured", folder / "again.csv", "--out", folder / "next.csv",
+    )  # fmt: skip
     with pytest.raises(ValueError, match=r"RMS difference of the outputs .* allowed is 1e-06 mm"):
         call(*arguments, "--repeatability", 1e-6)
     code, out, _ = call(*arguments, "--repeatability", 1e-3)
@@ -407,14 +393,8 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
     rig.measure(rig.folder / "next-20.csv", 20, folder / "trial.csv")
     go_on(state, folder / "next.csv", "--undo", 19)
     arguments = (
-        "next",
-        "--state",
-        state,
-        "--measured",
-        folder / "trial.csv",
-        "--out",
-        folder / "next.csv",
-    )
+        "next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "next.csv",
+    )  # fmt: skip
     with pytest.raises(ValueError, match="the next feedforward") as error:
         call(*arguments, "--limit", limit, "--set", "campaign.accept_saturation=true")
     assert f"is {table[k]:.6g} V at sample {k}; allowed are +-{limit:g} V (campaign.limit)" in str(
@@ -426,53 +406,34 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            lambda rows: rows[:100] + rows[101:],
-            r"line 101: a gap of 1 samples before t = 0.1 s; allowed are steps of dt = 0.001 s",
-        ),
+        (lambda rows: rows[:100] + rows[101:],
+         r"line 101: a gap of 1 samples before t = 0.1 s; allowed are steps of dt = 0.001 s"),
         (lambda rows: rows[:-3], r"has 248 samples; this task needs N \+ 1 = 251"),
-        (
-            lambda rows: rows[:1] + rows[1::2],
-            r"is sampled at 0.002 s but the task at 0.001 s; nothing is resampled",
-        ),
-        (
-            lambda rows: [*rows[:9], rows[8], *rows[9:]],
-            r"line 10: t = 0.007 s does not increase from 0.007 s",
-        ),
-        (
-            lambda rows: [rows[0].replace("y [mm]", "y"), *rows[1:]],
-            r"y declares no unit; this task needs 'y \[mm\]'",
-        ),
-        (
-            lambda rows: [rows[0].replace("y [mm]", "y [µm]"), *rows[1:]],
-            r"y is in 'µm'; this task needs 'mm', and nothing is converted",
-        ),
-        (
-            lambda rows: [rows[0].replace("y [mm]", "x [mm]"), *rows[1:]],
-            r"has no column 'y'; present are t, r, x, u",
-        ),
-        (
-            lambda rows: [rows[0].replace("u [V]", "i [A]"), *rows[1:]],
-            r"has no input u; record it, name it by --input, or add --set campaign.replayed",
-        ),
-        (
-            lambda rows: [*rows[:50], cut(rows[50], 3), *rows[51:]],
-            r"line 51: u is not a finite number",
-        ),
-        (
-            lambda rows: [*rows[:50], cut(rows[50], 2, "nan"), *rows[51:]],
-            r"line 51: y is not a finite number",
-        ),
+        (lambda rows: rows[:1] + rows[1::2],
+         r"is sampled at 0.002 s but the task at 0.001 s; nothing is resampled"),
+        (lambda rows: [*rows[:9], rows[8], *rows[9:]],
+         r"line 10: t = 0.007 s does not increase from 0.007 s"),
+        (lambda rows: [rows[0].replace("y [mm]", "y"), *rows[1:]],
+         r"y declares no unit; this task needs 'y \[mm\]'"),
+        (lambda rows: [rows[0].replace("y [mm]", "y [µm]"), *rows[1:]],
+         r"y is in 'µm'; this task needs 'mm', and nothing is converted"),
+        (lambda rows: [rows[0].replace("y [mm]", "x [mm]"), *rows[1:]],
+         r"has no column 'y'; present are t, r, x, u"),
+        (lambda rows: [rows[0].replace("u [V]", "i [A]"), *rows[1:]],
+         r"has no input u; record it, name it by --input, or add --set campaign.replayed"),
+        (lambda rows: [*rows[:50], cut(rows[50], 3), *rows[51:]],
+         r"line 51: u is not a finite number"),
+        (lambda rows: [*rows[:50], cut(rows[50], 2, "nan"), *rows[51:]],
+         r"line 51: y is not a finite number"),
         (lambda rows: [*rows[:-1], cut(rows[-1], 2)], r"line 252: y is not a finite number"),
         (
             lambda rows: [
-                rows[0],
-                *(cut(a, 1, b.split(",")[1]) for a, b in pairwise([*rows[1:], rows[-1]])),
+                rows[0], *(cut(a, 1, b.split(",")[1]) for a, b in pairwise([*rows[1:], rows[-1]])),
             ],
             "shifted by 1 samples",
         ),
     ],
-)
+)  # fmt: skip
 def test_a_trace_that_is_not_of_this_task_is_refused(copied, change, message):
     rig, state, folder = copied
     rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")

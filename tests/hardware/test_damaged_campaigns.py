@@ -36,14 +36,11 @@ _, SCHEME, TASK = case("p_type")
 RULES = Rules(accept=ACCEPTED)  # the trials below are no machine's
 TRIALS = [
     Measured(
-        0.1 * j * np.asarray(TASK.reference),
-        np.full((TASK.N, 1), 0.1 * j),
-        {},
-        (),
+        0.1 * j * np.asarray(TASK.reference), np.full((TASK.N, 1), 0.1 * j), {}, (),
         f"trial-{j}.csv",
     )
     for j in range(1, 5)
-]
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -108,15 +105,10 @@ def test_a_flipped_bit_in_a_campaign_is_refused_or_changes_nothing(campaign, tmp
 @pytest.mark.parametrize(
     "content",
     [
-        b"",
-        b"{}",
-        b"[]",
-        b"3",
-        b'{"format": 1}',
-        b'{"format": 2, "serial": 2, "event": "trial"}',
+        b"", b"{}", b"[]", b"3", b'{"format": 1}', b'{"format": 2, "serial": 2, "event": "trial"}',
         b"\xff",
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("entry", ["000000", "000002", "000003"])
 def test_a_manifest_that_is_none_is_passed_by(copied, entry, content):
     folder, played = copied
@@ -128,15 +120,12 @@ def test_a_manifest_that_is_none_is_passed_by(copied, entry, content):
 
 
 CHANGES = {
-    "parent": lambda m: m | {"parent": m["serial"]},
-    "later parent": lambda m: m | {"parent": 7},
+    "parent": lambda m: m | {"parent": m["serial"]}, "later parent": lambda m: m | {"parent": 7},
     "no parent": lambda m: m | {"parent": None},
     "no recipe": lambda m: {name: of for name, of in m.items() if name != "recipe"},
-    "another event": lambda m: m | {"event": "rewind"},
-    "figures": lambda m: m | {"figures": {}},
-    "serial": lambda m: m | {"serial": 1},
-    "to": lambda m: m | {"event": "undo", "to": m["serial"]},
-}
+    "another event": lambda m: m | {"event": "rewind"}, "figures": lambda m: m | {"figures": {}},
+    "serial": lambda m: m | {"serial": 1}, "to": lambda m: m | {"event": "undo", "to": m["serial"]},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -333,18 +322,11 @@ def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypa
     )
     assert (
         command(
-            "next",
-            "--state",
-            "whole",
-            "--scenario",
-            "axis.toml",
-            "--limit",
-            100.0,
-            "--out",
+            "next", "--state", "whole", "--scenario", "axis.toml", "--limit", 100.0, "--out",
             "a.csv",
         )
         == 0
-    )
+    )  # fmt: skip
     trial = ("--measured", "trial.csv", "--set", "campaign.accept=schedule")
     assert command("next", "--state", "whole", *trial, "--out", "a.csv") == 0
 
@@ -371,11 +353,8 @@ def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypa
             (entry / name).write_text(dumped(changed), encoding="utf-8", errors="surrogatepass")
         assert command("trials", "--state", "state") in (0, 2)
         assert command(
-            "next",
-            "--state",
-            "state",
-            "--dry-run",
+            "next", "--state", "state", "--dry-run",
             *pick(rng, ((), ("--undo", 0), ("--measured", "trial.csv"))),
-        ) in (0, 2, 3)
+        ) in (0, 2, 3)  # fmt: skip
 
     fuzz(25, attempt, ())

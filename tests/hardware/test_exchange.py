@@ -75,13 +75,8 @@ def scope(path):
     ]
     rows = zip(commas(TIMES), commas(Y), commas(TIMES), commas(U), strict=True)
     lines = [
-        "Name\tscope",
-        "File\tscope.csv",
-        "",
-        *map("\t".join, heads),
-        "",
-        *map("\t".join, rows),
-    ]
+        "Name\tscope", "File\tscope.csv", "", *map("\t".join, heads), "", *map("\t".join, rows),
+    ]  # fmt: skip
     path.write_text("\n".join(lines) + "\n")
 
 
@@ -92,14 +87,11 @@ def structures(path):
 
 OTHER_FORMATS = {
     "milliseconds.csv": (
-        lambda path: text(path, "t [ms];pos_act [mm];u [V]", TIMES, Y, U),
-        {"y": "pos_act"},
-        (),
+        lambda path: text(path, "t [ms];pos_act [mm];u [V]", TIMES, Y, U), {"y": "pos_act"}, (),
     ),
     "time.csv": (
         lambda path: text(path, "time_ms;pos_act;u", TIMES, Y, U),
-        {"y": "pos_act [mm]", "u": "u [V]"},
-        (),
+        {"y": "pos_act [mm]", "u": "u [V]"}, (),
     ),
     "comma.csv": (
         lambda path: path.write_text(
@@ -115,14 +107,13 @@ OTHER_FORMATS = {
     ),
     "sample.csv": (lambda path: text(path, "sample;y [mm];u [V]", 7 + K, Y, U), {}, ()),
     "halsampler.txt": (
-        lambda path: np.savetxt(path, np.column_stack([7 + K, U, Y])),
-        {},
+        lambda path: np.savetxt(path, np.column_stack([7 + K, U, Y])), {},
         ("sample", "u [V]", "y [mm]"),
     ),
     "rows.txt": (lambda path: np.savetxt(path, np.column_stack([U, Y])), {}, ("u [V]", "y [mm]")),
     "scope.csv": (scope, {"y": "pos_act", "u": "set [V]"}, ()),
     "log.mat": (structures, {"y": "log.pos [mm]", "u": "log.set [V]"}, ()),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", OTHER_FORMATS)
@@ -339,10 +330,6 @@ def test_only_what_is_learned_can_be_played():
     _, scheme, task = case("ffdl_none")
     rows = schedules(scheme, scheme.initial_memory(task), task)
     assert list(rows) == [
-        "table.u",
-        "table.u_last",
-        "table.weights[0]",
-        "table.weights[1]",
-        "table.weights[2]",
+        "table.u", "table.u_last", "table.weights[0]", "table.weights[1]", "table.weights[2]",
         "table.y",
-    ]
+    ]  # fmt: skip

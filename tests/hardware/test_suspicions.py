@@ -107,12 +107,9 @@ def test_a_dead_encoder_is_refused_without_a_file_and_the_campaign_goes_on(tmp_p
 
 def test_each_suspicion_can_be_accepted_by_name(tmp_path):
     np.savetxt(
-        tmp_path / "reference.csv",
-        np.column_stack([np.arange(len(R)) * DT, R]),
-        delimiter=",",
-        header="t,r",
-        comments="",
-    )
+        tmp_path / "reference.csv", np.column_stack([np.arange(len(R)) * DT, R]), delimiter=",",
+        header="t,r", comments="",
+    )  # fmt: skip
     (tmp_path / "axis.toml").write_text(faults.PLANT)
     state, out = tmp_path / "x", tmp_path / "next.csv"
     start = ("next", "--state", state, "--set", "campaign.predict=false", "--out", out)

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from jaxilc.identification.frequency_response import (
-    is_frequency_response,
-    read_frequency_response,
-)
+from jaxilc.identification.frequency_response import is_frequency_response, read_frequency_response
 
 F = np.array([1.0, 2.5, 40.0])
 G = scipy.signal.TransferFunction([2.0], [0.01, 1.0]).freqresp(2 * np.pi * F)[1]

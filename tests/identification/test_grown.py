@@ -65,7 +65,7 @@ def test_the_plant_answers_as_the_columns_do(channels):
 
 
 def test_order_delay_direct_term_and_integrator_are_found():
-    u = RNG.choice([-1.0, 1.0], size=(1500, 1))
+    u = RNG.choice([-1.0, 1.0], size=(1000, 1))
     record = excite(Machine(PLANT, sensor=Sensor(noise=2e-3)), u, DT)
     model = grow(record)
     assert (model.chosen.order, model.chosen.integrators) == (4, 1)
@@ -99,13 +99,14 @@ def test_a_dipole_is_kept_or_dropped_by_its_joint_test():
     """A zero beside a pole: their intervals overlap, yet both are needed at little noise."""
     poles, zeros = (40.0, 300.0), (-44.0,)
     plant = ProcessModel(1.0, zeros, poles)
-    u = np.repeat(RNG.choice([-1.0, 1.0], size=40), 60)[:, None]
+    u = np.repeat(RNG.choice([-1.0, 1.0], size=40), 40)[:, None]
     clear = excite(Machine(plant, sensor=Sensor(noise=1e-3)), u, DT)
     assert grow(clear, delay=0).chosen.order == 2
     hidden = excite(Machine(plant, sensor=Sensor(noise=2.0)), u, DT)
     assert grow(hidden, delay=0).chosen.order == 1
 
 
+@pytest.mark.thorough(but=["5"])
 @pytest.mark.parametrize("seed", [5, 23])
 def test_a_simulated_drive_is_found_as_well_as_its_true_model_fits(seed):
     """The longest delay with a hidden pole; eight poles."""

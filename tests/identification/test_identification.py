@@ -127,29 +127,19 @@ def test_regrouping_pairs_the_nearest_real_poles_and_keeps_the_response():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (
-            lambda: ProcessModel(1.0, [1.0], [2.0]),
-            r"ProcessModel: 1 zeros over 1 poles; allowed are fewer zeros than poles",
-        ),
+        (lambda: ProcessModel(1.0, [1.0], [2.0]),
+         r"ProcessModel: 1 zeros over 1 poles; allowed are fewer zeros than poles"),
         (lambda: ProcessModel(1.0), r"ProcessModel: 0 zeros over 0 poles"),
-        (
-            lambda: ProcessModel(1.0, [0.0], [2.0, 3.0]),
-            r"ProcessModel: zeros = 0 makes the DC gain 0",
-        ),
-        (
-            lambda: ProcessModel(1.0, [], 2.0),
-            r"ProcessModel: poles has shape \(\); allowed is one dimension",
-        ),
-        (
-            lambda: ProcessModel(1.0, [], [], [2.0, 3.0], [1.0]),
-            r"ProcessModel: frequencies \(2,\) and dampings \(1,\) must have one shape",
-        ),
-        (
-            lambda: ProcessModel(1.0, [], [-2.0]),
-            r"ProcessModel: poles = \[-2.\] is outside its allowed range \(0, inf\)",
-        ),
+        (lambda: ProcessModel(1.0, [0.0], [2.0, 3.0]),
+         r"ProcessModel: zeros = 0 makes the DC gain 0"),
+        (lambda: ProcessModel(1.0, [], 2.0),
+         r"ProcessModel: poles has shape \(\); allowed is one dimension"),
+        (lambda: ProcessModel(1.0, [], [], [2.0, 3.0], [1.0]),
+         r"ProcessModel: frequencies \(2,\) and dampings \(1,\) must have one shape"),
+        (lambda: ProcessModel(1.0, [], [-2.0]),
+         r"ProcessModel: poles = \[-2.\] is outside its allowed range \(0, inf\)"),
     ],
-)
+)  # fmt: skip
 def test_impossible_process_models_are_refused(build, message):
     with pytest.raises(ValueError, match=message):
         build()
@@ -446,18 +436,12 @@ def test_a_record_is_read_from_the_file_of_a_measured_trial(tmp_path):
 @pytest.mark.parametrize(
     ("heading", "step", "unit", "dt"),
     [
-        ("t", 0.002, None, 0.002),
-        ("t [ms]", 2, None, 0.002),
-        ("time (ms)", 2, None, 0.002),
-        ("t_ms", 2, None, 0.002),
-        ("Time_us", 250, None, 0.00025),
-        ("t [µs]", 250, None, 0.00025),
-        ("t [s]", 2, None, 2.0),
-        ("t", 2, "ms", 0.002),
-        ("t", 2, "s", 2.0),
+        ("t", 0.002, None, 0.002), ("t [ms]", 2, None, 0.002), ("time (ms)", 2, None, 0.002),
+        ("t_ms", 2, None, 0.002), ("Time_us", 250, None, 0.00025), ("t [µs]", 250, None, 0.00025),
+        ("t [s]", 2, None, 2.0), ("t", 2, "ms", 0.002), ("t", 2, "s", 2.0),
         ("t (ms)", 2, "ms", 0.002),
     ],
-)
+)  # fmt: skip
 def test_the_time_is_converted_to_seconds(heading, step, unit, dt, tmp_path):
     path = tmp_path / "record.csv"
     rows = "".join(f"{5 + k * step},1,{k}\n" for k in range(4))
@@ -529,68 +513,40 @@ def spoiled(signal, k=17):
     [
         (lambda: identify(spoiled("y")), r"y is not finite at sample 17"),
         (lambda: identify(spoiled("u")), r"u is not finite at sample 17"),
-        (
-            lambda: identify(GOOD._replace(y=GOOD.y[:-1])),
-            r"u has 100 rows and y 100; allowed is one more row in y than in u",
-        ),
-        (
-            lambda: identify(GOOD._replace(y=np.zeros((101, 1, 1)))),
-            r"y has shape \(101, 1, 1\); allowed are \(rows,\) and \(rows, channels\)",
-        ),
-        (
-            lambda: identify(GOOD._replace(dt=0.0)),
-            r"dt = 0.0 is outside its allowed range \(0, inf\)",
-        ),
-        (
-            lambda: identify(GOOD._replace(u=U[:20], y=GOOD.y[:21])),
-            r"too short: 15 samples to fit 6 parameters; allowed are at least 30",
-        ),
-        (
-            lambda: identify(GOOD._replace(y=np.ones(101))),
-            r"output 0 is constant over the 71 samples to fit",
-        ),
-        (
-            lambda: identify(GOOD._replace(u=np.zeros(100))),
-            r"the input is 0 over all of the 71 samples to fit",
-        ),
-        (
-            lambda: identify(GOOD._replace(u=np.full(100, 2.5))),
-            r"the input is 2.5 over all .* it excites nothing. A record of a step begins before it",
-        ),
+        (lambda: identify(GOOD._replace(y=GOOD.y[:-1])),
+         r"u has 100 rows and y 100; allowed is one more row in y than in u"),
+        (lambda: identify(GOOD._replace(y=np.zeros((101, 1, 1)))),
+         r"y has shape \(101, 1, 1\); allowed are \(rows,\) and \(rows, channels\)"),
+        (lambda: identify(GOOD._replace(dt=0.0)),
+         r"dt = 0.0 is outside its allowed range \(0, inf\)"),
+        (lambda: identify(GOOD._replace(u=U[:20], y=GOOD.y[:21])),
+         r"too short: 15 samples to fit 6 parameters; allowed are at least 30"),
+        (lambda: identify(GOOD._replace(y=np.ones(101))),
+         r"output 0 is constant over the 71 samples to fit"),
+        (lambda: identify(GOOD._replace(u=np.zeros(100))),
+         r"the input is 0 over all of the 71 samples to fit"),
+        (lambda: identify(GOOD._replace(u=np.full(100, 2.5))),
+         r"the input is 2.5 over all .* it excites nothing. A record of a step begins before it"),
         (lambda: identify(GOOD, poles=-1), r"poles = -1 is outside its allowed range \[0, 50\]"),
         (lambda: identify(GOOD, pairs=0.5), r"pairs = 0.5 is outside its allowed range \[0, 50\]"),
-        (
-            lambda: identify(GOOD, zeros=3),
-            r"zeros = 3 is outside its allowed range \[0, 3\), the order",
-        ),
+        (lambda: identify(GOOD, zeros=3),
+         r"zeros = 3 is outside its allowed range \[0, 3\), the order"),
         (lambda: identify(GOOD, starts=0), r"starts = 0 is outside its allowed range \[1, inf\)"),
-        (
-            lambda: identify(GOOD, fit_share=1.5),
-            r"fit_share = 1.5 is outside its allowed range \(0, 1\]",
-        ),
-        (
-            lambda: identify(GOOD, free=("gain",)),
-            r"free = \['gain'\] names leaves of a plant, but no plant is given",
-        ),
-        (
-            lambda: identify(GOOD, EQ_7, free=("gian",)),
-            r"free = 'gian' is not a leaf of ProcessModel; did you mean gain. Known: gain, zeros",
-        ),
-        (
-            lambda: identify(GOOD, VoiceCoil(), free=("poles[3]",)),
-            r"free = 'poles\[3\]': poles has shape \(3,\)",
-        ),
+        (lambda: identify(GOOD, fit_share=1.5),
+         r"fit_share = 1.5 is outside its allowed range \(0, 1\]"),
+        (lambda: identify(GOOD, free=("gain",)),
+         r"free = \['gain'\] names leaves of a plant, but no plant is given"),
+        (lambda: identify(GOOD, EQ_7, free=("gian",)),
+         r"free = 'gian' is not a leaf of ProcessModel; did you mean gain. Known: gain, zeros"),
+        (lambda: identify(GOOD, VoiceCoil(), free=("poles[3]",)),
+         r"free = 'poles\[3\]': poles has shape \(3,\)"),
         (lambda: identify(GOOD, EQ_7, free=()), r"free = \(\) leaves nothing to fit"),
-        (
-            lambda: identify(GOOD._replace(y=np.ones((101, 2))), EQ_7),
-            r"the record has 1 inputs and 2 outputs but the plant ProcessModel has 1 and 1",
-        ),
-        (
-            lambda: identify(GOOD, StateSpace([[1e5]], [[1.0]], [[1.0]]), free="B"),
-            r"the output of the given StateSpace does not stay finite",
-        ),
+        (lambda: identify(GOOD._replace(y=np.ones((101, 2))), EQ_7),
+         r"the record has 1 inputs and 2 outputs but the plant ProcessModel has 1 and 1"),
+        (lambda: identify(GOOD, StateSpace([[1e5]], [[1.0]], [[1.0]]), free="B"),
+         r"the output of the given StateSpace does not stay finite"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_identified_is_named(call, message):
     with pytest.raises(ValueError, match="identify: .*" + message):
         call()

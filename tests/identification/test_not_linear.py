@@ -41,15 +41,10 @@ def moved(kind, seed=0):
 @pytest.mark.parametrize(
     ("kind", "number"),
     [
-        ("friction", 0.05),
-        ("backlash", 0.03),
-        ("gain by amplitude", -0.25),
-        ("saturation", 0.6),
-        ("gain by time", 0.15),
-        ("rounding", 0.02),
-        ("gain by position", None),
+        ("friction", 0.05), ("backlash", 0.03), ("gain by amplitude", -0.25), ("saturation", 0.6),
+        ("gain by time", 0.15), ("rounding", 0.02), ("gain by position", None),
     ],
-)
+)  # fmt: skip
 def test_what_is_not_linear_is_named_with_its_number(kind, number):
     record = moved(kind)
     found = identify(record, poles=0, pairs=1, zeros=0)

@@ -21,17 +21,11 @@ def made(parameters, plant=None, samples=140, simulated=None, converged=True):
     return Identified(
         plant=plant or ProcessModel(1.0, (), (60.0,)),
         parameters={name: Estimate(v, v - h, v + h) for name, (v, h) in parameters.items()},
-        covariance=np.eye(len(parameters)),
-        poles=(),
-        samples=samples,
-        simulated=np.zeros((201, 1)) if simulated is None else simulated,
-        fit=np.array([99.0]),
-        validation_fit=np.array([98.0]),
-        residual_std=np.array([0.01]),
-        whiteness=np.array([1.0]),
-        white=True,
-        converged=converged,
-    )
+        covariance=np.eye(len(parameters)), poles=(), samples=samples,
+        simulated=np.zeros((201, 1)) if simulated is None else simulated, fit=np.array([99.0]),
+        validation_fit=np.array([98.0]), residual_std=np.array([0.01]), whiteness=np.array([1.0]),
+        white=True, converged=converged,
+    )  # fmt: skip
 
 
 def test_the_criterion_charges_ln_n_for_each_parameter():

@@ -51,18 +51,14 @@ def test_columns_are_understood(tmp_path, kind):
     ("text", "said"),
     [
         ("t [ms],u,y\n" + rows(",", ","), r"line 3: 4 cells where the header has 3; are these d"),
-        (
-            "t [ms];u;y\n0;1,5;2\n1;2.5;3\n",
-            r"decimal commas \(line 2\) and decimal points \(line 3",
-        ),
+        ("t [ms];u;y\n0;1,5;2\n1;2.5;3\n",
+         r"decimal commas \(line 2\) and decimal points \(line 3"),
         (rows(), r"no header: its line 1 holds 3 numbers. Name the columns .* --columns t,u,y"),
         ("t [ms],u,y\nfoo,1,2\n" + rows(), "line 2: t = 'foo' is not a finite number"),
-        (
-            "t [ms],u,y\n" + rows(times=(0, 1, 2, 3.5)),
-            r"line 5: t steps by 0.0015 s where .* dt = 0.001 s; .* or --dt 0.001",
-        ),
+        ("t [ms],u,y\n" + rows(times=(0, 1, 2, 3.5)),
+         r"line 5: t steps by 0.0015 s where .* dt = 0.001 s; .* or --dt 0.001"),
     ],
-)
+)  # fmt: skip
 def test_what_is_not_clear_is_refused(tmp_path, text, said):
     (tmp_path / "record.csv").write_text(text)
     with pytest.raises(ValueError, match=said):

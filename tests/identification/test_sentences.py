@@ -12,17 +12,10 @@ from jaxilc.plants import ProcessModel
 FOUND = Identified(
     plant=ProcessModel(2.0, (), (60.0,), (200.0,), (0.3,)),
     parameters={"gain": Estimate(2.0, 1.9, 2.1), "poles[0]": Estimate(60.0, 59.0, 61.0)},
-    covariance=np.eye(2),
-    poles=(),
-    samples=700,
-    simulated=np.zeros((1001, 1)),
-    fit=np.array([98.7]),
-    validation_fit=np.array([98.1]),
-    residual_std=np.array([0.01]),
-    whiteness=np.array([0.95]),
-    white=True,
-    converged=True,
-)
+    covariance=np.eye(2), poles=(), samples=700, simulated=np.zeros((1001, 1)),
+    fit=np.array([98.7]), validation_fit=np.array([98.1]), residual_std=np.array([0.01]),
+    whiteness=np.array([0.95]), white=True, converged=True,
+)  # fmt: skip
 LINES = FOUND._replace(of_response=True, validation_fit=np.array([np.nan]), std_known=True)
 
 

@@ -84,19 +84,15 @@ def test_a_command_has_few_options_and_its_help_fits_a_screen():
         ("run x --json=a.json", "run x --report a.json"),
         ("run x --figures svg --trials 2", "--figures svg run x --trials 2"),
         ("-q sweep x --precision float32", "-q --precision float32 sweep x"),
-        (
-            "next --state s --plant-file f --limit 5",
-            "next --state s --scenario f --set campaign.limit=5",
-        ),
-        (
-            "next --state s --accept-saturation",
-            "next --state s --set campaign.accept_saturation=true",
-        ),
+        ("next --state s --plant-file f --limit 5",
+         "next --state s --scenario f --set campaign.limit=5"),
+        ("next --state s --accept-saturation",
+         "next --state s --set campaign.accept_saturation=true"),
         ("next --no-predict --dry-run", "next --set campaign.predict=false --dry-run"),
         ("run x --out next --json a.json", "run x --out next --report a.json"),
         ("run x --json", "run x --report "),
     ],
-)
+)  # fmt: skip
 def test_options_are_taken_by_their_old_names(words, now, capsys):
     commands = [*get_command(app).commands]
     assert now_named(words.split(), commands) == now.split(" ")

@@ -121,11 +121,8 @@ def test_a_design_keeps_the_settings_of_machine_and_feedback():
 def test_run_compares_schemes_and_the_tolerance():
     several = Case(
         Request("cao-2019", metric="rms", set=("plant=printed",)),
-        {"pid": False, "a": True, "b": True},
-        metric="rms",
-        unit="µm",
-        tolerance=5.0,
-    )
+        {"pid": False, "a": True, "b": True}, metric="rms", unit="µm", tolerance=5.0,
+    )  # fmt: skip
     found = ran(several, pid=[9.0] * 40, a=4 + 0.5**J, b=np.append(0.1 ** J[:-1], np.inf))
     assert found.said[0].startswith("a is best of 3 schemes: trial 40 has a rms of 4 µm, after 4.5")
     assert found.said[1] == "It is within the tolerance of 5 µm."
@@ -212,25 +209,17 @@ def certificate(reasons, floor=None, observed="falls", grows=(None, None, None, 
     courses = ("falls", "falls, not always", "turns", "grows")
     machines = sum(sum(of.values()) for of in reasons.values())
     return {
-        "claims": {kind: sum(reasons.get(kind, {}).values()) for kind in kinds},
-        "reasons": reasons,
-        "floor": floor,
-        "senses": {},
-        "first": None,
-        "quantile": None,
-        "rounding": None,
-        "held_by": None,
-        "most": None,
+        "claims": {kind: sum(reasons.get(kind, {}).values()) for kind in kinds}, "reasons": reasons,
+        "floor": floor, "senses": {}, "first": None, "quantile": None, "rounding": None,
+        "held_by": None, "most": None,
         "observed": {course: machines * (course == observed) for course in courses},
         "expected": {course: machines * (course == "falls") for course in courses},
-        "confusion": {c: dict.fromkeys(courses, 0) for c in courses},
-        "monotone_in_the_error": 0,
+        "confusion": {c: dict.fromkeys(courses, 0) for c in courses}, "monotone_in_the_error": 0,
         "turning": {"predicted": 1.0, "observed": 1.0},
         "transient": dict(zip(("growth", "trial", "of_noise", "machines"), grows, strict=True)),
-        "bound": {"holds": 0, "fails": 0, "not claimed": machines},
-        "care": None,
+        "bound": {"holds": 0, "fails": 0, "not claimed": machines}, "care": None,
         "premises": {"lam > b^2 / 4 and some more words": {"held": 0, "share_broken": 0.5}},
-    }
+    }  # fmt: skip
 
 
 def test_certify_says_what_is_certified_what_not_and_why():

@@ -74,19 +74,15 @@ def test_absurd_sizes_have_lanes(memory, each, machines, expected):
             "device; with 60 % of its samples it would fit",
         ),
         ((8e9, 1e13, 4), "; take fewer samples, trials or machines"),
-        (
-            (0, 1.0, 4),
-            "one machine takes 1 B of memory, where 0 B are available of the 0 B of a device",
-        ),
+        ((0, 1.0, 4),
+         "one machine takes 1 B of memory, where 0 B are available of the 0 B of a device"),
         ((8e9, 1.0, 0), r"tiled: machines = 0 is outside its allowed range \[1, inf\)"),
-        (
-            (8e9, 1.0, 2.5),
-            r"machines = 2.5 is outside its allowed range \[1, inf\) of whole numbers",
-        ),
+        ((8e9, 1.0, 2.5),
+         r"machines = 2.5 is outside its allowed range \[1, inf\) of whole numbers"),
         ((float("nan"), 1.0, 4), "tiled: memory = nan"),
         ((8e9, -1.0, 4), "tiled: of_a_machine = -1"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_fit_is_refused_with_what_would(arguments, message):
     with pytest.raises(ValueError, match=message):
         lanes_for(*arguments)

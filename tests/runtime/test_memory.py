@@ -18,16 +18,10 @@ from jaxilc.schemes import CFDLMFAILC
 
 TASK = Task(reference=np.sin(2 * np.pi * np.arange(201) / 200), dt=1e-3)
 PLAN = Sweep(
-    Machine(voice_coil("printed").sampled(1e-3)),
-    {"learning": CFDLMFAILC()},
-    TASK,
-    trials=3,
-    uncertainty={"plant.b": Uniform(0.9, 1.1, relative=True)},
-    machines=64,
-    keep=("e", "u"),
-    chunk=64,
-    lanes=2,
-)
+    Machine(voice_coil("printed").sampled(1e-3)), {"learning": CFDLMFAILC()}, TASK, trials=3,
+    uncertainty={"plant.b": Uniform(0.9, 1.1, relative=True)}, machines=64, keep=("e", "u"),
+    chunk=64, lanes=2,
+)  # fmt: skip
 TILE = 2 * jax.device_count()
 
 

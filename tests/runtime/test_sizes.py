@@ -253,12 +253,9 @@ def test_every_command_reckons_within_the_limit_of_the_process(tmp_path):
         (tmp_path / f"{name}.toml").write_text(PLANT.format(duration))
     commands = [*COMMANDS.strip().split("\n"), "sweep short.toml --samples 4 --trials 2"]
     done = subprocess.run(
-        [sys.executable, "-c", LIMITED],
-        input="\n".join(commands),
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
+        [sys.executable, "-c", LIMITED], input="\n".join(commands), cwd=tmp_path,
+        capture_output=True, text=True,
+    )  # fmt: skip
     rows = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("[")]
     assert [row[0] for row in rows] == commands, done.stderr[-2000:]
     for command, code, said, _ in rows[:-1]:

@@ -126,12 +126,9 @@ def test_several_channels_are_lists_of_lists(tmp_path):
 
 def test_zeros_poles_and_gain_keep_the_digits_of_poles_that_lie_close_together(tmp_path):
     plant = plant_of(
-        tmp_path,
-        kind="zeros_poles_gain",
-        zeros=[-900.0],
-        poles=[-474.0, -474.0, [-60.0, 80.0], [-60.0, -80.0]],
-        gain=2e6,
-    )
+        tmp_path, kind="zeros_poles_gain", zeros=[-900.0],
+        poles=[-474.0, -474.0, [-60.0, 80.0], [-60.0, -80.0]], gain=2e6,
+    )  # fmt: skip
     b, a = scipy.signal.zpk2tf([-900.0], [-474.0, -474.0, -60 + 80j, -60 - 80j], 2e6)
     np.testing.assert_allclose(response(plant), expected(control.tf(b, a)), rtol=1e-9, atol=1e-12)
     poles, zeros = [0.999, 0.9991, 0.9992, 0.9993, 0.9994, 0.9995], [-0.5, 0.3]
@@ -234,30 +231,18 @@ def test_a_toml_file_is_a_whole_scenario(tmp_path):
     path.write_text(EVERYTHING, encoding="utf-8")
     r = 0.5 - 0.5 * np.cos(2 * np.pi * k / 50)
     np.savetxt(
-        tmp_path / "path.csv",
-        np.stack([k * DT, r], axis=1),
-        delimiter=",",
-        header="t,x",
-        comments="",
-        fmt="%.17g",
-    )
+        tmp_path / "path.csv", np.stack([k * DT, r], axis=1), delimiter=",", header="t,x",
+        comments="", fmt="%.17g",
+    )  # fmt: skip
     made = load_scenario(
         path, {"machine.actuator.limit": "9", "nested.scheme.scheme.feedback.kp": 0.5}
     )
     assert (made.name, made.trials, made.tolerance, made.shown_unit, made.show_trials) == (
-        "x-axis",
-        7,
-        2.0,
-        "µm",
-        (1, 7),
-    )
+        "x-axis", 7, 2.0, "µm", (1, 7),
+    )  # fmt: skip
     assert (made.task.N, made.task.dt, made.task.settle, made.task.unit, made.task.input_unit) == (
-        50,
-        DT,
-        (0.02, 0.04),
-        "mm",
-        "V",
-    )
+        50, DT, (0.02, 0.04), "mm", "V",
+    )  # fmt: skip
     np.testing.assert_array_equal(made.task.reference[:, 0], r)
     assert (made.machine.actuator.limit, made.machine.actuator.rate, made.machine.sensor.noise) == (
         9.0,
@@ -267,11 +252,8 @@ def test_a_toml_file_is_a_whole_scenario(tmp_path):
     stop = made.schemes["nested"]
     pair = stop.scheme.scheme
     assert [type(s) for s in (stop, stop.scheme, pair, pair.learning)] == [
-        StopWhen,
-        Ladder,
-        WithFeedback,
-        Filtered,
-    ]
+        StopWhen, Ladder, WithFeedback, Filtered,
+    ]  # fmt: skip
     assert (pair.feedback.kp, pair.feedback.form) == (0.5, "increment")
     assert isinstance(made.schemes["seen"], OnOutputs)
     np.testing.assert_array_equal(made.schemes["optimal"].model.A, [[0.9, 0.1], [-0.2, 0.8]])
@@ -341,14 +323,9 @@ def test_scenarios_by_name_take_options_and_paths_together():
 
 def test_every_class_that_is_named_in_a_refusal_can_be_named_in_a_file():
     assert {
-        "PIDType",
-        "Filtered",
-        "ZeroPhaseFIR",
-        "SwitchableFilter",
-        "StateSpace",
-        "VoiceCoil",
+        "PIDType", "Filtered", "ZeroPhaseFIR", "SwitchableFilter", "StateSpace", "VoiceCoil",
         "StribeckFriction",
-    } <= classes().keys()
+    } <= classes().keys()  # fmt: skip
     assert not {"Filter", "Scheme", "Plant", "Interval"} & classes().keys()
 
 

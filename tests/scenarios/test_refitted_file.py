@@ -58,13 +58,9 @@ def test_only_the_plant_and_its_uncertainty_are_replaced(tmp_path):
     text = file.read_text()
     after = tomllib.loads(text)
     assert after.pop("plant") == {
-        "kind": "ProcessModel",
-        "gain": 2.0,
-        "zeros": [],
-        "poles": [9.0],
-        "frequencies": [],
+        "kind": "ProcessModel", "gain": 2.0, "zeros": [], "poles": [9.0], "frequencies": [],
         "dampings": [],
-    }
+    }  # fmt: skip
     assert after.pop("uncertainty") == {
         "actuator.limit": before["uncertainty"]["actuator.limit"],
         "plant.gain": {"distribution": "uniform", "low": 1.9, "high": 2.1},  # that of poles holds 0

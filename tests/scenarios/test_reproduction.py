@@ -5,6 +5,7 @@ scenario is simulated in full.
 """
 
 import dataclasses
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -239,8 +240,9 @@ def scenario(request) -> Scenario:
     return scenarios.load(request.param)
 
 
-def loaded(scenario, published) -> Scenario:
-    return scenarios.load(scenario.name, **dict(published.options))
+@functools.cache
+def under(name: str, options: tuple[tuple[str, object], ...]) -> Scenario:
+    return scenarios.load(name, **dict(options))
 
 
 def learns(scheme: Scheme) -> bool:
@@ -255,7 +257,7 @@ def test_every_published_row_can_be_simulated(scenario):
     """
     assert scenario.published
     for p in scenario.published:
-        here = loaded(scenario, p)
+        here = under(scenario.name, p.options)
         assert set(dict(p.options)) <= set(scenarios.options(scenario.name)), p
         assert p.scheme in here.schemes, p
         assert here.shown(p.quantity)[0] > 0, p
@@ -298,15 +300,9 @@ FREE = {  # how many numbers were fitted to print, by scenario and scheme; for l
     "xu-2024": {"pid": {6}, "smc": {6}, "asmc": {6, 9}, "ilc-asmc": {9}},
 }
 AMONG = {
-    "cao-2019": 23,
-    "cao-2019-rig": 4,
-    "dai-2014": 2,
-    "double-mass": 0,
-    "li-2020": 6,
-    "milc-2024": 5,
-    "pendulum": 0,
-    "xu-2024": 12,
-}
+    "cao-2019": 23, "cao-2019-rig": 4, "dai-2014": 2, "double-mass": 0, "li-2020": 6,
+    "milc-2024": 5, "pendulum": 0, "xu-2024": 12,
+}  # fmt: skip
 
 
 def test_each_row_says_what_was_fitted(scenario):
@@ -333,7 +329,7 @@ def test_the_settings_of_published_rows_fit_together(scenario):
     window holds samples. Nothing is simulated.
     """
     for options in {p.options for p in scenario.published}:
-        here = scenarios.load(scenario.name, **dict(options))
+        here = under(scenario.name, options)
         assert here.shown_unit == scenario.shown_unit
         assert here.shown_scale == scenario.shown_scale
         assert here.published == scenario.published, (
@@ -368,19 +364,9 @@ def test_dai_2014():
     flat = rows[0].as_dict()
     assert flat["options"] == {"plant": "printed", "frequency": 0.5}
     assert {
-        "scenario",
-        "scheme",
-        "trial",
-        "quantity",
-        "value",
-        "source",
-        "reading",
-        "fitted",
-        "ours",
-        "ratio",
-        "unit",
-        "verdict",
-    } <= set(flat)
+        "scenario", "scheme", "trial", "quantity", "value", "source", "reading", "fitted", "ours",
+        "ratio", "unit", "verdict",
+    } <= set(flat)  # fmt: skip
     assert (
         rows[1].as_dict()["fitted"]
         == "1 free number (phi0) fitted to this row alone; this row is among them"
@@ -424,17 +410,9 @@ def made_up(monkeypatch):
 
     def build(gain: float = 1.0) -> Scenario:
         return Scenario(
-            "made-up",
-            "",
-            MACHINE,
-            TASK,
-            scaled(gain),
-            4,
-            {},
-            published,
-            shown_unit="µm",
+            "made-up", "", MACHINE, TASK, scaled(gain), 4, {}, published, shown_unit="µm",
             shown_scale=1e3,
-        )
+        )  # fmt: skip
 
     runs = []
 
@@ -513,7 +491,7 @@ def test_each_conclusion_can_be_simulated(scenario):
         assert simulated, one
         assert len(one.sides) > 1, one
         for side in simulated:
-            here = loaded(scenario, side).with_values(dict(side.set))
+            here = under(scenario.name, side.options).with_values(dict(side.set))
             assert side.scheme in here.schemes, side
             assert side.quantity in reproduction.CONDITIONS or here.shown(side.quantity)[0] > 0
 

@@ -58,13 +58,9 @@ def client(tmp_path_factory):
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
     }
     options = {
-        "env": programs,
-        "processes": True,
-        "threads_per_worker": 1,
-        "dashboard_address": None,
-        "host": "127.0.0.1",
-        "memory_limit": 0,
-    }
+        "env": programs, "processes": True, "threads_per_worker": 1, "dashboard_address": None,
+        "host": "127.0.0.1", "memory_limit": 0,
+    }  # fmt: skip
     with (
         distributed.LocalCluster(n_workers=2, **options) as local,
         distributed.Client(local, set_as_default=False) as client,
@@ -177,13 +173,9 @@ def odd_worker(client):
         f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count={jax.device_count() + 1}"
     )
     command = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_worker",
-        client.scheduler.address,
-        "--no-nanny",
+        sys.executable, "-m", "distributed.cli.dask_worker", client.scheduler.address, "--no-nanny",
         "--no-dashboard",
-    ]
+    ]  # fmt: skip
     process = subprocess.Popen(
         [*command, "--nthreads", "1", "--memory-limit", "0"],
         env=os.environ | {"XLA_FLAGS": flags},

@@ -123,18 +123,11 @@ def cut(file):
 
 
 DAMAGES = {
-    "settled_error/c/0/1/0": os.remove,
-    "rms/c/0/0/0": cut,
-    "diverged_at/c/0/0": os.remove,
-    "finite/c/0/1/0": cut,
-    "chunk_done": shutil.rmtree,
-    "chunk_done/c/0/0": cut,
-    "chunk_done/zarr.json": os.remove,
-    "plant.gain/c/0": os.remove,
-    "sample": shutil.rmtree,
-    "scheme/c/0": cut,
-    "zarr.json": lambda file: file.write_text("{"),
-}
+    "settled_error/c/0/1/0": os.remove, "rms/c/0/0/0": cut, "diverged_at/c/0/0": os.remove,
+    "finite/c/0/1/0": cut, "chunk_done": shutil.rmtree, "chunk_done/c/0/0": cut,
+    "chunk_done/zarr.json": os.remove, "plant.gain/c/0": os.remove, "sample": shutil.rmtree,
+    "scheme/c/0": cut, "zarr.json": lambda file: file.write_text("{"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("damaged", DAMAGES)

@@ -55,11 +55,8 @@ def test_every_point_equals_learning_with_its_values(dataset):
             of = dataclasses.replace(plant, gain=gain * float(drawn["plant.gain"]), poles=poles)
             alone = jaxilc.learn(
                 dataclasses.replace(PLAN.machine, plant=of),
-                dataclasses.replace(law, lam=lam, lead=lead),
-                TASK,
-                4,
-                key=PLAN.key_of(i),
-            )
+                dataclasses.replace(law, lam=lam, lead=lead), TASK, 4, key=PLAN.key_of(i),
+            )  # fmt: skip
             found = at.isel(sample=i, scheme=0)
             np.testing.assert_allclose(found["rms"], alone.rms[:, 0], rtol=1e-10)
             np.testing.assert_allclose(found["e"], alone.final.e[:, 0], rtol=1e-10, atol=1e-14)
@@ -174,7 +171,7 @@ def test_values_that_are_wholes_replace_machine_schemes_and_task():
 @pytest.mark.parametrize(
     ("grid", "message"),
     [
-        (5, "grid = 5 is a int; allowed are values by name"),
+        (5, "grid = 5 is not values by name"),
         ({3: [1]}, "3 is not a name, or names with / between them"),
         ({"learning.lm": [1]}, "'learning.lm' cannot be an axis; did you mean learning.lam"),
         ({"pid.kp": [1]}, "'pid.kp' cannot be an axis; known: trials, machine.plant.gain"),

@@ -193,12 +193,9 @@ def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, f
 def test_a_store_knows_its_quantities_by_what_they_do(tmp_path):
     def plan(*args, **options):
         return dataclasses.replace(
-            PLAN,
-            schemes={"feedback": PLAN.schemes["feedback"]},
-            machines=2,
-            keep=(),
+            PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, machines=2, keep=(),
             quantities={"own": largest_above(*args, **options)},
-        )
+        )  # fmt: skip
 
     store = tmp_path / "store.zarr"
     dataset = plan(0.1).run(store)
@@ -219,14 +216,9 @@ def test_several_channels_stay_apart():
     two = StateSpace(np.diag([0.9, 0.8]), np.eye(2), np.eye(2), dt=1e-3)
     task = Task(reference=np.ones((31, 2)), dt=1e-3)
     plan = Sweep(
-        Machine(two),
-        {"pid": PID(kp=0.2)},
-        task,
-        2,
-        {"plant.B": Uniform(0.9, 1.1, relative=True)},
-        machines=3,
-        keep=("y", "u"),
-    )
+        Machine(two), {"pid": PID(kp=0.2)}, task, 2, {"plant.B": Uniform(0.9, 1.1, relative=True)},
+        machines=3, keep=("y", "u"),
+    )  # fmt: skip
     dataset = plan.run()
     assert dataset["rms"].dims == ("scheme", "sample", "trial", "channel")
     assert dataset["u"].dims == ("scheme", "sample", "input_time", "input")
@@ -304,13 +296,9 @@ def test_summary_names_what_is_wrong():
 SMALL = Task(reference=np.sin(np.arange(21) / 3.0), dt=1e-3, unit="mm", input_unit="V")
 WATCHED = Sweep(
     Machine(DifferenceEquation((0.0,), (1.0,), dt=1e-3)),
-    {"a": CFDLMFAILC(phi0=0.7, reset="sign"), "b": PIDType(gamma_p=0.5)},
-    SMALL,
-    trials=4,
-    uncertainty={"plant.b[0]": Uniform(0.5, 2.5)},
-    machines=6,
-    watch=BoundsWatch(),
-)
+    {"a": CFDLMFAILC(phi0=0.7, reset="sign"), "b": PIDType(gamma_p=0.5)}, SMALL, trials=4,
+    uncertainty={"plant.b[0]": Uniform(0.5, 2.5)}, machines=6, watch=BoundsWatch(),
+)  # fmt: skip
 
 
 def test_a_watch_adds_its_variables_of_machines_and_of_trials(tmp_path):

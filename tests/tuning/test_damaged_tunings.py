@@ -148,8 +148,7 @@ def test_two_tunings_do_not_share_a_folder(tuned, tmp_path):
     problem, folder, whole = tuned
     shutil.copytree(folder, tmp_path / "state")
     used = pytest.raises(
-        ValueError,
-        match=r"state is in use by process \d+, which is running; wait for its end",
+        ValueError, match=r"state is in use by process \d+, which is running; wait for its end"
     )
     with Folder(tmp_path / "state", problem.configuration(), True), used:
         problem.run(tmp_path / "state", resume=True)

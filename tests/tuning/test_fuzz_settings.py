@@ -11,60 +11,18 @@ from jaxilc import learning, scenarios
 
 TEXTS = (
     *(
-        "0",
-        "1",
-        "-1",
-        "2",
-        "7",
-        "1e6",
-        "1e-9",
-        "1e300",
-        "-1e300",
-        "1e999",
-        "nan",
-        "inf",
-        "-inf",
-        "none",
-        "None",
-        "true",
-        "False",
+        "0", "1", "-1", "2", "7", "1e6", "1e-9", "1e300", "-1e300", "1e999", "nan", "inf", "-inf",
+        "none", "None", "true", "False",
     ),
     *(
-        "(1,2,3)",
-        "1,2",
-        "[1,2",
-        "()",
-        "",
-        ",",
-        "1,,2",
-        "[[1,2],[3,4]]",
-        "0x10",
-        "1_000",
-        "٣",
-        "1j",
-        "book",
-        "sign",
-        "lifted",
-        "increment",
+        "(1,2,3)", "1,2", "[1,2", "()", "", ",", "1,,2", "[[1,2],[3,4]]", "0x10", "1_000", "٣",
+        "1j", "book", "sign", "lifted", "increment",
     ),
     *(
-        "1" * 23,
-        "9" * 5000,
-        "a" * 300,
-        "\x1b[31m",
-        "\ud800",
-        "=",
-        "x=y",
-        "1=2",
-        " 3 ",
-        "3 4",
-        "'1'",
-        "1;2",
-        "0,1",
-        "0,0",
-        "5,6",
+        "1" * 23, "9" * 5000, "a" * 300, "\x1b[31m", "\ud800", "=", "x=y", "1=2", " 3 ", "3 4",
+        "'1'", "1;2", "0,1", "0,0", "5,6",
     ),
-)
+)  # fmt: skip
 NAMES = list(scenarios.SCENARIOS)
 CHEAP = ("cao-2019", "cao-2019-rig", "dai-2014", "milc-2024", "xu-2024")
 
@@ -82,19 +40,9 @@ def path_of(rng, known):
         case 2:
             return pick(
                 rng,
-                (
-                    "",
-                    ".",
-                    "machine",
-                    "machine.",
-                    "..",
-                    "[0]",
-                    "x.y.z",
-                    "machine.plant",
-                    "machine.actuator.limit",
-                    "__class__",
-                ),
-            )
+                ("", ".", "machine", "machine.", "..", "[0]", "x.y.z", "machine.plant",
+                 "machine.actuator.limit", "__class__"),
+            )  # fmt: skip
         case 3:
             return path.replace(pick(rng, list(path)), pick(rng, ("", "_", "\x00", "é", ".")), 1)
         case _:

@@ -108,14 +108,9 @@ def test_an_interrupted_front_keeps_its_points(front, tmp_path):
     with pytest.raises(FileExistsError, match="exists already"):
         pareto(PROBLEM, SquaredError(), Effort(SCALE), (0.2, 0.6), out)
     again = pareto(
-        PROBLEM,
-        SquaredError(),
-        Effort(SCALE),
-        (0.2, 0.6),
-        out,
-        resume=True,
+        PROBLEM, SquaredError(), Effort(SCALE), (0.2, 0.6), out, resume=True,
         progress=lambda *of: seen.append(of[:2]),
-    )
+    )  # fmt: skip
     assert seen == [("share-0.6", step) for step in range(3, 16)]
     for one, other in zip(front, again, strict=True):
         assert one[:3] == other[:3]
@@ -147,22 +142,14 @@ def test_budgets_of_trials_meet_the_closed_form(tmp_path):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (
-            lambda out: pareto(PROBLEM, Final(), Effort(), (0.1, 1.2), out),
-            r"shares = \[0.1, 1.2\] are not different numbers in \[0, 1\]",
-        ),
-        (
-            lambda out: pareto(PROBLEM, Final(), Effort(), (0.1, 0.1), out),
-            r"shares = \[0.1, 0.1\] are not different",
-        ),
-        (
-            lambda out: pareto(PROBLEM, Final(), Effort(), (), out),
-            r"shares = \[\] are not different",
-        ),
-        (
-            lambda out: by_trials(PROBLEM, (5, 0), out),
-            r"budgets = \[5, 0\] are not different numbers of trials in \[1, inf\)",
-        ),
+        (lambda out: pareto(PROBLEM, Final(), Effort(), (0.1, 1.2), out),
+         r"shares = \[0.1, 1.2\] are not different numbers in \[0, 1\]"),
+        (lambda out: pareto(PROBLEM, Final(), Effort(), (0.1, 0.1), out),
+         r"shares = \[0.1, 0.1\] are not different"),
+        (lambda out: pareto(PROBLEM, Final(), Effort(), (), out),
+         r"shares = \[\] are not different"),
+        (lambda out: by_trials(PROBLEM, (5, 0), out),
+         r"budgets = \[5, 0\] are not different numbers of trials in \[1, inf\)"),
         (
             lambda out: by_trials(
                 dataclasses.replace(PROBLEM, objective=Final(trial=2)), (5, 1), out
@@ -170,7 +157,7 @@ def test_budgets_of_trials_meet_the_closed_form(tmp_path):
             r"trial = 2 is outside .* \[1, 1\]",
         ),
     ],
-)
+)  # fmt: skip
 def test_bad_input_is_named_before_anything_is_written(call, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         call(tmp_path / "out")

@@ -35,16 +35,11 @@ from jaxilc.uncertainty import Uniform
 
 LOSSES = np.array([0.3, -1.0, 2.5, 0.9, 4.0, 0.1, 0.2])
 DEFINED = {
-    Mean(): np.mean(LOSSES),
-    Worst(): 4.0,
-    CVaR(0.0): np.mean(LOSSES),
-    CVaR(5 / 7): np.mean([4.0, 2.5]),
-    CVaR(0.5): (4.0 + 2.5 + 0.9 + 0.5 * 0.3) / 3.5,
-    CVaR(0.99): 4.0,
-    SmoothMax(0.5): 0.5 * np.log(np.mean(np.exp(LOSSES / 0.5))),
-    SmoothMax(1e-3): 4.0 - 1e-3 * np.log(7),
-    SmoothMax(1e5): np.mean(LOSSES),
-}
+    Mean(): np.mean(LOSSES), Worst(): 4.0, CVaR(0.0): np.mean(LOSSES),
+    CVaR(5 / 7): np.mean([4.0, 2.5]), CVaR(0.5): (4.0 + 2.5 + 0.9 + 0.5 * 0.3) / 3.5,
+    CVaR(0.99): 4.0, SmoothMax(0.5): 0.5 * np.log(np.mean(np.exp(LOSSES / 0.5))),
+    SmoothMax(1e-3): 4.0 - 1e-3 * np.log(7), SmoothMax(1e5): np.mean(LOSSES),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("risk", DEFINED, ids=str)
@@ -65,15 +60,9 @@ def test_risks_are_what_they_say_and_their_weights_are_their_derivatives(risk):
 # --------------------------------------------------------------------------------------------------
 
 INTERVALS = [
-    (-np.inf, np.inf),
-    (0, np.inf),
-    (2, np.inf),
-    (-np.inf, -3),
-    (0, 1),
-    (-2, 5),
-    (0.01, 100),
+    (-np.inf, np.inf), (0, np.inf), (2, np.inf), (-np.inf, -3), (0, 1), (-2, 5), (0.01, 100),
     (-50, -0.5),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("interval", INTERVALS, ids=str)
@@ -117,13 +106,9 @@ def test_the_best_gain_of_p_type_learning_is_found_by_one_program(optimiser):
     # gamma = 1 / g.
     machine = dataclasses.replace(STATIC, plant=StateSpace([[0.0]], [[0.8]], [[1.0]], dt=1e-3))
     options = {
-        "machines": 1,
-        "held_out": 0,
-        "optimiser": optimiser,
-        "steps": 60,
-        "patience": 60,
+        "machines": 1, "held_out": 0, "optimiser": optimiser, "steps": 60, "patience": 60,
         "validate_every": 1,
-    }
+    }  # fmt: skip
     problem = dataclasses.replace(
         PROBLEM, machine=machine, uncertainty={}, trials=2, objective=Traced(), **options
     )
@@ -139,14 +124,9 @@ def test_the_gain_for_the_worst_of_two_plants_is_the_minimax_one():
     # The maximum of |1 - gamma g| over g is least where both ends are equal, at
     # gamma = 2 / (g_low + g_high).
     options = {
-        "sampling": "corners",
-        "risk": Worst(),
-        "steps": 80,
-        "held_out": 0,
-        "patience": 80,
-        "validate_every": 1,
-        "rate": 0.05,
-    }
+        "sampling": "corners", "risk": Worst(), "steps": 80, "held_out": 0, "patience": 80,
+        "validate_every": 1, "rate": 0.05,
+    }  # fmt: skip
     tuned = dataclasses.replace(PROBLEM, trials=2, **options).run()
     np.testing.assert_allclose(tuned.values["gamma_p"], 2 / 1.8, rtol=2e-3)
 
@@ -275,6 +255,7 @@ OWN = optax.chain(
 )
 
 
+@pytest.mark.thorough(but=["least-squares", "own"])
 @pytest.mark.parametrize(
     "optimiser",
     ["lbfgs", "least-squares", OWN],  # tests/storage kills runs with Adam
@@ -321,18 +302,12 @@ def own_rule(rate):
     ("one", "other"),
     [
         (optax.rmsprop(0.1), optax.rmsprop(0.2)),
-        (
-            optax.adam(optax.cosine_decay_schedule(0.1, 20)),
-            optax.adam(optax.cosine_decay_schedule(0.1, 30)),
-        ),
-        (
-            optax.chain(optax.clip(1.0), optax.sgd(0.1)),
-            optax.chain(optax.clip(2.0), optax.sgd(0.1)),
-        ),
-        (
-            optax.inject_hyperparams(optax.sgd)(learning_rate=0.1),
-            optax.inject_hyperparams(optax.sgd)(learning_rate=0.2),
-        ),
+        (optax.adam(optax.cosine_decay_schedule(0.1, 20)),
+         optax.adam(optax.cosine_decay_schedule(0.1, 30))),
+        (optax.chain(optax.clip(1.0), optax.sgd(0.1)),
+         optax.chain(optax.clip(2.0), optax.sgd(0.1))),
+        (optax.inject_hyperparams(optax.sgd)(learning_rate=0.1),
+         optax.inject_hyperparams(optax.sgd)(learning_rate=0.2)),
         (own_rule(0.1), own_rule(0.2)),
         (
             optax.GradientTransformation(
@@ -344,7 +319,7 @@ def own_rule(rate):
         ),
     ],
     ids=["rate", "schedule", "chain", "injected", "closure", "constant"],
-)
+)  # fmt: skip
 def test_a_configuration_tells_own_optimisers_apart(one, other):
     first, second, again = (json.dumps(describe(optimiser)) for optimiser in (one, other, one))
     assert first == again != second
@@ -392,11 +367,8 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
     }
     problem = dataclasses.replace(PROBLEM, scheme=scheme, steps=2, weights=weights)
     assert sorted(problem.bijections) == [
-        "filter.taps[0]",
-        "filter.taps[1]",
-        "scheme.gamma_p",
-        "scheme.leak",
-    ]
+        "filter.taps[0]", "filter.taps[1]", "scheme.gamma_p", "scheme.leak",
+    ]  # fmt: skip
     tuned = problem.run()
     assert tuned.nudged == {"scheme.leak": 1e-3}
     assert tuned.start["scheme.leak"] == 0.0
@@ -412,22 +384,14 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
         ({"weights": ["lead"]}, "weights: lead = 0 is not a float leaf"),
         ({"weights": ["limit"]}, "weights: limit = None is not a float leaf"),
         ({"weights": []}, "weights is empty"),
-        (
-            {"weights": {"gamma_p": (1.0, 1.0)}},
-            r"weights: the bounds \(1, 1\) of gamma_p are empty",
-        ),
-        (
-            {"weights": {"gamma_p": (0.5, 1.0)}},
-            r"weights: the start gamma_p = 0.4 is outside its bounds \(0.5, 1\)",
-        ),
-        (
-            {"weights": {"leak": (0.0, 2.0)}},
-            r"weights: the bounds \(0, 2\) of leak leave its allowed range \[0, 1\)",
-        ),
-        (
-            {"weights": ["scheme"], "scheme": CASES["p_type_fir"][1]},
-            "weights: scheme = .* is not a float leaf",
-        ),
+        ({"weights": {"gamma_p": (1.0, 1.0)}},
+         r"weights: the bounds \(1, 1\) of gamma_p are empty"),
+        ({"weights": {"gamma_p": (0.5, 1.0)}},
+         r"weights: the start gamma_p = 0.4 is outside its bounds \(0.5, 1\)"),
+        ({"weights": {"leak": (0.0, 2.0)}},
+         r"weights: the bounds \(0, 2\) of leak leave its allowed range \[0, 1\)"),
+        ({"weights": ["scheme"], "scheme": CASES["p_type_fir"][1]},
+         "weights: scheme = .* is not a float leaf"),
         (
             {
                 "weights": ["filter.cutoff"],
@@ -440,15 +404,13 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
         ({"steps": 0}, r"steps = 0 is outside its allowed range \[1, inf\)"),
         ({"truncate": 0}, r"truncate = 0 is outside its allowed range \[1, inf\)"),
         ({"clip": 0.0}, r"clip = 0 is outside its allowed range \(0, inf\]"),
-        (
-            {"objective": Final("speed")},
-            "metric = 'speed' is not one of max_error, rms, settled_error",
-        ),
+        ({"objective": Final("speed")},
+         "metric = 'speed' is not one of max_error, rms, settled_error"),
         ({"objective": Holding(9)}, r"first = 9 is outside its allowed range \[1, 3\]"),
         ({"objective": Final(trial=9)}, r"trial = 9 is outside its allowed range \[1, 3\]"),
         ({"uncertainty": {"plant.mass": Uniform(1, 2)}}, "plant.mass"),
     ],
-)
+)  # fmt: skip
 def test_bad_input_is_named_before_anything_runs(change, message):
     with pytest.raises(ValueError, match=message):
         dataclasses.replace(PROBLEM, **change)

@@ -37,23 +37,17 @@ def test_the_worst_gain_of_p_type_learning_is_an_end_of_its_range():
     # the low one.
     gains = {"plant.B": Uniform(0.5, 1.4, relative=True)}
     found = worst_case_search(
-        lambda machine: learn(machine, PIDType(gamma_p=0.9), TASK, 5).rms[-1, 0],
-        STATIC,
-        gains,
-        starts=4,
-        steps=12,
-    )
+        lambda machine: learn(machine, PIDType(gamma_p=0.9), TASK, 5).rms[-1, 0], STATIC, gains,
+        starts=4, steps=12,
+    )  # fmt: skip
     assert found.values == {"plant.B": 0.5}
     np.testing.assert_allclose(found.loss, 0.55**4 * np.sqrt(0.5), rtol=1e-12)
     # Both starts find it: the centre, where e_5 falls with the gain, and a start above 1 / 0.9.
     assert found.found[0] == found.loss
     again = worst_case_search(
-        lambda machine: judge(machine, PIDType(gamma_p=0.9), TASK, 5, Final("rms")),
-        found.subject,
-        gains,
-        starts=2,
-        steps=12,
-    )
+        lambda machine: judge(machine, PIDType(gamma_p=0.9), TASK, 5, Final("rms")), found.subject,
+        gains, starts=2, steps=12,
+    )  # fmt: skip
     np.testing.assert_allclose(again.subject.plant.B, 0.25)
 
 
@@ -81,12 +75,9 @@ def test_a_linear_quadratic_case_has_its_worst_initial_state_at_the_far_end():
     task = Task(np.zeros(N + 1), dt=1e-3)
     box = {"plant.x0[0]": Uniform(-1.0, 0.8), "plant.x0[1]": Uniform(-0.7, 1.5)}
     found = worst_case_search(
-        lambda machine: learn(machine, PASSIVE, task, 1).rms[-1, 0] ** 2,
-        machine,
-        box,
-        starts=12,
+        lambda machine: learn(machine, PASSIVE, task, 1).rms[-1, 0] ** 2, machine, box, starts=12,
         steps=15,
-    )
+    )  # fmt: skip
     observed = np.stack([(C @ np.linalg.matrix_power(A, k))[0] for k in range(1, N + 1)])
     corners = {(a, b): np.mean((observed @ [a, b]) ** 2) for a in (-1.0, 0.8) for b in (-0.7, 1.5)}
     assert tuple(found.values.values()) == max(corners, key=corners.get)
@@ -153,14 +144,11 @@ def test_what_is_not_finite_is_neither_worst_nor_in_the_way():
     [
         ({}, {}, "uncertainty is empty"),
         ({"y": Uniform(0, 1)}, {}, r"uncertainty: 'y' is not a parameter here; known: x"),
-        (
-            {"x": Uniform(0, 1)},
-            {"starts": 0},
-            r"starts = 0 is outside its allowed range \[1, inf\)",
-        ),
+        ({"x": Uniform(0, 1)}, {"starts": 0},
+         r"starts = 0 is outside its allowed range \[1, inf\)"),
         ({"x": Uniform(0, 1)}, {"steps": 0}, r"steps = 0 is outside its allowed range \[1, inf\)"),
     ],
-)
+)  # fmt: skip
 def test_bad_input_is_named(box, options, message):
     with pytest.raises(ValueError, match=message):
         worst_case_search(lambda s: s.x, Numbers(0.5), box, **options)
