@@ -15,12 +15,13 @@ import dataclasses
 import itertools
 from collections.abc import Mapping
 from functools import cached_property, wraps
-from typing import Any, TypeVar
+from typing import Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .pytree.aliases import Tree, Value
 from .pytree.closest import not_one_of
 from .pytree.in_short import in_short
 from .pytree.named_paths import get_at, interval_at, replaced
@@ -39,13 +40,13 @@ class Uniform:
     high: float
     relative: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _need_numbers(self, low="(-inf, inf)", high="(-inf, inf)")
         if not self.low < self.high:
             raise ValueError(f"Uniform: low = {self.low:g} must lie below high = {self.high:g}")
         _need_finite(self)
 
-    def quantile(self, p) -> np.ndarray:
+    def quantile(self, p: np.ndarray) -> np.ndarray:
         """The quantile function: a draw is below this value with probability p."""
         return self.low + p * (self.high - self.low)
 
@@ -65,11 +66,11 @@ class Normal:
     std: float
     relative: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _need_numbers(self, mean="(-inf, inf)", std="(0, inf)")
         _need_finite(self)
 
-    def quantile(self, p) -> np.ndarray:
+    def quantile(self, p: np.ndarray) -> np.ndarray:
         """The quantile function: a draw is below this value with probability p."""
         from scipy.special import ndtri  # imported here, because the import is slow
 
@@ -91,7 +92,7 @@ class LogUniform:
     high: float
     relative: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _need_numbers(self, low="(-inf, inf)", high="(-inf, inf)")
         if not 0 < self.low < self.high:
             raise ValueError(
@@ -100,7 +101,7 @@ class LogUniform:
             )
         _need_finite(self)
 
-    def quantile(self, p) -> np.ndarray:
+    def quantile(self, p: np.ndarray) -> np.ndarray:
         return self.low * (self.high / self.low) ** p
 
     def corners(self) -> tuple[float, float]:
@@ -114,7 +115,14 @@ Distribution = Uniform | Normal | LogUniform
 Uncertainty = Mapping[str, Distribution]
 
 
-def _need_numbers(distribution, **ranges: str) -> None:
+class Drawn(Protocol):
+    """All that a program needs to know of a distribution."""
+
+    @property
+    def relative(self) -> bool: ...
+
+
+def _need_numbers(distribution: Distribution, **ranges: str) -> None:
     """Raises ValueError unless each field is in its range, and `relative` is True or False."""
     name = type(distribution).__name__
     for field, interval in ranges.items():
@@ -126,7 +134,7 @@ def _need_numbers(distribution, **ranges: str) -> None:
         )
 
 
-def _need_finite(distribution) -> None:
+def _need_finite(distribution: Distribution) -> None:
     """Raises ValueError where a draw, or the ratio high / low of a `LogUniform`, is not finite."""
     with np.errstate(all="ignore"):
         ends = [*distribution.quantile(np.array([0.0, 1.0])), *distribution.corners()]
@@ -150,7 +158,7 @@ def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distri
     return {name: d.spread(half_width) if d.relative else d for name, d in uncertainty.items()}
 
 
-def check(machine, uncertainty: Uncertainty) -> None:
+def check(machine: Tree, uncertainty: Uncertainty) -> None:
     """Raises ValueError for an uncertainty that does not fit the machine.
 
     The message names a leaf that does not exist, is None, or cannot take an absolute value, and a
@@ -201,15 +209,15 @@ class Population:
     outside the allowed range of its leaf.
     """
 
-    machine: Any
+    machine: Tree
     uncertainty: Uncertainty = dataclasses.field(default_factory=dict)
-    grid: Mapping[Any, Any] = dataclasses.field(default_factory=dict)
+    grid: Mapping[Value, Value] = dataclasses.field(default_factory=dict)
     count: int = 1024
     seed: int = 0
     sampling: str = "monte-carlo"
     __repr__ = in_short
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.sampling not in SAMPLINGS:
             said = f"sampling = {brief(self.sampling)}"
             raise ValueError(not_one_of(said, self.sampling, SAMPLINGS))
@@ -220,7 +228,9 @@ class Population:
         check(self.machine, self.uncertainty)
 
     @classmethod
-    def of(cls, machine: Any, uncertainty: Uncertainty | None = None, **others: Any) -> Population:
+    def of(
+        cls, machine: Tree, uncertainty: Uncertainty | None = None, **others: Value
+    ) -> Population:
         """The population of a machine; one that is given already, with what is given besides it."""
         if not isinstance(machine, Population):
             return cls(machine, uncertainty or {}, **others)
@@ -261,15 +271,15 @@ class Population:
         again = "sobol" if self.sampling == "corners" and seed != self.seed else self.sampling
         return dataclasses.replace(self, seed=seed, count=count, sampling=again)
 
-    def with_numbers(self, values: Mapping[str, Any]) -> Any:
+    def with_numbers(self, values: Mapping[str, Value]) -> Tree:
         """The machine with one set of numbers; can be called inside `jit` and `vmap`."""
         return drawn_machine(self.machine, self.uncertainty, values)
 
-    def machine_of(self, number: int) -> Any:
+    def machine_of(self, number: int) -> Tree:
         """One of the machines."""
         return self.with_numbers({name: values[number] for name, values in self.drawn.items()})
 
-    def key_of(self, number) -> jax.Array:
+    def key_of(self, number: int | jax.Array) -> jax.Array:
         """The key of one machine's noise, which does not depend on the number of machines."""
         return jax.random.fold_in(jax.random.key(self.seed), number)
 
@@ -278,17 +288,18 @@ class Population:
         values = {name: jnp.asarray(of[first:]) for name, of in self.drawn.items()}
         return jnp.arange(first, self.size), values
 
-    def one_of(self, batch) -> tuple[Any, jax.Array]:
+    def one_of(self, batch: tuple[jax.Array, dict[str, jax.Array]]) -> tuple[Tree, jax.Array]:
         """The machine of an element of a batch, and the key of its noise."""
         number, values = batch
         return self.with_numbers(values), self.key_of(number)
 
     @property
-    def machines(self) -> Any:
+    def machines(self) -> Tree:
         """All machines as one, see `drawn_machines`."""
         return drawn_machines(self.machine, self.uncertainty, self.drawn)
 
 
+T = TypeVar("T")
 Known = TypeVar("Known", bound=type)
 
 
@@ -298,11 +309,11 @@ def takes_population(known: Known) -> Known:
     The fields that both have are then those of the population (`machines` is its count), where they
     are not given besides.
     """
-    of: Any = known
+    of: Value = known
     make, fields = of.__init__, {f.name for f in dataclasses.fields(of)}
 
     @wraps(make)
-    def made(self, machine, *arguments, **options):
+    def made(self: Value, machine: Value, *arguments: Value, **options: Value) -> None:
         if isinstance(machine, Population):
             found = {f.name: getattr(machine, f.name) for f in dataclasses.fields(machine)}
             machine, found["machines"] = found.pop("machine"), found.pop("count")
@@ -314,7 +325,7 @@ def takes_population(known: Known) -> Known:
 
 
 def draw(
-    machine,
+    machine: Tree,
     uncertainty: Uncertainty,
     machines: int,
     *,
@@ -330,7 +341,7 @@ def draw(
     return Population(machine, uncertainty, count=machines, seed=seed, sampling=sampling).drawn
 
 
-def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]) -> Any:
+def drawn_machine(machine: T, uncertainty: Mapping[str, Drawn], values: Mapping[str, Value]) -> T:
     """The machine with one set of drawn numbers; can be called inside `jit` and `vmap`."""
     scale = {
         name: jnp.asarray(get_at(machine, name)) if d.relative else 1.0
@@ -341,7 +352,7 @@ def drawn_machine(machine, uncertainty: Uncertainty, values: Mapping[str, float]
     )
 
 
-def drawn_machines(machine, uncertainty: Uncertainty, drawn: Mapping[str, Any]) -> Any:
+def drawn_machines(machine: T, uncertainty: Uncertainty, drawn: Mapping[str, np.ndarray]) -> T:
     """All drawn machines as one, whose leaves have a leading axis over the machines.
 
     If nothing was drawn, this axis has the length 1.
@@ -378,7 +389,7 @@ def _corners(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
     return {name: points[:, i] for i, name in enumerate(uncertainty)}
 
 
-def need_ranges(machine, uncertainty: Uncertainty, drawn: Mapping[str, np.ndarray]) -> None:
+def need_ranges(machine: Tree, uncertainty: Uncertainty, drawn: Mapping[str, np.ndarray]) -> None:
     """Raises ValueError for drawn numbers that a leaf of this machine cannot have."""
     for name, distribution in uncertainty.items():
         allowed, values = interval_at(machine, name), drawn[name]

@@ -86,9 +86,10 @@ def log_jax(programs: Path | None) -> None:
     from ..runtime.provenance import environment
 
     found = environment()
-    versions = ", ".join(f"{name} {version}" for name, version in found.pop("versions").items())
+    versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
     log.info("%s", versions)
-    log.info("%s", ", ".join(f"{name}: {value}" for name, value in found.items()))
+    others = (f"{name}: {value}" for name, value in found.items() if name != "versions")
+    log.info("%s", ", ".join(others))
     log.info(
         "devices: %s; XLA_FLAGS: %s",
         ", ".join(map(str, jax.devices())),

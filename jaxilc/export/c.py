@@ -10,9 +10,9 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from ..native.program import Const, Program, Step, Unknown, Value
 from . import operations
 from .law import Function
 from .steps import uniform
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike
 
 LONGEST = 60  # characters of a number that is written where it is used
 LITTLE = 32  # elements of an array on the stack
@@ -81,12 +84,12 @@ def _row_major(shape: Sequence[int]) -> tuple[int, ...]:
     return tuple(math.prod(shape[i + 1 :]) for i in range(len(shape)))
 
 
-def type_of(dtype: Any) -> str:
+def type_of(dtype: DTypeLike) -> str:
     dtype = np.dtype(dtype)
     return TYPES.get(dtype.kind) or TYPES[dtype.name]
 
 
-def number(value: Any, dtype: Any, single: bool) -> str:
+def number(value: float, dtype: DTypeLike, single: bool) -> str:
     """A constant, which C reads as the same number."""
     kind = np.dtype(dtype).kind
     if kind == "b":
@@ -95,8 +98,7 @@ def number(value: Any, dtype: Any, single: bool) -> str:
         return str(int(value)) if value >= 0 else f"({int(value)})"
     if not np.isfinite(value):
         return "NAN" if np.isnan(value) else "INFINITY" if value > 0 else "(-INFINITY)"
-    value = np.float32(value) if single else np.float64(value)
-    text = repr(value.item() if not single else float(str(value))) + ("f" if single else "")
+    text = f"{float(str(np.float32(value)))!r}f" if single else repr(float(value))
     return f"({text})" if np.signbit(value) else text
 
 
@@ -113,18 +115,17 @@ class Printed(NamedTuple):
     work: dict[str, int]
 
 
-def printed(function: Function, fields: Mapping[str, Any], *, single: bool) -> Printed:
+def printed(function: Function, *, single: bool) -> Printed:
     """The body of a function; raises Unknown for what C cannot hold.
 
-    fields: by name, what the struct holds
     single: whether numbers are float
     """
-    return _Body(function, fields, single).printed()
+    return _Body(function, single).printed()
 
 
 class _Body:
-    def __init__(self, function: Function, fields: Mapping[str, Any], single: bool):
-        self.function, self.fields, self.single = function, fields, single
+    def __init__(self, function: Function, single: bool):
+        self.function, self.single = function, single
         self.lines: list[str] = []
         self.tables: list[str] = []
         self.known_tables: dict[tuple[str, bytes], str] = {}
@@ -186,7 +187,7 @@ class _Body:
             else:
                 yield
 
-    def array(self, shape: Sequence[int], dtype: Any) -> View:
+    def array(self, shape: Sequence[int], dtype: DTypeLike) -> View:
         """Room for an array; a number alone is a variable."""
         name, kind, size = self.name("a"), type_of(dtype), math.prod(shape)
         if size == 1:
@@ -205,7 +206,7 @@ class _Body:
             self.flush()
         return self.views[x]
 
-    def constant(self, array: np.ndarray, dtype: Any) -> View:
+    def constant(self, array: np.ndarray, dtype: DTypeLike) -> View:
         if uniform(array):
             return View(number(array.ravel()[0], dtype, self.single), array.shape)
         kind = type_of(dtype)
@@ -221,7 +222,7 @@ class _Body:
             self.tables += table(kind, name, numbers)
         return View(f"{self.known_tables[key]}[{{}}]", array.shape, _row_major(array.shape))
 
-    def copied(self, x: View, dtype: Any) -> View:
+    def copied(self, x: View, dtype: DTypeLike) -> View:
         """The elements one after another, in room of their own."""
         out = self.array(x.shape, dtype)
         with self.each(x.shape) as index:
@@ -276,7 +277,7 @@ class _Body:
         self.taken[x] = self.taken.get(x, 0) + 1
         return self.local[x]
 
-    def named(self, dtype: Any, text: str) -> str:
+    def named(self, dtype: DTypeLike, text: str) -> str:
         name = self.name("v")
         self.inner.append(f"const {type_of(dtype)} {name} = {_open(text)};")
         return name
@@ -523,7 +524,7 @@ class _Body:
         self.unread.add(step.outs[0])
         return True
 
-    def together(self, name: str, a: str, b: str, dtype: Any) -> str:
+    def together(self, name: str, a: str, b: str, dtype: DTypeLike) -> str:
         left, right = (Node("operand", (), dtype, i) for i in range(2))
         return self.text(Node(name, (left, right), dtype), [a, b])
 

@@ -6,7 +6,6 @@ import math
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -55,7 +54,7 @@ static inline uint32_t law_to_uint32_t(law_real x)
 """
 
 
-def files_of(law: Law, about: Sequence[str], digest: str, trials: Sequence[Any], *,
+def files_of(law: Law, about: Sequence[str], digest: str, trials: Sequence[np.ndarray], *,
              single: bool = False) -> dict[str, str]:  # fmt: skip
     """The texts of the files by their names.
 
@@ -67,7 +66,7 @@ def files_of(law: Law, about: Sequence[str], digest: str, trials: Sequence[Any],
     names = [field_name(name) for name in law.fields]
     if len({*names}) < len(names):
         raise Unknown("two fields of the law have one name in C")
-    bodies = {one.name: printed(one, law.fields, single=single) for one in law.functions}
+    bodies = {one.name: printed(one, single=single) for one in law.functions}
     said = comment_of([*about, f"certificate {digest}"])
     return {
         "law.h": said + _header(law, bodies, digest, single),
@@ -105,7 +104,7 @@ def _cost(step: Step) -> int:
 
 def bytes_of(law: Law, *, single: bool = False) -> int:
     """The bytes of RAM that the law needs, its work space included, without what C pads."""
-    bodies = [printed(one, law.fields, single=single) for one in law.functions]
+    bodies = [printed(one, single=single) for one in law.functions]
     sizes = {"law_real": 4 if single else 8, "bool": 1, "int64_t": 8}
     kept = sum(x.first.size * sizes.get(type_of(x.first.dtype), 4) for x in law.fields.values())
     return int(kept + sum(n * sizes.get(kind, 4) for kind, n in _work(bodies).items()))
@@ -233,7 +232,7 @@ def start_of(fields: Mapping[str, Field], single: bool) -> tuple[list[str], list
 # --------------------------------------------------------------------------------------------------
 
 
-def _test(law: Law, trials: Sequence[Any], single: bool) -> str:
+def _test(law: Law, trials: Sequence[np.ndarray], single: bool) -> str:
     """A program that plays trials and compares every input, every code and what is then known."""
     played = law.played(np.float32 if single else np.float64)
     found = [played.trial(y) for y in trials]

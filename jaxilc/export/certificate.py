@@ -10,8 +10,8 @@ import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from ..pytree.aliases import Value
 from ..storage.reading import LARGEST_TREE, read_bytes
 from ..storage.sealed import Damaged, read_json, seal_of, sealed, unsealed
 
@@ -20,12 +20,14 @@ DIGEST, FILES = "certificate", "files"
 CARRIED = re.compile(rb"""["']([0-9a-f]{64})["']""")
 
 
-def digest_of(claims: Mapping[str, Any]) -> str:
+def digest_of(claims: Mapping[str, object]) -> str:
     """The digest of what is claimed, which the code carries."""
     return seal_of(claims)
 
 
-def certificate_of(claims: Mapping[str, Any], files: Mapping[str, str | bytes]) -> dict[str, Any]:
+def certificate_of(
+    claims: Mapping[str, object], files: Mapping[str, str | bytes]
+) -> dict[str, Value]:
     """The content of `certificate.json`.
 
     claims: what is claimed of the law
@@ -38,7 +40,7 @@ def certificate_of(claims: Mapping[str, Any], files: Mapping[str, str | bytes]) 
     return sealed({**claims, DIGEST: digest_of(claims), FILES: hashes})
 
 
-def check(folder: str | Path) -> dict[str, Any]:
+def check(folder: str | Path) -> dict[str, Value]:
     """The claims of a folder whose files belong together.
 
     Raises ValueError naming each file that is missing or was changed, also the plant file, where it

@@ -19,8 +19,10 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree
+
+import numpy as np
 
 from ..signals.task import Task
 from .c import number
@@ -118,7 +120,7 @@ void block_step(block *b)
     return Block("law", about, task, variables, {**sources, "block.c": _HEAD + body})
 
 
-def plant_block(task: Task, files: Mapping[str, str], about: str, first: Any) -> Block:
+def plant_block(task: Task, files: Mapping[str, str], about: str, first: np.ndarray) -> Block:
     """The block of a plant: u and `rest` in, y out.
 
     files: the texts of `plant.h` and `plant.c`
@@ -182,9 +184,9 @@ def packed(block: Block, *, version: int, compiler: str | None = None) -> bytes:
 
 
 def _channels(name: str, count: int, inside: bool, about: str, unit: str,
-              first: Sequence[float] = ()) -> list[Variable]:  # fmt: skip
+              first: np.ndarray | None = None) -> list[Variable]:  # fmt: skip
     names = [name] if count == 1 else [f"{name}[{i + 1}]" for i in range(count)]
-    starts = list(first) or [0.0] * count
+    starts = [0.0] * count if first is None else first
     return [Variable(one, "Real", inside, about, unit, float(x))
             for one, x in zip(names, starts, strict=True)]  # fmt: skip
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+import numpy as np
 
 from ..learning.machine import Machine
 from ..native.program import Unknown
@@ -27,7 +29,7 @@ class Asked(NamedTuple):
     machine: Machine
     about: Sequence[str]
     digest: str
-    trials: Sequence[Any]
+    trials: Sequence[np.ndarray]
     single: bool
 
 

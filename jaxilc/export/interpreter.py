@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,14 +16,19 @@ from ..native.operations import Node, elementwise
 from ..native.program import Const, Program, Step, Unknown, Value
 from . import operations
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, DTypeLike
 
-def interpret(program: Program, operands: Sequence[Any], real: Any = np.float64) -> list[Any]:
+
+def interpret(
+    program: Program, operands: Sequence[ArrayLike], real: DTypeLike = np.float64
+) -> list[np.ndarray]:
     """The results of a program.
 
     real: the type of its real numbers, float64 or float32
     """
     with np.errstate(all="ignore"):
-        return _run(program, list(operands), np.dtype(real))
+        return _run(program, operands, np.dtype(real))
 
 
 def carried_out(step: Step, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -34,8 +39,8 @@ def carried_out(step: Step, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
         return _step(step, list(arrays), np.dtype(np.float64))
 
 
-def _run(program: Program, operands: list[Any], real: np.dtype) -> list[Any]:
-    found: dict[Value, Any] = dict(zip(program.ins, operands, strict=True))
+def _run(program: Program, operands: Sequence[ArrayLike], real: np.dtype) -> list[np.ndarray]:
+    found = dict(zip(program.ins, operands, strict=True))
 
     def value(x: Value) -> np.ndarray:
         return _as(x.array if isinstance(x, Const) else found[x], x.dtype, real)
@@ -45,23 +50,22 @@ def _run(program: Program, operands: list[Any], real: np.dtype) -> list[Any]:
     return [value(x) for x in program.outs]
 
 
-def _as(array: Any, dtype: Any, real: np.dtype) -> np.ndarray:
+def _as(array: ArrayLike, dtype: DTypeLike, real: np.dtype) -> np.ndarray:
     return np.asarray(array, real if np.dtype(dtype).kind == "f" else dtype)
 
 
-def _step(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[Any]:
+def _step(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]:
     if step.name == "scan":
         return _scan(step, ins, real)
     if step.name == "while":
         return _while(step, ins, real)
     if elementwise(step.name):
-        made: dict[Node, Any] = {}
-        found = _node(operations.formula(step).root, ins, real, made)
+        found = _node(operations.formula(step).root, ins, real, {})
         return [np.broadcast_to(found, step.outs[0].shape)]
     return [_as(ARRAYS[step.name](step, ins), step.outs[0].dtype, real).reshape(step.outs[0].shape)]
 
 
-def _scan(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[Any]:
+def _scan(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]:
     of = step.params
     consts, state = ins[: of["consts"]], ins[of["consts"] : of["consts"] + of["carry"]]
     rows, kept = ins[of["consts"] + of["carry"] :], []
@@ -76,7 +80,7 @@ def _scan(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[Any]:
     return [*state, *stacked]
 
 
-def _while(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[Any]:
+def _while(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]:
     of = step.params
     n, m = of["of_condition"], of["of_body"]
     state = ins[n + m :]
@@ -91,7 +95,9 @@ def _while(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[Any]:
 # --------------------------------------------------------------------------------------------------
 
 
-def _node(x: Node, ins: list[np.ndarray], real: np.dtype, made: dict[Node, Any]) -> Any:
+def _node(
+    x: Node, ins: list[np.ndarray], real: np.dtype, made: dict[Node, np.ndarray]
+) -> np.ndarray:
     if x not in made:
         args = [_node(one, ins, real, made) for one in x.args]
         if x.name == "operand":
@@ -113,18 +119,18 @@ def _converted(x: np.ndarray, dtype: np.dtype, real: np.dtype) -> np.ndarray:
     return _as(x, dtype, real)
 
 
-def _larger(a: Any, b: Any) -> Any:
+def _larger(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where((a != a) | (a > b), a, b)
 
 
-def _smaller(a: Any, b: Any) -> Any:
+def _smaller(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where((a != a) | (a < b), a, b)
 
 
-def _library(name: str) -> Callable[..., Any]:
+def _library(name: str) -> Callable[..., np.ndarray]:
     """A function of the C library for each element, as it is at the edges of its range too."""
-    function: Any = getattr(math, name)
-    at_numpy: Any = np.float_power if name == "pow" else getattr(np, name)
+    function: Callable[..., float] = getattr(math, name)
+    at_numpy: np.ufunc = np.float_power if name == "pow" else getattr(np, name)
 
     def one(*x: float) -> float:
         try:
@@ -132,15 +138,15 @@ def _library(name: str) -> Callable[..., Any]:
         except (OverflowError, ValueError):
             return float(at_numpy(*x))
 
-    def each(*arrays: Any) -> Any:
-        arrays = np.broadcast_arrays(*arrays)
+    def each(*given: np.ndarray) -> np.ndarray:
+        arrays = np.broadcast_arrays(*given)
         found = [one(*map(float, x)) for x in zip(*(a.ravel() for a in arrays), strict=True)]
         return np.reshape(np.array(found, float), arrays[0].shape)
 
     return each
 
 
-SINGLE: dict[str, Callable[..., Any]] = {
+SINGLE: dict[str, Callable[..., np.ndarray]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative,
     "max": _larger, "min": _smaller, "abs": np.abs, "sqrt": np.sqrt, "floor": np.floor,
     "ceil": np.ceil, "round_even": np.rint,
@@ -193,7 +199,7 @@ def _iota(step: Step, ins: list[np.ndarray]) -> np.ndarray:
     return np.broadcast_to(np.arange(shape[axis]).reshape(wide), shape)
 
 
-def _part(x: np.ndarray, sizes: Sequence[int], starts: Sequence[Any]) -> tuple[slice, ...]:
+def _part(x: np.ndarray, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> tuple[slice, ...]:
     clamped = [min(max(int(s), 0), n - size)
                for s, n, size in zip(starts, x.shape, sizes, strict=True)]  # fmt: skip
     return tuple(slice(a, a + size) for a, size in zip(clamped, sizes, strict=True))

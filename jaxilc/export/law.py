@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,9 @@ from ..signals.task import Sample, Task, Trial
 from . import guard
 from .interpreter import interpret
 from .steps import program_of
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, DTypeLike
 
 
 class Within(NamedTuple):
@@ -138,7 +141,7 @@ class Law:
     limit: np.ndarray
     guarded: bool = True
 
-    def played(self, real: Any = np.float64) -> Played:
+    def played(self, real: DTypeLike = np.float64) -> Played:
         """The law as the interpreter plays it, before its first trial."""
         return Played(self, real)
 
@@ -146,7 +149,7 @@ class Law:
 def law_of(
     scheme: Scheme,
     task: Task,
-    limit: Any,
+    limit: ArrayLike,
     *,
     actuator: Actuator | None = None,
     correction: float | None = None,
@@ -185,8 +188,12 @@ def law_of(
     return Law(ready, task, fields, functions, limit, guarded)
 
 
-def _function(name: str, function: Callable[..., Any], known: Known,
-              given: dict[str, Array]) -> Function:  # fmt: skip
+def _function(
+    name: str,
+    function: Callable[..., tuple[Known, dict[str, Array]]],
+    known: Known,
+    given: dict[str, Array],
+) -> Function:
     """A function of what is known, with only the operands that it reads and what it changes."""
     program = program_of(function, known, *given.values())
     ins = [*named_leaves(known), *given]
@@ -327,15 +334,15 @@ def said_of_scheme(scheme: Scheme, task: Task) -> list[tuple[str, str]]:
 class Played:
     """A law that the interpreter carries out, operation by operation."""
 
-    def __init__(self, law: Law, real: Any = np.float64):
+    def __init__(self, law: Law, real: DTypeLike = np.float64):
         self.law, self.real = law, np.dtype(real)
-        self.known: dict[str, Any] = {name: self._real(f.first) for name, f in law.fields.items()}
+        self.known = {name: self._real(f.first) for name, f in law.fields.items()}
 
-    def _real(self, x: Any) -> np.ndarray:
-        x = np.asarray(x)
+    def _real(self, given: ArrayLike) -> np.ndarray:
+        x = np.asarray(given)
         return x.astype(self.real) if x.dtype.kind == "f" else x
 
-    def call(self, name: str, **given: Any) -> dict[str, Any]:
+    def call(self, name: str, **given: ArrayLike) -> dict[str, np.ndarray]:
         """Carry out a function; the results that are no fields are returned."""
         function = next(one for one in self.law.functions if one.name == name)
         values = self.known | {key: self._real(value) for key, value in given.items()}
@@ -344,7 +351,7 @@ class Played:
         self.known |= {key: results.pop(key) for key in list(results) if key in self.known}
         return results
 
-    def trial(self, y: Any) -> tuple[np.ndarray, int]:
+    def trial(self, y: np.ndarray) -> tuple[np.ndarray, int]:
         """The inputs (N, n_u) that answer the outputs (N+1, n_y) of a trial, and its code."""
         self.call("begin")
         rows = [self.call("sample", k=np.int32(k), y=y[k])["u"] for k in range(len(y) - 1)]

@@ -8,12 +8,15 @@ says what the other steps on arrays do. All sums are taken in the order of their
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..native.operations import Node, Numbers, elementwise, one_by_one
-from ..native.program import Step, Value
+from ..native.program import Step
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike
 
 ARRAYS = {
     "slice": "the elements from start_indices to limit_indices by strides",
@@ -50,7 +53,7 @@ TOGETHER = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "red
             "cummax": "max", "cummin": "min"}  # fmt: skip
 
 
-def first(name: str, dtype: Any) -> Any:
+def first(name: str, dtype: DTypeLike) -> float:
     """What a gathering begins with: of whole numbers, their largest and smallest."""
     value, number = FIRST[name], np.dtype(dtype)
     if number.kind in "iu" and np.isinf(value):
@@ -76,11 +79,7 @@ class Formula:
 def formula(step: Step) -> Formula:
     """The formula of a step that is carried out element by element; raises Unknown for others."""
     numbers = Numbers(np.float64)
-    places = [numbers.place("operand", _number(x), i) for i, x in enumerate(step.ins)]
+    places = [numbers.place("operand", np.dtype(x.dtype), i) for i, x in enumerate(step.ins)]
     if step.name == "convert_element_type":
         return Formula(numbers.of("convert", *places, dtype=step.outs[0].dtype))
     return Formula(one_by_one(numbers, step)(*places))
-
-
-def _number(x: Value) -> Any:
-    return np.dtype(x.dtype)

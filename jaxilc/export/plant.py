@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -36,11 +35,11 @@ class Model:
     step: Function
     first: np.ndarray
 
-    def response(self, u: Any) -> np.ndarray:
+    def response(self, u: np.ndarray) -> np.ndarray:
         """The outputs (N+1, n_y) from rest for inputs (N, n_u), operation by operation."""
         known = {name: of.first for name, of in self.fields.items()}
         rows = [self.first]
-        for row in np.asarray(u, float):
+        for row in u:
             values = known | {"u": row}
             found = interpret(self.step.program, [values[name] for name in self.step.ins])
             results = dict(zip(self.step.outs, found, strict=True))
@@ -83,7 +82,7 @@ def files_of_plant(model: Model, about: Sequence[str]) -> dict[str, str]:
 
     about: sentences for the head of each file
     """
-    body, task = printed(model.step, model.fields, single=False), model.task
+    body, task = printed(model.step, single=False), model.task
     members = [
         f"    {type_of(of.first.dtype)} {field_name(name)}"
         f"{'' if of.first.size == 1 else f'[{of.first.size}]'};"

@@ -13,7 +13,7 @@ import re
 import textwrap
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from ..native.program import Const, Program, Step, Unknown, Value
 from . import guard, operations
 from .law import Function, Law
 from .steps import uniform
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike
 
 BYTES = {"LREAL": 8, "LINT": 8, "DINT": 4, "UDINT": 4, "BOOL": 1}
 TYPES = {"f": "LREAL", "b": "BOOL", "int32": "DINT", "int64": "LINT", "uint32": "UDINT"}
@@ -164,7 +167,7 @@ def function_block(law: Law, about: Sequence[str], digest: str) -> FunctionBlock
     return FunctionBlock(text, total)
 
 
-def type_of(dtype: Any) -> str:
+def type_of(dtype: DTypeLike) -> str:
     dtype = np.dtype(dtype)
     found = TYPES.get(dtype.kind) or TYPES.get(dtype.name)
     if found is None:
@@ -172,7 +175,7 @@ def type_of(dtype: Any) -> str:
     return found
 
 
-def number(value: Any, dtype: Any) -> str:
+def number(value: float, dtype: DTypeLike) -> str:
     """A constant, which a compiler reads as the same number."""
     kind = np.dtype(dtype).kind
     if kind == "b":
@@ -271,7 +274,7 @@ class _Block:
         known = isinstance(x, Const)
         return self.constant(np.asarray(x.array), x.dtype) if known else self.values[x]
 
-    def constant(self, array: np.ndarray, dtype: Any) -> _Flat:
+    def constant(self, array: np.ndarray, dtype: DTypeLike) -> _Flat:
         flat = array.ravel()
         if uniform(array):
             return _Flat(number(flat[0], dtype))
@@ -351,7 +354,7 @@ class _Block:
             raise Unknown(f"{x.name} of {x.dtype} in Structured Text")
         return f"{CALLS[x.name]}({', '.join(map(_open, args))})"
 
-    def together(self, name: str, a: str, b: str, dtype: Any) -> str:
+    def together(self, name: str, a: str, b: str, dtype: DTypeLike) -> str:
         left, right = (Node("operand", (), np.dtype(dtype), i) for i in range(2))
         return _open(self.formula(Node(name, (left, right), np.dtype(dtype)), [a, b]))
 

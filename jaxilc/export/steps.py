@@ -12,16 +12,16 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any, NamedTuple
 
 import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 
 from ..native.program import Const, Program, Step, Unknown, Value, lowered, without_dead
-from ..pytree.aliases import Array, Tree
+from ..pytree.aliases import Array, Function, Tree
 from . import operations
 from .interpreter import carried_out
 
@@ -38,19 +38,20 @@ REASONS = {
 class Key(Const):
     """A random key that is known beforehand."""
 
-    def __init__(self, array: Any):
+    def __init__(self, array: Array):
         self.array = array
         Value.__init__(self, array.shape, array.dtype)
 
 
-class Pair(NamedTuple):
+class Pair(Value):
     """A complex array as two real ones."""
 
-    re: Value
-    im: Value
+    def __init__(self, re: Value, im: Value):
+        self.parts = re, im
+        super().__init__(re.shape, np.complex128)
 
 
-def program_of(function: Callable[..., Tree], *operands: Tree) -> Program:
+def program_of(function: Function, *operands: Tree) -> Program:
     """The steps of a function of trees of arrays, flattened; raises Unknown for what is refused."""
     traced = jax.make_jaxpr(function)(*operands)
     if any(map(_is_key, traced.consts)):
@@ -69,28 +70,30 @@ class _Writer:
 
     def __init__(self) -> None:
         self.steps: list[Step] = []
-        self.now: dict[Value, Any] = {}
+        self.now: dict[Value, Value] = {}
 
-    def all(self, program: Program) -> list[Any]:
+    def all(self, program: Program) -> list[Value]:
         for step in program.steps:
             ins = [self.value(x) for x in step.ins]
             self.now.update(zip(step.outs, self.one(step, ins), strict=True))
         return [self.value(x) for x in program.outs]
 
-    def value(self, x: Any) -> Any:
-        x = self.now.get(x, x)
-        if isinstance(x, Const) and _complex(x):
-            return Pair(Const(np.real(x.array)), Const(np.imag(x.array)))
-        return x
+    def value(self, x: Value) -> Value:
+        now = self.now.get(x, x)
+        if isinstance(now, Const) and _complex(now):
+            return Pair(Const(np.real(now.array)), Const(np.imag(now.array)))
+        return now
 
-    def one(self, step: Step, ins: list[Any]) -> Sequence[Any]:
+    def one(self, step: Step, ins: list[Value]) -> Sequence[Value]:
         """What stands for the results of a step on these operands."""
         name = step.name
-        if all(_is_known(x) for x in ins) and name not in ("scan", "while"):
-            return self.constant(step, ins)
+        known = [x for x in map(_known, ins) if x is not None]
+        all_known = len(known) == len(ins)
+        if all_known and name not in ("scan", "while"):
+            return self.constant(step, ins, known)
         if any(isinstance(x, Pair) for x in ins) or any(_complex(x) for x in step.outs):
-            if name == "scan" and all(_is_known(x) for x in ins):
-                return self.constant(step, ins)
+            if name == "scan" and all_known:
+                return self.constant(step, ins, known)
             if name not in COMPLEX:
                 raise Unknown(f"{name} of complex numbers")
             return COMPLEX[name](self, step, ins)
@@ -104,8 +107,8 @@ class _Writer:
             return self.moved(step, ins)
         if name == "scan":
             params = step.params | {"body": _written(step.params["body"])}
-            if all(_is_known(x) for x in ins):
-                return self.constant(Step("scan", params, ins, step.outs), ins)
+            if all_known:
+                return self.constant(Step("scan", params, ins, step.outs), ins, known)
             return self.added("scan", params, ins, step.outs)
         if name == "while":
             return self.loop(step, ins)
@@ -119,12 +122,12 @@ class _Writer:
         self.steps.append(Step(name, params, ins, new))
         return new
 
-    def kept(self, x: Any, out: Value) -> Any:
+    def kept(self, x: Value, out: Value) -> Value:
         """The operand that was selected, in the shape of the result."""
         return x if x.shape == out.shape else self.traced(
             lambda x: jnp.broadcast_to(x, out.shape), [x])[0]  # fmt: skip
 
-    def traced(self, function: Callable[..., Tree], ins: list[Any]) -> list[Any]:
+    def traced(self, function: Function, ins: Sequence[Value]) -> list[Value]:
         """What stands for the results of a function of JAX on these operands; constants stay so."""
         free = [i for i, x in enumerate(ins) if not isinstance(x, Const)]
 
@@ -140,9 +143,8 @@ class _Writer:
         self.now.update(zip(inner.ins, [ins[i] for i in free], strict=True))
         return self.all(inner)
 
-    def constant(self, step: Step, ins: list[Any]) -> list[Const]:
-        """The results of a step of which all operands are known, by JAX if need be."""
-        arrays = [x.re.array + 1j * x.im.array if isinstance(x, Pair) else x.array for x in ins]
+    def constant(self, step: Step, ins: list[Value], arrays: list[Array]) -> list[Value]:
+        """The results of a step on operands that are these arrays, by JAX if need be."""
         special = any(isinstance(x, Pair) or _is_key(x) for x in ins)
         real = not special and not any(_complex(x) or _is_key(x) for x in step.outs)
         if operations.known(step.name) and real:
@@ -153,13 +155,12 @@ class _Writer:
         found = step.bound(*arrays)
         return [Key(x) if _is_key(x) else Const(np.asarray(x)) for x in found]
 
-    def moved(self, step: Step, ins: list[Any]) -> list[Value]:
+    def moved(self, step: Step, ins: list[Value]) -> list[Value]:
         """A step that moves numbers to places: a table where these are known, else one row."""
         places = ins[1]
         if not isinstance(places, Const):
             return self.traced(partial(_at_place, step), ins)
-        table = np.arange(ins[0].size if hasattr(ins[0], "size") else math.prod(ins[0].shape))
-        table = table.reshape(ins[0].shape)
+        table = np.arange(math.prod(ins[0].shape)).reshape(ins[0].shape)
         where, params = jnp.asarray(places.array), dict(step.params)
         if step.name == "gather":
             found = np.asarray(step.bound(table, where, fill_value=-1)[0])
@@ -186,7 +187,7 @@ class _Writer:
         (more,) = self.added("take", {"table": found}, joined, [there])
         return self.traced(jnp.add, [ins[0], more])
 
-    def loop(self, step: Step, ins: list[Any]) -> list[Value]:
+    def loop(self, step: Step, ins: list[Value]) -> list[Value]:
         """A loop with a condition, which must count up to a bound."""
         params = step.params
         n, m = params["cond_nconsts"], params["body_nconsts"]
@@ -199,7 +200,7 @@ class _Writer:
         return self.added("while", of | {"of_body": m}, ins, step.outs)
 
 
-def _scanned(step: Step, arrays: list[Any]) -> list[Array]:
+def _scanned(step: Step, arrays: list[Array]) -> list[Array]:
     """The results of a loop on constants, by JAX."""
     of, inner = step.params, step.params["jaxpr"]
     n, m = of["consts"], of["consts"] + of["carry"]
@@ -214,25 +215,29 @@ def _scanned(step: Step, arrays: list[Any]) -> list[Array]:
     return [*carry, *kept]
 
 
-def uniform(array: Any) -> bool:
+def uniform(array: ArrayLike) -> bool:
     """Whether all elements of an array are one number, to the last bit."""
     flat = np.ravel(array)
     return bool(len(flat)) and flat.tobytes() == flat[:1].tobytes() * len(flat)
 
 
-def _is_known(x: Any) -> bool:
-    return all(isinstance(part, Const) for part in (x if isinstance(x, Pair) else [x]))
+def _known(x: Value) -> Array | None:
+    """The array that stands for a value, None where it is not known beforehand."""
+    if isinstance(x, Pair):
+        re, im = map(_known, x.parts)
+        return None if re is None or im is None else re + 1j * im
+    return x.array if isinstance(x, Const) else None
 
 
 def _complex(x: Value) -> bool:
     return not _is_key(x) and np.issubdtype(np.dtype(x.dtype), np.complexfloating)
 
 
-def _is_key(x: Any) -> bool:
+def _is_key(x: Value | Array) -> bool:
     return bool(jax.dtypes.issubdtype(x.dtype, jax.dtypes.extended))
 
 
-def _bound(condition: Program, body: Program, first: list[Any], n: int, m: int) -> int:
+def _bound(condition: Program, body: Program, first: list[Value], n: int, m: int) -> int:
     """The passes that a loop makes at most: the body counts up, or halves, to a constant.
 
     first: what the carried values are before the loop
@@ -300,7 +305,7 @@ def _at_place(step: Step, *given: Array) -> Array:
     take = partial(lax.dynamic_slice, allow_negative_indices=False)
     if step.name == "gather" and not numbers.operand_batching_dims:
         if len(numbers.start_index_map) == operand.ndim and places.ndim == 1:
-            where: list[Any] = [0 * places[0]] * operand.ndim
+            where = [0 * places[0]] * operand.ndim
             for i, axis in enumerate(numbers.start_index_map):
                 where[axis] = places[i]
             return take(operand, where, sizes).reshape(shape)
@@ -373,7 +378,7 @@ def _mean_of_log_odds(step: Step, x: Array) -> Array:
     return 1 / (1 + jnp.exp(-x))
 
 
-REWRITTEN: dict[str, Callable[..., Any]] = {
+REWRITTEN: dict[str, Function] = {
     "conv_general_dilated": _convolved,
     "by_columns": _by_columns,
     "unstack": lambda step, x: [
@@ -436,12 +441,12 @@ def _by_chirps(re: Array, im: Array, sign: float) -> tuple[Array, Array]:
     return _product(a[..., :n], b[..., :n], *chirp)
 
 
-def _product(a: Array, b: Array, c: Any, d: Any) -> tuple[Array, Array]:
+def _product(a: Array, b: Array, c: ArrayLike, d: ArrayLike) -> tuple[Array, Array]:
     """(a + b i) (c + d i)"""
     return a * c - b * d, a * d + b * c
 
 
-def _fft(writer: _Writer, step: Step, ins: list[Any]) -> list[Any]:
+def _fft(writer: _Writer, step: Step, ins: list[Value]) -> list[Value]:
     kind, lengths = str(step.params["fft_type"]).rpartition(".")[2], step.params["fft_lengths"]
     kind = {"0": "FFT", "1": "IFFT", "2": "RFFT", "3": "IRFFT"}.get(kind, kind)
     if len(lengths) != 1:
@@ -462,32 +467,34 @@ def _fft(writer: _Writer, step: Step, ins: list[Any]) -> list[Any]:
     if kind == "RFFT":
         return [Pair(*writer.traced(of_real, ins))]
     if kind == "IRFFT":
-        return writer.traced(to_real, list(ins[0]))
+        return writer.traced(to_real, _as_pair(ins[0]).parts)
     scale = 1.0 if kind == "FFT" else 1.0 / n
     both = partial(dft, sign=-1.0 if kind == "FFT" else 1.0)
-    return [Pair(*writer.traced(lambda x, y: [scale * z for z in both(x, y)], list(ins[0])))]
+    return [
+        Pair(*writer.traced(lambda x, y: [scale * z for z in both(x, y)], _as_pair(ins[0]).parts))
+    ]
 
 
-def _as_pair(x: Any) -> Pair:
+def _as_pair(x: Value) -> Pair:
     return x if isinstance(x, Pair) else Pair(x, Const(np.zeros(x.shape)))
 
 
-def _of_pairs(function: Callable[..., Any]) -> Callable[..., list[Any]]:
+def _of_pairs(function: Function) -> Callable[[_Writer, Step, list[Value]], list[Value]]:
     """A step on complex numbers as a function of the real and imaginary parts of its operands."""
 
-    def write(writer: _Writer, step: Step, ins: list[Any]) -> list[Any]:
-        parts = [part for x in ins for part in _as_pair(x)]
+    def write(writer: _Writer, step: Step, ins: list[Value]) -> list[Value]:
+        parts = [part for x in ins for part in _as_pair(x).parts]
         found = writer.traced(function, parts)
         return [Pair(*found)] if len(found) == 2 else found
 
     return write
 
 
-def _by_parts(writer: _Writer, step: Step, ins: list[Any]) -> list[Any]:
+def _by_parts(writer: _Writer, step: Step, ins: list[Value]) -> list[Value]:
     """A step that only moves numbers, on real and imaginary parts."""
     found = []
-    for parts in zip(*map(_as_pair, ins), strict=True):
-        found += writer.traced(step.bound, list(parts))
+    for parts in zip(*(_as_pair(x).parts for x in ins), strict=True):
+        found += writer.traced(step.bound, parts)
     return [Pair(*found)]
 
 
@@ -496,7 +503,7 @@ def _divided(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array]:
     return (a * c + b * d) / size, (b * c - a * d) / size
 
 
-COMPLEX: dict[str, Callable[..., list[Any]]] = {
+COMPLEX: dict[str, Callable[[_Writer, Step, list[Value]], list[Value]]] = {
     "fft": _fft,
     "mul": _of_pairs(_product),
     "add": _of_pairs(lambda a, b, c, d: (a + c, b + d)),

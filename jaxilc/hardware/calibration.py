@@ -16,11 +16,12 @@ that of another machine: g and the weights begin anew after it, so a change for 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from ..pytree.aliases import Json
 from ..pytree.ranges import is_whole
 from ..signals.task import Task
 from . import prediction
@@ -59,7 +60,7 @@ class Expected(NamedTuple):
         within = all(low <= value <= high for value, (low, high) in ends)
         return place if within else place._replace(level="clear")
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Json]:
         """Step, bands and far ends, as a manifest keeps them."""
         return {"step": self.step, "far": self.far.tolist(), **as_lists(self.rms, self.largest)}
 
@@ -161,9 +162,9 @@ class _Level:
         return found
 
 
-def _rms(signal) -> Any:
+def _rms(signal: np.ndarray) -> np.ndarray:
     return np.sqrt(np.mean(signal[..., 1:, :] ** 2, axis=(-2, -1)))
 
 
-def _largest(signal) -> Any:
+def _largest(signal: np.ndarray) -> np.ndarray:
     return np.max(np.abs(signal[..., 1:, :]), axis=(-2, -1))

@@ -8,9 +8,10 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +23,7 @@ from ..learning.metrics import measure
 from ..learning.over_trials import check_length, measured_trial
 from ..learning.playback import replay, schedules
 from ..learning.within_trial import run_trial
+from ..pytree.aliases import Json, Leaf, Value
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, environment, need_same
@@ -62,7 +64,7 @@ class Turn(NamedTuple):
     record: Trial
     memory: Memory
     schedules: dict[str, np.ndarray]
-    metrics: dict[str, Any]
+    metrics: dict[str, Value]
     hashes: dict[str, str]
     findings: list[Finding]
     learned: bool
@@ -93,7 +95,7 @@ class Campaign:
     task: Task
     actuator: Actuator | None = None
     rules: Rules = dataclasses.field(default_factory=Rules)
-    recipe: dict[str, Any] = dataclasses.field(default_factory=dict)
+    recipe: dict[str, Value] = dataclasses.field(default_factory=dict)
     __repr__ = in_short
 
     @classmethod
@@ -105,7 +107,7 @@ class Campaign:
         *,
         actuator: Actuator | None = None,
         rules: Rules | None = None,
-        recipe: dict[str, Any] | None = None,
+        recipe: dict[str, Value] | None = None,
         dry_run: bool = False,
     ) -> Campaign:
         """A new campaign, before its first trial, in a folder of its own.
@@ -137,7 +139,7 @@ class Campaign:
         *,
         actuator: Actuator | None = None,
         rules: Rules | None = None,
-        recipe: dict[str, Any] | None = None,
+        recipe: dict[str, Value] | None = None,
     ) -> Campaign:
         """The campaign in a folder, to continue it.
 
@@ -159,7 +161,7 @@ class Campaign:
         return campaign
 
     @property
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, Value]:
         """Scheme, task and actuator, which determine learning; long arrays as their hash."""
         return as_json(
             {name: describe(getattr(self, name)) for name in ("scheme", "task", "actuator")}
@@ -452,7 +454,7 @@ class Campaign:
             not with_input or checks.same(known["u"], record.u)
         )
 
-    def _append(self, manifest: Manifest, arrays: dict[str, dict[str, Any]]) -> None:
+    def _append(self, manifest: Manifest, arrays: dict[str, dict[str, Leaf]]) -> None:
         known = {
             "recipe": self.recipe,
             "configuration": self.configuration,
@@ -498,7 +500,7 @@ def _of_the_next(
     return findings + checks.beyond_limits(schedules, task, actuator, rules)
 
 
-def _metrics_of(record: Trial, task: Task, error: float) -> dict[str, Any]:
+def _metrics_of(record: Trial, task: Task, error: float) -> dict[str, Json]:
     """The metrics of a trial as the journal stores them.
 
     error: RMS error over all outputs [unit of y]
@@ -521,17 +523,17 @@ def _output(machine: Machine, scheme: Scheme, task: Task, memory: Memory, key: j
     return run_trial(machine, scheme.prepared(task), task, memory, key).y
 
 
-def _arrays_of(tree: Memory) -> dict[str, Any]:
+def _arrays_of(tree: Memory) -> dict[str, Leaf]:
     """The leaves in order; each name is a running number and the path of the leaf."""
     return {f"{i:03d} {name}": leaf for i, (name, leaf) in enumerate(named_leaves(tree).items())}
 
 
-def _shapes_of(arrays: dict[str, Any]) -> str:
+def _shapes_of(arrays: Mapping[str, Leaf]) -> str:
     """The names and shapes of arrays, as text for a message."""
     return ", ".join(f"{name} {np.shape(values)}" for name, values in arrays.items())
 
 
-def _not_a_number(arrays: dict[str, Any]) -> str:
+def _not_a_number(arrays: Mapping[str, Leaf]) -> str:
     """The name of the first array that holds NaN, an empty text if there is none.
 
     Infinite values are allowed: they stand for values that are not known yet, such as the best

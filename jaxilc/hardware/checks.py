@@ -9,7 +9,7 @@ is suspected, and the option that accepts it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -379,7 +379,9 @@ def jumped(y, r, last_y, accept: tuple[str, ...], unit: str) -> list[Finding]:
     return found
 
 
-def misplayed(u, commanded, others: Mapping[int, Any], accept: tuple[str, ...]) -> list[Finding]:
+def misplayed(
+    u, commanded, others: Mapping[int, np.ndarray], accept: tuple[str, ...]
+) -> list[Finding]:
     """A recorded input that is not the schedule of this trial, which was its whole input.
 
     u, commanded: (N, n_u) the recorded input, and that of the scheme
@@ -418,7 +420,7 @@ def peak(name: str, schedule, task: Task) -> float:
 
 
 def larger(
-    schedules: Mapping[str, Any],
+    schedules: Mapping[str, np.ndarray],
     played: Mapping[str, float],
     learned: int,
     task: Task,

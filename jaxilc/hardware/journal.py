@@ -24,11 +24,12 @@ import re
 import secrets
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from ..learning.known_metrics import GATHERED
+from ..pytree.aliases import Leaf, Value
 from ..pytree.ranges import is_number
 from ..storage.files import UNFINISHED, atomically, whole_folder
 from ..storage.sealed import (
@@ -56,7 +57,7 @@ BACK = "--undo goes back to an earlier trial"
 _ENTRY = re.compile(r"^\d{6}$")
 MOST = 10**6  # entries that a head may name
 METRICS = "figures"  # key of a trial's metrics, as in the first campaigns
-Manifest: TypeAlias = dict[str, Any]  # of an entry, as JSON
+Manifest: TypeAlias = dict[str, Value]  # of an entry, as JSON
 _NEEDED = {"trial": int, "recipe": dict, "configuration": dict}
 _NEEDED_OF = {
     "start": {},
@@ -166,7 +167,7 @@ class Journal:
         except (OSError, Damaged) as error:
             raise ValueError(f"{file} cannot be read ({_said(error)}); {BACK}") from None
 
-    def append(self, manifest: Manifest, arrays: Mapping[str, Mapping[str, Any]]) -> None:
+    def append(self, manifest: Manifest, arrays: Mapping[str, Mapping[str, Leaf]]) -> None:
         """Append an entry.
 
         arrays: arrays by name, in a dictionary by the name of their file
@@ -296,7 +297,7 @@ def _read_once(file: Path, text: str, serial: int) -> tuple[Manifest, str]:
     return manifest, seal_of(manifest)
 
 
-def _checked(content: Any, serial: int) -> Manifest:
+def _checked(content: Value, serial: int) -> Manifest:
     """The manifest of an entry; raises Damaged naming what is wrong with it."""
     unchecked = isinstance(content, dict) and content.get("format") == UNCHECKED
     manifest = content if unchecked else unsealed(content)
@@ -330,15 +331,15 @@ def _seal(manifest: Manifest) -> str:
     return "" if manifest["event"] == DAMAGED else seal_of(manifest)
 
 
-def _are_numbers(value: Any) -> bool:
+def _are_numbers(value: object) -> bool:
     return isinstance(value, list) and all(map(is_number, value))
 
 
-def _is_finding(value: Any) -> bool:
+def _is_finding(value: object) -> bool:
     return isinstance(value, list) and len(value) == 2 and all(isinstance(x, str) for x in value)
 
 
-def _led_to(manifests: Sequence[Manifest], last: dict[str, Any]) -> list[Manifest]:
+def _led_to(manifests: Sequence[Manifest], last: Manifest) -> list[Manifest]:
     """The manifests from the start to the entry `last`; raises Damaged where one is damaged."""
     chain = [manifests[last["to"]] if last["event"] == "undo" else last]
     while chain[0]["event"] == "trial":
@@ -349,7 +350,7 @@ def _led_to(manifests: Sequence[Manifest], last: dict[str, Any]) -> list[Manifes
     return chain
 
 
-def _is_whole(manifests: Sequence[Manifest], last: dict[str, Any]) -> bool:
+def _is_whole(manifests: Sequence[Manifest], last: Manifest) -> bool:
     try:
         return bool(_led_to(manifests, last))
     except Damaged:

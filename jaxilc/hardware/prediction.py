@@ -16,11 +16,12 @@ import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from ..learning.machine import Machine
+from ..pytree.aliases import Value
 from ..pytree.ranges import is_number, is_whole
 from ..runtime.lanes import usual_lanes
 from ..runtime.provenance import describe
@@ -338,7 +339,7 @@ def key_of(subject: Subject) -> str:
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
 
 
-def _from_json(content: dict[str, Any]) -> Prediction | None:
+def _from_json(content: dict[str, Value]) -> Prediction | None:
     """The prediction; None for content that somebody made by hand and that does not fit."""
     bands = [band_of(content.get(name)) for name in ("rms", "largest")]
     machines, course, smallest = (content.get(n) for n in ("machines", "course", "smallest"))
@@ -351,7 +352,7 @@ def _from_json(content: dict[str, Any]) -> Prediction | None:
     return Prediction(int(cast(int, machines)), noisy, rms, largest, course, smallest)
 
 
-def band_of(content: Any) -> Band | None:
+def band_of(content: Value) -> Band | None:
     """The band that JSON holds; None where it holds none."""
     ends = [content.get(end) if isinstance(content, dict) else None for end in Band._fields]
     lists = [end for end in ends if isinstance(end, list) and end and all(map(is_number, end))]

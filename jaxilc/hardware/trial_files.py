@@ -18,7 +18,7 @@ import itertools
 import unicodedata
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +34,7 @@ from ..identification.record_files import (
     read_twincat,
 )
 from ..learning.playback import unit_of
+from ..pytree.aliases import Leaf
 from ..pytree.closest import listed
 from ..pytree.in_short import in_short
 from ..pytree.ranges import brief
@@ -48,6 +49,9 @@ RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may d
 # Options of the command line that name columns, as `names` does.
 OPTIONS = {"t": "--time", "u": "--input", "y": "--output", "r": "--set campaign.reference"}
 REFERENCE_TOLERANCE = 1e-4  # share of the reference's range by which r may differ
+
+
+Shapes: TypeAlias = Mapping[str, tuple[int, int]]  # (rows, channels) of signals by name
 
 
 class Measured(NamedTuple):
@@ -86,7 +90,7 @@ class _File(NamedTuple):
 def read_measured(
     path: str | Path,
     task: Task,
-    others: Mapping[str, tuple[int, int]] | None = None,
+    others: Shapes | None = None,
     names: Mapping[str, str] | None = None,
     columns: Sequence[str] = (),
 ) -> Measured:
@@ -108,7 +112,7 @@ def read_measured(
     return _checked(path, task, shapes, _read(path, shapes, names or {}, columns, task.dt))
 
 
-def _checked(path: str | Path, task: Task, shapes: dict[str, Any], found: _File) -> Measured:
+def _checked(path: str | Path, task: Task, shapes: Shapes, found: _File) -> Measured:
     """The trial that a file holds; raises ValueError as `read_measured`."""
     N = task.N
     for name, (values, unit) in found.columns.items():
@@ -134,7 +138,7 @@ def _checked(path: str | Path, task: Task, shapes: dict[str, Any], found: _File)
     return Measured(signals["y"], signals.get("u"), besides, found.ignored, str(path))
 
 
-def _shapes(task: Task, others: Mapping[str, tuple[int, int]] | None) -> dict[str, Any]:
+def _shapes(task: Task, others: Shapes | None) -> dict[str, tuple[int, int]]:
     """The shape (rows, channels) of each signal of a whole trial."""
     N = task.N
     return {
@@ -146,7 +150,9 @@ def _shapes(task: Task, others: Mapping[str, tuple[int, int]] | None) -> dict[st
     }
 
 
-def _read(path, shapes, names: Mapping[str, str], columns: Sequence[str], dt: float) -> _File:
+def _read(
+    path: str | Path, shapes: Shapes, names: Mapping[str, str], columns: Sequence[str], dt: float
+) -> _File:
     """The contents of a file, whose time is in seconds, and whose units may be those of `names`."""
     called, units = {}, {}
     for name in shapes:
@@ -167,7 +173,7 @@ def _read(path, shapes, names: Mapping[str, str], columns: Sequence[str], dt: fl
     return found
 
 
-def _read_scope(path, shapes, called: Mapping[str, str]) -> _File:
+def _read_scope(path: str | Path, shapes: Shapes, called: Mapping[str, str]) -> _File:
     """The contents of an export of TwinCAT Scope, whose channels share the times of y."""
     columns: dict[str, tuple[np.ndarray, str | None]] = {}
     places: list[str] = []
@@ -191,7 +197,9 @@ def _read_scope(path, shapes, called: Mapping[str, str]) -> _File:
     return _File(columns, places, ())
 
 
-def _read_text(path, shapes, called: Mapping[str, str], given: Sequence[str], dt: float) -> _File:
+def _read_text(
+    path: str | Path, shapes: Shapes, called: Mapping[str, str], given: Sequence[str], dt: float
+) -> _File:
     header, lines = read_columns(path, given)
     most = 2 * shapes["t"][0] + 1000
     rows = list(itertools.islice(lines, most + 1))
@@ -260,7 +268,12 @@ def _channels(path, name: str, channels: int, names: list[str], called: str) -> 
     return None
 
 
-def _read_mat(path, shapes, called: Mapping[str, str], declared: Mapping[str, Any]) -> _File:
+def _read_mat(
+    path: str | Path,
+    shapes: Shapes,
+    called: Mapping[str, str],
+    declared: Mapping[str, str | None],
+) -> _File:
     needed = 8 * sum(rows * channels for rows, channels in shapes.values())
     contents = read_mat(path, ROOM + 32 * needed)  # the file may hold many other variables
     units = contents.get("units")
@@ -386,7 +399,7 @@ def _check_reference(path, r, places, task: Task) -> None:
 def read_short(
     path: str | Path,
     task: Task,
-    others: Mapping[str, tuple[int, int]] | None = None,
+    others: Shapes | None = None,
     names: Mapping[str, str] | None = None,
     columns: Sequence[str] = (),
 ) -> Measured:
@@ -421,8 +434,8 @@ def read_short(
 
 
 def completed(
-    measured: Measured, commanded, signals: dict[str, Any], played: Mapping[str, Any]
-) -> tuple[Measured, Any, dict[str, Any]]:
+    measured: Measured, commanded: Leaf, signals: dict[str, Leaf], played: Mapping[str, Leaf]
+) -> tuple[Measured, Leaf, dict[str, Leaf]]:
     """The trial, its input and the signals of the scheme, all of the length of the task.
 
     What was commanded, computed and played stands in place of what was not measured.
@@ -451,7 +464,7 @@ def ended(record: Trial, measured: Measured) -> tuple[Trial, list[Finding]]:
     return shown, [Finding("note", text)]
 
 
-def stored(record: Trial) -> dict[str, Any]:
+def stored(record: Trial) -> dict[str, jax.Array]:
     """The arrays of a record as the journal keeps them; `weight` is there for one that ended early.
 
     Such a trial is no record of the machine to its end, so no plant is fitted to it.

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -24,6 +24,7 @@ from scipy.signal import lfilter
 
 from ..plants import ModalModel, Plant, ProcessModel
 from ..plants.process_model import LONGEST_DELAY
+from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from .estimation import Order, compare_orders, identify
@@ -857,7 +858,7 @@ def _told(whole: Signals, one: Fitted) -> Tried:
 
 
 def orders_and_delays(
-    record: Record, *, longest: int = LONGEST_LOOKED_FOR, **options: Any
+    record: Record, *, longest: int = LONGEST_LOOKED_FOR, **options: Value
 ) -> list[Order]:
     """Fits of several structures with the dead time of `grow`, which is to be used in its place.
 

@@ -15,7 +15,7 @@ import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -30,10 +30,11 @@ from ..storage.columns import (
     read_columns,
 )
 from ..storage.files import atomically
-from ..storage.mat_files import Other, read_mat
+from ..storage.mat_files import MatValue, Other, read_mat
 from ..storage.reading import quoted, read_text
 from .records import Record, as_columns
 
+Named: TypeAlias = tuple[str, MatValue]
 SAMPLE = "sample"  # name of a column of numbers of samples
 LOST = "overrun"  # line of halsampler
 
@@ -465,7 +466,14 @@ def read_mat_signals(
     return [_mat_signal(path, content, time, name, unit, dt) for name in names]
 
 
-def _mat_signal(path, content, time: str, name: str, unit, dt) -> Signal:
+def _mat_signal(
+    path: str | Path,
+    content: dict[str, MatValue],
+    time: str,
+    name: str,
+    unit: str | None,
+    dt: float | None,
+) -> Signal:
     level, value = _found(path, content, name)
     own = _own_times(value) if isinstance(value, dict) else None
     if isinstance(value, dict):
@@ -498,9 +506,11 @@ def _mat_signal(path, content, time: str, name: str, unit, dt) -> Signal:
     return Signal(times * scale, values, [f"row {k + 1}" for k in range(len(values))])
 
 
-def _found(path, content: dict[str, Any], name: str) -> tuple[dict[str, Any], Any]:
+def _found(
+    path: str | Path, content: dict[str, MatValue], name: str
+) -> tuple[dict[str, MatValue], MatValue]:
     """The structure (or file) that holds a signal, and the signal."""
-    level, *rest = [content]
+    level, rest = content, list[tuple[dict[str, MatValue], MatValue]]()
     for part in name.split("."):
         if part not in level and level is content:  # within the only structure that has it
             holders = [of for of in content.values() if isinstance(of, dict) and part in of]
@@ -510,12 +520,13 @@ def _found(path, content: dict[str, Any], name: str) -> tuple[dict[str, Any], An
                 f"read_record: {path} has no variable {name!r}; present are "
                 f"{listed(level)}; --input (input) and --output (output) name others"
             )
-        rest.append((level, level[part]))
-        level = level[part] if isinstance(level[part], dict) else {}
+        value = level[part]
+        rest.append((level, value))
+        level = value if isinstance(value, dict) else {}
     return rest[-1]
 
 
-def _own_times(value: dict[str, Any]) -> tuple[tuple[str, Any], tuple[str, Any]] | None:
+def _own_times(value: dict[str, MatValue]) -> tuple[Named, Named] | None:
     """The times and the data of a structure that has both, each with the name of its field."""
     fields = {key.lower(): key for key in value}
     if "time" not in fields:
@@ -528,7 +539,7 @@ def _own_times(value: dict[str, Any]) -> tuple[tuple[str, Any], tuple[str, Any]]
     return None if data is None else ((time, value[time]), (data, value[data]))
 
 
-def _vector(path, name: str, value: Any) -> np.ndarray:
+def _vector(path: str | Path, name: str, value: MatValue) -> np.ndarray:
     """A vector of numbers, whatever its orientation."""
     if isinstance(value, Other):
         said = value.said

@@ -9,9 +9,9 @@ The error of each trial is read. A file has one or several trials:
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ..pytree.closest import listed
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..storage.columns import name_and_unit, numbers_in, read_columns
-from ..storage.mat_files import read_mat
+from ..storage.mat_files import MatValue, read_mat
 from ..storage.sealed import Damaged, read_arrays
 from .record_files import STEP_TOLERANCE, place_of_time, seconds_in
 
@@ -112,7 +112,7 @@ class _Signals(NamedTuple):
     """
 
     path: Path
-    found: dict[str, Any]
+    found: Mapping[str, MatValue]
     dt: float | None
     unit: str = ""
 
@@ -155,15 +155,16 @@ def _signals_of(path: Path, time: str, columns: Sequence[str], dt: float | None,
     """The signals of a file of any kind."""
     if path.suffix.lower() not in (".npz", ".mat"):
         return _columns_of(path, time, columns, dt, error)
+    found: Mapping[str, MatValue]
     if path.suffix.lower() == ".mat":
-        found: dict[str, Any] = read_mat(path, LARGEST)
+        found = read_mat(path, LARGEST)
     else:
         try:
             found = read_arrays(path, checked=False)
         except Damaged as damage:
             raise ValueError(str(damage)) from None
     if dt is None and time in found:
-        dt = _step(path, np.ravel(found[time]).astype(float))
+        dt = _step(path, np.ravel(np.asarray(found[time])).astype(float))
     return _Signals(path, found, dt)
 
 

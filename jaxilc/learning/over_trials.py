@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.core
@@ -156,8 +156,7 @@ def _program(
 
     Each new lambda is another `save`, so the programs that were not used for longest are dropped.
     """
-    options: dict[str, Any] = {"watch": watch, "trials_a_pass": trials_a_pass, "stored": stored}
-    program = partial(_learn, save=save, **options)
+    program = partial(_learn, save=save, watch=watch, trials_a_pass=trials_a_pass, stored=stored)
     return jax.jit(program, static_argnames="trials")
 
 

@@ -13,7 +13,7 @@ feedback sees a sample later.
 
 from __future__ import annotations
 
-from typing import Any
+from types import ModuleType
 
 import jax
 import jax.numpy as jnp
@@ -71,7 +71,7 @@ def multivariable_model(C_P: Value, P: StateSpace) -> StateSpace:
     `direct_model`.
     """
     A, B, C_e, C_T = _loop("multivariable_model", C_P, P)
-    xp: Any = np if known(C_e) else jnp
+    xp: ModuleType = np if known(C_e) else jnp
     return StateSpace(A, B, xp.vstack([-C_e, C_T]), dt=P.dt)
 
 
@@ -86,7 +86,7 @@ def _loop(function: str, C_P: Value, P: StateSpace) -> Tree:
             "1 -> 2, see `cascade`"
         )
     host = known((C_P, P.A, P.B, P.C))
-    xp: Any = np if host else jnp
+    xp: ModuleType = np if host else jnp
     A_m, B_m, C = (xp.asarray(M) for M in (P.A, P.B, P.C))
     C_M, C_T = C[:1], C[1:]
     if isinstance(C_P, int | float | np.ndarray | jax.Array):

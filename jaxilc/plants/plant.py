@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 from ..pytree.aliases import Array, Tree, Value
 from ..pytree.fields import need_decorated
@@ -27,14 +27,14 @@ class Plant:
     """
 
     # `@pytree` makes a dataclass of each subclass
-    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Value]]]
     n_u: int = 1
     n_y: int = 1
     response: Value = None
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
 
-    def __init__(self, *values: Any, **named: Any) -> None:
+    def __init__(self, *values: Value, **named: Value) -> None:
         need_decorated(type(self))
 
     def sampled(self, dt: float) -> Plant:

@@ -10,7 +10,7 @@ bypasses `__init__`, so tracers are never inspected.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, TypeVar, dataclass_transform
+from typing import TypeVar, dataclass_transform
 
 import jax.core
 import numpy as np
@@ -171,7 +171,7 @@ def _settled(cls: type, field: dataclasses.Field[Value], value: Value) -> Value:
             if value is None and field.metadata["optional"]
             else _checked_leaf(owner, field, value)
         )
-    wanted = annotations_of(cls).get(field.name, Any)
+    wanted = annotations_of(cls).get(field.name, Tree)
     if kind == "static":
         value = tuple(value) if isinstance(value, list) else value
         _check_static(owner, field, value, wanted)

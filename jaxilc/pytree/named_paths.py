@@ -12,7 +12,6 @@ import inspect
 import re
 import typing
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
 
 import jax
 import numpy as np
@@ -70,11 +69,11 @@ def kind_at(tree: Tree, path: str) -> tuple[str, Value]:
     """
     owner, field = _field_at(tree, path)
     if _is_foreign(owner):
-        return "leaf", Any
+        return "leaf", Tree
     if field is None:
-        return "child", Any
+        return "child", Tree
     kind: type = type(owner)
-    return kind_of(field), annotations_of(kind).get(field.name, Any)
+    return kind_of(field), annotations_of(kind).get(field.name, Tree)
 
 
 def get_at(tree: Tree, path: str) -> Value:

@@ -7,7 +7,7 @@ import numbers
 import re
 import types
 import typing
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -142,7 +142,7 @@ def shown(values: Value) -> str:
     )
 
 
-def value_text(value: Any) -> str:
+def value_text(value: object) -> str:
     """A number, or a text of which long ones are cut, such as a value of an axis."""
     words = str(value).split()
     if len(words) > MOST_WORDS:
@@ -186,8 +186,8 @@ def fits(value: Value, kind: Value) -> bool:
     if kind in (int, float):
         return is_whole(value) if kind is int else is_number(value)
     try:
-        return kind is Any or isinstance(value, origin or kind)
-    except TypeError:  # the annotation is not a class, so nothing can be checked
+        return isinstance(value, origin or kind)
+    except TypeError:  # the annotation is Any or not a class, so nothing can be checked
         return True
 
 

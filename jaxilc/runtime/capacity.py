@@ -10,9 +10,10 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import jax
+
+from ..pytree.aliases import Tree
 
 try:
     import resource
@@ -26,7 +27,7 @@ OF_GROUP_2 = ("memory.max", "memory.current")
 SPARE = 256 * 2**20  # bytes of address space kept free for compilers, threads and libraries
 
 
-def bytes_of(arrays: Any) -> int:
+def bytes_of(arrays: Tree) -> int:
     """The bytes of all arrays of a pytree, of which only shapes and types are read."""
     return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(arrays))
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
+
+from ..pytree.aliases import Json, Value
 
 EARLIER = {"samples": "machines", "figure": "metric"}  # in configurations
 # Fields of classes that earlier configurations do not have, with the value that changes nothing.
-ADDED: dict[str, dict[str, Any]] = {
+ADDED: dict[str, dict[str, Json]] = {
     "Task": {"names": []},
     "ProcessModel": {"delay": 0.0},
     "Machine": {"variation": None},
@@ -23,7 +25,7 @@ ADDED: dict[str, dict[str, Any]] = {
 T = TypeVar("T")
 
 
-def in_todays_names(configuration: Any) -> Any:
+def in_todays_names(configuration: object) -> object:
     """A configuration, as JSON, with the present names in place of those in `EARLIER`.
 
     It also has the fields in `ADDED`.
@@ -45,11 +47,11 @@ def takes_also(**earlier: str) -> Callable[[T], T]:
 
     def decorated(known: T) -> T:
         """The same class with another constructor, or a function around the given one."""
-        of: Any = known
+        of: Value = known
         call = of.__init__ if isinstance(of, type) else of
 
         @wraps(call)
-        def under_todays_names(*arguments, **options):
+        def under_todays_names(*arguments: Value, **options: Value) -> Value:
             for name, today in earlier.items():
                 if name in options and today in options:
                     raise TypeError(f"{of.__name__}: {name} is now {today}; both were given")
@@ -59,7 +61,7 @@ def takes_also(**earlier: str) -> Callable[[T], T]:
 
         if not isinstance(of, type):
             return cast("T", under_todays_names)
-        cast("Any", of).__init__ = under_todays_names
+        of.__init__ = under_todays_names
         return known
 
     return decorated

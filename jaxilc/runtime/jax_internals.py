@@ -26,7 +26,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.core
@@ -34,11 +34,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
 
+from ..pytree.aliases import Array, Function
+
+T = TypeVar("T")
+Lists: TypeAlias = Callable[..., list[Array]]
 SWITCH = "JAXILC_JAX_INTERNALS"
 COLUMNS = 8  # of a matrix, up to which their sum is faster than a matrix product
 
 
-def rows_together(x: Any, *, turned: bool) -> Any:
+def rows_together(x: Array, *, turned: bool) -> Array:
     """The array x unchanged, but under `vmap` equal rows of all members are adjacent in RAM.
 
     x: (N, ...) an array or tracer, whose rows are along the leading axis
@@ -49,7 +53,7 @@ def rows_together(x: Any, *, turned: bool) -> Any:
     return x if known is None else known.rows(x, axis=0, turned=turned)
 
 
-def product_by_columns(matrix: jax.Array, vector: jax.Array) -> jax.Array:
+def product_by_columns(matrix: Array, vector: Array) -> Array:
     """matrix (m, n) @ vector (n,) as the sum of the n columns, n >= 1, each times its number.
 
     The derivatives by matrix and vector are products of this kind, too. JAX would put together the
@@ -64,7 +68,7 @@ def product_by_columns(matrix: jax.Array, vector: jax.Array) -> jax.Array:
     return known.product(jnp.asarray(matrix, dtype), jnp.asarray(vector, dtype))
 
 
-def with_slope(function: Callable[..., Any], slope: Callable[..., Any]) -> Callable[..., Any]:
+def with_slope(function: Function, slope: Function) -> Function:
     """The function, with a derivative of its own, which may be differentiated again.
 
         d function(x) = slope(x, dx),    x: tuple of the arguments, dx: tuple of their tangents
@@ -96,7 +100,7 @@ def with_slope(function: Callable[..., Any], slope: Callable[..., Any]) -> Calla
     return ruled
 
 
-def once(arguments: Any, refusal: str) -> Any:
+def once(arguments: T, refusal: str) -> T:
     """The tree of arrays itself; raises ValueError with this message where it is differentiated.
 
     What a rule of `with_slope` computes from `once(x)` has no further derivative by x.
@@ -108,9 +112,7 @@ def once(arguments: Any, refusal: str) -> Any:
     return jax.tree.map(with_slope(lambda x: x, refuse), arguments)
 
 
-def with_batches(
-    function: Callable[..., list], batched: Callable[..., list], outs: tuple[Any, ...]
-) -> Callable[..., list]:
+def with_batches(function: Lists, batched: Lists, outs: tuple[jax.ShapeDtypeStruct, ...]) -> Lists:
     """The function of arrays, with a rule of its own for a batch.
 
     `jax.custom_batching.custom_vmap` says the same, but traces the function even where only its
@@ -178,10 +180,10 @@ class Known(NamedTuple):
     batches: that of `with_batches`
     """
 
-    rows: Callable[..., Any]
-    product: Callable[..., Any]
-    ruled: Callable[..., Any]
-    batches: Callable[..., Any]
+    rows: Function
+    product: Function
+    ruled: Function
+    batches: Function
 
 
 @cache
@@ -207,7 +209,7 @@ def _found() -> tuple[Known | None, str | None]:
     return known, None
 
 
-def _rows_primitive() -> Callable[..., Any]:
+def _rows_primitive() -> Function:
     """The function `bind(x, axis, turned)` of a primitive that sets the layout of an array.
 
     The primitive is the identity, and requests a layout in which the elements along `axis` come
@@ -251,7 +253,7 @@ def _sum_of_columns(matrix, vector):
     return sum(matrix[..., j] * vector[..., j, None] for j in range(matrix.shape[-1]))
 
 
-def _product_primitive() -> Callable[..., Any]:
+def _product_primitive() -> Function:
     """The function `bind(matrix, vector)` of a primitive that is linear in each of the two.
 
     Its operands are (..., m, n) and (..., n), with as many axes before these. Such an axis has the
@@ -292,7 +294,7 @@ def _product_primitive() -> Callable[..., Any]:
     return by_columns.bind
 
 
-def _ruled_primitive() -> Callable[..., Any]:
+def _ruled_primitive() -> Function:
     """The function `bind(*x, value, slope)` of a primitive with a value and a rule for its slope.
 
     value: from a list of arrays to a list of arrays
@@ -326,7 +328,7 @@ def _ruled_primitive() -> Callable[..., Any]:
     return ruled.bind
 
 
-def _batches_primitive() -> Callable[..., Any]:
+def _batches_primitive() -> Function:
     """The function `bind(*x, function, rule, outs)` of a primitive with a rule for batches."""
     from jax.extend.core import Primitive
     from jax.interpreters import batching, mlir

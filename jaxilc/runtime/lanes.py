@@ -18,10 +18,10 @@ import math
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
 
 import jax
 
+from ..pytree.aliases import Tree
 from ..pytree.ranges import require
 from . import capacity
 
@@ -39,7 +39,7 @@ UNROLL = {"cpu": 1}
 # the time and compiled in 0.6 to 0.9 of it. With twice as many, FFDL-MFAILC of a few machines took
 # 1.3 times as long. An accelerator takes more machines instead.
 STORED = {"cpu": 4 * 2**20}
-_STORED: ContextVar[Any] = ContextVar("stored", default=None)
+_STORED: ContextVar[int | None] = ContextVar("stored", default=None)
 WIDE = 4096  # lanes where a device does not say how much memory it has
 SHARE = 0.75  # of the memory of a device that may be planned for a tile
 PROBE = 1024  # largest number of machines in the program whose memory is measured
@@ -77,9 +77,8 @@ def all_stored() -> Generator[None]:
 
 def usual_stored() -> int:
     """The bytes of memories of a machine that a gradient may store, for the backend; starts JAX."""
-    if _STORED.get() is not None:
-        return _STORED.get()
-    return STORED.get(jax.default_backend(), 0)
+    stored = _STORED.get()
+    return STORED.get(jax.default_backend(), 0) if stored is None else stored
 
 
 def lanes_for(
@@ -122,9 +121,9 @@ def lanes_for(
 
 
 def fitting_lanes(
-    fn: Callable[[Any, Any], Any],
-    common: Any,
-    batch: Any,
+    fn: Callable[[Tree, Tree], Tree],
+    common: Tree,
+    batch: Tree,
     machines: int,
     *,
     held: int = 0,
@@ -152,7 +151,7 @@ def fitting_lanes(
     known = jax.eval_shape(lambda *x: x, common, batch)
     rows = jax.tree.map(lambda x: jax.ShapeDtypeStruct((few, *x.shape[1:]), x.dtype), known[1])
     found = jax.jit(jax.vmap(fn, in_axes=(None, 0))).lower(known[0], rows).compile()
-    analysis: Any = found.memory_analysis()
+    analysis = found.memory_analysis()
     if analysis is None:
         return lanes_for(None, 0.0, of_a_device, what=what)
     signals = (analysis.argument_size_in_bytes + analysis.output_size_in_bytes) / few

@@ -11,22 +11,34 @@ import hashlib
 from collections.abc import Mapping
 from functools import partial
 from importlib.metadata import version
-from types import ModuleType
-from typing import Any
+from types import CodeType, ModuleType
+from typing import NotRequired, TypedDict
 
 import jax
 import numpy as np
 
+from ..pytree.aliases import Json, Value
 from .earlier_names import in_todays_names
 
 LONG = 120  # characters of a value in a difference that is told
 
 
-def environment(*packages: str) -> dict[str, Any]:
-    """The versions, backend, devices and precision, on which numbers depend besides parameters.
+class Environment(TypedDict):
+    """What numbers depend on besides parameters.
 
-    packages: further packages whose versions are included
+    native: the variants of a sweep that programs compiled for this processor compute, or whether
+        one computes a tuning
     """
+
+    versions: dict[str, str]
+    backend: str
+    devices: int
+    precision: str
+    native: NotRequired[list[str] | bool]
+
+
+def environment(*packages: str) -> Environment:
+    """The environment of this process, with the versions of these packages too."""
     return {
         "versions": {
             name: version(name) for name in ("jaxilc", "jax", "jaxlib", "numpy", *packages)
@@ -37,7 +49,7 @@ def environment(*packages: str) -> dict[str, Any]:
     }
 
 
-def differences(found: Any, wanted: Any) -> list[str]:
+def differences(found: object, wanted: object) -> list[str]:
     """The differences of two configurations, one line for each, such as `seed: 1 there, 2 here`.
 
     Earlier names of a field are no difference.
@@ -45,14 +57,16 @@ def differences(found: Any, wanted: Any) -> list[str]:
     return _differences(in_todays_names(found), in_todays_names(wanted), "")
 
 
-def need_same(path: Any, found: Any, wanted: Any, made: str = "made with another configuration"):
+def need_same(
+    path: object, found: object, wanted: object, made: str = "made with another configuration"
+) -> None:
     """Raises ValueError, naming what differs, for a path made with another configuration."""
     differing = differences(found, wanted)
     if differing:
         raise ValueError(f"{path} was {made}; it differs in: {'; '.join(differing)}")
 
 
-def _differences(found: Any, wanted: Any, name: str) -> list[str]:
+def _differences(found: object, wanted: object, name: str) -> list[str]:
     if isinstance(found, dict) and isinstance(wanted, dict):
         return [
             line
@@ -69,7 +83,7 @@ def _differences(found: Any, wanted: Any, name: str) -> list[str]:
     return [] if found == wanted else [f"{name}: {there} there, {here} here"]
 
 
-def describe(value: Any, *, within: tuple[int, ...] = ()) -> Any:
+def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
     """A description of a value, as JSON, that changes whenever the numbers of the value change.
 
     A class is described by its fields, and a long array by its shape and hash. A function, and an
@@ -112,7 +126,7 @@ def describe(value: Any, *, within: tuple[int, ...] = ()) -> Any:
     }
 
 
-def _of_array(array: np.ndarray) -> Any:
+def _of_array(array: np.ndarray) -> Json:
     if np.iscomplexobj(array):
         return {"real": _of_array(array.real), "imaginary": _of_array(array.imag)}
     if array.size <= 16:
@@ -123,21 +137,21 @@ def _of_array(array: np.ndarray) -> Any:
     }
 
 
-def _name(value: Any) -> str:
+def _name(value: object) -> str:
     if isinstance(value, ModuleType):
         return value.__name__
     known = value if hasattr(value, "__qualname__") else type(value)
     return f"{known.__module__}.{known.__qualname__}"
 
 
-def _body(code) -> tuple:
+def _body(code: CodeType) -> tuple[object, ...]:
     """The instructions, names and constants of a function and of the functions inside it.
 
     Positions in a file and addresses in RAM are not included.
     """
     constants = [
         _body(c)
-        if hasattr(c, "co_code")
+        if isinstance(c, CodeType)
         else sorted(map(repr, c))
         if isinstance(c, frozenset)
         else c

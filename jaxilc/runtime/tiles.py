@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import cache, lru_cache, partial
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +12,15 @@ import numpy as np
 from jax import lax
 from jax.sharding import Mesh, PartitionSpec
 
+from ..pytree.aliases import Tree, Value
 from ..pytree.ranges import require
 from .lanes import fitting_lanes, usual_lanes
 
-OPEN: Any = None  # default of a field whose value is chosen at construction and is then not None
+T = TypeVar("T")
+OPEN: Value = None  # default of a field whose value is chosen at construction and is then not None
 
 
-def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callable[[Any, Any], Any]:
+def tiled(fn: Callable[[Tree, Tree], T], *, lanes: int | None = None) -> Callable[[Tree, Tree], T]:
     """A compiled `run(common, batch)` that gives fn(common, one) for each `one` of the batch.
 
     The elements of the batch are along the leading axis of its leaves. The batch is spread over all
@@ -39,9 +41,9 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callabl
         require("tiled", "lanes", lanes, "[1, inf)", whole=True)
     mesh = Mesh(np.array(jax.devices()), ("tiles",))
     filled = cache(partial(_filled, fn, mesh))
-    chosen: dict[Any, int] = {}
+    chosen: dict[Hashable, int] = {}
 
-    def lanes_of(common, batch) -> int:
+    def lanes_of(common: Tree, batch: Tree) -> int:
         leaves, structure = jax.tree.flatten((common, batch))
         shapes = (structure, *map(jax.typeof, leaves))
         if shapes not in chosen:
@@ -49,26 +51,28 @@ def tiled(fn: Callable[[Any, Any], Any], *, lanes: int | None = None) -> Callabl
             chosen[shapes] = fitting_lanes(fn, common, batch, size, held=size)
         return chosen[shapes]
 
-    def run(common, batch):
+    def run(common: Tree, batch: Tree) -> T:
         return filled(lanes_of(common, batch) if lanes is None else lanes)(common, batch)
 
     return run
 
 
 @lru_cache(maxsize=64)
-def tiled_with(fn: Callable[..., Any], *, lanes: int | None = None, **options: Any):
+def tiled_with(
+    fn: Callable[..., T], *, lanes: int | None = None, **options: Value
+) -> Callable[[Tree, Tree], T]:
     """`tiled` of `fn` with these options: the same function for the same ones, compiled once."""
     return tiled(partial(fn, **options), lanes=lanes)
 
 
-def _filled(fn, mesh: Mesh, lanes: int):
+def _filled(fn: Callable[[Tree, Tree], T], mesh: Mesh, lanes: int) -> Callable[[Tree, Tree], T]:
     """The compiled function of a batch of any size.
 
     All of it is one program: the tiles are filled and cut there, since a small batch takes less
     time to compute than to fill from Python.
     """
 
-    def on_device(common, share):
+    def on_device(common: Tree, share: Tree) -> Tree:
         return lax.map(lambda one: fn(common, one), share, batch_size=min(lanes, _size(share)))
 
     spread = jax.shard_map(
@@ -80,7 +84,7 @@ def _filled(fn, mesh: Mesh, lanes: int):
     )
 
     @jax.jit
-    def run(common, batch):
+    def run(common: Tree, batch: Tree) -> Tree:
         size = _size(batch)
         fill = -size % (min(lanes, -(-size // mesh.size)) * mesh.size)
         if not fill:
@@ -92,5 +96,5 @@ def _filled(fn, mesh: Mesh, lanes: int):
     return run
 
 
-def _size(batch) -> int:
+def _size(batch: Tree) -> int:
     return len(jax.tree.leaves(batch)[0])

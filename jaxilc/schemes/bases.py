@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -38,10 +38,10 @@ class Basis:
     """
 
     # `@pytree` makes a dataclass of each subclass
-    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Value]]]
     linear: ClassVar[bool] = True
 
-    def __init__(self, *values: Any, **named: Any) -> None:
+    def __init__(self, *values: Value, **named: Value) -> None:
         need_decorated(type(self))
 
     @property

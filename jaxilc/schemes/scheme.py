@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, NamedTuple, Self, TypeAlias, TypeVar
+from typing import ClassVar, NamedTuple, Self, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from ..pytree.aliases import Array, Tree
+from ..pytree.aliases import Array, Tree, Value
 from ..pytree.fields import need_decorated
 from ..pytree.named_paths import named_leaves
 from ..signals.task import Limit, Sample, Task, Trial
@@ -45,11 +45,11 @@ class Law:
     """
 
     # `@pytree` makes a dataclass of each subclass
-    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Value]]]
     preview: int = 1
     trials_a_step: int = 1
 
-    def __init__(self, *values: Any, **named: Any) -> None:
+    def __init__(self, *values: Value, **named: Value) -> None:
         if type(self) is not Scheme or values or named:
             need_decorated(type(self))
 

@@ -17,7 +17,7 @@ import math
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 
@@ -50,7 +50,10 @@ class Other:
     said: str
 
 
-def read_mat(path: str | Path, room: int = ROOM) -> dict[str, Any]:
+MatValue: TypeAlias = "np.ndarray | str | dict[str, MatValue] | Other"
+
+
+def read_mat(path: str | Path, room: int = ROOM) -> dict[str, MatValue]:
     """The variables of a file, by name.
 
     They are arrays of numbers with two dimensions or more, text, structures as dictionaries, and
@@ -114,7 +117,7 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
         at = after
 
 
-def _array(data: memoryview, order: str, depth: int = 0) -> tuple[str, Any]:
+def _array(data: memoryview, order: str, depth: int = 0) -> tuple[str, MatValue]:
     """The name and the value of an array."""
     parts = _elements(data, order)
     flags = int(_need(parts, order, "flags", "iu")[0])
@@ -169,7 +172,9 @@ def _text(parts: Iterator[tuple[int, memoryview]], order: str, size: int, name: 
     return bytes(data).decode(TEXTS[kind] + ending, errors="replace")[:size]
 
 
-def _structure(parts: Iterator[tuple[int, memoryview]], order: str, depth: int) -> dict[str, Any]:
+def _structure(
+    parts: Iterator[tuple[int, memoryview]], order: str, depth: int
+) -> dict[str, MatValue]:
     lengths, names = (
         _need(parts, order, "length of names", "iu"),
         _need(parts, order, "names", "S").tobytes(),

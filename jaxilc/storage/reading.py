@@ -15,7 +15,10 @@ import stat
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from ..pytree.aliases import Value
 
 BLOCK = 2**24  # bytes
 LARGEST_TREE = 16_000_000  # bytes of a TOML or JSON file
@@ -76,7 +79,7 @@ def quoted(path: str | Path, text: str) -> str:
     return "(not shown, since the file's name has no ending such as .csv or .txt)"
 
 
-def read_tree(path: str | Path, kind: str | None = None) -> Any:
+def read_tree(path: str | Path, kind: str | None = None) -> Value:
     """The content of a TOML or JSON file as dictionaries, lists and values.
 
     kind: `.toml` or `.json`; None: the suffix of the file
@@ -88,7 +91,7 @@ def read_tree(path: str | Path, kind: str | None = None) -> Any:
     return tree_of(read_text(path, LARGEST_TREE), parser, path)
 
 
-def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
+def tree_of(text: str, parser: Callable[[str], Value], source: str | Path) -> Value:
     """The content of a text in TOML or JSON as dictionaries, lists and values.
 
     parser: function that reads the text
@@ -101,7 +104,7 @@ def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
     try:
         tree = parser(text)
     except RecursionError:
-        tree = _too_deep(source)
+        _too_deep(source)
     except ValueError as error:
         said = _place(text, error, lambda there: quoted(str(source), there))
         raise ValueError(f"{source}{said}") from None
@@ -115,7 +118,7 @@ def tree_of(text: str, parser: Callable[[str], Any], source: Any) -> Any:
         ]
         if not level:
             return tree
-    return _too_deep(source)
+    _too_deep(source)
 
 
 def _place(text: str, error: ValueError, quote: Callable[[str], str]) -> str:
@@ -134,7 +137,7 @@ def _place(text: str, error: ValueError, quote: Callable[[str], str]) -> str:
     return f": line {line}, column {column}: found {quote(brief(there))}; {wanted}"
 
 
-def _too_deep(source) -> Any:
+def _too_deep(source: str | Path) -> NoReturn:
     raise ValueError(
         f"{source}: tables or lists are nested too deeply; allowed are {DEEPEST} levels"
     )

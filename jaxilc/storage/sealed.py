@@ -13,10 +13,10 @@ import json
 import math
 from collections.abc import Generator, Mapping
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 
+from ..pytree.aliases import Leaf, Value
 from .files import atomically
 from .reading import LARGEST_TREE, read_bytes, read_text, tree_of
 
@@ -30,23 +30,23 @@ class Damaged(ValueError):
     """The error for a file whose content is not as it was written."""
 
 
-def json_text(value: Any) -> str:
+def json_text(value: object) -> str:
     """The value as strict JSON with one line for each entry."""
     return json.dumps(_strict(value), indent=1, allow_nan=False) + "\n"
 
 
-def as_json(value: Any) -> Any:
+def as_json(value: object) -> Value:
     """The value as it would be read from a file of strict JSON."""
     return json.loads(json_text(value))
 
 
-def write_json(path: str | Path, value: Any) -> None:
+def write_json(path: str | Path, value: object) -> None:
     """Write a file of strict JSON completely or not at all."""
     text = json_text(value).encode()
     atomically(path, lambda file: file.write(text))
 
 
-def read_json(path: str | Path) -> Any:
+def read_json(path: str | Path) -> Value:
     """The value in a file of JSON.
 
     Raises Damaged, naming the file, for a file that is not JSON, and OSError.
@@ -60,7 +60,7 @@ def json_content(path: str | Path) -> str:
         return read_text(path, LARGEST_TREE)
 
 
-def json_of(path: str | Path, text: str) -> Any:
+def json_of(path: str | Path, text: str) -> Value:
     """The value in the text of a file of JSON; raises as `read_json`."""
     with _naming(path):
         return _with_numbers(tree_of(text, json.loads, path))
@@ -74,17 +74,17 @@ def _naming(path: str | Path) -> Generator[None]:
         raise Damaged(f"{path} is damaged: {str(error).removeprefix(f'{path}: ')}") from None
 
 
-def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
+def sealed(content: Mapping[str, object]) -> dict[str, Value]:
     """The content as it is in strict JSON, with its checksum."""
     return {**as_json(content), SEAL: seal_of(content)}
 
 
-def seal_of(content: Mapping[str, Any]) -> str:
+def seal_of(content: Mapping[str, object]) -> str:
     """The checksum that `sealed` gives a content."""
     return _sha256(json_text(content).encode())
 
 
-def unsealed(found: Any) -> dict[str, Any]:
+def unsealed(found: Value) -> dict[str, Value]:
     """The content that was given to `sealed`.
 
     Raises Damaged where the checksum is missing or does not agree with the content.
@@ -98,10 +98,11 @@ def unsealed(found: Any) -> dict[str, Any]:
     return content
 
 
-def archive(arrays: Mapping[str, Any]) -> bytes:
+def archive(arrays: Mapping[str, Leaf]) -> bytes:
     """The bytes of a .npz file with its own checksum as the comment of the archive."""
-    file, named = io.BytesIO(), {name: np.asarray(value) for name, value in arrays.items()}
-    np.savez(file, **cast(dict[str, Any], named))
+    file = io.BytesIO()
+    named: dict[str, Value] = {name: np.asarray(value) for name, value in arrays.items()}
+    np.savez(file, **named)
     whole = file.getvalue()
     seal = _sha256(whole).encode()
     return whole[:-LENGTH] + _length(seal) + seal
@@ -134,7 +135,7 @@ def read_arrays(
         raise Damaged(f"{path} is damaged: it holds no arrays ({error})") from None
 
 
-def _strict(value: Any) -> Any:
+def _strict(value: object) -> object:
     if isinstance(value, Mapping):
         return {str(name): _strict(of) for name, of in value.items()}
     if isinstance(value, list | tuple):
@@ -144,7 +145,7 @@ def _strict(value: Any) -> Any:
     return value
 
 
-def _with_numbers(value: Any) -> Any:
+def _with_numbers(value: Value) -> Value:
     if isinstance(value, dict):
         return {name: _with_numbers(of) for name, of in value.items()}
     if isinstance(value, list):

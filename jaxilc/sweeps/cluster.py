@@ -14,14 +14,16 @@ import dataclasses
 import re
 import uuid
 from collections import Counter
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 import jax
+import numpy as np
 
+from ..pytree.aliases import Tree, Value
 from ..storage.reading import read_tree
 from .plan import Chunk, Plan
 from .worker import Found, UnlikeWorkers, call_host, common_environment, described
@@ -29,6 +31,7 @@ from .worker import Found, UnlikeWorkers, call_host, common_environment, describ
 if TYPE_CHECKING:
     from distributed import Client, Future
 
+T = TypeVar("T")
 PATIENCE = 30.0  # seconds within which a scheduler must answer
 # Seconds within which a first worker must join: Python starts slowly on many nodes at once.
 ARRIVAL = 120.0
@@ -123,7 +126,7 @@ class Workers:
     @contextmanager
     def computing(
         self, chunks: list[Chunk], stored: int
-    ) -> Generator[Iterator[tuple[Chunk, dict[str, Any]]]]:
+    ) -> Generator[Iterator[tuple[Chunk, dict[str, np.ndarray]]]]:
         """A context with an iterator over the chunks and the results of `Host.compute`.
 
         They come in the order in which they are finished. Few chunks are computed at a time,
@@ -131,9 +134,10 @@ class Workers:
         """
         from distributed import as_completed
 
-        waiting, running, finished = iter(chunks), {}, as_completed(loop=self.client.loop)
+        waiting, finished = iter(chunks), as_completed(loop=self.client.loop)
+        running: dict[Future[Value], Chunk] = {}
 
-        def fill():
+        def fill() -> None:
             many = AHEAD * max(1, len(self.client.nthreads()))
             for chunk in islice(waiting, max(0, many - len(running))):
                 future = self._submit(
@@ -142,7 +146,7 @@ class Workers:
                 running[future] = chunk
                 finished.add(future)
 
-        def computed():
+        def computed() -> Iterator[tuple[Chunk, dict[str, np.ndarray]]]:
             try:
                 fill()
                 for future in finished:
@@ -162,7 +166,7 @@ class Workers:
             with suppress(OSError):
                 self.client.cancel(list(running))
 
-    def _submit(self, key: tuple, method: str, *arguments) -> Future:
+    def _submit(self, key: tuple[Hashable, ...], method: str, *arguments: Value) -> Future[Value]:
         return self.client.submit(
             call_host, self._plan, self._precision, self.environment, method, arguments, key=key
         )
@@ -184,7 +188,7 @@ class Workers:
         return found
 
 
-def _result(future: Future, what: str) -> Any:
+def _result(future: Future[T], what: str) -> T:
     try:
         return future.result()
     except UnlikeWorkers:
@@ -222,7 +226,7 @@ def _check_importable(plan: Plan) -> None:
             )
 
 
-def _nodes(tree: Any) -> Iterator[Any]:
+def _nodes(tree: Tree) -> Iterator[Tree]:
     if isinstance(tree, Mapping | list | tuple):
         for child in tree.values() if isinstance(tree, Mapping) else tree:
             yield from _nodes(child)

@@ -14,17 +14,18 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sized
 from contextlib import suppress
 from functools import cached_property
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, TypedDict, TypeVar
 
 import numpy as np
 
 from ..learning.known_metrics import METRICS
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.aliases import Json, Tree, Value
 from ..pytree.closest import known_names
 from ..pytree.named_paths import (
     get_at,
@@ -46,6 +47,9 @@ from ..uncertainty import Population, need_ranges
 if TYPE_CHECKING:
     import xarray as xr
 
+T = TypeVar("T")
+Values: TypeAlias = list[Value] | np.ndarray  # along an axis
+
 _RANGE = re.compile(r"([^:]+):([^:]+):\s*(\d+)\s*(log)?")
 _COMMA = re.compile(r",(?![^(\[]*[)\]])")  # none within brackets
 WAYS = "LOW:HIGH:COUNT, LOW:HIGH:COUNTlog, or values with commas between them"
@@ -54,6 +58,41 @@ TRIALS = "trials"
 _OTHERS = {"machine", "task"}  # first parts of a path that are no schemes
 _TAKEN = {TRIALS, "scheme", "sample", "trial", "channel", "input", "time", "input_time"}
 _TAKEN |= {"y", "e", "u", *(metric.name for metric in METRICS)}
+
+
+class HasParts(Protocol):
+    """What a sweep runs at a point: `Parts`, or a scenario."""
+
+    @property
+    def machine(self) -> Machine: ...
+    @property
+    def schemes(self) -> Mapping[str, Scheme]: ...
+    @property
+    def task(self) -> Task: ...
+    @property
+    def trials(self) -> int: ...
+
+
+class Parts(NamedTuple):
+    machine: Machine
+    schemes: Mapping[str, Scheme]
+    task: Task
+    trials: int
+
+
+class DescribedAxis(TypedDict):
+    name: str
+    units: dict[str, str]
+    static: bool
+    size: int
+    values: Json
+
+
+class DescribedGrid(TypedDict):
+    """All that determines the numbers of a grid, and how its store is laid out."""
+
+    schemes: list[str]
+    axes: list[DescribedAxis]
 
 
 class Variant(NamedTuple):
@@ -82,7 +121,7 @@ class Axis:
     static: whether each value needs a program of its own
     """
 
-    values: Mapping[str, Any]
+    values: Mapping[str, Values]
     units: Mapping[str, str]
     static: bool
 
@@ -153,26 +192,25 @@ class Grid:
                     found.setdefault(part, {})[path] = values[at]
         return found
 
-    def variants(self, machine, schemes, task, trials: int) -> dict[str, Variant]:
+    def variants(self, parts: Parts) -> dict[str, Variant]:
         """The variants by their names, scheme by scheme; raises ValueError as `replaced` does."""
-        found = {}
-        for name, fixed in product(schemes, product(*(range(axis.size) for axis in self.static))):
-            place = {axis.name: i for axis, i in zip(self.static, fixed, strict=True)}
-            made = self.at(place, machine, schemes, task, trials)
-            values = (
-                (of.name, of.labels[of.name][i]) for of, i in zip(self.static, fixed, strict=True)
+        found, places = {}, product(*(range(axis.size) for axis in self.static))
+        for name, fixed in product(parts.schemes, places):
+            at = dict(zip(self.static, fixed, strict=True))
+            made = self.at({axis.name: i for axis, i in at.items()}, parts)
+            which = [f"{axis.name} = {axis.labels[axis.name][i]}" for axis, i in at.items()]
+            found[", ".join([name, *which])] = Variant(
+                name, fixed, made.machine, made.schemes[name], made.task, made.trials
             )
-            which = [f"{axis} = {value}" for axis, value in values]
-            parts = made[0], made[1][name], *made[2:]
-            found[", ".join([name, *which])] = Variant(name, fixed, *parts)
         return found
 
-    def at(self, place: Mapping[str, int], machine, schemes, task, trials: int):
-        """Machine, schemes, task and trials with the values of some axes.
+    def at(self, place: Mapping[str, int], parts: Parts) -> Parts:
+        """The parts with the values of some axes.
 
         place: positions in the axes by the first name of each
         """
-        changes: dict[str, dict[str, Any]] = {}
+        machine, schemes, task, trials = parts
+        changes: dict[str, dict[str, Value]] = {}
         for axis in (axis for axis in self.axes if axis.name in place):
             for name, values in axis.values.items():
                 value, (owner, _, path) = values[place[axis.name]], name.partition(".")
@@ -183,13 +221,14 @@ class Grid:
                     schemes = {n: value.of.schemes[n] for n in schemes}
                 else:
                     changes.setdefault(owner, {})[path] = value
-        objects = {"machine": machine, "task": task, **schemes}
-        for owner, values in changes.items():
-            objects[owner] = _named(replaced, objects[owner], values)
-        machine, task = objects.pop("machine"), objects.pop("task")
-        return machine, objects, task, trials
+        objects: dict[str, Tree] = {"machine": machine, "task": task, **schemes}
+        for owner, changed in changes.items():
+            objects[owner] = _named(replaced, objects[owner], changed)
+        return Parts(
+            objects.pop("machine"), task=objects.pop("task"), schemes=objects, trials=trials
+        )
 
-    def place_of(self, point: Mapping[str, Any]) -> dict[str, int]:
+    def place_of(self, point: Mapping[str, Value]) -> dict[str, int]:
         """The positions of a point that is given by a value of each axis.
 
         Raises ValueError for a value that is missing, or not one of its axis.
@@ -203,13 +242,12 @@ class Grid:
             found[name] = labels.index(point.get(name))
         return found
 
-    def check(self, population: Population, schemes, task: Task, trials: int) -> None:
+    def check(self, population: Population, parts: Parts) -> None:
         """Raises ValueError, naming the axis, for values with which a sweep cannot run.
 
         Of each axis of leaves its ends are checked, of the static ones all values. The numbers of
         the population are drawn where there is something to check.
         """
-        parts = (population.machine, schemes, task, trials)
 
         def allow(machine: Machine) -> None:
             _named(need_ranges, machine, population.uncertainty, population.drawn)
@@ -220,10 +258,10 @@ class Grid:
                 raise ValueError(
                     f"grid: {one} is set a second time, by {other}; allowed is one axis"
                 )
-        for name, (of, d) in product(taken, population.uncertainty.items()):
-            if _overlap(name, f"machine.{of}") and not d.relative:
+        for axis_name, (of, d) in product(taken, population.uncertainty.items()):
+            if _overlap(axis_name, f"machine.{of}") and not d.relative:
                 raise ValueError(
-                    f"grid: {name} is drawn from {d}, which replaces the value of the axis; "
+                    f"grid: {axis_name} is drawn from {d}, which replaces the value of the axis; "
                     "allowed is a relative distribution, which scales it"
                 )
         options = [axis.name for axis in self.axes if isinstance(axis.values[axis.name][0], _Whole)]
@@ -234,35 +272,34 @@ class Grid:
                 "other option set to one value"
             )
         if self.static:
-            for name, one in self.variants(*parts).items():
-                _same_shape(name, task, one.task)
-                _named(check, one.machine, one.scheme, one.task)
-                allow(one.machine)
+            for name, variant in self.variants(parts).items():
+                _same_shape(name, parts.task, variant.task)
+                _named(check, variant.machine, variant.scheme, variant.task)
+                allow(variant.machine)
         for axis in self.leaves:
             by_size = np.argsort(np.reshape(axis.values[axis.name], (axis.size, -1))[:, 0])
             for i in by_size[[0, -1]]:
-                machine_at, schemes_at, task_at, _ = self.at({axis.name: int(i)}, *parts)
-                for name, scheme in schemes_at.items():
+                here = self.at({axis.name: int(i)}, parts)
+                for name, scheme in here.schemes.items():
                     if {n.partition(".")[0] for n in axis.values} & {name, *_OTHERS}:
-                        _named(check, machine_at, scheme, task_at)
-                allow(machine_at)
+                        _named(check, here.machine, scheme, here.task)
+                allow(here.machine)
 
-    def described(self, schemes: Mapping[str, Scheme]) -> dict[str, Any]:
-        """All that determines the numbers of a grid, and how its store is laid out, as JSON."""
+    def described(self, schemes: Mapping[str, Scheme]) -> DescribedGrid:
         axes = [
-            {
-                "name": axis.name,
-                "units": dict(axis.units),
-                "static": axis.static,
-                "size": axis.size,
-                "values": describe(axis.values),
-            }
+            DescribedAxis(
+                name=axis.name,
+                units=dict(axis.units),
+                static=axis.static,
+                size=axis.size,
+                values=describe(axis.values),
+            )
             for axis in self.axes
         ]
         return {"schemes": list(schemes), "axes": axes}
 
 
-def grid_of(given: Any, machine, schemes: Mapping[str, Scheme], task: Task) -> Grid:
+def grid_of(given: Value, machine: Machine, schemes: Mapping[str, Scheme], task: Task) -> Grid:
     """The grid that a mapping of names to values describes, see the docstring of this module.
 
     Where the values of a name are a mapping, its values have a `machine`, `schemes` and a `task`
@@ -281,12 +318,10 @@ def grid_of(given: Any, machine, schemes: Mapping[str, Scheme], task: Task) -> G
     return Grid(tuple(_axis(key, values, objects) for key, values in given.items()))
 
 
-def values_at(names: Collection[str], of: Any) -> dict[str, Any]:
-    """The values that axes of these names have in a machine, its schemes, task and trials.
-
-    of: what has these, such as a scenario; a name that is no number or field of it is left out
-    """
-    objects, found = {"machine": of.machine, "task": of.task, **of.schemes}, {}
+def values_at(names: Collection[str], of: HasParts) -> dict[str, Value]:
+    """The values that axes of these names have; a name that is no number or field is left out."""
+    objects: dict[str, Tree] = {"machine": of.machine, "task": of.task, **of.schemes}
+    found = {}
     for name in names:
         with suppress(KeyError, ValueError):
             at = _canonical(name, objects)
@@ -295,11 +330,8 @@ def values_at(names: Collection[str], of: Any) -> dict[str, Any]:
     return found
 
 
-def unfolded(flat: xr.Dataset, of: Mapping[str, Any]) -> xr.Dataset:
-    """The dataset with a dimension for each axis, of one over schemes and members as it is stored.
-
-    of: what `Grid.described` returns
-    """
+def unfolded(flat: xr.Dataset, of: DescribedGrid) -> xr.Dataset:
+    """The dataset with a dimension for each axis, of one as it is stored."""
     import xarray as xr
 
     sizes = {axis["name"]: axis["size"] for axis in of["axes"]}
@@ -310,15 +342,15 @@ def unfolded(flat: xr.Dataset, of: Mapping[str, Any]) -> xr.Dataset:
              "sample": leaves | {"sample": machines}}  # fmt: skip
     order = ("scheme", *sizes, "sample")
 
-    def whole(array) -> xr.Variable:
-        parts = [inner.get(dim, {dim: flat.sizes[dim]}) for dim in array.dims]
+    def whole(array: xr.Variable) -> xr.Variable:
+        parts = [inner.get(dim, {dim: flat.sizes[dim]}) for dim in map(str, array.dims)]
         shape = {dim: size for part in parts for dim, size in part.items()}
         made = xr.Variable(tuple(shape), array.values.reshape(tuple(shape.values())), array.attrs)
         return made.transpose(*(d for d in order if d in shape), ...)
 
     of_axes = {name: (axis["name"], unit) for axis in of["axes"]
                for name, unit in axis["units"].items()}  # fmt: skip
-    coords: dict[str, Any] = {
+    coords: dict[str, np.ndarray | tuple[Value, ...]] = {
         "scheme": np.array(of["schemes"], flat["scheme"].dtype),
         "sample": np.arange(machines),
     }
@@ -343,10 +375,10 @@ class _Whole:
     """A value of an axis that is a whole: a machine, schemes and a task."""
 
     label: str
-    of: Any
+    of: HasParts
 
 
-def _axis(key: Any, given: Any, objects: Mapping[str, Any]) -> Axis:
+def _axis(key: Value, given: Value, objects: Mapping[str, Tree]) -> Axis:
     keys = key.split("/") if isinstance(key, str) else key
     if not (isinstance(keys, list | tuple) and keys and all(isinstance(k, str) for k in keys)):
         raise ValueError(f"grid: {brief(key)} is not a name, or names with / between them")
@@ -373,7 +405,7 @@ def _axis(key: Any, given: Any, objects: Mapping[str, Any]) -> Axis:
     return Axis(values, units, static)
 
 
-def _axis_of_wholes(name: str, given: Mapping[Any, Any], objects: Mapping[str, Any]) -> Axis:
+def _axis_of_wholes(name: str, given: Mapping[Value, Value], objects: Mapping[str, Tree]) -> Axis:
     _need_some(name, given)
     if name in _TAKEN or not re.fullmatch(r"[\w -]+", name):
         raise ValueError(f"grid: {brief(name)} cannot be the name of a dimension; choose another")
@@ -387,7 +419,7 @@ def _axis_of_wholes(name: str, given: Mapping[Any, Any], objects: Mapping[str, A
     return Axis({name: [_Whole(str(x), of) for x, of in given.items()]}, {name: ""}, True)
 
 
-def _canonical(name: str, objects: Mapping[str, Any]) -> str:
+def _canonical(name: str, objects: Mapping[str, Tree]) -> str:
     """The name with its owner before it; raises ValueError for one that is not there."""
     if name == TRIALS:
         return name
@@ -402,13 +434,13 @@ def _canonical(name: str, objects: Mapping[str, Any]) -> str:
     raise ValueError(f"grid: {name!r} cannot be an axis; {known_names(name, known)}")
 
 
-def _in(name: str, objects: Mapping[str, Any]) -> tuple[Any, str]:
+def _in(name: str, objects: Mapping[str, Tree]) -> tuple[Tree, str]:
     """The object and the path within it."""
     owner, _, path = name.partition(".")
     return objects[owner], path
 
 
-def _parts(given: Any, names: list[str]) -> list[Any]:
+def _parts(given: Value, names: list[str]) -> list[Value]:
     """The values of each of several names, which may be the same for all."""
     if isinstance(given, str):
         parts = given.split("/")
@@ -424,7 +456,7 @@ def _parts(given: Any, names: list[str]) -> list[Any]:
     return parts if len(parts) == len(names) else parts * len(names)
 
 
-def _values(name: str, given: Any, objects: Mapping[str, Any]) -> Any:
+def _values(name: str, given: Value, objects: Mapping[str, Tree]) -> Values:
     """The values of a name, converted to its type; raises ValueError naming them."""
     if isinstance(given, str):
         text = _RANGE.fullmatch(given.strip())
@@ -454,7 +486,7 @@ def _spread(name: str, low: str, high: str, count: str, log: str | None) -> np.n
     return (np.geomspace if log else np.linspace)(*ends, int(count))
 
 
-def _one(name: str, value: Any, objects: Mapping[str, Any]) -> Any:
+def _one(name: str, value: Value, objects: Mapping[str, Tree]) -> Value:
     """One value of a name, of the type of its field where it is text or a number of NumPy."""
     if isinstance(value, np.generic):
         value = value.item()
@@ -472,7 +504,7 @@ def _one(name: str, value: Any, objects: Mapping[str, Any]) -> Any:
     return tuple(value) if kind == "static" and isinstance(value, list) else value
 
 
-def _leaf(name: str, values: list[Any], objects: Mapping[str, Any]) -> np.ndarray:
+def _leaf(name: str, values: Values, objects: Mapping[str, Tree]) -> np.ndarray:
     """The values of a leaf as an array; raises ValueError for one that the leaf cannot have."""
     tree, path = _in(name, objects)
     now = get_at(tree, path)
@@ -491,7 +523,7 @@ def _leaf(name: str, values: list[Any], objects: Mapping[str, Any]) -> np.ndarra
     return found
 
 
-def _labels(values: Any) -> np.ndarray:
+def _labels(values: Values) -> np.ndarray:
     """The values of an axis as a coordinate: numbers, whole numbers, truths, or text for others."""
     plain = isinstance(values, np.ndarray) and values.ndim == 1
     if plain or any(all(type(v) is kind for v in values) for kind in (int, float, bool)):
@@ -501,7 +533,7 @@ def _labels(values: Any) -> np.ndarray:
     return np.array([_text(value, ".15g") for value in values] if equal else texts)
 
 
-def _text(value: Any, digits: str) -> str:
+def _text(value: Value, digits: str) -> str:
     if isinstance(value, _Whole):
         return value.label
     if value is None or isinstance(value, str):
@@ -510,7 +542,7 @@ def _text(value: Any, digits: str) -> str:
     return " ".join(f"{x:{digits}}" if isinstance(x, float) else str(x) for x in numbers)
 
 
-def _need_some(name: str, values: Any) -> None:
+def _need_some(name: str, values: Sized) -> None:
     if not len(values):
         raise ValueError(f"grid: {name} has no values; needed is one at least")
 
@@ -532,7 +564,7 @@ def _same_shape(name: str, task: Task, other: Task) -> None:
             )
 
 
-def _named(function, *arguments) -> Any:
+def _named(function: Callable[..., T], *arguments: Value) -> T:
     """The result of a function; its ValueError is raised as one of the grid."""
     try:
         return function(*arguments)

@@ -14,7 +14,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cached_property, lru_cache, partial
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from ..learning.metrics import Keep
 from ..learning.over_trials import learn
 from ..learning.watch import Watch
 from ..native.run import Compiled, Native
+from ..pytree.aliases import Tree
 from ..pytree.named_paths import replaced
 from ..runtime import capacity, provenance
 from ..runtime.events import COMPILING, COMPUTING
@@ -41,7 +42,8 @@ log = logging.getLogger("jaxilc")
 PROGRAMS = 8  # number of programs, of different sweeps, that are kept in a process
 AT_ONCE = 4  # number of chunks that are in the RAM, computed or not; writing takes uneven times
 TRIALS_A_PASS = 2  # of the compiled loop over trials, see `learn`
-Started = dict[str, jax.Array] | Callable[[], dict[str, jax.Array]]
+Arrays: TypeAlias = dict[str, jax.Array]
+Started: TypeAlias = Arrays | Callable[[], Arrays]
 COMPILERS = 4  # number of programs that are compiled at once; a compiler mostly uses one core
 
 
@@ -76,7 +78,7 @@ class Host:
         }
 
     @cached_property
-    def environment(self) -> dict[str, Any]:
+    def environment(self) -> provenance.Environment:
         """What the numbers depend on besides the plan, see `provenance.environment`.
 
         `native` are the variants that a program compiled for this processor computes; a first tile
@@ -90,7 +92,9 @@ class Host:
             log.info("native: %s is computed by %s", name, by)
         native = [name for name, reason in reasons.items() if reason is None]
         found = provenance.environment(*["llvmlite"][: len(native)])
-        return found | ({"native": native} if native else {})
+        if native:
+            found["native"] = native
+        return found
 
     def _why_not(self, name: str) -> str | None:
         """The reason why XLA computes a variant; None where it does not."""
@@ -99,7 +103,7 @@ class Host:
             return native
         return native.why_not(*self._arguments(name, 0, self.plan.lanes))
 
-    def _native(self, name: str, arguments: tuple[Any, Any]) -> Compiled | None:
+    def _native(self, name: str, arguments: tuple[Tree, Tree]) -> Compiled | None:
         """The program for this processor of a variant; None where XLA computes it."""
         native = self._natives[self.plan.variants[name].trials]
         if isinstance(native, str) or self._why_not(name) is not None:
@@ -155,7 +159,7 @@ class Host:
     @contextmanager
     def computing(
         self, chunks: list[Chunk], stored: int
-    ) -> Generator[Iterator[tuple[Chunk, dict]]]:
+    ) -> Generator[Iterator[tuple[Chunk, dict[str, np.ndarray]]]]:
         """A context with an iterator over the chunks and the results of `compute`, in this order.
 
         The first chunks are started at once. While the caller uses a chunk, the next ones are
@@ -163,15 +167,15 @@ class Host:
         """
         room, needed = self.room(stored)[0], max(self._needed, 1)
         at_once = AT_ONCE if room is None else max(1, min(AT_ONCE, room // needed))
-        waiting, started = iter(chunks), deque[tuple[Chunk, Future]]()
+        waiting, started = iter(chunks), deque[tuple[Chunk, Future[dict[str, np.ndarray]]]]()
 
-        def fill():
+        def fill() -> None:
             for chunk in islice(waiting, at_once - len(started)):
                 begun = time.perf_counter()
                 found = self._started(chunk)
                 started.append((chunk, watcher.submit(self._finished, chunk, found, begun)))
 
-        def finished():
+        def finished() -> Iterator[tuple[Chunk, dict[str, np.ndarray]]]:
             while started:  # no name refers to the results, so that the caller can free them
                 yield started[0][0], started.popleft()[1].result()
                 fill()
@@ -186,7 +190,7 @@ class Host:
         native = self._native(chunk.name, arguments)
         return self._run(chunk.name)(*arguments) if native is None else partial(native, *arguments)
 
-    def _run(self, name: str) -> Any:
+    def _run(self, name: str) -> jax.stages.Wrapped:
         """The compiled function of a variant."""
         return self._programs[self.plan.variants[name].trials]
 
@@ -208,14 +212,16 @@ class Host:
             | {name: _longer(values[name], axis, missing) for name, axis in self._by_trial.items()}
         )
 
-    def _arguments(self, name: str, start: int, size: int):
+    def _arguments(self, name: str, start: int, size: int) -> tuple[Tree, Tree]:
         # The last chunk is filled up to full size with the last member, so that it runs the same
         # program as the others.
         plan, of = self.plan, self.plan.variants[name]
         member = np.minimum(np.arange(start, start + min(size, plan.members)), plan.members - 1)
         point, index = np.divmod(member, plan.machines)
-        drawn = plan.population.drawn
-        drawn = {name: jnp.asarray(of[plan.first + index]) for name, of in drawn.items()}
+        drawn = {
+            name: jnp.asarray(values[plan.first + index])
+            for name, values in plan.population.drawn.items()
+        }
         at_point = jax.tree.map(jnp.asarray, plan.axes.leaves_at(point, of.name))
         common = (of.machine, of.scheme, of.task, jax.random.key(plan.population.seed))
         return common, (jnp.asarray(index), drawn, at_point)
@@ -233,18 +239,24 @@ class _Drawn(NamedTuple):
     relative: bool
 
 
+Names: TypeAlias = tuple[tuple[str, _Drawn], ...]
+
+
 def _one_with(
-    names: tuple[tuple[str, _Drawn], ...],
-    keep: tuple[str, ...],
-    save: Keep,
-    watch: Watch | None,
-    trials: int,
-) -> Any:
+    names: Names, keep: tuple[str, ...], save: Keep, watch: Watch | None, trials: int
+) -> Callable[[Tree, Tree], Arrays]:
     """The function of what is common and of the numbers of one member."""
     return partial(_one_machine, names=names, trials=trials, keep=keep, save=save, watch=watch)
 
 
-def _program(names, keep, save, watch, trials: int, lanes: int | None) -> Any:
+def _program(
+    names: Names,
+    keep: tuple[str, ...],
+    save: Keep,
+    watch: Watch | None,
+    trials: int,
+    lanes: int | None,
+) -> jax.stages.Wrapped:
     """The compiled function of what is common and of the numbers of the members of a chunk."""
     return jax.jit(tiled(_one_with(names, keep, save, watch, trials), lanes=lanes))
 
@@ -253,15 +265,29 @@ _shared_program = lru_cache(maxsize=PROGRAMS)(_program)
 
 
 @lru_cache(maxsize=PROGRAMS)
-def _shared_native(names, keep, save, watch, trials: int, lanes: int | None) -> Native:
+def _shared_native(
+    names: Names,
+    keep: tuple[str, ...],
+    save: Keep,
+    watch: Watch | None,
+    trials: int,
+    lanes: int | None,
+) -> Native:
     """The function compiled for this processor, where it can be."""
     fn = _one_with(names, keep, save, watch, trials)
     return Native(fn, _shared_program(names, keep, save, watch, trials, lanes))
 
 
 def _one_machine(
-    common, one, *, names, trials: int, keep: tuple[str, ...], save: Keep, watch: Watch | None
-) -> dict[str, jax.Array]:
+    common: Tree,
+    one: Tree,
+    *,
+    names: Names,
+    trials: int,
+    keep: tuple[str, ...],
+    save: Keep,
+    watch: Watch | None,
+) -> Arrays:
     """The metrics and signals of one drawn machine at one point, for `tiled`."""
     (*parts, key), (index, values, at_point) = common, one
     machine, scheme, task = (
@@ -270,8 +296,9 @@ def _one_machine(
     )
     machine = drawn_machine(machine, dict(names), values)
     key = jax.random.fold_in(key, index)
-    how: dict[str, Any] = {"save": save, "watch": watch, "trials_a_pass": TRIALS_A_PASS}
-    history = learn(machine, scheme, task, trials, key=key, **how)
+    history = learn(
+        machine, scheme, task, trials, key=key, save=save, watch=watch, trials_a_pass=TRIALS_A_PASS
+    )
     by_channel = {m.name for m in METRICS if m.axes[-1:] in (("channel",), ("input",))} | {*keep}
     found = history.metrics._asdict() | {name: getattr(history.final, name) for name in keep}
     squeezed = {

@@ -7,21 +7,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import numpy as np
 
 from ..learning.known_metrics import METRICS
 from ..learning.watch import Watch
+from ..pytree.aliases import Value
 from ..runtime import capacity
+from ..runtime.provenance import Environment
 from ..runtime.tiles import OPEN
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Population
-from .grid import Grid, Variant
+from .grid import Grid, Parts, Variant
 from .store import Variable
 
 SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
@@ -51,6 +54,18 @@ class Chunk(NamedTuple):
         return self.stop - self.start
 
 
+class Hosts(Protocol):
+    """What computes the chunks of a plan: `Host`, or the workers of a cluster."""
+
+    @property
+    def environment(self) -> Environment: ...
+    def room(self, stored: int) -> tuple[int | None, str]: ...
+    def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]: ...
+    def computing(
+        self, chunks: list[Chunk], stored: int
+    ) -> AbstractContextManager[Iterator[tuple[Chunk, dict[str, np.ndarray]]]]: ...
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
     """A sweep as it is computed: with its drawn machines, its axes, and its lanes and chunk chosen.
@@ -72,11 +87,14 @@ class Plan:
     lanes: int = OPEN
     first: int = 0
 
+    @property
+    def parts(self) -> Parts:
+        return Parts(self.population.machine, self.schemes, self.task, self.trials)
+
     @cached_property
     def variants(self) -> dict[str, Variant]:
         """What the programs compute, by name."""
-        machine = self.population.machine
-        return self.axes.variants(machine, self.schemes, self.task, self.trials)
+        return self.axes.variants(self.parts)
 
     @property
     def variables(self) -> dict[str, Variable]:
@@ -118,7 +136,7 @@ class Plan:
         """
         machines = self.machines if machines is None else machines
         points = self.axes.size if points is None else points
-        lengths: dict[str, Any] = {
+        lengths: dict[str, Value] = {
             "scheme": len(self.schemes),
             "sample": machines * points,
             "trial": self.longest if trials is None else trials,
@@ -127,9 +145,9 @@ class Plan:
             "time": self.task.N + 1,
             "input_time": self.task.N,
         }
+        of_each = self.variables.values()
         return sum(
-            np.dtype(v.dtype).itemsize * math.prod(lengths[d] for d in v.dims)
-            for v in self.variables.values()
+            np.dtype(v.dtype).itemsize * math.prod(lengths[d] for d in v.dims) for v in of_each
         )
 
     def need_room(self, copies: int = 1) -> None:
@@ -151,7 +169,7 @@ class Plan:
         points = {"points": self.axes.size} if self.axes.axes else {}
         capacity.check_size("Sweep", need, machines=self.machines, trials=self.longest, **points)
 
-    def coordinates(self) -> dict[str, tuple]:
+    def coordinates(self) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
         """Dimensions and values of each coordinate, with the drawn numbers and the grid's axes."""
         task = self.task
         known = {
@@ -164,7 +182,9 @@ class Plan:
             "input_time": task.time[:-1],
         }
         used = {d for v in self.variables.values() for d in v.dims}
-        found = {name: ((name,), values) for name, values in known.items() if name in used}
+        found: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
+            name: ((name,), values) for name, values in known.items() if name in used
+        }
         found |= {
             name: (("sample",), np.tile(values, self.axes.points))
             for name, values in self.population.drawn.items()
@@ -216,10 +236,9 @@ def labels_of(task: Task) -> np.ndarray:
     return np.array(task.labels)
 
 
-def need_memory(plan: Plan, hosts, names: tuple[str, ...], *, copies: int) -> int:
+def need_memory(plan: Plan, hosts: Hosts, names: tuple[str, ...], *, copies: int) -> int:
     """The bytes of `copies` of the dataset; a chunk of each variant is compiled, to check it fits.
 
-    hosts: what computes the chunks, see `Host`
     Raises ValueError where a chunk does not fit in RAM beside them. Where the size of the RAM is
     unknown, nothing is refused.
     """
@@ -233,7 +252,7 @@ def need_memory(plan: Plan, hosts, names: tuple[str, ...], *, copies: int) -> in
     return stored
 
 
-def _that_fits(plan: Plan, hosts, name: str, need: int, room: int) -> str:
+def _that_fits(plan: Plan, hosts: Hosts, name: str, need: int, room: int) -> str:
     """What would fit where a chunk of a variant needs more bytes than there is room for."""
     # From two tiles on, the RAM of a chunk is linear in its size; a single tile needs less, since
     # there is no loop over tiles.

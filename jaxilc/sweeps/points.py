@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
+from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import value_text
 from .grid import TRIALS
@@ -14,6 +15,10 @@ from .summary import QUANTILES, axes_of, errors_of
 if TYPE_CHECKING:
     import xarray as xr
 
+# The values of a point, what is near along each axis, and its edges, by the name of the axis.
+Place: TypeAlias = tuple[
+    dict[str, Value], dict[str, tuple[Value, Value]], dict[str, tuple[Value, Value]]
+]
 NEAR = 2.0  # a point is near the best one if its error is at most so many times as large
 
 
@@ -37,15 +42,17 @@ class BestPoint(NamedTuple):
     """
 
     scheme: str
-    point: dict[str, Any]
+    point: dict[str, Value]
     yield_share: float
     error: float
     near: float
-    along: dict[str, tuple[Any, Any]]
+    along: dict[str, tuple[Value, Value]]
     diverged: float
-    edges: dict[str, tuple[Any, Any]]
+    edges: dict[str, tuple[Value, Value]]
     sentences: tuple[str, ...]
-    __repr__ = in_short
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -114,7 +121,14 @@ def labels_for(dataset: xr.Dataset, axis: str, scheme: str) -> xr.DataArray:
     return dataset[axis] if axis.startswith(f"{scheme}.") else next(own, dataset[axis])
 
 
-def _best(name: str, dataset, axes, passed, error, lost) -> BestPoint:
+def _best(
+    name: str,
+    dataset: xr.Dataset,
+    axes: tuple[str, ...],
+    passed: np.ndarray,
+    error: np.ndarray,
+    lost: np.ndarray,
+) -> BestPoint:
     order = np.lexsort((error.ravel(), -passed.ravel()))
     best = np.unravel_index(order[0], error.shape)
     near = error <= NEAR * error[best]
@@ -124,27 +138,26 @@ def _best(name: str, dataset, axes, passed, error, lost) -> BestPoint:
         below, above = _ends(~near[line], best[i])
         ends.append(((below + 1, above - 1), _ends(lost[line], best[i])))
 
-    def at(labels):
-        """The point, what is near along its axes, and the edges, as values of these labels."""
+    def at(labels: list[xr.DataArray]) -> Place:
         values = {str(of.name): of.values.tolist() for of in labels}
         places = list(zip(values.items(), best, ends, strict=True))
         return (
             {name: known[j] for (name, known), j, _ in places},
             {name: (known[low], known[high]) for (name, known), _, ((low, high), _) in places},
             {
-                name: tuple(known[j] if 0 <= j < len(known) else None for j in edge)
-                for (name, known), _, (_, edge) in places
+                name: (known[low] if low >= 0 else None, known[high] if high < len(known) else None)
+                for (name, known), _, (_, (low, high)) in places
             },
         )
 
     shares = float(error[best]), float(near.mean()), float(lost.mean())
     point, along, edges = at([dataset[axis] for axis in axes])
-    told = _sentences(name, shares, *at([labels_for(dataset, axis, name) for axis in axes]))
+    told = _sentences(name, shares, at([labels_for(dataset, axis, name) for axis in axes]))
     return BestPoint(name, point, float(passed[best]), *shares[:2], along, shares[2], edges, told)
 
 
-def _sentences(name: str, shares, point, along, edges) -> tuple[str, ...]:
-    error, near, lost = shares
+def _sentences(name: str, shares: tuple[float, float, float], place: Place) -> tuple[str, ...]:
+    (error, near, lost), (point, along, edges) = shares, place
     if not np.isfinite(error):
         return (f"{name}: more than 5 % of the machines diverge at every point.",)
     best = " and ".join(f"{axis} = {value_text(at)}" for axis, at in point.items())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -15,6 +15,7 @@ from ..learning.known_metrics import METRICS
 from ..learning.machine import Machine
 from ..learning.metrics import Keep, best_trial
 from ..learning.over_trials import History, check, learn
+from ..pytree.aliases import Value
 from ..runtime.capacity import check_size
 from ..runtime.provenance import describe, environment
 from ..schemes import Scheme
@@ -64,14 +65,14 @@ def run_schemes(
     return history_dataset(histories, task), histories
 
 
-def configuration(scenario: Any, seed: int) -> dict[str, Any]:
+def configuration(scenario: object, seed: int) -> dict[str, Value]:
     """All that determines the numbers and the figures of a run of a scenario, as JSON."""
     parts = ("machine", "schemes", "task", "trials", "judged_by")
     found = {name: describe(getattr(scenario, name)) for name in parts}
     return as_json(found | {"seed": seed, "precision": environment()["precision"]})
 
 
-def made_with(store: Path) -> dict[str, Any]:
+def made_with(store: Path) -> dict[str, Value]:
     """The configuration that a dataset of a run was stored with; empty where it has none."""
     try:
         attributes = json.loads((store / "zarr.json").read_bytes())["attributes"]
@@ -84,10 +85,10 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
     """The dataset of histories by name, with y, u and each quantity of every trial in `saved`."""
     import xarray as xr
 
-    def stacked(pick):
-        return np.stack([np.asarray(pick(h)) for h in histories.values()])
+    def stacked(saved: str) -> np.ndarray:
+        return np.stack([np.asarray(h.saved[saved]) for h in histories.values()])
 
-    def known(history: History) -> dict[str, Any]:
+    def known(history: History) -> dict[str, jax.Array | np.ndarray]:
         judged = {name: getattr(history, name) for name in Course._fields}
         return history.metrics._asdict() | {"best_trial": best_trial(history.rms)} | judged
 
@@ -101,7 +102,7 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
         for m in METRICS
     }
     of_y, of_u = {"units": task.unit}, {"units": task.input_unit}
-    r, y = np.asarray(task.reference), stacked(lambda h: h.saved["y"])
+    r, y = np.asarray(task.reference), stacked("y")
     further = [name for name in next(iter(histories.values())).saved if name not in ("y", "u")]
     along = ("scheme", "trial", "time", "channel")
     return xr.Dataset(
@@ -109,16 +110,9 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
             "r": (("time", "channel"), r, of_y),
             "y": (along, y, of_y),
             "e": (along, r - y, of_y),
-            "u": (
-                ("scheme", "trial", "input_time", "input"),
-                stacked(lambda h: h.saved["u"]),
-                of_u,
-            ),
+            "u": (("scheme", "trial", "input_time", "input"), stacked("u"), of_u),
             **metrics,
-            **{
-                name: (("scheme", "trial"), stacked(lambda h, name=name: h.saved[name]))
-                for name in further
-            },
+            **{name: (("scheme", "trial"), stacked(name)) for name in further},
         },
         coords={
             "scheme": _as_text(np.array(list(histories))),

@@ -19,10 +19,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..pytree.aliases import Value
 from ..runtime.provenance import need_same
 from ..storage.files import need_free, only_one, remove_leftovers, whole_folder
 from ..storage.sealed import Damaged, as_json, json_text, read_json, sealed, unsealed
@@ -31,6 +32,8 @@ from .grid import unfolded
 if TYPE_CHECKING:
     import xarray as xr
     import zarr
+    from zarr.abc.store import Store as ZarrStore
+    from zarr.core.buffer import Buffer
 
 log = logging.getLogger("jaxilc")
 
@@ -38,7 +41,13 @@ DONE = "chunk_done"
 METADATA = "zarr.json"
 VOUCHING = (METADATA, f"{DONE}/{METADATA}")  # files with the checksums of the others
 LONGEST_TEXT = 10_000  # bytes of a name, such as that of a scheme
-UNFILLED = {"f": np.nan, "i": -1, "u": 0, "b": False, "U": ""}  # values where nothing was computed
+UNFILLED: dict[str, float | str] = {
+    "f": np.nan,
+    "i": -1,
+    "u": 0,
+    "b": False,
+    "U": "",
+}  # where nothing was computed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,9 +71,9 @@ class Layout:
     """
 
     variables: Mapping[str, Variable]
-    coordinates: Mapping[str, tuple]
+    coordinates: Mapping[str, tuple[tuple[str, ...], np.ndarray]]
     chunk: int
-    configuration: Mapping[str, Any]
+    configuration: Mapping[str, object]
 
     @cached_property
     def sizes(self) -> dict[str, int]:
@@ -72,16 +81,16 @@ class Layout:
         return {dims[0]: len(v) for name, (dims, v) in self.coordinates.items() if dims == (name,)}
 
     @cached_property
-    def recipe(self) -> dict[str, Any]:
+    def recipe(self) -> dict[str, Value]:
         """The configuration as it is read back from a file."""
         return as_json(self.configuration)
 
-    def files(self) -> dict[str, Any]:
+    def files(self) -> dict[str, Buffer]:
         """The files of a store in which nothing is computed yet, by name."""
         from zarr import create_group
         from zarr.storage import MemoryStore
 
-        files: dict[str, Any] = {}
+        files: dict[str, Buffer] = {}
         group, sizes = create_group(MemoryStore(files)), self.sizes
         along = sizes | {"scheme": 1, "sample": min(self.chunk, sizes["sample"])}
         for name, of in self.variables.items():
@@ -89,7 +98,6 @@ class Layout:
             array = _array(group, name, np.dtype(of.dtype), of.dims, shape, chunks)
             array.attrs.update({"units": of.unit, "description": of.description})
         for name, (dims, values) in self.coordinates.items():
-            values = np.asarray(values)
             array = _array(group, name, values.dtype, dims, values.shape, values.shape)
             array[...] = values.astype(object) if values.dtype.kind == "U" else values
         marks = (sizes["scheme"], -(-sizes["sample"] // self.chunk))
@@ -106,7 +114,14 @@ def sum_of(content: bytes) -> str:
     return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
-def _array(group: zarr.Group, name: str, dtype: np.dtype, dims, shape, chunks) -> Any:
+def _array(
+    group: zarr.Group,
+    name: str,
+    dtype: np.dtype,
+    dims: tuple[str, ...],
+    shape: tuple[int, ...],
+    chunks: tuple[int, ...],
+) -> zarr.Array[Value]:
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     return group.create_array(
@@ -126,7 +141,9 @@ class Store:
     It is made by `create` or `resume`. While it is open, no other process can resume it.
     """
 
-    def __init__(self, store: Any, layout: Layout, closing: ExitStack, path: Path | None = None):
+    def __init__(
+        self, store: ZarrStore, layout: Layout, closing: ExitStack, path: Path | None = None
+    ):
         import zarr
 
         self.path = path  # None where it is in the RAM
@@ -134,7 +151,9 @@ class Store:
         self._known: dict[str, np.ndarray] = {}  # all values that were written or read so far
         with zarr.config.set({"array.write_empty_chunks": True}):  # NaN may be a computed value
             group = zarr.open_group(store, mode="r+")
-            self._arrays: dict[str, Any] = {name: group[name] for name in (*layout.variables, DONE)}
+            self._arrays: dict[str, Value] = {
+                name: group[name] for name in (*layout.variables, DONE)
+            }
 
     @classmethod
     def create(cls, path: str | Path | None, layout: Layout) -> Store:
@@ -188,7 +207,7 @@ class Store:
     def __enter__(self) -> Store:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self._closing.close()
 
     def is_done(self, scheme: int, chunk: int) -> bool:
@@ -208,7 +227,9 @@ class Store:
         log.warning("chunk %d of scheme %d is damaged and computed again: %s", chunk, scheme, wrong)
         return False
 
-    def write(self, scheme: int, chunk: int, machines: slice, values: Mapping[str, Any]) -> None:
+    def write(
+        self, scheme: int, chunk: int, machines: slice, values: Mapping[str, np.ndarray]
+    ) -> None:
         """Store and mark one finished chunk of one scheme.
 
         values: arrays by name; the first axis is that of the machines
@@ -258,6 +279,8 @@ def open_dataset(path: str | Path) -> xr.Dataset:
 
     Raises FileNotFoundError, and ValueError naming what is damaged.
     """
+    import xarray as xr
+
     path = Path(path)
     if not path.is_dir():
         raise FileNotFoundError(f"{path} is not a dataset of results")
@@ -268,7 +291,7 @@ def open_dataset(path: str | Path) -> xr.Dataset:
         for name, checksum in known["checksums"].items():
             if sum_of((path / name).read_bytes()) != checksum:
                 raise Damaged(f"{name} is not as it was written")
-        dataset = _loaded(str(path))
+        dataset = xr.open_zarr(path, chunks=None, consolidated=False).load()
         _check_marks(dataset, known["configuration"], known["chunk"])
     except Exception as error:  # any error of a codec on damaged bytes
         raise Damaged(_damaged(path, error)) from None
@@ -293,7 +316,7 @@ def _harmful(path: Path) -> Iterator[tuple[Path, str]]:
                 yield chunk, f"{chunk} would unpack to {size:,} bytes; a chunk has {largest:,}"
 
 
-def _largest_chunk(array: Mapping[str, Any]) -> int:
+def _largest_chunk(array: Mapping[str, Value]) -> int:
     """The number of bytes of a chunk of an array, from its description."""
     shape = array["chunk_grid"]["configuration"]["chunk_shape"]
     kind = array["data_type"]
@@ -311,7 +334,7 @@ def _unpacked_size(head: bytes) -> float:
     return size if length else math.inf
 
 
-def stored_configuration(path: Path) -> dict[str, Any]:
+def stored_configuration(path: Path) -> dict[str, Value]:
     """The configuration of a store, from the first undamaged one of its two copies.
 
     Raises ValueError where both are damaged.
@@ -324,7 +347,7 @@ def stored_configuration(path: Path) -> dict[str, Any]:
     raise ValueError(f"{path} is not a store that can be resumed; remove it and start again")
 
 
-def _check_marks(dataset: xr.Dataset, recipe: Mapping[str, Any], chunk: int) -> None:
+def _check_marks(dataset: xr.Dataset, recipe: Mapping[str, Value], chunk: int) -> None:
     """Raises Damaged for a chunk that does not agree with its mark."""
     variables = [name for name, array in dataset.data_vars.items() if "units" in array.attrs]
     for (scheme, number), mark in np.ndenumerate(dataset[DONE].values):
@@ -345,14 +368,14 @@ def _machines(chunk: int, size: int, machines: int) -> slice:
 
 
 def _is_mark(
-    mark: int, recipe: Mapping[str, Any], values: Mapping[str, np.ndarray], place: tuple[int, int]
+    mark: int, recipe: Mapping[str, Value], values: Mapping[str, np.ndarray], place: tuple[int, int]
 ) -> bool:
     """Whether a mark is that of a chunk at its place; marks of before did not hold the place."""
     return any(int(mark) == _mark(recipe, values, of) for of in (place, ()))
 
 
 def _mark(
-    recipe: Mapping[str, Any], values: Mapping[str, np.ndarray], place: tuple[int, ...]
+    recipe: Mapping[str, Value], values: Mapping[str, np.ndarray], place: tuple[int, ...]
 ) -> int:
     """A checksum of a chunk's values, of its scheme and number, and of the configuration.
 
@@ -365,13 +388,7 @@ def _mark(
     return int.from_bytes(found.digest(), "little") or 1
 
 
-def _loaded(store: Any) -> xr.Dataset:
-    import xarray as xr
-
-    return xr.open_zarr(store, chunks=None, consolidated=False).load()
-
-
-def _labelled(dataset: xr.Dataset, recipe: Mapping[str, Any]) -> xr.Dataset:
+def _labelled(dataset: xr.Dataset, recipe: Mapping[str, Value]) -> xr.Dataset:
     """The dataset without the marks of the store, with its coordinates, and the axes of a grid."""
     dataset = dataset.drop_vars(DONE)
     dataset.attrs = {"configuration": dict(recipe)}

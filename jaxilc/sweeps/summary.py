@@ -54,7 +54,9 @@ class SchemeSummary(NamedTuple):
     grown_to: float
     diverged: float
     diverged_at: int
-    __repr__ = in_short
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
 
 def summarise(
@@ -161,7 +163,7 @@ def wilson_interval(passed: int, machines: int) -> tuple[float, float]:
     return (low if passed else 0.0), (high if passed < machines else 1.0)
 
 
-def explained_shares(parameters: Mapping[str, np.ndarray], errors) -> dict[str, float]:
+def explained_shares(parameters: Mapping[str, np.ndarray], errors: np.ndarray) -> dict[str, float]:
     """How much of the spread of the errors each uncertain parameter explains by itself.
 
     It is the share of the variance of their ranks:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import jax
 import numpy as np
@@ -18,6 +18,7 @@ from ..learning.metrics import Keep
 from ..learning.over_trials import check
 from ..learning.watch import Watch
 from ..learning.within_trial import bytes_of_trial
+from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, brief, require
 from ..runtime import provenance
@@ -31,7 +32,7 @@ from ..storage.files import need_free
 from ..uncertainty import Population, Uncertainty, takes_population
 from .grid import Grid, grid_of
 from .host import Host
-from .plan import SIGNALS, Plan, need_memory
+from .plan import SIGNALS, Hosts, Plan, need_memory
 from .store import Layout, Store, stored_configuration
 
 if TYPE_CHECKING:
@@ -85,10 +86,10 @@ class Sweep:
     lanes: int | None = None
     quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
     watch: Watch | None = None
-    grid: Mapping[Any, Any] = dataclasses.field(default_factory=dict)
+    grid: Mapping[Value, Value] = dataclasses.field(default_factory=dict)
     __repr__ = in_short
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("trials", "machines", *(n for n in CHOSEN if getattr(self, n) is not None)):
             require("Sweep", name, getattr(self, name), "[1, inf)", whole=True)
         require("Sweep", "seed", self.seed, SEEDS, whole=True)
@@ -122,7 +123,7 @@ class Sweep:
             self.quantities, self.watch, axes, self.chunk or OPEN, self.lanes or OPEN,
         )  # fmt: skip
         plan.need_room()
-        axes.check(self.population, self.schemes, self.task, self.trials)
+        axes.check(self.population, plan.parts)
         _ = self.population.drawn
         if plan.lanes is None:
             most = max(bytes_of_trial(of.scheme, of.task) for of in plan.variants.values())
@@ -135,30 +136,28 @@ class Sweep:
         """The axes of the grid."""
         return self.plan.axes
 
-    def at(self, point: Mapping[str, Any]) -> Sweep:
+    def at(self, point: Mapping[str, Value]) -> Sweep:
         """The sweep of one point, without a grid, whose numbers are those of the grid there.
 
         point: a value of each axis, by the name of its dimension
         Raises ValueError for a value that is not in the grid.
         """
-        place = self.axes.place_of(point)
-        parts = self.axes.at(place, self.population.machine, self.schemes, self.task, self.trials)
-        names = ("machine", "schemes", "task", "trials")
-        return dataclasses.replace(self, grid={}, **dict(zip(names, parts, strict=True)))
+        parts = self.axes.at(self.axes.place_of(point), self.plan.parts)
+        return dataclasses.replace(self, grid={}, **parts._asdict())
 
     @property
     def drawn(self) -> dict[str, np.ndarray]:
         """(machines,) drawn numbers by the name of the leaf."""
         return self.population.drawn
 
-    def configuration(self, environment: dict[str, Any] | None = None) -> dict[str, Any]:
+    def configuration(self, environment: provenance.Environment | None = None) -> dict[str, object]:
         """All that determines the numbers, as JSON.
 
         environment: environment of the processes that compute, None for this process
         """
         names = [f.name for f in dataclasses.fields(self) if f.name != "grid"]
         of = {name: self.plan if name in ("machines", *CHOSEN) else self for name in names}
-        fields = {name: describe(getattr(of[name], name)) for name in names}
+        fields: dict[str, object] = {name: describe(getattr(of[name], name)) for name in names}
         if self.axes.axes:
             fields["grid"] = self.axes.described(self.schemes)
         return fields | {"environment": environment or provenance.environment()}
@@ -193,6 +192,7 @@ class Sweep:
             begun = self._as_begun(stored_configuration(Path(out)))
             if begun is not None:
                 return begun.run(out, resume=True, progress=progress, cluster=cluster)
+        computing: AbstractContextManager[Hosts]
         if cluster is None:
             computing = nullcontext(self.host())
         else:
@@ -203,7 +203,11 @@ class Sweep:
             return self._run(hosts, out, resume, progress or (lambda name, done, fresh: None))
 
     def _run(
-        self, hosts, out: str | Path | None, resume: bool, progress: Callable[[str, int, int], None]
+        self,
+        hosts: Hosts,
+        out: str | Path | None,
+        resume: bool,
+        progress: Callable[[str, int, int], None],
     ) -> xr.Dataset:
         layout = Layout(
             self.plan.variables,
@@ -211,19 +215,19 @@ class Sweep:
             self.plan.chunk,
             self.configuration(hosts.environment),
         )
-        found = out is not None and Path(out).exists()
+        found = out if out is not None and Path(out).exists() else None
         if out is not None and not resume:
             need_free(out)
         chunks = self.plan.chunks()
         with ExitStack() as opened:
-            store = opened.enter_context(Store.resume(out, layout)) if found else None
+            store = None if found is None else opened.enter_context(Store.resume(found, layout))
             pending = [c for c in chunks if store is None or not store.is_done(c.scheme, c.number)]
             copies = 2 if out is None else 1
             names = tuple(dict.fromkeys(c.name for c in pending))
             stored = need_memory(self.plan, hosts, names, copies=copies)
             computed = opened.enter_context(hosts.computing(pending, stored))
             store = opened.enter_context(Store.create(out, layout)) if store is None else store
-            done = Counter()
+            done = Counter[str]()
             scheme_of = {name: variant.name for name, variant in self.plan.variants.items()}
             for chunk in sorted(set(chunks) - set(pending)):
                 name = scheme_of[chunk.name]
@@ -237,12 +241,14 @@ class Sweep:
                 progress(name, done[name], chunk.size)
             return store.dataset()
 
-    def _as_begun(self, stored: Mapping[str, Any]) -> Sweep | None:
+    def _as_begun(self, stored: Mapping[str, Value]) -> Sweep | None:
         """This sweep with the lanes and the chunk of a store, where they were left open.
 
         None where this sweep has them already, or the store has none that are allowed.
         """
-        kept = {name: stored.get(name) for name in CHOSEN if getattr(self, name) is None}
+        kept: dict[str, Value] = {
+            name: stored.get(name) for name in CHOSEN if getattr(self, name) is None
+        }
         if any(type(size) is not int or size < 1 for size in kept.values()):
             return None
         same = all(getattr(self.plan, name) == size for name, size in kept.items())

@@ -14,12 +14,16 @@ import threading
 from collections import Counter
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from ..pytree.aliases import Value
 from ..runtime import capacity
-from ..runtime.provenance import differences, environment
+from ..runtime.provenance import Environment, differences, environment
 from ..runtime.start import setup
 from .host import Host
+
+if TYPE_CHECKING:
+    from distributed import Worker
 
 _ONE_AT_A_TIME = threading.Lock()
 
@@ -31,14 +35,13 @@ class UnlikeWorkers(ValueError):
 class Found(NamedTuple):
     """The properties of a worker.
 
-    environment: what its numbers depend on, see `provenance.environment`
     host: name of the computer that it runs on
     free: bytes of RAM that are free on this host, None where unknown
     on_devices: bytes that are free on its devices, None where they have no RAM of their own
     limit: bytes that Dask allows the worker, None where there is no limit
     """
 
-    environment: dict[str, Any]
+    environment: Environment
     host: str
     free: int | None
     on_devices: int | None
@@ -57,14 +60,14 @@ class Found(NamedTuple):
         return min((room for room in rooms if room is not None), default=None)
 
 
-async def described(precision: str, dask_worker=None) -> Found:
-    """The properties of this worker; Dask passes the argument `dask_worker`."""
+async def described(precision: str, dask_worker: Worker) -> Found:
+    """The properties of this worker, which Dask passes."""
     # A thread is used, so that the worker answers the scheduler while JAX starts or while it waits
     # for a chunk of another sweep.
     return await asyncio.to_thread(_found, precision, dask_worker)
 
 
-def _found(precision: str, worker) -> Found:
+def _found(precision: str, worker: Worker) -> Found:
     import dask
     import psutil
 
@@ -84,8 +87,8 @@ def _found(precision: str, worker) -> Found:
 
 
 def call_host(
-    plan: bytes, precision: str, expected: dict[str, Any], method: str, arguments: tuple
-) -> Any:
+    plan: bytes, precision: str, expected: Environment, method: str, arguments: tuple[Value, ...]
+) -> Value:
     """The result of a method of the plan's `Host` in this worker.
 
     Calls run one at a time, however many threads the worker has, since a chunk uses all devices.
@@ -114,7 +117,7 @@ def _host(plan: bytes, precision: str) -> Host:
     return Host(pickle.loads(plan))
 
 
-def common_environment(environments: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+def common_environment(environments: Mapping[str, Environment]) -> Environment:
     """The environment that all workers have.
 
     environments: environments by the address of the worker

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ from ..learning.metrics import largest
 from ..learning.over_trials import learn
 from ..learning.watch import Watch, Watched
 from ..plants.structure import obstacle
-from ..pytree.aliases import Value
+from ..pytree.aliases import Leaf, Value
 from ..pytree.in_short import in_short
 from ..runtime.tiles import tiled_with
 from ..schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAC, FFDLMFAILC, PFDLMFAILC, Scheme
@@ -207,7 +207,7 @@ def bounds_of(machine: Machine, scheme: Scheme, task: Task, u: Value = None) -> 
     total = jnp.sum(every)
     left_out = jnp.sum(rest) / jnp.where(total > 0, total, 1.0)
     nothing = dict.fromkeys(Bounds._fields, jnp.full((), UNPROVED))
-    found: dict[str, Any] = nothing | {
+    found = nothing | {
         "ppd_low": low,
         "ppd_high": high,
         "left_out": left_out,
@@ -418,7 +418,7 @@ class Checked(NamedTuple):
     care: float | None
 
 
-def checked(found: Mapping[Any, Any]) -> Checked:
+def checked(found: Mapping[str, Leaf]) -> Checked:
     """The premises and the bounds of machines, from what a `BoundsWatch` found of them.
 
     found: (S,) and (S, J) by the names of the watch
@@ -446,7 +446,7 @@ def checked_machines(
     task: Task,
     trials: int,
     uncertainty: Uncertainty,
-    drawn: Mapping[str, Any],
+    drawn: Mapping[str, np.ndarray],
 ) -> Checked:
     """The premises and the bounds on each machine's run without noise.
 

@@ -41,7 +41,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -260,7 +260,7 @@ def certify(
     task: Task,
     trials: int,
     uncertainty: Uncertainty | None = None,
-    drawn: Mapping[str, Any] | None = None,
+    drawn: Mapping[str, np.ndarray] | None = None,
     *,
     steps: int = 300,
 ) -> Certificate:
@@ -491,7 +491,7 @@ def certify_schemes(
     task: Task,
     trials: int,
     uncertainty: Uncertainty,
-    drawn: Mapping[str, Any],
+    drawn: Mapping[str, np.ndarray],
     *,
     progress: Callable[[int, str], object] | None = None,
 ) -> dict[str, OfScheme]:

@@ -44,7 +44,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -82,8 +82,8 @@ class RecordMoments(NamedTuple):
     both: (K, K) chance of two samples to be in it together
     held: (K, K) E[H]
     late: largest delay of the record as a whole, in samples
-    of_delays: (K, K) E[H] of samples that come late by themselves; None where none does
-    joint: (K^2, K^2) sparse; vec E[H Y H^T] - vec E[H] Y E[H]^T of these; None likewise
+    delays: of samples that come late by themselves, E[H] (K, K), and vec E[H Y H^T] - vec E[H] Y
+        E[H]^T (K^2, K^2); None where none does
     """
 
     kept: np.ndarray
@@ -91,8 +91,7 @@ class RecordMoments(NamedTuple):
     both: np.ndarray
     held: np.ndarray
     late: int
-    of_delays: np.ndarray | None
-    joint: Any
+    delays: tuple[np.ndarray, scipy.sparse.csr_array] | None
     __repr__ = in_short
 
     @classmethod
@@ -111,12 +110,14 @@ class RecordMoments(NamedTuple):
             stays = np.where(k == 0, 1.0, 1.0 - float(variation.dropped))
             both = both * np.where(np.eye(rows, dtype=bool), stays, np.outer(stays, stays))
             kept = kept * stays
-        held = np.mean([_selects(np.maximum(k - d, 0)) for d in range(variation.late + 1)], axis=0)
-        of_delays = joint = None
+        held = np.mean(
+            [_selects(np.maximum(k - d, 0)).toarray() for d in range(variation.late + 1)], axis=0
+        )
+        delays = None
         if variation.delayed is not None:
-            of_delays, joint = _of_delays(float(variation.delayed), variation.delay, rows)
-            held = of_delays @ held
-        return cls(kept, counted, both, held, variation.late, of_delays, joint)
+            delays = _of_delays(float(variation.delayed), variation.delay, rows)
+            held = delays[0] @ held
+        return cls(kept, counted, both, held, variation.late, delays)
 
     @property
     def certain(self) -> bool:
@@ -126,7 +127,7 @@ class RecordMoments(NamedTuple):
     @property
     def in_time(self) -> bool:
         """Whether no sample comes late."""
-        return self.joint is None and not self.late
+        return self.delays is None and not self.late
 
     def reach(self, n: int) -> np.ndarray:
         """(K n, K n) the largest |H - E[H]| of each entry, over all that can be drawn."""
@@ -160,14 +161,15 @@ class RecordMoments(NamedTuple):
         """E[H Y H^T]."""
         if self.late:
             Y = np.mean([_both_sides(S, Y) for S in _shifts(len(self.kept), self.late)], axis=0)
-        if self.of_delays is None:
+        if self.delays is None:
             return Y
-        return _both_sides(self.of_delays, Y) + _by_channels(self.joint, Y, len(self.kept))
+        mean, joint = self.delays
+        return _both_sides(mean, Y) + _by_channels(joint, Y, len(self.kept))
 
     def _held_back(self, Z) -> np.ndarray:
-        if self.of_delays is not None:
-            by_itself = _by_channels(self.joint.T, Z, len(self.kept))
-            Z = _both_sides(self.of_delays.T, Z) + by_itself
+        if self.delays is not None:
+            mean, joint = self.delays
+            Z = _both_sides(mean.T, Z) + _by_channels(joint.T, Z, len(self.kept))
         if not self.late:
             return Z
         back = (S.T for S in _shifts(len(self.kept), self.late))
@@ -178,7 +180,7 @@ class RecordMoments(NamedTuple):
 def _shifts(rows: int, late: int) -> tuple:
     """What holds a record back as a whole, by each delay."""
     k = np.arange(rows)
-    return tuple(_selects(np.maximum(k - d, 0), sparse=True) for d in range(late + 1))
+    return tuple(_selects(np.maximum(k - d, 0)) for d in range(late + 1))
 
 
 def _chance_to_last(shortest: float, N: int) -> np.ndarray:
@@ -191,7 +193,7 @@ def _chance_to_last(shortest: float, N: int) -> np.ndarray:
     return 1 - np.clip((np.arange(N + 1) / N - shortest) / (1 - shortest), 0.0, 1.0)
 
 
-def _of_delays(delayed: float, most: int, rows: int) -> tuple[np.ndarray, Any]:
+def _of_delays(delayed: float, most: int, rows: int) -> tuple[np.ndarray, scipy.sparse.csr_array]:
     """E[H] where samples come late by themselves, and what E[H Y H^T] has beyond E[H] Y E[H]^T.
 
     Sample k needs delta_k samples to arrive, independent of the others. The newest that is there
@@ -220,7 +222,9 @@ def _of_delays(delayed: float, most: int, rows: int) -> tuple[np.ndarray, Any]:
 
     ages, k = range(most + 1), np.arange(rows)
     alone = np.array([together(0, (a,)) for a in ages])
-    mean = sum(p * _selects(np.maximum(k - a, 0)) for a, p in zip(ages, alone, strict=True))
+    mean = sum(
+        p * _selects(np.maximum(k - a, 0)) for a, p in zip(ages, alone, strict=True)
+    ).toarray()
     to, of, chances = [], [], []
     for apart, a, b in itertools.product(range(most + 1), ages, ages):
         more = together(apart, (a, b)) - alone[a] * alone[b]
@@ -236,11 +240,10 @@ def _of_delays(delayed: float, most: int, rows: int) -> tuple[np.ndarray, Any]:
     return mean, scipy.sparse.csr_array(entries, shape=(rows**2, rows**2))
 
 
-def _selects(at, *, sparse: bool = False) -> Any:
+def _selects(at: np.ndarray) -> scipy.sparse.csr_array:
     """The (K, K) matrix that takes rows `at` of a signal."""
     rows = len(at)
-    found = scipy.sparse.csr_array((np.ones(rows), (np.arange(rows), at)), shape=(rows, rows))
-    return found if sparse else found.toarray()
+    return scipy.sparse.csr_array((np.ones(rows), (np.arange(rows), at)), shape=(rows, rows))
 
 
 def _rows(S, Y) -> np.ndarray:

@@ -18,10 +18,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ..learning.machine import Machine
@@ -56,6 +57,7 @@ __all__ = [
 ]
 
 # leaves of a memory that are no state: they only tell the first trial from the others
+T = TypeVar("T")
 FLAGS = ("seen",)
 OF_OUTPUT = ("y",)  # leaves of a memory that have the unit of the output
 FIXED = 1e-6  # by how much of itself a trial may move a memory that counts as a fixed point
@@ -197,12 +199,12 @@ def error_growth(
 
 
 def over_plants(
-    quantity: Callable[[Machine], Any],
+    quantity: Callable[[Machine], T],
     machine: Machine,
     uncertainty: Uncertainty,
-    drawn: Mapping[str, Any],
+    drawn: Mapping[str, np.ndarray],
     lanes: int = 4,
-):
+) -> T:
     """quantity(machine) for every plant drawn, tiled over devices.
 
     drawn: as from `uncertainty.draw`

@@ -30,7 +30,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -455,7 +455,7 @@ def _of_norm_optimal(
     except ValueError as error:
         return premise(WHOLE, False, str(error))
     feedback = getattr(feedback, "feedback", feedback)
-    scheme: Any = learning if feedback is None else WithFeedback(learning, feedback)
+    scheme = learning if feedback is None else WithFeedback(learning, feedback)
     decay = decays(drawn_machines(machine, {}, {}), scheme, task)
     return premise(WHOLE, decay.trials[0] > 0, decay.told(0))
 
@@ -534,8 +534,9 @@ def family_condition(
     as `draw` does.
     """
     population = Population(machine, uncertainty, count=machines, seed=seed, sampling=sampling)
-    how: dict[str, Any] = {"climbers": climbers, "steps": steps, "frequencies": frequencies}
-    found = tried_plants(population, scheme, task, **how)
+    found = tried_plants(
+        population, scheme, task, climbers=climbers, steps=steps, frequencies=frequencies
+    )
     top, parts = found.top, parts_of(machine, scheme, task)
     radius = np.max(found.radii)
     poles = premise(STABLE, stable(found.radii), f"largest |pole| {radius:.6g}")

@@ -17,7 +17,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -54,6 +54,7 @@ from .trials import (
     trial_of,
 )
 
+T = TypeVar("T")
 DENSE = 512  # rows up to which M is taken as a matrix
 STEPS = 300  # of the Lanczos process, at most
 FEW = 60  # Lanczos steps where a bound need not be sharp
@@ -204,7 +205,7 @@ def limits_as_one(limits: dict[str, jax.Array]) -> jax.Array:
     return jnp.concatenate(list(limits.values()))
 
 
-def slopes(f: Callable[[jax.Array], Any], x: jax.Array) -> tuple[Any, Any]:
+def slopes(f: Callable[[jax.Array], T], x: jax.Array) -> tuple[T, T]:
     """f at x (n,), and how each array (m,) of its result depends on x there, as (m, n)."""
     here, push = jax.linearize(f, x)
     return here, jax.vmap(push, out_axes=-1)(jnp.eye(x.size))

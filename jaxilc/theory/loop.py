@@ -6,7 +6,7 @@ plant has one, and it can be differentiated in every leaf. Frequencies are in Hz
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ import scipy
 from jax.flatten_util import ravel_pytree
 
 from ..learning.machine import Machine
+from ..pytree.aliases import Tree
 from ..schemes import Scheme
 from ..signals.task import Sample, Task
 from .trials import learned_shape, shortened
@@ -45,7 +46,7 @@ class Now(NamedTuple):
 
     x: jax.Array
     w: jax.Array
-    row: Any
+    row: Tree
     r: jax.Array
     ahead: jax.Array
     d_u: jax.Array

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import find_peaks
 
 from ..filters import ZeroPhaseButterworth
 from ..learning.machine import Machine
+from ..pytree.aliases import Value
 from ..pytree.named_paths import child_of, get_at, replaced
 from ..pytree.ranges import require
 from ..schemes import Filtered, LearningFilter, PIDType, Scheme
@@ -109,9 +110,9 @@ class Places(NamedTuple):
     lead: str
     order: int
 
-    def of(self, scheme: Scheme, change: Change) -> dict[str, Any]:
+    def of(self, scheme: Scheme, change: Change) -> dict[str, Value]:
         """The values by path that make a change: only those that differ from the scheme's."""
-        values: dict[str, Any] = {}
+        values: dict[str, Value] = {}
         if self.cutoff and np.isfinite(change.cutoff):
             values[self.cutoff] = change.cutoff
         for path in self.gains if change.gain != 1 else ():
@@ -197,7 +198,7 @@ def _changed(
     return None
 
 
-def _first(scheme: Scheme, wanted, at: str = "") -> tuple[str, Any]:
+def _first(scheme: Scheme, wanted: Callable[[Scheme], bool], at: str = "") -> tuple[str, Value]:
     """The first part that is wanted, from the outside in, with the path before its fields."""
     if wanted(scheme):
         return at, scheme

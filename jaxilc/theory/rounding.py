@@ -23,8 +23,9 @@ p / (1 - p) times the sum so far. What the rounding of these numbers themselves 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -35,8 +36,9 @@ from ..pytree.fields import child, leaf, pytree
 from ..pytree.in_short import in_short
 from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
+from ..schemes.scheme import Memory, Schedule, State
 from ..schemes.wrapper import Wrapper
-from ..signals.task import Task
+from ..signals.task import Limit, Sample, Task, Trial
 from .learning_map import View, alone, count_of, learning_of, slopes
 from .spectrum import reached
 from .trials import with_input, with_output
@@ -260,18 +262,18 @@ class _Adding(Wrapper):
     def plays_back(self) -> bool:
         return False
 
-    def schedule(self, memory, task: Task) -> Any:
+    def schedule(self, memory: Memory, task: Task) -> Schedule:
         return self.scheme.schedule(memory, task), self.added
 
-    def play(self, learned, memory, task: Task) -> Any:
+    def play(self, learned: jax.Array, memory: Memory, task: Task) -> Schedule:
         return self.scheme.play(learned, memory, task), self.added
 
-    def act(self, state, sample) -> Any:
+    def act(self, state: State, sample: Sample) -> tuple[State, jax.Array]:
         row, added = sample.row
         state, u = self.scheme.act(state, sample._replace(row=row))
         return state, u + added
 
-    def limits(self, task: Task, memory, trial) -> Any:
+    def limits(self, task: Task, memory: Memory, trial: Trial) -> dict[str, Limit]:
         return self.scheme.limits(task, memory, trial)
 
 

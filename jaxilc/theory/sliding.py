@@ -14,7 +14,7 @@ bounded. Here f is computed from the trial.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..plants import StateSpace
+from ..pytree.aliases import Leaf, Value
 from ..pytree.fields import pytree
 from ..pytree.named_paths import named_leaves, replaced
 from ..schemes import ASMC, SMC, ExponentialPD, Filtered, Scheme, WithFeedback
@@ -158,7 +159,7 @@ def within_layer(scheme: Scheme, eta_hat=None) -> Scheme:
     steep = 0.0
     if isinstance(feedback, ASMC):
         steep = (feedback.eta if eta_hat is None else eta_hat) / feedback.Delta
-    changed: dict[str, Any] = own | {"eta": 0.0, "k_n": feedback.k_n + steep}
+    changed: dict[str, Leaf] = own | {"eta": 0.0, "k_n": feedback.k_n + steep}
     return Reaching(**changed)
 
 
@@ -196,7 +197,7 @@ def sampled_condition(
             premise("sigma within the boundary layer", size <= layer, said),
             premise("eta_hat at rest", run.eta_hat == eta_hat, at_rest),
         )
-    linear: Any = within_layer(scheme, eta_hat)
+    linear: Value = within_layer(scheme, eta_hat)
     path = next(
         name for name in named_leaves(linear.learning) if name.split(".")[-1] == "lam0"
     ).removesuffix("lam0")

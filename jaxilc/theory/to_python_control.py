@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -14,8 +14,11 @@ from ..signals.task import Task
 from .linearity import invariant_loop
 from .loop import tick_of
 
+if TYPE_CHECKING:
+    import control
 
-def to_control(machine: Machine, scheme: Scheme | None, task: Task) -> Any:
+
+def to_control(machine: Machine, scheme: Scheme | None, task: Task) -> control.StateSpace:
     """The `control.StateSpace` from what is learned and from the reference to the output.
 
         x[k+1] = A x[k] + B_w w[k] + B_r r[k+L],    y[k] = C x[k]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +16,8 @@ from ..pytree.aliases import Value
 from ..pytree.fields import child, pytree
 from ..schemes import Scheme, WithFeedback
 from ..schemes.compose import Pair
-from ..schemes.scheme import Feedforward
-from ..signals.task import Task, Trial
+from ..schemes.scheme import Feedforward, Memory, Schedule, State
+from ..signals.task import Sample, Task, Trial
 
 # trials before a scheme that adapts is looked at: by then one of two-trial increments has seen
 # data
@@ -129,7 +128,7 @@ def with_offset(machine: Machine, d) -> Machine:
 
 
 def _with(machine: Machine, part: str, name: str, d) -> Machine:
-    found: Any = getattr(machine, part)
+    found = getattr(machine, part)
     found = {"disturbance": Disturbance, "variation": Variation}[part]() if found is None else found
     own = getattr(found, name)
     changed = dataclasses.replace(found, **{name: d if own is None else own + d})
@@ -150,13 +149,13 @@ class _Inside(Scheme):
     def plays_back(self) -> bool:
         return self.scheme.plays_back
 
-    def initial_state(self, task: Task) -> Any:
+    def initial_state(self, task: Task) -> State:
         return self.scheme.initial_state(task)
 
-    def act(self, state, sample) -> Any:
+    def act(self, state: State, sample: Sample) -> tuple[State, jax.Array]:
         return self.scheme.act(state, sample)
 
-    def signals(self, state) -> dict[str, jax.Array]:
+    def signals(self, state: State) -> dict[str, jax.Array]:
         return self.scheme.signals(state)
 
 
@@ -164,7 +163,7 @@ class _Inside(Scheme):
 class _Playing(_Inside):
     """A scheme that plays a given signal. Its memory is the scheme's, and what is played."""
 
-    def schedule(self, memory, task: Task) -> Any:
+    def schedule(self, memory: Memory, task: Task) -> Schedule:
         return self.scheme.play(memory[1], memory[0], task)
 
 
@@ -179,9 +178,9 @@ class Prescribed(_Inside):
     def plays_back(self) -> bool:
         return False
 
-    def schedule(self, memory, task: Task) -> Any:
+    def schedule(self, memory: Memory, task: Task) -> Schedule:
         return self.scheme.schedule(memory[0], task), memory[1][:-1]
 
-    def act(self, state, sample) -> Any:
+    def act(self, state: State, sample: Sample) -> tuple[State, jax.Array]:
         row, y = sample.row
         return self.scheme.act(state, sample._replace(row=row, y=y))

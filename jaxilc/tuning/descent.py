@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ import numpy as np
 import optax
 from jax import lax
 
+from ..pytree.aliases import Leaf, Tree, Value
 from ..runtime.provenance import need_same
 from ..storage.files import atomically, need_free, only_one, remove_leftovers, to_disk, whole_folder
 from ..storage.reading import tree_of
@@ -35,6 +36,8 @@ from ..storage.sealed import (
     write_json,
 )
 
+T = TypeVar("T")
+Z: TypeAlias = jax.Array | np.ndarray  # the point of one start, or of all
 DAMPING = 1e-2  # of least squares, at its start
 OPTIMISERS = ("adam", "lbfgs", "least-squares")
 
@@ -98,9 +101,9 @@ class Method(NamedTuple):
     programs: both functions, compiled for many starts, see `for_starts`
     """
 
-    init: Callable[[Any], Any]
-    step: Callable[[Any, Any], tuple[Any, Any, Step]]
-    programs: tuple[Any, ...] = ()
+    init: Callable[[Z], Tree]
+    step: Callable[[Z, Tree], tuple[Z, Tree, Step]]
+    programs: tuple[jax.stages.Wrapped, ...] = ()
 
 
 class Step(NamedTuple):
@@ -117,7 +120,7 @@ class Step(NamedTuple):
 
 
 def by_gradient(
-    evaluate: Callable[[Any], Evaluation], optimiser: optax.GradientTransformation
+    evaluate: Callable[[jax.Array], Evaluation], optimiser: optax.GradientTransformation
 ) -> Method:
     """The method that an optax transformation defines.
 
@@ -160,7 +163,7 @@ class Damped(NamedTuple):
     at: Evaluation
 
 
-def by_least_squares(evaluate: Callable[[Any], Evaluation]) -> Method:
+def by_least_squares(evaluate: Callable[[jax.Array], Evaluation]) -> Method:
     """Levenberg-Marquardt on the residuals r with the Jacobian J (Marquardt 1963).
 
         (J^T J + damping diag(J^T J)) dz = -J^T r
@@ -192,7 +195,7 @@ def by_least_squares(evaluate: Callable[[Any], Evaluation]) -> Method:
 
 def method_of(
     optimiser: str | optax.GradientTransformation,
-    evaluate: Callable[[Any], Evaluation],
+    evaluate: Callable[[jax.Array], Evaluation],
     rate: float,
     steps: int,
 ) -> Method:
@@ -256,7 +259,7 @@ def for_starts(method: Method) -> Method:
     )
 
 
-def arguments_like(method, z) -> tuple[Any, Any]:
+def arguments_like(method: Method, z: T) -> tuple[T, Tree]:
     """The arguments of the compiled step of a method for all starts: z (K, P) and the state.
 
     Only shapes are worked out; nothing is computed.
@@ -283,7 +286,7 @@ class State(NamedTuple):
 
     step: np.ndarray
     z: np.ndarray
-    inner: Any
+    inner: Tree
     best_z: np.ndarray
     best: np.ndarray
     best_step: np.ndarray
@@ -329,7 +332,7 @@ class State(NamedTuple):
 def descended(
     method: Method,
     now: State,
-    held_out: Callable[[Any], Any],
+    held_out: Callable[[Z], Leaf],
     *,
     validate_every: int,
     patience: int,
@@ -373,7 +376,7 @@ class Folder:
     continues from the undamaged files, and ends with the same numbers, bit for bit.
     """
 
-    def __init__(self, path: Path, configuration: dict[str, Any], resume: bool):
+    def __init__(self, path: Path, configuration: Mapping[str, object], resume: bool):
         """Open the folder, or make it.
 
         Raises FileExistsError, and ValueError for a folder that is in use, does not belong to a
@@ -441,7 +444,7 @@ class Folder:
                 self._damaged.append(str(error))
                 del self._whole[name]
 
-    def _configuration(self) -> dict[str, Any]:
+    def _configuration(self) -> dict[str, Value]:
         """The configuration of the folder; a damaged file is repaired from a state."""
         file, found = self.path / CONFIGURATION, None
         try:
@@ -466,13 +469,13 @@ def stored_lanes(path: Path) -> int | None:
     return lanes if type(lanes) is int and lanes >= 1 else None
 
 
-def _kind(leaf: Any) -> tuple[Any, ...]:
+def _kind(leaf: Leaf) -> tuple[tuple[int, ...], np.dtype]:
     return np.shape(leaf), np.asarray(leaf).dtype
 
 
-def _states(path: Path) -> tuple[dict[str, dict[str, Any]], list[str]]:
+def _states(path: Path) -> tuple[dict[str, dict[str, np.ndarray]], list[str]]:
     """The undamaged states by name, the newest first, and what is wrong with the others."""
-    whole: dict[str, dict[str, Any]] = {}
+    whole: dict[str, dict[str, np.ndarray]] = {}
     damaged: list[str] = []
     for name in (STATE, PREVIOUS):
         try:

@@ -22,7 +22,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +31,7 @@ from ..learning.metrics import Keep
 from ..learning.over_trials import truncated
 from ..learning.within_trial import bytes_of_trial
 from ..native.run import fastest
+from ..pytree.aliases import Value
 from ..pytree.named_paths import replaced
 from ..runtime.lanes import fitting_lanes, usual_lanes
 from ..runtime.start import STEPS_OF_SLOPE
@@ -77,11 +77,11 @@ class Losses:
         return max(1, lanes // self.starts)
 
     def of_machine(
-        self, machine: Machine, values: Mapping[str, Any], objective: Objective, *, key=None
+        self, machine: Machine, values: Mapping[str, Value], objective: Objective, *, key=None
     ) -> jax.Array:
         """() the objective of one machine, with these values of the weights by name."""
         scheme, save = replaced(self.scheme, values), Keep.of(self.quantities)
-        options: dict[str, Any] = {"key": key, "save": save}
+        options: dict[str, Value] = {"key": key, "save": save}
         if self.truncate is None or self.truncate >= self.trials:
             return judge(
                 machine, scheme, self.task, self.trials, objective, ceiling=self.ceiling, **options
@@ -91,7 +91,7 @@ class Losses:
         return objective(Run(machine, scheme, self.task, history, self.ceiling))
 
     def risk_of(
-        self, values: Mapping[str, Any], objective: Objective, population: Population, first: int
+        self, values: Mapping[str, Value], objective: Objective, population: Population, first: int
     ) -> jax.Array:
         """() the risk over machines with these weights, plus the nominal terms.
 
@@ -110,7 +110,7 @@ class Losses:
 
     def evaluation(
         self, objective: Objective, *, clip: float, steps: int
-    ) -> tuple[Callable[[Any], Evaluation], bool]:
+    ) -> tuple[Callable[[jax.Array], Evaluation], bool]:
         """A function that evaluates the loss over the machines of the population at z (P,).
 
         The second result is whether a program compiled for this processor does, see `native`.

@@ -15,7 +15,7 @@ gradient is finite. `Bounded` keeps them finite.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +33,7 @@ from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.guards import Guard
 from ..schemes.parts import need_second_derivatives
+from ..schemes.scheme import Memory, State
 from ..signals.task import Sample, Task, Trial
 
 
@@ -42,7 +43,7 @@ class Held(NamedTuple):
     scheme: memory of the scheme that is bounded
     """
 
-    scheme: Any
+    scheme: Memory
 
 
 @pytree
@@ -72,7 +73,7 @@ class Bounded(Guard):
     def initial_memory(self, task: Task) -> Held:
         return Held(self.scheme.initial_memory(task))
 
-    def act(self, state, sample: Sample) -> tuple[Any, jax.Array]:
+    def act(self, state: State, sample: Sample) -> tuple[State, jax.Array]:
         return self.scheme.act(
             state,
             sample._replace(y=jnp.clip(sample.y, sample.r - self.level, sample.r + self.level)),

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..pytree.aliases import Leaf
 from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.learning_filter import segments_of
@@ -42,8 +43,8 @@ class OverFamily(Objective):
     ValueError for responses of another shape, or that are not finite.
     """
 
-    frequencies: Any
-    P: Any
+    frequencies: Leaf
+    P: Leaf
     below: float = 0.95
     sharpness: float = SHARPNESS
     nominal: ClassVar[bool] = True

@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import jax
 import numpy as np
@@ -25,6 +25,7 @@ from ..learning.divergence import CEILING
 from ..learning.known_metrics import bytes_of_metrics
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.aliases import Value
 from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import replaced
@@ -199,7 +200,7 @@ class Tuning:
     def _losses(self) -> Losses:
         """The losses, with the lanes that suit them where they were left open."""
         names = {f.name for f in dataclasses.fields(Losses)} - {"weights"}
-        given: dict[str, Any] = {name: getattr(self, name) for name in names}
+        given: dict[str, Value] = {name: getattr(self, name) for name in names}
         given |= {"weights": self._weights, "lanes": self.lanes or 1}
         losses = Losses(**given)
         if self.lanes is not None:
@@ -217,21 +218,23 @@ class Tuning:
         """The smooth maps of the real line onto the ranges of the weights, by name."""
         return self._weights.bijections
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, object]:
         """All that determines the numbers, as JSON."""
         described = {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)}
         native = self._evaluation[1]
-        around = environment("optax", *["llvmlite"] * native) | ({"native": True} if native else {})
+        around = environment("optax", *["llvmlite"] * native)
+        if native:
+            around["native"] = True
         return described | {"lanes": self._losses.lanes, "environment": around}
 
-    def scheme_of(self, values: Mapping[str, Any]) -> Scheme:
+    def scheme_of(self, values: Mapping[str, Value]) -> Scheme:
         """The scheme with these values of the weights by name; also usable inside `jit`."""
         return replaced(self.scheme, values)
 
     def loss_of(
         self,
         machine: Machine,
-        values: Mapping[str, Any],
+        values: Mapping[str, Value],
         objective: Objective | None = None,
         *,
         key=None,
@@ -240,7 +243,7 @@ class Tuning:
         return self._losses.of_machine(machine, values, objective or self.objective, key=key)
 
     def held_out_loss(
-        self, values: Mapping[str, Any], objective: Objective | None = None
+        self, values: Mapping[str, Value], objective: Objective | None = None
     ) -> jax.Array:
         """() the risk over the held-out machines plus the nominal terms, a pure function."""
         population, first = self.population, 0
@@ -361,7 +364,7 @@ class Tuning:
         return planned
 
     @cached_property
-    def _programs(self) -> tuple[Method, Any]:
+    def _programs(self) -> tuple[Method, jax.stages.Wrapped]:
         """The optimiser for all starts and the held-out losses, compiled once for a problem."""
         return for_starts(self._method()), jax.jit(over_starts(self.held_out_loss))
 
@@ -370,12 +373,14 @@ class Tuning:
         return method_of(self.optimiser, self._evaluation[0], self.rate, self.steps)
 
     @cached_property
-    def _evaluation(self) -> tuple[Callable[[Any], Evaluation], bool]:
+    def _evaluation(self) -> tuple[Callable[[jax.Array], Evaluation], bool]:
         """The training loss, and whether a program compiled for this processor computes it."""
         return self._losses.evaluation(self.objective, clip=self.clip, steps=self.steps)
 
 
-def in_rounds(f: Callable, rows: Mapping[str, np.ndarray], size: int) -> np.ndarray:
+def in_rounds(
+    f: Callable[[dict[str, np.ndarray]], jax.Array], rows: Mapping[str, np.ndarray], size: int
+) -> np.ndarray:
     """The (n,) results of f for n rows, of which it takes `size` at a time.
 
     So a function that is compiled for `size` rows need not be compiled again. The last row is
@@ -385,7 +390,7 @@ def in_rounds(f: Callable, rows: Mapping[str, np.ndarray], size: int) -> np.ndar
     """
     n = len(next(iter(rows.values())))
     rounds = np.minimum(np.arange(-(-n // size) * size), n - 1).reshape(-1, size)
-    results: list[Any] = [f({name: of[k] for name, of in rows.items()}) for k in rounds]
+    results = [f({name: of[k] for name, of in rows.items()}) for k in rounds]
     return np.concatenate(results)[:n]
 
 

@@ -22,7 +22,8 @@ asked for, which is enough if the plant is nowhere larger than at its last line.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -105,7 +106,7 @@ def synthesised(
     return Synthesis(scheme, peak, loss, band, spacing)
 
 
-def need_solver() -> Any:
+def need_solver() -> ModuleType:
     """CVXPY. Raises ValueError, naming the command that installs it, where it is missing."""
     try:
         import cvxpy

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +15,7 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from ..schemes import Scheme
@@ -238,7 +238,7 @@ def _elements(
         raise ValueError(
             f"weights: {name} = {value!r} is not a float leaf of this scheme and cannot be tuned"
         )
-    allowed: Any = interval_at(scheme, name)  # every float leaf has an interval
+    allowed: Value = interval_at(scheme, name)  # every float leaf has an interval
     low, high = (allowed.low, allowed.high) if bounds is None else map(float, bounds)
     if not low < high:
         raise ValueError(f"weights: the bounds ({low:g}, {high:g}) of {name} are empty")

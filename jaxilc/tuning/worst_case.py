@@ -10,7 +10,7 @@ a machine, or a dictionary of a machine and a phase, an initial state, or a refe
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
 from ..native.run import fastest, sample_steps
+from ..pytree.aliases import Leaf, Tree, Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, require
 from ..runtime.capacity import check_program, check_size
@@ -32,6 +33,7 @@ from ..uncertainty import LogUniform, Population, Uncertainty, drawn_machine
 from .objectives import Final, judge
 
 GRADIENT_COST = 3  # cost of a gradient beyond that of its loss, in evaluations of the loss
+T = TypeVar("T")
 COPIES = 8  # in the RAM, of the points of all climbs or draws, and of their losses
 GROW, SHRINK, FIRST, SMALLEST = 1.5, 0.4, 0.1, 1e-6  # Riedmiller 1993 has 1.2 and 0.5
 
@@ -48,7 +50,7 @@ class WorstCase(NamedTuple):
     """
 
     values: dict[str, float]
-    subject: Any
+    subject: Tree
     loss: float
     evaluations: int
     found: np.ndarray
@@ -57,8 +59,8 @@ class WorstCase(NamedTuple):
 
 
 def worst_case_search(
-    loss: Callable[[Any], jax.Array],
-    subject: Any,
+    loss: Callable[[Tree], jax.Array],
+    subject: Tree,
     uncertainty: Uncertainty | None = None,
     *,
     starts: int = 16,
@@ -127,8 +129,8 @@ def worst_case_search(
 
 
 def monte_carlo_search(
-    loss: Callable[[Any], jax.Array],
-    subject: Any,
+    loss: Callable[[Tree], jax.Array],
+    subject: Tree,
     uncertainty: Uncertainty | None,
     evaluations: int,
     *,
@@ -169,11 +171,11 @@ class _Box:
         for end in (0.0, 1.0):
             self.at(np.full(self.n, end), self.subject)  # raises where a leaf does not allow it
 
-    def at(self, t, subject) -> Any:
+    def at(self, t: Leaf, subject: T) -> T:
         """The subject at t (n,)."""
         return drawn_machine(subject, self.uncertainty, self.values(t))
 
-    def values(self, t) -> dict[str, Any]:
+    def values(self, t: Leaf) -> dict[str, Value]:
         """The values by name at t (n,); a log-uniform one is interpolated by its logarithm."""
         values = {}
         for i, (name, distribution) in enumerate(self.uncertainty.items()):
