@@ -15,7 +15,7 @@ import dataclasses
 import itertools
 from collections.abc import Mapping
 from functools import cached_property, wraps
-from typing import Protocol, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -115,11 +115,10 @@ Distribution = Uniform | Normal | LogUniform
 Uncertainty = Mapping[str, Distribution]
 
 
-class Drawn(Protocol):
+class Drawn(NamedTuple):
     """All that a program needs to know of a distribution."""
 
-    @property
-    def relative(self) -> bool: ...
+    relative: bool
 
 
 def _need_numbers(distribution: Distribution, **ranges: str) -> None:
@@ -341,7 +340,9 @@ def draw(
     return Population(machine, uncertainty, count=machines, seed=seed, sampling=sampling).drawn
 
 
-def drawn_machine(machine: T, uncertainty: Mapping[str, Drawn], values: Mapping[str, Value]) -> T:
+def drawn_machine(
+    machine: T, uncertainty: Mapping[str, Distribution | Drawn], values: Mapping[str, Value]
+) -> T:
     """The machine with one set of drawn numbers; can be called inside `jit` and `vmap`."""
     scale = {
         name: jnp.asarray(get_at(machine, name)) if d.relative else 1.0

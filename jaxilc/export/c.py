@@ -12,18 +12,16 @@ import math
 import re
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jax.typing import DTypeLike
 
 from ..native.operations import Node, elementwise
 from ..native.program import Const, Program, Step, Unknown, Value
 from . import operations
 from .law import Function
 from .steps import uniform
-
-if TYPE_CHECKING:
-    from numpy.typing import DTypeLike
 
 LONGEST = 60  # characters of a number that is written where it is used
 LITTLE = 32  # elements of an array on the stack

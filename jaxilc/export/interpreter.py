@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
 from ..native.operations import Node, elementwise
 from ..native.program import Const, Program, Step, Unknown, Value
 from . import operations
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, DTypeLike
 
 
 def interpret(

@@ -13,12 +13,13 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike, DTypeLike
 
 from ..learning.machine import Actuator
 from ..learning.over_trials import check_length
@@ -32,9 +33,6 @@ from ..signals.task import Sample, Task, Trial
 from . import guard
 from .interpreter import interpret
 from .steps import program_of
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, DTypeLike
 
 
 class Within(NamedTuple):

@@ -8,15 +8,12 @@ says what the other steps on arrays do. All sums are taken in the order of their
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jax.typing import DTypeLike
 
 from ..native.operations import Node, Numbers, elementwise, one_by_one
 from ..native.program import Step
-
-if TYPE_CHECKING:
-    from numpy.typing import DTypeLike
 
 ARRAYS = {
     "slice": "the elements from start_indices to limit_indices by strides",

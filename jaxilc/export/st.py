@@ -13,18 +13,16 @@ import re
 import textwrap
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jax.typing import DTypeLike
 
 from ..native.operations import Node, elementwise
 from ..native.program import Const, Program, Step, Unknown, Value
 from . import guard, operations
 from .law import Function, Law
 from .steps import uniform
-
-if TYPE_CHECKING:
-    from numpy.typing import DTypeLike
 
 BYTES = {"LREAL": 8, "LINT": 8, "DINT": 4, "UDINT": 4, "BOOL": 1}
 TYPES = {"f": "LREAL", "b": "BOOL", "int32": "DINT", "int64": "LINT", "uint32": "UDINT"}

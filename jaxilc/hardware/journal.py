@@ -209,11 +209,8 @@ class Journal:
         `live` says whether the entry still counts, or was undone.
         """
         manifests = self.manifests()
-        live = (
-            {m["serial"] for m in _led_to(manifests, manifests[-1])}
-            if _is_whole(manifests, manifests[-1])
-            else set()
-        )
+        led = _led_to(manifests, manifests[-1]) if _is_whole(manifests, manifests[-1]) else []
+        live = {m["serial"] for m in led}
         rows = []
         for m in manifests:
             metrics, findings = (

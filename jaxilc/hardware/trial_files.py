@@ -299,11 +299,9 @@ def _read_mat(
                     f"{OPTIONS[name]} names another"
                 )
             continue
-        values, unit, allowed = (
-            contents[variable],
-            units.get(variable),
-            f"allowed are real numbers in {channels} columns",
-        )
+        values = contents[variable]
+        unit = units.get(variable)
+        allowed = f"allowed are real numbers in {channels} columns"
         if not isinstance(values, np.ndarray):
             said = values.said if isinstance(values, Other) else "no array"
             raise ValueError(f"{path}: {name} is {said}; {allowed}")

@@ -885,10 +885,8 @@ def first_lag(record: Record, longest: int = LONGEST_LOOKED_FOR) -> int:
     none is, or where the record is too short for such a fit. Of several experiments, the first is
     taken.
     """
-    y, u = (
-        as_columns("first_lag", "y", record.y)[:, 0],
-        as_columns("first_lag", "u", record.u)[:, 0],
-    )
+    y = as_columns("first_lag", "y", record.y)[:, 0]
+    u = as_columns("first_lag", "u", record.u)[:, 0]
     n = min(longest + BEYOND, (len(u) - 1) // 6)
     if n < 1:
         return 0

@@ -416,11 +416,9 @@ class _Growing:
     def variances(self, P: Numbers, floor: float, scale: float) -> Numbers:
         """(F,) expected squared errors of the lines around a model P."""
         size = np.maximum(np.abs(P), 1e-9 * np.max(np.abs(P)))
-        own = (
-            self.std * size / np.maximum(self.size, np.finfo(float).tiny)
-            if self.relative
-            else self.std
-        )
+        own = self.std
+        if self.relative:
+            own = own * size / np.maximum(self.size, np.finfo(float).tiny)
         return scale * own**2 + (floor * size) ** 2 * self.alike
 
     def criterion(self, P: Numbers, floor: float, scale: float, numbers: int) -> float:

@@ -338,10 +338,8 @@ def response_problem(
 ) -> ResponseProblem:
     """The problem of a measured response; delay: [s], None where it is fitted."""
     f, G, std = (np.asarray(x) for x in measured[:3])
-    names, coordinates = (
-        free_elements(plant, None),
-        Coordinates.of(plant, free_elements(plant, None)),
-    )
+    names = free_elements(plant, None)
+    coordinates = Coordinates.of(plant, free_elements(plant, None))
     longest = longest_delay(f, dt)
     if delay is None:  # the coordinate of the bias of a record is that of the delay
         names = (*names, "delay")

@@ -44,11 +44,9 @@ class Actuator:
         v_last: (n_u,) v of the sample before [unit of u]
         dt: () sample time [s]
         """
-        v = (
-            u
-            if self.rate is None
-            else v_last + jnp.clip(u - v_last, -self.rate * dt, self.rate * dt)
-        )
+        v = u
+        if self.rate is not None:
+            v = v_last + jnp.clip(u - v_last, -self.rate * dt, self.rate * dt)
         v = self._within_limit(v)
         return v, v if self.resolution is None else self._within_limit(quantise(v, self.resolution))
 
@@ -144,11 +142,9 @@ class Machine:
 
     def unlimited(self) -> Machine:
         """This machine without the limits of its actuator; the step of its converter is kept."""
-        actuator = (
-            self.actuator
-            if self.actuator is None
-            else dataclasses.replace(self.actuator, limit=None, rate=None)
-        )
+        actuator = self.actuator
+        if actuator is not None:
+            actuator = dataclasses.replace(actuator, limit=None, rate=None)
         return dataclasses.replace(self, actuator=actuator)
 
     def unrounded(self) -> Machine:

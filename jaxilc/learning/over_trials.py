@@ -162,10 +162,8 @@ def _program(
 
 def check_length(task: Task, scheme: Scheme) -> None:
     """Raises ValueError where one trial, or the preview of its samples, does not fit in RAM."""
-    signals, seen = (
-        8 * OF_A_TRIAL * max(task.outputs, task.inputs),
-        8 * 2 * task.outputs * (task.N + 1),
-    )
+    signals = 8 * OF_A_TRIAL * max(task.outputs, task.inputs)
+    seen = 8 * 2 * task.outputs * (task.N + 1)
     if task.N * signals + seen * scheme.preview > LITTLE:
         check_size("one trial", signals, samples=task.N)
         check_size("one trial", seen, preview=scheme.preview)

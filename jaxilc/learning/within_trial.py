@@ -63,11 +63,8 @@ def run_and_measure(
 def first_start(machine: Machine, scheme: Scheme, task: Task, key: Array) -> Start:
     """The `Start` of a trial of a machine, sampled, that is at rest."""
     plant = machine.plant
-    x = (
-        plant.initial_state()
-        if machine.variation is None
-        else machine.variation.initial_state(plant, key)
-    )
+    varies = machine.variation
+    x = plant.initial_state() if varies is None else varies.initial_state(plant, key)
     rest = jnp.zeros(task.inputs)
     return Start(x, scheme.initial_state(task), rest, None if machine.actuator is None else rest)
 

@@ -174,11 +174,9 @@ class BallScrewDrive(Plant):
             ("table_friction", self.table_mass),
         ):
             friction = jax.tree.map(np.asarray, getattr(self, name))
-            pole = (
-                0.0
-                if friction is None
-                else float(np.max(friction.damping_at_rest / np.asarray(mass)))
-            )
+            pole = 0.0
+            if friction is not None:
+                pole = float(np.max(friction.damping_at_rest / np.asarray(mass)))
             if pole * self.longest_dt > RK4_RADIUS:
                 raise ValueError(
                     f"BallScrewDrive: {name} damps at rest with {pole:.4g} 1/s, more than an "
@@ -328,10 +326,8 @@ class BallScrewDrive(Plant):
             lead, slope = self.lead_error.at(x_M)
             linear = self.stiffness * (x_M - x_T) + self.damping * (v_M - v_T)
             spring = linear + self.stiffness * lead + self.damping * slope * v_M
-            on_motor, on_table = (
-                on_motor + linear - spring * (1.0 + slope),
-                on_table + spring - linear,
-            )
+            on_motor = on_motor + linear - spring * (1.0 + slope)
+            on_table = on_table + spring - linear
         still = jnp.zeros_like(v_M)
         return jnp.stack(
             [

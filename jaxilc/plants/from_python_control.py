@@ -193,12 +193,10 @@ def system_matrices(system: Value) -> Matrices:
 
 def _side_by_side(blocks: dict[tuple[int, int], Matrices], n_y: int, n_u: int) -> Matrices:
     order = sum(len(b[0]) for b in blocks.values())
-    A, B, C, D = (
-        np.zeros((order, order)),
-        np.zeros((order, n_u)),
-        np.zeros((n_y, order)),
-        np.zeros((n_y, n_u)),
-    )
+    A = np.zeros((order, order))
+    B = np.zeros((order, n_u))
+    C = np.zeros((n_y, order))
+    D = np.zeros((n_y, n_u))
     at = 0
     for (i, j), (a, b, c, d) in blocks.items():
         here = slice(at, at + len(a))

@@ -95,11 +95,9 @@ class StateSpace(Plant):
         return None if self.dt else self
 
     def initial_state(self) -> Tree:
-        return (
-            jnp.zeros_like(self.A, shape=self.A.shape[-1:])
-            if self.x0 is None
-            else jnp.asarray(self.x0)
-        )
+        if self.x0 is None:
+            return jnp.zeros_like(self.A, shape=self.A.shape[-1:])
+        return jnp.asarray(self.x0)
 
     def step(self, x: Tree, u: Array, dt: float) -> Tree:
         return product(self.A, x) + product(self.B, u)
@@ -130,10 +128,8 @@ class TimeVaryingStateSpace(Plant):
 
     def __post_init__(self) -> None:
         shapes = [np.shape(M) for M in (self.A, self.B, self.C)]
-        (N, n), fits = (
-            shapes[0][:2] if len(shapes[0]) == 3 else (0, 0),
-            all(len(s) == 3 for s in shapes),
-        )
+        N, n = shapes[0][:2] if len(shapes[0]) == 3 else (0, 0)
+        fits = all(len(s) == 3 for s in shapes)
         if not (
             fits and shapes[0] == (N, n, n) and shapes[1][:2] == (N, n) and shapes[2][::2] == (N, n)
         ):

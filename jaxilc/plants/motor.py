@@ -374,20 +374,16 @@ def _matrices(xp: ModuleType, motor: VoiceCoilMotor, d: Leaf, k: Leaf) -> tuple[
 
     xp: NumPy or jax.numpy, which computes them
     """
-    m, R, L, k_f, K_c = (
-        motor.mass,
-        motor.resistance,
-        motor.inductance,
-        motor.force_constant,
-        motor.current_gain,
-    )
-    K_p, K_i, b, S, k_h = (
-        motor.speed_gain,
-        motor.speed_integral_gain,
-        motor.setpoint_weight,
-        motor.command_scale,
-        motor.holding_gain,
-    )
+    m = motor.mass
+    R = motor.resistance
+    L = motor.inductance
+    k_f = motor.force_constant
+    K_c = motor.current_gain
+    K_p = motor.speed_gain
+    K_i = motor.speed_integral_gain
+    b = motor.setpoint_weight
+    S = motor.command_scale
+    k_h = motor.holding_gain
     delayed = motor.command_delay is not None
     # the Padé form has a feedthrough: w = 2 z - u
     delay: Leaf = motor.command_delay

@@ -252,11 +252,9 @@ def _while(step: Step, operands: list[Dependence]) -> list[Dependence]:
     found = _through(
         decides.jaxpr, [Dependence()] * len(decides.consts), [*operands[:of_condition], *following]
     )
-    return (
-        following
-        if found[0].order == CONSTANT
-        else [Dependence(OTHERWISE, WORDS["while"])] * len(following)
-    )
+    if found[0].order == CONSTANT:
+        return following
+    return [Dependence(OTHERWISE, WORDS["while"])] * len(following)
 
 
 def _repeated(
@@ -280,11 +278,9 @@ def _cond(step: Step, operands: list[Dependence]) -> list[Dependence]:
         _through(b.jaxpr, [Dependence()] * len(b.consts), rest) for b in step.params["branches"]
     ]
     joined = [_joined(several) for several in zip(*branches, strict=True)]
-    return (
-        joined
-        if decides.order == CONSTANT
-        else [Dependence(OTHERWISE, WORDS["cond"], one.blind) for one in joined]
-    )
+    if decides.order == CONSTANT:
+        return joined
+    return [Dependence(OTHERWISE, WORDS["cond"], one.blind) for one in joined]
 
 
 LOOPS_AND_CALLS = {"scan": _scan, "while": _while, "cond": _cond}

@@ -166,11 +166,9 @@ def _settled(cls: type, field: dataclasses.Field[Value], value: Value) -> Value:
     """The value that a field stores, after it was checked; floats become strongly typed arrays."""
     owner, kind = cls.__name__, kind_of(field)
     if kind == "leaf":
-        return (
-            None
-            if value is None and field.metadata["optional"]
-            else _checked_leaf(owner, field, value)
-        )
+        if value is None and field.metadata["optional"]:
+            return None
+        return _checked_leaf(owner, field, value)
     wanted = annotations_of(cls).get(field.name, Tree)
     if kind == "static":
         value = tuple(value) if isinstance(value, list) else value

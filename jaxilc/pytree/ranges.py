@@ -135,11 +135,9 @@ def brief(value: Value) -> str:
 def shown(values: Value) -> str:
     """A number, or the numbers of an array, in a few characters."""
     values = np.asarray(values)
-    return (
-        f"{values:g}"
-        if values.ndim == 0
-        else np.array2string(values, threshold=8, precision=6).replace("\n", "")
-    )
+    if values.ndim == 0:
+        return f"{values:g}"
+    return np.array2string(values, threshold=8, precision=6).replace("\n", "")
 
 
 def value_text(value: object) -> str:

@@ -106,10 +106,8 @@ class StopWhen(Guard):
             grown = ~stay & ~(rms <= (1 + lax.stop_gradient(self.growth)) * memory.best_rms)
             following = _choose(grown, memory.best, following)
             better = rms < memory.best_rms
-            best, best_rms = (
-                _choose(better, memory.scheme, memory.best),
-                jnp.where(better, rms, memory.best_rms),
-            )
+            best = _choose(better, memory.scheme, memory.best)
+            best_rms = jnp.where(better, rms, memory.best_rms)
             stop = stay | grown
         trials = memory.trials + jnp.where(frozen, 0.0, 1.0)
         return StopMemory(following, stop.astype(memory.frozen.dtype), trials, best, best_rms)
@@ -219,11 +217,8 @@ class Ladder(Guard):
         count = memory.count + 1
         full = count >= self.repeats
         y, u, signals = jax.tree.map(lambda total: total / self.repeats, sums)
-        mean, gain, rms = (
-            trial._replace(y=y, u=u, signals={name: signals[name] for name in names}),
-            None,
-            None,
-        )
+        mean = trial._replace(y=y, u=u, signals={name: signals[name] for name in names})
+        gain = rms = None
         if self.slow is not None:
             now_rms = _root_mean_square(lax.stop_gradient(mean.e[1:]))
             slowly = (now_rms > lax.stop_gradient(self.slow) * memory.rms) & (now_rms <= memory.rms)

@@ -143,10 +143,8 @@ class HigherOrder(Scheme):
         return Past(rest, before, before)
 
     def learn(self, memory: Past, trial: Trial) -> Past:
-        inputs, errors = (
-            (trial.u, *memory.inputs),
-            (advance(trial.e, 1 + self.lead), *memory.errors),
-        )
+        inputs = (trial.u, *memory.inputs)
+        errors = (advance(trial.e, 1 + self.lead), *memory.errors)
         return Past(self._law(inputs, errors), inputs[:-1], errors[:-1])
 
     def started(self, memory: Past, u: Array, task: Task) -> Past:

@@ -210,11 +210,9 @@ class ASMC(SMC):
         return Carried(jnp.broadcast_to(self.eta, (task.outputs,))) if self.carry else ()
 
     def schedule(self, memory: Tree, task: Task) -> Tree:
-        return (
-            CarriedRows(jnp.zeros((task.N, task.outputs)).at[0].set(memory.eta_hat))
-            if self.carry
-            else ()
-        )
+        if not self.carry:
+            return ()
+        return CarriedRows(jnp.zeros((task.N, task.outputs)).at[0].set(memory.eta_hat))
 
     def initial_state(self, task: Task) -> SlidingState:
         state = super().initial_state(task)

@@ -175,10 +175,8 @@ def _text(parts: Iterator[tuple[int, memoryview]], order: str, size: int, name: 
 def _structure(
     parts: Iterator[tuple[int, memoryview]], order: str, depth: int
 ) -> dict[str, MatValue]:
-    lengths, names = (
-        _need(parts, order, "length of names", "iu"),
-        _need(parts, order, "names", "S").tobytes(),
-    )
+    lengths = _need(parts, order, "length of names", "iu")
+    names = _need(parts, order, "names", "S").tobytes()
     length = int(lengths[0]) if len(lengths) else 0
     if length < 1:
         raise ValueError(f"a structure whose names have {length} letters")

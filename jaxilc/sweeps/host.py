@@ -33,7 +33,7 @@ from ..runtime.events import COMPILING, COMPUTING
 from ..runtime.lanes import fitting_lanes
 from ..runtime.start import native_unwanted
 from ..runtime.tiles import tiled
-from ..uncertainty import drawn_machine
+from ..uncertainty import Drawn, drawn_machine
 from .plan import Chunk, Plan
 from .store import UNFILLED
 
@@ -59,20 +59,19 @@ class Host:
         self.plan = plan
         self._needed = 0  # bytes of the largest chunk that was compiled
         self._finished_at = 0.0  # the time at which the last chunk was finished
-        names = tuple(
-            (name, _Drawn(bool(of.relative))) for name, of in plan.population.uncertainty.items()
+        drawn = tuple(
+            (n, Drawn(bool(of.relative))) for n, of in plan.population.uncertainty.items()
         )
-        of_machine = names, plan.keep, Keep.of(plan.quantities), plan.watch
-        self._of_machine = of_machine
+        of = drawn, plan.keep, Keep.of(plan.quantities), plan.watch
         make = _shared_program if shared else _program
-        counts = {variant.trials for variant in plan.variants.values()}
-        self._programs = {n: make(*of_machine, n, plan.lanes) for n in counts}
+        self._members = {v.trials: _Member(*of, v.trials) for v in plan.variants.values()}
+        self._programs = {n: make(of, plan.lanes) for n, of in self._members.items()}
         self._natives: dict[int, Native | str] = {}
-        for n in counts:
+        for n, member in self._members.items():
             why_not = native_unwanted(plan.members * n * plan.task.N)
             if not shared:
                 why_not = "the workers of a cluster may differ in their processors"
-            self._natives[n] = why_not or _shared_native(*of_machine, n, plan.lanes)
+            self._natives[n] = why_not or _shared_native(member, plan.lanes)
         self._by_trial = {
             n: v.dims.index("trial") - 1 for n, v in plan.variables.items() if "trial" in v.dims
         }
@@ -117,7 +116,7 @@ class Host:
         """
         return min(
             fitting_lanes(
-                _one_with(*self._of_machine, variant.trials),
+                self._members[variant.trials].found,
                 *self._arguments(name, 0, 1),
                 self.plan.members,
                 what=f"Sweep: {name}",
@@ -205,12 +204,9 @@ class Host:
         # The members that fill the chunk up to full size are left out.
         values = {name: np.asarray(value)[: chunk.size] for name, value in found.items()}
         missing = self.plan.longest - self.plan.variants[chunk.name].trials
-        return (
-            values
-            if not missing
-            else values
-            | {name: _longer(values[name], axis, missing) for name, axis in self._by_trial.items()}
-        )
+        if missing:
+            values |= {n: _longer(values[n], axis, missing) for n, axis in self._by_trial.items()}
+        return values
 
     def _arguments(self, name: str, start: int, size: int) -> tuple[Tree, Tree]:
         # The last chunk is filled up to full size with the last member, so that it runs the same
@@ -218,10 +214,7 @@ class Host:
         plan, of = self.plan, self.plan.variants[name]
         member = np.minimum(np.arange(start, start + min(size, plan.members)), plan.members - 1)
         point, index = np.divmod(member, plan.machines)
-        drawn = {
-            name: jnp.asarray(values[plan.first + index])
-            for name, values in plan.population.drawn.items()
-        }
+        drawn = {n: jnp.asarray(x[plan.first + index]) for n, x in plan.population.drawn.items()}
         at_point = jax.tree.map(jnp.asarray, plan.axes.leaves_at(point, of.name))
         common = (of.machine, of.scheme, of.task, jax.random.key(plan.population.seed))
         return common, (jnp.asarray(index), drawn, at_point)
@@ -233,77 +226,49 @@ def _longer(values: np.ndarray, axis: int, missing: int) -> np.ndarray:
     return np.pad(values, widths, constant_values=UNFILLED[values.dtype.kind])
 
 
-class _Drawn(NamedTuple):
-    """All that a program needs to know of a distribution."""
+class _Member(NamedTuple):
+    """What a program computes of each machine at each point.
 
-    relative: bool
+    uncertainty: names that are drawn
+    """
+
+    uncertainty: tuple[tuple[str, Drawn], ...]
+    keep: tuple[str, ...]
+    save: Keep
+    watch: Watch | None
+    trials: int
+
+    def found(self, common: Tree, one: Tree) -> Arrays:
+        """The metrics and signals of one drawn machine at one point, for `tiled`."""
+        (*parts, key), (index, values, at_point) = common, one
+        machine, scheme, task = (
+            replaced(part, at_point[name]) if name in at_point else part
+            for name, part in zip(("machine", "scheme", "task"), parts, strict=True)
+        )
+        machine = drawn_machine(machine, dict(self.uncertainty), values)
+        of, key = (machine, scheme, task, self.trials), jax.random.fold_in(key, index)
+        history = learn(*of, key=key, save=self.save, watch=self.watch, trials_a_pass=TRIALS_A_PASS)
+        along = {m.name for m in METRICS if m.axes[-1:] in (("channel",), ("input",))} | {
+            *self.keep
+        }
+        found = history.metrics._asdict() | {n: getattr(history.final, n) for n in self.keep}
+        squeezed = {
+            name: x[..., 0] if name in along and x.shape[-1] == 1 else x
+            for name, x in found.items()
+        }
+        squeezed |= history.saved | history.watched
+        return squeezed | {name: getattr(history, name) for name in Course._fields}
 
 
-Names: TypeAlias = tuple[tuple[str, _Drawn], ...]
-
-
-def _one_with(
-    names: Names, keep: tuple[str, ...], save: Keep, watch: Watch | None, trials: int
-) -> Callable[[Tree, Tree], Arrays]:
-    """The function of what is common and of the numbers of one member."""
-    return partial(_one_machine, names=names, trials=trials, keep=keep, save=save, watch=watch)
-
-
-def _program(
-    names: Names,
-    keep: tuple[str, ...],
-    save: Keep,
-    watch: Watch | None,
-    trials: int,
-    lanes: int | None,
-) -> jax.stages.Wrapped:
+def _program(of: _Member, lanes: int | None) -> jax.stages.Wrapped:
     """The compiled function of what is common and of the numbers of the members of a chunk."""
-    return jax.jit(tiled(_one_with(names, keep, save, watch, trials), lanes=lanes))
+    return jax.jit(tiled(of.found, lanes=lanes))
 
 
 _shared_program = lru_cache(maxsize=PROGRAMS)(_program)
 
 
 @lru_cache(maxsize=PROGRAMS)
-def _shared_native(
-    names: Names,
-    keep: tuple[str, ...],
-    save: Keep,
-    watch: Watch | None,
-    trials: int,
-    lanes: int | None,
-) -> Native:
+def _shared_native(of: _Member, lanes: int | None) -> Native:
     """The function compiled for this processor, where it can be."""
-    fn = _one_with(names, keep, save, watch, trials)
-    return Native(fn, _shared_program(names, keep, save, watch, trials, lanes))
-
-
-def _one_machine(
-    common: Tree,
-    one: Tree,
-    *,
-    names: Names,
-    trials: int,
-    keep: tuple[str, ...],
-    save: Keep,
-    watch: Watch | None,
-) -> Arrays:
-    """The metrics and signals of one drawn machine at one point, for `tiled`."""
-    (*parts, key), (index, values, at_point) = common, one
-    machine, scheme, task = (
-        replaced(part, at_point[name]) if name in at_point else part
-        for name, part in zip(("machine", "scheme", "task"), parts, strict=True)
-    )
-    machine = drawn_machine(machine, dict(names), values)
-    key = jax.random.fold_in(key, index)
-    history = learn(
-        machine, scheme, task, trials, key=key, save=save, watch=watch, trials_a_pass=TRIALS_A_PASS
-    )
-    by_channel = {m.name for m in METRICS if m.axes[-1:] in (("channel",), ("input",))} | {*keep}
-    found = history.metrics._asdict() | {name: getattr(history.final, name) for name in keep}
-    squeezed = {
-        name: x[..., 0] if name in by_channel and x.shape[-1] == 1 else x
-        for name, x in found.items()
-    }
-    squeezed |= history.saved | history.watched
-    return squeezed | {name: getattr(history, name) for name in Course._fields}
+    return Native(of.found, _shared_program(of, lanes))

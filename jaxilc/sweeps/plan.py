@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -19,13 +18,12 @@ from ..learning.known_metrics import METRICS
 from ..learning.watch import Watch
 from ..pytree.aliases import Value
 from ..runtime import capacity
-from ..runtime.provenance import Environment
 from ..runtime.tiles import OPEN
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Population
 from .grid import Grid, Parts, Variant
-from .store import Variable
+from .store import Coordinate, Variable
 
 SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
 WORK = 4  # arrays of the size of a metric over all machines and trials, needed for its quantiles
@@ -52,18 +50,6 @@ class Chunk(NamedTuple):
     def size(self) -> int:
         """The number of members in the chunk."""
         return self.stop - self.start
-
-
-class Hosts(Protocol):
-    """What computes the chunks of a plan: `Host`, or the workers of a cluster."""
-
-    @property
-    def environment(self) -> Environment: ...
-    def room(self, stored: int) -> tuple[int | None, str]: ...
-    def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]: ...
-    def computing(
-        self, chunks: list[Chunk], stored: int
-    ) -> AbstractContextManager[Iterator[tuple[Chunk, dict[str, np.ndarray]]]]: ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -169,7 +155,7 @@ class Plan:
         points = {"points": self.axes.size} if self.axes.axes else {}
         capacity.check_size("Sweep", need, machines=self.machines, trials=self.longest, **points)
 
-    def coordinates(self) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    def coordinates(self) -> dict[str, Coordinate]:
         """Dimensions and values of each coordinate, with the drawn numbers and the grid's axes."""
         task = self.task
         known = {
@@ -182,7 +168,7 @@ class Plan:
             "input_time": task.time[:-1],
         }
         used = {d for v in self.variables.values() for d in v.dims}
-        found: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
+        found: dict[str, Coordinate] = {
             name: ((name,), values) for name, values in known.items() if name in used
         }
         found |= {
@@ -234,35 +220,3 @@ def variables_of(
 def labels_of(task: Task) -> np.ndarray:
     """(n_y,) the names of the outputs, or their numbers where they have none."""
     return np.array(task.labels)
-
-
-def need_memory(plan: Plan, hosts: Hosts, names: tuple[str, ...], *, copies: int) -> int:
-    """The bytes of `copies` of the dataset; a chunk of each variant is compiled, to check it fits.
-
-    Raises ValueError where a chunk does not fit in RAM beside them. Where the size of the RAM is
-    unknown, nothing is refused.
-    """
-    plan.need_room(copies)
-    stored = copies * plan.bytes_stored()
-    room, where = hosts.room(stored)
-    for name, need in hosts.chunk_bytes(names, plan.chunk):
-        if room is not None and need > room:
-            instead = _that_fits(plan, hosts, name, need, room)
-            raise capacity.refused(f"Sweep: chunk = {plan.chunk} takes", need, room, instead, where)
-    return stored
-
-
-def _that_fits(plan: Plan, hosts: Hosts, name: str, need: int, room: int) -> str:
-    """What would fit where a chunk of a variant needs more bytes than there is room for."""
-    # From two tiles on, the RAM of a chunk is linear in its size; a single tile needs less, since
-    # there is no loop over tiles.
-    tile, size = plan.lanes * hosts.environment["devices"], min(plan.chunk, plan.members)
-    small = min(2 * tile, size)
-    least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need
-    if least > room:
-        return (
-            f"{small} machines at a time take {capacity.shown(least)} already; keep fewer signals, "
-            "take fewer trials, or shorten them"
-        )
-    fits = int(small + (room - least) / (need - least) * (size - small)) // tile * tile
-    return f"chunk = {fits} would fit"

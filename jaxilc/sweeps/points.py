@@ -15,10 +15,7 @@ from .summary import QUANTILES, axes_of, errors_of
 if TYPE_CHECKING:
     import xarray as xr
 
-# The values of a point, what is near along each axis, and its edges, by the name of the axis.
-Place: TypeAlias = tuple[
-    dict[str, Value], dict[str, tuple[Value, Value]], dict[str, tuple[Value, Value]]
-]
+Ends: TypeAlias = dict[str, tuple[Value, Value]]
 NEAR = 2.0  # a point is near the best one if its error is at most so many times as large
 
 
@@ -46,9 +43,9 @@ class BestPoint(NamedTuple):
     yield_share: float
     error: float
     near: float
-    along: dict[str, tuple[Value, Value]]
+    along: Ends
     diverged: float
-    edges: dict[str, tuple[Value, Value]]
+    edges: Ends
     sentences: tuple[str, ...]
 
     def __repr__(self) -> str:
@@ -74,7 +71,7 @@ def best_points(
     passed = unknown if tolerance is None else np.mean(last <= tolerance, axis=-1)
     lost = (dataset["diverged_at"] > 0).any("sample").transpose("scheme", *axes).values
     return [
-        _best(str(name), dataset, axes, passed[i], error[i], lost[i])
+        _best(str(name), dataset, passed[i], error[i], lost[i])
         for i, name in enumerate(dataset["scheme"].values)
     ]
 
@@ -122,13 +119,9 @@ def labels_for(dataset: xr.Dataset, axis: str, scheme: str) -> xr.DataArray:
 
 
 def _best(
-    name: str,
-    dataset: xr.Dataset,
-    axes: tuple[str, ...],
-    passed: np.ndarray,
-    error: np.ndarray,
-    lost: np.ndarray,
+    name: str, dataset: xr.Dataset, passed: np.ndarray, error: np.ndarray, lost: np.ndarray
 ) -> BestPoint:
+    axes = axes_of(dataset)
     order = np.lexsort((error.ravel(), -passed.ravel()))
     best = np.unravel_index(order[0], error.shape)
     near = error <= NEAR * error[best]
@@ -138,7 +131,8 @@ def _best(
         below, above = _ends(~near[line], best[i])
         ends.append(((below + 1, above - 1), _ends(lost[line], best[i])))
 
-    def at(labels: list[xr.DataArray]) -> Place:
+    def at(labels: list[xr.DataArray]) -> tuple[dict[str, Value], Ends, Ends]:
+        """The point, what is near along its axes, and the edges, as values of these labels."""
         values = {str(of.name): of.values.tolist() for of in labels}
         places = list(zip(values.items(), best, ends, strict=True))
         return (
@@ -152,12 +146,14 @@ def _best(
 
     shares = float(error[best]), float(near.mean()), float(lost.mean())
     point, along, edges = at([dataset[axis] for axis in axes])
-    told = _sentences(name, shares, at([labels_for(dataset, axis, name) for axis in axes]))
+    told = _sentences(name, shares, *at([labels_for(dataset, axis, name) for axis in axes]))
     return BestPoint(name, point, float(passed[best]), *shares[:2], along, shares[2], edges, told)
 
 
-def _sentences(name: str, shares: tuple[float, float, float], place: Place) -> tuple[str, ...]:
-    (error, near, lost), (point, along, edges) = shares, place
+def _sentences(
+    name: str, shares: tuple[float, float, float], point: dict[str, Value], along: Ends, edges: Ends
+) -> tuple[str, ...]:
+    error, near, lost = shares
     if not np.isfinite(error):
         return (f"{name}: more than 5 % of the machines diverge at every point.",)
     best = " and ".join(f"{axis} = {value_text(at)}" for axis, at in point.items())

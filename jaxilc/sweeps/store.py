@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -41,13 +41,9 @@ DONE = "chunk_done"
 METADATA = "zarr.json"
 VOUCHING = (METADATA, f"{DONE}/{METADATA}")  # files with the checksums of the others
 LONGEST_TEXT = 10_000  # bytes of a name, such as that of a scheme
-UNFILLED: dict[str, float | str] = {
-    "f": np.nan,
-    "i": -1,
-    "u": 0,
-    "b": False,
-    "U": "",
-}  # where nothing was computed
+# Values where nothing was computed.
+UNFILLED: dict[str, float | str] = {"f": np.nan, "i": -1, "u": 0, "b": False, "U": ""}
+Coordinate: TypeAlias = tuple[tuple[str, ...], np.ndarray]  # dimensions and values
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +67,7 @@ class Layout:
     """
 
     variables: Mapping[str, Variable]
-    coordinates: Mapping[str, tuple[tuple[str, ...], np.ndarray]]
+    coordinates: Mapping[str, Coordinate]
     chunk: int
     configuration: Mapping[str, object]
 
@@ -151,9 +147,7 @@ class Store:
         self._known: dict[str, np.ndarray] = {}  # all values that were written or read so far
         with zarr.config.set({"array.write_empty_chunks": True}):  # NaN may be a computed value
             group = zarr.open_group(store, mode="r+")
-            self._arrays: dict[str, Value] = {
-                name: group[name] for name in (*layout.variables, DONE)
-            }
+            self._arrays: dict[str, Value] = {n: group[n] for n in (*layout.variables, DONE)}
 
     @classmethod
     def create(cls, path: str | Path | None, layout: Layout) -> Store:

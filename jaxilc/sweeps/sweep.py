@@ -21,7 +21,7 @@ from ..learning.within_trial import bytes_of_trial
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, brief, require
-from ..runtime import provenance
+from ..runtime import capacity, provenance
 from ..runtime.earlier_names import takes_also
 from ..runtime.lanes import usual_lanes
 from ..runtime.provenance import describe
@@ -32,12 +32,14 @@ from ..storage.files import need_free
 from ..uncertainty import Population, Uncertainty, takes_population
 from .grid import Grid, grid_of
 from .host import Host
-from .plan import SIGNALS, Hosts, Plan, need_memory
+from .plan import SIGNALS, Plan
 from .store import Layout, Store, stored_configuration
 
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
+
+    from .cluster import Workers
 
 CHUNK = 256
 # Where a scheme would have more than CHUNKS such chunks, they are up to LARGEST times as large: the
@@ -192,7 +194,7 @@ class Sweep:
             begun = self._as_begun(stored_configuration(Path(out)))
             if begun is not None:
                 return begun.run(out, resume=True, progress=progress, cluster=cluster)
-        computing: AbstractContextManager[Hosts]
+        computing: AbstractContextManager[Host | Workers]
         if cluster is None:
             computing = nullcontext(self.host())
         else:
@@ -204,7 +206,7 @@ class Sweep:
 
     def _run(
         self,
-        hosts: Hosts,
+        hosts: Host | Workers,
         out: str | Path | None,
         resume: bool,
         progress: Callable[[str, int, int], None],
@@ -246,9 +248,7 @@ class Sweep:
 
         None where this sweep has them already, or the store has none that are allowed.
         """
-        kept: dict[str, Value] = {
-            name: stored.get(name) for name in CHOSEN if getattr(self, name) is None
-        }
+        kept: dict[str, Value] = {n: stored.get(n) for n in CHOSEN if getattr(self, n) is None}
         if any(type(size) is not int or size < 1 for size in kept.values()):
             return None
         same = all(getattr(self.plan, name) == size for name, size in kept.items())
@@ -288,3 +288,35 @@ def _chunk_of(plan: Plan) -> int:
     least = max(CHUNK, plan.lanes * jax.device_count())
     light = HEAVY * len(plan.schemes) // plan.bytes_stored(least, points=1)
     return least * max(1, min(LARGEST, light, plan.members // (CHUNKS * least)))
+
+
+def need_memory(plan: Plan, hosts: Host | Workers, names: tuple[str, ...], *, copies: int) -> int:
+    """The bytes of `copies` of the dataset; a chunk of each variant is compiled, to check it fits.
+
+    Raises ValueError where a chunk does not fit in RAM beside them. Where the size of the RAM is
+    unknown, nothing is refused.
+    """
+    plan.need_room(copies)
+    stored = copies * plan.bytes_stored()
+    room, where = hosts.room(stored)
+    for name, need in hosts.chunk_bytes(names, plan.chunk):
+        if room is not None and need > room:
+            instead = _that_fits(plan, hosts, name, need, room)
+            raise capacity.refused(f"Sweep: chunk = {plan.chunk} takes", need, room, instead, where)
+    return stored
+
+
+def _that_fits(plan: Plan, hosts: Host | Workers, name: str, need: int, room: int) -> str:
+    """What would fit where a chunk of a variant needs more bytes than there is room for."""
+    # From two tiles on, the RAM of a chunk is linear in its size; a single tile needs less, since
+    # there is no loop over tiles.
+    tile, size = plan.lanes * hosts.environment["devices"], min(plan.chunk, plan.members)
+    small = min(2 * tile, size)
+    least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need
+    if least > room:
+        return (
+            f"{small} machines at a time take {capacity.shown(least)} already; keep fewer signals, "
+            "take fewer trials, or shorten them"
+        )
+    fits = int(small + (room - least) / (need - least) * (size - small)) // tile * tile
+    return f"chunk = {fits} would fit"

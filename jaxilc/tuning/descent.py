@@ -206,11 +206,8 @@ def method_of(
     if optimiser == "least-squares":
         return by_least_squares(evaluate)
     if isinstance(optimiser, str):
-        optimiser = (
-            optax.lbfgs()
-            if optimiser == "lbfgs"
-            else optax.adam(optax.cosine_decay_schedule(rate, steps))
-        )
+        lbfgs = optimiser == "lbfgs"
+        optimiser = optax.lbfgs() if lbfgs else optax.adam(optax.cosine_decay_schedule(rate, steps))
     return by_gradient(evaluate, optimiser)
 
 
