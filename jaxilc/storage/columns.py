@@ -104,7 +104,7 @@ class _Lines:
     separator: what separates cells; None: blanks
     """
 
-    def __init__(self, path, text: str):
+    def __init__(self, path: str | Path, text: str):
         self.path, self.number, self.comment, self.begun = path, 0, "", False
         self.lines = io.StringIO(text, newline="")
         self.separator: str | None = None
@@ -140,9 +140,8 @@ class _Lines:
 
     def rows(self) -> Rows:
         """The further rows that are not empty."""
-        if self.separator is None:
-            found = (line.split() for line in self._plain())
-        else:
+        found: Iterator[list[str]] = (line.split() for line in self._plain())
+        if self.separator is not None:
             found = csv.reader(self._plain(), delimiter=self.separator)
         while True:
             try:
@@ -155,7 +154,9 @@ class _Lines:
                 yield self.number, row
 
 
-def _header(path, lines: _Lines, names) -> tuple[list[str], list[tuple[int, list[str]]]]:
+def _header(
+    path: str | Path, lines: _Lines, names: Sequence[str]
+) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """The headings, and the rows that were read in order to find them."""
     line = lines.first()
     cells = lines.split(line)
@@ -190,11 +191,13 @@ def _are_units(row: list[str]) -> bool:
     return any(cell in KNOWN_UNITS or cell[:1] + cell[-1:] in ("[]", "()") for cell in cells)
 
 
-def _checked_rows(path, lines: _Lines, header, first) -> Rows:
+def _checked_rows(
+    path: str | Path, lines: _Lines, header: list[str], first: list[tuple[int, list[str]]]
+) -> Rows:
     """The rows with decimal points, none of them longer than the header."""
     comma, point = 0, 0  # lines on which a decimal comma and a decimal point were seen first
-    for row_of in (first, lines.rows()):
-        for number, row in row_of:
+    for rows in (iter(first), lines.rows()):
+        for number, row in rows:
             if lines.separator != ",":
                 cells = [cell.strip() for cell in row]
                 with_comma = [bool(_DECIMAL_COMMA.match(cell)) for cell in cells]
@@ -214,7 +217,9 @@ def _checked_rows(path, lines: _Lines, header, first) -> Rows:
             yield number, row
 
 
-def _too_long(path, number: int, row: list[str], header: list[str], separator) -> str:
+def _too_long(
+    path: str | Path, number: int, row: list[str], header: list[str], separator: str | None
+) -> str:
     """The text for a row of more cells than the header."""
     said = f"{path}, line {number}: {len(row)} cells where the header has {len(header)}"
     if separator == ",":

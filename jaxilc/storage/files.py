@@ -21,7 +21,7 @@ from typing import BinaryIO
 try:
     import fcntl
 except ImportError:  # Windows has no fcntl; there, nothing is removed and nothing is refused
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]
 
 UNFINISHED = ".unfinished-"
 STREAMS = ("/dev/std", "/dev/fd/", "/proc/")  # names of files that the process has open already

@@ -72,14 +72,14 @@ def read_mat(path: str | Path, room: int = ROOM) -> dict[str, MatValue]:
     if mark not in (b"IM", b"MI"):
         raise ValueError(f"{path} is no MATLAB file of version 5 to 7, as -v6 and -v7 save them")
     order = "<" if mark == b"IM" else ">"
-    found, left = {}, room
+    found, left = dict[str, MatValue](), room
     try:
         for kind, data in _elements(memoryview(content)[HEADER:], order):
             if kind == COMPRESSED:
                 unpacked = _unpacked(data, left)
                 left -= len(unpacked)
                 kind, data = next(_elements(memoryview(unpacked), order), (0, data))
-            name, value = _array(data, order) if kind == ARRAY else ("", None)
+            name, value = _array(data, order) if kind == ARRAY else ("", "")
             if name:  # MATLAB adds an array of its own that has no name
                 found[name] = value
     except (ValueError, zlib.error) as error:

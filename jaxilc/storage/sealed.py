@@ -121,8 +121,8 @@ def read_arrays(
         found = read_bytes(path, LARGEST_ARCHIVE)
     except ValueError as error:
         raise Damaged(str(error)) from None
-    seal = _sha256(b"")
-    whole, end = found[: -len(seal) - LENGTH], found[-len(seal) - LENGTH :]
+    at = max(0, len(found) - len(_sha256(b"")) - LENGTH)
+    whole, end = found[:at], found[at:]
     seal = _sha256(whole + bytes(LENGTH)).encode()
     if checked and end != _length(seal) + seal:
         raise Damaged(f"{path} is damaged: its checksum is missing, or that of another content")

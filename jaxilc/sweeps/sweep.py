@@ -119,7 +119,7 @@ class Sweep:
     @cached_property
     def plan(self) -> Plan:
         """The plan of this sweep for the processes that compute it."""
-        axes = grid_of(self.grid, self.population.machine, self.schemes, self.task)
+        axes = grid_of(self.grid, cast("Machine", self.machine), self.schemes, self.task)
         plan = Plan(
             self.population, self.schemes, self.task, self.trials, tuple(self.keep),
             self.quantities, self.watch, axes, self.chunk or OPEN, self.lanes or OPEN,
