@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jax.typing import DTypeLike
 
-from ..native.operations import Node, elementwise
+from ..native.operations import Node, Number, elementwise
 from ..native.program import Const, Program, Step, Unknown, Value
 from . import operations
 from .law import Function
@@ -87,7 +87,7 @@ def type_of(dtype: DTypeLike) -> str:
     return TYPES.get(dtype.kind) or TYPES[dtype.name]
 
 
-def number(value: float, dtype: DTypeLike, single: bool) -> str:
+def number(value: float | Number, dtype: DTypeLike, single: bool) -> str:
     """A constant, which C reads as the same number."""
     kind = np.dtype(dtype).kind
     if kind == "b":
@@ -522,7 +522,7 @@ class _Body:
         self.unread.add(step.outs[0])
         return True
 
-    def together(self, name: str, a: str, b: str, dtype: DTypeLike) -> str:
+    def together(self, name: str, a: str, b: str, dtype: np.dtype) -> str:
         left, right = (Node("operand", (), dtype, i) for i in range(2))
         return self.text(Node(name, (left, right), dtype), [a, b])
 

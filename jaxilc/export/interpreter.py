@@ -10,15 +10,16 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jax.typing import ArrayLike, DTypeLike
+from jax.typing import DTypeLike
 
 from ..native.operations import Node, elementwise
 from ..native.program import Const, Program, Step, Unknown, Value
+from ..pytree.aliases import Leaf
 from . import operations
 
 
 def interpret(
-    program: Program, operands: Sequence[ArrayLike], real: DTypeLike = np.float64
+    program: Program, operands: Sequence[Leaf], real: DTypeLike = np.float64
 ) -> list[np.ndarray]:
     """The results of a program.
 
@@ -36,7 +37,7 @@ def carried_out(step: Step, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
         return _step(step, list(arrays), np.dtype(np.float64))
 
 
-def _run(program: Program, operands: Sequence[ArrayLike], real: np.dtype) -> list[np.ndarray]:
+def _run(program: Program, operands: Sequence[Leaf], real: np.dtype) -> list[np.ndarray]:
     found = dict(zip(program.ins, operands, strict=True))
 
     def value(x: Value) -> np.ndarray:
@@ -47,7 +48,7 @@ def _run(program: Program, operands: Sequence[ArrayLike], real: np.dtype) -> lis
     return [value(x) for x in program.outs]
 
 
-def _as(array: ArrayLike, dtype: DTypeLike, real: np.dtype) -> np.ndarray:
+def _as(array: Leaf, dtype: DTypeLike, real: np.dtype) -> np.ndarray:
     return np.asarray(array, real if np.dtype(dtype).kind == "f" else dtype)
 
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from jax.typing import DTypeLike
 
-from ..native.operations import Node, elementwise
+from ..native.operations import Node, Number, elementwise
 from ..native.program import Const, Program, Step, Unknown, Value
 from . import guard, operations
 from .law import Function, Law
@@ -173,7 +173,7 @@ def type_of(dtype: DTypeLike) -> str:
     return found
 
 
-def number(value: float, dtype: DTypeLike) -> str:
+def number(value: float | Number, dtype: DTypeLike) -> str:
     """A constant, which a compiler reads as the same number."""
     kind = np.dtype(dtype).kind
     if kind == "b":
@@ -352,7 +352,7 @@ class _Block:
             raise Unknown(f"{x.name} of {x.dtype} in Structured Text")
         return f"{CALLS[x.name]}({', '.join(map(_open, args))})"
 
-    def together(self, name: str, a: str, b: str, dtype: DTypeLike) -> str:
+    def together(self, name: str, a: str, b: str, dtype: np.dtype) -> str:
         left, right = (Node("operand", (), np.dtype(dtype), i) for i in range(2))
         return _open(self.formula(Node(name, (left, right), np.dtype(dtype)), [a, b]))
 

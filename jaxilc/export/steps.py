@@ -20,7 +20,7 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
-from ..native.program import Const, Program, Step, Unknown, Value, lowered, without_dead
+from ..native.program import Const, Known, Program, Step, Unknown, Value, lowered, without_dead
 from ..pytree.aliases import Array, Function, Tree
 from . import operations
 from .interpreter import carried_out
@@ -38,7 +38,7 @@ REASONS = {
 class Key(Const):
     """A random key that is known beforehand."""
 
-    def __init__(self, array: Array):
+    def __init__(self, array: Known):
         self.array = array
         Value.__init__(self, array.shape, array.dtype)
 
@@ -48,7 +48,7 @@ class Pair(Value):
 
     def __init__(self, re: Value, im: Value):
         self.parts = re, im
-        super().__init__(re.shape, np.complex128)
+        super().__init__(re.shape, np.dtype(complex))
 
 
 def program_of(function: Function, *operands: Tree) -> Program:
@@ -143,7 +143,7 @@ class _Writer:
         self.now.update(zip(inner.ins, [ins[i] for i in free], strict=True))
         return self.all(inner)
 
-    def constant(self, step: Step, ins: list[Value], arrays: list[Array]) -> list[Value]:
+    def constant(self, step: Step, ins: list[Value], arrays: list[Known]) -> list[Value]:
         """The results of a step on operands that are these arrays, by JAX if need be."""
         special = any(isinstance(x, Pair) or _is_key(x) for x in ins)
         real = not special and not any(_complex(x) or _is_key(x) for x in step.outs)
@@ -200,7 +200,7 @@ class _Writer:
         return self.added("while", of | {"of_body": m}, ins, step.outs)
 
 
-def _scanned(step: Step, arrays: list[Array]) -> list[Array]:
+def _scanned(step: Step, arrays: list[Known]) -> list[Array]:
     """The results of a loop on constants, by JAX."""
     of, inner = step.params, step.params["jaxpr"]
     n, m = of["consts"], of["consts"] + of["carry"]
@@ -215,17 +215,17 @@ def _scanned(step: Step, arrays: list[Array]) -> list[Array]:
     return [*carry, *kept]
 
 
-def uniform(array: ArrayLike) -> bool:
+def uniform(array: Known) -> bool:
     """Whether all elements of an array are one number, to the last bit."""
     flat = np.ravel(array)
     return bool(len(flat)) and flat.tobytes() == flat[:1].tobytes() * len(flat)
 
 
-def _known(x: Value) -> Array | None:
+def _known(x: Value) -> Known | None:
     """The array that stands for a value, None where it is not known beforehand."""
     if isinstance(x, Pair):
         re, im = map(_known, x.parts)
-        return None if re is None or im is None else re + 1j * im
+        return None if re is None or im is None else np.asarray(re) + 1j * np.asarray(im)
     return x.array if isinstance(x, Const) else None
 
 

@@ -66,7 +66,7 @@ class Host:
         make = _shared_program if shared else _program
         self._members = {v.trials: _Member(*of, v.trials) for v in plan.variants.values()}
         self._programs = {n: make(of, plan.lanes) for n, of in self._members.items()}
-        self._natives: dict[int, Native | str] = {}
+        self._natives: dict[int, Native[Tree, Tree, Arrays] | str] = {}
         for n, member in self._members.items():
             why_not = native_unwanted(plan.members * n * plan.task.N)
             if not shared:
@@ -102,7 +102,9 @@ class Host:
             return native
         return native.why_not(*self._arguments(name, 0, self.plan.lanes))
 
-    def _native(self, name: str, arguments: tuple[Tree, Tree]) -> Compiled | None:
+    def _native(
+        self, name: str, arguments: tuple[Tree, Tree]
+    ) -> Compiled[Tree, Tree, Arrays] | None:
         """The program for this processor of a variant; None where XLA computes it."""
         native = self._natives[self.plan.variants[name].trials]
         if isinstance(native, str) or self._why_not(name) is not None:
@@ -269,6 +271,6 @@ _shared_program = lru_cache(maxsize=PROGRAMS)(_program)
 
 
 @lru_cache(maxsize=PROGRAMS)
-def _shared_native(of: _Member, lanes: int | None) -> Native:
+def _shared_native(of: _Member, lanes: int | None) -> Native[Tree, Tree, Arrays]:
     """The function compiled for this processor, where it can be."""
     return Native(of.found, _shared_program(of, lanes))
