@@ -13,12 +13,15 @@ import json
 import math
 from collections.abc import Generator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..pytree.aliases import Leaf, Value
 from .files import atomically
 from .reading import LARGEST_TREE, read_bytes, read_text, tree_of
+
+if TYPE_CHECKING:
+    from ..pytree.aliases import Leaf, Value
 
 NOT_FINITE = {"Infinity": math.inf, "-Infinity": -math.inf, "NaN": math.nan}
 SEAL = "sha256"
