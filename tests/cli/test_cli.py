@@ -820,12 +820,9 @@ def test_certify_and_worst_case_leave_reports(jaxilc_command, tmp_path):
     common = ("mine.toml", "--scheme", "ilc", "--report", "page.html")
     for command, options, expected in (
         ("certify", ("--machines", 3, "--trials", 3), ("in the long run", "<td>3</td>")),
-        (
-            "worst-case",
-            ("--trial", 2, "--starts", 2, "--steps", 2),
-            ("until level with chance", "plant.B"),
-        ),
-    ):
+        ("worst-case", ("--trial", 2, "--starts", 2, "--steps", 2),
+         ("until level with chance", "plant.B")),
+    ):  # fmt: skip
         code, out, err = jaxilc_command(command, *common, *options)
         assert code == 0, err
         assert "page.html" in out

@@ -64,18 +64,14 @@ def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, caps
     assert jaxilc("design", file.name, *asked, *reports, "--record", "trial.npz") == 0
     said = " ".join(capsys.readouterr().out.split())
     for part in (
-        "A first safe answer, by frequency alone: P-type",
-        "Take p-type",
-        "V/mm",
-        "95 % stay at or below a settled error of",
-        "so the margin is 0.",
-        "Tolerance 0.9 mm: 95 % of the machines are within it from trial",
-        "Stop after trial",
+        "A first safe answer, by frequency alone: P-type", "Take p-type", "V/mm",
+        "95 % stay at or below a settled error of", "so the margin is 0.",
+        "Tolerance 0.9 mm: 95 % of the machines are within it from trial", "Stop after trial",
         "Most of the error comes from",
         "it repeats in a period, so RepetitiveControl learns it without a stop",
         "repetitive converges from period to period of 0.1 s",
         "Next, before `jaxilc next` plays it on the machine: jaxilc run axis.design.toml",
-    ):
+    ):  # fmt: skip
         assert part in said
     numbers = json.loads((file.parent / "design.json").read_text())
     page = (file.parent / "design.html").read_text("utf-8")

@@ -133,19 +133,13 @@ def folder(tmp_path, monkeypatch):
     reader = os.open(tmp_path / "fifo", os.O_RDWR)  # without one a writer would wait for ever
     for owner, name in (
         *(
-            (over_trials, "_program"),
-            (Sweep, "run"),
-            (Tuning, "run"),
-            (Design, "safe"),
-            (LearnedLaw, "learned_taps"),
-            (reproduction, "_of_scenario"),
-            (certificates, "certify"),
-            (worst_case, "worst_case_search"),
-            (q_filter, "question"),
+            (over_trials, "_program"), (Sweep, "run"), (Tuning, "run"), (Design, "safe"),
+            (LearnedLaw, "learned_taps"), (reproduction, "_of_scenario"), (certificates, "certify"),
+            (worst_case, "worst_case_search"), (q_filter, "question"),
             (q_filter, "measured_question"),
         ),
         *((demonstrating, "learn"), (estimation, "problem_of"), (explorer, "explore")),
-    ):
+    ):  # fmt: skip
         monkeypatch.setattr(owner, name, computes)
     yield tmp_path
     os.close(reader)

@@ -141,7 +141,7 @@ def test_a_name_that_leads_elsewhere_writes_nothing(command, tmp_path):
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["axis.json", "inside"]
 
 
-def test_brackets_and_colons_of_the_user_are_printed_as_they_are(command, tmp_path):
+def test_brackets_and_colons_of_the_user_are_printed_as_they_are(command, tmp_path, unpainted):
     title = "[bold]Axis[/nothing] :x: [mm]"
     out_dir = tmp_path / "o[b]:x:"
     code, out, err = command("run", write(tmp_path, title=title), "--out", out_dir)

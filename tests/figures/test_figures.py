@@ -585,7 +585,7 @@ def test_a_legend_has_its_place():
     assert [call[:2] for call in calls if "loc" not in call[2]] == []
 
 
-def test_a_run_has_what_the_figures_need(tmp_path):
+def test_a_run_has_what_the_figures_need(tmp_path, unpainted):
     task = Task(
         np.hstack([sinusoid(1.0, 2.0), sinusoid(1.0, 3.0)])[:201], dt=DT, unit="mm", input_unit="V"
     )

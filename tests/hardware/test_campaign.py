@@ -457,41 +457,27 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
     trial, out = rig.folder / "trial-20.csv", folder / "next.csv"
     start = ("next", "--state", folder / "new", "--scenario", rig.file, "--out", out)
     for arguments, message in (
-        (
-            ("next", "--state", state, "--measured", trial, "--out", out),
-            "is trial 20, which was learned from already; measure trial 21",
-        ),
-        (
-            ("next", "--state", state, "--set", "ilc.feedback.kp=2", "--out", out),
-            "it differs in: scheme.feedback.kp: 1.0 there, 2.0 here",
-        ),
+        (("next", "--state", state, "--measured", trial, "--out", out),
+         "is trial 20, which was learned from already; measure trial 21"),
+        (("next", "--state", state, "--set", "ilc.feedback.kp=2", "--out", out),
+         "it differs in: scheme.feedback.kp: 1.0 there, 2.0 here"),
         (("next", "--state", state, "--measured", trial), "--out is missing"),
-        (
-            ("next", "--state", state, "--out", folder / "next.txt"),
-            "is none of the formats .csv, .mat, .h",
-        ),
+        (("next", "--state", state, "--out", folder / "next.txt"),
+         "is none of the formats .csv, .mat, .h"),
         (("next", "--state", state, "--out", folder / "no/next.csv"), "the folder does not exist"),
-        (
-            ("next", "--state", state, "--out", out, "--undo", 20),
-            "not one to go back to; allowed are those before the last one, 20",
-        ),
-        (
-            ("next", "--state", state, "--out", out, "--growth", -1),
-            "growth = -1 is outside its allowed range [0, inf)",
-        ),
+        (("next", "--state", state, "--out", out, "--undo", 20),
+         "not one to go back to; allowed are those before the last one, 20"),
+        (("next", "--state", state, "--out", out, "--growth", -1),
+         "growth = -1 is outside its allowed range [0, inf)"),
         ((*start, "--scheme", "pid"), "scheme = 'pid' is not one of those that learn; known: ilc"),
         (("next", "--state", folder / "new", "--out", out), "the first call needs --scenario"),
-        (
-            ("next", "--state", rig.folder, "--scenario", rig.file, "--out", out),
-            "exists already; choose another folder",
-        ),
-        (
-            ("next", "--state", folder / "new", "--scenario", "cao-2019", "--out", out),
-            "--scheme is missing; those that learn are cfdl",
-        ),
+        (("next", "--state", rig.folder, "--scenario", rig.file, "--out", out),
+         "exists already; choose another folder"),
+        (("next", "--state", folder / "new", "--scenario", "cao-2019", "--out", out),
+         "--scheme is missing; those that learn are cfdl"),
         ((*start, "--measured", trial), "holds no campaign; start one without --measured"),
         (("trials", "--state", folder / "new"), "holds no campaign"),
-    ):
+    ):  # fmt: skip
         with pytest.raises((ValueError, FileExistsError, FileNotFoundError)) as error:
             call(*arguments)
         assert message in str(error.value)

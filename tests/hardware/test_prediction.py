@@ -149,12 +149,9 @@ def test_the_file_is_computed_once_and_again_where_it_is_damaged(tmp_path, predi
         assert ask(whole) == [TRIALS]
     made = json.loads(content)
     for change in (
-        {"rms": 3},
-        {"largest": {"low": [1], "median": [1], "high": ["x"]}},
-        {"machines": 1e300},
-        {"course": None},
-        {"format": 0},
-    ):
+        {"rms": 3}, {"largest": {"low": [1], "median": [1], "high": ["x"]}}, {"machines": 1e300},
+        {"course": None}, {"format": 0},
+    ):  # fmt: skip
         broken = {name: of for name, of in (made | change).items() if name != "sha256"}
         file.write_text(json.dumps(sealed(broken)))
         assert ask(whole) == [TRIALS]

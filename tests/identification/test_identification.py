@@ -369,12 +369,9 @@ def test_two_outputs_are_weighted_by_their_noise():
     record = excite(Machine(stage, sensor=Sensor(noise=noise)), U, DT)
     found = identify(record, start, free=("A[0][0]", "A[1][1]", "C[1][1]"))
     for name, true in (
-        ("A[0][0]", -50.0),
-        ("A[1][1]", -200.0),
-        ("C[1][1]", 1.0),
-        ("bias[0]", 0.0),
+        ("A[0][0]", -50.0), ("A[1][1]", -200.0), ("C[1][1]", 1.0), ("bias[0]", 0.0),
         ("bias[1]", 0.0),
-    ):
+    ):  # fmt: skip
         assert inside(found.parameters[name], true), name
     np.testing.assert_allclose(found.residual_std, noise, rtol=SIGMAS / np.sqrt(2 * found.samples))
     # The first output alone determines its pole as well as both together, since the second output

@@ -143,7 +143,9 @@ reference = { function = "sinusoid", amplitude = 1.0, frequency = 1.0, duration 
 """
 
 
-def test_the_command_tells_it_and_the_plant_file_carries_it_to_design(tmp_path, monkeypatch):
+def test_the_command_tells_it_and_the_plant_file_carries_it_to_design(
+    tmp_path, monkeypatch, unpainted
+):
     monkeypatch.chdir(tmp_path)
     e = repeats(np.random.default_rng(6), 4)
     np.savez("e.npz", other=e, t=np.arange(N) * DT)

@@ -567,7 +567,7 @@ def test_a_file_that_is_no_table_is_named(tmp_path):
         read_scenario(tmp_path / "list.json")
 
 
-def test_every_command_accepts_a_file_in_a_scenario_s_place(tmp_path, monkeypatch):
+def test_every_command_accepts_a_file_in_a_scenario_s_place(tmp_path, monkeypatch, unpainted):
     """Every command accepts a file in the place of a scenario.
 
     Each command runs once. The numbers are those of the library, and a message says what a file

@@ -48,13 +48,9 @@ def judged(rows, ours):
 
 def test_met_is_within_30_percent_either_way():
     for ratio, met in (
-        (1.0, True),
-        (1.3 - 1e-9, True),
-        (0.7 + 1e-9, True),
-        (1.3 + 1e-9, False),
-        (0.7 - 1e-9, False),
-        (-1.0, False),
-    ):
+        (1.0, True), (1.3 - 1e-9, True), (0.7 + 1e-9, True), (1.3 + 1e-9, False),
+        (0.7 - 1e-9, False), (-1.0, False),
+    ):  # fmt: skip
         for value in (20.0, 0.15):
             assert verdicts([row(value)], [ratio * value]) == ["met" if met else "open"], ratio
 
@@ -80,15 +76,9 @@ def test_an_improvement_is_held_to_what_is_left_as_well():
     Of 42 % printed, what is left says little: 25 % leaves 75 in place of 58.
     """
     for printed, ours, verdict in (
-        (90.0, 90.0, "met"),
-        (90.0, 87.1, "met"),
-        (90.0, 97.0, "open"),
-        (90.0, 80.0, "open"),
-        (42.0, 50.0, "met"),
-        (42.0, 25.0, "open"),
-        (42.0, 0.0, "open"),
-        (42.0, -10.0, "open"),
-    ):
+        (90.0, 90.0, "met"), (90.0, 87.1, "met"), (90.0, 97.0, "open"), (90.0, 80.0, "open"),
+        (42.0, 50.0, "met"), (42.0, 25.0, "open"), (42.0, 0.0, "open"), (42.0, -10.0, "open"),
+    ):  # fmt: skip
         improvement = row(printed, quantity="rms_improvement")._replace(against="other")
         assert verdicts([improvement], [ours]) == [verdict], (printed, ours)
     assert judged([row(90.0, quantity="rms_improvement")._replace(against="other")], [80.0]) == [
@@ -147,14 +137,9 @@ def test_shape_is_bounded_in_size_and_what_lies_beyond_says_so():
     shape, and the row says so. The bounds are twice and half the printed size.
     """
     for factor, verdict in (
-        (3.62, "open"),
-        (0.37, "open"),
-        (2.01, "open"),
-        (0.49, "open"),
-        (2.0, "shape"),
-        (0.5, "shape"),
-        (1.4, "shape"),
-    ):
+        (3.62, "open"), (0.37, "open"), (2.01, "open"), (0.49, "open"), (2.0, "shape"),
+        (0.5, "shape"), (1.4, "shape"),
+    ):  # fmt: skip
         found = judged(TRIALS, [factor * p.value for p in TRIALS])
         assert [one for one, _ in found] == [verdict] * 3, factor
         reason = (
