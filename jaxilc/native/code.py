@@ -59,7 +59,7 @@ next:
   br i1 %more, label %run, label %end
 run:
   %after = add i64 %group, 1
-  call void @run(i64 %group, i64 %after, ptr %given, ptr %out, ptr %work)
+  call void @run(i64 %group, i64 %after, ptr %given, ptr %out, ptr %work, i64 0, i64 {trials})
   br label %next
 end:
   ret ptr null
@@ -106,12 +106,15 @@ end:
 """
 
 
-def callable_by_xla(text: str, operands: int, results: Sequence[int | None], work: int) -> str:
-    """The text of a program with its handler.
+def callable_by_xla(
+    text: str, operands: int, results: Sequence[int | None], work: int, trials: int
+) -> str:
+    """The text of a program, whose function `run` it calls, with its handler.
 
     operands: number of operands, each a buffer
     results: the bytes of each result for a group; None for one that nobody reads
     work: bytes that a group needs
+    trials: number of trials
 
     Further buffers of results are those that are read, with the groups as their first axis, and the
     room for the work of all threads, see `room`.
@@ -165,7 +168,7 @@ def callable_by_xla(text: str, operands: int, results: Sequence[int | None], wor
     do(f"%groups = add i64 {groups}, 0")
     do(f"%cores = add i64 {field(field(buffer, SIZES), 0, 'i64')}, 0")
     return text + PART.format(
-        operands=max(operands, 1), results=max(len(results), 1), work=_whole(work),
+        operands=max(operands, 1), results=max(len(results), 1), work=_whole(work), trials=trials,
         told="\n".join(told), begun="\n".join(filter(None, lines)),
     )  # fmt: skip
 

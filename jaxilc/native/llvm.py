@@ -1,9 +1,9 @@
 """The text of a program for LLVM, from the plan of a loop over trials.
 
 A vector holds a number of each machine of a group. The function that is printed runs groups of
-machines, each through all trials:
+machines, each through the trials `begin` to before `end`:
 
-    run(first, last, given, out, work)
+    run(first, last, given, out, work, begin, end)
 
 given: pointers to the operands: one number for all machines, or (groups, ..., lanes)
 out: pointers to the results, (groups, ..., lanes) each
@@ -24,6 +24,8 @@ from .rows import Loop, Row, Segment, Stored, Trials, small
 
 ALIGNED = 64  # bytes
 FLUSH = 0x8040  # of the register MXCSR: results and operands too small to be normal are zero
+OPERANDS = "i64 %first, i64 %last, ptr %given, ptr %out, ptr %work, i64 %begin, i64 %end"
+WIDTH = '"min-legal-vector-width"="512" "prefer-vector-width"="512"'
 TYPES = {"float64": "double", "float32": "float", "bool": "i1"}
 
 
@@ -39,6 +41,8 @@ class Text:
     wanted: whether each result of the loop over trials is read by somebody
     in_vectors: what gives the name of a function of the C library for as many numbers as there are
         lanes, by its usual name and the number of its operands; None where there is none
+    name: that of the function
+    function: its text, beside what it declares
     work: bytes that a group needs
     """
 
@@ -48,6 +52,7 @@ class Text:
         lanes: int,
         wanted: Sequence[bool],
         in_vectors: Callable[[str, int], str | None],
+        name: str = "run",
     ):
         assert all(wanted[plan.carry :])  # there is no room for others
         self.plan, self.lanes, self.wanted, self.in_vectors = plan, lanes, wanted, in_vectors
@@ -57,7 +62,7 @@ class Text:
         self.inside: dict[Node, str] = {}
         self.count, self.work = 0, 0
         self.doubled = _doubled(plan)
-        self.text = self._module()
+        self.function = self._printed_function(name)
 
     # Lines
     # ----------------------------------------------------------------------------------------------
@@ -334,20 +339,17 @@ class Text:
     # The function
     # ----------------------------------------------------------------------------------------------
 
-    def _module(self) -> str:
+    def _printed_function(self, name: str) -> str:
         self.cells: dict[str, str] = {}
         self._group()
         body, self.lines = self.lines, []
-        for name, kind in self.cells.items():
-            self.do(f"{name} = alloca {kind}, align {ALIGNED}")
+        for cell, kind in self.cells.items():
+            self.do(f"{cell} = alloca {kind}, align {ALIGNED}")
         head = self.lines
-        width = '"min-legal-vector-width"="512" "prefer-vector-width"="512"'
         flushing, restoring = self._flushing()
         return "\n".join([
-            *sorted(self.declared),
-            "define void @run(i64 %first, i64 %last, ptr %given, ptr %out, ptr %work) #0 {",
+            f"define void @{name}({OPERANDS}) #0 {{",
             "entry:", *flushing, *head, *body, *restoring, "  ret void", "}",
-            f"attributes #0 = {{ noinline nounwind {width} }}",
         ])  # fmt: skip
 
     def _flushing(self) -> tuple[list[str], list[str]]:
@@ -427,8 +429,10 @@ class Text:
 
     def _trials(self, group: str) -> None:
         plan = self.plan
-        ends = ("0", str(plan.trials), 1)
-        j, end = self.loop(*((str(plan.trials - 1), "-1", -1) if plan.reverse else ends))
+        ends = ("%begin", "%end", 1)
+        if plan.reverse:
+            ends = self.add("sub i64 %end, 1"), self.add("sub i64 %begin, 1"), -1
+        j, end = self.loop(*ends)
         self.do(f"%j = add i64 {j}, 0")
         self.straight = {}
         first = self.add(f"mul i64 {group}, {plan.trials}")
@@ -541,6 +545,13 @@ class Text:
             self._put(cell, self._known(new)[new])
         self.lines += end
         self.inside = {}
+
+
+def module(functions: Sequence[Text]) -> str:
+    """The text of a module of functions, whose names differ."""
+    declared = {line for one in functions for line in one.declared}
+    attributes = f"attributes #0 = {{ noinline nounwind {WIDTH} }}"
+    return "\n".join([*sorted(declared), *(one.function for one in functions), attributes])
 
 
 def _first_known(nodes: Iterable[Node]) -> list[Node]:

@@ -355,7 +355,7 @@ def without_dead(program: Program, wanted: Sequence[bool] | None = None) -> Prog
         of = [x in live for x in step.outs]
         if any(of):
             if step.name == "scan" and "body" in step.params:
-                step = _without_dead(step, of)
+                step = without_dead_of_loop(step, of)
             kept.append(step)
             live |= {x for x in step.ins if not isinstance(x, Const)}
     return Program(program.ins, kept[::-1], outs)
@@ -367,7 +367,7 @@ def read(program: Program) -> list[bool]:
     return [x in live for x in program.ins]
 
 
-def _without_dead(step: Step, wanted: Sequence[bool]) -> Step:
+def without_dead_of_loop(step: Step, wanted: Sequence[bool]) -> Step:
     """A loop with only those results, and what they need from pass to pass."""
     params, wanted = step.params, list(wanted)
     consts, carry = params["consts"], params["carry"]
@@ -431,7 +431,7 @@ def of_trials(
         raise Unknown("there is no loop over samples in a loop over trials")
     read_later = {*program.outs, *(x for step in before for x in step.ins)}
     for i, (steps, loop) in reversed([*enumerate(found)]):
-        found[i] = steps, _without_dead(loop, [x in read_later for x in loop.outs])
+        found[i] = steps, without_dead_of_loop(loop, [x in read_later for x in loop.outs])
         read_later |= {x for step in (*steps, found[i][1]) for x in step.ins}
     return found, before
 

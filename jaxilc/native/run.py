@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import itertools
 import logging
-import math
 import re
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Generic, TypeAlias, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeGuard, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,16 +26,12 @@ from ..signals.task import Task
 from .code import (
     agree,
     agreed,
-    callable_by_xla,
     cores,
-    in_vectors,
     key_of,
     of_compiler,
-    room,
-    target,
     width,
 )
-from .llvm import Text
+from .loops import Arrays, Back, Blocks, Loop, Memories, There, Whole, real, size_of
 from .operations import foreign
 from .program import (
     Const,
@@ -50,7 +45,6 @@ from .program import (
     in_order,
     of_trials,
 )
-from .rows import Trials
 
 if TYPE_CHECKING:
     from jax.extend.core import ClosedJaxpr, Jaxpr
@@ -59,10 +53,8 @@ log = logging.getLogger("jaxilc")
 Common = TypeVar("Common")  # trees of arrays: what is common to all machines,
 One = TypeVar("One")  # one machine, or several, which are along the leading axis,
 Found = TypeVar("Found")  # and results
-Arrays: TypeAlias = dict[Value, jax.Array]
 
 ONCE = "trials that are all alike, of which XLA computes one"
-FEW = 64  # real numbers of an operand that are written into the program where they never change
 SHARE = 0.25  # of the RAM that is free, which may be taken by what is held from loop to loop
 AT_ONCE = 2**27  # bytes of operands and of what is held, that are in the RAM at once
 QUICKLY: dict[str, str | bool] = {"xla_backend_optimization_level": "0"}  # half the time to compile
@@ -79,25 +71,32 @@ class Compiled(Generic[Common, One, Found]):
     fn: the function; it learns over trials
     common, one: its arguments, of which shapes and types are read
     lanes: number of machines in a group; None: as many as a register of the processor holds
+    blocks: number of blocks of trials, of which a gradient stores the memories of one at a time;
+        None: 1 where the memories of all trials take at most SHARE of the RAM that is free, else
+        about the square root of the number of trials
+    memories: what a gradient stores, in words; empty where nothing waits for a way back
     learns: whether the trials differ, see `ONCE`
     Raises Unknown, which says why, where the function cannot be compiled.
     """
 
     def __init__(self, fn: Callable[[Common, One], Found], common: Common, one: One,
-                 lanes: int | None = None):  # fmt: skip
+                 lanes: int | None = None, blocks: int | None = None):  # fmt: skip
         with all_stored():
             closed, shape = jax.make_jaxpr(fn, return_shape=True)(common, one)
         self._jaxpr = closed.jaxpr
         self._tree = jax.tree.structure(shape)
         self._program: Program = flat(closed)
         self._shared = len(jax.tree.leaves(common))
-        self.lanes = width() // _real().itemsize if lanes is None else lanes
+        self.lanes = width() // real().itemsize if lanes is None else lanes
         left: list[int] = []
         while not self._compiled(left):
             pass
         self.learns = any(_learns(loop.step) for loop in self._loops)
-        self._holding = sum(_size(x) for of in self._loops[:-1] for x in of.shown) * self.lanes
-        self._check_room()
+        self.memories = self._remembered(blocks)
+        if (needed := self._room_for(self._held)) is not None:
+            raise Unknown(f"the memories of {self.lanes * cores()} machines, which take {needed} "
+                          "of the RAM")  # fmt: skip
+        self._names = [loop.name for loop in self._loops]  # which compiles them
         self._call = jax.jit(self._of_batch)
 
     def _compiled(self, left: list[int]) -> bool:
@@ -109,20 +108,16 @@ class Compiled(Generic[Common, One, Found]):
         program = self._program
         self._parts, self._after = of_trials(program, foreign, left)
         awaited = _awaited(self._parts)
-        stretches = [*(before for before, _ in self._parts), self._after]
-        self._read = [{x for step in steps for x in step.ins} for steps in stretches]
-        for of, (_, step) in zip(self._read, self._parts, strict=False):
-            of.update(step.ins)
-        self._read[-1].update(program.outs)
+        self._read = self._by_stretch()
         self._varying = {*program.ins[self._shared :]}
-        self._loops: list[_Loop] = []
+        self._loops: list[Loop] = []
         steps: list[Step] = []
         for number, (before, step) in enumerate(self._parts):
             steps = steps + before
             self._spread(before)
             read = set().union(*self._read[number + 1 :])
             try:
-                self._loops.append(_Loop(steps, step, self._varying, read, self.lanes))
+                self._loops.append(Whole(steps, step, self._varying, read, self.lanes))
             except Unknown:
                 if number == len(self._parts) - 1 or not awaited.isdisjoint(step.outs):
                     raise
@@ -133,28 +128,67 @@ class Compiled(Generic[Common, One, Found]):
         self._spread(self._after)
         return True
 
+    def _by_stretch(self) -> list[set[Value]]:
+        """The values that are read before and by each loop, and after all of them."""
+        stretches = [*(before for before, _ in self._parts), self._after]
+        read = [{x for step in steps for x in step.ins} for steps in stretches]
+        for of, (_, step) in zip(read, self._parts, strict=False):
+            of.update(step.ins)
+        read[-1].update(self._program.outs)
+        return read
+
+    def _remembered(self, count: int | None) -> str:
+        """Divide the two loops of a gradient into blocks, where that is asked for or needed."""
+        of = Memories.of(self._parts, self._after, self._program.outs)
+        if of is None:
+            return ""
+        (_, there), (_, back) = self._parts[of.there], self._parts[of.back]
+        trials, tape = there.params["length"], {*of.tape.values()}
+        stored, fits = shown(sum(map(size_of, tape))), self._room_for(self._held) is None
+        if count == 1 or (count is None and fits):
+            return f"a gradient stores the memories of all {trials} trials, {stored} a machine"
+        blocks = Blocks.of(trials, count)
+        self._parts = [([x for x in before if x not in of.between], step)
+                       for before, step in self._parts]  # fmt: skip
+        self._after = [x for x in self._after if x not in of.between]
+        self._read = [x - tape - {back.ins[i] for i in of.tape} for x in self._by_stretch()]
+        before = [[x for steps, _ in self._parts[: n + 1] for x in steps]
+                  for n in (of.there, of.back)]  # fmt: skip
+        read = set().union(*self._read[of.there + 1 :])
+        first = There(before[0], there, self._varying, read, self.lanes, tape, blocks)
+        last = Back(before[1], there, first.kept, back, self._varying, self.lanes, of.tape, blocks)
+        self._loops[of.there], self._loops[of.back] = first, last
+        taken = shown(sum(map(size_of, first.kept)) + last.work / self.lanes)
+        return (f"a gradient runs the trials once more, in {blocks.count} blocks of {blocks.each}, "
+                f"and stores {taken} a machine in place of {stored}")  # fmt: skip
+
     def _spread(self, steps: Sequence[Step]) -> None:
         """Add to the values that differ from machine to machine those that steps make of them."""
         for of in steps:
             self._varying.update(of.outs if not self._varying.isdisjoint(of.ins) else ())
 
-    def _check_room(self) -> None:
-        """Raises Unknown where what is held for a group of machines takes too much of the RAM."""
-        room, needed = host_bytes(), self._holding * cores()
-        if room is not None and needed > SHARE * room:
-            raise Unknown(f"the memories of all trials of {self.lanes * cores()} machines, which "
-                          f"take {shown(needed)} of the RAM")  # fmt: skip
+    @property
+    def _held(self) -> int:
+        """The bytes that a group of machines holds: from loop to loop, and for a loop."""
+        between = sum(size_of(x) for of in self._loops[:-1] for x in of.shown) * self.lanes
+        return between + max(of.work for of in self._loops)
+
+    def _room_for(self, held: int) -> str | None:
+        """What the groups that are computed together take, where that is too much of the RAM."""
+        room, needed = host_bytes(), held * cores()
+        return shown(needed) if room is not None and needed > SHARE * room else None
 
     @property
     def key(self) -> str:
         """What its numbers depend on besides its arguments, in short."""
         text = re.sub("0x[0-9a-f]+", "", str(self._jaxpr))
-        return key_of(of_compiler(), text, *(of.name for of in self._loops))
+        return key_of(of_compiler(), text, *self._names)
 
     @property
     def tile(self) -> int:
         """The number of machines that are computed at once."""
-        of_one = self._holding + sum(loop.drawn for loop in self._loops) * self.lanes
+        drawn = sum(size_of(x) for loop in self._loops for x in loop.each)
+        of_one = self._held + drawn * self.lanes
         groups = max(1, AT_ONCE // max(of_one, 1) // cores()) * cores()
         return groups * self.lanes
 
@@ -217,60 +251,10 @@ class Compiled(Generic[Common, One, Found]):
     def bytes_of(self, machines: int) -> int:
         """The bytes that these machines take: what passes XLA, twice, and what loops need."""
         tile = min(machines, self.tile)
-        passing = [_size(x) for loop in self._loops for x in (*loop.each, *loop.shown)]
-        results = [_size(x) for x in self._program.outs]
+        passing = [size_of(x) for loop in self._loops for x in (*loop.each, *loop.shown)]
+        results = [size_of(x) for x in self._program.outs]
         work = max(loop.work for loop in self._loops) * cores()
         return 2 * (sum(passing) * tile + sum(results) * machines) + work
-
-
-class _Loop:
-    """A loop over trials, compiled.
-
-    before: the steps by XLA before it, with those before earlier loops
-    step: the loop, lowered
-    varying: the values that differ from machine to machine
-    read: the values that somebody reads after this loop
-    lanes: number of machines in a group
-    each: the operands that differ from machine to machine
-    shown: the results that somebody reads
-    drawn: bytes of the operands of a machine
-    name: the name under which XLA calls it, which follows from what it computes
-    work: bytes that a group needs
-    """
-
-    def __init__(self, before: list[Step], step: Step, varying: set[Value], read: set[Value],
-                 lanes: int):  # fmt: skip
-        self.step, self._lanes = step, lanes
-        self._alike = [isinstance(x, Const) or x not in varying for x in step.ins]
-        plan = Trials(step, self._alike, _fixed(before, step), _real())
-        wanted = [x in read for x in step.outs]
-        text = Text(plan, lanes, wanted, partial(in_vectors, lanes, _real().itemsize))
-        self.work = text.work
-        self._constants = [np.ascontiguousarray(x) for x in plan.given]
-        self._moved = [plan.moved(i) for i in range(len(step.ins))]
-        self.shown = [x for x in step.outs if x in read]
-        self._found = {x: plan.moved(i, out=True) for i, x in enumerate(step.outs) if x in read}
-        results = [lanes * _size(x) if x in read else None for x in step.outs]
-        operands = len(step.ins) + len(plan.given)
-        self.name = target(callable_by_xla(text.text, operands, results, text.work))
-        self.each = [x for x, same in zip(step.ins, self._alike, strict=True) if not same]
-        self.drawn = sum(_size(x) for x in self.each)
-
-    def __call__(self, known: Arrays, groups: int) -> Arrays:
-        """The results for groups of machines by value, from those of what it reads."""
-        operands = []
-        for x, alike, (at, to) in zip(self.step.ins, self._alike, self._moved, strict=True):
-            array = jnp.asarray(x.array if isinstance(x, Const) else known[x])
-            operands.append(_turned(array, at, to) if alike else _turned(array, at + 1, to + 1))
-        like = [
-            jax.ShapeDtypeStruct((groups, *_moved(x.shape, *move), self._lanes), x.dtype)
-            for x, move in self._found.items()
-        ]
-        like.append(jax.ShapeDtypeStruct(room(self.work), np.uint8))
-        call = jax.ffi.ffi_call(self.name, like, vmap_method="sequential")
-        found = call(*operands, *self._constants)
-        moves = zip(self._found.items(), found, strict=False)
-        return {x: _turned(array, to + 1, at + 1) for (x, (at, to)), array in moves}
 
 
 class Native(Generic[Common, One, Found]):
@@ -307,6 +291,8 @@ class Native(Generic[Common, One, Found]):
             program = Compiled(self._fn, common, jax.tree.map(lambda x: x[0], batch))
             if not program.learns:
                 return ONCE
+            if program.memories:
+                log.info("native: %s", program.memories)
         except Unknown as unknown:
             return str(unknown)
         except Exception as error:  # of ours, which is no reason not to learn
@@ -450,34 +436,3 @@ def _learns(step: Step) -> bool:
                 return True
             moving.update(one.outs)
     return False
-
-
-def _fixed(before: Sequence[Step], step: Step) -> list[np.ndarray | None]:
-    """The values of operands of the loop over trials that depend on no argument; else None."""
-    known: dict[Value, Known] = {}
-    by_jax(before, known)
-    found = [x.array if isinstance(x, Const) else known.get(x) for x in step.ins]
-    return [
-        np.asarray(x) if x is not None and (np.size(x) <= FEW or x.dtype.kind in "iu") else None
-        for x in found
-    ]
-
-
-def _real() -> np.dtype:
-    """The floating point type, as the precision is now."""
-    return np.dtype(jnp.result_type(float))
-
-
-def _size(x: Value) -> int:
-    """The bytes of an array of one machine."""
-    return math.prod(x.shape) * np.dtype(x.dtype).itemsize
-
-
-def _turned(x: jax.Array, at: int, to: int) -> jax.Array:
-    return x if at == to else jnp.moveaxis(x, at, to)
-
-
-def _moved(shape: Sequence[int], at: int, to: int) -> tuple[int, ...]:
-    """The shape of an array of which one axis is moved."""
-    rest = [n for i, n in enumerate(shape) if i != at]
-    return (*rest[:to], *shape[at : at + 1], *rest[to:])

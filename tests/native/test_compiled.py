@@ -11,7 +11,7 @@ import pytest
 from cases import CASES, SCHEMES, case, few
 
 from jaxilc.learning import Disturbance, Sensor, learn
-from jaxilc.native import code, operations, run, why_not
+from jaxilc.native import code, loops, operations, run, why_not
 from jaxilc.native.program import Unknown
 from jaxilc.native.run import Compiled, Native, differs
 
@@ -213,7 +213,7 @@ def test_machine_code_is_kept_and_what_was_damaged_is_compiled_again(monkeypatch
         code.Code(text).register(name)
         return name
 
-    monkeypatch.setattr(run, "target", anew)
+    monkeypatch.setattr(loops, "target", anew)
 
     def computed():
         return jax.tree.leaves(Compiled(of_machine, common, 1.0, lanes=2)(common, GAINS[:3]))

@@ -10,7 +10,6 @@ from cases import SCHEMES, case
 
 from jaxilc.learning import Disturbance, learn
 from jaxilc.native import operations, run
-from jaxilc.native.program import Unknown
 from jaxilc.native.run import Compiled, Native, differs
 from jaxilc.tuning import Tuning, worst_case_search
 from jaxilc.uncertainty import Uniform
@@ -92,10 +91,56 @@ def test_a_loop_keeps_no_rows_that_only_dead_steps_read():
     assert differs(found, jax.jit(jax.vmap(slopes, (None, 0)))((), GAINS)) is None
 
 
-def test_memories_that_the_ram_cannot_hold_are_refused(monkeypatch):
-    monkeypatch.setattr(run, "host_bytes", lambda: 1000)
-    with pytest.raises(Unknown, match="the memories of all trials"):
-        Compiled(by_all_leaves, arguments("p_type"), 1.0)
+def of_37_trials(first, gain):
+    """Slopes by a gain and by what the first trial plays, beside rows and numbers of each trial."""
+
+    def loss(gain, u):
+        def sample(x, k):
+            return 0.5 * x + gain * k[0] + 0.1 * k[1], x
+
+        def trial(carry, j):
+            u, best = carry
+            y = jax.lax.scan(sample, gain, (u, jnp.roll(u, 1)))[1]
+            e, good = jnp.cos(0.2 * j + jnp.arange(24.0)) - y, y[-1] > 0.1
+            u = u + jnp.where(good, 0.3, 0.2 * best) * jnp.roll(e, -1)
+            return (u, jnp.minimum(best, jnp.mean(e**2))), (jnp.mean(e**2), y[3], good)
+
+        (u, best), (means, third, good) = jax.lax.scan(trial, (u, 1.0), jnp.arange(37))
+        return means[-1] + 0.1 * jnp.sum(third * means) + best * u[5] + 0.01 * jnp.sum(good)
+
+    value, slopes = jax.value_and_grad(loss, argnums=(0, 1))(gain, first)
+    return value, *slopes
+
+
+@pytest.mark.parametrize("count", [2, 36, 99])
+def test_slopes_in_blocks_are_those_of_all_trials_at_once(count):
+    """To the last bit: of 19 and 18 trials; of 2 but for the last one; and more than trials."""
+    first = 0.1 * np.arange(24.0)
+    whole, found = (Compiled(of_37_trials, first, 1.0, blocks=n)(first, GAINS) for n in (1, count))
+    assert differs(found, jax.jit(jax.vmap(of_37_trials, (None, 0)))(first, GAINS)) is None
+    for x, y in zip(found, whole, strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_memories_that_the_ram_cannot_hold_are_in_blocks_and_it_is_told(monkeypatch, caplog):
+    caplog.set_level("INFO", "jaxilc")
+    first = 0.1 * np.arange(24.0)
+
+    def told(room):
+        monkeypatch.setattr(run, "host_bytes", lambda: room)
+        caplog.clear()
+        native = Native(of_37_trials, jax.jit(jax.vmap(of_37_trials, (None, 0))))
+        return native.why_not(first, GAINS), caplog.text
+
+    of_all, of_blocks = (
+        run.cores() * Compiled(of_37_trials, first, 1.0, blocks=n)._held / run.SHARE for n in (1, 6)
+    )
+    assert of_blocks < 0.8 * of_all
+    assert "stores the memories of all 37 trials" in told(of_all)[1]
+    reason, text = told(of_blocks)
+    assert reason is None
+    assert "runs the trials once more, in 6 blocks of 7, and stores" in text
+    assert "the memories of" in told(0.99 * of_blocks)[0]
 
 
 def test_a_wrong_slope_is_refused(monkeypatch, caplog):
