@@ -33,6 +33,7 @@ from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.identified_file import StartingLaw
+from jaxilc.sweeps import host
 from jaxilc.theory.bounds import frozen_growth
 
 PLANT = """
@@ -349,39 +350,31 @@ def test_a_mistake_is_one_line_that_names_what_is_allowed(
     assert not list(tmp_path.glob("out/*/*")), "nothing may be written"
 
 
-def swept(*lines, wait=0.0):
-    """Start a process that sweeps a small plant, once for each line of further options.
-
-    wait: [s] before each chunk is written, so that the process still runs when it is killed
-    """
+def swept(line):
+    """Start a process that sweeps a small plant, and waits before it writes each chunk."""
     # a shell lets what it starts in the background, such as these tests, ignore interrupts
     heeds = "import signal, sys, time; signal.signal(signal.SIGINT, signal.default_int_handler)"
     program = f"""{heeds}
 from jaxilc.cli import main
+from jaxilc.sweeps import host
 from jaxilc.sweeps.store import Store
-write = Store.write
-Store.write = lambda *given: (time.sleep({wait}), write(*given))[1]
-for line in {lines!r}:
-    sys.argv = ["jaxilc", "sweep", "mine.toml", "--trials", "2", *line.split()]
-    try:
-        main()
-    except SystemExit as stop:
-        if stop.code:
-            sys.exit(stop.code)
+host.TRIALS_A_PASS, write = {host.TRIALS_A_PASS}, Store.write
+Store.write = lambda *given: (time.sleep(0.5), write(*given))[1]
+sys.argv = ["jaxilc", "sweep", "mine.toml", "--trials", "2", *{line!r}.split()]
+main()
 """
     words = [sys.executable, "-c", program]
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 @pytest.mark.slow
-def test_a_killed_sweep_resumes_bit_for_bit(tmp_path, monkeypatch):
+def test_a_killed_sweep_resumes_bit_for_bit(jaxilc_command, tmp_path):
     """It is killed after its first chunk, and interrupted after another one."""
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text(PLANT + LEARNER + UNCERTAIN)
     killed = "--machines 3000 --out killed"  # 12 chunks
     done, before = tmp_path / "killed/dataset.zarr/chunk_done/c/0", 0
     for how, more in ((signal.SIGKILL, ""), (signal.SIGINT, " --resume")):
-        process = swept(killed + more, wait=0.5)
+        process = swept(killed + more)
         while len(list(done.glob("*"))) <= before and process.poll() is None:
             time.sleep(0.01)
         os.kill(process.pid, how)
@@ -392,10 +385,9 @@ def test_a_killed_sweep_resumes_bit_for_bit(tmp_path, monkeypatch):
         assert not np.all(finite)
         assert np.any(finite)
         before = len(list(done.glob("*")))
-    process = swept(f"{killed} --resume", "--machines 3000 --out whole")
-    out, err = process.communicate()
-    assert process.returncode == 0, err
-    assert out.count("sample-steps") == 2
+    for line in (f"{killed} --resume", "--machines 3000 --out whole"):
+        code, out, err = jaxilc_command("sweep", "mine.toml", "--trials", 2, *line.split())
+        assert (code, out.count("sample-steps")) == (0, 1), err
     of = (jaxilc.open_dataset(tmp_path / name / "dataset.zarr") for name in ("whole", "killed"))
     xr.testing.assert_identical(*of)
 
