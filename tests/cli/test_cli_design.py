@@ -46,6 +46,7 @@ def jaxilc(*words) -> int:
 @pytest.fixture
 def file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("jaxilc.outcomes.recurring.MACHINES", 3)
     path = tmp_path / "axis.toml"
     path.write_text(FILE)
     return path
