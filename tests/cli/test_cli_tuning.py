@@ -41,10 +41,9 @@ from jaxilc.uncertainty import with_spread
 
 SHORT = ("--set", "frequency=50")  # 20 samples a trial
 TUNE = (
-    *("tune", "cao-2019", "--scheme", "cfdl-mfailc", *SHORT, "--set", "cfdl-mfailc.lead=2"),
-    *("--weights", "lam=0.1:5,phi0", "--objective", "final+0.3*growth@max_error"),
-    *("--risk", "cvar:0.5", "--trials", 4, "--machines", 3, "--held-out", 2, "--steps", 3),
-    *("--unseen", 4, "--spread", 0.2),
+    *("--scheme", "ilc", "--set", "ilc.lead=1", "--weights", "gamma_p=0.1:8,gamma_d"),
+    *("--objective", "final+0.3*growth@max_error", "--risk", "cvar:0.5", "--trials", 4),
+    *("--machines", 3, "--held-out", 2, "--steps", 3, "--unseen", 4, "--spread", 0.2),
 )
 PARETO = (
     *("pareto", "axis.toml", "--scheme", "ilc", "--weights", "gamma_p=0.1:8"),
@@ -97,7 +96,14 @@ def scenario():
 
 
 @pytest.fixture(scope="module")
-def tuned(tmp_path_factory):
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("file") / "axis.toml"
+    path.write_text(AXIS)
+    return path
+
+
+@pytest.fixture(scope="module")
+def tuned(file, tmp_path_factory):
     """Return the folder of a tuning that was stopped and resumed, and what the command printed."""
     folder = tmp_path_factory.mktemp("tune")
     write, states = of_tuning.Folder.write, []
@@ -108,7 +114,7 @@ def tuned(tmp_path_factory):
         if len(states) == 2:
             raise KeyboardInterrupt
 
-    asked = (*TUNE, "--out", folder)
+    asked = ("tune", file, *TUNE, "--out", folder)
     with mock.patch.object(of_tuning.Folder, "write", stop_at_two):
         code, _, err = call(*asked)
         assert (code, "--resume goes on" in err) == (130, True)
@@ -125,11 +131,11 @@ def tuned(tmp_path_factory):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_a_resumed_tuning_gives_the_numbers_of_the_library_at_once(tuned, scenario):
+def test_a_resumed_tuning_gives_the_numbers_of_the_library_at_once(tuned, file):
     folder, out = tuned
-    s = scenario.with_values({"cfdl-mfailc.lead": 2})
+    s = jaxilc.load_scenario(file).with_values({"ilc.lead": 1})
     problem = Tuning(
-        s.machine, s.schemes["cfdl-mfailc"], s.task, 4, {"lam": (0.1, 5.0), "phi0": None},
+        s.machine, s.schemes["ilc"], s.task, 4, {"gamma_p": (0.1, 8.0), "gamma_d": None},
         with_spread(s.uncertainty, 0.2), Final() + 0.3 * Growth("max_error"), CVaR(0.5), machines=3,
         held_out=2, steps=3,
     )  # fmt: skip
@@ -144,46 +150,37 @@ def test_a_resumed_tuning_gives_the_numbers_of_the_library_at_once(tuned, scenar
         for which in ("given", "tuned"):
             row, errors = (
                 numbers["figures"][figure][which]["2"],
-                1e3 * dataset[figure].sel(scheme=which, trial=2).values,
+                s.shown(figure)[0] * dataset[figure].sel(scheme=which, trial=2).values,
             )
             np.testing.assert_allclose(
                 [row["worst"], row["median"]], [errors.max(), np.sort(errors)[1]], rtol=1e-12
             )
-    assert f"{numbers['weights']['phi0']['tuned']:.6g}" in out
+    assert f"{numbers['weights']['gamma_d']['tuned']:.6g}" in out
     assert out.splitlines()[-1] == f"Next, many machines: {numbers['next']}"
     assert " ".join(out.split()).startswith(" ".join(numbers["verdict"]))
-    words = ("sweep", "cao-2019", "--scheme", "cfdl-mfailc", "--trials", "4", "--spread", "0.2")
-    more = ("--set", "frequency=50", "--params", str(folder / "params.json"))
+    words = ("sweep", str(file), "--scheme", "ilc", "--trials", "4", "--spread", "0.2")
+    more = ("--params", str(folder / "params.json"))
     assert shlex.split(numbers["next"]) == ["jaxilc", *words, *more]
     for name in ("loss.png", "learning.png"):
         assert (folder / name).stat().st_size > 10_000
     page = (folder / "page.html").read_text(encoding="utf-8")
-    assert all(part in page for part in ("jaxilc tune", "held-out loss", "<td>phi0</td>"))
+    assert all(part in page for part in ("jaxilc tune", "held-out loss", "<td>gamma_d</td>"))
 
 
 def test_a_parameter_file_reaches_other_commands_and_set_goes_on_top(
-    tuned, scenario, tmp_path, unpainted
+    tuned, file, tmp_path, unpainted
 ):
-    folder, _ = tuned
-    values = json.loads((folder / "params.json").read_text())["schemes"]["cfdl-mfailc"]
-    assert values.keys() == {"lam", "phi0", "lead"}, (
-        "what was set by hand belongs to what was tuned"
-    )
-    arguments = (
-        "run", "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", "--params", folder / "params.json",
-        "--trials", 4,
-    )  # fmt: skip
-    code, _, err = call(
-        *arguments, "--set", "cfdl-mfailc.lam=0.9", "--out", tmp_path / "run", "--report",
-        tmp_path / "run.json",
-    )  # fmt: skip
+    params = tuned[0] / "params.json"
+    values = json.loads(params.read_text())["schemes"]["ilc"]
+    assert values.keys() == {"gamma_p", "gamma_d", "lead"}, "what was set by hand belongs to it"
+    run = ("run", file, "--params", params, "--trials", 4, "--set", "ilc.gamma_p=0.9")
+    code, _, err = call(*run, "--out", tmp_path / "run", "--report", tmp_path / "run.json")
     assert code == 0, err
-    scheme = jaxilc.pytree.replaced(scenario.schemes["cfdl-mfailc"], values | {"lam": 0.9})
-    ours = 1e3 * jaxilc.learn(scenario.machine, scheme, scenario.task, 4).settled_error[-1, 0]
-    printed = json.loads((tmp_path / "run.json").read_text())["schemes"]["cfdl-mfailc"][
-        "settled_error"
-    ]["4"]
-    np.testing.assert_allclose(printed, ours, rtol=1e-12)
+    s = jaxilc.load_scenario(file)
+    scheme = jaxilc.pytree.replaced(s.schemes["ilc"], values | {"gamma_p": 0.9})
+    ours = s.shown_scale * jaxilc.learn(s.machine, scheme, s.task, 4).settled_error[-1, 0]
+    printed = json.loads((tmp_path / "run.json").read_text())["schemes"]["ilc"]
+    np.testing.assert_allclose(printed["settled_error"]["4"], ours, rtol=1e-12)
 
 
 @pytest.mark.parametrize("command", ["sweep", "certify", "tune", "worst-case"])
