@@ -177,7 +177,7 @@ def _source(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) 
     parts.append(f"#define LAW_F(name) {'name##f' if single else 'name'}\n")
     parts.append(f'const char law_certificate[] = "{digest}";\n{OWN}')
     for name, text in said_of_scheme(law.scheme, law.task):
-        parts.append(comment_of([name, *_plain_lines(text)]))
+        parts.append(comment_of([name, *map(str.rstrip, text.split("\n"))]))
     tables, lines = start_of(law.fields, single)
     parts.append(function_of("void law_start(law *l)", tables, lines))
     for name, body in bodies.items():
@@ -195,10 +195,6 @@ def _source(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) 
 
 def _words(text: str) -> set[str]:
     return set(re.findall(r"\w+", text))
-
-
-def _plain_lines(text: str) -> list[str]:
-    return [line.rstrip() for line in text.split("\n")]
 
 
 def function_of(head: str, tables: Sequence[str], lines: Sequence[str]) -> str:

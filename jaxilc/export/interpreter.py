@@ -117,14 +117,6 @@ def _converted(x: np.ndarray, dtype: np.dtype, real: np.dtype) -> np.ndarray:
     return _as(x, dtype, real)
 
 
-def _larger(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.where((a != a) | (a > b), a, b)
-
-
-def _smaller(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.where((a != a) | (a < b), a, b)
-
-
 def _library(name: str) -> Callable[..., np.ndarray]:
     """A function of the C library for each element, as it is at the edges of its range too."""
     function: Callable[..., float] = getattr(math, name)
@@ -146,7 +138,9 @@ def _library(name: str) -> Callable[..., np.ndarray]:
 
 SINGLE: dict[str, Callable[..., np.ndarray]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative,
-    "max": _larger, "min": _smaller, "abs": np.abs, "sqrt": np.sqrt, "floor": np.floor,
+    "max": lambda a, b: np.where((a != a) | (a > b), a, b),
+    "min": lambda a, b: np.where((a != a) | (a < b), a, b),
+    "abs": np.abs, "sqrt": np.sqrt, "floor": np.floor,
     "ceil": np.ceil, "round_even": np.rint,
     "round_away": lambda x: np.copysign(
         np.floor(np.abs(x)) + (np.abs(x) - np.floor(np.abs(x)) >= 0.5), x

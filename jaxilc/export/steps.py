@@ -294,10 +294,6 @@ def _convolved(step: Step, x: Array, kernel: Array) -> Array:
     return lax.scan(add, jnp.zeros(shape, x.dtype), jnp.arange(taps, dtype=jnp.int32))[0]
 
 
-def _by_columns(step: Step, matrix: Array, vector: Array) -> Array:
-    return jnp.matmul(matrix, vector[..., None])[..., 0]
-
-
 def _at_place(step: Step, *given: Array) -> Array:
     """One row read from, or written to, a place that is known while the law runs."""
     numbers, operand, places = step.params["dimension_numbers"], given[0], given[1]
@@ -374,20 +370,16 @@ def _lu(step: Step, a: Array) -> tuple[Array, Array, Array]:
     return a, jnp.stack(pivots), order
 
 
-def _mean_of_log_odds(step: Step, x: Array) -> Array:
-    return 1 / (1 + jnp.exp(-x))
-
-
 REWRITTEN: dict[str, Function] = {
     "conv_general_dilated": _convolved,
-    "by_columns": _by_columns,
+    "by_columns": lambda step, matrix, vector: jnp.matmul(matrix, vector[..., None])[..., 0],
     "unstack": lambda step, x: [
         jnp.squeeze(part, step.params["axis"])
         for part in jnp.split(x, x.shape[step.params["axis"]], step.params["axis"])
     ],
     "triangular_solve": _triangular_solve,
     "lu": _lu,
-    "logistic": _mean_of_log_odds,
+    "logistic": lambda step, x: 1 / (1 + jnp.exp(-x)),
 }
 
 

@@ -83,7 +83,6 @@ def expected(measured: np.ndarray, simulated: np.ndarray, task: Task, step: int)
     measured: (j, N+1, n_y) outputs of the trials so far [unit of y]
     simulated: (j+1, N+1, n_y) outputs of the nominal machine with the schedules of these trials and
         of the next one [unit of y]
-    step: number of the predicted trial
     """
     y, s, r = (np.asarray(x, float) for x in (measured, simulated, task.reference))
     if len(y) < 2 or not (np.all(np.isfinite(y)) and np.all(np.isfinite(s))):

@@ -46,7 +46,6 @@ PAST = 20  # trials whose inputs are compared with a recorded one that is not th
 class Turn(NamedTuple):
     """A measured trial and the results that follow from it, before they are stored.
 
-    trial: number of the trial
     record: the trial with the signals of the scheme
     memory, schedules: memory and schedules for the next trial
     metrics: metrics of this trial by name: those of `Metrics`, and `error`, the RMS error over all
@@ -595,7 +594,6 @@ def record_of(campaign: Campaign, machine: Machine) -> CampaignRecord:
     Of many trials some are taken, spread evenly from the first one to the last one. Trials that
     ended early are left out.
 
-    machine: machine of the campaign's plant file
     Raises ValueError where there are no trials, and where the recorded u is not what acted on the
     plant: an input that was not measured but computed, in a closed loop, and a machine with a
     repetitive disturbance.

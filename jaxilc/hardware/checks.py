@@ -318,7 +318,6 @@ def frozen(
 ) -> list[Finding]:
     """Channels that stand still while they ought to move.
 
-    name: name of the signal
     signal, expected: (rows, n) the signal and what it is compared with, in one unit
     moved: (rows, n) what makes the signal move; where it stands still too, nothing is said
     still: share of the expected range below which a channel counts as constant

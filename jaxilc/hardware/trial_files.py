@@ -60,8 +60,6 @@ class Measured(NamedTuple):
     y: (N+1, n_y) output
     u: (N, n_u) input, None where the file has none
     others: further signals that were asked for, by name
-    ignored: names of the columns that are not used
-    source: path of the file
     samples: number of samples of a trial that ended early, see `read_short`; else None
     """
 
@@ -79,7 +77,6 @@ class _File(NamedTuple):
 
     columns: (rows, channels) values and unit by name; the unit is None where it is not declared
     places: place of each row in the file, for messages
-    ignored: names of the columns that are not used
     """
 
     columns: dict[str, tuple[np.ndarray, str | None]]
@@ -269,10 +266,7 @@ def _channels(path, name: str, channels: int, names: list[str], called: str) -> 
 
 
 def _read_mat(
-    path: str | Path,
-    shapes: Shapes,
-    called: Mapping[str, str],
-    declared: Mapping[str, str | None],
+    path: str | Path, shapes: Shapes, called: Mapping[str, str], declared: Mapping[str, str | None]
 ) -> _File:
     needed = 8 * sum(rows * channels for rows, channels in shapes.values())
     contents = read_mat(path, ROOM + 32 * needed)  # the file may hold many other variables

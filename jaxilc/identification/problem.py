@@ -105,7 +105,6 @@ class Problem(NamedTuple):
 
     record: the record
     plant: the plant with its values at the start
-    task: task of the record
     names: elements of the plant that are fitted
     coordinates: coordinates in which the optimiser works
     samples: number of samples, from the first one on, that are fitted

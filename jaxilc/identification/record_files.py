@@ -448,7 +448,6 @@ def read_mat_signals(
     An object of MATLAB, such as a timeseries itself, and a file of version 7.3 (HDF5) cannot be
     read; in MATLAB u = struct('Time', u.Time, 'Data', u.Data) makes a structure of it.
 
-    time: name of the times of arrays
     unit: unit of the times, None for seconds
     dt: sample time of arrays without times [s]
     Raises ValueError naming file and signal for what is missing or cannot be read; where it is an
@@ -485,7 +484,8 @@ def _mat_signal(
         times, values = (_vector(path, f"{name}.{part}", of) for part, of in own)
     else:
         values = _vector(path, name, value)
-        key = next((k for k in _spellings(time) if k in level), None)
+        spellings = (time, "time", "Time", "tout") if time == "t" else (time,)
+        key = next((k for k in spellings if k in level), None)
         if key is None and dt is None:
             raise ValueError(
                 f"read_record: {path} has no times {time!r} beside {name}; present are "
@@ -554,10 +554,6 @@ def _vector(path: str | Path, name: str, value: MatValue) -> np.ndarray:
             f"read_record: {path}: {name} has the shape {value.shape}; allowed is a vector"
         )
     return plain
-
-
-def _spellings(time: str) -> tuple[str, ...]:
-    return (time, "time", "Time", "tout") if time == "t" else (time,)
 
 
 # Exports of TwinCAT Scope

@@ -80,7 +80,6 @@ def played(machine: Machine, task: Task, u, key) -> Trial:
 def output_from_rest(machine: Machine, task: Task, u) -> jax.Array:
     """(T (N+1), n_y) the outputs of T experiments below each other, each from rest, without noise.
 
-    task: task of one experiment
     u: (T N, n_u) inputs of the experiments below each other
     """
     key = jax.random.key(0)

@@ -30,9 +30,6 @@ def run_trial(
 ) -> Trial:
     """The record of one trial of the machine under the scheme, from rest.
 
-    machine: the machine that runs the trial
-    scheme: the scheme that acts within the trial
-    task: the task of the trial
     memory: memory of the scheme, which is `scheme.initial_memory(task)` before the first trial
     key: random key of the noise of this trial
     number: j, of a machine whose trials differ; None is a trial of the long run

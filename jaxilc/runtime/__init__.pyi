@@ -1,7 +1,4 @@
 from .start import setup
 from .tiles import tiled
 
-__all__ = [
-    "setup",
-    "tiled",
-]
+__all__ = ["setup", "tiled"]

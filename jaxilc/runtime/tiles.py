@@ -30,7 +30,6 @@ def tiled(fn: Callable[[Tree, Tree], T], *, lanes: int | None = None) -> Callabl
     filled with copies of the last element, whose results are dropped.
     Keep the returned function: it compiles once for each shape of its arguments.
 
-    fn: function of what is common to all elements, and of one element
     lanes: number of elements of a tile, which are vectorised; None: what suits the backend, which
         is 16 on a CPU, and on an accelerator what its memory holds (see `runtime.lanes`)
     Raises ValueError for lanes < 1. The returned function raises ValueError where the lanes follow

@@ -141,11 +141,7 @@ class BasisFunctions(Scheme):
             return u
 
         # what the input of the next trial is to come near, as a signal, and its weight
-        wanted = (
-            (trial.e[1:] + push(u), push, Q),
-            (u, same, R),
-            (jnp.zeros_like(u), same, S),
-        )
+        wanted = ((trial.e[1:] + push(u), push, Q), (u, same, R), (jnp.zeros_like(u), same, S))
         best = theta
         for _ in range(1 if self.basis.linear else self.iterations):
             G: Leaf = 0.0

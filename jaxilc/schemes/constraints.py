@@ -106,10 +106,7 @@ def rows_of(scheme: Bounded, trial: Trial) -> dict[str, Rows]:
     """The rows of a trial, by kind."""
     r, y, u = trial.r, trial.y, trial.u
     low, high = output_bounds(scheme, r)
-    found = {
-        "input": _symmetric(u, scheme.limit),
-        "output": Rows(y[1:], low[1:], high[1:]),
-    }
+    found = {"input": _symmetric(u, scheme.limit), "output": Rows(y[1:], low[1:], high[1:])}
     if "rate" in kinds(scheme):
         steps = jnp.concatenate([u[:1], u[1:] - u[:-1]])
         most = None if scheme.rate is None else scheme.rate * trial.dt

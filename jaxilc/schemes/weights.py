@@ -26,8 +26,7 @@ def weighed(trial: Trial, W: Array) -> Trial:
     W = W if W.ndim == 3 else W[:, :, None] * jnp.eye(W.shape[1], dtype=W.dtype)
     before = trial.weight
     return trial._replace(
-        y=trial.r - jnp.einsum("kij,kj->ki", W, trial.e),
-        weight=W if before is None else W @ before,
+        y=trial.r - jnp.einsum("kij,kj->ki", W, trial.e), weight=W if before is None else W @ before
     )
 
 

@@ -31,7 +31,6 @@ def atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file completely or not at all.
 
     path: file to write; a link is followed
-    write: function that is called with the open file
 
     A pipe or a device cannot be replaced and is written to directly. Raises OSError with the name
     of the file, where the disk is full or the folder was removed too.

@@ -151,7 +151,6 @@ def _need(parts: Iterator[tuple[int, memoryview]], order: str, what: str, kinds:
 
     parts: the elements that are left
     order: byte order, `<` or `>`
-    what: name of the element, for messages
     kinds: allowed types: whole numbers `iu`, floating-point numbers `f`, single bytes `S`
     Raises ValueError if the element is missing, of another type, or of a wrong size.
     """

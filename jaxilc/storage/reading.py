@@ -94,8 +94,6 @@ def read_tree(path: str | Path, kind: str | None = None) -> Value:
 def tree_of(text: str, parser: Callable[[str], Value], source: str | Path) -> Value:
     """The content of a text in TOML or JSON as dictionaries, lists and values.
 
-    parser: function that reads the text
-    source: origin of the text, for messages
     Raises ValueError for a text that the parser refuses, or that is nested too deeply.
     """
     # A parser of TOML takes the square of the length of a dotted key, in time and in RAM.

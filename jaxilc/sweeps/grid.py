@@ -98,7 +98,6 @@ class DescribedGrid(TypedDict):
 class Variant(NamedTuple):
     """What one program computes: a scheme at one value of each static axis.
 
-    name: name of the scheme
     fixed: the positions of these values in their axes
     """
 

@@ -35,8 +35,6 @@ class Chunk(NamedTuple):
     Without a grid, the variants are the schemes and the members the machines, see `Grid`.
 
     scheme: position of the variant in the plan
-    name: name of the variant
-    number: number of the chunk
     start, stop: the members of the chunk are start, ..., stop - 1
     """
 

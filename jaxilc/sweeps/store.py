@@ -60,7 +60,6 @@ class Variable:
 class Layout:
     """The contents of a store that are known before anything is computed.
 
-    variables: arrays by name
     coordinates: dimensions and values by name; every dimension has one
     chunk: number of machines that are computed and stored together
     configuration: all that determines the numbers, as JSON

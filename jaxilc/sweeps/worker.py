@@ -35,7 +35,6 @@ class UnlikeWorkers(ValueError):
 class Found(NamedTuple):
     """The properties of a worker.
 
-    host: name of the computer that it runs on
     free: bytes of RAM that are free on this host, None where unknown
     on_devices: bytes that are free on its devices, None where they have no RAM of their own
     limit: bytes that Dask allows the worker, None where there is no limit

@@ -96,8 +96,6 @@ def repaired(losses, slopes, clip: float):
 class Method(NamedTuple):
     """An optimiser for one start, with two pure functions.
 
-    init: function z -> state
-    step: function (z, state) -> (z, state, Step)
     programs: both functions, compiled for many starts, see `for_starts`
     """
 
@@ -337,11 +335,8 @@ def descended(
 ) -> tuple[State, str]:
     """The state at the end of the descent, and the reason why it ended.
 
-    method: the method, compiled for many starts
-    held_out: function from z (K, P) to the (K,) held-out losses
     validate_every: steps from one computation of the held-out losses to the next
     patience: number of computations without improvement that are allowed
-    after_step: function that is called with the new state and the record of each step
     """
     steps = len(now.loss)
     while True:

@@ -93,10 +93,7 @@ class Losses:
     def risk_of(
         self, values: Mapping[str, Value], objective: Objective, population: Population, first: int
     ) -> jax.Array:
-        """() the risk over machines with these weights, plus the nominal terms.
-
-        first: number of the first of these machines
-        """
+        """() the risk over machines with these weights, plus the nominal terms."""
         of_machines, of_nominal = split(objective)
         batch = population.batch(first)
         run = tiled(

@@ -218,10 +218,7 @@ class EveryTrial(Objective):
 
 @dataclasses.dataclass(frozen=True)
 class Holding(Objective):
-    """The largest l from one trial on: the level that is reached by this trial and kept.
-
-    first: number of this trial
-    """
+    """The largest l from one trial on: the level that is reached by this trial and kept."""
 
     first: int = 1
     metric: str = "settled_error"

@@ -59,7 +59,6 @@ def pareto(
     shares: numbers in [0, 1], all different
     out: folder that gets a folder for the state of each tuning, None to keep them in the RAM only
     resume: continue from the states at `out`, where shares may be added
-    progress: function that is called after each step of each tuning
     Raises ValueError naming shares that are not allowed, and what `Tuning.run` raises.
     """
     if not shares or len(set(shares)) < len(shares) or not all(0 <= share <= 1 for share in shares):
