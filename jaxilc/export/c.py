@@ -670,22 +670,22 @@ class _Body:
         found = [(self.place(name, x.shape), self.view(x), x.dtype)
                  for name, x in zip(names, outs, strict=True)]  # fmt: skip
         for name, step in in_place.items():
-            x, *places = [self.view(one) for one in step.ins[1:]]
+            view, *places = [self.view(one) for one in step.ins[1:]]
             self.flush()
-            to = self.part(self.place(name, step.outs[0].shape), x.shape, places)
-            found.append((to, x, step.ins[1].dtype))
+            to = self.part(self.place(name, step.outs[0].shape), view.shape, places)
+            found.append((to, view, step.ins[1].dtype))
         self.flush()
         changed = {field_name(name) for name in function.outs}
         safe = []
-        for to, x, dtype in found:
-            read_fields = set(re.findall(r"l->(\w+)", x.form)) & changed
-            safe.append((to, self.copied(x, dtype) if read_fields else x))
+        for to, view, dtype in found:
+            read_fields = set(re.findall(r"l->(\w+)", view.form)) & changed
+            safe.append((to, self.copied(view, dtype) if read_fields else view))
         code = ""
-        for to, x in safe:
+        for to, view in safe:
             if to.form == "code":
-                code = x.at(())
+                code = view.at(())
             else:
-                self.put(to, x)
+                self.put(to, view)
         if code:
             self.line(f"return (int) {_closed(code)};")
         return Printed(*self.with_room())

@@ -128,8 +128,8 @@ def _header(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) 
         told = f"  /* {shape}{unit} */".replace(" ]", "]").replace("  */", " */")
         told = told if shape or unit else ""
         members.append(f"    {type_of(of.first.dtype)} {field_name(name)}{size};{told}")
-    for kind, size in _work([*bodies.values()]).items():
-        members.append(f"    {kind} work_{kind}[{size}];")
+    for kind, room in _work([*bodies.values()]).items():
+        members.append(f"    {kind} work_{kind}[{room}];")
     codes = "".join(f"    LAW_{name} = {i}, /* {said} */\n" for i, (name, said) in enumerate(
         zip(guard.CODES, guard.MEANINGS, strict=True)))  # fmt: skip
     limits = ", ".join(number(x, float, single) for x in law.limit)

@@ -77,7 +77,7 @@ def _fmu(asked: Asked) -> Made:
         for block in blocks
         for version in (2, 3)
     }
-    return Made(made | texts, of_c.bytes, tuple(warnings))
+    return Made({**made, **texts}, of_c.bytes, tuple(warnings))
 
 
 def _hal(asked: Asked) -> Made:

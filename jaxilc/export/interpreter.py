@@ -117,6 +117,10 @@ def _converted(x: np.ndarray, dtype: np.dtype, real: np.dtype) -> np.ndarray:
     return _as(x, dtype, real)
 
 
+def _chosen(which: np.ndarray, yes: np.ndarray, no: np.ndarray) -> np.ndarray:
+    return np.where(which, yes, no)
+
+
 def _library(name: str) -> Callable[..., np.ndarray]:
     """A function of the C library for each element, as it is at the edges of its range too."""
     function: Callable[..., float] = getattr(math, name)
@@ -138,8 +142,8 @@ def _library(name: str) -> Callable[..., np.ndarray]:
 
 SINGLE: dict[str, Callable[..., np.ndarray]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative,
-    "max": lambda a, b: np.where((a != a) | (a > b), a, b),
-    "min": lambda a, b: np.where((a != a) | (a < b), a, b),
+    "max": lambda a, b: _chosen((a != a) | (a > b), a, b),
+    "min": lambda a, b: _chosen((a != a) | (a < b), a, b),
     "abs": np.abs, "sqrt": np.sqrt, "floor": np.floor,
     "ceil": np.ceil, "round_even": np.rint,
     "round_away": lambda x: np.copysign(
@@ -147,7 +151,7 @@ SINGLE: dict[str, Callable[..., np.ndarray]] = {
     ),
     "copysign": np.copysign, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor,
     "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
-    "ge": np.greater_equal, "select": lambda which, no, yes: np.where(which, yes, no),
+    "ge": np.greater_equal, "select": lambda which, no, yes: _chosen(which, yes, no),
     **{name: _library(name) for name in
        ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh", "pow")},
 }  # fmt: skip

@@ -269,8 +269,9 @@ class _Block:
     # ----------------------------------------------------------------------------------------------
 
     def value(self, x: Value) -> _Flat:
-        known = isinstance(x, Const)
-        return self.constant(np.asarray(x.array), x.dtype) if known else self.values[x]
+        if isinstance(x, Const):
+            return self.constant(np.asarray(x.array), x.dtype)
+        return self.values[x]
 
     def constant(self, array: np.ndarray, dtype: DTypeLike) -> _Flat:
         flat = array.ravel()
@@ -426,7 +427,10 @@ class _Block:
 
     def function(self, function: Function, given: Mapping[str, _Flat]) -> None:
         """A function of the law: its steps, and then what it changes, as if all at once."""
-        place = lambda name: given[name] if name in given else self.field(name)  # noqa: E731
+
+        def place(name: str) -> _Flat:
+            return given[name] if name in given else self.field(name)
+
         program = function.program
         self.values.update(zip(program.ins, map(place, function.ins), strict=True))
         in_place = function.in_place()
@@ -466,7 +470,7 @@ class _Block:
         begin = self.part("begin", 1)
         sample = self.part("sample", 2, k=_Flat("sample"), y=measured, u=command)
         end = self.part("end", 2, y=measured, code=_Flat("code"))
-        first, texts = [], "\n".join([*begin, *sample, *end])
+        first, texts = list[str](), "\n".join([*begin, *sample, *end])
         for name, of in law.fields.items():
             flat, short = of.first.ravel(), self.names[name]
             if not re.search(rf"\b{short}\b", texts) or not flat.size:

@@ -21,6 +21,7 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from ..native.program import Const, Known, Program, Step, Unknown, Value, lowered, without_dead
+from ..native.solves import Parameters
 from ..pytree.aliases import Array, Function, Tree
 from . import operations
 from .interpreter import carried_out
@@ -117,7 +118,9 @@ class _Writer:
             raise Unknown(REASONS.get(kind, f"the operation {name} is not among the known ones"))
         return self.added(name, step.params, ins, step.outs)
 
-    def added(self, name: str, params: dict, ins: list, outs: Sequence[Value]) -> list[Value]:
+    def added(
+        self, name: str, params: Parameters, ins: list[Value], outs: Sequence[Value]
+    ) -> list[Value]:
         new = [Value(x.shape, x.dtype) for x in outs]
         self.steps.append(Step(name, params, ins, new))
         return new
@@ -234,7 +237,7 @@ def _complex(x: Value) -> bool:
 
 
 def _is_key(x: Value | Array) -> bool:
-    return bool(jax.dtypes.issubdtype(x.dtype, jax.dtypes.extended))
+    return bool(jnp.issubdtype(x.dtype, jax.dtypes.extended))
 
 
 def _bound(condition: Program, body: Program, first: list[Value], n: int, m: int) -> int:
@@ -258,9 +261,9 @@ def _bound(condition: Program, body: Program, first: list[Value], n: int, m: int
         one = turned.get(body.outs[i]) if i >= 0 else None
         if one is None or body.ins[m + i] != one.ins[0] or not isinstance(step.ins[1], Const):
             continue
-        by, last, start = one.ins[-1], float(step.ins[1].array), first[i]
-        by = float(by.array) if isinstance(by, Const) else 0.0
-        start = float(start.array) if isinstance(start, Const) else None
+        factor, last, before = one.ins[-1], float(step.ins[1].array), first[i]
+        by = float(factor.array) if isinstance(factor, Const) else 0.0
+        start = float(before.array) if isinstance(before, Const) else None
         if (step.name, one.name, by) == ("lt", "add", 1.0) and start is not None:
             return max(0, math.ceil(last - start))
         halves = (one.name, by) in (("div", 2.0), ("mul", 0.5))

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import jax
 
-from ..pytree.aliases import Tree
+from ..pytree.aliases import Tree, Value
 
 try:
     import resource
 except ImportError:  # Windows has no such limits of processes
-    resource = None
+    resource = None  # type: ignore[assignment]
 
 GROUPS = Path("/sys/fs/cgroup")
 OF_PROCESS = Path("/proc/self")
@@ -57,12 +57,13 @@ def check_size(what: str, each: float | Callable[..., float], **counts: float) -
     raise refused(f"{what}: {given} take", need(**counts), room, instead)
 
 
-def check_program(what: str, instead: str, lowered, *, devices: int | None = None) -> None:
+def check_program(
+    what: str, instead: str, lowered: jax.stages.Lowered, *, devices: int | None = None
+) -> None:
     """Raises ValueError where a jitted function does not fit in RAM; it is compiled but not run.
 
     what: name of the computation, for the message
     instead: what would fit, for the message
-    lowered: the function lowered for its arguments, `run.lower(...)`
     devices: number of devices on which it runs; None: all
     """
     host, on_devices = host_bytes(), device_bytes()
@@ -81,16 +82,15 @@ def refused(takes: str, need: float, room: float, instead: str, where: str = "")
     return ValueError(f"{said}; {instead}")
 
 
-def program_bytes(lowered, *, devices: int | None = None) -> int:
+def program_bytes(lowered: jax.stages.Lowered, *, devices: int | None = None) -> int:
     """The bytes that a jitted function takes on its devices; it is compiled but not run.
 
     They hold its arguments, its results and its intermediate values. A later call with arguments of
     these shapes does not compile it again.
 
-    lowered: the function lowered for its arguments, `run.lower(...)`
     devices: number of devices on which it runs; None: all
     """
-    found = lowered.compile().memory_analysis()  # of one device
+    found: Value = lowered.compile().memory_analysis()  # of one device
     devices = jax.device_count() if devices is None else devices
     signals = found.argument_size_in_bytes + found.output_size_in_bytes
     return devices * (signals + found.temp_size_in_bytes)

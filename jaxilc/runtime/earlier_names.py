@@ -48,7 +48,8 @@ def takes_also(**earlier: str) -> Callable[[T], T]:
     def decorated(known: T) -> T:
         """The same class with another constructor, or a function around the given one."""
         of: Value = known
-        call = of.__init__ if isinstance(of, type) else of
+        is_class = isinstance(known, type)
+        call = of.__init__ if is_class else of
 
         @wraps(call)
         def under_todays_names(*arguments: Value, **options: Value) -> Value:
@@ -59,7 +60,7 @@ def takes_also(**earlier: str) -> Callable[[T], T]:
                     options[today] = options.pop(name)
             return call(*arguments, **options)
 
-        if not isinstance(of, type):
+        if not is_class:
             return cast("T", under_todays_names)
         of.__init__ = under_todays_names
         return known

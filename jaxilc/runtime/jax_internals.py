@@ -26,7 +26,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, partial
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import jax
 import jax.core
@@ -34,7 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
 
-from ..pytree.aliases import Array, Function
+from ..pytree.aliases import Array, Function, Tree, Value
 
 T = TypeVar("T")
 Lists: TypeAlias = Callable[..., list[Array]]
@@ -80,7 +80,7 @@ def with_slope(function: Function, slope: Function) -> Function:
     use tracers that are not among its arguments.
     """
 
-    def ruled(*arguments):
+    def ruled(*arguments: Tree) -> Tree:
         known = _found()[0]
         if known is None:
             plain = jax.custom_jvp(function)
@@ -89,13 +89,13 @@ def with_slope(function: Function, slope: Function) -> Function:
         values, tree = jax.tree.flatten(arguments)
         result = jax.tree.structure(jax.eval_shape(function, *arguments))
 
-        def value_of(values):
-            return jax.tree.leaves(function(*tree.unflatten(values)))
+        def value_of(values: list[Array]) -> list[Array]:
+            return jax.tree.leaves(function(*jax.tree.unflatten(tree, values)))
 
-        def slope_of(values, moved):
-            return jax.tree.leaves(slope(tree.unflatten(values), tree.unflatten(moved)))
+        def slope_of(*both: list[Array]) -> list[Array]:
+            return jax.tree.leaves(slope(*(jax.tree.unflatten(tree, x) for x in both)))
 
-        return result.unflatten(known.ruled(*values, value=value_of, slope=slope_of))
+        return jax.tree.unflatten(result, known.ruled(*values, value=value_of, slope=slope_of))
 
     return ruled
 
@@ -106,7 +106,7 @@ def once(arguments: T, refusal: str) -> T:
     What a rule of `with_slope` computes from `once(x)` has no further derivative by x.
     """
 
-    def refuse(at, by):
+    def refuse(at: Tree, by: Tree) -> NoReturn:
         raise ValueError(refusal)
 
     return jax.tree.map(with_slope(lambda x: x, refuse), arguments)
@@ -219,7 +219,7 @@ def _rows_primitive() -> Function:
     from jax.extend.core import Primitive
     from jax.interpreters import ad, batching, mlir
 
-    def placed(x, *, axis, turned):
+    def placed(x: Array, *, axis: int, turned: bool) -> Array:
         if axis == 0:
             return x
         if not turned:
@@ -229,7 +229,9 @@ def _rows_primitive() -> Function:
         rows = with_layout_constraint(rows, Layout(major_to_minor=tuple(range(x.ndim))))
         return jnp.moveaxis(rows, 0, axis)
 
-    def batched(args, dims, *, axis, turned):
+    def batched(
+        args: list[Array], dims: list[int], *, axis: int, turned: bool
+    ) -> tuple[Array, int]:
         x = jnp.moveaxis(args[0], dims[0], 0)
         return by_sample.bind(x, axis=axis + 1, turned=turned), 0
 
@@ -242,13 +244,13 @@ def _rows_primitive() -> Function:
     return by_sample.bind
 
 
-def _followed(x) -> bool:
+def _followed(x: Array) -> bool:
     """Whether JAX follows on which devices x differs; its type has names for it that changed."""
     kind = jax.typeof(x)
     return bool(getattr(getattr(kind, "mat", None), "varying", None) or getattr(kind, "vma", None))
 
 
-def _sum_of_columns(matrix, vector):
+def _sum_of_columns(matrix: Array, vector: Array) -> Tree:
     """The products of matrices (..., m, n) and vectors (..., n)."""
     return sum(matrix[..., j] * vector[..., j, None] for j in range(matrix.shape[-1]))
 
@@ -262,24 +264,24 @@ def _product_primitive() -> Function:
     from jax.extend.core import Primitive
     from jax.interpreters import ad, batching, mlir
 
-    def shaped(matrix, vector):
+    def shaped(matrix: Array, vector: Array) -> jax.core.ShapedArray:
         before = np.broadcast_shapes(matrix.shape[:-2], vector.shape[:-1])
         return jax.core.ShapedArray((*before, matrix.shape[-2]), matrix.dtype)
 
-    def summed(slope, operand):
+    def summed(slope: Array, operand: Tree) -> Array:
         """The slope by an operand, added up over the members that share it."""
         shared = enumerate(zip(slope.shape, operand.aval.shape, strict=True))
         return jnp.sum(slope, [i for i, (n, own) in shared if own == 1 != n], keepdims=True)
 
-    def by_matrix(slope, matrix, vector):
+    def by_matrix(slope: Array, matrix: Array, vector: Array) -> Array:
         return summed(slope[..., :, None] * vector[..., None, :], matrix)
 
-    def by_vector(slope, matrix, vector):
+    def by_vector(slope: Array, matrix: Array, vector: Array) -> Array:
         if 0 < matrix.shape[-2] <= COLUMNS:
             return summed(by_columns.bind(jnp.swapaxes(matrix, -1, -2), slope), vector)
         return summed(jnp.sum(matrix * slope[..., :, None], axis=-2), vector)
 
-    def batched(operands, dims):
+    def batched(operands: list[Array], dims: list[int | None]) -> tuple[Array, int]:
         pairs = zip(operands, dims, strict=True)
         return by_columns.bind(
             *(x[None] if d is None else jnp.moveaxis(x, d, 0) for x, d in pairs)
@@ -303,19 +305,23 @@ def _ruled_primitive() -> Function:
     from jax.extend.core import Primitive
     from jax.interpreters import ad, batching, mlir
 
-    def shaped(*x, value, slope):
+    def shaped(*x: Tree, value: Lists, slope: Lists) -> list[jax.core.ShapedArray]:
         return jax.make_jaxpr(value)(list(x)).out_avals
 
-    def moved(x, dx, *, value, slope):
+    def moved(
+        x: list[Array], dx: list[Array], *, value: Lists, slope: Lists
+    ) -> tuple[list[Array], list[Array]]:
         dx = [ad.instantiate_zeros(d) for d in dx]
         return ruled.bind(*x, value=value, slope=slope), slope(list(x), dx)
 
-    def batched(x, dims, *, value, slope):
-        dims = list(dims)
+    def batched(
+        x: list[Array], axes: list[int | None], *, value: Lists, slope: Lists
+    ) -> tuple[list[Array], list[int]]:
+        dims = list(axes)
         found = ruled.bind(*x, value=jax.vmap(value, (dims,)), slope=jax.vmap(slope, (dims, dims)))
         return found, [0] * len(found)
 
-    def evaluated(*x, value, slope):
+    def evaluated(*x: Array, value: Lists, slope: Lists) -> list[Array]:
         return value(list(x))
 
     ruled = Primitive("ruled")
@@ -333,13 +339,15 @@ def _batches_primitive() -> Function:
     from jax.extend.core import Primitive
     from jax.interpreters import batching, mlir
 
-    def batched(x, dims, *, rule, **_):
+    def batched(
+        x: list[Array], dims: list[int], *, rule: Lists, **_: Value
+    ) -> tuple[list[Array], list[int]]:
         moved = [d is not None for d in dims]
         front = [jnp.moveaxis(a, d, 0) if m else a for a, d, m in zip(x, dims, moved, strict=True)]
         found = rule(front[moved.index(True)].shape[0], moved, *front)
         return found, [0] * len(found)
 
-    def evaluated(*x, function, **_):
+    def evaluated(*x: Array, function: Lists, **_: Value) -> list[Array]:
         return function(*x)
 
     batches = Primitive("batches")
@@ -359,12 +367,12 @@ def _try_out(known: Known) -> None:
     Raises the error of JAX where one of them does not work.
     """
 
-    def all_ways(x):
+    def all_ways(x: Array) -> Array:
         turned = [known.rows(x, axis=0, turned=turned) for turned in (False, True)]
         product = known.product(turned[0] * turned[1], x[0])
         return jnp.sum(known.ruled(product, value=lambda x: x, slope=lambda x, dx: dx)[0])
 
-    def batch(x):
+    def batch(x: Array) -> list[Array]:
         double = {"function": lambda x: [2 * x], "rule": lambda n, moved, x: [2 * x]}
         return known.batches(x, **double, outs=(jax.ShapeDtypeStruct(x.shape, x.dtype),))
 
