@@ -114,10 +114,7 @@ class Printed(NamedTuple):
 
 
 def printed(function: Function, *, single: bool) -> Printed:
-    """The body of a function; raises Unknown for what C cannot hold.
-
-    single: whether numbers are float
-    """
+    """The body of a function; raises Unknown for what C cannot hold."""
     return _Body(function, single).printed()
 
 

@@ -58,8 +58,6 @@ def files_of(law: Law, about: Sequence[str], digest: str, trials: Sequence[np.nd
              single: bool = False) -> dict[str, str]:  # fmt: skip
     """The texts of the files by their names.
 
-    about: sentences for the head of each file
-    digest: of the certificate, which the code carries
     trials: outputs (N+1, n_y) of the trials of the test program
     single: whether numbers are `float` in place of `double`
     """

@@ -30,7 +30,6 @@ def certificate_of(
 ) -> dict[str, Value]:
     """The content of `certificate.json`.
 
-    claims: what is claimed of the law
     files: the contents of the other files by name
     """
     hashes = {

@@ -19,8 +19,6 @@ class Asked(NamedTuple):
     """What the files of a law are made from.
 
     machine: whose plant an FMU holds beside the law
-    about: sentences for the head of each file
-    digest: of the certificate, which the code carries
     trials: outputs (N+1, n_y) of the trials of the test program
     single: whether numbers are `float` in place of `double`
     """
@@ -36,7 +34,6 @@ class Asked(NamedTuple):
 class Made(NamedTuple):
     """The files of a law.
 
-    files: their contents by name
     bytes: of RAM that the law needs on the controller
     warnings: sentences on what is left out
     """

@@ -97,7 +97,6 @@ class Function:
     """A function of a law.
 
     name: begin, sample or end
-    program: its steps
     ins, outs: names of its operands and results: fields, or `k`, `y`, `u` and `code`
     """
 

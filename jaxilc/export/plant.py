@@ -78,10 +78,7 @@ def model_of(machine: Machine, task: Task) -> Model:
 
 
 def files_of_plant(model: Model, about: Sequence[str]) -> dict[str, str]:
-    """The texts of `plant.h` and `plant.c`.
-
-    about: sentences for the head of each file
-    """
+    """The texts of `plant.h` and `plant.c`."""
     body, task = printed(model.step, single=False), model.task
     members = [
         f"    {type_of(of.first.dtype)} {field_name(name)}"

@@ -151,11 +151,7 @@ class FunctionBlock(NamedTuple):
 
 
 def function_block(law: Law, about: Sequence[str], digest: str) -> FunctionBlock:
-    """A law in Structured Text; raises Unknown for what the language cannot hold.
-
-    about: sentences for its head
-    digest: of the certificate, which the block carries
-    """
+    """A law in Structured Text; raises Unknown for what the language cannot hold."""
     block, total = _Block(law), 0
     text = block.printed(about, digest)
     for line in [*block.variables, *block.constants, *block.kept]:

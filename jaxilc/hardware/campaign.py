@@ -51,9 +51,7 @@ class Turn(NamedTuple):
     metrics: metrics of this trial by name: those of `Metrics`, and `error`, the RMS error over all
         outputs
     hashes: hashes of the measured signals and of the schedules that were played
-    findings: findings of the checks, refusals included
     learned: False for a trial that was only inspected
-    source: file of the trial
     input: `measured`, or `replayed` where the file had no u and the scheme's law gave it
     peaks: the largest value of each schedule that was played in this trial
     expected: what the trials before expected of this one, None before the third
@@ -83,9 +81,7 @@ class Turn(NamedTuple):
 class Campaign:
     """A campaign with its scheme, task, actuator and journal, made by `start` or `open`.
 
-    journal: journal in the folder of the campaign
     scheme, task, actuator: those of the real machine
-    rules: rules for what is refused
     recipe: how scheme, task and rules were made, as JSON, stored for a later continuation
     """
 

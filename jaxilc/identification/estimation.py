@@ -60,7 +60,6 @@ def identify(
     their residual standard deviations, which are found by iteration; this is maximum likelihood
     where the noises of the outputs are independent.
 
-    record: the experiment
     plant: the plant to start from; None for a ProcessModel with the given numbers of `poles`, of
         complex `pairs` of poles and of `zeros` (1, 1, 1 is Cao 2019, eq. 6), started automatically
     delay: dead time of this ProcessModel in whole samples, beyond the one sample that every plant
@@ -70,7 +69,6 @@ def identify(
         simulated without a break
     starts: number of structures drawn, with rates log-uniform between 1 / duration and half the
         Nyquist frequency; the best are refined; take more for several lightly damped pairs
-    seed: seed of these draws
 
     The confidence intervals are Student's t times the standard deviation on each side, to first
     order in the parameters. Needs float64.
@@ -258,7 +256,6 @@ class Order(NamedTuple):
     rms: root mean square of the residual over the fitted part [unit of y]
     bic: Bayesian information criterion, see `information`
     validation_fit: fit over the validation part [%]
-    found: the identification
     delay: dead time in samples, of a fit to a record
     """
 

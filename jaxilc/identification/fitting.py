@@ -17,7 +17,6 @@ from ..runtime.tiles import tiled
 class Fit(NamedTuple):
     """The best minimum found.
 
-    values: values of the parameters, by name
     residuals: (M,) residuals at these values
     jacobian: (M, P) derivatives of the residuals with respect to the values
     costs: (starts,) half the sum of squares at every start, sorted
@@ -51,7 +50,6 @@ def fit(
     residuals: pure function from scalars by name to (M,) residuals
     ranges: (low, high) by name; a range that does not contain 0 is searched by its logarithm
     starts, refine: number of starts, and of those that are refined
-    seed: seed of the starts
     lanes: number of starts that are computed at a time, see `tiled`
     Raises ValueError for an empty range, for counts below 1, or if no start is finite.
     """

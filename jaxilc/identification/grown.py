@@ -70,7 +70,6 @@ class Parts(NamedTuple):
     modes: (q, 2) logarithms of frequency [rad/s] and damping
     lags: (l,) logarithms of the rates [rad/s]
     integrators: 0, 1 or 2
-    direct: whether there is a direct term
     delay: samples of dead time beyond the one of the hold
     """
 
@@ -668,10 +667,7 @@ class Tried(NamedTuple):
 
     order: number of poles, with those of the integrators
     modes, lags, integrators, direct: its parts
-    delay: dead time in samples
-    parameters: number of fitted numbers
     rms: root mean square of the residual over the fitted part, of several outputs relative to them
-    bic: Bayesian information criterion
     validation_fit: fit over the validation part [%]
     """
 
@@ -690,7 +686,6 @@ class Tried(NamedTuple):
 class Grown(NamedTuple):
     """What `grow` found.
 
-    found: the identification
     tried: the best fit of each order that was looked at, and of each delay and kind beside the best
     chosen: that of them which was chosen
     suspicions: what may not be linear

@@ -308,7 +308,6 @@ BEGUN = (Parts(), Parts(lags=1), Parts(integrators=1), Parts(integrators=2), Par
 class LineModel(NamedTuple):
     """A model of one order.
 
-    parts: what it has
     found: poles, numerators and residual
     floor: error of the model, relative to the response
     scale: by which the given variances of the lines were multiplied

@@ -62,7 +62,6 @@ class Suspicion(NamedTuple):
     """What may be in a machine beside its linear plant.
 
     name: of `NEXT`
-    order: number of poles of the linear plant
     rms: what linear plant and suspicion leave together, in the unit of the output
     share: of the power of the residual that it explains, 0 to 1
     value: its number: a force or gap in the unit of the input, a relative change of the gain, a

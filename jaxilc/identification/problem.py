@@ -103,10 +103,8 @@ class Minimum(NamedTuple):
 class Problem(NamedTuple):
     """The least-squares problem: theta (P,) holds the values of `names`, then the n_y biases.
 
-    record: the record
     plant: the plant with its values at the start
     names: elements of the plant that are fitted
-    coordinates: coordinates in which the optimiser works
     samples: number of samples, from the first one on, that are fitted
     scale: (n_y,) numbers by which the residuals of each output are divided
     """

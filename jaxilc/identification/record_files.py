@@ -396,9 +396,7 @@ def place_of_time(name: str, header: list[str]) -> int | None:
 def seconds_in(path, heading: str, unit: str | None, times: np.ndarray) -> float:
     """Seconds in one unit of the time column.
 
-    heading: heading of the column
     unit: unit that was given, None for that of the heading
-    times: the column
     Raises ValueError for a unit that is not known, a given unit that is not that of the heading,
     and a time without a unit whose mean step would be 0.1 s or more.
     """

@@ -56,7 +56,6 @@ def identify_response(
     no standard deviation is known, the relative error is minimised (std_k = |G_k| times a factor
     that follows from the residual). A line without one among others has the smallest of the others.
 
-    measured: the lines
     poles, pairs, zeros, starts, seed: as for `identify`
     dt: sample time [s]; P(z) then leads from the samples of u, held over each sample, to those of
         y, as a controller measures them, and is the response of `plant.sampled(dt)`. None: G(s)
@@ -257,10 +256,8 @@ STEPS = 8  # delays a period of the fastest line, for the starts
 class ResponseProblem(NamedTuple):
     """The least-squares problem of a response: theta (P,) holds the values of `names`.
 
-    measured: the measured lines
     plant: a ProcessModel of the structure that is fitted
     names: elements of the plant that are fitted, and `delay` last where it is
-    coordinates: coordinates in which the optimiser works
     weights: (F,) numbers by which the complex residuals are multiplied; sqrt(2) / std makes their
         parts of variance 1
     dt: sample time of the hold [s]; None for continuous time
@@ -436,7 +433,6 @@ def response_and_slopes(
     P follow from them.
 
     values: (P,) gain, zeros, poles, frequencies, dampings, delay [s]
-    counts: numbers of zeros, poles and pairs
     f: (F,) frequencies [Hz]
     dt: sample time of the zero-order hold [s]; None for continuous time
     """

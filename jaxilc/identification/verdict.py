@@ -23,7 +23,6 @@ DRAWS = 4000  # draws of the parameters, for the intervals of the poles
 class Estimate(NamedTuple):
     """A number with its 95 % confidence interval.
 
-    value: the estimate
     low, high: ends of the interval, infinite where the record does not determine the number
     """
 

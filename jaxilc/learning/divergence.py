@@ -45,8 +45,6 @@ def course(metrics: Metrics, task: Task, first: Tree = 1, every: int = 1) -> Cou
 
     Growth is that of the rms error of the output with the largest rms error.
 
-    metrics: metrics of the J trials
-    first: number of the first of these trials
     every: number of trials of a learning step of which the first alone plays what was learned, see
         `Scheme.experiments`; the error of the others counts as that of the first
     """

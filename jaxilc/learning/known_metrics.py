@@ -40,7 +40,6 @@ class Gathering(NamedTuple):
 class Metric:
     """The declaration of a metric for tables, datasets and objectives.
 
-    name: its name
     axes: the axes of its values for one learning process: trial, and channel (of y) or input (of u)
     unit: the unit of the `output`, that of the `input`, or no unit
     text: its description in a dataset

@@ -39,7 +39,6 @@ class Tally(NamedTuple):
         Sample 0 counts only in metrics of the settled window, if this window begins with it.
 
         e: (n_y,) error of sample 0 [unit of y]
-        inputs: number of inputs n_u
         settled: whether the settled window begins with sample 0
         """
         none = {"e": jnp.zeros_like(e), "u": jnp.zeros_like(e, shape=inputs)}

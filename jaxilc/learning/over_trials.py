@@ -44,7 +44,6 @@ class History(NamedTuple):
     diverged: (J,) whether each trial diverged, see `divergence.Course`
     diverged_at: () number of the first trial that diverged, 0 if none did
     grown_from: () number of the trial from which on the error has grown, 0 if it has not
-    final: the last `Trial`
     memory: the memory after the last trial, from which learning can be continued
     start: where the next trial would start, of a machine that carries its state; else None
     watched: what the `watch` of `learn` found, by name: () numbers, and (J,) of the trials
@@ -88,7 +87,6 @@ def learn(
 
     machine: the machine that repeats the task
     scheme: the scheme that learns
-    task: the task of each trial
     trials: J >= 1
     key: random key of the noise; trial j uses `fold_in(key, j)`; None: a fixed key
     memory: memory to continue from, such as `history.memory`; None: start without knowledge

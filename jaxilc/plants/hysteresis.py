@@ -144,7 +144,6 @@ class Dahl:
 class HystereticState(NamedTuple):
     """The state of a plant with hysteresis.
 
-    plant: its state
     u, z:  (n_u,) input of the sample before, and its hysteresis
     """
 

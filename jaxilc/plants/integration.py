@@ -19,7 +19,6 @@ def runge_kutta(rates: Function, x: Tree, h: Leaf) -> Tree:
     """One step of length h [s] by the classical Runge-Kutta method of order 4.
 
     rates: x -> dx/dt
-    x:     any pytree
     """
 
     def moved(by: float, k: Tree) -> Tree:

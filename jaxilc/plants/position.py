@@ -172,7 +172,6 @@ class PositionMap:
 class Placed(NamedTuple):
     """The state of a plant with maps over its position.
 
-    plant: its state
     before: () its position a sample ago [unit of y]
     after: () the position behind the backlash [unit of y]
     """

@@ -71,7 +71,6 @@ def static(
     default: default value
     interval: allowed range of a number; None: no range
     choices: allowed values; an empty tuple: any value
-    whole: whether only whole numbers are allowed
     optional: whether None is allowed
     """
     parsed = Interval.parse(interval) if interval else None

@@ -139,7 +139,6 @@ def read_at(tree: Tree, path: str, value: Value, shown: str) -> Value:
 
     A static field has the type of its annotation; all others are numbers.
 
-    shown: name of the value in messages
     Raises KeyError for the path of a part, and ValueError for text that is no such value.
     """
     kind, annotation = kind_at(tree, path)

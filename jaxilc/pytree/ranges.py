@@ -63,7 +63,6 @@ def require(
     """Raises ValueError for a value that is not a number in the interval.
 
     owner: class or function that has the parameter, the first word of the message; may be empty
-    whole: whether only whole numbers are allowed
     many: whether an array is allowed; the message names its first number outside the interval
     note: text of the message after the interval, for instance `, the order`
     """

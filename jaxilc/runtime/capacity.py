@@ -35,7 +35,6 @@ def bytes_of(arrays: Tree) -> int:
 def check_size(what: str, each: float | Callable[..., float], **counts: float) -> None:
     """Raises ValueError where a computation needs more bytes of RAM than are free.
 
-    what: name of the computation, for the message
     each: bytes for each unit of the product of the counts; or a function that gives all bytes from
         the counts, linear in each of them
     counts: the counts, such as the number of machines, by name
@@ -62,8 +61,6 @@ def check_program(
 ) -> None:
     """Raises ValueError where a jitted function does not fit in RAM; it is compiled but not run.
 
-    what: name of the computation, for the message
-    instead: what would fit, for the message
     devices: number of devices on which it runs; None: all
     """
     host, on_devices = host_bytes(), device_bytes()

@@ -96,9 +96,7 @@ def lanes_for(
 
     memory: bytes of memory of the device; None if unknown, which allows up to WIDE machines
     of_a_machine: bytes that a machine takes
-    machines: number of machines for this device
     beside: bytes that are needed besides, however many machines are vectorised
-    what: name of the computation, for the message
     Raises ValueError where a single machine does not fit, saying which share of it would.
     """
     require(what, "machines", machines, "[1, inf)", whole=True)
@@ -136,7 +134,6 @@ def fitting_lanes(
 
     fn, common, batch: as for `tiled` and the function that it returns; of the batch, and of common,
         only shapes and types are read
-    machines: number of machines, on all devices
     held: number of machines whose arguments and results are on the devices at once, besides a tile
     Raises ValueError as `lanes_for` does.
     """

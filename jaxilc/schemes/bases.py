@@ -33,8 +33,6 @@ class Basis:
 
     A user's own basis is a subclass, decorated with `@pytree`, that overrides `columns` and
     `names`. Its fields are parameters of the basis, which may be tuned by gradient.
-
-    linear: whether u is linear in theta
     """
 
     # `@pytree` makes a dataclass of each subclass
@@ -365,7 +363,6 @@ class RationalBasis(Basis):
     others. Its gain is at most 1 / (2 `least`), so u is bounded at any theta.
 
     numerator: basis of B
-    order: number of parameters of A
     least: () > 0, regularises 1 / A as conj(A) / (|A|^2 + least^2)
     """
 

@@ -53,7 +53,6 @@ class BasisFunctions(Scheme):
     also of another length. What the functions cannot make is left as an error. With a
     `RationalBasis` theta follows from `iterations` weighted regressions in each trial.
 
-    basis: basis of m functions
     model: nominal plant of n_u inputs and n_y outputs, linear or not, as for `GradientILC`
     start: (m,) parameters of the first trial; None: zero
     update: "norm_optimal" or "gradient"
@@ -245,7 +244,6 @@ def _seen(X: Array, signal: Array) -> Array:
 class OnBasisMemory(NamedTuple):
     """The memory of `OnBasis`.
 
-    scheme: memory of the scheme
     theta: (m,) parameters of the input
     """
 
@@ -266,7 +264,6 @@ class OnBasis(Guard):
 
     scheme: a scheme whose schedule has a field `u`, which it learns from the input of the last
         trial; if it has a `limit`, the input is also limited
-    basis: basis of m functions
     iterations: number of regressions with a `RationalBasis`
     solved: leave None
     """
@@ -348,7 +345,6 @@ class WarmStart(Wrapper):
     there the scheme learns as ever, also what the basis cannot make.
 
     scheme: any scheme that learns an input
-    basis: basis of m functions
     theta: (m,) its parameters
     """
 

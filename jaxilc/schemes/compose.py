@@ -235,7 +235,6 @@ class OnReference(LearningAndFeedback):
     """The feedback follows r + w, and w is learned (the series structure of Li 2020, Fig. 1).
 
     learning: pure feedforward scheme, whose `u` is the correction w; w[k] is added to r[k+1]
-    feedback: any scheme
     The signal `correction` of the trial records w. The scheme learns from the error r - y, without
     w.
     `check` raises ValueError for a learning scheme that acts within the trial; `learn` raises it

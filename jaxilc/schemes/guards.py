@@ -138,7 +138,6 @@ class Sums(NamedTuple):
 class LadderMemory(NamedTuple):
     """The memory of `Ladder`.
 
-    scheme: memory of the scheme
     count: () number of repeats so far of the present schedule
     sums: sums over these repeats
     gain: () factor on the error; None if the gain is fixed

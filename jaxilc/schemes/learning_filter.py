@@ -357,7 +357,6 @@ def learning_filter(
     Taps are those of `LearningFilter`: the middle one of L belongs to e[k+1].
     Poles of a system within the unit circle act on the past, and those outside on the future.
 
-    gain: factor of L
     lead: whole number of samples by which L looks further ahead, or back where it is negative
     limit: as in `LearningFilter`
     dt: sample time [s], where L or Q has none of its own but depends on it

@@ -244,7 +244,6 @@ class Scheme(Law):
         """The signals that must stay within their bounds so that no limit has an effect, by name.
 
         memory: the memory before a trial of the `unlimited` scheme
-        trial: the record of this trial
         By default a field `limit` is the largest |u| that a law learns which plays it back, and the
         largest |u| within the trial of another. The limits of a part are under its name. A scheme
         in a field that `parts` leaves out cannot be asked, so its limits count as met.

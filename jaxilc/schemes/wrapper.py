@@ -10,8 +10,6 @@ from .scheme import UNASKED, Memory, Part, Schedule, Scheme, State
 class Wrapper(Scheme):
     """A scheme around another scheme, which behaves like it except for what the wrapper overrides.
 
-    scheme: the inner scheme
-
     A wrapper whose inner scheme sees another task, or has another memory, overrides `parts`; what
     is done within a trial follows from that. A wrapper whose inner scheme learns from another trial
     overrides `shown`.

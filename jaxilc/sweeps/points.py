@@ -25,9 +25,7 @@ class BestPoint(NamedTuple):
     The error of a point is the 95 % quantile over its machines, at the last trial, in the unit of
     the dataset; infinite where more machines diverge.
 
-    point: its value in each axis
     yield_share: share of its machines within the tolerance; NaN without a tolerance
-    error: its error
     near: share of the points whose error is at most `NEAR` times as large
     along: for each axis the first and the last value next to it, without a gap, that are near, the
         other axes as at the best point

@@ -56,7 +56,6 @@ class Sweep:
     """A fully specified sweep, which `run` computes.
 
     machine, task, trials: as for `learn`; a `Population` may take the place of the machine
-    schemes: schemes by name
     uncertainty, machines, seed, sampling, grid: which machines are drawn, and at which points they
         are run, see `Population`; `samples` is an earlier name of `machines`
     keep: signals of the last trial to store, any of y, e, u (they are large)
@@ -180,7 +179,6 @@ class Sweep:
         Damaged chunks of the store are computed again.
 
         out: path of a Zarr store for the dataset, None to keep it in the RAM only
-        resume: continue the store at `out`
         progress: function that is called after each chunk with the scheme's name, how many of its
             machines at all points are done so far, and how many of them this call computed
         cluster: a Dask scheduler whose workers compute the chunks, as its address, the file that it

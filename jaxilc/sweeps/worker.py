@@ -50,7 +50,6 @@ class Found(NamedTuple):
         """Bytes that are available for a chunk, None where unknown.
 
         stored: bytes of the dataset, which is on the host of the calling process
-        sharing: number of workers on this worker's host
         """
         if self.on_devices is not None:
             return self.on_devices
@@ -92,8 +91,6 @@ def call_host(
 
     Calls run one at a time, however many threads the worker has, since a chunk uses all devices.
 
-    plan: a pickled `Plan`
-    expected: environment of the other workers
     Raises UnlikeWorkers where the environment of this worker differs.
     """
     from distributed import get_worker
@@ -119,7 +116,6 @@ def _host(plan: bytes, precision: str) -> Host:
 def common_environment(environments: Mapping[str, Environment]) -> Environment:
     """The environment that all workers have.
 
-    environments: environments by the address of the worker
     Raises UnlikeWorkers naming the workers that differ from the majority.
     """
     texts = {address: json.dumps(found, sort_keys=True) for address, found in environments.items()}

@@ -451,7 +451,6 @@ def checked_machines(
     """The premises and the bounds on each machine's run without noise.
 
     trials: J >= 2, as two trials are compared
-    drawn: machines of `uncertainty.draw`
     """
     run = tiled_with(_watched, trials=trials)
     return checked(run((scheme, task), drawn_machines(machine, uncertainty, drawn)))

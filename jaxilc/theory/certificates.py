@@ -497,7 +497,6 @@ def certify_schemes(
 ) -> dict[str, OfScheme]:
     """The certificate of every scheme that learns, with the premises of its bounds, by name.
 
-    drawn: machines of `uncertainty.draw`
     progress: called with the number of schemes done and the name of the next one
     Raises ValueError, before anything runs, where no scheme learns, or where the trials are too few
     for bounds to be checked, and whatever `certify` raises.

@@ -38,7 +38,6 @@ class Condition(NamedTuple):
 
     value:    () or (S,) what was computed
     margin:   limit - value, positive where the condition holds
-    premises: of the theorem
     theorem:  what follows from the condition, and its source
     verdict:  'holds', 'fails' or 'not claimed'; of several plants an (S,) array of these
     """

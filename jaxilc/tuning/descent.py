@@ -154,7 +154,6 @@ class Damped(NamedTuple):
     """The state of `by_least_squares`.
 
     damping: () damping of the next step
-    at: the evaluation at z
     """
 
     damping: jax.Array
@@ -271,7 +270,6 @@ class State(NamedTuple):
     """The state of a descent after `step` steps from K starts, complete for continuing it.
 
     z: (K, P) present points
-    inner: state of the method
     best_z, best, best_step: (P,), (), () the z with the least held-out loss, this loss, its step
     stale: () how often the held-out loss was computed since `best_step`
     loss, slope, dropped: (steps, K) records of the steps, see `Step`

@@ -309,8 +309,6 @@ class Contraction(Objective):
     without second derivatives.
 
     below: upper limit for sigma
-    trials: n
-    steps: steps of the Lanczos iteration
     """
 
     below: float = 1.0

@@ -264,7 +264,6 @@ class Tuning:
         one, bit for bit. Where the newest state is damaged, it continues from the one before.
 
         out: folder for the state after each step, None to keep it in the RAM only
-        resume: continue from the state at `out`
         progress: function that is called after each step with its number, the (K,) training losses
             and the best held-out loss so far
         Raises FileExistsError for an `out` that exists without `resume`; ValueError for one that is

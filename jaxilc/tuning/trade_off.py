@@ -25,7 +25,6 @@ class Point(NamedTuple):
     """One point of a trade-off.
 
     share: weight of the first objective, from 0 to 1
-    tuned: result of its tuning
     first, second: risk of each objective over the held-out machines
     """
 

@@ -159,7 +159,6 @@ class Tuned:
     """The result of a tuning.
 
     values: weights by name, of the iterate with the least held-out loss
-    start: weights by name, as given
     loss: (steps, K) training loss of each step and start
     slope: (steps, K) length of the gradient
     dropped: (steps, K) how many machines had no finite gradient
@@ -167,7 +166,6 @@ class Tuned:
     held_out: (steps + 1, K) held-out loss, NaN where it was not computed
     before, after: held-out loss with `start` and with `values`
     nudged: new values by name, of weights that were moved away from an end of their range
-    reason: why the tuning stopped
     """
 
     values: dict[str, float]

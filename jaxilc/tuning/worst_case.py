@@ -205,7 +205,6 @@ class _Box:
 class Search(NamedTuple):
     """One search for the worst machine.
 
-    case: result of the search
     value: the metric of that machine in the last trial
     needed: number of evaluations until this machine was found
     level_with_chance: number of evaluations until the loss reached that of the random search, None
@@ -258,7 +257,6 @@ def worst_machine(
     machine, uncertainty: or a `Population`; of its distributions only the corners count
     metric: name of a field of `Metrics`, or of one of the `quantities`
     scale: factor by which metrics are multiplied
-    quantities: further metrics of a trial, by name
     starts, steps: numbers of starts and of steps of the ascent
     evaluations: number of evaluations to spend on the ascent, in place of `steps`
     draws: number of draws of a further, larger random search
