@@ -115,13 +115,14 @@ def _sampled(system, own, dt):
 
 def _sample_time(system, dt) -> tuple[float, float]:
     """The sample time of the system, 0 if it is continuous, and the sample time to work at."""
-    import control
+    if not isinstance(system, Factors | StateSpace):
+        import control  # it takes longer to import than many a command
 
-    if not isinstance(system, Factors | StateSpace | control.StateSpace | control.TransferFunction):
-        raise ValueError(
-            f"factors: {type(system).__name__} is not a jaxilc StateSpace, nor a StateSpace or "
-            "TransferFunction of control"
-        )
+        if not isinstance(system, control.StateSpace | control.TransferFunction):
+            raise ValueError(
+                f"factors: {type(system).__name__} is not a jaxilc StateSpace, nor a StateSpace or "
+                "TransferFunction of control"
+            )
     own = system.dt
     if own is None or own is True:
         raise ValueError(
