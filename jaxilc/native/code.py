@@ -30,7 +30,8 @@ EXTENSION, API, OPERANDS, RESULTS = 8, 16, 72, 112  # of the frame of a call
 METADATA, MAJOR, MINOR, TRAITS = 24, 24, 28, 32  # of its extension, which asks for the version
 MINOR_OF_API = 36
 DATA, SIZES = 24, 40  # of a buffer
-LARGE, PAGE, HUGE = 2**22, 2**12, 14  # bytes of a result that is given huge pages, and the advice
+# bytes for a group from which on a result, or the room for work, is given huge pages; the advice
+LARGE, PAGE, HUGE = 2**16, 2**12, 14
 AGREED = b"agrees with XLA"
 _targets: dict[str, Code] = {}
 _lock = threading.Lock()
@@ -134,6 +135,15 @@ def callable_by_xla(
     def field(base: str, offset: int, kind: str = "ptr") -> str:
         return add(f"load {kind}, ptr {place(base, offset)}")
 
+    def huge(data: str, size: str, of_group: int) -> None:
+        """Advise huge pages for a buffer, which is not in the RAM yet."""
+        if of_group < LARGE or sys.platform != "linux":
+            return
+        first = add(f"ptrtoint ptr {data} to i64")
+        first = add(f"and i64 {add(f'add i64 {first}, {PAGE - 1}')}, -{PAGE}")
+        first = add(f"inttoptr i64 {first} to ptr")
+        add(f"call i32 @madvise(ptr {first}, i64 {add(f'sub i64 {size}, {PAGE}')}, i32 {HUGE})")
+
     extension = field("%frame", EXTENSION)
     asked = add(f"icmp ne ptr {extension}, null")
     do(f"br i1 {asked}, label %version, label %begin\nversion:")
@@ -152,21 +162,19 @@ def callable_by_xla(
         data = "null" if size is None else field(field(found, 8 * number), DATA)
         do(f"store ptr {data}, ptr {place('%out', 8 * i)}")
         number += size is not None
-        if size is not None and size >= LARGE and sys.platform == "linux":
-            first = add(f"ptrtoint ptr {data} to i64")
-            first = add(f"and i64 {add(f'add i64 {first}, {PAGE - 1}')}, -{PAGE}")
-            length = add(f"sub i64 {add(f'mul i64 {groups}, {size}')}, {PAGE}")
-            first = add(f"inttoptr i64 {first} to ptr")
-            add(f"call i32 @madvise(ptr {first}, i64 {length}, i32 {HUGE})")
+        if size is not None:
+            huge(data, add(f"mul i64 {groups}, {size}"), size)
     buffer = field(found, 8 * number)
     first = add(f"ptrtoint ptr {field(buffer, DATA)} to i64")
     first = add(f"and i64 {add(f'add i64 {first}, {ALIGNED - 1}')}, -{ALIGNED}")
     room = add(f"inttoptr i64 {first} to ptr")
+    threads = field(field(buffer, SIZES), 0, "i64")
+    huge(room, add(f"mul i64 {threads}, {_whole(work)}"), work)
     task = ("i64 0", "i64 0", f"i64 {groups}", "ptr %given", "ptr %out", f"ptr {room}")
     for i, value in enumerate(task):
         do(f"store {value}, ptr {place('%task', 8 * i)}")
     do(f"%groups = add i64 {groups}, 0")
-    do(f"%cores = add i64 {field(field(buffer, SIZES), 0, 'i64')}, 0")
+    do(f"%cores = add i64 {threads}, 0")
     return text + PART.format(
         operands=max(operands, 1), results=max(len(results), 1), work=_whole(work), trials=trials,
         told="\n".join(told), begun="\n".join(filter(None, lines)),

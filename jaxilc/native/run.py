@@ -56,7 +56,10 @@ Found = TypeVar("Found")  # and results
 
 ONCE = "trials that are all alike, of which XLA computes one"
 SHARE = 0.25  # of the RAM that is free, which may be taken by what is held from loop to loop
-AT_ONCE = 2**27  # bytes of operands and of what is held, that are in the RAM at once
+AT_ONCE = 2**27  # bytes of operands that are in the RAM at once
+# Bytes of what is held from loop to loop, that are in the RAM at once. With 2**27, slopes of eight
+# trials of FFDL-MFAILC took half again as long, most of it to get pages from the system.
+HELD_AT_ONCE = 2**24
 QUICKLY: dict[str, str | bool] = {"xla_backend_optimization_level": "0"}  # half the time to compile
 # of the largest number of a machine, by which the check may find a difference, by bytes of a number
 TOLERANCE = {8: 1e-9, 4: 1e-4}
@@ -170,8 +173,12 @@ class Compiled(Generic[Common, One, Found]):
     @property
     def _held(self) -> int:
         """The bytes that a group of machines holds: from loop to loop, and for a loop."""
-        between = sum(size_of(x) for of in self._loops[:-1] for x in of.shown) * self.lanes
-        return between + max(of.work for of in self._loops)
+        return self._between + max(of.work for of in self._loops)
+
+    @property
+    def _between(self) -> int:
+        """The bytes of what a group of machines holds from loop to loop."""
+        return sum(size_of(x) for of in self._loops[:-1] for x in of.shown) * self.lanes
 
     def _room_for(self, held: int) -> str | None:
         """What the groups that are computed together take, where that is too much of the RAM."""
@@ -187,9 +194,9 @@ class Compiled(Generic[Common, One, Found]):
     @property
     def tile(self) -> int:
         """The number of machines that are computed at once."""
-        drawn = sum(size_of(x) for loop in self._loops for x in loop.each)
-        of_one = self._held + drawn * self.lanes
-        groups = max(1, AT_ONCE // max(of_one, 1) // cores()) * cores()
+        drawn = sum(size_of(x) for loop in self._loops for x in loop.each) * self.lanes
+        most = min(AT_ONCE // max(drawn, 1), HELD_AT_ONCE // max(self._between, 1))
+        groups = max(1, most // cores()) * cores()
         return groups * self.lanes
 
     def __call__(self, common: Common, batch: One) -> Found:
