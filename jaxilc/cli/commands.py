@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
@@ -51,6 +51,9 @@ from .options import (
 )
 from .present import present, tell
 from .progress import run_search, run_sweep
+
+if TYPE_CHECKING:
+    from ..pytree.aliases import Value
 
 
 def demo(written: Written) -> None:
@@ -134,19 +137,11 @@ def sweep(
     Example: jaxilc sweep cao-2019 --machines 4096 --spread 0.2 --out out/wide
     """
     tell(
-        "sweep",
-        written,
-        what.request(spread=spread, metric=metric, tolerance=tolerance),
-        bar=False,
-        machines=machines,
-        seed=seed,
-        sampling=sampling or "monte-carlo",
-        grid=grid or (),
-        keep=keep or (),
-        bounds=bounds,
-        resume=resume,
+        "sweep", written, what.request(spread=spread, metric=metric, tolerance=tolerance),
+        bar=False, machines=machines, seed=seed, sampling=sampling or "monte-carlo",
+        grid=grid or (), keep=keep or (), bounds=bounds, resume=resume,
         run=partial(run_sweep, cluster=dask),
-    )
+    )  # fmt: skip
 
 
 def certify(
@@ -166,13 +161,9 @@ def certify(
     Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --machines 256
     """
     tell(
-        "certify",
-        written,
-        what.request(spread=spread),
-        machines=machines,
-        seed=seed,
+        "certify", written, what.request(spread=spread), machines=machines, seed=seed,
         sampling=sampling,
-    )
+    )  # fmt: skip
 
 
 def potential(
@@ -215,18 +206,9 @@ def potential(
     Example: jaxilc potential trial-1.csv trial-2.csv trial-3.csv trial-4.csv
     """
     tell(
-        "potential",
-        written,
-        record,
-        into=into,
-        unit=unit,
-        error=error,
-        output=output_name,
-        reference=reference,
-        time=time_name,
-        dt=dt,
-        columns=names_in(columns),
-    )
+        "potential", written, record, into=into, unit=unit, error=error, output=output_name,
+        reference=reference, time=time_name, dt=dt, columns=names_in(columns),
+    )  # fmt: skip
 
 
 def worst_case(
@@ -253,15 +235,9 @@ def worst_case(
     """
     at_least(1, trial=trial, starts=starts, steps=steps, draws=draws)
     tell(
-        "worst_case",
-        written,
-        what.request(trial),
-        starts=starts,
-        steps=steps,
-        evaluations=evaluations,
-        draws=draws,
-        seed=seed,
-    )
+        "worst_case", written, what.request(trial), starts=starts, steps=steps,
+        evaluations=evaluations, draws=draws, seed=seed,
+    )  # fmt: skip
 
 
 def tune(
@@ -285,15 +261,9 @@ def tune(
     """
     at_least(1, compare_trials=compare_trials)
     tell(
-        "tune",
-        written,
-        what.request(how.trials),
-        **how.arguments(),
-        objective=objective,
-        limits=limit or (),
-        compare_trials=compare_trials,
-        run=run_search,
-    )
+        "tune", written, what.request(how.trials), **how.arguments(), objective=objective,
+        limits=limit or (), compare_trials=compare_trials, run=run_search,
+    )  # fmt: skip
 
 
 def pareto(
@@ -420,9 +390,10 @@ def export(
         tell("check_export", pages, check, bar=False)
         return
     request = None if source is None else asked(source, scheme, set_, params)
-    how: dict[str, Any] = {"format": format_, "state": state, "limit": limit, "number": number}
-    how |= {"machines": machines, "seed": seed, "folder": out_dir}
-    tell("export", pages, request, **how)
+    tell(
+        "export", pages, request, format=format_, state=state, limit=limit, number=number,
+        machines=machines, seed=seed, folder=out_dir,
+    )  # fmt: skip
 
 
 def _place_to_write(param: typer.CallbackParam, path: Path | None) -> Path | None:
@@ -527,17 +498,20 @@ def identify(
     if plant_file is not None and plant_file.exists() and not force:
         raise FileExistsError(f"{plant_file} exists already; add --force to replace it")
     folder = None if plant_file is not None else out_dir
-    places: dict[str, Any] = {"plant_file": plant_file, "folder": folder}
     if state is not None:
         if zeros == "any":
             raise ValueError("--zeros any is for a RECORD; with --state it is a number")
-        for_files = {"dt": dt, "resample": resample, "columns": columns, "averages": averages}
-        for_files["validate"] = validate
+        for_files = {
+            "dt": dt, "resample": resample, "columns": columns, "averages": averages,
+            "validate": validate,
+        }  # fmt: skip
         wrong = [f"--{name}" for name, value in for_files.items() if value is not None]
         if record is not None or wrong:
             raise ValueError(f"{', '.join(wrong) or 'RECORD'} and --state exclude each other")
-        how: dict[str, Any] = {"counts": counts, "delay": delay, "auto": auto}
-        tell("identify_campaign", pages, state, **how, **places)
+        tell(
+            "identify_campaign", pages, state, counts=counts, delay=delay, auto=auto,
+            plant_file=plant_file, folder=folder,
+        )  # fmt: skip
         return
     if record is None:
         raise ValueError("RECORD is missing; give a file, or --state and the folder of a campaign")
@@ -554,7 +528,10 @@ def identify(
         "columns": names_in(columns),
         "resample": resample,
     }
-    tell("identify", pages, record, reading=reading, validate=validate, **places)
+    tell(
+        "identify", pages, record, reading=reading, validate=validate,
+        plant_file=plant_file, folder=folder,
+    )  # fmt: skip
 
 
 RECORDS = (".csv", ".txt", ".dat", ".frf")
@@ -609,8 +586,9 @@ def filter_(
 
     Example: jaxilc filter axis.toml --vary plant.gain=15% --vary plant.frequencies=20%
     """
-    how: dict[str, Any] = {"margin": margin}
-    how |= {"taps": TAPS if synthesise and taps is None else taps}
+    how: dict[str, Value] = {
+        "margin": margin, "taps": TAPS if synthesise and taps is None else taps,
+    }  # fmt: skip
     law = {"gain": gain, "cutoff": cutoff, "dt": dt}
     records = [Path(one).suffix.lower() in RECORDS for one in source]
     if all(records):
@@ -622,7 +600,8 @@ def filter_(
                 "u + gain e[k + 1 + lead] with a low-pass of --cutoff"
             )
         how |= law | {"lead": lead}
-        of_author = {"order": order, "sigmas": sigmas, "averages": averages, "band": band}
+        of_author: dict[str, float | str | None] = {"order": order, "sigmas": sigmas}
+        of_author |= {"averages": averages, "band": band}
     elif any(records) or len(source) > 1:
         raise ValueError(
             f"filter takes one scenario, or measured responses {', '.join(RECORDS)}; given are "
@@ -757,35 +736,24 @@ def learn_law(
     """
     of_author = {"start": start, "trained_on": trained_on, "objective": objective, "risk": risk}
     _tell(
-        "learn_law",
-        what,
-        written,
+        "learn_law", what, written,
         taps=_numbers("taps", taps, int, "two odd numbers, as in 61,31", 2),
         segments=_numbers("segments", segments, float, "times in seconds, as in 0.2,0.5"),
-        coupled=not decentralised,
-        limit=limit,
-        steps=steps,
+        coupled=not decentralised, limit=limit, steps=steps,
         **{name: value for name, value in of_author.items() if value is not None},
-    )
+    )  # fmt: skip
 
 
-def _tell(command: str, what: ForMachine, written: LawWritten, **how: Any) -> None:
+def _tell(command: str, what: ForMachine, written: LawWritten, **how: Value) -> None:
     """Ask for a law, and print sentences on the way to it."""
     prefer("float64")  # what is proved of a law holds in it
     schemes = [] if what.scheme is None else [what.scheme]
     tell(
-        command,
-        written,
+        command, written,
         asked(what.plant_file, schemes, what.set_, trials=what.trials, spread=what.spread),
-        margin=what.margin,
-        machines=what.machines,
-        seed=what.seed,
-        out=written.out_file,
-        force=written.force,
-        resume=written.resume,
-        say=between,
-        **how,
-    )
+        margin=what.margin, machines=what.machines, seed=what.seed, out=written.out_file,
+        force=written.force, resume=written.resume, say=between, **how,
+    )  # fmt: skip
 
 
 def _numbers(

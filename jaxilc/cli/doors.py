@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import ipaddress
 import socket
-from typing import Any
+from collections.abc import Awaitable
 from urllib.parse import urlsplit
 
-from tornado.http1connection import HTTP1Connection
 from tornado.httputil import (
+    HTTPConnection,
     HTTPHeaders,
     HTTPMessageDelegate,
     HTTPServerConnectionDelegate,
@@ -38,7 +38,9 @@ class Doors(HTTPServerConnectionDelegate):
         self.application, self.address = application, address
         self.used: dict[str, None] = {}
 
-    def start_request(self, server_conn: Any, request_conn: Any) -> HTTPMessageDelegate:
+    def start_request(
+        self, server_conn: object, request_conn: HTTPConnection
+    ) -> HTTPMessageDelegate:
         inner = self.application.start_request(server_conn, request_conn)
         return _Request(self, inner, request_conn)
 
@@ -84,13 +86,13 @@ class Doors(HTTPServerConnectionDelegate):
 class _Request(HTTPMessageDelegate):
     """One request, which is given on once its headers are seen."""
 
-    def __init__(self, doors: Doors, inner: HTTPMessageDelegate, connection: HTTP1Connection):
+    def __init__(self, doors: Doors, inner: HTTPMessageDelegate, connection: HTTPConnection):
         self.doors, self.inner, self.connection = doors, inner, connection
         self.refused = False
 
     def headers_received(
         self, start_line: RequestStartLine | ResponseStartLine, headers: HTTPHeaders
-    ) -> Any:
+    ) -> Awaitable[None] | None:
         said = self.doors.refuses(headers)
         self.refused = bool(said)
         if not said:
@@ -102,7 +104,7 @@ class _Request(HTTPMessageDelegate):
         self.connection.finish()
         return None
 
-    def data_received(self, chunk: bytes) -> Any:
+    def data_received(self, chunk: bytes) -> Awaitable[None] | None:
         return None if self.refused else self.inner.data_received(chunk)
 
     def finish(self) -> None:

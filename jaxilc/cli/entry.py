@@ -100,9 +100,10 @@ class Command(typer.core.TyperCommand):
 
     def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
-        shown: list[Any] = [self, *self.params]
-        for one in shown:
-            one.help = escape(one.help or "")
+        self.help = escape(self.help or "")
+        for one in self.params:
+            if isinstance(one, typer.core.TyperOption | typer.core.TyperArgument):
+                one.help = escape(one.help or "")
 
 
 # What one wants, and its commands, in the order of `--help`.

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import secrets
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
 from .console import begin, out
 from .options import GridAxes, Machines, OutFolder, Simulated, at_least
 from .progress import working
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ..pytree.aliases import Value
 
 LOOPBACK = "127.0.0.1"
 
@@ -49,7 +54,7 @@ def explore(
         from ..outcomes.request import open_grid
 
         told("compiling")
-        axes = request.grid(grid, chosen) if grid else None
+        axes: dict[str, Value] | xr.Dataset | None = request.grid(grid, chosen) if grid else None
         if not grid and request.params and request.params.is_dir():
             axes = open_grid(request.params)
         shown = application(

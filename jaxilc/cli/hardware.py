@@ -6,11 +6,11 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
-from ..outcomes.outcome import Table, Verdict
+from ..outcomes.outcome import Numbers, Table, Verdict
 from ..outcomes.request import settings_of
 from .console import begin, out, say, warn
 from .options import (
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ..hardware.calibration import Expected
     from ..hardware.campaign import Campaign, Turn
     from ..hardware.checks import Finding
-    from ..hardware.journal import Journal
+    from ..hardware.journal import Journal, Manifest
     from ..hardware.prediction import Place, Prediction
     from ..scenarios.campaigns import Opened
 
@@ -119,7 +119,7 @@ def _verdict(lines: list[str], following: str) -> Verdict:
 
 def _explored(
     now: Campaign | None,
-    found: tuple[list[dict[str, Any]], list[dict[str, Any]], Prediction | None],
+    found: tuple[list[Manifest], list[Manifest], Prediction | None],
     units: tuple[str, str],
 ) -> list[Live]:
     """The interactive figures of a campaign.
@@ -144,7 +144,7 @@ def _explored(
     return shown
 
 
-def _live(journal: Journal) -> list[dict[str, Any]]:
+def _live(journal: Journal) -> list[Manifest]:
     """The manifests that count; none where the campaign must be taken back first."""
     try:
         return journal.live()
@@ -152,7 +152,7 @@ def _live(journal: Journal) -> list[dict[str, Any]]:
         return []
 
 
-def _last_file(live: list[dict[str, Any]]) -> Path | None:
+def _last_file(live: list[Manifest]) -> Path | None:
     return Path(live[-1]["source"]) if len(live) > 1 else None
 
 
@@ -171,8 +171,8 @@ def _opened(state: Path) -> Campaign | None:
 def save_figure(
     path: Path,
     now: Campaign | None,
-    rows: list[dict[str, Any]],
-    live: list[dict[str, Any]],
+    rows: list[Manifest],
+    live: list[Manifest],
     predicted: tuple[Prediction | None, Expected | None],
     units: tuple[str, str] = ("", ""),
 ) -> Path:
@@ -196,13 +196,14 @@ def save_figure(
                 live[-1]["trial"], task.time, task.reference, signals["y"], signals["u"]
             )
     prediction, expected = predicted
-    known = prediction is not None and live
-    bands = bands_by_trial(live, prediction, expected) if known else None
+    bands = None
+    if prediction is not None and live:
+        bands = bands_by_trial(live, prediction, expected)
     axes = campaign_figure(rows, unit=unit, input_unit=input_unit, bands=bands, last=last)
     return figures.save(axes, path)
 
 
-def _places(live: list[dict[str, Any]], prediction: Prediction):
+def _places(live: list[Manifest], prediction: Prediction):
     """Each trial that counts with its place on what was expected, by the serial of its entry."""
     from ..hardware.calibration import kept
     from ..hardware.journal import METRICS
@@ -212,7 +213,7 @@ def _places(live: list[dict[str, Any]], prediction: Prediction):
         yield manifest["serial"], _place(prediction, step, manifest[METRICS], kept(manifest))
 
 
-def _as_numbers(live: list[dict[str, Any]], prediction: Prediction) -> dict[str, Any]:
+def _as_numbers(live: list[Manifest], prediction: Prediction) -> Numbers:
     places = [
         {"serial": serial, **place._asdict()}
         for serial, place in _places(live, prediction)
@@ -221,7 +222,7 @@ def _as_numbers(live: list[dict[str, Any]], prediction: Prediction) -> dict[str,
     return {"machines": prediction.machines, **prediction.bands(), "trials": places}
 
 
-def _band_texts(live: list[dict[str, Any]], prediction: Prediction | None) -> dict[int, str]:
+def _band_texts(live: list[Manifest], prediction: Prediction | None) -> dict[int, str]:
     """The predicted RMS error of each trial that counts, as text, by the serial of its entry."""
     if prediction is None:
         return {}
@@ -233,7 +234,7 @@ def _band_texts(live: list[dict[str, Any]], prediction: Prediction | None) -> di
     }
 
 
-def _log_table(title: str, rows: list[dict], predicted: dict[int, str]) -> Table:
+def _log_table(title: str, rows: list[Manifest], predicted: dict[int, str]) -> Table:
     """A table with a row for each entry of the journal, and all channels of each metric.
 
     predicted: text on the predicted RMS error by the serial of an entry; without any, no column
@@ -250,15 +251,10 @@ def _log_table(title: str, rows: list[dict], predicted: dict[int, str]) -> Table
         undone = ", undone" if row["event"] == "trial" and not row["live"] else ""
         error = f"{row['rms_error']:.4g}" if row["rms_error"] != "" else ""
         shown.add_row(
-            str(row["serial"]),
-            str(row["trial"]),
-            f"{row['event']}{learned}{undone}",
-            error,
-            *([predicted.get(row["serial"], "")] if band else []),
-            *metrics,
-            str(row["source"]),
+            str(row["serial"]), str(row["trial"]), f"{row['event']}{learned}{undone}", error,
+            *([predicted.get(row["serial"], "")] if band else []), *metrics, str(row["source"]),
             row["warnings"],
-        )
+        )  # fmt: skip
     return shown
 
 
@@ -366,7 +362,7 @@ def step_back(now: Campaign) -> str:
     return f"; back to the input of trial {best} ({said}): {shlex.join(words)} --out NEXT"
 
 
-def new_plant_file(recipe: dict[str, Any]) -> str:
+def new_plant_file(recipe: Numbers) -> str:
     """A name for a plant file that is fitted to the trials of a campaign: axis.toml, axis-2.toml.
 
     recipe: recipe of the campaign
@@ -380,7 +376,7 @@ def new_plant_file(recipe: dict[str, Any]) -> str:
 
 
 def coming(
-    live: list[dict[str, Any]],
+    live: list[Manifest],
     predicted: tuple[Prediction | None, Expected | None],
     trial: int,
     unit: str,
@@ -402,7 +398,7 @@ def coming(
 
 
 def verdict(
-    live: list[dict[str, Any]],
+    live: list[Manifest],
     turn: Turn | None,
     prediction: Prediction | None,
     unit: str,
@@ -502,9 +498,7 @@ def _numbered_on(path: Path, trial: int) -> Path:
     return path.with_name(f"{found[1]}{trial + 1}{found[3]}{path.suffix}")
 
 
-def turn_numbers(
-    live: list[dict[str, Any]], turn: Turn | None, prediction: Prediction | None
-) -> dict[str, Any]:
+def turn_numbers(live: list[Manifest], turn: Turn | None, prediction: Prediction | None) -> Numbers:
     """The trial of a call and its prediction, for the file of the numbers."""
     from ..hardware.prediction import next_step
 
@@ -514,7 +508,7 @@ def turn_numbers(
     place = None
     if prediction is not None:
         place = _place(prediction, next_step(kept), turn.metrics, turn.expected)
-    found: dict[str, Any] = {
+    found: Numbers = {
         "trial": turn.trial,
         "metrics": turn.metrics,
         "findings": [f._asdict() for f in turn.findings],
@@ -523,7 +517,7 @@ def turn_numbers(
 
 
 def _place(
-    prediction: Prediction, step: int, metrics: dict[str, Any], expected: Expected | None
+    prediction: Prediction, step: int, metrics: Manifest, expected: Expected | None
 ) -> Place | None:
     """Where a trial lies on what the trials before it expected, or else the plant file."""
     from ..hardware.prediction import place_of
@@ -680,12 +674,12 @@ def next_(
     _close(opened, turn, (prediction, expected), source, trial, files, columns, dry_run)
 
 
-def _of_campaign(settings: dict[str, str]) -> tuple[dict[str, str], dict[str, Any]]:
+def _of_campaign(settings: dict[str, str]) -> tuple[dict[str, str], Numbers]:
     """The settings of the scenario, and those of the campaign, whose names begin with `campaign.`.
 
     Raises ValueError for a name that is not known, or a value that has another type.
     """
-    found: dict[str, Any] = {}
+    found: Numbers = {}
     rest = {}
     for path, text in settings.items():
         owner, _, name = path.partition(".")
@@ -772,13 +766,9 @@ def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | No
         return kept(journal.path, configuration, key_of(opened.subject))
     try:
         return of_campaign(
-            journal.path,
-            opened.subject,
-            next_step(journal.live()),
-            expected=opened.scenario.trials,
-            configuration=configuration,
-            store=store,
-        )
+            journal.path, opened.subject, next_step(journal.live()),
+            expected=opened.scenario.trials, configuration=configuration, store=store,
+        )  # fmt: skip
     except ValueError as error:
         say(f"note: nothing is predicted: {error}")
         return None
@@ -874,7 +864,7 @@ def _close(
     step = "" if dry_run else coming(live, predicted, trial, now.task.unit)
     for line in (*([step] if step else []), *said, following):
         say(line)
-    numbers: dict[str, Any] = {
+    numbers: Numbers = {
         "source": belongs_to(opened.recipe),
         "said": source,
         "next_trial": trial,

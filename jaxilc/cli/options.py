@@ -11,7 +11,7 @@ import inspect
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, get_type_hints
 
 import typer
 import typer.core
@@ -23,6 +23,11 @@ from ..outcomes.terms import OBJECTIVES, RISKS
 from ..scenarios.catalogue import SCHEMES
 from ..storage.reading import read_tree
 from .console import warn
+
+if TYPE_CHECKING:
+    from typer.models import OptionInfo
+
+    from ..pytree.aliases import Value
 
 # Completion by a shell
 # --------------------------------------------------------------------------------------------------
@@ -287,13 +292,13 @@ Reports = Annotated[
 # --------------------------------------------------------------------------------------------------
 
 
-def left(option: str, instead: str) -> Any:
+def left(option: str, instead: str) -> OptionInfo:
     """An option that is not shown any more, and warns where it is given.
 
     instead: what does the same now, in words
     """
 
-    def check(value: Any) -> Any:
+    def check(value: object) -> object:
         if value:
             warn(f"warning: {option} will go: {instead}")
         return value
@@ -301,7 +306,7 @@ def left(option: str, instead: str) -> Any:
     return Option(option, hidden=True, help=f"Left: {instead}.", callback=check)
 
 
-def in_python(option: str) -> Any:
+def in_python(option: str) -> OptionInfo:
     """An option that left the command line, of which the function of `outcomes` has an argument."""
     argument = option.removeprefix("--").replace("-", "_")
     return left(option, f"{argument}=... in Python, of jaxilc.outcomes, does it")
@@ -316,10 +321,11 @@ def asked(
     schemes: list[str] | None,
     set_: list[str] | None,
     params: Path | None = None,
-    **more: Any,
+    trials: int | None = None,
+    spread: float | None = None,
 ) -> Request:
     """What is asked of a scenario by options, of which any may be missing."""
-    return Request(source, tuple(schemes or ()), tuple(set_ or ()), params, **more)
+    return Request(source, tuple(schemes or ()), tuple(set_ or ()), params, trials, spread)
 
 
 def names_in(text: str | None) -> list[str]:
@@ -337,10 +343,12 @@ class Simulated:
     set_: Set = None
     params: Params = None
 
-    def request(self, **more: Any) -> Request:
+    def request(
+        self, spread: float | None = None, metric: str | None = None, tolerance: float | None = None
+    ) -> Request:
         """What is asked of the scenario, with further fields of a request."""
-        more |= {"trials": self.trials}
-        return asked(self.scenario, self.scheme, self.set_, self.params, **more)
+        of = asked(self.scenario, self.scheme, self.set_, self.params, self.trials, spread)
+        return dataclasses.replace(of, metric=metric, tolerance=tolerance)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -355,8 +363,7 @@ class OneSimulated:
 
     def request(self, trials: int | None) -> Request:
         """What is asked of the scenario, with a number of trials."""
-        more = {"trials": trials, "spread": self.spread}
-        return asked(self.scenario, [self.scheme], self.set_, self.params, **more)
+        return asked(self.scenario, [self.scheme], self.set_, self.params, trials, self.spread)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -378,7 +385,7 @@ class Tuned:
     optimiser: Annotated[str | None, in_python("--optimiser")] = None
     sampling: Annotated[str | None, in_python("--sampling")] = None
 
-    def arguments(self) -> dict[str, Any]:
+    def arguments(self) -> dict[str, Value]:
         """What was asked, as arguments of `outcomes.tune` and `outcomes.pareto`."""
         at_least(1, unseen=self.unseen)
         given = dataclasses.asdict(self) | {"weights": self._with_bounds()}
@@ -433,10 +440,11 @@ def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
     panel: the group of commands in `jaxilc --help`
     """
     hints = get_type_hints(function, include_extras=True)
-    shown, groups = {}, {}
+    shown: dict[str, inspect.Parameter] = {}
+    groups: dict[str, tuple[type, list[str]]] = {}
     for parameter in inspect.signature(function).parameters.values():
         kind = hints[parameter.name]
-        if dataclasses.is_dataclass(kind):
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
             of_group = get_type_hints(kind, include_extras=True)
             groups[parameter.name] = kind, [one.name for one in dataclasses.fields(kind)]
             for one in dataclasses.fields(kind):
@@ -447,7 +455,7 @@ def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
             shown[parameter.name] = _option(parameter.name, kind, parameter.default)
 
     @functools.wraps(function)
-    def command(**values: Any) -> None:
+    def command(**values: Value) -> None:
         of_groups = {
             group: kind(**{name: values.pop(name) for name in names})
             for group, (kind, names) in groups.items()
@@ -455,13 +463,14 @@ def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
         function(**of_groups, **values)
 
     ordered = sorted(shown.values(), key=lambda one: one.default is not inspect.Parameter.empty)
-    command.__signature__ = inspect.Signature(ordered)  # ty: ignore[missing-attribute]
-    command.__annotations__ = {one.name: one.annotation for one in ordered}
+    made: Value = command
+    made.__signature__ = inspect.Signature(ordered)
+    made.__annotations__ = {one.name: one.annotation for one in ordered}
     name = command.__name__.strip("_").replace("_", "-")
     app.command(name, rich_help_panel=panel)(command)
 
 
-def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
+def _option(name: str, kind: object, default: object) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
@@ -493,7 +502,7 @@ RENAMED: dict[str, dict[str, str]] = {
 class Commands(typer.core.TyperGroup):
     """The commands, which also take the names that options had until now."""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+    def parse_args(self, ctx, args: list[str]) -> list[str]:
         return super().parse_args(ctx, now_named(args, [*self.commands]))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -13,11 +13,12 @@ from .options import Pages, Written
 from .progress import working
 
 if TYPE_CHECKING:
-    from ..outcomes.outcome import Outcome
+    from ..outcomes.outcome import Numbers, Outcome
+    from ..pytree.aliases import Value
 
 
 def tell(
-    command: str, pages: Pages, *asked: Any, bar: bool = True, details: bool = False, **how: Any
+    command: str, pages: Pages, *asked: Value, bar: bool = True, details: bool = False, **how: Value
 ) -> None:
     """Ask the library, and present the outcome.
 
@@ -59,7 +60,7 @@ def present(outcome: Outcome, pages: Pages, *, details: bool = False) -> None:
         raise typer.Exit(1)
 
 
-def written(paths: list[Path], file: Path | None, numbers: Any) -> None:
+def written(paths: list[Path], file: Path | None, numbers: Numbers) -> None:
     """Write the numbers to a file, if one is asked for, and print which files were written."""
     if file is not None:
         from ..storage.sealed import write_json

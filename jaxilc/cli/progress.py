@@ -9,13 +9,15 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 from . import console, durations
 
 if TYPE_CHECKING:
     from ..outcomes.sweeping import Swept
     from ..sweeps import Sweep
+
+T = TypeVar("T")
 
 
 # Packages that a command needs when its sweep or tuning is computed.
@@ -47,7 +49,7 @@ def progress_bar(
     from rich.text import Text
 
     class Left(TimeRemainingColumn):
-        max_refresh = None  # it falls each second
+        max_refresh = 0.0  # it falls each second
 
         def render(self, task):
             if task.finished or task.time_remaining is not None or not (expected or usual):
@@ -63,13 +65,9 @@ def progress_bar(
         TextColumn(f"{{task.fields[{field}]}}"),
     )
     return Progress(
-        *columns,
-        TimeElapsedColumn(),
-        Left(),
-        transient=transient,
-        console=console.err,
+        *columns, TimeElapsedColumn(), Left(), transient=transient, console=console.err,
         disable=console.out.quiet or not console.err.is_terminal,
-    )
+    )  # fmt: skip
 
 
 @contextmanager
@@ -128,7 +126,8 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
     from ..sweeps.cluster import ChunkFailed
 
     console.stage_ends("start")
-    start, counted = time.perf_counter(), {}
+    start = time.perf_counter()
+    counted: dict[str, int] = {}
     of_a_machine = plan.trials * plan.task.N
     later = thread_for_later()
     with progress_bar("rate") as bar:
@@ -163,20 +162,20 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
 
 
 def run_search(
-    search: Callable[..., Any],
+    search: Callable[..., T],
     state: Path,
     *,
     resume: bool,
-    progress: Callable[..., None],
+    progress: Callable[..., object],
     meanwhile: Sequence[Callable[[], object]] = (),
-) -> Any:
+) -> T:
     """Run one or several tunings, as `outcomes.tuning.run_search`.
 
     What the command needs afterwards is done meanwhile. Ctrl-C ends it with exit code 130.
     """
     later = thread_for_later(*meanwhile)
 
-    def told(*step: Any) -> None:
+    def told(*step: object) -> None:
         progress(*step)
         if later.ident is None:  # from now on the devices compute
             later.start()

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ import scipy.linalg
 import scipy.optimize
 
 from ..learning.metrics import largest
-from ..pytree.aliases import Numbers
+from ..pytree.aliases import Numbers, Tree
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..theory.law import law_of, learning_law
@@ -62,10 +62,9 @@ def by_response(
     steps: of L-BFGS at most
     risk: how the logarithms of the errors of all machines are combined
     """
-    counted = ((trials, 1.0),)
-    if trials > 2:
-        counted += ((max(2, (trials + 1) // 2), EARLY),)
-    no_arrays: dict[str, Any] = {"loops": [], "drawn": {}, "population": None}
+    early = ((max(2, (trials + 1) // 2), EARLY),) if trials > 2 else ()
+    counted = ((trials, 1.0), *early)
+    no_arrays: dict[str, Tree] = {"loops": [], "drawn": {}, "population": None}
     problem = Problem(
         family._replace(**no_arrays), start, window.of_L, window.of_keep, window.unit,
         *window.responses(family.frequencies, task.dt),

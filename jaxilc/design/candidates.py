@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -190,10 +190,10 @@ def norm_optimal(family, feedback, task, trials, margin) -> Candidate | Absent:
                 L = np.conj(G) / (np.abs(G) ** 2 + w_r)
                 yield {"w_r": float(w_r), "w_s": float(w_s), "L": L, "keep": keep}
 
-    found = widest(family, laws(), task, trials, margin)
-    if not found:
+    safe = widest(family, laws(), task, trials, margin)
+    if not safe:
         return Absent("norm-optimal", _NO_WEIGHTS)
-    found = found[0]
+    found = safe[0]
     weights = {w: found.weights[w] for w in ("w_r", "w_s")}
     learning = NormOptimal(_model(family, task), w_r=weights["w_r"], w_s=weights["w_s"])
     bounds = {f"scheme.{w}": (value / FREER, value * FREER) for w, value in weights.items()}
@@ -264,13 +264,9 @@ def _candidate(words, learning, found: Found, feedback, bounds, task, highest: f
     scheme = Filtered(learning, ZeroPhaseButterworth(cutoff=cutoff, order=ORDER))
     bounds["filter.cutoff"] = (cutoff / WIDER, min(cutoff * WIDER, 0.49 / task.dt, highest))
     return Candidate(
-        "",
-        words,
-        _under(scheme, feedback),
-        _named(bounds, feedback),
-        found.largest,
+        "", words, _under(scheme, feedback), _named(bounds, feedback), found.largest,
         found.predicted,
-    )
+    )  # fmt: skip
 
 
 def _around(value: float) -> tuple[float, float]:
@@ -544,7 +540,9 @@ def tuned(
     out: Path,
     resume: bool = False,
     progress: Callable[[int, np.ndarray, float], None] | None = None,
-    **settings: Any,
+    machines: int,
+    held_out: int,
+    steps: int,
 ) -> Candidate:
     """The candidate with tuned weights, or as near to them as |Q (1 - L P)| <= 1 - margin allows.
 
@@ -554,7 +552,7 @@ def tuned(
     ones of the candidate, until the frequency test holds with its margin over the family.
 
     out: folder of the tuning's state;  resume: go on with what is there
-    settings: of `Tuning`, such as the number of machines, which are drawn as those of the family
+    machines, held_out, steps: as for `Tuning`; machines are drawn as those of the family
 
     A candidate without weights is returned as it is.
     """
@@ -562,15 +560,10 @@ def tuned(
         return candidate
     first = max(1, round((1 - LATE) * trials))
     problem = Tuning(
-        family.population,
-        candidate.scheme,
-        task,
-        trials,
-        weights=candidate.bounds,
+        family.population, candidate.scheme, task, trials, weights=candidate.bounds,
         objective=Holding(first, metric) + EARLY * EveryTrial(metric) + penalty(family, 1 - margin),
-        risk=CVaR(WORST),
-        **settings,
-    )
+        risk=CVaR(WORST), machines=machines, held_out=held_out, steps=steps,
+    )  # fmt: skip
     found = problem.run(out, resume=resume, progress=progress)
     for way in STEPS_BACK:
         weights = {

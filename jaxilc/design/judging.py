@@ -74,15 +74,11 @@ def verdict(
     if not lost and error >= high[0]:
         lost = f"it leaves {error / high[0]:.2g} times the error of the first trial"
     return Verdict(
-        candidate,
-        error=error,
-        median=float(np.max(summary.median[last:])),
+        candidate, error=error, median=float(np.max(summary.median[last:])),
         worst=float(np.max(summary.worst[last:])),
         settled_at=1 + int(np.argmax(high <= SETTLED * error)),
-        tolerated_from=_stays_from(high, tolerance),
-        lost=lost,
-        summary=summary,
-    )
+        tolerated_from=_stays_from(high, tolerance), lost=lost, summary=summary,
+    )  # fmt: skip
 
 
 def _stays_from(high: np.ndarray, tolerance: float | None) -> int:
@@ -222,17 +218,12 @@ def proof_of(family: Family, scheme: Scheme, task: Task, *, between: bool = Fals
     if between and len(segments) == 1:
         whole = _between(family, of_machine, which, found, scheme, task)
     return Proof(
-        nominal=float(found[0].value),
-        worst=float(found[top].value),
-        at=float(found[top].worst),
+        nominal=float(found[0].value), worst=float(found[top].value), at=float(found[top].worst),
         machine={name: float(values[which[top]]) for name, values in family.drawn.items()},
-        machines=len(family.P),
-        claims=(str(told.claim[0]), str(told.claim[-1])),
-        reasons=(str(told.reason[0]), str(told.reason[-1])),
-        scheduled=len(segments) > 1,
-        further=_further(family, laws, sizes, task.dt),
-        whole=whole,
-    )
+        machines=len(family.P), claims=(str(told.claim[0]), str(told.claim[-1])),
+        reasons=(str(told.reason[0]), str(told.reason[-1])), scheduled=len(segments) > 1,
+        further=_further(family, laws, sizes, task.dt), whole=whole,
+    )  # fmt: skip
 
 
 def _further(family: Family, laws, sizes, dt: float) -> float:

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
+from ..pytree.aliases import Leaf
 from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
@@ -41,7 +42,7 @@ from .by_response import (
 from .candidates import Candidate, penalty
 from .judging import Proof, Verdict, judged_trials, proof_of
 from .question import Question, Told
-from .responses import Family
+from .responses import LINES, MACHINES, Family, designed_on, family_of
 from .window import Filters, ShapedFilter, Window, window_of
 
 SPARE = 0.02  # beyond the margin, kept in the search for machines that it has not seen
@@ -114,7 +115,9 @@ class Learned(NamedTuple):
     trials: int
     long: int
     machines: int
-    __repr__ = in_short
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
 
 @takes_population
@@ -155,7 +158,7 @@ class LearnedLaw(Question):
     start: str = "safe"
     starts: tuple[int, ...] = ()
     coupled: bool = True
-    limit: Any = None
+    limit: Leaf | None = None
     objective: Objective | None = None
     risk: Risk = dataclasses.field(default_factory=Mean)
     trained_on: int = 32
@@ -163,7 +166,7 @@ class LearnedLaw(Question):
     steps: int = 60
     __repr__ = in_short
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         require("LearnedLaw", "margin", self.margin, "(0, 0.9)")
         for name, least in (("trained_on", 1), ("held_out", 0), ("steps", 0)):
@@ -235,9 +238,20 @@ class LearnedLaw(Question):
             passed=taps.passed,
         )
 
-    def resolved(self, **options: Any) -> Family:
-        """The family with lines that resolve the responses of its taps; see `Question.family`."""
-        return self.family(several=True, taps=max(self.taps), **options)
+    def resolved(
+        self, *, after: int = 0, machines: int = MACHINES, points: int = LINES,
+        besides: Mapping[str, np.ndarray] | None = None,
+    ) -> Family:  # fmt: skip
+        """The family with lines that resolve the responses of its taps.
+
+        after: how far its seed is after that of the question;  points, besides: as for `family_of`
+        """
+        seed = self.seed + after
+        population = designed_on(self.machine, self.uncertainty, machines=machines, seed=seed)
+        return family_of(
+            population, self.feedback, self.task,
+            points=points, several=True, besides=besides, taps=max(self.taps),
+        )._replace(highest=self.highest)  # fmt: skip
 
     def learned_taps(
         self, family: Family, safe: list[Candidate], out: Path, *, resume: bool, told: Told
@@ -331,20 +345,12 @@ class LearnedLaw(Question):
 
         def problem(start: Filters) -> Tuning:
             return Tuning(
-                family.population,
-                self.under(ShapedFilter.around(window, start)),
-                self.task,
-                self.trials,
-                weights=[WEIGHT if self.feedback is None else f"learning.{WEIGHT}"],
-                objective=made_small + unsafe,
-                risk=self.risk,
-                machines=self.trained_on,
-                held_out=self.held_out,
-                steps=self.steps,
-                rate=RATE,
-                mode="reverse",
+                family.population, self.under(ShapedFilter.around(window, start)), self.task,
+                self.trials, weights=[WEIGHT if self.feedback is None else f"learning.{WEIGHT}"],
+                objective=made_small + unsafe, risk=self.risk, machines=self.trained_on,
+                held_out=self.held_out, steps=self.steps, rate=RATE, mode="reverse",
                 quantities=self.quantities,
-            )
+            )  # fmt: skip
 
         tuning = problem(starts[0])
         if (start := better_of(tuning, window, *starts)) is not starts[0]:
@@ -358,7 +364,7 @@ class LearnedLaw(Question):
 
 
 def kept_or(
-    folder: Path, asked: Any, compute: Callable[[], FirstTaps], *, resume: bool
+    folder: Path, asked: object, compute: Callable[[], FirstTaps], *, resume: bool
 ) -> FirstTaps:
     """The taps with which a tuning begins: those kept in its folder, or computed and kept there.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+import jax
 import numpy as np
 
 from ..learning.machine import Machine
@@ -18,9 +18,9 @@ from ..sweeps.summary import summarise
 from ..uncertainty import Population, Uncertainty
 from .candidates import Absent, Candidate, candidates
 from .judging import Verdict, judged_trials, verdict
-from .responses import MACHINES, Family, designed_on, family_of
+from .responses import Family, designed_on, family_of
 
-Told = Callable[[str, Any], object]
+Told = Callable[[str, object], object]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,32 +48,32 @@ class Question:
     machines: int = 257
     seed: int = 0
     highest: float = np.inf
-    quantities: Mapping[str, Callable[[Trial], Any]] = dataclasses.field(default_factory=dict)
+    quantities: Mapping[str, Callable[[Trial], jax.Array]] = dataclasses.field(default_factory=dict)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         owner = type(self).__name__
         require(owner, "margin", self.margin, "(0, 1)")
         for name in ("trials", "machines"):
             require(owner, name, getattr(self, name), "[2, inf)", whole=True)
 
-    def family(self, *, after: int = 0, machines: int = MACHINES, **options: Any) -> Family:
-        """The responses of machines drawn with the seed, or with one after it; see `family_of`."""
-        seed = self.seed + after
-        population = designed_on(self.machine, self.uncertainty, machines=machines, seed=seed)
-        family = family_of(population, self.feedback, self.task, **options)
+    def family(self) -> Family:
+        """The responses of machines drawn with the seed; see `family_of`."""
+        population = designed_on(self.machine, self.uncertainty, seed=self.seed)
+        family = family_of(population, self.feedback, self.task)
         return family._replace(highest=self.highest)
 
     def safe(
         self, family: Family, names: Sequence[str], told: Told
     ) -> tuple[list[Candidate], list[Absent]]:
         """The laws of a few weights with safe ones, and those that have none; each is told."""
-        found, absent = [], []
+        tried: list[Candidate | Absent] = []
         for one in candidates(
             family, self.feedback, self.task, self.trials, self.margin, tuple(names)
         ):
             told("safe", one)
-            (found if isinstance(one, Candidate) else absent).append(one)
-        return found, absent
+            tried.append(one)
+        found = [one for one in tried if isinstance(one, Candidate)]
+        return found, [one for one in tried if isinstance(one, Absent)]
 
     def under(self, scheme: Scheme) -> Scheme:
         """A scheme with the feedback, if there is one."""

@@ -19,18 +19,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from ..learning.machine import Machine
 from ..learning.within_trial import run_trial
+from ..pytree.aliases import Tree
 from ..schemes import PIDType, Scheme, WithFeedback
 from ..signals.task import Task
-from ..theory.frequency import Loop, grid, linear_loop, radius_of, response
+from ..theory.frequency import grid, linear_loop, response
 from ..theory.law import Law, Taps
-from ..theory.loop import minimal, pole_radius
+from ..theory.loop import Loop, minimal, pole_radius, radius_of
 from ..uncertainty import Population, Uncertainty, drawn_machines
 
 CORNERS = 5  # uncertain numbers up to which all corners of their intervals are taken
@@ -122,7 +123,7 @@ class Family(NamedTuple):
 
 
 def designed_on(
-    machine: Any, uncertainty: Uncertainty, *, machines: int = MACHINES, seed: int = 0
+    machine: Tree, uncertainty: Uncertainty, *, machines: int = MACHINES, seed: int = 0
 ) -> Population:
     """The machines by which laws are designed; those that judge them are not spread as evenly."""
     count = machines if uncertainty else 1
@@ -186,7 +187,7 @@ def resonance_band(family: Family, dt: float) -> np.ndarray | None:
 
     None if no machine has a pair of poles of less damping than `LIGHT`.
     """
-    found = []
+    found: list[tuple[float, float]] = []
     for loop, P in zip(family.loops, np.abs(family.P), strict=True):
         s = np.log(_pairs(loop.A)) / dt
         light = s[-s.real < LIGHT * np.abs(s)]

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
@@ -51,7 +51,9 @@ class Designed(NamedTuple):
     trials: int
     long: int
     machines: int
-    __repr__ = in_short
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
 
 @takes_population
@@ -82,7 +84,7 @@ class Design(Question):
     steps: int = 30
     __repr__ = in_short
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         require("Design", "steps", self.steps, "[2, inf)", whole=True)
         for name in self.laws:
@@ -142,8 +144,8 @@ class Design(Question):
             steps=self.steps,
         )
 
-        def tell(stage: str, what: Any) -> None:
-            if stage == "tuning":
+        def tell(stage: str, what: object) -> None:
+            if stage == "tuning" and isinstance(what, tuple):
                 told(stage, (LEARNED, what[0], self.steps))
 
         ordered = sorted(safe, key=lambda one: one.predicted)
@@ -164,19 +166,10 @@ class Design(Question):
 
         state = out / f"tuning-{candidate.name}"
         found = tuned(
-            candidate,
-            family,
-            self.task,
-            self.trials,
-            metric=self.metric,
-            margin=self.margin,
-            out=state,
-            resume=resume and state.exists(),
-            progress=tell,
-            machines=TUNED_ON,
-            held_out=HELD_OUT,
-            steps=self.steps,
-        )
+            candidate, family, self.task, self.trials, metric=self.metric, margin=self.margin,
+            out=state, resume=resume and state.exists(), progress=tell, machines=TUNED_ON,
+            held_out=HELD_OUT, steps=self.steps,
+        )  # fmt: skip
         told("tuned", found)
         return found
 
@@ -192,13 +185,9 @@ class Design(Question):
             at = others.index(one)
             if not proof.refuted:
                 limits = limits_of(
-                    scheme,
-                    family.population.machine,
-                    self.task,
-                    self.trials,
-                    self.metric,
+                    scheme, family.population.machine, self.task, self.trials, self.metric,
                     one.error,
-                )
+                )  # fmt: skip
                 chosen = Recommended(one, proof, limits)
                 del others[at]
                 break

@@ -14,7 +14,7 @@ the directions.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,7 +61,7 @@ class Window(NamedTuple):
     of_keep: np.ndarray
     unit: np.ndarray | None = None
     starts: tuple[int, ...] = ()
-    limit: Any = None
+    limit: Leaf | None = None
 
     def holding(self, law: Law) -> Filters:
         """The taps of a law of one channel, in each segment; keep is made flat at rest."""
@@ -151,7 +151,7 @@ def window_of(
     taps: tuple[int, int],
     *,
     starts: tuple[int, ...] = (),
-    limit: Any = None,
+    limit: Leaf | None = None,
     coupled: bool = True,
     lead: int | None = None,
 ) -> Window:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import xarray as xr
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
 
     from ..sweeps.summary import SchemeSummary
 
@@ -61,8 +63,8 @@ def error_band(
     shares = _shares(names_of(dataset), last, (metric, unit, limit), limits)
     axes = draw(Figure([*panels, shares], shares=""), _axes(len(rows)))
     for i, (ax, row) in enumerate(zip(axes, rows, strict=False)):
-        look: dict[str, Any] = {"color": readable(colour_of(looks[i])), "fontweight": "bold"}
-        ax.set_title(row.scheme, fontsize="small", loc="left", **look)
+        colour = readable(colour_of(looks[i]))
+        ax.set_title(row.scheme, fontsize="small", loc="left", color=colour, fontweight="bold")
         place, below = ax.get_subplotspec(), i + _columns(len(rows)) < len(rows)
         ax.tick_params(labelleft=place.is_first_col(), labelbottom=not below)
         ax.set_ylabel(ax.get_ylabel() if place.is_first_col() else "")
@@ -93,11 +95,11 @@ def band_together(
         clip = np.minimum(high, 1e3 * top if np.isfinite(top) else np.finfo(float).max / 1e9)
         pale = 0.2 if np.all(high <= top) else 0.05  # a band without an end would tint all others
         trials = np.arange(1, len(median) + 1)
-        look: dict[str, Any] = {"name": row.scheme, "colour": colour_of(i)}
+        name, hue = row.scheme, colour_of(i)
         layers += [
-            Band(trials, low, clip, alpha=pale, **look),
-            Curve(trials, median, mark="o", size=3, tips={"worst": worst}, **look),
-            Curve(trials, worst, dash=":", **look),
+            Band(trials, low, clip, alpha=pale, name=name, colour=hue),
+            Curve(trials, median, mark="o", size=3, tips={"worst": worst}, name=name, colour=hue),
+            Curve(trials, worst, dash=":", name=name, colour=hue),
         ]
     if tolerance is not None:
         layers.append(Rule(scale * tolerance, dash="--"))
@@ -125,7 +127,7 @@ def _axes(count: int) -> np.ndarray:
     paper = Paper(figsize=size, layout="constrained", dpi=150)
     ratios = (*[1.0] * columns, 1.35 if columns > 1 else 1.0)
     cells = paper.add_gridspec(rows, columns + 1, width_ratios=ratios)
-    made: list[Any] = []
+    made: list[Axes] = []
     for i in range(count):
         shared = made[0] if made else None
         cell = cells[i // columns, i % columns]
@@ -194,20 +196,21 @@ def top_of(median) -> float:
     return GROWS * median[0] if 0 < median[0] < np.inf else np.inf
 
 
-def _panel(row: SchemeSummary, i: int, scale: float, limit, shown, limits) -> Panel:
+def _panel(
+    row: SchemeSummary, i: int, scale: float, limit: float | None, shown: tuple[str, str], limits
+) -> Panel:
     """Median, band, worst machine, tolerance and best trial of one scheme, within the limits.
 
     shown: name of the metric, and its unit
     """
-    look: dict[str, Any] = {"colour": colour_of(i)}
-    top = limits[1]
+    hue, top = colour_of(i), limits[1]
     low, median, high, worst = _quantiles(row, scale)
     trial = np.arange(1, len(median) + 1)
     inside = np.where(low < top, low, np.nan)  # where all machines are beyond the top
     layers: list[Layer] = [
-        Band(trial, inside, np.minimum(high, top), alpha=0.22, **look),
-        Curve(trial, np.where(worst <= top, worst, np.nan), dash=":", width=1, **look),
-        Curve(trial, np.where(median <= top, median, np.nan), width=1.6, **look),
+        Band(trial, inside, np.minimum(high, top), alpha=0.22, colour=hue),
+        Curve(trial, np.where(worst <= top, worst, np.nan), dash=":", width=1, colour=hue),
+        Curve(trial, np.where(median <= top, median, np.nan), width=1.6, colour=hue),
     ]
     if limit is not None:
         layers.append(Rule(limit, dash="--"))
@@ -215,10 +218,10 @@ def _panel(row: SchemeSummary, i: int, scale: float, limit, shown, limits) -> Pa
     if known.size and known.max() > (1 + SAME) * known.min():
         best = int(np.argmin(np.where(np.isfinite(median) & (median > 0), median, np.inf)))
         here = [trial[best]], [median[best]]
-        layers.append(Curve(*here, dash="", mark="o", filled=False, **look))
+        layers.append(Curve(*here, dash="", mark="o", filled=False, colour=hue))
     along = TRIAL._replace(most=6, ends=(trial[0] - 0.5, trial[-1] + 0.5))
     note = _said(row, high > top * 1.001, trial)
-    return Panel(along, Axis(*shown, log=True, ends=limits), layers, note=note)
+    return Panel(along, Axis(shown[0], shown[1], log=True, ends=limits), layers, note=note)
 
 
 def _said(row, beyond, trial) -> str:
@@ -260,7 +263,7 @@ def _explain(figure, limit: float | None, unit: str) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles: list[Any] = [
+    handles: list[Artist] = [
         Line2D([], [], color="0.3", linewidth=1.6, label="median"),
         Patch(color="0.3", alpha=0.22, linewidth=0, label="5 to 95 %"),
         Line2D([], [], color="0.3", linestyle=":", label="worst machine"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,7 +16,11 @@ from .within_trial import outputs_of
 
 if TYPE_CHECKING:
     import xarray as xr
+    from bokeh.models import ColumnDataSource
+    from bokeh.plotting import figure as Plot
+    from numpy.typing import ArrayLike
 
+    from ..pytree.aliases import Value
     from ..signals.task import Task
 
 ROOM = 200_000  # numbers that the signals of all trials may have on a page
@@ -59,7 +63,7 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
         chosen = np.unique(np.round(np.geomspace(count, 1, most)).astype(int)) - 1
     points = int(np.clip(ROOM // (len(chosen) * of_a_trial), FEWEST, MOST))
     factor, unit = shown_in(scale * np.nanmax(np.abs(dataset["e"].isel(trial=-1).values)), unit)
-    columns: dict[str, Any] = {"t": thinned(dataset["time"].values, points, times=True)}
+    columns = {"t": thinned(dataset["time"].values, points, times=True)}
     signals = {n: dataset[n].values for n in ("y", "e", "u")}
     for c in range(len(outputs)):
         columns[f"r_{c}"] = thinned(dataset["r"].values[:, c], points)
@@ -103,7 +107,7 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     )
 
 
-def measured_trials(task: Task, measured: Mapping[int, Mapping[str, Any]]) -> Live:
+def measured_trials(task: Task, measured: Mapping[int, Mapping[str, np.ndarray]]) -> Live:
     """Output, error and input of the measured trial that a slider chooses.
 
     measured: `y` (N+1, n_y) and `u` (N, n_u) by the number of the trial
@@ -128,10 +132,10 @@ def measured_trials(task: Task, measured: Mapping[int, Mapping[str, Any]]) -> Li
     return trials(dataset, unit=task.unit)
 
 
-def _three(dataset: xr.Dataset, shown: Any, unit: str) -> list[Any]:
+def _three(dataset: xr.Dataset, shown: ColumnDataSource, unit: str) -> list[Plot]:
     """Figures of output, error and input against time, over the same source."""
     of_y, of_u = (dataset[n].attrs.get("units", "") for n in ("y", "u"))
-    made = []
+    made: list[Plot] = []
     for name, label, lines in (
         ("output", of_y, (("r", "#999999", 4, "reference"), ("y", "#0072b2", 1.5, "output"))),
         ("error", unit, (("e", "#d55e00", 1.5, "error"),)),
@@ -151,7 +155,7 @@ def _three(dataset: xr.Dataset, shown: Any, unit: str) -> list[Any]:
 
 def machines(
     dataset: xr.Dataset,
-    drawn: Mapping[str, Any],
+    drawn: Mapping[str, ArrayLike],
     *,
     metric: str,
     tolerance: float | None = None,
@@ -179,7 +183,9 @@ def machines(
     shares = [explained_shares(columns, of) for of in last]
     best = int(np.argmin(np.median(last, axis=1)))
     first = max(range(len(names)), key=lambda i: shares[best][names[i]])
-    known: dict[str, Any] = {f"p{i}": values for i, values in enumerate(columns.values())}
+    known: dict[str, np.ndarray | list[str]] = {
+        f"p{i}": values for i, values in enumerate(columns.values())
+    }
     for k, errors in enumerate(last):
         known[f"e{k}"], known[f"c{k}"] = _drawn_errors(errors, limit)
     every = ColumnDataSource(known)
@@ -240,7 +246,7 @@ def _drawn_errors(errors: np.ndarray, limit: float | None) -> tuple[np.ndarray, 
     return heights, np.where(finite, colours, "#000000").tolist()
 
 
-def papers(numbers: Sequence[Mapping[str, Any]]) -> Live:
+def papers(numbers: Sequence[Mapping[str, Value]]) -> Live:
     """The printed numbers and ours; a menu chooses the paper."""
     from bokeh.layouts import column
     from bokeh.models import CustomJS, Select

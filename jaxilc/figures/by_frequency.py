@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from ..design import Learned
     from ..theory.frequency import FrequencyTest
-    from ..theory.q_filter import Curves
+    from ..theory.on_lines import Curves
 
 
 DECADES, SHADES = 8, 3  # decades of amplitude that all maps show at most, and the faintest one
@@ -126,13 +126,9 @@ def time_frequency(
             f"[{least * dt:g}, {N * dt:g}] s"
         )
     transform = ShortTimeFFT.from_window(
-        "hann",
-        1.0 / dt,
-        samples,
-        samples - max(samples // 8, 1),
-        fft_mode="onesided2X",
+        "hann", 1.0 / dt, samples, samples - max(samples // 8, 1), fft_mode="onesided2X",
         scale_to="magnitude",
-    )
+    )  # fmt: skip
     slices = {"p0": 0, "p1": N // transform.hop + 1}
     maps = []
     for trial in trials:
@@ -141,13 +137,14 @@ def time_frequency(
         maps.append(np.max(whole, axis=1)[SLOWEST:])
     top = np.max(maps, where=np.isfinite(maps), initial=0.0) or 1.0
     tops = [np.max(one, where=np.isfinite(one), initial=0.0) for one in maps]
-    least = min((one for one in tops if one > 0), default=top)
-    ends = max(least * 10.0**-SHADES, top * 10.0**-DECADES), top
+    lowest = min((one for one in tops if one > 0), default=top)
+    ends = max(lowest * 10.0**-SHADES, top * 10.0**-DECADES), top
     shows = Colours("amplitude of the error", unit, ends, palette="viridis", cut=True)
     t, lines = transform.t(N, **slices), transform.f[SLOWEST:]
     edges = np.append(lines - transform.delta_f / 2, lines[-1] + transform.delta_f / 2)
     times = np.append(t - transform.delta_t / 2, t[-1] + transform.delta_t / 2)
-    along, panels = TIME._replace(ends=(0.0, N * dt)), []
+    along = TIME._replace(ends=(0.0, N * dt))
+    panels: list[Panel] = []
     for trial, amplitude, largest in zip(trials, maps, tops, strict=True):
         said = [f"{scheme}, trial {trial}"]
         if not panels:
@@ -183,8 +180,9 @@ def frequency_tests(tests: Mapping[str, FrequencyTest]) -> Figure:
             here = [test.critical], [1.0]
             layers.append(Curve(*here, "", mark=mark, size=7, filled=False, colour=colour))
     layers.append(Rule(1.0))
-    above = max(min(max(test.condition.value for test in tests.values()) - 1.0, 0.5), 0.01)
-    last = max(test.frequencies[-1] for test in tests.values())
+    most = max(float(test.condition.value) for test in tests.values())
+    above = max(min(most - 1.0, 0.5), 0.01)
+    last = max(float(test.frequencies[-1]) for test in tests.values())
     along = FREQUENCY._replace(ends=(1e-4 * last, last))
     near = Axis("the same near 1", ends=(1.0 - 3.0 * above, 1.0 + 1.5 * above))
     whole = Panel(along, Axis("|Q (1 − L P)|", ends=(0.0, None)), layers, legend="above", columns=2)
@@ -206,7 +204,7 @@ def _without_slow(e, samples: int):
 
 def _last_seen(of: Curve, floor: float) -> float:
     """The last frequency at which a curve is above the floor of its axes."""
-    return max(of.x[of.y >= floor], default=0.0)
+    return max(np.asarray(of.x)[np.asarray(of.y) >= floor], default=0.0)
 
 
 def _peaks(f, amplitude):
@@ -254,11 +252,11 @@ def q_filter_figure(
         parts.append(Curve(f, np.abs(curves.Q), style["dash"], name=f"|Q|, {name}", colour=shade))
         top = int(np.argmax(curves.high))
         said = f"{name}; shaded: its family\nat most {curves.high[top]:.3g} at {f[top]:.3g} Hz"
-        colour: dict[str, Any] = {"name": said, "colour": style["colour"]}
+        hue = style["colour"]
         sizes += [
             Curve(f, curves.nominal, name=said, **style),
-            Band(f, curves.low, curves.high, alpha=0.2, **colour),
-            Curve([f[top]], [curves.high[top]], dash="", mark="o", size=5, **colour),
+            Band(f, curves.low, curves.high, alpha=0.2, name=said, colour=hue),
+            Curve([f[top]], [curves.high[top]], dash="", mark="o", size=5, name=said, colour=hue),
         ]
     first = next(iter(families.values()))
     without = "|1 − L P| without Q,\nlargest"
@@ -349,8 +347,10 @@ def _taps(taps, middle: int, dt: float, name: str, unit: str) -> Panel:
     """The taps (S, p, n, m) over the time by which they look ahead."""
     p = taps.shape[1]
     shift = 1e3 * dt * (middle + np.arange(p) - p // 2)
-    look: dict[str, Any] = {"mark": ".", "size": 3, "width": 0.8}
-    layers: list[Layer] = [Curve(shift, line, **look, **of) for of, line in _each(taps, name)]
+    layers: list[Layer] = [
+        Curve(shift, line, mark=".", size=3, width=0.8, colour=hue, alpha=pale, name=label)
+        for hue, pale, label, line in _each(taps, name)
+    ]
     layers += [
         Curve([], [], colour=GREY, alpha=_opacity(s, len(taps)), name=f"segment {s + 1}")
         for s in range(len(taps) if len(taps) > 1 else 0)
@@ -365,14 +365,15 @@ def _taps(taps, middle: int, dt: float, name: str, unit: str) -> Panel:
 
 def _inverses(f, L, keep, P) -> list[Layer]:
     """|L| of each segment and pair beside |Q / P|, and beside |1 / P| of one channel."""
-    alone, layers = L[:, 0].size == 1, []
+    alone = L[:, 0].size == 1
+    layers: list[Layer] = []
     for values, dash, name, colour in (
         (L, "-", "|L|, learned", COLOURS[0]),
         (keep @ np.linalg.pinv(P), "--", "|Q / P|", COLOURS[1]),
     ):
-        for look, line in _each(values, ""):
-            look |= {"colour": colour, "name": name} if alone else {}
-            layers.append(Curve(f, np.abs(line), dash, **look))
+        for hue, pale, label, line in _each(values, ""):
+            hue, label = (colour, name) if alone else (hue, label)
+            layers.append(Curve(f, np.abs(line), dash, alpha=pale, colour=hue, name=label))
         if not alone:
             layers.append(Curve([], [], dash, colour=GREY, name=name))
     if L[0, 0].size == 1:
@@ -402,19 +403,16 @@ def _sizes(f, L, keep, P) -> list[Layer]:
     ]
 
 
-def _each(values, name: str) -> list[tuple[dict[str, Any], np.ndarray]]:
-    """Look and line of each segment and pair of channels of values (S, K, n, m).
+def _each(values, name: str) -> Iterator[tuple[str, float, str, np.ndarray]]:
+    """Colour, opacity, name and line of each segment and pair of channels of values (S, K, n, m).
 
     The name tells the pair, in the first segment.
     """
     S, _, n, m = values.shape
-    found = []
     for s in range(S):
         for pair, (i, j) in enumerate(np.ndindex(n, m)):
             label = f"{name}{i + 1}{j + 1}" if n * m > 1 else name
-            look = {"colour": colour_of(pair), "alpha": _opacity(s, S), "name": label * (not s)}
-            found.append((look, values[s, :, i, j]))
-    return found
+            yield colour_of(pair), _opacity(s, S), label * (not s), values[s, :, i, j]
 
 
 def _opacity(segment: int, segments: int) -> float:

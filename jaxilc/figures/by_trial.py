@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from .style import (
 
 if TYPE_CHECKING:
     import xarray as xr
+    from numpy.typing import ArrayLike
 
     from ..theory import Certificate
 
@@ -72,13 +73,16 @@ def error_by_trial(
         if "diverged" in dataset:
             errors = errors.where(~dataset["diverged"].sel(scheme=name))
         called = name + _course(dataset, name)
-        look: dict[str, Any] = style_of(i) | marks_of(i, len(trials))
-        layers.append(Curve(trials, errors.values, name=called, **look))
+        style = style_of(i) | marks_of(i, len(trials))
+        layers.append(Curve(trials, errors.values, name=called, **style))
         for mark, size, said in (("o", 6, "published"), (BOUND, 9, "published: less")):
             rows = [p for p in due if p.scheme == name and p.at_most == (mark == BOUND)]
             at, values = [p.trial or 1 for p in rows], [p.value for p in rows]
-            look = {"mark": mark, "size": size, "filled": False, "colour": colour_of(i)}
-            printed += [Curve(at, values, dash="", name=said, **look)] if rows else []
+            if rows:
+                printed.append(
+                    Curve(at, values, dash="", mark=mark, size=size, filled=False, name=said,
+                          colour=colour_of(i))
+                )  # fmt: skip
     layers += sorted(printed, key=lambda of: of.name)
     if tolerance is not None:
         layers.append(Rule(tolerance, dash="--"))
@@ -107,7 +111,7 @@ def certificate(
     scale: float = 1.0,
     unit: str = "",
     title: str = "",
-    parameters: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, ArrayLike] | None = None,
 ) -> Figure:
     """What theory claims of each machine, and the errors that it predicts and simulation has.
 
@@ -123,15 +127,18 @@ def certificate(
     trial, total = np.arange(1, found.predicted.shape[1] + 1), len(found.claim)
     simulated = np.where(np.isfinite(found.simulated), scale * found.simulated, np.nan)
     values = tips_of(parameters or {})
-    layers, claims = [], []
+    layers: list[Layer] = []
+    claims = []
     for claim, hue in zip(CLAIMS, HUES, strict=False):
         which = np.flatnonzero(found.claim == claim)
         if len(which):
             claims.append((SAID.get(claim, claim), len(which), hue))
             many, name = len(which) > 3, f"simulated, {claims[-1][0]}"
-            look: dict[str, Any] = {"width": 0.6 if many else 1.2, "alpha": 0.6 if many else 1.0}
             tips = {"machine": which} | {name: of[which] for name, of in values.items()}
-            layers.append(Curve(trial, simulated[which], name=name, colour=hue, tips=tips, **look))
+            layers.append(
+                Curve(trial, simulated[which], name=name, colour=hue, tips=tips,
+                      width=0.6 if many else 1.2, alpha=0.6 if many else 1.0)
+            )  # fmt: skip
     sure = np.where(np.isfinite(found.predicted) & (found.predicted > 0), found.predicted, np.nan)
     known = np.any(np.isfinite(sure), axis=0)
     middle = np.full(len(trial), np.nan)
@@ -149,9 +156,9 @@ def certificate(
         f"{title}: {total} machines".removeprefix(": "),
     )  # fmt: skip
     machines = Axis("machines", whole=True, most=8, ends=(0, 1.12 * total))
-    said = Axis(names=names, ends=(len(names) - 0.5, -0.5))
+    down = Axis(names=names, ends=(len(names) - 0.5, -0.5))
     return Figure(
-        [errors, Panel(machines, said, [Bars(counts, hues)])],
+        [errors, Panel(machines, down, [Bars(counts, hues)])],
         f"{title}: the RMS error of each machine by trial, in the colour of what theory claims of "
         "it, and how many machines have each claim. Under the pointer stands which machine it is, "
         "and its parameters.".removeprefix(": "),

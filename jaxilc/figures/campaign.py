@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from .style import COLOURS, PALE, colour_of
 
 if TYPE_CHECKING:
     from ..hardware.calibration import Expected
+    from ..hardware.journal import Manifest
     from ..hardware.prediction import Prediction
 
 AHEAD = 5  # trials after the last one whose prediction is shown
@@ -27,7 +28,7 @@ class LastTrial(NamedTuple):
 
     number: int
     time: np.ndarray
-    r: Any
+    r: np.ndarray
     y: np.ndarray
     u: np.ndarray
 
@@ -47,7 +48,7 @@ class Bands(NamedTuple):
 
 
 def bands_by_trial(
-    live: list[dict[str, Any]], prediction: Prediction, expected: Expected | None = None
+    live: list[Manifest], prediction: Prediction, expected: Expected | None = None
 ) -> Bands:
     """The prediction of each trial of a campaign, and of some trials after them.
 
@@ -79,7 +80,7 @@ def bands_by_trial(
 
 @drawn
 def campaign_figure(
-    rows: Sequence[Mapping[str, Any]],
+    rows: Sequence[Manifest],
     *,
     unit: str = "",
     input_unit: str = "",
@@ -140,14 +141,15 @@ def _predicted(bands: Bands) -> list[Layer]:
     ends = np.concatenate([bands.low, bands.median, bands.high])
     largest = np.max(ends, where=np.isfinite(ends), initial=np.finfo(float).tiny)
     low, median, high = (np.minimum(end, 10 * largest) for end in bands[1:])
-    look: dict[str, Any] = {"colour": COLOURS[4], "alpha": 0.35, "name": "predicted, 95 %"}
+    hue, name = COLOURS[4], "predicted, 95 %"
     layers: list[Layer] = []
     if np.any(low < high):
-        layers.append(Band(bands.trial, low, high, **look))
+        layers.append(Band(bands.trial, low, high, colour=hue, alpha=0.35, name=name))
         if len(bands.trial) == 1:  # a single trial has no width
-            layers = [Curve([*bands.trial] * 2, [*low, *high], width=8, **look)]
+            x, y = [*bands.trial] * 2, [*low, *high]
+            layers = [Curve(x, y, width=8, colour=hue, alpha=0.35, name=name)]
     said = "predicted, median"
-    return [*layers, Curve(bands.trial, median, width=1, colour=COLOURS[4], name=said)]
+    return [*layers, Curve(bands.trial, median, width=1, colour=hue, name=said)]
 
 
 def _last_trial(last: LastTrial, unit: str, input_unit: str) -> list[Panel]:

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from .style import BLACK, COLOURS
+from .style import BLACK, COLOURS, Dash
 
 Ends = tuple[float | None, float | None]
+Place: TypeAlias = Literal["", "beside", "above", "best", "lower left", "upper right"]
+Points: TypeAlias = Sequence[float] | np.ndarray
+Tips: TypeAlias = Mapping[str, Sequence[object] | np.ndarray]
 
 
 class Axis(NamedTuple):
@@ -54,7 +58,7 @@ class Layer:
     name: str = ""
     colour: str = COLOURS[0]
     alpha: float = 1.0
-    tips: Mapping[str, Any] = field(default_factory=dict)
+    tips: Tips = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -70,11 +74,11 @@ class Curve(Layer):
     texts: a text beside each point, on paper
     """
 
-    x: Any
-    y: Any
-    dash: Any = "-"
+    x: Points
+    y: Points
+    dash: Dash = "-"
     width: float = 1.5
-    mark: Any = ""
+    mark: str | int = ""
     size: float = 6.0
     filled: bool = True
     rim: str = ""
@@ -87,9 +91,9 @@ class Curve(Layer):
 class Band(Layer):
     """What lies between two curves; x, low, high: (n,)."""
 
-    x: Any
-    low: Any
-    high: Any
+    x: Points
+    low: Points
+    high: Points
     steps: bool = False
     alpha: float = field(default=0.25, kw_only=True)
 
@@ -103,7 +107,7 @@ class Rule(Layer):
 
     at: float
     across: str = "y"
-    dash: Any = "-"
+    dash: Dash = "-"
     width: float = 0.8
     colour: str = field(default=BLACK, kw_only=True)
 
@@ -155,9 +159,9 @@ class Cells(Layer):
     values: (n, m);  shows: their colours
     """
 
-    x: Any
-    y: Any
-    values: Any
+    x: Points
+    y: Points
+    values: np.ndarray
     shows: Colours
 
 
@@ -168,9 +172,9 @@ class Where(Layer):
     x, y: (n,), (m,) centres of the cells;  holds: (n, m)
     """
 
-    x: Any
-    y: Any
-    holds: Any
+    x: Points
+    y: Points
+    holds: np.ndarray
     colour: str = field(default=BLACK, kw_only=True)
 
 
@@ -188,7 +192,7 @@ class Panel:
     y: Axis
     layers: Sequence[Layer]
     title: str = ""
-    legend: str = "beside"
+    legend: Place = "beside"
     columns: int = 1
     note: str = ""
     equal: bool = False
@@ -222,7 +226,7 @@ class Figure:
     below: bool = False
 
 
-def tips_of(drawn: Mapping[str, Any], most: int = 12) -> dict[str, np.ndarray]:
+def tips_of(drawn: Mapping[str, ArrayLike], most: int = 12) -> dict[str, np.ndarray]:
     """(S,) values by the name of a parameter; of an array each element; the first ones of many."""
     found: dict[str, np.ndarray] = {}
     for name, values in drawn.items():

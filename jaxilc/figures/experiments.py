@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -103,7 +103,9 @@ def response_figure(
     from ..identification.response_estimation import response_band
 
     f, P, phase, factor, half = response_band(identified, dt)
-    size, above, below = np.abs(P), [], []
+    size = np.abs(P)
+    above: list[Layer] = []
+    below: list[Layer] = []
     if factor is not None and half is not None:
         above.append(Band(f, size / factor, size * factor, name="95 % band"))
         below.append(Band(f, phase - half, phase + half))
@@ -129,16 +131,18 @@ def response_fit_figure(
     unit: output per input
     """
     f, G, std = (np.asarray(of) for of in measured[:3])
-    fitted, size, above, below = identified.simulated[:, 0], np.abs(G), [], []
+    fitted, size = identified.simulated[:, 0], np.abs(G)
+    above: list[Layer] = []
+    below: list[Layer] = []
     if np.any(std) and measured.averages_known:
         half = 1.96 * std / np.sqrt(2)  # std is that of the complex number
         low = np.maximum(size - half, 1e-3 * size)
         above.append(Band(f, low, size + half, colour=PALE, alpha=0.4, name="scatter, 95 %"))
     said = f"fitted: {identified.fit[0]:.2f} %"
     for name, response, colour, width in (("measured", G, PALE, 3), (said, fitted, COLOURS[0], 1)):
-        look: dict[str, Any] = {"colour": colour, "width": width, "name": name}
-        above.append(Curve(f, np.abs(response), **look))
-        below.append(Curve(f, np.unwrap(np.angle(response)) * 180 / np.pi, **look))
+        above.append(Curve(f, np.abs(response), colour=colour, width=width, name=name))
+        phase = np.unwrap(np.angle(response)) * 180 / np.pi
+        below.append(Curve(f, phase, colour=colour, width=width, name=name))
     difference = np.abs(G - fitted)
     above.append(Curve(f, difference, width=0.6, colour=COLOURS[1], name="difference"))
     return _bode(

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,18 +22,22 @@ import numpy as np
 
 from ..learning.metrics import Keep
 from ..learning.over_trials import check, learn
+from ..pytree.aliases import Tree, Value
 from ..pytree.named_paths import get_at, interval_at, kind_at, replaced, settable
 from ..pytree.ranges import require
 from ..runtime.tiles import tiled
 from ..theory.law import traced_response
 from ..theory.loop import linear_loop, response
 from ..uncertainty import Population, with_spread
-from .live_grid import map_of
+from .live_grid import GridMap, map_of
 from .page import plot, shown_in, side_by_side, spoken
 from .style import COLOURS
 
 if TYPE_CHECKING:
     import xarray as xr
+    from bokeh.document import Document
+    from bokeh.models import LayoutDOM, Slider
+    from bokeh.plotting import figure as Plot
 
     from ..learning.machine import Machine
     from ..scenarios import Scenario
@@ -113,7 +117,7 @@ class Exploration:
         machines: int = MACHINES,
         source: str | None = None,
         repeated: Sequence[str] = (),
-        grid: Mapping[Any, Any] | xr.Dataset | None = None,
+        grid: Mapping[str | tuple[str, ...], Value] | xr.Dataset | None = None,
         progress: Callable[[str, int, int], None] | None = None,
     ):
         require("explore", "machines", machines, f"[1, {AT_MOST}]", whole=True)
@@ -130,7 +134,7 @@ class Exploration:
         self.keep = Keep.of(needed)
         dt, N = float(scenario.task.dt), scenario.task.N
         self.f = np.geomspace(1 / (N * dt), 0.5 / dt, LINES)
-        self._machines: dict[Any, Any] = {}
+        self._machines: dict[tuple[float | bytes | None, ...], Machine] = {}
         self.map = None if grid is None else self._mapped(grid, needed, progress)
 
     def _mapped(self, grid, needed, progress) -> tuple[xr.Dataset, BestPoint]:
@@ -222,13 +226,14 @@ class Exploration:
         found = np.asarray(size)
         return Outcome(errors, r, y, s.shown_scale * (r - y), u, self.f[: found.shape[1]], found)
 
-    def _drawn(self, nominal: Machine, spread: float | None) -> Any:
+    def _drawn(self, nominal: Machine, spread: float | None) -> Machine:
         """The machines of a spread; those of the last few are kept."""
         s = self.scenario
         key = spread, *(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(nominal))
         if key not in self._machines:
-            same = spread is None or spread == self.spread
-            wide = s.uncertainty if same else with_spread(s.uncertainty, spread)
+            wide = s.uncertainty
+            if spread is not None and spread != self.spread:
+                wide = with_spread(wide, spread)
             if len(self._machines) >= KEPT:
                 self._machines.clear()
             population = Population(nominal, wide, count=self.machines, sampling="sobol")
@@ -288,7 +293,7 @@ def controls_of(scheme: Scheme, dt: float) -> list[Control]:
     return [control for control in found if control][:MOST]
 
 
-def _control(tree: Any, path: str, dt: float) -> Control | None:
+def _control(tree: Tree, path: str, dt: float) -> Control | None:
     """The control of a number at a path; None where there is no single finite number."""
     value, kind = get_at(tree, path), kind_at(tree, path)[0]
     whole = kind == "static" and isinstance(value, int) and not isinstance(value, bool)
@@ -397,7 +402,8 @@ class Explorer:
         self.unit = s.shown(s.judged_by)[1]
         self.factor, self.unit_of_e = shown_in(np.nanmax(np.abs(first.e)), s.shown_unit)
         self.figures = self._figures(first)
-        self.map, self.here = None, ColumnDataSource({"x": [], "y": []})
+        self.map: GridMap | None = None
+        self.here = ColumnDataSource({"x": [], "y": []})
         if exploration.map is not None:
             self.figures = [self._map(*exploration.map), *self.figures]
         self._show(first)
@@ -421,7 +427,7 @@ class Explorer:
         asked = _held(float(self.spread.value), *SPREADS) / 100
         return None if math.isclose(asked, self.of.spread, abs_tol=2e-3) else asked
 
-    def layout(self) -> Any:
+    def layout(self) -> LayoutDOM:
         """All of the page."""
         from bokeh.layouts import column
         from bokeh.models import Div, GlobalInlineStyleSheet
@@ -435,15 +441,15 @@ class Explorer:
         return column(title, both, sizing_mode="stretch_width", margin=(0, 16, 0, 16),
                       stylesheets=[WITHIN])  # fmt: skip
 
-    def _map(self, dataset: xr.Dataset, best: BestPoint) -> Any:
+    def _map(self, dataset: xr.Dataset, best: BestPoint) -> Plot:
         """The map of a grid, on which a click moves the sliders, and a ring says where they are."""
-        self.map = map_of(dataset, best, height=300, **self.of.scenario.look)
-        self.map.points.selected.indices = []
-        self.map.points.selected.on_change("indices", lambda attr, old, new: self._go(new))
-        self.map.figure.scatter(
+        self.map = drawn = map_of(dataset, best, height=300, **self.of.scenario.look)
+        drawn.points.selected.indices = []
+        drawn.points.selected.on_change("indices", lambda attr, old, new: self._go(new))
+        drawn.figure.scatter(
             "x", "y", source=self.here, size=20, line_color="black", line_width=2, fill_color=None,
         )  # fmt: skip
-        return self.map.figure
+        return drawn.figure
 
     def _go(self, chosen: list[int]) -> None:
         """Move the sliders to a point of the map; what no slider moves is there already."""
@@ -471,7 +477,7 @@ class Explorer:
             self._show(self.of.outcome(self.values(), self.spread_asked()))
         elif not self.busy:
             self.busy, answer = True, without_document_lock(self._answer)
-            document.add_next_tick_callback(answer)  # ty: ignore[invalid-argument-type]
+            document.add_next_tick_callback(answer)
 
     async def _answer(self) -> None:
         """Answer until nothing new is asked."""
@@ -570,7 +576,7 @@ class Explorer:
         at.append(high * self.map.factor / s.shown(s.judged_by)[0])  # the height on a line
         self.here.data = {"x": at[:1], "y": at[1:2]}
 
-    def _figures(self, first: Outcome) -> list[Any]:
+    def _figures(self, first: Outcome) -> list[Plot]:
         """The figures of errors by trial, of the last trial, and over frequency."""
         s = self.of.scenario
         word = s.judged_by.replace("_", " ")
@@ -604,7 +610,7 @@ class Explorer:
 
 def explore(
     scenario: Scenario, scheme: str | None = None, *, folder: str | Path = "out/explore", **options
-) -> Any:
+) -> Callable[[Document], None]:
     """An application of Bokeh with sliders for the weights of a scheme.
 
     In a notebook, `bokeh.io.output_notebook(bokeh.resources.INLINE)` and
@@ -623,7 +629,7 @@ def explore(
 
     from bokeh.models import CustomJS
 
-    def application(document: Any) -> None:
+    def application(document: Document) -> None:
         document.title = f"jaxilc: {scenario.name}"
         document.add_root(Explorer(shared, Path(folder)).layout())
         document.js_on_event("document_ready", CustomJS(code=spoken()))
@@ -631,7 +637,7 @@ def explore(
     return application
 
 
-def _slider(control: Control) -> Any:
+def _slider(control: Control) -> Slider:
     """A slider; one that is logarithmic has the power of ten as its value."""
     from bokeh.models import CustomJSTickFormatter, Slider
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from ..pytree.aliases import Value
 from ..pytree.ranges import value_text
 from .description import Axis, Band, Cells, Colours, Curve, Figure, Layer, Panel, Rule, Shade, Where
 from .paper import draw, named
@@ -14,8 +15,11 @@ from .style import BLACK, GREY, limits_of, style_of
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
 
     from ..sweeps.points import BestPoint
+    from .description import Tips
 
 
 WIDE = 20.0  # ratio of the ends of an axis from which on it is logarithmic
@@ -41,7 +45,7 @@ def grid_map(
     scale: float = 1.0,
     unit: str = "",
     best: list[BestPoint] | None = None,
-    marks: Mapping[str, Mapping[str, Any]] | None = None,
+    marks: Mapping[str, Mapping[str, Value]] | None = None,
 ) -> np.ndarray:
     """A sweep over a grid: a number of each point, in a panel for each scheme.
 
@@ -92,7 +96,7 @@ def grid_map(
         layers = layers_of(labels, here, members if of_error else None, gone, shown, i // columns)
         if np.isfinite(of.error) and at.items() <= of.point.items():
             best_at = dataset.coords.to_dataset().sel(of.point)
-            point = {one.name: best_at[one.name].item() for one in labels}
+            point = {str(one.name): best_at[one.name].item() for one in labels}
             layers += marked("best", "*", labels, point, here)
         for (name, mark), sign in zip((marks or {}).items(), MARKS, strict=False):
             if _nearest(mark, [other for one, other in chosen if one is of], at):
@@ -123,21 +127,28 @@ def axes_of_map(labels: list[xr.DataArray], shown: Colours) -> tuple[Axis, Axis]
     return made[0], made[1]
 
 
-def layers_of(labels, here, members, lost, shown: Colours, number: int, **more: Any) -> list[Layer]:
+def layers_of(
+    labels: list[xr.DataArray], here: np.ndarray, members: np.ndarray | None, lost: np.ndarray,
+    shown: Colours, number: int, tips: Tips | None = None, mark: str = "", name: str = "",
+) -> list[Layer]:  # fmt: skip
     """The map of a number over two axes of a grid, or its line over one.
 
     here: what is shown at each point;  lost: whether a machine diverges there
     members: (points, sample) errors whose band is drawn beside a line, None for no band
-    number: of the scheme, for its colour;  more: further fields of the cells or of the line
+    number: of the scheme, for its colour;  tips: of the cells or of the line
+    mark, name: of the line
     """
     places = [standing(one)[0] for one in labels]
     if len(places) == 2:
-        return [Cells(*places, here, shown, **more), Where(*places, lost)]
-    (x,), style, layers = places, style_of(number), []
+        x, y = places
+        return [Cells(x, y, here, shown, tips=tips or {}), Where(x, y, lost)]
+    (x,), style = places, style_of(number)
+    layers: list[Layer] = []
     if members is not None:
         low, high = np.quantile(members, (0.05, 0.95), axis=-1, method="inverted_cdf")
         layers.append(Band(x, low, high, colour=style["colour"]))
-    layers.append(Curve(x, here, **style, **more))
+    look = style | {"mark": mark}
+    layers.append(Curve(x, here, name=name, tips=tips or {}, **look))
     edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])
     return layers + [
         Shade(edges[j], edges[j + 1], colour="#e0e0e0", alpha=1.0) for j in np.flatnonzero(lost)
@@ -175,7 +186,7 @@ def numbers_of(dataset, errors, shows, metric, tolerance) -> xr.DataArray:
     return errors.isel(sample=0, drop=True).copy(data=found)
 
 
-def _beside(dataset: xr.Dataset, axes: list[str], of: BestPoint) -> list[dict[str, Any]]:
+def _beside(dataset: xr.Dataset, axes: list[str], of: BestPoint) -> list[dict[str, Value]]:
     """The values of a third axis that have a panel of their own; an empty one if there is none."""
     if not axes:
         return [{}]
@@ -188,7 +199,9 @@ def _beside(dataset: xr.Dataset, axes: list[str], of: BestPoint) -> list[dict[st
     return [{axes[0]: values[i]} for i in spread]
 
 
-def _nearest(mark: Mapping[str, Any], panels: list[dict[str, Any]], at: dict[str, Any]) -> bool:
+def _nearest(
+    mark: Mapping[str, Value], panels: list[dict[str, Value]], at: dict[str, Value]
+) -> bool:
     """Whether of these panels that at a value of the third axis is nearest to a point."""
     for axis, here in at.items():
         if axis in mark and mark[axis] != here:
@@ -218,7 +231,7 @@ def standing(labels: xr.DataArray) -> tuple[np.ndarray, bool]:
     return values, bool(values.min() > 0 and values.max() / values.min() > WIDE)
 
 
-def _place(labels: xr.DataArray, value: Any) -> float:
+def _place(labels: xr.DataArray, value: str | float) -> float:
     """Where a value stands along an axis: at itself, at its number if it is text; NaN off it."""
     if labels.dtype.kind in "fi" and not isinstance(value, str):
         return value if labels.values.min() <= value <= labels.values.max() else np.nan
@@ -241,7 +254,7 @@ def marked(name: str, sign: str, labels: list[xr.DataArray], point, here) -> lis
 # --------------------------------------------------------------------------------------------------
 
 
-LINES: dict[str, tuple[Any, str]] = {
+LINES: dict[str, tuple[Literal["--", "-", ":"], str]] = {
     "d2": ("--", "black"),
     "sigma_max": ("-", "#1b7837"),
     "radius": (":", "#762a83"),
@@ -270,7 +283,7 @@ def contraction_map(
     dataset: xr.Dataset,
     *,
     bounds: xr.Dataset | None = None,
-    marks: Mapping[str, Mapping[str, Any]] | None = None,
+    marks: Mapping[str, Mapping[str, Value]] | None = None,
 ) -> np.ndarray:
     """The observed contraction of a trial over a grid, a panel for each scheme, and its bounds.
 
@@ -309,13 +322,14 @@ def contraction_map(
         here = _only(seen.sel(scheme=name).median("sample"), drawn)
         lines = {n: _only(nominal[n].sel(scheme=name), drawn) for n in LINES if n in nominal}
         lines = {n: values for n, values in lines.items() if np.any(np.isfinite(values))}
-        held = {n: of[n] for n in PREMISES if not np.any(np.isnan(of[n]))}
-        held = {n: _only((values == 1).all("sample"), drawn) for n, values in held.items()}
+        known = {n: of[n] for n in PREMISES if not np.any(np.isnan(of[n]))}
+        held = {n: _only((values == 1).all("sample"), drawn) for n, values in known.items()}
         of_maps.append((places, lines, held))
         along, up = axes_of_map(labels, shown)
         layers: list[Layer] = []
         if len(places) == 2:
-            layers.append(Cells(*places, np.clip(here, 1 / WIDEST, WIDEST), shown))
+            x, y = places
+            layers.append(Cells(x, y, np.clip(here, 1 / WIDEST, WIDEST), shown))
         else:
             (x,), up = places, up._replace(ends=None)
             ends = seen.sel(scheme=name).quantile(
@@ -348,7 +362,7 @@ def _only(array: xr.DataArray, drawn: list[str]) -> np.ndarray:
     return array.squeeze([dim for dim in array.dims if dim not in drawn]).transpose(*drawn).values
 
 
-def _bounds(ax: Any, places, lines, held) -> list[Any]:
+def _bounds(ax: Axes, places, lines, held) -> list[Artist]:
     """Add lines on which bounds are 1 and hatches where premises fail; what a legend names.
 
     lines, held: (x, y) bounds and premises, by name
@@ -358,7 +372,7 @@ def _bounds(ax: Any, places, lines, held) -> list[Any]:
     from matplotlib.patches import Patch
 
     ax.set_facecolor("0.85")
-    handles: list[Any] = []
+    handles: list[Artist] = []
     for name, values in lines.items():
         (dashes, colour), low, high = LINES[name], np.nanmin(values), np.nanmax(values)
         label = f"{name} = 1" if low < 1 < high else f"{name} from {low:.4g} to {high:.4g}"
@@ -368,8 +382,10 @@ def _bounds(ax: Any, places, lines, held) -> list[Any]:
     for name, where in held.items():
         if where.any() and not where.all():
             hatch = PREMISES[name]
-            look = {"hatch": hatch, "edgecolors": PALE, "linewidth": 0}
             fails = np.ma.masked_where(where, np.ones(where.shape)).T
-            ax.pcolor(*places, fails, shading="nearest", cmap=ListedColormap(["none"]), **look)
+            ax.pcolor(
+                *places, fails, shading="nearest", cmap=ListedColormap(["none"]),
+                hatch=hatch, edgecolors=PALE, linewidth=0,
+            )  # fmt: skip
             handles.append(Patch(fill=False, hatch=hatch, ec=PALE, label=f"{name} fails"))
     return handles

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from ..pytree.aliases import Value
 from ..pytree.ranges import value_text
 from .description import Axis, Colours, Curve, Panel
 from .grid_map import (
@@ -20,11 +22,13 @@ from .grid_map import (
     numbers_of,
     standing,
 )
-from .page import Live, panel_of, plot, shown_in, side_by_side
+from .page import HEIGHT, Live, panel_of, plot, shown_in, side_by_side
 from .style import COLOURS, labelled, limits_of
 
 if TYPE_CHECKING:
     import xarray as xr
+    from bokeh.models import ColumnDataSource, UIElement
+    from bokeh.plotting import figure as Plot
 
     from ..sweeps.points import BestPoint
 
@@ -53,14 +57,14 @@ class GridMap(NamedTuple):
     factor, unit: of errors that are shown
     """
 
-    figure: Any
-    points: Any
-    values: list[dict[str, Any]]
+    figure: Plot
+    points: ColumnDataSource
+    values: list[dict[str, Value]]
     dataset: xr.Dataset
     factor: float
     unit: str
 
-    def at(self, number: int) -> dict[str, Any]:
+    def at(self, number: int) -> dict[str, Value]:
         """The values of all axes of the grid at a point, by all of their names."""
         from ..sweeps.summary import axes_of
 
@@ -86,8 +90,8 @@ def grid(
     """
     from bokeh.models import TabPanel, Tabs
 
-    look: dict[str, Any] = {"metric": metric, "tolerance": tolerance, "scale": scale, "unit": unit}
-    parts = [_with_learning(map_of(dataset, of, **look), metric) for of in best]
+    made = partial(map_of, metric=metric, tolerance=tolerance, scale=scale, unit=unit)
+    parts = [_with_learning(made(dataset, of), metric) for of in best]
     tabs = [TabPanel(child=part, title=of.scheme) for part, of in zip(parts, best, strict=True)]
     return Live(
         "Each cell, or dot along a single axis, is a point of the grid, and its colour or height "
@@ -107,7 +111,7 @@ def map_of(
     tolerance: float | None = None,
     scale: float = 1.0,
     unit: str = "",
-    **size: Any,
+    height: int = HEIGHT,
 ) -> GridMap:
     """The map of one scheme, with all numbers of `grid_map` on hover; the best point is chosen."""
     from bokeh.models import TapTool
@@ -131,7 +135,7 @@ def map_of(
     ]
     shape = tuple(one.size for one in labels)
     lost = (dataset["diverged_at"] > 0).any("sample").values.reshape(shape)
-    tips: dict[str, Any] = {
+    tips: dict[str, list[Value]] = {
         called_of(one): [[*row.values()][i] for row in values] for i, one in enumerate(labels)
     }
     curves = {}
@@ -143,26 +147,25 @@ def map_of(
             tips[words.format(metric.replace("_", " "))] = [
                 _said(x, name, unit) for x in np.ravel(found)
             ]
-    for name, found in _of_bounds(dataset).items():
-        tips[name] = [f"{x:.4g}" for x in found.values.ravel()]
+    for name, bound in _of_bounds(dataset).items():
+        tips[name] = [f"{x:.4g}" for x in bound.values.ravel()]
     nearest = [some[i].tolist().index(j) for i, j in enumerate(at)]
     best = int(np.ravel_multi_index(nearest, shape))
     low, top = limits_of(curves["high"], pad=1.0) or (1.0, 10.0)
     called = SHOWN["high"].format(metric).replace("_", " ")
     shown = Colours(called, unit, (low, max(top, 1.001 * low)))
     along, up = axes_of_map(labels, shown)
-    high, more = curves["high"], dict[str, Any](tips=tips)
+    high = curves["high"]
     if len(labels) == 1:
-        more |= {"mark": "o", "name": "95 %"}
         up = Axis(labelled(up.name, unit), log=True)
-    layers = layers_of(labels, high, None, lost, shown, 0, **more)
+    layers = layers_of(labels, high, None, lost, shown, 0, tips, "o", "95 %")
     if len(labels) == 1:
         x = standing(labels[0])[0]
         for name, dash in (("median", "--"), ("worst", ":")):
             layers.append(Curve(x, curves[name], dash, name=name))
     if np.isfinite(of.error):
         layers += marked("best", "*", labels, values[best], high)
-    made = panel_of(Panel(along, up, layers, legend="upper right"), **({"width": 560} | size))
+    made = panel_of(Panel(along, up, layers, legend="upper right"), width=560, height=height)
     cells = next(r for r in made.renderers if "t0" in r.data_source.data)
     if len(labels) == 1:
         cells = [r for r in made.renderers if r.data_source is cells.data_source][-1]
@@ -182,7 +185,7 @@ def _of_bounds(dataset: xr.Dataset) -> dict[str, xr.DataArray]:
     }
 
 
-def _with_learning(drawn: GridMap, metric: str) -> Any:
+def _with_learning(drawn: GridMap, metric: str) -> UIElement:
     """A map, and beside it how the chosen point learns."""
     from bokeh.layouts import column
     from bokeh.models import ColumnDataSource, CustomJS, Div

@@ -10,13 +10,20 @@ import re
 from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from .description import Axis, Band, Bars, Cells, Curve, Figure, Layer, Panel, Rule, Shade, Where
-from .style import BOUND, labelled, limits_of
+from .style import BOUND, Dash, labelled, limits_of
 from .units import READABLE, power_of, prefixed
+
+if TYPE_CHECKING:
+    from bokeh.models import Axis as AxisOfPage
+    from bokeh.models import GlyphRenderer, LayoutDOM, Range
+    from bokeh.plotting import figure as Plot
+
+    from .description import Points
 
 WIDTH, HEIGHT, TALLEST = 860, 360, 900  # of a figure, and of a row at most [pixel]
 NARROW = 240  # below which no figure stands beside another one [pixel]
@@ -76,7 +83,7 @@ class Live(NamedTuple):
     """
 
     caption: str
-    model: Any
+    model: LayoutDOM
 
 
 def live(figure: Figure | Live) -> Live:
@@ -84,11 +91,12 @@ def live(figure: Figure | Live) -> Live:
     return figure if isinstance(figure, Live) else Live(figure.caption, model_of(figure))
 
 
-def model_of(figure: Figure) -> Any:
+def model_of(figure: Figure) -> LayoutDOM:
     """The panels in rows; those that share an axis move together."""
     from bokeh.layouts import column
 
-    wide, made = figure.columns, []
+    wide = figure.columns
+    made: list[Plot] = []
     rows = -(-len(figure.panels) // wide)
     tall = min(INCH * (figure.size or (WIDTH, 1.6 + 2.6 * rows))[1], TALLEST * rows)
     heights, widths = (
@@ -113,7 +121,7 @@ def spoken() -> str:
     return Path(__file__).with_name("spoken.js").read_text(encoding="utf-8")
 
 
-def side_by_side(*models: Any) -> Any:
+def side_by_side(*models: LayoutDOM) -> LayoutDOM:
     """Models in a row, as wide as their widths are to each other; on a narrow page in several."""
     from bokeh.layouts import row
 
@@ -123,7 +131,7 @@ def side_by_side(*models: Any) -> Any:
     return row(*models, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
 
 
-def panel_of(panel: Panel, **options: Any) -> Any:
+def panel_of(panel: Panel, **options: int | str | Range) -> Plot:
     """One panel; under the pointer stand the coordinates and the tips of each named layer.
 
     options: further arguments of `plot`
@@ -143,7 +151,7 @@ def panel_of(panel: Panel, **options: Any) -> Any:
             at_texts(axis, way.axis.names)
         elif way.axis.whole or way.axis.ticks:
             axis.ticker = BasicTicker(min_interval=1, num_minor_ticks=0)
-    told: dict[tuple, list[Any]] = {}
+    told: dict[tuple, list[GlyphRenderer]] = {}
     for layer in panel.layers:
         drawn = DRAW[type(layer)](made, layer, x, y)
         for one in drawn:
@@ -173,7 +181,7 @@ class _Way(NamedTuple):
     def label(self) -> str:
         return labelled(self.axis.name, self.unit)
 
-    def shown(self, values: Any) -> np.ndarray:
+    def shown(self, values: Points) -> np.ndarray:
         """Values in the unit; NaN for what has no place on the axis."""
         values = self.factor * np.asarray(values, float)
         there = np.isfinite(values) & ((values > 0) | (not self.axis.log))
@@ -204,27 +212,19 @@ def shown_in(values, unit: str) -> tuple[float, str]:
     return number / middle, name
 
 
-def plot(title: str, x: str, y: str, *, log: bool = True, **options: Any) -> Any:
+def plot(title: str, x: str, y: str, *, log: bool = True, **options: int | str | Range) -> Plot:
     """An empty figure of the common size, with labelled axes."""
     from bokeh.models import BasicTicker, CustomJSTicker, CustomJSTickFormatter, LinearAxis, LogAxis
     from bokeh.plotting import figure
 
-    size: dict[str, Any] = {
-        "width": WIDTH,
-        "height": HEIGHT,
-        "sizing_mode": "stretch_width",
-    } | options
+    size = {"width": WIDTH, "height": HEIGHT, "sizing_mode": "stretch_width"} | options
     size |= {"y_axis_type": "log"} if log else {}
     made = figure(
-        title=title,
-        x_axis_label=x,
-        y_axis_label=y,
-        tools="pan,wheel_zoom,box_zoom,reset",
-        toolbar_location="above",
-        **size,
-    )
+        title=title, x_axis_label=x, y_axis_label=y, tools="pan,wheel_zoom,box_zoom,reset",
+        toolbar_location="above", **size,
+    )  # fmt: skip
     made.toolbar.logo = None
-    axes: list[Any] = [made.xaxis[0], made.yaxis[0]]
+    axes = [made.xaxis[0], made.yaxis[0]]
     for axis in axes:
         if isinstance(axis, LogAxis):
             axis.ticker = CustomJSTicker(major_code=MAJOR, minor_code=MINOR)
@@ -235,7 +235,7 @@ def plot(title: str, x: str, y: str, *, log: bool = True, **options: Any) -> Any
     return made
 
 
-def at_texts(axis: Any, names: Sequence[str]) -> None:
+def at_texts(axis: AxisOfPage, names: Sequence[str]) -> None:
     """Put texts at 0, 1, 2 ... of an axis."""
     from bokeh.models import BasicTickFormatter, FixedTicker
 
@@ -243,7 +243,7 @@ def at_texts(axis: Any, names: Sequence[str]) -> None:
     axis.major_label_overrides = dict(enumerate(names))
 
 
-def legend(made: Any, place: str = "right") -> None:
+def legend(made: Plot, place: str = "right") -> None:
     """The legend; a click on a name hides its curves and shows them again.
 
     place: right of the figure, above it, or in it; empty for none
@@ -257,7 +257,9 @@ def legend(made: Any, place: str = "right") -> None:
         made.legend.label_text_font_size = "9pt"
 
 
-def hover(made: Any, renderers: list[Any], rows: Sequence[tuple[str, str]], head="") -> None:
+def hover(
+    made: Plot, renderers: list[GlyphRenderer], rows: Sequence[tuple[str, str]], head: str = ""
+) -> None:
     """Rows of a name and a value for the point under the pointer.
 
     rows: `@x{g}` is the value of column x with four digits, of any size
@@ -272,7 +274,7 @@ def hover(made: Any, renderers: list[Any], rows: Sequence[tuple[str, str]], head
         for name, value in rows
     )
     shown = f'<div style="max-width: 28em; white-space: normal">{lines}</div>'
-    told: Any = dict.fromkeys(columns, "printf")
+    told = dict.fromkeys(columns, "printf")
     made.add_tools(HoverTool(renderers=renderers, tooltips=shown, formatters=told))
 
 
@@ -304,31 +306,31 @@ def thinned(values, points: int, *, times: bool = False) -> np.ndarray:
 # --------------------------------------------------------------------------------------------------
 
 
-def _look(of: Layer) -> dict[str, Any]:
-    named = {"legend_label": of.name, "name": of.name} if of.name else {}
-    return {"color": of.colour, "alpha": of.alpha} | named
+def _look(of: Layer) -> dict[str, str | float]:
+    look: dict[str, str | float] = {"color": of.colour, "alpha": of.alpha}
+    return look | ({"legend_label": of.name, "name": of.name} if of.name else {})
 
 
-def _tips(of: Layer) -> dict[str, Any]:
+def _tips(of: Layer) -> dict[str, np.ndarray]:
     """The columns of the tips of a layer."""
     return {f"t{i}": np.asarray(values) for i, values in enumerate(of.tips.values())}
 
 
-def _dash(of: Any) -> dict[str, Any]:
+def _dash(of: Dash) -> dict[str, str | list[int] | None]:
     """The dash of a line; one that is written out is in widths of the line."""
     dash = LINES.get(of) if isinstance(of, str) else [round(2 * part) for part in of[1]]
     return {"line_dash": dash}
 
 
-def _curve(made: Any, of: Curve, x: _Way, y: _Way) -> list[Any]:
+def _curve(made: Plot, of: Curve, x: _Way, y: _Way) -> list[GlyphRenderer]:
     from bokeh.models import ColumnDataSource
 
     tips, look, line = _tips(of), _look(of), {"line_width": of.width + 0.5, **_dash(of.dash or "-")}
     if np.ndim(of.y) == 2:
-        several: Any = {"xs": [x.shown(of.x)] * len(of.y), "ys": [*y.shown(of.y)], **tips}
+        several = {"xs": [x.shown(of.x)] * len(of.y), "ys": [*y.shown(of.y)], **tips}
         source = ColumnDataSource(several)
         return [made.multi_line("xs", "ys", source=source, hover_line_width=4, **line, **look)]
-    columns: Any = {"x": x.shown(of.x), "y": y.shown(of.y)}
+    columns = {"x": x.shown(of.x), "y": y.shown(of.y)}
     if not (of.mark or tips):
         thin = thinned(columns["x"], POINTS, times=True)
         columns = {"x": thin, "y": thinned(columns["y"], POINTS)}
@@ -342,14 +344,14 @@ def _curve(made: Any, of: Curve, x: _Way, y: _Way) -> list[Any]:
         if of.marked:
             columns = {n: v[first::every] for n, v in (columns | tips).items()}
             source = ColumnDataSource(columns)
-        fill = {} if of.filled else {"fill_color": None}
+        fill: dict[str, str | None] = {} if of.filled else {"fill_color": None}
         fill |= {"line_color": of.rim} if of.rim else {}
         size = {"size": 1.3 * of.size, "marker": MARKS[of.mark]}
         drawn.append(made.scatter("x", "y", source=source, **size, **look, **fill))
     return drawn
 
 
-def _band(made: Any, of: Band, x: _Way, y: _Way) -> list[Any]:
+def _band(made: Plot, of: Band, x: _Way, y: _Way) -> list[GlyphRenderer]:
     at, low, high = x.shown(of.x), y.shown(of.low), y.shown(of.high)
     known = np.isfinite(at) & np.isfinite(low) & np.isfinite(high)
     look = _look(of) | {"fill_alpha": of.alpha}
@@ -359,7 +361,7 @@ def _band(made: Any, of: Band, x: _Way, y: _Way) -> list[Any]:
     return []
 
 
-def _rule(made: Any, of: Rule, x: _Way, y: _Way) -> list[Any]:
+def _rule(made: Plot, of: Rule, x: _Way, y: _Way) -> list[GlyphRenderer]:
     from bokeh.models import ColumnDataSource
 
     line, way = (made.vspan, x) if of.across == "x" else (made.hspan, y)
@@ -368,7 +370,7 @@ def _rule(made: Any, of: Rule, x: _Way, y: _Way) -> list[Any]:
     return [line(**{of.across: of.across}, source=source, **look)]
 
 
-def _shade(made: Any, of: Shade, x: _Way, y: _Way) -> list[Any]:
+def _shade(made: Plot, of: Shade, x: _Way, y: _Way) -> list[GlyphRenderer]:
     look = {"fill_alpha": of.alpha, "line_color": None, **_look(of)}
     del look["alpha"], look["color"]
     look["fill_color"] = of.colour
@@ -379,12 +381,12 @@ def _shade(made: Any, of: Shade, x: _Way, y: _Way) -> list[Any]:
     return []
 
 
-def _bars(made: Any, of: Bars, x: _Way, y: _Way) -> list[Any]:
+def _bars(made: Plot, of: Bars, x: _Way, y: _Way) -> list[GlyphRenderer]:
     made.hbar(y=[*range(len(of.values))], right=[*of.values], height=0.6, color=[*of.colours])
     return []
 
 
-def _cells(made: Any, of: Cells, x: _Way, y: _Way) -> list[Any]:
+def _cells(made: Plot, of: Cells, x: _Way, y: _Way) -> list[GlyphRenderer]:
     """A map, of which cells can be chosen, with its colours beside it."""
     from bokeh import palettes
     from bokeh.models import (
@@ -422,7 +424,7 @@ def _cells(made: Any, of: Cells, x: _Way, y: _Way) -> list[Any]:
     return [drawn]
 
 
-def _edges(x: Any, log: bool) -> np.ndarray:
+def _edges(x: Points, log: bool) -> np.ndarray:
     """(K+1,) the ends of the cells of K values."""
     at = np.log(x) if log else np.asarray(x, float)
     middle = (at[1:] + at[:-1]) / 2
@@ -430,14 +432,14 @@ def _edges(x: Any, log: bool) -> np.ndarray:
     return np.exp(ends) if log else ends
 
 
-def _where(made: Any, of: Where, x: _Way, y: _Way) -> list[Any]:
+def _where(made: Plot, of: Where, x: _Way, y: _Way) -> list[GlyphRenderer]:
     i, j = np.nonzero(of.holds)
     at = np.asarray(of.x, float)[i], np.asarray(of.y, float)[j]
     made.scatter(*at, marker="x", size=6, color="#777777")
     return []
 
 
-DRAW: dict[type, Callable[[Any, Any, _Way, _Way], list[Any]]] = {
+DRAW: dict[type[Layer], Callable[..., list[GlyphRenderer]]] = {
     Curve: _curve, Band: _band, Rule: _rule, Shade: _shade, Bars: _bars, Cells: _cells,
     Where: _where,
 }  # fmt: skip

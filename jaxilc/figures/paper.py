@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, ParamSpec, Protocol
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeAlias, TypedDict
 
 import numpy as np
 
@@ -13,6 +13,17 @@ from .description import Axis, Band, Bars, Cells, Curve, Figure, Layer, Panel, R
 from .style import limits_of
 from .units import name_axis
 
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis as AxisOfPaper
+    from matplotlib.figure import Figure as Paper
+    from matplotlib.typing import LegendLocType
+
+    from ..pytree.aliases import Value
+
+Drawing: TypeAlias = Any  # axes, or an array of those of one figure, as of `pyplot.subplots`
+Handles: TypeAlias = "dict[str, Artist]"  # of a legend, by name
 P = ParamSpec("P")
 
 
@@ -21,7 +32,7 @@ class Drawn(Protocol[P]):
 
     described: Callable[P, Figure]
 
-    def __call__(self, *args: Any, ax: Any = None, **named: Any) -> Any: ...
+    def __call__(self, *args: Value, ax: Drawing = None, **named: Value) -> Drawing: ...
 
 
 def drawn(describe: Callable[P, Figure]) -> Drawn[P]:
@@ -31,15 +42,15 @@ def drawn(describe: Callable[P, Figure]) -> Drawn[P]:
     """
 
     @functools.wraps(describe)
-    def of_axes(*args: Any, ax: Any = None, **named: Any) -> Any:
+    def of_axes(*args: Value, ax: Drawing = None, **named: Value) -> Drawing:
         return draw(describe(*args, **named), ax)
 
-    made: Any = of_axes
+    made: Value = of_axes
     made.described = describe
     return made
 
 
-def draw(figure: Figure, ax: Any = None) -> Any:
+def draw(figure: Figure, ax: Drawing = None) -> Drawing:
     """The axes of a figure: one, or an array in rows and columns as in `pyplot.subplots`.
 
     ax: axes to draw on; None for those of a new figure
@@ -62,18 +73,20 @@ def draw(figure: Figure, ax: Any = None) -> Any:
             DRAW[type(layer)](one, layer)
         _finish(one, panel)
     _colour_bar(figure, flat)
-    all_named: dict[str, Any] = {}
+    all_named: Handles = {}
     for one, panel in zip(flat, figure.panels, strict=True):
+        here = named(one)
         if figure.below:
-            all_named = named(one) | all_named
-        elif panel.legend and named(one):
-            place: dict[str, Any] = {
-                "beside": {"loc": "upper left", "bbox_to_anchor": (1.0, 1.02)},
-                "above": {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0)},
-            }.get(panel.legend, {"loc": panel.legend})
-            _legend(one, named(one), ncols=panel.columns, **place)
+            all_named = here | all_named
+        elif here:
+            if panel.legend == "beside":
+                _legend(one, here, panel.columns, "upper left", (1.0, 1.02))
+            elif panel.legend == "above":
+                _legend(one, here, panel.columns, "lower left", (0.0, 1.0))
+            elif panel.legend:
+                _legend(one, here, panel.columns, panel.legend)
     if figure.below:
-        _legend(flat[0].figure, all_named, ncols=6, loc="outside lower center")
+        _legend(flat[0].figure, all_named, 6, "outside lower center")
     _leave_out_labels(figure, flat)
     return ax
 
@@ -91,16 +104,17 @@ def _leave_out_labels(figure: Figure, axes: np.ndarray) -> None:
         axes[0].figure.align_ylabels(axes[::wide])
 
 
-def named(ax: Any) -> dict[str, Any]:
+def named(ax: Axes) -> Handles:
     """What the legend of axes shows, by name; of several of one name the first."""
-    found: dict[str, Any] = {}
+    found: Handles = {}
     for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
         found.setdefault(name, handle)
     return found
 
 
-def _legend(of: Any, found: dict[str, Any], *, loc: str, **place: Any) -> None:
-    of.legend([*found.values()], [*found], fontsize="small", loc=loc, **place)
+def _legend(of: Axes | Paper, found: Handles, columns: int, loc: LegendLocType, at=None) -> None:
+    handles, names = [*found.values()], [*found]
+    of.legend(handles, names, fontsize="small", loc=loc, ncols=columns, bbox_to_anchor=at)
 
 
 def _colour_bar(figure: Figure, axes: np.ndarray) -> None:
@@ -118,8 +132,8 @@ def _colour_bar(figure: Figure, axes: np.ndarray) -> None:
 
 
 def new_axes(
-    rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **named: Any
-) -> Any:
+    rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **named: Value
+) -> Drawing:
     """The axes of a new figure.
 
     size: width and height [in]; None for a height of 2.6 in for each row
@@ -131,7 +145,7 @@ def new_axes(
     return paper.subplots(rows, columns, **named)
 
 
-def _finish(ax: Any, panel: Panel) -> None:
+def _finish(ax: Axes, panel: Panel) -> None:
     """Ends, ticks, labels and the title, after all layers are drawn."""
     ax.set_title(panel.title, fontsize="medium")
     for way, of in (("x", panel.x), ("y", panel.y)):
@@ -148,11 +162,13 @@ def _finish(ax: Any, panel: Panel) -> None:
             name_axis(axis, of.name, of.unit)
     if panel.note:
         ground = {"facecolor": "w", "edgecolor": "none", "alpha": 0.7, "pad": 1.5}
-        look: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": "x-small", "bbox": ground}
-        ax.text(0.98, 0.96, panel.note, transform=ax.transAxes, **look)
+        ax.text(
+            0.98, 0.96, panel.note, transform=ax.transAxes,
+            ha="right", va="top", fontsize="x-small", bbox=ground,
+        )  # fmt: skip
 
 
-def _ticks(axis: Any, of: Axis) -> None:
+def _ticks(axis: AxisOfPaper, of: Axis) -> None:
     from matplotlib.ticker import MaxNLocator
 
     if of.names:
@@ -164,7 +180,7 @@ def _ticks(axis: Any, of: Axis) -> None:
         axis.set_major_locator(MaxNLocator(of.most, integer=of.whole))
 
 
-def grid(ax: Any) -> None:
+def grid(ax: Axes) -> None:
     """Add a pale grid after all curves are drawn, and plain numbers on logarithmic axes."""
     ax.grid(True, alpha=0.25)
     ax.set_axisbelow(True)
@@ -180,22 +196,29 @@ def grid(ax: Any) -> None:
 # --------------------------------------------------------------------------------------------------
 
 
-def _look(layer: Layer) -> dict[str, Any]:
-    return {"color": layer.colour, "alpha": None if layer.alpha == 1 else layer.alpha,
-            "label": layer.name or None}  # fmt: skip
+class _Look(TypedDict):
+    color: str
+    alpha: float | None
+    label: str | None
 
 
-def _curve(ax: Any, of: Curve) -> None:
-    look = _look(of) | {
-        "linestyle": of.dash or "none", "linewidth": of.width,
-        "drawstyle": "steps-post" if of.steps else "default",
-    }  # fmt: skip
-    if of.mark:
-        look |= {"marker": of.mark, "markersize": of.size, "markevery": of.marked}
-        look |= {} if of.filled else {"mfc": "none"}
-        look |= {"mec": of.rim, "zorder": 5} if of.rim else {}
-    for line in ax.plot(of.x, np.asarray(of.y).T, **look)[1:]:
-        line.set_label(None)
+def _look(layer: Layer) -> _Look:
+    alpha = None if layer.alpha == 1 else layer.alpha
+    return {"color": layer.colour, "alpha": alpha, "label": layer.name or None}
+
+
+def _curve(ax: Axes, of: Curve) -> None:
+    lines = ax.plot(
+        of.x, np.asarray(of.y).T, linestyle=of.dash or "none", linewidth=of.width,
+        drawstyle="steps-post" if of.steps else "default", **_look(of),
+    )  # fmt: skip
+    for line in lines:
+        if of.mark:
+            line.set(marker=of.mark, markersize=of.size, markevery=of.marked)
+            line.set(**({} if of.filled else {"mfc": "none"}))
+            line.set(**({"mec": of.rim, "zorder": 5} if of.rim else {}))
+        if line is not lines[0]:
+            line.set_label(None)
     for x, y, text in zip(of.x, of.y, of.texts, strict=True) if of.texts else ():
         right = x > np.mean(ax.get_xlim())
         if text:
@@ -205,43 +228,43 @@ def _curve(ax: Any, of: Curve) -> None:
             )  # fmt: skip
 
 
-def _band(ax: Any, of: Band) -> None:
-    look = _look(of) | {"linewidth": 0, "step": "post" if of.steps else None}
-    ax.fill_between(of.x, of.low, of.high, **look)
+def _band(ax: Axes, of: Band) -> None:
+    ax.fill_between(
+        of.x, of.low, of.high, step="post" if of.steps else None, linewidth=0, **_look(of)
+    )
 
 
-def _rule(ax: Any, of: Rule) -> None:
+def _rule(ax: Axes, of: Rule) -> None:
     line = ax.axvline if of.across == "x" else ax.axhline
     line(of.at, linestyle=of.dash, linewidth=of.width, **_look(of))
 
 
-def _shade(ax: Any, of: Shade) -> None:
+def _shade(ax: Axes, of: Shade) -> None:
     span = ax.axvspan if of.across == "x" else ax.axhspan
     span(of.low, of.high, linewidth=0, **_look(of))
 
 
-def _bars(ax: Any, of: Bars) -> None:
+def _bars(ax: Axes, of: Bars) -> None:
     bars = ax.barh(range(len(of.values)), of.values, color=of.colours, height=0.6)
     ax.bar_label(bars, padding=4, fontsize="small")
 
 
-def _cells(ax: Any, of: Cells) -> None:
+def _cells(ax: Axes, of: Cells) -> None:
     from matplotlib.colors import LogNorm, Normalize
 
     norm = (LogNorm if of.shows.log else Normalize)(*of.shows.ends)
-    shading = "nearest" if len(of.x) == len(of.values) else "flat"
     ax.pcolormesh(
         of.x, of.y, np.ma.masked_invalid(of.values).T, norm=norm, cmap=of.shows.palette,
-        shading=shading, rasterized=True,
+        shading="nearest" if len(of.x) == len(of.values) else "flat", rasterized=True,
     )  # fmt: skip
 
 
-def _where(ax: Any, of: Where) -> None:
+def _where(ax: Axes, of: Where) -> None:
     if np.any(of.holds) and not np.all(of.holds):
         ax.contour(of.x, of.y, np.asarray(of.holds).T, [0.5], colors=of.colour, linewidths=1.0)
 
 
-DRAW: dict[type, Callable[[Any, Any], None]] = {
+DRAW: dict[type[Layer], Callable[..., None]] = {
     Curve: _curve, Band: _band, Rule: _rule, Shade: _shade, Bars: _bars, Cells: _cells,
     Where: _where,
 }  # fmt: skip

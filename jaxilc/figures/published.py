@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .description import Axis, Curve, Figure, Layer, Panel, Rule, Shade
 from .paper import draw
 from .style import BLACK, COLOURS
+
+if TYPE_CHECKING:
+    from ..pytree.aliases import Value
 
 # A verdict has its colour and its mark, so that both can be distinguished in print.
 VERDICTS = {
@@ -22,7 +25,7 @@ VERDICTS = {
 BEYOND = 10.0  # ratio beyond which a row is drawn at the border, likewise below 1 / BEYOND
 
 
-def reproduction_figures(numbers: Sequence[Mapping[str, Any]]) -> list[tuple[str, np.ndarray]]:
+def reproduction_figures(numbers: Sequence[Mapping[str, Value]]) -> list[tuple[str, np.ndarray]]:
     """One picture for each paper, as pairs of caption and axes.
 
     numbers: rows of `reproduction.reproduce`, as dictionaries
@@ -38,7 +41,7 @@ def reproduction_figures(numbers: Sequence[Mapping[str, Any]]) -> list[tuple[str
 
 
 def printed_and_ours(
-    rows: Sequence[Mapping[str, Any]], *, title: str = "", ax: Any = None
+    rows: Sequence[Mapping[str, Value]], *, title: str = "", ax: np.ndarray | None = None
 ) -> np.ndarray:
     """The numbers of a paper and ours, row by row; two axes with a common list of rows.
 
@@ -56,7 +59,7 @@ def printed_and_ours(
     return axes
 
 
-def numbers_of_paper(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figure:
+def numbers_of_paper(rows: Sequence[Mapping[str, Value]], title: str = "") -> Figure:
     """What `printed_and_ours` draws; under the pointer stands how a row was read and judged."""
     from ..scenarios.reproduction import MET, SHAPE
 
@@ -74,13 +77,16 @@ def numbers_of_paper(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figu
         "open because": [row.get("reason") or "–" for row in rows],
     }
 
-    def points(x, which, mark: str, **look: Any) -> Curve:
+    def points(x, which, mark: str, name: str, colour: str, size: float, filled=True) -> Curve:
         """The rows that are chosen, as marks."""
         tips = {name: [of[i] for i in np.flatnonzero(which)] for name, of in told.items()}
-        return Curve(x[which], at[which], "", mark=mark, tips=tips, **look)
+        return Curve(
+            x[which], at[which], "", mark=mark, size=size, filled=filled,
+            name=name, colour=colour, tips=tips,
+        )  # fmt: skip
 
     left: list[Layer] = [
-        points(printed, which, mark, name=name, filled=False, colour=BLACK)
+        points(printed, which, mark, name, BLACK, 6, filled=False)
         for which, mark, name in ((~bound, "o", "printed"), (bound, "<", "printed as a bound"))
         if which.any()
     ]
@@ -94,12 +100,12 @@ def numbers_of_paper(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figu
         which = np.array([row["verdict"] == verdict for row in rows], bool)
         if which.any():
             positive = which & (ours > 0) & np.isfinite(ours)
-            gap, look = np.full(positive.sum(), np.nan), {"size": 5, "colour": colour}
+            gap, name = np.full(positive.sum(), np.nan), f"ours, {verdict}"
             ends = (printed[positive], ours[positive], gap), (at[positive], at[positive], gap)
-            links = (np.stack(of, axis=1).ravel() for of in ends)
-            left.append(Curve(*links, width=0.8, colour=colour))
-            left.append(points(ours, positive, mark, name=f"ours, {verdict}", **look))
-            right.append(points(drawn, which, mark, name=f"ours, {verdict}", **look))
+            x, y = (np.stack(of, axis=1).ravel() for of in ends)
+            left.append(Curve(x, y, width=0.8, colour=colour))
+            left.append(points(ours, positive, mark, name, colour, 5))
+            right.append(points(drawn, which, mark, name, colour, 5))
     rows_down = Axis(names=told["row"], ends=(len(rows) - 0.4, -0.6))
     over = Axis("ours / printed", log=True, ends=(0.8 / BEYOND, 1.25 * BEYOND))
     along = Axis("number, in the unit of its row", log=True)
@@ -113,20 +119,20 @@ def numbers_of_paper(rows: Sequence[Mapping[str, Any]], title: str = "") -> Figu
     )  # fmt: skip
 
 
-def _number(row: Mapping[str, Any], which: str) -> str:
+def _number(row: Mapping[str, Value], which: str) -> str:
     """A number with its unit; with all digits beside one of other software."""
     digits = 9 if row.get("agreement") is not None else 4
     return f"{row[which]:.{digits}g} {row['unit']}".rstrip()
 
 
-def label_of(row: Mapping[str, Any]) -> str:
+def label_of(row: Mapping[str, Value]) -> str:
     """The name of a row: scheme, trial, quantity with unit, and the options that differ."""
     at = f", trial {row['trial']}" if row["trial"] else ""
     unit = f" [{row['unit']}]" if row["unit"] else ""
     return f"{row['scheme']}{at}, {row['quantity'].replace('_', ' ')}{unit}{options_of(row)}"
 
 
-def options_of(row: Mapping[str, Any]) -> str:
+def options_of(row: Mapping[str, Value]) -> str:
     """The options of a row that differ within its paper, each after a comma."""
     return "".join(
         f", {value:g} Hz" if name == "frequency" else f", {name} {value}"

@@ -18,7 +18,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from rich.table import Table
@@ -27,9 +27,13 @@ from ..runtime.provenance import describe, environment
 from ..storage.files import atomically
 
 if TYPE_CHECKING:
+    from jinja2 import Template
+
+    from ..pytree.aliases import Value
     from ..scenarios import Scenario
     from .description import Figure
     from .page import Live
+    from .paper import Drawing
 
 NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
@@ -40,7 +44,7 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 LIVE_POLICY = f"{POLICY}; script-src 'unsafe-inline' 'unsafe-eval'"
 
 Rows = tuple[str, Sequence[Mapping[str, object]]]
-Drawing = Any  # a file, or axes, or an array of axes of one figure
+Picture: TypeAlias = "str | Path | Drawing"
 
 
 class Said(Protocol):
@@ -78,14 +82,14 @@ class Page(NamedTuple):
     title: str
     asked: Mapping[str, object]
     tables: Sequence[Table | Rows] = ()
-    figures: Sequence[Drawing | tuple[str, Drawing]] = ()
+    figures: Sequence[Picture | tuple[str, Picture]] = ()
     configuration: Mapping[str, object] | None = None
     notes: Mapping[str, Sequence[str]] | None = None
     verdict: Said | None = None
     live: Sequence[Live] = ()
 
 
-def html_report(title: str, asked: Mapping[str, object], *parts: Any, **named: Any) -> str:
+def html_report(title: str, asked: Mapping[str, object], *parts: Value, **named: Value) -> str:
     """The page as text; its arguments are those of `Page`.
 
     Raises ValueError naming a figure that is neither PNG nor SVG, and FileNotFoundError for a file
@@ -123,7 +127,7 @@ def fragment(
     verdict: Said,
     tables: Sequence[Table],
     lines: Sequence[str],
-    figures: Sequence[tuple[str, Drawing]],
+    figures: Sequence[tuple[str, Picture]],
 ) -> str:
     """Verdict, tables, lines and figures as a part of a page, for a notebook."""
     return _template("fragment").render(
@@ -136,7 +140,7 @@ def fragment(
     )
 
 
-def _template(name: str) -> Any:
+def _template(name: str) -> Template:
     """A layout, in which every text is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -189,9 +193,12 @@ def _embedded(live: Sequence[Live]) -> tuple[str, Sequence[str]]:
     return script.replace("]]>", "]] >") + spoken(), places
 
 
-def _pictures(figures: Sequence[Any], room: float) -> tuple[list[dict[str, str]], list[str]]:
+def _pictures(
+    figures: Sequence[Picture | tuple[str, Picture]], room: float
+) -> tuple[list[dict[str, str]], list[str]]:
     """The pictures with their captions, as long as they fit, and the captions of the others."""
-    found, left_out = [], []
+    found: list[dict[str, str]] = []
+    left_out: list[str] = []
     for one in figures:
         caption, drawing = one if isinstance(one, tuple) else (_caption_of(one), one)
         kind, data = _picture(drawing)
@@ -204,7 +211,7 @@ def _pictures(figures: Sequence[Any], room: float) -> tuple[list[dict[str, str]]
     return found, left_out
 
 
-def _caption_of(drawing: Any) -> str:
+def _caption_of(drawing: Picture) -> str:
     """The caption of a drawing without one: the name of its file in words, or the axes' title."""
     if isinstance(drawing, str | Path):
         return Path(drawing).stem.replace("-", " ")
@@ -228,7 +235,7 @@ def command_report(
     path: str | Path | None,
     command: str,
     tables: Sequence[Table | Rows],
-    figures: Sequence[Drawing] = (),
+    figures: Sequence[Picture | tuple[str, Picture]] = (),
     *,
     scenario: Scenario | None = None,
     configuration: Mapping[str, object] | None = None,
@@ -286,12 +293,12 @@ def command_report(
     ]
 
 
-def _drawing(figure: Drawing | tuple[str, Drawing]) -> Drawing:
+def _drawing(figure: Picture | tuple[str, Picture]) -> Picture:
     """The drawing of a figure with or without a caption."""
     return figure[1] if isinstance(figure, tuple) else figure
 
 
-def _suffix(figure: Drawing | tuple[str, Drawing]) -> str:
+def _suffix(figure: Picture | tuple[str, Picture]) -> str:
     """The ending of the file of a figure, empty for axes."""
     drawing = _drawing(figure)
     return Path(drawing).suffix if isinstance(drawing, str | Path) else ""
@@ -307,7 +314,7 @@ def _versions() -> dict[str, object]:
     )
 
 
-def _picture(drawing: Drawing) -> tuple[str, bytes]:
+def _picture(drawing: Picture) -> tuple[str, bytes]:
     """The media type and the bytes of a file or of axes."""
     if isinstance(drawing, str | Path):
         kind = MEDIA.get(Path(drawing).suffix)
@@ -319,7 +326,7 @@ def _picture(drawing: Drawing) -> tuple[str, bytes]:
     return MEDIA[".png"], file.getvalue()
 
 
-def _first(axes) -> Any:
+def _first(axes: Drawing) -> Drawing:
     return np.ravel(axes)[0]
 
 
@@ -335,7 +342,7 @@ def _text_rows(values: Mapping[str, object]) -> dict[str, str]:
     return {_text_of(str(name)): _text_of(_value(value)) for name, value in values.items()}
 
 
-def _flat(value: Any, path: str = "") -> list[tuple[str, object]]:
+def _flat(value: object, path: str = "") -> list[tuple[str, object]]:
     """Nested settings as pairs of a path and a value."""
     if isinstance(value, Mapping):
         return [
@@ -350,7 +357,7 @@ def _flat(value: Any, path: str = "") -> list[tuple[str, object]]:
     return [(path, value)]
 
 
-def _of_rich(table: Table) -> dict[str, Any]:
+def _of_rich(table: Table) -> dict[str, object]:
     """The caption, the headers, which columns hold numbers, and the rows of a table."""
     rows = zip(*([_plain(cell) for cell in column.cells] for column in table.columns), strict=True)
     return {
@@ -361,7 +368,7 @@ def _of_rich(table: Table) -> dict[str, Any]:
     }
 
 
-def _of_rows(caption: str, rows: Sequence[Mapping[str, object]]) -> dict[str, Any]:
+def _of_rows(caption: str, rows: Sequence[Mapping[str, object]]) -> dict[str, object]:
     names = list(dict.fromkeys(name for row in rows for name in row))
     return {
         "caption": _text_of(caption),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_hex, to_rgba, to_rgba_array
@@ -61,7 +60,7 @@ def darken(figure) -> None:
 
 def _change(get, set_) -> None:
     """Make the colour of an artist light if it is a grey, and lighter where it is not seen."""
-    colours: Any = get()
+    colours = get()
     if colours is None or (isinstance(colours, str) and colours in ("none", "auto")):
         return
     found = to_rgba_array(colours)

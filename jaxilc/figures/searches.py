@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .description import Axis, Band, Curve, Figure, Layer, Panel, Rule
+from .description import Axis, Band, Curve, Figure, Layer, Panel, Rule, Tips
 from .paper import drawn
 from .style import BLACK, COLOURS, DASHES, GREY, MARKS, colour_of, limits_of
 from .units import written
 
 if TYPE_CHECKING:
-    from ..tuning.problem import Tuned
     from ..tuning.trade_off import Point
+    from ..tuning.weights import Tuned
     from ..tuning.worst_case import Search
 
 NEAR = (0.12, 0.06)  # shares of the axes within which two points have one label
@@ -31,15 +31,19 @@ def loss_by_step(tuned: Tuned, *, name: str = "loss") -> Figure:
 
     name: what the loss is, such as "mean of log-final"
     """
-    look: dict[str, Any] = {"name": "held-out machines", "colour": COLOURS[1], "mark": "o"}
     layers: list[Layer] = [
         Curve(range(len(tuned.loss)), tuned.loss.T, name="machines tuned on", width=0.8, alpha=0.8)
     ]
     for losses in tuned.held_out.T:
         at = np.flatnonzero(np.isfinite(losses))
-        layers.append(Curve(at, losses[at], dash="--", width=0.5, size=3, **look))
-    look = {"mark": "*", "size": 10, "name": "chosen", "colour": BLACK}
-    layers.append(Curve([tuned.step], [tuned.after], dash="", **look))
+        layers.append(
+            Curve(at, losses[at], dash="--", width=0.5, mark="o", size=3,
+                  name="held-out machines", colour=COLOURS[1])
+        )  # fmt: skip
+    chosen = Curve(
+        [tuned.step], [tuned.after], dash="", mark="*", size=10, name="chosen", colour=BLACK
+    )
+    layers.append(chosen)
     panel = Panel(Axis("step", whole=True), Axis(name), layers, "loss by step of the tuning")
     held = limits_of(panel.heights())
     wide = held is not None and np.min(tuned.loss) > 0 and held[1] > WIDE * held[0]
@@ -54,7 +58,7 @@ def worst_against_chance(
     nominal: float,
     metric: str = "",
     unit: str = "",
-    machines: Mapping[str, Mapping[str, Any]] | None = None,
+    machines: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Figure:
     """A search for the worst machine: the metric of drawn machines and the result of each search.
 
@@ -82,8 +86,9 @@ def worst_against_chance(
             colour, dash = looks[i and 1 + (i - 1) % len(COLOURS)]
             tips = {path: [of] for path, of in (machines or {}).get(name, {}).items()}
             said = f"{name}: {written(value, unit, 4)}"
-            look: dict[str, Any] = {"dash": dash, "name": said, "colour": colour}
-            layers.append(Rule(value, "x", width=1.4, tips=tips, **look))
+            layers.append(
+                Rule(value, "x", width=1.4, tips=tips, dash=dash, name=said, colour=colour)
+            )
     held = limits_of([*drawn, *values.values()], pad=1.05)
     log = held is not None and held[1] > 3 * held[0]
     across = Axis(metric, unit, log=log, ends=held if log else None)
@@ -103,17 +108,20 @@ def worst_by_effort(searches: Mapping[str, Search], *, metric: str = "", unit: s
     searches: of a `WorstMachine`
     metric, unit: name and unit of what is large
     """
-    layers, word = [], metric.replace("_", " ")
+    word = metric.replace("_", " ")
+    layers: list[Layer] = []
     for i, (name, one) in enumerate(searches.items()):
         course = np.asarray(one.course)
         changed = np.flatnonzero(np.diff(course, prepend=-np.inf, append=np.nan))
         at = np.unique([*changed[changed < len(course)], len(course) - 1])
-        look: dict[str, Any] = {"colour": colour_of(i), "dash": DASHES[i % len(DASHES)]}
         spent = one.case.evaluations / len(course) * (at + 1)
-        layers.append(Curve(spent, course[at], mark="o", size=4, steps=True, name=name, **look))
-    spent = Axis("evaluations of the learning", log=True)
+        layers.append(
+            Curve(spent, course[at], mark="o", size=4, steps=True, name=name, colour=colour_of(i),
+                  dash=DASHES[i % len(DASHES)])
+        )  # fmt: skip
+    along = Axis("evaluations of the learning", log=True)
     return Figure(
-        [Panel(spent, Axis(metric, unit), layers)],
+        [Panel(along, Axis(metric, unit), layers)],
         f"The largest {word} that each search has found so far, against the evaluations of the "
         "learning that it has spent; a gradient counts as three more.",
     )
@@ -138,20 +146,21 @@ def pareto_front(
     points = sorted(points, key=lambda p: p.first)
     xs, ys = [p.first for p in points], [p.second for p in points]
 
-    def tips_of(shares: Sequence[float | None]) -> dict[str, Any]:
+    def tips_of(shares: Sequence[float | None]) -> dict[str, list[float]]:
         of = [dict((weights or {}).get(share, {})) for share in shares]
         return {name: [one.get(name, np.nan) for one in of] for name in (of[0] if of else ())}
 
     shares = [p.share for p in points]
-    tips = {"share of the first": shares, **tips_of(shares)}
+    tips: Tips = {"share of the first": shares, **tips_of(shares)}
     name = "tuned; beside: share of the first"
     layers: list[Layer] = [
         Curve(xs, ys, mark="o", steps=True, texts=_shares_beside(points), tips=tips, name=name)
     ]
     if given is not None:
-        look: dict[str, Any] = {"mark": "o", "filled": False, "colour": COLOURS[1]}
-        here, tips = ([x] for x in given), tips_of([None])
-        layers.append(Curve(*here, dash="", tips=tips, name="given", **look))
+        layers.append(
+            Curve([given[0]], [given[1]], dash="", mark="o", filled=False, colour=COLOURS[1],
+                  tips=tips_of([None]), name="given")
+        )  # fmt: skip
         xs, ys = [*xs, given[0]], [*ys, given[1]]
     along, up = Axis(first, ends=_room(xs)), Axis(second, ends=_room(ys))
     return Figure(

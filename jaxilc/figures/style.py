@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias, TypedDict
 
 import numpy as np
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.typing import ColorType
 
+Dash: TypeAlias = str | tuple[int, tuple[int, ...]]
 # Colour-blind readers can distinguish these colours.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
-DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
+DASHES: tuple[Dash, ...] = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))
 MARKS = ("s", "^", "D", "x", "P", "*", "p")  # circles are printed numbers
 BLACK, GREY, PALE = "#000000", "#737373", "#999999"
 # What has a look of its own, so that it is the same in each figure: laws before and after a tuning,
@@ -32,6 +34,17 @@ LOOKS = {
 BOUND = 11  # the mark of a printed upper bound, a caret below it
 
 
+class Style(TypedDict, total=False):
+    """Fields of a curve."""
+
+    colour: str
+    dash: Dash
+    mark: str
+    marked: tuple[int, int]
+    size: float
+    filled: bool
+
+
 def names_of(dataset: xr.Dataset) -> list[str]:
     """The names of the schemes."""
     return [str(s) for s in dataset["scheme"].values]
@@ -42,7 +55,7 @@ def colour_of(i: int) -> str:
     return COLOURS[i % len(COLOURS)]
 
 
-def style_of(i: int) -> dict[str, Any]:
+def style_of(i: int) -> Style:
     """Colour and dash of the i-th scheme; no two of the first 49 have the same."""
     return {"colour": colour_of(i), "dash": DASHES[(i + i // len(COLOURS)) % len(DASHES)]}
 
@@ -52,7 +65,8 @@ def numbers_of(names: Iterable[str]) -> list[int]:
 
     So a scheme that is drawn alone, or beside fewer others, keeps its colour.
     """
-    names, found = list(names), {}
+    names = list(names)
+    found: dict[str, int] = {}
     for name in names:
         own = LOOKS.get(name)
         if own is not None and own not in found.values():
@@ -61,7 +75,7 @@ def numbers_of(names: Iterable[str]) -> list[int]:
     return [found[name] if name in found else found.setdefault(name, next(free)) for name in names]
 
 
-def marks_of(i: int, points: int, marks: int = 8) -> dict[str, Any]:
+def marks_of(i: int, points: int, marks: int = 8) -> Style:
     """Open marks at some points of the i-th curve.
 
     Neighbouring curves have their marks at different points, so that curves that coincide are seen.
@@ -90,7 +104,7 @@ def labelled(name: str, unit: str) -> str:
     return name.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
-def readable(colour: Any, ground: Any = "white", least: float = 4.5) -> str:
+def readable(colour: ColorType, ground: ColorType = "white", least: float = 4.5) -> str:
     """A colour for text: the one given, or as much darker or lighter as the ground asks for.
 
     least: contrast of the text and its ground, (L1 + 0.05) / (L2 + 0.05) of their luminances, the
@@ -108,7 +122,7 @@ def readable(colour: Any, ground: Any = "white", least: float = 4.5) -> str:
     return to_hex(mixed)
 
 
-def luminance(colour: Any) -> float:
+def luminance(colour: ColorType) -> float:
     """The relative luminance of a colour of sRGB, from 0 to 1 (WCAG 2.2)."""
     from matplotlib.colors import to_rgb
 

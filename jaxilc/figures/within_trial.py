@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .description import TIME, Axis, Band, Curve, Figure, Layer, Panel, Shade
 from .paper import drawn
-from .style import BLACK, DASHES, PALE, shades_of
+from .style import BLACK, DASHES, PALE, Dash, shades_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -91,7 +91,8 @@ def tracking(
     called = names if len(names) > 1 and not names[0].startswith("output ") else None
     of_error = ["error" + f" of {name}" * (channels > 1) for name in names]
     of_y, of_u = (dataset[name].attrs.get("units", "") for name in ("y", "u"))
-    shaded, panels = [Shade(low, high, alpha=0.25)], []
+    shaded = [Shade(low, high, alpha=0.25)]
+    panels: list[list[Panel]] = []
     for part in (time >= time[0], (time >= low) & (time <= high)):
         at = time[part]
         r = Curve(at, _reference(dataset, *signals[0][:2])[part].T, width=3, colour=PALE)
@@ -100,8 +101,10 @@ def tracking(
             for row, values in zip(rows, (y, *(scale * e.T[..., None]), u), strict=True):
                 for i, line in enumerate(values.T):
                     which = np.flatnonzero(part[: len(line)])
-                    look = {"colour": shade, "name": _label(i, j, called), "steps": values is u}
-                    row += _signal(time[which], line[which], look | {"dash": DASHES[i % 4]})
+                    row += _signal(
+                        time[which], line[which], colour=shade, name=_label(i, j, called),
+                        steps=values is u, dash=DASHES[i % 4],
+                    )  # fmt: skip
         along = TIME._replace(ends=(at[0], at[-1]), most=3 * bool(panels))
         fits = [_fit([scale * e[part, c] for _, e, _ in signals[1:] or signals])
                 for c in range(channels)]  # fmt: skip
@@ -168,10 +171,10 @@ def contour(
     paths: list[Layer] = []
     distances: list[Layer] = []
     for (y, _), error, j, shade in zip(signals, errors, trials, shades_of(trials), strict=True):
-        look: dict[str, Any] = {"width": 0.8, "colour": shade, "name": f"trial {j}"}
-        paths.append(Curve(*(y + (m - 1.0) * np.asarray(away(y))).T, **look))
-        distances.append(Curve(arc, scale * error, **look))
-    paths.append(Curve(*path.T, width=0.8, colour=BLACK, name="path"))
+        along_x, along_y = (y + (m - 1.0) * np.asarray(away(y))).T
+        paths.append(Curve(along_x, along_y, width=0.8, colour=shade, name=f"trial {j}"))
+        distances.append(Curve(arc, scale * error, width=0.8, colour=shade, name=f"trial {j}"))
+    paths.append(Curve(path[:, 0], path[:, 1], width=0.8, colour=BLACK, name="path"))
     length, (of_x, of_y) = dataset["y"].attrs.get("units", ""), outputs_of(dataset, 2)
     if of_x.startswith("output "):
         of_x, of_y = "x", "y"
@@ -186,7 +189,7 @@ def contour(
     )  # fmt: skip
 
 
-def _signal(time, values, look: dict[str, Any]) -> list[Layer]:
+def _signal(time, values, *, colour: str, name: str, steps: bool, dash: Dash) -> list[Layer]:
     """A signal; one of many samples that is mostly noise as its band and its mean in columns.
 
     Drawn sample by sample, a signal that changes its sign all the time would be a filled bar.
@@ -196,9 +199,10 @@ def _signal(time, values, look: dict[str, Any]) -> list[Layer]:
         low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
         if np.median(high - low) > NOISY * np.ptp(values):
             mean = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
-            noise = Band(time[starts], low, high, colour=look["colour"], alpha=0.3)
-            return [noise, Curve(time[starts], mean, width=1, **look)]
-    return [Curve(time, values, width=1, **look)]
+            noise = Band(time[starts], low, high, colour=colour, alpha=0.3)
+            line = Curve(time[starts], mean, dash, 1, colour=colour, name=name, steps=steps)
+            return [noise, line]
+    return [Curve(time, values, dash, 1, colour=colour, name=name, steps=steps)]
 
 
 def _label(line: int, trial: int, names: list[str] | None) -> str:

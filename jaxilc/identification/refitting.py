@@ -44,7 +44,9 @@ class Refit(NamedTuple):
     kept: dict[str, str]
     before: float
     after: float
-    __repr__ = in_short
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
     @property
     def better(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -64,8 +64,9 @@ def certify(
     """
     request = Request.of(request)
     chosen = request.scenario()
-    about: dict[str, Any] = {"count": machines, "seed": seed, "sampling": sampling}
-    population = Population(chosen.machine, chosen.uncertainty, **about)
+    population = Population(
+        chosen.machine, chosen.uncertainty, count=machines, seed=seed, sampling=sampling
+    )
     drawn = population.drawn
     periods = of_periods(chosen, population, progress) | of_bases(chosen, population, progress)
     learning = sum(scheme.learns for scheme in chosen.schemes.values())
@@ -184,7 +185,7 @@ def certificate_numbers(of_scheme: OfScheme) -> Numbers:
         },
         "floor": float(np.max(floor[claimed])) if np.any(claimed) else None,
         "rounding": float(np.max(ball[claimed])) if rounds else None,
-        "held_by": found.ball.of[0] if rounds else None,
+        "held_by": found.ball.of[0] if found.ball is not None and np.any(claimed) else None,
         "senses": counted(found.sense[(found.sense != SURELY) & (found.claim != NOTHING)]),
         "most": float(np.max(found.most[claimed])) if np.all(known) and np.any(claimed) else None,
         "first": None if last is None and not rounds else float(np.max(found.simulated[:, 0])),
@@ -442,9 +443,7 @@ WRONG = 0.01  # relative error of a period whose price is told
 ENOUGH = 2**14  # frequencies, about
 
 
-def of_periods(
-    chosen: Scenario, population: Population, progress: Progress
-) -> dict[str, dict[str, Any]]:
+def of_periods(chosen: Scenario, population: Population, progress: Progress) -> dict[str, Numbers]:
     """The condition of each scheme of repetitive control, as numbers by its name.
 
     tracked: largest change of a period that is tracked [s per s]; None where it stays
@@ -496,9 +495,7 @@ def of_periods(
     return found
 
 
-def of_bases(
-    chosen: Scenario, population: Population, progress: Progress
-) -> dict[str, dict[str, Any]]:
+def of_bases(chosen: Scenario, population: Population, progress: Progress) -> dict[str, Numbers]:
     """What `basis_condition` tells of each `RepetitiveBasis`, as numbers by its name.
 
     map: the largest |eigenvalue| of the map of a period, on the worst machine; None where the
@@ -514,7 +511,7 @@ def of_bases(
             continue
         progress(name)
         about = {"keep": float(basis.keep), "harmonic": isinstance(basis.functions, Harmonics)}
-        told: dict[str, Any] = {"map": None, "verdict": NOT_CLAIMED, "at": {}}
+        told: Numbers = {"map": None, "verdict": NOT_CLAIMED, "at": {}}
         try:
             condition, period, at = basis_condition(population, scheme, chosen.task)
         except ValueError as error:
@@ -530,7 +527,7 @@ def _reasons(condition: Condition) -> list[str]:
     return [f"{one.name}: {one.detail}" for one in condition.broken]
 
 
-def _machines(numbers: dict[str, Any]) -> tuple[str, str]:
+def _machines(numbers: Numbers) -> tuple[str, str]:
     """On which machines a condition holds, and the numbers of the worst one, in words."""
     count = numbers["machines"]
     at = ", ".join(f"{key} = {number(value)}" for key, value in numbers["at"].items())
@@ -538,7 +535,7 @@ def _machines(numbers: dict[str, Any]) -> tuple[str, str]:
     return whose, f" on the worst ({at})" if at else ""
 
 
-def _basis_sentence(name: str, numbers: dict[str, Any]) -> str:
+def _basis_sentence(name: str, numbers: Numbers) -> str:
     """The content of `of_bases` for one scheme, in words."""
     whose, worst = _machines(numbers)
     if numbers["map"] is None:
@@ -556,7 +553,7 @@ def _basis_sentence(name: str, numbers: dict[str, Any]) -> str:
     )
 
 
-def period_sentences(name: str, numbers: dict[str, Any]) -> list[str]:
+def period_sentences(name: str, numbers: Numbers) -> list[str]:
     """The content of `of_periods` or `of_bases` for one scheme, in words."""
     if "map" in numbers:
         return [_basis_sentence(name, numbers)]

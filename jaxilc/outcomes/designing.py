@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import shlex
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 from .. import figures
 from ..design import Design, LearnedLaw, feedback_among
-from ..design.candidates import Candidate
+from ..design.candidates import Absent, Candidate
 from ..design.learned import LEARNED, SAFE
+from ..pytree.aliases import Value
 from ..pytree.named_paths import get_at
 from ..scenarios.design_file import design_path, need_same_folder, write_design
 from ..storage.files import need_unused
@@ -29,8 +30,12 @@ if TYPE_CHECKING:
     from ..design.judging import Proof
     from ..design.judging import Verdict as Judged
     from ..design.question import Told
+    from ..figures.description import Figure as Description
+    from ..figures.page import Live
     from ..scenarios import Scenario
     from ..schemes import Scheme
+
+Q = TypeVar("Q")
 
 NOTHING_RECURS = (
     "The record tells nothing of how the error repeats: what is new in each trial is larger, or "
@@ -89,8 +94,8 @@ def design(
         lines = recurs(within, repeats) or [NOTHING_RECURS]
         say(lines[0])
     place = folder or Path("out") / f"design-{chosen.name}"
-    question = Design(
-        **about(chosen), laws=tuple(laws), tolerance=chosen.look["tolerance"], margin=margin,
+    question = asked_of(
+        Design, chosen, laws=tuple(laws), tolerance=chosen.look["tolerance"], margin=margin,
         machines=machines, steps=steps, seed=seed,
     )  # fmt: skip
     state = state_of(place, force=force, resume=resume)
@@ -104,6 +109,7 @@ def design(
         laws_found = [one.candidate.scheme for one in ranked]
         further = following(chosen, within, laws_found, progress)
         numbers |= within_numbers(within) | {"following": further.numbers}
+    shown, live = of_judged(state, chosen, "design", "The errors by trial of the laws")
     return Outcome(
         command="design",
         numbers=numbers,
@@ -116,7 +122,8 @@ def design(
         if best is None
         else written(request, target, best.verdict.candidate, said, further.schemes),
         failed="" if best else "no law is recommended, and no plant file was written",
-        **of_judged(state, chosen, "design", "The errors by trial of the laws"),
+        figures=shown,
+        live=live,
     )
 
 
@@ -125,20 +132,20 @@ def _told(chosen: Scenario, steps: int, progress: Progress, say: Progress) -> To
     safe, done = [], {}
     progress("responses of all machines")
 
-    def told(stage: str, what: Any) -> None:
-        if stage == "safe":
+    def told(stage: str, what: object) -> None:
+        if stage == "safe" and isinstance(what, Candidate | Absent):
             progress(f"frequency: {what.name}")
             if isinstance(what, Candidate):
                 safe.append(what.name)
                 if len(safe) == 1:
                     say(_first_answer(chosen, what))
-        elif stage == "tuning":
+        elif stage == "tuning" and isinstance(what, tuple):
             name, done[name], _ = what
             laws = {*safe, *done}
             progress(f"tuning {name}", sum(done.values()), steps * len(laws))
         elif stage == "judging":
             progress(f"judging on {what} machines")
-        elif stage == "proving":
+        elif stage == "proving" and isinstance(what, Candidate):
             progress(f"certifying {what.name}")
 
     return told
@@ -180,17 +187,14 @@ def state_of(folder: Path, *, force: bool, resume: bool) -> Path:
     return state
 
 
-def about(chosen: Scenario) -> dict[str, Any]:
-    """The arguments of a question of `jaxilc.design` that follow from a plant file."""
-    return {
-        "machine": chosen.machine,
-        "task": chosen.task,
-        "trials": chosen.trials,
-        "uncertainty": chosen.uncertainty,
-        "feedback": feedback_among(chosen.schemes),
-        "metric": chosen.judged_by,
-        "highest": math.inf if chosen.potential is None else chosen.potential.cutoff,
-    }
+def asked_of(question: Callable[..., Q], chosen: Scenario, **settings: Value) -> Q:
+    """A question of `jaxilc.design` on a plant file, with further settings of it."""
+    return question(
+        machine=chosen.machine, task=chosen.task, trials=chosen.trials,
+        uncertainty=chosen.uncertainty, feedback=feedback_among(chosen.schemes),
+        metric=chosen.judged_by,
+        highest=math.inf if chosen.potential is None else chosen.potential.cutoff, **settings,
+    )  # fmt: skip
 
 
 def written(
@@ -207,16 +211,16 @@ def written(
     return [write_design(target, request.source, {law.name: law.scheme, **(beside or {})}, said)]
 
 
-def of_judged(state: Path, chosen: Scenario, name: str, what: str) -> dict[str, Any]:
-    """The figure of the sweep that judged, and the interactive one, as arguments of an outcome."""
+def of_judged(
+    state: Path, chosen: Scenario, name: str, what: str
+) -> tuple[dict[str, Figure], Callable[[], Sequence[Description | Live | None]]]:
+    """The figure of the sweep that judged by its name, and the interactive one."""
     if not (store := state / "sweep.zarr").exists():
-        return {}  # where nothing was judged
+        return {}, tuple  # where nothing was judged
     judged = open_dataset(store)
     caption = f"{what} over machines that no step has seen."
-    return {
-        "figures": {name: Figure(caption, partial(figures.error_band, judged, **chosen.look))},
-        "live": partial(live_store, chosen, judged),
-    }
+    draw = partial(figures.error_band, judged, **chosen.look)
+    return {name: Figure(caption, draw)}, partial(live_store, chosen, judged)
 
 
 def size_of(chosen: Scenario, value: float) -> str:
@@ -315,10 +319,10 @@ def _with_weights(what: Candidate, chosen: Scenario) -> str:
     return ", ".join(filter(None, (*said, f"lead = {lead} samples" if lead else "")))
 
 
-def _lead(scheme: Any) -> int:
+def _lead(scheme: Scheme | None) -> int:
     while scheme is not None:
-        if hasattr(scheme, "lead"):
-            return int(scheme.lead)
+        if (lead := getattr(scheme, "lead", None)) is not None:
+            return int(lead)
         scheme = getattr(scheme, "learning", None) or getattr(scheme, "scheme", None)
     return 0
 
@@ -403,7 +407,7 @@ def _numbers(chosen: Scenario, designed: Designed) -> Numbers:
     """Every number of a design, as JSON."""
     scale, best = chosen.shown(chosen.judged_by)[0], designed.chosen
 
-    def of(one: Judged) -> dict[str, Any]:
+    def of(one: Judged) -> Numbers:
         law = one.candidate
         return {
             "law": law.name,
@@ -476,39 +480,30 @@ def learn_law(
     chosen = request.machine_to_design()
     place = folder or Path("out") / f"learn-law-{chosen.name}"
     scale = chosen.shown(chosen.judged_by)[0]
-    question = LearnedLaw(
-        **about(chosen),
-        taps=taps,
-        start=start,
-        starts=_samples(segments, float(chosen.task.dt)),
-        coupled=coupled,
-        limit=limit,
+    question = asked_of(
+        LearnedLaw, chosen, taps=taps, start=start,
+        starts=_samples(segments, float(chosen.task.dt)), coupled=coupled, limit=limit,
         objective=None if objective is None else objective_of(objective, chosen.judged_by, scale),
-        risk=combined,
-        margin=margin,
-        trained_on=trained_on,
-        held_out=trained_on,
-        machines=machines,
-        steps=steps,
-        seed=seed,
-        quantities=chosen.functions,
-    )
+        risk=combined, margin=margin, trained_on=trained_on, held_out=trained_on, machines=machines,
+        steps=steps, seed=seed, quantities=chosen.functions,
+    )  # fmt: skip
     state = state_of(place, force=force, resume=resume)
     learned = question.run(state, resume=resume, told=_law_told(steps, progress, say))
     said = _law_sentences(chosen, learned)
-    judged = of_judged(state, chosen, "learning", "The errors by trial") if learned.verdicts else {}
+    shown, live = (
+        of_judged(state, chosen, "learning", "The errors by trial")
+        if learned.verdicts
+        else ({}, tuple)
+    )
     law = {} if learned.passed is None else {"law": _law_figure(chosen, learned)}
     return Outcome(
-        command="learn-law",
-        numbers=_law_numbers(chosen, learned),
-        verdict=_verdict(learned, said, request, target),
-        folder=place,
-        scenario=chosen,
+        command="learn-law", numbers=_law_numbers(chosen, learned),
+        verdict=_verdict(learned, said, request, target), folder=place, scenario=chosen,
         tables=[_law_table(chosen, learned)] if learned.verdicts else [],
         kept=written(request, target, learned.law, said) if learned.law else (),
         failed="" if learned.law else "the law is refused, and no plant file was written",
-        **judged | {"figures": law | judged.get("figures", {})},
-    )
+        figures=law | shown, live=live,
+    )  # fmt: skip
 
 
 def _samples(times: Sequence[float], dt: float) -> tuple[int, ...]:
@@ -522,13 +517,13 @@ def _samples(times: Sequence[float], dt: float) -> tuple[int, ...]:
 def _law_told(steps: int, progress: Progress, say: Progress) -> Told:
     """What the learning of a law tells of its course, as progress and as a sentence."""
 
-    def told(stage: str, what: Any) -> None:
+    def told(stage: str, what: object) -> None:
         if stage == "safe" and isinstance(what, Candidate):
             progress(f"frequency: {what.name}")
         elif stage == "found":
             follow = f"; {steps} steps through learning follow" if steps else ""
             say(f"The taps by frequency response are found{follow}.")
-        elif stage == "tuning":
+        elif stage == "tuning" and isinstance(what, tuple):
             step, loss = what
             progress(f"learning, loss {loss:.4g}", step, steps)
         elif stage in ("gate", "proving", "judging"):

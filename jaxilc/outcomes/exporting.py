@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..pytree.aliases import Tree
 from ..pytree.named_paths import named_leaves
 from ..storage.files import atomically
 from ..storage.sealed import as_json, write_json
@@ -145,7 +146,7 @@ def trials_of_test(law: Law) -> list[np.ndarray]:
 
 def _chosen(
     request: Request | str | None, state: str | Path | None
-) -> tuple[Scenario, str, Any, dict[str, Any]]:
+) -> tuple[Scenario, str, Tree, Numbers]:
     """The scenario, the name of the scheme, the memory, and what a campaign keeps."""
     if state is not None:
         from ..scenarios.campaigns import Given, open_campaign
@@ -212,9 +213,9 @@ def _claimed(chosen: Scenario, name: str, machines: int, seed: int) -> Numbers:
     }
 
 
-def _weights(scheme: Any) -> dict[str, Any]:
+def _weights(scheme: Tree) -> Numbers:
     """The weights by their paths; of long ones the shape."""
-    found = {}
+    found: Numbers = {}
     for path, value in named_leaves(scheme).items():
         array = np.asarray(value)
         found[path] = array.tolist() if array.size <= 8 else f"{array.shape} numbers"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,15 +19,18 @@ from ..theory.loop import responses
 from ..theory.on_lines import Lines
 from ..theory.q_filter import PLaw, lines_of, with_law
 from ..tuning.synthesis import synthesised
-from ..uncertainty import Uniform, check
+from ..uncertainty import Uncertainty, Uniform, check
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
 from .words import number
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from ..scenarios import Scenario
     from ..schemes import Scheme
-    from ..theory.q_filter import Curves, MeasuredQuestion, Offer, Question, RecordTest
+    from ..theory.on_lines import Curves
+    from ..theory.q_filter import MeasuredQuestion, Offer, Question, RecordTest
 
 ORDER = 2  # of one pass of the filter of a measured law
 LINES_A_TAP = 4  # of the grid on which filters are synthesised
@@ -69,12 +72,15 @@ def filter_(
     _check(margin, machines)
     chosen = _varied(request, vary)
     place = folder or Path("out") / f"filter-{chosen.name}"
-    how = {"machines": machines, "sampling": sampling, "seed": seed}
+    ask = partial(
+        q_filter.question, chosen.machine, task=chosen.task, uncertainty=chosen.uncertainty,
+        machines=machines, sampling=sampling, seed=seed,
+    )  # fmt: skip
     answers: dict[str, Outcome] = {}
     refused = []
     for done, (name, scheme) in enumerate(chosen.schemes.items()):
         progress(name, done, len(chosen.schemes))
-        asked = _Asked(request.source, chosen, name, scheme, how, margin, taps, band, place)
+        asked = _Asked(request.source, chosen, name, scheme, ask, margin, taps, band, place)
         try:
             answers[name] = _scheme_answer(asked)
         except ValueError as error:
@@ -215,24 +221,17 @@ def _share(text: str) -> tuple[str, float]:
 
 
 class _Asked(NamedTuple):
-    """What is asked of one scheme; `how` says which machines are drawn."""
+    """What is asked of one scheme; `question` asks it of the machines that are drawn."""
 
     source: str
     chosen: Scenario
     name: str
     scheme: Scheme
-    how: dict[str, Any]
+    question: Callable[[Scheme], tuple[Question, Lines]]
     margin: float
     taps: int | None
     band: float | None
     folder: Path
-
-    def question(self, scheme: Scheme) -> tuple[Question, Lines]:
-        """The question for a scheme on these machines."""
-        chosen = self.chosen
-        return q_filter.question(
-            chosen.machine, scheme, chosen.task, chosen.uncertainty, **self.how
-        )
 
     def write(self, what: str, name: str, scheme: Scheme) -> tuple[Path, bool]:
         """Write a plant file with a scheme, and say whether a command can take it."""
@@ -375,7 +374,7 @@ def _scheme_numbers(answered: Question, offered: Sequence[Offer], scale: float) 
 
 def _scheme_synthesised(
     asked: _Asked, taps: int, answered: Question, inner: Lines, best: Offer | None
-) -> tuple[dict[str, Any], str, Curves]:
+) -> tuple[Numbers, str, Curves]:
     """Synthesise filters, test them, and write them: numbers, sentence and curves."""
     chosen, tried = asked.chosen, answered.tried
     dt = float(chosen.task.dt)
@@ -502,7 +501,7 @@ def _records_synthesised(
     taps: int,
     band: float | None,
     margin: float,
-) -> tuple[dict[str, Any], str]:
+) -> tuple[Numbers, str]:
     """Synthesise filters on the lines and write their table: numbers and a sentence."""
     best = _best_of(answered.offers)
     furthest = min(float(one.f[-1]) for one in lines)
@@ -548,7 +547,7 @@ def _changes_said(one: Offer) -> str:
     return ", ".join(parts) or "–"
 
 
-def _settings_of(values: Mapping[str, Any], before: str = "") -> list[str]:
+def _settings_of(values: Mapping[str, ArrayLike], before: str = "") -> list[str]:
     """Values as `--set` takes them."""
     return [f"{before}{path}={_plain(value)}" for path, value in values.items()]
 
@@ -605,7 +604,7 @@ def _curve_numbers(curves: Curves) -> dict[str, list[float]]:
     return lists | {"Q": np.abs(curves.Q).tolist(), "LP": np.abs(curves.LP).tolist()}
 
 
-def _intervals_said(uncertainty: Mapping[str, Any]) -> str:
+def _intervals_said(uncertainty: Uncertainty) -> str:
     """The uncertainty in words, as `plant.gain ±15 %`."""
     parts = []
     for name, d in uncertainty.items():
@@ -619,7 +618,7 @@ def _intervals_said(uncertainty: Mapping[str, Any]) -> str:
     return " and ".join(parts)
 
 
-def _machine_said(at: Mapping[str, float], uncertainty: Mapping[str, Any]) -> str:
+def _machine_said(at: Mapping[str, float], uncertainty: Uncertainty) -> str:
     """The numbers of a machine in words; relative ones as factors."""
     return ", ".join(
         f"{name} {'x ' if uncertainty[name].relative else '= '}{value:.4g}"

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -29,10 +29,12 @@ from ..identification.grown_response import (
 from ..identification.not_linear import friction_of, suspicions
 from ..identification.not_linear import sentences as of_suspicions
 from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, read_record_file
+from ..identification.records import Record
 from ..identification.refitting import Refit, beyond_nyquist, held_out, refit
 from ..identification.sentences import NOT_WHITE, on_lines, sentence
 from ..identification.sentences import verdict as sentences_on
 from ..plants import ProcessModel
+from ..pytree.aliases import Value
 from ..scenarios.campaigns import Given, Opened, open_campaign
 from ..scenarios.file_plant import is_response
 from ..scenarios.identified_file import write_plant_file, write_refitted
@@ -42,11 +44,14 @@ from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 
 if TYPE_CHECKING:
     from ..figures.description import Figure as Description
-    from ..identification import Grown, Identified, Order, Record
+    from ..figures.paper import Drawing
+    from ..identification import Grown, Identified, Order
+    from ..identification.record_files import RecordFile
     from ..plants import Plant
     from ..scenarios import Scenario
 
 
+Draw: TypeAlias = "dict[str, Callable[[], Drawing]]"
 ANY = "any"  # zeros, of a model that has as many as its poles allow
 SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
 AS_GOOD = 6.0  # of the criterion, by which it may be larger
@@ -74,7 +79,7 @@ CAPTIONS = {
 def identify(
     record: str | Path,
     *,
-    reading: Reading | Mapping[str, Any] | None = None,
+    reading: Reading | Mapping[str, Value] | None = None,
     validate: Path | None = None,
     plant_file: Path | None = None,
     folder: Path | None = None,
@@ -99,15 +104,13 @@ def identify(
         )
     progress("fitting")
     of = _of_response if of_lines else _of_record
-    fitted, closed = of(record, asked, progress), []
-    if not of_lines:
-        fitted, closed = _of_loop(record, asked, fitted)
+    fitted, closed = _of_loop(record, asked, of(record, asked, progress))
     found = fitted.found
     lines, has_law = sentences_on(found, fitted.dt) + closed, True
     said, suspected, of_friction = _not_linear(fitted)
     lines += said
     figures_of = {n: Figure(CAPTIONS[n], draw, live=True) for n, draw in fitted.draw.items()}
-    second: dict[str, Any] = {}
+    second: Numbers = {}
     if validate is not None:
         said, second, figures_of["second"] = _on_second(Path(validate), asked, fitted)
         lines += said
@@ -117,34 +120,31 @@ def identify(
         lines.append(of_law)
     sound = {"white": bool(found.white), "converged": bool(found.converged), **fitted.structure}
     return Outcome(
-        command="identify",
-        numbers=numbers_of(found) | sound | suspected | second,
+        command="identify", numbers=numbers_of(found) | sound | suspected | second,
         verdict=Verdict(tuple(lines), *_next(record, asked, fitted, plant_file, has_law)),
-        folder=folder or Path("out") / "identify",
-        tables=[*fitted.tables, *of_friction],
-        lines=fitted.lines,
-        figures=figures_of,
-        kept=[plant_file] if plant_file is not None else [],
+        folder=folder or Path("out") / "identify", tables=[*fitted.tables, *of_friction],
+        lines=fitted.lines, figures=figures_of, kept=[plant_file] if plant_file is not None else [],
         live=partial(live_of, fitted.measured, found, fitted.dt, fitted.units),
         asked=fitted.structure,
-    )
+    )  # fmt: skip
 
 
 def _of_loop(path: Path, asked: Reading, fitted: Fitted) -> tuple[Fitted, list[str]]:
     """The fit without the bias of a feedback, where one is seen and the reference is recorded."""
     record, found, (into, of) = fitted.measured, fitted.found, fitted.units
+    if not isinstance(record, Record):
+        return fitted, []
     y = np.reshape(record.y, (len(record.y), -1))
     one = y.shape[1] == np.ndim(np.atleast_1d(record.u[0])) == 1
     if not one or not feedback_seen(record, y - found.simulated):
         return fitted, []
     try:
-        how: dict[str, Any] = asked.of_record | {"input": REFERENCE}
-        reference = read_record_file(path, dt=asked.dt, **how).record.u
+        reference = asked._replace(input=REFERENCE).of_record(path).record.u
     except ValueError:
         return fitted, [UNKNOWN_REFERENCE]
     found = identification.identify(of_reference(record, reference), found.plant)
     draw = partial(figures.validation_figure, record, found, output_unit=of, unit=of)
-    by_loop = {"record": fitted.draw["record"], "validation": draw}
+    by_loop: Draw = {"record": fitted.draw["record"], "validation": draw}
     if "response" in fitted.draw:
         by_loop["response"] = partial(
             figures.response_figure, found, record.dt, input_unit=into, output_unit=of
@@ -153,10 +153,10 @@ def _of_loop(path: Path, asked: Reading, fitted: Fitted) -> tuple[Fitted, list[s
     return fitted._replace(found=found, draw=by_loop, tables=tables), [OF_REFERENCE]
 
 
-def _not_linear(fitted: Fitted) -> tuple[list[str], dict[str, Any], list[Table]]:
+def _not_linear(fitted: Fitted) -> tuple[list[str], Numbers, list[Table]]:
     """What may not be linear in the machine of a record; numbers and tables."""
     record, found = fitted.measured, fitted.found
-    if found.of_response or found.plant.n_u * found.plant.n_y > 1:
+    if not isinstance(record, Record) or found.plant.n_u * found.plant.n_y > 1:
         return [], {}, []
     if fitted.grown is None:
         told, alone = suspicions(record, [found.plant]), getattr(found.plant, "order", 0)
@@ -180,15 +180,13 @@ def _not_linear(fitted: Fitted) -> tuple[list[str], dict[str, Any], list[Table]]
     return lines, numbers | {"friction": {name: value for name, value, *_ in rows}}, [table]
 
 
-def _on_second(
-    path: Path, asked: Reading, fitted: Fitted
-) -> tuple[list[str], dict[str, Any], Figure]:
+def _on_second(path: Path, asked: Reading, fitted: Fitted) -> tuple[list[str], Numbers, Figure]:
     """What a second record says of the plant: sentences, numbers and a figure."""
     if fitted.dt is None or is_response(path, asked.columns):
         raise ValueError(
             f"--validate {path} must be a record in time; a plant of a response needs --dt for it"
         )
-    record = read_record_file(path, dt=asked.dt, **asked.of_record).record
+    record = asked.of_record(path).record
     if abs(record.dt / fitted.dt - 1) > STEP_TOLERANCE:
         raise ValueError(
             f"--validate {path} has the sample time {record.dt:g} s, the plant was fitted with "
@@ -216,7 +214,7 @@ def _on_second(
     return said, {"validate": numbers}, Figure(SECOND, draw)
 
 
-def numbers_of(found: Any) -> Numbers:
+def numbers_of(found: Identified) -> Numbers:
     """The quantities that were identified, with their 95 % intervals."""
     return {
         name: {"value": value, "low": low, "high": high}
@@ -246,17 +244,18 @@ class Reading(NamedTuple):
     columns: Sequence[str] = ()
     resample: float | None = None
 
-    @property
-    def of_record(self) -> dict[str, Any]:
-        """The arguments of `read_record_file`."""
-        names = ("time", "input", "output", "time_unit", "columns", "resample")
-        return {name: getattr(self, name) for name in names}
+    def of_record(self, path: Path) -> RecordFile:
+        """A record, read as this says."""
+        return read_record_file(
+            path, dt=self.dt, time=self.time, input=self.input, output=self.output,
+            time_unit=self.time_unit, columns=self.columns, resample=self.resample,
+        )  # fmt: skip
 
     def options(self) -> str:
         """The options on reading as they are typed, each after a blank."""
         usual = {"time": "t", "input": "u", "output": "y"}
-        reading = self.of_record
-        given = {name: of for name, of in reading.items() if of and of != usual.get(name)}
+        given = {name: getattr(self, name) for name in (*usual, "time_unit", "columns", "resample")}
+        given = {name: of for name, of in given.items() if of and of != usual.get(name)}
         given |= {"columns": ",".join(self.columns)} if self.columns else {}
         given |= {"dt": self.dt, "averages": self.averages}
         return "".join(
@@ -280,29 +279,33 @@ class Fitted(NamedTuple):
     grown: what was grown, where the structure was looked for
     """
 
-    measured: Any
-    found: Any
+    measured: Record | MeasuredResponse
+    found: Identified
     dt: float | None
-    structure: dict[str, Any]
+    structure: Numbers
     tables: list[Table]
-    draw: dict[str, Callable[[], Any]]
+    draw: Draw
     units: tuple[str, str] = ("", "")
     lines: tuple[str, ...] = ()
     grown: Grown | None = None
 
 
 def live_of(
-    measured: Any, found: Any, dt: float | None, units: tuple[str, str]
+    measured: Record | MeasuredResponse,
+    found: Identified,
+    dt: float | None,
+    units: tuple[str, str],
 ) -> list[Description]:
     """A record beside its model and the Bode diagram, or a response and the one fitted to it."""
-    if found.of_response:
+    if not isinstance(measured, Record):
         return [figures.response_fit_figure.described(measured, found)]
-    by_name: dict[str, Any] = {"input_unit": units[0], "output_unit": units[1]}
+    into, of = units
     described = figures.validation_figure.described
-    shown = [described(measured, found, unit=units[1], **by_name)]
+    shown = [described(measured, found, unit=of, input_unit=into, output_unit=of)]
     plant = found.plant
     if dt is not None and plant.n_u == plant.n_y == 1:
-        shown.append(figures.response_figure.described(found, dt, **by_name))
+        of_plant = figures.response_figure.described
+        shown.append(of_plant(found, dt, input_unit=into, output_unit=of))
     return shown
 
 
@@ -310,14 +313,9 @@ def _plant_file(path: Path, fitted: Fitted, source: str) -> tuple[str, bool]:
     """Write the plant file; what its law was chosen for, and whether there is one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     law = write_plant_file(
-        path,
-        fitted.found,
-        fitted.measured,
-        dt=fitted.dt,
-        source=source,
-        units=fitted.units,
+        path, fitted.found, fitted.measured, dt=fitted.dt, source=source, units=fitted.units,
         force=True,
-    )
+    )  # fmt: skip
     if law is None:
         return NO_LAW, False
     return (
@@ -351,10 +349,10 @@ def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
     """The fit to a record, after the table of orders where the structure is to be chosen."""
     if asked.averages is not None:
         raise ValueError(f"--averages {asked.averages} is for a frequency response; {path} is none")
-    read = read_record_file(path, dt=asked.dt, **asked.of_record)
+    read = asked.of_record(path)
     lines = () if read.resampled is None else (RESAMPLED.format(dt=read.resampled),)
     record, tables, grown = read.record, [], None
-    structure: dict[str, Any] = dict(asked.structure)
+    structure: Numbers = dict(asked.structure)
     if not structure or structure["zeros"] == ANY:
         order = structure["poles"] + 2 * structure["pairs"] if structure else None
         grown = identification.grow(
@@ -367,7 +365,7 @@ def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
         structure |= {"delay": asked.delay} if asked.delay else {}
     tables.append(identification_table(str(path), found.summary()))
     into, of = read.input_units[0], read.output_units[0]
-    draw = {
+    draw: Draw = {
         "record": partial(figures.record_figure, record, input_unit=into, output_unit=of),
         "validation": partial(figures.validation_figure, record, found, output_unit=of, unit=of),
     }
@@ -379,11 +377,11 @@ def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
     return Fitted(record, found, record.dt, structure, tables, draw, units, lines, grown)
 
 
-def _grown_structure(grown: Grown) -> dict[str, Any]:
+def _grown_structure(grown: Grown) -> Numbers:
     """The options that fit the plant again: counts of a ProcessModel, else those of its parts."""
     plant, chosen = grown.found.plant, grown.chosen
-    lags, zeros = chosen.lags + chosen.integrators, ANY
-    pairs = chosen.modes
+    lags, pairs = chosen.lags + chosen.integrators, chosen.modes
+    zeros: int | str = ANY
     if isinstance(plant, ProcessModel):
         lags, pairs, zeros = (len(x) for x in (plant.poles, plant.frequencies, plant.zeros))
     late = {"delay": chosen.delay} if chosen.delay else {}
@@ -404,20 +402,20 @@ def _of_response(path: Path, asked: Reading, progress: Progress) -> Fitted:
     fixed = None if asked.delay is None else asked.delay * (asked.dt or 0.0)
     tables: list[Table] = []
     lines: tuple[str, ...] = ()
-    structure: dict[str, Any] = dict(asked.structure)
+    structure: Numbers = dict(asked.structure)
     if structure:
         found = identification.identify_response(measured, **structure, dt=asked.dt, delay=fixed)
     else:
         found, structure, tables, lines = _grown_response(measured, asked.dt, fixed, progress)
     tables.append(identification_table(str(path), found.summary()))
     structure |= {} if asked.delay is None else {"delay": asked.delay}
-    draw = {"response": partial(figures.response_fit_figure, measured, found)}
+    draw: Draw = {"response": partial(figures.response_fit_figure, measured, found)}
     return Fitted(measured, found, asked.dt, structure, tables, draw, lines=lines)
 
 
 def _grown_response(
     measured: MeasuredResponse, dt: float | None, delay: float | None, progress: Progress
-) -> tuple[Any, dict[str, Any], list[Table], tuple[str, ...]]:
+) -> tuple[Identified, Numbers, list[Table], tuple[str, ...]]:
     """The plant of the order that is chosen, its structure, the tables, and what is left.
 
     Where a gain with real zeros and poles explains the lines as well, it is the answer: it is
@@ -445,7 +443,7 @@ def _grown_response(
     return found, structure, tables, tuple(on_lines(orders, chosen, noise, known))
 
 
-def _structure(best) -> dict[str, Any]:
+def _structure(best: Order) -> Numbers:
     return {"poles": best.poles, "pairs": best.pairs, "zeros": best.zeros}
 
 
@@ -594,7 +592,9 @@ def identify_campaign(
     beyond = sorted(beyond_nyquist(found, record.dt))
     lines.append(_verdict(again, beyond, unit))
     better = again.better and not beyond
-    warnings, kept, margins = [], [], {}
+    warnings: list[str] = []
+    kept: list[Path] = []
+    margins: dict[str, float] = {}
     if not better:
         lines.append(
             "next: go on with the plant file as it is: jaxilc next --state "
@@ -666,9 +666,7 @@ def _fitted(
     plant is no start, and many others are tried.
     """
     plant = scenario.machine.plant
-    structure: dict[str, Any] = {
-        name: 1 if value is None else value for name, value in counts.items()
-    }
+    structure: Numbers = {name: 1 if value is None else value for name, value in counts.items()}
     own = delay is None and all(value is None for value in counts.values())
     if isinstance(plant, ProcessModel) and own:
         again = refit(record, plant, scenario.uncertainty)

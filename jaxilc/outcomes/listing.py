@@ -6,13 +6,14 @@ This module does not import JAX for the list of all scenarios, so that it is the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..scenarios.catalogue import LISTED
 from .outcome import Outcome, Table, Verdict
 from .request import Request
 
 if TYPE_CHECKING:
+    from ..pytree.aliases import Leaf
     from ..scenarios import Scenario
     from .case import Case
 
@@ -56,7 +57,7 @@ def settable_table(scenario: Scenario) -> Table:
     return table
 
 
-def _brief(value: Any) -> str:
+def _brief(value: object) -> str:
     import numpy as np
 
     if value is None or isinstance(value, str | int | tuple):
@@ -64,7 +65,7 @@ def _brief(value: Any) -> str:
     return np.array2string(np.asarray(value), precision=6, threshold=6)
 
 
-def list_verdict(case: Case, values: Mapping[str, Any], options: Sequence[str]) -> Verdict:
+def list_verdict(case: Case, values: Mapping[str, Leaf], options: Sequence[str]) -> Verdict:
     """How much can be set, and a run with one of the values, as it stands.
 
     options: names of the options of the scenario

@@ -10,11 +10,11 @@ import dataclasses
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import rich.console
 import rich.table
-from rich.console import ConsoleOptions, RenderResult
+from rich.console import ConsoleOptions, RenderableType, RenderResult
 from rich.text import Text
 
 from ..storage.printable import printable
@@ -22,7 +22,11 @@ from ..storage.printable import printable
 if TYPE_CHECKING:
     from ..figures.description import Figure as Description
     from ..figures.page import Live
+    from ..figures.paper import Drawing
+    from ..pytree.aliases import Value
     from ..scenarios import Scenario
+
+T = TypeVar("T")
 
 
 class Verdict(NamedTuple):
@@ -62,10 +66,10 @@ class Console(rich.console.Console):
     Titles, names and paths come from the user, and are shown unchanged.
     """
 
-    def __init__(self, **options: Any):
+    def __init__(self, **options: Value):
         super().__init__(markup=False, emoji=False, highlight=False, **options)
 
-    def render_str(self, text: str, **options: Any) -> Text:
+    def render_str(self, text: str, **options: Value) -> Text:
         return super().render_str(printable(text), **options)
 
 
@@ -85,9 +89,9 @@ class Table(rich.table.Table):
         right: Iterable[str] = (),
         title: str = "",
         rows: Iterable[Iterable[str]] = (),
-        **options: Any,
+        show_header: bool = True,
     ):
-        super().__init__(title=_plain(title) if title else None, **options)
+        super().__init__(title=Text(printable(title)) if title else None, show_header=show_header)
         for header in headers:
             self.add_column(header)
         for header in right:
@@ -95,15 +99,16 @@ class Table(rich.table.Table):
         for row in rows:
             self.add_row(*row)
 
-    def add_column(self, header: Any = "", *args: Any, whole: bool = False, **options: Any) -> None:
+    def add_column(
+        self, header: RenderableType = "", *args: Value, whole: bool = False, **options: Value
+    ) -> None:
         """Add a column.
 
         whole: whether other columns are folded before this one
         """
-        options = {"overflow": "fold", "no_wrap": whole} | options
-        super().add_column(_plain(header), *args, **options)
+        super().add_column(_plain(header), *args, overflow="fold", no_wrap=whole, **options)
 
-    def add_row(self, *cells: Any, **options: Any) -> None:
+    def add_row(self, *cells: RenderableType | None, **options: Value) -> None:
         super().add_row(*map(_plain, cells), **options)
 
     def __rich_console__(
@@ -159,7 +164,7 @@ def _shared(room: int, sizes: list[tuple[int, int]]) -> list[int]:
     return widths
 
 
-def _plain(cell: Any) -> Any:
+def _plain(cell: T) -> T | Text:
     return Text(printable(cell)) if isinstance(cell, str) else cell
 
 
@@ -192,7 +197,7 @@ class Figure(NamedTuple):
     """
 
     caption: str
-    draw: Callable[[], Any]
+    draw: Callable[[], Drawing]
     live: bool = False
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ..identification.potential import Potential, potential_of
 from ..identification.recurrence import Recurrence, recurrence_of
 from ..identification.repeats import Repeats, read_repeats
 from ..plants import Harmonics, StateSpace
+from ..pytree.aliases import Value
 from ..scenarios.campaigns import Given, open_campaign
 from ..schemes import (
     BasisFunctions,
@@ -36,7 +37,7 @@ from ..theory.loop import linear_loop, minimal
 from ..theory.visits import visits
 from ..uncertainty import Population
 from .certifying import of_periods, period_sentences
-from .outcome import Progress
+from .outcome import Numbers, Progress
 from .words import number, sized
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ PERIODIC, BY_PLACE = "repetitive", "by-position"  # names of the schemes that ar
 Within = Mapping[str, Recurrence | None]
 
 
-def repeats_in(paths: Sequence[str | Path], **reading: Any) -> Repeats:
+def repeats_in(paths: Sequence[str | Path], **reading: Value) -> Repeats:
     """The trials of files, or of the folder of a campaign.
 
     Raises ValueError as `read_repeats` does, and for a folder beside something else.
@@ -81,7 +82,7 @@ def within_trial(repeats: Repeats, found: Potential | None = None) -> Within:
     return {"time": recurrence_of(time, e), "position": of_position}
 
 
-def within_numbers(within: Within) -> dict[str, Any]:
+def within_numbers(within: Within) -> Numbers:
     """Period and share of each way in which the error may repeat, as JSON."""
     return {"within": {name: one and dict(one._asdict()) for name, one in within.items()}}
 
@@ -136,7 +137,7 @@ class Following:
 
     schemes: dict[str, Scheme] = dataclasses.field(default_factory=dict)
     lines: list[str] = dataclasses.field(default_factory=list)
-    numbers: dict[str, Any] = dataclasses.field(default_factory=dict)
+    numbers: Numbers = dataclasses.field(default_factory=dict)
 
 
 def following(

@@ -6,13 +6,13 @@ import shlex
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from .. import figures
 from ..identification.potential import LEVEL, Potential, potential_of
 from ..identification.repeats import Repeats
+from ..pytree.aliases import Value
 from ..scenarios.design_file import write_potential
 from ..storage.printable import printable
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
@@ -34,7 +34,7 @@ def potential(
     folder: Path | None = None,
     unit: str = "",
     progress: Progress = silent,
-    **reading: Any,
+    **reading: Value,
 ) -> Outcome:
     """What learning can gain, from M >= 2 repeats of a motion with the same input.
 
@@ -150,7 +150,7 @@ def _lines(repeats: Repeats, found: Potential) -> list[str]:
 
 
 def _next(
-    paths: Sequence[Path], reading: Mapping[str, Any], found: Potential, into: str | Path | None
+    paths: Sequence[Path], reading: Mapping[str, Value], found: Potential, into: str | Path | None
 ) -> tuple[str, str]:
     """What to do next, in words, and the command."""
     if found.cutoff.value == 0:
@@ -167,14 +167,12 @@ def _next(
 
 
 def _numbers(repeats: Repeats, found: Potential) -> Numbers:
-    values: dict[str, Any] = {
+    values: Numbers = {
         name: dict(of._asdict()) if hasattr(of, "_asdict") else of
         for name, of in found._asdict().items()
         if name != "spectrum"
     }
-    spectrum: Mapping[str, Any] = {
-        name: np.asarray(of).tolist() for name, of in found.spectrum._asdict().items()
-    }
+    spectrum = {name: np.asarray(of).tolist() for name, of in found.spectrum._asdict().items()}
     read = {"dt": repeats.dt, "unit": repeats.unit, "samples": repeats.e.shape[1]}
     about = read | {"names": list(repeats.names), "about_the_mean": found.spread(found.trials)}
     return values | about | {"spectrum": spectrum}

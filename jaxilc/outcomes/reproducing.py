@@ -94,11 +94,11 @@ def _by_paper(rows: Sequence[Row], judged: Sequence[Judged]) -> Table:
     for name in [*names, *(["all"] if len(names) > 1 else [])]:
         of = [row for row in rows if name in ("all", row.scenario)]
         hold = [one.holds for one in judged if name in ("all", one.scenario)]
-        reading = dict(of[0].published.options).get("reading", "") if name != "all" else ""
+        reading = "" if name == "all" else dict(of[0].published.options).get("reading", "")
         count = [*reproduction.counted(of).values()]
         table.add_row(
             name,
-            reading,
+            str(reading),
             *(f"{group['met']} of {group['numbers']}" for group in count),
             *(f"{sum(group[size] for group in count)}" for size in ("10 %", "3 %")),
             f"{sum(hold)} of {len(hold)}",

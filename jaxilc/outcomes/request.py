@@ -10,7 +10,7 @@ import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..scenarios.catalogue import LISTED
 from ..storage.files import need_unused
@@ -18,7 +18,9 @@ from ..storage.files import need_unused
 if TYPE_CHECKING:
     import xarray as xr
 
+    from ..pytree.aliases import Value
     from ..scenarios import Scenario
+    from .outcome import Numbers
 
 
 FILES = (".toml", ".json")  # endings of plant files
@@ -160,7 +162,7 @@ class Request:
         texts = (*(f"{axis}={x}" for axis, x in point.items()), *self.set)
         return dataclasses.replace(self, trials=trials, set=texts, params=None)
 
-    def grid(self, axes: Sequence[str], chosen: Scenario) -> dict[str, Any]:
+    def grid(self, axes: Sequence[str], chosen: Scenario) -> dict[str, Value]:
         """The grid of the scenario with further axes, for `Sweep`.
 
         axes: texts PATH=VALUES; an axis may be an option of the scenario
@@ -283,7 +285,7 @@ def open_grid(folder: Path) -> xr.Dataset:
 
 def best_of(
     folder: Path, settings: Mapping[str, str], load: Callable[[Mapping[str, str]], Scenario]
-) -> dict[str, Any]:
+) -> dict[str, Value]:
     """The values of all axes at the best point of a stored grid, by name.
 
     It is the best one by the metric and the tolerance of the scenario, over its schemes.
@@ -315,7 +317,7 @@ def best_of(
     return point_of(dataset, best.point)
 
 
-def point_of(dataset: xr.Dataset, point: Mapping[str, Any]) -> dict[str, Any]:
+def point_of(dataset: xr.Dataset, point: Mapping[str, Value]) -> dict[str, Value]:
     """The values of a point by all names of its axes; those of an array are text for `--set`."""
     from ..sweeps.points import labels_of
 
@@ -327,7 +329,7 @@ def point_of(dataset: xr.Dataset, point: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _need_same(folder, stored: Mapping[str, Any], bare: Scenario, schemes, settings) -> None:
+def _need_same(folder, stored: Numbers, bare: Scenario, schemes, settings) -> None:
     """Raises ValueError where a sweep had another machine, task or law than `--set` explains."""
     from ..pytree.named_paths import owner_of
     from ..runtime.provenance import describe, differences

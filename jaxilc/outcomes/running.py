@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -106,7 +106,7 @@ def run(
     )
 
 
-def _store(dataset: xr.Dataset, made_with: Mapping[str, Any], place: Path) -> None:
+def _store(dataset: xr.Dataset, made_with: Numbers, place: Path) -> None:
     """Write the dataset of a run, with all that determines it, in place of another."""
     dataset.attrs["configuration"] = json.dumps(made_with)
     with whole_folder(place, replace=True) as store:
@@ -146,13 +146,9 @@ def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Description | Live]:
 
     scale, unit = chosen.shown(chosen.judged_by)
     errors = figures.error_by_trial.described(
-        dataset,
-        metric=chosen.judged_by,
-        scale=scale,
-        unit=unit,
-        published=chosen.due,
+        dataset, metric=chosen.judged_by, scale=scale, unit=unit, published=chosen.due,
         tolerance=chosen.tolerance,
-    )
+    )  # fmt: skip
     within = browsers.trials(dataset, scale=chosen.shown_scale, unit=chosen.shown_unit)
     return [errors, within]
 
@@ -166,7 +162,7 @@ def _published_lines(chosen: Scenario, numbers: Numbers, *, changed: bool) -> li
     return reading_lines(chosen, numbers)
 
 
-def _folder(asked: Path | None, name: str, made_with: dict[str, Any], *, replace: bool) -> Path:
+def _folder(asked: Path | None, name: str, made_with: Numbers, *, replace: bool) -> Path:
     """The folder for the results of a run, in which no other run's are mixed with them.
 
     Without --out it is the first of out/run-NAME, out/run-NAME-2 and so on that is free, or that
@@ -203,7 +199,7 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> Numbers:
     With several channels the largest counts. The errors of a trial that diverged are infinite (see
     `learning.divergence`).
     """
-    schemes: dict[str, Any] = {}
+    schemes: Numbers = {}
     for name in scenario.schemes:
         chosen = _largest(dataset, name)
         known = (*(m.name for m in OF_TRIALS), *scenario.quantities)
@@ -409,8 +405,7 @@ def run_verdict(case: Case, numbers: Numbers, errors: Mapping[str, Sequence[floa
     course = trend_of(errors[best])
     if course.kind == DIVERGES:
         which = best if len(errors) == 1 else "Every scheme"
-        said = (f"{which} diverges within {trials} trials.",)
-        return Verdict(said, *case.remedy(best))
+        return Verdict((f"{which} diverges within {trials} trials.",), *case.remedy(best))
     if last > EXACT * first:
         course = _with_rms(course, numbers["schemes"][best])
     begun = f", after {case.size(first)} in trial 1" if trials > 1 else ""

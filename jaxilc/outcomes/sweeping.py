@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ..figures.description import Figure as Description
     from ..figures.page import Live
     from ..scenarios import Scenario
+    from ..scenarios.scenario import Look
     from ..sweeps.points import BestPoint
     from ..sweeps.summary import SchemeSummary
 
@@ -100,19 +101,11 @@ def sweep(
     request = Request.of(request)
     chosen = request.scenario()
     plan = Sweep(
-        chosen.machine,
-        chosen.schemes,
-        chosen.task,
-        chosen.trials,
-        uncertainty=chosen.uncertainty,
-        machines=machines,
-        seed=seed,
-        sampling=sampling,
-        keep=tuple(keep),
-        quantities=chosen.functions,
-        grid=request.grid(grid, chosen),
+        chosen.machine, chosen.schemes, chosen.task, chosen.trials, uncertainty=chosen.uncertainty,
+        machines=machines, seed=seed, sampling=sampling, keep=tuple(keep),
+        quantities=chosen.functions, grid=request.grid(grid, chosen),
         watch=BoundsWatch() if bounds else None,
-    )
+    )  # fmt: skip
     tolerance = _tolerance(chosen, request.tolerance)
     place = folder or Path("out") / f"sweep-{chosen.name}"
     stores = [unless_there(place / "dataset.zarr", resume)]
@@ -149,7 +142,8 @@ def _told(found: _Found, swept: Swept, stores: list[Path]) -> Outcome:
         request = _at(request, dataset, _first(best))
         dataset = at_best(dataset, best)
         chosen = dataclasses.replace(chosen, trials=dataset.sizes["trial"])
-    scale, drawn = chosen.shown(chosen.judged_by)[0], chosen.look | {"tolerance": tolerance}
+    scale, drawn = chosen.shown(chosen.judged_by)[0], chosen.look
+    drawn["tolerance"] = tolerance
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])
     numbers |= axes_numbers(chosen, dataset, tolerance)
@@ -211,7 +205,7 @@ def _speed(steps: int, seconds: float) -> list[str]:
 def live_sweep(
     dataset: xr.Dataset,
     summary: Sequence[SchemeSummary],
-    drawn: Mapping[str, Any],
+    drawn: Look,
     grid: xr.Dataset | None = None,
     best: Sequence[BestPoint] = (),
 ) -> list[Description | Live | None]:
@@ -306,7 +300,7 @@ def axes_numbers(scenario: Scenario, dataset: xr.Dataset, tolerance: float | Non
         for i, called in enumerate(output_names(scenario))
     }
     errors |= {"contour": dataset["contour_max"]} if "contour_max" in scenario.quantities else {}
-    found: dict[str, Any] = {}
+    found: Numbers = {}
     for called, values in errors.items():
         named = dataset[["finite", "diverged"]].assign(error=values)
         for row in summarise(named, tolerance, metric="error"):
@@ -517,7 +511,7 @@ def _last(errors: Sequence[float]) -> float:
     return errors[-1] if not math.isnan(errors[-1]) else math.inf
 
 
-def _maps(found: _Found, best: Sequence[BestPoint], drawn: Mapping[str, Any]) -> dict[str, Figure]:
+def _maps(found: _Found, best: Sequence[BestPoint], drawn: Look) -> dict[str, Figure]:
     """The figures of a grid, with the scenario's own point, before and after what was asked."""
     whole, axes = found.whole, labels_of(found.whole)
     own = dataclasses.replace(found.request, set=(), params=None).scenario()
@@ -526,18 +520,15 @@ def _maps(found: _Found, best: Sequence[BestPoint], drawn: Mapping[str, Any]) ->
         marks["as asked"] = changed
     shows = {"grid": "high", "grid-best-trial": "best_trial"}
     shows |= {"grid-yield": "yield"} if found.tolerance else {}
-    of_all = {"best": [*best], "marks": marks, **drawn}
-    maps = {
-        name: Figure(MAPS[name], partial(figures.grid_map, whole, shows=shown, **of_all))
-        for name, shown in shows.items()
-    }
+    draw = partial(figures.grid_map, whole, best=[*best], marks=marks, **drawn)
+    maps = {name: Figure(MAPS[name], partial(draw, shows=of)) for name, of in shows.items()}
     if found.nominal is not None:
         at = _first(best).point
         longest = sorted(at, key=lambda axis: -whole.sizes[axis])
         others = {axis: [at[axis]] for axis in longest[2:]}
         bounds = found.nominal.sel(others)
-        draw = partial(figures.contraction_map, whole.sel(others), bounds=bounds, marks=marks)
-        maps["contraction"] = Figure(MAPS["contraction"], draw)
+        by_trial = partial(figures.contraction_map, whole.sel(others), bounds=bounds, marks=marks)
+        maps["contraction"] = Figure(MAPS["contraction"], by_trial)
     return maps
 
 

@@ -57,7 +57,7 @@ def objective_of(text: str, metric: str, scale: float, option: str = "--objectiv
         ),
         "d2": lambda m, x: o.D2(1.0 if x is None else _positive("d2", x)),
     }
-    total = o.Sum(())
+    total: o.Objective = o.Sum(())
     for term in text.split("+"):
         weight, star, rest = term.strip().rpartition("*")
         rest, _, named = rest.partition("@")

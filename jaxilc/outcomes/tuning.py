@@ -7,9 +7,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 from .. import figures
+from ..pytree.aliases import Value
 from ..scenarios.from_file import load_scenario
 from ..scenarios.parameters import differing, write_parameters
 from ..sweeps.summary import summarise
@@ -38,14 +39,23 @@ WORTHWHILE = 0.05  # a smaller share by which an error falls is told as none
 FEW = 6  # weights that the verdict names
 
 
+T = TypeVar("T")
+
+
+class Run(Protocol):
+    """How one or several tunings are run, as `run_search`."""
+
+    def __call__(self, search: Callable[..., T], *state: Value, **how: Value) -> T: ...
+
+
 def run_search(
-    search: Callable[..., Any],
+    search: Callable[..., T],
     state: Path,
     *,
     resume: bool,
-    progress: Callable[..., None],
+    progress: Callable[..., object],
     meanwhile: Sequence[Callable[[], object]] = (),
-) -> Any:
+) -> T:
     """Run one or several tunings, and do nothing meanwhile.
 
     search: function of the folder of its state, of `resume` and of `progress`, as `Tuning.run`
@@ -64,9 +74,9 @@ def tune(
     compare_trials: int | None = None,
     folder: Path | None = None,
     resume: bool = False,
-    run: Callable[..., Any] = run_search,
+    run: Run = run_search,
     progress: Progress = silent,
-    **settings: Any,
+    **settings: Value,
 ) -> Outcome:
     """Tune weights by gradient through the learning, and compare them on machines not seen.
 
@@ -87,8 +97,7 @@ def tune(
     chosen, scheme = request.of_one_scheme()
     problem = problem_of(chosen, weights, objective_for(chosen, objective), risk, **settings)
     place = folder or Path("out") / f"tune-{chosen.name}"
-    judged: dict[str, Any] = {"trials": compare_trials, "machines": unseen}
-    comparison = problem.comparison(**judged)  # raises before the tuning
+    comparison = problem.comparison(trials=compare_trials, machines=unseen)  # may raise
     progress("compiling", 0, problem.steps)
     tuned = run(
         problem.run,
@@ -98,7 +107,7 @@ def tune(
         meanwhile=(comparison.compile,),
     )
     progress("comparing", problem.steps, problem.steps)
-    dataset = problem.compare(tuned, **judged)
+    dataset = problem.compare(tuned, trials=compare_trials, machines=unseen)
     numbers = tuning_numbers(chosen, scheme, tuned, dataset)
     for name, of in weights_of(weights).items():
         for weight, row in numbers["weights"].items():
@@ -148,7 +157,7 @@ def objective_for(chosen: Scenario, text: str) -> Objective:
 
 
 def problem_of(
-    chosen: Scenario, weights: str, objective: Objective, risk: str, **settings: Any
+    chosen: Scenario, weights: str, objective: Objective, risk: str, **settings: Value
 ) -> Tuning:
     """The tuning problem of a scenario with one scheme.
 
@@ -156,17 +165,10 @@ def problem_of(
     """
     (scheme,) = chosen.schemes.values()
     return Tuning(
-        chosen.machine,
-        scheme,
-        chosen.task,
-        chosen.trials,
-        weights=weights_of(weights),
-        uncertainty=chosen.uncertainty,
-        objective=objective,
-        risk=risk_of(risk),
-        quantities=chosen.functions,
-        **settings,
-    )
+        chosen.machine, scheme, chosen.task, chosen.trials, weights=weights_of(weights),
+        uncertainty=chosen.uncertainty, objective=objective, risk=risk_of(risk),
+        quantities=chosen.functions, **settings,
+    )  # fmt: skip
 
 
 def in_words(losses: np.ndarray, best: float) -> str:
@@ -175,7 +177,7 @@ def in_words(losses: np.ndarray, best: float) -> str:
 
 
 def parameter_file(
-    command: str, chosen: Scenario, request: Request, tuned: Tuned, **obtained: Any
+    command: str, chosen: Scenario, request: Request, tuned: Tuned, **obtained: object
 ) -> Callable[[Path], object]:
     """A function that writes the parameters in which a tuned scheme differs from its scenario's."""
 
@@ -337,9 +339,9 @@ def pareto(
     unseen: int = 257,
     folder: Path | None = None,
     resume: bool = False,
-    run: Callable[..., Any] = run_search,
+    run: Run = run_search,
     progress: Progress = silent,
-    **settings: Any,
+    **settings: Value,
 ) -> Outcome:
     """Two objectives against each other, or one against the number of trials.
 
@@ -363,24 +365,20 @@ def pareto(
     first, *others = (objective_for(chosen, text) for text in objectives)
     problem = problem_of(chosen, weights, first, risk, **settings)
     place = folder or Path("out") / f"pareto-{chosen.name}"
-    of = _Of(Case.of(chosen, request), chosen, scheme, problem, place)
     count = len(budgets or shares or trade_off.SHARES)
     begun: dict[str, int] = {}
 
-    def told(name: str, step: int, *losses: Any) -> None:
+    def told(name: str, step: int, losses: np.ndarray, best: float) -> None:
         before = begun.setdefault(name, len(begun))
-        words = f"{name} ({before + 1} of {count}): {in_words(*losses)}"
+        words = f"{name} ({before + 1} of {count}): {in_words(losses, best)}"
         progress(words, before * problem.steps + step, count * problem.steps)
 
-    def solve(search: Callable[..., Any]) -> Any:
-        return run(search, unless_there(place / "state", resume), resume=resume, progress=told)
-
+    of = _Of(Case.of(chosen, request), chosen, scheme, problem, place, run, resume, told)
     if budgets:
-        found = _by_trials(of, budgets, unseen, solve)
+        found = _by_trials(of, budgets, unseen)
     else:
         (second,) = others
-        names = (objectives[0], objectives[1])
-        found = _front(of, second, shares or trade_off.SHARES, names, solve)
+        found = _front(of, second, shares or trade_off.SHARES, (objectives[0], objectives[1]))
     asked = dict(zip(("first", "second"), (*objectives, None), strict=False))
     return Outcome(
         command="pareto",
@@ -423,13 +421,21 @@ def _listed(values: Sequence[float]) -> str:
 
 
 class _Of(NamedTuple):
-    """What both kinds of trade-off share: what is told of the scenario, problem and folder."""
+    """What both kinds of trade-off share: scenario, problem and folder, and how it is run."""
 
     case: Case
     chosen: Scenario
     scheme: str
     problem: Tuning
     folder: Path
+    run: Run
+    resume: bool
+    progress: Callable[..., object]
+
+    def solve(self, search: Callable[..., T]) -> T:
+        """The result of a search, whose state is in the folder."""
+        state = unless_there(self.folder / "state", self.resume)
+        return self.run(search, state, resume=self.resume, progress=self.progress)
 
 
 class _Found(NamedTuple):
@@ -442,21 +448,16 @@ class _Found(NamedTuple):
     table: Table
     verdict: Verdict
     figures: dict[str, Figure]
-    points: dict[str, tuple[Tuned, dict[str, Any]]]
+    points: dict[str, tuple[Tuned, Numbers]]
     live: Callable[[], list[Description]]
 
 
-def _front(
-    of: _Of,
-    second: Objective,
-    shares: Sequence[float],
-    names: tuple[str, str],
-    solve: Callable[..., Any],
-) -> _Found:
+def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str, str]) -> _Found:
     """The front of two objectives; the first one is that of the problem."""
     problem, first = of.problem, of.problem.objective
-    points = solve(partial(trade_off.pareto, problem, first, second, shares))
+    points = of.solve(partial(trade_off.pareto, problem, first, second, shares))
     given = trade_off.held_out_losses(problem, first, second)(problem.start).tolist()
+    ends = (given[0], given[1])
     numbers = front_numbers(problem, points, given, shares)
     one, other = (f"{name}, on held-out machines" for name in names)
 
@@ -465,9 +466,9 @@ def _front(
         weights = {
             None if share == "given" else float(share): row["weights"] for share, row in rows
         }
-        drawn = {"first": names[0], "second": names[1], "given": tuple(given)}
-        front = figures.pareto_front.described(points, **drawn, weights=weights)
-        return [front]
+        first, second = names
+        described = figures.pareto_front.described
+        return [described(points, first=first, second=second, given=ends, weights=weights)]
 
     return _Found(
         numbers,
@@ -476,7 +477,7 @@ def _front(
         {
             "front": Figure(
                 "The trade-off: each point is a tuning, with the share of the first objective.",
-                partial(figures.pareto_front, points, first=one, second=other, given=tuple(given)),
+                partial(figures.pareto_front, points, first=one, second=other, given=ends),
                 live=True,
             )
         },
@@ -488,23 +489,24 @@ def _front(
     )
 
 
-def _by_trials(of: _Of, budgets: Sequence[int], unseen: int, solve: Callable[..., Any]) -> _Found:
+def _by_trials(of: _Of, budgets: Sequence[int], unseen: int) -> _Found:
     """One tuning for each number of trials, all judged on the same machines, unused in tuning."""
     problem = of.problem
-    judged: dict[str, Any] = {"trials": max(budgets), "machines": unseen}
+    most = max(budgets)
     same = dict.fromkeys(("given", *map(str, budgets)), problem.scheme)
-    problem.comparison(same, **judged)  # raises before the tuning
-    found = solve(partial(trade_off.by_trials, problem, budgets))
+    problem.comparison(same, trials=most, machines=unseen)  # raises before the tuning
+    found = of.solve(partial(trade_off.by_trials, problem, budgets))
     schemes = {"given": problem.scheme} | {str(J): tuned.scheme for J, tuned in found.items()}
-    numbers = budget_numbers(of.chosen, found, problem.comparison(schemes, **judged).run())
-    rows, shown = numbers["budgets"], {"metric": numbers["figure"], "unit": numbers["unit"]}
+    compared = problem.comparison(schemes, trials=most, machines=unseen).run()
+    numbers = budget_numbers(of.chosen, found, compared)
+    rows, metric, unit = numbers["budgets"], numbers["figure"], numbers["unit"]
     errors = [[[row[w]["median"], row[w]["worst"]] for row in rows.values()] for w in WHICH]
 
     def live() -> list[Description]:
         each = [row["weights"] for row in rows.values()]
         weights = {name: [of[name] for of in each] for name in each[0]}
         described = figures.final_error_by_trials.described
-        return [described(budgets, *errors, weights=weights, **shown)]
+        return [described(budgets, *errors, weights=weights, metric=metric, unit=unit)]
 
     return _Found(
         numbers,
@@ -514,7 +516,7 @@ def _by_trials(of: _Of, budgets: Sequence[int], unseen: int, solve: Callable[...
             "trials": Figure(
                 "The last error with the weights as given, and with those tuned for so many "
                 "trials.",
-                partial(figures.final_error_by_trials, budgets, *errors, **shown),
+                partial(figures.final_error_by_trials, budgets, *errors, metric=metric, unit=unit),
                 live=True,
             )
         },

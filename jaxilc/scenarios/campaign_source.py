@@ -16,9 +16,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from ..storage.reading import LARGEST_TREE, read_bytes
+
+if TYPE_CHECKING:
+    from ..pytree.aliases import Value
 
 SHOWN = 12  # characters of a checksum that are printed
 WEIGHTS = 6  # weights that are printed; there may be hundreds
@@ -29,7 +32,7 @@ def digest_of(path: str | Path) -> str:
     return hashlib.sha256(read_bytes(path, LARGEST_TREE)).hexdigest()
 
 
-def belongs_to(recipe: Mapping[str, Any]) -> dict[str, Any]:
+def belongs_to(recipe: Mapping[str, Value]) -> dict[str, Value]:
     """What a campaign belongs to, as JSON.
 
     source: the scenario, or the plant file as it was given
@@ -57,7 +60,7 @@ def belongs_to(recipe: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def said_of_source(recipe: Mapping[str, Any]) -> list[str]:
+def said_of_source(recipe: Mapping[str, Value]) -> list[str]:
     """Sentences on what a campaign belongs to."""
     found = belongs_to(recipe)
     checksum = f", sha256 {str(found['sha256'])[:SHOWN]}" if found["sha256"] else ""
@@ -70,7 +73,7 @@ def said_of_source(recipe: Mapping[str, Any]) -> list[str]:
     return [*said, f"weights: {listed}"] if listed else said
 
 
-def said_of_change(recipe: Mapping[str, Any], meaning: str) -> str:
+def said_of_change(recipe: Mapping[str, Value], meaning: str) -> str:
     """A sentence that says that the plant file has changed; an empty text where it has not.
 
     meaning: what follows from the change, for the end of the sentence
@@ -87,13 +90,13 @@ def said_of_change(recipe: Mapping[str, Any], meaning: str) -> str:
     )
 
 
-def _table(content: Mapping[str, Any], name: str) -> dict[str, Any]:
+def _table(content: Mapping[str, Value], name: str) -> dict[str, Value]:
     """A table of a recipe, which somebody may have made by hand; empty where it is none."""
     found = content.get(name)
     return found if isinstance(found, dict) else {}
 
 
-def _brief(value: Any) -> str:
+def _brief(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     text = str(value)

@@ -7,11 +7,11 @@ that later calls need not repeat the arguments of the first one.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..hardware.campaign import Campaign
 from ..hardware.checks import Rules
-from ..hardware.journal import Journal
+from ..hardware.journal import Journal, Manifest
 from ..hardware.prediction import Subject
 from ..pytree.closest import known_names
 from ..pytree.ranges import is_number
@@ -60,7 +60,7 @@ class Opened(NamedTuple):
     scenario: Scenario
 
     @property
-    def recipe(self) -> dict[str, Any]:
+    def recipe(self) -> Manifest:
         """How scheme, task and rules were made, see `campaign_source`."""
         return self.campaign.recipe
 
@@ -98,24 +98,28 @@ def open_campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False
     chosen = bare.with_values({f"{name}.{path}": value for path, value in values.items()})
     chosen = chosen.with_values({p: v for p, v in settings.items() if p not in known})
     subject = (state, chosen.schemes[name], chosen.task)
-    common = {"actuator": chosen.machine.actuator, "rules": rules, "recipe": recipe}
+    actuator = chosen.machine.actuator
     if new:
-        return Opened(Campaign.start(*subject, **common, dry_run=dry_run), chosen)
+        campaign = Campaign.start(
+            *subject, actuator=actuator, rules=rules, recipe=recipe, dry_run=dry_run
+        )
+        return Opened(campaign, chosen)
     try:
-        return Opened(Campaign.open(*subject, **common), chosen)
+        campaign = Campaign.open(*subject, actuator=actuator, rules=rules, recipe=recipe)
+        return Opened(campaign, chosen)
     except ValueError as error:
         changed = said_of_change(recipe, "so this campaign cannot go on with it")
         raise ValueError("; ".join(text for text in (str(error), changed) if text)) from None
 
 
-def _parameters(bare: Scenario, scheme: str, path: Path) -> dict[str, Any]:
+def _parameters(bare: Scenario, scheme: str, path: Path) -> Manifest:
     """The values of a parameter file for the scheme, as the recipe holds them."""
     tuned = with_parameters(bare, path)
     values = as_json(differing(tuned.schemes[scheme], bare.schemes[scheme]))
     return {"given": str(path), "sha256": digest_of(path), "values": values}
 
 
-def _as_begun(state: Path, before: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
+def _as_begun(state: Path, before: Manifest, found: Manifest) -> Manifest:
     """The parameters with which a campaign was started, if those of a file are the same.
 
     Raises ValueError naming those that differ.
@@ -130,7 +134,7 @@ def _as_begun(state: Path, before: dict[str, Any], found: dict[str, Any]) -> dic
     return kept if "given" in kept else found
 
 
-def _kept(journal: Journal) -> dict[str, Any]:
+def _kept(journal: Journal) -> Manifest:
     """The recipe of a campaign; raises ValueError for one that `jaxilc next` does not write."""
     recipe = journal.last_known()["recipe"]
     kinds: dict[str, type] = {"scenario": str, "scheme": str, "predict": bool}
@@ -148,7 +152,7 @@ def _kept(journal: Journal) -> dict[str, Any]:
     return recipe
 
 
-def _recipe(before: dict[str, Any], given: Given) -> dict[str, Any]:
+def _recipe(before: Manifest, given: Given) -> Manifest:
     """The recipe of this call: the one before, with the values that are given now."""
     source = given.scenario
     if source is None and "scenario" not in before:

@@ -7,7 +7,7 @@ Noncircular Turning, IEEE Access 7 (2019). Lengths in mm, input in V, errors sho
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.metrics import largest
 from ..plants import voice_coil
+from ..pytree.aliases import Leaf
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..schemes import (
@@ -50,7 +51,7 @@ class Reading(NamedTuple):
     windows: dict[str, tuple[str, int]]
     reset: str
     lam: float
-    phi0: dict[str, Any]
+    phi0: dict[str, Leaf]
 
 
 READINGS = readings("cao-2019", Reading)
@@ -117,14 +118,9 @@ def task_of(reference: str, frequency: float, reading: str) -> Task:
                 settle = (READINGS[reading].settled_from / 8 * duration, duration)
         case "piston":
             r = references.noncircular(
-                duration=round(4 / frequency / dt) * dt,
-                dt=dt,
-                spindle_speed=frequency / 2,
-                feed=0.5,
-                ellipticity=(0.4, 0.6),
-                bulge=0.1,
-                length=1.0,
-            )
+                duration=round(4 / frequency / dt) * dt, dt=dt, spindle_speed=frequency / 2,
+                feed=0.5, ellipticity=(0.4, 0.6), bulge=0.1, length=1.0,
+            )  # fmt: skip
         case _:
             raise ValueError(
                 f"cao-2019: reference = {reference!r} is not one of 'sinusoid', 'piston'"

@@ -7,10 +7,11 @@ the last period but one.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 from ..learning.machine import Machine
 from ..plants import voice_coil
+from ..pytree.aliases import Leaf
 from ..schemes import CFDLMFAPC, PID
 from ..signals import references
 from ..signals.task import Task
@@ -18,19 +19,20 @@ from .cao_2019 import MOTOR_UNCERTAINTY
 from .published import printed
 from .scenario import Scenario
 
-# By frequency [Hz]: periods simulated; PID gains, prediction horizon P and weight lam as printed;
-# phi0 as chosen.
-SETTINGS: dict[float, dict[str, Any]] = {
-    0.5: {
-        "periods": 4,
-        "pid": {"kp": -10.0, "ki": 0.1},
-        "mfapc": {"P": 10, "lam": 45.0, "phi0": -0.12},
-    },
-    2.5: {
-        "periods": 10,
-        "pid": {"kp": -9.0, "ki": -0.2, "kd": 1e-3},
-        "mfapc": {"P": 250, "lam": 8700.0, "phi0": -0.238},
-    },
+
+class Setting(NamedTuple):
+    """Periods simulated; gains, prediction horizon P and weight lam as printed; phi0 as chosen."""
+
+    periods: int
+    pid: dict[str, Leaf]
+    mfapc: dict[str, Leaf]
+
+
+SETTINGS = {  # by frequency [Hz]
+    0.5: Setting(4, {"kp": -10.0, "ki": 0.1}, {"P": 10, "lam": 45.0, "phi0": -0.12}),
+    2.5: Setting(
+        10, {"kp": -9.0, "ki": -0.2, "kd": 1e-3}, {"P": 250, "lam": 8700.0, "phi0": -0.238}
+    ),
 }
 
 
@@ -45,7 +47,7 @@ def dai_2014(plant: str = "printed", frequency: float = 0.5) -> Scenario:
         raise ValueError(f"dai-2014: frequency = {frequency:g} Hz is not one of 0.5, 2.5")
     dt, period = 1e-3, round(1000 / frequency) * 1e-3
     setting = SETTINGS[frequency]
-    duration = setting["periods"] * period
+    duration = setting.periods * period
     return Scenario(
         **printed("dai-2014"),
         title=f"Voice-coil motor under predictive MFAC at {frequency:g} Hz (Dai 2014)",
@@ -58,7 +60,7 @@ def dai_2014(plant: str = "printed", frequency: float = 0.5) -> Scenario:
             unit="mm",
             input_unit="V",
         ),
-        schemes={"pid": PID(**setting["pid"]), "cfdl-mfapc": CFDLMFAPC(**setting["mfapc"])},
+        schemes={"pid": PID(**setting.pid), "cfdl-mfapc": CFDLMFAPC(**setting.mfapc)},
         trials=1,
         uncertainty=MOTOR_UNCERTAINTY,
         tolerance=0.03,

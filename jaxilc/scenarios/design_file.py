@@ -6,11 +6,12 @@ import dataclasses
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tomlkit
+from tomlkit.items import Item
 
+from ..pytree.aliases import Tree, Value
 from ..pytree.fields import kind_of
 from ..schemes import Scheme
 from ..storage.files import atomically
@@ -22,7 +23,7 @@ from .specification import HIDDEN, classes
 # --------------------------------------------------------------------------------------------------
 
 
-def table_of(made: Any) -> dict[str, Any]:
+def table_of(made: Tree) -> dict[str, Value]:
     """The table of a scheme, a filter or a model, with the name of its class.
 
     Fields that have their default value are left out. Raises ValueError for a class that a file
@@ -31,7 +32,7 @@ def table_of(made: Any) -> dict[str, Any]:
     cls = type(made)
     if classes().get(cls.__name__) is not cls:
         raise ValueError(f"{cls.__name__} is no class that a plant file can name")
-    table: dict[str, Any] = {"class": cls.__name__}
+    table: dict[str, Value] = {"class": cls.__name__}
     for field in dataclasses.fields(made):
         value = getattr(made, field.name)
         if field.name in HIDDEN or value is None or _is_default(value, field.default):
@@ -40,7 +41,7 @@ def table_of(made: Any) -> dict[str, Any]:
     return table
 
 
-def _of_part(value: Any) -> Any:
+def _of_part(value: Tree) -> Value:
     """The table of a part, or those of several."""
     return [table_of(one) for one in value] if isinstance(value, tuple) else table_of(value)
 
@@ -83,7 +84,7 @@ def _write(path: Path, text: str) -> None:
     atomically(path, lambda file: file.write(text.encode()))
 
 
-def _item(value: Any) -> Any:
+def _item(value: Value) -> Item:
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
         tables = tomlkit.array()
         for one in value:
@@ -97,7 +98,7 @@ def _item(value: Any) -> Any:
     return table
 
 
-def _is_default(value: Any, default: Any) -> bool:
+def _is_default(value: Value, default: Value) -> bool:
     if default is dataclasses.MISSING or default is None:
         return False
     try:
@@ -106,7 +107,7 @@ def _is_default(value: Any, default: Any) -> bool:
         return value == default
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Value) -> Value:
     """A number, text or list."""
     if isinstance(value, str | bool | int):
         return value

@@ -8,7 +8,7 @@ The numbers to compare with are those that the tests of that package expect.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -155,13 +155,9 @@ def closed_loop(load: float) -> Loop:
     closed = np.block([[A - d * B @ C, B @ c_], [-b @ C, a]])
     still = np.zeros((2, 1))
     return Loop(
-        closed,
-        np.vstack([d * B, b]),
-        np.vstack([B, still]),
-        np.eye(2, 6),
-        np.hstack([-d * C, c_]),
+        closed, np.vstack([d * B, b]), np.vstack([B, still]), np.eye(2, 6), np.hstack([-d * C, c_]),
         d,
-    )
+    )  # fmt: skip
 
 
 def references(kind: str, second: str) -> np.ndarray:
@@ -198,11 +194,12 @@ def without_learning(loop: Loop, r: np.ndarray, second: str) -> np.ndarray:
     return y[:, {"none": [0], "velocity": [0, 1], "controller": [0, 2]}[second]]
 
 
-def bounds_for(second: str) -> dict[str, Any]:
+def bounds_for(second: str) -> dict[str, Leaf]:
     """The weight of the errors and the bounds of the constrained law."""
     if second == "velocity":
         return {"w_q": 1000.0}
-    highest, weight = HIGHEST, 1000.0
+    highest: Leaf = HIGHEST
+    weight: Leaf = 1000.0
     if second == "controller":
         highest, weight = np.array([HIGHEST, OF_CONTROLLER]), (1000.0, 0.0)
     return {"w_q": weight, "limit": LIMIT, "y_low": -highest, "y_high": highest}

@@ -17,11 +17,12 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
 
+from ..pytree.aliases import Value
 from ..pytree.ranges import brief, require
 from ..signals import paths
 from ..signals.gcode import read_gcode
@@ -48,6 +49,9 @@ class Planned(NamedTuple):
     note: str
 
 
+Limits: TypeAlias = dict[str, np.ndarray]  # of acceleration and jerk
+
+
 @dataclasses.dataclass(frozen=True)
 class Setting:
     """What a path is planned for.
@@ -64,7 +68,7 @@ class Setting:
     dt: float
 
 
-def planned_path(values: Any, where: str, setting: Setting) -> Planned:
+def planned_path(values: Value, where: str, setting: Setting) -> Planned:
     """The reference along the path that a table describes.
 
     Raises ValueError naming the key, or file and line, that is wrong.
@@ -89,20 +93,20 @@ def planned_path(values: Any, where: str, setting: Setting) -> Planned:
     return Planned(reference, f"the {kind} path takes {seconds:.6g} s; {said}")
 
 
-def _circle(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
+def _circle(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:
     radius, turns = table.take("radius", _number), table.take("turns", _number, 1.0)
     require("", table.at("turns"), turns, "[0.01, 1000]")
     _need_axes(table, setting, 2)
     return _curve(table, setting, limits, lambda: (paths.circle(radius), (0.0, 2 * np.pi * turns)))
 
 
-def _butterfly(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
+def _butterfly(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:
     width = table.take("width", _number)
     _need_axes(table, setting, 2)
     return _curve(table, setting, limits, lambda: (paths.butterfly(width), (0.0, 1.0)))
 
 
-def _nurbs(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
+def _nurbs(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:
     points = table.take("points", numbers)
     degree = table.take("degree", whole, 3)
     if points.ndim != 2:
@@ -143,7 +147,7 @@ def _curve(
     )
 
 
-def _points(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
+def _points(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:
     file = setting.folder / table.take("file", text)
     join = table.take("join", one_of(("lines", "spline")), "lines")
     points = _points_of(file, setting.axes)
@@ -156,7 +160,7 @@ def _points(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
     return _followed(moves, corner, setting, limits, table.where)
 
 
-def _gcode(table: Table, setting: Setting, limits) -> tuple[np.ndarray, str]:
+def _gcode(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:
     file = setting.folder / table.take("file", text)
     rapid = table.take("rapid", _number, None)
     corner = table.take("corner", _corner, None)
@@ -220,7 +224,8 @@ def _points_of(file: Path, axes: Sequence[str]) -> np.ndarray:
     for axis in axes:
         if axis not in names:
             raise ValueError(missing(file, axis, header))
-    at, found = [names.index(axis) for axis in axes], []
+    at = [names.index(axis) for axis in axes]
+    found: list[np.ndarray] = []
     for line, row in rows:
         point = np.array(numbers_in(row, at))
         if not np.all(np.abs(point) <= FARTHEST):
@@ -237,7 +242,7 @@ def _points_of(file: Path, axes: Sequence[str]) -> np.ndarray:
     return np.array(found)
 
 
-def _limit(value: Any, where: str, d: int) -> np.ndarray:
+def _limit(value: Value, where: str, d: int) -> np.ndarray:
     limit = numbers(value, where, UNITS)
     if limit.shape not in ((), (d,)):
         raise ValueError(
@@ -247,11 +252,11 @@ def _limit(value: Any, where: str, d: int) -> np.ndarray:
     return limit
 
 
-def _number(value: Any, where: str) -> float:
+def _number(value: Value, where: str) -> float:
     return number(value, where, UNITS)
 
 
-def _corner(value: Any, where: str) -> float | None:
+def _corner(value: Value, where: str) -> float | None:
     """The tolerance of rounding; None for "stop"."""
     if value == "stop":
         return None
@@ -274,7 +279,7 @@ def _said(error: ValueError) -> str:
     return str(error).removeprefix("plan: ")
 
 
-PATHS: dict[str, Callable[[Table, Setting, Any], tuple[np.ndarray, str]]] = {
+PATHS: dict[str, Callable[[Table, Setting, Limits], tuple[np.ndarray, str]]] = {
     "circle": _circle,
     "nurbs": _nurbs,
     "butterfly": _butterfly,

@@ -6,11 +6,10 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
-import typing
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import scipy
@@ -22,9 +21,9 @@ from ..plants import Plant, ProcessModel, from_control
 from ..plants.cnc_axis import Axes
 from ..plants.from_python_control import Linear, canonical_form, from_linear
 from ..plants.linear import LARGEST_ORDER
+from ..pytree.aliases import Value
 from ..pytree.ranges import brief, require
-from ..storage.columns import LARGEST_TABLE
-from ..storage.reading import read_bytes, read_tree
+from ..storage.reading import LARGEST_TABLE, read_bytes, read_tree
 from ..storage.sealed import json_text, sealed, unsealed, write_json
 from .specification import (
     Table,
@@ -57,8 +56,8 @@ class Options(NamedTuple):
     averages: of the coherence of a frequency response
     """
 
-    reading: dict[str, Any]
-    structure: dict[str, Any]
+    reading: dict[str, Value]
+    structure: dict[str, Value]
     delay: int | None
     averages: int | None
 
@@ -128,7 +127,7 @@ def is_response(record: Path, columns: Sequence[str]) -> bool:
 # --------------------------------------------------------------------------------------------------
 
 
-def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
+def plant_of(values: Value, where: str, folder: Path, notes: list[str]) -> Plant:
     """The plant that a table describes.
 
     notes: list to which texts on the choices for the plant are appended
@@ -144,8 +143,8 @@ def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
     kind = table.take("kind", one_of((*kinds, "identified", *named)))
     if kind == "identified":
         return _identified(table, folder, notes)
-    if issubclass(classes().get(kind, type(None)), Axes):
-        return _axes(table, classes()[kind], folder, notes)
+    if issubclass(cls := classes().get(kind, type(None)), Axes):
+        return _axes(table, cls, folder, notes)
     if kind in kinds:
         allow_unstable = table.take("allow_unstable", flag, False)
         try:
@@ -165,18 +164,18 @@ def plant_of(values: Any, where: str, folder: Path, notes: list[str]) -> Plant:
     )
 
 
-def _axes(table: Table, cls: type, folder: Path, notes: list[str]) -> Plant:
+def _axes(table: Table, cls: type[Axes], folder: Path, notes: list[str]) -> Plant:
     """Axes side by side, each with a plant table of its own, or all with the table `axis`.
 
     A table with `class` in place of `kind` is an object of this class.
     """
 
-    def one(value: Any, where: str) -> Plant:
+    def one(value: Value, where: str) -> Plant:
         if isinstance(value, Mapping) and "class" in value:
             return built(value, where)
         return plant_of(value, where, folder, notes)
 
-    names = [field.name for field in dataclasses.fields(typing.cast(Any, cls))]
+    names = [field.name for field in dataclasses.fields(cls)]
     shared = table.take("axis", one, None)
     axes = {name: table.take(name, one, shared) for name in names}
     table.done()
@@ -257,13 +256,13 @@ def _zeros_poles_gain(table: Table):
     return functools.reduce(lambda system, section: section * system, chain)
 
 
-def _sample_time(value: Any, where: str) -> float:
+def _sample_time(value: Value, where: str) -> float:
     dt = number(value, where)
     require("", where, dt, "[0, inf)", note=", 0 for continuous time")
     return dt
 
 
-def _root(value: Any, where: str) -> complex:
+def _root(value: Value, where: str) -> complex:
     parts = np.atleast_1d(numbers(value, where))
     if parts.shape not in ((1,), (2,)):
         raise ValueError(f"{where} = {value!r} is not a number or a pair [re, im]")
@@ -289,7 +288,7 @@ def _state_space(table: Table) -> Linear:
 def _identified(table: Table, folder: Path, notes: list[str]) -> Plant:
     """A ProcessModel fitted to a record; the keys are the options of `jaxilc identify`."""
     record = folder / table.take("record", text)
-    reading = {
+    reading: dict[str, Value] = {
         key: table.take(key, text, default)
         for key, default in (("time", "t"), ("input", "u"), ("output", "y"), ("time_unit", None))
     }

@@ -21,9 +21,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,33 +31,49 @@ from ..learning.machine import Actuator, Disturbance, Machine, Sensor
 from ..learning.variation import PlantChange, References, Variation
 from ..plants import Plant
 from ..plants.cnc_axis import Axes
+from ..pytree.aliases import Value
 from ..pytree.named_paths import get_at, replaced
 from ..pytree.ranges import require
 from ..schemes.at_samples import windows_of
 from ..signals import references
 from ..signals.task import Task
-from ..uncertainty import LogUniform, Normal, Uniform
+from ..uncertainty import Distribution, LogUniform, Normal, Uniform
 from .file_path import Setting, planned_path
-from .specification import Table, built, called, flag, list_of, number, numbers, one_of, text, whole
+from .specification import (
+    Kind,
+    Table,
+    built,
+    called,
+    flag,
+    list_of,
+    number,
+    numbers,
+    one_of,
+    text,
+    whole,
+)
 
 UNITS = "lengths in the `unit` of the task, times in s, frequencies in Hz, angles in rad"
 REFERENCES = ("sinusoid", "multisine", "chirp", "s_curve", "noncircular")
-DISTRIBUTIONS = {"uniform": Uniform, "normal": Normal, "log_uniform": LogUniform}
+DISTRIBUTIONS: dict[str, type[Distribution]] = {
+    "uniform": Uniform,
+    "normal": Normal,
+    "log_uniform": LogUniform,
+}
 
 
 def machine_of(
-    values: Any, where: str, plant: Plant, task: Task, folder: Path, notes: list[str]
+    values: Value, where: str, plant: Plant, task: Task, folder: Path, notes: list[str]
 ) -> Machine:
     """The plant with the actuator, sensor, disturbance and variation that a table describes."""
     table = Table(values, where)
     parts = {"actuator": Actuator, "sensor": Sensor, "disturbance": Disturbance}
     made = {
-        key: table.take(key, lambda v, at, cls=cls: built(v, at, cls=cls), None)
-        for key, cls in parts.items()
+        key: table.take(key, functools.partial(built, cls=cls), None) for key, cls in parts.items()
     }
     setting = Setting(folder, task.names or AXES[: plant.n_y], task.unit, task.dt)
 
-    def reference(value, at):
+    def reference(value: Value, at: str) -> np.ndarray:
         return reference_of(value, at, setting, plant, task.names, notes)
 
     variation = table.take(
@@ -68,7 +83,7 @@ def machine_of(
     return Machine(plant, **made, variation=variation)
 
 
-def task_of(values: Any, where: str, folder: Path, plant: Plant, notes: list[str]) -> Task:
+def task_of(values: Value, where: str, folder: Path, plant: Plant, notes: list[str]) -> Task:
     """The task that a table describes.
 
     notes: list to which a text on how a path is followed is appended
@@ -89,30 +104,27 @@ def task_of(values: Any, where: str, folder: Path, plant: Plant, notes: list[str
 
     setting, given = Setting(folder, axes, unit, dt), table.values.get("reference")
 
-    fields = {
-        "reference": table.take(
-            "reference", lambda v, at: reference_of(v, at, setting, plant, names, notes)
-        ),
-        "settle": table.take("settle", lambda v, at: tuple(list_of(in_units)(v, at)), None),
-        "inputs": table.take("inputs", whole, plant.n_u),
-        "unit": unit,
-        "input_unit": table.take("input_unit", text, ""),
-    }
+    reference = table.take(
+        "reference", lambda v, at: reference_of(v, at, setting, plant, names, notes)
+    )
+    settle = table.take("settle", list_of(in_units), None)
+    inputs, input_unit = table.take("inputs", whole, plant.n_u), table.take("input_unit", text, "")
     table.take("windows", lambda v, at: windows_of(at, list_of(_window)(v, at)), ())
     table.done()
-    fields["names"] = axes if is_path(given) else names
-    if fields["settle"] is not None and len(fields["settle"]) != 2:
-        raise ValueError(
-            f"{table.at('settle')} = {list(fields['settle'])} is not a pair [start, stop]"
-        )
+    if settle is not None and len(settle) != 2:
+        raise ValueError(f"{table.at('settle')} = {settle} is not a pair [start, stop]")
     try:
-        return Task(**fields, dt=dt)
+        return Task(
+            reference, dt=dt, settle=None if settle is None else (settle[0], settle[1]),
+            inputs=inputs, unit=unit, input_unit=input_unit,
+            names=axes if is_path(given) else names,
+        )  # fmt: skip
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 
 
 def reference_of(
-    value: Any, at: str, setting: Setting, plant: Plant, names: tuple[str, ...], notes: list[str]
+    value: Value, at: str, setting: Setting, plant: Plant, names: tuple[str, ...], notes: list[str]
 ) -> np.ndarray:
     """(N+1, n_y) the reference of all outputs: a path, or one for each of them."""
     if is_path(value):
@@ -136,7 +148,7 @@ def reference_of(
     return np.stack(columns, axis=1)
 
 
-def _window(value: Any, where: str) -> Any:
+def _window(value: Value, where: str) -> float | list[float]:
     """A time, or a pair of times [s]."""
     if isinstance(value, list):
         return list_of(number)(value, where)
@@ -148,11 +160,12 @@ AXES = ("x", "y", "z")
 
 def names_of(plant: Plant) -> tuple[str, ...]:
     """The names of the outputs: those of axes side by side that have one output each, or none."""
-    single = isinstance(plant, Axes) and all(axis.n_y == 1 for axis in plant.axes.values())
-    return tuple(plant.axes) if single else ()
+    if isinstance(plant, Axes) and all(axis.n_y == 1 for axis in plant.axes.values()):
+        return tuple(plant.axes)
+    return ()
 
 
-def is_path(reference: Any) -> bool:
+def is_path(reference: Value) -> bool:
     return isinstance(reference, Mapping) and "path" in reference
 
 
@@ -160,7 +173,7 @@ def _named(names: tuple[str, ...]) -> str:
     return f" ({', '.join(names)})" if names else ""
 
 
-def _reference(value: Any, where: str, folder: Path, dt: float) -> np.ndarray:
+def _reference(value: Value, where: str, folder: Path, dt: float) -> np.ndarray:
     """(N+1,) reference from a function of `references` or a column of a file with a header."""
     table = Table(value, where, '{ function = "sinusoid", ... } or { csv = "FILE", column = "r" }')
     if "csv" not in table:
@@ -178,7 +191,7 @@ def _reference(value: Any, where: str, folder: Path, dt: float) -> np.ndarray:
     return np.asarray(record.y)[:, 0]
 
 
-def uncertainty_of(values: Any, where: str):
+def uncertainty_of(values: Value, where: str) -> Iterator[tuple[str, Distribution]]:
     """Pairs of a name and its distribution; names are keys such as "plant.B" or nested tables."""
     table = Table(values, where)
     for name in table.values:
@@ -191,15 +204,12 @@ def uncertainty_of(values: Any, where: str):
             )
             continue
         cls = DISTRIBUTIONS[inner.take("distribution", one_of(DISTRIBUTIONS))]
-        fields = {
-            f.name: inner.take(f.name, number)
-            for f in dataclasses.fields(cls)
-            if f.name != "relative"
-        }
-        fields["relative"] = inner.take("relative", flag, False)
+        named = [f.name for f in dataclasses.fields(cls) if f.name != "relative"]
+        fields = {one: inner.take(one, number) for one in named}
+        relative = inner.take("relative", flag, False)
         inner.done()
         try:
-            yield name, cls(**fields)
+            yield name, cls(**fields, relative=relative)
         except ValueError as error:
             raise ValueError(f"{inner.where}: {error}") from None
 
@@ -212,7 +222,7 @@ _PARTS = ("change", "references", "averaged")
 
 
 def variation_of(
-    values: Any, where: str, plant: Plant, task: Task, reference: Callable[[Any, str], np.ndarray]
+    values: Value, where: str, plant: Plant, task: Task, reference: Kind[np.ndarray]
 ) -> Variation:
     """The variation that a table describes.
 
@@ -230,7 +240,7 @@ def variation_of(
     return Variation(**fields, change=change, references=references)
 
 
-def _change(values: Any, where: str, plant: Plant) -> PlantChange:
+def _change(values: Value, where: str, plant: Plant) -> PlantChange:
     table = Table(values, where)
     first, over = table.take("first", whole), table.take("over", whole, 1)
     given = table.take("set", _named_numbers, {})
@@ -245,14 +255,16 @@ def _change(values: Any, where: str, plant: Plant) -> PlantChange:
         raise ValueError(f"{where}: {error.args[0]!s}") from None
 
 
-def _named_numbers(value: Any, where: str) -> dict[str, Any]:
+def _named_numbers(value: Value, where: str) -> dict[str, np.ndarray]:
     if not isinstance(value, Mapping):
         raise ValueError(f"{where} is no table of names and numbers")
     return {name: numbers(x, f"{where}.{name}") for name, x in value.items()}
 
 
-def _further_references(values: Any, where: str, task: Task, reference: Callable) -> References:
-    def one(value, at):
+def _further_references(
+    values: Value, where: str, task: Task, reference: Kind[np.ndarray]
+) -> References:
+    def one(value: Value, at: str) -> tuple[int | None, np.ndarray]:
         table = Table(value, at)
         first = table.take("first", whole, None)
         r = table.take("reference", reference)

@@ -65,18 +65,21 @@ import dataclasses
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..learning.quantities import contour_metrics, counted_metrics
 from ..plants.cnc_axis import Axes
+from ..pytree.aliases import Value
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import brief, require
 from ..schemes.at_samples import windows_of
 from ..storage.reading import PARSERS, read_tree
 from ..sweeps.grid import grid_of
+from ..uncertainty import Distribution
 from ..uncertainty import check as check_uncertainty
 from .cao_2019 import cao_2019
 from .cao_2019_rig import cao_2019_rig
@@ -90,6 +93,8 @@ from .pendulum import pendulum
 from .scenario import Learnable, Quantity, Scenario, judged
 from .specification import Table, list_of, number, scheme, text, whole
 from .xu_2024 import xu_2024
+
+T = TypeVar("T")
 
 # Scenarios of papers, by name
 # --------------------------------------------------------------------------------------------------
@@ -221,47 +226,46 @@ def read_scenario(path: str | Path) -> Scenario:
             path, "task", lambda: counted_metrics(task, windows_of("task.windows", windows))
         )
         further, usual = further | counted, "counted_max"
-    given: dict[str, Any] = {
-        "name": file.take("name", text, stem),
-        "title": file.take("title", text, f"{stem}: {type(plant).__name__}"),
-        "trials": file.take("trials", whole, 20),
-        "tolerance": file.take("tolerance", number, None),
-        "shown_unit": file.take("shown_unit", text, task.unit),
-        "shown_scale": file.take("shown_scale", number, 1.0),
-        "judged_by": file.take("judged_by", text, usual),
-        "show_trials": tuple(file.take("show_trials", list_of(whole), [])),
-    }
+    name = file.take("name", text, stem)
+    title = file.take("title", text, f"{stem}: {type(plant).__name__}")
+    trials, tolerance = file.take("trials", whole, 20), file.take("tolerance", number, None)
+    shown_unit = file.take("shown_unit", text, task.unit)
+    shown_scale = file.take("shown_scale", number, 1.0)
+    judged_by = file.take("judged_by", text, usual)
+    show_trials = tuple(file.take("show_trials", list_of(whole), []))
     grid = file.take("grid", lambda v, at: dict(_axes(v, at)), {})
-    given["potential"] = file.take("potential", _potential, None)
+    potential = file.take("potential", _potential, None)
     file.done()
-    _check(path, "", lambda: _require_ranges(given))
+
+    def in_range() -> None:
+        require("", "trials", trials, "[1, inf)")
+        require("", "show_trials", show_trials, "[1, inf)", many=True)
+        for limit, value in (("tolerance", tolerance), ("shown_scale", shown_scale)):
+            if value is not None:
+                require("", limit, value, "(0, inf)")
+
+    _check(path, "", in_range)
     _check(path, "grid", lambda: grid_of(grid, machine, found, task))
-    parts: dict[str, Any] = {
-        "machine": machine,
-        "task": task,
-        "schemes": found,
-        "uncertainty": uncertainty,
-        "grid": grid,
-        "quantities": {metric: Quantity(of) for metric, of in further.items()},
-    }
-    made = _check(path, "", lambda: Scenario(**given, **parts, chosen=tuple(notes)))
+
+    def made_of_it() -> Scenario:
+        return Scenario(
+            name=name, title=title, machine=machine, task=task, schemes=found, trials=trials,
+            uncertainty=uncertainty, grid=grid, tolerance=tolerance, shown_unit=shown_unit,
+            shown_scale=shown_scale, judged_by=judged_by, show_trials=show_trials,
+            potential=potential, chosen=tuple(notes),
+            quantities={metric: Quantity(of) for metric, of in further.items()},
+        )  # fmt: skip
+
+    made = _check(path, "", made_of_it)
     _check(path, "judged_by", lambda: judged(made, made.judged_by))
     _check(path, "machine", lambda: machine.check(task))
     _check(path, "uncertainty", lambda: check_uncertainty(machine, uncertainty))
-    for name, one in found.items():
-        _check(path, f"schemes.{name}", lambda one=one: check(machine, one, task))
+    for called, one in found.items():
+        _check(path, f"schemes.{called}", partial(check, machine, one, task))
     return made
 
 
-def _require_ranges(given: dict[str, Any]) -> None:
-    for name in ("trials", "show_trials"):
-        require("", name, given[name], "[1, inf)", many=name == "show_trials")
-    for name in ("tolerance", "shown_scale"):
-        if given[name] is not None:
-            require("", name, given[name], "(0, inf)")
-
-
-def _potential(values: Any, where: str) -> Learnable:
+def _potential(values: Value, where: str) -> Learnable:
     """What repeats of the motion told."""
     table = Table(values, where)
     found = Learnable(*(table.take(name, number) for name in Learnable._fields))
@@ -271,12 +275,12 @@ def _potential(values: Any, where: str) -> Learnable:
     return found
 
 
-def _uncertainty(values: Any, where: str) -> dict[str, Any]:
+def _uncertainty(values: Value, where: str) -> dict[str, Distribution]:
     """Distributions by path within the machine; `machine.` before it may be left out, as here."""
     return {name.removeprefix("machine."): found for name, found in uncertainty_of(values, where)}
 
 
-def _axes(values: Any, where: str) -> Iterator[tuple[str, Any]]:
+def _axes(values: Value, where: str) -> Iterator[tuple[str, Value]]:
     """Axes by name; names are keys such as "plant.B" or nested tables."""
     table = Table(values, where)
     for name, of in table.values.items():
@@ -286,7 +290,7 @@ def _axes(values: Any, where: str) -> Iterator[tuple[str, Any]]:
             yield name, of
 
 
-def _check(path: Path, where: str, check: Callable[[], Any]) -> Any:
+def _check(path: Path, where: str, check: Callable[[], T]) -> T:
     """The result of a check; its ValueError is raised with the file and the place in it."""
     try:
         return check()

@@ -16,7 +16,7 @@ import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import jax
 import numpy as np
@@ -25,6 +25,7 @@ from ..filters import ZeroPhaseButterworth
 from ..identification import Estimate, Identified, Record, not_significant
 from ..learning.machine import Machine
 from ..plants import ModalModel, Plant, ProcessModel
+from ..pytree.aliases import Value
 from ..pytree.named_paths import interval_at
 from ..schemes import Filtered, PIDType
 from ..signals import references
@@ -87,13 +88,9 @@ class StartingTask(NamedTuple):
 
     def task(self, dt: float) -> Task:
         r = references.sinusoid(
-            self.amplitude,
-            self.frequency,
-            duration=self.duration,
-            dt=dt,
-            phase=-np.pi / 2,
+            self.amplitude, self.frequency, duration=self.duration, dt=dt, phase=-np.pi / 2,
             offset=self.amplitude,
-        )
+        )  # fmt: skip
         return Task(r, dt=dt)
 
 
@@ -321,16 +318,9 @@ def write_plant_file(
         law, over = starting_law(plant, {}, facts.dt, facts.samples), "the fitted plant only"
     input_unit, unit = map(_text, units)
     text = _text_of(
-        found,
-        facts,
-        law,
-        over=over,
-        uncertainty=uncertainty,
-        left_out=left_out,
-        source=comment(source),
-        unit=unit,
-        input_unit=input_unit,
-    )
+        found, facts, law, over=over, uncertainty=uncertainty, left_out=left_out,
+        source=comment(source), unit=unit, input_unit=input_unit,
+    )  # fmt: skip
     atomically(path, lambda file: file.write(text.encode()))
     return law
 
@@ -373,7 +363,7 @@ NOTES = {
 }
 
 
-def _text_of(found: Identified, facts: Experiment, law: StartingLaw | None, **more: Any) -> str:
+def _text_of(found: Identified, facts: Experiment, law: StartingLaw | None, **more: object) -> str:
     """The content of the file, by the layout in `identified.toml.jinja2`."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -498,7 +488,7 @@ def write_refitted(
     return path
 
 
-def _plant_values(plant: Plant) -> dict[str, Any]:
+def _plant_values(plant: Plant) -> dict[str, Value]:
     """The keys of `[plant]`; those of features that the plant does not have are left out."""
     there = {f.name: getattr(plant, f.name) for f in dataclasses.fields(plant)}
     values = {n: np.asarray(v, float).tolist() for n, v in there.items() if v is not None}
@@ -507,7 +497,7 @@ def _plant_values(plant: Plant) -> dict[str, Any]:
     return {"kind": type(plant).__name__, **values}
 
 
-def _interval_values(found: Identified, before: dict[str, Any]) -> dict[str, Any]:
+def _interval_values(found: Identified, before: dict[str, Value]) -> dict[str, Value]:
     """The intervals of the fit, and those of the file that are not of the plant."""
     kept = {
         name: of
@@ -539,7 +529,7 @@ def _without_stale(lines: list[str]) -> list[str]:
     return [line for line in lines if not line.startswith(STALE)]
 
 
-def _names_files(value: Any) -> bool:
+def _names_files(value: object) -> bool:
     """Whether a part of a plant file that stays names another file."""
     if isinstance(value, list):
         return any(map(_names_files, value))
@@ -554,7 +544,7 @@ def _key(name: str) -> str:
     return name if _BARE.fullmatch(name) else json.dumps(name, ensure_ascii=False)
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     """A value of a plant file as TOML."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"

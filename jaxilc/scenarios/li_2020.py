@@ -80,13 +80,9 @@ def butterfly_path(width: float = WIDTH) -> np.ndarray:
     width: width of the butterfly [mm]; feed, acceleration and jerk are proportional to it
     """
     planned = paths.plan(
-        paths.butterfly(width),
-        (0.0, 1.0),
-        feed=width / 4.793,
-        acceleration=width / 0.09716,
-        jerk=width / 0.0009716,
-        dt=SAMPLE_TIME,
-    )
+        paths.butterfly(width), (0.0, 1.0), feed=width / 4.793, acceleration=width / 0.09716,
+        jerk=width / 0.0009716, dt=SAMPLE_TIME,
+    )  # fmt: skip
     return np.concatenate([np.zeros((REST, 2)), planned.reference])
 
 
@@ -108,15 +104,9 @@ def schemes_for(gain: float, reference: np.ndarray, tolerance: float = 2e-3) -> 
     feedback, law = position_loop(0.0), PIDType(gamma_p=gain)
     fixed = ZeroPhaseButterworth(CUTOFFS[0], padding=FILTFILT)
     switchable = segments(
-        reference,
-        SAMPLE_TIME,
-        cutoffs=CUTOFFS,
-        threshold=2.0,
-        shortest=0.05,
-        width=0.05,
-        window=0.2,
-        padding=FILTFILT,
-    )
+        reference, SAMPLE_TIME, cutoffs=CUTOFFS, threshold=2.0, shortest=0.05, width=0.05,
+        window=0.2, padding=FILTFILT,
+    )  # fmt: skip
     return {
         "feedback": feedback,
         "feedforward": position_loop(SPEED_FEEDFORWARD),
@@ -166,20 +156,13 @@ def li_2020(
         }
     name = "plant.x.B" if two else "plant.B"
     return Scenario(
-        **printed("li-2020"),
-        title=f"CNC axis along a butterfly, {setting} (Li 2020)",
-        machine=machine,
-        task=Task(r, dt=SAMPLE_TIME, unit="mm", names=("x", "y") if two else ()),
-        schemes=schemes_for(gain, r),
-        trials=trials,
-        uncertainty={name: Uniform(0.9, 1.1, relative=True)},
-        tolerance=5.0,
-        shown_unit="µm",
-        shown_scale=1e3,
-        show_trials=(1, 2, 3, 4, 5, 9, 15, 22, 30, 40, 60, 100),
-        quantities=quantities,
-        judged_by="rms",
-    )
+        **printed("li-2020"), title=f"CNC axis along a butterfly, {setting} (Li 2020)",
+        machine=machine, task=Task(r, dt=SAMPLE_TIME, unit="mm", names=("x", "y") if two else ()),
+        schemes=schemes_for(gain, r), trials=trials,
+        uncertainty={name: Uniform(0.9, 1.1, relative=True)}, tolerance=5.0, shown_unit="µm",
+        shown_scale=1e3, show_trials=(1, 2, 3, 4, 5, 9, 15, 22, 30, 40, 60, 100),
+        quantities=quantities, judged_by="rms",
+    )  # fmt: skip
 
 
 def half_sine(N: int, height: float, start: int = 625, width: int = 250) -> np.ndarray:

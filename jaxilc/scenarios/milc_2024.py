@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from ..plants import (
     direct_model,
     multivariable_model,
 )
+from ..pytree.aliases import Leaf
 from ..pytree.closest import not_one_of
 from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedback
 from ..signals import references
@@ -37,7 +38,7 @@ from .scenario import Quantity, Scenario
 
 DT = 1 / 4000
 POSITION_GAIN = 180.0  # K_pp [1/s]
-WEIGHTS: dict[str, Any] = {"w_q": 2e6, "w_r": 1e-4, "w_s": 20.0}
+WEIGHTS: dict[str, Leaf] = {"w_q": 2e6, "w_r": 1e-4, "w_s": 20.0}
 PITCH = {"x": 10.0, "z": 12.0}  # [mm]
 PULSE = 52e-6 / (2 * np.pi)  # step of the motor's encoder [revolutions]
 TABLE_STEP = 0.25e-3  # step of the linear encoder [mm]
@@ -82,17 +83,10 @@ def nominal_drive(antiresonance: float, force_gain: float, unit: float = 50.0) -
     table_mass = 30.0
     stiffness = table_mass * (2 * jnp.pi * antiresonance) ** 2
     return BallScrewDrive(
-        motor_mass=30.0,
-        table_mass=table_mass,
-        stiffness=stiffness,
-        damping=2 * 0.03 * jnp.sqrt(stiffness * table_mass),
-        motor_damping=20.0,
-        table_damping=20.0,
-        force_gain=force_gain,
-        force_limit=1500.0,
-        current_bandwidth=350.0,
-        command_scale=unit,
-    )
+        motor_mass=30.0, table_mass=table_mass, stiffness=stiffness,
+        damping=2 * 0.03 * jnp.sqrt(stiffness * table_mass), motor_damping=20.0, table_damping=20.0,
+        force_gain=force_gain, force_limit=1500.0, current_bandwidth=350.0, command_scale=unit,
+    )  # fmt: skip
 
 
 def real_machine(drive: BallScrewDrive, noise: float, pitch: float = 10.0) -> Machine:
@@ -153,14 +147,9 @@ def path(of: Reading) -> np.ndarray:
     The prefilter needs the rest to start early.
     """
     move = references.s_curve(
-        [0.0, of.stroke, 0.0],
-        velocity=of.velocity,
-        acceleration=of.acceleration,
-        jerk=of.jerk,
-        dwell=of.dwell,
-        dt=DT,
-        duration=2.0,
-    )
+        [0.0, of.stroke, 0.0], velocity=of.velocity, acceleration=of.acceleration, jerk=of.jerk,
+        dwell=of.dwell, dt=DT, duration=2.0,
+    )  # fmt: skip
     return np.concatenate([np.zeros(round(REST / DT)), move])[: round(DURATION / DT) + 1]
 
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from ..pytree.aliases import Value
 from ..pytree.closest import not_one_of
 from ..pytree.named_paths import settable
 from ..pytree.ranges import brief
@@ -21,7 +21,7 @@ from ..storage.sealed import read_json, write_json
 from . import Scenario
 
 
-def differing(scheme: Scheme, printed: Scheme) -> dict[str, Any]:
+def differing(scheme: Scheme, printed: Scheme) -> dict[str, Value]:
     """Leaves and static fields of a scheme that differ from another scheme, by path, as JSON.
 
     A leaf that the other scheme does not have is included, so that values set by hand before tuning
@@ -37,7 +37,10 @@ def differing(scheme: Scheme, printed: Scheme) -> dict[str, Any]:
 
 
 def write_parameters(
-    path: Path, scenario: str, schemes: Mapping[str, Mapping[str, Any]], obtained: Mapping[str, Any]
+    path: Path,
+    scenario: str,
+    schemes: Mapping[str, Mapping[str, Value]],
+    obtained: Mapping[str, object],
 ) -> Path:
     """Write a parameter file.
 

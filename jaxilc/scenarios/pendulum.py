@@ -8,12 +8,11 @@ the pendulum is unstable, so the input of the first trial, by the model alone, l
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ..learning.machine import Machine
 from ..plants import Pendulum
+from ..pytree.aliases import Leaf
 from ..schemes import TwoStep
 from ..signals.task import Task
 from ..uncertainty import Uniform
@@ -39,7 +38,7 @@ def swing() -> np.ndarray:
 def pendulum() -> Scenario:
     """The first two Python examples of gILC, without and with a limit of the torque."""
     model = Pendulum(mass=0.495, damping=0.105)
-    weights: dict[str, Any] = {"w_y": 1e8, "w_alpha": 1e-10, "w_q": 1e8, "w_s": 1e-10}
+    weights: dict[str, Leaf] = {"w_y": 1e8, "w_alpha": 1e-10, "w_q": 1e8, "w_s": 1e-10}
     return Scenario(
         **printed("pendulum"),
         title="Pendulum swung upright, two-step nonlinear ILC (gILC)",

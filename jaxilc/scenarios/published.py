@@ -7,7 +7,12 @@ from collections.abc import Callable, Iterable
 from decimal import Decimal
 from functools import cache
 from importlib import resources
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypedDict, TypeVar
+
+if TYPE_CHECKING:
+    from ..pytree.aliases import Tree, Value
+
+T = TypeVar("T")
 
 
 class Fit(NamedTuple):
@@ -133,7 +138,7 @@ def agreement_of(printed: str, rtol: float = 1e-6) -> float:
 
 
 @cache
-def file_of(name: str) -> dict[str, Any]:
+def file_of(name: str) -> dict[str, Value]:
     """The file `printed/NAME.toml` of a scenario, lists as tuples. Its tables are
 
     chosen: texts on what the paper leaves open, and what was chosen
@@ -150,13 +155,13 @@ def file_of(name: str) -> dict[str, Any]:
     return _with_tuples(tomllib.loads(text))
 
 
-def _with_tuples(of: Any) -> Any:
+def _with_tuples(of: Value) -> Value:
     if isinstance(of, dict):
         return {key: _with_tuples(value) for key, value in of.items()}
     return tuple(_with_tuples(value) for value in of) if isinstance(of, list) else of
 
 
-def readings(name: str, kind: Callable[..., Any]) -> dict[str, Any]:
+def readings(name: str, kind: Callable[..., T]) -> dict[str, T]:
     """The readings of a paper by name, as objects of a kind made of their numbers."""
     return {
         reading: kind(**{key: value for key, value in of.items() if key != "chosen"})
@@ -183,7 +188,8 @@ def published(name: str, reading: str = "") -> tuple[Published, ...]:
 
 def conclusions(name: str, reading: str = "") -> tuple[Conclusion, ...]:
     """What a paper concludes, under a reading if the paper has several."""
-    found, several = file_of(name), []
+    found = file_of(name)
+    several: list[Conclusion] = []
     usual = {k: of for k, of in found.get("every_row", {}).items() if k in SHARED}
     for of in found.get("conclusions", ()):
         own = {name: of[name] for name in ("says", "source", "words")}
@@ -200,7 +206,16 @@ def conclusions(name: str, reading: str = "") -> tuple[Conclusion, ...]:
     return tuple(several)
 
 
-def printed(name: str, reading: str = "") -> dict[str, Any]:
+class Printed(TypedDict):
+    """The fields of the scenario of a paper that follow from its file."""
+
+    name: str
+    published: tuple[Published, ...]
+    conclusions: tuple[Conclusion, ...]
+    chosen: tuple[str, ...]
+
+
+def printed(name: str, reading: str = "") -> Printed:
     """The fields of the scenario of a paper that follow from its file."""
     return {
         "name": name,
@@ -210,7 +225,7 @@ def printed(name: str, reading: str = "") -> dict[str, Any]:
     }
 
 
-def _row(found: dict[str, Any], fields: dict[str, Any], reading: str) -> Published:
+def _row(found: dict[str, Value], fields: dict[str, Value], reading: str) -> Published:
     """A row of a file, with the fields of a reading."""
     for key, value in list(fields.items()):
         if isinstance(value, dict) and value.keys() <= found.get("readings", {}).keys():
@@ -227,23 +242,19 @@ def _row(found: dict[str, Any], fields: dict[str, Any], reading: str) -> Publish
     if isinstance(printed, str):
         fields["agreement"], printed = agreement_of(printed), float(printed)
     return Published(
-        trial=fields.pop("trial", None),
-        value=printed,
-        options=tuple(options.items()),
-        set=tuple(fields.pop("set", {}).items()),
-        reading=fields.pop("how", ""),
-        fitted=fit,
+        trial=fields.pop("trial", None), value=printed, options=tuple(options.items()),
+        set=tuple(fields.pop("set", {}).items()), reading=fields.pop("how", ""), fitted=fit,
         **fields,
-    )
+    )  # fmt: skip
 
 
-def by(rows: Iterable[Published], *keys: str, **where: object) -> dict[Any, Any]:
+def by(rows: Iterable[Published], *keys: str, **where: object) -> Tree:
     """The values of rows by one or several keys, nested: {scheme: {trial: value}}.
 
     keys: names of fields or of options
     where: values of fields that rows must have
     """
-    found: dict[Any, Any] = {}
+    found: Tree = {}
     for row in rows:
         if all(getattr(row, name) == value for name, value in where.items()):
             known = row._asdict() | dict(row.options)

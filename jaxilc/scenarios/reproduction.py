@@ -26,13 +26,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from .. import scenarios
 from ..learning.metrics import Keep, best_trial
 from ..learning.over_trials import learn
+from ..pytree.aliases import Leaf
 from ..theory.certificates import printed_conditions
 from ..theory.loop import linear_loop, pole_radius
 from . import Published, Scenario
@@ -245,7 +246,7 @@ def _simulated(scenario: Scenario, rows: list[Published]) -> dict[Published, flo
     return ours
 
 
-def _metrics_by_trial(scenario: Scenario, scheme: str, rows: list[Published]) -> dict[str, Any]:
+def _metrics_by_trial(scenario: Scenario, scheme: str, rows: list[Published]) -> dict[str, Leaf]:
     """The metrics of each trial of a scheme, as far as the rows need them.
 
     A scheme that does not learn runs once, unless a row asks for its spread over trials.
@@ -263,7 +264,7 @@ def _metrics_by_trial(scenario: Scenario, scheme: str, rows: list[Published]) ->
     )
 
 
-def _at(metrics: Mapping[str, Any], row: Published) -> float:
+def _at(metrics: Mapping[str, Leaf], row: Published) -> float:
     """The number of a row, largest over channels, without scale; infinite after a divergence."""
     trial = min(row.trial or 1, len(metrics["diverged"])) - 1
     if metrics["diverged"][trial]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypedDict
 
 import jax
 
 from ..learning.known_metrics import METRICS, TUNED
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.aliases import Tree, Value
 from ..pytree.closest import known_names, not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import allowed_at, get_at, owner_of, read_at, replaced, settable
@@ -50,6 +51,15 @@ class Learnable(NamedTuple):
     floor: float
     stop: float
     cutoff: float
+
+
+class Look(TypedDict):
+    """The metric that judges, as figures take it: its tolerance in the unit of simulation."""
+
+    metric: str
+    tolerance: float | None
+    scale: float
+    unit: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,7 +104,7 @@ class Scenario:
     options: Mapping[str, object] = dataclasses.field(default_factory=dict)
     quantities: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
     judged_by: str = "settled_error"
-    grid: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    grid: Mapping[str, Value] = dataclasses.field(default_factory=dict)
     potential: Learnable | None = None
     __repr__ = in_short
 
@@ -153,8 +163,8 @@ class Scenario:
         raise ValueError(not_one_of(f"metric = {metric!r}", metric, names))
 
     @property
-    def look(self) -> dict[str, Any]:
-        """The metric that judges, as figures take it; its tolerance in the unit of simulation."""
+    def look(self) -> Look:
+        """The metric that judges, as figures take it."""
         scale, unit = self.shown(self.judged_by)
         limit = None if self.tolerance is None else self.tolerance / scale
         return {"metric": self.judged_by, "tolerance": limit, "scale": scale, "unit": unit}
@@ -216,7 +226,7 @@ class Scenario:
             text, and paths within the machine may begin with `machine.`
         Raises ValueError naming what can be set, or the allowed range.
         """
-        objects = {"machine": self.machine, **self.schemes}
+        objects: dict[str, Tree] = {"machine": self.machine, **self.schemes}
         changes: dict[str, dict[str, object]] = {}
         for path, value in settings.items():
             head, rest = owner_of(path, self.schemes)

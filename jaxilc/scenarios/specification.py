@@ -8,15 +8,23 @@ import inspect
 import typing
 from collections.abc import Callable, Collection, Iterable, Mapping
 from types import UnionType
-from typing import Any
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
 
 from .. import filters, plants, schemes
 from ..plants import Plant
+from ..pytree.aliases import Tree, Value
 from ..pytree.closest import closest, known_names, listed, not_one_of
 from ..pytree.ranges import as_numbers, brief, is_whole
 from ..schemes import Scheme
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T")
+D = TypeVar("D")
+Kind: TypeAlias = Callable[[Value, str], T]  # of a value of a file, at a place that messages name
 
 # Tables and kinds of values
 # --------------------------------------------------------------------------------------------------
@@ -31,14 +39,15 @@ class Table:
     read: keys that were read; `done` refuses all others
     """
 
-    def __init__(self, values: Any, where: str, such_as: str = "", known: Collection[str] = ()):
+    def __init__(self, values: Value, where: str, such_as: str = "", known: Collection[str] = ()):
         if not isinstance(values, Mapping):
             what = (
                 f"{where} {brief(values)}" if where.endswith(":") else f"{where} = {brief(values)}"
             )
             example = such_as and f", such as {such_as}"
             raise ValueError(f"{what} is not a table of keys and values{example}")
-        self.values, self.where, self.known, self.read = dict(values), where, known, set()
+        self.values, self.where, self.known = dict(values), where, known
+        self.read: set[str] = set()
 
     def __contains__(self, key: str) -> bool:
         return key in self.values
@@ -46,9 +55,11 @@ class Table:
     def at(self, key: str) -> str:
         return f"{self.where}{' ' if self.where.endswith(':') else '.'}{listed([key])}"
 
-    def take(
-        self, key: str, kind: Callable[[Any, str], Any], default: Any = dataclasses.MISSING
-    ) -> Any:
+    @typing.overload
+    def take(self, key: str, kind: Kind[T]) -> T: ...
+    @typing.overload
+    def take(self, key: str, kind: Kind[T], default: D) -> T | D: ...
+    def take(self, key: str, kind: Kind[Value], default: Value = dataclasses.MISSING) -> Value:
         """The value of a key, as `kind(value, where)` returns it.
 
         Raises ValueError where a key without default is missing; a key that is close to it, and
@@ -80,7 +91,7 @@ class Table:
 # --------------------------------------------------------------------------------------------------
 
 
-def number(value: Any, where: str, units: str = "") -> float:
+def number(value: Value, where: str, units: str = "") -> float:
     """One finite number.
 
     units: the units of numbers in this place, for the message on text such as `"1 mm"`
@@ -88,25 +99,25 @@ def number(value: Any, where: str, units: str = "") -> float:
     return float(_finite(value, where, "a number", (), units)[()])
 
 
-def whole(value: Any, where: str) -> int:
+def whole(value: Value, where: str) -> int:
     if not is_whole(value):
         raise ValueError(f"{where} = {brief(value)} is not a whole number")
     return value
 
 
-def text(value: Any, where: str) -> str:
+def text(value: Value, where: str) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{where} = {brief(value)} is not text")
     return value
 
 
-def flag(value: Any, where: str) -> bool:
+def flag(value: Value, where: str) -> bool:
     if not isinstance(value, bool):
         raise ValueError(f"{where} = {brief(value)} is not true or false")
     return value
 
 
-def numbers(value: Any, where: str, units: str = "") -> np.ndarray:
+def numbers(value: Value, where: str, units: str = "") -> np.ndarray:
     """A number, or nested lists of numbers that form an array; all must be finite.
 
     units: as for `number`
@@ -114,13 +125,13 @@ def numbers(value: Any, where: str, units: str = "") -> np.ndarray:
     return _finite(value, where, "a number or a list of numbers", units=units)
 
 
-def list_of_numbers(value: Any, where: str) -> np.ndarray:
+def list_of_numbers(value: Value, where: str) -> np.ndarray:
     """One list of finite numbers."""
     return _finite(value, where, "a list of numbers", (-1,))
 
 
 def _finite(
-    value: Any, where: str, said: str, shape: tuple | None = None, units: str = ""
+    value: Value, where: str, said: str, shape: tuple | None = None, units: str = ""
 ) -> np.ndarray:
     """The value as a finite array of the shape (), (-1,), or any shape for None."""
     found = None if isinstance(value, bool | np.bool_ | str) else as_numbers(value)
@@ -133,10 +144,10 @@ def _finite(
     return found
 
 
-def one_of(choices: Iterable[str]) -> Callable[[Any, str], str]:
+def one_of(choices: Iterable[str]) -> Kind[str]:
     """The kind of a value that must be one of these words."""
 
-    def kind(value: Any, where: str) -> str:
+    def kind(value: Value, where: str) -> str:
         if not isinstance(value, str) or value not in choices:
             raise ValueError(not_one_of(f"{where} = {brief(value)}", value, choices))
         return value
@@ -144,10 +155,10 @@ def one_of(choices: Iterable[str]) -> Callable[[Any, str], str]:
     return kind
 
 
-def list_of(kind: Callable[[Any, str], Any]) -> Callable[[Any, str], list]:
+def list_of(kind: Kind[T]) -> Kind[list[T]]:
     """The kind of a list whose elements are of one kind."""
 
-    def of_list(value: Any, where: str) -> list:
+    def of_list(value: Value, where: str) -> list[T]:
         if not isinstance(value, list):
             raise ValueError(f"{where} = {brief(value)} is not a list")
         return [kind(element, f"{where}[{i}]") for i, element in enumerate(value)]
@@ -160,7 +171,7 @@ def list_of(kind: Callable[[Any, str], Any]) -> Callable[[Any, str], list]:
 
 
 HIDDEN = {"solved"}  # computed by the scheme itself
-_MODELS = {
+_MODELS: dict[str, Callable[..., plants.StateSpace]] = {
     "direct_model": plants.direct_model,
     "multivariable_model": plants.multivariable_model,
     "with_jerk": schemes.with_jerk,
@@ -168,21 +179,21 @@ _MODELS = {
 
 
 @functools.cache
-def classes() -> dict[str, type]:
+def classes() -> dict[str, type[DataclassInstance]]:
     """Every class that a file may name: schemes, filters, plants and their parts."""
     rooms = (schemes, filters, plants)
     found = {name: getattr(module, name) for module in rooms for name in module.__all__}
-    return {name: one for name, one in found.items() if dataclasses.is_dataclass(one)}
+    return {n: c for n, c in found.items() if isinstance(c, type) and dataclasses.is_dataclass(c)}
 
 
 def built(
-    values: Any,
+    values: Value,
     where: str,
     *,
-    cls: type | None = None,
+    cls: type[DataclassInstance] | None = None,
     plant: Plant | None = None,
     dt: float | None = None,
-) -> Any:
+) -> Tree:
     """The object that a table describes: `class` names its class, the other keys are its fields.
 
     A nominal model may be the text "plant", which stands for the plant of the file, or a table with
@@ -194,13 +205,13 @@ def built(
     Raises ValueError naming the key: for an unknown class or field, for a missing field, and for a
     value of another kind or outside its range.
     """
-    known = [field.name for field in dataclasses.fields(typing.cast(Any, cls))] if cls else []
+    known = [field.name for field in dataclasses.fields(cls)] if cls else []
     table = Table(values, where, ", ".join(known), known)
     if cls is None:
         cls = classes()[table.take("class", one_of(sorted(classes())))]
-        table.known = [field.name for field in dataclasses.fields(typing.cast(Any, cls))]
+        table.known = [field.name for field in dataclasses.fields(cls)]
     hints, fields = typing.get_type_hints(cls), {}
-    for field in dataclasses.fields(typing.cast(Any, cls)):
+    for field in dataclasses.fields(cls):
         if field.name in HIDDEN:
             continue
         kind = functools.partial(_field, field, hints[field.name], plant, dt)
@@ -220,12 +231,12 @@ _DEFAULT = object()
 
 def _field(
     field: dataclasses.Field,
-    hint: Any,
+    hint: object,
     plant: Plant | None,
     dt: float | None,
-    value: Any,
+    value: Value,
     where: str,
-) -> Any:
+) -> Value:
     kind = field.metadata.get("kind", "child")
     if kind == "leaf":
         return numbers(value, where)
@@ -247,12 +258,13 @@ def _field(
     return value
 
 
-def _kinds(hint: Any, value: Any) -> str:
+def _kinds(hint: object, value: Value) -> str:
     """What is allowed for a part, as text for a message on a value that is not.
 
     Text that is close to a class, or to "plant", is answered with it first.
     """
-    wanted = tuple(c for c in typing.get_args(hint) or (hint,) if c is not type(None))
+    parts = typing.get_args(hint) or (hint,)
+    wanted = tuple(c for c in parts if isinstance(c, type) and c is not type(None))
     named = sorted(name for name, c in classes().items() if issubclass(c, wanted))
     if not named:
         return f"allowed is {', '.join(c.__name__ for c in wanted)}"
@@ -277,7 +289,9 @@ def _model(values: Mapping, where: str, plant: Plant | None, dt: float | None) -
     return _named(where, lambda: function(*gains, model))
 
 
-def _state_space(plant: Plant | None, dt: float | None, value: Any, where: str):
+def _state_space(
+    plant: Plant | None, dt: float | None, value: Value, where: str
+) -> plants.StateSpace:
     if value == "plant":
         return _nominal(where, plant, dt)
     if isinstance(value, str):
@@ -302,7 +316,7 @@ def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateS
     return linear
 
 
-def scheme(values: Any, where: str, plant: Plant, dt: float) -> Scheme:
+def scheme(values: Value, where: str, plant: Plant, dt: float) -> Scheme:
     """The scheme with its parts that a table describes; raises ValueError as `built` does."""
     made = built(values, where, plant=plant, dt=dt)
     if not isinstance(made, Scheme):
@@ -310,7 +324,7 @@ def scheme(values: Any, where: str, plant: Plant, dt: float) -> Scheme:
     return made
 
 
-def called(function: Callable, table: Table, units: str, **given: Any) -> Any:
+def called(function: Callable[..., T], table: Table, units: str, **given: Value) -> T:
     """The result of a function whose arguments are the remaining keys of a table.
 
     An argument is text where its default is text, and otherwise numbers.
@@ -333,11 +347,11 @@ def called(function: Callable, table: Table, units: str, **given: Any) -> Any:
     return _named(table.where, lambda: function(**arguments, **given))
 
 
-def _numbers_in(units: str) -> Callable[[Any, str], Any]:
+def _numbers_in(units: str) -> Kind[np.ndarray]:
     return lambda value, where: numbers(value, where, units)[()]
 
 
-def _named(where: str, make: Callable[[], Any]) -> Any:
+def _named(where: str, make: Callable[[], T]) -> T:
     """The result of `make`; its error is raised with the place in the file."""
     try:
         with np.errstate(all="ignore"):  # infinite results are refused where they are used

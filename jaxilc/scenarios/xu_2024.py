@@ -8,7 +8,7 @@ paper; numbers that are not printed are fitted, see `printed/xu-2024.toml`.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from ..learning.machine import Actuator, Machine, Sensor
 from ..learning.metrics import chattering
 from ..plants import BoucWen, FastToolServo, PeriodicForce, fast_tool_servo
+from ..pytree.aliases import Leaf
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
@@ -26,7 +27,7 @@ from .published import file_of, printed, readings
 from .scenario import Quantity, Scenario
 
 DT = 1e-4
-MODEL: dict[str, Any] = {"a1": 2.413e6, "a2": 70.16, "b": 2.229e7}  # printed; µm per V
+MODEL: dict[str, Leaf] = {"a1": 2.413e6, "a2": 70.16, "b": 2.229e7}  # printed; µm per V
 FITTED = file_of("xu-2024")["fitted"]
 LEARNED_TRIAL = 10
 
