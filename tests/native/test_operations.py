@@ -53,7 +53,7 @@ EXACT = {"add", "sub", "mul", "div", "max", "min", "neg", "abs", "sqrt", "floor"
 
 def flushed(x):
     """Return the numbers with a signed zero for those that are too small to be normal."""
-    return np.where(np.abs(x) < np.finfo(float).tiny, np.copysign(0.0, x), x)
+    return np.where(np.abs(x) < np.finfo(x.dtype).tiny, np.copysign(0.0, x), x)
 
 
 def applied(functions, *signals):
@@ -61,7 +61,7 @@ def applied(functions, *signals):
 
     def learning(common, one):
         def trial(carry, j):
-            total, _ = jax.lax.scan(lambda s, x: (s + x, None), 0.0, 0.0 * carry[0])
+            total, _ = jax.lax.scan(lambda s, x: (s + jnp.sum(x), None), 0.0, 0.0 * carry[0])
             return (*one, *(f(*one) for f in functions.values())), total
 
         def start(x):
@@ -78,26 +78,72 @@ def applied(functions, *signals):
     return zip(functions, map(np.asarray, compiled), map(np.asarray, wanted), strict=True)
 
 
-@pytest.mark.parametrize("functions", [OF_ONE, OF_TWO], ids=["one", "two"])
-def test_an_operation_on_real_numbers_is_that_of_jax(functions):
+@pytest.fixture
+def single():
+    """Single precision."""
+    jax.config.update("jax_enable_x64", False)
+    yield
+    jax.config.update("jax_enable_x64", True)
+
+
+def compared(functions, *signals, near):
     """Exact ones to the last bit and sign, the others to a few last places."""
-    signals = (X, Y)[: 1 if functions is OF_ONE else 2]
     for name, found, wanted in applied(functions, *signals):
         if found.dtype.kind != "f":
             np.testing.assert_array_equal(found, wanted, err_msg=name)
             continue
         found, wanted = flushed(found), flushed(wanted)
         np.testing.assert_array_equal(np.isnan(found), np.isnan(wanted), err_msg=name)
-        rtol = 0 if name in EXACT else 1e-14
+        rtol = 0 if name in EXACT else near
         np.testing.assert_allclose(found, wanted, rtol=rtol, atol=0, err_msg=name)
         if name in EXACT:
             off = (np.signbit(found) != np.signbit(wanted)) & ~np.isnan(wanted)
             assert not off.any(), name
 
 
+@pytest.mark.parametrize("functions", [OF_ONE, OF_TWO], ids=["one", "two"])
+def test_an_operation_on_real_numbers_is_that_of_jax(functions):
+    compared(functions, *(X, Y)[: 1 if functions is OF_ONE else 2], near=1e-14)
+
+
+def test_an_operation_in_single_precision_is_that_of_jax(single):
+    edges = np.where(np.abs(EDGES) == 3e-310, np.sign(EDGES) * 1e-40, EDGES)
+    x, y = (a.ravel() for a in np.meshgrid(np.clip(edges, -1e30, 1e30), edges))
+    x, y = x.astype(np.float32), np.clip(y, -1e30, 1e30).astype(np.float32)
+    x[:2], y[1:3] = np.inf, -np.inf
+    one = {name: lambda x, y, f=f: f(x) for name, f in OF_ONE.items() if name != "to whole"}
+    compared(OF_TWO | one, x, y, near=2e-6)
+    for name, found, wanted in applied(OF_WHOLE, *(k.astype(np.int32) for k in (SOME, OTHER))):
+        np.testing.assert_array_equal(found, wanted, err_msg=name)
+
+
 def test_an_operation_on_whole_numbers_is_that_of_jax():
     for name, found, wanted in applied(OF_WHOLE, SOME, OTHER):
         np.testing.assert_array_equal(found, wanted, err_msg=name)
+
+
+@pytest.mark.parametrize("axis", [0, 1], ids=["samples", "channels"])
+def test_what_puts_numbers_together_is_that_of_jax(axis):
+    """Along the samples and along the channels of each of them, with all edges among them."""
+    gather = {
+        "sum": jnp.sum, "prod": jnp.prod, "max": jnp.max, "min": jnp.min,
+        "all": lambda x, axis: jnp.all(x > 0, axis), "any": lambda x, axis: jnp.any(x > 1, axis),
+    }  # fmt: skip
+    run = {"cumsum": jnp.cumsum, "cumprod": jnp.cumprod, "cummax": jax.lax.cummax,
+           "cummin": jax.lax.cummin}  # fmt: skip
+    functions = {name: lambda x, f=f: f(x, axis=axis) for name, f in gather.items()}
+    functions |= {name: lambda x, f=f: f(x, axis=axis) for name, f in run.items()}
+    back = {name: getattr(jax.lax, name) for name in run}
+    functions |= {f"{name} back": lambda x, f=f: f(x, axis, True) for name, f in back.items()}
+    if axis == 0:
+        functions |= {name: lambda x, f=f: f(x, axis=0) for name, f in
+                      {"argmax": jnp.argmax, "argmin": jnp.argmin}.items()}  # fmt: skip
+    calm = np.random.default_rng(3).normal(size=(32, 4))
+    wild = calm.copy()
+    wild[20:, 1:] = np.resize(EDGES, (12, 3))
+    for signal in (calm, wild):
+        for name, found, wanted in applied(functions, signal):
+            np.testing.assert_allclose(found, wanted, rtol=1e-11, atol=1e-12, err_msg=name)
 
 
 def test_a_sample_reads_a_table_and_runs_short_loops_either_way():
