@@ -67,12 +67,20 @@ def usual_unroll() -> int:
 
 @contextmanager
 def all_stored() -> Generator[None]:
-    """A context in which a gradient stores the memories of all trials, however many these are."""
+    """A context in which a gradient stores the memories of all trials, however many these are.
+
+    What is traced in it is compiled by `jaxilc.native`.
+    """
     token = _STORED.set(2**62)
     try:
         yield
     finally:
         _STORED.reset(token)
+
+
+def machines_side_by_side() -> bool:
+    """Whether what is traced here becomes a program with the machines of a batch side by side."""
+    return _STORED.get() is not None
 
 
 def usual_stored() -> int:

@@ -28,7 +28,6 @@ REFUSED = {
     "two_step": "while",
     "constrained": "while",
     "basis_gradient": "eigh",
-    "in_blocks": "reshape of samples",
 }
 QUICK = ("ffdl_sign", "pid_type_leaky_limited", "p_type_fir", "at_samples", "motor_real")
 # with those above, each operation of the compiler, each reason to refuse, each kind of plant
