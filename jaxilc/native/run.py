@@ -278,7 +278,8 @@ class Native(Generic[Common, One, Found]):
     def why_not(self, common: Common, batch: One) -> str | None:
         """The reason why XLA computes these arguments; None where a compiled program does.
 
-        A new program first computes this batch, and its results are compared with those of XLA.
+        A new program first computes this batch, and its results are compared with those of XLA,
+        which compiles quickly, and once more with its optimiser where they differ.
         Where machine code is kept on disk, it is noted there that they agree, for later processes.
         """
         key = _key(common, batch)
@@ -310,10 +311,11 @@ class Native(Generic[Common, One, Found]):
             return program
         both = jax.jit(lambda *arguments: (program(*arguments), self._xla(*arguments)))
         traced = both.lower(common, batch)
-        off = differs(*traced.compile(compiler_options=QUICKLY)(common, batch))
-        if off is None:
-            agree(key)
-            return program
+        for options in (QUICKLY, None):  # a gradient of XLA was NaN without its optimiser alone
+            off = differs(*traced.compile(options)(common, batch))
+            if off is None:
+                agree(key)
+                return program
         log.warning("native: %s, as XLA computes it; XLA computes instead", off)
         return f"another result than that of XLA: {off}"
 
