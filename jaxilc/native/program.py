@@ -20,7 +20,7 @@ from jax import lax
 from .solves import Parameters, written
 
 if TYPE_CHECKING:
-    from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
+    from ..runtime.jax_internals import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
 T = TypeVar("T")
 Known: TypeAlias = jax.Array | np.ndarray | np.generic

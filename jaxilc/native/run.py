@@ -47,7 +47,7 @@ from .program import (
 )
 
 if TYPE_CHECKING:
-    from jax.extend.core import ClosedJaxpr, Jaxpr
+    from ..runtime.jax_internals import ClosedJaxpr, Jaxpr
 
 log = logging.getLogger("jaxilc")
 Common = TypeVar("Common")  # trees of arrays: what is common to all machines,

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 if TYPE_CHECKING:
-    from jax.extend.core import ClosedJaxpr
+    from ..runtime.jax_internals import ClosedJaxpr
 
 Parameters: TypeAlias = dict[str, Any]  # of a primitive of JAX; each has a type of its own
 

@@ -26,7 +26,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, partial
-from typing import NamedTuple, NoReturn, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import jax
 import jax.core
@@ -35,6 +35,13 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 
 from ..pytree.aliases import Array, Function, Tree, Value
+
+if TYPE_CHECKING:  # types that the compiler of learning names, none of which is used at run time
+    from jax.extend.core import ClosedJaxpr as ClosedJaxpr
+    from jax.extend.core import Jaxpr as Jaxpr
+    from jax.extend.core import JaxprEqn as JaxprEqn
+    from jax.extend.core import Literal as Literal
+    from jax.extend.core import Var as Var
 
 T = TypeVar("T")
 Lists: TypeAlias = Callable[..., list[Array]]

@@ -149,4 +149,4 @@ cogging = PositionMap(Harmonics(pitch=0.5, orders=(1,)), weights=(0.3, 0.1))
 print(response(ByPosition(ProcessModel(gain=2.0, poles=(60.0,)), force=cogging)))
 # [0. 1.]
 # [0.  0.5 0.5 0.  0.  0. ]
-# 0.827 1.26 1.63
+# 0.804 1.25 1.62
