@@ -341,6 +341,12 @@ def _logistic(n: Numbers, x: Node) -> Node:
     return n.of("div", one, n.of("add", one, n.of("exp", n.of("neg", x))))
 
 
+def _one_minus_square(n: Numbers, x: Node) -> Node:
+    """The slope of a hyperbolic tangent x, a primitive of its own in JAX 0.12."""
+    one = n.const(1, x.dtype)
+    return n.of("mul", n.of("add", one, x), n.of("sub", one, x))  # as JAX does, for x near 1
+
+
 def _select(n: Numbers, which: Node, *cases: Node) -> Node:
     if which.dtype == BOOL:
         return n.of("select", which, *cases)
@@ -393,6 +399,7 @@ COMPOSED: dict[str, tuple[Callable[..., Node], tuple[str, ...]]] = {
     "integer_pow": (_power, ("y",)),
     "square": (partial(_power, y=2), ()),
     "logistic": (_logistic, ()),
+    "one_minus_square": (_one_minus_square, ()),
     "select_n": (_select, ()),
     "clamp": (_clamp, ()),
     "round": (_round, ("rounding_method",)),
