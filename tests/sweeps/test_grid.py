@@ -171,7 +171,7 @@ def test_values_that_are_wholes_replace_machine_schemes_and_task():
 @pytest.mark.parametrize(
     ("grid", "message"),
     [
-        (5, "grid = 5 is not values by name"),
+        (5, "grid = 5 is a int; allowed are values by name"),
         ({3: [1]}, "3 is not a name, or names with / between them"),
         ({"learning.lm": [1]}, "'learning.lm' cannot be an axis; did you mean learning.lam"),
         ({"pid.kp": [1]}, "'pid.kp' cannot be an axis; known: trials, machine.plant.gain"),
