@@ -71,7 +71,7 @@ def measured(name: str, native: str) -> dict:
 def compared(name: str) -> dict[str, dict[str, float]]:
     """Return the seconds of each stage by row of the picture."""
     rows: dict[str, dict[str, float]] = {}
-    for native, by in (("off", "XLA"), ("on", "compiled so")):
+    for native, by in (("off", "XLA"), ("on", "native")):
         with tempfile.TemporaryDirectory() as folder:
             for state in ("nothing on disk", "programs on disk"):
                 done = subprocess.run(
@@ -99,7 +99,7 @@ def draw(rows: dict[str, dict[str, float]], path: Path) -> None:
     axes.invert_yaxis()
     axes.set_xlabel("time [s]")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False)
+    figure.legend(loc="outside upper center", ncols=len(STAGES), frameon=False)
     axes.margins(x=0.08)
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "jaxilc"}):
         figure.savefig(path, metadata={"Date": None})

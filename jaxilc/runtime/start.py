@@ -19,7 +19,6 @@ from .xla_options import chosen
 NATIVE = "JAXILC_NATIVE"
 SETTINGS = ("auto", "on", "off")
 WORTH = 5e7  # sample-steps that take XLA about as long as to compile them here, once for all
-STEPS_OF_SLOPE = 6  # sample-steps that take as long as one with its slope
 
 
 def setup(
@@ -87,7 +86,7 @@ def setup(
 def native_unwanted(steps: float) -> str | None:
     """The reason why learning is not to be compiled for this processor; None where it is to be.
 
-    steps: machines x trials x samples, times STEPS_OF_SLOPE where slopes are computed too
+    steps: machines x trials x samples, of all calls together
     Raises ValueError for another setting.
     """
     setting = _native_setting()

@@ -34,7 +34,6 @@ from ..native.run import fastest
 from ..pytree.aliases import Value
 from ..pytree.named_paths import replaced
 from ..runtime.lanes import fitting_lanes, usual_lanes
-from ..runtime.start import STEPS_OF_SLOPE
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
@@ -127,7 +126,7 @@ class Losses:
         )
         over_machines, native = fastest(
             of_one, z, batch, lanes=self._lanes_of(batch),
-            steps=sample_steps * (1 if self._forward else STEPS_OF_SLOPE),
+            steps=sample_steps,
         )  # fmt: skip
 
         def evaluate(z) -> Evaluation:
