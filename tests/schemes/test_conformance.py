@@ -41,7 +41,8 @@ COVERING = (
     "pid_increment_limited", "pid_position_limited", "position_basis", "repetitive", "three_axes",
     "two_step", "warm_start",
 )  # fmt: skip
-OFTEN = {*COVERING, *PARTED, *WITHOUT_JIT}
+SHIPPED = ("pid_increment", "cfdl_sign", "ffdl_sign")  # as pyproject.toml lists them
+OFTEN = {*COVERING, *PARTED, *WITHOUT_JIT, *SHIPPED}
 of_each_kind = pytest.mark.parametrize("run", PARTED, indirect=True, scope="module")
 # These programs of single machines are compiled in addition to those of batches.
 alone = pytest.mark.parametrize(
@@ -169,6 +170,7 @@ def test_gradient_of_every_parameter_equals_finite_differences(run):
 @of_each_kind
 def test_other_weights_do_not_retrace(run):
     program = over_trials._program(over_trials._nothing, 1, None, usual_stored())
+    of(run.parts, run.task)
     before = program._cache_size()
     for turn in range(10):
         moved = {
