@@ -558,6 +558,18 @@ def case(name):
     return Machine(plant), scheme, task_for(plant, FEW if name in _FEW else SAMPLES)
 
 
+# Of plant files: a plant that takes little time, and the beginning of its task.
+FIRST_ORDER = """[plant]
+kind = "state_space"
+A = [[0.9]]
+B = [[0.1]]
+C = [[1.0]]
+dt = 0.001
+[task]
+dt = 0.001
+"""
+
+
 def few(chosen, every):
     """Return the chosen ones of `every`, or with JAXILC_ALL=1, as by `make matrix`, all of them."""
     assert {*chosen} <= {*every}, f"{ {*chosen} - {*every} } are not there"

@@ -90,6 +90,7 @@ def pytest_collection_modifyitems(config, items):
     spared = set()
     for function, of in cases.items():
         always = {*next(iter(of.values())).get_closest_marker("thorough").kwargs.get("but", ())}
+        assert always, f"{function.__name__} names no case that always runs"
         assert always <= {*of}, f"{function.__name__} has no cases {always - {*of}}"
         spared |= {item for case, item in of.items() if case not in always}
     if os.environ.get("JAXILC_ALL") != "1":

@@ -24,7 +24,7 @@ from .program import Const, Known, Step, Value, by_jax, in_order, without_dead_o
 from .rows import Trials
 
 FEW = 64  # real numbers of an operand that are written into the program where they never change
-Arrays: TypeAlias = dict[Value, jax.Array]
+ByValue: TypeAlias = dict[Value, jax.Array]
 
 
 class Function:
@@ -55,7 +55,7 @@ class Function:
                          name)  # fmt: skip
         self.constants = [np.ascontiguousarray(x) for x in self.plan.given]
 
-    def operands(self, known: Arrays, groups: int, without: Iterable[int] = ()) -> list[jax.Array]:
+    def operands(self, known: ByValue, groups: int, without: Iterable[int] = ()) -> list[jax.Array]:
         """What it reads, for groups of machines, but for some operands; and the constants."""
         found = []
         for i, x in enumerate(self.step.ins):
@@ -111,7 +111,7 @@ class Loop:
         """The name under which XLA calls it, which follows from what it computes."""
         raise NotImplementedError
 
-    def __call__(self, known: Arrays, groups: int) -> Arrays:
+    def __call__(self, known: ByValue, groups: int) -> ByValue:
         """The results for groups of machines by value, from those of what it reads."""
         raise NotImplementedError
 
@@ -145,7 +145,7 @@ class Whole(Loop):
         return target(callable_by_xla(module([of.text]), operands, results, self.work,
                                       self.step.params["length"]))  # fmt: skip
 
-    def __call__(self, known: Arrays, groups: int) -> Arrays:
+    def __call__(self, known: ByValue, groups: int) -> ByValue:
         of = self._function
         found = self._called(of.operands(known, groups), [of.like(i, groups) for i in self._found])
         return {self.step.outs[i]: of.turned_back(i, x)
@@ -273,7 +273,7 @@ class There(Loop):
         return target(callable_by_xla(f"{module([of.text])}\n{text.ended()}", operands, sizes,
                                       self.work, blocks.trials))  # fmt: skip
 
-    def __call__(self, known: Arrays, groups: int) -> Arrays:
+    def __call__(self, known: ByValue, groups: int) -> ByValue:
         of = self._function
         like = [of.like(i, groups, *[self._blocks.count] * (i < self._carry))
                 for i in range(len(self.step.outs))]  # fmt: skip
@@ -350,7 +350,7 @@ class Back(Loop):
         return target(callable_by_xla(f"{functions}\n{text.ended()}", sum(counts), sizes,
                                       self.work, blocks.trials))  # fmt: skip
 
-    def __call__(self, known: Arrays, groups: int) -> Arrays:
+    def __call__(self, known: ByValue, groups: int) -> ByValue:
         of = self._back
         operands = [*self._again.operands(known, groups), *(known[x] for x in self._kept),
                     *of.operands(known, groups, self._tape)]  # fmt: skip

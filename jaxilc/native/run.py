@@ -31,7 +31,7 @@ from .code import (
     of_compiler,
     width,
 )
-from .loops import Arrays, Back, Blocks, Loop, Memories, There, Whole, real, size_of
+from .loops import Back, Blocks, ByValue, Loop, Memories, There, Whole, real, size_of
 from .operations import foreign
 from .program import (
     Const,
@@ -218,7 +218,7 @@ class Compiled(Generic[Common, One, Found]):
         machines = len(each[0])
         groups = -(-machines // self.lanes)
         at = np.minimum(np.arange(groups * self.lanes), machines - 1).reshape(groups, self.lanes)
-        known: Arrays = dict(zip(self._program.ins, shared, strict=False))
+        known: ByValue = dict(zip(self._program.ins, shared, strict=False))
         grouped = [jnp.moveaxis(jnp.asarray(x)[at], 1, -1) for x in each]
         known |= zip(self._program.ins[self._shared :], grouped, strict=True)
         for number, (before, _) in enumerate(self._parts):
@@ -236,7 +236,7 @@ class Compiled(Generic[Common, One, Found]):
                 found.append(array.reshape(groups * self.lanes, *x.shape)[:machines])
         return found
 
-    def _by_xla(self, steps: list[Step], known: Arrays, groups: int, read: set[Value]) -> Arrays:
+    def _by_xla(self, steps: list[Step], known: ByValue, groups: int, read: set[Value]) -> ByValue:
         """What steps between the loops make that is read later.
 
         known: by value, arrays of all groups, (groups, ..., lanes), of what varies
@@ -325,7 +325,7 @@ def fastest(
     common: Common,
     batch: One,
     *,
-    steps: float,
+    steps: Callable[[], float],
     lanes: int | None = None,
 ) -> tuple[Callable[[Common, One], Found], bool]:
     """`tiled(fn)`, or a compiled program that does the same, and whether it is the latter.
@@ -334,7 +334,7 @@ def fastest(
     computes a tile of this batch, and its results are compared with those of XLA.
 
     common, batch: arguments, of which a program may be called with others of the same shapes
-    steps: number of sample-steps of all calls together, see `native_unwanted`
+    steps: gives the number of sample-steps of all calls together, see `native_unwanted`
     """
     by_xla = tiled(fn, lanes=lanes)
     native, reason = Native(fn, by_xla), native_unwanted(steps)

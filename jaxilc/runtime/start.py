@@ -6,6 +6,7 @@ import hashlib
 import os
 import platform
 import warnings
+from collections.abc import Callable
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -83,10 +84,10 @@ def setup(
         )
 
 
-def native_unwanted(steps: float) -> str | None:
+def native_unwanted(steps: Callable[[], float]) -> str | None:
     """The reason why learning is not to be compiled for this processor; None where it is to be.
 
-    steps: machines x trials x samples, of all calls together
+    steps: gives machines x trials x samples, of all calls together; asked where they decide
     Raises ValueError for another setting.
     """
     setting = _native_setting()
@@ -96,11 +97,11 @@ def native_unwanted(steps: float) -> str | None:
         return f"JAX computes on {jax.default_backend()}"
     if setting == "on":
         return None
-    if steps < WORTH:
-        return f"{steps:.2g} sample-steps, where fewer than {WORTH:.0e} are not worth compiling"
-    return (
-        None if find_spec("llvmlite") else "llvmlite is not installed: pip install jaxilc[native]"
-    )
+    if not find_spec("llvmlite"):
+        return "llvmlite is not installed: pip install jaxilc[native]"
+    if (few := steps()) < WORTH:
+        return f"{few:.2g} sample-steps, where fewer than {WORTH:.0e} are not worth compiling"
+    return None
 
 
 def _native_setting() -> str:

@@ -42,8 +42,8 @@ log = logging.getLogger("jaxilc")
 PROGRAMS = 8  # number of programs, of different sweeps, that are kept in a process
 AT_ONCE = 4  # number of chunks that are in the RAM, computed or not; writing takes uneven times
 TRIALS_A_PASS = 2  # of the compiled loop over trials, see `learn`
-Arrays: TypeAlias = dict[str, jax.Array]
-Started: TypeAlias = Arrays | Callable[[], Arrays]
+ByName: TypeAlias = dict[str, jax.Array]
+Started: TypeAlias = ByName | Callable[[], ByName]
 COMPILERS = 4  # number of programs that are compiled at once; a compiler mostly uses one core
 
 
@@ -66,9 +66,9 @@ class Host:
         make = _shared_program if shared else _program
         self._members = {v.trials: _Member(*of, v.trials) for v in plan.variants.values()}
         self._programs = {n: make(of, plan.lanes) for n, of in self._members.items()}
-        self._natives: dict[int, Native[Tree, Tree, Arrays] | str] = {}
+        self._natives: dict[int, Native[Tree, Tree, ByName] | str] = {}
         for n, member in self._members.items():
-            why_not = native_unwanted(plan.members * n * plan.task.N)
+            why_not = native_unwanted(partial(self._sample_steps, n))
             if not shared:
                 why_not = "the workers of a cluster may differ in their processors"
             self._natives[n] = why_not or _shared_native(member, plan.lanes)
@@ -95,6 +95,9 @@ class Host:
             found["native"] = native
         return found
 
+    def _sample_steps(self, trials: int) -> float:
+        return self.plan.members * trials * self.plan.task.N
+
     def _why_not(self, name: str) -> str | None:
         """The reason why XLA computes a variant; None where it does not."""
         native = self._natives[self.plan.variants[name].trials]
@@ -104,7 +107,7 @@ class Host:
 
     def _native(
         self, name: str, arguments: tuple[Tree, Tree]
-    ) -> Compiled[Tree, Tree, Arrays] | None:
+    ) -> Compiled[Tree, Tree, ByName] | None:
         """The program for this processor of a variant; None where XLA computes it."""
         native = self._natives[self.plan.variants[name].trials]
         if isinstance(native, str) or self._why_not(name) is not None:
@@ -240,7 +243,7 @@ class _Member(NamedTuple):
     watch: Watch | None
     trials: int
 
-    def found(self, common: Tree, one: Tree) -> Arrays:
+    def found(self, common: Tree, one: Tree) -> ByName:
         """The metrics and signals of one drawn machine at one point, for `tiled`."""
         (*parts, key), (index, values, at_point) = common, one
         machine, scheme, task = (
@@ -271,6 +274,6 @@ _shared_program = lru_cache(maxsize=PROGRAMS)(_program)
 
 
 @lru_cache(maxsize=PROGRAMS)
-def _shared_native(of: _Member, lanes: int | None) -> Native[Tree, Tree, Arrays]:
+def _shared_native(of: _Member, lanes: int | None) -> Native[Tree, Tree, ByName]:
     """The function compiled for this processor, where it can be."""
     return Native(of.found, _shared_program(of, lanes))

@@ -121,13 +121,10 @@ class Losses:
         batch = self.population.batch()
         of_one = partial(self._slope_of_one, objective=of_machines)
         z = jnp.asarray(self.weights.starts(1, 0.0, 0)[0])
-        sample_steps = (
-            steps * self.starts * len(jax.tree.leaves(batch)[0]) * self.trials * self.task.N
-        )
+        runs = steps * self.starts * len(jax.tree.leaves(batch)[0]) * self.trials
         over_machines, native = fastest(
-            of_one, z, batch, lanes=self._lanes_of(batch),
-            steps=sample_steps,
-        )  # fmt: skip
+            of_one, z, batch, lanes=self._lanes_of(batch), steps=lambda: runs * self.task.N
+        )
 
         def evaluate(z) -> Evaluation:
             losses, slopes, good = repaired(*over_machines(z, batch), clip)

@@ -106,7 +106,7 @@ def worst_case_search(
         return jax.value_and_grad(lambda t: loss(box.at(t, subject)))(t)
 
     given = of_one, box.subject, jnp.asarray(t)
-    climb = jax.jit(fastest(*given, steps=steps * sample_steps(*given), lanes=lanes)[0])
+    climb = jax.jit(fastest(*given, steps=lambda: steps * sample_steps(*given), lanes=lanes)[0])
     start = jax.ShapeDtypeStruct((starts, box.n), jnp.result_type(float))
     check_program(
         "worst_case_search: a step of all starts",
@@ -148,7 +148,7 @@ def monte_carlo_search(
     check_size("monte_carlo_search", bytes_of_a_draw(box.uncertainty), evaluations=evaluations)
     t = np.random.default_rng(seed).random((evaluations, box.n))
     given = lambda subject, t: loss(box.at(t, subject)), box.subject, jnp.asarray(t)
-    look = fastest(*given, steps=sample_steps(*given), lanes=lanes)[0]
+    look = fastest(*given, steps=lambda: sample_steps(*given), lanes=lanes)[0]
     losses = np.asarray(look(box.subject, jnp.asarray(t)))
     losses = np.where(np.isfinite(losses), losses, -np.inf)
     return box.worst(t, losses, evaluations, np.maximum.accumulate(losses))

@@ -18,7 +18,7 @@ import ours
 import peers
 import pytest
 import timing
-from cases import ALGEBRA
+from cases import ALGEBRA, FIRST_ORDER
 from gradients import WEIGHTS, Slope
 from jax import lax
 from ours import GRADIENT
@@ -311,17 +311,10 @@ def test_bad_input_is_named(arguments, message):
         compare.main([*SMALL, *arguments])
 
 
-FILE = """
-trials = 3
-[plant]
-kind = "state_space"
-A = [[0.9]]
-B = [[0.1]]
-C = [[1.0]]
-dt = 0.001
-[task]
-dt = 0.001
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
+FILE = (
+    "trials = 3\n"
+    + FIRST_ORDER
+    + """reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
 [schemes.ilc]
 class = "PIDType"
 gamma_p = 5.0
@@ -334,6 +327,7 @@ low = 0.9
 high = 1.1
 relative = true
 """
+)
 
 
 def test_a_gradient_is_by_numbers_and_vectors_inside_their_ranges():

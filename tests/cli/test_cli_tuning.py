@@ -12,6 +12,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from cases import FIRST_ORDER
 
 import jaxilc
 from jaxilc import figures, outcomes
@@ -49,17 +50,10 @@ PARETO = (
     *("pareto", "axis.toml", "--scheme", "ilc", "--weights", "gamma_p=0.1:8"),
     *("--set", "ilc.lead=1", "--machines", 3, "--held-out", 2, "--steps", 2, "--seed", 1),
 )
-AXIS = """
-judged_by = "settled_error"
-[plant]
-kind = "state_space"
-A = [[0.9]]
-B = [[0.1]]
-C = [[1.0]]
-dt = 0.001
-[task]
-dt = 0.001
-unit = "mm"
+AXIS = (
+    'judged_by = "settled_error"\n'
+    + FIRST_ORDER
+    + """unit = "mm"
 reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
 [schemes.ilc]
 class = "PIDType"
@@ -70,6 +64,7 @@ low = 0.8
 high = 1.2
 relative = true
 """
+)
 
 
 def call(*arguments):

@@ -7,6 +7,8 @@ import json
 import subprocess
 import sys
 
+from cases import FIRST_ORDER
+
 from jaxilc import figures
 
 ADD = '''
@@ -46,17 +48,10 @@ for line in sys.argv[1].split("\\n"):
 moved = Exploration(load_scenario("peak_input.toml"), machines=2).outcome({})
 print("moved", moved.errors.shape)
 '''
-PLANT = """
-trials = 4
-[plant]
-kind = "state_space"
-A = [[0.9]]
-B = [[0.1]]
-C = [[1.0]]
-dt = 0.001
-[task]
-dt = 0.001
-unit = "mm"
+PLANT = (
+    "trials = 4\n"
+    + FIRST_ORDER
+    + """unit = "mm"
 input_unit = "V"
 settle = [0.01, 0.03]
 reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.03 }
@@ -69,6 +64,7 @@ low = 0.9
 high = 1.1
 relative = true
 """
+)
 FEW = "--weights gamma_p --machines 3 --held-out 2 --unseen 2 --steps 1"
 LINES = f"""run peak_input.toml --metric late_rms --json late.json
 run late_rms.toml --metric peak_input --json peak.json
