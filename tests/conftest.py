@@ -3,6 +3,7 @@
 import base64
 import gc
 import os
+import threading
 from pathlib import Path
 
 from instructions import limited
@@ -13,9 +14,10 @@ os.environ.setdefault("JAXILC_CACHE", "off")  # it would write to the user's fol
 
 from jaxilc.runtime.xla_options import known  # noqa: E402
 
-# Most of the time of these tests is compilation. Without LLVM's optimiser it takes half as long.
-# `XLA_FLAGS= pytest` tests the programs as users get them.
-FLAGS = known("--xla_backend_optimization_level=0")
+# Most of the time of these tests is compilation. Without LLVM's optimiser it takes half as long,
+# and a tenth less in one piece for all cores. `XLA_FLAGS= pytest` tests the programs as users get
+# them.
+FLAGS = known("--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1")
 QUICKLY_COMPILED = bool(FLAGS) and FLAGS in os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + ISA
 
@@ -29,7 +31,9 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 import typer.main  # noqa: E402
 from cases import PLANTS, task_for  # noqa: E402
+from jax._src.interpreters import mlir  # noqa: E402
 from jax.experimental.compilation_cache import compilation_cache  # noqa: E402
+from turns import drawn  # noqa: E402
 
 from jaxilc import figures  # noqa: E402
 from jaxilc.learning import Machine  # noqa: E402
@@ -38,6 +42,26 @@ from jaxilc.sweeps import host  # noqa: E402
 if QUICKLY_COMPILED:  # a pass of two trials takes twice as long to compile
     host.TRIALS_A_PASS = 1
 
+
+jax.config.update("jax_traceback_in_locations_limit", 1)  # each operation would keep ten lines
+
+_make_context, _contexts = getattr(mlir, "make_ir_context", None), {}
+
+
+def context_of_module():
+    """Return the same MLIR context for all programs of a module and a thread.
+
+    A context takes 8 ms to make, a tenth of the time of these tests, and JAX makes one for each of
+    17,000 programs. A program that is made within another one has its own.
+    """
+    thread = threading.get_ident()
+    if mlir.ir.Context.current is not None:
+        return _make_context()
+    return _contexts.get(thread) or _contexts.setdefault(thread, _make_context())
+
+
+if _make_context is not None:
+    mlir.make_ir_context = context_of_module
 
 _make, _made = typer.main.get_command, {}
 
@@ -90,12 +114,10 @@ def pytest_collection_modifyitems(config, items):
     spared = set()
     for function, of in cases.items():
         always = {*next(iter(of.values())).get_closest_marker("thorough").kwargs.get("but", ())}
-        assert always, f"{function.__name__} names no case that always runs"
         assert always <= {*of}, f"{function.__name__} has no cases {always - {*of}}"
-        spared |= {item for case, item in of.items() if case not in always}
-    if os.environ.get("JAXILC_ALL") != "1":
-        config.hook.pytest_deselected(items=[*spared])
-        items[:] = [item for item in items if item not in spared]
+        spared |= {one for case, one in of.items() if case not in always and not drawn(one.nodeid)}
+    config.hook.pytest_deselected(items=[*spared])
+    items[:] = [item for item in items if item not in spared]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -106,6 +128,7 @@ def _forget_compiled_programs():
     """
     yield
     jax.clear_caches()
+    _contexts.clear()
 
 
 @pytest.fixture(scope="module")

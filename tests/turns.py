@@ -1,12 +1,15 @@
-"""Which notebooks and pages the tests of a commit execute, as all of them would take minutes."""
+"""What the tests of a commit leave for others: notebooks, pages, and tests marked `thorough`."""
 
 import os
 import random
 import subprocess
+import zlib
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 COMMITS = 5  # a file that one of these changed is executed
+SHARE = 6  # of the `thorough` tests, one in so many is run
 
 
 def git(*words: str) -> str:
@@ -18,15 +21,25 @@ def git(*words: str) -> str:
     return done.stdout if done.returncode == 0 else ""
 
 
+@cache
+def _head() -> str:
+    """Return the commit; nothing where all is due: outside of git, and with JAXILC_ALL=1."""
+    return "" if os.environ.get("JAXILC_ALL") == "1" else git("rev-parse", "HEAD")
+
+
+def drawn(test: str) -> bool:
+    """Return whether the commit draws a `thorough` test, which has one turn in `SHARE` commits."""
+    return not _head() or zlib.crc32((_head() + test).encode()) % SHARE == 0
+
+
 def due(paths: list[Path], count: int) -> list[Path]:
     """Return those that changed lately, and as many others, which the commit draws.
 
     All of them are due outside of git and with JAXILC_ALL=1, by which `make docs` runs the pages;
     it executes all notebooks itself.
     """
-    head = git("rev-parse", "HEAD")
-    if not head or os.environ.get("JAXILC_ALL") == "1":
+    if not _head():
         return paths
     changed = git("diff", "--name-only", f"HEAD~{COMMITS}").splitlines()
-    drawn = random.Random(head).sample(paths, count)
-    return [p for p in paths if p in drawn or p.relative_to(ROOT).as_posix() in changed]
+    picked = random.Random(_head()).sample(paths, count)
+    return [p for p in paths if p in picked or p.relative_to(ROOT).as_posix() in changed]

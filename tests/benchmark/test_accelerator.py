@@ -163,6 +163,7 @@ def test_the_table_fits_80_columns_and_says_what_was_not_measured():
     assert rows.failed(empty)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", ["forward", "gradient"])
 def test_a_row_runs_the_machines_of_make_bench(what):
     """A signature that changed in the package once broke every row, and no other test saw it."""

@@ -77,6 +77,7 @@ def test_the_reset_is_the_same_for_all():
 TARGETS = {"x86-64": ("SSE2", 2), "haswell": ("AVX2", 4), "skylake-avx512": ("AVX-512", 8)}
 
 
+@pytest.mark.thorough
 @WITHOUT_C
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="targets of x86-64")
 @pytest.mark.parametrize("target", TARGETS)
@@ -147,6 +148,7 @@ def right(of):
     return np.asarray(by_jax(of.machine, of.scheme, of.task, of.b, of.trials))
 
 
+@pytest.mark.thorough
 @WITHOUT_C
 @pytest.mark.parametrize("name", TRIALS)
 def test_the_adjoint_in_c_is_the_gradient(name):

@@ -641,6 +641,7 @@ def test_a_closed_stream_is_one_that_nobody_reads(closed):
     assert bool(done.stdout) == (">&-" not in closed.replace("2>", ""))
 
 
+@pytest.mark.thorough(but=["--version >/dev/full"])
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device of a full disk here")
 @pytest.mark.parametrize("line", ["--version >/dev/full", "run none.toml 2>/dev/full"])
 def test_a_full_disk_is_no_error_of_jaxilc(line):
@@ -665,6 +666,7 @@ def test_what_needs_no_jax_does_not_wait_for_it(words):
     assert "130  stopped by Ctrl-C" in done.stdout or words != ("--help",)
 
 
+@pytest.mark.thorough
 def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path):
     loaded = {name: jaxilc.scenarios.load(name) for name in jaxilc.scenarios.SCENARIOS}
     assert {
@@ -709,6 +711,7 @@ def test_colours_are_for_a_terminal_that_wants_them(environment, coloured):
     assert bool(COLOUR.search(text.decode())) == coloured
 
 
+@pytest.mark.thorough
 def test_nothing_but_text_where_there_is_no_terminal():
     done = started("tune", "--help", TERM="xterm-256color")
     assert "--weights" in done.stdout

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 
+import pytest
 from cases import FIRST_ORDER
 
 from jaxilc import figures
@@ -77,6 +78,7 @@ next --state c --measured m.csv --out n2.csv
 trials --state c"""
 
 
+@pytest.mark.thorough
 def test_a_new_metric_works_everywhere(tmp_path, unpainted):
     for metric in ("peak_input", "late_rms"):
         (tmp_path / f"{metric}.toml").write_text(f'judged_by = "{metric}"\n{PLANT}')

@@ -59,6 +59,7 @@ def scipys(gain, frequency, f):
     return scipy.signal.freqz(b.ravel(), a, 2 * np.pi * f * DT)[1]
 
 
+@pytest.mark.thorough
 def test_the_responses_are_scipys(family):
     factors = zip(*family.drawn.values(), strict=True)
     for P, (gain, stretch) in zip(family.P, factors, strict=True):
@@ -81,6 +82,7 @@ def test_the_lines_meet_the_resonance_of_each_machine():
         assert np.max(near) > 0.98 * np.max(dense)
 
 
+@pytest.mark.thorough
 def test_the_band_of_a_notch_is_that_of_the_highest_resonance_on_all_machines(family):
     low, high = resonance_band(family, DT)
     damped = np.sqrt(1 - 0.1**2) / (2 * np.pi)
@@ -166,6 +168,7 @@ def test_the_model_inverse_also_learns_at_the_end_of_the_trial(family, safe):
         assert np.max(np.abs(np.linalg.eigvals(law.keep - law.L @ G))) < 0.99
 
 
+@pytest.mark.thorough
 def test_the_taps_give_the_largest_value_that_the_search_used(family, safe):
     for one in safe.values():
         np.testing.assert_allclose(contraction(family, one.scheme, TASK), one.largest, rtol=2e-3)

@@ -76,6 +76,7 @@ def test_the_radius_in_a_trial_is_that_of_matrices(lag):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_of_the_leads_one_with_safe_ends_is_taken_and_of_these_the_best(lag, monkeypatch):
     def at(lead):
         return window_of(lag, TASK, (21, 11), lead=lead)
@@ -118,6 +119,7 @@ def test_machines_between_those_of_a_family_join_it_until_none_breaks_the_bound(
     np.testing.assert_array_equal(wider.drawn["plant.frequencies[1]"][-len(numbers) :], numbers)
 
 
+@pytest.mark.thorough
 def test_another_risk_makes_the_worst_machines_better(resonant):
     window = window_of(resonant, TASK, (21, 11))
     args = (resonant, window, window.nothing(), TASK, TRIALS, BELOW)

@@ -54,6 +54,7 @@ def found(family, window):
     return by_response(family, window, window.nothing(), TASK, TRIALS, 1 - MARGIN)[0]
 
 
+@pytest.mark.thorough
 def test_the_sizes_of_taps_are_those_of_the_matrix_of_the_scheme(family, window, found):
     """The middle row of the law as a matrix holds its taps."""
     law, middle = learning_law(window.of(found), Task(np.zeros(402), dt=DT)), 200

@@ -154,6 +154,7 @@ def test_a_plant_answers_in_an_fmu_as_it_answers_here(exported, version, tmp_pat
             assert [fmu.get(f"y[{i + 1}]") for i in range(2)] == list(answer), trial
 
 
+@pytest.mark.thorough
 @compiled
 def test_law_and_plant_learn_together_what_they_learn_here(exported, tmp_path):
     *_, block, model = exported

@@ -383,6 +383,7 @@ def test_a_sinusoid_shows_its_amplitude_at_its_frequency(amplitude, hertz):
     assert [ax.yaxis.get_major_formatter()(v) for v in (0.1, 100.0)] == ["100 nm", "100 µm"]
 
 
+@pytest.mark.thorough
 def test_lines_of_noise_are_those_that_the_docstring_says():
     """The spectral lines of noise have the mean that the docstring states.
 
@@ -485,6 +486,7 @@ def test_the_crossing_is_marked_where_the_closed_form_has_it():
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough(but=["errors0", "errors2"])
 @pytest.mark.parametrize(
     "errors",
     [
@@ -501,6 +503,7 @@ def test_what_is_zero_or_diverged_is_drawn_without_complaint(errors, tmp_path):
         )
 
 
+@pytest.mark.thorough
 def test_a_short_trial_is_drawn(tmp_path):
     dataset = dataset_of([circle_at(1.0)[:6]], circle_at(2.0)[:6])
     for figure in (figures.tracking, figures.spectrum, figures.time_frequency, figures.contour):
@@ -585,6 +588,7 @@ def test_a_legend_has_its_place():
     assert [call[:2] for call in calls if "loc" not in call[2]] == []
 
 
+@pytest.mark.thorough
 def test_a_run_has_what_the_figures_need(tmp_path, unpainted):
     task = Task(
         np.hstack([sinusoid(1.0, 2.0), sinusoid(1.0, 3.0)])[:201], dt=DT, unit="mm", input_unit="V"

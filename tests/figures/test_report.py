@@ -340,6 +340,7 @@ def test_a_live_page_is_whole_and_small(tmp_path):
     assert "{" not in "".join(t for s in tree.findall("body/section") for t in s.itertext())
 
 
+@pytest.mark.thorough
 @needs_chromium
 def test_a_reader_moves_the_slider_and_chooses_a_parameter(tmp_path):
     """The widgets are moved in a browser; the figures then show the numbers that were put in."""
@@ -379,6 +380,7 @@ def test_a_reader_moves_the_slider_and_chooses_a_parameter(tmp_path):
     assert said["canvases"] >= 7
 
 
+@pytest.mark.thorough
 @needs_chromium
 def test_a_browser_shows_every_figure_and_asks_nobody(tmp_path, server):
     """A browser shows every figure, and requests nothing from the network.

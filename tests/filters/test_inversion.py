@@ -369,6 +369,7 @@ def test_gradient_with_respect_to_the_reference_equals_finite_differences(name):
     np.testing.assert_allclose(gradient, expected, rtol=DIFFERENCES["rtol"], atol=1e-7)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", BOTH)
 def test_jit_vmap_and_channels_agree(name):
     q, r = BOTH[name], np.stack([moving(rest=5, N=40, seed=seed) for seed in range(3)])

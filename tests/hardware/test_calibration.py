@@ -2,6 +2,7 @@
 
 import campaigns_with_faults as faults
 import numpy as np
+import pytest
 from cases import ALGEBRA
 
 from jaxilc.hardware import Journal, calibration
@@ -30,6 +31,7 @@ def places(y, s, first=2):
     return [band.place(*error) for band, error in zip(found, errors, strict=True)]
 
 
+@pytest.mark.thorough
 def test_nine_of_ten_trials_lie_within_and_the_band_is_narrow():
     within, widths = [], []
     for seed in range(20):

@@ -259,6 +259,7 @@ KILLED_IN = {
 }
 
 
+@pytest.mark.thorough(but=["manifest"])
 @pytest.mark.parametrize("when", KILLED_IN)
 def test_killed_at_any_moment_nothing_is_lost(copied, monkeypatch, when):
     rig, state, folder = copied
@@ -512,6 +513,7 @@ def _ladder():
     return noisy, Ladder(scheme, repeats=2), task
 
 
+@pytest.mark.thorough(but=["milc"])
 @pytest.mark.parametrize(
     "name", ["p_type_on_reference", "milc", "ffdl_sign", "asmc_over_ilc", "ladder"]
 )

@@ -175,6 +175,7 @@ def error_curve(phi0, lam):
     return jnp.log(learn(MACHINE, CFDLMFAILC(phi0=phi0, lam=lam, mu=0.05), TASK, 7).rms[1:, 0])
 
 
+@pytest.mark.thorough
 def test_start_value_and_weight_are_recovered_from_the_error_curve_they_gave():
     truth = {"phi0": 0.23, "lam": 0.4}
     curve = error_curve(**truth)

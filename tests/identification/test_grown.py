@@ -77,6 +77,7 @@ def test_order_delay_direct_term_and_integrator_are_found():
             assert abs(value - float(getattr(PLANT, name)[i])) < 2 * (high - low)
 
 
+@pytest.mark.thorough
 def test_a_simple_plant_stays_one_of_real_zeros():
     plant = ProcessModel(2.0, (), (150.0,), (300.0,), (0.4,), delay=3 * DT)
     model = grow(excite(Machine(plant, sensor=Sensor(noise=5e-3)), U, DT))
@@ -87,6 +88,7 @@ def test_a_simple_plant_stays_one_of_real_zeros():
     np.testing.assert_allclose(found.frequencies, 300.0, rtol=0.05)
 
 
+@pytest.mark.thorough
 def test_one_lag_is_a_gain_and_a_pole_also_in_few_samples():
     model = grow(
         excite(Machine(ProcessModel(3.0, (), (80.0,)), sensor=Sensor(noise=0.1)), U[:60], DT)
@@ -132,6 +134,7 @@ def test_channels_share_their_poles():
     assert np.all(model.found.validation_fit > 95)
 
 
+@pytest.mark.thorough
 def test_an_order_that_is_asked_for_is_fitted():
     record = excite(Machine(PLANT, sensor=Sensor(noise=1e-2)), U, DT)
     model = grow(record, order=3, delay=2)

@@ -28,6 +28,7 @@ def drawn(parts, seed, delay=2.3e-3):
     return Projected(np.append(theta, delay), None, rng.normal(size=parts.numerators), None, 0.0)
 
 
+@pytest.mark.thorough(but=["double-None", "double-0.001", "lags-None"])
 @pytest.mark.parametrize("dt", [None, DT])
 @pytest.mark.parametrize(
     "parts", [Parts(1, 2), Parts(0, 2, 2, True), Parts(2, 0, 1)], ids=["modes", "double", "lags"]
@@ -77,6 +78,7 @@ def flexible(seed, modes, integrators, lines, dt, averages, known):
     return at, parts, P, MeasuredResponse(f, G, own, c, known)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("seed", "modes", "dt", "known"), [(1, 3, DT, False), (2, 3, None, True)], ids=str
 )

@@ -145,6 +145,7 @@ def test_impossible_process_models_are_refused(build, message):
         build()
 
 
+@pytest.mark.thorough
 def test_derivatives_are_exact_and_independent_at_the_double_pole(record):
     names = tuple(n for n in TRUE if n != "bias")
     theta = np.array([TRUE[n] for n in names])
@@ -179,6 +180,7 @@ def test_a_record_holds_the_input_as_applied_and_the_output_as_the_encoder_shows
     assert 0 < np.max(np.abs(record.y - exact.y)) <= ENCODER / 2 * (1 + 1e-9)
 
 
+@pytest.mark.thorough
 def test_each_key_is_another_noise():
     keys = jax.random.split(jax.random.key(3), 2)
     noisy = jax.vmap(lambda key: excite(MOTOR, U[:50], DT, key=key).y)(keys)
@@ -192,6 +194,7 @@ def test_each_key_is_another_noise():
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_eq_7_is_recovered_within_the_intervals(identified):
     assert list(identified.parameters) == list(TRUE)
     for name, value in TRUE.items():
@@ -237,6 +240,7 @@ def test_figures_of_merit_are_those_of_the_simulated_output(record, identified):
     assert rows["fit [%]"][0] == identified.fit[0]
 
 
+@pytest.mark.thorough
 def test_another_seed_finds_the_same_minimum(record, identified):
     again = identify(record, seed=7, starts=32)
     for name, estimate in identified.parameters.items():
@@ -245,6 +249,7 @@ def test_another_seed_finds_the_same_minimum(record, identified):
         ), name
 
 
+@pytest.mark.thorough
 def test_intervals_cover_the_truth_as_often_as_they_say():
     """The intervals contain the true values as often as they state.
 
@@ -274,6 +279,7 @@ def test_intervals_scale_with_the_noise():
         ), name
 
 
+@pytest.mark.thorough
 def test_too_low_an_order_shows(record, identified):
     poor = identify(record, poles=1, pairs=0, zeros=0)
     assert poor.validation_fit[0] < identified.validation_fit[0] - 10
@@ -281,6 +287,7 @@ def test_too_low_an_order_shows(record, identified):
     assert not poor.white
 
 
+@pytest.mark.thorough
 def test_a_lightly_damped_drive_is_found_without_a_start():
     """A lightly damped drive is identified without start values.
 
@@ -318,6 +325,7 @@ def test_chosen_leaves_and_elements_of_a_given_plant(record):
     assert np.isnan(found.validation_fit[0])
 
 
+@pytest.mark.thorough
 def test_difference_equation_from_its_rounded_coefficients(record):
     """A difference equation is identified from its rounded coefficients.
 
@@ -333,6 +341,7 @@ def test_difference_equation_from_its_rounded_coefficients(record):
     assert np.sum(found.plant.b) / (1 - np.sum(found.plant.a)) == pytest.approx(-4.798, rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_what_the_record_cannot_tell_apart_has_no_interval():
     """A parameter that the record cannot determine has no interval.
 

@@ -51,6 +51,7 @@ def test_the_known_plant_stays_where_it_predicts_as_well():
     assert not again.better
 
 
+@pytest.mark.thorough
 def test_a_pole_that_no_sample_sees_does_not_run_beyond_the_nyquist_frequency():
     known = ProcessModel(1.0, [], [60.0, 2500.0], [340.0], [0.05])
     again = refit(record_of(1.07, 57.0, 0.02), known)

@@ -46,6 +46,7 @@ def test_the_metrics_are_those_of_a_full_search(d):
 APPROX = {"rel": ALGEBRA["rtol"], "abs": ALGEBRA["atol"]}
 
 
+@pytest.mark.thorough
 def test_the_metrics_have_a_slope():
     s = np.linspace(0, 3, 101)
     path = np.stack([5 * np.sin(s), 3 * np.cos(s)], axis=1)

@@ -74,6 +74,7 @@ def by_hand(errors, peak, growth, first):
     return 0, first + since if since < len(worst) else 0
 
 
+@pytest.mark.thorough
 def test_the_course_is_that_of_a_plain_loop():
     rng, peak = np.random.default_rng(0), np.array([0.5, 3.0])
     task, seen = Task(np.outer(np.ones(5), peak), dt=DT), []
@@ -253,6 +254,7 @@ def test_the_names_are_taken():
             Keep.of({name: lambda trial: trial.y})
 
 
+@pytest.mark.thorough
 def test_errors_of_experiments_are_no_growth():
     """The errors 4, 2 and 1 of what was learned lie between those of experiments, which are 9."""
 

@@ -51,6 +51,7 @@ def test_histories_datasets_and_objectives_know_each_metric():
 KINDS = [Gathering(*kind) for kind in product("eu", ("largest", "root mean square"), (False, True))]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("settle", [(0.0, 0.020), (0.004, 0.013)])
 def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle):
     """Every way to compute a metric gives the metric of the record.

@@ -77,6 +77,7 @@ def test_learn_is_the_loop_by_hand(name, machine, task):
     assert int(history.diverged_at) == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["pd_type", "cfdl_lead_limited"])
 def test_a_measured_machine_learns_as_the_simulated_one(name, machine, task):
     """A measured machine learns as the simulated one does.
@@ -98,6 +99,7 @@ def test_a_measured_machine_learns_as_the_simulated_one(name, machine, task):
     assert np.max(np.abs(u)) > 1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["ffdl_book", "p_type_over_pid"])
 def test_going_on_from_a_memory_equals_one_long_run(name, machine, task):
     scheme = SCHEMES[name]
@@ -273,6 +275,7 @@ def test_metrics_gathered_while_learning_are_those_of_the_record(settle, window,
             )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("settle", [(0.0, 0.02), (0.005, 0.012)])
 def test_gradient_of_the_metrics_is_that_of_their_definition(settle):
     """The gradient of the metrics, with respect to y and u, is that of their definition.

@@ -84,6 +84,7 @@ def line_through(scheme):
     )
 
 
+@pytest.mark.thorough(but=["two_step"])
 @pytest.mark.parametrize("name", JUDGED)
 def test_slope_of_every_objective_equals_finite_differences(name):
     machine, scheme, task = case(name)
@@ -271,6 +272,7 @@ def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
         np.testing.assert_allclose(value, whole, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_truncation_changes_the_slope_and_nothing_else():
     machine = dataclasses.replace(STATIC, sensor=Sensor(noise=1e-2))
     scheme, objective = (
@@ -297,6 +299,7 @@ def test_truncation_changes_the_slope_and_nothing_else():
     assert one[1] != other[1] != 0
 
 
+@pytest.mark.thorough
 def test_forward_and_backward_slopes_agree():
     def loss(z):
         return judge(STATIC, PIDType(gamma_p=z[0], gamma_d=z[1], leak=z[2]), TASK, 5, EVERYTHING)
@@ -329,6 +332,7 @@ def test_forward_slopes_of_a_batch_are_those_of_its_members():
     np.testing.assert_allclose(with_z[1][:, 1], [1.0, 3.0])
 
 
+@pytest.mark.thorough
 def test_contraction_and_its_slope_equal_those_of_the_dense_matrix():
     A, B, C = np.array([[0.9, 0.1], [-0.2, 0.8]]), np.array([[0.01], [0.1]]), np.array([[1.0, 0.5]])
     machine = Machine(StateSpace(A, B, C, dt=1e-3))
@@ -428,6 +432,7 @@ DIVERGING = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", DIVERGING)
 def test_no_divergence_gives_a_slope_that_is_not_finite(name):
     machine, scheme, task = DIVERGING[name]
@@ -441,6 +446,7 @@ def test_no_divergence_gives_a_slope_that_is_not_finite(name):
         assert np.all(np.isfinite(loss(strength)))
 
 
+@pytest.mark.thorough
 def test_a_plant_without_a_finite_slope_is_counted_and_left_out():
     # At one of the two corners of the pole the trial overflows, whatever is done about it.
     machine = dataclasses.replace(

@@ -170,6 +170,7 @@ def test_delayed_samples_are_learned_from_as_they_are():
     assert 0.2 < late / there[:5, 1:].sum() < 0.6
 
 
+@pytest.mark.thorough(but=["dropped", "delayed"])
 @pytest.mark.parametrize("name", ["shortest", "dropped", "delayed"])
 def test_a_chance_has_no_slope_and_says_so(name):
     machine = vary(shortest=0.8, dropped=0.1, delayed=0.2)
@@ -223,6 +224,7 @@ def test_a_feedback_sees_what_the_record_has_lost():
     assert np.max(np.abs(plain[1] - other[1])) > 1e-3
 
 
+@pytest.mark.thorough
 def test_a_carried_state_is_that_of_plant_feedback_and_actuator():
     loop = WithFeedback(LAW, PID(kp=0.5, ki=20.0))
     history = learn(vary(carried=1.0), loop, TASK, 3, save=lambda trial: (trial.u, trial.y))
@@ -269,6 +271,7 @@ def test_repetitive_control_is_certified_by_its_whole_map(gain):
     assert "carried_radius" in certificate.reason[0]
 
 
+@pytest.mark.thorough(but=["how0"])
 @pytest.mark.parametrize(
     "how",
     [

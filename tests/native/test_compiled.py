@@ -74,6 +74,7 @@ def test_every_case_learns_as_by_xla_or_is_refused_by_name(name):
     assert differs(found, wanted) is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["ffdl_lead_limited", "fast_tool_servo_nonlinear"])
 def test_single_precision_is_compiled_too(name):
     """As precisely as the numbers of XLA, which are singles; one has functions of the C library."""
@@ -89,6 +90,7 @@ def test_single_precision_is_compiled_too(name):
     assert differs(found, wanted) is None
 
 
+@pytest.mark.thorough
 def test_numbers_do_not_depend_on_lanes_groups_threads_or_what_was_in_the_ram(monkeypatch):
     """To the last bit: alone, in groups of 1, 3 and 8 lanes, on 1 and 5 threads, poisoned RAM."""
     common = arguments("ffdl_lead_limited")

@@ -42,6 +42,7 @@ def arguments(name, **changed):
     return ((dataclasses.replace(machine, **changed), scheme), jax.random.key(3)), task
 
 
+@pytest.mark.thorough(but=["p_type_fir", "p_type_switchable"])
 @pytest.mark.parametrize(
     "name", [n if n == "p_type_switchable" else pytest.param(n, marks=pytest.mark.slow)
              for n in NAMES]
@@ -143,6 +144,7 @@ def test_memories_that_the_ram_cannot_hold_are_in_blocks_and_it_is_told(monkeypa
     assert "the memories of" in told(0.99 * of_blocks)[0]
 
 
+@pytest.mark.thorough
 def test_a_wrong_slope_is_refused(monkeypatch, caplog):
     """Of an operation that only the way back has."""
     common = arguments("p_type")

@@ -46,6 +46,7 @@ def test_a_notebook_shows_an_outcome_once(outcome, monkeypatch):
     assert all(said in outside for said in outcome.verdict.said)
 
 
+@pytest.mark.thorough
 def test_numbers_are_those_of_the_command(outcome, tmp_path, monkeypatch):
     """The call of a Python user and the command find the same numbers and verdict."""
     monkeypatch.chdir(tmp_path)

@@ -34,6 +34,7 @@ relative = true
 """
 
 
+@pytest.mark.thorough
 def test_repetitive_control_is_certified_from_period_to_period(tmp_path):
     """In numbers as theory has them, in sentences, and so it runs."""
     (file := tmp_path / "turning.toml").write_text(TURNING)

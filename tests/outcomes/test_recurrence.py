@@ -24,6 +24,7 @@ BUMP = np.exp(-(((t - 0.7) / 0.1) ** 2)) - np.exp(-(((t - 2.3) / 0.25) ** 2))
 BY_PLACE = np.sin(2 * np.pi * BACK_AND_FORTH / 7.3) + 0.4 * np.cos(4 * np.pi * BACK_AND_FORTH / 7.3)
 
 
+@pytest.mark.thorough(but=["position0-of_trial0-repeats in a period, so Rep-period0"])
 @pytest.mark.parametrize(
     ("position", "of_trial", "said", "period"),
     [
@@ -92,6 +93,7 @@ reference = { function = "sinusoid", amplitude = 20.0, frequency = 1.0, duration
 P_TYPE = WithFeedback(Filtered(PIDType(gamma_p=0.3, lead=4), ZeroPhaseButterworth(40.0)), PID(0.2))
 
 
+@pytest.mark.thorough
 def test_a_law_between_trials_learns_from_period_to_period(axis):
     """With the same taps, and the worst machine of the family judged."""
     found = following(axis, {"time": Recurrence(0.2, 0.9)}, [P_TYPE], silent)

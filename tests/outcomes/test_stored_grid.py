@@ -47,6 +47,7 @@ def grid(tmp_path_factory):
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_the_scenario_is_that_of_the_best_point(grid):
     dataset = open_dataset(grid / "dataset.zarr")
     found, of = asked(grid), asked(None)

@@ -21,6 +21,7 @@ def stepped(plant, u):
     return np.stack(y)
 
 
+@pytest.mark.thorough(but=["arx"])
 @pytest.mark.parametrize("name", ["fast_tool_servo_nonlinear", "mimo", "arx"])
 def test_motion_is_what_the_steps_make(name):
     plant = PLANTS[name]
@@ -28,6 +29,7 @@ def test_motion_is_what_the_steps_make(name):
     np.testing.assert_allclose(motion(plant, u, DT), stepped(plant, u), **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_linear_form_is_the_derivative_of_the_motion():
     plant = PLANTS["fast_tool_servo_nonlinear"]
     random = np.random.default_rng(2)

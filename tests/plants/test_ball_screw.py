@@ -118,6 +118,7 @@ def test_transfer_functions_are_those_of_the_paper(drive):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("drive", [LINEAR, LAGGING])
 def test_the_three_loop_drive_is_that_of_python_control(drive):
     """The drive with three loops is that of python-control.
@@ -320,6 +321,7 @@ def test_at_the_force_limit_the_drive_falls_freely_and_its_integral_stops():
     )
 
 
+@pytest.mark.thorough
 def test_the_encoder_is_rounded_and_its_gradient_is_not():
     step = 0.02
     coarse = dataclasses.replace(LINEAR, encoder_step=step)

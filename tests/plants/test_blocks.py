@@ -54,6 +54,7 @@ def response(plant, u, length):
 LENGTHS = ((64, 8), (61, 8), (57, 8), (5, 8), (1, 2))  # samples of the trial and of a block
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("a", "b"), [ARX, PRINTED, ((1.0,), (0.3,))], ids=["arx", "voice_coil", "integrator"]
 )
@@ -159,6 +160,7 @@ def test_an_adaptive_law_learns_the_same_in_blocks(no_steps):
     assert np.max(np.abs(plain.final.u)) == 0.9
 
 
+@pytest.mark.thorough
 def test_gradients_and_batches_are_those_of_steps():
     def last_error(gain, gamma, wrap):
         a, b = PRINTED
@@ -177,6 +179,7 @@ def test_gradients_and_batches_are_those_of_steps():
     np.testing.assert_allclose(of[1][0], alone, **ALGEBRA)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scheme", "parts"),
     [

@@ -286,6 +286,7 @@ def slope_of_error(servo, u, substeps):
     return np.polyfit(-np.log(substeps), np.log(errors), 1)[0], errors[-1]
 
 
+@pytest.mark.thorough
 def test_integrator_is_of_order_four_where_forces_are_smooth():
     slope, smallest = slope_of_error(FastToolServo(**PARTS, cutting=CUT), U[:40], (1, 2, 4))
     assert 3.7 < slope < 4.5
@@ -305,6 +306,7 @@ def test_friction_costs_order_where_the_motion_turns():
     assert smallest < 1e-6
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("parts", "relative"),
     [
@@ -554,6 +556,7 @@ def test_gradients_are_finite_everywhere(h):
     np.testing.assert_allclose(of_over[1][dx == 0], 1.0, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_gradient_of_a_servo_at_rest():
     """The gradient of a servo at rest is finite.
 

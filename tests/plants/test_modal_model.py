@@ -60,6 +60,7 @@ def simulated(plant, u):
     return np.array(y)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("model", [ModalModel(**FLEXIBLE), ModalModel(**MATRICES)], ids=str)
 def test_the_response_is_the_sum_that_is_written(model):
     s = 1j * np.geomspace(1.0, 3e3, 40)

@@ -119,6 +119,7 @@ MOTORS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("motor", MOTORS.values(), ids=MOTORS)
 def test_response_is_that_of_python_control(motor):
     """The response is that of python-control for commands that reach no limit.
@@ -389,6 +390,7 @@ def test_without_limits_they_are_exceeded():
     assert np.max(drive.speed) > 3.44
 
 
+@pytest.mark.thorough
 def test_gradient_is_zero_beyond_a_limit():
     motor = VoiceCoilMotor(holding_gain=0.0, command_delay=None)
 
@@ -491,6 +493,7 @@ def last_error(motor):
     return learn(Machine(motor), SCHEME, BUMP, 5).rms[-1, 0]
 
 
+@pytest.mark.thorough
 def test_gradient_through_learning_equals_finite_differences():
     """The gradient through learning equals finite differences.
 
@@ -527,6 +530,7 @@ def test_gradient_through_learning_equals_finite_differences():
         )
 
 
+@pytest.mark.thorough
 def test_batch_of_motors_learns_as_each_alone():
     masses = np.array([2.7, 3.0, 3.3])
     histories = jax.jit(

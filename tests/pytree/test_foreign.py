@@ -173,6 +173,7 @@ def test_what_is_replaced_keeps_its_shape_and_the_rest():
             replaced(MACHINE, {path: 1.0})
 
 
+@pytest.mark.thorough
 def test_it_learns_and_its_gradient_is_that_of_differences():
     def last_error(net, plant):
         schemes = Shaped(SCHEME.scheme, net), Machine(Bent(plant))

@@ -41,6 +41,7 @@ def test_this_version_of_jax_needs_no_fallback(fresh):
     assert jax_internals.why_not() is None
 
 
+@pytest.mark.thorough
 def test_unstable_parts_of_jax_are_imported_in_one_module_only():
     root = Path(jaxilc.__file__).parent
     for file in root.rglob("*.py"):
@@ -102,6 +103,7 @@ def test_another_jax_is_warned_of_once(fresh, monkeypatch, part):
         jaxilc.learn(PLAN.machine, PLAN.schemes["feedback"], TASK, 2)
 
 
+@pytest.mark.thorough(but=["batched1-9"])
 @pytest.mark.parametrize(("batched", "rows"), [((0, None), 3), ((None, 0), 9), ((1, 0), 3)])
 def test_derivatives_of_a_product_by_columns(batched, rows):
     """Value, derivatives in both modes and second ones are those of `matrix @ vector`.
@@ -151,6 +153,7 @@ def test_a_product_by_columns_where_jax_follows_what_differs_between_devices():
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_rule_for_a_slope_stays_in_second_derivatives_of_loops():
     """The derivatives of a loop are those that its rule stands for, also on several devices.
 
@@ -186,6 +189,7 @@ def test_a_rule_for_a_slope_stays_in_second_derivatives_of_loops():
             jax.eval_shape(inner(refused), 1.1)
 
 
+@pytest.mark.thorough(but=["types1"])
 @pytest.mark.parametrize("types", [("float32", "float64"), ("float64", "float32"), ("c16", "f8")])
 def test_slopes_of_a_product_by_columns_have_the_types_of_its_operands(types):
     operands = [jnp.ones(shape, kind) for shape, kind in zip([(3, 2), 2], types, strict=True)]

@@ -141,6 +141,7 @@ def test_half_a_tile_is_taken_where_only_that_fits_into_the_cache(samples, expec
     assert plan.plan.lanes == expected
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["p_type", "cfdl_sign"])
 def test_the_program_of_these_lanes_fits_and_that_of_twice_as_many_does_not(device, name):
     machine, scheme, task = case(name)

@@ -77,6 +77,7 @@ def flags():
     return found
 
 
+@pytest.mark.thorough
 def test_options_that_an_accelerator_would_read_are_left_out_where_there_is_one(flags):
     assert "unroll" not in flags["accelerated"][0]
     assert "unroll" in flags["wide"][0]
@@ -110,6 +111,7 @@ def test_the_version_of_jax_whose_loops_are_slow_is_reported(monkeypatch):
         jaxilc.setup(devices=jax.device_count())
 
 
+@pytest.mark.thorough
 def test_importing_flips_nothing_and_setup_too_late_says_so():
     program = (
         "import jaxilc, jax, os; jaxilc.scenarios.load('cao-2019'); "
@@ -121,6 +123,7 @@ def test_importing_flips_nothing_and_setup_too_late_says_so():
     assert "came after JAX had started" in found.stderr
 
 
+@pytest.mark.thorough
 def test_setup_too_late_for_loops_says_so_even_where_the_devices_are_given():
     program = (
         "import jax; jax.numpy.ones(1) + 1; import jaxilc; jaxilc.setup(); "
@@ -148,6 +151,7 @@ print(float(jax.jit(lambda x: x @ x + 1.0)(jax.numpy.ones(3))), len(hits) > 0)
 """
 
 
+@pytest.mark.thorough
 def test_programs_are_found_again_by_the_next_start(tmp_path):
     first, again = (
         python(KEPT, XDG_CACHE_HOME=str(tmp_path), JAXILC_CACHE="").stdout.split() for _ in range(2)
@@ -165,6 +169,7 @@ print(float(jax.jit(lambda x: x @ x + 1.0)(ones)), float(jax.jit(lambda x: x @ x
 """
 
 
+@pytest.mark.thorough
 def test_programs_that_were_damaged_or_exchanged_are_compiled_again(tmp_path):
     def run():
         found = python(EXCHANGED, JAXILC_CACHE=str(tmp_path))
@@ -193,6 +198,7 @@ jax.jit(lambda x: x @ x + 1.0)(jax.numpy.ones(3))
 """
 
 
+@pytest.mark.thorough
 def test_keeping_programs_can_be_switched_off_and_sent_elsewhere(tmp_path):
     home, other, given = (tmp_path / name for name in ("home", "other", "given"))
     unwritable = tmp_path / "file"
@@ -206,6 +212,7 @@ def test_keeping_programs_can_be_switched_off_and_sent_elsewhere(tmp_path):
     assert list(given.iterdir())
 
 
+@pytest.mark.thorough
 def test_batched_linear_algebra_on_every_device_does_not_deadlock():
     """Batched linear algebra on every device does not deadlock.
 

@@ -23,6 +23,7 @@ def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux has /proc")
 def test_a_new_lambda_a_call_does_not_fill_the_memory(machine, monkeypatch):
     task, saved = Task(np.sin(np.arange(9.0)), dt=1e-3), []

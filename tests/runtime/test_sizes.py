@@ -243,6 +243,7 @@ for command in sys.stdin.read().split("\\n"):
 """
 
 
+@pytest.mark.thorough
 def test_every_command_reckons_within_the_limit_of_the_process(tmp_path):
     """Every command computes its sizes within the limit of the process.
 

@@ -38,6 +38,7 @@ def test_all_numbers_agree_to_the_digits_that_they_have():
     assert max(digits) < 1e-9
 
 
+@pytest.mark.thorough
 def test_the_constrained_law_holds_its_bounds():
     scenario = load("double-mass", load=1.0, reference="square")
     history = learn(scenario.machine, scenario.schemes["constrained"], scenario.task, 4)

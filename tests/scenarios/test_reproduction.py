@@ -330,6 +330,7 @@ def test_no_row_is_listed_twice(scenario):
     assert len(set(keys)) == len(keys)
 
 
+@pytest.mark.thorough
 def test_dai_2014():
     rows = reproduce(["dai-2014"])
     published = scenarios.load("dai-2014").published

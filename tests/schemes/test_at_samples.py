@@ -171,6 +171,7 @@ def test_what_does_not_fit_is_named(make, said):
         make()
 
 
+@pytest.mark.thorough
 def test_theory_certifies_what_is_linear():
     scheme = AtSamples(NormOptimal(MODEL, w_r=0.01, w_s=1e-3), weight=WEIGHT)
     found = certify(Machine(REAL), scheme, TASK, 5, {}, {})

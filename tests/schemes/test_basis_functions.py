@@ -73,6 +73,7 @@ def test_a_lead_is_a_shift_and_friction_has_the_sign_of_the_velocity():
     np.testing.assert_array_equal(basis.columns(task.reference, DT, 1)[:, :, 3], np.sign(velocity))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("update", ["norm_optimal", "gradient"])
 def test_updates_are_those_of_dense_matrices(update):
     N, plant = 30, StateSpace([[0.85, 0.1], [-0.1, 0.8]], MODEL.B, MODEL.C, dt=DT)
@@ -120,6 +121,7 @@ def test_two_axes_have_parameters_of_their_own_or_coupled_ones():
     np.testing.assert_allclose(u, single[0] @ theta[:2] + single[1] @ theta[2:], **ALGEBRA)
 
 
+@pytest.mark.thorough(but=["unstable"])
 @pytest.mark.parametrize("poles", [(0.02, 1e-4), (-0.03, 1e-4)], ids=["stable", "unstable"])
 def test_a_rational_basis_solves_its_difference_equation_and_is_found_again(poles):
     task = moved(300)
@@ -136,6 +138,7 @@ def test_a_rational_basis_solves_its_difference_equation_and_is_found_again(pole
     np.testing.assert_allclose(found, theta, rtol=2e-2)
 
 
+@pytest.mark.thorough
 def test_a_rational_law_meets_a_plant_whose_inverse_has_a_pole():
     """The plant has a slow zero, so its inverse is B / A, which no polynomial of r can be."""
     tau = 0.02
@@ -303,6 +306,7 @@ def test_a_users_own_basis_and_given_functions_are_the_same():
     np.testing.assert_allclose(one.rms, other.rms, **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_a_plant_file_names_bases_and_theory_reads_the_law():
     table = {
         "class": "BasisFunctions",

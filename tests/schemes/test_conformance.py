@@ -120,6 +120,7 @@ def test_leaves_are_strongly_typed_floats(run):
             assert not jax.typeof(leaf).weak_type or name == "dt", name
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("run", WITHOUT_JIT, indirect=True, scope="module")
 def test_jit_equals_no_jit(run):
     # Sampling is a matrix exponential of hundreds of operations, which test_plants.py tests.
@@ -191,6 +192,7 @@ def test_dtype_is_preserved(run):
         assert floats == {jnp.dtype(precision)}
 
 
+@pytest.mark.thorough
 @of_each_kind
 def test_in_parts_and_step_by_step_it_learns_what_it_learns_at_once(run):
     """The same is learned in two parts, two trials a pass, and from the record of a trial.
@@ -224,6 +226,7 @@ class Compiled:
         return jax.jit(program)(memory, trial._replace(dt=None))
 
 
+@pytest.mark.thorough
 @of_each_kind
 def test_one_device_gives_what_several_give(run):
     spread = tiled(lambda task, parts: of(parts, task).rms, lanes=2)
@@ -256,6 +259,7 @@ DIVERGING = {
 }
 
 
+@pytest.mark.thorough(but=["feedback"])
 @pytest.mark.parametrize("kind", DIVERGING)
 def test_a_diverged_lane_is_flagged_and_spoils_no_other(kind):
     build, diverged, when = DIVERGING[kind]

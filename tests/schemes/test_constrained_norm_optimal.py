@@ -153,6 +153,7 @@ def stacked(several):
     return jax.tree.map(lambda *leaves: np.stack(leaves), *several)
 
 
+@pytest.mark.thorough(but=["4-2"])
 @pytest.mark.parametrize(("n", "size"), [(3, 1), (4, 2)])
 def test_the_optimum_is_that_of_another_solver(n, size):
     problems = [problem(seed, n, size) for seed in range(PROBLEMS)]
@@ -233,6 +234,7 @@ def test_derivatives_forwards_and_backwards_equal_differences():
     np.testing.assert_allclose(forwards, (near[0] - near[1]) / 2e-6, rtol=1e-5)
 
 
+@pytest.mark.thorough
 def test_where_no_bound_matters_it_is_norm_optimal_learning():
     scheme, (r, y, u, beside) = problem(2, 4, 2)
     plain = {"w_d": None, "step": 1.0, "y_low": None, "y_high": None, "contour": None}
@@ -260,6 +262,7 @@ def double_mass():
     return A, B[:, :1], B[:, 1:], C
 
 
+@pytest.mark.thorough
 def test_a_published_case():
     """The constrained case of IterativeLearningControl2.jl (its test suite, ConstrainedILC).
 

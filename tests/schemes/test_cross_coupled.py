@@ -83,6 +83,7 @@ def test_a_path_at_rest_keeps_its_direction_and_one_that_never_moves_has_none():
     np.testing.assert_array_equal(across(e, np.ones((7, 2))), e)
 
 
+@pytest.mark.thorough
 def test_without_its_own_part_what_lies_along_the_path_stays():
     """A lag of s along the path leaves a contour error of s^2 / (2 R) that the law does not see."""
     plants = [DifferenceEquation((a,), (1 - a,), dt=DT) for a in (0.2, 0.4)]
@@ -100,6 +101,7 @@ def test_without_its_own_part_what_lies_along_the_path_stays():
     assert own.saved[-1] < 1e-5
 
 
+@pytest.mark.thorough
 def test_a_certificate_counts_what_lies_along_the_path():
     """Without a part of its own, learning converges where it acts, and leaves a lag along the path.
 
@@ -132,6 +134,7 @@ def test_a_certificate_counts_what_lies_along_the_path():
         assert (found.floor[0] > 1e-3) == (own == 0)
 
 
+@pytest.mark.thorough
 def test_machines_are_learned_at_once_and_both_weights_have_a_slope():
     def last(contour, own, gain):
         plant = TwoAxes(DifferenceEquation((0.6,), jnp.stack([gain]), dt=DT), MACHINE.plant.y)
@@ -167,6 +170,7 @@ def test_weights_are_single_numbers_that_are_not_negative():
         CrossCoupled(PIDType(), own=(1.0, 2.0)).check(TASK)
 
 
+@pytest.mark.thorough
 def test_a_law_with_a_model_minimises_the_error_that_it_is_shown():
     plant = StateSpace(np.diag(POLES), np.diag(GAINS), np.eye(2), dt=DT)
     task = Task(PATH[6:27] - PATH[6], dt=DT)

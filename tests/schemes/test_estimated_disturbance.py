@@ -35,6 +35,7 @@ NEARLY_INVERSE = NormOptimal(LAG, w_s=1e-9)  # r - G u, and so the next error, i
 SINGLE = Task(np.sin(np.arange(41) / 6.0), dt=DT)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("initial", [None, 0.3])
 def test_it_is_its_equations(initial):
     q, m = np.array([0.05, 0.2]), np.array([0.1, 0.04])
@@ -138,6 +139,7 @@ def test_the_law_with_the_gain_of_the_long_run_is_certified():
     assert not linearity.of_last_trial(steady, SINGLE).held
 
 
+@pytest.mark.thorough
 def test_its_gain_withstands_absurd_sizes():
     y, u = np.ones(41), np.zeros(40)
     for q, m, s, gain in (

@@ -116,6 +116,7 @@ def _iir(z):
     return np.polyval(IIR.b, z) / np.polyval(IIR.a, z)
 
 
+@pytest.mark.thorough
 def test_it_learns_on_the_input_of_a_feedback_and_on_its_reference():
     machine, feedback = Machine(LAG), PID(kp=2.0)
     for around in (WithFeedback, OnReference):

@@ -65,6 +65,7 @@ def after(scheme, u, e):
     return scheme.learn(scheme.initial_memory(task), trial)
 
 
+@pytest.mark.thorough
 def test_it_goes_down_the_gradient_of_the_cost_of_many_channels():
     G = constant(WIDE)
     u, e = RANDOM.standard_normal((N, 3)), RANDOM.standard_normal((N, 2))
@@ -76,6 +77,7 @@ def test_it_goes_down_the_gradient_of_the_cost_of_many_channels():
     assert 0.99 * exact < found.share <= exact * (1 + 1e-12)
 
 
+@pytest.mark.thorough
 def test_of_a_model_that_varies_over_the_trial():
     wave = 1 + 0.3 * np.sin(np.arange(N))[:, None, None]
     model = TimeVaryingStateSpace(*(np.asarray(M) * wave for M in (MODEL.A, MODEL.B, MODEL.C)), DT)
@@ -94,6 +96,7 @@ def pendulum(u):
     return np.array(y)
 
 
+@pytest.mark.thorough
 def test_a_nonlinear_model_is_linearised_at_the_input_of_the_trial():
     u, e = 20 * RANDOM.standard_normal((N, 1)), RANDOM.standard_normal((N, 1))
     slope, h = np.zeros((N, 1)), 1e-5
@@ -107,6 +110,7 @@ def test_a_nonlinear_model_is_linearised_at_the_input_of_the_trial():
     assert np.max(np.abs(at_rest - 1.5 * slope)) > 1e-3, "the motion should matter"
 
 
+@pytest.mark.thorough
 def test_a_step_of_learning_has_derivatives_in_the_model_and_the_weights():
     u, e = 20 * RANDOM.standard_normal((N, 1)), RANDOM.standard_normal((N, 1))
     scheme = GradientILC(PENDULUM, w_q=0.9, w_s=0.01)
@@ -126,6 +130,7 @@ def _state(t, x, parameters):
     return x
 
 
+@pytest.mark.thorough
 def test_where_the_gain_grows_with_the_motion_the_memory_says_so():
     """The static model y = u + u^3 has the gain 1 + 3 u^2, largest at the largest |u|."""
     cubic = NonlinearSystem({"cubic": 1.0}, (0.0,), _cubed, _state, n_in=1, n_out=1, dt=DT)
@@ -150,6 +155,7 @@ def test_a_step_is_refused_from_its_bound_on():
         GradientILC(MODEL, step=1.001 * bound).check(BUMP)
 
 
+@pytest.mark.thorough
 def test_certificates_are_as_sharp_as_the_bound():
     """On a machine of k times the gain the bound is 1 / k of that of the model."""
     step = 1 / np.linalg.norm(constant(MODEL), 2) ** 2
@@ -207,6 +213,7 @@ def test_what_does_not_fit_is_named(make, said):
         make().check(BUMP)
 
 
+@pytest.mark.thorough
 def test_a_plant_file_names_its_own_plant_as_the_model():
     given = {"class": "GradientILC", "model": "plant", "step": 2.0}
     made = specification.scheme(given, "schemes.a", PENDULUM, DT)

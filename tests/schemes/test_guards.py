@@ -116,6 +116,7 @@ def test_a_trial_that_is_not_finite_is_gone_back_from():
     np.testing.assert_array_equal(history.rms[2:], np.tile(history.rms[0], (3, 1)))
 
 
+@pytest.mark.thorough
 def test_gradient_of_a_frozen_trial_is_that_of_what_it_is_frozen_with():
     """The gradient of a frozen trial is that of the memory with which it is frozen.
 
@@ -229,6 +230,7 @@ def test_ladder_learns_from_the_mean_of_its_repeats(feedback):
     np.testing.assert_allclose(scheme.feedforward(history.memory, TASK), expected, **ALGEBRA)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("law", ["p_type", "cfdl"])
 def test_gain_of_the_ladder(law):
     """The gain of the ladder follows its rule.

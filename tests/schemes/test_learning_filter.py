@@ -90,6 +90,7 @@ def test_matrices_and_segments_are_the_sum_over_their_taps():
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.thorough
 def test_derivatives_are_those_of_the_sum():
     random = np.random.default_rng(5)
     for shape, order in (((7,), 1), ((7, 2, 3), 2)):
@@ -98,6 +99,7 @@ def test_derivatives_are_those_of_the_sum():
         jax.test_util.check_grads(correlated, (taps, signal), order=order, atol=1e-5, rtol=1e-5)
 
 
+@pytest.mark.thorough(but=["190"])
 @pytest.mark.parametrize("late", [30, 190])
 def test_a_law_that_is_scheduled_is_no_law_of_every_sample(late):
     task = Task(np.sin(np.arange(201) / 10), dt=1e-3)

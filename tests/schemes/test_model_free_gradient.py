@@ -95,6 +95,7 @@ def test_random_signs_give_the_gradient_in_the_mean():
     assert np.max(error) < 0.2 * np.max(np.abs(expected)), "the mean should be known well"
 
 
+@pytest.mark.thorough
 def test_what_each_experiment_plays():
     scheme = ModelFreeGradient(0.5, 0.3, about="mean", limit=0.2, filter=ZeroPhaseFIR((0.6, 0.2)))
     memory, key = scheme.initial_memory(TASK), jax.random.key(0)

@@ -281,6 +281,7 @@ def rms(signal):
     return np.sqrt(np.mean(signal**2, axis=-1))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", DRIVES)
 def test_models_and_simulator_have_the_same_loop(name):
     machine, model = DRIVES[name]
@@ -319,6 +320,7 @@ def test_milc_starts_from_the_filtered_reference():
     np.testing.assert_array_equal(np.asarray(plain.learning.u)[:, 1], AFTER)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", DRIVES)
 def test_a_trial_of_milc_is_the_equation(name):
     """A trial of MILC obeys its equations (MILC 2024, eq. 28 and 29).
@@ -352,6 +354,7 @@ def test_milc_learns_from_the_input_as_it_was_applied():
     assert relative(run.r[1], updated(multivariable_matrix(MODEL), own, e, **WEIGHTS)[1::2]) < 1e-9
 
 
+@pytest.mark.thorough(but=["multivariable_model"])
 @pytest.mark.parametrize("model", [direct_model, multivariable_model])
 def test_a_nominal_model_has_gradients_by_its_controller_and_its_drive(model):
     """The model of traced numbers is that of known ones, and its derivative that of differences."""
@@ -368,6 +371,7 @@ def test_a_nominal_model_has_gradients_by_its_controller_and_its_drive(model):
         np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * step), rtol=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scheme", "matrix"), [(direct, direct_matrix), (multivariable, multivariable_matrix)]
 )
@@ -562,6 +566,7 @@ def certified(stiffness):
     return found.condition, np.linalg.norm(np.diff(u, axis=0)[:, LONG // 4 : -LONG // 4], axis=1)
 
 
+@pytest.mark.thorough(but=["0.85", "1.15", "1.3"])
 @pytest.mark.parametrize("stiffness", [0.7, 0.85, 1.15, 1.3])
 def test_what_is_certified_against_a_wrong_stiffness_converges_monotonically(stiffness):
     condition, changes = certified(stiffness)
@@ -641,6 +646,7 @@ def test_the_loop_by_hand_is_the_simulated_one():
         )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("build", [direct, multivariable])
 def test_the_error_map_of_a_norm_optimal_scheme_is_what_learning_does(build):
     """The error map of a norm-optimal scheme predicts what learning does.

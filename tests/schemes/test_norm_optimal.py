@@ -99,6 +99,7 @@ def relative(found, expected):
     return np.max(np.abs(np.asarray(found) - expected)) / np.max(np.abs(expected))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "weights"),
     [
@@ -149,6 +150,7 @@ def last_rms(free, form):
     return jnp.sqrt(jnp.mean(learn(MACHINE, scheme, TASK, 3).rms[-1] ** 2))
 
 
+@pytest.mark.thorough
 def test_gradients_equal_finite_differences_in_both_forms():
     at = {name: np.asarray(w) for name, w in WEIGHTS["full"].items()} | {"entry": np.asarray(0.3)}
     gradients = {}
@@ -234,6 +236,7 @@ def test_without_a_weight_on_the_input_the_error_falls_by_the_closed_form():
     np.testing.assert_allclose(u[1], np.linalg.solve(H, r), rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_memory_of_the_recursion_is_linear_in_the_length_of_the_trial():
     def temporaries(form, N):
         task, scheme = Task(np.zeros((N + 1, 2)), dt=DT), NormOptimal(MODEL, w_r=0.1, form=form)

@@ -433,6 +433,7 @@ def test_the_table_by_hand():
     )
 
 
+@pytest.mark.thorough
 def test_gradient_of_every_gain_equals_central_differences():
     task = Task(R[:21], dt=DT)
 

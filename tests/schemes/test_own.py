@@ -162,6 +162,7 @@ def case(request) -> Case:
     return Case(own, WithFeedback(law(caution * mixed), FEEDBACK), "scheme.learning.share")
 
 
+@pytest.mark.thorough(but=["composition"])
 def test_they_learn(case):
     ours, theirs = (learn(MACHINE, scheme, TASK, TRIALS) for scheme in (case.own, case.theirs))
     assert theirs.rms[-1, 0] < 0.8 * theirs.rms[0, 0]
@@ -189,6 +190,7 @@ def test_a_machine_plays_them(case, tmp_path):
         np.testing.assert_allclose(rows, turns[1].schedules[name], **ALGEBRA)
 
 
+@pytest.mark.thorough
 @both
 def test_theory_claims_the_same_of_them(case):
     drawn = draw(MACHINE, GAIN, 3)
@@ -213,6 +215,7 @@ def test_a_sweep_runs_them(case):
     np.testing.assert_allclose(found.sel(scheme="ours"), found.sel(scheme="theirs"), **ALGEBRA)
 
 
+@pytest.mark.thorough
 @both
 def test_their_weights_are_tuned_by_name(case):
     assert case.share in named_leaves(case.own)

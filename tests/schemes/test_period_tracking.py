@@ -120,6 +120,7 @@ def test_it_is_the_recursion_by_hand(measured):
     np.testing.assert_allclose(found[0], e, atol=1e-8)
 
 
+@pytest.mark.thorough(but=["0.04"])
 @pytest.mark.parametrize("by", [0.04, -0.04])
 def test_a_drifting_period_costs_no_more_than_if_it_were_known(by):
     """Against a period that stays, the best of those, and the angle that is measured exactly."""
@@ -166,6 +167,7 @@ def test_noise_limits_and_nothing_to_track_keep_it_near():
     assert np.all((found >= 0.92 * PERIOD) & (found <= 1.08 * PERIOD))
 
 
+@pytest.mark.thorough
 def test_slopes_and_batches_are_those_of_differences_and_of_single_runs():
     phase, _ = drifting(0.04, 601)
     r = np.sin(2 * np.pi * phase)

@@ -77,6 +77,7 @@ def rms(scheme, task, trials, memory=None, machine=MACHINE):
     return float(history.rms[0, 0]), float(history.rms[-1, 0]), history.memory
 
 
+@pytest.mark.thorough
 def test_what_was_learned_at_one_speed_serves_four_others():
     """Within 1.3 of learning there; what is learned over time has to start anew."""
     noisy = dataclasses.replace(MACHINE, sensor=Sensor(noise=5e-4))
@@ -92,6 +93,7 @@ def test_what_was_learned_at_one_speed_serves_four_others():
         assert rms(over_time, task, 6, timed)[0] > before, speed
 
 
+@pytest.mark.thorough
 def test_forgetting_leaves_an_error_and_a_place_not_visited_is_not_forgotten():
     basis = PositionBasis(Splines(0, 50, 11, degree=1))
     whole, part = there_and_back(30.0), there_and_back(30.0, stroke=15.0)
@@ -106,6 +108,7 @@ def test_forgetting_leaves_an_error_and_a_place_not_visited_is_not_forgotten():
     assert forgets > 1.05 * free
 
 
+@pytest.mark.thorough
 def test_any_law_learns_a_map_and_keeps_what_it_does_not_visit():
     basis = PositionBasis(Splines(0, 50, 11, degree=1), turning=8.0)
     scheme = WithFeedback(OnBasis(PIDType(gamma_p=15.0, lead=9), basis), PID(**GAINS))
@@ -162,6 +165,7 @@ def test_a_trial_tells_the_bins_it_visits_and_how_well():
     np.testing.assert_allclose(found.doubt[found.told], scatter, rtol=6 / np.sqrt(800))
 
 
+@pytest.mark.thorough
 def test_the_rate_is_that_with_which_learning_comes_to_its_end():
     basis, task = PositionBasis(Splines(0, 50, 11, degree=1)), there_and_back(30.0)
     machine = Machine(ByPosition(DRIVE, COGGING))
@@ -179,6 +183,7 @@ def test_the_rate_is_that_with_which_learning_comes_to_its_end():
         assert ratio < 1.15 * found.rate
 
 
+@pytest.mark.thorough
 def test_it_is_differentiable_by_the_pitch_and_batched():
     task = there_and_back(60.0)
 

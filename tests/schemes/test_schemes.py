@@ -261,6 +261,7 @@ def test_pid(plant, form, options):
         assert form == "increment" or feedback.was["held"] > 5, "anti-windup should act"
 
 
+@pytest.mark.thorough
 def test_feedforward_of_the_reference_in_closed_form():
     """The feedforward of the reference has a closed form.
 
@@ -288,6 +289,7 @@ def test_feedforward_of_the_reference_in_closed_form():
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("form", ["position", "increment"])
 def test_feedforward_is_the_feedbacks_share(form):
     """The feedforward of the reference belongs to the feedback.

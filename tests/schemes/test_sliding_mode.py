@@ -463,6 +463,7 @@ def test_the_sampled_loop_is_stable_up_to_two_over_dt(tau):
         assert (frequency.pole_radius(loop_of(FREE, scheme, TASK)) < 1) == stable
 
 
+@pytest.mark.thorough
 def test_the_printed_condition_is_its_inequality():
     """The printed condition is its inequality, at the start and at the end of the trial.
 
@@ -540,6 +541,7 @@ def test_the_sampled_condition_looks_at_the_layer():
     assert within.condition.value != beyond.condition.value
 
 
+@pytest.mark.thorough
 def test_the_nonlinear_learning_map_is_differentiated_as_a_whole():
     """The nonlinear learning map is differentiated as a whole.
 

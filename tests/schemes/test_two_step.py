@@ -101,6 +101,7 @@ def costs(scheme, trial, model):
     return estimation, control
 
 
+@pytest.mark.thorough
 def test_the_correction_is_that_of_least_squares(solved):
     problems, memory = solved
     for i, (scheme, trial, model) in enumerate(problems[:NAN]):

@@ -58,6 +58,7 @@ def test_a_state_is_of_one_moment(tmp_path, monkeypatch):
     assert all({"1", "2", "3"} == state.keys() for state in found if {"1", "3"} & state.keys())
 
 
+@pytest.mark.thorough
 def test_a_store_is_filled_from_every_state_of_its_folder(tmp_path, without_waiting):
     with recorded(tmp_path / "out", tmp_path) as states:
         whole, written = filled(tmp_path / "out" / "store.zarr")
@@ -95,6 +96,7 @@ def assert_equal(one, other):
             )
 
 
+@pytest.mark.thorough
 def test_a_tuning_resumes_from_every_state_of_its_folder(tmp_path):
     problem = dataclasses.replace(PROBLEM, steps=3)
     with recorded(tmp_path / "out", tmp_path) as states:
@@ -105,6 +107,7 @@ def test_a_tuning_resumes_from_every_state_of_its_folder(tmp_path):
         assert nothing_left_over(state)
 
 
+@pytest.mark.thorough
 def test_a_trade_off_resumes_from_every_state_of_its_folder(tmp_path, monkeypatch):
     problem, programs = dataclasses.replace(PROBLEM, steps=1), {}
     make = Tuning._programs.func

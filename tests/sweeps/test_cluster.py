@@ -94,6 +94,7 @@ def written(monkeypatch):
     return found
 
 
+@pytest.mark.thorough
 def test_an_interrupted_sweep_cancels_its_tasks_and_resumes(tmp_path, client, alone, written):
     def stop_after_three(name, done, fresh):
         if len(written) == 3:
@@ -119,6 +120,7 @@ def test_an_interrupted_sweep_cancels_its_tasks_and_resumes(tmp_path, client, al
     }
 
 
+@pytest.mark.thorough
 def test_a_grid_is_computed_by_workers(client):
     grid = {"feedback.kp": [-5.0, -2.0], "trials": [4, 2]}
     plan = dataclasses.replace(SMALL, machines=5, grid=grid)

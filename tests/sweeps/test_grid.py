@@ -33,6 +33,7 @@ def dataset():
     return GRID.run()
 
 
+@pytest.mark.thorough
 def test_a_grid_of_one_point_is_the_sweep():
     grid = dataclasses.replace(ONE, grid={"learning.lam": [float(LEARNING["learning"].lam)]})
     found, plain = grid.run(), ONE.run()
@@ -126,6 +127,7 @@ def test_static_axes_may_change_every_shape_and_the_trials():
     assert at_best(dataset, best).sizes["trial"] == min(of.point["trials"] for of in best)
 
 
+@pytest.mark.thorough
 def test_trials_that_change_with_a_weight_are_those_of_each_point():
     """Two trials with one gain, four with the other: each point is judged by its own last one."""
     grid = {("learning.lam", "trials"): ([0.5, 1.0], [4, 2])}

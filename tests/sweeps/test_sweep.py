@@ -59,6 +59,7 @@ def test_the_dataset_is_labelled(dataset):
     assert configuration["schemes"]["learning"]["lam"] == 1.0
 
 
+@pytest.mark.thorough
 def test_chunks_and_lanes_do_not_change_the_numbers(dataset):
     other = dataclasses.replace(PLAN, chunk=11, lanes=5).run()
     np.testing.assert_allclose(other["rms"], dataset["rms"], rtol=1e-12)
@@ -190,6 +191,7 @@ def largest_above(level, body="jnp.maximum(jnp.max(trial.e), level)", lines=0, f
     return names["factory"](level)
 
 
+@pytest.mark.thorough
 def test_a_store_knows_its_quantities_by_what_they_do(tmp_path):
     def plan(*args, **options):
         return dataclasses.replace(
@@ -301,6 +303,7 @@ WATCHED = Sweep(
 )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_a_watch_adds_its_variables_of_machines_and_of_trials(tmp_path):
     dataset = WATCHED.run(tmp_path / "store.zarr")
     assert dataset["d2"].dims == ("scheme", "sample")

@@ -92,6 +92,7 @@ def signals(machine, scheme, trials, task=TASK):
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough(but=["3-1"])
 @pytest.mark.parametrize(("L_y", "L_u"), [(0, 1), (0, 3), (1, 1), (2, 2), (3, 1)])
 def test_the_pseudo_gradient_is_the_best_fit_to_the_rows_of_the_trial_map(L_y, L_u):
     found = pseudo_gradient_of(dynamic_machine(), TASK, L_y=L_y, L_u=L_u)
@@ -109,6 +110,7 @@ def test_the_pseudo_gradient_is_the_best_fit_to_the_rows_of_the_trial_map(L_y, L
         assert np.max(np.asarray(found.rest / found.total)[3:]) < 1e-12
 
 
+@pytest.mark.thorough
 def test_the_derivative_of_a_plant_that_is_not_linear_is_that_along_the_trial():
     """The rows of the trial map of a saturating lag agree with its Jacobian, column by column."""
 
@@ -179,6 +181,7 @@ def test_d1_and_the_closed_bound_are_as_printed():
     np.testing.assert_allclose(ppd_bound(bounds, 5), closed, rtol=1e-10)
 
 
+@pytest.mark.thorough
 def test_what_no_paper_proves_is_not_a_number():
     machine = static_machine(1.2)
     for scheme in (
@@ -204,6 +207,7 @@ def test_what_no_paper_proves_is_not_a_number():
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough(but=["a2-b2"])
 @pytest.mark.parametrize(("a", "b"), [ARX, ((0.3,), (0.8,)), ((0.3,), (-0.8,))])
 def test_d2_is_the_spectral_radius_of_the_frozen_law_and_sigma_its_growth(a, b):
     scheme = dataclasses.replace(SCHEME, phi0=0.5 * b[0])
@@ -249,6 +253,7 @@ def test_a_static_plant_meets_d2_exactly_from_the_exact_estimate():
     assert np.all(np.isnan(found["contraction_worst"][:1])), "the first trial has none before it"
 
 
+@pytest.mark.thorough
 def test_the_bound_holds_at_every_sample_where_it_is_claimed():
     rng = np.random.default_rng(3)
     claimed = exact = 0
@@ -319,6 +324,7 @@ def test_the_statistics_of_the_run_are_those_of_its_signals():
     assert 0 < np.min(by_name["share_excited"]) < 1
 
 
+@pytest.mark.thorough
 def test_the_premise_of_ffdl_is_that_of_its_window():
     scheme = FFDLMFAILC(lam=0.5, mu=0.5, phi0=(0.3, 0.0, 0.8, 0.0), reset="sign")
     whole = watched(dynamic_machine(), scheme, 5)
@@ -339,6 +345,7 @@ def varying(gains, pole):
     return Machine(plant)
 
 
+@pytest.mark.thorough(but=["1.0", "3.0"])
 @pytest.mark.parametrize("phi0", [0.2, 1.0, 3.0])
 def test_a_gain_that_varies_along_the_trial_has_an_interval_and_its_bound_holds(phi0):
     gains = 1.0 + 0.4 * np.sin(np.arange(N) / 5.0)
@@ -464,6 +471,7 @@ def test_grids_of_weights_and_plants_are_one_batch():
     np.testing.assert_allclose(found, alone, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_gradients_are_those_of_differences():
     @jax.jit
     def values(x):
@@ -482,6 +490,7 @@ def test_gradients_are_those_of_differences():
     np.testing.assert_allclose(slopes, expected, rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_the_watch_changes_no_number_of_the_run_and_nothing_of_its_gradient():
     def last(lam, watch):
         scheme = dataclasses.replace(SCHEME, lam=lam)

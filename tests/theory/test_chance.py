@@ -35,6 +35,7 @@ WAITS = StateSpace([[0.5, 0.0], [1.0, 0.0]], [[0.5], [0.0]], [[0.0, 1.0]], dt=DT
 EVERYTHING = {"shortest": 0.4, "dropped": 0.2, "late": 2, "delayed": 0.4, "delay": 2}
 
 
+@pytest.mark.thorough(but=["shortest"])
 @pytest.mark.parametrize(
     "how",
     [{"delayed": 0.5, "delay": 3}, {"shortest": 0.4}, EVERYTHING],
@@ -90,6 +91,7 @@ def every_record(how: dict, rows: int):
                 yield chance, np.eye(rows)[at], np.diag([1.0, *(float(m) for m, _ in kept)])
 
 
+@pytest.mark.thorough(but=["dropped, late"])
 @pytest.mark.parametrize(
     "how",
     [{"delayed": 0.4, "delay": 2}, {"dropped": 0.2, "late": 1}],
@@ -199,6 +201,7 @@ def test_where_the_mean_of_all_runs_diverges_their_mean_square_does():
     assert np.all(found.runs[0, :, -1] > 1e3 * found.runs[0, :, 0])
 
 
+@pytest.mark.thorough
 def test_what_is_left_by_noise_is_the_variance_of_its_recursion():
     machine = Machine(
         AT_ONCE, sensor=Sensor(noise=0.2), variation=Variation(scatter=0.0, dropped=0.25)
@@ -231,6 +234,7 @@ def test_a_limit_that_a_draw_may_meet_is_in_the_way():
     assert claims == [NOTHING, MONOTONE, NOTHING]
 
 
+@pytest.mark.thorough
 def test_what_noise_leaves_lies_between_its_quantile_and_the_bound_of_laurent_and_massart():
     """Of y[k+1] = u[k] each sample forgets by itself: N rms^2 / variance is chi square of N."""
     gain, size, t = 0.5, 0.2, np.log(20.0)
@@ -248,6 +252,7 @@ def test_what_noise_leaves_lies_between_its_quantile_and_the_bound_of_laurent_an
     assert len(above.broken_promises()) == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["scatter", "noise of the input"])
 def test_five_in_a_hundred_late_trials_have_more_error_than_is_told(kind):
     """A leak leaves an error in the mean; NumPy runs the trials by matrices of its own."""
@@ -303,6 +308,7 @@ def test_noise_that_may_meet_a_limit_and_noise_of_more_inputs_than_are_followed(
     assert left_words(words, 1.0, "mm") == f"an rms error of at most {number(words['floor'])} mm"
 
 
+@pytest.mark.thorough
 def test_beside_a_claim_on_trials_after_a_drift_stand_runs_after_it():
     """The runs would contradict it if the drift, of 10 times the gain, were in them."""
     after = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)
@@ -317,6 +323,7 @@ def test_beside_a_claim_on_trials_after_a_drift_stand_runs_after_it():
     assert not len(found.broken_promises())
 
 
+@pytest.mark.thorough
 def test_two_axes_that_are_alike_leave_what_one_does():
     """The mean square over both outputs is that of one; each of two errors is averaged with it."""
     found = []

@@ -67,6 +67,7 @@ def test_a_limit_that_the_fixed_point_needs_more_than():
     assert {one.verdict for one in roomy.values()} == {"holds"}
 
 
+@pytest.mark.thorough(but=["scheme1"])
 @pytest.mark.parametrize(
     "scheme",
     [
@@ -89,6 +90,7 @@ def test_a_rule_of_when_to_learn_is_no_law_of_each_trial(scheme):
     assert "everywhere" not in contraction.error_contracting(LAG, scheme, TASK, stopped).theorem
 
 
+@pytest.mark.thorough
 def test_contraction_everywhere_is_claimed_of_affine_maps_alone():
     """Contraction everywhere is claimed of affine maps only.
 
@@ -281,6 +283,7 @@ def test_filtered_learning_on_lightly_damped_machines_is_claimed():
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_the_law_of_cao_2019_with_a_lead_has_no_d2():
     """The law of Cao 2019 with a lead has no d2.
 

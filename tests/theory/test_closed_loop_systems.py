@@ -51,6 +51,7 @@ def by_control(loop, w, system=None):
     return np.asarray(found.outputs).T
 
 
+@pytest.mark.thorough(but=["2"])
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_random_loop_responds_as_in_the_simulator(seed):
     rng = np.random.default_rng(seed)
@@ -73,6 +74,7 @@ def test_a_random_loop_responds_as_in_the_simulator(seed):
         assert np.max(np.abs(by_control((machine, scheme, task), 0 * w, system))) > 1e-6
 
 
+@pytest.mark.thorough
 def test_it_follows_a_learning_process():
     """The system describes a learning process.
 
@@ -94,6 +96,7 @@ def test_it_follows_a_learning_process():
     assert np.max(np.abs(w)) > 0.1
 
 
+@pytest.mark.thorough(but=["weights1-1"])
 @pytest.mark.parametrize(("weights", "ahead"), [({}, 0), ({"kv": 1e-3}, 1), ({"ka": 1e-6}, 2)])
 def test_the_name_of_the_reference_says_how_far_the_feedback_looks_ahead(weights, ahead):
     machine, task = Machine(DifferenceEquation(*ARX, dt=DT)), Task(np.zeros(N + 1), dt=DT)

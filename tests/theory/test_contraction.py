@@ -117,6 +117,7 @@ def test_the_error_map_of_two_inputs_and_outputs():
     np.testing.assert_allclose(jax.jit(jax.jacfwd(found.f))(found.at)[0], M, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_an_adaptive_scheme_does_what_its_derivative_says():
     """An adaptive scheme does what its derivative says.
 
@@ -254,6 +255,7 @@ def test_the_zero_map_and_a_map_that_is_not_square():
         np.testing.assert_allclose(found.value, top(matrix), rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_doubt_covers_the_error_of_a_map_far_from_normal():
     """The stated uncertainty covers the error for a map that is far from normal.
 
@@ -271,6 +273,7 @@ def test_doubt_covers_the_error_of_a_map_far_from_normal():
     assert contraction.attracting(MACHINE, scheme, task, steps=20).verdict == "not claimed"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["filtered", "ffdl"])
 def test_spectral_radius_is_that_of_the_dense_matrix(name):
     task = task_for(PLANTS["arx"], 50)
@@ -332,6 +335,7 @@ def test_away_from_its_fixed_point_an_adaptive_map_claims_nothing():
     assert [p.name for p in found.broken] == ["map affine, or taken at its fixed point"]
 
 
+@pytest.mark.thorough
 def test_estimates_that_nothing_resets_are_neutral():
     """Estimates that are never reset are neutral.
 
@@ -371,6 +375,7 @@ def test_what_only_tells_of_the_past_is_no_state():
         assert jax.eval_shape(at).size == known * task.N
 
 
+@pytest.mark.thorough
 def test_the_map_of_gradient_learning_on_a_nonlinear_machine():
     """Its derivative at the fixed point is that of NumPy's pendulum, by complex and real steps."""
     model, N, step, w_s = PLANTS["pendulum"], 6, 40.0, 1e-3
@@ -427,6 +432,7 @@ def test_over_plants_equals_one_by_one():
     assert np.ptp(together[0]) > 0.05
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_a_trial_of_5000_samples():
     """A trial of 5000 samples is treated without the matrix, which would take 200 MB.

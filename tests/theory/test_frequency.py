@@ -155,6 +155,7 @@ class Own(Filter):
         return self.other(signal, dt)
 
 
+@pytest.mark.thorough
 def test_laws_and_filters():
     task = Task(np.zeros(401), dt=DT)
     law = law_response(PIDType(gamma_p=0.6, gamma_d=0.3, leak=0.1, lead=3), task, F)
@@ -208,6 +209,7 @@ def test_the_supremum_is_the_singular_value_of_a_long_trial(gamma):
     np.testing.assert_allclose(found.critical, fine[np.argmax(curve >= 1)], atol=0.01)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("lead", "published"), [(0, 53.0), (10, 338.0)])
 def test_the_critical_frequency_of_a_60_hz_loop(lead, published):
     """The critical frequency of a 60 Hz loop depends on the lead.
@@ -281,6 +283,7 @@ def test_monotone_by_design():
     assert np.all(size[1:] <= found.condition.value * size[:-1] * (1 + 1e-9))
 
 
+@pytest.mark.thorough
 def test_the_ends_of_the_trial_are_looked_at():
     """The ends of the trial are examined too.
 

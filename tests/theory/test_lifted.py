@@ -187,6 +187,7 @@ FILTERED = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("law", FILTERED)
 def test_the_change_of_the_input_is_predicted(law):
     """The change of the input is predicted.

@@ -98,6 +98,7 @@ def test_offers_keep_the_margin_between_the_lines_and_go_no_further(answer):
     assert largest(gamma=gain) <= 0.9 < largest(gamma=1.02 * gain)
 
 
+@pytest.mark.thorough
 def test_the_floor_is_that_of_the_limit_of_learning(answer):
     found, _ = answer
     keep, L = law_matrices()

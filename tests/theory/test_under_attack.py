@@ -11,6 +11,7 @@ from cases import SCHEMES
 from jaxilc.theory.certificates import DIVERGES, MONOTONE, long_run
 
 
+@pytest.mark.thorough(but=["on_basis"])
 @pytest.mark.parametrize("name", ["p_type_fir", "on_basis"])
 def test_what_is_claimed_is_what_numpy_and_the_simulation_do(name):
     row, wrong = attack.of_scheme(name, rounds=1, count=12, seed=1)
@@ -18,6 +19,7 @@ def test_what_is_claimed_is_what_numpy_and_the_simulation_do(name):
     assert not wrong
 
 
+@pytest.mark.thorough
 def test_the_attack_sees_a_wrong_claim():
     """A claim that is made stronger than it is, is contradicted."""
     rng = np.random.default_rng(3)

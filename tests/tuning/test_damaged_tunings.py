@@ -55,6 +55,7 @@ def assert_equal(one, other):
             )
 
 
+@pytest.mark.thorough
 def test_a_flipped_bit_in_a_tuning_changes_nothing(tuned, tmp_path):
     problem, folder, whole = tuned
 

@@ -39,6 +39,7 @@ def test_the_sizes_are_those_of_the_sums_of_the_taps(scheme):
     np.testing.assert_allclose(found, by_numpy(scheme), rtol=1e-10)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scheme", [ALONE, FILTERED], ids=["alone", "filtered"])
 def test_the_term_is_just_above_the_largest_size_and_its_slope_is_that_of_differences(scheme):
     machine, term = Machine(ProcessModel(poles=[200.0])), OverFamily(F, P, below=0.9)
@@ -64,6 +65,7 @@ def test_matrices_of_two_channels_count_by_their_largest_singular_value():
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
+@pytest.mark.thorough
 def test_a_safe_law_costs_nothing_and_its_slope_is_a_number():
     quiet = LearningFilter([0.0, 0.0, 0.0], keep=[0.0])
     term, machine = OverFamily(F, P), Machine(ProcessModel(poles=[200.0]))

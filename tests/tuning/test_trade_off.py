@@ -63,6 +63,7 @@ def front(programs):
     return pareto(PROBLEM, SquaredError(), Effort(SCALE), (0.2, 0.6))
 
 
+@pytest.mark.thorough
 def test_a_quadratic_front_meets_the_analytic_one(front):
     # Both objectives are quadratic in u_2, so the best points lie on the line from 0 to r,
     # u_2 = gamma r, where sqrt(first) + scale sqrt(second) = |r|. There share / first_0

@@ -185,6 +185,7 @@ def test_a_population_takes_the_place_of_the_machine():
     assert Tuning(PROBLEM.population, **own, machines=3).population.size == 3
 
 
+@pytest.mark.thorough
 def test_many_starts_take_the_best_by_held_out_plants(tuned):
     assert tuned.loss.shape == tuned.dropped.shape == tuned.weights["gamma_p"].shape == (8, 3)
     assert len(np.unique(tuned.weights["gamma_p"][0])) == 3
@@ -225,6 +226,7 @@ def kill_after(step):
     return progress
 
 
+@pytest.mark.thorough
 def test_a_folder_under_earlier_names_is_resumed(tmp_path, monkeypatch):
     """A folder written under earlier names is resumed.
 

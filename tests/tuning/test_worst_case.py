@@ -32,6 +32,7 @@ class Numbers:
     x: object = leaf()
 
 
+@pytest.mark.thorough
 def test_the_worst_gain_of_p_type_learning_is_an_end_of_its_range():
     # e_5 = (1 - 0.9 g)^4 r is worst at that end of the range that is farther from 1 / 0.9, which is
     # the low one.
@@ -51,6 +52,7 @@ def test_the_worst_gain_of_p_type_learning_is_an_end_of_its_range():
     np.testing.assert_allclose(again.subject.plant.B, 0.25)
 
 
+@pytest.mark.thorough
 def test_the_worst_phase_of_a_disturbance_is_inside_its_range():
     # With y = 0.3 sin(t + phase) and r = sin(t), the largest rms is that of opposite phase,
     # (1 + 0.3) / sqrt(2).
