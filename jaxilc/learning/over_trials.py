@@ -197,7 +197,8 @@ def _learn(
         return learned, trial, start, (metrics, save(trial))
 
     def body(carry: Tree, j: Array) -> tuple[Tree, Tree]:
-        memory, trial, start, kept = trial_and_learning(for_carry(carry[0]), carry[2], j)
+        memory = scheme.resumed(carry[0])
+        memory, trial, start, kept = trial_and_learning(for_carry(memory), carry[2], j)
         return (for_carry(memory), trial, start), (*kept, compared(carry[1], trial, j))
 
     def compared(before: Tree, trial: Trial, j: Array) -> dict[str, Value]:

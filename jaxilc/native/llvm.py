@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
+from .handed import Handed, handed_on
 from .operations import CONVERSIONS, Array, Node, Number, instruction
 from .places import At, AtIndex, Buffer, Cell, Given, Sample
 from .rows import Loop, Row, Segment, Stored, Trials, small
@@ -124,9 +125,11 @@ class Text:
         kind = self.stored_type(dtype, alike=alike)
         place = self.add(f"getelementptr {kind}, ptr {base}, i64 {index}")
         found = self.add(f"load {kind}, ptr {place}, align {bytes_of(dtype)}")
+        if alike:
+            found = self.splat(found, kind)
         if np.dtype(dtype).kind == "b":
-            found = self.add(f"trunc {kind} {found} to {'i1' if alike else self.type_of(dtype)}")
-        return self.splat(found, _scalar(dtype)) if alike else found
+            found = self.add(f"icmp ne <{self.lanes} x i8> {found}, zeroinitializer")
+        return found
 
     def store(self, value: str, base: str, index: str, dtype: np.dtype) -> None:
         kind = self.stored_type(dtype)
@@ -198,6 +201,9 @@ class Text:
             for i in (0, 1):
                 if node.args[i].name == "mul":
                     return self._fused(node, i, args[1 - i])
+        inverse = self.plan.n.inverse(node) if node.name == "div" else None
+        if inverse is not None and inverse is not node:
+            return self.add(f"fmul {kind} {args[0]}, {self.values([inverse], k)[0]}")
         text = instruction(node.name, node.args[0].dtype.kind)
         assert text is not None, node.name
         of = self.type_of(node.args[0].dtype)
@@ -530,18 +536,23 @@ class Text:
             return
         self.values(_first_known(nodes))
         self.inside = {}
-        if of.last - of.first == 1:
-            k, end = str(of.first), list[str]()
-        elif direction > 0:
-            k, end = self.loop(str(of.first), str(of.last))
-        else:
-            k, end = self.loop(str(of.last - 1), str(of.first - 1), -1)
-        self.values(nodes, k)
+        begin, last, d = of.first, of.last, 1
+        if direction <= 0:
+            begin, last, d = of.last - 1, of.first - 1, -1
+        handed = list[Handed]()
+        k, end = str(begin), list[str]()
+        if of.last - of.first > 1:
+            handed = handed_on(self.plan, of, nodes, d)
+            for one, value in zip(handed, self.values((x.node for x in handed), k), strict=True):
+                self._put(one.cell, value)
+            k, end = self.loop(str(begin), str(last), d)
+            self.inside = {x.node: self._printed(x.cell, [], k) for x in handed}
+        self.values([*nodes, *(x.ahead for x in handed)], k)
         for buffer, offset, array in stores:
             for m, node in enumerate(array.flat):
                 index = self._index(k, 1, offset, buffer.width, m)
                 self.store(self._known(node)[node], self._target(buffer), index, buffer.dtype)
-        for cell, new in of.cells:
+        for cell, new in (*of.cells, *((x.cell, x.ahead) for x in handed)):
             self._put(cell, self._known(new)[new])
         self.lines += end
         self.inside = {}

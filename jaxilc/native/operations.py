@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import partial, reduce
 from typing import TypeAlias
 
@@ -161,6 +161,7 @@ class Numbers:
     def __init__(self, real: DTypeLike):
         self.real = np.dtype(real)
         self._known: dict[Hashable, Node] = {}
+        self._equates = False  # whether real numbers are compared for equality
         self._dtypes = {t for t in TYPES if t.kind != "f" or t == self.real}
 
     def const(self, value: Number | float, dtype: np.dtype) -> Node:
@@ -196,22 +197,42 @@ class Numbers:
             raise Unknown(f"{name} of {' and '.join(str(x.dtype) for x in args)}")
         if name in ("div", "rem") and kind != "f" and not _is_positive(args[1]):
             raise Unknown(f"{name} of {args[0].dtype} by what is no positive constant")
+        self._equates |= name in ("eq", "ne") and kind == "f"
         known = INSTRUCTIONS[name]
         dtype = BOOL if known.tests else args[0].dtype
         if known.exact is not None and all(x.name == "const" for x in args):
             with np.errstate(all="ignore"):
                 return self.const(known.exact(*(x.value for x in args)), dtype)
-        return self._same(name, args) or self._node(name, args, dtype, None, None)
+        found = self._same(name, args) or (self._of_negative(name, args) if kind == "f" else None)
+        return found or self._node(name, args, dtype, None, None)
+
+    def _of_negative(self, name: str, args: tuple[Node, ...]) -> Node | None:
+        """An operation on negatives as one that a sum takes for nothing, to the last bit."""
+        plain = [x.args[0] if x.name == "neg" else x for x in args]
+        signs = [x.name == "neg" for x in args]
+        if not any(signs):
+            return None
+        if name == "neg":
+            return plain[0]
+        if name in ("mul", "div"):
+            found = self.of(name, *plain)
+            return found if all(signs) else self.of("neg", found)
+        if name == "add" and not all(signs):
+            return self.of("sub", *(plain[::-1] if signs[0] else plain))
+        if name == "sub" and signs[1]:
+            return self.of("sub", *plain[::-1]) if signs[0] else self.of("add", *plain)
+        return None
 
     def _same(self, name: str, args: tuple[Node, ...]) -> Node | None:
-        """The operand that an operation leaves as it is, to the last bit and sign; else None.
+        """The operand that an operation leaves as it is, to the last bit; else None.
 
-        As XLA does, a division by a constant becomes a product, which takes less time.
+        As XLA does, a division by a constant becomes a product, which takes less time, and a sum
+        with zero is left out, though it would make +0 of -0.
         """
         one, other = (args * 2)[:2]
-        if name == "mul" and _is(other, 1):
+        if (name == "mul" and _is(other, 1)) or (name == "add" and _is(other, 0)):
             return one
-        if name == "mul" and _is(one, 1):
+        if (name == "mul" and _is(one, 1)) or (name == "add" and _is(one, 0)):
             return other
         if name == "div" and other.name == "const" and _has_reciprocal(other.value):
             return self.of("mul", one, self.const(1 / other.value, other.dtype))
@@ -222,6 +243,21 @@ class Numbers:
         if name == "sub" and _is(other, 0) and not np.signbit(other.value):
             return one
         return None
+
+    def known(
+        self, like: Node, args: Iterable[Node], what: Number | Place | int | None
+    ) -> Node | None:
+        """The node of the same operation on other operands, or place, if the program has it."""
+        return self._known.get((like.name, tuple(map(id, args)), like.dtype, what))
+
+    def inverse(self, quotient: Node) -> Node | None:
+        """The node 1/x of a quotient a/x, if the program has it, for a product in its place.
+
+        It has none where real numbers are compared for equality. There, as in the slope of a
+        maximum, a number that two loops compute must be the same, to the last bit.
+        """
+        x = quotient.args[1]
+        return None if self._equates else self.known(quotient, (self.const(1, x.dtype), x), None)
 
     def _converted(self, x: Node, dtype: np.dtype) -> Node:
         if x.dtype == dtype:
@@ -298,12 +334,10 @@ def _filled(shape: Sequence[int], items: Sequence[Node] | Array) -> Array:
 
 
 def _sign(n: Numbers, x: Node) -> Node:
-    zero = n.const(0, x.dtype)
     if x.dtype.kind != "f":
         raise Unknown(f"sign of {x.dtype}")
     one = n.of("copysign", n.const(1, x.dtype), x)
-    found = n.of("select", n.of("eq", x, zero), one, n.of("copysign", zero, x))
-    return n.of("select", n.of("ne", x, x), found, x)
+    return n.of("select", n.of("gt", n.of("abs", x), n.const(0, x.dtype)), x, one)  # 0, NaN: x
 
 
 def _not(n: Numbers, x: Node) -> Node:
@@ -323,17 +357,21 @@ def _is_finite(n: Numbers, x: Node) -> Node:
 
 
 def _power(n: Numbers, x: Node, *, y: int) -> Node:
-    """x to the power of a whole number, by squaring, as JAX computes it."""
+    """x to the power of a whole number, by squaring; a negative one is that of its reciprocal.
+
+    The slope of a quotient a/x has 1/x^2 beside 1/x, and so no further division.
+    """
+    one = n.const(1, x.dtype)
     if y == 0:
-        return n.const(1, x.dtype)
-    found, square, left = None, x, abs(y)
+        return one
+    found, square, left = None, x if y > 0 else n.of("div", one, x), abs(y)
     while left:
-        if left & 1:
+        if left % 2:
             found = square if found is None else n.of("mul", found, square)
-        left >>= 1
+        left //= 2
         square = n.of("mul", square, square) if left else square
     assert found is not None
-    return found if y > 0 else n.of("div", n.const(1, x.dtype), found)
+    return found
 
 
 def _logistic(n: Numbers, x: Node) -> Node:

@@ -184,6 +184,12 @@ class Scan:
     def rows(self) -> list[Row]:
         return [*map(rows_of, self.operands[self.consts + self.carry :])]
 
+    def carried(self, row: Result) -> int | None:
+        """Which of the carried numbers a result is, too; None if it is none of them."""
+        outs = self.body.outs
+        same = (i for i in range(self.carry) if outs[i] is outs[row.number])
+        return next(same, None)
+
     def begin(self, i: int) -> Array:
         """What it carries into its first sample."""
         return small(self.operands[self.consts + i])
@@ -1221,6 +1227,9 @@ class _At(_Rows):
                 return self.run(scan)[row.number]
             back = self.of.direction * (scan.offset - c)
             assert back > 0
+            carried = scan.carried(row)
+            if back == 1 and carried is not None and self.active(scan):
+                return _inside_loop(self.n, scan.cells[carried])
             if back <= LATELY:
                 return _inside_loop(self.n, self.of.before(row, back))
         return self._load(self.of.of.kept(row), row, sign, c)

@@ -483,10 +483,11 @@ class FFDLMFAILC(Scheme):
         return Memory(jnp.zeros((N, n)), jnp.zeros((N + 1, n)), phi, jnp.zeros(()))
 
     def learn(self, memory: Memory, trial: Trial) -> Memory:
-        du, dy = memory.seen * (trial.u - memory.u), memory.seen * (trial.y - memory.y)
+        du, dy = trial.u - memory.u, trial.y - memory.y
         outputs = [delay(dy[:-1], i) for i in range(self.L_y)]
         inputs = [delay(du, i) for i in range(self.L_u)]
-        phi = self._estimated(memory.phi, outputs + inputs, advance(dy, 1 + self.lead), du)
+        rows = memory.phi, outputs + inputs, advance(dy, 1 + self.lead), du
+        phi = _estimated((self, memory.seen * self.eta), *rows)
         if self.lead:
             phi = [
                 jnp.concatenate([new[: -self.lead], old[-self.lead :]])
@@ -495,9 +496,8 @@ class FFDLMFAILC(Scheme):
         return Memory(trial.u, trial.y, tuple(phi), jnp.ones_like(memory.seen))
 
     def schedule(self, memory: Memory, task: Task) -> Schedule:
-        e = memory.seen * advance(task.reference - memory.y, 1 + self.lead)
-        u, weights = self._law(memory.phi, memory.u, e)
-        weights = tuple(memory.seen * weight for weight in weights)
+        e = advance(task.reference - memory.y, 1 + self.lead)
+        u, weights = _law((self, memory.seen * self.rho), memory.phi, memory.u, e)
         return Schedule(u, memory.y[:-1], memory.u, weights)
 
     def initial_state(self, task: Task) -> Window:
@@ -518,30 +518,48 @@ class FFDLMFAILC(Scheme):
         du = (u - row.u_last, *du)[: self.L_u - 1]
         return Window(dy[: max(self.L_y - 1, 0)], du, row.u_last), u
 
-    @by_row
-    def _estimated(
-        self, phi: Sequence[Array], increments: Sequence[Array], dy: Array, du: Array
-    ) -> list[Array]:
-        """The estimate for the next trial, see `pseudo_gradient` and `reset_estimate`."""
-        moved = pseudo_gradient(phi, increments, dy, eta=self.eta, mu=self.mu)
-        return reset_estimate(
-            moved, du, self._start(), component=self.L_y, epsilon=self.epsilon, mode=self.reset
-        )
-
-    @by_row
-    def _law(self, phi: Sequence[Array], u: Array, e: Array) -> tuple[Array, tuple[Array, ...]]:
-        """The part of the law that is known before the trial, and the weights of increments."""
-        c, rho = self.L_y, jnp.broadcast_to(self.rho, (self.L_y + self.L_u,))
-        gain = phi[c] / (self.lam + phi[c] ** 2)
-        if len(phi) > 1:  # each weight uses it: laid out once, not once for each
-            gain = for_scan(gain)
-        weights = tuple(gain * rho[i] * p for i, p in enumerate(phi) if i != c)
-        u = u + gain * rho[c] * e
-        # with weights, `act` first adds the increments of the running trial
-        return (u if weights else limited(u, self.limit)), weights
-
     def _start(self) -> Array:
         return jnp.atleast_1d(jnp.asarray(self.phi0))
+
+
+@by_row
+def _estimated(
+    of: tuple[FFDLMFAILC, Array],
+    phi: Sequence[Array],
+    increments: Sequence[Array],
+    dy: Array,
+    du: Array,
+) -> list[Array]:
+    """The estimate for the next trial, see `pseudo_gradient` and `reset_estimate`.
+
+    of: the scheme, and the step of its estimator: 0 after the first trial, whose increments tell
+        nothing
+    """
+    scheme, eta = of
+    moved = pseudo_gradient(phi, increments, dy, eta=eta, mu=scheme.mu)
+    return reset_estimate(
+        moved, du, scheme._start(), component=scheme.L_y, epsilon=scheme.epsilon, mode=scheme.reset
+    )
+
+
+@by_row
+def _law(
+    of: tuple[FFDLMFAILC, Array], phi: Sequence[Array], u: Array, e: Array
+) -> tuple[Array, tuple[Array, ...]]:
+    """The part of the law that is known before the trial, and the weights of increments.
+
+    of: the scheme, and its step factors: 0 in the first trial, so that nothing is added to u
+    """
+    scheme, rho = of
+    c = scheme.L_y
+    gain = phi[c] / (scheme.lam + phi[c] ** 2)
+    if len(phi) > 1:  # each weight uses it: laid out once, not once for each
+        gain = for_scan(gain)
+    gains = [gain * r for r in rho] if rho.ndim else [gain * rho] * len(phi)
+    weights = tuple(gains[i] * p for i, p in enumerate(phi) if i != c)
+    u = u + gains[c] * e
+    # with weights, `act` first adds the increments of the running trial
+    return (u if weights else limited(u, scheme.limit)), weights
 
 
 @pytree

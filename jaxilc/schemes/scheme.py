@@ -196,6 +196,10 @@ class Scheme(Law):
         parts = self.parts(task, UNASKED).items()
         return self._with({name: scheme.prepared(seen) for name, (scheme, seen, _) in parts})
 
+    def resumed(self, memory: Memory) -> Memory:
+        """The memory with which a trial of many begins; by default the one that was learned."""
+        return memory
+
     def frozen(self) -> Scheme:
         """The linear law with which this scheme starts.
 

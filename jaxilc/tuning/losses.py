@@ -28,7 +28,6 @@ import jax.numpy as jnp
 
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
-from ..learning.over_trials import truncated
 from ..learning.within_trial import bytes_of_trial
 from ..native.run import fastest
 from ..pytree.aliases import Value
@@ -39,7 +38,7 @@ from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Population
 from .descent import Evaluation, counted, repaired
-from .objectives import Bounded, Objective, Run, Sum, judge
+from .objectives import Objective, Sum, judge
 from .risks import Risk
 from .weights import Weights
 
@@ -79,15 +78,11 @@ class Losses:
         self, machine: Machine, values: Mapping[str, Value], objective: Objective, *, key=None
     ) -> jax.Array:
         """() the objective of one machine, with these values of the weights by name."""
-        scheme, save = replaced(self.scheme, values), Keep.of(self.quantities)
-        options: dict[str, Value] = {"key": key, "save": save}
-        if self.truncate is None or self.truncate >= self.trials:
-            return judge(
-                machine, scheme, self.task, self.trials, objective, ceiling=self.ceiling, **options
-            )
-        bounded = Bounded.around(scheme, self.task, self.ceiling)
-        history = truncated(machine, bounded, self.task, self.trials, self.truncate, **options)
-        return objective(Run(machine, scheme, self.task, history, self.ceiling))
+        last = None if self.truncate is None else min(self.truncate, self.trials)
+        return judge(
+            machine, replaced(self.scheme, values), self.task, self.trials, objective,
+            key=key, ceiling=self.ceiling, save=Keep.of(self.quantities), last=last,
+        )  # fmt: skip
 
     def risk_of(
         self, values: Mapping[str, Value], objective: Objective, population: Population, first: int

@@ -15,7 +15,8 @@ gradient is finite. `Bounded` keeps them finite.
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -25,8 +26,8 @@ from ..learning.divergence import CEILING, peak
 from ..learning.known_metrics import ERRORS, TUNED
 from ..learning.machine import Machine
 from ..learning.metrics import Keep, largest
-from ..learning.over_trials import History, learn
-from ..pytree.aliases import Leaf
+from ..learning.over_trials import History, truncated
+from ..pytree.aliases import Leaf, Tree
 from ..pytree.closest import not_one_of
 from ..pytree.fields import child, leaf, pytree
 from ..pytree.ranges import require
@@ -37,55 +38,103 @@ from ..schemes.scheme import Memory, State
 from ..signals.task import Sample, Task, Trial
 
 
-class Held(NamedTuple):
+class Halted(NamedTuple):
     """The memory of `Bounded`.
 
     scheme: memory of the scheme that is bounded
+    passed: () whether the error of a trial was larger than the level
+    trials: () number of trials up to the one that passed the level, else of all trials so far
     """
 
     scheme: Memory
+    passed: jax.Array
+    trials: jax.Array
+
+
+@jax.custom_jvp
+def _restarted(passed, fresh: Memory, memory: Memory) -> Memory:
+    """The fresh memory where a trial has passed the level, else the memory.
+
+    The slope is that of the memory in both cases. It saves time, and it is right: no trial counts
+    that is run from a fresh memory.
+    """
+    return jax.tree.map(lambda new, old: jnp.where(passed, new, old), fresh, memory)
+
+
+@_restarted.defjvp
+def _restarted_jvp(primals, tangents):
+    return _restarted(*primals), tangents[2]
 
 
 @pytree
 class Bounded(Guard):
-    """A scheme that sees no error beyond a level, and stops learning in a trial that passes it.
+    """A scheme that sees no error beyond a level, and learns until a trial passes it.
 
-        y seen = clip(y, r - level, r + level)
-        memory' = memory if max |e| > level, else what the scheme learns
+        y seen = y if |e| <= level, else r - level or r + level
+        memory = initial memory after a trial in which max |e| > level
 
     As long as no error exceeds the level, all numbers are those of the scheme itself. After a trial
-    that exceeds it, every later trial repeats that trial. So the error and its gradient stay
-    finite. The gradient is that of the trial that exceeded the level; the part of an error that is
-    clipped has the gradient zero. A learning process that diverges thus has a loss of about
-    log(ceiling / floor), and a slope that leads back to weights that converge.
+    that exceeds it, the trials begin without knowledge, so that all numbers stay finite, and they
+    do not count: `up_to_level` repeats the numbers of the trial that exceeded it. The gradient is
+    that of this trial; the part of an error that is cut off has the gradient zero. A learning
+    process that diverges thus has a loss of about log(ceiling / floor), and a slope that leads back
+    to weights that converge.
 
     level: (n_y,) largest error that the scheme sees, > 0 [unit of y]
+    fresh: the memory of the scheme before the first trial; `prepared` finds it
     """
 
     scheme: Scheme = child()
     level: Leaf = leaf(interval="(0, inf)")
+    fresh: Tree = child(default=None)
 
     @classmethod
     def around(cls, scheme: Scheme, task: Task, ceiling: float = CEILING) -> Bounded:
         """The scheme with a level of `ceiling` times the peak of the reference."""
         return cls(scheme, lax.stop_gradient(ceiling * peak(task)))
 
-    def initial_memory(self, task: Task) -> Held:
-        return Held(self.scheme.initial_memory(task))
+    def prepared(self, task: Task) -> Self:
+        scheme = self.scheme.prepared(task)
+        return self._with({"scheme": scheme, "fresh": scheme.initial_memory(task)})
+
+    def initial_memory(self, task: Task) -> Halted:
+        return Halted(self.scheme.initial_memory(task), jnp.zeros((), bool), jnp.zeros((), int))
 
     def act(self, state: State, sample: Sample) -> tuple[State, jax.Array]:
-        return self.scheme.act(
-            state,
-            sample._replace(y=jnp.clip(sample.y, sample.r - self.level, sample.r + self.level)),
+        return self.scheme.act(state, sample._replace(y=self._seen(sample.y, sample.r)))
+
+    def learn(self, memory: Halted, trial: Trial) -> Halted:
+        seen = trial._replace(y=self._seen(trial.y, trial.r))
+        return Halted(
+            self.scheme.learn(memory.scheme, seen),
+            memory.passed | ~jnp.all(jnp.abs(trial.e) <= self.level),
+            memory.trials + ~memory.passed,
         )
 
-    def learn(self, memory: Held, trial: Trial) -> Held:
-        passed = ~jnp.all(jnp.abs(trial.e) <= self.level)
-        seen = trial._replace(y=jnp.clip(trial.y, trial.r - self.level, trial.r + self.level))
-        learned = self.scheme.learn(memory.scheme, seen)
-        return Held(
-            jax.tree.map(lambda old, new: jnp.where(passed, old, new), memory.scheme, learned)
-        )
+    def resumed(self, memory: Halted) -> Halted:
+        return memory._replace(scheme=_restarted(memory.passed, self.fresh, memory.scheme))
+
+    def _seen(self, y: jax.Array, r: jax.Array) -> jax.Array:
+        """The output with an error within the level.
+
+        The slope of `jnp.clip` takes more operations, since it divides where y is at the limit.
+        """
+        e = r - y
+        nearest = r - jnp.where(e > 0, self.level, -self.level)
+        return jnp.where(jnp.abs(e) <= self.level, y, nearest)
+
+
+def up_to_level(history: History) -> History:
+    """The history of a `Bounded` scheme, in which trials repeat the one that passed the level."""
+    j, count = jnp.arange(len(history.diverged)), history.memory.trials
+
+    def repeating(x: jax.Array) -> jax.Array:
+        at = j.reshape(-1, *(1 for _ in x.shape[1:]))
+        last = jnp.sum(jnp.where(at == count - 1, x, 0), axis=0)  # see `largest`
+        return jnp.where(at < count, x, last.astype(x.dtype))
+
+    metrics, saved = jax.tree.map(repeating, (history.metrics, history.saved))
+    return history._replace(metrics=metrics, saved=saved)
 
 
 # Objectives
@@ -118,15 +167,19 @@ def judge(
     key=None,
     ceiling: float = CEILING,
     save: Keep | None = None,
+    last: int | None = None,
 ) -> jax.Array:
     """() the objective of one machine's learning process under `Bounded`; a pure function.
 
     ceiling: largest error, relative to the peak of the reference, see `Bounded`
     save: further quantities, for objectives that use them
+    last: number of trials that the gradient includes, see `truncated`; None: all
     """
-    bounded = Bounded.around(scheme, task, ceiling)
-    history = learn(machine, bounded, task, trials, key=key, save=save)
-    return objective(Run(machine, scheme, task, history, ceiling))
+    history = truncated(
+        machine, Bounded.around(scheme, task, ceiling), task, trials, last or trials,
+        key=key, save=kept_for(objective, save),
+    )  # fmt: skip
+    return objective(Run(machine, scheme, task, up_to_level(history), ceiling))
 
 
 _OF_OUTPUTS = tuple(m.name for m in ERRORS)  # relative to the reference of the same output
@@ -140,9 +193,11 @@ class Objective:
     """A function from a `Run` to a number.
 
     nominal: whether it is computed for the nominal machine only, without a risk over machines
+    quantities: what it needs of each trial besides the metrics, by name
     """
 
     nominal: ClassVar[bool] = False
+    quantities: ClassVar[Mapping[str, Callable[[Trial], jax.Array]]] = {}
 
     def __post_init__(self):
         """Raises ValueError, naming the field, for a number that no objective could have."""
@@ -284,6 +339,18 @@ class Effort(Objective):
         return jnp.mean((run.history.effort[-1] / self.scale) ** 2)
 
 
+def kept_for(objective: Objective, save: Keep | None = None) -> Keep:
+    """What to keep of each trial, besides what `save` keeps, for an objective."""
+    save = Keep() if save is None else save
+    needed = {name: of for _, term in objective.terms for name, of in term.quantities.items()}
+    return dataclasses.replace(save, quantities=(*save.quantities, *needed.items()))
+
+
+def input_rate(trial: Trial) -> jax.Array:
+    """() the mean square of (u[k+1] - u[k]) / dt of all inputs [(unit of u per s)^2]."""
+    return jnp.mean((jnp.diff(trial.u, axis=0) / trial.dt) ** 2)
+
+
 @dataclasses.dataclass(frozen=True)
 class InputRate(Objective):
     """The mean square of (u[k+1] - u[k]) / dt in the last trial, divided by scale^2.
@@ -292,9 +359,10 @@ class InputRate(Objective):
     """
 
     scale: float = 1.0
+    quantities: ClassVar = {"input rate": input_rate}
 
     def __call__(self, run: Run):
-        return jnp.mean((jnp.diff(run.history.final.u, axis=0) / run.task.dt / self.scale) ** 2)
+        return run.history.saved["input rate"][-1] / self.scale**2
 
 
 @dataclasses.dataclass(frozen=True)

@@ -42,6 +42,7 @@ from jaxilc.tuning.objectives import (
     Run,
     TrialsTo,
     judge,
+    kept_for,
 )
 from jaxilc.uncertainty import Uniform
 
@@ -94,7 +95,8 @@ def test_slope_of_every_objective_equals_finite_differences(name):
     def along(x):
         def losses(x):
             there = moved(x)
-            history = learn(machine, Bounded.around(there, task), task, TRIALS)
+            save = kept_for(EVERYTHING)
+            history = learn(machine, Bounded.around(there, task), task, TRIALS, save=save)
             of = Run(machine, there, task, history)
             return jnp.stack([weight * term(of) for weight, term in EVERYTHING.terms])
 
@@ -355,7 +357,7 @@ def test_contraction_and_its_slope_equal_those_of_the_dense_matrix():
 def test_terms_are_what_they_say():
     errors = np.array([1.0, 0.3, 0.45, 0.45, 0.1])
     law = PIDType(gamma_p=0.5)
-    history = learn(STATIC, law, TASK, len(errors))
+    history = learn(STATIC, law, TASK, len(errors), save=kept_for(InputRate()))
     u = np.asarray(history.final.u)
     rate = np.diff(u, axis=0) / 1e-3 / 3.0
     expected = (
@@ -408,6 +410,21 @@ def test_divergence_has_the_loss_of_the_trial_that_passed_the_ceiling_and_its_sl
     value, slope = jax.jit(jax.value_and_grad(loss))(3.0)
     np.testing.assert_allclose(value, np.log(2.0**10 / 1e-6), rtol=1e-9)
     np.testing.assert_allclose(slope, 10 / 2.0, rtol=1e-9)
+
+
+def test_after_the_trial_that_passed_the_ceiling_no_trial_counts():
+    # |e_j| = (gamma - 1)^(j-1) as above; d log |e_j| / d gamma = (j - 1) / (gamma - 1).
+    def loss(gamma, trials, objective):
+        return judge(STATIC, PIDType(gamma_p=gamma), TASK, trials, objective)
+
+    value, slope = jax.value_and_grad(loss)(3.0, 30, EveryTrial("max_error"))
+    before = np.minimum(np.arange(30), 10)
+    np.testing.assert_allclose(value, np.mean(np.log(2.0**before / 1e-6)), rtol=1e-9)
+    np.testing.assert_allclose(slope, np.mean(before / 2.0), rtol=1e-9)
+    inputs = Effort(2.0) + InputRate(50.0)
+    late, at_once = (jax.value_and_grad(loss)(3.0, trials, inputs) for trials in (30, 11))
+    assert late[0] > 1e3
+    np.testing.assert_allclose(late, at_once, rtol=1e-12)
 
 
 def test_divergence_outside_the_settled_window_is_seen():

@@ -11,7 +11,7 @@ import pytest
 from cases import CASES, SCHEMES, case, few
 
 from jaxilc.learning import Disturbance, Sensor, learn
-from jaxilc.native import code, loops, operations, run, why_not
+from jaxilc.native import code, llvm, loops, operations, run, why_not
 from jaxilc.native.program import Unknown
 from jaxilc.native.run import Compiled, Native, differs
 
@@ -72,6 +72,24 @@ def test_every_case_learns_as_by_xla_or_is_refused_by_name(name):
     found = Compiled(of_machine, common, 1.0)(common, GAINS)
     wanted = jax.jit(jax.vmap(of_machine, (None, 0)))(common, GAINS)
     assert differs(found, wanted) is None
+
+
+def test_what_the_sample_before_has_computed_is_not_computed_again(monkeypatch):
+    """FFDL-MFAILC reads the increments of two samples, of which one was read a sample before."""
+    handed, common = [], arguments("ffdl_none")
+    really = llvm.handed_on
+
+    def noted(*args):
+        handed.append(really(*args))
+        return handed[-1]
+
+    monkeypatch.setattr(llvm, "handed_on", noted)
+    found = Compiled(of_machine, common, 1.0)(common, GAINS)
+    assert max(map(len, handed)) >= 2
+    monkeypatch.setattr(llvm, "handed_on", lambda *_: [])
+    anew = Compiled(of_machine, common, 1.0)(common, GAINS)
+    for x, y in zip(*map(jax.tree.leaves, (found, anew)), strict=True):
+        np.testing.assert_array_equal(x, y)
 
 
 @pytest.mark.thorough
