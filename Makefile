@@ -28,7 +28,7 @@ check: lint  ## lint, format, types, quick tests: a minute on 2 cores
 	$(BIN)/python -m pytest -n 2 -m "quick and not slow" $(addprefix --ignore=,$(ROUNDED))
 	ISA=SSE4_2 $(BIN)/python -m pytest -n 2 -m "quick and not slow" $(ROUNDED)
 
-test: lint  ## everything, as CI runs it: also the documentation and all tests
+test: lint  ## as CI runs it: the documentation and all tests, the thorough ones by turns
 	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py
 	$(BIN)/python -m pytest -n 2 -m "not shipped"
 	XLA_FLAGS= $(BIN)/python -m pytest -n 2 -m shipped

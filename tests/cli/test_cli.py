@@ -182,6 +182,7 @@ def test_sweep_prints_the_yield_and_resumes(jaxilc_command, tmp_path):
     assert jaxilc_command(*by_its_old_name, "--resume")[0] == 0
 
 
+@pytest.mark.thorough
 def test_a_grid_is_told_at_its_best_point(jaxilc_command, tmp_path):
     gain = jaxilc.scenarios.load("cao-2019").machine.plant.gain
     grid = ["--grid", f"plant.gain={0.5 * gain}:{gain}:3", "--grid", "reading=stroke,amplitude"]

@@ -44,6 +44,7 @@ def command(monkeypatch, capsys, tmp_path):
     return call
 
 
+@pytest.mark.thorough
 def test_a_law_is_written_and_checked(command, tmp_path):
     code, out, err = command("export", "axis.toml", "--limit", "9", "--machines", "1")
     assert code == 0, err

@@ -93,6 +93,7 @@ def test_of_the_leads_one_with_safe_ends_is_taken_and_of_these_the_best(lag, mon
     assert best_of_leads(lag, at, [None], *args, Mean())[0] != lead
 
 
+@pytest.mark.thorough
 def test_machines_between_those_of_a_family_join_it_until_none_breaks_the_bound():
     def joined(besides):
         return family_of(

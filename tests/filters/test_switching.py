@@ -313,6 +313,7 @@ def test_short_segments_are_merged_shortest_first():
     assert segments(burst(), 2e-3, shortest=0.1, **options).cutoff.tolist() == [10.0]
 
 
+@pytest.mark.thorough
 def test_switchable_filter_learns_the_fast_part_but_not_the_noise_of_the_slow_one():
     """The switchable filter learns the fast part of the path, and not the noise of the slow part.
 

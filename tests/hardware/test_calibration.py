@@ -81,6 +81,7 @@ def test_a_manifest_keeps_what_was_expected():
     assert [calibration.kept(manifest) for manifest in wrong] == [None] * 3
 
 
+@pytest.mark.thorough
 def test_next_takes_the_band_of_its_own_trials_from_the_third_on(tmp_path):
     state, schedule = tmp_path / "x", tmp_path / "next.csv"
     assert faults.begun(tmp_path, faults.PLANT, state, schedule)[0] == 0

@@ -196,6 +196,7 @@ def test_a_measured_trial_takes_four_programs(tmp_path):
     np.testing.assert_allclose(turn.metrics["max_error"], [largest], rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_twenty_trials_through_files_are_the_loop_in_memory(session):
     rig, state, played = session
     history = learn(

@@ -212,6 +212,7 @@ def test_eq_7_is_recovered_within_the_intervals(identified):
     assert min(identified.fit[0], identified.validation_fit[0]) > 99.8
 
 
+@pytest.mark.thorough
 def test_poles_have_intervals_even_where_they_meet(identified):
     for pole, true in zip(identified.poles, (-6.404, -474.0, -474.0), strict=True):
         assert inside(pole.real, true)

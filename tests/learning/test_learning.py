@@ -314,6 +314,7 @@ def test_trials_are_divided_near_their_root():
     assert _blocks(100, jnp.zeros(8), 2**22) == 1  # all of them are stored
 
 
+@pytest.mark.thorough
 def test_memory_of_a_gradient_grows_like_the_root_of_the_trials():
     """The RAM for a gradient grows with the square root of the number of trials.
 

@@ -256,6 +256,7 @@ def loss_of_gain(problem, gamma):
     return problem.loss_of(STATIC, {"gamma_p": gamma})
 
 
+@pytest.mark.thorough
 def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
     # e_J = (1 - gamma g)^(K-1) e_(J-K+1), where the last factor is held constant: K - 1 of J - 1
     # factors have a slope.

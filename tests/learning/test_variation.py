@@ -324,6 +324,7 @@ def test_laws_that_compare_trials_keep_what_was_not_measured():
     np.testing.assert_array_equal(whole.rms, plain.rms)
 
 
+@pytest.mark.thorough
 def test_slopes_go_through_what_differs():
     after = dataclasses.replace(PLANT, B=[[0.4]])
     machine = vary(

@@ -60,6 +60,7 @@ def test_the_scenario_is_that_of_the_best_point(grid):
     assert (found.trials, found.options["reading"]) == (best["trials"], best["reading"])
 
 
+@pytest.mark.thorough
 def test_what_is_set_goes_on_top(grid):
     settings = [f"{NAME}.lam=7", "plant.gain=-3", "reading=stroke", f"{NAME}.mu=2"]
     found = asked(grid, settings=settings, trials=9)

@@ -84,6 +84,7 @@ def test_options_that_an_accelerator_would_read_are_left_out_where_there_is_one(
     assert "unroll" in flags["without plugins"][0]
 
 
+@pytest.mark.thorough
 def test_wide_registers_are_asked_for_where_nobody_else_did(flags):
     assert "prefer_vector_width=512" in flags["wide"][0]
     asked = flags["asked"][0]

@@ -180,6 +180,7 @@ def test_theory_certifies_what_is_linear():
     np.testing.assert_allclose(found.predicted, found.simulated, rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_without_an_effort_the_limit_is_certified_in_the_inputs_that_learning_reaches():
     w_r = 1e-3
     scheme = AtSamples(NormOptimal(MODEL, w_r=w_r), weight=WEIGHT)

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALGEBRA, CASES, DIFFERENCES, FEW, case, few, task_for
+from cases import ALGEBRA, CASES, DIFFERENCES, FEW, case, task_for
+from turns import drawn
 
 from jaxilc import tiled
 from jaxilc.learning import Machine, learn, over_trials
@@ -33,16 +34,8 @@ PARTED = (  # one of each kind
     "keep_unmeasured",
     "ilc_asmc",
 )
-# With those above: what fewer than ten tests elsewhere run, as the coverage of each case tells.
-COVERING = (
-    "asmc_carried_limited", "at_samples_p_type", "ball_screw_real", "basis_gradient",
-    "basis_rational", "by_position", "cfdl_mfapc_moves", "constrained", "ffdl_smooth",
-    "fast_tool_servo_linear", "in_blocks", "modal", "motor_real", "on_basis", "p_type_switchable",
-    "pid_increment_limited", "pid_position_limited", "position_basis", "repetitive", "three_axes",
-    "two_step", "warm_start",
-)  # fmt: skip
 SHIPPED = ("pid_increment", "cfdl_sign", "ffdl_sign")  # as pyproject.toml lists them
-OFTEN = {*COVERING, *PARTED, *WITHOUT_JIT, *SHIPPED}
+ALWAYS = {*PARTED, *WITHOUT_JIT, *SHIPPED}  # others have their turn
 of_each_kind = pytest.mark.parametrize("run", PARTED, indirect=True, scope="module")
 # These programs of single machines are compiled in addition to those of batches.
 alone = pytest.mark.parametrize(
@@ -81,7 +74,7 @@ batched = jax.jit(jax.vmap(jax.value_and_grad(loss, has_aux=True), in_axes=(0, N
 sampled = jax.jit(lambda machine, dt: machine.sampled(dt), static_argnums=1)
 
 
-@pytest.fixture(scope="module", params=few(OFTEN, CASES))
+@pytest.fixture(scope="module", params=[x for x in CASES if x in ALWAYS or drawn(x)])
 def run(request) -> Run:
     machine, scheme, task = case(request.param)
     if request.param not in LONG:

@@ -179,6 +179,7 @@ def test_the_optimum_is_that_of_another_solver(n, size):
     assert all(met.values()), met
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_met_is_flagged_and_spoils_no_other():
     """A problem without a solution keeps its input, says so, and has a derivative of zero.
 

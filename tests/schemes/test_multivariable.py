@@ -421,6 +421,7 @@ def soft():
     return linear(dataclasses.replace(NOMINAL, stiffness=0.15 * 4e4))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scheme", [direct, multivariable])
 def test_a_far_too_soft_model_is_predicted_to_diverge_and_does(scheme):
     wrong = scheme(soft())

@@ -290,6 +290,7 @@ INVERSE = np.array([0.642, -1.6, 1.0]) / 0.03  # of `PLANT` under `FEEDBACK`
 HALF = np.array([-1, 0, 9, 16, 9, 0, -1]) / 32
 
 
+@pytest.mark.thorough
 def test_periods_in_parallel_need_what_one_needs_and_grow_less_between_than_in_series():
     task, pair = task_of(np.zeros(101)), (50, 63.3)
     law, both = (learning_filter(INVERSE, HALF, gain=by) for by in (0.4, 0.8))

@@ -151,6 +151,7 @@ def test_what_does_not_fit_is_said():
         RepetitiveBasis(HARMONICS, gain=1.0).check(Task(np.zeros((101, 2)), dt=DT, inputs=1))
 
 
+@pytest.mark.thorough
 def test_the_map_of_a_period_tells_how_fast_the_error_falls_or_grows():
     """Random gains, functions and lengths of a period, by the simulator's own long run."""
     rng, verdicts, last = np.random.default_rng(6), [], n * 400

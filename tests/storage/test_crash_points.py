@@ -75,6 +75,7 @@ def test_a_store_is_filled_from_every_state_of_its_folder(tmp_path, without_wait
     assert left[-1] == 0
 
 
+@pytest.mark.thorough
 def test_a_sweep_resumes_from_states_of_its_folder(tmp_path, without_waiting, monkeypatch):
     small = dataclasses.replace(
         PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, machines=5, chunk=3, keep=(), trials=2
@@ -123,6 +124,7 @@ def test_a_trade_off_resumes_from_every_state_of_its_folder(tmp_path, monkeypatc
             assert_equal(resumed[J], whole[J])
 
 
+@pytest.mark.thorough
 def test_a_campaign_goes_on_from_every_state_of_its_folder(tmp_path, without_waiting):
     _, scheme, task = case("p_type")
     measured = [

@@ -326,6 +326,7 @@ def slowly():
     host.Host.compute = lambda self, chunk: (time.sleep(0.2), compute(self, chunk))[1]
 
 
+@pytest.mark.thorough
 def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, written, monkeypatch):
     """The chunks of a killed worker are computed again.
 

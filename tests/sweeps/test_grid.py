@@ -105,6 +105,7 @@ def test_a_killed_grid_resumes_to_the_same_dataset(tmp_path, dataset):
         other.run(store, resume=True)
 
 
+@pytest.mark.thorough
 def test_static_axes_may_change_every_shape_and_the_trials():
     laws = {"ffdl": FFDLMFAILC(), "pid": PID(kp=-5.0)}
     windows = ([0, 2], [(0.5,), (0.5, 0.1, -0.06, 0.0)], [1, 2])

@@ -221,6 +221,7 @@ def test_of_a_law_that_is_another_for_each_record_and_of_carried_states_nothing_
     assert "single runs" in found.reason
 
 
+@pytest.mark.thorough
 def test_a_limit_that_a_draw_may_meet_is_in_the_way():
     claims = []
     for limit, gain in ((1.2, 0.7), (50.0, 0.7), (1e6, 2.2)):

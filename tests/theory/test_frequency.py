@@ -349,6 +349,7 @@ def test_a_limit_breaks_the_premise_and_an_unused_integrator_does_not():
     )
 
 
+@pytest.mark.thorough
 def test_robust_condition_is_the_worst_of_all_perturbed_plants():
     """The robust condition is the worst of all perturbed plants.
 
@@ -459,6 +460,7 @@ def test_the_worst_of_a_box_is_at_its_corner_at_least():
     np.testing.assert_allclose(found.values[0], rule, rtol=1e-5)
 
 
+@pytest.mark.thorough
 def test_ascent_finds_the_worst_within_a_box():
     """Gradient ascent finds the worst plant within a box.
 

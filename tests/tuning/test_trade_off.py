@@ -83,6 +83,7 @@ def test_a_quadratic_front_meets_the_analytic_one(front):
     )
 
 
+@pytest.mark.thorough
 def test_what_one_point_beats_in_both_is_left_out():
     # No gain gives growth, so the points differ in their error only. The share of the effort makes
     # the first point the worse one.
@@ -120,6 +121,7 @@ def test_an_interrupted_front_keeps_its_points(front, tmp_path):
         pareto(PROBLEM, SquaredError(), Final(), (0.2, 0.6), out, resume=True)
 
 
+@pytest.mark.thorough
 def test_budgets_of_trials_meet_the_closed_form(tmp_path):
     # u_J = (1 - q) r and e_J = q r with q = (1 - gamma)^(J-1), so q^2 + (1 - q)^2 / scale^2 is
     # least at q = 1 / (1 + scale^2).
