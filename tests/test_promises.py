@@ -13,7 +13,9 @@ import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
+import turns
 from typer.main import get_command
 
 from jaxilc import scenarios
@@ -133,6 +135,17 @@ def test_make_test_leaves_no_test_out():
     made = (ROOT / "Makefile").read_text(encoding="utf-8")
     target = re.search(r"^test: .*\n((?:\t.*\n)+)", made, re.MULTILINE)[1]
     assert re.findall(r"pytest -n 2 -m (.*)", target) == ['"not shipped"', "shipped"]
+
+
+def test_a_thorough_test_has_a_turn_in_about_one_of_eight_commits(monkeypatch):
+    rng = np.random.default_rng(1)
+    turns_of = dict.fromkeys((f"tests/a.py::test_{i}" for i in range(50)), 0)
+    for _ in range(400):
+        monkeypatch.setattr(turns, "_head", lambda head=rng.bytes(20).hex(): head)
+        for name in turns_of:
+            turns_of[name] += turns.drawn(name)
+    assert 25 < min(turns_of.values()) < max(turns_of.values()) < 85
+    assert np.mean([*turns_of.values()]) == pytest.approx(400 / turns.SHARE, rel=0.1)
 
 
 # Numbers
