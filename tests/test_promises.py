@@ -141,7 +141,7 @@ def test_a_thorough_test_has_a_turn_in_about_one_of_eight_commits(monkeypatch):
     rng = np.random.default_rng(1)
     turns_of = dict.fromkeys((f"tests/a.py::test_{i}" for i in range(50)), 0)
     for _ in range(400):
-        monkeypatch.setattr(turns, "_head", lambda head=rng.bytes(20).hex(): head)
+        monkeypatch.setattr(turns, "_head", functools.partial(str, rng.bytes(20).hex()))
         for name in turns_of:
             turns_of[name] += turns.drawn(name)
     assert 25 < min(turns_of.values()) < max(turns_of.values()) < 85
