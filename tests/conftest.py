@@ -17,7 +17,8 @@ from jaxilc.runtime.xla_options import known  # noqa: E402
 # Most of the time of these tests is compilation. Without LLVM's optimiser it takes half as long,
 # and a tenth less in one piece for all cores. `XLA_FLAGS= pytest` tests the programs as users get
 # them.
-FLAGS = known("--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1")
+QUICK = "--xla_backend_optimization_level=0"
+FLAGS = known(QUICK + " --xla_cpu_parallel_codegen_split_count=1", QUICK)
 QUICKLY_COMPILED = bool(FLAGS) and FLAGS in os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + ISA
 

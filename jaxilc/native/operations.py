@@ -254,7 +254,8 @@ class Numbers:
         """The node 1/x of a quotient a/x, if the program has it, for a product in its place.
 
         It has none where real numbers are compared for equality. There, as in the slope of a
-        maximum, a number that two loops compute must be the same, to the last bit.
+        maximum, a number that two loops compute must be the same, to the last bit. Where |x| is
+        above 1 / tiny, 4.5e307, the product is zero.
         """
         x = quotient.args[1]
         return None if self._equates else self.known(quotient, (self.const(1, x.dtype), x), None)

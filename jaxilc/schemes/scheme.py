@@ -197,7 +197,10 @@ class Scheme(Law):
         return self._with({name: scheme.prepared(seen) for name, (scheme, seen, _) in parts})
 
     def resumed(self, memory: Memory) -> Memory:
-        """The memory with which a trial of many begins; by default the one that was learned."""
+        """The memory with which a trial begins in `learn`; by default the one that was learned.
+
+        Only the scheme that `learn` is given is asked, not its parts.
+        """
         return memory
 
     def frozen(self) -> Scheme:

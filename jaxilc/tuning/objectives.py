@@ -182,6 +182,21 @@ def judge(
     return objective(Run(machine, scheme, task, up_to_level(history), ceiling))
 
 
+def kept_for(objective: Objective, save: Keep | None = None) -> Keep:
+    """What to keep of each trial, besides what `save` keeps, for an objective.
+
+    Raises ValueError where a quantity of `save` has the name of one that the objective needs.
+    """
+    save = Keep() if save is None else save
+    needed = {name: of for _, term in objective.terms for name, of in term.quantities.items()}
+    for name, _ in save.quantities:
+        if name in needed:
+            raise ValueError(
+                f"quantity = {name!r} is what the objective keeps; choose another name"
+            )
+    return dataclasses.replace(save, quantities=(*save.quantities, *needed.items()))
+
+
 _OF_OUTPUTS = tuple(m.name for m in ERRORS)  # relative to the reference of the same output
 _POSITIVE, _COUNT = ("(0, inf)", False), ("[1, inf)", True)
 _RANGES = dict.fromkeys(("floor", "tolerance", "width", "scale", "below"), _POSITIVE)
@@ -337,13 +352,6 @@ class Effort(Objective):
 
     def __call__(self, run: Run):
         return jnp.mean((run.history.effort[-1] / self.scale) ** 2)
-
-
-def kept_for(objective: Objective, save: Keep | None = None) -> Keep:
-    """What to keep of each trial, besides what `save` keeps, for an objective."""
-    save = Keep() if save is None else save
-    needed = {name: of for _, term in objective.terms for name, of in term.quantities.items()}
-    return dataclasses.replace(save, quantities=(*save.quantities, *needed.items()))
 
 
 def input_rate(trial: Trial) -> jax.Array:

@@ -21,6 +21,7 @@ from gain_case import LARGEST, PROBLEM, STATIC, TASK, N
 from jaxilc import schemes
 from jaxilc.learning import Machine, Sensor, learn
 from jaxilc.learning.known_metrics import GATHERED
+from jaxilc.learning.metrics import Keep
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, PIDType
 from jaxilc.schemes.mfac import reset_estimate
@@ -423,6 +424,8 @@ def test_after_the_trial_that_passed_the_ceiling_no_trial_counts():
     np.testing.assert_allclose(value, np.mean(np.log(2.0**before / 1e-6)), rtol=1e-9)
     np.testing.assert_allclose(slope, np.mean(before / 2.0), rtol=1e-9)
     inputs = Effort(2.0) + InputRate(50.0)
+    with pytest.raises(ValueError, match="quantity = 'input rate' is what the objective keeps"):
+        kept_for(inputs, Keep.of({"input rate": jnp.mean}))
     late, at_once = (jax.value_and_grad(loss)(3.0, trials, inputs) for trials in (30, 11))
     assert late[0] > 1e3
     np.testing.assert_allclose(late, at_once, rtol=1e-12)

@@ -21,6 +21,14 @@ OF_TWO = {
     "pow": jnp.power,
     "select_n": lambda x, y: jnp.where(x > y, x, y), "clamp": lambda x, y: jnp.clip(x, -1.0, y),
 }  # fmt: skip
+SIGNS = {
+    "(-x) y": lambda x, y: -x * y, "(-x) (-y)": lambda x, y: -x * -y,
+    "(-x) / y": lambda x, y: -x / y, "-(-x)": lambda x, y: jnp.negative(-x),
+    "x + (-y)": lambda x, y: x + -y, "(-x) + y": lambda x, y: -x + y,
+    "x - (-y)": lambda x, y: x - -y, "(-x) - y": lambda x, y: -x - y,
+    "(-x) - (-y)": lambda x, y: -x - -y,
+}  # fmt: skip
+OF_TWO |= SIGNS
 OF_ONE = {
     "neg": jnp.negative, "abs": jnp.abs, "sqrt": jnp.sqrt, "floor": jnp.floor, "ceil": jnp.ceil,
     "round": jnp.round, "sign": jnp.sign, "is_finite": jnp.isfinite, "exp": jnp.exp,
@@ -48,7 +56,7 @@ OF_WHOLE = {
     "truths": lambda i, k: (i > k) ^ ((i > 0) & ~(k < 2) | (i == k)),
 }  # fmt: skip
 EXACT = {"add", "sub", "mul", "div", "max", "min", "neg", "abs", "sqrt", "floor", "ceil", "round",
-         "sign", "select_n", "clamp", "square", "round_away"}  # fmt: skip
+         "sign", "select_n", "clamp", "square", "round_away", *SIGNS}  # fmt: skip
 
 
 def flushed(x):
@@ -104,6 +112,11 @@ def compared(functions, *signals, near):
 @pytest.mark.parametrize("functions", [OF_ONE, OF_TWO], ids=["one", "two"])
 def test_an_operation_on_real_numbers_is_that_of_jax(functions):
     compared(functions, *(X, Y)[: 1 if functions is OF_ONE else 2], near=1e-14)
+
+
+def test_quotients_by_the_same_number_share_its_reciprocal():
+    functions = {"x / y": jnp.divide, "1 / y^2": lambda x, y: y**-2, "1 / y": lambda x, y: 1 / y}
+    compared(functions, X, Y, near=1e-15)
 
 
 def test_an_operation_in_single_precision_is_that_of_jax(single):
