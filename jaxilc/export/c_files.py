@@ -11,8 +11,8 @@ import numpy as np
 
 from ..native.program import Program, Step, Unknown
 from . import guard, operations
-from .c import REAL, Printed, field_name, number, printed, table, type_of
-from .law import Field, Law, said_of_scheme
+from .c import REAL, Printed, field_name, number, printed, started, table, type_of
+from .law import Law, said_of_scheme
 
 ARGUMENTS = {
     "begin": "law *l",
@@ -176,8 +176,7 @@ def _source(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) 
     parts.append(f'const char law_certificate[] = "{digest}";\n{OWN}')
     for name, text in said_of_scheme(law.scheme, law.task):
         parts.append(comment_of([name, *map(str.rstrip, text.split("\n"))]))
-    tables, lines = start_of(law.fields, single)
-    parts.append(function_of("void law_start(law *l)", tables, lines))
+    parts.append(function_of("void law_start(law *l)", started(law.fields, single=single)))
     for name, body in bodies.items():
         operations_ = cost(next(f.program for f in law.functions if f.name == name))
         about = [MEANING[name], f"At most {operations_} operations on numbers."]
@@ -187,7 +186,7 @@ def _source(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) 
             if x in _words(ARGUMENTS[name]) and x not in _words("\n".join(body.lines))
         ]
         head = f"{_returns(name)} law_{name}({ARGUMENTS[name]})"
-        parts.append(comment_of(about) + function_of(head, body.tables, [*unused, *body.lines]))
+        parts.append(comment_of(about) + function_of(head, body, unused))
     return "\n" + "\n".join(parts)
 
 
@@ -195,31 +194,9 @@ def _words(text: str) -> set[str]:
     return set(re.findall(r"\w+", text))
 
 
-def function_of(head: str, tables: Sequence[str], lines: Sequence[str]) -> str:
-    told = "".join(f"{line}\n" for line in tables)
-    return f"{told}{head}\n{{\n" + "".join(f"{line}\n" for line in lines) + "}\n"
-
-
-def start_of(fields: Mapping[str, Field], single: bool) -> tuple[list[str], list[str]]:
-    """What the fields are at first: loops over one number, or over a table."""
-    tables: list[str] = []
-    lines: list[str] = []
-    known: dict[bytes, str] = {}
-    for name, of in fields.items():
-        flat, member, kind = of.first.ravel(), f"l->{field_name(name)}", type_of(of.first.dtype)
-        if flat.size == 1:
-            lines.append(f"    {member} = {number(flat[0], flat.dtype, single)};")
-            continue
-        text = number(flat[0], flat.dtype, single) if flat.size else ""
-        if flat.tobytes() != flat[:1].tobytes() * flat.size:
-            if flat.tobytes() not in known:
-                known[flat.tobytes()] = f"start_c{len(known)}"
-                numbers = [number(x, flat.dtype, single) for x in flat]
-                tables += table(kind, known[flat.tobytes()], numbers)
-            text = f"{known[flat.tobytes()]}[i]"
-        lines += [f"    for (int i = 0; i < {flat.size}; ++i) {{", f"        {member}[i] = {text};",
-                  "    }"]  # fmt: skip
-    return tables, lines
+def function_of(head: str, body: Printed, before: Sequence[str] = ()) -> str:
+    """The text of a function behind its tables, with lines before those of its body."""
+    return "\n".join([*body.tables, head, "{", *before, *body.lines, "}", ""])
 
 
 # The test program

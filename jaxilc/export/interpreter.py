@@ -58,7 +58,7 @@ def _step(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]
     if step.name == "while":
         return _while(step, ins, real)
     if elementwise(step.name):
-        found = _node(operations.formula(step).root, ins, real, {})
+        found = _node(operations.formula(step), ins, real, {})
         return [np.broadcast_to(found, step.outs[0].shape)]
     return [_as(ARRAYS[step.name](step, ins), step.outs[0].dtype, real).reshape(step.outs[0].shape)]
 

@@ -7,12 +7,11 @@ says what the other steps on arrays do. All sums are taken in the order of their
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from jax.typing import DTypeLike
 
-from ..native.operations import Node, Numbers, elementwise, one_by_one
+from ..native import operations as native
+from ..native.operations import Node, Number, Numbers, elementwise, one_by_one
 from ..native.program import Step
 
 ARRAYS = {
@@ -43,19 +42,13 @@ ARRAYS = {
     "scan": "its body for each row in order, or from the last one on with `reverse`",
     "while": "its body as long as its condition holds, and `bound` times at most",
 }
-FIRST = {"reduce_sum": 0.0, "reduce_prod": 1.0, "reduce_max": -np.inf, "reduce_min": np.inf,
-         "reduce_and": True, "reduce_or": False}  # fmt: skip
-TOGETHER = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min",
-            "reduce_and": "and", "reduce_or": "or", "cumsum": "add", "cumprod": "mul",
-            "cummax": "max", "cummin": "min"}  # fmt: skip
+FIRST, RUNNING = native.GATHERED, native.RUNNING
+TOGETHER = {name: how for name, (how, _) in FIRST.items()} | RUNNING
 
 
-def first(name: str, dtype: DTypeLike) -> float:
+def first(name: str, dtype: DTypeLike) -> Number:
     """What a gathering begins with: of whole numbers, their largest and smallest."""
-    value, number = FIRST[name], np.dtype(dtype)
-    if number.kind in "iu" and np.isinf(value):
-        return np.iinfo(number.name).min if value < 0 else np.iinfo(number.name).max
-    return value
+    return native.start(Numbers(dtype), name, np.dtype(dtype)).value
 
 
 def known(name: str) -> bool:
@@ -63,20 +56,13 @@ def known(name: str) -> bool:
     return name in ARRAYS or elementwise(name)
 
 
-@dataclasses.dataclass(frozen=True)
-class Formula:
-    """What a step computes of single numbers: a tree of operations of `INSTRUCTIONS`.
+def formula(step: Step) -> Node:
+    """What a step computes element by element: a tree of operations of `INSTRUCTIONS`.
 
-    root: its last operation; operands are nodes of the name `operand`, with their number as `what`
+    Its operands are nodes of the name `operand`. Raises Unknown for other steps.
     """
-
-    root: Node
-
-
-def formula(step: Step) -> Formula:
-    """The formula of a step that is carried out element by element; raises Unknown for others."""
     numbers = Numbers(np.float64)
     places = [numbers.place("operand", np.dtype(x.dtype), i) for i, x in enumerate(step.ins)]
     if step.name == "convert_element_type":
-        return Formula(numbers.of("convert", *places, dtype=step.outs[0].dtype))
-    return Formula(one_by_one(numbers, step)(*places))
+        return numbers.of("convert", *places, dtype=step.outs[0].dtype)
+    return one_by_one(numbers, step)(*places)

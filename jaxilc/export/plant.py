@@ -14,8 +14,8 @@ from ..native.program import Unknown
 from ..pytree.aliases import Array, Tree
 from ..pytree.named_paths import named_leaves
 from ..signals.task import Task
-from .c import field_name, number, printed, type_of
-from .c_files import OWN, comment_of, function_of, start_of
+from .c import field_name, number, printed, started, type_of
+from .c_files import OWN, comment_of, function_of
 from .interpreter import interpret
 from .law import Field, Function
 from .steps import program_of
@@ -114,12 +114,11 @@ void plant_step(plant *l, const law_real u[PLANT_INPUTS], law_real y[PLANT_OUTPU
 
 #endif
 """
-    tables, lines = start_of(model.fields, False)
-    lines += [f"    y[{i}] = {number(y, float, False)};" for i, y in enumerate(model.first)]
+    at_rest = started({**model.fields, "y": Field(model.first, "")}, single=False)
     head = "void plant_start(plant *l, law_real y[PLANT_OUTPUTS])"
-    start = function_of(head, tables, ["    (void) l;", *lines])
+    start = function_of(head, at_rest, ["    (void) l;"])
     head = "void plant_step(plant *l, const law_real u[PLANT_INPUTS], law_real y[PLANT_OUTPUTS])"
-    step = function_of(head, body.tables, ["    (void) l;", "    (void) u;", *body.lines])
+    step = function_of(head, body, ["    (void) l;", "    (void) u;"])
     source = f"""{said}
 #include "plant.h"
 

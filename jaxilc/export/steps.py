@@ -98,8 +98,6 @@ class _Writer:
             if name not in COMPLEX:
                 raise Unknown(f"{name} of complex numbers")
             return COMPLEX[name](self, step, ins)
-        if name == "platform_index":
-            return [Const(np.int32(0))]
         if name == "select_n" and isinstance(ins[0], Const) and uniform(ins[0].array):
             return [self.kept(ins[1 + int(np.ravel(ins[0].array)[0])], step.outs[0])]
         if name in REWRITTEN:
@@ -376,13 +374,8 @@ def _lu(step: Step, a: Array) -> tuple[Array, Array, Array]:
 REWRITTEN: dict[str, Function] = {
     "conv_general_dilated": _convolved,
     "by_columns": lambda step, matrix, vector: jnp.matmul(matrix, vector[..., None])[..., 0],
-    "unstack": lambda step, x: [
-        jnp.squeeze(part, step.params["axis"])
-        for part in jnp.split(x, x.shape[step.params["axis"]], step.params["axis"])
-    ],
     "triangular_solve": _triangular_solve,
     "lu": _lu,
-    "logistic": lambda step, x: 1 / (1 + jnp.exp(-x)),
 }
 
 

@@ -10,14 +10,17 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from cases import case
+from jax import lax
 
-from jaxilc.export import law_of
+from jaxilc.export import law_of, program_of
 from jaxilc.export.c_files import files_of
 from jaxilc.export.fmu import law_block, packed, plant_block
 from jaxilc.export.formats import FORMATS, Asked
-from jaxilc.export.plant import files_of_plant, model_of
+from jaxilc.export.law import Field, Function
+from jaxilc.export.plant import Model, files_of_plant, model_of
 from jaxilc.learning import Disturbance, learn
 from jaxilc.native.program import Unknown
+from jaxilc.signals import Task
 
 compiled = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler, as `cc`")
 VALUES = {"Real": c.c_double, "Float64": c.c_double, "Integer": c.c_int, "Int32": c.c_int32}
@@ -152,6 +155,26 @@ def test_a_plant_answers_in_an_fmu_as_it_answers_here(exported, version, tmp_pat
             assert fmu.step(model.task.dt) == 0
             fmu.set("rest", False)
             assert [fmu.get(f"y[{i + 1}]") for i in range(2)] == list(answer), trial
+
+
+@compiled
+def test_a_loop_may_turn_the_array_that_it_carries(tmp_path):
+    """Its passes read all of the array before they write to it."""
+    task = Task(np.zeros(4), dt=1e-3)
+
+    def step(x, u):
+        x, _ = lax.scan(lambda x, _: (x[::-1], None), x + u, length=3)
+        return x, {"y": x[:1]}
+
+    fields = {"x": Field(np.arange(40.0), "")}
+    made = Function("step", program_of(step, fields["x"].first, np.ones(1)), ("x", "u"), ("x", "y"))
+    model = Model(task, fields, made, np.zeros(1))
+    block = plant_block(task, files_of_plant(model, ["A plant."]), "A plant.", model.first)
+    fmu = Instance(packed(block, version=2), tmp_path)
+    for answer in model.response(np.ones((2, 1)))[1:]:
+        fmu.set("u", 1.0)
+        assert fmu.step(task.dt) == 0
+        assert fmu.get("y") == answer
 
 
 @pytest.mark.thorough
