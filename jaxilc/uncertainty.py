@@ -221,7 +221,10 @@ class Population:
             said = f"sampling = {brief(self.sampling)}"
             raise ValueError(not_one_of(said, self.sampling, SAMPLINGS))
         if not isinstance(self.grid, Mapping):
-            raise ValueError(f"Population: grid = {brief(self.grid)} is not values by name")
+            raise ValueError(
+                f"grid = {brief(self.grid)} is a {type(self.grid).__name__}; allowed are values by "
+                "name, such as {'machine.plant.gain': [0.9, 1.0, 1.1]}"
+            )
         require("Population", "count", self.count, "[1, inf)", whole=True)
         require("Population", "seed", self.seed, SEEDS, whole=True)
         check(self.machine, self.uncertainty)

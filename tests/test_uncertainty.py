@@ -160,7 +160,7 @@ def test_bad_input_is_named(uncertainty, kwargs, message):
 
 def test_a_grid_that_has_no_names_is_refused():
     """A count in its place would otherwise leave a population of 1024 machines."""
-    with pytest.raises(ValueError, match="Population: grid = 5 is not values by name"):
+    with pytest.raises(ValueError, match="grid = 5 is a int; allowed are values by name"):
         Population(MACHINE, UNCERTAINTY, 5)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..native.program import Program, Step, Unknown
 from . import guard, operations
 from .c import REAL, Printed, field_name, number, printed, started, table, type_of
-from .law import Law, said_of_scheme
+from .law import Field, Law, said_of_scheme
 
 ARGUMENTS = {
     "begin": "law *l",
@@ -118,16 +118,7 @@ def _work(bodies: Sequence[Printed]) -> dict[str, int]:
 
 def _header(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) -> str:
     task = law.task
-    members = []
-    for name, of in law.fields.items():
-        size = "" if of.first.size == 1 else f"[{of.first.size}]"
-        shape = f"{of.first.shape} " if of.first.size > 1 else ""
-        unit = f"[{of.unit}]" if of.unit else ""
-        told = f"  /* {shape}{unit} */".replace(" ]", "]").replace("  */", " */")
-        told = told if shape or unit else ""
-        members.append(f"    {type_of(of.first.dtype)} {field_name(name)}{size};{told}")
-    for kind, room in _work([*bodies.values()]).items():
-        members.append(f"    {kind} work_{kind}[{room}];")
+    members = members_of(law.fields, _work([*bodies.values()]))
     codes = "".join(f"    LAW_{name} = {i}, /* {said} */\n" for i, (name, said) in enumerate(
         zip(guard.CODES, guard.MEANINGS, strict=True)))  # fmt: skip
     limits = ", ".join(number(x, float, single) for x in law.limit)
@@ -164,6 +155,18 @@ void law_start(law *l);
 
 {begun}#endif
 """
+
+
+def members_of(fields: Mapping[str, Field], work: Mapping[str, int]) -> list[str]:
+    """The lines of a struct: the fields, and the work space by type."""
+    members = []
+    for name, of in fields.items():
+        size = "" if of.first.size == 1 else f"[{of.first.size}]"
+        said = [str(of.first.shape)] if of.first.size > 1 else []
+        said += [f"[{of.unit}]"] if of.unit else []
+        told = f"  /* {' '.join(said)} */" if said else ""
+        members.append(f"    {type_of(of.first.dtype)} {field_name(name)}{size};{told}")
+    return members + [f"    {kind} work_{kind}[{room}];" for kind, room in work.items()]
 
 
 def _returns(name: str) -> str:

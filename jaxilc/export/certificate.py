@@ -6,23 +6,17 @@ of what is claimed. Neither is a signature: whoever changes all of them can make
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from ..pytree.aliases import Value
 from ..storage.reading import LARGEST_TREE, read_bytes
-from ..storage.sealed import Damaged, read_json, seal_of, sealed, unsealed
+from ..storage.sealed import Damaged, checksum, read_json, seal_of, sealed, unsealed
 
 CERTIFICATE = "certificate.json"
 DIGEST, FILES = "certificate", "files"
 CARRIED = re.compile(rb"""["']([0-9a-f]{64})["']""")
-
-
-def digest_of(claims: Mapping[str, object]) -> str:
-    """The digest of what is claimed, which the code carries."""
-    return seal_of(claims)
 
 
 def certificate_of(
@@ -33,10 +27,10 @@ def certificate_of(
     files: the contents of the other files by name
     """
     hashes = {
-        name: _sha256(content.encode() if isinstance(content, str) else content)
+        name: checksum(content.encode() if isinstance(content, str) else content)
         for name, content in files.items()
     }
-    return sealed({**claims, DIGEST: digest_of(claims), FILES: hashes})
+    return sealed({**claims, DIGEST: seal_of(claims), FILES: hashes})
 
 
 def check(folder: str | Path) -> dict[str, Value]:
@@ -52,7 +46,7 @@ def check(folder: str | Path) -> dict[str, Value]:
         raise ValueError(f"{folder / CERTIFICATE} was changed: {error}") from None
     hashes = content.pop(FILES, None)
     digest = content.pop(DIGEST, None)
-    if not isinstance(hashes, dict) or digest != digest_of(content):
+    if not isinstance(hashes, dict) or digest != seal_of(content):
         raise ValueError(
             f"{folder / CERTIFICATE} was changed: its claims are not those it began with"
         )
@@ -66,17 +60,13 @@ def check(folder: str | Path) -> dict[str, Value]:
         carried = {one.decode() for one in CARRIED.findall(found)} - {digest}
         if carried:
             wrong.append(f"{path} carries the certificate {sorted(carried)[0][:12]} of another law")
-        elif _sha256(found) != known:
+        elif checksum(found) != known:
             wrong.append(f"{path} was changed")
     plant = content.get("plant_file") or {}
     given = Path(str(plant.get("path", "")))
     there = plant.get("path") and given.is_file()
-    if there and _sha256(read_bytes(given, LARGEST_TREE)) != plant.get("sha256"):
+    if there and checksum(read_bytes(given, LARGEST_TREE)) != plant.get("sha256"):
         wrong.append(f"{given}, from which the law was made, was changed")
     if wrong:
         raise ValueError("; ".join(wrong))
     return content
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

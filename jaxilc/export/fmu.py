@@ -27,10 +27,27 @@ import numpy as np
 from ..signals.task import Task
 from .c import number
 
-# where the references of real numbers, whole numbers and truth values begin
-BEGIN = {"Real": 0, "Integer": 1000, "Boolean": 2000}
+
+class Kind(NamedTuple):
+    """A kind of variables, by its name in FMI 2.0.
+
+    begin: where their references begin
+    in_three: its name in FMI 3.0
+    type, member: of the array that holds them in the struct of a block
+    """
+
+    begin: int
+    in_three: str
+    type: str
+    member: str
+
+
+KINDS = {
+    "Real": Kind(0, "Float64", "double", "real"),
+    "Integer": Kind(1000, "Int32", "int32_t", "whole"),
+    "Boolean": Kind(2000, "Boolean", "bool", "truth"),
+}
 TIME = 3000
-IN_THREE = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}
 SI = {  # units as products of base units, with their factor
     "m": ({"m": 1}, 1.0), "mm": ({"m": 1}, 1e-3), "um": ({"m": 1}, 1e-6), "µm": ({"m": 1}, 1e-6),
     "nm": ({"m": 1}, 1e-9), "s": ({"s": 1}, 1.0), "A": ({"A": 1}, 1.0), "rad": ({"rad": 1}, 1.0),
@@ -191,23 +208,15 @@ def _channels(name: str, count: int, inside: bool, about: str, unit: str,
             for one, x in zip(names, starts, strict=True)]  # fmt: skip
 
 
-def _counts(block: Block) -> dict[str, tuple[int, int]]:
-    """By kind, the number of variables and of inputs."""
-    of = {kind: [v for v in block.variables if v.kind == kind] for kind in BEGIN}
-    return {kind: (len(vs), sum(v.input for v in vs)) for kind, vs in of.items()}
-
-
 def _block_h(block: Block, token: str) -> str:
-    counts = _counts(block)
-    names = {"Real": "REAL", "Integer": "WHOLE", "Boolean": "TRUTH"}
-    sizes = "\n".join(
-        f"#define BLOCK_{names[kind]}S {n}u\n#define BLOCK_{names[kind]}_INPUTS {inputs}u\n"
-        f"#define BLOCK_{names[kind]} {BEGIN[kind]}u"
-        for kind, (n, inputs) in counts.items()
-    )
-    members = "\n".join(f"    {kind} {name}[{max(1, counts[of][0])}];" for of, kind, name in (
-        ("Real", "double", "real"), ("Integer", "int32_t", "whole"),
-        ("Boolean", "bool", "truth")))  # fmt: skip
+    sizes, members = [], []
+    for name, kind in KINDS.items():
+        inputs = [v.input for v in block.variables if v.kind == name]
+        macro = f"#define BLOCK_{kind.member.upper()}"
+        sizes += [f"{macro}S {len(inputs)}u", f"{macro}_INPUTS {sum(inputs)}u",
+                  f"{macro} {kind.begin}u"]  # fmt: skip
+        members.append(f"    {kind.type} {kind.member}[{max(1, len(inputs))}];")
+    newline = "\n"
     return f"""/* The variables of the block around a {block.name}, inputs first, and its step. */
 #ifndef BLOCK_H
 #define BLOCK_H
@@ -220,7 +229,7 @@ def _block_h(block: Block, token: str) -> str:
 #define BLOCK_TOKEN "{token}"
 #define BLOCK_SAMPLE_TIME {number(block.task.dt, float, False)}
 #define BLOCK_WRONG_STEP "a step must be {block.task.dt:g} s long, or a multiple of it"
-{sizes}
+{newline.join(sizes)}
 #define BLOCK_TIME {TIME}u
 
 #if defined _WIN32
@@ -235,7 +244,7 @@ typedef struct {{
     {block.name} inner;
     int k;
     double time; /* told by FMI 3.0 */
-{members}
+{newline.join(members)}
 }} block;
 
 void block_start(block *b);
@@ -266,9 +275,8 @@ static inline bool block_steps(block *b, double step)
 
 
 def _reference(block: Block, variable: Variable) -> int:
-    return BEGIN[variable.kind] + [v for v in block.variables if v.kind == variable.kind].index(
-        variable
-    )
+    alike = [v for v in block.variables if v.kind == variable.kind]
+    return KINDS[variable.kind].begin + alike.index(variable)
 
 
 def _xml(root: ElementTree.Element) -> bytes:
@@ -320,7 +328,7 @@ def _description(block: Block, token: str, sources: Mapping[str, str],
         if two:
             add(add(listed, "ScalarVariable", there), v.kind, own)
         else:
-            add(listed, IN_THREE[v.kind], there | own)
+            add(listed, KINDS[v.kind].in_three, there | own)
     if not two:
         clock = {"name": "time", "valueReference": str(TIME), "unit": "s"}
         add(listed, "Float64", clock | {"causality": "independent", "variability": "continuous"})
@@ -353,10 +361,9 @@ def _compiled_files(sources: Mapping[str, str]) -> list[str]:
 
 def _place(version: int) -> str:
     """The folder of the library for this processor and system."""
-    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(),
-                                                          platform.machine().lower())  # fmt: skip
-    system = platform.system().lower()
+    machine, system = platform.machine().lower(), platform.system().lower()
     if version == 3:
+        machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
         return f"{machine}-{system}"
     return {"windows": "win", "linux": "linux", "darwin": "darwin"}.get(system, system) + "64"
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from jax.typing import DTypeLike
 
-from ..native.operations import Node, elementwise
+from ..native.operations import INSTRUCTIONS, MOVES, Node, elementwise
 from ..native.program import Const, Program, Step, Unknown, Value
-from ..pytree.aliases import Leaf
+from ..pytree.aliases import Function, Leaf
 from . import operations
 
 
@@ -117,10 +118,6 @@ def _converted(x: np.ndarray, dtype: np.dtype, real: np.dtype) -> np.ndarray:
     return _as(x, dtype, real)
 
 
-def _chosen(which: np.ndarray, yes: np.ndarray, no: np.ndarray) -> np.ndarray:
-    return np.where(which, yes, no)
-
-
 def _library(name: str) -> Callable[..., np.ndarray]:
     """A function of the C library for each element, as it is at the edges of its range too."""
     function: Callable[..., float] = getattr(math, name)
@@ -141,19 +138,15 @@ def _library(name: str) -> Callable[..., np.ndarray]:
 
 
 SINGLE: dict[str, Callable[..., np.ndarray]] = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative,
-    "max": lambda a, b: _chosen((a != a) | (a > b), a, b),
-    "min": lambda a, b: _chosen((a != a) | (a < b), a, b),
-    "abs": np.abs, "sqrt": np.sqrt, "floor": np.floor,
-    "ceil": np.ceil, "round_even": np.rint,
+    **{name: of.exact for name, of in INSTRUCTIONS.items() if of.exact is not None},
+    **{name: _library(name) for name in
+       ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh", "pow")},
+    "max": lambda a, b: np.where((a != a) | (a > b), a, b),
+    "min": lambda a, b: np.where((a != a) | (a < b), a, b),
     "round_away": lambda x: np.copysign(
         np.floor(np.abs(x)) + (np.abs(x) - np.floor(np.abs(x)) >= 0.5), x
     ),
-    "copysign": np.copysign, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor,
-    "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
-    "ge": np.greater_equal, "select": lambda which, no, yes: _chosen(which, yes, no),
-    **{name: _library(name) for name in
-       ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh", "pow")},
+    "select": lambda which, no, yes: np.where(which, yes, no),
 }  # fmt: skip
 
 
@@ -161,18 +154,8 @@ SINGLE: dict[str, Callable[..., np.ndarray]] = {
 # --------------------------------------------------------------------------------------------------
 
 
-def _broadcast(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    shape, wide = step.outs[0].shape, [1] * len(step.outs[0].shape)
-    for axis, to in enumerate(step.params["broadcast_dimensions"]):
-        wide[to] = ins[0].shape[axis]
-    return np.broadcast_to(ins[0].reshape(wide), shape)
-
-
-def _slice(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    of = step.params
-    strides = of["strides"] or (1,) * ins[0].ndim
-    parts = zip(of["start_indices"], of["limit_indices"], strides, strict=True)
-    return ins[0][tuple(slice(*part) for part in parts)]
+def _moved(move: Function, step: Step, ins: list[np.ndarray]) -> np.ndarray:
+    return move(step.params, ins, step.outs[0].shape)
 
 
 def _pad(step: Step, ins: list[np.ndarray]) -> np.ndarray:
@@ -246,14 +229,7 @@ def _dot(step: Step, ins: list[np.ndarray]) -> np.ndarray:
 
 
 ARRAYS: dict[str, Callable[[Step, list[np.ndarray]], np.ndarray]] = {
-    "slice": _slice,
-    "reshape": lambda step, ins: ins[0],
-    "squeeze": lambda step, ins: ins[0],
-    "expand_dims": lambda step, ins: ins[0],
-    "transpose": lambda step, ins: ins[0].transpose(step.params["permutation"]),
-    "rev": lambda step, ins: np.flip(ins[0], step.params["dimensions"]),
-    "broadcast_in_dim": _broadcast,
-    "concatenate": lambda step, ins: np.concatenate(ins, step.params["dimension"]),
+    **{name: partial(_moved, move) for name, move in MOVES.items()},
     "pad": _pad,
     "iota": _iota,
     "take": lambda step, ins: ins[0].ravel()[step.params["table"]],

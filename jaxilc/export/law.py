@@ -25,7 +25,7 @@ from ..learning.machine import Actuator
 from ..learning.over_trials import check_length
 from ..learning.playback import unit_of
 from ..native.program import Program, Step, read
-from ..pytree.aliases import Array, Tree
+from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.named_paths import named_leaves
 from ..schemes import Scheme
 from ..schemes.parts import with_all_parts
@@ -104,6 +104,11 @@ class Function:
     program: Program
     ins: tuple[str, ...]
     outs: tuple[str, ...]
+
+    def call(self, given: Mapping[str, Leaf], real: DTypeLike = np.float64) -> dict[str, Leaf]:
+        """The results by name, as the interpreter finds them; `real` is the type of numbers."""
+        found = interpret(self.program, [given[name] for name in self.ins], real)
+        return dict(zip(self.outs, found, strict=True))
 
     def in_place(self) -> dict[str, Step]:
         """The steps by which a result is its operand with a part replaced, by field."""
@@ -343,8 +348,7 @@ class Played:
         """Carry out a function; the results that are no fields are returned."""
         function = next(one for one in self.law.functions if one.name == name)
         values = self.known | {key: self._real(value) for key, value in given.items()}
-        found = interpret(function.program, [values[key] for key in function.ins], self.real)
-        results = dict(zip(function.outs, found, strict=True))
+        results = function.call(values, self.real)
         self.known |= {key: results.pop(key) for key in list(results) if key in self.known}
         return results
 

@@ -11,12 +11,11 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..native.program import Unknown
-from ..pytree.aliases import Array, Tree
+from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.named_paths import named_leaves
 from ..signals.task import Task
-from .c import field_name, number, printed, started, type_of
-from .c_files import OWN, comment_of, function_of
-from .interpreter import interpret
+from .c import number, printed, started
+from .c_files import OWN, comment_of, function_of, members_of
 from .law import Field, Function
 from .steps import program_of
 
@@ -37,14 +36,11 @@ class Model:
 
     def response(self, u: np.ndarray) -> np.ndarray:
         """The outputs (N+1, n_y) from rest for inputs (N, n_u), operation by operation."""
-        known = {name: of.first for name, of in self.fields.items()}
+        known: dict[str, Leaf] = {name: of.first for name, of in self.fields.items()}
         rows = [self.first]
         for row in u:
-            values = known | {"u": row}
-            found = interpret(self.step.program, [values[name] for name in self.step.ins])
-            results = dict(zip(self.step.outs, found, strict=True))
-            rows.append(results.pop("y"))
-            known |= results
+            known |= self.step.call({**known, "u": row})
+            rows.append(known.pop("y"))
         return np.array(rows)
 
 
@@ -80,12 +76,7 @@ def model_of(machine: Machine, task: Task) -> Model:
 def files_of_plant(model: Model, about: Sequence[str]) -> dict[str, str]:
     """The texts of `plant.h` and `plant.c`."""
     body, task = printed(model.step, single=False), model.task
-    members = [
-        f"    {type_of(of.first.dtype)} {field_name(name)}"
-        f"{'' if of.first.size == 1 else f'[{of.first.size}]'};"
-        for name, of in model.fields.items()
-    ]
-    members += [f"    {kind} work_{kind}[{size}];" for kind, size in body.work.items()]
+    members = members_of(model.fields, body.work)
     members = members or ["    char nothing; /* the plant has no state */"]
     said, newline = comment_of(about), "\n"
     header = f"""{said}#ifndef PLANT_H

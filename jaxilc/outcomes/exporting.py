@@ -11,7 +11,7 @@ import numpy as np
 from ..pytree.aliases import Tree
 from ..pytree.named_paths import named_leaves
 from ..storage.files import atomically
-from ..storage.sealed import as_json, write_json
+from ..storage.sealed import as_json, seal_of, write_json
 from .certifying import certificate_numbers, certificate_sentence, reason_lines
 from .outcome import Numbers, Outcome, Progress, Verdict, silent
 from .request import Request
@@ -50,7 +50,7 @@ def export(
     Raises ValueError naming what is allowed, and what of a law cannot be exported.
     """
     from ..export import law_of
-    from ..export.certificate import CERTIFICATE, certificate_of, digest_of
+    from ..export.certificate import CERTIFICATE, certificate_of
     from ..export.formats import FORMATS, Asked
     from ..native.program import Unknown
 
@@ -90,7 +90,7 @@ def export(
             "plant_file": _plant_file(source),
         }
     )
-    digest = digest_of(claims)
+    digest = seal_of(claims)
     progress("print")
     about = [
         f"{name}: a learning law of jaxilc, from {Path(source).name}.",

@@ -84,7 +84,7 @@ def sealed(content: Mapping[str, object]) -> dict[str, Value]:
 
 def seal_of(content: Mapping[str, object]) -> str:
     """The checksum that `sealed` gives a content."""
-    return _sha256(json_text(content).encode())
+    return checksum(json_text(content).encode())
 
 
 def unsealed(found: Value) -> dict[str, Value]:
@@ -107,7 +107,7 @@ def archive(arrays: Mapping[str, Leaf]) -> bytes:
     named: dict[str, Value] = {name: np.asarray(value) for name, value in arrays.items()}
     np.savez(file, **named)
     whole = file.getvalue()
-    seal = _sha256(whole).encode()
+    seal = checksum(whole).encode()
     return whole[:-LENGTH] + _length(seal) + seal
 
 
@@ -124,12 +124,12 @@ def read_arrays(
         found = read_bytes(path, LARGEST_ARCHIVE)
     except ValueError as error:
         raise Damaged(str(error)) from None
-    at = max(0, len(found) - len(_sha256(b"")) - LENGTH)
+    at = max(0, len(found) - len(checksum(b"")) - LENGTH)
     whole, end = found[:at], found[at:]
-    seal = _sha256(whole + bytes(LENGTH)).encode()
+    seal = checksum(whole + bytes(LENGTH)).encode()
     if checked and end != _length(seal) + seal:
         raise Damaged(f"{path} is damaged: its checksum is missing, or that of another content")
-    if sha256 not in (None, _sha256(found)):
+    if sha256 not in (None, checksum(found)):
         raise Damaged(f"{path} is whole, but not the file that was written here")
     try:
         with np.load(io.BytesIO(found), allow_pickle=False) as arrays:
@@ -156,7 +156,8 @@ def _with_numbers(value: Value) -> Value:
     return NOT_FINITE.get(value, value) if isinstance(value, str) else value
 
 
-def _sha256(content: bytes) -> str:
+def checksum(content: bytes) -> str:
+    """The checksum of a content in hexadecimal digits."""
     return hashlib.sha256(content).hexdigest()
 
 

@@ -298,7 +298,9 @@ class Grid:
         return {"schemes": list(schemes), "axes": axes}
 
 
-def grid_of(given: Value, machine: Machine, schemes: Mapping[str, Scheme], task: Task) -> Grid:
+def grid_of(
+    given: Mapping[Value, Value], machine: Machine, schemes: Mapping[str, Scheme], task: Task
+) -> Grid:
     """The grid that a mapping of names to values describes, see the docstring of this module.
 
     Where the values of a name are a mapping, its values have a `machine`, `schemes` and a `task`
@@ -306,11 +308,6 @@ def grid_of(given: Value, machine: Machine, schemes: Mapping[str, Scheme], task:
     Raises ValueError, naming the axis, for a name that is not a leaf or a static field, and for
     values that are missing, not finite, equal, outside the range of their leaf, or too many.
     """
-    if not isinstance(given, Mapping):
-        raise ValueError(
-            f"grid = {brief(given)} is a {type(given).__name__}; allowed are values by name, such "
-            "as {'machine.plant.gain': [0.9, 1.0, 1.1]}"
-        )
     for name in {*_OTHERS, TRIALS} & {*schemes} if given else ():
         raise ValueError(f"grid: a scheme is called {name}, as what is no scheme is; rename it")
     objects = {"machine": machine, "task": task, **schemes}

@@ -160,7 +160,7 @@ class Plan:
             "scheme": np.array(list(self.variants)),
             "sample": np.arange(self.members),
             "trial": np.arange(1, self.longest + 1),
-            "channel": labels_of(task),
+            "channel": np.array(task.labels),
             "input": np.arange(task.inputs),
             "time": task.time,
             "input_time": task.time[:-1],
@@ -213,8 +213,3 @@ def variables_of(
             raise ValueError(f"quantity = {name!r} is a variable of the watch; choose another name")
         found[name] = Variable(along(*["trial"][: one.of_trials]), real, one.unit, one.text)
     return found
-
-
-def labels_of(task: Task) -> np.ndarray:
-    """(n_y,) the names of the outputs, or their numbers where they have none."""
-    return np.array(task.labels)

@@ -21,7 +21,6 @@ from ..runtime.provenance import describe, environment
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.sealed import as_json
-from .plan import labels_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -119,7 +118,7 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
             "trial": np.arange(1, y.shape[1] + 1),
             "time": task.time,
             "input_time": task.time[:-1],
-            "channel": _as_text(labels_of(task)),
+            "channel": _as_text(np.array(task.labels)),
             "input": np.arange(task.inputs),
         },
     )

@@ -118,14 +118,15 @@ class Sweep:
     @cached_property
     def plan(self) -> Plan:
         """The plan of this sweep for the processes that compute it."""
-        axes = grid_of(self.grid, cast("Machine", self.machine), self.schemes, self.task)
+        population = self.population
+        axes = grid_of(self.grid, population.machine, self.schemes, self.task)
         plan = Plan(
-            self.population, self.schemes, self.task, self.trials, tuple(self.keep),
+            population, self.schemes, self.task, self.trials, tuple(self.keep),
             self.quantities, self.watch, axes, self.chunk or OPEN, self.lanes or OPEN,
         )  # fmt: skip
         plan.need_room()
-        axes.check(self.population, plan.parts)
-        _ = self.population.drawn
+        axes.check(population, plan.parts)
+        _ = population.drawn
         if plan.lanes is None:
             most = max(bytes_of_trial(of.scheme, of.task) for of in plan.variants.values())
             lanes = usual_lanes(most) or Host(plan).fitting_lanes()

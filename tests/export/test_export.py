@@ -14,14 +14,14 @@ import pytest
 from cases import CASES, SAMPLES, SCHEMES, few, task_for
 
 from jaxilc.export import check, files_of, interpret, law_of, program_of
-from jaxilc.export.certificate import CERTIFICATE, certificate_of, digest_of
+from jaxilc.export.certificate import CERTIFICATE, certificate_of
 from jaxilc.export.guard import CODES, Trials
 from jaxilc.export.steps import dft
 from jaxilc.native.program import Unknown
 from jaxilc.outcomes.exporting import trials_of_test
 from jaxilc.schemes import Feedforward
 from jaxilc.signals import Trial
-from jaxilc.storage.sealed import read_json, write_json
+from jaxilc.storage.sealed import read_json, seal_of, write_json
 
 FEW = 12
 OFTEN = {"cfdl_book", "ffdl_lead_limited", "p_type_fir", "p_type_stop", "ilc_asmc", "higher_order"}
@@ -249,7 +249,7 @@ def test_what_was_changed_is_named(tmp_path):
     plant.write_text("dt = 1")
     of_plant = {"path": str(plant), "sha256": "0" * 64}
     claims = {"scheme": "p_type", "verdict": ["none"], "plant_file": None}
-    files = files_of(law, [], digest_of(claims), trials_of_test(law)[:1])
+    files = files_of(law, [], seal_of(claims), trials_of_test(law)[:1])
 
     def write():
         for name, text in files.items():
@@ -267,7 +267,7 @@ def test_what_was_changed_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"law.c is missing"):
         check(tmp_path)
     write()
-    (tmp_path / "law.h").write_text(files["law.h"].replace(digest_of(claims), "1" * 64))
+    (tmp_path / "law.h").write_text(files["law.h"].replace(seal_of(claims), "1" * 64))
     with pytest.raises(ValueError, match="carries the certificate 111111111111 of another law"):
         check(tmp_path)
     write()
@@ -276,7 +276,7 @@ def test_what_was_changed_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"certificate.json was changed"):
         check(tmp_path)
     claims["plant_file"] = of_plant
-    files = files_of(law, [], digest_of(claims), trials_of_test(law)[:1])
+    files = files_of(law, [], seal_of(claims), trials_of_test(law)[:1])
     write()
     with pytest.raises(ValueError, match=r"axis.toml, from which the law was made, was changed"):
         check(tmp_path)
