@@ -137,7 +137,7 @@ def _library(name: str) -> Callable[..., np.ndarray]:
     return each
 
 
-SINGLE: dict[str, Callable[..., np.ndarray]] = {
+SINGLE: dict[str, Function] = {
     **{name: of.exact for name, of in INSTRUCTIONS.items() if of.exact is not None},
     **{name: _library(name) for name in
        ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh", "pow")},

@@ -84,6 +84,11 @@ class Instance:
         return self.call("DoStep", c.c_double(0.0), c.c_double(size), back, *flags, *last)
 
 
+def block_of(model):
+    files = files_of_plant(model, ["A plant."])
+    return plant_block(model.task, files, "A plant.", model.first)
+
+
 @pytest.fixture(scope="module")
 def exported():
     machine, scheme, task = case("norm_optimal")
@@ -92,13 +97,13 @@ def exported():
     y = np.asarray(task.reference) + 0.01 * rng.standard_normal(task.reference.shape)
     model = model_of(machine, task)
     files = files_of(law, ["A law."], "0" * 64, [y])
-    return law, y, law_block(task, files, "A law."), model
+    return law, y, law_block(task, files, "A law."), block_of(model), model
 
 
 @compiled
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_law_plays_in_an_fmu_what_it_plays_here(exported, version, tmp_path):
-    law, y, block, _ = exported
+    law, y, block, *_ = exported
     fmu, dt = Instance(packed(block, version=version), tmp_path), law.task.dt
     names = {"y": [f"y[{i + 1}]" for i in range(2)], "u": [f"u[{i + 1}]" for i in range(2)]}
     played = law.played()
@@ -141,11 +146,9 @@ def test_a_law_plays_in_an_fmu_what_it_plays_here(exported, version, tmp_path):
 @compiled
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_plant_answers_in_an_fmu_as_it_answers_here(exported, version, tmp_path):
-    *_, model = exported
+    *_, block, model = exported
     u = np.random.default_rng(1).standard_normal((model.task.N, 2))
     wanted = model.response(u)
-    files = files_of_plant(model, ["A plant."])
-    block = plant_block(model.task, files, "A plant.", model.first)
     fmu = Instance(packed(block, version=version), tmp_path)
     for trial in range(2):
         fmu.set("rest", True)
@@ -169,8 +172,7 @@ def test_a_loop_may_turn_the_array_that_it_carries(tmp_path):
     fields = {"x": Field(np.arange(40.0), "")}
     made = Function("step", program_of(step, fields["x"].first, np.ones(1)), ("x", "u"), ("x", "y"))
     model = Model(task, fields, made, np.zeros(1))
-    block = plant_block(task, files_of_plant(model, ["A plant."]), "A plant.", model.first)
-    fmu = Instance(packed(block, version=2), tmp_path)
+    fmu = Instance(packed(block_of(model), version=2), tmp_path)
     for answer in model.response(np.ones((2, 1)))[1:]:
         fmu.set("u", 1.0)
         assert fmu.step(task.dt) == 0
@@ -180,9 +182,8 @@ def test_a_loop_may_turn_the_array_that_it_carries(tmp_path):
 @pytest.mark.thorough
 @compiled
 def test_law_and_plant_learn_together_what_they_learn_here(exported, tmp_path):
-    *_, block, model = exported
+    *_, block, plant, model = exported
     machine, scheme, task = case("norm_optimal")
-    plant = plant_block(model.task, files_of_plant(model, ["A plant."]), "A plant.", model.first)
     one = Instance(packed(block, version=2), tmp_path / "law")
     other = Instance(packed(plant, version=3), tmp_path / "plant")
     one.set("start", True)
@@ -211,16 +212,14 @@ def test_law_and_plant_learn_together_what_they_learn_here(exported, tmp_path):
 @pytest.mark.parametrize("version", [2, 3])
 def test_an_fmu_is_what_the_standard_asks_for(exported, version, tmp_path):
     fmpy = pytest.importorskip("fmpy.validation", reason="pip install fmpy")
-    law, _, block, model = exported
-    plant = plant_block(law.task, files_of_plant(model, ["A plant."]), "A plant.", model.first)
-    for one in (block, plant):
+    for one in exported[2:4]:
         path = tmp_path / f"{one.name}.fmu"
         path.write_bytes(packed(one, version=version, compiler="no-such-compiler"))
         assert fmpy.validate_fmu(str(path)) == []
 
 
 def test_an_fmu_without_a_compiler_holds_the_sources_and_no_library(exported):
-    *_, block, _ = exported
+    block = exported[2]
     found = packed(block, version=2, compiler="no-such-compiler")
     assert found == packed(block, version=2, compiler="no-such-compiler")
     with zipfile.ZipFile(io.BytesIO(found)) as fmu:
