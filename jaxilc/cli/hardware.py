@@ -620,7 +620,7 @@ def next_(
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
-    from ..hardware.trial_files import OPTIONS, read_measured, read_short
+    from ..hardware.trial_files import OPTIONS, read_measured
     from ..scenarios.campaigns import Given, open_campaign
 
     begin()
@@ -656,9 +656,9 @@ def next_(
         now.undo(undo)
     turn, prediction, expected = None, None, None
     if measured is not None:
-        record = (read_short if of.get("short_trial") else read_measured)(
-            measured, now.task, now.recordable(), names, headings
-        )
+        short = of.get("short_trial", False)
+        recordable = now.recordable()
+        record = read_measured(measured, now.task, recordable, names, headings, short=short)
         prediction = _predicted(opened, compute=True, store=not dry_run)
         replayed = of.get("replayed_input", False)
         turn = _turn(opened, record, prediction, learn=not no_learn, replay_input=replayed)

@@ -203,22 +203,16 @@ class Campaign:
         machine: the nominal machine of the plant file
         """
         live = self.journal.live()
-        measured, simulated = [], []
         key = jax.random.key(0)  # one noise for all, which the differences do not hold
-
-        def output(entry: Manifest) -> np.ndarray:
-            return np.asarray(_output(machine, self.scheme, self.task, self.memory_of(entry), key))
-
-        for before, now in pairwise(live[-PAST - 1 :]):
-            arrays = self.journal.arrays(now, TRIAL)
-            if "weight" not in arrays:  # else it ended early
-                measured.append(arrays["y"])
-                simulated.append(output(before))
-        if len(measured) < 2:
+        past = live[-PAST - 1 :]
+        whole = _whole_trials(self.journal, past[1:])
+        if len(whole) < 2:
             return None
-        simulated.append(output(live[-1]))
-        found = np.array(measured), np.array(simulated)
-        return calibration.expected(*found, self.task, next_step(live))
+        before = [entry for entry, now in pairwise(past) if now["trial"] in whole]
+        memories = map(self.memory_of, [*before, live[-1]])
+        simulated = [_output(machine, self.scheme, self.task, memory, key) for memory in memories]
+        measured = np.array([of["y"] for of in whole.values()])
+        return calibration.expected(measured, np.array(simulated), self.task, next_step(live))
 
     def schedules(self, trial: int | None = None) -> dict[str, np.ndarray]:
         """The schedules to play after a trial, None for the last one; see `playback.schedules`."""
@@ -571,17 +565,22 @@ def repeats_of(campaign: Campaign) -> Repeats:
     played: dict[str, list[Manifest]] = {}
     for one in journal.live()[1:]:
         played.setdefault(str(one["hashes"].get("played")), []).append(one)
-    same = max(played.values(), key=len, default=[])
-    read = {one["trial"]: journal.arrays(one, TRIAL) for one in same}
-    whole = {trial: of["y"] for trial, of in read.items() if "weight" not in of}
+    whole = _whole_trials(journal, max(played.values(), key=len, default=[]))
     if len(whole) < 2:
         raise ValueError(
             f"no schedule of {journal.path} was played twice; measure trials without learning in "
             "between: jaxilc next --no-learn"
         )
-    e = np.stack([(np.asarray(task.reference) - y)[:, 0] for y in whole.values()])
+    outputs = np.stack([of["y"] for of in whole.values()])
+    e = (np.asarray(task.reference) - outputs)[:, :, 0]
     names = tuple(f"trial {trial}" for trial in whole)
-    return Repeats(e, task.dt, task.unit, names, next(iter(whole.values()))[:, 0])
+    return Repeats(e, task.dt, task.unit, names, outputs[0, :, 0])
+
+
+def _whole_trials(journal: Journal, live: list[Manifest]) -> dict[int, dict[str, np.ndarray]]:
+    """The signals of trials by number, without those that ended early."""
+    read = {one["trial"]: journal.arrays(one, TRIAL) for one in live}
+    return {trial: of for trial, of in read.items() if "weight" not in of}
 
 
 def record_of(campaign: Campaign, machine: Machine) -> CampaignRecord:
@@ -611,20 +610,11 @@ def record_of(campaign: Campaign, machine: Machine) -> CampaignRecord:
             "(--set campaign.replayed_input=true). In a closed loop it is then not known what "
             "acted on the plant: record u, or fit an experiment (jaxilc identify RECORD)"
         )
-    most = max(1, MOST_SAMPLES // (campaign.task.N + 1))
-    if len(live) > most:
-        taken = np.unique(np.linspace(0, len(live) - 1, most).round().astype(int))
-    else:
-        taken = np.arange(len(live))
-    read = {i: journal.arrays(live[i], TRIAL) for i in taken}
-    taken = [i for i in taken if "weight" not in read[i]]  # whole trials only
-    if not taken:
+    most = min(len(live), max(1, MOST_SAMPLES // (campaign.task.N + 1)))
+    taken = np.unique(np.linspace(0, len(live) - 1, most).round().astype(int))
+    whole = _whole_trials(journal, [live[i] for i in taken])
+    if not whole:
         raise ValueError(f"each trial of {journal.path} ended early; there is nothing to fit")
-    found = [read[i] for i in taken]
-    record = Record(
-        np.concatenate([trial["u"] for trial in found]),
-        np.concatenate([trial["y"] for trial in found]),
-        campaign.task.dt,
-        len(found),
-    )
-    return CampaignRecord(record, tuple(live[i]["trial"] for i in taken), len(live), closed)
+    u, y = (np.concatenate([of[name] for of in whole.values()]) for name in "uy")
+    record = Record(u, y, campaign.task.dt, len(whole))
+    return CampaignRecord(record, tuple(whole), len(live), closed)

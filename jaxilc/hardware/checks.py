@@ -93,29 +93,21 @@ def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
     """
     limits = rules.limits(actuator, u.shape[1])
     if limits is None:
-        return [
-            Finding(
-                "note",
-                "saturation was not looked at: neither campaign.limit nor the machine gives one",
-            )
-        ]
+        text = "saturation was not looked at: neither campaign.limit nor the machine gives one"
+        return [Finding("note", text)]
     at = np.abs(u) >= limits - np.maximum(AT_LIMIT * limits, _resolution(actuator))
-    share, i = float(np.max(np.mean(at, axis=0))), int(np.argmax(np.mean(at, axis=0)))
+    shares = np.mean(at, axis=0)
+    i = int(np.argmax(shares))
+    share = float(shares[i])
     if not share:
         return []
-    first = int(np.argmax(at[:, i]))
     text = (
         f"input {i} is at its limit {limits[i]:g} in {share:.2%} of the samples, "
-        f"first at sample {first}"
+        f"first at sample {int(np.argmax(at[:, i]))}"
     )
     if share > rules.saturation and not rules.accept_saturation:
-        return [
-            Finding(
-                "refusal",
-                f"{text}; allowed are {rules.saturation:.2%}, or "
-                "--set campaign.accept_saturation=true",
-            )
-        ]
+        allowed = f"{rules.saturation:.2%}, or --set campaign.accept_saturation=true"
+        return [Finding("refusal", f"{text}; allowed are {allowed}")]
     return [Finding("warning", text)]
 
 
@@ -126,14 +118,12 @@ def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Fin
     if np.max(off) <= allowed:
         return []
     k, unit = int(np.argmax(off)), task.input_unit
-    return [
-        Finding(
-            "warning",
-            f"the measured input is up to {off[k]:.3g} {unit} away (sample {k}) from the scheme's "
-            "over the measured output: was another schedule played, or is the machine's feedback, "
-            "its delay or its limit not the scheme's?",
-        )
-    ]
+    text = (
+        f"the measured input is up to {off[k]:.3g} {unit} away (sample {k}) from the scheme's "
+        "over the measured output: was another schedule played, or is the machine's feedback, "
+        "its delay or its limit not the scheme's?"
+    )
+    return [Finding("warning", text)]
 
 
 def as_played(

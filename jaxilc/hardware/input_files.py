@@ -39,15 +39,12 @@ def write_schedules(
     Raises ValueError for another format.
     """
     check_format(path, number)
-    match Path(path).suffix:
-        case ".csv":
-            atomically(path, lambda file: file.write(_as_text(schedules, task).encode()))
-        case ".mat":
-            atomically(path, lambda file: _save_mat(file, schedules, task, trial))
-        case _:
-            atomically(
-                path, lambda file: file.write(_as_header(schedules, task, trial, number).encode())
-            )
+    if Path(path).suffix == ".mat":
+        atomically(path, lambda file: _save_mat(file, schedules, task, trial))
+        return
+    as_text = Path(path).suffix == ".csv"
+    text = _as_text(schedules, task) if as_text else _as_header(schedules, task, trial, number)
+    atomically(path, lambda file: file.write(text.encode()))
 
 
 def check_format(path: str | Path, number: str = "double") -> None:
@@ -86,15 +83,14 @@ def _as_header(schedules, task: Task, trial: int, number: str) -> str:
         f"/* What the machine plays in trial {trial}, written by jaxilc. "
         "Row k holds from k dt to (k+1) dt. */",
         "",
-    ]
-    lines += [
         "#ifndef JAXILC_NEXT_H",
         "#define JAXILC_NEXT_H",
         "",
         f"#define JAXILC_TRIAL {trial}",
         f"#define JAXILC_SAMPLES {task.N}",
+        f"#define JAXILC_SAMPLE_TIME {task.dt!r} /* s */",
+        "",
     ]
-    lines += [f"#define JAXILC_SAMPLE_TIME {task.dt!r} /* s */", ""]
     for name, schedule in schedules.items():
         sizes = f"[{len(schedule)}]" + (f"[{schedule.shape[1]}]" if schedule.shape[1] > 1 else "")
         lines.append(f"/* {name} [{unit_of(name, task) or '-'}], trial {trial} */")

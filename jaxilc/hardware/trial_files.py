@@ -60,7 +60,7 @@ class Measured(NamedTuple):
     y: (N+1, n_y) output
     u: (N, n_u) input, None where the file has none
     others: further signals that were asked for, by name
-    samples: number of samples of a trial that ended early, see `read_short`; else None
+    samples: number of samples of a trial that ended early, see `read_measured`; else None
     """
 
     y: np.ndarray
@@ -90,6 +90,8 @@ def read_measured(
     others: Shapes | None = None,
     names: Mapping[str, str] | None = None,
     columns: Sequence[str] = (),
+    *,
+    short: bool = False,
 ) -> Measured:
     """A measured trial of the task, from a .mat file or a text file of columns.
 
@@ -101,12 +103,34 @@ def read_measured(
         of several channels; None: as they are called here
     columns: names of the columns of a text file without a header; without t among them, each row
         is a sample, and a column `sample` counts them
+    short: whether the trial may have ended early. Its signals have the length of the task all the
+        same: after the end, y is the reference, and the input and the other signals are NaN, until
+        `completed` knows them
     Raises ValueError naming file, place and signal: for a missing column, for a unit that is not
     declared or not the task's, for a value that is not finite, for a gap or an uneven step of the
     time, for another sample time or length (nothing is resampled), and for another reference.
     """
     shapes = _shapes(task, others)
-    return _checked(path, task, shapes, _read(path, shapes, names or {}, columns, task.dt))
+    found = _read(path, shapes, names or {}, columns, task.dt)
+    last = len(found.columns["t"][0]) - 1
+    if not short or last >= task.N:
+        return _checked(path, task, shapes, found)
+    if last < 1:
+        raise ValueError(f"{path} has {last + 1} samples; a trial that ended early needs two")
+    left = task.N - last
+    part = dataclasses.replace(task, reference=task.reference[: last + 1], settle=None)
+    shapes = {name: (rows - left, n) for name, (rows, n) in shapes.items()}
+    measured = _checked(path, part, shapes, found)
+
+    def filled(values):
+        return np.pad(values, ((0, left), (0, 0)), constant_values=np.nan)
+
+    return measured._replace(
+        y=np.concatenate([measured.y, np.asarray(task.reference)[last + 1 :]]),
+        u=None if measured.u is None else filled(measured.u),
+        others={name: filled(values) for name, values in measured.others.items()},
+        samples=last,
+    )
 
 
 def _checked(path: str | Path, task: Task, shapes: Shapes, found: _File) -> Measured:
@@ -386,43 +410,6 @@ def _check_reference(path, r, places, task: Task) -> None:
 
 # Trials that the machine ended early
 # --------------------------------------------------------------------------------------------------
-
-
-def read_short(
-    path: str | Path,
-    task: Task,
-    others: Shapes | None = None,
-    names: Mapping[str, str] | None = None,
-    columns: Sequence[str] = (),
-) -> Measured:
-    """A measured trial that may have ended early, with `samples` of the input measured.
-
-    Its signals have the length of the task: after the end, y is the reference, and the input and
-    the other signals are NaN, until `completed` knows them.
-    Raises ValueError as `read_measured`, and for a file of fewer than two samples.
-    """
-    found = _read(path, _shapes(task, others), names or {}, columns, task.dt)
-    last = len(found.columns["t"][0]) - 1
-    if last >= task.N:
-        return _checked(path, task, _shapes(task, others), found)
-    if last < 1:
-        raise ValueError(f"{path} has {last + 1} samples; a trial that ended early needs two")
-    short = dataclasses.replace(task, reference=task.reference[: last + 1], settle=None)
-    left = task.N - last
-    shapes = {name: (rows - left, n) for name, (rows, n) in (others or {}).items()}
-    measured = _checked(path, short, _shapes(short, shapes), found)
-
-    def filled(values):
-        return (
-            None if values is None else np.pad(values, ((0, left), (0, 0)), constant_values=np.nan)
-        )
-
-    return measured._replace(
-        y=np.concatenate([measured.y, np.asarray(task.reference)[last + 1 :]]),
-        u=filled(measured.u),
-        others={name: filled(values) for name, values in measured.others.items()},
-        samples=last,
-    )
 
 
 def completed(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, cast
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,7 @@ from .problem import (
     Problem,
     checked_record,
     free_elements,
+    minimum,
     need_samples,
     problem_of,
 )
@@ -86,18 +87,14 @@ def identify(
     require("identify", "seed", seed, SEEDS, whole=True)
     given = plant is not None
     if not given:
-        for name, value in (("poles", poles), ("pairs", pairs), ("zeros", zeros)):
-            require("identify", name, value, f"[0, {MOST}]", whole=True)
+        plant = with_as_many("identify", poles, pairs, zeros)
         require("identify", "starts", starts, "[1, inf)", whole=True)
         require("identify", "delay", delay, f"[0, {LONGEST_DELAY}]", whole=True)
-        order = poles + 2 * pairs
-        require("identify", "zeros", zeros, f"[0, {order})", note=", the order")
         if free is not None:
             raise ValueError(
                 f"identify: free = {list(free)} names leaves of a plant, but no plant is given"
             )
-        need_samples(round(fit_share * len(record.y)) * record.y.shape[1], 2 + zeros + order)
-        plant = ProcessModel(1.0, np.ones(zeros), np.ones(poles), np.ones(pairs), np.ones(pairs))
+        need_samples(round(fit_share * len(record.y)) * record.y.shape[1], 2 + zeros + plant.order)
     elif delay:
         raise ValueError(
             f"identify: delay = {delay} is for a ProcessModel that is started automatically; the "
@@ -105,16 +102,24 @@ def identify(
         )
     problem = problem_of(later(record, delay), plant, free_elements(plant, free), fit_share)
     found = (
-        problem.solve(problem.start(plant)) if given else from_many_starts(problem, starts, seed)
+        minimum(problem, problem.start(plant)) if given else from_many_starts(problem, starts, seed)
     )
     for _ in range(REWEIGHTINGS if plant.n_y > 1 else 0):
         spread = np.std(problem.residual(found.theta)[: problem.samples], axis=0)
         problem = problem._replace(scale=np.maximum(spread, 1e-12 * problem.scale))
-        found = problem.solve(found.theta)
+        found = minimum(problem, found.theta)
     result = judged(problem, found)
     if not delay:
         return result
     return result._replace(plant=dataclasses.replace(result.plant, delay=delay * record.dt))
+
+
+def with_as_many(function: str, poles: int, pairs: int, zeros: int) -> ProcessModel:
+    """A plant with so many poles, pairs and zeros, all 1; raises ValueError for impossible ones."""
+    for name, value in (("poles", poles), ("pairs", pairs), ("zeros", zeros)):
+        require(function, name, value, f"[0, {MOST}]", whole=True)
+    require(function, "zeros", zeros, f"[0, {poles + 2 * pairs})", note=", the order")
+    return ProcessModel(1.0, np.ones(zeros), np.ones(poles), np.ones(pairs), np.ones(pairs))
 
 
 def later(record: Record, delay: int) -> Record:
@@ -142,12 +147,7 @@ REFINED = 16  # number of starts, those with the best fit, that are refined
 
 
 def from_many_starts(problem: Problem, starts: int, seed: int) -> Minimum:
-    """The best fit from many drawn structures.
-
-    Each structure is scored by the least squares of its numerator and bias, and the best ones are
-    refined. The best fit of these is regrouped (an overdamped pair becomes two real poles, see
-    `ProcessModel.regrouped`) and refined to the tolerances.
-    """
+    """The best fit from many drawn structures, scored by least squares of numerator and bias."""
     # Bytes for the numbers drawn, and for the products of all pairs of the simulated signals.
     each = 8 * (100 + 8 * len(problem.names) ** 2)
     check_size("identify", each, starts=starts)
@@ -159,19 +159,23 @@ def from_many_starts(problem: Problem, starts: int, seed: int) -> Minimum:
     )
     scored = [_numerator(product) for product in products]
     best = [
-        i
+        with_numerator(jax.tree.map(lambda leaf, i=i: leaf[i], drawn), scored[i][1])
         for i in sorted(range(starts), key=lambda i: scored[i][0])[:REFINED]
         if np.isfinite(scored[i][0])
     ]
-    begin = [
-        problem.start(with_numerator(jax.tree.map(lambda leaf, i=i: leaf[i], drawn), scored[i][1]))
-        for i in best
-    ]
-    winner = min(
-        (problem.solve(theta, ftol=1e-4, max_nfev=30) for theta in begin),
-        key=lambda found: found.cost,
-    )
-    return problem.solve(problem.start(problem.plant_at(winner.theta).regrouped()))
+    return best_refined(problem, best)
+
+
+def best_refined(problem, plants: Sequence[ProcessModel]) -> Minimum:
+    """The best of the minima near some plants, refined to the tolerances.
+
+    Before that it is regrouped: an overdamped pair becomes two real poles, see
+    `ProcessModel.regrouped`.
+    """
+    begin = (problem.start(plant) for plant in plants)
+    near = [minimum(problem, theta, ftol=1e-4, max_nfev=30) for theta in begin]
+    best = problem.plant_at(min(near, key=lambda found: found.cost).theta)
+    return minimum(problem, problem.start(best.regrouped()))
 
 
 def drawn_plants(
@@ -243,7 +247,8 @@ def with_numerator(plant: ProcessModel, weights) -> ProcessModel:
 # The choice of an order
 # --------------------------------------------------------------------------------------------------
 
-# (poles, pairs, zeros): orders 1 to 4. A pair may have two real poles.
+Structure: TypeAlias = tuple[int, int, int]  # poles, pairs, zeros
+# Orders 1 to 4. A pair may have two real poles.
 STRUCTURES = ((1, 0, 0), (0, 1, 0), (0, 1, 1), (1, 1, 0), (1, 1, 1), (0, 2, 0), (0, 2, 1))
 SMALLEST = 1e-9  # of the output's standard deviation; a smaller residual is rounding
 
@@ -274,15 +279,14 @@ class Order(NamedTuple):
 def compare_orders(
     record: Record,
     *,
-    structures: Sequence[tuple[int, int, int]] = STRUCTURES,
+    structures: Sequence[Structure] = STRUCTURES,
     delay: int = 0,
     starts: int = 64,
     seed: int = 0,
-    each: Callable[[tuple[int, int, int]], object] = lambda structure: None,
+    each: Callable[[Structure], object] = lambda structure: None,
 ) -> list[Order]:
     """Fits of several structures to a record of one input and one output, in the order given.
 
-    structures: (poles, pairs, zeros) of each
     delay: dead time of all of them in samples
     starts, seed: as for `identify`; the first 70 % of the record are fitted
     each: called with each structure before it is fitted
@@ -290,32 +294,29 @@ def compare_orders(
     Raises ValueError as `identify` does.
     """
     found = []
-    for i, (poles, pairs, zeros) in enumerate(structures):
-        if i and not long_enough(record, 2 + poles + 2 * pairs + zeros):
-            continue
-        each((poles, pairs, zeros))
-        fit = identify(
-            record, poles=poles, pairs=pairs, zeros=zeros, delay=delay, starts=starts, seed=seed
-        )
-        residual = (np.asarray(record.y).reshape(len(fit.simulated), -1) - fit.simulated)[
-            : fit.samples, 0
-        ]
-        smallest = SMALLEST * float(np.std(np.asarray(record.y)[: fit.samples]))
+    fit_of_each = functools.partial(identify, record, delay=delay, starts=starts, seed=seed)
+    enough = functools.partial(long_enough, record)
+    for structure, fit in fitted_to_each(structures, enough, fit_of_each, each):
+        y = np.asarray(record.y).reshape(len(fit.simulated), -1)[: fit.samples]
+        residual = (y - fit.simulated[: fit.samples])[:, 0]
         number = len(fit.parameters) + (delay > 0)
-        found.append(
-            Order(
-                poles,
-                pairs,
-                zeros,
-                number,
-                float(np.sqrt(np.mean(residual**2))),
-                information(residual, number, smallest),
-                float(fit.validation_fit[0]),
-                fit,
-                delay,
-            )
-        )
+        bic = information(residual, number, SMALLEST * float(np.std(y)))
+        rms, validation = float(np.sqrt(np.mean(residual**2))), float(fit.validation_fit[0])
+        found.append(Order(*structure, number, rms, bic, validation, fit, delay))
     return found
+
+
+def fitted_to_each(
+    structures: Sequence[Structure],
+    enough: Callable[[int], bool],
+    fit: Callable[..., Identified],
+    each: Callable[[Structure], object],
+) -> Iterator[tuple[Structure, Identified]]:
+    """The structures with their fits, without those, except the first, of too many parameters."""
+    for i, (poles, pairs, zeros) in enumerate(structures):
+        if not i or enough(2 + poles + 2 * pairs + zeros):
+            each((poles, pairs, zeros))
+            yield (poles, pairs, zeros), fit(poles=poles, pairs=pairs, zeros=zeros)
 
 
 def long_enough(record: Record, parameters: int) -> bool:
@@ -326,13 +327,15 @@ def long_enough(record: Record, parameters: int) -> bool:
 def information(residual, parameters: int, smallest: float = 0.0) -> float:
     """The Bayesian information criterion of a fit with Gaussian residuals (Schwarz 1978).
 
-        BIC = n ln(sum e^2 / n) + p ln n
+        BIC = n sum_i ln(sum e_i^2 / n) + p ln n    over the outputs i
 
-    residual: (n,);  parameters: p;  smallest: root mean square below which the residual is rounding
+    residual: (n,) or (n, n_y);  parameters: p
+    smallest: root mean square below which a residual is rounding
     """
     n = len(residual)
-    mean = max(float(np.mean(np.asarray(residual) ** 2)), smallest**2, np.finfo(float).tiny)
-    return n * float(np.log(mean)) + parameters * float(np.log(n))
+    mean = np.mean(np.asarray(residual) ** 2, axis=0)
+    log = np.log(np.maximum(mean, max(smallest**2, np.finfo(float).tiny)))
+    return n * float(np.sum(log)) + parameters * float(np.log(n))
 
 
 def best_order(orders: Sequence[Order]) -> Order:

@@ -15,7 +15,6 @@ A magnitude needs its unit, `abs` (or any unit of output per input) or `dB`, and
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,6 +25,7 @@ from ..pytree.ranges import require
 from ..storage.columns import numbers_in, read_columns
 from ..storage.reading import quoted
 from ..theory.on_lines import MeasuredResponse
+from .record_files import name_and_any_unit
 
 # The names of each kind of column, in lower case.
 NAMES = {
@@ -44,8 +44,7 @@ RADIANS = {"deg": np.pi / 180, "°": np.pi / 180, "degree": np.pi / 180, "degree
 RADIANS["rad"] = 1.0
 NOT_LINEAR = ("db", "%", *RADIANS)
 FEWEST = 2  # lines
-_WITH_UNIT = re.compile(r"^(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
-_WITH_SUFFIX = re.compile(r"^(.+)_(hz|khz|db|abs|deg|rad)$")
+SUFFIXES = ("hz", "khz", "db", "abs", "deg", "rad")
 
 
 class _Column(NamedTuple):
@@ -90,11 +89,7 @@ def read_frequency_response(path: str | Path, *, averages: int | None = None) ->
     """
     header, rows = read_columns(path)
     columns = _columns(path, header)
-    lines, cells = [], []
-    for line, row in rows:
-        lines.append(line)
-        cells.append(row)
-    read = _Reader(path, lines, cells)
+    read = _Reader(path, list(rows))
     f = read.numbers(columns["frequency"]) * _factor(path, columns["frequency"], HERTZ, "f [Hz]")
     response = _response(read, columns)
     std, coherence = _std(read, columns, response, averages)
@@ -122,40 +117,34 @@ def read_frequency_response(path: str | Path, *, averages: int | None = None) ->
 
 
 class _Reader(NamedTuple):
-    """The rows of a file, and where they stand."""
+    """The rows of a file, with their lines."""
 
     path: str | Path
-    lines: list[int]
-    rows: list[list[str]]
+    rows: list[tuple[int, list[str]]]
 
     def numbers(self, column: _Column) -> np.ndarray:
-        found = np.array([numbers_in(row, [column.at])[0] for row in self.rows])
+        found = np.array([numbers_in(row, [column.at])[0] for _, row in self.rows])
         for k in np.flatnonzero(~np.isfinite(found)):
             self.refuse(k, column, "not a finite number; leave the line out")
         return found
 
     def complex_numbers(self, column: _Column) -> np.ndarray:
-        found = np.array([_complex(row[column.at : column.at + 1]) for row in self.rows], complex)
+        cells = [row[column.at : column.at + 1] for _, row in self.rows]
+        found = np.array([*map(_complex, cells)], complex)
         for k in np.flatnonzero(~np.isfinite(found)):
             self.refuse(k, column, "not a finite complex number, such as 1.2+0.3j")
         return found
 
     def refuse(self, k: int, column: _Column, what: str) -> None:
         """Raise ValueError for row k of a column."""
-        row = self.rows[k]
+        line, row = self.rows[k]
         text = row[column.at].strip() if column.at < len(row) else ""
-        raise ValueError(
-            f"{self.path}, line {self.lines[k]}: {column.heading} = {text!r} is {what}"
-        )
+        raise ValueError(f"{self.path}, line {line}: {column.heading} = {text!r} is {what}")
 
 
 def _kind_and_unit(heading: str) -> tuple[str | None, str | None]:
     """The kind of a column, None if it is of no use, and its unit in lower case."""
-    name, unit = heading.strip().lower(), None
-    if found := _WITH_UNIT.match(name):
-        name, unit = found[1], (found[2] if found[2] is not None else found[3]).strip()
-    elif found := _WITH_SUFFIX.match(name):
-        name, unit = found[1], found[2]
+    name, unit = name_and_any_unit(heading.strip().lower(), SUFFIXES)
     return next((kind for kind, names in NAMES.items() if name in names), None), unit
 
 

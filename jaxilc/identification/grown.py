@@ -1,10 +1,9 @@
 """Models of flexible machines from records: their order is grown, part by part.
 
 The output is a sum of filtered inputs (`plants.ModalModel`), so only the poles are searched for:
-the numerators are linear, and least squares gives them for any poles (variable projection; Golub,
-Pereyra 1973, with the Jacobian of Kaufman 1975). A search costs milliseconds an order, since a part
-with poles exp(l dt) filters the input by a polynomial of z of degree 1 or 2, whose numerator spans
-that of the part held exactly.
+the numerators are linear (`projection`). A search costs milliseconds an order, since a part with
+poles exp(l dt) filters the input by a polynomial of z of degree 1 or 2, whose numerator spans that
+of the part held exactly.
 
 Each order begins from several places: from the poles of a reduced high-order difference equation
 (Juang, Pappa 1985), from the order below and one part more, chosen from a grid by what it explains
@@ -16,6 +15,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ from ..plants.process_model import LONGEST_DELAY
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
-from .estimation import Order, compare_orders, identify
+from .estimation import Order, compare_orders, identify, information
 from .not_linear import Suspicion, suspicions
 from .problem import (
     SAMPLES_PER_PARAMETER,
@@ -36,8 +36,9 @@ from .problem import (
     need_samples,
     unit_columns,
 )
+from .projection import projected, searched
 from .records import Record, as_columns
-from .verdict import Identified
+from .verdict import Identified, fit_of
 
 Numbers = np.ndarray
 LONGEST_LOOKED_FOR = 50  # samples, the default of the longest delay that is looked for
@@ -52,11 +53,13 @@ DELAYS = (0, 1, 2, 3, 5, 8, 13, 21, 34)  # samples, at which a search may begin
 MODERATE = (4, 8)  # orders by which it is decided at which
 TRIED = 3  # of these, and of the parts that may go, so many are refined
 SHORT, LONG = 6, 60  # steps of a refinement that compares, and of one that ends
+EASED = 10.0  # what its damping is divided by after a step
 GAINED = 1e-7  # relative fall of the cost of a step, below which a refinement ends
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 50.0
 STILL = 0.02  # of 1 / duration, the slowest rate that is looked for
 SIMPLE = 6  # order up to which real zeros are looked for, and what is not linear
 ASKED, MOSTLY = 8, 0.5  # order at which it is asked; share of the residual that it must explain
+SMALLEST = 1e-9  # of the standard deviation of an output, below which a residual is rounding
 EQUAL = 1.0  # of the criterion, within which two models explain a record as well
 FAR = 50.0  # of the criterion, beyond which no smaller model is looked for
 CLEARLY = 0.98  # of the squared error of the validation part, below which a lower order is better
@@ -136,7 +139,7 @@ class Fitted(NamedTuple):
     """Parts with the least squares of their numerators.
 
     cost: sum of squares of the residual of the fitted part, of each output divided by its scale
-    bic: Bayesian information criterion (Schwarz 1978)
+    bic: Bayesian information criterion, see `information`
     parameters: number of numbers that were fitted
     """
 
@@ -184,21 +187,14 @@ def columns(signals: Signals, parts: Parts) -> tuple[Numbers, list[Numbers]]:
     return np.concatenate(flat).T, dens
 
 
-def evaluated(signals: Signals, parts: Parts, slopes: bool = True) -> tuple[Numbers, Numbers]:
-    """(rows n_y,) the residual, and (rows n_y, x) its derivatives by the poles.
+def slopes(signals: Signals, parts: Parts, N: Numbers) -> Numbers:
+    """(rows, n_y, x) derivatives of the residual by the poles, but for what the columns span.
 
-    The derivative of a column by its own poles has a part within the columns, which the numerators
-    make up for. So the output of each part is filtered once more by its own denominator, and what
-    the columns span is taken away.
+    The output of each part is filtered once more by its own denominator.
+
+    N: (c, n_y) numerators, which do not move
     """
     X, dens = columns(signals, parts)
-    scaled, length = unit_columns(X)
-    Q, R = np.linalg.qr(scaled)
-    b = Q.T @ signals.y
-    residual = signals.y - Q @ b
-    if not slopes:
-        return residual.ravel(), np.zeros((0, 0))
-    N = np.linalg.lstsq(R, b, rcond=1e-13)[0] / length[:, None]
     n_u, T, n = signals.u.shape
     at = 1 + n_u * (parts.direct + parts.integrators)
     J = np.zeros((*signals.y.shape, len(parts.x)))
@@ -223,8 +219,7 @@ def evaluated(signals: Signals, parts: Parts, slopes: bool = True) -> tuple[Numb
         else:
             p = np.exp(parts.lags[i - q]) * signals.dt
             J[:, :, q + i] = p * np.exp(-p) * moved[0]
-    J -= np.tensordot(Q, np.tensordot(Q.T, J, 1), 1)
-    return residual.ravel(), J.reshape(residual.size, len(parts.x))
+    return J
 
 
 def bounds(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
@@ -237,41 +232,16 @@ def bounds(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
 
 
 def refined(signals: Signals, parts: Parts, steps: int) -> Fitted:
-    """The parts after some steps of Levenberg-Marquardt on the residual."""
-    low, high = bounds(signals, parts)
-    x, damped = np.clip(parts.x, low, high), 1e-3
-    r, J = evaluated(signals, parts.at(x))
-    for _ in range(steps if len(x) else 0):
-        cost, g, H = r @ r, J.T @ r, J.T @ J
-        d = np.maximum(np.diag(H), 1e-12 * max(np.max(np.diag(H)), np.finfo(float).tiny))
-        for _ in range(8):
-            step = -np.linalg.solve(H + damped * np.diag(d), g)
-            new = np.clip(x + np.clip(step, -1.0, 1.0), low, high)
-            r_new = evaluated(signals, parts.at(new), slopes=False)[0]
-            if r_new @ r_new < cost:
-                break
-            damped *= 6
-        else:
-            break
-        x, damped = new, max(damped / 10, 1e-9)
-        r, J = evaluated(signals, parts.at(x))
-        if cost - r @ r < GAINED * cost:
-            break
-    return judged(signals, parts.at(x), r)
-
-
-def judged(signals: Signals, parts: Parts, residual: Numbers) -> Fitted:
-    """The parts with their criterion.
-
-    BIC = n sum_i ln(sum e_i^2 / n) + p ln n over the outputs i.  A delay counts as a parameter.
-    """
-    rows, n_y = signals.y.shape
-    n_u = len(signals.u)
-    linear = 1 + n_u * (parts.direct + parts.order)
-    count = n_y * linear + len(parts.x) + (parts.delay > 0)
-    mean = np.maximum(np.mean(residual.reshape(rows, n_y) ** 2, axis=0), 1e-18)
-    bic = rows * float(np.sum(np.log(mean))) + count * np.log(rows)
-    return Fitted(parts, float(residual @ residual), bic, count)
+    """The parts after some steps of the search for their poles; a delay counts as a parameter."""
+    found, _ = searched(
+        lambda x: projected(x, columns(signals, parts.at(x))[0], signals.y),
+        lambda at: slopes(signals, parts.at(at.theta), at.N),
+        parts.x, bounds(signals, parts), steps=steps, tolerance=GAINED, eased=EASED,
+    )  # fmt: skip
+    linear = 1 + len(signals.u) * (parts.direct + parts.order)
+    count = signals.y.shape[1] * linear + len(parts.x) + (parts.delay > 0)
+    bic = information(found.left, count, SMALLEST)
+    return Fitted(parts.at(found.theta), found.cost, bic, count)
 
 
 # Where a search begins
@@ -558,19 +528,11 @@ def plant_of(signals: Signals, parts: Parts) -> ModalModel:
     I_1, I_2 = (*N[d : d + m], None, None)[:2]
     of_modes, of_lags = N[d + m : d + m + 2 * q], N[d + m + 2 * q :]
     w, zeta = np.exp(parts.modes).T
-    order, lag_order = np.argsort(w), np.argsort(parts.lags)
-    return ModalModel(
-        np.exp(parts.lags)[lag_order],
-        of_lags[lag_order],
-        w[order],
-        zeta[order],
-        of_modes[::2][order],
-        of_modes[1::2][order],
-        I_1,
-        I_2,
-        N[0] if d else None,
-        parts.delay * signals.dt,
-    )
+    by_rate, slowest = np.argsort(w), np.argsort(parts.lags)
+    lags = (of[slowest] for of in (np.exp(parts.lags), of_lags))
+    modes = (of[by_rate] for of in (w, zeta, of_modes[::2], of_modes[1::2]))
+    delay = parts.delay * signals.dt
+    return ModalModel(*lags, *modes, I_1, I_2, N[0] if d else None, delay)
 
 
 # Real zeros
@@ -633,9 +595,8 @@ def with_zeros(signals: Signals, fitted: Fitted) -> list[WithZeros]:
             ftol=1e-7,
         ).x
         N, residual = solved(x, degree)
-        rows, count = len(residual), len(x) + degree + 2 + (parts.delay > 0)
-        mean = max(float(np.mean(residual**2)), 1e-18)
-        bic = rows * np.log(mean) + count * np.log(rows)
+        count = len(x) + degree + 2 + (parts.delay > 0)
+        bic = information(residual, count, SMALLEST)
         found.append(WithZeros(parts.at(x), N[1:] * signals.scale[0], unit, bic, count))
         if bic > min(one.bic for one in found) + FAR:  # a coefficient that is needed is missing
             break
@@ -772,7 +733,8 @@ def grow(
         shorter = [start.parts._replace(delay=d) for d in DELAYS if d < start.parts.delay]
         shorter = [refined(signals, parts, SHORT) for parts in shorter]
         start = min([start, *shorter], key=lambda one: one.bic)
-    best, tried = improved(signals, start, order=fixed, delays=delays, highest=highest, each=say)
+    improve = partial(improved, signals, delays=delays, highest=highest, each=say)
+    best, tried = improve(start, order=fixed)
     need_stable(whole, best)
     kinds: dict[tuple[int, ...], Fitted] = {}
     for one in (*steps.values(), *tried, best):
@@ -786,10 +748,7 @@ def grow(
     lower = [] if found.white or fixed else steps.values()
     told = suspected(lower, found.plant)
     if told and told[0].order < best.parts.order and told[0].rms < float(found.residual_std[0]):
-        best, _ = improved(
-            signals, steps[told[0].order], order=told[0].order, delays=delays, highest=highest,
-            each=say,
-        )  # fmt: skip
+        best, _ = improve(steps[told[0].order], order=told[0].order)
         found = identify(record, plant_of(whole, best.parts), fit_share=fit_share)
     kinds[best.parts.kind] = best
     others = [one for one in _worth_telling(kinds.values()) if one.parts.kind != best.parts.kind]
@@ -840,10 +799,7 @@ def _worth_telling(fits: Iterable[Fitted]) -> list[Fitted]:
 def _told(whole: Signals, one: Fitted) -> Tried:
     parts, rest = one.parts, slice(whole.samples, None)
     y, error = whole.y[rest], whole.y[rest] - numerators(whole, parts)[1][rest]
-    share = np.nan
-    if len(y) > 1:
-        about = np.linalg.norm(y - np.mean(y, axis=0), axis=0)
-        share = float(np.min(100 * (1 - np.linalg.norm(error, axis=0) / about)))
+    share = float(np.min(fit_of(y, error)))
     n_y = whole.y.shape[1]
     unit = float(whole.scale[0]) if n_y == 1 else 1.0
     rms = unit * float(np.sqrt(one.cost / (whole.samples * n_y)))

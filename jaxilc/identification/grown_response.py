@@ -30,9 +30,16 @@ from ..pytree.aliases import Numbers
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..theory.on_lines import MeasuredResponse
-from .problem import SAMPLES_PER_PARAMETER, unit_columns
-from .response_estimation import checked_lines, enough_lines, longest_delay, of_lines
-from .verdict import CONFIDENCE, LAGS, Estimate, Identified, inverse_of_normal
+from .problem import unit_columns
+from .projection import Projected, projected, searched
+from .response_estimation import (
+    checked_lines,
+    enough_lines,
+    longest_delay,
+    need_lines,
+    of_lines,
+)
+from .verdict import CONFIDENCE, Estimate, Identified, correlations, inverse_of_normal
 
 HIGHEST = 20  # order that is looked for
 ALL_UP_TO = 8  # order from which on only the best of these are grown further
@@ -44,6 +51,7 @@ PLACES = 3  # of those, so many are refined
 APART = 0.15  # of the logarithm of the frequency, between two of them
 ROUNDS = 2  # of noise and model in turn
 SHORT, LONG = 1e-4, 1e-8  # relative decrease that ends a search which compares, and the last
+EASED = 5.0  # what the damping of a search is divided by after a step
 FLOORS = (1e-6, 3.0)
 HELD_OUT = 5  # every so many lines are held out in turn
 COVERED = 0.9  # of the lines, whose spread machines that are drawn independently reach
@@ -181,65 +189,23 @@ class Problem(NamedTuple):
         return low, high
 
     def projected(self, theta: Numbers, parts: Parts) -> Projected:
-        """The best numerators at theta, and what they leave."""
+        """The best numerators at theta, and what they leave; real parts stand first."""
         A = stacked(self.weights[:, None] * columns(theta, parts, self.f, self.dt))
-        y = stacked(self.weights * self.G)
-        scaled, length = unit_columns(A)
-        Q, U = np.linalg.qr(scaled)
-        numerators = np.linalg.lstsq(U, Q.T @ y, rcond=1e-13)[0] / length
-        left = y - Q @ (Q.T @ y)
-        return Projected(theta, Q, numerators, left, float(left @ left))
+        return projected(theta, A, stacked(self.weights * self.G))
 
     def least_squares(
-        self, theta: Numbers, parts: Parts, steps: int = 40, tolerance: float = 1e-6
+        self, theta: Numbers, parts: Parts, steps: int, tolerance: float
     ) -> tuple[Projected, bool]:
-        """The minimum near theta by Levenberg-Marquardt steps within the bounds, and if it is one.
+        """The minimum near theta, and whether it is one, see `searched`."""
 
-        tolerance: relative decrease of the cost below which a step ends the search
-        """
-        low, high = self.bounds(parts)
-        now = self.projected(np.clip(theta, low, high), parts)
-        mu = 1e-3
-        for _ in range(steps):
-            J = -stacked(self.weights[:, None] * slopes(now.theta, parts, self.f, self.dt, now.N))
-            J = J - now.Q @ (now.Q.T @ J)
-            J, size = unit_columns(J)
-            g, H = J.T @ now.left, J.T @ J
-            at_bound = ((now.theta <= low) & (g > 0)) | ((now.theta >= high) & (g < 0))
-            free = np.flatnonzero(~at_bound)
-            for _ in range(8):
-                step = np.zeros(len(g))
-                step[free] = -np.linalg.solve(
-                    H[np.ix_(free, free)] + mu * np.eye(len(free)), g[free]
-                )
-                step = step / size
-                step[:-1] = np.clip(step[:-1], -1.0, 1.0)
-                new = self.projected(np.clip(now.theta + step, low, high), parts)
-                if new.cost < now.cost:
-                    break
-                mu *= 6
-            else:
-                return now, True
-            gained = (now.cost - new.cost) / now.cost
-            now, mu = new, max(mu / 5, 1e-9)
-            if gained < tolerance:
-                return now, True
-        return now, False
+        def of_residual(at: Projected) -> Numbers:
+            by_theta = slopes(at.theta, parts, self.f, self.dt, at.N)
+            return -stacked(self.weights[:, None] * by_theta)
 
-
-class Projected(NamedTuple):
-    """A place of the search.
-
-    theta: poles and delay;  N: numerators
-    Q: orthonormal basis of the weighted columns, (2 F, numerators)
-    left: (2 F,) weighted residual, real parts first;  cost: its sum of squares
-    """
-
-    theta: Numbers
-    Q: Numbers
-    N: Numbers
-    left: Numbers
-    cost: float
+        return searched(
+            lambda theta: self.projected(theta, parts), of_residual, theta, self.bounds(parts),
+            steps=steps, tolerance=tolerance, eased=EASED,
+        )  # fmt: skip
 
 
 def stacked(values: Numbers) -> Numbers:
@@ -285,17 +251,10 @@ def model_of(values: Numbers, parts: Parts) -> ModalModel:
     p, w, zeta, single, R, modes, direct, delay = np.split(
         values, np.cumsum([n, q, q, i, n, 2 * q, parts.direct])
     )
-    return ModalModel(
-        p,
-        R,
-        w,
-        zeta,
-        modes[::2],
-        modes[1::2],
-        *(float(single[k]) if k < i else None for k in (0, 1)),
-        float(direct[0]) if parts.direct else None,
-        delay=float(delay[0]),
-    )
+    once, twice = (float(single[k]) if k < i else None for k in (0, 1))
+    at_once = float(direct[0]) if parts.direct else None
+    of_modes = w, zeta, modes[::2], modes[1::2]
+    return ModalModel(p, R, *of_modes, once, twice, at_once, delay=float(delay[0]))
 
 
 # The growth
@@ -330,6 +289,10 @@ class LineModel(NamedTuple):
     fit: float
     __repr__ = in_short
 
+    @property
+    def noise(self) -> tuple[float, float]:
+        return self.floor, self.scale
+
 
 def grow_response(
     measured: MeasuredResponse,
@@ -352,33 +315,21 @@ def grow_response(
     """
     require("grow_response", "highest", highest, "[1, 60]", whole=True)
     checked_lines(measured, dt, delay)
-    if not enough_lines(measured, Parts(lags=1).numbers):
-        need_lines(measured, Parts(lags=1))
+    need_lines(measured, Parts(lags=1).numbers)
     growing = _Growing(measured, dt, delay)
     best: dict[int, LineModel] = {}
-    paths = [iter(growing.path(begun, highest)) for begun in BEGUN]
-    reached: list[tuple[float, Iterator[LineModel]]] = [(np.inf, path) for path in paths]
-    order = 0
-    while reached and order < highest:
-        order += 2
+    paths = [growing.path(begun, highest) for begun in BEGUN]
+    for order in range(2, highest + 2, 2):
         each(order)
-        going = []
-        for _, path in reached:
-            one = next(path, None)
-            if one is None:
-                continue
-            kept = best.get(one.parts.order)
-            if kept is None or one.bic < kept.bic:
-                best[one.parts.order] = one
-            going.append((one.bic, path))
-        reached = sorted(going, key=lambda pair: pair[0])
-        if order >= ALL_UP_TO:
-            reached = reached[:KEPT]
+        reached = [(one, path) for path in paths if (one := next(path, None))]
+        for one, _ in reached:
+            of_order = one.parts.order
+            best[of_order] = min(best.get(of_order, one), one, key=lambda one: one.bic)
+        reached.sort(key=lambda pair: pair[0].bic)
+        paths = [path for _, path in reached[: KEPT if order >= ALL_UP_TO else None]]
         least = min(best, key=lambda n: best[n].bic)
-        if order - least > 2 * PATIENCE:
+        if not paths or order - least > 2 * PATIENCE:
             break
-    if not best:
-        need_lines(measured, Parts(modes=1))
     orders = [best[n] for n in sorted(best)]
     scored = [growing.held_out(one) for one in orders]
     orders = [
@@ -390,14 +341,6 @@ def grow_response(
         if np.mean(worse) <= np.std(worse) / np.sqrt(len(worse)):
             return orders, orders[i]
     return orders, orders[least]
-
-
-def need_lines(measured: MeasuredResponse, parts: Parts) -> None:
-    """Raises ValueError for too few lines."""
-    raise ValueError(
-        f"identify_response: {len(measured.frequencies)} lines are too few to fit {parts.numbers} "
-        f"parameters; allowed are at least {-(-SAMPLES_PER_PARAMETER * parts.numbers // 2)}"
-    )
 
 
 class _Growing:
@@ -454,10 +397,9 @@ class _Growing:
         parts, theta = begun, np.zeros(begun.lags + 1)
         noise, P = (0.1, 1.0), self.G
         if parts.numerators:
-            problem = self.problem(self.variances(P, *noise))
-            theta = self._first(problem, parts)
+            theta = self._first(self.problem(self.variances(P, *noise)), parts)
             one = self._refined(theta, parts, noise, P)
-            theta, noise, P = one.found.theta, (one.floor, one.scale), self.curve(one)
+            theta, noise, P = one.found.theta, one.noise, self.curve(one)
             if parts.order:
                 yield one
         while parts.order + 2 <= highest:
@@ -466,9 +408,8 @@ class _Growing:
                 return
             problem = self.problem(self.variances(P, *noise))
             begin = self._with_one_more(problem, theta, parts)
-            one = self._refined(begin, parts, noise, P)
-            one = self._moved(one)
-            theta, noise, P = one.found.theta, (one.floor, one.scale), self.curve(one)
+            one = self._moved(self._refined(begin, parts, noise, P))
+            theta, noise, P = one.found.theta, one.noise, self.curve(one)
             yield one
 
     def curve(self, one: LineModel) -> Numbers:
@@ -509,8 +450,7 @@ class _Growing:
             A = stacked(problem.weights[:, None] * A)
             A = A - Q @ (Q.T @ A)
             A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
-            first, second, on = A[:, ::2], A[:, 1::2], left @ A
-            shared = np.sum(first * second, axis=0)
+            on, shared = left @ A, np.sum(A[:, ::2] * A[:, 1::2], axis=0)
             # squared length of what is left, in the plane of both columns
             apart = np.maximum(1 - shared**2, 1e-9)
             explained = on[::2] ** 2 + (on[1::2] - shared * on[::2]) ** 2 / apart
@@ -520,10 +460,8 @@ class _Growing:
         chosen: list[Numbers] = []
         for _, own in places:
             far = all(abs(own[0] - c[0]) > APART or abs(own[1] - c[1]) > 1 for c in chosen)
-            if far:
+            if far and len(chosen) < PLACES:
                 chosen.append(own)
-            if len(chosen) == PLACES:
-                break
         n, q = before.lags, before.modes
         begin = [
             np.concatenate([theta[: n + q], own[:1], theta[n + q : n + 2 * q], own[1:2], own[2:]])
@@ -549,20 +487,13 @@ class _Growing:
         error, number = np.abs(self.G - P), parts.numbers - (self.delay is not None)
         coherence = self.measured.coherence
         good = np.ones(len(P), bool) if coherence is None else coherence > GOOD
-        share = (error / np.maximum(self.size, np.finfo(float).tiny))[
-            good if good.any() else slice(None)
-        ]
-        return LineModel(
-            parts,
-            at,
-            floor,
-            scale,
-            self.criterion(P, floor, scale, number),
-            np.nan,
-            (float(np.mean(share <= 0.1)), float(np.mean(share <= 0.3))),
-            float(np.median(share)),
-            100 * (1 - float(np.linalg.norm(error) / np.linalg.norm(self.G))),
-        )
+        share = error / np.maximum(self.size, np.finfo(float).tiny)
+        share = share[good] if good.any() else share
+        bic = self.criterion(P, floor, scale, number)
+        within = float(np.mean(share <= 0.1)), float(np.mean(share <= 0.3))
+        fit = 100 * (1 - float(np.linalg.norm(error) / np.linalg.norm(self.G)))
+        median = float(np.median(share))
+        return LineModel(parts, at, floor, scale, bic, np.nan, within, median, fit)
 
     def _moved(self, one: LineModel) -> LineModel:
         """The model after its least mode was taken out and put in where it explains most."""
@@ -570,24 +501,25 @@ class _Growing:
         n, q = parts.lags, parts.modes
         if q < 2:
             return one
-        problem = self.problem(self.variances(self.curve(one), one.floor, one.scale))
+        P = self.curve(one)
+        problem = self.problem(self.variances(P, *one.noise))
         less = parts._replace(modes=q - 1)
         without = [np.delete(theta, [n + i, n + q + i]) for i in range(q)]
         least = min((problem.projected(t, less) for t in without), key=lambda at: at.cost)
         begin = self._with_one_more(problem, least.theta, parts)
-        other = self._refined(begin, parts, (one.floor, one.scale), self.curve(one))
+        other = self._refined(begin, parts, one.noise, P)
         return other if other.bic < one.bic else one
 
     def held_out(self, one: LineModel) -> Numbers:
         """(F,) -2 log likelihood of each line, when it was not fitted."""
-        v = self.variances(self.curve(one), one.floor, one.scale)
+        v = self.variances(self.curve(one), *one.noise)
         found = np.empty(len(v))
         for i in range(HELD_OUT):
             out = np.arange(len(v)) % HELD_OUT == i
             problem = self.problem(v, ~out)
             at, _ = problem.least_squares(one.found.theta, one.parts, 8, SHORT)
             P = columns(at.theta, one.parts, self.f, self.dt) @ at.N
-            own = self.variances(P, one.floor, one.scale)[out]
+            own = self.variances(P, *one.noise)[out]
             found[out] = 2 * (np.log(own) + np.abs(self.G - P)[out] ** 2 / own)
         return found
 
@@ -596,7 +528,7 @@ def share_of_noise(measured: MeasuredResponse, one: LineModel, dt: float | None)
     """The share of the squared errors of a median line that its standard deviation explains."""
     growing = _Growing(measured, dt, None)
     P = growing.curve(one)
-    whole = growing.variances(P, one.floor, one.scale)
+    whole = growing.variances(P, *one.noise)
     return float(np.median(growing.variances(P, 0.0, one.scale) / whole))
 
 
@@ -605,7 +537,7 @@ def criterion(measured: MeasuredResponse, one: LineModel, P: Numbers, numbers: i
 
     numbers: values that were fitted
     """
-    return _Growing(measured, None, None).criterion(P, one.floor, one.scale, numbers)
+    return _Growing(measured, None, None).criterion(P, *one.noise, numbers)
 
 
 def identified_response(
@@ -617,8 +549,8 @@ def identified_response(
     lines have in common: their number counts no more than it says.
     """
     growing = _Growing(measured, dt, delay)
-    parts, noise = one.parts, (one.floor, one.scale)
-    problem = growing.problem(growing.variances(growing.curve(one), *noise))
+    parts = one.parts
+    problem = growing.problem(growing.variances(growing.curve(one), *one.noise))
     at, converged = problem.least_squares(one.found.theta, parts, 200, LONG)
     values, names = values_of(at, parts), names_of(parts)
     fitted = len(names) - (delay is not None)
@@ -633,7 +565,7 @@ def identified_response(
     covariance = inverse_of_normal(stacked(J))
     covariance = covariance * max(ratio, 1.0) ** 2 * _in_common(error)
     spread = np.sum((J_of @ covariance) * J_of.conj(), axis=1).real
-    spread = spread + growing.variances(P, noise[0], 0.0)
+    spread = spread + growing.variances(P, one.floor, 0.0)
     apart = _apart(J_of, covariance, spread, dict(zip(names, values, strict=False)))
     width = scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2)
     of_error = growing.variances(P, 0.0, 1.0) if known else np.abs(P) ** 2
@@ -683,8 +615,6 @@ def _apart(
 
 def _in_common(error: Numbers) -> float:
     """The factor 1 + 2 sum of the correlations between lines, at least 1 (Bartlett 1946)."""
-    power = max(float(np.real(np.vdot(error, error))), np.finfo(float).tiny)
-    lags = range(1, min(LAGS, len(error) // 4) + 1)
-    r = [float(np.real(np.vdot(error[:-lag], error[lag:]))) / power for lag in lags]
+    r = correlations(error).real.tolist()
     first = next((i for i, value in enumerate(r) if value < 2 / np.sqrt(len(error))), len(r))
     return 1 + 2 * sum(r[:first])

@@ -32,7 +32,7 @@ from ..plants import Plant
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from .records import Record, as_columns, output_from_rest, task_of
-from .verdict import Estimate, inverse_of_normal, widened
+from .verdict import Estimate, estimates, fit_of, inverse_of_normal, widened
 
 LEAST = 0.2  # share of the residual that a suspicion explains at least
 SURE = 4.0  # standard deviations of r that it has at least
@@ -402,9 +402,8 @@ def friction_of(force, position, dt: float, *, cutoff: float | None = None) -> F
     covariance = inverse_of_normal(J) * float(residual @ residual) / max(len(y) - 4, 1)
     covariance = widened(covariance, J[:, None], residual[:, None])
     half = WIDE * np.sqrt(np.diag(covariance))
-    fit = 100 * (1 - np.linalg.norm(residual) / np.linalg.norm(y - y.mean()))
-    of = [Estimate(float(v), float(v - h), float(v + h)) for v, h in zip(found, half, strict=True)]
-    return FrictionModel(*of, float(fit))
+    (fit,) = fit_of(y[:, None], residual[:, None])
+    return FrictionModel(**estimates(FrictionModel._fields[:-1], found, half), fit=float(fit))
 
 
 def _near(which: np.ndarray, samples: int) -> np.ndarray:

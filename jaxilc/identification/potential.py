@@ -31,6 +31,7 @@ from ..pytree.in_short import in_short
 from .verdict import Estimate
 
 LEVEL = 0.95  # of all intervals
+TAILS = (1 + LEVEL) / 2, (1 - LEVEL) / 2
 TAPERS = 3
 WIDER = 0.12  # width of a band against its frequency
 SEGMENTS = 16  # of a trial, over which the new part may change its strength
@@ -114,7 +115,7 @@ def potential_of(e, dt: float) -> Potential:
     power = float(np.sum(new**2)) / (free * N)
     spectrum = _spectrum(mean, new, free, n, dt)
     nu = _freedom(spectrum, new, free)
-    low, high = (chi2.ppf(p, nu * free) / (nu * free) for p in ((1 + LEVEL) / 2, (1 - LEVEL) / 2))
+    low, high = (chi2.ppf(p, nu * free) / (nu * free) for p in TAILS)
     sigma = Estimate(np.sqrt(power), np.sqrt(power / low), np.sqrt(power / high))
     repeats = max(float(np.mean(mean**2)) - power / n, 0.0)
     unsure = 1.96 * np.sqrt(4 * repeats * power / (n * nu) + 2 * (power / n) ** 2 / nu)
@@ -122,7 +123,8 @@ def potential_of(e, dt: float) -> Potential:
     if along is not None:
         slope = max(float(np.mean(along**2)) - power / (_steps(n) @ _steps(n)), 0.0)
     start = float(np.mean((e[0] - mean) ** 2)) - power * (1 + 1 / n) if apart else 0.0
-    cutoff = Estimate(*(_cutoff(spectrum, of) for of in _repeatable(spectrum)))
+    repeatable = (spectrum.repeatable, *(spectrum.ratio * spectrum.new))
+    cutoff = Estimate(*(_cutoff(spectrum, of) for of in repeatable))
     above = spectrum.frequencies > cutoff.value
     of = np.clip(spectrum.repeatable, 0.0, None) * spectrum.widths
     rest = repeats * float(of[above].sum() / of.sum()) if of.any() else repeats
@@ -216,9 +218,8 @@ def _spectrum(mean: np.ndarray, new: np.ndarray, free: int, trials: int, dt: flo
     S, P = (scale * np.bincount(band, of) / count for of in (of_new, of_mean))
     widths = np.diff(edges)
     freedom = 2 * widths * N * dt
-    found, ends = trials * P / S, ((1 + LEVEL) / 2, (1 - LEVEL) / 2)
-    of_chance = [ratio_of_variances.ppf(p, freedom, freedom * free) for p in ends]
-    ratio = np.stack([(found / one - 1) / trials for one in of_chance])
+    of_chance = [ratio_of_variances.ppf(p, freedom, freedom * free) for p in TAILS]
+    ratio = np.stack([(trials * P / S / one - 1) / trials for one in of_chance])
     squares = np.sum(of_new**2) / (1 + 1 / (TAPERS * free))
     even = float(2 * np.sum(of_new) ** 2 / squares)
     return Spectrum(edges[:-1] + widths / 2, widths, S, P - S / trials, ratio, freedom, even)
@@ -230,12 +231,6 @@ def _freedom(spectrum: Spectrum, new: np.ndarray, free: int) -> float:
     by_chance = 1 + 2 * SEGMENTS / (spectrum.even * free)
     uneven = np.mean(parts**2) / np.mean(parts) ** 2 / by_chance
     return float(np.clip(spectrum.even / max(uneven, 1.0), 1.0, new.shape[1]))
-
-
-def _repeatable(spectrum: Spectrum) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The spectrum of the repeatable part, and the ends of its interval."""
-    low, high = spectrum.ratio * spectrum.new
-    return spectrum.repeatable, low, high
 
 
 def _cutoff(spectrum: Spectrum, repeatable: np.ndarray) -> float:

@@ -155,12 +155,8 @@ class Problem(NamedTuple):
     def plant_at(self, theta):
         return replaced(self.plant, dict(zip(self.names, map(float, theta), strict=False)))
 
-    def solve(self, theta, **options):
-        """The minimum that least squares within a trust region reaches from theta."""
-        return least_squares_from(self, theta, **options)
 
-
-def least_squares_from(problem, theta, **options) -> Minimum:
+def minimum(problem, theta, **options) -> Minimum:
     """The minimum that least squares within a trust region reaches from theta.
 
     problem: with `residual(theta)` and `sensitivity(theta)` as `Problem` has them, its `samples`,

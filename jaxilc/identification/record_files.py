@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -362,7 +362,6 @@ DOUBTFUL = 0.1
 # Share of the sample time by which a step of a record's time may differ from the others.
 STEP_TOLERANCE = 0.01
 _WITH_UNIT = re.compile(r"^(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
-_WITH_SUFFIX = re.compile(r"^(.+)_([a-zµμ]+)$")
 
 
 def name_and_unit_of_time(heading: str) -> tuple[str, str | None]:
@@ -370,12 +369,16 @@ def name_and_unit_of_time(heading: str) -> tuple[str, str | None]:
 
     The unit is None where there is none. A suffix is a unit only if it is one of time.
     """
+    name, unit = name_and_any_unit(heading, (*SECONDS, *OTHER_NAMES))
+    return name, None if unit is None else OTHER_NAMES.get(unit, unit)
+
+
+def name_and_any_unit(heading: str, suffixes: Collection[str]) -> tuple[str, str | None]:
+    """The name and the unit of a heading, in brackets of both kinds or as one of some suffixes."""
     if found := _WITH_UNIT.match(heading):
-        unit = (found[2] if found[2] is not None else found[3]).strip()
-        return found[1], OTHER_NAMES.get(unit, unit)
-    if (found := _WITH_SUFFIX.match(heading)) and (OTHER_NAMES.get(found[2], found[2]) in SECONDS):
-        return found[1], OTHER_NAMES.get(found[2], found[2])
-    return heading, None
+        return found[1], (found[2] if found[2] is not None else found[3]).strip()
+    name, _, suffix = heading.rpartition("_")
+    return (name, suffix) if name and suffix in suffixes else (heading, None)
 
 
 def place_of_time(name: str, header: list[str]) -> int | None:

@@ -17,14 +17,25 @@ from ..plants.process_model import LONGEST_DELAY, cascade, samples_of
 from ..pytree.named_paths import get_at, replaced
 from ..pytree.ranges import SEEDS, require
 from ..theory.on_lines import MeasuredResponse
-from .estimation import MOST, REFINED, STRUCTURES, Order, drawn_plants, information, with_numerator
-from .problem import SAMPLES_PER_PARAMETER, Coordinates, Minimum, free_elements, least_squares_from
+from .estimation import (
+    REFINED,
+    STRUCTURES,
+    Order,
+    Structure,
+    best_refined,
+    drawn_plants,
+    fitted_to_each,
+    information,
+    with_as_many,
+    with_numerator,
+)
+from .problem import SAMPLES_PER_PARAMETER, Coordinates, Minimum, free_elements, minimum
 from .verdict import (
     CONFIDENCE,
-    LAGS,
     WHITE,
     Estimate,
     Identified,
+    correlations,
     estimates,
     inverse_of_normal,
     poles_of,
@@ -70,18 +81,9 @@ def identify_response(
     """
     require("identify_response", "seed", seed, SEEDS, whole=True)
     require("identify_response", "starts", starts, "[1, inf)", whole=True)
-    for name, value in (("poles", poles), ("pairs", pairs), ("zeros", zeros)):
-        require("identify_response", name, value, f"[0, {MOST}]", whole=True)
-    order = poles + 2 * pairs
-    require("identify_response", "zeros", zeros, f"[0, {order})", note=", the order")
+    plant = with_as_many("identify_response", poles, pairs, zeros)
     checked_lines(measured, dt, delay)
-    parameters = 1 + zeros + order + (delay is None)
-    if not enough_lines(measured, parameters):
-        raise ValueError(
-            f"identify_response: {len(measured.frequencies)} lines are too few to fit {parameters} "
-            f"parameters; allowed are at least {-(-SAMPLES_PER_PARAMETER * parameters // 2)}"
-        )
-    plant = ProcessModel(1.0, np.ones(zeros), np.ones(poles), np.ones(pairs), np.ones(pairs))
+    need_lines(measured, 1 + zeros + plant.order + (delay is None))
     problem = response_problem(measured, plant, dt, delay)
     return _judged(problem, best_of_many_starts(problem, starts, seed))
 
@@ -89,12 +91,12 @@ def identify_response(
 def compare_response_orders(
     measured: MeasuredResponse,
     *,
-    structures: Sequence[tuple[int, int, int]] = STRUCTURES,
+    structures: Sequence[Structure] = STRUCTURES,
     dt: float | None = None,
     delay: float | None = None,
     starts: int = 64,
     seed: int = 0,
-    each: Callable[[tuple[int, int, int]], object] = lambda structure: None,
+    each: Callable[[Structure], object] = lambda structure: None,
 ) -> list[Order]:
     """Fits of several structures to a measured response, as `compare_orders` has them for a record.
 
@@ -105,20 +107,10 @@ def compare_response_orders(
     the first one. `rms` is the root mean square of |G - P| / std.
     """
     found = []
-    for i, (poles, pairs, zeros) in enumerate(structures):
-        if i and not enough_lines(measured, 2 + poles + 2 * pairs + zeros):
-            continue
-        each((poles, pairs, zeros))
-        fit = identify_response(
-            measured,
-            poles=poles,
-            pairs=pairs,
-            zeros=zeros,
-            dt=dt,
-            delay=delay,
-            starts=starts,
-            seed=seed,
-        )
+    given = {"dt": dt, "delay": delay, "starts": starts, "seed": seed}
+    fit_of_each = functools.partial(identify_response, measured, **given)
+    enough = functools.partial(enough_lines, measured)
+    for structure, fit in fitted_to_each(structures, enough, fit_of_each, each):
         problem = response_problem(measured, cast(ProcessModel, fit.plant), dt, delay)
         error = problem.weights * (measured.response - fit.simulated[:, 0])
         parts, number = np.concatenate([error.real, error.imag]), len(fit.parameters)
@@ -126,7 +118,7 @@ def compare_response_orders(
         if not (np.any(measured.std) and measured.averages_known):
             bic = information(parts, number, 1e-9)
         rms = float(np.sqrt(np.mean(parts**2)))
-        found.append(Order(poles, pairs, zeros, number, rms, bic, np.nan, fit))
+        found.append(Order(*structure, number, rms, bic, np.nan, fit))
     return found
 
 
@@ -175,6 +167,15 @@ def enough_lines(measured: MeasuredResponse, parameters: int) -> bool:
     return 2 * len(measured.frequencies) >= SAMPLES_PER_PARAMETER * parameters
 
 
+def need_lines(measured: MeasuredResponse, parameters: int) -> None:
+    """Raises ValueError where there are too few lines for so many parameters."""
+    if not enough_lines(measured, parameters):
+        raise ValueError(
+            f"identify_response: {len(measured.frequencies)} lines are too few to fit {parameters} "
+            f"parameters; allowed are at least {-(-SAMPLES_PER_PARAMETER * parameters // 2)}"
+        )
+
+
 def _judged(problem: ResponseProblem, found: Minimum) -> Identified:
     """The result at the minimum, with its intervals, poles and tests of the residual."""
     theta, measured = found.theta, problem.measured
@@ -185,10 +186,10 @@ def _judged(problem: ResponseProblem, found: Minimum) -> Identified:
     covariance = inverse_of_normal(problem.sensitivity(theta)[:, 0]) * (1.0 if known else ratio**2)
     tail = 0.5 + CONFIDENCE / 2
     width = scipy.special.ndtri(tail) if known else scipy.special.stdtrit(freedom, tail)
-    plant = dataclasses.replace(problem.plant_at(theta), delay=problem.delay_at(theta))
     weighted = problem.weights * measured.response
     error = residual[: len(weighted)] + 1j * residual[len(weighted) :]
-    fitted = plant, problem.names, theta, covariance, width, problem.response(theta)
+    P = problem.response(theta)
+    fitted = problem.plant_at(theta), problem.names, theta, covariance, width, P
     return of_lines(*fitted, error, weighted, ratio, known=known, converged=found.converged)
 
 
@@ -239,9 +240,7 @@ def whiteness_of_lines(error) -> float:
     Over F lines of independent complex normal errors, such a correlation is complex and normal of
     variance 1 / F, so that it lies within a disc of radius 1.73 / sqrt(F) in 95 % of cases.
     """
-    lags = range(1, min(LAGS, len(error) // 4) + 1)
-    power = max(float(np.real(np.vdot(error, error))), np.finfo(float).tiny)
-    r = np.array([np.vdot(error[:-lag], error[lag:]) for lag in lags]) / power
+    r = correlations(error)
     return float(np.mean(np.abs(r) <= IN_DISC / np.sqrt(len(error)))) if len(r) else 1.0
 
 
@@ -313,21 +312,16 @@ class ResponseProblem(NamedTuple):
         slopes = self.weights[:, None] * self._evaluated(theta)[1]
         return np.concatenate([slopes.real, slopes.imag])[:, None, :]
 
-    def start(self, plant: ProcessModel, delay: float) -> np.ndarray:
+    def start(self, plant: ProcessModel) -> np.ndarray:
         """The vector theta of a plant."""
         values = [float(get_at(plant, name)) for name in self.names if name != "delay"]
-        return np.array(values + ([delay] if self.delay is None else []))
+        return np.array(values + [plant.delay] * (self.delay is None))
 
     def plant_at(self, theta) -> ProcessModel:
-        """The plant with the values theta, but without its delay."""
-        named = zip(self.names, map(float, theta), strict=True)
-        return replaced(self.plant, {name: v for name, v in named if name != "delay"})
-
-    def delay_at(self, theta) -> float:
-        return float(theta[-1]) if self.delay is None else self.delay
-
-    def solve(self, theta, **options) -> Minimum:
-        return least_squares_from(self, theta, **options)
+        """The plant with the values theta."""
+        values = dict(zip(self.names, map(float, theta), strict=True))
+        delay = values.pop("delay", self.delay)
+        return dataclasses.replace(replaced(self.plant, values), delay=delay)
 
 
 def response_problem(
@@ -336,7 +330,7 @@ def response_problem(
     """The problem of a measured response; delay: [s], None where it is fitted."""
     f, G, std = (np.asarray(x) for x in measured[:3])
     names = free_elements(plant, None)
-    coordinates = Coordinates.of(plant, free_elements(plant, None))
+    coordinates = Coordinates.of(plant, names)
     longest = longest_delay(f, dt)
     if delay is None:  # the coordinate of the bias of a record is that of the delay
         names = (*names, "delay")
@@ -368,7 +362,7 @@ def best_of_many_starts(problem: ResponseProblem, starts: int, seed: int) -> Min
         f, G, std = (np.asarray(of)[::every] for of in problem.measured[:3])
         measured = MeasuredResponse(f, G, std)
         thinned = problem._replace(measured=measured, weights=problem.weights[::every])
-        return problem.solve(best_of_many_starts(thinned, starts, seed).theta)
+        return minimum(problem, best_of_many_starts(thinned, starts, seed).theta)
     f = problem.measured.frequencies
     rates = (np.pi * f[0], 4 * np.pi * f[-1])
     drawn = drawn_plants(problem.plant, rates, starts, seed)
@@ -380,17 +374,11 @@ def best_of_many_starts(problem: ResponseProblem, starts: int, seed: int) -> Min
         for i in range(starts)
     ]
     scored = sorted((one for one in scored if np.isfinite(one[0])), key=lambda one: one[0])
-    begin = [problem.start(plant, delay) for _, plant, delay in scored[:REFINED]]
-    winner = min(
-        (problem.solve(theta, ftol=1e-4, max_nfev=30) for theta in begin),
-        key=lambda found: found.cost,
-    )
-    regrouped = problem.plant_at(winner.theta).regrouped()
-    return problem.solve(problem.start(regrouped, problem.delay_at(winner.theta)))
+    return best_refined(problem, [plant for _, plant in scored[:REFINED]])
 
 
 def _scored(problem: ResponseProblem, plant: ProcessModel, delays):
-    """The least sum of squares of a denominator, the plant with its numerator, and the delay."""
+    """The least sum of squares of a denominator, and the plant with its numerator and delay."""
     measured, w = problem.measured, problem.weights
     s, m = 2j * np.pi * measured.frequencies, problem.counts[0]
     held = 1.0 if problem.dt is None else -np.expm1(-s * problem.dt) / (s * problem.dt)
@@ -401,14 +389,15 @@ def _scored(problem: ResponseProblem, plant: ProcessModel, delays):
     basis = (w * held / slow)[:, None] * zero[:, None] ** np.arange(m + 1)
     size = np.linalg.norm(basis, axis=0)
     if not (np.all(np.isfinite(size)) and np.all(size)):
-        return np.inf, plant, 0.0
+        return np.inf, plant
     basis = basis / size
     wanted = (w * measured.response)[:, None] * np.exp(np.outer(s, delays))
     products = np.real(basis.conj().T @ wanted)
     weights = np.linalg.pinv(np.real(basis.conj().T @ basis), hermitian=True) @ products
     left = np.sum(np.abs(w * measured.response) ** 2) - np.sum(weights * products, axis=0)
     best = int(np.argmin(left))
-    return left[best], with_numerator(plant, weights[:, best] / size), float(delays[best])
+    found = with_numerator(plant, weights[:, best] / size)
+    return left[best], dataclasses.replace(found, delay=float(delays[best]))
 
 
 # The response of a fitted plant, and its band
@@ -563,8 +552,5 @@ def _of_process(identified: Identified, plant: ProcessModel, dt: float, f: np.nd
     place |= {name: place[f"{name}[0]"] for name in FIELDS if f"{name}[0]" in place}
     known = [(k, place[n]) for k, n in enumerate(identified.parameters) if n in place]
     rows, columns = (np.array(x, int) for x in zip(*known, strict=True))
-    return (
-        P,
-        (slopes / P[:, None])[:, columns],
-        np.asarray(identified.covariance)[np.ix_(rows, rows)],
-    )
+    covariance = np.asarray(identified.covariance)[np.ix_(rows, rows)]
+    return P, (slopes / P[:, None])[:, columns], covariance

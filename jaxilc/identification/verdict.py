@@ -214,11 +214,16 @@ def fit_of(y, residual):
 
 
 def _whiteness(residual) -> float:
-    """Share of the autocorrelations at lags 1 .. LAGS within the 95 % bounds of white noise."""
-    e = residual - np.mean(residual)
+    """Share of the autocorrelations within the 95 % bounds of white noise."""
+    r = correlations(residual - np.mean(residual))
+    return float(np.mean(np.abs(r) <= 1.96 / np.sqrt(len(residual))))
+
+
+def correlations(e) -> np.ndarray:
+    """(lags,) the correlations of a signal (n,) with itself, at the lags 1 .. LAGS below n / 4."""
+    power = max(float(np.real(np.vdot(e, e))), np.finfo(float).tiny)
     lags = range(1, min(LAGS, len(e) // 4) + 1)
-    r = np.array([e[lag:] @ e[:-lag] for lag in lags]) / (e @ e)
-    return float(np.mean(np.abs(r) <= 1.96 / np.sqrt(len(e))))
+    return np.array([np.vdot(e[:-lag], e[lag:]) for lag in lags]) / power
 
 
 def estimates(names, values, half) -> dict[str, Estimate]:

@@ -97,10 +97,7 @@ def _nearest(y: Array, path: Array, window: int, closed: Array) -> Array:
     inside_it, over_it = np.clip(centres - window, 0, last - width), centres - width // 2
     first = jnp.where(closed, over_it, inside_it)
     chords = (first[:, None] + np.arange(width)) % last
-    candidates, _, squared = _away(y[:, None], path[:-1][chords], (path[1:] - path[:-1])[chords])
-    # A path that dwells has chords of no direction; they may only be chosen where there is nothing
-    # else.
-    best = jnp.argmin(jnp.where(squared > 0, jnp.sum(candidates**2, axis=-1), jnp.inf), axis=1)
+    best = _nearest_among(y, path[:-1][chords], (path[1:] - path[:-1])[chords])
     return jnp.take_along_axis(chords, best[:, None], axis=1)[:, 0]
 
 
@@ -138,15 +135,20 @@ def _nearest_of_as_many(y: Array, path: Array, window: int, closed: Array) -> Ar
     none = jnp.full(last + 1, jnp.inf, y.dtype), jnp.full(last + 1, window)
     at = lax.fori_loop(0, 2 * window, nearer, none)[1]
     near = (np.arange(last + 1) - window + at) % last
-    at_start = _nearest_of_all(y[:window], path[: 2 * window + 1])
-    at_end = _nearest_of_all(y[-window:], path[-2 * window - 1 :]) + last - 2 * window
+    # at the ends of an open path, among all chords there
+    at_start = _nearest_among(y[:window], path[: 2 * window], steps[: 2 * window])
+    at_end = _nearest_among(y[-window:], path[-2 * window - 1 : -1], steps[-2 * window :])
+    at_end += last - 2 * window
     of_open = jnp.concatenate([at_start, near[window:-window], at_end])
     return jnp.where(closed, near, of_open)
 
 
-def _nearest_of_all(y: Array, path: Array) -> Array:
-    """The same among all chords of a short path, for the ends of an open one."""
-    candidates, _, squared = _away(y[:, None], path[:-1], path[1:] - path[:-1])
+def _nearest_among(y: Array, start: Array, step: Array) -> Array:
+    """(M,) the nearest of some chords (W, d), or (M, W, d).
+
+    A path that dwells has chords of no direction; one is chosen only where there is nothing else.
+    """
+    candidates, _, squared = _away(y[:, None], start, step)
     return jnp.argmin(jnp.where(squared > 0, jnp.sum(candidates**2, axis=-1), jnp.inf), axis=1)
 
 

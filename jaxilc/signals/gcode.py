@@ -103,7 +103,9 @@ class _Reader:
             elif value not in _NO_EFFECT:
                 raise ValueError(f"G{value:g} is not supported; allowed are {_SUPPORTED}")
         if "F" in words:
-            self.feed = _feed(words.pop("F") * self.unit / 60)
+            self.feed = words.pop("F") * self.unit / 60
+            if not self.feed > 0:
+                raise ValueError(f"F = {self.feed * 60:g} is outside its allowed range (0, inf)")
         if dwell:
             self._dwell(words)
         elif words:
@@ -227,12 +229,6 @@ def _words(block: str) -> tuple[list[tuple[str, float]], dict[str, float]]:
     if len(motions) > 1:
         raise ValueError(f"{' and '.join(motions)} in one line; allowed is one")
     return codes, words
-
-
-def _feed(feed: float) -> float:
-    if not feed > 0:
-        raise ValueError(f"F = {feed * 60:g} is outside its allowed range (0, inf)")
-    return feed
 
 
 def _said(words: dict[str, float]) -> str:

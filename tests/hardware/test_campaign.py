@@ -9,6 +9,7 @@ import json
 import shutil
 import subprocess
 import sys
+from functools import partial
 from itertools import pairwise
 
 import control
@@ -66,14 +67,10 @@ PROGRAM = "import sys; from jaxilc.cli import entry; {} entry.main()"
 
 
 def real_machine(axis):
-    """Return a machine that differs from that of the file.
-
-    It has another plant, an encoder and noise.
-    """
+    """Return a machine that has another plant than the file's, an encoder and noise."""
     plant = from_control(control.tf([4600.0], [1.0, 60.0, 4000.0]))
-    return dataclasses.replace(
-        axis.machine, plant=plant, sensor=Sensor(resolution=1e-4, noise=5e-5)
-    )
+    encoder = Sensor(resolution=1e-4, noise=5e-5)
+    return dataclasses.replace(axis.machine, plant=plant, sensor=encoder)
 
 
 @jax.jit
@@ -96,30 +93,22 @@ def write_trial(path, t, r, y, u, units=("s", "mm", "mm", "V")):
 
 
 class Rig:
-    """The rig is the machine at the other end of the files.
-
-    `measure` plays the table of a file and writes the trace of trial j.
-    """
+    """The machine at the other end of the files."""
 
     def __init__(self, folder):
         self.folder = folder
         self.file = folder / "axis.toml"
         self.file.write_text(AXIS)
         self.axis = load_scenario(self.file)
-        self.scheme, self.task, self.machine = (
-            self.axis.schemes["ilc"],
-            self.axis.task,
-            real_machine(self.axis),
-        )
+        self.scheme, self.task = self.axis.schemes["ilc"], self.axis.task
+        self.machine = real_machine(self.axis)
 
-    def measure(self, table, trial, path, j_noise=None):
-        played = read_table(table)
+    def measure(self, table, trial, path):
+        """Play the table of a file, and write the trace of a trial."""
+        played, key = read_table(table), jax.random.fold_in(KEY, trial)
         u = played["feedforward [V]"][:-1, None]
-        key = jax.random.fold_in(KEY, trial if j_noise is None else j_noise)
-        y, u = (
-            np.asarray(s)[:, 0]
-            for s in _play(self.machine, self.scheme.feedback, self.task, u, key)[1:3]
-        )
+        made = _play(self.machine, self.scheme.feedback, self.task, u, key)
+        y, u = (np.asarray(signal)[:, 0] for signal in (made.y, made.u))
         write_trial(path, played["t [s]"], played["r [mm]"], y, u)
         return y, u
 
@@ -139,10 +128,7 @@ def go_on(state, out, *more):
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    """Run a campaign of 20 trials through files only.
-
-    The folder keeps every table and every trace.
-    """
+    """Run a campaign of 20 trials through files only; the folder keeps tables and traces."""
     folder = tmp_path_factory.mktemp("session")
     rig = Rig(folder)
     state, played = folder / "state", []
@@ -326,12 +312,10 @@ def test_a_trial_of_the_same_table_tells_how_repeatable_the_machine_is(copied):
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-21.csv").read_bytes()
     rig.measure(folder / "next.csv", 22, folder / "again.csv")
     difference = np.sqrt(np.mean((read_trace(folder / "again.csv") - y21) ** 2))
-    arguments = (
-        "next", "--state", state, "--measured", folder / "again.csv", "--out", folder / "next.csv",
-    )  # fmt: skip
+    again = ("--measured", folder / "again.csv", "--repeatability")
     with pytest.raises(ValueError, match=r"RMS difference of the outputs .* allowed is 1e-06 mm"):
-        call(*arguments, "--repeatability", 1e-6)
-    code, out, _ = call(*arguments, "--repeatability", 1e-3)
+        go_on(state, folder / "next.csv", *again, 1e-6)
+    code, out, _ = go_on(state, folder / "next.csv", *again, 1e-3)
     assert code == 0
     assert f"RMS difference of the outputs {difference:.3g} mm" in out
     assert Journal(state).manifests()[-1]["recipe"]["rules"] == {"repeatability": 1e-3}, (
@@ -348,41 +332,30 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
     y, u = rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     t, r = rig.task.time, rig.task.reference[:, 0]
     write_trial(folder / "worse.csv", t, r, y + 0.01, u)
-    arguments = ("next", "--state", state, "--out", folder / "next.csv", "--measured")
-    with pytest.raises(
-        ValueError,
-        match=(
-            r"the RMS error grew from .* by .*%; the best was trial 20 with .* --undo 19 goes "
-            r"back"
-        ),
-    ):
-        call(*arguments, folder / "worse.csv", "--set", "campaign.stop_on_growth=true")
+    measured = partial(go_on, state, folder / "next.csv", "--measured")
+    grew = r"the RMS error grew from .* by .*%; the best was trial 20 with .* --undo 19 goes back"
+    with pytest.raises(ValueError, match=grew):
+        measured(folder / "worse.csv", "--set", "campaign.stop_on_growth=true")
     write_trial(folder / "far.csv", t, r, y + 0.05, u)
     with pytest.raises(ValueError, match=r"times the best; .*accept=growth accepts it.*--undo 19"):
-        call(*arguments, folder / "far.csv")
-    _, _, err = call(*arguments, folder / "worse.csv", "--dry-run")
+        measured(folder / "far.csv")
+    _, _, err = measured(folder / "worse.csv", "--dry-run")
     assert "warning: the RMS error grew" in err
     assert "another schedule played" in err, (
         "u is not what the feedback would have done about this y"
     )
-    saturated = u.copy()
-    saturated[40:90] = 10.0
-    write_trial(folder / "saturated.csv", t, r, y, saturated)
-    with pytest.raises(
-        ValueError,
-        match=(
-            r"input 0 is at its limit 10 in 20.00% of the samples, first at sample 40; allowed "
-            r"are 5.00%"
-        ),
-    ):
-        call(*arguments, folder / "saturated.csv")
+    k = np.arange(len(u))
+    write_trial(folder / "saturated.csv", t, r, y, np.where((k >= 40) & (k < 90), 10.0, u))
+    limit = "at its limit 10 in 20.00% of the samples, first at sample 40; allowed are 5.00%"
+    with pytest.raises(ValueError, match=f"input 0 is {limit}"):
+        measured(folder / "saturated.csv")
     # Saturation is accepted, but the table that would follow is not.
     with pytest.raises(ValueError, match="the next feedforward is") as error:
-        call(*arguments, folder / "saturated.csv", "--set", "campaign.accept_saturation=true")
+        measured(folder / "saturated.csv", "--set", "campaign.accept_saturation=true")
     assert "at its limit" not in str(error.value)
-    write_trial(folder / "saturated.csv", t, r, y, np.where(np.arange(len(u)) == 40, 10.0, u))
+    write_trial(folder / "saturated.csv", t, r, y, np.where(k == 40, 10.0, u))
     accepted = ("--set", "campaign.accept=input", "--dry-run")
-    _, _, err = call(*arguments, folder / "saturated.csv", *accepted)
+    _, _, err = measured(folder / "saturated.csv", *accepted)
     assert "warning: input 0 is at its limit 10 in 0.40% of the samples, first at sample 40" in err
     assert Journal(state).live()[-1]["trial"] == TRIALS
 
@@ -394,14 +367,11 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
     limit = round(0.9 * abs(table[k]), 3)
     rig.measure(rig.folder / "next-20.csv", 20, folder / "trial.csv")
     go_on(state, folder / "next.csv", "--undo", 19)
-    arguments = (
-        "next", "--state", state, "--measured", folder / "trial.csv", "--out", folder / "next.csv",
-    )  # fmt: skip
+    more = ("--limit", limit, "--set", "campaign.accept_saturation=true")
     with pytest.raises(ValueError, match="the next feedforward") as error:
-        call(*arguments, "--limit", limit, "--set", "campaign.accept_saturation=true")
-    assert f"is {table[k]:.6g} V at sample {k}; allowed are +-{limit:g} V (campaign.limit)" in str(
-        error.value
-    )
+        go_on(state, folder / "next.csv", "--measured", folder / "trial.csv", *more)
+    said = f"is {table[k]:.6g} V at sample {k}; allowed are +-{limit:g} V (campaign.limit)"
+    assert said in str(error.value)
     assert Journal(state).live()[-1]["trial"] == 19
 
 
@@ -457,27 +427,26 @@ def cut(row, i, value=""):
 def test_mistakes_in_the_call_name_what_is_allowed(copied):
     rig, state, folder = copied
     trial, out = rig.folder / "trial-20.csv", folder / "next.csv"
-    start = ("next", "--state", folder / "new", "--scenario", rig.file, "--out", out)
+    here, new = ("next", "--state", state, "--out"), ("next", "--state", folder / "new", "--out")
     for arguments, message in (
-        (("next", "--state", state, "--measured", trial, "--out", out),
+        ((*here, out, "--measured", trial),
          "is trial 20, which was learned from already; measure trial 21"),
-        (("next", "--state", state, "--set", "ilc.feedback.kp=2", "--out", out),
+        ((*here, out, "--set", "ilc.feedback.kp=2"),
          "it differs in: scheme.feedback.kp: 1.0 there, 2.0 here"),
-        (("next", "--state", state, "--measured", trial), "--out is missing"),
-        (("next", "--state", state, "--out", folder / "next.txt"),
-         "is none of the formats .csv, .mat, .h"),
-        (("next", "--state", state, "--out", folder / "no/next.csv"), "the folder does not exist"),
-        (("next", "--state", state, "--out", out, "--undo", 20),
+        ((*here[:3], "--measured", trial), "--out is missing"),
+        ((*here, folder / "next.txt"), "is none of the formats .csv, .mat, .h"),
+        ((*here, folder / "no/next.csv"), "the folder does not exist"),
+        ((*here, out, "--undo", 20),
          "not one to go back to; allowed are those before the last one, 20"),
-        (("next", "--state", state, "--out", out, "--growth", -1),
-         "growth = -1 is outside its allowed range [0, inf)"),
-        ((*start, "--scheme", "pid"), "scheme = 'pid' is not one of those that learn; known: ilc"),
-        (("next", "--state", folder / "new", "--out", out), "the first call needs --scenario"),
+        ((*here, out, "--growth", -1), "growth = -1 is outside its allowed range [0, inf)"),
+        ((*new, out, "--scenario", rig.file, "--scheme", "pid"),
+         "scheme = 'pid' is not one of those that learn; known: ilc"),
+        ((*new, out), "the first call needs --scenario"),
         (("next", "--state", rig.folder, "--scenario", rig.file, "--out", out),
          "exists already; choose another folder"),
-        (("next", "--state", folder / "new", "--scenario", "cao-2019", "--out", out),
-         "--scheme is missing; those that learn are cfdl"),
-        ((*start, "--measured", trial), "holds no campaign; start one without --measured"),
+        ((*new, out, "--scenario", "cao-2019"), "--scheme is missing; those that learn are cfdl"),
+        ((*new, out, "--scenario", rig.file, "--measured", trial),
+         "holds no campaign; start one without --measured"),
         (("trials", "--state", folder / "new"), "holds no campaign"),
     ):  # fmt: skip
         with pytest.raises((ValueError, FileExistsError, FileNotFoundError)) as error:
@@ -491,19 +460,15 @@ def test_a_damaged_entry_is_named_and_can_be_left_behind(copied):
     rig, state, folder = copied
     damaged = state / "000020" / "memory.npz"
     damaged.write_bytes(damaged.read_bytes()[:100])
-    with pytest.raises(
-        ValueError, match=r"000020/memory.npz cannot be read .*--undo goes back to an earlier trial"
-    ):
+    back = "cannot be read .*--undo goes back to an earlier trial"
+    with pytest.raises(ValueError, match=f"000020/memory.npz {back}"):
         go_on(state, folder / "next.csv")
     go_on(state, folder / "next.csv", "--undo", 19)
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-20.csv").read_bytes()
     manifest = json.loads((state / "000020" / "manifest.json").read_text())
     assert manifest["trial"] == 20
     shutil.rmtree(state / "000003")
-    with pytest.raises(
-        ValueError,
-        match=r"000003/manifest.json cannot be read .*--undo goes back to an earlier trial",
-    ):
+    with pytest.raises(ValueError, match=f"000003/manifest.json {back}"):
         go_on(state, folder / "next.csv")
 
 

@@ -1,7 +1,6 @@
-"""These tests check files of measured trials and of tables to play.
+"""Files of measured trials are those of other programs.
 
-The measured files are written by other programs. The tables are read by a C compiler, and played by
-the feedback alone.
+Tables to play are read by a C compiler, and played by the feedback alone.
 """
 
 import re
@@ -30,12 +29,10 @@ TWO = Task(np.stack([np.sin(0.3 * K), np.cos(0.3 * K)], axis=1), dt=DT, inputs=1
 
 def mat(path, task=ONE, units=None, **signals):
     """Write a file as MATLAB's `save` does."""
-    units = (
-        {"t": "s", "y": task.unit, "r": task.unit, "u": task.input_unit} if units is None else units
-    )
-    scipy.io.savemat(
-        path, {"t": task.time[:, None], **signals, **({"units": units} if units else {})}
-    )
+    if units is None:
+        units = {"t": "s", "y": task.unit, "r": task.unit, "u": task.input_unit}
+    told = {"units": units} if units else {}
+    scipy.io.savemat(path, {"t": task.time[:, None], **signals, **told})
     return path
 
 
@@ -49,10 +46,8 @@ def text(path, header, *columns):
 def test_a_mat_file_is_read_with_its_units(tmp_path):
     y, u = K**2 / 7, np.arange(N) / 3
     for held in (u, u[:, None], np.append(u, 99.0)):
-        found = read_measured(
-            mat(tmp_path / "trial.mat", y=y[None], u=held, r=np.asarray(ONE.reference), current=u),
-            ONE,
-        )
+        file = mat(tmp_path / "a.mat", y=y[None], u=held, r=np.asarray(ONE.reference), current=u)
+        found = read_measured(file, ONE)
         np.testing.assert_array_equal(found.y[:, 0], y)
         np.testing.assert_array_equal(found.u[:, 0], u)
         assert found.ignored == ("current",)
@@ -94,16 +89,8 @@ OTHER_FORMATS = {
         {"y": "pos_act [mm]", "u": "u [V]"}, (),
     ),
     "comma.csv": (
-        lambda path: path.write_text(
-            "\n".join(
-                [
-                    "t [ms];y [mm];u [V]",
-                    *map(";".join, zip(*map(commas, (TIMES, Y, U)), strict=True)),
-                ]
-            )
-        ),
-        {},
-        (),
+        lambda path: path.write_text("\n".join(["t [ms];y [mm];u [V]", *map(
+            ";".join, zip(*map(commas, (TIMES, Y, U)), strict=True))])), {}, (),
     ),
     "sample.csv": (lambda path: text(path, "sample;y [mm];u [V]", 7 + K, Y, U), {}, ()),
     "halsampler.txt": (
@@ -146,10 +133,7 @@ def test_a_lost_sample_and_a_missing_unit_are_seen_in_other_formats_too(tmp_path
         ({"y": K, "units": {"t": "min", "y": "mm"}}, "t is in 'min'; this task needs 's'"),
         ({"y": K, "units": {"t": "ms", "y": "mm"}}, "is sampled at 1e-06 s but the task at"),
         ({"x": K}, "has no variable 'y'; present are t, x, units"),
-        (
-            {"y": np.stack([K, K], axis=1)},
-            r"y has shape \(21, 2\); allowed are real numbers in 1 columns",
-        ),
+        ({"y": np.stack([K, K], axis=1)}, r"y has shape \(21, 2\); allowed are real .* 1 columns"),
         ({"y": K * 1j}, "allowed are real numbers"),
         ({"y": K[:-1]}, "y has 20 rows; this task needs 21"),
         ({"y": K, "u": K[:-3]}, "u has 18 rows; this task needs 20"),
@@ -158,10 +142,9 @@ def test_a_lost_sample_and_a_missing_unit_are_seen_in_other_formats_too(tmp_path
     ],
 )
 def test_a_mat_file_that_does_not_fit_is_refused(tmp_path, contents, message):
+    file = mat(tmp_path / "trial.mat", **contents)
     with pytest.raises(ValueError, match=message):
-        read_measured(
-            mat(tmp_path / "trial.mat", units=contents.pop("units", None), **contents), ONE
-        )
+        read_measured(file, ONE)
 
 
 def test_channels_are_numbered_and_share_a_unit(tmp_path):
@@ -206,10 +189,8 @@ def test_a_clock_that_drifts_is_refused_and_one_that_starts_late_is_not(tmp_path
     task = Task(np.zeros(1001), dt=DT)
     y = np.zeros(1001)
     read_measured(text(tmp_path / "trial.csv", "t [s];y", 5.0 + task.time, y), task)
-    with pytest.raises(
-        ValueError,
-        match=r"the clock drifts by 0.0009 s over the trial; allowed is half a sample, 0.0005 s",
-    ):
+    drifts = "the clock drifts by 0.0009 s over the trial; allowed is half a sample, 0.0005 s"
+    with pytest.raises(ValueError, match=drifts):
         read_measured(text(tmp_path / "trial.csv", "t [s];y", 1.0009 * task.time, y), task)
     with pytest.raises(ValueError, match=r"has 0 rows of data; this task needs N \+ 1 = 1001"):
         read_measured(text(tmp_path / "trial.csv", "t [s];y", [], []), task)
@@ -260,11 +241,8 @@ def test_a_compiler_reads_the_c_header_as_it_was_meant(tmp_path, number):
         "return sizeof(jaxilc_reference[0][0]); }\n"
     )
     flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
-    subprocess.run(
-        ["cc", *flags, "-o", tmp_path / "main", tmp_path / "main.c"],
-        check=True,
-        capture_output=True,
-    )
+    compiled = ["cc", *flags, "-o", tmp_path / "main", tmp_path / "main.c"]
+    subprocess.run(compiled, check=True, capture_output=True)
     done = subprocess.run([tmp_path / "main"], capture_output=True, text=True)
     *rows, last = (line.split() for line in done.stdout.splitlines())
     expected = np.hstack(
@@ -322,10 +300,8 @@ def test_replay_gives_the_input_and_the_signals_of_the_trial(name):
 
 def test_only_what_is_learned_can_be_played():
     _, scheme, task = case("pid_position")
-    with pytest.raises(
-        ValueError,
-        match="PID learns nothing that a machine could play; allowed are schemes that learn",
-    ):
+    nothing = "PID learns nothing that a machine could play; allowed are schemes that learn"
+    with pytest.raises(ValueError, match=nothing):
         schedules(scheme, scheme.initial_memory(task), task)
     _, scheme, task = case("ffdl_none")
     rows = schedules(scheme, scheme.initial_memory(task), task)

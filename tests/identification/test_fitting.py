@@ -1,7 +1,4 @@
-"""Least squares with bounds and many starts are compared with closed forms and a reference solver.
-
-A learning run whose answer is known is tested too.
-"""
+"""Least squares with bounds and many starts, against closed forms, a solver, and learning runs."""
 
 import jax
 import jax.numpy as jnp
@@ -39,36 +36,21 @@ def test_linear_least_squares_within_wide_bounds(found):
     assert all(type(value) is float for value in found.values.values())
     np.testing.assert_allclose(list(found.values.values()), expected, rtol=1e-6)
     np.testing.assert_allclose(found.residuals, DESIGN @ expected - DATA, atol=1e-7)
-    np.testing.assert_allclose(
-        found.refined,
-        0.5 * squares,
-        rtol=1e-9,
-        err_msg="a convex problem has one minimum, from every start",
-    )
+    # a convex problem has one minimum, from every start
+    np.testing.assert_allclose(found.refined, 0.5 * squares, rtol=1e-9)
+    np.testing.assert_allclose(found.jacobian, DESIGN, rtol=1e-6)
 
 
 def test_costs_of_the_starts_and_of_the_refined(found):
-    assert found.costs.shape == (20,)
-    assert found.refined.shape == (3,)
+    assert (found.costs.shape, found.refined.shape) == ((20,), (3,))
     for costs in (found.costs, found.refined):
         np.testing.assert_array_equal(costs, np.sort(costs))
     np.testing.assert_allclose(found.refined[0], 0.5 * np.sum(found.residuals**2), rtol=1e-12)
     assert found.refined[-1] < found.costs[0]
 
 
-def test_jacobian_is_that_of_the_residuals_by_the_values(found):
-    """The Jacobian is that of the residuals with respect to the values.
-
-    For residuals that are linear in the values, it is the design matrix.
-    """
-    np.testing.assert_allclose(found.jacobian, DESIGN, rtol=1e-6)
-
-
 def test_linear_least_squares_on_the_bounds():
-    """Where the minimum without bounds lies outside, the fit ends on the bounds.
-
-    scipy's solver ends at the same values.
-    """
+    """Where the minimum without bounds lies outside, scipy's solver ends at the same values."""
     ranges = {"a": (-5.0, 0.5), "b": (0.1, 2.0), "c": (-1.0, -1e-4)}
     result = fit(linear, ranges, starts=20, refine=3)
     low, high = np.array(list(ranges.values())).T
@@ -81,10 +63,7 @@ def test_linear_least_squares_on_the_bounds():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_range_of_one_sign_is_searched_by_its_logarithm(sign):
-    """A range of one sign is searched by its logarithm.
-
-    Over eight decades there is one start in each of 64 equal parts of the logarithm.
-    """
+    """Over eight decades there is one start in each of 64 equal parts of the logarithm."""
 
     def decades_from_target(values):
         return (jnp.log10(sign * values["x"]) + 2.3)[None]
@@ -109,17 +88,9 @@ def test_a_range_with_zero_is_searched_evenly(ends):
 
 
 def bumpy(values):
-    """Return residuals whose sum of squares has minima about 2 pi / 5 apart.
-
-    It is zero only at (0.8, -0.4).
-    """
-    return jnp.stack(
-        [
-            r
-            for x, at in ((values["x"], 0.8), (values["y"], -0.4))
-            for r in (0.8 * (x - at), 2.0 * jnp.sin(2.5 * (x - at)))
-        ]
-    )
+    """Return residuals of many minima, about 2 pi / 5 apart; they are 0 only at (0.8, -0.4)."""
+    off = jnp.stack([values["x"] - 0.8, values["y"] + 0.4])
+    return jnp.concatenate([0.8 * off, 2.0 * jnp.sin(2.5 * off)])
 
 
 def test_many_starts_find_the_global_minimum_among_many():
@@ -141,9 +112,8 @@ def test_a_fit_is_repeatable_and_does_not_depend_on_the_tiles():
 
 def test_starts_that_are_not_finite_count_as_infinitely_bad():
     def gap(values):
-        return jnp.where(
-            values["x"] < 0.6, jnp.nan, jnp.stack([values["x"] - 0.7, 0.1 * values["x"]])
-        )
+        x = values["x"]
+        return jnp.where(x < 0.6, jnp.nan, jnp.stack([x - 0.7, 0.1 * x]))
 
     result = fit(gap, {"x": (0.0, 1.0)}, starts=20, refine=3)
     np.testing.assert_allclose(result.values["x"], 0.7 / 1.01, rtol=1e-6)
@@ -151,16 +121,12 @@ def test_starts_that_are_not_finite_count_as_infinitely_bad():
 
 
 def test_large_residuals_are_still_finite():
-    """Large residuals are treated as finite.
+    """With errors in nanometres the sum of squares is large, but the problem is well posed."""
 
-    With errors in nanometres the sum of squares is large, but the problem is well posed.
-    """
-    result = fit(
-        lambda values: 1e6 * jnp.stack([values["x"] - 3.0, values["x"] - 1.0]),
-        {"x": (-5.0, 5.0)},
-        starts=4,
-        refine=1,
-    )
+    def large(values):
+        return 1e6 * jnp.stack([values["x"] - 3.0, values["x"] - 1.0])
+
+    result = fit(large, {"x": (-5.0, 5.0)}, starts=4, refine=1)
     np.testing.assert_allclose(result.values["x"], 2.0, rtol=1e-6)
 
 
@@ -180,12 +146,8 @@ def test_start_value_and_weight_are_recovered_from_the_error_curve_they_gave():
     truth = {"phi0": 0.23, "lam": 0.4}
     curve = error_curve(**truth)
     assert np.ptp(curve) > 0.2
-    result = fit(
-        lambda values: error_curve(**values) - curve,
-        {"phi0": (0.05, 1.0), "lam": (0.1, 10.0)},
-        starts=32,
-        refine=3,
-    )
+    ranges = {"phi0": (0.05, 1.0), "lam": (0.1, 10.0)}
+    result = fit(lambda values: error_curve(**values) - curve, ranges, starts=32, refine=3)
     np.testing.assert_allclose(list(result.values.values()), list(truth.values()), rtol=1e-5)
     assert result.refined[0] < 1e-12
     for name, column in zip(truth, result.jacobian.T, strict=True):
@@ -194,10 +156,7 @@ def test_start_value_and_weight_are_recovered_from_the_error_curve_they_gave():
 
 
 def test_the_search_runs_through_jit_and_its_caller_stays_pure():
-    """The search runs within jit, and its caller has no side effects.
-
-    The residuals get tracers by name, and all names at once.
-    """
+    """The residuals get tracers by name, and all names at once."""
     seen = []
 
     def residuals(values):

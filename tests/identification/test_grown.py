@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxilc.identification import Record, excite, grow, grown, read_record
+from jaxilc.identification import Record, excite, grow, grown, projection, read_record
 from jaxilc.learning import Machine, Sensor
 from jaxilc.plants import ModalModel, ProcessModel
 
@@ -38,13 +38,19 @@ def test_the_slopes_of_the_residual_are_those_of_differences(inputs, outputs):
     of = signals(u, outputs)
     X, _ = grown.columns(of, PARTS)
     of = of._replace(y=X @ RNG.normal(size=(X.shape[1], outputs)))
-    r, J = grown.evaluated(of, PARTS)
-    assert np.max(np.abs(r)) < 1e-9
+
+    def at(x):
+        return projection.projected(x, grown.columns(of, PARTS.at(x))[0], of.y)
+
+    here = at(PARTS.x)
+    assert np.max(np.abs(here.left)) < 1e-9
+    J = grown.slopes(of, PARTS, here.N)
+    J = J - np.tensordot(here.Q, np.tensordot(here.Q.T, J, 1), 1)
     for i in range(len(PARTS.x)):
         step = np.zeros(len(PARTS.x))
         step[i] = 1e-6
-        ends = [grown.evaluated(of, PARTS.at(PARTS.x + s * step))[0] for s in (1, -1)]
-        np.testing.assert_allclose(J[:, i], (ends[0] - ends[1]) / 2e-6, rtol=1e-4, atol=1e-4)
+        ahead, behind = (at(PARTS.x + s * step).left for s in (1, -1))
+        np.testing.assert_allclose(J[..., i], (ahead - behind) / 2e-6, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("channels", [1, 2])
@@ -90,11 +96,9 @@ def test_a_simple_plant_stays_one_of_real_zeros():
 
 @pytest.mark.thorough
 def test_one_lag_is_a_gain_and_a_pole_also_in_few_samples():
-    model = grow(
-        excite(Machine(ProcessModel(3.0, (), (80.0,)), sensor=Sensor(noise=0.1)), U[:60], DT)
-    )
-    assert isinstance(model.found.plant, ProcessModel)
-    assert model.found.plant.order == 1
+    lag = Machine(ProcessModel(3.0, (), (80.0,)), sensor=Sensor(noise=0.1))
+    found = grow(excite(lag, U[:60], DT)).found.plant
+    assert (type(found), found.order) == (ProcessModel, 1)
 
 
 def test_a_dipole_is_kept_or_dropped_by_its_joint_test():

@@ -12,7 +12,8 @@ from jaxilc.identification import (
     identified_response,
     read_frequency_response,
 )
-from jaxilc.identification.grown_response import Parts, Projected
+from jaxilc.identification.grown_response import Parts
+from jaxilc.identification.projection import Projected
 from jaxilc.outcomes import identify
 from jaxilc.theory.on_lines import MeasuredResponse
 

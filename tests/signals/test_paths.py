@@ -1,7 +1,6 @@
-"""These tests check planned paths and contour errors.
+"""Paths are compared with closed forms and a phase-plane integration.
 
-Paths are compared with closed forms and a phase-plane integration, contour errors with closed forms
-and a full search.
+Contour errors are compared with closed forms and a full search.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from jaxilc.signals.paths import butterfly, circle, line, nurbs, plan
 from jaxilc.signals.references import s_curve_move
 
 LIMITS = {"feed": 100.0, "acceleration": 2000.0, "jerk": 1e5}
+LIMITS_OF_AXES = {"feed": 100.0, "acceleration": (2000.0, 500.0), "jerk": (1e5, 1e4)}
 GENTLE = {"feed": 30.0, "acceleration": 300.0, "jerk": 8e3}
 SLACK = 1e-6  # relative to the limits on the sampled reference: rounding of its differences
 
@@ -53,12 +53,7 @@ PLANS = {
     "ellipse": (ellipse, (0, 2 * np.pi), LIMITS, 1e-3),
     "coarse": (ellipse, (0, 2 * np.pi), LIMITS, 2e-2),
     "helix": (helix, (0, 5), LIMITS, 1e-3),
-    "axes": (
-        ellipse,
-        (0, 2 * np.pi),
-        {"feed": 100.0, "acceleration": (2000.0, 500.0), "jerk": (1e5, 1e4)},
-        1e-3,
-    ),
+    "axes": (ellipse, (0, 2 * np.pi), LIMITS_OF_AXES, 1e-3),
 }
 
 
@@ -127,28 +122,16 @@ def test_a_straight_line_takes_the_time_of_the_closed_form(distance, acceleratio
 
 
 def test_a_sample_time_too_short_for_differences_is_no_endless_task():
-    """Planning ends even where the sample time is too short for differences.
-
-    At 3 us the rounding of positions alone, 1e-13 mm / dt^3, exceeds the jerk limit, and a longer
-    motion would not change that.
-    """
+    """The rounding of positions alone, 1e-13 mm / dt^3, exceeds the jerk limit at 3 us."""
     planned = plan(line((1000.0, 0.0), (1003.0, 0.0)), (0, 1), dt=3e-6, **GENTLE)
-    best = s_curve_move(
-        3.0, velocity=GENTLE["feed"], acceleration=GENTLE["acceleration"], jerk=GENTLE["jerk"]
-    )
+    best = s_curve_move(3.0, velocity=30.0, acceleration=300.0, jerk=8e3)
     assert np.max(np.abs(derivatives(planned.reference, 3e-6)[2])) > 1.2 * GENTLE["jerk"]
     assert_allclose(planned.duration, best.duration, rtol=0.05)
 
 
 def test_limits_of_each_axis_are_those_of_the_axis_that_binds():
-    planned = plan(
-        line((0, 0), (18.0, 24.0)),
-        (0, 1),
-        feed=100.0,
-        acceleration=(3000.0, 1600.0),
-        jerk=(6e4, 1e5),
-        dt=1e-4,
-    )
+    limits = {"feed": 100.0, "acceleration": (3000.0, 1600.0), "jerk": (6e4, 1e5)}
+    planned = plan(line((0, 0), (18.0, 24.0)), (0, 1), dt=1e-4, **limits)
     best = s_curve_move(30.0, velocity=100.0, acceleration=1600 / 0.8, jerk=6e4 / 0.6)
     assert_allclose(planned.duration, best.duration, rtol=5e-3)
 
@@ -159,27 +142,14 @@ def test_limits_of_each_axis_are_those_of_the_axis_that_binds():
     ids=["acceleration", "jerk"],
 )
 def test_a_circle_is_driven_at_the_speed_of_the_closed_form(jerk, speed):
-    """A circle is driven at the speed of the closed form.
-
-    a = v^2 / r, or v^3 / r^2 = jerk where that speed is lower.
-    """
-    planned = plan(
-        circle(20.0, centre=(3.0, 4.0)),
-        (0, 12 * np.pi),
-        feed=500.0,
-        acceleration=1000.0,
-        jerk=jerk,
-        dt=2e-3,
-    )
+    """It is that of a = v^2 / r, or of v^3 / r^2 = jerk where that speed is lower."""
+    limits = {"feed": 500.0, "acceleration": 1000.0, "jerk": jerk}
+    planned = plan(circle(20.0, centre=(3.0, 4.0)), (0, 12 * np.pi), dt=2e-3, **limits)
     assert_allclose(np.median(planned.speed), speed, rtol=5e-3)
 
 
 def test_with_much_jerk_a_curve_takes_the_time_of_phase_plane_integration():
-    """With a large jerk limit a curve takes the time of a phase-plane integration.
-
-    This is the classical optimum without a jerk limit: |(kappa v^2, v dv/ds)| <= a, integrated
-    forward and backward in a plain loop.
-    """
+    """The classical optimum without a jerk limit: |(kappa v^2, v dv/ds)| <= a, both ways."""
     s = np.linspace(0, 2 * np.pi, 40_001)
     d1, d2 = np.stack([-20 * np.sin(s), 8 * np.cos(s)]), -ellipse(s).T
     rate = np.linalg.norm(d1, axis=0)
@@ -226,7 +196,7 @@ def test_a_jump_of_curvature_is_passed_slowly():
 
 
 def test_nurbs_is_the_rational_sum():
-    """A NURBS is the rational sum: a quarter circle of weights 1, 2^(-1/2), 1 is exact."""
+    """A quarter circle of weights 1, 2^(-1/2), 1 is exact."""
     s = np.linspace(0, 1, 11)
     points = nurbs([[1, 0], [1, 1], [0, 1]], [0, 0, 0, 1, 1, 1], [1, np.sqrt(0.5), 1])(s)
     assert_allclose(np.hypot(*points.T), 1, **ALGEBRA)
@@ -240,12 +210,11 @@ def test_butterfly_has_two_equal_wings():
 
 
 def test_butterfly_of_ten_thousand_samples():
-    """The butterfly is planned with ten thousand samples.
+    """Two numbers are fitted to a picture, and three of four sharp points are met.
 
     A feed of 20.27 mm/s, after 497 samples of rest, puts the notches and the tail at three of the
-    four sharp points that Li 2020 names: samples 2915, 5249 and 7576 of 2 ms. Two numbers were
-    fitted to a picture. The fourth sharp point, 6093, is 385 samples past the nearest sharp point
-    of this curve.
+    four sharp points that Li 2020 names: samples 2915, 5249 and 7576 of 2 ms. The fourth, 6093, is
+    385 samples past the nearest sharp point of this curve.
     """
     dt = 2e-3
     limits = {"feed": 20.27, "acceleration": 1000.0, "jerk": 1e5}
@@ -290,59 +259,32 @@ def hairpin(s):
 
 
 REFUSED = {
-    "cusp": (
-        cycloid,
-        (1.0, 9.0),
-        {},
-        r"corner or cusp of 180 deg at parameter 6\.2831\d*, position \[6\.28.*"
-        "split the path there",
-    ),
-    "corner": (
-        bent,
-        (0.0, 1.0),
-        {},
-        r"corner or cusp of 45 deg at parameter 0\.7\d*, position \[0\.7 +0\. *\] mm; "
-        "split the path there",
-    ),
+    "cusp": (cycloid, (1.0, 9.0), {},
+             r"corner or cusp of 180 deg at parameter 6\.2831\d*, position \[6\.28.*"
+             "split the path there"),
+    "corner": (bent, (0.0, 1.0), {},
+               r"corner or cusp of 45 deg at parameter 0\.7\d*, position \[0\.7 +0\. *\] mm; "
+               "split the path there"),
     "standing still": (waiting, (0.0, 1.0), {}, r"stands still from parameter 0 to 5e-05"),
     "not finite": (pole, (0.0, 1.0), {}, r"not finite at parameter 0\.40005"),
-    "unresolved": (
-        lambda s: circle(1.0)(2e4 * s),
-        (0.0, 1.0),
-        {},
-        r"turns by 57\.3 deg between two points.*raise points",
-    ),
+    "unresolved": (lambda s: circle(1.0)(2e4 * s), (0.0, 1.0), {},
+                   r"turns by 57\.3 deg between two points.*raise points"),
     "flat": (lambda s: s, (0.0, 1.0), {}, r"the curve gives shape \(20001,\)"),
     "reversed": (ellipse, (1.0, 0.0), {}, r"interval = \(1\.0, 0\.0\) is not"),
     "dt": (ellipse, (0.0, 1.0), {"dt": 0.0}, r"dt = 0 s is outside"),
     "feed": (ellipse, (0.0, 1.0), {"feed": -1.0}, r"feed = -1 mm/s is outside"),
-    "acceleration": (
-        ellipse,
-        (0.0, 1.0),
-        {"acceleration": (100.0, 0.0)},
-        r"acceleration\[1\] = 0 mm/s\^2 is outside",
-    ),
+    "acceleration": (ellipse, (0.0, 1.0), {"acceleration": (100.0, 0.0)},
+                     r"acceleration\[1\] = 0 mm/s\^2 is outside"),
     "jerk": (ellipse, (0.0, 1.0), {"jerk": np.nan}, r"jerk = nan mm/s\^3 is outside"),
-    "axes": (
-        ellipse,
-        (0.0, 1.0),
-        {"jerk": (1.0, 2.0, 3.0)},
-        r"jerk has shape \(3,\); allowed are \(\) and \(2,\)",
-    ),
+    "axes": (ellipse, (0.0, 1.0), {"jerk": (1.0, 2.0, 3.0)},
+             r"jerk has shape \(3,\); allowed are \(\) and \(2,\)"),
     "points": (ellipse, (0.0, 1.0), {"points": 5}, r"points = 5 is outside"),
-    "endless": (
-        ellipse,
-        (0.0, 1.0),
-        {"jerk": 1e-12},
-        r"jerk = 1e-12 mm/s\^3 need .* samples of dt = 0\.001 s; allowed are up to",
-    ),
-    "a standstill": (
-        ellipse,
-        (0.0, 1.0),
-        {"feed": 1e-9},
-        r"feed = 1e-09 mm/s, .* need inf s, inf samples of dt = 0\.001 s; allowed are up to",
-    ),
-}
+    "endless": (ellipse, (0.0, 1.0), {"jerk": 1e-12},
+                r"jerk = 1e-12 mm/s\^3 need .* samples of dt = 0\.001 s; allowed are up to"),
+    "a standstill": (ellipse, (0.0, 1.0), {"feed": 1e-9},
+                     r"feed = 1e-09 mm/s, .* need inf s, inf samples of dt = 0\.001 s; allowed are "
+                     "up to"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -370,11 +312,7 @@ ANGLES = np.linspace(0, 2 * np.pi, 401)
 
 
 def test_on_a_circle_it_is_the_error_of_the_radius():
-    """On a circle the contour error is the error of the radius.
-
-    In anticlockwise motion the inside is on the left. The chords lie inside by r (1 - cos(half a
-    step)) at most.
-    """
+    """The inside is on the left; chords lie inside by r (1 - cos(half a step)) at most."""
     radius = 10 + 0.05 * np.cos(3 * ANGLES)
     lagging = ANGLES - 0.02  # a lag along the path is not a contour error
     y = radius[:, None] * circle(1.0)(lagging)
@@ -395,10 +333,7 @@ def test_on_a_line_it_is_the_signed_offset():
 
 
 def brute_force(points, path):
-    """Return the least distance of each point from the chords.
-
-    For each chord it is the best of three candidates.
-    """
+    """Return the least distance of each point from the chords, each at three candidates."""
     a, b = path[:-1], path[1:]
     away = points[:, None] - a
     foot = np.sum(away * (b - a), axis=-1) / np.sum((b - a) ** 2, axis=-1)
@@ -442,11 +377,7 @@ def test_a_denser_path_is_found_in_proportion(measured):
 
 
 def test_a_closed_path_has_no_start():
-    """A closed path has no start.
-
-    A tool that lags on an ellipse is first measured from the last part of the path. Its distance
-    there is the same as at every other place.
-    """
+    """A tool that lags on an ellipse is first measured from the last part of the path."""
     path = np.stack([4.0 * np.cos(ANGLES), 1.5 * np.sin(ANGLES)], axis=-1)
     lagging = ANGLES - 0.07 + 0.03 * np.sin(5 * ANGLES)
     y = (
@@ -510,21 +441,13 @@ def test_vmapped_it_equals_a_loop(measured):
 
 
 def test_it_is_saved_by_learning():
-    """The contour error can be saved while learning.
-
-    The task has two equal axes, and the tracking error is halved in each trial.
-    """
+    """The task has two equal axes, and the tracking error is halved in each trial."""
     dt = 1e-2
     planned = plan(ellipse, (0, 2 * np.pi), dt=dt, **LIMITS)
     table = StateSpace(0.5 * np.eye(2), 0.5 * np.eye(2), np.eye(2), x0=planned.reference[0], dt=dt)
     task = Task(planned.reference, dt=dt)
-    history = learn(
-        Machine(table),
-        PIDType(gamma_p=1.0),
-        task,
-        4,
-        save=lambda t: contour_error(t.y, t.r, window=20),
-    )
+    saved = {"save": lambda trial: contour_error(trial.y, trial.r, window=20)}
+    history = learn(Machine(table), PIDType(gamma_p=1.0), task, 4, **saved)
     worst = np.max(np.abs(history.saved), axis=1)
     assert history.saved.shape == (4, task.N + 1)
     assert_allclose(

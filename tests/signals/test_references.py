@@ -34,14 +34,13 @@ MOVES = {
     "jerk limit alone": (0.5, LIMITS, 4 * np.cbrt(0.5 / 2e5)),
 }
 TURNING = {
-    "duration": 4.0,
-    "dt": 1e-3,
-    "spindle_speed": 0.25,
-    "feed": 2.0,
-    "ellipticity": (0.4, 1.0),
-    "bulge": 0.1,
-    "length": 2.0,
-}
+    "duration": 4.0, "dt": 1e-3, "spindle_speed": 0.25, "feed": 2.0, "ellipticity": (0.4, 1.0),
+    "bulge": 0.1, "length": 2.0,
+}  # fmt: skip
+
+
+def turned(**changes):
+    return noncircular(**TURNING | changes)
 
 
 def crest(r):
@@ -67,23 +66,16 @@ def test_a_duration_that_rounds_in_binary_is_whole():
     assert len(sinusoid(1.0, 1.0, duration=0.3, dt=0.1)) == 4
 
 
-def test_multisine_is_a_sum_of_sinusoids():
+def test_multisine_is_a_sum_of_sinusoids_of_schroeders_phases():
     a, f, phi = [1.0, 0.5, 2.0], [1.0, 3.0, 4.5], [0.3, -1.0, 2.0]
-    expected = sum(
-        sinusoid(*af, phase=p, duration=1.0, dt=0.01) for *af, p in zip(a, f, phi, strict=True)
-    )
-    assert_allclose(multisine(a, f, phi, duration=1.0, dt=0.01), expected, atol=1e-14)
-
-
-def test_default_phases_are_schroeders():
-    a, f = np.array([1.0, 2.0, 0.5, 1.5]), np.arange(1.0, 5.0)
-    p = a**2 / np.sum(a**2)
-    phi = [np.pi / 2 - 2 * np.pi * sum((n - i) * p[i] for i in range(n)) for n in range(4)]
-    assert_allclose(
-        multisine(a, f, duration=1.0, dt=0.01),
-        multisine(a, f, phi, duration=1.0, dt=0.01),
-        atol=1e-13,
-    )
+    p = np.square(a) / np.sum(np.square(a))
+    default = [np.pi / 2 - 2 * np.pi * sum((n - i) * p[i] for i in range(n)) for n in range(3)]
+    for given, phases, atol in ((phi, phi, 1e-14), (None, default, 1e-13)):
+        expected = sum(
+            sinusoid(*af, phase=phase, duration=1.0, dt=0.01)
+            for *af, phase in zip(a, f, phases, strict=True)
+        )
+        assert_allclose(multisine(a, f, given, duration=1.0, dt=0.01), expected, atol=atol)
 
 
 def test_default_phases_lower_the_crest_factor():
@@ -258,14 +250,14 @@ def test_m_sequence_holds_and_repeats():
 
 
 def test_a_plain_oval_is_a_cosine():
-    r = noncircular(**TURNING | {"ellipticity": (0.5, 0.5), "bulge": 0.0})
+    r = turned(ellipticity=(0.5, 0.5), bulge=0.0)
     t = np.arange(4001) * 1e-3
     assert_allclose(r, 0.5 * (1 - np.cos(2 * np.pi * 0.5 * t)), atol=1e-15)
 
 
 def test_noncircular_meets_equation_28_at_the_oval_axes():
     # Z covers the length in one revolution of 4 s; the cosine is 1, -1, ... every second.
-    r = noncircular(**TURNING)
+    r = turned()
     G = 0.4 + 0.6 * (1 - np.cos(np.pi * np.array([0, 0.25, 0.5, 0.75, 1]))) / 2
     D = 0.1 * np.array([0, 0.75, 1, 0.75, 0])
     y = D / 2 + G / 4 - G * np.array([1, -1, 1, -1, 1])
@@ -274,7 +266,7 @@ def test_noncircular_meets_equation_28_at_the_oval_axes():
 
 @pytest.mark.parametrize(("feed", "bulge"), [(2.0, 0.0), (4.0, 0.1), (0.5, 0.1)])
 def test_noncircular_starts_at_zero_with_the_velocity_of_the_convexity(feed, bulge):
-    r = noncircular(**TURNING | {"duration": 1e-3, "dt": 1e-6, "feed": feed, "bulge": bulge})
+    r = turned(duration=1e-3, dt=1e-6, feed=feed, bulge=bulge)
     assert r[0] == 0
     assert_allclose((-3 * r[0] + 4 * r[1] - r[2]) / 2e-6, 2 * bulge * feed * 0.25 / 2.0, atol=1e-7)
 
@@ -286,184 +278,81 @@ SPAN = {"duration": 1.0, "dt": 1e-3}
 STEP = LIMITS | {"dt": 1e-3}
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: sinusoid(1, 1, duration=1, dt=0),
-            "sinusoid: dt = 0 s is outside its allowed range (0, inf)",
-        ),
-        (
-            lambda: sinusoid(1, 1, duration=-1, dt=0.1),
-            "sinusoid: duration = -1 s is outside its allowed range (0, inf)",
-        ),
-        (
-            lambda: sinusoid(1, 1, duration=0.25, dt=0.1),
-            "sinusoid: duration = 0.25 s is not a whole number >= 1 of samples of dt = 0.1 s",
-        ),
-        (
-            lambda: chirp(1, 1, 2, duration=1e-9, dt=0.1),
-            "chirp: duration = 1e-09 s is not a whole number >= 1 of samples of dt = 0.1 s",
-        ),
-        (
-            lambda: sinusoid(np.nan, 1, **SPAN),
-            "sinusoid: amplitude = nan mm is outside its allowed range (-inf, inf)",
-        ),
-        (
-            lambda: sinusoid(1, -1, **SPAN),
-            "sinusoid: frequency = -1 Hz is outside its allowed range (0, 500)",
-        ),
-        (
-            lambda: sinusoid(1, 500, **SPAN),
-            "sinusoid: frequency = 500 Hz is outside its allowed range (0, 500)",
-        ),
-        (
-            lambda: sinusoid(1, 1, phase=np.inf, **SPAN),
-            "sinusoid: phase = inf rad is outside its allowed range (-inf, inf)",
-        ),
-        (
-            lambda: sinusoid(1, 1, offset=np.inf, **SPAN),
-            "sinusoid: offset = inf mm is outside its allowed range (-inf, inf)",
-        ),
-        (
-            lambda: multisine([1, -1], [1, 2], **SPAN),
-            "multisine: amplitudes[1] = -1 mm is outside its allowed range (0, inf)",
-        ),
-        (
-            lambda: multisine([1, 1], [1, 600], **SPAN),
-            "multisine: frequencies[1] = 600 Hz is outside its allowed range (0, 500)",
-        ),
-        (
-            lambda: multisine([1], [1], [np.nan], **SPAN),
-            "multisine: phases[0] = nan rad is outside its allowed range (-inf, inf)",
-        ),
-        (
-            lambda: multisine([1, 1], [1], **SPAN),
-            "multisine: amplitudes (2,), frequencies (1,), phases (2,) must have one shape (M,), M "
-            ">= 1",
-        ),
-        (
-            lambda: multisine([], [], **SPAN),
-            "multisine: amplitudes (0,), frequencies (0,), phases (0,) must have one shape (M,), M "
-            ">= 1",
-        ),
-        (
-            lambda: chirp(np.inf, 1, 2, **SPAN),
-            "chirp: amplitude = inf mm is outside its allowed range (-inf, inf)",
-        ),
-        (
-            lambda: chirp(1, 0, 2, **SPAN),
-            "chirp: f_start = 0 Hz is outside its allowed range (0, 500)",
-        ),
-        (
-            lambda: chirp(1, 1, 501, **SPAN),
-            "chirp: f_stop = 501 Hz is outside its allowed range (0, 500)",
-        ),
-        (
-            lambda: chirp(1, 1, 2, method="log", **SPAN),
-            "chirp: method = 'log' is not one of 'linear', 'logarithmic'",
-        ),
-        (
-            lambda: s_curve_move(np.inf, **LIMITS),
-            "s_curve_move: distance = inf mm is outside its allowed range (-inf, inf)",
-        ),
-        (
-            lambda: s_curve_move(1, **LIMITS | {"jerk": 0}),
-            "s_curve_move: jerk = 0 mm/s^3 is outside its allowed range (0, inf)",
-        ),
-        (
-            lambda: s_curve([1], **STEP),
-            "s_curve: positions has shape (1,); allowed is (M,) with M >= 2",
-        ),
-        (
-            lambda: s_curve([0, np.nan], **STEP),
-            "s_curve: positions[1] = nan mm is outside its allowed range (-inf, inf)",
-        ),
-        (
-            lambda: s_curve([0, 1], **STEP | {"velocity": -1}),
-            "s_curve: velocity = -1 mm/s is outside its allowed range (0, inf)",
-        ),
-        (
-            lambda: s_curve([0, 1], **STEP | {"acceleration": 0}),
-            "s_curve: acceleration = 0 mm/s^2 is outside its allowed range (0, inf)",
-        ),
-        (
-            lambda: s_curve([0, 1], **STEP | {"jerk": np.inf}),
-            "s_curve: jerk = inf mm/s^3 is outside its allowed range (0, inf)",
-        ),
-        (
-            lambda: s_curve([0, 1], dwell=-1, **STEP),
-            "s_curve: dwell = -1 s is outside its allowed range [0, inf)",
-        ),
-        (
-            lambda: s_curve([0, 1], **STEP | {"dt": 0}),
-            "s_curve: dt = 0 s is outside its allowed range (0, inf)",
-        ),
-        (
-            lambda: s_curve([0, 30], duration=0.369, **STEP),
-            "s_curve: duration = 0.369 s is outside its allowed range [0.37, inf), the time of all "
-            "moves",
-        ),
-        (
-            lambda: s_curve([0, 30], duration=1.0005, **STEP),
-            "s_curve: duration = 1.0005 s is not a whole number >= 1 of samples of dt = 0.001 s",
-        ),
-        (
-            lambda: m_sequence(1),
-            "m_sequence: order = 1 is outside its allowed range [2, 32] of whole numbers",
-        ),
-        (
-            lambda: m_sequence(33),
-            "m_sequence: order = 33 is outside its allowed range [2, 32] of whole numbers",
-        ),
-        (
-            lambda: m_sequence(4.5),
-            "m_sequence: order = 4.5 is outside its allowed range [2, 32] of whole numbers",
-        ),
-        (
-            lambda: m_sequence(4, amplitude=np.nan),
-            "m_sequence: amplitude = nan is outside its allowed range (-inf, inf)",
-        ),
-        (
-            lambda: m_sequence(4, hold=0),
-            "m_sequence: hold = 0 is outside its allowed range [1, inf) of whole numbers",
-        ),
-        (
-            lambda: m_sequence(4, periods=0),
-            "m_sequence: periods = 0 is outside its allowed range [1, inf) of whole numbers",
-        ),
-        (
-            lambda: m_sequence(4, seed=16),
-            "m_sequence: seed = 16 is outside its allowed range [1, 15] of whole numbers",
-        ),
-    ],
-)
-def test_errors_name_function_parameter_value_and_range(call, message):
+REFUSED = [
+    (lambda: sinusoid(1, 1, duration=1, dt=0), "sinusoid: dt = 0 s", "(0, inf)"),
+    (lambda: sinusoid(1, 1, duration=-1, dt=0.1), "sinusoid: duration = -1 s", "(0, inf)"),
+    (lambda: sinusoid(np.nan, 1, **SPAN), "sinusoid: amplitude = nan mm", "(-inf, inf)"),
+    (lambda: sinusoid(1, -1, **SPAN), "sinusoid: frequency = -1 Hz", "(0, 500)"),
+    (lambda: sinusoid(1, 500, **SPAN), "sinusoid: frequency = 500 Hz", "(0, 500)"),
+    (lambda: sinusoid(1, 1, phase=np.inf, **SPAN), "sinusoid: phase = inf rad", "(-inf, inf)"),
+    (lambda: sinusoid(1, 1, offset=np.inf, **SPAN), "sinusoid: offset = inf mm", "(-inf, inf)"),
+    (lambda: multisine([1, -1], [1, 2], **SPAN), "multisine: amplitudes[1] = -1 mm", "(0, inf)"),
+    (lambda: multisine([1, 1], [1, 600], **SPAN), "multisine: frequencies[1] = 600 Hz", "(0, 500)"),
+    (lambda: multisine([1], [1], [np.nan], **SPAN), "multisine: phases[0] = nan rad",
+     "(-inf, inf)"),
+    (lambda: chirp(np.inf, 1, 2, **SPAN), "chirp: amplitude = inf mm", "(-inf, inf)"),
+    (lambda: chirp(1, 0, 2, **SPAN), "chirp: f_start = 0 Hz", "(0, 500)"),
+    (lambda: chirp(1, 1, 501, **SPAN), "chirp: f_stop = 501 Hz", "(0, 500)"),
+    (lambda: s_curve_move(np.inf, **LIMITS), "s_curve_move: distance = inf mm", "(-inf, inf)"),
+    (lambda: s_curve_move(1, **LIMITS | {"jerk": 0}), "s_curve_move: jerk = 0 mm/s^3", "(0, inf)"),
+    (lambda: s_curve([0, np.nan], **STEP), "s_curve: positions[1] = nan mm", "(-inf, inf)"),
+    (lambda: s_curve([0, 1], **STEP | {"velocity": -1}), "s_curve: velocity = -1 mm/s", "(0, inf)"),
+    (lambda: s_curve([0, 1], **STEP | {"acceleration": 0}), "s_curve: acceleration = 0 mm/s^2",
+     "(0, inf)"),
+    (lambda: s_curve([0, 1], **STEP | {"jerk": np.inf}), "s_curve: jerk = inf mm/s^3", "(0, inf)"),
+    (lambda: s_curve([0, 1], dwell=-1, **STEP), "s_curve: dwell = -1 s", "[0, inf)"),
+    (lambda: s_curve([0, 1], **STEP | {"dt": 0}), "s_curve: dt = 0 s", "(0, inf)"),
+    (lambda: s_curve([0, 30], duration=0.369, **STEP), "s_curve: duration = 0.369 s",
+     "[0.37, inf), the time of all moves"),
+    (lambda: m_sequence(1), "m_sequence: order = 1", "[2, 32] of whole numbers"),
+    (lambda: m_sequence(33), "m_sequence: order = 33", "[2, 32] of whole numbers"),
+    (lambda: m_sequence(4.5), "m_sequence: order = 4.5", "[2, 32] of whole numbers"),
+    (lambda: m_sequence(4, amplitude=np.nan), "m_sequence: amplitude = nan", "(-inf, inf)"),
+    (lambda: m_sequence(4, hold=0), "m_sequence: hold = 0", "[1, inf) of whole numbers"),
+    (lambda: m_sequence(4, periods=0), "m_sequence: periods = 0", "[1, inf) of whole numbers"),
+    (lambda: m_sequence(4, seed=16), "m_sequence: seed = 16", "[1, 15] of whole numbers"),
+    (lambda: turned(spindle_speed=250.0), "noncircular: spindle_speed = 250 rev/s", "(0, 250)"),
+    (lambda: turned(feed=0.0), "noncircular: feed = 0 mm/rev", "(0, inf)"),
+    (lambda: turned(ellipticity=(0.4, -0.1)), "noncircular: ellipticity[1] = -0.1 mm", "[0, inf)"),
+    (lambda: turned(bulge=-1.0), "noncircular: bulge = -1 mm", "[0, inf)"),
+    (lambda: turned(length=0.0), "noncircular: length = 0 mm", "(0, inf)"),
+    (lambda: turned(length=1.5), "noncircular: duration = 4 s",
+     "(0, 3], else Z leaves length"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "value", "allowed"), REFUSED)
+def test_errors_name_function_parameter_value_and_range(call, value, allowed):
+    message = f"{value} is outside its allowed range {allowed}"
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         call()
 
 
+WHOLE = "is not a whole number >= 1 of samples of dt ="
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("call", "message"),
     [
-        (
-            {"spindle_speed": 250.0},
-            "spindle_speed = 250 rev/s is outside its allowed range (0, 250)",
-        ),
-        ({"feed": 0.0}, "feed = 0 mm/rev is outside its allowed range (0, inf)"),
-        ({"ellipticity": 0.4}, "ellipticity has shape (); allowed is (2,)"),
-        (
-            {"ellipticity": (0.4, -0.1)},
-            "ellipticity[1] = -0.1 mm is outside its allowed range [0, inf)",
-        ),
-        ({"bulge": -1.0}, "bulge = -1 mm is outside its allowed range [0, inf)"),
-        ({"length": 0.0}, "length = 0 mm is outside its allowed range (0, inf)"),
-        (
-            {"length": 1.5},
-            "duration = 4 s is outside its allowed range (0, 3], else Z leaves length",
-        ),
+        (lambda: sinusoid(1, 1, duration=0.25, dt=0.1),
+         f"sinusoid: duration = 0.25 s {WHOLE} 0.1 s"),
+        (lambda: chirp(1, 1, 2, duration=1e-9, dt=0.1), f"chirp: duration = 1e-09 s {WHOLE} 0.1 s"),
+        (lambda: s_curve([0, 30], duration=1.0005, **STEP),
+         f"s_curve: duration = 1.0005 s {WHOLE} 0.001 s"),
+        (lambda: multisine([1, 1], [1], **SPAN),
+         "multisine: amplitudes (2,), frequencies (1,), phases (2,) must have one shape (M,), M "
+         ">= 1"),
+        (lambda: multisine([], [], **SPAN),
+         "multisine: amplitudes (0,), frequencies (0,), phases (0,) must have one shape (M,), M "
+         ">= 1"),
+        (lambda: chirp(1, 1, 2, method="log", **SPAN),
+         "chirp: method = 'log' is not one of 'linear', 'logarithmic'"),
+        (lambda: s_curve([1], **STEP),
+         "s_curve: positions has shape (1,); allowed is (M,) with M >= 2"),
+        (lambda: turned(ellipticity=0.4),
+         "noncircular: ellipticity has shape (); allowed is (2,)"),
     ],
-)
-def test_noncircular_refuses(change, message):
-    with pytest.raises(ValueError, match=f"^noncircular: {re.escape(message)}$"):
-        noncircular(**TURNING | change)
+)  # fmt: skip
+def test_errors_name_shapes_and_lengths(call, message):
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        call()

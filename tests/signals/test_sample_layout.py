@@ -1,8 +1,6 @@
-"""These tests check the memory layout of a batch.
+"""No number changes by the layout of a batch, and XLA uses the layout that it is given."""
 
-No number changes under any transformation, and XLA uses the layout that it is given.
-"""
-
+import functools
 import re
 
 import jax
@@ -18,14 +16,16 @@ from jaxilc.signals import Task
 from jaxilc.signals.rows import for_carry, for_scan
 
 SINE = Task(np.sin(2 * np.pi * np.arange(51) / 50), dt=1e-3)
+GAINS = jnp.linspace(0.4, 0.6, 4)
 X = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5, 2)))
 
 
-def through(x, place=lambda x: x):
-    """Run a loop over trials around a scan over samples, as `learn` does.
+def learned(gain, scheme):
+    return learn(Machine(DifferenceEquation([0.5], gain[None], dt=SINE.dt)), scheme, SINE, 6)
 
-    x: (5, 2)
-    """
+
+def through(x, place=lambda x: x):
+    """Run a loop over trials around a scan over samples, as `learn` does; x: (5, 2)."""
 
     def trial(memory, _):
         total, seen = lax.scan(
@@ -43,28 +43,17 @@ def placed(x):
 @pytest.mark.parametrize(
     "transform",
     [
-        jax.jit,
-        jax.grad,
-        jax.jacfwd,
-        jax.hessian,
-        jax.vmap,
+        jax.jit, jax.grad, jax.jacfwd, jax.hessian, jax.vmap,
         lambda f: jax.vmap(jax.grad(f)),
         lambda f: jax.grad(lambda x: jax.vmap(f)(x).sum()),
         lambda f: jax.vmap(lambda x: jax.vmap(lambda t: jax.jvp(f, (x,), (t,))[1])(X)),
         lambda f: jax.grad(lambda x: jax.checkpoint(jax.vmap(f))(x).sum()),
     ],
     ids=[
-        "jit",
-        "grad",
-        "jacfwd",
-        "hessian",
-        "vmap",
-        "vmap of grad",
-        "grad of vmap",
-        "vmap of jvp of vmap",
-        "checkpoint",
+        "jit", "grad", "jacfwd", "hessian", "vmap", "vmap of grad", "grad of vmap",
+        "vmap of jvp of vmap", "checkpoint",
     ],
-)
+)  # fmt: skip
 def test_every_transformation_gives_the_same_numbers(transform):
     of_one = transform in (jax.jit, jax.grad, jax.jacfwd, jax.hessian)
     at = X[0] if of_one else X
@@ -82,17 +71,8 @@ def test_only_arrays_of_rows_are_placed_and_trees_keep_their_shape():
 
 @pytest.mark.parametrize("scheme", [CFDLMFAILC(), FFDLMFAILC()], ids=["cfdl", "ffdl"])
 def test_a_batch_goes_from_trial_to_trial_with_its_samples_side_by_side(scheme):
-    gains = jnp.linspace(0.4, 0.6, 4)
-    batch = jax.jit(
-        jax.vmap(
-            lambda b: (
-                learn(
-                    Machine(DifferenceEquation([0.5], b[None], dt=SINE.dt)), scheme, SINE, 6
-                ).metrics.rms
-            )
-        )
-    )
-    program = batch.lower(gains).compile().as_text()
+    batch = jax.jit(jax.vmap(lambda b: learned(b, scheme).metrics.rms))
+    program = batch.lower(GAINS).compile().as_text()
     carry = re.findall(
         rf"f64\[4,{SINE.N},1\]\{{([\d,]+)\}}",
         " ".join(line for line in program.splitlines() if " while(" in line),
@@ -102,15 +82,9 @@ def test_a_batch_goes_from_trial_to_trial_with_its_samples_side_by_side(scheme):
 
 
 def test_rows_out_of_a_batch_are_those_of_its_members():
-    gains = jnp.linspace(0.4, 0.6, 4)
-
-    def last(b):
-        return learn(
-            Machine(DifferenceEquation([0.5], b[None], dt=SINE.dt)), FFDLMFAILC(), SINE, 5
-        ).final
-
-    together = jax.vmap(last)(gains)
-    for i, b in enumerate(gains):
-        alone = last(b)
+    last = functools.partial(learned, scheme=FFDLMFAILC())
+    together = jax.vmap(last)(GAINS).final
+    for i, b in enumerate(GAINS):
+        alone = last(b).final
         np.testing.assert_allclose(together.y[i], alone.y, rtol=1e-12, atol=1e-14)
         np.testing.assert_allclose(together.u[i], alone.u, rtol=1e-12, atol=1e-14)
