@@ -11,7 +11,7 @@ import numpy as np
 from .description import tips_of
 from .page import Live, hover, model_of, plot, shown_in, side_by_side, thinned
 from .published import numbers_of_paper
-from .style import names_of
+from .style import COLOURS, PALE, labelled, names_of
 from .within_trial import outputs_of
 
 if TYPE_CHECKING:
@@ -137,18 +137,17 @@ def _three(dataset: xr.Dataset, shown: ColumnDataSource, unit: str) -> list[Plot
     of_y, of_u = (dataset[n].attrs.get("units", "") for n in ("y", "u"))
     made: list[Plot] = []
     for name, label, lines in (
-        ("output", of_y, (("r", "#999999", 4, "reference"), ("y", "#0072b2", 1.5, "output"))),
-        ("error", unit, (("e", "#d55e00", 1.5, "error"),)),
-        ("input", of_u, (("u", "#009e73", 1.5, "input"),)),
+        ("output", of_y, (("r", PALE, 4), ("y", COLOURS[0], 1.5))),
+        ("error", unit, (("e", COLOURS[1], 1.5),)),
+        ("input", of_u, (("u", COLOURS[2], 1.5),)),
     ):
-        text = f"{name} [{label}]" if label else name
         time = "time [s]" if name == "input" else ""
         share = {"x_range": made[0].x_range} if made else {}
-        one = plot("", time, text, log=False, height=200, **share)
-        for of, colour, width, legend in lines:
-            look = {"line_width": width, "color": colour}
-            look |= {"legend_label": legend} if name == "output" else {}
-            one.line("t", of, source=shown, **look)
+        one = plot("", time, labelled(name, label), log=False, height=200, **share)
+        for of, colour, width in lines:
+            said = {"r": "reference", "y": "output"}.get(of)
+            named = {"legend_label": said} if said else {}
+            one.line("t", of, source=shown, line_width=width, color=colour, **named)
         made.append(one)
     return made
 
@@ -194,7 +193,7 @@ def machines(
                  "machine": np.arange(last.shape[1])}
     )  # fmt: skip
     word = f"{metric.replace('_', ' ')} of the last trial"
-    made = plot("", names[first], f"{word} [{unit}]" if unit else word, width=560)
+    made = plot("", names[first], labelled(word, unit), width=560)
     dots = made.scatter("x", "y", source=shown, color="colour", size=6, alpha=0.7)
     tips = [("machine", "@machine"), (word, f"@y{{g}} {unit}")]
     hover(made, [dots], tips + [(name, f"@p{i}{{g}}") for i, name in enumerate(columns)])

@@ -13,6 +13,7 @@ import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -31,7 +32,7 @@ from ..theory.loop import linear_loop, response
 from ..uncertainty import Population, with_spread
 from .live_grid import GridMap, map_of
 from .page import plot, shown_in, side_by_side, spoken
-from .style import COLOURS
+from .style import COLOURS, labelled
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -407,8 +408,13 @@ class Explorer:
         if exploration.map is not None:
             self.figures = [self._map(*exploration.map), *self.figures]
         self._show(first)
-        for widget in [*self.sliders.values(), *([self.spread] if self.spread else [])]:
+        for widget in self.moved:
             widget.on_change("value", lambda attr, old, new: self._move())
+
+    @property
+    def moved(self) -> list[Slider]:
+        """All sliders."""
+        return [*self.sliders.values(), *([self.spread] if self.spread else [])]
 
     def values(self) -> dict[str, float]:
         """The values by path that the sliders have."""
@@ -432,10 +438,9 @@ class Explorer:
         from bokeh.layouts import column
         from bokeh.models import Div, GlobalInlineStyleSheet
 
-        title = Div(text=f"<h2>{_escaped(self.of.scenario.title)}: {_escaped(self.of.name)}</h2>")
+        title = Div(text=f"<h2>{escape(self.of.scenario.title)}: {escape(self.of.name)}</h2>")
         title.stylesheets = [GlobalInlineStyleSheet(css=AROUND)]
-        sliders = [*self.sliders.values(), *([self.spread] if self.spread else [])]
-        beside = column(*sliders, self.button, self.line, self.told, width=320)
+        beside = column(*self.moved, self.button, self.line, self.told, width=320)
         shown = column(*self.figures, width=960)
         both = side_by_side(beside, shown)
         return column(title, both, sizing_mode="stretch_width", margin=(0, 16, 0, 16),
@@ -503,7 +508,7 @@ class Explorer:
         try:
             found = await loop.run_in_executor(BESIDE, work)
         except ValueError as error:
-            show = functools.partial(self.told.update, text=_escaped(str(error)))
+            show = functools.partial(self.told.update, text=escape(str(error)))
         else:
             show = functools.partial(self._show, found)
         document = self.told.document
@@ -513,56 +518,50 @@ class Explorer:
 
     def _save(self) -> None:
         path = self.of.save(self.values(), self.folder / "params.json")
-        self.told.text = f"written: {_escaped(str(path))}, for --params"
+        self.told.text = f"written: {escape(str(path))}, for --params"
 
     def _show(self, found: Outcome) -> None:
         """Give the figures their data, and the text its numbers."""
-        errors = np.where(found.errors > 0, found.errors, np.nan)
-        self._show_signals(found)
+        self._show_errors(np.where(found.errors > 0, found.errors, np.nan))
+        every = max(len(found.y) // POINTS, 1)
+        signals = {"t": self.of.scenario.task.time, "r": found.r, "y": found.y}
+        signals["e"] = self.factor * found.e
+        self.signals.data = {name: np.asarray(of)[::every] for name, of in signals.items()}
+        self.size.data = {"f": found.f, "size": found.size[0], "worst": np.max(found.size, axis=0)}
+        self._tell(found)
+
+    def _show_errors(self, errors: np.ndarray) -> None:
+        """(S, J) errors by trial, or those of the nominal machine alone beside what was shown."""
         if len(errors) == 1 < self.of.machines:
             nominal = np.where(errors[0] < TALLEST * errors[0, 0], errors[0], np.nan)
             self.errors.data = dict(self.errors.data) | {"nominal": nominal}
-            self._tell(found)
             return
         low, high = np.quantile(errors, (0.05, 0.95), axis=0, method="inverted_cdf")
-        finite = {
-            "nominal": errors[0], "low": low, "high": high, "worst": np.max(errors, axis=0),
-        }  # fmt: skip
+        finite = {"nominal": errors[0], "low": low, "high": high, "worst": np.max(errors, axis=0)}
         top = TALLEST * np.nanmax(
             np.where(np.isfinite(errors[:, 0]), errors[:, 0], np.nan), initial=0
         )
         shown = {n: np.where(np.isfinite(v) & (v < top), v, np.nan) for n, v in finite.items()}
         shown["high"] = np.fmin(np.where(np.isnan(high), top, high), top)
         self.errors.data = {"j": np.arange(1, errors.shape[1] + 1)} | shown
-        self._tell(found)
-
-    def _show_signals(self, found: Outcome) -> None:
-        """The last trial of the nominal machine, and |Q (1 - L P)|."""
-        every = max(len(found.y) // POINTS, 1)
-        time = np.asarray(self.of.scenario.task.time)[::every]
-        self.signals.data = {
-            "t": time, "r": found.r[::every], "y": found.y[::every],
-            "e": self.factor * found.e[::every],
-        }  # fmt: skip
-        self.size.data = {"f": found.f, "size": found.size[0], "worst": np.max(found.size, axis=0)}
 
     def _tell(self, found: Outcome) -> None:
         """The numbers, and the command line that leads to them."""
-        last, worst = found.errors[0, -1], np.max(found.errors[:, -1])
         self._stand(found)
-        largest = float(np.max(found.size)) if found.size.size else None
-        size = [
-            f"{x:.4g} {self.unit}".rstrip() if x < np.inf else "diverged" for x in (last, worst)
-        ]
-        said = [f"last trial: {size[0]}"]
-        if len(found.errors) > 1:
-            said[0] += f"; worst of {len(found.errors)}: {size[1]}"
-        if largest is not None:
+        last, worst = (
+            f"{x:.4g} {self.unit}".rstrip() if x < np.inf else "diverged"
+            for x in (found.errors[0, -1], np.max(found.errors[:, -1]))
+        )
+        said, several = [f"last trial: {last}"], len(found.errors) > 1
+        if several:
+            said[0] += f"; worst of {len(found.errors)}: {worst}"
+        if found.size.size:
+            largest = float(np.max(found.size))
             safe = "monotone at all frequencies" if largest < 1 else "not safe"
-            among = f" of {len(found.errors)} machines" if len(found.errors) > 1 else ""
+            among = f" of {len(found.errors)} machines" if several else ""
             said.append(f"largest |Q (1 − L P)|{among}: {largest:.4g}, {safe}")
-        self.told.text = "<br/>".join(map(_escaped, said))
-        words = _escaped(self.of.command(self.values(), self.spread_asked())).split(" ")
+        self.told.text = "<br/>".join(map(escape, said))
+        words = escape(self.of.command(self.values(), self.spread_asked())).split(" ")
         whole = (f'<span style="white-space: nowrap">{word}</span>' for word in words)
         self.line.text = f"<code>{' '.join(whole)}</code>"
 
@@ -579,8 +578,7 @@ class Explorer:
     def _figures(self, first: Outcome) -> list[Plot]:
         """The figures of errors by trial, of the last trial, and over frequency."""
         s = self.of.scenario
-        word = s.judged_by.replace("_", " ")
-        errors = plot("", "trial", f"{word} [{self.unit}]" if self.unit else word, height=260)
+        errors = plot("", "trial", labelled(s.judged_by, self.unit), height=260)
         errors.varea("j", "low", "high", source=self.errors, fill_alpha=0.2, color=COLOURS[0],
                      legend_label="5 to 95 % of the machines")  # fmt: skip
         errors.line("j", "nominal", source=self.errors, line_width=2, color=COLOURS[0],
@@ -588,13 +586,12 @@ class Explorer:
         errors.line("j", "worst", source=self.errors, line_dash="dotted", color=COLOURS[1],
                     legend_label="worst machine")  # fmt: skip
         errors.legend.location, errors.legend.label_text_font_size = "top_right", "8pt"
-        unit = s.task.unit
-        output = f"output [{unit}]" if unit else "output"
+        output = labelled("output", s.task.unit)
         track = plot("last trial of the nominal machine", "", output, log=False, height=180)
         track.line("t", "r", source=self.signals, line_width=4, color="#999999")
         track.line("t", "y", source=self.signals, line_width=1.5, color=COLOURS[0])
-        error = plot("", "time [s]", f"error [{self.unit_of_e}]" if self.unit_of_e else "error",
-                     log=False, height=180, x_range=track.x_range)  # fmt: skip
+        of_e = labelled("error", self.unit_of_e)
+        error = plot("", "time [s]", of_e, log=False, height=180, x_range=track.x_range)
         error.line("t", "e", source=self.signals, color=COLOURS[1])
         if not first.size.size:
             return [errors, track, error]
@@ -658,9 +655,3 @@ def _slider(control: Control) -> Slider:
 def _held(value: float, low: float, high: float) -> float:
     """A value within its ends, which are not those of a slider: a browser may move them too."""
     return min(max(value, low), high) if math.isfinite(value) else low
-
-
-def _escaped(text: str) -> str:
-    from html import escape
-
-    return escape(text)

@@ -98,27 +98,22 @@ def html_report(title: str, asked: Mapping[str, object], *parts: Value, **named:
     page = Page(title, asked, *parts, **named)
     library, script, places, left_out = _scripts(page.live)
     pictures, others = _pictures(page.figures, ROOM - len(library) - len(script))
-    verdict = page.verdict
     text = _template("report").render(
-        title=_text_of(title),
+        title=title,
         policy=LIVE_POLICY if places else POLICY,
-        style=_file("report.css"),
+        style=Path(__file__).with_name("report.css").read_text("utf-8"),
         library=library,
         script=script,
         date=f"{datetime.datetime.now().astimezone():%d %B %Y, %H:%M %Z}",
-        conclusion=[_text_of(line) for line in verdict.said] if verdict else [],
-        what=_text_of(verdict.what) if verdict else "",
-        following=_text_of(verdict.following) if verdict else "",
-        asked=_text_rows(asked),
+        verdict=page.verdict,
+        asked=asked,
         live=places,
         figures=pictures,
-        left_out=_text_of(", ".join([*left_out, *others])),
+        left_out=", ".join([*left_out, *others]),
         tables=[_of_rich(t) if isinstance(t, Table) else _of_rows(*t) for t in page.tables],
-        notes={
-            _text_of(name): [_text_of(one) for one in of] for name, of in (page.notes or {}).items()
-        },
-        versions=_text_rows(_versions()),
-        settings=_text_rows(dict(_flat(page.configuration or {}))),
+        notes=page.notes or {},
+        versions=_versions(),
+        settings=dict(_flat(page.configuration or {})),
     )
     return text.strip() + "\n"
 
@@ -131,22 +126,21 @@ def fragment(
 ) -> str:
     """Verdict, tables, lines and figures as a part of a page, for a notebook."""
     return _template("fragment").render(
-        conclusion=[_text_of(line) for line in verdict.said],
-        what=_text_of(verdict.what),
-        following=_text_of(verdict.following),
+        verdict=verdict,
         tables=[_of_rich(table) for table in tables],
-        lines=[_text_of(line) for line in lines],
+        lines=lines,
         figures=_pictures(figures, math.inf)[0],
     )
 
 
 def _template(name: str) -> Template:
-    """A layout, in which every text is escaped."""
+    """A layout, in which every value is a text that is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     made = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
+        finalize=_text_of,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
@@ -174,8 +168,7 @@ def _scripts(live: Sequence[Live]) -> tuple[str, str, list[dict[str, str]], list
                 kept.append(one)
         script, places = _embedded(kept)
     found = [
-        {"place": place, "caption": _text_of(one.caption)}
-        for place, one in zip(places, kept, strict=True)
+        {"place": place, "caption": one.caption} for place, one in zip(places, kept, strict=True)
     ]
     left_out = [one.caption.partition(".")[0] for one in live if one not in kept]
     return library if kept else "", script, found, left_out
@@ -207,7 +200,7 @@ def _pictures(
         if room < 0:
             left_out.append(str(drawing) if isinstance(drawing, str | Path) else caption)
         else:
-            found.append({"source": source, "caption": _text_of(caption)})
+            found.append({"source": source, "caption": caption})
     return found, left_out
 
 
@@ -283,9 +276,7 @@ def command_report(
                     str(_drawing(f)) for f in figures if _suffix(f) == ".pdf"
                 ],
                 "In words": lines if verdict else (),
-                "Chosen where the paper leaves it open": scenario.chosen
-                if scenario is not None
-                else (),
+                "Chosen where the paper leaves it open": scenario.chosen if scenario else (),
             },
             verdict=verdict or (_Lines(lines) if lines else None),
             live=[page.live(one) for one in live if one is not None],
@@ -306,12 +297,9 @@ def _suffix(figure: Picture | tuple[str, Picture]) -> str:
 
 def _versions() -> dict[str, object]:
     found = environment()
+    own = {"Python": platform.python_version(), "system": platform.platform()}
     known = {name: value for name, value in found.items() if name != "versions"}
-    return (
-        found["versions"]
-        | {"Python": platform.python_version(), "system": platform.platform()}
-        | known
-    )
+    return found["versions"] | own | known
 
 
 def _picture(drawing: Picture) -> tuple[str, bytes]:
@@ -330,16 +318,8 @@ def _first(axes: Drawing) -> Drawing:
     return np.ravel(axes)[0]
 
 
-def _file(name: str) -> str:
-    return (Path(__file__).parent / name).read_text("utf-8")
-
-
 # Values and tables as texts
 # --------------------------------------------------------------------------------------------------
-
-
-def _text_rows(values: Mapping[str, object]) -> dict[str, str]:
-    return {_text_of(str(name)): _text_of(_value(value)) for name, value in values.items()}
 
 
 def _flat(value: object, path: str = "") -> list[tuple[str, object]]:
@@ -352,29 +332,28 @@ def _flat(value: object, path: str = "") -> list[tuple[str, object]]:
         ]
     if isinstance(value, list | tuple):
         if all(not isinstance(of, Mapping | list | tuple) for of in value):
-            return [(path, ", ".join(_value(of) for of in value))]
+            return [(path, ", ".join(str(_text_of(of)) for of in value))]
         return [pair for i, of in enumerate(value) for pair in _flat(of, f"{path}[{i}]")]
     return [(path, value)]
 
 
 def _of_rich(table: Table) -> dict[str, object]:
     """The caption, the headers, which columns hold numbers, and the rows of a table."""
-    rows = zip(*([_plain(cell) for cell in column.cells] for column in table.columns), strict=True)
     return {
-        "caption": _text_of(_plain(table.title)),
-        "headers": [_text_of(_plain(c.header)) for c in table.columns],
-        "numeric": [c.justify == "right" for c in table.columns],
-        "rows": [[_text_of(cell) for cell in row] for row in rows],
+        "caption": _plain(table.title),
+        "headers": [_plain(column.header) for column in table.columns],
+        "numeric": [column.justify == "right" for column in table.columns],
+        "rows": zip(*(map(_plain, column.cells) for column in table.columns), strict=True),
     }
 
 
 def _of_rows(caption: str, rows: Sequence[Mapping[str, object]]) -> dict[str, object]:
     names = list(dict.fromkeys(name for row in rows for name in row))
     return {
-        "caption": _text_of(caption),
-        "headers": [_text_of(name) for name in names],
+        "caption": caption,
+        "headers": names,
         "numeric": [any(_is_number(row.get(name)) for row in rows) for name in names],
-        "rows": [[_text_of(_value(row.get(name))) for name in names] for row in rows],
+        "rows": [[row.get(name) for name in names] for row in rows],
     }
 
 
@@ -383,27 +362,22 @@ def _plain(cell: object) -> str:
 
     Brackets are units, not markup. Where they are escaped, the backslash is removed.
     """
-    return (
-        cell.replace("\\[", "[")
-        if isinstance(cell, str)
-        else getattr(cell, "plain", "" if cell is None else str(cell))
-    )
-
-
-def _value(value: object) -> str:
-    if value is None:
-        return ""
-    return (
-        f"{value:.6g}"
-        if _is_number(value) and not isinstance(value, int | np.integer)
-        else str(value)
-    )
+    if isinstance(cell, str):
+        return cell.replace("\\[", "[")
+    return getattr(cell, "plain", "" if cell is None else str(cell))
 
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
-def _text_of(text: str) -> str:
-    """The text; a character that XML does not allow becomes a replacement character."""
-    return NOT_IN_XML.sub("\ufffd", text)
+def _text_of(value: object) -> object:
+    """A value as text; a character that XML does not allow becomes a replacement character.
+
+    What is markup already stays as it is.
+    """
+    if hasattr(value, "__html__"):
+        return value
+    if _is_number(value) and not isinstance(value, int | np.integer):
+        return f"{value:.6g}"
+    return "" if value is None else NOT_IN_XML.sub("\ufffd", str(value))

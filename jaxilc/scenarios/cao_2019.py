@@ -17,7 +17,6 @@ from ..learning.machine import Machine
 from ..learning.metrics import largest
 from ..plants import voice_coil
 from ..pytree.aliases import Leaf
-from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..schemes import (
     CFDLMFAILC,
@@ -32,7 +31,7 @@ from ..schemes import (
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import printed, readings
+from .published import Readings, printed
 from .scenario import Quantity, Scenario
 
 
@@ -54,7 +53,7 @@ class Reading(NamedTuple):
     phi0: dict[str, Leaf]
 
 
-READINGS = readings("cao-2019", Reading)
+READINGS = Readings("cao-2019", Reading)
 # What identification leaves uncertain, by 10 %.
 MOTOR_UNCERTAINTY = {
     name: Uniform(0.9, 1.1, relative=True)
@@ -81,10 +80,7 @@ def cao_2019(
     sample time.
     """
     require("cao-2019", "frequency", frequency, "[0.01, 50]", " Hz")
-    if reading not in READINGS:
-        raise ValueError(not_one_of(f"cao-2019: reading = {reading!r}", reading, READINGS))
-    of = READINGS[reading]
-    of_paper = printed("cao-2019", reading)
+    of, of_paper = READINGS[reading], printed("cao-2019", reading)
     if (reference, frequency) != ("sinusoid", 0.5):
         of_paper |= {"published": (), "conclusions": ()}
     return Scenario(

@@ -14,13 +14,12 @@ import numpy as np
 from ..filters.zero_phase import ZeroPhaseButterworth
 from ..learning.machine import Actuator, Disturbance, Machine, Sensor
 from ..plants import StribeckFriction, voice_coil_motor
-from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..schemes import CFDLMFAILC, PID, Filtered, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import printed, readings
+from .published import Readings, printed
 from .scenario import Scenario
 
 LAM, ETA, MU, RHO, PHI0 = 1.5, 1.0, 1.0, 1.0, 1.0  # printed
@@ -36,7 +35,7 @@ class Reading(NamedTuple):
     offset: float
 
 
-READINGS = readings("cao-2019-rig", Reading)
+READINGS = Readings("cao-2019-rig", Reading)
 
 
 def cao_2019_rig(
@@ -58,8 +57,7 @@ def cao_2019_rig(
     require(
         "cao-2019-rig", "passes", passes if passes % 1 else int(passes), "[1, 1000]", whole=True
     )
-    if reading not in READINGS:
-        raise ValueError(not_one_of(f"cao-2019-rig: reading = {reading!r}", reading, READINGS))
+    offset = READINGS[reading].offset
     motor = dataclasses.replace(
         voice_coil_motor(),
         command_scale=3.44 / 10.0,
@@ -68,7 +66,6 @@ def cao_2019_rig(
     )
     pid = PID(kp=0.29, ki=0.006)
     r = references.sinusoid(1.0, frequency, duration=10.0, dt=1e-3)
-    offset = READINGS[reading].offset
     drift = Disturbance(input=np.full((len(r) - 1, 1), offset)) if offset else None
     return Scenario(
         **printed("cao-2019-rig", reading),

@@ -19,58 +19,47 @@ class Listed(NamedTuple):
     samples: int
 
 
-def _listed(title: str, schemes: str, trials: int, samples: int) -> Listed:
-    return Listed(title, tuple(schemes.split()), trials, samples)
-
-
 LISTED = {
-    "cao-2019": _listed(
+    "cao-2019": Listed(
         "Voice-coil motor for noncircular turning, MFAILC (Cao 2019)",
-        "pid cfdl-mfailc pfdl-mfailc ffdl-mfailc ilc-mfapc",
-        trials=80,
-        samples=2000,
+        ("pid", "cfdl-mfailc", "pfdl-mfailc", "ffdl-mfailc", "ilc-mfapc"),
+        trials=80, samples=2000,
     ),
-    "cao-2019-rig": _listed(
+    "cao-2019-rig": Listed(
         "Voice-coil motor on the laboratory rig at 0.5 Hz (Cao 2019)",
-        "pid cfdl-mfailc",
-        trials=80,
-        samples=10_000,
+        ("pid", "cfdl-mfailc"),
+        trials=80, samples=10_000,
     ),
-    "dai-2014": _listed(
+    "dai-2014": Listed(
         "Voice-coil motor under predictive MFAC at 0.5 Hz (Dai 2014)",
-        "pid cfdl-mfapc",
-        trials=1,
-        samples=8000,
+        ("pid", "cfdl-mfapc"),
+        trials=1, samples=8000,
     ),
-    "double-mass": _listed(
+    "double-mass": Listed(
         "Two masses on a spring, the tests of IterativeLearningControl2.jl",
-        "inverse-filter norm-optimal gradient model-free constrained",
-        trials=28,
-        samples=471,
+        ("inverse-filter", "norm-optimal", "gradient", "model-free", "constrained"),
+        trials=28, samples=471,
     ),
-    "li-2020": _listed(
+    "li-2020": Listed(
         "CNC axis along a butterfly, simulation (Li 2020)",
-        "feedback feedforward p-type higher-order fixed-filter switchable stop ladder series",
-        trials=40,
-        samples=9998,
+        ("feedback", "feedforward", "p-type", "higher-order", "fixed-filter", "switchable", "stop",
+         "ladder", "series"),
+        trials=40, samples=9998,
     ),
-    "milc-2024": _listed(
+    "milc-2024": Listed(
         "Flexible ball-screw drive, direct and multivariable norm-optimal ILC (MILC 2024)",
-        "dilc milc",
-        trials=11,
-        samples=4000,
+        ("dilc", "milc"),
+        trials=11, samples=4000,
     ),
-    "pendulum": _listed(
+    "pendulum": Listed(
         "Pendulum swung upright, two-step nonlinear ILC (gILC)",
-        "two-step two-step-limited",
-        trials=5,
-        samples=1999,
+        ("two-step", "two-step-limited"),
+        trials=5, samples=1999,
     ),
-    "xu-2024": _listed(
+    "xu-2024": Listed(
         "Piezo fast tool servo, adaptive sliding mode and iterative learning (Xu 2024)",
-        "pid smc asmc ilc-asmc",
-        trials=10,
-        samples=5000,
+        ("pid", "smc", "asmc", "ilc-asmc"),
+        trials=10, samples=5000,
     ),
-}
+}  # fmt: skip
 SCHEMES = {name: listed.schemes for name, listed in LISTED.items()}

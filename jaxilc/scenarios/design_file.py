@@ -7,7 +7,6 @@ import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-import numpy as np
 import tomlkit
 from tomlkit.items import Item
 
@@ -17,6 +16,7 @@ from ..schemes import Scheme
 from ..storage.files import atomically
 from ..storage.printable import printable
 from .from_file import read_scenario
+from .parameters import plain, same
 from .specification import HIDDEN, classes
 
 # A scheme as a table of a plant file
@@ -35,15 +35,15 @@ def table_of(made: Tree) -> dict[str, Value]:
     table: dict[str, Value] = {"class": cls.__name__}
     for field in dataclasses.fields(made):
         value = getattr(made, field.name)
-        if field.name in HIDDEN or value is None or _is_default(value, field.default):
+        if field.name in HIDDEN or value is None or same(value, field.default):
             continue
-        table[field.name] = _of_part(value) if kind_of(field) == "child" else _plain(value)
+        if kind_of(field) != "child":
+            table[field.name] = plain(value)
+        elif isinstance(value, tuple):
+            table[field.name] = [table_of(one) for one in value]
+        else:
+            table[field.name] = table_of(value)
     return table
-
-
-def _of_part(value: Tree) -> Value:
-    """The table of a part, or those of several."""
-    return [table_of(one) for one in value] if isinstance(value, tuple) else table_of(value)
 
 
 def toml_of(schemes: Mapping[str, Scheme]) -> str:
@@ -98,22 +98,6 @@ def _item(value: Value) -> Item:
     return table
 
 
-def _is_default(value: Value, default: Value) -> bool:
-    if default is dataclasses.MISSING or default is None:
-        return False
-    try:
-        return bool(np.shape(value) == np.shape(default) and np.all(np.asarray(value) == default))
-    except (TypeError, ValueError):
-        return value == default
-
-
-def _plain(value: Value) -> Value:
-    """A number, text or list."""
-    if isinstance(value, str | bool | int):
-        return value
-    return list(value) if isinstance(value, tuple) else np.asarray(value).tolist()
-
-
 # The plant file that a design leaves
 # --------------------------------------------------------------------------------------------------
 
@@ -147,16 +131,10 @@ def write_design(
         axes may be those of its schemes
     Raises ValueError where a scheme is of a class that no file can name.
     """
-    source, path = Path(source), Path(path)
-    text = source.read_text(encoding="utf-8")
-    if source.suffix == ".json":
-        tables = {name: table_of(scheme) for name, scheme in schemes.items()}
-        content = json.loads(text) | {"schemes": tables}
-        content.pop("grid", None)
-        written = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    else:
-        written = _toml(text, schemes, said)
-    atomically(path, lambda file: file.write(written.encode()))
+    tables = {name: table_of(scheme) for name, scheme in schemes.items()}
+    head = "".join(f"# {printable(' '.join(line.split()))}\n" for line in said)
+    changed = {"schemes": tables, "grid": None}
+    path = _with_tables(Path(path), Path(source), changed, toml_of(schemes), head)
     read_scenario(path)
     return path
 
@@ -174,24 +152,28 @@ def write_potential(path: str | Path, found: Mapping[str, float], unit: str) -> 
         raise ValueError(f"{path}: learning has nothing to gain, so that no table is written")
     if unit and own and unit != own:
         raise ValueError(f"{path} has the unit {own!r}, the repeats have {unit!r}; allowed is one")
-    text = path.read_text(encoding="utf-8")
-    if path.suffix == ".json":
-        content = json.loads(text) | {"potential": dict(found)}
-        written = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    lines = "".join(f"{name} = {value!r}\n" for name, value in found.items())
+    table = f"[potential]  # by `jaxilc potential`: rms errors, and a frequency in Hz\n{lines}"
+    return _with_tables(path, path, {"potential": dict(found)}, table)
+
+
+def _with_tables(
+    path: Path, source: Path, changed: Mapping[str, Value], toml: str, head: str = ""
+) -> Path:
+    """Write a plant file with other tables at its end; the rest of it stays as it is.
+
+    changed: tables by name, None for one that goes
+    toml, head: of a TOML file the text of these tables, and what stands above all
+    """
+    text = source.read_text(encoding="utf-8")
+    if source.suffix == ".json":
+        content = json.loads(text) | changed
+        kept = {name: table for name, table in content.items() if table is not None}
+        written = json.dumps(kept, indent=1, ensure_ascii=False) + "\n"
     else:
         document = tomlkit.parse(text)
-        document.pop("potential", None)
-        lines = "".join(f"{name} = {value!r}\n" for name, value in found.items())
-        head = "[potential]  # by `jaxilc potential`: rms errors, and a frequency in Hz"
-        written = f"{tomlkit.dumps(document).rstrip()}\n\n{head}\n{lines}"
-    atomically(path, lambda file: file.write(written.encode()))
+        for name in changed:
+            document.pop(name, None)
+        written = f"{head}{tomlkit.dumps(document).rstrip()}\n\n{toml}"
+    _write(path, written)
     return path
-
-
-def _toml(text: str, schemes: Mapping[str, Scheme], said: Iterable[str]) -> str:
-    """The text of a TOML file with other schemes, and with sentences at its head."""
-    document = tomlkit.parse(text)
-    for name in ("schemes", "grid"):
-        document.pop(name, None)
-    head = "".join(f"# {printable(' '.join(line.split()))}\n" for line in said)
-    return f"{head}{tomlkit.dumps(document).rstrip()}\n\n{toml_of(schemes)}"

@@ -30,7 +30,7 @@ from ..signals.segments import FARTHEST, SHORTEST, Straight
 from ..signals.tool_path import Dwell, Followed, Move, follow
 from ..storage.columns import missing, name_and_unit, numbers_in, read_columns
 from ..storage.reading import quoted, read_text
-from .specification import Table, list_of_numbers, number, numbers, one_of, text, whole
+from .specification import Table, at_place, list_of_numbers, number, numbers, one_of, text, whole
 
 UNITS = "lengths in the `unit` of the task, times in s, feeds in that unit per s"
 LARGEST_PROGRAM = 16_000_000  # bytes
@@ -136,11 +136,9 @@ def _curve(
     """The reference along a curve of `signals.paths`."""
     feed = table.take("feed", _number)
     table.done()
-    try:
+    with at_place(table.where, owner="plan"):
         curve, interval = make()
         made = paths.plan(curve, interval, feed=feed, dt=setting.dt, **limits)
-    except ValueError as error:
-        raise ValueError(f"{table.where}: {_said(error)}") from None
     return made.reference, (
         f"{made.arc[-1]:.6g} {setting.unit} at up to {np.max(made.speed):.4g} {setting.unit}/s "
         f"(feed {feed:g})"
@@ -187,10 +185,8 @@ def _gcode(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, 
 def _followed(
     steps: Sequence[Move | Dwell], corner, setting: Setting, limits, where: str, scale: float = 1.0
 ) -> tuple[np.ndarray, str]:
-    try:
+    with at_place(where, owner="plan"):
         made = follow(steps, corner=corner, dt=setting.dt, **limits)
-    except ValueError as error:
-        raise ValueError(f"{where}: {_said(error)}") from None
     return made.reference, _how(made, corner, setting.unit, scale)
 
 
@@ -273,10 +269,6 @@ def _need_axes(table: Table, setting: Setting, d: int) -> None:
             f"{table.where}: a path of {d} axes for {len(setting.axes)} outputs "
             f"({', '.join(setting.axes)}); needed is one axis for each output"
         )
-
-
-def _said(error: ValueError) -> str:
-    return str(error).removeprefix("plan: ")
 
 
 PATHS: dict[str, Callable[[Table, Setting, Limits], tuple[np.ndarray, str]]] = {

@@ -27,6 +27,7 @@ from ..storage.reading import LARGEST_TABLE, read_bytes, read_tree
 from ..storage.sealed import json_text, sealed, unsealed, write_json
 from .specification import (
     Table,
+    at_place,
     built,
     classes,
     flag,
@@ -185,10 +186,8 @@ def _axes(table: Table, cls: type[Axes], folder: Path, notes: list[str]) -> Plan
             f"{table.at(missing[0])} is missing; needed is a table for each of the axes "
             f"{', '.join(names)}, or the table `axis` for all of them"
         )
-    try:
+    with at_place(table.where):
         return cls(**axes)
-    except ValueError as error:
-        raise ValueError(f"{table.where}: {error}") from None
 
 
 def _transfer_function(table: Table):
@@ -244,11 +243,9 @@ def _zeros_poles_gain(table: Table):
             f"{table.where}: {len(zeros)} zeros over {len(poles)} poles; "
             "allowed are fewer zeros than poles"
         )
-    try:
+    with at_place(table.where):
         # `analog` also works for poles in z, since it does not use the meaning of the variable.
         sections = scipy.signal.zpk2sos(zeros, poles, gain, analog=True)
-    except ValueError as error:
-        raise ValueError(f"{table.where}: {error}") from None
     chain = [
         control.ss(control.tf(np.trim_zeros(row[:3], "f"), np.trim_zeros(row[3:], "f"), dt))
         for row in sections

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -42,10 +42,12 @@ from .file_path import Setting, planned_path
 from .specification import (
     Kind,
     Table,
+    at_place,
     built,
     called,
     flag,
     list_of,
+    named_in,
     number,
     numbers,
     one_of,
@@ -113,14 +115,12 @@ def task_of(values: Value, where: str, folder: Path, plant: Plant, notes: list[s
     table.done()
     if settle is not None and len(settle) != 2:
         raise ValueError(f"{table.at('settle')} = {settle} is not a pair [start, stop]")
-    try:
+    with at_place(where):
         return Task(
             reference, dt=dt, settle=None if settle is None else (settle[0], settle[1]),
             inputs=inputs, unit=unit, input_unit=input_unit,
             names=axes if is_path(given) else names,
         )  # fmt: skip
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
 
 
 def reference_of(
@@ -191,27 +191,24 @@ def _reference(value: Value, where: str, folder: Path, dt: float) -> np.ndarray:
     return np.asarray(record.y)[:, 0]
 
 
-def uncertainty_of(values: Value, where: str) -> Iterator[tuple[str, Distribution]]:
-    """Pairs of a name and its distribution; names are keys such as "plant.B" or nested tables."""
-    table = Table(values, where)
-    for name in table.values:
-        inner = Table(table.values[name], table.at(name))
-        if "distribution" not in inner and all(
-            isinstance(v, Mapping) for v in inner.values.values()
-        ):
-            yield from (
-                (f"{name}.{rest}", one) for rest, one in uncertainty_of(inner.values, inner.where)
-            )
-            continue
+def uncertainty_of(values: Value, where: str) -> dict[str, Distribution]:
+    """Distributions by path within the machine; `machine.` before it may be left out, as here."""
+
+    def is_one(of: Value) -> bool:
+        nested = isinstance(of, Mapping) and all(isinstance(v, Mapping) for v in of.values())
+        return not nested or "distribution" in of
+
+    found: dict[str, Distribution] = {}
+    for name, place, of in named_in(values, where, is_one):
+        inner = Table(of, place)
         cls = DISTRIBUTIONS[inner.take("distribution", one_of(DISTRIBUTIONS))]
         named = [f.name for f in dataclasses.fields(cls) if f.name != "relative"]
         fields = {one: inner.take(one, number) for one in named}
         relative = inner.take("relative", flag, False)
         inner.done()
-        try:
-            yield name, cls(**fields, relative=relative)
-        except ValueError as error:
-            raise ValueError(f"{inner.where}: {error}") from None
+        with at_place(inner.where):
+            found[name.removeprefix("machine.")] = cls(**fields, relative=relative)
+    return found
 
 
 # How the trials differ
@@ -280,7 +277,5 @@ def _further_references(
     first = tuple(first for first, _ in found if first is not None)
     if first and len(first) != len(found):
         raise ValueError(f"{where}: first is needed for each of them, or for none")
-    try:
+    with at_place(where):
         return References(np.stack([np.asarray(task.reference), *(r for _, r in found)]), first)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None

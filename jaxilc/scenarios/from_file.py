@@ -64,10 +64,8 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TypeVar
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
@@ -79,7 +77,6 @@ from ..pytree.ranges import brief, require
 from ..schemes.at_samples import windows_of
 from ..storage.reading import PARSERS, read_tree
 from ..sweeps.grid import grid_of
-from ..uncertainty import Distribution
 from ..uncertainty import check as check_uncertainty
 from .cao_2019 import cao_2019
 from .cao_2019_rig import cao_2019_rig
@@ -91,10 +88,8 @@ from .li_2020 import li_2020
 from .milc_2024 import milc_2024
 from .pendulum import pendulum
 from .scenario import Learnable, Quantity, Scenario, judged
-from .specification import Table, list_of, number, scheme, text, whole
+from .specification import Table, at_place, list_of, named_in, number, scheme, text, whole
 from .xu_2024 import xu_2024
-
-T = TypeVar("T")
 
 # Scenarios of papers, by name
 # --------------------------------------------------------------------------------------------------
@@ -215,17 +210,16 @@ def read_scenario(path: str | Path) -> Scenario:
         },
         {},
     )
-    uncertainty = file.take("uncertainty", _uncertainty, {})
+    uncertainty = file.take("uncertainty", uncertainty_of, {})
     path_given = is_path(file.values["task"].get("reference"))
     of_contour = task.outputs in (2, 3) and (path_given or isinstance(plant, Axes))
     further = contour_metrics(task) if of_contour else {}
     usual = "contour_max" if further and path_given else "settled_error"
     windows = file.values["task"].get("windows")
     if windows:
-        counted = _check(
-            path, "task", lambda: counted_metrics(task, windows_of("task.windows", windows))
-        )
-        further, usual = further | counted, "counted_max"
+        with at_place(path, "task"):
+            further |= counted_metrics(task, windows_of("task.windows", windows))
+        usual = "counted_max"
     name = file.take("name", text, stem)
     title = file.take("title", text, f"{stem}: {type(plant).__name__}")
     trials, tolerance = file.take("trials", whole, 20), file.take("tolerance", number, None)
@@ -233,35 +227,34 @@ def read_scenario(path: str | Path) -> Scenario:
     shown_scale = file.take("shown_scale", number, 1.0)
     judged_by = file.take("judged_by", text, usual)
     show_trials = tuple(file.take("show_trials", list_of(whole), []))
-    grid = file.take("grid", lambda v, at: dict(_axes(v, at)), {})
+    grid = file.take("grid", _axes, {})
     potential = file.take("potential", _potential, None)
     file.done()
-
-    def in_range() -> None:
+    with at_place(path, ""):
         require("", "trials", trials, "[1, inf)")
         require("", "show_trials", show_trials, "[1, inf)", many=True)
         for limit, value in (("tolerance", tolerance), ("shown_scale", shown_scale)):
             if value is not None:
                 require("", limit, value, "(0, inf)")
-
-    _check(path, "", in_range)
-    _check(path, "grid", lambda: grid_of(grid, machine, found, task))
-
-    def made_of_it() -> Scenario:
-        return Scenario(
+    with at_place(path, "grid"):
+        grid_of(grid, machine, found, task)
+    with at_place(path, ""):
+        made = Scenario(
             name=name, title=title, machine=machine, task=task, schemes=found, trials=trials,
             uncertainty=uncertainty, grid=grid, tolerance=tolerance, shown_unit=shown_unit,
             shown_scale=shown_scale, judged_by=judged_by, show_trials=show_trials,
             potential=potential, chosen=tuple(notes),
             quantities={metric: Quantity(of) for metric, of in further.items()},
         )  # fmt: skip
-
-    made = _check(path, "", made_of_it)
-    _check(path, "judged_by", lambda: judged(made, made.judged_by))
-    _check(path, "machine", lambda: machine.check(task))
-    _check(path, "uncertainty", lambda: check_uncertainty(machine, uncertainty))
+    with at_place(path, "judged_by"):
+        judged(made, made.judged_by)
+    with at_place(path, "machine"):
+        machine.check(task)
+    with at_place(path, "uncertainty"):
+        check_uncertainty(machine, uncertainty)
     for called, one in found.items():
-        _check(path, f"schemes.{called}", partial(check, machine, one, task))
+        with at_place(path, f"schemes.{called}"):
+            check(machine, one, task)
     return made
 
 
@@ -275,25 +268,7 @@ def _potential(values: Value, where: str) -> Learnable:
     return found
 
 
-def _uncertainty(values: Value, where: str) -> dict[str, Distribution]:
-    """Distributions by path within the machine; `machine.` before it may be left out, as here."""
-    return {name.removeprefix("machine."): found for name, found in uncertainty_of(values, where)}
-
-
-def _axes(values: Value, where: str) -> Iterator[tuple[str, Value]]:
-    """Axes by name; names are keys such as "plant.B" or nested tables."""
-    table = Table(values, where)
-    for name, of in table.values.items():
-        if isinstance(of, Mapping):
-            yield from ((f"{name}.{rest}", one) for rest, one in _axes(of, table.at(name)))
-        else:
-            yield name, of
-
-
-def _check(path: Path, where: str, check: Callable[[], T]) -> T:
-    """The result of a check; its ValueError is raised with the file and the place in it."""
-    try:
-        return check()
-    except ValueError as error:
-        said = str(error).removeprefix(f"{where}: ")
-        raise ValueError(": ".join(part for part in (str(path), where, said) if part)) from None
+def _axes(values: Value, where: str) -> dict[str, Value]:
+    """Axes of a grid by name."""
+    found = named_in(values, where, lambda of: not isinstance(of, Mapping))
+    return {name: of for name, _, of in found}

@@ -28,12 +28,11 @@ from ..plants import (
     multivariable_model,
 )
 from ..pytree.aliases import Leaf
-from ..pytree.closest import not_one_of
 from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import printed, readings
+from .published import Readings, printed
 from .scenario import Quantity, Scenario
 
 DT = 1 / 4000
@@ -70,7 +69,7 @@ class Reading(NamedTuple):
     noise: float
 
 
-READINGS = readings("milc-2024", Reading)
+READINGS = Readings("milc-2024", Reading)
 
 
 def nominal_drive(antiresonance: float, force_gain: float, unit: float = 50.0) -> BallScrewDrive:
@@ -163,8 +162,6 @@ def milc_2024(axis: str = "x", reading: str = "short-stroke") -> Scenario:
     """
     if axis not in PITCH:
         raise ValueError(f"milc-2024: axis = {axis!r} is not one of 'x', 'z'")
-    if reading not in READINGS:
-        raise ValueError(not_one_of(f"milc-2024: reading = {reading!r}", reading, READINGS))
     of = READINGS[reading]
     drive, r = nominal_drive(of.antiresonance, of.force_gain, of.unit), path(of)
     return Scenario(

@@ -19,6 +19,7 @@ from ..runtime.provenance import environment
 from ..schemes import Scheme
 from ..storage.sealed import read_json, write_json
 from . import Scenario
+from .specification import at_place
 
 
 def differing(scheme: Scheme, printed: Scheme) -> dict[str, Value]:
@@ -31,9 +32,9 @@ def differing(scheme: Scheme, printed: Scheme) -> dict[str, Value]:
     changed = {
         path: value
         for path, value in now.items()
-        if path not in before or not _same(value, before[path])
+        if path not in before or not same(value, before[path])
     }
-    return {path: _plain(value) for path, value in changed.items()}
+    return {path: plain(value) for path, value in changed.items()}
 
 
 def write_parameters(
@@ -84,22 +85,19 @@ def with_parameters(scenario: Scenario, path: Path) -> Scenario:
         if scheme not in scenario.schemes:
             what = f"{path}: scheme = {brief(scheme)}"
             raise ValueError(not_one_of(what, scheme, scenario.schemes))
-    try:
+    with at_place(path):
         return scenario.with_values(values)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
-def _same(one, other) -> bool:
+def same(one: Value, other: Value) -> bool:
+    """Whether two values of a field are the same text, the same object, or equal numbers."""
     if one is None or other is None or isinstance(one, str) or isinstance(other, str):
         return one is other or (isinstance(one, str) and one == other)
     return np.shape(one) == np.shape(other) and bool(np.all(np.asarray(one) == np.asarray(other)))
 
 
-def _plain(value):
-    """The value as JSON: a number, a list of numbers, text or None."""
-    return (
-        value
-        if value is None or isinstance(value, str | bool | int)
-        else np.asarray(value).tolist()
-    )
+def plain(value: Value) -> Value:
+    """A value of a field as JSON: a number, text, a list or None."""
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    return list(value) if isinstance(value, tuple) else np.asarray(value).tolist()

@@ -9,6 +9,8 @@ from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, NamedTuple, TypedDict, TypeVar
 
+from ..pytree.closest import not_one_of
+
 if TYPE_CHECKING:
     from ..pytree.aliases import Tree, Value
 
@@ -161,12 +163,19 @@ def _with_tuples(of: Value) -> Value:
     return tuple(_with_tuples(value) for value in of) if isinstance(of, list) else of
 
 
-def readings(name: str, kind: Callable[..., T]) -> dict[str, T]:
-    """The readings of a paper by name, as objects of a kind made of their numbers."""
-    return {
-        reading: kind(**{key: value for key, value in of.items() if key != "chosen"})
-        for reading, of in file_of(name)["readings"].items()
-    }
+class Readings(dict[str, T]):
+    """The readings of a paper by name, as objects of a kind made of their numbers.
+
+    A reading that is not there raises ValueError naming those that are.
+    """
+
+    def __init__(self, name: str, kind: Callable[..., T]):
+        self.paper = name
+        for reading, of in file_of(name)["readings"].items():
+            self[reading] = kind(**{key: value for key, value in of.items() if key != "chosen"})
+
+    def __missing__(self, reading: str) -> T:
+        raise ValueError(not_one_of(f"{self.paper}: reading = {reading!r}", reading, self))
 
 
 def chosen(name: str, reading: str = "") -> tuple[str, ...]:

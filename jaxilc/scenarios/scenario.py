@@ -22,6 +22,7 @@ from ..signals.task import Task, Trial
 from ..storage.printable import printable
 from ..uncertainty import Uncertainty
 from .published import COMPARED, OVER_TRIALS, Conclusion, Published
+from .specification import at_place
 
 # Name of a scheme: it is part of the paths of its parameters and of the names of files.
 _NAME = re.compile(r"[^\W_][\w +-]{0,49}")
@@ -116,25 +117,10 @@ class Scenario:
                 raise ValueError(
                     "scheme = 'machine' is the name of the machine's own parameters; choose another"
                 )
-        units = {
-            "unit": self.task.unit,
-            "input_unit": self.task.input_unit,
-            "shown_unit": self.shown_unit,
-        }
-        for what, text, forbidden in (
-            ("title", self.title, ""),
-            *((name, unit, '[],;$"\\') for name, unit in units.items()),
-        ):
-            if (
-                printable(text) != text
-                or any(c in text for c in ("\n", *forbidden))
-                or (forbidden and "*/" in text)
-            ):
-                besides = f", without {' '.join(forbidden)} and */" if forbidden else ""
-                raise ValueError(
-                    f"{what} = {brief(text)} cannot be shown; allowed are printable characters in "
-                    f"one line{besides}"
-                )
+        _need_shown("title", self.title)
+        for name in ("unit", "input_unit"):
+            _need_shown(name, getattr(self.task, name), '[],;$"\\')
+        _need_shown("shown_unit", self.shown_unit, '[],;$"\\')
 
     @property
     def functions(self) -> dict[str, Callable[[Trial], jax.Array]]:
@@ -201,10 +187,8 @@ class Scenario:
     def check(self) -> None:
         """Raises ValueError, naming the scheme, where one does not fit the machine and the task."""
         for name, scheme in self.schemes.items():
-            try:
+            with at_place(name):
                 check(self.machine, scheme, self.task)
-            except ValueError as error:
-                raise ValueError(f"{name}: {error}") from None
 
     def settable(self) -> dict[str, object]:
         """Everything that `with_values` can set: `plant.gain`, `ffdl-mfailc.lam`, ..."""
@@ -247,6 +231,19 @@ def _need_name(what: str, name: str, allowed: re.Pattern, said: str) -> None:
         raise ValueError(
             f"{what} = {brief(name)} is no name; allowed are up to 50 of {said}, a letter or "
             "digit first"
+        )
+
+
+def _need_shown(what: str, text: str, forbidden: str = "") -> None:
+    if (
+        printable(text) != text
+        or any(c in text for c in ("\n", *forbidden))
+        or (forbidden and "*/" in text)
+    ):
+        besides = f", without {' '.join(forbidden)} and */" if forbidden else ""
+        raise ValueError(
+            f"{what} = {brief(text)} cannot be shown; allowed are printable characters in one "
+            f"line{besides}"
         )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
 import typing
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
 from types import UnionType
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
@@ -28,6 +29,22 @@ Kind: TypeAlias = Callable[[Value, str], T]  # of a value of a file, at a place 
 
 # Tables and kinds of values
 # --------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def at_place(*places: object, owner: str = "") -> Generator[None]:
+    """A ValueError or TypeError from within is a ValueError that begins with the place in a file.
+
+    places: such as the file and the table; empty ones are left out
+    owner: name of a function with which its messages begin, and which a reader of a file does not
+        know; empty for the last place, which is told once
+    """
+    try:
+        with np.errstate(all="ignore"):  # infinite results are refused where they are used
+            yield
+    except (ValueError, TypeError) as error:
+        said = str(error).removeprefix(f"{owner or places[-1]}: ")
+        raise ValueError(": ".join(str(part) for part in (*places, said) if part)) from None
 
 
 class Table:
@@ -85,6 +102,22 @@ class Table:
                     f"{self.at(key)} is not a key here; "
                     f"{known_names(key, sorted(self.read), 'allowed are')}"
                 )
+
+
+def named_in(
+    values: Value, where: str, is_value: Callable[[Value], bool]
+) -> Iterator[tuple[str, str, Value]]:
+    """Names such as "plant.B", their places and values; a name is a key, or tables in each other.
+
+    is_value: whether what stands at a key is a value, and no table of further names
+    """
+    table = Table(values, where)
+    for name, of in table.values.items():
+        if is_value(of):
+            yield name, table.at(name), of
+        else:
+            for rest, place, value in named_in(of, table.at(name), is_value):
+                yield f"{name}.{rest}", place, value
 
 
 # Kinds of values
@@ -223,7 +256,8 @@ def built(
         if value is not _DEFAULT:
             fields[field.name] = value
     table.done()
-    return _named(where, lambda: cls(**fields))
+    with at_place(where):
+        return cls(**fields)
 
 
 _DEFAULT = object()
@@ -286,7 +320,8 @@ def _model(values: Mapping, where: str, plant: Plant | None, dt: float | None) -
     gains = () if function is schemes.with_jerk else (table.take("C_P", number),)
     model = table.take("P", functools.partial(_state_space, plant, dt))
     table.done()
-    return _named(where, lambda: function(*gains, model))
+    with at_place(where):
+        return function(*gains, model)
 
 
 def _state_space(
@@ -306,7 +341,8 @@ def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateS
     """The file's own plant as a discrete linear model."""
     if plant is None or dt is None:
         raise ValueError(f"{where} = 'plant' has no plant to stand for")
-    linear = _named(where, lambda: getattr(plant, "linear", plant.sampled)(dt))
+    with at_place(where):
+        linear = getattr(plant, "linear", plant.sampled)(dt)
     if not isinstance(linear, plants.StateSpace):
         name = type(plant).__name__
         raise ValueError(
@@ -344,17 +380,9 @@ def called(function: Callable[..., T], table: Table, units: str, **given: Value)
         if value is not _DEFAULT:
             arguments[name] = value
     table.done()
-    return _named(table.where, lambda: function(**arguments, **given))
+    with at_place(table.where):
+        return function(**arguments, **given)
 
 
 def _numbers_in(units: str) -> Kind[np.ndarray]:
     return lambda value, where: numbers(value, where, units)[()]
-
-
-def _named(where: str, make: Callable[[], T]) -> T:
-    """The result of `make`; its error is raised with the place in the file."""
-    try:
-        with np.errstate(all="ignore"):  # infinite results are refused where they are used
-            return make()
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{where}: {error}") from None

@@ -17,13 +17,12 @@ from ..learning.machine import Actuator, Machine, Sensor
 from ..learning.metrics import chattering
 from ..plants import BoucWen, FastToolServo, PeriodicForce, fast_tool_servo
 from ..pytree.aliases import Leaf
-from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import file_of, printed, readings
+from .published import Readings, file_of, printed
 from .scenario import Quantity, Scenario
 
 DT = 1e-4
@@ -45,7 +44,7 @@ class Reading(NamedTuple):
     lam0: float
 
 
-READINGS = readings("xu-2024", Reading)
+READINGS = Readings("xu-2024", Reading)
 
 
 def servo(A: float, load: float | None = None, disturbance: str = "none") -> FastToolServo:
@@ -93,8 +92,7 @@ def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "large-
     Raises ValueError for another disturbance or reading, and for a load beyond 5 N, which is a
     quarter of the stroke.
     """
-    if reading not in READINGS:
-        raise ValueError(not_one_of(f"xu-2024: reading = {reading!r}", reading, READINGS))
+    of = READINGS[reading]
     if disturbance not in ("none", "multi"):
         raise ValueError(f"xu-2024: disturbance = {disturbance!r} is not one of 'none', 'multi'")
     require("xu-2024", "load", load, "[-5, 5]", " N")
@@ -120,7 +118,7 @@ def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "large-
             unit="µm",
             input_unit="V",
         ),
-        schemes=schemes_for(FITTED, READINGS[reading]),
+        schemes=schemes_for(FITTED, of),
         trials=LEARNED_TRIAL,
         uncertainty={f"plant.{name}": Uniform(0.8, 1.2, relative=True) for name in names},
         tolerance=1000.0,

@@ -78,8 +78,6 @@ def test_of_a_slider_that_moves_on_the_last_value_is_answered(explored, tmp_path
     """While the first value is computed the slider passes three others: only the last counts."""
     from bokeh.document import Document
 
-    from jaxilc.figures.explorer import Explorer
-
     page, document, computed = Explorer(explored, tmp_path), Document(), []
     document.add_root(page.layout())
     slider, outcome = page.sliders["scheme.gamma_p"], Exploration.outcome
@@ -104,8 +102,6 @@ def test_of_a_slider_that_moves_on_the_last_value_is_answered(explored, tmp_path
 
 def test_a_click_on_the_map_moves_the_sliders_there_and_the_error_is_that_of_the_map(tmp_path):
     """The map comes from `Sweep`, the errors from the page: at each point they are the same."""
-    from jaxilc.figures.explorer import Explorer
-
     grid = {"ilc.scheme.gamma_p": [0.01, 0.2, 900.0], "plant.A[0][0]": [0.9, 0.95]}
     explored = Exploration(
         axis(), machines=4, source="axis.toml", grid=grid, repeated=("--trials", "5")
@@ -203,23 +199,18 @@ def serving(explored, tmp_path):
     thread.join()
 
 
-@pytest.fixture
-def served(serving):
-    """The address of the page."""
-    return serving[1]
-
-
-def test_the_page_is_served_on_this_computer_and_loads_nothing_else(served):
+def test_the_page_is_served_on_this_computer_and_loads_nothing_else(serving):
     """The page, asked for over HTTP, names no other site; another address is not listened on."""
-    with urllib.request.urlopen(served, timeout=60) as page:
+    with urllib.request.urlopen(serving[1], timeout=60) as page:
         text = page.read().decode()
     assert "https://" not in text.replace("https://github.com", "")
     assert text.count("<script") >= 2
     assert socket.inet_aton(LOOPBACK)[0] == 127
 
 
-def test_another_host_another_page_and_a_token_that_was_used_get_no_answer(served):
+def test_another_host_another_page_and_a_token_that_was_used_get_no_answer(serving):
     """A page elsewhere whose name points here gets neither the page nor a websocket."""
+    served = serving[1]
     here = served.removeprefix("http://").rstrip("/")
     port = here.rpartition(":")[2]
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from made_datasets import run_of, sweep_of
 from matplotlib import image
 from matplotlib.colors import to_hex
 
@@ -19,11 +20,10 @@ from jaxilc.figures.style import marks_of, numbers_of, style_of
 from jaxilc.figures.units import written
 from jaxilc.figures.within_trial import _around_the_largest
 from jaxilc.learning import Machine
-from jaxilc.plants import DifferenceEquation, TwoAxes
+from jaxilc.plants import DifferenceEquation
 from jaxilc.scenarios import Published
 from jaxilc.schemes import PIDType
 from jaxilc.signals import Task
-from jaxilc.sweeps import run_schemes
 from jaxilc.sweeps.summary import explained_shares
 from jaxilc.theory import frequency
 from jaxilc.theory.condition import condition
@@ -33,29 +33,8 @@ TIME = np.arange(1001) * DT
 
 
 def dataset_of(errors, reference=None, u=None):
-    """Return a dataset of one scheme, `a`.
-
-    errors: (trial, time, channel) [mm]
-    """
-    errors = np.asarray(errors, float)
-    r = np.zeros(errors.shape[1:]) if reference is None else reference
-    u = np.zeros((len(errors), errors.shape[1] - 1, 1)) if u is None else u
-    dims = ("scheme", "trial", "time", "channel")
-    return xr.Dataset(
-        {
-            "r": (dims[2:], r),
-            "y": (dims, (r - errors)[None], {"units": "mm"}),
-            "e": (dims, errors[None], {"units": "mm"}),
-            "u": (("scheme", "trial", "input_time", "input"), u[None], {"units": "V"}),
-            "rms": (("scheme", "trial"), np.sqrt(np.mean(errors**2, axis=(1, 2)))[None]),
-        },
-        coords={
-            "scheme": ["a"],
-            "trial": np.arange(1, len(errors) + 1),
-            "time": np.arange(errors.shape[1]) * DT,
-            "input_time": np.arange(errors.shape[1] - 1) * DT,
-        },
-    )
+    """Return a dataset of one scheme, `a`; errors: (trial, time, channel) [mm]."""
+    return run_of(np.asarray(errors)[None], reference, None if u is None else u[None])
 
 
 def line_of(ax, label):
@@ -90,13 +69,8 @@ def test_a_scheme_keeps_its_look_alone_and_beside_others():
 
 def test_a_tuning_is_judged_by_the_ratio_of_each_machine():
     """The ratios are 2, 4, 1, and 0 where the tuned law diverges."""
-    given, tuned = np.array([4.0, 4.0, 4.0, 4.0]), np.array([2.0, 1.0, 4.0, np.inf])
-    dims = ("scheme", "sample", "trial")
-    dataset = xr.Dataset(
-        {"rms": (dims, np.stack([given, tuned])[:, :, None]),
-         "finite": (dims, np.isfinite(np.stack([given, tuned]))[:, :, None])},
-        coords={"scheme": ["given", "tuned"], "trial": [1]},
-    )  # fmt: skip
+    errors = np.array([[4.0, 4.0, 4.0, 4.0], [2.0, 1.0, 4.0, np.inf]])[..., None]
+    dataset = sweep_of(errors, ("given", "tuned"))
     _, below = figures.given_and_tuned.described(dataset, metric="rms").panels
     band, median, least, one = below.layers
     assert (band.low[0], band.high[0], median.y[0], least.y[0], one.at) == (0, 4, 1, 0, 1)
@@ -134,11 +108,8 @@ def test_a_printed_bound_is_no_printed_number():
     # 4000 µm are 4 mm, so that each tick has its own unit
     assert ax.get_ylabel() == "rms"
     assert ax.yaxis.get_major_formatter()(2e3) == "2 mm"
-    assert [t.get_text() for t in ax.get_legend().get_texts()] == [
-        "a",
-        "published",
-        "published: less",
-    ]
+    said = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert said == ["a", "published", "published: less"]
 
 
 # Numbers with prefixes, colours, formats
@@ -200,21 +171,6 @@ def test_a_format_is_chosen_for_all_files(tmp_path):
 # --------------------------------------------------------------------------------------------------
 
 
-def swept(errors):
-    """Return a dataset of many machines; errors: (scheme, sample, trial)."""
-    errors = np.asarray(errors, float)
-    return xr.Dataset(
-        {
-            "rms": (("scheme", "sample", "trial"), errors),
-            "finite": (("scheme", "sample", "trial"), np.isfinite(errors)),
-        },
-        coords={
-            "scheme": [f"s{i}" for i in range(len(errors))],
-            "trial": np.arange(1, errors.shape[2] + 1),
-        },
-    )
-
-
 def test_an_unstable_scheme_does_not_hide_the_others():
     """One scheme grows without bound; the limits are those of the one that learns.
 
@@ -225,7 +181,7 @@ def test_an_unstable_scheme_does_not_hide_the_others():
     bad = np.full((40, 1), 1.0) * 1e3 ** np.arange(12)
     bad[:4, 6:] = np.inf
     *panels, share = figures.error_band(
-        swept([good, bad]), metric="rms", tolerance=0.001, scale=1e3, unit="µm"
+        sweep_of([good, bad], ("good", "bad")), metric="rms", tolerance=0.001, scale=1e3, unit="µm"
     )
     low, high = panels[0].get_ylim()
     assert panels[1].get_ylim() == (low, high)
@@ -275,21 +231,14 @@ def test_tracking_zooms_in_on_the_largest_error():
     # The first trial, with 1 mm, does not determine the scale.
     assert axes[1, 1].get_ylim()[1] == pytest.approx(6.0)
     for column in axes.T:
-        error, output = line_of(column[1], "trial 2"), line_of(column[0], "trial 2")
-        np.testing.assert_allclose(
-            error.get_ydata(), 1e3 * np.interp(error.get_xdata(), TIME, bump[:, 0]), atol=1e-9
-        )
-        np.testing.assert_allclose(
-            output.get_ydata(),
-            np.interp(output.get_xdata(), TIME, (reference - bump)[:, 0]),
-            atol=1e-12,
-        )
+        for ax, signal in zip(column, (reference - bump, 1e3 * bump), strict=False):
+            at, drawn = line_of(ax, "trial 2").get_data()
+            np.testing.assert_allclose(drawn, np.interp(at, TIME, signal[:, 0]), atol=1e-9)
         assert set(line_of(column[2], "trial 2").get_ydata()) == {0.25}
     assert len(line_of(axes[1, 0], "trial 2").get_xdata()) == 1001
     assert [ax.get_ylabel() for ax in axes[:, 0]] == ["output [mm]", "error [µm]", "input [V]"]
-    assert figures.tracking(dataset_of([bump]), "a", (1,), zoom=(0.1, 0.2))[
-        0, 1
-    ].get_xlim() == pytest.approx((0.1, 0.2))
+    zoomed = figures.tracking(dataset_of([bump]), "a", (1,), zoom=(0.1, 0.2))[0, 1]
+    assert zoomed.get_xlim() == pytest.approx((0.1, 0.2))
 
 
 def test_each_output_has_its_own_error():
@@ -311,9 +260,8 @@ def test_a_sample_of_a_sweep_is_drawn_and_what_it_lacks_is_said():
     )
     ax = figures.spectrum(kept.sel(sample=1), "a", (3,))
     assert np.max(ax.lines[0].get_ydata()) == pytest.approx(2.0)
-    assert figures.tracking(kept.sel(sample=1), "a", (3,))[0, 0].lines[
-        0
-    ].get_ydata() == pytest.approx(np.zeros(1001), abs=1e-12)
+    reference = figures.tracking(kept.sel(sample=1), "a", (3,))[0, 0].lines[0].get_ydata()
+    assert reference == pytest.approx(np.zeros(1001), abs=1e-12)
     for dataset, trial, scheme, message in (
         (kept, 3, "a", "choose one, as in dataset.sel"),
         (kept.sel(sample=0), 2, "a", "trial = 2 is not one of those kept, 3 to 3"),
@@ -333,11 +281,7 @@ def circle_at(radius):
 
 
 def test_the_contour_error_is_drawn_magnified():
-    """The contour error is drawn magnified.
-
-    A circle that is 10 µm too large, run through a hundredth of a turn late, is 10 µm away from the
-    path.
-    """
+    """A circle that is 10 µm too large, and a hundredth of a turn late, is 10 µm off the path."""
     path, late = circle_at(20.0), 10
     motion = circle_at(20.01)[np.maximum(np.arange(len(TIME)) - late, 0)]
     top, bottom = figures.contour(
@@ -385,11 +329,7 @@ def test_a_sinusoid_shows_its_amplitude_at_its_frequency(amplitude, hertz):
 
 @pytest.mark.thorough
 def test_lines_of_noise_are_those_that_the_docstring_says():
-    """The spectral lines of noise have the mean that the docstring states.
-
-    The mean of their power is 4 s^2 / N. At the lowest frequencies there is less than one line in a
-    sixtieth of a decade, so these lines are drawn one by one.
-    """
+    """The mean of their power is 4 s^2 / N, at low frequencies, where each line is drawn."""
     noise = np.random.default_rng(1).normal(size=(100, 1001, 1))
     lines = [
         figures.spectrum(dataset_of([one]), "a", (1,)).lines[0].get_xydata()[2:20] for one in noise
@@ -451,9 +391,7 @@ def test_the_map_follows_a_chirp_and_shares_its_colours_among_trials():
 
 
 def test_the_crossing_is_marked_where_the_closed_form_has_it():
-    """The crossing is marked where the closed form has it.
-
-    The plant P = b z^(-1-d) learns by u + gamma e[k+1]. With g = gamma b,
+    """The plant P = b z^(-1-d) learns by u + gamma e[k+1]. With g = gamma b,
 
         |1 - g z^-d|^2 = 1 - 2 g cos(d w) + g^2,
 
@@ -486,35 +424,26 @@ def test_the_crossing_is_marked_where_the_closed_form_has_it():
 # --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.thorough(but=["errors0", "errors2"])
-@pytest.mark.parametrize(
-    "errors",
-    [
-        np.zeros((1001, 2)),
-        np.full((1001, 2), np.nan),
-        np.where(TIME[:, None] < 0.5, 1e150, [[np.nan, 0]]),
-    ],
-)
-def test_what_is_zero_or_diverged_is_drawn_without_complaint(errors, tmp_path):
-    dataset = dataset_of([errors], np.hstack([sinusoid(1.0, 1.0), sinusoid(1.0, 2.0)]))
-    for figure in (figures.tracking, figures.spectrum, figures.time_frequency, figures.contour):
-        assert (
-            figures.save(figure(dataset, "a", (1,)), tmp_path / "figure.png").stat().st_size > 5_000
-        )
+DRAWN = {
+    "zero": np.zeros((1001, 2)),
+    "lost": np.full((1001, 2), np.nan),
+    "huge": np.where(TIME[:, None] < 0.5, 1e150, [[np.nan, 0]]),
+    "short": circle_at(1.0)[:6],
+}
 
 
-@pytest.mark.thorough
-def test_a_short_trial_is_drawn(tmp_path):
-    dataset = dataset_of([circle_at(1.0)[:6]], circle_at(2.0)[:6])
+@pytest.mark.thorough(but=["zero", "huge"])
+@pytest.mark.parametrize("name", DRAWN)
+def test_what_is_zero_diverged_or_short_is_drawn_without_complaint(name, tmp_path):
+    reference = np.hstack([sinusoid(1.0, 1.0), sinusoid(1.0, 2.0)])
+    dataset = dataset_of([DRAWN[name]], reference[: len(DRAWN[name])])
     for figure in (figures.tracking, figures.spectrum, figures.time_frequency, figures.contour):
-        figures.save(figure(dataset, "a", (1,)), tmp_path / "figure.png")
+        saved = figures.save(figure(dataset, "a", (1,)), tmp_path / "figure.png")
+        assert saved.stat().st_size > 5_000
 
 
 def test_a_zoom_at_the_end_of_the_trial_lies_within_it():
-    """A zoomed window at the end of the trial stays within the trial.
-
-    For each window length, some sample times round so that start plus length is more than the end.
-    """
+    """For each length, some sample times round so that start plus length exceeds the end."""
     for samples in range(10, 60):
         time = np.arange(samples + 1) * DT
         low, high = _around_the_largest(time, np.arange(samples + 1.0)[:, None])
@@ -522,10 +451,7 @@ def test_a_zoom_at_the_end_of_the_trial_lies_within_it():
 
 
 def test_labels_do_not_overlap():
-    """Labels do not overlap, with as many schemes as a scenario has.
-
-    These are tick labels, axis labels and the legend.
-    """
+    """Ticks, labels of axes and the legend, with as many schemes as a scenario has."""
     dataset = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0, 1e-3)])
     names = [f"scheme-number-{i}" for i in range(9)]
     dataset = xr.concat(
@@ -543,34 +469,24 @@ def test_labels_do_not_overlap():
         figures.time_frequency(dataset, names[1], (1, 3)),
     )
     for axes in drawn:
-        axes = np.ravel(axes)
-        axes[0].figure.canvas.draw()
-        for ax in axes:
-            view = ax.get_window_extent()
-            ticks = [
-                [label.get_window_extent() for label in axis.get_ticklabels() if label.get_text()]
-                for axis in (ax.xaxis, ax.yaxis)
-            ]
-            # Labels outside the view are not drawn.
-            boxes = [box for box in ticks[0] if view.x0 <= (box.x0 + box.x1) / 2 <= view.x1]
-            boxes += [box for box in ticks[1] if view.y0 <= (box.y0 + box.y1) / 2 <= view.y1]
-            boxes += [
-                axis.label.get_window_extent()
-                for axis in (ax.xaxis, ax.yaxis)
-                if axis.label.get_text()
-            ]
-            assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), (
-                ax.get_title()
-            )
+        np.ravel(axes)[0].figure.canvas.draw()
+        for ax in np.ravel(axes):
+            view, boxes = ax.get_window_extent(), []
+            for axis, way in ((ax.xaxis, "intervalx"), (ax.yaxis, "intervaly")):
+                low, high = getattr(view, way)
+                texts = [text for text in axis.get_ticklabels() if text.get_text()]
+                ticks = [text.get_window_extent() for text in texts]
+                # labels outside the view are not drawn
+                boxes += [box for box in ticks if low <= np.mean(getattr(box, way)) <= high]
+                boxes += [axis.label.get_window_extent()] if axis.label.get_text() else []
+            overlap = [a.overlaps(b) for a, b in itertools.combinations(boxes, 2)]
+            assert not any(overlap), ax.get_title()
     ax = drawn[0]
     assert not ax.get_legend().get_window_extent().overlaps(ax.get_window_extent())
 
 
 def test_a_legend_has_its_place():
-    """A legend has a fixed place.
-
-    For the place "best", Matplotlib searches among all points, and warns where this is slow.
-    """
+    """For the place "best" Matplotlib searches among all points, and warns where this is slow."""
     texts = {
         file.name: text
         for file in Path(figures.__file__).parents[1].rglob("*.py")
@@ -586,15 +502,3 @@ def test_a_legend_has_its_place():
     ]
     assert len(calls) > 2
     assert [call[:2] for call in calls if "loc" not in call[2]] == []
-
-
-@pytest.mark.thorough
-def test_a_run_has_what_the_figures_need(tmp_path, unpainted):
-    task = Task(
-        np.hstack([sinusoid(1.0, 2.0), sinusoid(1.0, 3.0)])[:201], dt=DT, unit="mm", input_unit="V"
-    )
-    axis = DifferenceEquation(a=(0.9,), b=(0.1,), dt=DT)
-    machine = Machine(TwoAxes(axis, axis))
-    dataset, _ = run_schemes(machine, {"a": PIDType(gamma_p=0.1)}, task, 2)
-    for figure in (figures.tracking, figures.spectrum, figures.time_frequency, figures.contour):
-        figures.save(figure(dataset, "a", (1, 2)), tmp_path / "figure.png")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+from made_datasets import sweep_of
 
 from jaxilc import figures
 from jaxilc.figures.grid_map import PREMISES
@@ -12,15 +13,7 @@ def dataset_of(errors, b):
     """Return a sweep of one scheme over the axes a and b, three machines a point, two trials."""
     last = np.asarray(errors, float)[..., None] * [0.5, 1.0, 0.8]
     whole = np.stack([np.ones_like(last), last], axis=-1)[None]
-    dims = ("scheme", "a", "b", "sample", "trial")
-    return xr.Dataset(
-        {
-            "rms": (dims, whole),
-            "finite": (dims, np.isfinite(whole)),
-            "diverged_at": (dims[:-1], 2 * ~np.isfinite(last)[None]),
-        },
-        {"scheme": ["law"], "a": ("a", [10.0, 0.1, 1.0][: len(errors)], {"units": "V"}), "b": b},
-    )
+    return sweep_of(whole, a=([10.0, 0.1, 1.0][: len(errors)], {"units": "V"}), b=b)
 
 
 def test_a_map_has_the_error_of_each_point_and_a_star_at_the_best():
@@ -73,16 +66,7 @@ def test_a_third_axis_has_panels_and_marks_stand_where_they_are():
     of = {name: np.arange(float(count)) for name, count in (("a", 9), ("b", 10), ("c", 8))}
     at = np.meshgrid(*of.values(), indexing="ij")
     error = sum((x - best) ** 2 for x, best in zip(at, (2, 5, 4), strict=True)) + 1.0
-    dims = ("scheme", *of, "sample", "trial")
-    rms = error[None, ..., None, None] * np.ones((1, 9, 10, 8, 3, 2))
-    dataset = xr.Dataset(
-        {
-            "rms": (dims, rms),
-            "finite": (dims, np.isfinite(rms)),
-            "diverged_at": (dims[:-1], np.zeros(rms.shape[:-1], int)),
-        },
-        {"scheme": ["law"], **of},
-    )
+    dataset = sweep_of(error[None, ..., None, None] * np.ones((1, 9, 10, 8, 3, 2)), **of)
     marks = {
         "printed": {"a": 7.0, "b": 2.5, "c": 1.9},
         "off": {"a": 100.0, "b": 1.0},

@@ -4,9 +4,9 @@ import warnings
 
 import numpy as np
 import pytest
-import xarray as xr
 from bokeh.models import HoverTool
 from browser import needs_chromium, opened
+from made_datasets import sweep_of
 
 from jaxilc import figures
 from jaxilc.figures import live_grid
@@ -18,17 +18,7 @@ def dataset_of(errors, b, trials=3):
     """A sweep of one scheme over the axes a and b, two machines a point, the last one half."""
     last = np.asarray(errors, float)[..., None] * [1.0, 0.5]
     whole = last[None, ..., None] * np.arange(trials, 0, -1)
-    dims = ("scheme", "law.a", "b", "sample", "trial")
-    lost = np.isinf(last)[None]
-    return xr.Dataset(
-        {
-            "rms": (dims, whole),
-            "finite": (dims, np.isfinite(whole)),
-            "diverged_at": (dims[:-1], 2 * lost),
-        },
-        {"scheme": ["law"], "law.a": [0.1, 1.0, 10.0][: len(errors)], "b": b,
-         "trial": np.arange(1, trials + 1)},
-    )  # fmt: skip
+    return sweep_of(whole, **{"law.a": [0.1, 1.0, 10.0][: len(errors)], "b": b})
 
 
 def live_of(dataset, **options):
@@ -108,13 +98,8 @@ def test_any_grid_makes_a_page(errors, b):
 def test_a_large_grid_keeps_its_ends_and_its_best_point():
     error = np.abs(np.arange(200.0)[:, None] - 77) + np.ones((1, 300))
     error[77, 123] = 0.5
-    dims = ("scheme", "a", "b", "sample", "trial")
     rms = np.broadcast_to(error[None, :, :, None, None], (1, 200, 300, 1, 40))
-    dataset = xr.Dataset(
-        {"rms": (dims, rms), "finite": (dims, np.ones(rms.shape, bool)),
-         "diverged_at": (dims[:-1], np.zeros(rms.shape[:-1], int))},
-        {"scheme": ["law"], "a": np.arange(200.0), "b": np.arange(300.0), "trial": np.r_[1:41]},
-    )  # fmt: skip
+    dataset = sweep_of(rms, a=np.arange(200.0), b=np.arange(300.0))
     best, live = live_of(dataset)
     assert live.at(live.points.selected.indices[0]) == {"a": 77.0, "b": 123.0}
     assert live.dataset["a"].values[[0, -1]].tolist() == [0.0, 199.0]

@@ -11,10 +11,7 @@ ROW |= {"options": {"frequency": 0.5}, "among_fitted": False, "at_most": False}
 
 
 def test_each_row_has_its_printed_number_ours_and_their_ratio():
-    """Each row is drawn at its own height, with the mark and the colour of its verdict.
-
-    A row that diverged is at the border of the ratios, and has no number of ours.
-    """
+    """A row that diverged is at the border of the ratios, and has no number of ours."""
     rows = [
         ROW | {"value": 4.0, "ours": 5.0, "ratio": 1.25, "verdict": "met", "among_fitted": True},
         ROW | {"value": 2.0, "ours": 6.0, "ratio": 3.0, "verdict": "open"},
@@ -38,8 +35,6 @@ def test_each_row_has_its_printed_number_ours_and_their_ratio():
 def test_one_picture_for_each_paper():
     rows = [ROW | {"value": 1.0, "ours": 1.0, "ratio": 1.0, "verdict": "met"}] * 2
     found = figures.reproduction_figures([*rows, rows[0] | {"scenario": "b"}])
-    assert [caption[:32] for caption, _ in found] == [
-        "a: the printed numbers and ours,",
-        "b: the printed numbers and ours,",
-    ]
+    said = "the printed numbers and ours,"
+    assert [caption[:32] for caption, _ in found] == [f"a: {said}", f"b: {said}"]
     assert [len(axes[0].get_yticks()) for _, axes in found] == [2, 1]

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from browser import needs_chromium, opened, photographed
+from made_datasets import run_of, sweep_of
 from matplotlib.figure import Figure
 from rich.table import Table
 
@@ -36,10 +37,7 @@ REFERRING = {"src", "href", "data", "action", "poster", "srcset", "background", 
 
 
 class Page(HTMLParser):
-    """The parser collects the parts of a page.
-
-    These are its elements, attributes and text, and whether every element is closed in order.
-    """
+    """The elements and the references of a page, and whether each is closed in order."""
 
     def __init__(self, text):
         super().__init__()
@@ -170,11 +168,8 @@ def test_figures_that_cannot_be_embedded_are_refused(tmp_path):
 def test_versions_are_those_installed():
     import jax
 
-    rows = {
-        row[0].text: row[1].text
-        for table in parsed(html_report("t", {})).iter("table")
-        for row in table.iter("tr")
-    }
+    tables = parsed(html_report("t", {})).iter("table")
+    rows = {row[0].text: row[1].text for table in tables for row in table.iter("tr")}
     assert rows["jax"] == jax.__version__
     assert rows["numpy"] == np.__version__
     assert rows["Python"] == sys.version.split()[0]
@@ -188,6 +183,7 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     drawn_axes().figure.savefig(tmp_path / "error-by-trial.png")
     monkeypatch.setattr(sys, "argv", ["/somewhere/jaxilc", "run", "dai-2014", "--set", "name=a b"])
     path = tmp_path / "new folder" / "report.html"
+    assert command_report(None, "run", [], []) == [], "without a path nothing is written"
     # The store is not a picture.
     figures = [tmp_path / "error-by-trial.png", tmp_path / "dataset.zarr"]
     assert command_report(
@@ -204,11 +200,8 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     assert head == ["trial", "pid"]
     # The same number is computed in another way, by learning without the dataset; three digits are
     # shown.
-    error = float(
-        np.max(
-            np.asarray(learn(chosen.machine, chosen.schemes["pid"], chosen.task, 1).settled_error)
-        )
-    )
+    alone = learn(chosen.machine, chosen.schemes["pid"], chosen.task, 1)
+    error = float(np.max(np.asarray(alone.settled_error)))
     assert row[0] == "1"
     assert abs(float(row[1]) / error - 1) < 5e-3
     assert len(list(tree.iter("img"))) == 1
@@ -217,10 +210,6 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     settings = {row[0].text: row[1].text for row in tree.find(".//details").iter("tr")}
     poles = [float(text) for text in settings["machine.plant.poles"].split(", ")]
     np.testing.assert_allclose(poles, chosen.machine.plant.poles, rtol=1e-3)
-
-
-def test_no_path_no_report():
-    assert command_report(None, "run", [], []) == []
 
 
 def test_writing_is_all_or_nothing(tmp_path):
@@ -264,27 +253,11 @@ def lively(tmp_path):
     """Return a page with a trial slider and with machines, and the data it was made from."""
     rng = np.random.default_rng(0)
     e = rng.normal(size=(2, 3, 41, 1)) * np.array([1.0, 0.1, 0.01])[None, :, None, None]
-    dims = ("scheme", "trial", "time", "channel")
-    r = np.sin(np.linspace(0, 6, 41))[:, None]
-    run = xr.Dataset(
-        {
-            "r": (dims[2:], r),
-            "y": (dims, r - e, {"units": "mm"}),
-            "e": (dims, e, {"units": "mm"}),
-            "u": (("scheme", "trial", "input_time", "input"), e[:, :, :-1]),
-            "rms": (("scheme", "trial"), np.sqrt(np.mean(e**2, axis=(2, 3)))),
-        },
-        coords={"scheme": ["one", "two"], "trial": [1, 2, 3], "time": np.arange(41) * 1e-2},
-    )
+    r, schemes = np.sin(np.linspace(0, 6, 41))[:, None], ("one", "two")
+    run = run_of(e, r, e[:, :, :-1], dt=1e-2, schemes=schemes)
     gain, other = rng.uniform(size=(2, 50))
     last = np.stack([1 + gain, 1 + other])
-    many = xr.Dataset(
-        {
-            "rms": (("scheme", "sample", "trial"), np.repeat(last[..., None], 3, axis=2)),
-            "finite": (("scheme", "sample", "trial"), np.ones((2, 50, 3), bool)),
-        },
-        coords={"scheme": ["one", "two"], "trial": [1, 2, 3]},
-    )
+    many = sweep_of(np.repeat(last[..., None], 3, axis=2), schemes)
     of = {"metric": "rms", "unit": "mm"}
     live = [
         page_of(error_by_trial.described(run, **of)),
@@ -298,19 +271,10 @@ def lively(tmp_path):
 
 def test_a_page_is_small_whatever_it_shows():
     """Of many schemes fewer trials can be chosen; what would still not fit is named instead."""
-    rng, S, J, N, axes = np.random.default_rng(1), 49, 12, 100, ["x", "y", "z"]
-    dims, e = ("scheme", "trial", "time", "channel"), rng.normal(size=(S, J, N + 1, 3))
-    names = [f"scheme-{i}" for i in range(S)]
-    run = xr.Dataset(
-        {
-            "r": (dims[2:], e[0, 0]), "y": (dims, e), "e": (dims, e),
-            "u": (("scheme", "trial", "input_time", "input"), e[:, :, :-1]),
-        },
-        coords={
-            "scheme": names, "trial": np.arange(1, J + 1), "channel": axes,
-            "time": np.arange(N + 1) * 1e-3,
-        },
-    )  # fmt: skip
+    rng = np.random.default_rng(1)
+    e = rng.normal(size=(49, 12, 101, 3))
+    names = [f"scheme-{i}" for i in range(49)]
+    run = run_of(e, e[0, 0], e[:, :, :-1], schemes=names, channel=["x", "y", "z"])
     long = xr.Dataset(
         {"rms": (("scheme", "trial"), rng.uniform(size=(6, 50_000)))},
         coords={"scheme": names[:6], "trial": np.arange(1, 50_001)},
@@ -383,10 +347,7 @@ def test_a_reader_moves_the_slider_and_chooses_a_parameter(tmp_path):
 @pytest.mark.thorough
 @needs_chromium
 def test_a_browser_shows_every_figure_and_asks_nobody(tmp_path, server):
-    """A browser shows every figure, and requests nothing from the network.
-
-    If the page contained a reference to another site, the policy of the page would block it.
-    """
+    """If a page had a reference to another site, its policy would block it."""
     address, asked = server
     axes = [
         Figure(figsize=(2.0, 1.0), dpi=100, facecolor=tuple(c / 255 for c in BLUE)).subplots()

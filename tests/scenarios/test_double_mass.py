@@ -10,13 +10,8 @@ from jaxilc.scenarios.double_mass import SAMPLE_TIME, closed_loop
 
 
 def test_the_loops_are_those_that_python_control_closes():
-    loop, load_mass = closed_loop(1.5), 1.5
-    A = [
-        [0, 1, 0, 0],
-        [-100, -2, 100, 1],
-        [0, 0, 0, 1],
-        [100 / load_mass, 1 / load_mass, -100 / load_mass, -2 / load_mass],
-    ]
+    loop, of_load = closed_loop(1.5), np.array([100, 1, -100, -2]) / 1.5
+    A = [[0, 1, 0, 0], [-100, -2, 100, 1], [0, 0, 0, 1], of_load]
     G = control.ss(A, [[0], [1], [0], [0]], [[1, 0, 0, 0]], 0)
     C = control.ss(control.tf([10, 20, 10], [SAMPLE_TIME, 1, 0]))
     f = np.geomspace(0.1, 100, 30)

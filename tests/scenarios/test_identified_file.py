@@ -44,11 +44,12 @@ def written(tmp_path_factory):
     return path, write_plant_file(path, FOUND, RECORD, source=source, units=("V", 'm"m'))
 
 
-def largest(gain, pole, law):
-    """sup |Q (1 - L P)| of a lag held over each sample, from its closed form."""
+def largest(gain, pole, law, delay=0.0):
+    """sup |Q (1 - L P)| of a lag held over each sample, from its closed form; delay: [samples]."""
     f = np.linspace(0.01, 0.5 / DT * (1 - 1e-9), 20001)
-    z, a = np.exp(2j * np.pi * f * DT), np.exp(-pole * DT)
-    P = gain * (1 - a) / (z - a)
+    z, a, (part, whole) = np.exp(2j * np.pi * f * DT), np.exp(-pole * DT), np.modf(delay)
+    now = a ** (1 - part)
+    P = gain * ((1 - now) + (now - a) / z) / (z - a) / z**whole
     Q = 1 / (1 + (np.tan(np.pi * f * DT) / np.tan(np.pi * law.cutoff * DT)) ** 4)
     return np.max(np.abs(Q * (1 - law.gamma_p * z ** (1 + law.lead) * P)))
 
@@ -131,11 +132,4 @@ def test_a_fitted_response_is_written_with_its_delay(tmp_path):
     assert made.machine.plant.delay == 0.0205
     assert "plant.delay" not in made.uncertainty
     assert law.lead >= 20
-    # P of a lag behind 20.5 samples of delay, held over each sample
-    half, a = np.exp(-30.0 * DT), np.exp(-60.0 * DT)
-    f = np.linspace(0.01, 0.5 / DT * (1 - 1e-9), 20001)
-    z = np.exp(2j * np.pi * f * DT)
-    P = -2.0 * ((1 - half) + half * (1 - half) / z) / (z - a) / z**20
-    Q = 1 / (1 + (np.tan(np.pi * f * DT) / np.tan(np.pi * law.cutoff * DT)) ** 4)
-    nominal = np.max(np.abs(Q * (1 - law.gamma_p * z ** (1 + law.lead) * P)))
-    assert law.nominal == pytest.approx(nominal, rel=1e-3)
+    assert law.nominal == pytest.approx(largest(-2.0, 60.0, law, delay=20.5), rel=1e-3)
