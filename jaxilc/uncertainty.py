@@ -25,7 +25,7 @@ from .pytree.aliases import Tree, Value
 from .pytree.closest import not_one_of
 from .pytree.in_short import in_short
 from .pytree.named_paths import get_at, interval_at, replaced
-from .pytree.ranges import SEEDS, brief, is_number, require
+from .pytree.ranges import SEEDS, brief, require
 from .runtime.capacity import check_size
 
 COPIES = 6  # number of copies of all numbers that are in RAM while they are drawn
@@ -148,10 +148,7 @@ def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distri
 
     Raises ValueError for a half_width outside (0, 1).
     """
-    if not is_number(half_width):
-        raise ValueError(f"spread = {brief(half_width)} is not a number")
-    if not 0 < half_width < 1:
-        raise ValueError(f"spread = {half_width:g} is outside its allowed range (0, 1)")
+    require("", "spread", half_width, "(0, 1)")
     if 1 + half_width == 1:
         raise ValueError(f"spread = {half_width:g} is lost in rounding; allowed is 1e-15 or more")
     return {name: d.spread(half_width) if d.relative else d for name, d in uncertainty.items()}

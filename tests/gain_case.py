@@ -3,7 +3,9 @@
 The plant is a static gain under P-type ILC.
 """
 
-import jax.numpy as jnp
+import dataclasses
+
+import jax
 import numpy as np
 
 from jaxilc.learning import Machine
@@ -33,4 +35,26 @@ PROBLEM = Tuning(
     validate_every=3,
     lanes=2,
 )
-LARGEST = {"largest": lambda trial: jnp.max(jnp.abs(trial.u))}
+
+
+class Killed(Exception):
+    """What ends a tuning from outside."""
+
+
+def kill_after(step):
+    """Return a `progress` that kills a tuning after a step."""
+
+    def progress(done, losses, best):
+        if done == step:
+            raise Killed
+
+    return progress
+
+
+def assert_same_tuned(one, other):
+    """Check that two results of a tuning have the same numbers; their schemes follow from these."""
+    for field in dataclasses.fields(one):
+        if field.name != "scheme":
+            jax.tree.map(
+                np.testing.assert_array_equal, getattr(one, field.name), getattr(other, field.name)
+            )

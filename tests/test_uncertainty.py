@@ -193,10 +193,7 @@ def test_bad_distributions_are_named(make, message):
 
 
 def test_what_takes_long_to_import_is_imported_where_it_is_used():
-    """A module that takes long to import is imported where it is used.
-
-    scipy.stats takes more than a second, and only some ways of drawing need it.
-    """
+    """scipy.stats takes more than a second, and only some ways of drawing need it."""
     program = (
         "import sys, jaxilc.uncertainty; from jaxilc.sweeps import Sweep, summarise;"
         " print([name for name in ('scipy.stats', 'scipy.special') if name in sys.modules])"

@@ -142,19 +142,15 @@ class Machine:
 
     def unlimited(self) -> Machine:
         """This machine without the limits of its actuator; the step of its converter is kept."""
-        actuator = self.actuator
-        if actuator is not None:
-            actuator = dataclasses.replace(actuator, limit=None, rate=None)
-        return dataclasses.replace(self, actuator=actuator)
+        return dataclasses.replace(self, actuator=_without(self.actuator, "limit", "rate"))
 
     def unrounded(self) -> Machine:
         """This machine without the steps of its converter and of its sensors."""
-        parts = {"actuator": self.actuator, "sensor": self.sensor}
-        fine: dict[str, Value] = {
-            name: None if part is None else dataclasses.replace(part, resolution=None)
-            for name, part in parts.items()
-        }
-        return dataclasses.replace(self, **fine)
+        return dataclasses.replace(
+            self,
+            actuator=_without(self.actuator, "resolution"),
+            sensor=_without(self.sensor, "resolution"),
+        )
 
     def noiseless(self, *, averaged: bool = True) -> Machine:
         """This machine without the noise of its sensors and of its disturbances.
@@ -162,14 +158,14 @@ class Machine:
         averaged: whether what is drawn of the record of a trial has its mean, see
             `Variation.averaged`; if not, it is drawn, and only the initial state is not
         """
-        sensor, disturbance, variation = self.sensor, self.disturbance, self.variation
+        variation = self.variation
         if variation is not None:
             variation = dataclasses.replace(variation, scatter=None, averaged=averaged)
-        sensor = None if sensor is None else dataclasses.replace(sensor, noise=None)
-        if disturbance is not None:
-            disturbance = dataclasses.replace(disturbance, input_noise=None, output_noise=None)
         return dataclasses.replace(
-            self, sensor=sensor, disturbance=disturbance, variation=variation
+            self,
+            sensor=_without(self.sensor, "noise"),
+            disturbance=_without(self.disturbance, "input_noise", "output_noise"),
+            variation=variation,
         )
 
     def limits(self, trial: Trial) -> dict[str, Limit]:
@@ -267,6 +263,11 @@ class Machine:
                 raise ValueError(
                     f"Disturbance: {name} has shape {signal.shape}; this task needs {shape}"
                 )
+
+
+def _without(part: Value, *names: str) -> Value:
+    """A part of a machine without what these fields say; None for no such part."""
+    return None if part is None else dataclasses.replace(part, **dict.fromkeys(names))
 
 
 def _total(

@@ -19,6 +19,7 @@ from jax.flatten_util import ravel_pytree
 from ..plants import Plant
 from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.fields import child, leaf, pytree, static
+from ..pytree.needs import need_numbers
 from ..schemes.weights import weighed
 from ..signals.task import Task, Trial
 from .arrival import newest, not_lost, shifted, there_until
@@ -152,12 +153,7 @@ class Variation:
                     f"Variation: {name} has shape {value.shape}; the state of "
                     f"{type(plant).__name__} needs () or {state.shape}"
                 )
-        for name in ("carried", "shortest", "dropped", "delayed"):
-            value = getattr(self, name)
-            if value is not None and value.shape:
-                raise ValueError(
-                    f"Variation: {name} has shape {value.shape}; allowed is one number"
-                )
+        need_numbers(self, "carried", "shortest", "dropped", "delayed")
         for name in ("late", "delay"):
             value, most = getattr(self, name), max(task.N - 1, 1)
             if value > most:

@@ -14,7 +14,6 @@ from ..schemes import Scheme
 from ..schemes.weights import weighed
 from ..signals.rows import for_scan
 from ..signals.task import Sample, Task, Trial
-from .known_metrics import Metrics
 from .machine import Machine
 from .metrics import Tally, measure
 from .variation import Start
@@ -36,7 +35,7 @@ def run_trial(
     The function is pure and can be called inside `jit`. Fields of the returned `Trial` have N or
     N+1 rows.
     """
-    return _run(machine, scheme, task, memory, key, number, None, measured=False)[0]
+    return run_and_measure(machine, scheme, task, memory, key, number, measured=False)[0]
 
 
 def run_and_measure(
@@ -46,57 +45,16 @@ def run_and_measure(
     memory: Tree,
     key: Array,
     number: Array | int | None = None,
-    start: Tree = None,
-) -> tuple[Trial, Metrics, Start | None]:
-    """The record of `run_trial`, its metrics, which are computed in the same pass, and its end.
+    start: Start | None = None,
+    *,
+    measured: bool = True,
+) -> tuple[Trial, Tree, Start | None]:
+    """The record of `run_trial`, its `Metrics`, and the start of the next trial.
 
     start: `Start` of the trial; None: that of the machine
-    The last result is the start of the next trial; None for a machine that does not carry its
-    state.
-    """
-    return _run(machine, scheme, task, memory, key, number, start, measured=True)
-
-
-def first_start(machine: Machine, scheme: Scheme, task: Task, key: Array) -> Start:
-    """The `Start` of a trial of a machine, sampled, that is at rest."""
-    plant = machine.plant
-    varies = machine.variation
-    x = plant.initial_state() if varies is None else varies.initial_state(plant, key)
-    rest = jnp.zeros(task.inputs)
-    return Start(x, scheme.initial_state(task), rest, None if machine.actuator is None else rest)
-
-
-def bytes_of_trial(scheme: Scheme, task: Task) -> int:
-    """The bytes of one machine that learning over trials reads and writes between two trials.
-
-    They are those of the memory, the schedule, and the record of a trial. Nothing is computed.
-    """
-
-    def signals() -> Tree:
-        ready = scheme.prepared(task)
-        memory = ready.initial_memory(task)
-        beside = ready.signals(ready.initial_state(task))
-        record = jnp.zeros((task.N, task.outputs + task.inputs))
-        rows = jax.tree.map(lambda x: jnp.zeros((task.N, *jnp.shape(x))), beside)
-        return memory, ready.schedule(memory, task), record, rows
-
-    return bytes_of(jax.eval_shape(signals))
-
-
-def _run(
-    machine: Machine,
-    scheme: Scheme,
-    task: Task,
-    memory: Tree,
-    key: Array,
-    number: Array | int | None,
-    start: Start | None,
-    *,
-    measured: bool,
-) -> tuple[Trial, Tree, Start | None]:
-    """The record of a trial, its metrics, or None in their place, and the start of the next trial.
-
-    XLA would drop metrics that nobody reads, but tracing and differentiating them takes time.
+    measured: whether the metrics are computed, in the same pass; they are None if not. XLA would
+        drop metrics that nobody reads, but tracing and differentiating them takes time
+    The last result is None for a machine that does not carry its state.
     """
     machine, task = machine.sampled(task.dt).at_trial(task, number)
     if (
@@ -153,6 +111,32 @@ def _run(
     rest = first_start(machine, scheme, task, key)
     assert machine.variation is not None
     return trial, metrics, machine.variation.following(rest, Start(*carry[:4]))
+
+
+def first_start(machine: Machine, scheme: Scheme, task: Task, key: Array) -> Start:
+    """The `Start` of a trial of a machine, sampled, that is at rest."""
+    plant = machine.plant
+    varies = machine.variation
+    x = plant.initial_state() if varies is None else varies.initial_state(plant, key)
+    rest = jnp.zeros(task.inputs)
+    return Start(x, scheme.initial_state(task), rest, None if machine.actuator is None else rest)
+
+
+def bytes_of_trial(scheme: Scheme, task: Task) -> int:
+    """The bytes of one machine that learning over trials reads and writes between two trials.
+
+    They are those of the memory, the schedule, and the record of a trial. Nothing is computed.
+    """
+
+    def signals() -> Tree:
+        ready = scheme.prepared(task)
+        memory = ready.initial_memory(task)
+        beside = ready.signals(ready.initial_state(task))
+        record = jnp.zeros((task.N, task.outputs + task.inputs))
+        rows = jax.tree.map(lambda x: jnp.zeros((task.N, *jnp.shape(x))), beside)
+        return memory, ready.schedule(memory, task), record, rows
+
+    return bytes_of(jax.eval_shape(signals))
 
 
 def _at_once(machine: Machine, command: Array, task: Task, key: Array) -> Trial:

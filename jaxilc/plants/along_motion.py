@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -31,6 +34,29 @@ def motion(plant: Plant, u: Array, dt: float) -> Array:
     return jnp.concatenate([plant.output(start)[None], lax.scan(step, start, u)[1]])
 
 
+class Flat(NamedTuple):
+    """A plant whose state is one vector (n,), as derivatives by it take it.
+
+    start: (n,) the initial state
+    step:   (n,), (n_u,) -> (n,) the state after a sample
+    output: (n,) -> (n_y,)
+    """
+
+    start: Array
+    step: Callable[[Array, Array], Array]
+    output: Callable[[Array], Array]
+
+
+def flat(plant: Plant, dt: float) -> Flat:
+    """The plant, sampled for dt [s], with a flat state."""
+    start, unravel = ravel_pytree(plant.initial_state())
+    return Flat(
+        start,
+        lambda x, u: ravel_pytree(plant.step(unravel(x), u, dt))[0],
+        lambda x: plant.output(unravel(x)),
+    )
+
+
 def linearised(plant: Plant, u: Array, dt: float) -> TimeVaryingStateSpace:
     """The plant for small changes of the input u (N, n_u), along its motion from rest.
 
@@ -39,16 +65,9 @@ def linearised(plant: Plant, u: Array, dt: float) -> TimeVaryingStateSpace:
     where x, u and y are the changes. A and B are the derivatives of `step` at the state and the
     input of the sample k, C is that of `output` one sample later. Time and memory are linear in N.
     """
-    plant = plant.sampled(dt)
-    start, unravel = ravel_pytree(plant.initial_state())
+    start, step, output = flat(plant.sampled(dt), dt)
 
-    def step(x: Tree, u_k: Array) -> Array:
-        return ravel_pytree(plant.step(unravel(x), u_k, dt))[0]
-
-    def output(x: Tree) -> Array:
-        return plant.output(unravel(x))
-
-    def along(x: Tree, u_k: Array) -> tuple[Array, Tree]:
+    def along(x: Array, u_k: Array) -> tuple[Array, Tree]:
         A, B = jax.jacfwd(step, (0, 1))(x, u_k)
         x = step(x, u_k)
         return x, (A, B, jax.jacfwd(output)(x))

@@ -12,12 +12,13 @@ from typing import NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
+from ..pytree.ranges import require
 from ..signals.task import product, quantise
+from .along_motion import flat
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching
@@ -252,24 +253,18 @@ class BallScrewDrive(Plant):
             )
         )
         plant = dataclasses.replace(self, **absent, dt=0.0).sampled(dt)
-        rest, unravel = ravel_pytree(plant.initial_state())
-        A, B = jax.jacfwd(lambda x, u: ravel_pytree(plant.step(unravel(x), u, dt))[0], (0, 1))(
-            rest, jnp.zeros(1)
-        )
-        return StateSpace(A, B, jax.jacfwd(lambda x: plant.output(unravel(x)))(rest), dt=dt)
+        rest, step, output = flat(plant, dt)
+        A, B = jax.jacfwd(step, (0, 1))(rest, jnp.zeros(1))
+        return StateSpace(A, B, jax.jacfwd(output)(rest), dt=dt)
 
     def sampled(self, dt: float) -> BallScrewDrive:
         """The drive for sample time dt.
 
         Raises ValueError for dt beyond `longest_dt` where there is friction.
         """
-        if (
-            self.motor_friction is not None or self.table_friction is not None
-        ) and dt > self.longest_dt * (1 + 1e-9):
-            raise ValueError(
-                f"BallScrewDrive: dt = {dt:g} s is outside its allowed range (0, "
-                f"{self.longest_dt:g}] with friction, see longest_dt"
-            )
+        if self.motor_friction is not None or self.table_friction is not None:
+            allowed, note = f"(0, {self.longest_dt * (1 + 1e-9)}]", " with friction, see longest_dt"
+            require("BallScrewDrive", "dt", dt, allowed, " s", note=note)
         if self.dt:
             return matching(self, self.dt, dt)
         mechanics = self.mechanics()

@@ -18,9 +18,10 @@ from ..pytree.fields import child, pytree, static
 from ..runtime.capacity import check_size
 from ..runtime.lanes import machines_side_by_side
 from ..signals.task import Task, product
+from .along_motion import flat
 from .cnc_axis import Axes
 from .linear import DifferenceEquation, StateSpace
-from .plant import Plant
+from .plant import Around, Plant
 
 LOST = {"float64": 1e-9, "float32": 1e-4}  # of the largest |y|, by rounding of A
 
@@ -48,7 +49,7 @@ class Block(NamedTuple):
 
 
 @pytree
-class InBlocks(Plant):
+class InBlocks(Around):
     """A linear plant that answers a whole trial at once, for one machine and long trials.
 
     A step of one plant waits for the step before it. Here the states every `length` samples are a
@@ -78,39 +79,23 @@ class InBlocks(Plant):
     plant: Plant = child()
     length: int = static(default=32, interval="[2, 1e4]", whole=True)
 
-    @property
-    def n_u(self) -> int:
-        return self.plant.n_u
-
-    @property
-    def n_y(self) -> int:
-        return self.plant.n_y
-
     def check(self, task: Task) -> None:
-        self.plant.check(task)
+        super().check(task)
         of_a_row = 8 * 4 * self.length * self.n_u * self.n_y
         check_size("InBlocks", of_a_row, length=self.length)
 
     def sampled(self, dt: float) -> InBlocks:
-        plant = self.plant.sampled(dt)
-        if not _is_linear(plant):
+        sampled = super().sampled(dt)
+        if not _is_linear(sampled.plant):
             raise ValueError(
                 f"InBlocks: plant = {type(self.plant).__name__} is not linear and time-invariant; "
                 "allowed are plants that sample into "
                 "StateSpace, DifferenceEquation, or TwoAxes or ThreeAxes of them"
             )
-        return InBlocks(plant, self.length)
+        return sampled
 
     def continuous(self) -> StateSpace | None:
         return self.plant.continuous()
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        return self.plant.input_names
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        return self.plant.output_names
 
     def initial_state(self) -> Tree:
         return self.plant.initial_state()
@@ -151,11 +136,8 @@ def _is_linear(plant: Plant) -> bool:
 
 
 def _block(plant: Plant, dt: float, L: int) -> Block:
-    rest, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, plant.initial_state()))
-    n, n_u = len(rest), plant.n_u
-
-    def step(x: Tree, u: Array) -> Array:
-        return ravel_pytree(plant.step(unravel(x), u, dt))[0]
+    start, step, output = flat(plant, dt)
+    rest, n, n_u = jnp.zeros_like(start), len(start), plant.n_u
 
     def free(x: Tree, _: object) -> tuple[Tree, Tree]:
         x = jax.vmap(lambda x: step(x, jnp.zeros(n_u)))(x)
@@ -165,7 +147,7 @@ def _block(plant: Plant, dt: float, L: int) -> Block:
     start = jnp.concatenate([jnp.eye(n), impulses])
     # by steps, not by squaring, which loses digits where powers of A first grow
     x = jnp.concatenate([start[None], lax.scan(free, start, length=2 * L)[1]])
-    y = jax.vmap(jax.vmap(lambda x: plant.output(unravel(x))))(x)
+    y = jax.vmap(jax.vmap(output))(x)
     lag = np.arange(L) - np.arange(L)[:, None] - 1
     H = jnp.where((lag >= 0)[:, :, None, None], y[np.maximum(lag, 0), n:], 0.0)
     A, twice = x[L, :n], x[2 * L, :n]

@@ -12,6 +12,7 @@ import jax.scipy.linalg
 
 from ..pytree.aliases import Array, Tree
 from ..pytree.fields import child, pytree
+from ..signals.task import Task
 from .linear import StateSpace
 from .plant import Plant
 
@@ -72,6 +73,10 @@ class Axes(Plant):
     @property
     def n_y(self) -> int:
         return sum(axis.n_y for axis in self.axes.values())
+
+    def check(self, task: Task) -> None:
+        for axis in self.axes.values():
+            axis.check(task)
 
     def sampled(self, dt: float) -> Axes:
         return type(self)(*(axis.sampled(dt) for axis in self.axes.values()))

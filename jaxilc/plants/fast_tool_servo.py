@@ -17,6 +17,7 @@ from jax import lax
 from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
+from ..pytree.ranges import require
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .integration import Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching
@@ -213,12 +214,9 @@ class FastToolServo(Plant):
                 f"fastest mode, {fastest:.4g} Hz; its allowed range with these parameters is (0, "
                 f"{longest:.3g}]"
             )
-        slope = 0.0 if self.hysteresis is None else np.max(self.hysteresis.initial_slope)
-        if slope >= 1:
-            raise ValueError(
-                f"FastToolServo: hysteresis.initial_slope = {slope:g} is outside its allowed range "
-                "(0, 1), in V of z per V"
-            )
+        if self.hysteresis is not None:
+            name, slope = "hysteresis.initial_slope", np.max(self.hysteresis.initial_slope)
+            require("FastToolServo", name, slope, "(0, 1)", note=", in V of z per V")
 
     @property
     def coefficients(self) -> ServoCoefficients:
@@ -302,11 +300,8 @@ class FastToolServo(Plant):
         Under a cutting force the error falls as (dt / substeps)^4; with friction as its square,
         because of the kink where the motion turns. Raises ValueError for dt beyond `longest_dt`.
         """
-        if dt > self.longest_dt * (1 + 1e-9):
-            raise ValueError(
-                f"FastToolServo: dt = {dt:g} s is outside its allowed range (0, "
-                f"{self.longest_dt:g}], see longest_dt"
-            )
+        allowed = f"(0, {self.longest_dt * (1 + 1e-9)}]"
+        require("FastToolServo", "dt", dt, allowed, " s", note=", see longest_dt")
         linear = self.linear()
         plant: StateSpace | ForcedServo = linear.sampled(dt)
         if self.friction is not None or self.cutting is not None:

@@ -23,7 +23,7 @@ from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.fields import child, pytree, scalar, static
 from ..pytree.needs import known
 from .integration import runge_kutta
-from .plant import Plant
+from .plant import Around, Plant
 
 
 @pytree
@@ -153,7 +153,7 @@ class HystereticState(NamedTuple):
 
 
 @pytree
-class InputHysteresis(Plant):
+class InputHysteresis(Around):
     """Any plant with rate-independent hysteresis at its input.
 
     Channel by channel, the plant is driven by u - z. u is held over a sample and jumps at its
@@ -162,17 +162,6 @@ class InputHysteresis(Plant):
 
     plant: Plant = child()
     hysteresis: BoucWen | Dahl = child()
-
-    @property
-    def n_u(self) -> int:
-        return self.plant.n_u
-
-    @property
-    def n_y(self) -> int:
-        return self.plant.n_y
-
-    def sampled(self, dt: float) -> InputHysteresis:
-        return InputHysteresis(self.plant.sampled(dt), self.hysteresis)
 
     def initial_state(self) -> HystereticState:
         rest = jnp.zeros_like(self.hysteresis.initial_slope, shape=(self.n_u,))

@@ -41,8 +41,23 @@ def matching(plant: AnyPlant, own_dt: float, dt: float) -> AnyPlant:
     return plant
 
 
+class _Matrices(Plant):
+    """A plant with the matrices B (..., n, n_u) and C (..., n_y, n)."""
+
+    B: Leaf
+    C: Leaf
+
+    @property
+    def n_u(self) -> int:
+        return self.B.shape[-1]
+
+    @property
+    def n_y(self) -> int:
+        return self.C.shape[-2]
+
+
 @pytree
-class StateSpace(Plant):
+class StateSpace(_Matrices):
     """x' = A x + B u, y = C x in continuous time, or x[k+1] = A x[k] + B u[k] in discrete time.
 
     A:  (n, n)
@@ -77,14 +92,6 @@ class StateSpace(Plant):
         if self.x0 is not None and self.x0.shape != (n,):
             raise ValueError(f"StateSpace: x0 has shape {self.x0.shape}; allowed is ({n},)")
 
-    @property
-    def n_u(self) -> int:
-        return self.B.shape[-1]
-
-    @property
-    def n_y(self) -> int:
-        return self.C.shape[-2]
-
     def sampled(self, dt: float) -> StateSpace:
         if self.dt:
             return matching(self, self.dt, dt)
@@ -107,7 +114,7 @@ class StateSpace(Plant):
 
 
 @pytree
-class TimeVaryingStateSpace(Plant):
+class TimeVaryingStateSpace(_Matrices):
     """A plant that is linearised along its motion, over one trial of N samples.
 
         x[k+1] = A[k] x[k] + B[k] u[k],    y[k+1] = C[k] x[k+1]
@@ -127,29 +134,17 @@ class TimeVaryingStateSpace(Plant):
     dt: float = static(interval="(0, inf)")
 
     def __post_init__(self) -> None:
-        shapes = [np.shape(M) for M in (self.A, self.B, self.C)]
-        N, n = shapes[0][:2] if len(shapes[0]) == 3 else (0, 0)
-        fits = all(len(s) == 3 for s in shapes)
-        if not (
-            fits and shapes[0] == (N, n, n) and shapes[1][:2] == (N, n) and shapes[2][::2] == (N, n)
-        ):
+        A, B, C = (np.shape(M) for M in (self.A, self.B, self.C))
+        fits = len(A) == len(B) == len(C) == 3
+        if not (fits and A[1] == A[2] and B[:2] == A[:2] == C[::2]):
             raise ValueError(
-                f"TimeVaryingStateSpace: A {shapes[0]}, B {shapes[1]}, C {shapes[2]} do not fit; "
-                "allowed are (N, n, n), (N, n, n_u), "
-                "(N, n_y, n)"
+                f"TimeVaryingStateSpace: A {A}, B {B}, C {C} do not fit; allowed are (N, n, n), "
+                "(N, n, n_u), (N, n_y, n)"
             )
 
     @property
     def N(self) -> int:
         return self.A.shape[-3]
-
-    @property
-    def n_u(self) -> int:
-        return self.B.shape[-1]
-
-    @property
-    def n_y(self) -> int:
-        return self.C.shape[-2]
 
     def check(self, task: Task) -> None:
         if self.N != task.N:

@@ -14,7 +14,7 @@ from ..pytree.fields import leaf, pytree, static
 from .from_python_control import system_matrices
 from .linear import LARGEST_ORDER, StateSpace
 from .plant import Plant
-from .process_model import ProcessModel, behind_register, samples_of
+from .process_model import ProcessModel, all_poles, held_late
 
 CLOSE = 1e-3  # relative distance below which two real poles of a system are taken as a pair
 AT_REST = 1e-7  # of the fastest pole, up to which one of a system is an integrator
@@ -135,15 +135,8 @@ class ModalModel(Plant):
     @property
     def all_poles(self) -> Array:
         """(order,) complex poles [rad/s]: integrators, lags and modes, in this order."""
-        w, zeta = jnp.asarray(self.frequencies), jnp.asarray(self.dampings)
-        apart = w * jnp.sqrt((zeta - 1.0) * (zeta + 1.0) + 0j)
-        return jnp.concatenate(
-            [
-                jnp.zeros(self._integrators) + 0j,
-                -jnp.asarray(self.poles) + 0j,
-                jnp.stack([-zeta * w + apart, -zeta * w - apart], axis=-1).reshape(-1),
-            ]
-        )
+        moving = all_poles(self.poles, self.frequencies, self.dampings)
+        return jnp.concatenate([jnp.zeros(self._integrators) + 0j, moving])
 
     def all_zeros(self, output: int = 0, input: int = 0) -> Numbers:
         """The complex zeros [rad/s] from one input to one output, by their absolute value.
@@ -183,18 +176,9 @@ class ModalModel(Plant):
         return G * jnp.exp(-s * self.delay)[:, :, None]
 
     def sampled(self, dt: float) -> StateSpace:
-        """Exact zero-order hold of each part, behind a register of delayed inputs.
-
-        The register is that of `ProcessModel.sampled`; a direct term reads the input that it holds.
-        """
-        whole, rest = samples_of(self.delay, dt, "ModalModel") if self.delay else (0, 0.0)
-        A, B, C = *self._held(dt), self._output()
-        Bs = [B]
-        if rest:
-            after, now = self._held(dt - rest)
-            Bs = [now, after @ self._held(rest)[1]]
+        """Exact zero-order hold of each part, behind the dead time, see `held_late`."""
         D = None if self.direct is None else jnp.reshape(self.direct, self._channels)
-        return behind_register(A, Bs, C, whole, dt, D)
+        return held_late("ModalModel", self._held, self._output(), self.delay, dt, D)
 
     def continuous(self) -> StateSpace | None:
         """One block for each part. None with a delay or a direct term, which it cannot hold."""

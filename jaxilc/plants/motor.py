@@ -17,6 +17,7 @@ from jax import lax
 from ..pytree.aliases import Array, Leaf, Numbers, Tree
 from ..pytree.fields import child, pytree, scalar, static
 from ..pytree.needs import known
+from ..pytree.ranges import require
 from ..signals.task import Task
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, runge_kutta
@@ -25,18 +26,6 @@ from .plant import Plant
 from .voice_coil import VoiceCoil
 
 MOST_STEPS = 10_000  # of the integrator in a sample
-
-# Cao 2019, section II-A, in SI. Not consistent with one force constant: 56.2 N/A times 8.66 A is
-# 487 N, times 23 A is 1293 N.
-DTL85_708 = {
-    "continuous_force": 980.0,
-    "peak_force": 1520.0,
-    "force_constant": 56.2,
-    "continuous_current": 8.66,
-    "peak_current": 23.0,
-    "acceleration": 431.0,
-    "speed": 3.44,
-}
 
 
 class MotorState(NamedTuple):
@@ -213,13 +202,9 @@ class VoiceCoilMotor(Plant):
                 )
 
     def check(self, task: Task) -> None:
-        least = task.dt / MOST_STEPS
-        if self.substep < least:
-            allowed = f"[{least:g}, inf), {MOST_STEPS} steps a sample of dt = {task.dt:g} s"
-            raise ValueError(
-                f"VoiceCoilMotor: substep = {self.substep:g} s is outside its allowed range "
-                f"{allowed}"
-            )
+        allowed = f"[{task.dt / MOST_STEPS}, inf)"
+        note = f", {MOST_STEPS} steps a sample of dt = {task.dt:g} s"
+        require("VoiceCoilMotor", "substep", self.substep, allowed, " s", note=note)
 
     def initial_state(self) -> MotorState:
         rest = jnp.zeros_like(self.mass, shape=())

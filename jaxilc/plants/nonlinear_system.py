@@ -17,7 +17,7 @@ from ..pytree.ranges import as_numbers, brief
 from .integration import runge_kutta
 from .linear import matching
 from .plant import Plant
-from .structure import CONSTANT, Dependence, dependence
+from .structure import followers
 
 
 class TimedState(NamedTuple):
@@ -205,8 +205,4 @@ def _depends(f: Function, parameters: Value, given: dict[str, Tree], name: str) 
         parameters, others = fixed
         return f(parameters, others | {name: value})
 
-    found = dependence(of_one, (parameters, given), given[name])
-    return any(
-        one.order != CONSTANT
-        for one in jax.tree.leaves(found, is_leaf=lambda x: isinstance(x, Dependence))
-    )
+    return bool(np.any(followers(of_one, (parameters, given), given[name])))

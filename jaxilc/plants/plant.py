@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar, TypeAlias
+from typing import ClassVar, Self, TypeAlias
 
 from ..pytree.aliases import Array, Tree, Value
 from ..pytree.fields import need_decorated
@@ -62,3 +62,31 @@ class Plant:
     def output(self, x: State) -> Array:
         """(n_y,) the output in state x. There is no feedthrough: u[k] acts on y[k+1]."""
         raise NotImplementedError
+
+
+class Around(Plant):
+    """A plant around another one, its field `plant`, whose channels and checks are its own."""
+
+    plant: Plant
+
+    @property
+    def n_u(self) -> int:
+        return self.plant.n_u
+
+    @property
+    def n_y(self) -> int:
+        return self.plant.n_y
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        return self.plant.input_names
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        return self.plant.output_names
+
+    def check(self, task: Task) -> None:
+        self.plant.check(task)
+
+    def sampled(self, dt: float) -> Self:
+        return dataclasses.replace(self, plant=self.plant.sampled(dt))

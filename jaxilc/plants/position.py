@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import comb, factorial
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
 from .motor import Cogging, EndEffect
-from .plant import Plant
+from .plant import Around, Plant
 
 
 @pytree
@@ -182,7 +181,7 @@ class Placed(NamedTuple):
 
 
 @pytree
-class ByPosition(Plant):
+class ByPosition(Around):
     """Any plant of one input, with what depends on its position x.
 
         the plant is driven by  (1 + ripple(x, v)) u + force(x, v)
@@ -217,13 +216,6 @@ class ByPosition(Plant):
                 f"ByPosition: position = {self.position} of a plant with {self.plant.n_u} inputs "
                 f"and {self.plant.n_y} outputs; allowed are one input, and one of the outputs"
             )
-
-    @property
-    def n_y(self) -> int:
-        return self.plant.n_y
-
-    def sampled(self, dt: float) -> ByPosition:
-        return replace(self, plant=self.plant.sampled(dt))
 
     def initial_state(self) -> Placed:
         start = self.plant.initial_state()

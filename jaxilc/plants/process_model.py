@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.core
 import jax.numpy as jnp
@@ -84,14 +86,7 @@ class ProcessModel(Plant):
 
         Those of a pair are -frequency (damping -+ sqrt(damping^2 - 1)).
         """
-        w, zeta = jnp.asarray(self.frequencies), jnp.asarray(self.dampings)
-        apart = w * jnp.sqrt((zeta - 1.0) * (zeta + 1.0) + 0j)
-        return jnp.concatenate(
-            [
-                -jnp.asarray(self.poles) + 0j,
-                jnp.stack([-zeta * w + apart, -zeta * w - apart], axis=-1).reshape(-1),
-            ]
-        )
+        return all_poles(self.poles, self.frequencies, self.dampings)
 
     def regrouped(self) -> ProcessModel:
         """The same transfer function in the one form that identification reports.
@@ -115,22 +110,9 @@ class ProcessModel(Plant):
         )
 
     def sampled(self, dt: float) -> StateSpace:
-        """Exact zero-order hold of the cascade of lags, behind a register of delayed inputs.
-
-        With a delay of d samples and a rest f < dt, the input changes within the sample
-        (Astrom, Wittenmark 1997, section 2.3):
-
-            x[k+1] = A x[k] + B(dt - f) u[k-d] + exp(A_c (dt - f)) B(f) u[k-d-1]
-        """
+        """Exact zero-order hold of the cascade of lags, see `held_late`."""
         A, B, C = self._cascade()
-        A_d, B_d = zoh(A, B, dt)
-        if not self.delay:
-            return StateSpace(A_d, B_d, C, dt=dt)
-        whole, rest = samples_of(self.delay, dt)
-        if not rest:
-            return behind_register(A_d, [B_d], C, whole, dt)
-        after, B_now = zoh(A, B, dt - rest)
-        return behind_register(A_d, [B_now, after @ zoh(A, B, rest)[1]], C, whole, dt)
+        return held_late("ProcessModel", lambda t: zoh(A, B, t), C, self.delay, dt)
 
     def continuous(self) -> StateSpace | None:
         """A cascade of lags of unit DC gain, whose states all have the size of the input.
@@ -183,6 +165,14 @@ def cascade(
     return A, B, C
 
 
+def all_poles(poles: Leaf, frequencies: Leaf, dampings: Leaf) -> Array:
+    """The complex poles [rad/s] of lags, and of pairs by turns."""
+    w, zeta = jnp.asarray(frequencies), jnp.asarray(dampings)
+    apart = w * jnp.sqrt((zeta - 1.0) * (zeta + 1.0) + 0j)
+    pairs = jnp.stack([-zeta * w + apart, -zeta * w - apart], axis=-1).reshape(-1)
+    return jnp.concatenate([-jnp.asarray(poles) + 0j, pairs])
+
+
 def samples_of(delay: float, dt: float, owner: str = "ProcessModel") -> tuple[int, float]:
     """The whole number of samples in a delay, and the rest [s], 0 where it is only rounding.
 
@@ -200,27 +190,48 @@ def samples_of(delay: float, dt: float, owner: str = "ProcessModel") -> tuple[in
     return int(np.floor(samples)), delay - np.floor(samples) * dt
 
 
-def behind_register(
-    A: Array, Bs: list[Array], C: Array, delay: int, dt: float, D: Array | None = None
+def held_late(
+    owner: str,
+    held: Callable[[float], tuple[Array, Array]],
+    C: Array,
+    delay: float,
+    dt: float,
+    D: Array | None = None,
 ) -> StateSpace:
-    """x[k+1] = A x[k] + sum_i Bs[i] u[k-delay-i], y[k] = C x[k] + D u[k-delay-1].
+    """A plant behind a dead time, under an input that is held over each sample.
 
-    The inputs that are still needed are states. D (n_y, n_u) is None for none.
+    With a delay of d samples and a rest f < dt, the input changes within the sample
+    (Astrom, Wittenmark 1997, section 2.3):
+
+        x[k+1] = A(dt) x[k] + B(dt - f) u[k-d] + A(dt - f) B(f) u[k-d-1]
+        y[k] = C x[k] + D u[k-d-1]
+
+    The inputs that are still needed are states. Raises ValueError as `samples_of` does.
+
+    held: A(t) (n, n) and B(t) (n, n_u) of the plant without the delay, for a time t [s]
+    D:    (n_y, n_u); None for none
     """
-    n, m = Bs[0].shape
-    length = m * max(delay + len(Bs) - 1, delay + 1 if D is not None else 0)
+    whole, rest = samples_of(delay, dt, owner)
+    A, B = held(dt)
+    if not (whole or rest) and D is None:
+        return StateSpace(A, B, C, dt=dt)
+    Bs = [B]
+    if rest:
+        after, now = held(dt - rest)
+        Bs = [now, after @ held(rest)[1]]
+    n, m = B.shape
+    length = m * (whole + max(len(Bs) - 1, D is not None))
     A_all = jnp.zeros((n + length, n + length), A.dtype).at[:n, :n].set(A)
     B_all = jnp.zeros((n + length, m), A.dtype)
-    for i, B in enumerate(Bs, delay):  # u[k-i] stands before state n + i m, and u[k] is the input
+    for i, B in enumerate(Bs, whole):  # u[k-i] stands before state n + i m, and u[k] is the input
         if i:
             A_all = A_all.at[:n, n + (i - 1) * m : n + i * m].set(B)
         else:
             B_all = B_all.at[:n].set(B)
-    if length:
-        B_all = B_all.at[n : n + m].set(jnp.eye(m))
-        shift = np.arange(n + m, n + length)
-        A_all = A_all.at[shift, shift - m].set(1.0)
+    B_all = B_all.at[n : n + m].set(jnp.eye(m))
+    shift = np.arange(n + m, n + length)
+    A_all = A_all.at[shift, shift - m].set(1.0)
     C_all = jnp.pad(C, ((0, 0), (0, length)))
     if D is not None:
-        C_all = C_all.at[:, n + delay * m : n + (delay + 1) * m].set(D)
+        C_all = C_all.at[:, n + whole * m : n + (whole + 1) * m].set(D)
     return StateSpace(A_all, B_all, C_all, dt=dt)

@@ -94,14 +94,15 @@ def dependence(f: Function, fixed: Tree, varying: Tree) -> Tree:
 
     f: a pure function, as for `jax.jit`
     """
-    closed, shape = jax.make_jaxpr(f, return_shape=True)(fixed, varying)
-    known = [Dependence()] * len(jax.tree.leaves(fixed)) + [Dependence(AFFINE)] * len(
-        jax.tree.leaves(varying)
-    )
-    return jax.tree.unflatten(
-        jax.tree.structure(shape),
-        _through(closed.jaxpr, [Dependence()] * len(closed.consts), known),
-    )
+    program, shape = jax.make_jaxpr(f, return_shape=True)(fixed, varying)
+    given = [Dependence()] * len(jax.tree.leaves(fixed))
+    given += [Dependence(AFFINE)] * len(jax.tree.leaves(varying))
+    return jax.tree.unflatten(jax.tree.structure(shape), _through(program, given))
+
+
+def _of_each(f: Function, fixed: Tree, varying: Tree) -> list[Dependence]:
+    found = dependence(f, fixed, varying)
+    return jax.tree.leaves(found, is_leaf=lambda x: isinstance(x, Dependence))
 
 
 def obstacle(f: Function, fixed: Tree, varying: Tree) -> str:
@@ -109,11 +110,8 @@ def obstacle(f: Function, fixed: Tree, varying: Tree) -> str:
 
     Whole numbers and flags must be constant.
     """
-    found = jax.tree.leaves(
-        dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence)
-    )
     shapes = jax.tree.leaves(jax.eval_shape(f, fixed, varying))
-    for one, shape in zip(found, shapes, strict=True):
+    for one, shape in zip(_of_each(f, fixed, varying), shapes, strict=True):
         allowed = AFFINE if jnp.issubdtype(shape.dtype, jnp.inexact) else CONSTANT
         if one.order > allowed:
             return one.why or "a whole number that depends on a signal"
@@ -122,10 +120,7 @@ def obstacle(f: Function, fixed: Tree, varying: Tree) -> str:
 
 def blind(f: Function, fixed: Tree, varying: Tree) -> bool:
     """Whether the derivative of f by `varying` misses a part, such as rounding."""
-    found = jax.tree.leaves(
-        dependence(f, fixed, varying), is_leaf=lambda x: isinstance(x, Dependence)
-    )
-    return any(one.blind for one in found)
+    return any(one.blind for one in _of_each(f, fixed, varying))
 
 
 def followers(f: Function, fixed: Tree, varying: Tree) -> list[list[bool]]:
@@ -136,8 +131,7 @@ def followers(f: Function, fixed: Tree, varying: Tree) -> list[list[bool]]:
     for varies in range(leaves):
         given = [Dependence()] * (of_fixed + leaves)
         given[of_fixed + varies] = Dependence(AFFINE)
-        results = _through(closed.jaxpr, [Dependence()] * len(closed.consts), given)
-        found.append([one.order > CONSTANT for one in results])
+        found.append([one.order > CONSTANT for one in _through(closed, given)])
     return found
 
 
@@ -145,11 +139,11 @@ def followers(f: Function, fixed: Tree, varying: Tree) -> list[list[bool]]:
 # --------------------------------------------------------------------------------------------------
 
 
-def _through(
-    program: Value, of_consts: Sequence[Dependence], of_inputs: Sequence[Dependence]
-) -> list[Dependence]:
-    """The dependence of the results of a jaxpr, from that of its inputs."""
-    known = dict(zip([*program.constvars, *program.invars], [*of_consts, *of_inputs], strict=True))
+def _through(program: Value, of_inputs: Sequence[Dependence]) -> list[Dependence]:
+    """The dependence of the results of a jaxpr, closed or not, from that of its inputs."""
+    program = getattr(program, "jaxpr", program)
+    known = dict.fromkeys(program.constvars, Dependence())
+    known |= zip(program.invars, of_inputs, strict=True)
 
     def look(variable: Value) -> Dependence:
         # a literal has its value with it
@@ -169,11 +163,7 @@ def _after(step: Step, operands: list[Dependence]) -> list[Dependence]:
         return LOOPS_AND_CALLS[name](step, operands)
     inner = _called(step)
     if inner is not None:
-        return _through(
-            inner.jaxpr if hasattr(inner, "jaxpr") else inner,
-            [Dependence()] * len(getattr(inner, "consts", ())),
-            operands,
-        )
+        return _through(inner, operands)
     together = _joined(operands)
     if name == "optimization_barrier":
         return operands
@@ -220,9 +210,7 @@ def _called(step: Step) -> Tree:
     Such operations are jit, checkpoint, and a function with a derivative of its own.
     """
     inner = [p for p in step.params.values() if hasattr(p, "eqns") or hasattr(p, "jaxpr")]
-    fits = [
-        p for p in inner if len((p.jaxpr if hasattr(p, "jaxpr") else p).invars) == len(step.invars)
-    ]
+    fits = [p for p in inner if len(getattr(p, "jaxpr", p).invars) == len(step.invars)]
     return fits[0] if len(inner) == 1 and fits else None
 
 
@@ -248,10 +236,7 @@ def _while(step: Step, operands: list[Dependence]) -> list[Dependence]:
     following = _repeated(
         step.params["body_jaxpr"], operands[of_condition : of_condition + of_body], carry, []
     )
-    decides = step.params["cond_jaxpr"]
-    found = _through(
-        decides.jaxpr, [Dependence()] * len(decides.consts), [*operands[:of_condition], *following]
-    )
+    found = _through(step.params["cond_jaxpr"], [*operands[:of_condition], *following])
     if found[0].order == CONSTANT:
         return following
     return [Dependence(OTHERWISE, WORDS["while"])] * len(following)
@@ -265,7 +250,7 @@ def _repeated(
     What is carried is joined with what a turn makes of it, until nothing changes.
     """
     while True:
-        found = _through(body.jaxpr, [Dependence()] * len(body.consts), [*fixed, *carry, *rows])
+        found = _through(body, [*fixed, *carry, *rows])
         grown = [_joined([old, new]) for old, new in zip(carry, found[: len(carry)], strict=True)]
         if grown == carry:
             return [*carry, *found[len(carry) :]]
@@ -274,9 +259,7 @@ def _repeated(
 
 def _cond(step: Step, operands: list[Dependence]) -> list[Dependence]:
     decides, *rest = operands
-    branches = [
-        _through(b.jaxpr, [Dependence()] * len(b.consts), rest) for b in step.params["branches"]
-    ]
+    branches = [_through(branch, rest) for branch in step.params["branches"]]
     joined = [_joined(several) for several in zip(*branches, strict=True)]
     if decides.order == CONSTANT:
         return joined

@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..pytree.aliases import Array, Leaf, Numbers, Tree, Value
 from ..pytree.fields import kind_of
+from .along_motion import flat
 from .linear import TimeVaryingStateSpace
 from .modal_model import ModalModel
 from .plant import Plant
@@ -118,12 +119,8 @@ def _nonlinear_parts(plant: Plant, dt: float) -> list[str]:
     whole = _obstacle(plant, dt)
     if not whole or not dataclasses.is_dataclass(plant):
         return [whole] if whole else []
-    within = {
-        f.name: getattr(plant, f.name)
-        for f in dataclasses.fields(plant)
-        if isinstance(getattr(plant, f.name), Plant)
-    }
-    found = [f"{name}.{part}" for name, one in within.items() for part in _nonlinear_parts(one, dt)]
+    within = _plants_within(plant).items()
+    found = [f"{name}.{part}" for name, one in within for part in _nonlinear_parts(one, dt)]
     optional = [
         f.name
         for f in dataclasses.fields(plant)
@@ -166,15 +163,7 @@ def _matrices(plant: Plant, dt: float) -> tuple[Numbers, ...]:
 @partial(jax.jit, static_argnames="dt")
 def _linearised(plant: Plant, dt: float) -> Tree:
     """A, B and C, and what step and output give for a state and an input of zeros."""
-    plant = plant.sampled(dt)
-    rest, unravel = ravel_pytree(jax.tree.map(jnp.zeros_like, plant.initial_state()))
-    u = jnp.zeros(plant.n_u)
-
-    def step(x: Tree, u: Array) -> Array:
-        return ravel_pytree(plant.step(unravel(x), u, dt))[0]
-
-    def output(x: Tree) -> Array:
-        return plant.output(unravel(x))
-
+    start, step, output = flat(plant.sampled(dt), dt)
+    rest, u = jnp.zeros_like(start), jnp.zeros(plant.n_u)
     A, B = jax.jacfwd(step, (0, 1))(rest, u)
     return A, B, jax.jacfwd(output)(rest), step(rest, u), output(rest)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterable
+
 import jax
 import jax.core
 import numpy as np
@@ -18,23 +20,21 @@ def known(tree: Tree) -> bool:
 
 def need_channels(tree: Tree, channels: int, *names: str) -> None:
     """Raises ValueError unless each named field is one number, one for each channel, or None."""
-    for name in names:
-        value = getattr(tree, name)
-        if value is not None and np.shape(value) not in ((), (channels,)):
-            raise ValueError(
-                f"{type(tree).__name__}: {name} has shape {np.shape(value)}; allowed are () and "
-                f"({channels},)"
-            )
+    _need_shapes(tree, names, ((), (channels,)), f"allowed are () and ({channels},)")
 
 
 def need_numbers(tree: Tree, *names: str) -> None:
     """Raises ValueError unless each named field is one number, or None."""
+    _need_shapes(tree, names, ((),), "allowed is one number")
+
+
+def _need_shapes(
+    tree: Tree, names: Iterable[str], shapes: Container[tuple[int, ...]], allowed: str
+) -> None:
     for name in names:
-        value = getattr(tree, name)
-        if value is not None and np.shape(value):
-            raise ValueError(
-                f"{type(tree).__name__}: {name} has shape {np.shape(value)}; allowed is one number"
-            )
+        shape = np.shape(getattr(tree, name))
+        if getattr(tree, name) is not None and shape not in shapes:
+            raise ValueError(f"{type(tree).__name__}: {name} has shape {shape}; {allowed}")
 
 
 def need_scalars(tree: Tree) -> None:

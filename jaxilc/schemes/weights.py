@@ -13,6 +13,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from ..plants import Plant, StateSpace, TimeVaryingStateSpace
+from ..plants.plant import Around
 from ..pytree.aliases import Array, Function, Leaf, Tree
 from ..pytree.fields import child, leaf, pytree
 from ..signals.task import Trial
@@ -68,7 +69,7 @@ def counts_at_all(trial: Trial) -> Array | float:
 
 
 @pytree
-class WeighedOutput(Plant):
+class WeighedOutput(Around):
     """A plant whose outputs are seen by a weight, W[k] y[k].
 
     weight: (N+1, n_y, n_y)
@@ -76,17 +77,6 @@ class WeighedOutput(Plant):
 
     plant: Plant = child()
     weight: Leaf = leaf()
-
-    @property
-    def n_u(self) -> int:
-        return self.plant.n_u
-
-    @property
-    def n_y(self) -> int:
-        return self.plant.n_y
-
-    def sampled(self, dt: float) -> WeighedOutput:
-        return WeighedOutput(self.plant.sampled(dt), self.weight)
 
     def initial_state(self) -> Tree:
         """The number of the sample, as a float, and the state of the plant."""

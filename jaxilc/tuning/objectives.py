@@ -268,10 +268,8 @@ class Final(Objective):
 
     def __call__(self, run: Run):
         x = levels(run, self.metric, self.floor)
-        if self.trial is not None and not 1 <= self.trial <= len(x):
-            raise ValueError(
-                f"Final: trial = {self.trial} is outside its allowed range [1, {len(x)}]"
-            )
+        if self.trial is not None:
+            require("Final", "trial", self.trial, f"[1, {len(x)}]")
         return x[-1 if self.trial is None else self.trial - 1]
 
 
@@ -296,10 +294,7 @@ class Holding(Objective):
 
     def __call__(self, run: Run):
         x = levels(run, self.metric, self.floor)
-        if not 1 <= self.first <= len(x):
-            raise ValueError(
-                f"Holding: first = {self.first} is outside its allowed range [1, {len(x)}]"
-            )
+        require("Holding", "first", self.first, f"[1, {len(x)}]")
         return largest(x[self.first - 1 :])
 
 

@@ -10,9 +10,9 @@ the weights inside their ranges. `losses` says how learning affects the gradient
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -279,12 +279,15 @@ class Tuning:
         method, held_out = self._programs
         # Python traces one program at a time, and this one takes longer to compile than the other
         step = method.programs[1].lower(*arguments_like(method, z))
-        with compiled_beside(held_out, jax.eval_shape(self._weights.at, z)):
+        given = jax.eval_shape(self._weights.at, z)
+        with ThreadPoolExecutor(1) as compiler:
+            compiled = compiler.submit(lambda: held_out.lower(given).compile())
             check_program(
                 "Tuning: a step of all starts",
                 "take fewer trials, starts or lanes, or a shorter trial",
                 step,
             )
+        compiled.result()
         place = None if out is None else Folder(Path(out), self.configuration(), resume)
         with place or nullcontext():
             now = State.start(z, method.init(z), self.steps)
@@ -391,15 +394,3 @@ def in_rounds(
     rounds = np.minimum(np.arange(-(-n // size) * size), n - 1).reshape(-1, size)
     results = [f({name: of[k] for name, of in rows.items()}) for k in rounds]
     return np.concatenate(results)[:n]
-
-
-@contextmanager
-def compiled_beside(run, *arguments) -> Generator[None]:
-    """A context at whose end a jitted function is compiled, in a thread, for these arguments.
-
-    The block compiles another one meanwhile.
-    """
-    with ThreadPoolExecutor(1) as compiler:
-        compiled = compiler.submit(lambda: run.lower(*arguments).compile())
-        yield
-    compiled.result()

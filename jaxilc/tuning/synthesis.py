@@ -83,11 +83,8 @@ def synthesised(
     require("synthesis", "lead", lead, "[0, inf)", whole=True)
     if taps % 2 == 0:
         raise ValueError(f"synthesis: taps = {taps} is even; allowed are odd numbers")
-    if not several[0].f[0] < band <= nyquist:
-        raise ValueError(
-            f"synthesis: band = {band:g} Hz is outside its allowed range ({several[0].f[0]:g}, "
-            f"{nyquist:g}], from the first line to Nyquist"
-        )
+    within, note = f"({several[0].f[0]}, {nyquist}]", ", from the first line to Nyquist"
+    require("synthesis", "band", band, within, " Hz", note=note)
     allowed = (1 - margin) - SPARE
     chosen = [_first_and_extreme(one) for one in several]
     for _ in range(ROUNDS):

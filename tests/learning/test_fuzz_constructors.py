@@ -104,77 +104,46 @@ def test_distributions():
     assert fuzz(200, attempt) > 5
 
 
+SWEEP = Sweep(*PLAN, machines=3, chunk=2, lanes=2)
+TUNING = Tuning(
+    PLAN[0], PLAN[1]["ilc"], *PLAN[2:4], ["gamma_p"], PLAN[4],
+    machines=2, held_out=2, steps=2, validate_every=1, patience=2, lanes=2,
+)  # fmt: skip
+OF_A_SWEEP = [f.name for f in dataclasses.fields(Sweep)][:11]  # up to the lanes
+OF_A_TUNING = ["uncertainty"]
+OF_A_TUNING += [
+    f.name for f in dataclasses.fields(Tuning) if f.type in ("int", "float", "int | None")
+]
+# Another test limits how large they may be.
+SMALL = [x for x in HOSTILE if not (isinstance(x, int) and x > 1000)]
+
+
 def test_sweeps_tunings_and_numbers_of_trials():
     def attempt(rng):
         match rng.integers(3):
             case 0:
-                names = (
-                    "machine",
-                    "schemes",
-                    "task",
-                    "trials",
-                    "uncertainty",
-                    "samples",
-                    "seed",
-                    "sampling",
-                    "keep",
-                    "chunk",
-                    "lanes",
-                )
-                plan = dict(zip(names, (*PLAN, 3, 0, "monte-carlo", (), 2, 2), strict=True))
-                # Another test limits how large they may be.
-                small = [x for x in HOSTILE if not (isinstance(x, int) and x > 1000)]
-                Sweep(**plan | {pick(rng, names): pick(rng, small)})
+                dataclasses.replace(SWEEP, **{pick(rng, OF_A_SWEEP): pick(rng, SMALL)})
             case 1:
-                machine, schemes, task, trials, uncertainty = PLAN
-                given = {
-                    "uncertainty": uncertainty,
-                    "samples": 2,
-                    "held_out": 2,
-                    "steps": 2,
-                    "starts": 1,
-                    "seed": 0,
-                    "rate": 0.1,
-                }
-                given |= {
-                    "scatter": 0.5,
-                    "validate_every": 1,
-                    "patience": 2,
-                    "clip": 3.0,
-                    "ceiling": 1e3,
-                    "truncate": None,
-                    "lanes": 2,
-                }
-                small = [x for x in HOSTILE if not (isinstance(x, int) and x > 1000)]
-                given |= {pick(rng, list(given)): pick(rng, small)}
-                Tuning(machine, schemes["ilc"], task, trials, ["gamma_p"], **given)
+                dataclasses.replace(TUNING, **{pick(rng, OF_A_TUNING): pick(rng, SMALL)})
             case _:
-                learning.learn(
-                    *PLAN[:1],
-                    PLAN[1]["ilc"],
-                    PLAN[2],
-                    pick(rng, [x for x in HOSTILE if x not in (10**6,)][:40]),
-                )
+                trials = [x for x in HOSTILE if x not in (10**6,)][:40]
+                learning.learn(PLAN[0], PLAN[1]["ilc"], PLAN[2], pick(rng, trials))
 
     fuzz(60, attempt)
 
 
 OBJECTIVES = (
-    *(
-        objectives.Final(),
-        objectives.EveryTrial(),
-        objectives.Holding(),
-        objectives.TrialsTo(0.1),
-        objectives.Growth(),
-    ),
-    *(
-        objectives.Effort(),
-        objectives.InputRate(),
-        objectives.Contraction(),
-        objectives.D2(),
-        risks.CVaR(),
-        risks.SmoothMax(),
-    ),
+    objectives.Final(),
+    objectives.EveryTrial(),
+    objectives.Holding(),
+    objectives.TrialsTo(0.1),
+    objectives.Growth(),
+    objectives.Effort(),
+    objectives.InputRate(),
+    objectives.Contraction(),
+    objectives.D2(),
+    risks.CVaR(),
+    risks.SmoothMax(),
 )
 
 

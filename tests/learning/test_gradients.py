@@ -32,9 +32,7 @@ def compiled(f):
 
 @pytest.mark.parametrize(("metric", "way"), [("max_error", "tiled"), ("settled_error", "vmap")])
 def test_no_derivative_of_a_largest_error_is_lost_where_c_is_batched(metric, way):
-    """No derivative of a largest error is lost where C is batched.
-
-    When the largest error was found by comparing for equality, 23 of the 24 derivatives were
+    """When the largest error was found by comparing for equality, 23 of the 24 derivatives were
     exactly zero in one case, and 14 in the other.
     """
     one = attack.configurations()["order 1"]

@@ -54,16 +54,17 @@ KINDS = [Gathering(*kind) for kind in product("eu", ("largest", "root mean squar
 @pytest.mark.thorough
 @pytest.mark.parametrize("settle", [(0.0, 0.020), (0.004, 0.013)])
 def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle):
-    """Every way to compute a metric gives the metric of the record.
+    """Sample by sample and at once, with its derivative, against a plain formula.
 
-    It is computed sample by sample and at once, with its derivative, and compared with a plain
-    formula.
+    Two samples share the largest error; then the first of them has the derivative.
     """
     names = [f"metric_{i}" for i in range(len(KINDS))]
     monkeypatch.setattr(metrics, "GATHERED", tuple(zip(names, KINDS, strict=True)))
     monkeypatch.setattr(metrics, "Metrics", namedtuple("Metrics", (*names, "finite")))
     rng = np.random.default_rng(0)
-    y, u = jnp.asarray(rng.standard_normal((21, 2))), jnp.asarray(rng.standard_normal((20, 3)))
+    y, u = rng.standard_normal((21, 2)), jnp.asarray(rng.standard_normal((20, 3)))
+    y[7, 0], y[9, 0] = 5.0, -5.0
+    y = jnp.asarray(y)
     task = Task(np.zeros((21, 2)), dt=1e-3, settle=settle)
     start, stop, _ = task.settled.indices(21)
 
@@ -79,6 +80,9 @@ def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle)
         )
         return tally.metrics(trial, task)[:-1]
 
+    def at_its_place(x):
+        return jnp.take_along_axis(jnp.abs(x), jnp.argmax(jnp.abs(x), axis=0)[None], axis=0)[0]
+
     def formula(y, u):
         rows = {
             ("e", False): -y[1:],
@@ -87,7 +91,7 @@ def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle)
             ("u", True): u[max(start - 1, 0) : stop - 1],  # u[k] acts on e[k+1]
         }
         return tuple(
-            jnp.max(jnp.abs(rows[signal, late]), axis=0)
+            at_its_place(rows[signal, late])
             if of == "largest"
             else jnp.sqrt(jnp.mean(rows[signal, late] ** 2, axis=0))
             for signal, of, late in KINDS

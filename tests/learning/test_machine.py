@@ -36,10 +36,8 @@ def clip(x, low, high):
 
 @pytest.mark.parametrize("part", ["limit", "rate", "resolution", "all"])
 def test_machine_equals_a_loop_by_hand(part):
-    """The machine gives the same numbers as a loop by hand.
-
-    The loop has everything between scheme and plant: limit, rate limit, converter, disturbances at
-    input and output, and encoder.
+    """The loop has everything between scheme and plant: limit, rate limit, converter, disturbances
+    at input and output, and encoder.
     """
     chosen = {"limit": 0.5, "rate": 250.0, "resolution": 0.07}
     chosen = chosen if part == "all" else {part: chosen[part]}
@@ -87,9 +85,7 @@ def test_machine_equals_a_loop_by_hand(part):
 
 
 def test_learning_sees_the_input_as_applied():
-    """Learning uses the input as it was applied.
-
-    The law starts from the saturated input, so it does not wind up: u_{j+1} = clip(u_j) + gamma
+    """The law starts from the saturated input, so it does not wind up: u_{j+1} = clip(u_j) + gamma
     e_j.
     """
     r = np.array([0.0, 1.0, 1.0, 0.1, -1.0])
@@ -107,10 +103,9 @@ NOISES = {
 
 @pytest.mark.parametrize("source", NOISES)
 def test_noise_is_white_of_the_given_deviation_and_new_in_each_trial(source):
-    """Noise is white, has the given standard deviation, and is new in each trial.
+    """With u = 0 and y[k+1] = u[k] + d_u[k] the output is the noise.
 
-    With u = 0 and y[k+1] = u[k] + d_u[k] the output is the noise. The standard errors are
-    s/sqrt(n), s^2 sqrt(2/n), and 1/sqrt(n) for a correlation.
+    The standard errors are s/sqrt(n), s^2 sqrt(2/n), and 1/sqrt(n) for a correlation.
     """
     sigma, N = 0.3, 3000
     machine = Machine(DELAY, **NOISES[source](sigma))
@@ -172,10 +167,9 @@ def test_noise_of_each_channel_is_its_own():
 
 
 def test_gradients_of_the_discontinuous_parts():
-    """The discontinuous parts have the stated gradients.
+    """Quantisers pass the gradient unchanged.
 
-    Quantisers pass the gradient unchanged. Limits and rate limits pass it inside their range and
-    block it outside.
+    Limits and rate limits pass it inside their range and block it outside.
     """
     slope = jax.vmap(jax.grad(quantise), in_axes=(0, None))
     np.testing.assert_array_equal(slope(jnp.array([-0.31, 0.0, 0.04, 7.2]), 0.1), 1.0)
@@ -196,9 +190,7 @@ def test_gradients_of_the_discontinuous_parts():
 
 
 def test_gradient_through_learning_on_quantised_signals_is_straight_through():
-    """The gradient of learning on quantised signals passes the quantiser unchanged.
-
-    For y[k+1] = Q(u[k]) the derivative of the law is that of the smooth loop, evaluated at the
+    """For y[k+1] = Q(u[k]) the derivative of the law is that of the smooth loop, evaluated at the
     quantised values.
     """
     r, step = np.array([0.0, 0.73, -0.41, 0.22]), 0.05

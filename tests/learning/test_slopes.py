@@ -15,15 +15,15 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 import scipy.optimize
-from cases import ALGEBRA, DIFFERENCES, SCHEMES, case
-from gain_case import LARGEST, PROBLEM, STATIC, TASK, N
+from cases import DIFFERENCES, SCHEMES, case
+from gain_case import PROBLEM, STATIC, TASK, N
 
 from jaxilc import schemes
-from jaxilc.learning import Machine, Sensor, learn
+from jaxilc.learning import Machine, learn
 from jaxilc.learning.known_metrics import GATHERED
 from jaxilc.learning.metrics import Keep
 from jaxilc.plants import DifferenceEquation, StateSpace
-from jaxilc.schemes import CFDLMFAILC, FFDLMFAILC, PID, PIDType
+from jaxilc.schemes import CFDLMFAILC, PID, PIDType
 from jaxilc.schemes.mfac import reset_estimate
 from jaxilc.signals import Task
 from jaxilc.tuning import objectives
@@ -274,46 +274,6 @@ def test_slopes_through_the_last_trials_alone_are_those_of_the_closed_form():
         factors = np.array([max(0, j - 1 - max(0, 6 - K)) for j in range(1, 7)])
         np.testing.assert_allclose(slope, -(factors[-1] + np.mean(factors)) / 0.6, rtol=1e-9)
         np.testing.assert_allclose(value, whole, rtol=1e-12)
-
-
-@pytest.mark.thorough
-def test_truncation_changes_the_slope_and_nothing_else():
-    machine = dataclasses.replace(STATIC, sensor=Sensor(noise=1e-2))
-    scheme, objective = (
-        FFDLMFAILC(**RESETS | {"phi0": (0.1, 0.8)}, L_y=1, L_u=1),
-        Final("rms") + TrialsTo(0.3),
-    )
-    whole = dataclasses.replace(
-        PROBLEM,
-        machine=machine,
-        scheme=scheme,
-        weights=["lam"],
-        trials=6,
-        objective=objective,
-        quantities=LARGEST,
-    )
-    cut = dataclasses.replace(whole, truncate=3)
-    key = jax.random.key(3)
-
-    def loss(problem, lam):
-        return problem.loss_of(machine, {"lam": lam}, key=key)
-
-    one, other = (jax.jit(jax.value_and_grad(partial(loss, p)))(0.02) for p in (whole, cut))
-    np.testing.assert_allclose(one[0], other[0], rtol=1e-12)
-    assert one[1] != other[1] != 0
-
-
-@pytest.mark.thorough
-def test_forward_and_backward_slopes_agree():
-    def loss(z):
-        return judge(STATIC, PIDType(gamma_p=z[0], gamma_d=z[1], leak=z[2]), TASK, 5, EVERYTHING)
-
-    z = jnp.array([0.4, 0.1, 0.02])
-    (one, forward), (other, backward) = (
-        jax.jit(partial(value_and_slope, loss, forward=mode))(z) for mode in (True, False)
-    )
-    np.testing.assert_allclose(one, other, **ALGEBRA)
-    np.testing.assert_allclose(forward, backward, rtol=1e-9, atol=1e-12)
 
 
 def test_forward_slopes_of_a_batch_are_those_of_its_members():

@@ -101,10 +101,8 @@ def outputs(plant, task, u):
 @pytest.mark.thorough(but=["continuous", "motor_and_table"])
 @pytest.mark.parametrize("name", LINEAR)
 def test_every_linear_plant_moves_as_in_steps(no_steps, name):
-    """Every linear plant moves in blocks as it does in steps.
-
-    One trial of the plant as it is, starting at rest or not, is compared with one of the same plant
-    in a wrapper.
+    """One trial of the plant as it is, starting at rest or not, is compared with one of the same
+    plant in a wrapper.
     """
     plant = PLANTS[name]
     task, u = task_for(plant, 40), RNG.normal(size=(40, plant.n_u))
@@ -161,25 +159,6 @@ def test_an_adaptive_law_learns_the_same_in_blocks(no_steps):
 
 
 @pytest.mark.thorough
-def test_gradients_and_batches_are_those_of_steps():
-    def last_error(gain, gamma, wrap):
-        a, b = PRINTED
-        plant = wrap(DifferenceEquation(a, gain * np.array(b), dt=DT))
-        return learn(Machine(plant), PIDType(gamma_p=gamma), TASK, 3).rms[-1, 0]
-
-    def wrapped(plant):
-        return InBlocks(plant, 8)
-
-    gains = np.array([0.8, 1.0, 1.2])
-    batch = jax.vmap(jax.value_and_grad(last_error, (0, 1)), (0, None, None))
-    of = [jax.jit(batch, static_argnums=2)(gains, -1.0, wrap) for wrap in (lambda p: p, wrapped)]
-    assert_same_learning(of[1], of[0])
-    one = jax.jit(last_error, static_argnums=2)
-    alone = [one(gain, -1.0, wrapped) for gain in gains]
-    np.testing.assert_allclose(of[1][0], alone, **ALGEBRA)
-
-
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scheme", "parts"),
     [
@@ -198,9 +177,7 @@ def test_what_blocks_cannot_do_is_done_in_steps(scheme, parts):
 
 
 def test_digits_that_blocks_would_lose_are_kept(monkeypatch):
-    """Blocks are not used where they would lose digits.
-
-    The poles are close together, and the reference is long enough for rounding errors to
+    """The poles are close together, and the reference is long enough for rounding errors to
     accumulate, so the blocks would be wrong.
     """
     u = RNG.normal(size=(4000, 1))
@@ -214,10 +191,9 @@ def test_digits_that_blocks_would_lose_are_kept(monkeypatch):
 
 
 def test_growth_is_kept_as_long_as_it_is_finite(no_steps):
-    """Growth is computed in blocks as long as it is finite.
+    """A unit impulse gives y[k] = 1.05^(k-1), which grows to 1e21.
 
-    A unit impulse gives y[k] = 1.05^(k-1), which grows to 1e21. The estimate of the lost digits
-    accepts it.
+    The estimate of the lost digits accepts it.
     """
     u = np.eye(1000, 1)
     y = response(DifferenceEquation((1.05,), (1.0,), dt=DT), u, 32)[:, 0]
@@ -260,12 +236,3 @@ def test_a_plant_that_is_not_linear_and_time_invariant_is_refused(name):
         "allowed are",
     ):
         learn(Machine(InBlocks(plant)), PIDType(), task_for(plant, 12), 1)
-
-
-@pytest.mark.parametrize("length", [1, 0, -3, 8.0, True, None])
-def test_a_bad_length_is_refused(length):
-    with pytest.raises(
-        ValueError,
-        match=r"InBlocks: length = .* is outside its allowed range \[2, 10000\] of whole numbers",
-    ):
-        InBlocks(PLANTS["arx"], length)

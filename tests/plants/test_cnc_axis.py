@@ -24,10 +24,9 @@ from jaxilc.signals import Task, Trial
     [("printed", (0.8602, 0.9567, 1.0331)), ("double_integrator", (0.85, 1.0, 1.0))],
 )
 def test_poles_and_first_markov_parameter(form, poles):
-    """The poles and the first Markov parameter are those stated.
+    """With the printed coefficients the axis is unstable.
 
-    With the printed coefficients the axis is unstable. The intended model is (z - 1)^2 (z - 0.85).
-    Both have CB = 0.0475.
+    The intended model is (z - 1)^2 (z - 0.85). Both have CB = 0.0475.
     """
     plant = cnc_axis(form)
     found = np.sort(np.linalg.eigvals(plant.A).real)
@@ -80,10 +79,9 @@ def test_learning_from_a_filtered_error():
 
 
 def test_filtering_the_error_forgets_nothing():
-    """Filtering the error does not change what was learned.
+    """Where nothing is left to learn, the learned input stays as it is.
 
-    Where nothing is left to learn, the learned input stays as it is. A robustness filter would
-    continue to smooth it.
+    A robustness filter would continue to smooth it.
     """
     task = Task(np.zeros(81), dt=DT)
     noise = np.random.default_rng(0).standard_normal((80, 1))
@@ -129,10 +127,7 @@ def test_the_path_has_its_sharp_points_where_it_says(s):
 
 
 def test_noise_turns_the_error_and_a_filter_does_not_let_it(s):
-    """Noise makes the error grow again, and a filter prevents it.
-
-    This is the paper's observation, on two seconds of its path.
-    """
+    """This is the paper's observation, on two seconds of its path."""
     short = dataclasses.replace(
         s.task, reference=s.task.reference[2400:3401] - s.task.reference[2400], settle=None
     )
@@ -168,9 +163,7 @@ def test_options_are_refused(option, value):
 
 
 def test_the_limit_of_a_law_that_sees_some_outputs_holds_behind_a_filter():
-    """The limit of a law that sees some of the outputs also holds behind a filter.
-
-    The filtered learned input stays within the limit of the law, also where that law learns from
+    """The filtered learned input stays within the limit of the law, also where that law learns from
     one output.
     """
     plant = PLANTS["motor_and_table"]

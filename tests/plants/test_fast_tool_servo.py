@@ -71,10 +71,7 @@ def as_control(plant):
 
 
 def test_identified_servo_is_the_printed_one():
-    """The identified servo is the printed one.
-
-    Section 5.2 prints G(s) and a1, a2, b. Its resonance is at 247 Hz with a damping of 0.0226.
-    """
+    """Section 5.2 prints G(s) and a1, a2, b: a resonance at 247 Hz with a damping of 0.0226."""
     servo = fast_tool_servo()
     np.testing.assert_allclose(servo.coefficients, (2.413e6, 70.16, 2.229e7), rtol=1e-14)
     s = 2j * np.pi * np.array([0.1, 40.0, 247.0, 1000.0])
@@ -114,21 +111,16 @@ TOGETHER = control.ss(LAG) * (control.ss(G) + control.ss(MODE) + control.ss(CREE
     ("parts", "system"), [({}, control.ss(G)), (ALL, TOGETHER)], ids=["identified", "all_parts"]
 )
 def test_response_is_the_zero_order_hold_of_the_transfer_function(parts, system):
-    """The response is that of the zero-order hold of the transfer function.
-
-    The responses of parts add up, and the lag of the amplifier acts on each.
-    """
+    """The responses of parts add up, and the lag of the amplifier acts on each."""
     discrete = control.sample_system(system, DT, method="zoh")
     y = control.forced_response(discrete, TIME, np.append(U, 0.0)).outputs
     assert_close(outputs(FastToolServo(**parts), U), y, 1e-12)
 
 
 def test_a_load_of_one_newton_moves_the_tool_by_one_micrometre():
-    """A load of one newton moves the tool by one micrometre.
+    """The step response of the servo ends at -F/k:
 
-    The step response of the servo ends at -F/k:
-
-        -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin)).
+    -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin)).
     """
     w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
     root = np.sqrt(1 - zeta**2)
@@ -145,9 +137,8 @@ def test_drift_adds_a_ramp():
 
 
 def test_periodic_force_is_the_sum_of_its_sines():
-    """The response to a periodic force is the sum of the responses to its sines.
-
-    It is the forced motion, plus the free motion that makes position and speed zero at the start.
+    """It is the forced motion, plus the free motion that makes position and speed zero at the
+    start.
     """
     a, f, phase = np.array([[1.0, 0.5, 0.2], [40.0, 120.0, 700.0], [0.3, -1.0, 2.0]])
     s = 2j * np.pi * f
@@ -163,10 +154,8 @@ def test_periodic_force_is_the_sum_of_its_sines():
 
 
 def test_creep_spaced_by_decades_is_logarithmic():
-    """Creep whose operators are spaced by decades is logarithmic.
-
-    y / y(t_0) = 1 + c log10(t / t_0): each decade of time adds the share c, within 1 %, between the
-    fastest and the slowest operator.
+    """y / y(t_0) = 1 + c log10(t / t_0): each decade of time adds the share c, within 1 %, between
+    the fastest and the slowest operator.
     """
     tau = 10.0 ** np.arange(-3, 5)
     y = outputs(FastToolServo(creep=Creep(np.full(8, 0.02), tau)).linear(), np.ones(1000), 0.1)
@@ -329,10 +318,9 @@ def test_full_servo_moves_as_by_solve_ivp(parts, relative):
 
 
 def test_default_step_is_enough_for_the_task():
-    """The default step is accurate enough for the task.
+    """The task is the 40 Hz of section 5 with the friction of a guide.
 
-    The task is the 40 Hz of section 5 with the friction of a guide. With one step per sample the
-    error is below 1 nm, the resolution of the encoder.
+    With one step per sample the error is below 1 nm, the resolution of the encoder.
     """
     servo = FastToolServo(damping=3e-4, friction=Dahl(0.2, 0.5, exponent=1.0))
     u = 2.0 * np.sin(2 * np.pi * 40.0 * np.arange(300) * DT)
@@ -349,10 +337,9 @@ def gain_at_40_hz(servo, amplitude):
 
 
 def test_full_form_answers_small_strokes_like_the_identified_one():
-    """For small strokes the full form answers as the identified one does.
+    """Section 5.2 identified G with 10 mV.
 
-    Section 5.2 identified G with 10 mV. At 20 um the gain is larger, and the hysteresis loop makes
-    the tool lag behind.
+    At 20 um the gain is larger, and the hysteresis loop makes the tool lag behind.
     """
     small, large = (gain_at_40_hz(fast_tool_servo("full"), amplitude) for amplitude in (0.01, 2.16))
     expected = complex(G(80j * np.pi))
@@ -362,10 +349,7 @@ def test_full_form_answers_small_strokes_like_the_identified_one():
 
 
 def test_full_form_has_the_loop_and_the_mode_that_it_states():
-    """The full form has the hysteresis loop and the mode that it states.
-
-    The loop is 8 % of the stroke wide at 20 um, and the mode adds 40 % at 900 Hz.
-    """
+    """The loop is 8 % of the stroke wide at 20 um, and the mode adds 40 % at 900 Hz."""
     servo = fast_tool_servo("full")
     u = loop(40, amplitude=1.93)
     v = u - np.asarray(along(servo.hysteresis, u))
@@ -466,10 +450,9 @@ def test_dahl_from_rest_in_closed_form():
 
 @pytest.mark.parametrize("h", [*BOUC_WEN.values(), *DAHL.values()])
 def test_hysteresis_is_rate_independent(h):
-    """Hysteresis does not depend on the rate of the motion.
+    """The same loop is run at two frequencies with one sample rate.
 
-    The same loop is run at two frequencies with one sample rate. At the common points z does not
-    depend on how densely the motion was sampled.
+    At the common points z does not depend on how densely the motion was sampled.
     """
     fast, slow = along(h, loop(40)), along(h, loop(400))[9::10]
     # A monotonic motion may be divided anywhere. The result is exact where `over` is exact.
@@ -494,11 +477,9 @@ def test_width_of_the_settled_loop(h):
 
 
 def test_width_of_the_loop_in_closed_form():
-    """The width of the loop has a closed form.
+    """Without gamma, z settles to a loop with z(x_max) = A/beta tanh(beta x_max), whose width is
 
-    Without gamma, z settles to a loop with z(x_max) = A/beta tanh(beta x_max), whose width is
-
-        2 A/beta (1 - 1/cosh(beta x_max)).
+    2 A/beta (1 - 1/cosh(beta x_max)).
     """
     z = np.asarray(along(BoucWen(0.3, 1.1), loop(40, turns=12)))
     assert z[-31] == pytest.approx(0.3 / 1.1 * np.tanh(1.1 * 1.5), rel=1e-10)
@@ -558,10 +539,8 @@ def test_gradients_are_finite_everywhere(h):
 
 @pytest.mark.thorough
 def test_gradient_of_a_servo_at_rest():
-    """The gradient of a servo at rest is finite.
-
-    Without input and load all speeds and increments are exactly zero, and so is the derivative with
-    respect to every parameter.
+    """Without input and load all speeds and increments are exactly zero, and so is the derivative
+    with respect to every parameter.
     """
     servo = FastToolServo(
         friction=FRICTION,
@@ -583,10 +562,7 @@ def test_gradient_of_a_servo_at_rest():
 
 
 def test_hysteresis_at_the_inputs_of_any_plant():
-    """Hysteresis can act at the inputs of any plant.
-
-    With two inputs, each has its own z, as for two plants of one input whose outputs are added.
-    """
+    """Of two inputs each has its own z, as for two plants of one input whose outputs are added."""
     mixed = StateSpace([[0.5]], [[1.0, 2.0]], [[1.0]], dt=DT)
     u = np.stack([loop(40)[:60], np.cos(loop(40)[:60])], axis=1)
     plant = InputHysteresis(mixed, HYSTERESIS)
@@ -650,25 +626,8 @@ def test_too_long_a_sample_time_is_refused_before_anything_runs():
         ),
         (lambda: FastToolServo(mass=np.array([0.4, 0.01])), r"fastest mode, 1592 Hz"),
         (
-            lambda: FastToolServo(mass=0.0),
-            r"FastToolServo: mass = 0 is outside its allowed range \(0, inf\)",
-        ),
-        (
-            lambda: FastToolServo(damping=-1.0),
-            r"FastToolServo: damping = -1 is outside its allowed range \[0, inf\)",
-        ),
-        (
-            lambda: FastToolServo(substeps=0),
-            r"FastToolServo: substeps = 0 is outside its allowed range \[1, 10000\] "
-            "of whole numbers",
-        ),
-        (
             lambda: FastToolServo(hysteresis=BoucWen(1.2, 1.0)),
             r"FastToolServo: hysteresis.initial_slope = 1.2 is outside .*\(0, 1\)",
-        ),
-        (
-            lambda: FlexibleMode(900.0, 1.0, 0.1),
-            r"FlexibleMode: damping = 1 is outside its allowed range \(0, 1\)",
         ),
         (
             lambda: Creep((0.1, 0.2), (1.0,)),
@@ -680,19 +639,10 @@ def test_too_long_a_sample_time_is_refused_before_anything_runs():
             r"PeriodicForce: .*'phases': \(0,\).* must have one shape \(n,\)",
         ),
         (
-            lambda: CuttingForce(0.1, 1.0, blur=0.0),
-            r"CuttingForce: blur = 0 is outside its allowed range \(0, inf\)",
-        ),
-        (
             lambda: BoucWen(0.3, 1.0, -1.0),
             r"BoucWen: gamma = -1.0 is outside its allowed range \(-beta, beta\], beta = 1.0",
         ),
         (lambda: BoucWen(0.3, 1.0, 1.1), r"BoucWen: gamma = 1.1 is outside"),
-        (
-            lambda: BoucWen(0.3, 1.0, exponent=0.5),
-            r"BoucWen: exponent = 0.5 is outside its allowed range \[1, inf\)",
-        ),
-        (lambda: Dahl(1.0, 0.0), r"Dahl: limit = 0 is outside its allowed range \(0, inf\)"),
         (
             lambda: fast_tool_servo("exact"),
             r"fast_tool_servo: form = 'exact' is not one of 'identified', 'full'",

@@ -1,4 +1,7 @@
-"""The modal model is compared with SciPy's matrix exponential, python-control and closed forms."""
+"""The modal model, and the dead time that the process model has too.
+
+They are compared with SciPy's matrix exponential, python-control and closed forms.
+"""
 
 import dataclasses
 import decimal
@@ -10,8 +13,9 @@ import numpy as np
 import pytest
 import scipy
 
-from jaxilc.plants import ModalModel, ProcessModel, StateSpace, modal_model, to_control
+from jaxilc.plants import ModalModel, ProcessModel, StateSpace, modal_model, motion, to_control
 from jaxilc.plants.modal_model import _pair_after
+from jaxilc.plants.process_model import samples_of
 
 DT = 1e-3
 FLEXIBLE = {
@@ -49,15 +53,7 @@ def rational(model, i=0, j=0):
     return G + (0.0 if model.direct is None else float(np.reshape(model.direct, shape)[0, i, j]))
 
 
-def simulated(plant, u):
-    """The outputs by a NumPy loop over the matrices of the sampled plant."""
-    system = plant.sampled(DT)
-    A, B, C = (np.asarray(M) for M in (system.A, system.B, system.C))
-    x, y = np.zeros(len(A)), []
-    for value in u:
-        y.append(C @ x)
-        x = A @ x + B @ value
-    return np.array(y)
+simulated = jax.jit(motion, static_argnums=2)
 
 
 @pytest.mark.thorough
@@ -115,19 +111,50 @@ def test_a_pair_is_smooth_where_it_becomes_two_real_poles():
         assert value == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-7)
 
 
+MODEL = ModalModel(**FLEXIBLE, integrator=3.0)
+PROCESS = ProcessModel(2.0, (-300.0,), (60.0,), (200.0,), (0.3,))
+LAGS = control.tf([2 / 300, 2.0], np.polymul([1 / 60, 1.0], [1 / 4e4, 0.6 / 200, 1.0]))
+
+
 @pytest.mark.parametrize("samples", [0.0, 2.0, 0.25, 2.6])
-def test_delay_and_direct_term_are_those_of_the_held_input(samples):
+@pytest.mark.parametrize(
+    ("model", "G", "direct"),
+    [(dataclasses.replace(MODEL, direct=0.7), rational(MODEL), 0.7), (PROCESS, LAGS, 0.0)],
+    ids=["modal", "process"],
+)
+def test_delay_and_direct_term_are_those_of_the_held_input(model, G, direct, samples):
     """On a grid 20 times as fine the late input is whole samples, and y is read just before u."""
     fine, u = 20, np.random.default_rng(1).normal(size=50)
-    model = ModalModel(**FLEXIBLE, integrator=3.0, direct=0.7, delay=samples * DT)
-    G = rational(ModalModel(**FLEXIBLE, integrator=3.0))
     A, B, C, D, _ = scipy.signal.cont2discrete(
         scipy.signal.tf2ss(G.num[0][0], G.den[0][0]), DT / fine, method="zoh"
     )
     late = np.r_[np.zeros(round(samples * fine)), np.repeat(u, fine)][: fine * len(u)]
     y = scipy.signal.dlsim((A, B, C, D, DT / fine), late)[1][::fine, 0]
-    y[1:] += 0.7 * late[fine - 1 : -1 : fine]
-    np.testing.assert_allclose(simulated(model, u[:, None])[:, 0], y, atol=1e-9 * np.max(abs(y)))
+    y[1:] += direct * late[fine - 1 : -1 : fine]
+    found = simulated(dataclasses.replace(model, delay=samples * DT), u[:, None], DT)[:-1, 0]
+    np.testing.assert_allclose(found, y, atol=1e-10 * np.max(abs(y)))
+
+
+def test_a_delay_has_no_continuous_state_space():
+    late = dataclasses.replace(PROCESS, delay=3 * DT)
+    assert PROCESS.continuous() is not None
+    assert late.continuous() is None
+    assert late.regrouped().delay == 3 * DT
+    with pytest.raises(ValueError, match="no form in continuous time"):
+        to_control(late)
+    assert to_control(late, DT).nstates == 6
+
+
+def test_whole_samples_and_the_largest_delay():
+    assert samples_of(0.1 + 0.2, 0.1) == (3, 0.0)
+    whole, rest = samples_of(2.5 * DT, DT)
+    assert (whole, pytest.approx(0.5 * DT)) == (2, rest)
+    for model in (PROCESS, MODEL):
+        said = rf"{type(model).__name__}: delay = 2 s is 2000 samples of 0.001 s; allowed are at"
+        with pytest.raises(ValueError, match=said):
+            dataclasses.replace(model, delay=2.0).sampled(DT)
+        with pytest.raises(ValueError, match=r"delay = -0.1 is outside"):
+            dataclasses.replace(model, delay=-0.1)
 
 
 def test_zeros_are_those_of_the_polynomials():
@@ -203,10 +230,6 @@ def test_a_system_with_feedthrough_and_a_process_model_and_back():
             "more poles coincide than a pair of real ones",
         ),
         (lambda: modal_model(control.tf(1, [1, 0.5], 0.1)), "in continuous time"),
-        (
-            lambda: ModalModel(**FLEXIBLE, delay=2.0).sampled(DT),
-            "ModalModel: delay = 2 s is 2000 samples",
-        ),
     ],
 )
 def test_what_is_no_such_model_is_refused(build, message):

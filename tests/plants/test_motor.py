@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALGEBRA, DIFFERENCES, DT
+from cases import ALGEBRA, DT
 from jax import lax
 
 from jaxilc.learning import Machine, learn
@@ -25,11 +25,13 @@ from jaxilc.plants import (
     VoiceCoilMotor,
     voice_coil_motor,
 )
-from jaxilc.plants.motor import DTL85_708, MotorState
-from jaxilc.pytree import get_at, named_leaves, pytree, replaced
+from jaxilc.plants.motor import MotorState
+from jaxilc.pytree import named_leaves, pytree, replaced
 from jaxilc.schemes import CFDLMFAILC
 from jaxilc.signals import Task
 
+# Cao 2019, section II-A, in SI
+CONTINUOUS_CURRENT, PEAK_CURRENT, ACCELERATION, SPEED = 8.66, 23.0, 431.0, 3.44
 UNLIMITED = {"current_limit": None, "voltage_limit": None, "speed_limit": None}
 N = 80
 U = 2.0 * np.random.default_rng(5).choice([-1.0, 1.0], N)
@@ -138,10 +140,9 @@ def test_response_is_that_of_python_control(motor):
 
 
 def test_output_is_in_millimetres_and_follows_the_identified_slope():
-    """The output is in millimetres and follows the identified slope.
+    """One volt for half a second gives, after the first transient, -4.798 mm (1 - exp(-6.404 t)).
 
-    One volt for half a second gives, after the first transient, -4.798 mm (1 - exp(-6.404 t)). This
-    is Cao 2019, eq. 7.
+    This is Cao 2019, eq. 7.
     """
     y = positions(voice_coil_motor(), np.ones(500))[-1]
     assert y == pytest.approx(-4.798 * (1 - np.exp(-6.404 * (0.5 - 2 / 474 - 1 / 928.2))), rel=2e-3)
@@ -208,10 +209,8 @@ def test_printed_bandwidths():
 
 
 def test_a_spring_alone_leaves_the_integrator():
-    """A spring alone leaves the integrator.
-
-    The integral part of the speed loop overcomes a spring, so without a hold the position per volt
-    is unbounded.
+    """The integral part of the speed loop overcomes a spring, so without a hold the position per
+    volt is unbounded.
     """
     held = VoiceCoilMotor(stiffness=5e4)
     free = replaced(held, {"holding_gain": 0.0})
@@ -267,10 +266,9 @@ def test_integrator_is_of_order_four():
 
 
 def test_sample_time_does_not_change_the_motion():
-    """The sample time does not change the motion.
+    """The substep alone determines the accuracy.
 
-    The substep alone determines the accuracy. The same steps are taken within twice as many
-    samples.
+    The same steps are taken within twice as many samples.
     """
     motor = VoiceCoilMotor(**FULL)
     np.testing.assert_allclose(
@@ -333,21 +331,21 @@ def driven(motor, u):
 
 
 def test_limits_hold_and_give_the_printed_acceleration():
-    """The limits hold and give the printed acceleration.
+    """The command is far beyond the limits.
 
-    The command is far beyond the limits. The current is 23 A, and the acceleration 431 m/s^2 (Cao
-    2019, section II-A), until the motor reaches its speed of 3.44 m/s.
+    The current is 23 A, and the acceleration 431 m/s^2 (Cao 2019, section II-A), until the motor
+    reaches its speed of 3.44 m/s.
     """
     motor = VoiceCoilMotor(holding_gain=0.0, command_delay=None)
     u = np.full(400, -200.0)
     x, drive = driven(motor, u)
     assert np.max(np.abs(drive.voltage)) == 560.0
-    assert np.max(np.abs(drive.current)) == DTL85_708["peak_current"] == motor.current_limit
-    assert np.max(np.abs(x.current)) <= DTL85_708["peak_current"]
+    assert np.max(np.abs(drive.current)) == PEAK_CURRENT == motor.current_limit
+    assert np.max(np.abs(x.current)) <= PEAK_CURRENT
     acceleration = np.diff(x.speed) / FINE
-    assert np.max(np.abs(acceleration)) <= DTL85_708["acceleration"]
-    assert np.max(np.abs(acceleration)) == pytest.approx(DTL85_708["acceleration"], rel=0.05)
-    assert np.max(drive.speed) == DTL85_708["speed"]
+    assert np.max(np.abs(acceleration)) <= ACCELERATION
+    assert np.max(np.abs(acceleration)) == pytest.approx(ACCELERATION, rel=0.05)
+    assert np.max(drive.speed) == SPEED
     # The equation of the coil limits the rate to U_max / L.
     assert np.max(np.abs(np.diff(x.current))) <= 560.0 / 0.02 * FINE
 
@@ -365,13 +363,8 @@ class WindingUp(VoiceCoilMotor):
     ("motor", "low", "high"), [(VoiceCoilMotor, 0.0, 0.05), (WindingUp, 0.5, 1.0)]
 )
 def test_anti_windup(motor, low, high):
-    """With anti-windup the motor hardly exceeds the commanded speed.
-
-    It accelerates to 3.44 m/s at the continuous current, and its integral waits at the limit.
-    """
-    motor = motor(
-        holding_gain=0.0, command_delay=None, current_limit=DTL85_708["continuous_current"]
-    )
+    """It accelerates to 3.44 m/s at the continuous current, and its integral waits at the limit."""
+    motor = motor(holding_gain=0.0, command_delay=None, current_limit=CONTINUOUS_CURRENT)
     x = states(motor, np.full(1000, -200.0), rest(motor), 2e-4)
     assert low < float(np.max(x.speed)) / 3.44 - 1 < high
 
@@ -379,7 +372,7 @@ def test_anti_windup(motor, low, high):
 def test_peak_force_at_standstill_gives_the_printed_acceleration():
     motor = VoiceCoilMotor()
     a = float(motor.force_constant * motor.current_limit / motor.mass)
-    assert a == pytest.approx(DTL85_708["acceleration"], abs=0.5)
+    assert a == pytest.approx(ACCELERATION, abs=0.5)
 
 
 def test_without_limits_they_are_exceeded():
@@ -434,10 +427,9 @@ def test_friction_curve():
 
 
 def test_friction_holds_against_a_small_force_and_yields_to_a_large_one():
-    """Friction holds against a small force and yields to a large one.
+    """Below 12 N the carriage creeps at v_t artanh(F/F_s).
 
-    Below 12 N the carriage creeps at v_t artanh(F/F_s). Above, it is driven by the force that
-    Coulomb friction and back-EMF leave.
+    Above, it is driven by the force that Coulomb friction and back-EMF leave.
     """
     friction = StribeckFriction(8.0, 12.0, transition_velocity=1e-4, stribeck_velocity=0.01)
     motor, u = pushed(9.0, friction=friction)
@@ -485,62 +477,6 @@ def test_end_effect_weakens_the_motor_and_the_buffer_stops_it():
 # In the simulator
 # --------------------------------------------------------------------------------------------------
 
-BUMP = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(41) / 40), dt=DT, unit="mm", input_unit="V")
-SCHEME = CFDLMFAILC(phi0=-0.065, lam=0.02, mu=0.05, rho=0.9)
-
-
-def last_error(motor):
-    return learn(Machine(motor), SCHEME, BUMP, 5).rms[-1, 0]
-
-
-@pytest.mark.thorough
-def test_gradient_through_learning_equals_finite_differences():
-    """The gradient through learning equals finite differences.
-
-    This covers every parameter of the motor and of its parts. No command reaches the limits, except
-    for the 1.2 A limit, which all reach.
-    """
-    motor = VoiceCoilMotor(
-        **(UNLIMITED | {"current_limit": 1.2}), **FULL, stiffness=500.0, setpoint_weight=0.3
-    )
-    value_and_gradient = jax.jit(jax.value_and_grad(last_error))
-    gradients = named_leaves(value_and_gradient(motor)[1])
-    assert {
-        "mass",
-        "inductance",
-        "friction.static_force",
-        "cogging.pitch",
-        "end_effect.drop",
-        "current_limit",
-    } <= gradients.keys()
-    for name, gradient in gradients.items():
-        centre = float(get_at(motor, name))
-        step = 1e-5 * max(abs(centre), 1e-3)
-        high, low = (
-            value_and_gradient(replaced(motor, {name: centre + side * step}))[0] for side in (1, -1)
-        )
-        expected = float(high - low) / (2 * step)
-        assert np.isfinite(gradient)
-        assert gradient != 0.0, name
-        # Slopes are in units of a relative change of the parameter, so that henry and newton per
-        # metre can be compared.
-        scale = max(abs(centre), 1e-3)
-        np.testing.assert_allclose(
-            gradient * scale, expected * scale, rtol=1e-4, atol=DIFFERENCES["atol"], err_msg=name
-        )
-
-
-@pytest.mark.thorough
-def test_batch_of_motors_learns_as_each_alone():
-    masses = np.array([2.7, 3.0, 3.3])
-    histories = jax.jit(
-        jax.vmap(lambda m: learn(Machine(VoiceCoilMotor(mass=m, **FULL)), SCHEME, BUMP, 5))
-    )(masses)
-    for i, mass in enumerate(masses):
-        alone = learn(Machine(VoiceCoilMotor(mass=mass, **FULL)), SCHEME, BUMP, 5)
-        np.testing.assert_allclose(histories.rms[i], alone.rms, rtol=1e-8)
-    assert np.all(histories.finite)
-
 
 def test_motor_learns_like_its_reduced_form():
     """The motor learns as its reduced form does, on Cao 2019's task, shortened to 1 mm at 2 Hz.
@@ -565,37 +501,12 @@ def test_motor_learns_like_its_reduced_form():
     ("build", "message"),
     [
         (
-            lambda: VoiceCoilMotor(mass=0.0),
-            r"VoiceCoilMotor: mass = 0 is outside its allowed range \(0, inf\)",
-        ),
-        (
-            lambda: VoiceCoilMotor(current_limit=-1.0),
-            r"VoiceCoilMotor: current_limit = -1 is outside",
-        ),
-        (
-            lambda: VoiceCoilMotor(setpoint_weight=1.5),
-            r"VoiceCoilMotor: setpoint_weight = 1.5 is outside its allowed range \[0, 1\]",
-        ),
-        (
-            lambda: VoiceCoilMotor(substep=0.0),
-            r"VoiceCoilMotor: substep = 0.0 is outside its allowed range \(0, inf\)",
-        ),
-        (
             lambda: voice_coil_motor("eq7"),
             r"voice_coil_motor: form = 'eq7' is not one of 'identified', 'printed'",
         ),
         (
             lambda: StribeckFriction(10.0, 8.0),
             r"StribeckFriction: static_force = 8.0 is below coulomb_force = 10.0",
-        ),
-        (
-            lambda: StribeckFriction(1.0, 2.0, transition_velocity=0.0),
-            r"StribeckFriction: transition_velocity = 0 is outside",
-        ),
-        (lambda: Cogging(1.0, 0.0), r"Cogging: pitch = 0 is outside"),
-        (
-            lambda: EndEffect(0.05, 1.0),
-            r"EndEffect: drop = 1 is outside its allowed range \[0, 1\)",
         ),
     ],
 )

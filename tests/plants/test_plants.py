@@ -1,46 +1,49 @@
 """Plants are compared with python-control and with printed values."""
 
+import dataclasses
+import re
+from functools import partial
+
 import control
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT, PLANTS, task_for
 
 from jaxilc.learning import Machine, learn
 from jaxilc.plants import (
+    BoucWen,
+    ByPosition,
+    Cogging,
+    CuttingForce,
+    Dahl,
     DifferenceEquation,
+    EndEffect,
+    FlexibleMode,
+    LeadError,
     ProcessModel,
     StateSpace,
+    StribeckFriction,
+    TwoAxes,
     VoiceCoil,
+    VoiceCoilMotor,
+    fast_tool_servo,
     from_control,
+    motion,
     voice_coil,
 )
-from jaxilc.pytree import leaf, pytree
-from jaxilc.schemes import PID, PIDType, Scheme
-from jaxilc.schemes.scheme import Feedforward
+from jaxilc.schemes import PID, PIDType
 from jaxilc.signals import Task
 
 N = 60
 U = np.random.default_rng(3).normal(size=(N, 2))
 
 
-@pytree
-class PlayBack(Scheme):
-    """This is the smallest scheme that a user may write.
-
-    It plays u (N, n_u) on any machine.
-    """
-
-    u: jax.Array = leaf()
-
-    def initial_memory(self, task):
-        return Feedforward(self.u)
-
-
+@partial(jax.jit, static_argnames="dt")
 def response(plant, u, dt=DT):
     """Return the output (N+1, n_y) of the package for the input u (N, n_u)."""
-    task = Task(np.zeros((N + 1, plant.n_y)), dt=dt, inputs=plant.n_u)
-    return np.asarray(learn(Machine(plant), PlayBack(u.reshape(N, plant.n_u)), task, 1).final.y)
+    return motion(plant, jnp.asarray(u).reshape(-1, plant.n_u), dt)
 
 
 def oracle(system, u, dt=DT):
@@ -232,10 +235,9 @@ def test_from_control_names_what_it_cannot_take(system, message):
 
 
 def test_unstable_plant_under_a_stabilising_loop():
-    """An unstable plant is simulated under a stabilising loop.
+    """x' = 20 x + u under u = -120 x has its pole at -100.
 
-    x' = 20 x + u under u = -120 x has its pole at -100. Sampled, the pole is exp(20 dt) - 120
-    (exp(20 dt) - 1) / 20.
+    Sampled, the pole is exp(20 dt) - 120 (exp(20 dt) - 1) / 20.
     """
     plant = from_control(control.tf([1.0], [1.0, -20.0]), allow_unstable=True)
     kicked = StateSpace(plant.A, plant.B, plant.C, np.ones(1) / plant.C[0], plant.dt)
@@ -294,10 +296,6 @@ def test_another_sample_time_is_refused(plant):
             r"DifferenceEquation: a \(2,\) and b \(1,\) must both",
         ),
         (lambda: VoiceCoil(poles=(474.0, 6.404)), r"VoiceCoil: .*poles"),
-        (
-            lambda: VoiceCoil(poles=(474.0, -6.404, 1.0)),
-            r"VoiceCoil: poles = .* is outside its allowed range \(0, inf\)",
-        ),
     ],
 )
 def test_misshapen_plants_are_refused_at_construction(build, message):
@@ -305,9 +303,43 @@ def test_misshapen_plants_are_refused_at_construction(build, message):
         build()
 
 
-def test_a_time_varying_plant_belongs_to_trials_of_its_length():
-    plant = PLANTS["time_varying"]
-    with pytest.raises(
-        ValueError, match=f"given for N = {plant.N} samples but the task has N = {plant.N + 4}"
-    ):
-        learn(Machine(plant), PIDType(gamma_p=0.1), task_for(plant, plant.N + 4), 1)
+MOTOR, SERVO, DRIVE = VoiceCoilMotor(), fast_tool_servo("full"), PLANTS["ball_screw"]
+OUT_OF_RANGE = [
+    (voice_coil(), "poles", (474.0, -6.404, 1.0), "(0, inf)"),
+    (MOTOR, "mass", 0.0, "(0, inf)"),
+    (MOTOR, "current_limit", -1.0, "(0, inf)"),
+    (MOTOR, "setpoint_weight", 1.5, "[0, 1]"),
+    (MOTOR, "substep", 0.0, "(0, inf)"),
+    (StribeckFriction(1.0, 2.0), "transition_velocity", 0.0, "(0, inf)"),
+    (Cogging(1.0, 1.0), "pitch", 0.0, "(0, inf)"),
+    (EndEffect(0.05, 0.1), "drop", 1.0, "[0, 1)"),
+    (SERVO, "mass", 0.0, "(0, inf)"),
+    (SERVO, "damping", -1.0, "[0, inf)"),
+    (SERVO, "substeps", 0, "[1, 10000] of whole numbers"),
+    (FlexibleMode(900.0, 0.1, 0.1), "damping", 1.0, "(0, 1)"),
+    (CuttingForce(0.1, 1.0), "blur", 0.0, "(0, inf)"),
+    (BoucWen(0.3, 1.0), "exponent", 0.5, "[1, inf)"),
+    (Dahl(1.0, 1.0), "limit", 0.0, "(0, inf)"),
+    (DRIVE, "table_mass", -1.0, "(0, inf)"),
+    (DRIVE, "damping", -1.0, "[0, inf)"),
+    (DRIVE, "force_limit", 0.0, "(0, inf)"),
+    (DRIVE, "encoder_step", -0.1, "(0, inf)"),
+    (DRIVE, "current_bandwidth", 0.0, "(0, inf)"),
+    (LeadError(1e-6, 0.01), "amplitude", -1e-6, "[0, inf)"),
+    (LeadError(1e-6, 0.01), "period", 0.0, "(0, inf)"),
+    (PLANTS["in_blocks"], "length", 1, "[2, 10000] of whole numbers"),
+]
+
+
+@pytest.mark.parametrize(("good", "name", "value", "allowed"), OUT_OF_RANGE)
+def test_a_parameter_outside_its_range_is_named_with_it(good, name, value, allowed):
+    said = f"{type(good).__name__}: {name} = .* is outside its allowed range {re.escape(allowed)}$"
+    with pytest.raises(ValueError, match=said):
+        dataclasses.replace(good, **{name: value})
+
+
+@pytest.mark.parametrize("around", [lambda plant: plant, ByPosition, lambda p: TwoAxes(p, p)])
+def test_a_time_varying_plant_belongs_to_trials_of_its_length_also_within_another(around):
+    N, plant = PLANTS["time_varying"].N, around(PLANTS["time_varying"])
+    with pytest.raises(ValueError, match=f"given for N = {N} samples but the task has N = {N + 4}"):
+        learn(Machine(plant), PIDType(gamma_p=0.1), task_for(plant, N + 4), 1)

@@ -3,6 +3,8 @@
 Both are compared with the simulators of these packages.
 """
 
+from functools import partial
+
 import control
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,7 @@ import pytest
 import scipy.signal
 from cases import ALGEBRA, DRIVE, DT, PLANTS, few
 
-from jaxilc.learning import Machine, learn
+from jaxilc.learning import Machine
 from jaxilc.plants import (
     BallScrewDrive,
     DifferenceEquation,
@@ -22,15 +24,13 @@ from jaxilc.plants import (
     VoiceCoilMotor,
     fast_tool_servo,
     from_control,
+    motion,
     to_control,
     voice_coil_motor,
 )
 from jaxilc.plants.from_python_control import Linear, canonical_form, from_linear
 from jaxilc.plants.to_python_control import initial_state
 from jaxilc.pytree import leaf, pytree
-from jaxilc.schemes import Scheme
-from jaxilc.schemes.scheme import Feedforward
-from jaxilc.signals import Task
 from jaxilc.uncertainty import Uniform, drawn_machines
 
 N = 40
@@ -54,20 +54,10 @@ LEAVING = (
 )  # fmt: skip
 
 
-@pytree
-class PlayBack(Scheme):
-    """The scheme plays u (N, n_u) on any machine."""
-
-    u: jax.Array = leaf()
-
-    def initial_memory(self, task):
-        return Feedforward(self.u)
-
-
+@partial(jax.jit, static_argnames="dt")
 def simulated(plant, u, dt=DT):
-    """Return the output (N+1, n_y) by `learn`."""
-    task = Task(np.zeros((len(u) + 1, plant.n_y)), dt=dt, inputs=plant.n_u)
-    return np.asarray(learn(Machine(plant), PlayBack(u), task, 1).final.y)
+    """Return the output (N+1, n_y) of the simulator."""
+    return motion(plant, jnp.asarray(u), dt)
 
 
 def forced(system, u, x0=0.0):
@@ -279,7 +269,7 @@ def test_a_continuous_nonlinear_system_is_integrated():
         plant = from_control(
             control.nlsys(pendulum, angle, **SIZES), x0=(0.4, -1.0), substep=dt / steps
         )
-        errors.append(np.max(np.abs(simulated(plant, u, dt)[:, 0] - y)))
+        errors.append(np.max(np.abs(simulated(plant, u, dt)[:, 0] - np.array(y))))
     assert errors[1] < 1e-7 * np.max(np.abs(y))
     assert 3.5 < np.log2(errors[0] / errors[1]) < 4.5  # the method has order 4
 
@@ -312,10 +302,9 @@ def test_its_parameters_are_leaves():
     drawn = drawn_machines(
         machine, {name: Uniform(20.0, 40.0)}, {name: np.array([20.0, 28.0, 36.0])}
     )
-    task = Task(np.zeros(N + 1), dt=0.02)
 
     def last(machine):
-        return learn(machine, PlayBack(np.ones((N, 1))), task, 1).final.y[-1, 0]
+        return simulated(machine.plant, np.ones((N, 1)), 0.02)[-1, 0]
 
     ends = jax.vmap(last)(drawn)
     assert len(set(np.asarray(ends).tolist())) == 3

@@ -227,10 +227,7 @@ def test_its_weights_are_drawn_and_tuned_by_name():
 
 
 def test_without_a_plant_of_the_package_nothing_is_different():
-    """A foreign pytree works the same way without a plant of the package.
-
-    A bare array is a part too, and one of its elements is replaced.
-    """
+    """A bare array is a part too, and one of its elements is replaced."""
 
     @pytree
     class Bare(Scheme):

@@ -1,6 +1,7 @@
 """These tests check how parameters are validated, named, replaced and batched."""
 
 import dataclasses
+import re
 
 import jax
 import jax.numpy as jnp
@@ -41,84 +42,64 @@ from jaxilc.signals import Task
 MACHINE = Machine(VoiceCoil(), Actuator(limit=5.0), Sensor(resolution=1e-4))
 BOTH = {"machine": MACHINE, "scheme": WithFeedback(PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0))}
 
+OUTSIDE = [
+    (CFDLMFAILC, "rho", 1.5, "(0, 1]"),
+    (CFDLMFAILC, "rho", 0.0, "(0, 1]"),
+    (CFDLMFAILC, "eta", 1.5, "(0, 1]"),
+    (FFDLMFAILC, "eta", 2.5, "(0, 2]"),
+    (CFDLMFAILC, "L_u", 2, "[1, 1]"),
+    (PFDLMFAILC, "L_y", 1, "[0, 0]"),
+    (PIDType, "leak", 1.0, "[0, 1)"),
+    (PIDType, "lead", -1, "[0, inf)"),
+    (PIDType, "lead", 1.5, "[0, inf)"),
+    (PID, "tau", -1e-3, "[0, inf)"),
+    (PID, "kp", np.nan, "(-inf, inf)"),
+    (PID, "ki", -np.inf, "(-inf, inf)"),
+    (Actuator, "limit", 0.0, "(0, inf)"),
+]
+
+
+@pytest.mark.parametrize(("cls", "name", "value", "allowed"), OUTSIDE)
+def test_a_number_outside_its_range_is_named_with_it(cls, name, value, allowed):
+    said = re.escape(f"{cls.__name__}: {name} = {value:g} is outside its allowed range {allowed}")
+    with pytest.raises(ValueError, match=said):
+        cls(**{name: value})
+
+
+NOT_ALLOWED = [
+    (FFDLMFAILC, "rho", (0.5, 0.5, -0.1, 0.5), r"= \[ 0.5  0.5 -0.1  0.5\] is outside .*\(0, 1\]"),
+    (FFDLMFAILC, "rho", (0.5, 0.5), r"has shape \(2,\)"),
+    (FFDLMFAILC, "phi0", (0.5, 0.1), r"has shape \(2,\); L_y = 2 and L_u = 2 need \(4,\)"),
+    (PID, "kp", jnp.array([1.0, jnp.nan]), "= .*nan.* is outside its allowed range"),
+    (VoiceCoil, "poles", (1.0, np.nan, 2.0), "= .*nan.* is outside its allowed range"),
+    (PID, "kp", "high", "= 'high' is not a number or an array of numbers"),
+    (PID, "kp", "3", "= '3' is not a number"),
+    (PID, "kp", [1.0, [2.0]], "= .* is not a number or an array of numbers"),
+    (PID, "kp", 1j, "= 1j is not a number"),
+    (PID, "kp", np.array(1j), "= .* is not a number"),
+    (PID, "kp", object(), "= .* is not a number"),
+    (PID, "kp", None, "= (None|nan) is"),
+    (PID, "kp", 10**400, "= 1000.* is not a number"),
+    (PID, "kp", jax.random.key(0), "= .* is not a number"),
+    (PID, "form", "velocity", "= 'velocity' is not one of 'position', 'increment'"),
+    (CFDLMFAILC, "reset", "always", "= 'always' is not one of 'book', 'sign', 'none'"),
+    (PIDType, "lead", "two", "= 'two' is outside its allowed range"),
+    (PIDType, "lead", np.array([1, 2]), "= "),
+    (PIDType, "lead", 10**5000, "= a int too long to show is outside its allowed range"),
+    (PIDType, "lead", 1j, "= 1j is outside its allowed range"),
+    (Machine, "plant", PID(), "is a PID; allowed is Plant"),
+]
+
+
+@pytest.mark.parametrize(
+    ("cls", "name", "value", "said"), NOT_ALLOWED, ids=map(str, range(len(NOT_ALLOWED)))
+)
+def test_a_value_that_is_not_allowed_is_named_with_what_is(cls, name, value, said):
+    with pytest.raises(ValueError, match=f"{cls.__name__}: {name} {said}"):
+        cls(**{name: value})
+
+
 REFUSED = {
-    "above": (
-        lambda: CFDLMFAILC(rho=1.5),
-        r"CFDLMFAILC: rho = 1.5 is outside its allowed range \(0, 1\]",
-    ),
-    "open_end": (
-        lambda: CFDLMFAILC(rho=0.0),
-        r"CFDLMFAILC: rho = 0 is outside its allowed range \(0, 1\]",
-    ),
-    "eta_of_cfdl": (
-        lambda: CFDLMFAILC(eta=1.5),
-        r"CFDLMFAILC: eta = 1.5 is outside its allowed range \(0, 1\]",
-    ),
-    "eta_of_ffdl": (
-        lambda: FFDLMFAILC(eta=2.5),
-        r"FFDLMFAILC: eta = 2.5 is outside its allowed range \(0, 2\]",
-    ),
-    "one_of_many": (
-        lambda: FFDLMFAILC(rho=(0.5, 0.5, -0.1, 0.5)),
-        r"FFDLMFAILC: rho = \[ 0.5  0.5 -0.1  0.5\] is outside .*\(0, 1\]",
-    ),
-    "leak": (lambda: PIDType(leak=1.0), r"PIDType: leak = 1 is outside its allowed range \[0, 1\)"),
-    "tau": (lambda: PID(tau=-1e-3), r"PID: tau = -0.001 is outside its allowed range \[0, inf\)"),
-    "limit": (
-        lambda: Actuator(limit=0.0),
-        r"Actuator: limit = 0 is outside its allowed range \(0, inf\)",
-    ),
-    "nan": (lambda: PID(kp=np.nan), r"PID: kp = nan is outside its allowed range \(-inf, inf\)"),
-    "inf": (lambda: PID(ki=-np.inf), r"PID: ki = -inf is outside its allowed range"),
-    "nan_jax": (
-        lambda: PID(kp=jnp.array([1.0, jnp.nan])),
-        r"PID: kp = .*nan.* is outside its allowed range",
-    ),
-    "nan_in_array": (
-        lambda: VoiceCoil(poles=(1.0, np.nan, 2.0)),
-        r"VoiceCoil: poles = .*nan.* is outside its allowed range",
-    ),
-    "word": (lambda: PID(kp="high"), r"PID: kp = 'high' is not a number or an array of numbers"),
-    "numeral": (lambda: PID(kp="3"), r"PID: kp = '3' is not a number"),
-    "ragged": (
-        lambda: PID(kp=[1.0, [2.0]]),
-        r"PID: kp = .* is not a number or an array of numbers",
-    ),
-    "complex": (lambda: PID(kp=1j), r"PID: kp = 1j is not a number"),
-    "complex_array": (lambda: PID(kp=np.array(1j)), r"PID: kp = .* is not a number"),
-    "object": (lambda: PID(kp=object()), r"PID: kp = .* is not a number"),
-    "none": (lambda: PID(kp=None), r"PID: kp = (None|nan) is"),
-    "choice": (
-        lambda: PID(form="velocity"),
-        r"PID: form = 'velocity' is not one of 'position', 'increment'",
-    ),
-    "reset": (
-        lambda: CFDLMFAILC(reset="always"),
-        r"CFDLMFAILC: reset = 'always' is not one of 'book', 'sign', 'none'",
-    ),
-    "static": (
-        lambda: PIDType(lead=-1),
-        r"PIDType: lead = -1 is outside its allowed range \[0, inf\)",
-    ),
-    "static_word": (
-        lambda: PIDType(lead="two"),
-        r"PIDType: lead = 'two' is outside its allowed range",
-    ),
-    "static_half": (lambda: PIDType(lead=1.5), r"PIDType: lead = 1.5"),
-    "static_array": (lambda: PIDType(lead=np.array([1, 2])), r"PIDType: lead = "),
-    "window": (
-        lambda: CFDLMFAILC(L_u=2),
-        r"CFDLMFAILC: L_u = 2 is outside its allowed range \[1, 1\]",
-    ),
-    "window_pfdl": (
-        lambda: PFDLMFAILC(L_y=1),
-        r"PFDLMFAILC: L_y = 1 is outside its allowed range \[0, 0\]",
-    ),
-    "phi0": (
-        lambda: FFDLMFAILC(phi0=(0.5, 0.1)),
-        r"FFDLMFAILC: phi0 has shape \(2,\); L_y = 2 and L_u = 2 need \(4,\)",
-    ),
-    "rho_length": (lambda: FFDLMFAILC(rho=(0.5, 0.5)), r"FFDLMFAILC: rho has shape \(2,\)"),
     "part": (
         lambda: WithFeedback(PIDType(), -np.inf),
         "WithFeedback: feedback = -inf is a float; allowed is Scheme",
@@ -127,7 +108,6 @@ REFUSED = {
         lambda: TwoAxes(voice_coil(), -np.inf),
         "TwoAxes: y = -inf is a float; allowed is Plant",
     ),
-    "part_of_another_kind": (lambda: Machine(PID()), "Machine: plant is a PID; allowed is Plant"),
     "part_as_its_class": (
         lambda: Filtered(PID, ZeroPhaseFIR()),
         r"Filtered: scheme = <class .*PID'> is a type; allowed is Scheme",
@@ -152,17 +132,10 @@ REFUSED = {
         lambda: OnOutputs(PID(), (0, 1.0)),
         r"OnOutputs: outputs = \(0, 1.0\) is a tuple; allowed is a tuple",
     ),
-    "static_long": (
-        lambda: PIDType(lead=10**5000),
-        "PIDType: lead = a int too long to show is outside its allowed range",
-    ),
-    "static_complex": (lambda: PIDType(lead=1j), "PIDType: lead = 1j is outside its allowed range"),
     "static_flag": (
         lambda: ASMC(1.0, 1.0, 1.0, carry=1),
         "ASMC: carry = 1 is not one of False, True",
     ),
-    "leaf_long": (lambda: PID(kp=10**400), "PID: kp = 1000.* is not a number"),
-    "leaf_key": (lambda: PID(kp=jax.random.key(0)), "PID: kp = .* is not a number"),
     "outputs": (
         lambda: OnOutputs(PID(), (0, 2)).check(Task(np.zeros((9, 2)), dt=DT)),
         r"OnOutputs: outputs = \(0, 2\).*0..1",
@@ -177,9 +150,8 @@ def test_construction_names_class_field_value_and_range(build, message):
 
 
 def test_numbers_that_must_be_single_are_looked_at_with_the_task():
-    """Numbers that must be single are checked together with the task.
-
-    A batch of machines has many values of each number, so their construction does not refuse them.
+    """A batch of machines has many values of each number, so their construction does not refuse
+    them.
     """
     task = Task(np.zeros(9), dt=DT)
     batch = Machine(VoiceCoil(zero=(900.0, 950.0)))
@@ -384,10 +356,9 @@ class Outer:
 
 
 def test_transformations_do_not_validate():
-    """Transformations do not validate.
+    """Tracers, batches, and a gradient step that leaves the range are accepted.
 
-    Tracers, batches, and a gradient step that leaves the range are accepted. Only what a user
-    constructs is checked.
+    Only what a user constructs is checked.
     """
     outer = Outer(Inner(gain=2.0))
     batch = jax.tree.map(lambda x: jnp.stack([x, -x]), outer)  # -2 is outside (0, 10)

@@ -5,11 +5,10 @@ import json
 import logging
 import shutil
 
-import jax
 import numpy as np
 import pytest
 from fuzz import damaged, dumped, files_of, flipped, fuzz, pick
-from gain_case import PROBLEM
+from gain_case import PROBLEM, Killed, assert_same_tuned, kill_after
 
 from jaxilc.storage import files
 from jaxilc.storage.sealed import archive, read_arrays
@@ -23,10 +22,6 @@ def quickly_and_quietly(monkeypatch, caplog):
     caplog.set_level(logging.ERROR, "jaxilc")
 
 
-class Killed(Exception):
-    pass
-
-
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory):
     """Return a problem, the folder of a stopped tuning, and the result without the stop.
@@ -38,21 +33,9 @@ def tuned(tmp_path_factory):
         tmp_path_factory.mktemp("tuned") / "state",
     )
 
-    def stop(step, losses, best):
-        if step == 3:
-            raise Killed
-
     with pytest.raises(Killed):
-        problem.run(folder, progress=stop)
+        problem.run(folder, progress=kill_after(3))
     return problem, folder, problem.run()
-
-
-def assert_equal(one, other):
-    for field in dataclasses.fields(one):
-        if field.name != "scheme":
-            jax.tree.map(
-                np.testing.assert_array_equal, getattr(one, field.name), getattr(other, field.name)
-            )
 
 
 @pytest.mark.thorough
@@ -60,16 +43,13 @@ def test_a_flipped_bit_in_a_tuning_changes_nothing(tuned, tmp_path):
     problem, folder, whole = tuned
 
     def attempt(rng):
-        assert_equal(problem.run(flipped(rng, folder, tmp_path / "state"), resume=True), whole)
+        assert_same_tuned(problem.run(flipped(rng, folder, tmp_path / "state"), resume=True), whole)
 
     fuzz(30, attempt, ())
 
 
 def test_a_state_of_something_else_is_refused(tuned, tmp_path):
-    """A state that does not belong to the tuning is refused.
-
-    Its checksums are right, but it is of another tuning, or was made by hand.
-    """
+    """Its checksums are right, but it is of another tuning, or was made by hand."""
     problem, folder, _ = tuned
     names = ("state.npz", "previous.npz")
     state = {name: read_arrays(folder / name) for name in names}
@@ -105,7 +85,7 @@ def test_a_state_of_another_tuning_is_left_for_the_one_before_it(tuned, tmp_path
         for file in exchanged:
             shutil.copyfile(tmp_path / "other" / "state.npz", state / file)
         if name == "one":
-            assert_equal(problem.run(state, resume=True), whole)
+            assert_same_tuned(problem.run(state, resume=True), whole)
             continue
         with pytest.raises(ValueError, match=r"state.npz was made with another .*start again"):
             problem.run(state, resume=True)
@@ -119,7 +99,7 @@ def test_a_damaged_tuning_falls_back_or_is_refused_in_one_line(tuned, tmp_path, 
     for name in names:
         shutil.copytree(folder, tmp_path / name)
         (tmp_path / name / name).write_bytes(content)
-        assert_equal(problem.run(tmp_path / name, resume=True), whole)
+        assert_same_tuned(problem.run(tmp_path / name, resume=True), whole)
     shutil.copytree(folder, tmp_path / "state")
     for name in names - {"configuration.json"}:
         (tmp_path / "state" / name).write_bytes(content)
@@ -134,15 +114,12 @@ def test_a_damaged_tuning_falls_back_or_is_refused_in_one_line(tuned, tmp_path, 
 
 
 def test_a_state_that_is_damaged_again_falls_back_again(tuned, tmp_path):
-    """A state that is damaged twice is replaced by the previous one twice.
-
-    The damaged state does not overwrite the previous one, which was used instead.
-    """
+    """The damaged state does not overwrite the previous one, which was used instead."""
     problem, folder, whole = tuned
     shutil.copytree(folder, tmp_path / "state")
     for content in (b"", b"PK"):
         (tmp_path / "state/state.npz").write_bytes(content)
-        assert_equal(problem.run(tmp_path / "state", resume=True), whole)
+        assert_same_tuned(problem.run(tmp_path / "state", resume=True), whole)
 
 
 def test_two_tunings_do_not_share_a_folder(tuned, tmp_path):
@@ -153,4 +130,4 @@ def test_two_tunings_do_not_share_a_folder(tuned, tmp_path):
     )
     with Folder(tmp_path / "state", problem.configuration(), True), used:
         problem.run(tmp_path / "state", resume=True)
-    assert_equal(problem.run(tmp_path / "state", resume=True), whole)
+    assert_same_tuned(problem.run(tmp_path / "state", resume=True), whole)

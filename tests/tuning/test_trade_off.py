@@ -8,7 +8,7 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from gain_case import STATIC, TASK
+from gain_case import STATIC, TASK, Killed
 
 from jaxilc.schemes import PIDType
 from jaxilc.tuning import Tuning, pareto
@@ -93,10 +93,6 @@ def test_what_one_point_beats_in_both_is_left_out():
     points = pareto(problem, SquaredError(), Growth(), (0.0, 1.0))
     assert [p.share for p in points] == [1.0]
     assert points[0].second == 0.0
-
-
-class Killed(Exception):
-    pass
 
 
 def test_an_interrupted_front_keeps_its_points(front, tmp_path):

@@ -15,7 +15,7 @@ import scipy.integrate
 import scipy.linalg
 import scipy.optimize
 from cases import CASES
-from gain_case import PROBLEM, STATIC
+from gain_case import PROBLEM, STATIC, Killed, assert_same_tuned, kill_after
 
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Sensor
@@ -214,24 +214,9 @@ def test_patience_ends_it():
 # --------------------------------------------------------------------------------------------------
 
 
-class Killed(Exception):
-    pass
-
-
-def kill_after(step):
-    def progress(done, losses, best):
-        if done == step:
-            raise Killed
-
-    return progress
-
-
 @pytest.mark.thorough
 def test_a_folder_under_earlier_names_is_resumed(tmp_path, monkeypatch):
-    """A folder written under earlier names is resumed.
-
-    Machines were called samples then, and metrics were called figures.
-    """
+    """Machines were called samples then, and metrics were called figures."""
     configuration = Tuning.configuration
 
     def earlier(self):
@@ -274,10 +259,7 @@ def test_an_interrupted_tuning_resumes_to_the_same_numbers(optimiser, tmp_path):
         tmp_path / "state", resume=True, progress=lambda step, losses, best: steps.append(step)
     )
     assert steps == [5, 6]
-    for field in dataclasses.fields(whole):
-        one, other = getattr(whole, field.name), getattr(resumed, field.name)
-        if field.name != "scheme":
-            jax.tree.map(np.testing.assert_array_equal, one, other)
+    assert_same_tuned(whole, resumed)
 
 
 def test_a_folder_of_another_tuning_is_refused(tmp_path):
