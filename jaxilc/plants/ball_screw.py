@@ -266,7 +266,7 @@ class BallScrewDrive(Plant):
             allowed, note = f"(0, {self.longest_dt * (1 + 1e-9)}]", " with friction, see longest_dt"
             require("BallScrewDrive", "dt", dt, allowed, " s", note=note)
         if self.dt:
-            return matching(self, self.dt, dt)
+            return matching(self, dt)
         mechanics = self.mechanics()
         return dataclasses.replace(
             self, linear_part=propagator(mechanics.A, mechanics.B, dt), dt=float(dt)

@@ -324,7 +324,7 @@ class ForcedServo(Plant):
     dt: float = static(default=0.0)
 
     def sampled(self, dt: float) -> ForcedServo:
-        return matching(self, self.dt, dt)
+        return matching(self, dt)
 
     def initial_state(self) -> Tree:
         return self.linear.initial_state()

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 
-from ..pytree.aliases import Array, Leaf, Tree
+from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import child, leaf, pytree, static
 from ..signals.task import Task, product
 from .plant import Plant
@@ -17,7 +17,7 @@ from .plant import Plant
 LARGEST_ORDER = 1000  # of a transfer function; its matrices have as many rows
 MOST_TERMS = 500  # of a difference equation; compiling takes time in their square
 
-AnyPlant = TypeVar("AnyPlant", bound=Plant)
+Sampled = TypeVar("Sampled", bound=Value)  # a plant with its own sample time `dt`
 
 
 def zoh(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
@@ -31,12 +31,12 @@ def zoh(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     return transition[:n, :n], transition[:n, n:]
 
 
-def matching(plant: AnyPlant, own_dt: float, dt: float) -> AnyPlant:
-    """`plant`, if its own sample time `own_dt` is the task's dt; else ValueError."""
-    if abs(own_dt - dt) > 1e-9 * dt:
+def matching(plant: Sampled, dt: float) -> Sampled:
+    """`plant`, if its own sample time is the task's dt; else ValueError."""
+    if abs(plant.dt - dt) > 1e-9 * dt:
         raise ValueError(
-            f"{type(plant).__name__} is sampled at {own_dt:g} s but the task at {dt:g} s; allowed "
-            f"is dt = {own_dt:g}"
+            f"{type(plant).__name__} is sampled at {plant.dt:g} s but the task at {dt:g} s; "
+            f"allowed is dt = {plant.dt:g}"
         )
     return plant
 
@@ -94,7 +94,7 @@ class StateSpace(_Matrices):
 
     def sampled(self, dt: float) -> StateSpace:
         if self.dt:
-            return matching(self, self.dt, dt)
+            return matching(self, dt)
         A, B = zoh(self.A, self.B, dt)
         return StateSpace(A, B, self.C, self.x0, dt=dt)
 
@@ -154,7 +154,7 @@ class TimeVaryingStateSpace(_Matrices):
             )
 
     def sampled(self, dt: float) -> TimeVaryingStateSpace:
-        return matching(self, self.dt, dt)
+        return matching(self, dt)
 
     def initial_state(self) -> Tree:
         """The sample's number and the state."""
@@ -197,7 +197,7 @@ class DifferenceEquation(Plant):
             )
 
     def sampled(self, dt: float) -> DifferenceEquation:
-        return _Taken(tuple(self.a), tuple(self.b), dt=matching(self, self.dt, dt).dt)
+        return _Taken(tuple(self.a), tuple(self.b), dt=matching(self, dt).dt)
 
     def initial_state(self) -> Tree:
         return tuple(jnp.zeros_like(a) for a in self.a)
@@ -226,4 +226,4 @@ class _Taken(DifferenceEquation):
         """Nothing to check: they were, as arrays."""
 
     def sampled(self, dt: float) -> DifferenceEquation:
-        return matching(self, self.dt, dt)
+        return matching(self, dt)

@@ -67,7 +67,7 @@ class NonlinearSystem(Plant):
         return self.n_out
 
     def sampled(self, dt: float) -> NonlinearSystem:
-        return matching(self, self.dt, dt) if self.dt else self
+        return matching(self, dt) if self.dt else self
 
     def initial_state(self) -> Tree:
         x = jnp.asarray(self.x0)

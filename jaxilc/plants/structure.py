@@ -196,12 +196,9 @@ def _joined(several: Sequence[Dependence]) -> Dependence:
 
 
 def _to_float(step: Step) -> bool:
-    kinds = (
-        [v.aval.dtype for v in (*step.invars, *step.outvars)]
-        if step.primitive.name == "convert_element_type"
-        else []
+    return step.primitive.name == "convert_element_type" and all(
+        jnp.issubdtype(v.aval.dtype, jnp.inexact) for v in (*step.invars, *step.outvars)
     )
-    return bool(kinds) and all(jnp.issubdtype(kind, jnp.inexact) for kind in kinds)
 
 
 def _called(step: Step) -> Tree:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import jax
+import numpy as np
 
 from ..pytree.aliases import Tree, Value
 
@@ -40,6 +41,7 @@ def check_size(what: str, each: float | Callable[..., float], **counts: float) -
     counts: the counts, such as the number of machines, by name
     For each count the message gives the largest value that fits while the others do not change.
     """
+    each = int(each) if isinstance(each, np.integer) else each
 
     def need(**counts: float) -> float:
         return (

@@ -22,8 +22,6 @@ from jaxilc.schemes import PIDType
 from jaxilc.signals import Task, Trial
 from jaxilc.tuning.objectives import Final, judge
 
-NAMES = [metric.name for metric in METRICS]
-
 
 def test_best_trial_and_quantities():
     rms = np.array([[3.0, 1.0], [2.0, 2.5], [2.0, 1.0], [np.nan, 0.1], [2.5, 0.0]])

@@ -220,9 +220,6 @@ def test_d2_is_that_of_the_compact_form_alone():
         judge(machine, scheme, task, 2, D2())
 
 
-RESETS = {"phi0": -0.065, "lam": 0.02, "mu": 0.05, "epsilon": 0.01}
-
-
 def test_a_smooth_reset_has_the_slope_that_the_switch_hides():
     # Over a range in which both clauses switch, the integral of a slope is the change of the value,
     # except for jumps, which the slope does not see.

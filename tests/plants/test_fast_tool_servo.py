@@ -27,6 +27,7 @@ from jaxilc.plants import (
     PeriodicForce,
     StateSpace,
     fast_tool_servo,
+    motion,
 )
 from jaxilc.schemes import PIDType
 from jaxilc.signals import Task
@@ -43,17 +44,7 @@ TOLERANCES = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
 @partial(jax.jit, static_argnames="dt")
 def outputs(plant, u, dt=DT):
     """Return the outputs (N+1,) [um] from rest; the input u (N,) is held over each sample."""
-    plant = plant.sampled(dt)
-    x, y = lax.scan(
-        lambda x, u: (plant.step(x, u[None], dt), plant.output(x)[0]),
-        plant.initial_state(),
-        jnp.asarray(u),
-    )
-    return jnp.append(y, plant.output(x)[0])
-
-
-def value(x):
-    return None if x is None else np.asarray(x, float)
+    return motion(plant, jnp.asarray(u)[:, None], dt)[:, 0]
 
 
 def assert_close(y, expected, relative):

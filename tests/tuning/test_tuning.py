@@ -202,6 +202,10 @@ def test_many_starts_take_the_best_by_held_out_plants(tuned):
     assert get_at(tuned.scheme, "gamma_p") == tuned.values["gamma_p"]
 
 
+def test_a_whole_number_of_numpy_is_one():
+    assert dataclasses.replace(PROBLEM, machines=np.int64(3)).population.size == 3
+
+
 def test_patience_ends_it():
     still = dataclasses.replace(
         PROBLEM, optimiser=optax.set_to_zero(), steps=30, validate_every=1, patience=2
