@@ -138,9 +138,8 @@ def sweep(
     """
     tell(
         "sweep", written, what.request(spread=spread, metric=metric, tolerance=tolerance),
-        bar=False, machines=machines, seed=seed, sampling=sampling or "monte-carlo",
-        grid=grid or (), keep=keep or (), bounds=bounds, resume=resume,
-        run=partial(run_sweep, cluster=dask),
+        bar=False, machines=machines, seed=seed, sampling=sampling, grid=grid, keep=keep,
+        bounds=bounds, resume=resume, run=partial(run_sweep, cluster=dask),
     )  # fmt: skip
 
 
@@ -262,7 +261,7 @@ def tune(
     at_least(1, compare_trials=compare_trials)
     tell(
         "tune", written, what.request(how.trials), **how.arguments(), objective=objective,
-        limits=limit or (), compare_trials=compare_trials, run=run_search,
+        limits=limit, compare_trials=compare_trials, run=run_search,
     )  # fmt: skip
 
 
@@ -328,7 +327,7 @@ def reproduce(
 
     Example: jaxilc reproduce cao-2019 --reading amplitude --report out/cao-2019.html
     """
-    tell("reproduce", written, scenario or (), details=details, reading=reading)
+    tell("reproduce", written, scenarios=scenario, details=details, reading=reading)
 
 
 def export(
@@ -586,9 +585,8 @@ def filter_(
 
     Example: jaxilc filter axis.toml --vary plant.gain=15% --vary plant.frequencies=20%
     """
-    how: dict[str, Value] = {
-        "margin": margin, "taps": TAPS if synthesise and taps is None else taps,
-    }  # fmt: skip
+    taps = TAPS if synthesise and taps is None else taps
+    how: dict[str, Value] = {"margin": margin, "taps": taps, "band": band}
     law = {"gain": gain, "cutoff": cutoff, "dt": dt}
     records = [Path(one).suffix.lower() in RECORDS for one in source]
     if all(records):
@@ -599,9 +597,8 @@ def filter_(
                 f"a measured response needs a law: {', '.join(missing)} not given; u is learned by "
                 "u + gain e[k + 1 + lead] with a low-pass of --cutoff"
             )
-        how |= law | {"lead": lead}
-        of_author: dict[str, float | str | None] = {"order": order, "sigmas": sigmas}
-        of_author |= {"averages": averages, "band": band}
+        how |= law | {"lead": lead, "order": order, "sigmas": sigmas, "averages": averages}
+        tell("filter_measured", written, source, **how)
     elif any(records) or len(source) > 1:
         raise ValueError(
             f"filter takes one scenario, or measured responses {', '.join(RECORDS)}; given are "
@@ -609,14 +606,11 @@ def filter_(
         )
     else:
         _only_for("a measured response", **law, averages=averages)
-        how |= {"vary": vary or (), "machines": machines, "seed": seed}
-        of_author = {"sampling": sampling, "band": band}
-    how |= {name: value for name, value in of_author.items() if value is not None}
-    if all(records):
-        tell("filter_measured", written, source, **how)
-    else:
         request = asked(source[0], scheme, set_, params, spread=spread)
-        tell("filter_", written, request, **how)
+        tell(
+            "filter_", written, request, vary=vary, machines=machines, seed=seed,
+            sampling=sampling, **how,
+        )  # fmt: skip
 
 
 def _only_for(what: str, **given: object) -> None:
@@ -704,7 +698,7 @@ def design(
 
     Example: jaxilc design axis.toml
     """
-    _tell("design", what, written, laws=law or (), steps=steps, record=record or ())
+    _tell("design", what, written, laws=law, steps=steps, record=record)
 
 
 def learn_law(
@@ -734,13 +728,12 @@ def learn_law(
 
     Example: jaxilc learn-law axis.toml --taps 61,31
     """
-    of_author = {"start": start, "trained_on": trained_on, "objective": objective, "risk": risk}
     _tell(
         "learn_law", what, written,
         taps=_numbers("taps", taps, int, "two odd numbers, as in 61,31", 2),
         segments=_numbers("segments", segments, float, "times in seconds, as in 0.2,0.5"),
-        coupled=not decentralised, limit=limit, steps=steps,
-        **{name: value for name, value in of_author.items() if value is not None},
+        coupled=not decentralised, limit=limit, steps=steps, start=start, trained_on=trained_on,
+        objective=objective, risk=risk,
     )  # fmt: skip
 
 

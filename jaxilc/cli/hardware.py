@@ -21,6 +21,7 @@ from .options import (
     Set,
     TimeColumn,
     figure_to_write,
+    names_in,
     scenarios_from,
     schemes_from,
 )
@@ -91,7 +92,8 @@ def trials(
         warn(f"warning: {changed}")
     unit = units(journal)[0]
     sentences = verdict(live, None, prediction, unit, 0.02) if live else []
-    following = next_command(state, len(live) or 1, _last_file(live), None)
+    measured = Path(live[-1]["source"]) if len(live) > 1 else None
+    following = next_command(state, len(live) or 1, measured, None)
     for line in (*sentences, following) if live else ():
         say(line)
     if report is not None:
@@ -150,10 +152,6 @@ def _live(journal: Journal) -> list[Manifest]:
         return journal.live()
     except ValueError:
         return []
-
-
-def _last_file(live: list[Manifest]) -> Path | None:
-    return Path(live[-1]["source"]) if len(live) > 1 else None
 
 
 def _opened(state: Path) -> Campaign | None:
@@ -263,22 +261,19 @@ def _log_table(title: str, rows: list[Manifest], predicted: dict[int, str]) -> T
 
 
 def against_prediction(
-    now: Campaign, turn: Turn, prediction: Prediction | None
+    now: Campaign, turn: Turn, prediction: Prediction | None, place: Place | None
 ) -> tuple[str, list[Finding]]:
     """The sentence on what was predicted for a trial, and a finding where it lies outside.
 
-    prediction: prediction of the campaign, None without one; both are then empty, as they are for a
-        trial that ended early, whose error is that of a part
+    Both are empty for a trial that ended early, whose error is that of a part.
+
+    prediction, place: that of the campaign, and where the trial lies on it; None without one
     """
     from ..hardware.checks import GROWN_BEYOND
-    from ..hardware.prediction import next_step
 
-    if prediction is None or turn.record.weight is not None:
+    if prediction is None or place is None or turn.record.weight is not None:
         return "", []
-    live, unit = now.journal.live(), now.task.unit
-    place = _place(prediction, next_step(live), turn.metrics, turn.expected)
-    if place is None:
-        return "", []
+    unit = now.task.unit
     if turn.expected is None and prediction.certain:
         median = f"{float(prediction.rms.median[place.step - 1]):.3g} {unit}".strip()
         return f"predicted: RMS error {median}; the file gives no uncertainty and no noise", []
@@ -498,24 +493,6 @@ def _numbered_on(path: Path, trial: int) -> Path:
     return path.with_name(f"{found[1]}{trial + 1}{found[3]}{path.suffix}")
 
 
-def turn_numbers(live: list[Manifest], turn: Turn | None, prediction: Prediction | None) -> Numbers:
-    """The trial of a call and its prediction, for the file of the numbers."""
-    from ..hardware.prediction import next_step
-
-    if turn is None:
-        return {}
-    kept = live[:-1] if live and live[-1]["trial"] == turn.trial else live
-    place = None
-    if prediction is not None:
-        place = _place(prediction, next_step(kept), turn.metrics, turn.expected)
-    found: Numbers = {
-        "trial": turn.trial,
-        "metrics": turn.metrics,
-        "findings": [f._asdict() for f in turn.findings],
-    }
-    return found if place is None else found | {"predicted": place._asdict()}
-
-
 def _place(
     prediction: Prediction, step: int, metrics: Manifest, expected: Expected | None
 ) -> Place | None:
@@ -533,41 +510,6 @@ def _range(place: Place, unit: str) -> str:
 
 # `jaxilc next`
 # --------------------------------------------------------------------------------------------------
-
-
-Measured = Annotated[
-    Path | None,
-    Option(
-        "--measured", metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign."
-    ),
-]
-Next = Annotated[
-    Path | None,
-    Option("--out", metavar="NEXT", help="What the machine plays next: .csv, .mat or .h (C)."),
-]
-ScenarioName = Annotated[
-    str | None,
-    Option(
-        "--scenario",
-        metavar="NAME|FILE",
-        help="Scenario or plant file to start from.",
-        autocompletion=scenarios_from,
-    ),
-]
-SchemeName = Annotated[
-    str | None,
-    Option(
-        "--scheme", help="Scheme; not needed where only one learns.", autocompletion=schemes_from
-    ),
-]
-NoLearn = Annotated[
-    bool, Option("--no-learn", help="Look at the trial only; the same schedule is played again.")
-]
-Undo = Annotated[
-    int | None,
-    Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
-]
-DryRun = Annotated[bool, Option("--dry-run", help="Check and report; write nothing.")]
 
 
 # What `--set campaign.NAME=VALUE` sets, with the type of the value and what it means.
@@ -596,18 +538,40 @@ class Refused(ValueError):
 def next_(
     state: Folder,
     pages: Pages,
-    measured: Measured = None,
+    measured: Annotated[
+        Path | None,
+        Option(metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign."),
+    ] = None,
     time_name: TimeColumn = "t",
     input_name: InputColumn = "u",
     output_name: OutputColumn = "y",
-    out_file: Next = None,
-    scenario: ScenarioName = None,
-    scheme: SchemeName = None,
+    out_file: Annotated[
+        Path | None,
+        Option("--out", metavar="NEXT", help="What the machine plays next: .csv, .mat or .h (C)."),
+    ] = None,
+    scenario: Annotated[
+        str | None,
+        Option(
+            metavar="NAME|FILE",
+            help="Scenario or plant file to start from.",
+            autocompletion=scenarios_from,
+        ),
+    ] = None,
+    scheme: Annotated[
+        str | None,
+        Option(help="Scheme; not needed where only one learns.", autocompletion=schemes_from),
+    ] = None,
     params: Params = None,
     set_: Set = None,
-    no_learn: NoLearn = False,
-    undo: Undo = None,
-    dry_run: DryRun = False,
+    no_learn: Annotated[
+        bool,
+        Option("--no-learn", help="Look at the trial only; the same schedule is played again."),
+    ] = False,
+    undo: Annotated[
+        int | None,
+        Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
+    ] = None,
+    dry_run: Annotated[bool, Option("--dry-run", help="Check and report; write nothing.")] = False,
     plot: Plot = None,
 ) -> None:
     """From a trial measured on a real machine to the input of the next one.
@@ -627,24 +591,18 @@ def next_(
     settings, of = _of_campaign(settings_of(set_ or ()))
     names = {"t": time_name, "u": input_name, "y": output_name, "r": of.get("reference", "r")}
     columns = {OPTIONS[signal]: name for signal, name in names.items() if name != signal}
-    headings = [name.strip() for name in of.get("columns", "").split(",") if name.strip()]
+    headings, accept = ([*filter(None, names_in(of.get(of_it)))] for of_it in ("columns", "accept"))
     if headings:
         columns["--set campaign.columns"] = of["columns"]
     new = _starts(state, measured, undo, out_file, of.get("number", "double"), dry_run)
+    rules = {name: of.get(name) for name in ("limit", "saturation", "repeatability", "growth")}
     given = Given(
-        scenario=scenario,
-        scheme=scheme,
-        params=params,
-        settings=settings,
-        predict=of.get("predict"),
-        rules={
-            "correction": of.get("largest_correction"),
-            **{name: of.get(name) for name in ("limit", "saturation", "repeatability", "growth")},
-        },
+        scenario=scenario, scheme=scheme, params=params, settings=settings,
+        predict=of.get("predict"), rules={"correction": of.get("largest_correction"), **rules},
         accept_saturation=of.get("accept_saturation", False),
         stop_on_growth=of.get("stop_on_growth", False),
-        accept=tuple(name.strip() for name in of.get("accept", "").split(",") if name.strip()),
-    )
+        accept=tuple(accept),
+    )  # fmt: skip
     opened = open_campaign(state, given, new=new, dry_run=dry_run)
     now = opened.campaign
     if not (new or now.journal.bound or dry_run or undo is not None):
@@ -654,14 +612,14 @@ def next_(
     trial = 1 if new else (now.trials if undo is None else undo) + 1
     if undo is not None and not dry_run:
         now.undo(undo)
-    turn, prediction, expected = None, None, None
+    turn, place, prediction, expected = None, None, None, None
     if measured is not None:
         short = of.get("short_trial", False)
         recordable = now.recordable()
         record = read_measured(measured, now.task, recordable, names, headings, short=short)
         prediction = _predicted(opened, compute=True, store=not dry_run)
         replayed = of.get("replayed_input", False)
-        turn = _turn(opened, record, prediction, learn=not no_learn, replay_input=replayed)
+        turn, place = _turn(opened, record, prediction, learn=not no_learn, replay_input=replayed)
         if not dry_run:
             now.keep(turn)
         schedules, trial = turn.schedules, turn.trial + 1
@@ -671,7 +629,7 @@ def next_(
         prediction = _predicted(opened, compute=new or measured is not None, store=True)
         expected = _expected(opened, prediction)
     files = measured, out_file, plot, pages.numbers
-    _close(opened, turn, (prediction, expected), source, trial, files, columns, dry_run)
+    _close(opened, turn, place, (prediction, expected), source, trial, files, columns, dry_run)
 
 
 def _of_campaign(settings: dict[str, str]) -> tuple[dict[str, str], Numbers]:
@@ -779,16 +737,22 @@ def _expected(opened: Opened, prediction: Prediction | None) -> Expected | None:
     return None if prediction is None else opened.campaign.expected(opened.subject.machine)
 
 
-def _turn(opened: Opened, record, prediction: Prediction | None, **how):
-    """The turn that a measured trial makes; its findings are printed.
+def _turn(
+    opened: Opened, record, prediction: Prediction | None, **how
+) -> tuple[Turn, Place | None]:
+    """The turn that a measured trial makes, and where it lies on what was expected of it.
 
-    Raises Refused where the checks refuse the trial.
+    Its findings are printed. Raises Refused where the checks refuse the trial.
     """
     from ..hardware.campaign import refuse
+    from ..hardware.prediction import next_step
 
     now = opened.campaign
     turn = now.turn(record, **how, expected=_expected(opened, prediction))
-    predicted, finding = against_prediction(now, turn, prediction)
+    place = None
+    if prediction is not None:
+        place = _place(prediction, next_step(now.journal.live()), turn.metrics, turn.expected)
+    predicted, finding = against_prediction(now, turn, prediction, place)
     turn.findings.extend(finding)
     largest = ", ".join(f"{value:.6g}" for value in turn.metrics["max_error"])
     unit = now.task.unit
@@ -806,7 +770,7 @@ def _turn(opened: Opened, record, prediction: Prediction | None, **how):
     except ValueError as error:
         back = step_back(now)
         raise Refused(f"{error}. Nothing was learned or written{back}") from None
-    return turn
+    return turn, place
 
 
 def _played(path: Path | None, schedules, task, trial: int, number: str) -> None:
@@ -830,7 +794,8 @@ def _played(path: Path | None, schedules, task, trial: int, number: str) -> None
 
 def _close(
     opened: Opened,
-    turn,
+    turn: Turn | None,
+    place: Place | None,
     predicted: tuple[Prediction | None, Expected | None],
     source: list[str],
     trial: int,
@@ -870,7 +835,11 @@ def _close(
         "next_trial": trial,
         "verdict": said,
         "next": following,
-        **turn_numbers(live, turn, prediction),
     }
+    if turn is not None:
+        findings = [one._asdict() for one in turn.findings]
+        numbers |= {"trial": turn.trial, "metrics": turn.metrics, "findings": findings}
+    if place is not None:
+        numbers["predicted"] = place._asdict()
     paths = [plot] if plot is not None and live and not dry_run else []
     written(paths, None if dry_run else json_file, numbers)

@@ -389,8 +389,7 @@ class Tuned:
         """What was asked, as arguments of `outcomes.tune` and `outcomes.pareto`."""
         at_least(1, unseen=self.unseen)
         given = dataclasses.asdict(self) | {"weights": self._with_bounds()}
-        kept = {name: value for name, value in given.items() if value is not None}
-        return {name: kept[name] for name in kept if name not in ("trials", "bounds")}
+        return {name: given[name] for name in given if name not in ("trials", "bounds")}
 
     def _with_bounds(self) -> str:
         """The weights with the bounds of `--bounds`."""

@@ -26,8 +26,9 @@ def tell(
     asked: first arguments of the function, such as a request
     bar: whether a progress bar is shown; a search with a bar of its own shows that
     details: whether the details of the outcome are printed, too
-    how: further arguments of the function
+    how: further arguments of the function, which has its own values for those that are None
     """
+    how = {option: value for option, value in how.items() if value is not None}
     name = command.strip("_").replace("_", "-")
     with working(name) if bar else nullcontext() as progress:
         begin()

@@ -12,6 +12,7 @@ costs the end of the trial.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -29,7 +30,6 @@ from ..schemes import (
     NormOptimal,
     PIDType,
     Scheme,
-    WithFeedback,
     learning_filter,
 )
 from ..signals.task import Task
@@ -40,7 +40,7 @@ from ..tuning import Tuning
 from ..tuning.objectives import EveryTrial, Holding, Objective
 from ..tuning.over_family import OverFamily
 from ..tuning.risks import CVaR
-from .responses import Family, resonance_band
+from .responses import Family, resonance_band, under
 
 GAINS = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)  # of the inverse of the largest steady gain
 INVERSE_GAINS = (0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
@@ -97,30 +97,33 @@ def candidates(
     """
     for name in names:
         found = LAWS[name](family, feedback, task, trials, margin)
-        yield found if isinstance(found, Absent) else found._replace(name=name)
+        yield Absent(name, found) if isinstance(found, str) else found._replace(name=name)
 
 
-# The laws
+# The laws, each with its safe weights, or why it has none
 # --------------------------------------------------------------------------------------------------
 
 
-def p_type(family, feedback, task, trials, margin) -> Candidate | Absent:
-    """Q (u + gamma_p z^(1 + lead) e)"""
-    return _pd_type(family, feedback, task, trials, margin, derivative=False)
+def pd_type(family, feedback, task, trials, margin, *, derivative=True) -> Candidate | str:
+    """Q (u + z^(1 + lead) (gamma_p + gamma_d (1 - z^-1)) e); P-type without the derivative."""
+    if _sign(family) == 0:
+        return _NO_SIGN
+    found = _best_pd(family, task, trials, margin, RATES if derivative else (0.0,))
+    if found is None:
+        return _NO_WEIGHTS
+    names = ("gamma_p", "gamma_d")[: 1 + derivative]
+    bounds = {f"scheme.{w}": _around(found.weights[w]) for w in names}
+    words = f"{'PD' if derivative else 'P'}-type with lead and filter"
+    return _candidate(words, _pid_type(found, names), found, feedback, bounds, task, family.highest)
 
 
-def pd_type(family, feedback, task, trials, margin) -> Candidate | Absent:
-    """Q (u + z^(1 + lead) (gamma_p + gamma_d (1 - z^-1)) e)"""
-    return _pd_type(family, feedback, task, trials, margin, derivative=True)
-
-
-def p_type_notch(family, feedback, task, trials, margin) -> Candidate | Absent:
+def p_type_notch(family, feedback, task, trials, margin) -> Candidate | str:
     """Q (u + gamma_p z^(1 + lead) F e), where F stops the band of the highest resonance"""
     band = resonance_band(family, task.dt)
     if band is None:
-        return Absent("p-type-notch", "no machine has a lightly damped resonance")
+        return "no machine has a lightly damped resonance"
     if _sign(family) == 0:
-        return Absent("p-type-notch", _NO_SIGN)
+        return _NO_SIGN
     found = [
         one
         for wider in NOTCHES
@@ -128,7 +131,7 @@ def p_type_notch(family, feedback, task, trials, margin) -> Candidate | Absent:
         and (one := _best_pd(family, task, trials, margin, (0.0,), band / [wider, 1 / wider]))
     ]
     if not found:
-        return Absent("p-type-notch", _NO_WEIGHTS)
+        return _NO_WEIGHTS
     best = min(found, key=lambda one: one.predicted)
     low, high = best.weights["low"], best.weights["high"]
     learning = ErrorFiltered(_pid_type(best, ("gamma_p",)), ZeroPhaseBandStop(low, high))
@@ -145,7 +148,7 @@ def p_type_notch(family, feedback, task, trials, margin) -> Candidate | Absent:
     return _candidate(words, learning, best, feedback, bounds, task, family.highest)
 
 
-def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
+def model_inverse(family, feedback, task, trials, margin) -> Candidate | str:
     """u' = Q u + gamma (Q P^-1) e, with the stable inverse of the nominal loop.
 
     Q P^-1 is one filter. If P^-1 came first and was cut off at the end of the trial, as in
@@ -155,13 +158,13 @@ def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
     try:
         inverse = stable_inverse(_model(family, task))
     except ValueError as error:
-        return Absent("model-inverse", str(error))
+        return str(error)
     L = 1 / family.P[0]
     found = widest(
         family, ({"gamma_p": gain, "L": gain * L} for gain in INVERSE_GAINS), task, trials, margin
     )
     if not found:
-        return Absent("model-inverse", _NO_WEIGHTS)
+        return _NO_WEIGHTS
     gain, cutoff = (found[0].weights[name] for name in ("gamma_p", "cutoff"))
     for tolerance in TOLERANCES:
         try:
@@ -173,12 +176,12 @@ def model_inverse(family, feedback, task, trials, margin) -> Candidate | Absent:
             why = str(error)
             continue
         words = f"model inverse with a filter as one, gain = {gain:.3g}, cutoff = {cutoff:.4g} Hz"
-        scheme = _under(law, feedback)
-        return Candidate("model-inverse", words, scheme, {}, found[0].largest, found[0].predicted)
-    return Absent("model-inverse", why)
+        scheme = under(law, feedback)
+        return Candidate("", words, scheme, {}, found[0].largest, found[0].predicted)
+    return why
 
 
-def norm_optimal(family, feedback, task, trials, margin) -> Candidate | Absent:
+def norm_optimal(family, feedback, task, trials, margin) -> Candidate | str:
     """Q argmin |e|^2 + w_r |u' - u|^2 + w_s |u'|^2, by the nominal loop"""
     G = family.P[0]
     size = float(np.max(np.abs(G))) ** 2
@@ -192,7 +195,7 @@ def norm_optimal(family, feedback, task, trials, margin) -> Candidate | Absent:
 
     safe = widest(family, laws(), task, trials, margin)
     if not safe:
-        return Absent("norm-optimal", _NO_WEIGHTS)
+        return _NO_WEIGHTS
     found = safe[0]
     weights = {w: found.weights[w] for w in ("w_r", "w_s")}
     learning = NormOptimal(_model(family, task), w_r=weights["w_r"], w_s=weights["w_s"])
@@ -201,8 +204,8 @@ def norm_optimal(family, feedback, task, trials, margin) -> Candidate | Absent:
     return _candidate(words, learning, found, feedback, bounds, task, family.highest)
 
 
-LAWS: dict[str, Callable[..., Candidate | Absent]] = {
-    "p-type": p_type,
+LAWS: dict[str, Callable[..., Candidate | str]] = {
+    "p-type": partial(pd_type, derivative=False),
     "pd-type": pd_type,
     "p-type-notch": p_type_notch,
     "model-inverse": model_inverse,
@@ -214,19 +217,6 @@ _NO_SIGN = "the sign of the steady gain is not the same on all machines"
 
 # How it is done
 # --------------------------------------------------------------------------------------------------
-
-
-def _pd_type(family, feedback, task, trials, margin, *, derivative: bool) -> Candidate | Absent:
-    name = "pd-type" if derivative else "p-type"
-    if _sign(family) == 0:
-        return Absent(name, _NO_SIGN)
-    found = _best_pd(family, task, trials, margin, RATES if derivative else (0.0,))
-    if found is None:
-        return Absent(name, _NO_WEIGHTS)
-    names = ("gamma_p", "gamma_d")[: 1 + derivative]
-    bounds = {f"scheme.{w}": _around(found.weights[w]) for w in names}
-    words = f"{name[:-5].upper()}-type with lead and filter"
-    return _candidate(words, _pid_type(found, names), found, feedback, bounds, task, family.highest)
 
 
 def _best_pd(family, task, trials, margin, rates, band=None) -> Found | None:
@@ -263,24 +253,14 @@ def _candidate(words, learning, found: Found, feedback, bounds, task, highest: f
     cutoff = found.weights["cutoff"]
     scheme = Filtered(learning, ZeroPhaseButterworth(cutoff=cutoff, order=ORDER))
     bounds["filter.cutoff"] = (cutoff / WIDER, min(cutoff * WIDER, 0.49 / task.dt, highest))
-    return Candidate(
-        "", words, _under(scheme, feedback), _named(bounds, feedback), found.largest,
-        found.predicted,
-    )  # fmt: skip
+    if feedback is not None:
+        bounds = {f"learning.{weight}": ends for weight, ends in bounds.items()}
+    return Candidate("", words, under(scheme, feedback), bounds, found.largest, found.predicted)
 
 
 def _around(value: float) -> tuple[float, float]:
     low, high = sorted((value / WIDER, value * WIDER))
     return low, high
-
-
-def _under(scheme: Scheme, feedback: Scheme | None) -> Scheme:
-    return scheme if feedback is None else WithFeedback(scheme, feedback)
-
-
-def _named(bounds: Bounds, feedback: Scheme | None) -> Bounds:
-    """The bounds by the names that the weights have under the feedback."""
-    return bounds if feedback is None else {f"learning.{w}": b for w, b in bounds.items()}
 
 
 def _model(family: Family, task: Task) -> StateSpace:

@@ -42,7 +42,7 @@ from .by_response import (
 from .candidates import Candidate, penalty
 from .judging import Proof, Verdict, judged_trials, proof_of
 from .question import Question, Told
-from .responses import LINES, MACHINES, Family, designed_on, family_of
+from .responses import LINES, MACHINES, Family, designed_on, family_of, under
 from .window import Filters, ShapedFilter, Window, window_of
 
 SPARE = 0.02  # beyond the margin, kept in the search for machines that it has not seen
@@ -53,7 +53,6 @@ RATE = 0.002  # share of 1 / |P| by which a step changes the taps at one frequen
 LEARNED, SAFE = "learned", "safe"
 WAYS = np.linspace(0.0, 1.0, 21)  # from what was learned to a law that is known to be safer
 BEGUN = "start.json"  # the taps with which a tuning begins, in its folder
-WEIGHT = "z"
 STARTS = {
     "safe": ("p-type", "pd-type", "p-type-notch", "model-inverse"),
     "p-type": ("p-type",),
@@ -307,7 +306,7 @@ class LearnedLaw(Question):
             words += f", {self.task.inputs} x {self.task.outputs} matrices"
         if self.starts:
             words += f", in {len(self.starts) + 1} segments"
-        scheme = self.under(window.of(passed.filters))
+        scheme = under(window.of(passed.filters), self.feedback)
         return Candidate(LEARNED, words, scheme, {}, passed.largest, np.nan)
 
     def _safe(self, family: Family, told: Told) -> list[Candidate]:
@@ -342,11 +341,12 @@ class LearnedLaw(Question):
             return starts[0]
         made_small = self.objective or Final(self.metric) + RISE * Holding(1, self.metric)
         unsafe = penalty(family, 1 - self.margin - SPARE)
+        weight = "z" if self.feedback is None else "learning.z"
 
         def problem(start: Filters) -> Tuning:
             return Tuning(
-                family.population, self.under(ShapedFilter.around(window, start)), self.task,
-                self.trials, weights=[WEIGHT if self.feedback is None else f"learning.{WEIGHT}"],
+                family.population, under(ShapedFilter.around(window, start), self.feedback),
+                self.task, self.trials, weights=[weight],
                 objective=made_small + unsafe, risk=self.risk, machines=self.trained_on,
                 held_out=self.held_out, steps=self.steps, rate=RATE, mode="reverse",
                 quantities=self.quantities,

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..pytree.ranges import require
-from ..schemes import Scheme, WithFeedback
+from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..sweeps import Sweep
 from ..sweeps.summary import summarise
@@ -74,10 +74,6 @@ class Question:
             tried.append(one)
         found = [one for one in tried if isinstance(one, Candidate)]
         return found, [one for one in tried if isinstance(one, Absent)]
-
-    def under(self, scheme: Scheme) -> Scheme:
-        """A scheme with the feedback, if there is one."""
-        return scheme if self.feedback is None else WithFeedback(scheme, self.feedback)
 
     def swept(
         self,

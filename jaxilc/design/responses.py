@@ -182,6 +182,11 @@ def family_of(
     return Family(f, P, error, e, _noise(machine, task, f, P[0], least), loops, drawn, population)
 
 
+def under(scheme: Scheme, feedback: Scheme | None) -> Scheme:
+    """A scheme with the feedback of the machine, if it has one."""
+    return scheme if feedback is None else WithFeedback(scheme, feedback)
+
+
 def resonance_band(family: Family, dt: float) -> np.ndarray | None:
     """(2,) lowest and highest frequency [Hz] of the resonance that is highest, over all machines.
 
@@ -254,8 +259,7 @@ def _need_stable(loops: list[Loop], task: Task) -> None:
 
 def _first_error(machine: Machine, feedback: Scheme | None, task: Task) -> np.ndarray:
     """(N+1,) the error of a trial of the nominal machine in which nothing is learned."""
-    rest = PIDType()  # learns nothing
-    scheme = rest if feedback is None else WithFeedback(rest, feedback.unlimited())
+    scheme = under(PIDType(), None if feedback is None else feedback.unlimited())  # learns nothing
     machine, key = machine.unlimited().noiseless(), jax.random.key(0)
     trial = jax.jit(run_trial)(machine, scheme, task, scheme.initial_memory(task), key)
     return np.asarray(trial.e)

@@ -112,7 +112,11 @@ class Design(Question):
         safe, absent = self.safe(family, names, told)
         with ThreadPoolExecutor(AT_ONCE) as threads:  # one compiles while the other computes
             better = threads.map(lambda one: self._tuned(one, family, out, resume, told), safe)
-            laws = [law for pair in zip(better, safe, strict=True) for law in _variants(*pair)]
+            laws: list[Candidate] = []
+            for now, before in zip(better, safe, strict=True):
+                laws.append(now)
+                if now is not before:  # as chosen by frequency alone
+                    laws.append(before._replace(name=f"{before.name}-{FIRST}"))
         if LEARNED in asked:
             one = self._learned(safe, out / LEARNED, resume, told)
             if isinstance(one, Candidate):
@@ -212,9 +216,3 @@ def feedback_among(schemes: Mapping[str, Scheme]) -> Scheme | None:
             "--scheme NAME"
         )
     return next(iter(found.values()), None)
-
-
-def _variants(better: Candidate, safe: Candidate) -> list[Candidate]:
-    """A law as tuned, and as chosen by frequency alone if that differs."""
-    plain = safe._replace(name=f"{safe.name}-{FIRST}")
-    return [better] if better is safe else [better, plain]

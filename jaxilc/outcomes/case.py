@@ -5,16 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from ..learning.known_metrics import ERRORS
+from ..scenarios import Scenario
 from ..schemes.parts import trials_of_step
 from .request import Request
 from .words import number
-
-if TYPE_CHECKING:
-    from ..scenarios import Scenario
-
 
 # What a run and a sweep show of a scenario
 # --------------------------------------------------------------------------------------------------

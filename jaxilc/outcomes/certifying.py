@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import figures
 from ..learning.divergence import GROWTH
 from ..plants import Harmonics
+from ..scenarios import Scenario
 from ..theory.certificates import (
     CLAIMS,
     CONVERGES,
@@ -21,6 +21,8 @@ from ..theory.certificates import (
     MONOTONE,
     NOTHING,
     TURNS,
+    Certificate,
+    OfScheme,
     certify_schemes,
     printed_conditions,
 )
@@ -34,11 +36,6 @@ from .case import Case
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
 from .words import counted, number
-
-if TYPE_CHECKING:
-    from ..scenarios import Scenario
-    from ..theory.certificates import Certificate, OfScheme
-
 
 COURSE_WORDS = {TURNS: "have a best trial and then turn", GROWS: "end above their start"}
 

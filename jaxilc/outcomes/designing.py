@@ -5,35 +5,30 @@ from __future__ import annotations
 import math
 import shlex
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from .. import figures
-from ..design import Design, LearnedLaw, feedback_among
+from ..design import Design, Designed, Learned, LearnedLaw, Recommended, feedback_among
 from ..design.candidates import Absent, Candidate
+from ..design.judging import Proof
+from ..design.judging import Verdict as Judged
 from ..design.learned import LEARNED, SAFE
+from ..design.question import Told
 from ..pytree.aliases import Value
 from ..pytree.named_paths import get_at
+from ..scenarios import Scenario
 from ..scenarios.design_file import design_path, need_same_folder, write_design
+from ..schemes import Scheme
 from ..storage.files import need_unused
 from ..sweeps.store import open_dataset
-from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
-from .recurring import Following, following, recurs, repeats_in, within_numbers, within_trial
+from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
+from .repeating import Following, following, recurs, repeats_in, within_numbers, within_trial
 from .request import Request
 from .sweeping import live_store
 from .terms import objective_of, risk_of
-
-if TYPE_CHECKING:
-    from ..design import Designed, Learned, Recommended
-    from ..design.judging import Proof
-    from ..design.judging import Verdict as Judged
-    from ..design.question import Told
-    from ..figures.description import Figure as Description
-    from ..figures.page import Live
-    from ..scenarios import Scenario
-    from ..schemes import Scheme
 
 Q = TypeVar("Q")
 
@@ -109,6 +104,11 @@ def design(
         laws_found = [one.candidate.scheme for one in ranked]
         further = following(chosen, within, laws_found, progress)
         numbers |= within_numbers(within) | {"following": further.numbers}
+    kept = []
+    if best is not None:
+        law = best.verdict.candidate
+        schemes = {law.name: law.scheme} | further.schemes
+        kept.append(write_design(target, request.source, schemes, said))
     shown, live = of_judged(state, chosen, "design", "The errors by trial of the laws")
     return Outcome(
         command="design",
@@ -118,9 +118,7 @@ def design(
         scenario=chosen,
         tables=[_table(chosen, designed)],
         lines=[*lines, *further.lines],
-        kept=()
-        if best is None
-        else written(request, target, best.verdict.candidate, said, further.schemes),
+        kept=kept,
         failed="" if best else "no law is recommended, and no plant file was written",
         figures=shown,
         live=live,
@@ -197,23 +195,9 @@ def asked_of(question: Callable[..., Q], chosen: Scenario, **settings: Value) ->
     )  # fmt: skip
 
 
-def written(
-    request: Request,
-    target: Path,
-    law: Candidate,
-    said: Sequence[str],
-    beside: Mapping[str, Scheme] | None = None,
-) -> list[Path]:
-    """Write the plant file with a law in it, and sentences at its head; return its path.
-
-    beside: further schemes by name
-    """
-    return [write_design(target, request.source, {law.name: law.scheme, **(beside or {})}, said)]
-
-
 def of_judged(
     state: Path, chosen: Scenario, name: str, what: str
-) -> tuple[dict[str, Figure], Callable[[], Sequence[Description | Live | None]]]:
+) -> tuple[dict[str, Figure], Callable[[], Sequence[Interactive]]]:
     """The figure of the sweep that judged by its name, and the interactive one."""
     if not (store := state / "sweep.zarr").exists():
         return {}, tuple  # where nothing was judged
@@ -495,12 +479,20 @@ def learn_law(
         if learned.verdicts
         else ({}, tuple)
     )
-    law = {} if learned.passed is None else {"law": _law_figure(chosen, learned)}
+    law, task = {}, chosen.task
+    if learned.passed is not None:
+        unit = f"{task.input_unit}/{task.unit}" if task.input_unit and task.unit else ""
+        law["law"] = Figure(
+            "The learned law in time and in frequency, beside the inverse of the plant.",
+            partial(figures.learned_law_figure, learned, float(task.dt), unit=unit),
+        )
     return Outcome(
         command="learn-law", numbers=_law_numbers(chosen, learned),
         verdict=_verdict(learned, said, request, target), folder=place, scenario=chosen,
         tables=[_law_table(chosen, learned)] if learned.verdicts else [],
-        kept=written(request, target, learned.law, said) if learned.law else (),
+        kept=[write_design(target, request.source, {LEARNED: learned.law.scheme}, said)]
+        if learned.law
+        else [],
         failed="" if learned.law else "the law is refused, and no plant file was written",
         figures=law | shown, live=live,
     )  # fmt: skip
@@ -530,15 +522,6 @@ def _law_told(steps: int, progress: Progress, say: Progress) -> Told:
             progress(stage)
 
     return told
-
-
-def _law_figure(chosen: Scenario, learned: Learned) -> Figure:
-    task = chosen.task
-    unit = f"{task.input_unit}/{task.unit}" if task.input_unit and task.unit else ""
-    return Figure(
-        "The learned law in time and in frequency, beside the inverse of the plant.",
-        partial(figures.learned_law_figure, learned, float(task.dt), unit=unit),
-    )
 
 
 def _law_table(chosen: Scenario, learned: Learned) -> Table:

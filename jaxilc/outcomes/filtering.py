@@ -7,30 +7,33 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import figures
 from ..identification.frequency_response import read_frequency_response
+from ..scenarios import Scenario
 from ..scenarios.design_file import write_with_scheme
+from ..schemes import Scheme
 from ..theory import q_filter
 from ..theory.loop import responses
-from ..theory.on_lines import Lines
-from ..theory.q_filter import PLaw, lines_of, with_law
+from ..theory.on_lines import Curves, Lines
+from ..theory.q_filter import (
+    MeasuredQuestion,
+    Offer,
+    PLaw,
+    Question,
+    RecordTest,
+    lines_of,
+    with_law,
+)
 from ..tuning.synthesis import synthesised
 from ..uncertainty import Uncertainty, Uniform, check
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
 from .words import number
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from ..scenarios import Scenario
-    from ..schemes import Scheme
-    from ..theory.on_lines import Curves
-    from ..theory.q_filter import MeasuredQuestion, Offer, Question, RecordTest
 
 ORDER = 2  # of one pass of the filter of a measured law
 LINES_A_TAP = 4  # of the grid on which filters are synthesised
@@ -169,9 +172,7 @@ def filter_measured(
         folder=place,
         tables=[
             *(
-                _answers(
-                    title=f"{name}: |Q (1 - L P)| + |Q L| s on its lines", rows=_record_rows(test)
-                )
+                _answers(title=f"{name}{ON_LINES}", rows=_record_rows(test))
                 for name, test in zip(names, answered.tests, strict=True)
             ),
             _offers_table(answered.now, answered.offers, margin),

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from .. import figures, identification
 from ..hardware.campaign import record_of
+from ..identification import Grown, Identified, Order
 from ..identification.estimation import (
     MUCH,
     feedback_seen,
@@ -28,30 +29,21 @@ from ..identification.grown_response import (
 )
 from ..identification.not_linear import friction_of, suspicions
 from ..identification.not_linear import sentences as of_suspicions
-from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, read_record_file
+from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, RecordFile, read_record_file
 from ..identification.records import Record
 from ..identification.refitting import Refit, beyond_nyquist, held_out, refit
 from ..identification.sentences import NOT_WHITE, on_lines, sentence
 from ..identification.sentences import verdict as sentences_on
-from ..plants import ProcessModel
+from ..plants import Plant, ProcessModel
 from ..pytree.aliases import Value
+from ..scenarios import Scenario
 from ..scenarios.campaigns import Given, Opened, open_campaign
 from ..scenarios.file_plant import is_response
 from ..scenarios.identified_file import write_plant_file, write_refitted
 from ..theory.on_lines import MeasuredResponse
 from ..theory.q_filter import question
-from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
+from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 
-if TYPE_CHECKING:
-    from ..figures.description import Figure as Description
-    from ..figures.paper import Drawing
-    from ..identification import Grown, Identified, Order
-    from ..identification.record_files import RecordFile
-    from ..plants import Plant
-    from ..scenarios import Scenario
-
-
-Draw: TypeAlias = "dict[str, Callable[[], Drawing]]"
 ANY = "any"  # zeros, of a model that has as many as its poles allow
 SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
 AS_GOOD = 6.0  # of the criterion, by which it may be larger
@@ -109,7 +101,7 @@ def identify(
     lines, has_law = sentences_on(found, fitted.dt) + closed, True
     said, suspected, of_friction = _not_linear(fitted)
     lines += said
-    figures_of = {n: Figure(CAPTIONS[n], draw, live=True) for n, draw in fitted.draw.items()}
+    figures_of = fitted.drawn()
     second: Numbers = {}
     if validate is not None:
         said, second, figures_of["second"] = _on_second(Path(validate), asked, fitted)
@@ -122,16 +114,17 @@ def identify(
     return Outcome(
         command="identify", numbers=numbers_of(found) | sound | suspected | second,
         verdict=Verdict(tuple(lines), *_next(record, asked, fitted, plant_file, has_law)),
-        folder=folder or Path("out") / "identify", tables=[*fitted.tables, *of_friction],
+        folder=folder or Path("out") / "identify",
+        tables=[*fitted.tables, identification_table(str(record), found.summary()), *of_friction],
         lines=fitted.lines, figures=figures_of, kept=[plant_file] if plant_file is not None else [],
-        live=partial(live_of, fitted.measured, found, fitted.dt, fitted.units),
+        live=fitted.live,
         asked=fitted.structure,
     )  # fmt: skip
 
 
 def _of_loop(path: Path, asked: Reading, fitted: Fitted) -> tuple[Fitted, list[str]]:
     """The fit without the bias of a feedback, where one is seen and the reference is recorded."""
-    record, found, (into, of) = fitted.measured, fitted.found, fitted.units
+    record, found = fitted.measured, fitted.found
     if not isinstance(record, Record):
         return fitted, []
     y = np.reshape(record.y, (len(record.y), -1))
@@ -143,14 +136,7 @@ def _of_loop(path: Path, asked: Reading, fitted: Fitted) -> tuple[Fitted, list[s
     except ValueError:
         return fitted, [UNKNOWN_REFERENCE]
     found = identification.identify(of_reference(record, reference), found.plant)
-    draw = partial(figures.validation_figure, record, found, output_unit=of, unit=of)
-    by_loop: Draw = {"record": fitted.draw["record"], "validation": draw}
-    if "response" in fitted.draw:
-        by_loop["response"] = partial(
-            figures.response_figure, found, record.dt, input_unit=into, output_unit=of
-        )
-    tables = [*fitted.tables[:-1], identification_table(str(path), found.summary())]
-    return fitted._replace(found=found, draw=by_loop, tables=tables), [OF_REFERENCE]
+    return fitted._replace(found=found), [OF_REFERENCE]
 
 
 def _not_linear(fitted: Fitted) -> tuple[list[str], Numbers, list[Table]]:
@@ -272,8 +258,7 @@ class Fitted(NamedTuple):
     found: the identification
     dt: sample time [s], None where it is not known
     structure: the structure that was fitted, with the delay where it is whole
-    tables: the structures that were compared, and the quantities that were identified
-    draw: functions that draw a figure, by its name
+    tables: the structures that were compared
     units: units of input and output
     lines: sentences on how the file was read
     grown: what was grown, where the structure was looked for
@@ -284,29 +269,41 @@ class Fitted(NamedTuple):
     dt: float | None
     structure: Numbers
     tables: list[Table]
-    draw: Draw
     units: tuple[str, str] = ("", "")
     lines: tuple[str, ...] = ()
     grown: Grown | None = None
 
+    def drawn(self) -> dict[str, Figure]:
+        """The figures of a record, its model and the Bode diagram, or of both responses."""
+        measured, found, (into, of) = self.measured, self.found, self.units
+        if not isinstance(measured, Record):
+            fit = partial(figures.response_fit_figure, measured, found)
+            return {"response": Figure(CAPTIONS["response"], fit, live=True)}
+        draw = {
+            "record": partial(figures.record_figure, measured, input_unit=into, output_unit=of),
+            "validation": partial(
+                figures.validation_figure, measured, found, output_unit=of, unit=of
+            ),
+        }
+        if found.plant.n_u == found.plant.n_y == 1:
+            draw["response"] = partial(
+                figures.response_figure, found, measured.dt, input_unit=into, output_unit=of
+            )
+        return {name: Figure(CAPTIONS[name], of_name, live=True) for name, of_name in draw.items()}
 
-def live_of(
-    measured: Record | MeasuredResponse,
-    found: Identified,
-    dt: float | None,
-    units: tuple[str, str],
-) -> list[Description]:
-    """A record beside its model and the Bode diagram, or a response and the one fitted to it."""
-    if not isinstance(measured, Record):
-        return [figures.response_fit_figure.described(measured, found)]
-    into, of = units
-    described = figures.validation_figure.described
-    shown = [described(measured, found, unit=of, input_unit=into, output_unit=of)]
-    plant = found.plant
-    if dt is not None and plant.n_u == plant.n_y == 1:
-        of_plant = figures.response_figure.described
-        shown.append(of_plant(found, dt, input_unit=into, output_unit=of))
-    return shown
+    def live(self) -> list[Interactive]:
+        """The same as interactive figures, a record and its model in one."""
+        measured, found, (into, of) = self.measured, self.found, self.units
+        if not isinstance(measured, Record):
+            return [figures.response_fit_figure.described(measured, found)]
+        described = figures.validation_figure.described
+        shown: list[Interactive] = [
+            described(measured, found, unit=of, input_unit=into, output_unit=of)
+        ]
+        if found.plant.n_u == found.plant.n_y == 1:
+            of_plant = figures.response_figure.described
+            shown.append(of_plant(found, measured.dt, input_unit=into, output_unit=of))
+        return shown
 
 
 def _plant_file(path: Path, fitted: Fitted, source: str) -> tuple[str, bool]:
@@ -363,18 +360,8 @@ def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
     else:
         found = identification.identify(record, **structure, delay=asked.delay or 0)
         structure |= {"delay": asked.delay} if asked.delay else {}
-    tables.append(identification_table(str(path), found.summary()))
-    into, of = read.input_units[0], read.output_units[0]
-    draw: Draw = {
-        "record": partial(figures.record_figure, record, input_unit=into, output_unit=of),
-        "validation": partial(figures.validation_figure, record, found, output_unit=of, unit=of),
-    }
-    if found.plant.n_u == found.plant.n_y == 1:
-        draw["response"] = partial(
-            figures.response_figure, found, record.dt, input_unit=into, output_unit=of
-        )
-    units = (into, of)
-    return Fitted(record, found, record.dt, structure, tables, draw, units, lines, grown)
+    units = read.input_units[0], read.output_units[0]
+    return Fitted(record, found, record.dt, structure, tables, units, lines, grown)
 
 
 def _grown_structure(grown: Grown) -> Numbers:
@@ -407,10 +394,8 @@ def _of_response(path: Path, asked: Reading, progress: Progress) -> Fitted:
         found = identification.identify_response(measured, **structure, dt=asked.dt, delay=fixed)
     else:
         found, structure, tables, lines = _grown_response(measured, asked.dt, fixed, progress)
-    tables.append(identification_table(str(path), found.summary()))
     structure |= {} if asked.delay is None else {"delay": asked.delay}
-    draw: Draw = {"response": partial(figures.response_fit_figure, measured, found)}
-    return Fitted(measured, found, asked.dt, structure, tables, draw, lines=lines)
+    return Fitted(measured, found, asked.dt, structure, tables, lines=lines)
 
 
 def _grown_response(
@@ -512,7 +497,10 @@ def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) 
 
     dt: sample time, in which the delay is told [s]; None: in ms
     """
-    of_response, delayed = best.found.of_response, any(_delay(one) > 0 for one in orders)
+    of_response, delayed = (
+        best.found.of_response,
+        any(_delay(one.found.plant) > 0 for one in orders),
+    )
     shown = list(orders)
     if len(shown) > MOST_ORDERS:
         shown = sorted(shown, key=lambda one: one.bic)[:MOST_ORDERS]
@@ -524,7 +512,7 @@ def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) 
     table = Table(right=("poles", "pairs", "zeros", *delay, rms, "BIC", *last, ""), title=title)
     for one in shown:
         counts = (one.poles, one.pairs, one.zeros)
-        late = (f"{_delay(one) / (dt or 1e-3):.4g}",) * delayed
+        late = (f"{_delay(one.found.plant) / (dt or 1e-3):.4g}",) * delayed
         values = (f"{one.rms:.4g}", f"{one.bic - best.bic:+.1f}")
         share = () if of_response else (f"{one.validation_fit:.4g}",)
         sound = "" if one.found.converged else "no minimum"
@@ -533,9 +521,9 @@ def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) 
     return table
 
 
-def _delay(one: Order) -> float:
-    """The delay of a fitted plant [s]."""
-    return float(getattr(one.found.plant, "delay", 0.0))
+def _delay(plant: Plant) -> float:
+    """The delay of a plant [s]; 0 of one that has none."""
+    return float(getattr(plant, "delay", 0.0))
 
 
 # `identify --state`: the plant of a campaign again, never made worse
@@ -576,7 +564,7 @@ def identify_campaign(
     progress("fitting")
     tables = []
     if auto:
-        late = _delay_of(known, record.dt) if delay is None else delay
+        late = round(_delay(known) / record.dt) if delay is None else delay
         orders = identification.compare_orders(record, delay=late)
         best = identification.best_order(orders)
         again = _judged(record, known, best.found)
@@ -608,6 +596,7 @@ def identify_campaign(
     used = {"trials": list(measured.trials), "closed_loop": measured.closed, "verdict": lines}
     judged = {"kept": again.kept, "before": again.before, "after": again.after, "better": better}
     units = opened.campaign.task.input_unit, unit
+    draw = partial(figures.validation_figure, record, found)
     return Outcome(
         command="identify",
         numbers=numbers_of(found) | sound | used | judged | {"margin": margins},
@@ -615,13 +604,9 @@ def identify_campaign(
         folder=folder or Path("out") / "identify",
         tables=tables,
         warnings=warnings,
-        figures={
-            "validation": Figure(
-                CAPTIONS["validation"], partial(figures.validation_figure, record, found), live=True
-            )
-        },
+        figures={"validation": Figure(CAPTIONS["validation"], draw, live=True)},
         kept=kept,
-        live=partial(live_of, record, found, record.dt, units),
+        live=Fitted(record, found, record.dt, {}, tables, units).live,
         asked=counts,
     )
 
@@ -645,11 +630,6 @@ def _verdict(again: Refit, beyond: list[str], unit: str) -> str:
         f"verdict: the plant of these trials explains {fit} of their output, and predicts the last "
         f"ones, which were not fitted, better: rms error {after} in place of {before}"
     )
-
-
-def _delay_of(plant, dt: float) -> int:
-    """The dead time of a plant in whole samples; 0 of a plant that has none."""
-    return round(getattr(plant, "delay", 0.0) / dt)
 
 
 def _judged(record: Record, known: Plant, found: Identified) -> Refit:
@@ -677,7 +657,7 @@ def _fitted(
             "pairs": len(plant.frequencies),
             "zeros": len(plant.zeros),
         }
-    late = _delay_of(plant, record.dt) if delay is None else delay
+    late = round(_delay(plant) / record.dt) if delay is None else delay
     return _judged(record, plant, identification.identify(record, **structure, delay=late))
 
 

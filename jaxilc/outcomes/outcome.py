@@ -174,6 +174,7 @@ def _plain(cell: T) -> T | Text:
 
 WIDTH = 100  # columns of an outcome as text
 Numbers: TypeAlias = dict[str, Any]  # what was found, as JSON, by keys that stay the same
+Interactive: TypeAlias = "Description | Live | None"  # a figure of a page, described or made
 
 
 class Progress(Protocol):
@@ -236,7 +237,7 @@ class Outcome:
     figures: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
     files: Mapping[str, Callable[[Path], object]] = dataclasses.field(default_factory=dict)
     kept: Sequence[Path] = ()
-    live: Callable[[], Sequence[Description | Live | None]] = tuple
+    live: Callable[[], Sequence[Interactive]] = tuple
     asked: Mapping[str, object] = dataclasses.field(default_factory=dict)
     configuration: Mapping[str, object] | None = None
     failed: str = ""

@@ -74,18 +74,22 @@ class Request:
         The metric judges it, and the spread widens its uncertainty.
         Raises ValueError naming what is allowed.
         """
+        from ..scenarios.from_file import load_scenario
         from ..scenarios.parameters import with_parameters
         from ..scenarios.scenario import judged
 
         here = self.expanded()
-        chosen, values = here._with_options()
+        values, known = settings_of(here.set), here._options()
+        of_paper = {path: value for path, value in values.items() if path in known}
+        rest = {path: value for path, value in values.items() if path not in known}
+        chosen = load_scenario(here.source, of_paper)
         if not chosen.schemes:
             raise ValueError(
                 f"{self.source} has no scheme; needed is a table [schemes.NAME] at least"
             )
         if here.params is not None:
             chosen = with_parameters(chosen, here.params)
-        chosen = here._with_trials(chosen.with_values(values)).select(here.schemes)
+        chosen = here._with_trials(chosen.with_values(rest)).select(here.schemes)
         chosen.check()
         return judged(here._widened(chosen), here.metric)
 
@@ -118,16 +122,11 @@ class Request:
         wide = with_spread(chosen.uncertainty, self.spread)
         return dataclasses.replace(chosen, uncertainty=wide)
 
-    def _with_options(self) -> tuple[Scenario, dict[str, str]]:
-        """The scenario with its options, and the settings that are left."""
+    def _options(self) -> Mapping[str, Value]:
+        """The options of the scenario of a paper, with what they usually are."""
         from .. import scenarios
-        from ..scenarios.from_file import load_scenario
 
-        values = settings_of(self.set)
-        known = scenarios.options(self.source) if self.source in scenarios.SCENARIOS else {}
-        of_paper = {path: value for path, value in values.items() if path in known}
-        chosen = load_scenario(self.source, of_paper)
-        return chosen, {path: value for path, value in values.items() if path not in known}
+        return scenarios.options(self.source) if self.source in scenarios.SCENARIOS else {}
 
     def _with_trials(self, chosen: Scenario) -> Scenario:
         if self.trials is None:
@@ -144,16 +143,15 @@ class Request:
         """
         if self.params is None or not Path(self.params).is_dir():
             return self
-        from .. import scenarios
 
         def load(of: Mapping[str, str]) -> Scenario:
             texts = tuple(f"{path}={text}" for path, text in of.items())
             return dataclasses.replace(self, set=texts, params=None).scenario()
 
         point = best_of(Path(self.params), settings_of(self.set), load)
-        known = scenarios.options(self.source) if self.source in scenarios.SCENARIOS else {}
+        known = {*self._options(), "trials"}
         for axis in point:
-            if axis.startswith("task.") or ("." not in axis and axis not in {*known, "trials"}):
+            if axis.startswith("task.") or ("." not in axis and axis not in known):
                 raise ValueError(
                     f"--params {self.params}: the axis {axis} is not one that --set can set"
                 )

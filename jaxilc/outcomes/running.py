@@ -16,23 +16,22 @@ from .. import figures
 from ..learning.divergence import CEILING, GROWTH
 from ..learning.known_metrics import ERRORS, OF_TRIALS
 from ..runtime.provenance import differences
+from ..scenarios import Published, Scenario
 from ..scenarios.from_file import options
 from ..scenarios.reproduction import met
 from ..storage.files import whole_folder
 from ..sweeps import runs
 from .case import HEADS, Case, diverged, experiment_lines, output_names, shown_trials
-from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
+from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, settings_of
 from .words import DIVERGES, EXACT, FALLS, GROWS, SETTLED, Trend, number, trend_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..figures.description import Figure as Description
-    from ..figures.page import Live
-    from ..scenarios import Published, Scenario
 
 CURVES = (2, 20)  # trials that are drawn besides the last one
+CHANGED = "published values hold for the scenario as it stands; --set or --params changed it here"
 OPEN = "The paper is silent at {places} places; --details tells what was chosen."
 ALIKE = 0.02  # schemes whose errors differ by no more than this share are told as alike
 OF_CONTOUR = {"max_error": "contour_max", "rms": "contour_rms"}  # metrics of an axis, of a contour
@@ -80,6 +79,7 @@ def run(
     numbers = run_numbers(chosen, dataset)
     by_axis = axes_table(numbers)
     changed = request.params or not settings_of(request.set).keys() <= chosen.options.keys()
+    published = [CHANGED] if chosen.due and changed else reading_lines(chosen, numbers)
     choices = [f"chosen: {text}" for text in chosen.chosen]
     return Outcome(
         command="run",
@@ -96,7 +96,7 @@ def run(
             *course_lines(numbers),
             *experiment_lines(chosen),
             *other_rows(chosen, numbers),
-            *_published_lines(chosen, numbers, changed=bool(changed)),
+            *published,
             *(choices if request.of_file or not choices else [OPEN.format(places=len(choices))]),
         ],
         details=[] if request.of_file else choices,
@@ -140,7 +140,7 @@ def _figures(chosen: Scenario, dataset: xr.Dataset) -> dict[str, Figure]:
     return drawn
 
 
-def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Description | Live]:
+def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Interactive]:
     """The errors by trial, and a trial that a slider chooses."""
     from ..figures import browsers
 
@@ -151,15 +151,6 @@ def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Description | Live]:
     )  # fmt: skip
     within = browsers.trials(dataset, scale=chosen.shown_scale, unit=chosen.shown_unit)
     return [errors, within]
-
-
-def _published_lines(chosen: Scenario, numbers: Numbers, *, changed: bool) -> list[str]:
-    """What is told of published numbers."""
-    if chosen.due and changed:
-        return [
-            "published values hold for the scenario as it stands; --set or --params changed it here"
-        ]
-    return reading_lines(chosen, numbers)
 
 
 def _folder(asked: Path | None, name: str, made_with: Numbers, *, replace: bool) -> Path:
@@ -203,10 +194,7 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> Numbers:
     for name in scenario.schemes:
         chosen = _largest(dataset, name)
         known = (*(m.name for m in OF_TRIALS), *scenario.quantities)
-        shown = {m: scenario.shown(m)[0] * chosen[m] for m in known}
-        shown |= {
-            m: shown[m].where(~chosen["diverged"], np.inf) for m in shown if m != "best_trial"
-        }
+        shown = {metric: _shown(scenario, chosen, metric) for metric in known}
         by_metric = {
             m: {str(j): float(values.sel(trial=j)) for j in shown_trials(scenario)}
             for m, values in shown.items()
@@ -228,13 +216,11 @@ def errors_by_trial(scenario: Scenario, dataset: xr.Dataset) -> dict[str, list[f
 
     Errors are those of `run_numbers`.
     """
-    scale = scenario.shown(scenario.judged_by)[0]
-    found = {}
-    for name in scenario.schemes:
-        chosen = _largest(dataset, name)
-        errors = (scale * chosen[scenario.judged_by]).where(~chosen["diverged"], np.inf)
-        found[name] = [float(error) for error in errors.fillna(np.inf)]
-    return found
+    found = {
+        name: _shown(scenario, _largest(dataset, name), scenario.judged_by)
+        for name in scenario.schemes
+    }
+    return {name: errors.fillna(np.inf).values.tolist() for name, errors in found.items()}
 
 
 def _largest(dataset: xr.Dataset, scheme: str) -> xr.Dataset:
@@ -242,19 +228,21 @@ def _largest(dataset: xr.Dataset, scheme: str) -> xr.Dataset:
     return dataset.sel(scheme=scheme).max(["channel", "input"], skipna=False)
 
 
+def _shown(scenario: Scenario, chosen: xr.Dataset, metric: str) -> xr.DataArray:
+    """A metric of one scheme [shown unit], infinite where a trial diverged."""
+    values = scenario.shown(metric)[0] * chosen[metric]
+    return values if metric == "best_trial" else values.where(~chosen["diverged"], np.inf)
+
+
 def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> Numbers:
     """The errors of each output by its name and trial [shown unit]; nothing for a single output."""
     if scenario.task.outputs == 1:
         return {}
-    sound = ~chosen["diverged"]
+    shown = {metric.name: _shown(scenario, chosen, metric.name) for metric in ERRORS}
     axes = {
         called: {
-            metric.name: {
-                str(j): scenario.shown(metric.name)[0]
-                * float(chosen[metric.name].isel(channel=i).where(sound, np.inf).sel(trial=j))
-                for j in shown_trials(scenario)
-            }
-            for metric in ERRORS
+            metric: {str(j): float(errors.sel(trial=j)[i]) for j in shown_trials(scenario)}
+            for metric, errors in shown.items()
         }
         for i, called in enumerate(output_names(scenario))
     }
@@ -403,13 +391,14 @@ def run_verdict(case: Case, numbers: Numbers, errors: Mapping[str, Sequence[floa
         if name != best and not diverged(of) and of[-1] <= (1 + ALIKE) * last
     ]
     course = trend_of(errors[best])
+    course = course._replace(words=course.words and f"it {course.words}")
     if course.kind == DIVERGES:
         which = best if len(errors) == 1 else "Every scheme"
         return Verdict((f"{which} diverges within {trials} trials.",), *case.remedy(best))
     if last > EXACT * first:
         course = _with_rms(course, numbers["schemes"][best])
     begun = f", after {case.size(first)} in trial 1" if trials > 1 else ""
-    it = f"; {_subject(course)}" if course.words and case.learns[best] else ""
+    it = f"; {course.words}" if course.words and case.learns[best] else ""
     ends = f"trial {trials} has a {case.metric} of {case.size(last)}{begun}{it}."
     said = f"{case.head(best, alike)}{ends}"
     passed = case.tolerance is None or last <= case.tolerance
@@ -437,17 +426,12 @@ def _larger_elsewhere(case: Case, best: str, numbers: Numbers) -> str:
 
 
 def _with_rms(course: Trend, row: Numbers) -> Trend:
-    """The trend of a metric; it also grows if the rms error of the same run does."""
+    """The trend of a metric, with a subject; it also grows if the rms error of the run does."""
     if course.kind in (FALLS, SETTLED) and row["grown_from"]:
         times, best = number(row["grown_to"]), row["best"]
         words = f"its rms error has grown {times} times since trial {best}"
         return course._replace(kind=GROWS, words=words)
     return course
-
-
-def _subject(course: Trend) -> str:
-    """The words of a trend with a subject."""
-    return course.words if course.words.startswith("its ") else f"it {course.words}"
 
 
 def _after_run(case: Case, best: str, course: Trend, passed: bool, trials: int) -> tuple[str, str]:

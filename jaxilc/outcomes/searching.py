@@ -6,24 +6,19 @@ import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import figures
 from ..pytree.named_paths import get_at
+from ..scenarios import Scenario
 from ..storage.sealed import write_json
-from ..tuning.worst_case import GRADIENT_COST, worst_machine
+from ..tuning.worst_case import GRADIENT_COST, WorstMachine, worst_machine
+from ..uncertainty import Uncertainty
 from .case import Case, both
-from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
+from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
 from .words import number
-
-if TYPE_CHECKING:
-    from ..figures.description import Figure as Description
-    from ..scenarios import Scenario
-    from ..tuning.worst_case import WorstMachine
-    from ..uncertainty import Uncertainty
 
 FEW = 6  # settings of the worst machine that the next command repeats
 ALIKE = 1e-3  # of the loss: two machines that differ by less are as bad
@@ -109,7 +104,7 @@ def worst_case(
     )
 
 
-def _live(found: WorstMachine, shown: dict[str, str]) -> list[Description]:
+def _live(found: WorstMachine, shown: dict[str, str]) -> list[Interactive]:
     """The machines drawn and those searched for, and what each search found with what effort."""
     from ..figures.searches import worst_by_effort
 

@@ -14,26 +14,22 @@ import numpy as np
 
 from .. import figures
 from ..pytree.ranges import value_text
+from ..scenarios import Scenario
+from ..scenarios.scenario import Look
 from ..sweeps.grid import values_at
-from ..sweeps.points import at_best, best_points, labels_of
-from ..sweeps.summary import axes_of, summarise
+from ..sweeps.points import BestPoint, at_best, best_points, labels_of
+from ..sweeps.summary import SchemeSummary, axes_of, summarise
 from ..sweeps.sweep import Sweep
 from ..theory.bounds import BoundsWatch
 from .bounds import bounds_tables, watched_numbers
 from .case import Case, both, experiment_lines, output_names, shown_trials
-from .outcome import Figure, Numbers, Outcome, Table, Verdict
+from .outcome import Figure, Interactive, Numbers, Outcome, Table, Verdict
 from .request import Request, point_of, unless_there
 from .words import number, trend_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from ..figures.description import Figure as Description
-    from ..figures.page import Live
-    from ..scenarios import Scenario
-    from ..scenarios.scenario import Look
-    from ..sweeps.points import BestPoint
-    from ..sweeps.summary import SchemeSummary
 
 NOMINAL = "nominal.zarr"  # the bounds of the nominal machine over a grid
 SIGMA_STEPS = 40  # of the Lanczos iteration on the nominal machine of a point
@@ -208,7 +204,7 @@ def live_sweep(
     drawn: Look,
     grid: xr.Dataset | None = None,
     best: Sequence[BestPoint] = (),
-) -> list[Description | Live | None]:
+) -> list[Interactive]:
     """The errors by trial of all machines, and each machine against its parameters.
 
     drawn: metric, tolerance, scale and unit
@@ -229,7 +225,7 @@ def live_sweep(
     ]
 
 
-def live_store(chosen: Scenario, dataset: xr.Dataset) -> list[Description | Live | None]:
+def live_store(chosen: Scenario, dataset: xr.Dataset) -> list[Interactive]:
     """The same of machines on which laws were judged, in the units of the scenario."""
     look = chosen.look
     return live_sweep(dataset, summarise(dataset, look["tolerance"], metric=look["metric"]), look)
@@ -261,16 +257,7 @@ def sweep_numbers(
             "grown_to": row.grown_to,
             "diverged": row.diverged,
             "diverged_at": row.diverged_at,
-            "by_trial": {
-                str(j): {
-                    "median": k * float(row.median[j - 1]),
-                    "low": k * float(row.low[j - 1]),
-                    "high": k * float(row.high[j - 1]),
-                    "worst": k * float(row.worst[j - 1]),
-                    "worst_sample": int(row.worst_machine[j - 1]),
-                }
-                for j in shown_trials(scenario)
-            },
+            "by_trial": {str(j): _in_trial(row, j, k) for j in shown_trials(scenario)},
         }
         for row in summary
     }
@@ -283,6 +270,13 @@ def sweep_numbers(
         "figure": scenario.judged_by.replace("_", " "),
         "schemes": schemes,
     }
+
+
+def _in_trial(row: SchemeSummary, trial: int, scale: float) -> Numbers:
+    """The quantiles over the machines in a trial, and the worst machine."""
+    of_all = {"median": row.median, "low": row.low, "high": row.high, "worst": row.worst}
+    errors = {name: scale * float(values[trial - 1]) for name, values in of_all.items()}
+    return errors | {"worst_sample": int(row.worst_machine[trial - 1])}
 
 
 def axes_numbers(scenario: Scenario, dataset: xr.Dataset, tolerance: float | None) -> Numbers:
@@ -304,13 +298,9 @@ def axes_numbers(scenario: Scenario, dataset: xr.Dataset, tolerance: float | Non
     for called, values in errors.items():
         named = dataset[["finite", "diverged"]].assign(error=values)
         for row in summarise(named, tolerance, metric="error"):
-            last = {"median": row.median, "low": row.low, "high": row.high, "worst": row.worst}
-            at = {of: scenario.shown_scale * float(x[-1]) for of, x in last.items()}
+            last = _in_trial(row, len(row.median), scenario.shown_scale)
             share = None if tolerance is None else row.yield_share
-            found.setdefault(row.scheme, {})[called] = at | {
-                "worst_sample": int(row.worst_machine[-1]),
-                "yield": share,
-            }
+            found.setdefault(row.scheme, {})[called] = last | {"yield": share}
     return {"axes": found}
 
 
@@ -434,15 +424,12 @@ def sweep_verdict(case: Case, numbers: Numbers, highs: Mapping[str, Sequence[flo
     highs: 95 % quantile of each trial by scheme [unit of the case]
     """
     rows, highs = numbers["schemes"], case.of_learned(highs)
-    best = min(rows, key=lambda name: (-(rows[name]["yield"] or 0.0), _last(highs[name])))
+    last = {name: math.inf if math.isnan(of[-1]) else of[-1] for name, of in highs.items()}
+    best = min(rows, key=lambda name: (-(rows[name]["yield"] or 0.0), last[name]))
     row, course, lost = rows[best], trend_of(highs[best]), _lost(rows[best], case.metric)
     said = f"{case.head(best)}{_yield(case, numbers, row)}{_spread(case, numbers, row)}."
-    if lost:
-        second = lost
-    elif course.words and case.learns[best]:
-        second = f"The 95 % {case.metric} {course.words}."
-    else:
-        second = ""
+    told = course.words and case.learns[best]
+    second = lost or (f"The 95 % {case.metric} {course.words}." if told else "")
     enough = row["yield"] is None or row["yield"] >= ENOUGH
     return Verdict(both(said, second), *_after_sweep(case, best, not lost, enough))
 
@@ -504,11 +491,6 @@ def _after_sweep(case: Case, best: str, sound: bool, enough: bool) -> tuple[str,
 
 def _percent(share: float) -> str:
     return f"{100 * share:.1f} %"
-
-
-def _last(errors: Sequence[float]) -> float:
-    """The error of the last trial, for comparison: infinite where it is no number."""
-    return errors[-1] if not math.isnan(errors[-1]) else math.inf
 
 
 def _maps(found: _Found, best: Sequence[BestPoint], drawn: Look) -> dict[str, Figure]:

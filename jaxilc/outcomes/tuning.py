@@ -9,29 +9,25 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
+import numpy as np
+
 from .. import figures
 from ..pytree.aliases import Value
+from ..scenarios import Scenario
 from ..scenarios.from_file import load_scenario
 from ..scenarios.parameters import differing, write_parameters
 from ..sweeps.summary import summarise
-from ..tuning import trade_off
-from ..tuning.problem import Tuning
+from ..tuning import Tuned, Tuning, trade_off
+from ..tuning.objectives import Objective
 from .case import Case
-from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
+from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, unless_there
 from .sweeping import live_store, sweep_numbers
 from .terms import limits_not_met, objective_of, risk_of, weights_of, with_limits
 from .words import number
 
 if TYPE_CHECKING:
-    import numpy as np
     import xarray as xr
-
-    from ..figures.description import Figure as Description
-    from ..scenarios import Scenario
-    from ..tuning import Tuned, Tuning
-    from ..tuning.objectives import Objective
-    from ..tuning.trade_off import Point
 
 
 WHICH = ("given", "tuned")
@@ -373,32 +369,15 @@ def pareto(
         words = f"{name} ({before + 1} of {count}): {in_words(losses, best)}"
         progress(words, before * problem.steps + step, count * problem.steps)
 
-    of = _Of(Case.of(chosen, request), chosen, scheme, problem, place, run, resume, told)
+    of = _Of(request, chosen, scheme, problem, place, run, resume, told)
     if budgets:
         found = _by_trials(of, budgets, unseen)
     else:
         (second,) = others
         found = _front(of, second, shares or trade_off.SHARES, (objectives[0], objectives[1]))
     asked = dict(zip(("first", "second"), (*objectives, None), strict=False))
-    return Outcome(
-        command="pareto",
-        numbers={"scenario": chosen.name, "scheme": scheme} | asked | found.numbers,
-        verdict=found.verdict,
-        folder=place,
-        scenario=chosen,
-        tables=[found.table],
-        lines=[
-            f"share {share} is left out: another point is no worse in either objective"
-            for share in found.numbers.get("left_out", [])
-        ],
-        figures=found.figures,
-        files={
-            name: parameter_file("pareto", chosen, request, tuned, point=point)
-            for name, (tuned, point) in found.points.items()
-        },
-        live=found.live,
-        configuration=problem.configuration(),
-    )
+    numbers = {"scenario": chosen.name, "scheme": scheme} | asked | found.numbers
+    return dataclasses.replace(found, numbers=numbers)
 
 
 def _need_one_kind(
@@ -423,7 +402,7 @@ def _listed(values: Sequence[float]) -> str:
 class _Of(NamedTuple):
     """What both kinds of trade-off share: scenario, problem and folder, and how it is run."""
 
-    case: Case
+    request: Request
     chosen: Scenario
     scheme: str
     problem: Tuning
@@ -437,59 +416,60 @@ class _Of(NamedTuple):
         state = unless_there(self.folder / "state", self.resume)
         return self.run(search, state, resume=self.resume, progress=self.progress)
 
-
-class _Found(NamedTuple):
-    """The result of a trade-off.
-
-    points: each tuning, with its numbers, by the name of its parameter file
-    """
-
-    numbers: Numbers
-    table: Table
-    verdict: Verdict
-    figures: dict[str, Figure]
-    points: dict[str, tuple[Tuned, Numbers]]
-    live: Callable[[], list[Description]]
+    def outcome(self, points: Mapping[str, tuple[Tuned, Numbers]], **found: Value) -> Outcome:
+        """What was found; each tuning, with its numbers, by the name of its parameter file."""
+        files = {
+            name: parameter_file("pareto", self.chosen, self.request, tuned, point=point)
+            for name, (tuned, point) in points.items()
+        }
+        return Outcome(
+            command="pareto", folder=self.folder, scenario=self.chosen, files=files,
+            configuration=self.problem.configuration(), **found,
+        )  # fmt: skip
 
 
-def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str, str]) -> _Found:
+def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str, str]) -> Outcome:
     """The front of two objectives; the first one is that of the problem."""
     problem, first = of.problem, of.problem.objective
     points = of.solve(partial(trade_off.pareto, problem, first, second, shares))
-    given = trade_off.held_out_losses(problem, first, second)(problem.start).tolist()
-    ends = (given[0], given[1])
-    numbers = front_numbers(problem, points, given, shares)
+    losses = trade_off.held_out_losses(problem, first, second)(problem.start).tolist()
+    given = losses[0], losses[1]
+    rows: Numbers = {"given": {"first": given[0], "second": given[1], "weights": problem.start}}
+    rows |= {
+        str(p.share): {"first": p.first, "second": p.second, "weights": p.tuned.values}
+        for p in points
+    }
+    left = sorted(set(shares) - {p.share for p in points})
+    numbers: Numbers = {"trials": problem.trials, "points": rows, "left_out": left}
     one, other = (f"{name}, on held-out machines" for name in names)
 
-    def live() -> list[Description]:
-        rows = numbers["points"].items()
+    def live() -> list[Interactive]:
         weights = {
-            None if share == "given" else float(share): row["weights"] for share, row in rows
+            None if share == "given" else float(share): row["weights"]
+            for share, row in rows.items()
         }
         first, second = names
         described = figures.pareto_front.described
-        return [described(points, first=first, second=second, given=ends, weights=weights)]
+        return [described(points, first=first, second=second, given=given, weights=weights)]
 
-    return _Found(
-        numbers,
-        front_table(of.chosen, of.scheme, numbers),
-        front_verdict(of.case, of.scheme, numbers, of.folder, names),
-        {
-            "front": Figure(
-                "The trade-off: each point is a tuning, with the share of the first objective.",
-                partial(figures.pareto_front, points, first=one, second=other, given=ends),
-                live=True,
-            )
-        },
-        {
-            f"params-share-{p.share}.json": (p.tuned, numbers["points"][str(p.share)])
-            for p in points
-        },
-        live,
+    case = Case.of(of.chosen, of.request)
+    draw = partial(figures.pareto_front, points, first=one, second=other, given=given)
+    caption = "The trade-off: each point is a tuning, with the share of the first objective."
+    return of.outcome(
+        {f"params-share-{p.share}.json": (p.tuned, rows[str(p.share)]) for p in points},
+        numbers=numbers,
+        verdict=front_verdict(case, of.scheme, numbers, of.folder, names),
+        tables=[front_table(of.chosen, of.scheme, numbers)],
+        lines=[
+            f"share {share} is left out: another point is no worse in either objective"
+            for share in left
+        ],
+        figures={"front": Figure(caption, draw, live=True)},
+        live=live,
     )
 
 
-def _by_trials(of: _Of, budgets: Sequence[int], unseen: int) -> _Found:
+def _by_trials(of: _Of, budgets: Sequence[int], unseen: int) -> Outcome:
     """One tuning for each number of trials, all judged on the same machines, unused in tuning."""
     problem = of.problem
     most = max(budgets)
@@ -502,43 +482,23 @@ def _by_trials(of: _Of, budgets: Sequence[int], unseen: int) -> _Found:
     rows, metric, unit = numbers["budgets"], numbers["figure"], numbers["unit"]
     errors = [[[row[w]["median"], row[w]["worst"]] for row in rows.values()] for w in WHICH]
 
-    def live() -> list[Description]:
+    def live() -> list[Interactive]:
         each = [row["weights"] for row in rows.values()]
         weights = {name: [of[name] for of in each] for name in each[0]}
         described = figures.final_error_by_trials.described
         return [described(budgets, *errors, weights=weights, metric=metric, unit=unit)]
 
-    return _Found(
-        numbers,
-        budget_table(of.chosen, of.scheme, numbers),
-        budget_verdict(of.case, of.scheme, numbers, of.folder),
-        {
-            "trials": Figure(
-                "The last error with the weights as given, and with those tuned for so many "
-                "trials.",
-                partial(figures.final_error_by_trials, budgets, *errors, metric=metric, unit=unit),
-                live=True,
-            )
-        },
+    case = Case.of(of.chosen, of.request)
+    draw = partial(figures.final_error_by_trials, budgets, *errors, metric=metric, unit=unit)
+    caption = "The last error with the weights as given, and with those tuned for so many trials."
+    return of.outcome(
         {f"params-{J}-trials.json": (tuned, rows[str(J)]) for J, tuned in found.items()},
-        live,
+        numbers=numbers,
+        verdict=budget_verdict(case, of.scheme, numbers, of.folder),
+        tables=[budget_table(of.chosen, of.scheme, numbers)],
+        figures={"trials": Figure(caption, draw, live=True)},
+        live=live,
     )
-
-
-def front_numbers(
-    problem: Tuning, points: Sequence[Point], given: Sequence[float], shares: Sequence[float]
-) -> Numbers:
-    """Both objectives and the weights for each point of a front, and for the weights as given.
-
-    given: both objectives with the weights as given
-    """
-    rows = {"given": {"first": given[0], "second": given[1], "weights": problem.start}}
-    rows |= {
-        str(p.share): {"first": p.first, "second": p.second, "weights": p.tuned.values}
-        for p in points
-    }
-    left = sorted(set(shares) - {p.share for p in points})
-    return {"trials": problem.trials, "points": rows, "left_out": left}
 
 
 def budget_numbers(scenario: Scenario, found: Mapping[int, Tuned], dataset: xr.Dataset) -> Numbers:

@@ -19,13 +19,14 @@ import time
 import numpy as np
 import pytest
 import xarray as xr
+from command import call, mistakes
 from rich.console import Console
 from typer.main import get_command
 from typer.testing import CliRunner
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.cli import app, console, durations, main, progress
+from jaxilc.cli import app, console, durations, progress
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
 from jaxilc.figures import saving
 from jaxilc.outcomes import running
@@ -72,22 +73,9 @@ pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
 @pytest.fixture
-def jaxilc_command(monkeypatch, capsys, tmp_path, unpainted):
-    """Return a function that runs the command in this process.
-
-    It returns the exit code, standard output and standard error.
-    """
+def jaxilc_command(monkeypatch, tmp_path, unpainted):
+    """Return a function that runs the command in a folder of the test's own."""
     monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["jaxilc", *map(str, arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as stop:
-            code = stop.code or 0
-        return code, *capsys.readouterr()
-
     return call
 
 
@@ -257,94 +245,71 @@ def test_sweep_tells_the_bounds_beside_the_contraction(jaxilc_command, tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("run", "cao"), "scenario = 'cao' is unknown; did you mean cao-2019 or cao-2019-rig?"),
-        (
-            ("run", "cao-2019", "--scheme", "ilc"),
-            "scheme = 'ilc' is unknown; did you mean cfdl-mfailc or pfdl-mfailc or ffdl-mfailc? "
-            "Known: pid, cfdl-mfailc, pfdl-mfailc, ffdl-mfailc, ilc-mfapc",
-        ),
-        (("run", "cao-2019", "--trials", "0"), "--trials 0 is outside its allowed range [1, inf)"),
-        (("run", "cao-2019", "--set", "lam=1"), "'lam' cannot be set; did you mean cfdl-mfailc"),
-        (("run", "cao-2019", "--set", "plnat=exact"), "'plnat' cannot be set; did you mean plant"),
-        (("run", "cao-2019", "--set", "pid.kq=1"), "'pid.kq' cannot be set; did you mean pid.k"),
-        (("run", "cao-2019", "--set", "machine.plant.poles[3]=1"),
-         "'machine.plant.poles[3]' cannot be set"),
-        (("run", "cao-2019", "--set", "pid.kp"), "--set 'pid.kp' is not PATH=VALUE"),
-        (("run", "cao-2019", "--set", "pid.kp=big"), "pid.kp = 'big' is not a number"),
-        (("run", "cao-2019", "--set", "ffdl-mfailc.L_u=1.5"),
-         "ffdl-mfailc.L_u = '1.5' is not a whole number"),
-        (("run", "cao-2019", "--set", "cfdl-mfailc.lam=0"),
-         "lam = 0 is outside its allowed range (0, inf)"),
-        (("run", "cao-2019", "--set", "cfdl-mfailc.eta=1.5"),
-         "eta = 1.5 is outside its allowed range (0, 1]"),
-        (("run", "cao-2019", "--set", "cfdl-mfailc.reset=never"),
-         "reset = 'never' is not one of 'book', 'sign', 'none'"),
-        (("run", "cao-2019", "--set", "cfdl-mfailc.lead=5000"),
-         "lead = 5000 is outside its allowed range [0, 1999]"),
-        (("run", "cao-2019", "--set", "plant=ideal"),
-         "form = 'ideal' is not one of 'exact', 'printed', 'dai_2014_printed'"),
-        (("run", "cao-2019", "--set", "reference=square"),
-         "reference = 'square' is not one of 'sinusoid', 'piston'"),
-        (("run", "cao-2019", "--set", "frequency=fast"), "frequency = 'fast' is not a number"),
-        (("run", "cao-2019", "--precision", "half"),
-         "precision = 'half' is not one of 'float64', 'float32'"),
-        (("sweep", "cao-2019", "--machines", "0"),
-         "machines = 0 is outside its allowed range [1, inf)"),
-        (("sweep", "cao-2019", "--spread", "2"), "spread = 2 is outside its allowed range (0, 1)"),
-        (("sweep", "cao-2019", "--sampling", "grid"),
-         "sampling = 'grid' is not one of monte-carlo"),
-        (("sweep", "cao-2019", "--tolerance", "-1"),
-         "--tolerance -1 is outside its allowed range (0, inf)"),
-        (("sweep", "cao-2019", "--keep", "z"), "keep = 'z' is not one of y, e, u"),
-        (("sweep", "cao-2019", "--grid", "lam"), "--grid 'lam' is not PATH=VALUES"),
-        (("sweep", "cao-2019", "--scheme", "pid", "--grid", "cfdl-mfailc.lam=1,2"),
-         "grid: 'cfdl-mfailc.lam' cannot be an axis"),
-        (("sweep", "cao-2019", "--grid", "reading=stroke,stroke"),
-         "--grid 'reading=stroke,stroke' has equal values"),
-        (("sweep", "cao-2019", "--grid", "frequency=0.5,1"), "a dataset needs one for all"),
-        (("run", "dai-2014", "--set", "machine.plant=3"),
-         "'machine.plant' cannot be set; did you mean plant."),
-        (("run", "dai-2014", "--params", "none.json"), "none.json: no such file or directory"),
-        (("run", "dai-2014", "--report", "."),
-         ". cannot be written; allowed is a file in a folder that can"),
-        (("run", "dai-2014", "--report", "a.json", "--report", "b.json"),
-         "--report a.json is one of several .json; allowed is one"),
-        (("run", "dai-2014", "--report", "a.txt"), "a.txt is neither .html, a page, nor .json"),
-        (("run", "dai-2014", "--report", "file/x.html"), "file/x.html cannot be written"),
-        (("run", "dai-2014", "--out", "file"), "file cannot be a folder for results"),
-        (("run", "dai-2014", "--seed", "-1"), "--seed -1 is outside its allowed range [0, 9e18]"),
-        (("run", "dai-2014", "--seed", "9" * 23),
-         "--seed 99999999999999999999999 is outside its allowed range [0, 9e18]"),
-        (("run", "milc-2024", "--set", "dilc.learning.outputs=1e6"),
-         "dilc.learning.outputs = '1e6' is not a tuple (a whole number, ...)"),
-        (("sweep", "cao-2019", "--set", "machine.plant.zero=(1,2,3)"),
-         "zero = [1. 2. 3.] has shape (3,); allowed is one number"),
-        (("worst-case", "cao-2019", "--scheme", "pid", "--starts", "0"),
-         "--starts 0 is outside its allowed range [1, inf)"),
-        (("worst-case", "cao-2019", "--scheme", "pid", "--starts", "0", "--evaluations", "9"),
-         "--starts 0 is outside"),
-        (("run", "bare.toml"),
-         "bare.toml has no scheme; needed is a table [schemes.NAME] at least"),
-        (("list", "file.toml"), "file.toml is no text in UTF-8: invalid start byte 0xff at byte 0"),
-        (("identify", "file"), "file is no text in UTF-8: invalid start byte 0xff at byte 0"),
-        (("certify", "cao-2019", "--scheme", "cfdl-mfailc", "--trials", "1"),
-         "--trials 1 is outside its allowed range [2, inf) of cfdl-mfailc"),
-        (("next", "--state", "s", "--out", "n.csv", "--scenario", "cao"),
-         "scenario = 'cao' is unknown; did you mean cao-2019 or cao-2019-rig?"),
-        (("next", "--state", "s", "--out", "n.csv", "--scenario", "milc-2024"),
-         "--scheme is missing; those that learn are dilc, milc"),
-        (("--quiet", "--verbose", "list"), "--quiet and --verbose exclude each other"),
-    ],
-)  # fmt: skip
-def test_a_mistake_is_one_line_that_names_what_is_allowed(
-    jaxilc_command, tmp_path, arguments, message
-):
+    ("words", "message"),
+    mistakes("""
+run cao => scenario = 'cao' is unknown; did you mean cao-2019 or cao-2019-rig?
+run cao-2019 --scheme ilc => scheme = 'ilc' is unknown; did you mean cfdl-mfailc or pfdl-mfailc \
+or ffdl-mfailc? Known: pid, cfdl-mfailc, pfdl-mfailc, ffdl-mfailc, ilc-mfapc
+run cao-2019 --trials 0 => --trials 0 is outside its allowed range [1, inf)
+run cao-2019 --set lam=1 => 'lam' cannot be set; did you mean cfdl-mfailc
+run cao-2019 --set plnat=exact => 'plnat' cannot be set; did you mean plant
+run cao-2019 --set pid.kq=1 => 'pid.kq' cannot be set; did you mean pid.k
+run cao-2019 --set 'machine.plant.poles[3]=1' => 'machine.plant.poles[3]' cannot be set
+run cao-2019 --set pid.kp => --set 'pid.kp' is not PATH=VALUE
+run cao-2019 --set pid.kp=big => pid.kp = 'big' is not a number
+run cao-2019 --set ffdl-mfailc.L_u=1.5 => ffdl-mfailc.L_u = '1.5' is not a whole number
+run cao-2019 --set cfdl-mfailc.lam=0 => lam = 0 is outside its allowed range (0, inf)
+run cao-2019 --set cfdl-mfailc.eta=1.5 => eta = 1.5 is outside its allowed range (0, 1]
+run cao-2019 --set cfdl-mfailc.reset=never => reset = 'never' is not one of 'book', 'sign', 'none'
+run cao-2019 --set cfdl-mfailc.lead=5000 => lead = 5000 is outside its allowed range [0, 1999]
+run cao-2019 --set plant=ideal => form = 'ideal' is not one of 'exact', 'printed', \
+'dai_2014_printed'
+run cao-2019 --set reference=square => reference = 'square' is not one of 'sinusoid', 'piston'
+run cao-2019 --set frequency=fast => frequency = 'fast' is not a number
+run cao-2019 --precision half => precision = 'half' is not one of 'float64', 'float32'
+sweep cao-2019 --machines 0 => machines = 0 is outside its allowed range [1, inf)
+sweep cao-2019 --spread 2 => spread = 2 is outside its allowed range (0, 1)
+sweep cao-2019 --sampling grid => sampling = 'grid' is not one of monte-carlo
+sweep cao-2019 --tolerance -1 => --tolerance -1 is outside its allowed range (0, inf)
+sweep cao-2019 --keep z => keep = 'z' is not one of y, e, u
+sweep cao-2019 --grid lam => --grid 'lam' is not PATH=VALUES
+sweep cao-2019 --scheme pid --grid cfdl-mfailc.lam=1,2 => grid: 'cfdl-mfailc.lam' cannot be an axis
+sweep cao-2019 --grid reading=stroke,stroke => --grid 'reading=stroke,stroke' has equal values
+sweep cao-2019 --grid frequency=0.5,1 => a dataset needs one for all
+run dai-2014 --set machine.plant=3 => 'machine.plant' cannot be set; did you mean plant.
+run dai-2014 --params none.json => none.json: no such file or directory
+run dai-2014 --report . => . cannot be written; allowed is a file in a folder that can
+run dai-2014 --report a.json --report b.json => --report a.json is one of several .json; allowed \
+is one
+run dai-2014 --report a.txt => a.txt is neither .html, a page, nor .json
+run dai-2014 --report file/x.html => file/x.html cannot be written
+run dai-2014 --out file => file cannot be a folder for results
+run dai-2014 --seed -1 => --seed -1 is outside its allowed range [0, 9e18]
+run dai-2014 --seed 99999999999999999999999 => --seed 99999999999999999999999 is outside its \
+allowed range [0, 9e18]
+run milc-2024 --set dilc.learning.outputs=1e6 => dilc.learning.outputs = '1e6' is not a tuple (a \
+whole number, ...)
+sweep cao-2019 --set 'machine.plant.zero=(1,2,3)' => zero = [1. 2. 3.] has shape (3,); allowed is \
+one number
+worst-case cao-2019 --scheme pid --starts 0 => --starts 0 is outside its allowed range [1, inf)
+worst-case cao-2019 --scheme pid --starts 0 --evaluations 9 => --starts 0 is outside
+run bare.toml => bare.toml has no scheme; needed is a table [schemes.NAME] at least
+list file.toml => file.toml is no text in UTF-8: invalid start byte 0xff at byte 0
+identify file => file is no text in UTF-8: invalid start byte 0xff at byte 0
+certify cao-2019 --scheme cfdl-mfailc --trials 1 => --trials 1 is outside its allowed range [2, \
+inf) of cfdl-mfailc
+next --state s --out n.csv --scenario cao => scenario = 'cao' is unknown; did you mean cao-2019 \
+or cao-2019-rig?
+next --state s --out n.csv --scenario milc-2024 => --scheme is missing; those that learn are \
+dilc, milc
+--quiet --verbose list => --quiet and --verbose exclude each other
+"""),
+)
+def test_a_mistake_is_one_line_that_names_what_is_allowed(jaxilc_command, tmp_path, words, message):
     for name in ("file", "file.toml"):
         (tmp_path / name).write_bytes(b"\xff\xfe")
     (tmp_path / "bare.toml").write_text(PLANT)
-    code, _, err = jaxilc_command(*arguments)
+    code, _, err = jaxilc_command(*words)
     assert code == 2
     assert message in err
     assert "Traceback" not in err

@@ -1,14 +1,14 @@
 """`jaxilc design` and `jaxilc learn-law` as a user types them."""
 
 import json
-import sys
 from unittest import mock
 
 import jax
 import numpy as np
 import pytest
+from command import call, mistakes
 
-from jaxilc.cli import commands, main
+from jaxilc.cli import commands
 from jaxilc.design import LAWS
 from jaxilc.design.learned import STARTS, LearnedLaw, Taps
 from jaxilc.outcomes.designing import state_of
@@ -34,19 +34,10 @@ reference = { function = "sinusoid", amplitude = 1.0, frequency = 20.0, duration
 pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
-def jaxilc(*words) -> int:
-    with (
-        mock.patch.object(sys, "argv", ["jaxilc", *map(str, words)]),
-        pytest.raises(SystemExit) as ended,
-    ):
-        main()
-    return ended.value.code
-
-
 @pytest.fixture
 def file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("jaxilc.outcomes.recurring.MACHINES", 3)
+    monkeypatch.setattr("jaxilc.outcomes.repeating.MACHINES", 3)
     path = tmp_path / "axis.toml"
     path.write_text(FILE)
     return path
@@ -56,14 +47,15 @@ def test_the_laws_that_are_completed_are_those_that_are_tried():
     assert tuple(LAWS) == commands.LAWS  # the command names them without an import of JAX
 
 
-def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, capsys):
+def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file):
     asked = ("--margin", 0.1, "--law", "p-type", "--machines", 9, "--steps", 2)
     reports = ("--report", "design.json", "--report", "design.html")
     t = 0.001 * np.arange(1500)
     e = np.sin(2 * np.pi * t / 0.1)
     np.savez("trial.npz", t=t, e=e, r=np.cumsum(t * (t % 0.7)))
-    assert jaxilc("design", file.name, *asked, *reports, "--record", "trial.npz") == 0
-    said = " ".join(capsys.readouterr().out.split())
+    code, out, err = call("design", file.name, *asked, *reports, "--record", "trial.npz")
+    assert code == 0, err
+    said = " ".join(out.split())
     for part in (
         "A first safe answer, by frequency alone: P-type", "Take p-type", "V/mm",
         "95 % stay at or below a settled error of", "so the margin is 0.",
@@ -84,8 +76,8 @@ def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, caps
     assert float(schemes["repetitive"].period) == numbers["within"]["time"]["period"]
     law = schemes["p-type"]
     assert float(law.scheme.gamma_p) == numbers["chosen"]["weights"]["scheme.gamma_p"]
-    assert jaxilc("design", file.name, *asked) == 2
-    assert "add --force" in capsys.readouterr().err
+    code, _, err = call("design", file.name, *asked)
+    assert (code, "add --force" in err) == (2, True)
 
 
 def test_a_state_is_resumed_replaced_or_refused(tmp_path):
@@ -99,20 +91,20 @@ def test_a_state_is_resumed_replaced_or_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("cao-2019",), "is no plant file"),
-        (("axis.toml", "--margin", "1.5"), "margin = 1.5 is outside its allowed range (0, 1)"),
-        (("axis.toml", "--law", "q-type"), "law = 'q-type'"),
-        (("axis.toml", "--scheme", "ilc"), "scheme = 'ilc'"),
-        (("axis.toml", "--out", "sub/a.toml"), "a design lies beside"),
-        (("axis.toml", "--out", "a.json"), "must end with .toml"),
-        (("axis.toml", "--record", "none.csv"), "none.csv"),
-    ],
+    ("words", "message"),
+    mistakes("""
+cao-2019 => is no plant file
+axis.toml --margin 1.5 => margin = 1.5 is outside its allowed range (0, 1)
+axis.toml --law q-type => law = 'q-type'
+axis.toml --scheme ilc => scheme = 'ilc'
+axis.toml --out sub/a.toml => a design lies beside
+axis.toml --out a.json => must end with .toml
+axis.toml --record none.csv => none.csv
+"""),
 )
-def test_mistakes_are_refused_before_anything_is_written(file, capsys, words, said):
-    assert jaxilc("design", *words) == 2
-    assert said in " ".join(capsys.readouterr().err.split())
+def test_mistakes_are_refused_before_anything_is_written(file, words, message):
+    code, _, err = call("design", *words)
+    assert (code, message in " ".join(err.split())) == (2, True), err
     assert [path.name for path in file.parent.iterdir()] == ["axis.toml"]
 
 
@@ -127,12 +119,12 @@ def small(file, monkeypatch):
     return file
 
 
-def test_a_law_that_is_learned_is_told_in_sentences_and_written_for_other_commands(small, capsys):
+def test_a_law_that_is_learned_is_told_in_sentences_and_written_for_other_commands(small):
     asked = ("--taps", "9,5", "--start", "p-type", "--steps", 0, "--machines", 3)
-    assert jaxilc("learn-law", small.name, *asked, "--report", "law.json") == 0
-    seen = capsys.readouterr()
-    assert "warning: --start will go" in seen.err
-    said = " ".join(seen.out.split())
+    code, out, err = call("learn-law", small.name, *asked, "--report", "law.json")
+    assert code == 0, err
+    assert "warning: --start will go" in err
+    said = " ".join(out.split())
     for part in (
         "The taps by frequency response are found.",
         ": u' = Q u + L e by learned filters, L of 9 taps and Q of 5",
@@ -158,12 +150,12 @@ def _next_plays(law):
     """`next` makes of the first trial of a machine, which stood still, what the taps say."""
     state = ("--state", "campaign", "--out", "next.csv")
     words = ("--scenario", "axis.learned.toml", "--set", "campaign.predict=false")
-    assert jaxilc("next", *state, *words) == 0
+    assert call("next", *state, *words)[0] == 0
     t, r, u = np.loadtxt("next.csv", delimiter=",", skiprows=1, unpack=True)[:3]
     assert np.all(u == 0)
     columns = {"delimiter": ",", "header": "t [s],u [V],y [mm]", "comments": ""}
     np.savetxt("trial.csv", np.stack([t, u, 0 * t], 1), **columns)
-    assert jaxilc("next", *state, "--measured", "trial.csv") == 0
+    assert call("next", *state, "--measured", "trial.csv")[0] == 0
     played = np.loadtxt("next.csv", delimiter=",", skiprows=1, unpack=True)[2][:-1]
     n = len(law.L) // 2
     e = np.pad(r, (n, n + law.lead))[1 + law.lead :]
@@ -171,34 +163,34 @@ def _next_plays(law):
     np.testing.assert_allclose(played, expected, atol=1e-9 * np.max(np.abs(expected)))
 
 
-def test_a_law_that_the_gate_refuses_is_not_written(small, capsys, monkeypatch):
+def test_a_law_that_the_gate_refuses_is_not_written(small, monkeypatch):
     refused = Taps(None, mock.Mock(lead=4), None, "|Q (1 - L P)| is 1.2 at 7 Hz")
     monkeypatch.setattr(LearnedLaw, "learned_taps", lambda *_, **__: refused)
     monkeypatch.setattr(LearnedLaw, "_safe", lambda *_: [])
-    assert jaxilc("learn-law", small.name, "--taps", "5,3", "--steps", 0) == 1
-    seen = capsys.readouterr()
-    assert "The learned law is refused: |Q (1 - L P)| is 1.2 at 7 Hz." in seen.out
-    assert "no plant file was written" in seen.err
+    code, out, err = call("learn-law", small.name, "--taps", "5,3", "--steps", 0)
+    assert code == 1
+    assert "The learned law is refused: |Q (1 - L P)| is 1.2 at 7 Hz." in out
+    assert "no plant file was written" in err
     assert not (small.parent / "axis.learned.toml").exists()
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
-    [
-        (("--taps", "61"), "--taps '61' is not allowed; allowed are two odd numbers"),
-        (("--taps", "8,5"), "taps = (8, 5)"),
-        (("--start", "nil"), "start = 'nil'"),
-        (("--segments", "soon"), "--segments 'soon' is not allowed; allowed are times"),
-        (("--taps", "5,3", "--segments", "0.04,0.02"), "starts = (40, 20) are not allowed"),
-        (("--taps", "5,3", "--limit", "-1"), "limit = -1"),
-        (("--objective", "last"), "--objective: 'last'"),
-    ],
+    mistakes("""
+--taps 61 => --taps '61' is not allowed; allowed are two odd numbers
+--taps 8,5 => taps = (8, 5)
+--start nil => start = 'nil'
+--segments soon => --segments 'soon' is not allowed; allowed are times
+--taps 5,3 --segments 0.04,0.02 => starts = (40, 20) are not allowed
+--taps 5,3 --limit -1 => limit = -1
+--objective last => --objective: 'last'
+"""),
 )
-def test_a_mistake_is_told_in_one_line(small, capsys, words, message):
-    assert jaxilc("learn-law", small.name, *words) == 2
-    assert message in capsys.readouterr().err
+def test_a_mistake_is_told_in_one_line(small, words, message):
+    code, _, err = call("learn-law", small.name, *words)
+    assert (code, message in err) == (2, True), err
 
 
 def test_a_law_is_proved_in_double_precision(file):
-    assert jaxilc("--precision", "float32", "design", file.name, "--margin", "1.5") == 2
+    assert call("--precision", "float32", "design", file.name, "--margin", "1.5")[0] == 2
     assert jax.numpy.zeros(()).dtype == "float64"

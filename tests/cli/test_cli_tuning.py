@@ -3,20 +3,17 @@
 Parameter files, worst machines that are built again, and mistakes of users are tested here too.
 """
 
-import contextlib
-import io
 import json
 import shlex
-import sys
 from unittest import mock
 
 import numpy as np
 import pytest
 from cases import FIRST_ORDER
+from command import call, mistakes
 
 import jaxilc
 from jaxilc import figures, outcomes
-from jaxilc.cli import main
 from jaxilc.outcomes import Request
 from jaxilc.outcomes.terms import limits_not_met, objective_of, risk_of, with_limits
 from jaxilc.outcomes.words import number
@@ -65,21 +62,6 @@ high = 1.2
 relative = true
 """
 )
-
-
-def call(*arguments):
-    """Run the command in this process and return exit code, standard output and standard error."""
-    out, err, code = io.StringIO(), io.StringIO(), 0
-    with (
-        mock.patch.object(sys, "argv", ["jaxilc", *map(str, arguments)]),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-    ):
-        try:
-            main()
-        except SystemExit as stop:
-            code = stop.code or 0
-    return code, out.getvalue(), err.getvalue()
 
 
 pytestmark = pytest.mark.usefixtures("compiled_once")
@@ -338,63 +320,48 @@ def test_risks_are_what_they_say():
 
 
 @pytest.mark.parametrize(
-    ("command", "arguments", "message"),
-    [
-        ("tune", ("--weights", "gain"), "weights: 'gain' is not a parameter here; known: lam"),
-        ("tune", ("--weights", "eta,lam=1"), "--weights 'lam=1' is not NAME=LOW:HIGH"),
-        ("tune", ("--weights", "lam", "--limit", "d2"), "--limit 'd2' is not NAME=NUMBER"),
-        ("tune", ("--weights", "lam", "--limit", "d3=1"),
-         "--limit: 'd3' is not one of d2, contraction"),
-        ("tune", ("--weights", "lam", "--limit", "d2=-1"),
-         "d2: -1 is outside its allowed range (0, inf)"),
-        ("tune", ("--weights", "lam=a:1"), "lam: 'a' is not a number"),
-        ("tune", ("--weights", "lam = 2:3"), "the start lam = 1.0 is outside its bounds (2, 3)"),
-        ("tune", ("--weights", "lam", "--objective", "best"),
-         "--objective: 'best' is not one of final[:trial], every-trial"),
-        ("tune", ("--weights", "lam", "--objective", "final:0"),
-         "final: '0' is not the number of a trial"),
-        ("tune", ("--weights", "lam", "--objective", "final:100"),
-         "trial = 100 is outside its allowed range [1, 80]"),
-        ("tune", ("--weights", "lam", "--objective", "final@speed"),
-         "metric = 'speed' is not one of max_error, rms, settled_error"),
-        ("tune", ("--weights", "lam", "--objective", "-1*final"),
-         "weight of final: -1 is outside its allowed range (0, inf)"),
-        ("tune", ("--weights", "lam", "--objective", "2*finl:5"),
-         "--objective: 'finl' is unknown; did you mean final[:trial]? Known: final[:trial], "),
-        ("tune", ("--weights", "lam", "--risk", "median"),
-         "--risk 'median' is unknown; did you mean mean? Known: mean, worst, cvar[:alpha]"),
-        ("tune", ("--weights", "lam", "--risk", "cvar:1"),
-         "alpha = 1 is outside its allowed range [0, 1)"),
-        ("tune", ("--weights", "lam", "--steps", "0"),
-         "steps = 0 is outside its allowed range [1, inf)"),
-        ("tune", ("--weights", "lam", "--spread", "2"),
-         "spread = 2 is outside its allowed range (0, 1)"),
-        ("tune", ("--weights", "lam", "--params", "none.json"), "none.json"),
-        ("pareto", ("--weights", "lam"),
-         "--objective final: needed are two objectives, or one and --budgets"),
-        ("pareto",
-         ("--weights", "lam", "--objective", "final", "--objective", "effort", "--budgets", "5"),
-         "--objective final, effort --budgets 5: needed are two objectives, or one and"),
-        ("pareto", ("--weights", "lam", "--budgets", "5", "--trials", "9"),
-         "--trials 9 has no meaning beside --budgets 5"),
-        ("pareto", ("--weights", "lam", "--budgets", "5,0"),
-         "--budgets: '0' is not a number of trials"),
-        ("pareto", ("--weights", "lam", "--budgets", "5,5"),
-         "--budgets: 5 is given more than once"),
-        ("pareto", ("--weights", "lam", "--objective", "final", "--objective", "best"),
-         "--objective: 'best' is not one of final[:trial]"),
-        ("worst-case", ("--trial", "0"), "--trial 0 is outside its allowed range [1, inf)"),
-        ("worst-case", ("--evaluations", "10"),
-         "--evaluations 10 is outside its allowed range [64, inf)"),
-        ("worst-case", ("--draws", "0"), "--draws 0 is outside its allowed range [1, inf)"),
-        ("worst-case", ("--starts", "0"), "--starts 0 is outside its allowed range [1, inf)"),
-    ],
-)  # fmt: skip
-def test_a_mistake_is_one_line_and_nothing_is_written(command, arguments, message, tmp_path):
-    code, _, err = call(
-        command, "cao-2019", *SHORT, "--scheme", "cfdl-mfailc", *arguments, "--out",
-        tmp_path / "out",
-    )  # fmt: skip
+    ("words", "message"),
+    mistakes("""
+tune --weights gain => weights: 'gain' is not a parameter here; known: lam
+tune --weights eta,lam=1 => --weights 'lam=1' is not NAME=LOW:HIGH
+tune --weights lam --limit d2 => --limit 'd2' is not NAME=NUMBER
+tune --weights lam --limit d3=1 => --limit: 'd3' is not one of d2, contraction
+tune --weights lam --limit d2=-1 => d2: -1 is outside its allowed range (0, inf)
+tune --weights lam=a:1 => lam: 'a' is not a number
+tune --weights 'lam = 2:3' => the start lam = 1.0 is outside its bounds (2, 3)
+tune --weights lam --objective best => --objective: 'best' is not one of final[:trial], every-trial
+tune --weights lam --objective final:0 => final: '0' is not the number of a trial
+tune --weights lam --objective final:100 => trial = 100 is outside its allowed range [1, 80]
+tune --weights lam --objective final@speed => metric = 'speed' is not one of max_error, rms, \
+settled_error
+tune --weights lam --objective '-1*final' => weight of final: -1 is outside its allowed range (0, \
+inf)
+tune --weights lam --objective '2*finl:5' => --objective: 'finl' is unknown; did you mean \
+final[:trial]? Known: final[:trial],
+tune --weights lam --risk median => --risk 'median' is unknown; did you mean mean? Known: mean, \
+worst, cvar[:alpha]
+tune --weights lam --risk cvar:1 => alpha = 1 is outside its allowed range [0, 1)
+tune --weights lam --steps 0 => steps = 0 is outside its allowed range [1, inf)
+tune --weights lam --spread 2 => spread = 2 is outside its allowed range (0, 1)
+tune --weights lam --params none.json => none.json
+pareto --weights lam => --objective final: needed are two objectives, or one and --budgets
+pareto --weights lam --objective final --objective effort --budgets 5 => --objective final, \
+effort --budgets 5: needed are two objectives, or one and
+pareto --weights lam --budgets 5 --trials 9 => --trials 9 has no meaning beside --budgets 5
+pareto --weights lam --budgets 5,0 => --budgets: '0' is not a number of trials
+pareto --weights lam --budgets 5,5 => --budgets: 5 is given more than once
+pareto --weights lam --objective final --objective best => --objective: 'best' is not one of \
+final[:trial]
+worst-case --trial 0 => --trial 0 is outside its allowed range [1, inf)
+worst-case --evaluations 10 => --evaluations 10 is outside its allowed range [64, inf)
+worst-case --draws 0 => --draws 0 is outside its allowed range [1, inf)
+worst-case --starts 0 => --starts 0 is outside its allowed range [1, inf)
+"""),
+)
+def test_a_mistake_is_one_line_and_nothing_is_written(words, message, tmp_path):
+    command, *more = words
+    asked = ("cao-2019", *SHORT, "--scheme", "cfdl-mfailc", *more, "--out", tmp_path / "out")
+    code, _, err = call(command, *asked)
     assert code == 2
     assert message in err
     assert err.count("\n") == 1

@@ -1,24 +1,21 @@
 """`jaxilc demo` tells a story that its own numbers bear out."""
 
 import json
-import sys
 
-from jaxilc.cli import main
+from command import call
+
 from jaxilc.outcomes import demonstrating
 
 
 def test_the_law_that_looks_good_diverges_as_theory_knew_and_the_tuned_one_does_not(
-    monkeypatch, capsys, tmp_path
+    monkeypatch, tmp_path
 ):
     monkeypatch.chdir(tmp_path)
     for name, value in {"MACHINES": 16, "STEPS": 15, "TRIALS": 40}.items():
         monkeypatch.setattr(demonstrating, name, value)
-    monkeypatch.setattr(sys, "argv", ["jaxilc", "demo", "--report", "demo.json"])
-    try:
-        main()
-    except SystemExit as ended:
-        assert not ended.code  # noqa: PT017
-    of, said = json.loads((tmp_path / "demo.json").read_text()), capsys.readouterr().out
+    code, said, _ = call("demo", "--report", "demo.json")
+    assert code == 0
+    of = json.loads((tmp_path / "demo.json").read_text())
     assert of["claims"] == {"plain": "diverges", "tuned": "monotone"}
     assert of["turning"] == of["best_trial"]
     assert of["rms"][of["best_trial"] - 1] < 2e-3 * of["rms"][0] < of["rms"][-1]

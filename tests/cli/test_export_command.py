@@ -1,10 +1,8 @@
 """`jaxilc export`: the files of a law, the proof that they belong together, and refusals."""
 
-import sys
-
 import pytest
+from command import call, mistakes
 
-from jaxilc.cli import main
 from jaxilc.storage.sealed import read_json
 
 AXIS = """
@@ -27,26 +25,16 @@ kp = 1.0
 pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
-@pytest.fixture
-def command(monkeypatch, capsys, tmp_path):
-    """Return a function that runs the command in a folder with a plant file."""
+@pytest.fixture(autouse=True)
+def here(monkeypatch, tmp_path):
+    """Work in a folder with a plant file."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "axis.toml").write_text(AXIS)
 
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["jaxilc", *arguments])
-        try:
-            main()
-        except SystemExit as stop:
-            return stop.code or 0, *capsys.readouterr()
-        return 0, *capsys.readouterr()
-
-    return call
-
 
 @pytest.mark.thorough
-def test_a_law_is_written_and_checked(command, tmp_path):
-    code, out, err = command("export", "axis.toml", "--limit", "9", "--machines", "1")
+def test_a_law_is_written_and_checked(tmp_path):
+    code, out, err = call("export", "axis.toml", "--limit", "9", "--machines", "1")
     assert code == 0, err
     assert "is a program in C" in " ".join(out.split())
     folder = tmp_path / "law"
@@ -54,39 +42,39 @@ def test_a_law_is_written_and_checked(command, tmp_path):
     assert f'"{certificate["certificate"]}"' in (folder / "law.h").read_text()
     assert certificate["claims"]["monotone"] + certificate["claims"]["converges"] == 1
     assert 0 < certificate["margin"] < 1
-    assert command("export", "--check", "law")[0] == 0
+    assert call("export", "--check", "law")[0] == 0
     (tmp_path / "axis.toml").write_text(AXIS.replace("60.0", "61.0"))
-    code, _, err = command("export", "--check", "law")
+    code, _, err = call("export", "--check", "law")
     assert code == 2
     assert "axis.toml, from which the law was made, was changed" in " ".join(err.split())
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["axis.toml"], "--limit None is no largest input"),
-        (["axis.toml", "--limit", "-1"], "--limit -1.0 is no largest input"),
-        (["axis.toml", "--limit", "nan"], "--limit nan is no largest input"),
-        (["axis.toml", "--limit", "1", "--format", "ada"], "--format ada is not known"),
-        (["axis.toml", "--limit", "1", "--number", "half"], "--number half is not known"),
-        (["axis.toml", "--limit", "1", "--scheme", "pid"], "export takes one scheme that learns"),
-        ([], "export needs a scenario or a plant file"),
-        (["--check", "nowhere"], "nowhere/certificate.json: no such file"),
-    ],
+    ("words", "message"),
+    mistakes("""
+axis.toml => --limit None is no largest input
+axis.toml --limit -1 => --limit -1.0 is no largest input
+axis.toml --limit nan => --limit nan is no largest input
+axis.toml --limit 1 --format ada => --format ada is not known
+axis.toml --limit 1 --number half => --number half is not known
+axis.toml --limit 1 --scheme pid => export takes one scheme that learns
+ => export needs a scenario or a plant file
+--check nowhere => nowhere/certificate.json: no such file
+"""),
 )
-def test_a_mistake_is_one_line_and_nothing_is_written(command, tmp_path, arguments, said):
-    code, _, err = command("export", *arguments)
+def test_a_mistake_is_one_line_and_nothing_is_written(tmp_path, words, message):
+    code, _, err = call("export", *words)
     assert code == 2
-    assert said in " ".join(err.split()), err
+    assert message in " ".join(err.split()), err
     assert not (tmp_path / "law").exists()
 
 
 @pytest.mark.parametrize(
     ("kind", "files"), [("hal", {"law.comp", "law.c", "law.h", "law_test.c"}), ("st", {"law.st"})]
 )
-def test_other_languages_carry_the_certificate_too(command, tmp_path, kind, files):
+def test_other_languages_carry_the_certificate_too(tmp_path, kind, files):
     given = ("export", "axis.toml", "--limit", "9", "--machines", "1", "--format", kind)
-    code, _, err = command(*given)
+    code, _, err = call(*given)
     assert code == 0, err
     folder = tmp_path / "law"
     assert {path.name for path in folder.iterdir()} == files | {"certificate.json"}
@@ -94,10 +82,10 @@ def test_other_languages_carry_the_certificate_too(command, tmp_path, kind, file
     (first, *_) = sorted(files, reverse=True)
     text = (folder / ("law.comp" if kind == "hal" else first)).read_text()
     assert digest in text
-    assert command("export", "--check", "law")[0] == 0
+    assert call("export", "--check", "law")[0] == 0
     path = folder / ("law.comp" if kind == "hal" else first)
     path.write_text(text.replace(digest, "f" * 64))
-    code, _, err = command("export", "--check", "law")
+    code, _, err = call("export", "--check", "law")
     assert code == 2
     assert "of another law" in " ".join(err.split())
-    assert command(*given, "--number", "float")[0] == 2
+    assert call(*given, "--number", "float")[0] == 2

@@ -1,13 +1,12 @@
 """`jaxilc filter`: the answers that are printed, the files that are left, and what is refused."""
 
 import json
-import sys
 import tomllib
 
 import numpy as np
 import pytest
+from command import call, mistakes
 
-from jaxilc.cli import main
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.scenarios.design_file import toml_of, write_with_scheme
@@ -48,21 +47,6 @@ LAW = ("--gain", 0.5, "--lead", 2, "--cutoff", 30, "--dt", 0.001)
 
 
 @pytest.fixture
-def command(monkeypatch, capsys):
-    """Return a function that runs the command here: exit code, output and messages."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["jaxilc", *map(str, arguments)])
-        try:
-            main()
-        except SystemExit as stop:
-            return stop.code or 0, *capsys.readouterr()
-        return 0, *capsys.readouterr()
-
-    return call
-
-
-@pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "axis.toml").write_text(AXIS)
@@ -95,13 +79,13 @@ def answer(value: float, proof: WholeSet) -> tuple[Question, Lines]:
         (1.2, WholeSet(np.inf, "why"), "not safe for plant.gain ±15 %: |Q (1 - L P)| reaches", 1.2),
     ],
 )
-def test_the_answer_for_a_machine(command, here, monkeypatch, value, proof, said, bound):
+def test_the_answer_for_a_machine(here, monkeypatch, value, proof, said, bound):
     better = {"filter.cutoff": 50.0, "scheme.lead": 4}
     offer = Offer("largest cutoff", better, Change(1.0, 1, 50.0, 2), 0.89, 30.0, 0.002)
     monkeypatch.setattr(q_filter, "question", lambda *_, **__: answer(value, proof))
     monkeypatch.setattr(q_filter, "offers_of", lambda *_: [offer])
     asked = ("--vary", "machine.plant.gain=15%", "--report", "o.json", "--out", "o")
-    code, out, _ = command("filter", "axis.toml", *asked)
+    code, out, _ = call("filter", "axis.toml", *asked)
     assert code == 0
     found = json.loads((here / "o.json").read_text())["schemes"]["ilc"]
     assert (found["peak"], found["safe"]) == (bound, bound < 1)
@@ -116,8 +100,8 @@ def test_the_answer_for_a_machine(command, here, monkeypatch, value, proof, said
     assert (here / "o/ilc.png").exists()
 
 
-def test_the_answer_for_a_record(command, here):
-    code, out, _ = command("filter", "a.csv", *LAW, "--report", "o.json")
+def test_the_answer_for_a_record(here):
+    code, out, _ = call("filter", "a.csv", *LAW, "--report", "o.json")
     assert code == 0
     found = json.loads((here / "o.json").read_text())
     said = " ".join(out.split())
@@ -132,28 +116,28 @@ def test_the_answer_for_a_record(command, here):
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("axis.toml --margin 1", "--margin 1 is outside its allowed range (0, 1)"),
-        ("axis.toml --margin nan", "--margin nan is outside"),
-        ("axis.toml --vary plant.gain", "--vary 'plant.gain' is not PATH=SHARE"),
-        ("axis.toml --vary plant.gian=0.1", "plant.gian"),
-        ("axis.toml --vary plant.gain=120%", "share in (0, 1)"),
-        ("axis.toml --vary plant.gain=0.1 --spread 0.1", "exclude each other"),
-        ("axis.toml --set ilc.filter.cutoff=250", "cutoff = 250.0 Hz is outside"),
-        ("axis.toml --gain 1", "--gain is for a measured response only"),
-        ("axis.toml a.csv", "filter takes one scenario, or measured responses"),
-        ("a.csv", "--gain, --cutoff, --dt not given"),
-        ("a.csv --gain 1 --cutoff 600 --dt 0.001", "cutoff = 600 Hz is outside"),
-        ("a.csv --gain 1 --cutoff 20 --dt 0.01", "has a line at 199 Hz; allowed is up to 50 Hz"),
-        ("a.csv --gain 1 --cutoff 0.5 --dt 0.001", "starts at 1 Hz and has 0 lines"),
-        ("a.csv --gain 1 --cutoff 30 --dt 0.001 --scheme ilc", "--scheme is for a scenario only"),
-    ],
+    ("words", "message"),
+    mistakes("""
+axis.toml --margin 1 => --margin 1 is outside its allowed range (0, 1)
+axis.toml --margin nan => --margin nan is outside
+axis.toml --vary plant.gain => --vary 'plant.gain' is not PATH=SHARE
+axis.toml --vary plant.gian=0.1 => plant.gian
+axis.toml --vary plant.gain=120% => share in (0, 1)
+axis.toml --vary plant.gain=0.1 --spread 0.1 => exclude each other
+axis.toml --set ilc.filter.cutoff=250 => cutoff = 250.0 Hz is outside
+axis.toml --gain 1 => --gain is for a measured response only
+axis.toml a.csv => filter takes one scenario, or measured responses
+a.csv => --gain, --cutoff, --dt not given
+a.csv --gain 1 --cutoff 600 --dt 0.001 => cutoff = 600 Hz is outside
+a.csv --gain 1 --cutoff 20 --dt 0.01 => has a line at 199 Hz; allowed is up to 50 Hz
+a.csv --gain 1 --cutoff 0.5 --dt 0.001 => starts at 1 Hz and has 0 lines
+a.csv --gain 1 --cutoff 30 --dt 0.001 --scheme ilc => --scheme is for a scenario only
+"""),
 )
-def test_what_is_refused(command, here, line, said):
-    code, _, err = command("filter", *line.split())
+def test_what_is_refused(here, words, message):
+    code, _, err = call("filter", *words)
     assert code == 2
-    assert said in err
+    assert message in err
     assert not (here / "out").exists()
 
 

@@ -1,14 +1,14 @@
 """`jaxilc init` writes a plant file that loads as it is, and with every choice in its comments."""
 
 import re
-import sys
 
 import numpy as np
 import pytest
 import scipy.signal
+from command import call
 from typer.main import get_command
 
-from jaxilc.cli import app, main
+from jaxilc.cli import app
 from jaxilc.learning import learn
 from jaxilc.learning.playback import schedules
 from jaxilc.scenarios.from_file import read_scenario
@@ -20,26 +20,15 @@ PLANTS = {  # other plants that the comments speak of, with what the file's plan
 }
 
 
-@pytest.fixture
-def jaxilc_command(monkeypatch, capsys, tmp_path):
-    """Return a function that runs the command and returns its exit code and its output."""
+@pytest.fixture(autouse=True)
+def here(monkeypatch, tmp_path):
+    """Work in a folder of the test's own."""
     monkeypatch.chdir(tmp_path)
 
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["jaxilc", *arguments])
-        code = 0
-        try:
-            main()
-        except SystemExit as ended:
-            code = ended.code or 0
-        return code, *capsys.readouterr()
 
-    return call
-
-
-def test_a_set_point_is_corrected_from_the_error_of_the_drive_on(jaxilc_command, tmp_path):
-    assert jaxilc_command("init", "plain.toml")[0] == 0
-    code, _, err = jaxilc_command("init", "--set-point", "drive.toml")
+def test_a_set_point_is_corrected_from_the_error_of_the_drive_on(tmp_path):
+    assert call("init", "plain.toml")[0] == 0
+    code, _, err = call("init", "--set-point", "drive.toml")
     assert (code, err) == (0, "")
     errors = {}
     for name in ("plain", "drive"):
@@ -84,7 +73,7 @@ def recorded(folder):
     return r, np.array(y)
 
 
-def test_a_recorded_move_gives_the_file_of_a_set_point(jaxilc_command, tmp_path):
+def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
     """One command leads from the record to trials, of which the first has the drive's own error.
 
     It is that up to 6 %, which the filter leaves out of the reference; the stroke is 20 times it.
@@ -92,7 +81,7 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(jaxilc_command, tmp_path)
     r, y = recorded(tmp_path)
     columns = ("--time", "time", "--input", "set", "--output", "pos_act")
     way = ("init", "--set-point", "--record", "move.csv", *columns, "plants/drive.toml")
-    code, out, err = jaxilc_command(*way)
+    code, out, err = call(*way)
     assert (code, err) == (0, "")
     assert "runs as it is; put your own uncertainty" in " ".join(out.split())
     made = read_scenario(tmp_path / "plants" / "drive.toml")
@@ -106,14 +95,14 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(jaxilc_command, tmp_path)
         (("init", "--set-point", "--record", "move.csv", "b.toml"), "has no column 'u'; present"),
         (("init", "--set-point", "--record", "gone.csv", "b.toml"), "gone.csv"),
     ):
-        code, out, err = jaxilc_command(*wrong)
+        code, out, err = call(*wrong)
         assert code == 2
         assert said in err
         assert not (tmp_path / "b.toml").exists()
 
 
-def test_the_file_runs_as_it_is_and_with_every_choice(jaxilc_command, tmp_path):
-    code, out, err = jaxilc_command("init")
+def test_the_file_runs_as_it_is_and_with_every_choice(tmp_path):
+    code, out, err = call("init")
     assert (code, err) == (0, "")
     assert out.endswith("jaxilc run axis.toml\n")
     made = read_scenario(tmp_path / "axis.toml")
@@ -132,10 +121,8 @@ def test_the_file_runs_as_it_is_and_with_every_choice(jaxilc_command, tmp_path):
     assert made.machine.disturbance.input_noise == 1e-5
 
 
-def test_the_comments_name_commands_that_exist_and_a_path_that_can_be_planned(
-    jaxilc_command, tmp_path
-):
-    assert jaxilc_command("init")[0] == 0
+def test_the_comments_name_commands_that_exist_and_a_path_that_can_be_planned(tmp_path):
+    assert call("init")[0] == 0
     text = (tmp_path / "axis.toml").read_text(encoding="utf-8")
     named = set(re.findall(r"jaxilc ([a-z-]+)", text))
     assert {"run", "design", "sweep", "certify", "list", "identify"} <= named
@@ -150,8 +137,8 @@ def test_the_comments_name_commands_that_exist_and_a_path_that_can_be_planned(
 
 
 @pytest.mark.parametrize("kind", PLANTS)
-def test_the_plants_of_the_comments_fit_the_rest_of_the_file(kind, jaxilc_command, tmp_path):
-    assert jaxilc_command("init")[0] == 0
+def test_the_plants_of_the_comments_fit_the_rest_of_the_file(kind, tmp_path):
+    assert call("init")[0] == 0
     text = (tmp_path / "axis.toml").read_text(encoding="utf-8")
     assert kind in text
     text = re.sub(r"^(num|den) = .*\n", "", text, flags=re.M).replace(
@@ -162,18 +149,18 @@ def test_the_plants_of_the_comments_fit_the_rest_of_the_file(kind, jaxilc_comman
     assert read_scenario(own).machine.plant.n_y == 1
 
 
-def test_a_file_that_exists_is_kept_without_force(jaxilc_command, tmp_path):
+def test_a_file_that_exists_is_kept_without_force(tmp_path):
     kept = tmp_path / "mine.toml"
     kept.write_text("# mine")
-    code, _, err = jaxilc_command("init", "mine.toml")
+    code, _, err = call("init", "mine.toml")
     assert (code, kept.read_text()) == (2, "# mine")
     assert "mine.toml exists already; add --force to replace it" in err
-    code, _, err = jaxilc_command("init", "--force", "mine.toml")
+    code, _, err = call("init", "--force", "mine.toml")
     assert (code, err) == (0, "")
     assert "[plant]" in kept.read_text()
-    code, _, err = jaxilc_command("init", "mine.json")
+    code, _, err = call("init", "mine.json")
     assert code == 2
     assert "mine.json is not a name that ends with .toml" in err
-    code, _, err = jaxilc_command("init", "new/[b] one.toml")
+    code, _, err = call("init", "new/[b] one.toml")
     assert (code, err) == (0, "")
     assert (tmp_path / "new/[b] one.toml").exists()

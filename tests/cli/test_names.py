@@ -6,12 +6,11 @@ They become parts of file names, of paths of parameters, and of what a terminal 
 import dataclasses
 import json
 import re
-import sys
 
 import pytest
+from command import call
 
 from jaxilc import figures, scenarios
-from jaxilc.cli import main
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import PID
 from jaxilc.sweeps import run_schemes
@@ -113,27 +112,12 @@ def test_a_scenario_made_in_python_is_held_to_the_same():
         dataclasses.replace(scenarios.load("dai-2014"), schemes={"a/b": PID()})
 
 
-@pytest.fixture
-def command(monkeypatch, capsys, tmp_path):
+def test_a_name_that_leads_elsewhere_writes_nothing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["jaxilc", *map(str, arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as ended:
-            code = ended.code
-        return code, *capsys.readouterr()
-
-    return call
-
-
-def test_a_name_that_leads_elsewhere_writes_nothing(command, tmp_path):
     (tmp_path / "inside").mkdir()
     for changes in ({"name": "x/../../../escaped"}, {"schemes": {"a/b": FILE["schemes"]["ilc"]}}):
         path = write(tmp_path / "inside", **changes)
-        code, out, err = command("run", path, "--trials", "2")
+        code, out, err = call("run", path, "--trials", "2")
         assert code == 2
         assert out == ""
         assert err.count("\n") == 1
@@ -141,17 +125,17 @@ def test_a_name_that_leads_elsewhere_writes_nothing(command, tmp_path):
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["axis.json", "inside"]
 
 
-def test_brackets_and_colons_of_the_user_are_printed_as_they_are(command, tmp_path, unpainted):
+def test_brackets_and_colons_of_the_user_are_printed_as_they_are(tmp_path, unpainted):
     title = "[bold]Axis[/nothing] :x: [mm]"
     out_dir = tmp_path / "o[b]:x:"
-    code, out, err = command("run", write(tmp_path, title=title), "--out", out_dir)
+    code, out, err = call("run", write(tmp_path, title=title), "--out", out_dir)
     assert (code, err) == (0, "")
     assert title in out
     assert re.search(r"written: .*o\[b\]:x:/error-by-trial\.png", out)
-    code, _, err = command("run", tmp_path / "[red]none[/].json")
+    code, _, err = call("run", tmp_path / "[red]none[/].json")
     assert code == 2
     assert "[red]none[/].json: no such file" in err
-    code, _, err = command("run", "cao-2019", "--scheme", "\x1b[31m:x:")
+    code, _, err = call("run", "cao-2019", "--scheme", "\x1b[31m:x:")
     assert code == 2
     assert r"scheme = '\x1b[31m:x:' is not one of" in err
 

@@ -1,6 +1,5 @@
 """An outcome is one object: terminal, JSON, page and notebook show the same of it."""
 
-import json
 import re
 
 import pytest
@@ -44,20 +43,6 @@ def test_a_notebook_shows_an_outcome_once(outcome, monkeypatch):
     monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
     assert repr(outcome) == outside
     assert all(said in outside for said in outcome.verdict.said)
-
-
-@pytest.mark.thorough
-def test_numbers_are_those_of_the_command(outcome, tmp_path, monkeypatch):
-    """The call of a Python user and the command find the same numbers and verdict."""
-    monkeypatch.chdir(tmp_path)
-    words = ["run", "cao-2019", "--scheme", "pid", "--trials", "2", "--report", "found.json"]
-    with pytest.raises(SystemExit):
-        get_command(app).main([*words, "--out", "run"])
-    found = json.loads((tmp_path / "found.json").read_text("utf-8"))
-    expected = outcome.as_json()
-    assert found["verdict"] == expected["verdict"]
-    assert found["next"] == expected["next"]
-    assert found["schemes"]["pid"]["rms"] == expected["schemes"]["pid"]["rms"]
 
 
 def test_figures_and_files_are_written_where_they_belong(outcome, tmp_path):

@@ -9,9 +9,9 @@ from jaxilc import Task, learn
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.identification.recurrence import Recurrence
 from jaxilc.identification.repeats import Repeats
-from jaxilc.outcomes import potential, recurring
+from jaxilc.outcomes import potential, repeating
 from jaxilc.outcomes.outcome import silent
-from jaxilc.outcomes.recurring import following, recurs, within_trial
+from jaxilc.outcomes.repeating import following, recurs, within_trial
 from jaxilc.plants import ByPosition, Harmonics, PositionMap, StateSpace
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import PID, Filtered, NormOptimal, PIDType, WithFeedback
@@ -72,7 +72,7 @@ def test_one_trial_tells_less_than_two():
 
 @pytest.fixture
 def axis(tmp_path, monkeypatch):
-    monkeypatch.setattr(recurring, "MACHINES", 3)
+    monkeypatch.setattr(repeating, "MACHINES", 3)
     (path := tmp_path / "axis.toml").write_text(
         """
 [plant]

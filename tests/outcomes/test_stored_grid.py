@@ -3,13 +3,12 @@
 import dataclasses
 import json
 import shutil
-import sys
 
 import numpy as np
 import pytest
+from command import call
 
 from jaxilc import Sweep
-from jaxilc.cli import main
 from jaxilc.outcomes import Request
 from jaxilc.sweeps import best_points, open_dataset
 
@@ -69,21 +68,20 @@ def test_what_is_set_goes_on_top(grid):
     assert (float(found.machine.plant.gain), found.options["reading"]) == (-3.0, "stroke")
 
 
-def test_tuning_starts_at_the_best_point(tmp_path, monkeypatch, capsys, unpainted):
+def test_tuning_starts_at_the_best_point(tmp_path, monkeypatch, unpainted):
     folder = stored(tmp_path / "grid", {f"{NAME}.lam": [0.5, 2.0], "plant.gain": [-4e3, 7e3]})
     best = asked(folder)
     command = ["tune", "cao-2019", "--scheme", NAME, "--set", *SHORT, "--params", str(folder)]
     command += ["--weights", "lam", "--trials", "3", "--steps", "1", "--unseen", "2"]
     command += ["--machines", "2", "--held-out", "2", "--report", "t.json", "--out", "t"]
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["jaxilc", *command])
-    with pytest.raises(SystemExit, match="0"):
-        main()
+    code, out, err = call(*command)
+    assert code == 0, err
     numbers = json.loads((tmp_path / "t.json").read_text())
     assert numbers["weights"]["lam"]["given"] == float(best.schemes[NAME].lam)
     gain = f"machine.plant.gain={float(best.machine.plant.gain)}"
     assert gain in numbers["next"]  # it is not in the parameter file
-    assert "--params" in capsys.readouterr().out
+    assert "--params" in out
 
 
 def test_what_is_no_grid_of_this_scenario_is_refused(tmp_path):

@@ -1,0 +1,30 @@
+"""The command line, run in this process."""
+
+import contextlib
+import io
+import shlex
+import sys
+from unittest import mock
+
+from jaxilc.cli import main
+
+
+def call(*words):
+    """Run `jaxilc` with these words; return exit code, standard output and standard error."""
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with (
+        mock.patch.object(sys, "argv", ["jaxilc", *map(str, words)]),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        try:
+            main()
+        except SystemExit as stop:
+            code = stop.code or 0
+    return code, out.getvalue(), err.getvalue()
+
+
+def mistakes(text):
+    """Return the words and the expected message of each line `WORDS => MESSAGE`."""
+    lines = (line.split(" => ") for line in text.strip().split("\n"))
+    return [(shlex.split(words), message) for words, message in lines]
