@@ -1,10 +1,12 @@
-"""The command line, run in this process."""
+"""The command line, run in this process, and what its tests share."""
 
 import contextlib
 import io
 import shlex
 import sys
 from unittest import mock
+
+import numpy as np
 
 from jaxilc.cli import main
 
@@ -22,6 +24,11 @@ def call(*words):
         except SystemExit as stop:
             code = stop.code or 0
     return code, out.getvalue(), err.getvalue()
+
+
+def write_columns(path, header, *columns):
+    """Write a measured file: columns of numbers below a header."""
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="")
 
 
 def mistakes(text):

@@ -67,19 +67,12 @@ def certify(
     drawn = population.drawn
     periods = of_periods(chosen, population, progress) | of_bases(chosen, population, progress)
     learning = sum(scheme.learns for scheme in chosen.schemes.values())
-    found = (
-        {}
-        if periods and not learning
-        else certify_schemes(
-            chosen.machine,
-            chosen.schemes,
-            chosen.task,
-            chosen.trials,
-            chosen.uncertainty,
-            drawn,
+    found: dict[str, OfScheme] = {}
+    if learning or not periods:
+        found = certify_schemes(
+            chosen.machine, chosen.schemes, chosen.task, chosen.trials, chosen.uncertainty, drawn,
             progress=lambda done, name: progress(name, done, learning),
-        )
-    )
+        )  # fmt: skip
     numbers = {
         name: certificate_numbers(one) | {"printed": _printed(chosen, name)}
         for name, one in found.items()
@@ -96,14 +89,15 @@ def certify(
     what = "simulation contradicts what was claimed: please report this"
     of_all = {"scenario": request.source, "trials": chosen.trials, "samples": machines}
     said = [line for name, one in periods.items() for line in period_sentences(name, one)]
+    if numbers:
+        verdict = certify_verdict(case, numbers, scale, said)
+    else:
+        following = case.on("sweep", next(iter(periods)))
+        verdict = Verdict(tuple(said), "many machines by simulation", following)
     return Outcome(
         command="certify",
         numbers=of_all | {"schemes": numbers} | ({"periods": periods} if periods else {}),
-        verdict=certify_verdict(case, numbers, scale, said)
-        if numbers
-        else Verdict(
-            tuple(said), "many machines by simulation", case.on("sweep", next(iter(periods)))
-        ),
+        verdict=verdict,
         folder=folder or Path("out") / f"certify-{chosen.name}",
         scenario=chosen,
         tables=tables,
@@ -461,15 +455,10 @@ def of_periods(chosen: Scenario, population: Population, progress: Progress) -> 
             continue
         progress(name)
         harmonics = 0.5 * sum(float(np.sum(one.period)) for one in beside) / float(chosen.task.dt)
-        how = {"points": int(np.clip(ENOUGH / harmonics, 2, POINTS))}
-        worst, right, wrong = (
-            repetitive_condition(machine, scheme, chosen.task, wrong=by, **how)
-            for machine, by in (
-                (population, 0.0),
-                (chosen.machine, 0.0),
-                (chosen.machine, WRONG),
-            )
-        )
+        points = int(np.clip(ENOUGH / harmonics, 2, POINTS))
+        ask = partial(repetitive_condition, scheme=scheme, task=chosen.task, points=points)
+        worst, right = ask(population), ask(chosen.machine)
+        wrong = ask(chosen.machine, wrong=WRONG)
         tracking, periods = beside[0].tracking, [np.atleast_1d(one.period) for one in beside]
         condition, lost = worst.test.condition, wrong.harmonics[wrong.left >= 1]
         found[name] = {

@@ -70,6 +70,9 @@ def demo(folder: Path | None = None, *, progress: Progress = silent) -> Outcome:
     turning = int(before.turning[0])
     claims = {"plain": str(before.claim[0]), "tuned": str(after.claim[0])}
     cells = [(n, c, number(UM * worst[n]), f"{share[n]:.0%}") for n, c in claims.items()]
+    draw = partial(
+        figures.error_band, dataset, metric=METRIC, tolerance=TOLERANCE, scale=UM, unit="µm"
+    )
     numbers: Numbers = {
         "rms": rms.tolist(), "best_trial": best + 1, "turning": turning, "claims": claims,
         "weights": tuned.values, "worst": worst, "yield": share,
@@ -99,14 +102,7 @@ def demo(folder: Path | None = None, *, progress: Progress = silent) -> Outcome:
         figures={
             "demo": Figure(
                 "The error by trial of both laws on a thousand machines: median and quantiles.",
-                partial(
-                    figures.error_band,
-                    dataset,
-                    metric=METRIC,
-                    tolerance=TOLERANCE,
-                    scale=UM,
-                    unit="µm",
-                ),
+                draw,
             )
         },
     )

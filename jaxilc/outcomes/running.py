@@ -68,14 +68,10 @@ def run(
     made_with = runs.configuration(chosen, seed)
     place = _folder(folder, chosen.name, made_with, replace=replace)
     dataset, _ = runs.run_schemes(
-        chosen.machine,
-        chosen.schemes,
-        chosen.task,
-        chosen.trials,
-        key=jax.random.key(seed),
+        chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=jax.random.key(seed),
         quantities=chosen.functions,
         progress=lambda done, name: progress(name, done, len(chosen.schemes)),
-    )
+    )  # fmt: skip
     numbers = run_numbers(chosen, dataset)
     by_axis = axes_table(numbers)
     changed = request.params or not settings_of(request.set).keys() <= chosen.options.keys()

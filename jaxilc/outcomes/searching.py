@@ -49,21 +49,11 @@ def worst_case(
     chosen, scheme = request.of_one_scheme()
     scale, unit = chosen.shown(chosen.judged_by)
     found = worst_machine(
-        chosen.machine,
-        chosen.schemes[scheme],
-        chosen.task,
-        chosen.trials,
-        chosen.uncertainty,
-        metric=chosen.judged_by,
-        scale=scale,
-        quantities=chosen.functions,
-        starts=starts,
-        steps=steps,
-        evaluations=evaluations,
-        draws=draws,
-        seed=seed,
+        chosen.machine, chosen.schemes[scheme], chosen.task, chosen.trials, chosen.uncertainty,
+        metric=chosen.judged_by, scale=scale, quantities=chosen.functions, starts=starts,
+        steps=steps, evaluations=evaluations, draws=draws, seed=seed,
         progress=lambda done, whole, name: progress(name, done, whole),
-    )
+    )  # fmt: skip
     numbers = {
         "scenario": request.source,
         "scheme": scheme,
@@ -77,6 +67,8 @@ def worst_case(
     verdict = worst_case_verdict(Case.of(chosen, request), scheme, numbers)
     shown = {"metric": chosen.judged_by, "unit": unit}
     marked = {name: search.value for name, search in found.searches.items()}
+    chance = figures.worst_against_chance
+    draw = partial(chance, found.by_chance, marked, nominal=found.nominal, **shown)
     return Outcome(
         command="worst-case",
         numbers=numbers,
@@ -88,13 +80,7 @@ def worst_case(
             "worst-case": Figure(
                 "The share of drawn machines that err no more than so much, and the errors of the "
                 "machines that were searched for.",
-                partial(
-                    figures.worst_against_chance,
-                    found.by_chance,
-                    marked,
-                    nominal=found.nominal,
-                    **shown,
-                ),
+                draw,
                 live=True,
             )
         },

@@ -19,7 +19,7 @@ import time
 import numpy as np
 import pytest
 import xarray as xr
-from command import call, mistakes
+from command import call, mistakes, write_columns
 from rich.console import Console
 from typer.main import get_command
 from typer.testing import CliRunner
@@ -291,7 +291,6 @@ run milc-2024 --set dilc.learning.outputs=1e6 => dilc.learning.outputs = '1e6' i
 whole number, ...)
 sweep cao-2019 --set 'machine.plant.zero=(1,2,3)' => zero = [1. 2. 3.] has shape (3,); allowed is \
 one number
-worst-case cao-2019 --scheme pid --starts 0 => --starts 0 is outside its allowed range [1, inf)
 worst-case cao-2019 --scheme pid --starts 0 --evaluations 9 => --starts 0 is outside
 run bare.toml => bare.toml has no scheme; needed is a table [schemes.NAME] at least
 list file.toml => file.toml is no text in UTF-8: invalid start byte 0xff at byte 0
@@ -429,8 +428,8 @@ def test_identify_reads_a_frequency_response(jaxilc_command, tmp_path, monkeypat
     z = np.exp(2e-3j * np.pi * f)
     half = np.exp(-0.015)
     response = 2.0 * ((1 - half) / (z - a) + half * (1 - half) / (z - a) / z) / z**2
-    table = np.column_stack([f, response.real, response.imag, 0.01 * np.abs(response)])
-    np.savetxt("frf.csv", table, delimiter=",", header="f [Hz],re,im,std", comments="")
+    std = 0.01 * np.abs(response)
+    write_columns("frf.csv", "f [Hz],re,im,std", f, response.real, response.imag, std)
     law = StartingLaw(0.25, 3, 100.0, 3, 0.8, 0.85, 40.0)  # another test chooses one
     monkeypatch.setattr(identified_file, "starting_law", lambda *_: law)
     asked = ("identify", "frf.csv", "--poles", 1, "--pairs", 0, "--zeros", 0)
@@ -453,23 +452,6 @@ def test_identify_reads_a_frequency_response(jaxilc_command, tmp_path, monkeypat
         code, _, err = jaxilc_command(*asked, *wrong)
         assert code == 2
         assert said in " ".join(err.split())
-
-
-def test_a_run_leaves_a_report(tmp_path, unpainted):
-    """A run writes one page with the table, its figures, and the command that made it."""
-    page = tmp_path / "page.html"
-    result = CliRunner().invoke(
-        app,
-        [
-            "run", "dai-2014", "--scheme", "pid", "--out", str(tmp_path / "run"), "--report",
-            str(page),
-        ],
-    )  # fmt: skip
-    assert result.exit_code == 0, result.output
-    text = page.read_text(encoding="utf-8")
-    assert text.count('<figure class="live">') == 2  # errors by trial, and within a trial
-    assert "settled error [mm]" in text
-    assert text.index("<h2>Conclusion</h2>") < text.index("<h2>What was asked</h2>")
 
 
 def test_runs_of_different_settings_are_not_mixed(jaxilc_command, tmp_path, monkeypatch):
@@ -761,10 +743,9 @@ def test_a_refused_trial_has_its_own_exit_code(jaxilc_command, tmp_path):
     assert (
         jaxilc_command("next", "--state", "s", "--scenario", "mine.toml", "--out", "1.csv")[0] == 0
     )
-    times, r = np.arange(101) * 1e-3, np.sin(2 * np.pi * 10.0 * np.arange(101) * 1e-3)
+    times = np.arange(101) * 1e-3
     reference = jaxilc.load_scenario("mine.toml").task.reference[:, 0]
-    rows = np.stack([times, np.asarray(reference), 0 * r, 0 * r], axis=1)
-    np.savetxt(tmp_path / "trial.csv", rows, delimiter=",", header="t [s],r,y,u", comments="")
+    write_columns("trial.csv", "t [s],r,y,u", times, reference, 0 * times, 0 * times)
     code, _, err = jaxilc_command(
         "next", "--state", "s", "--measured", "trial.csv", "--out", "2.csv", "--limit", 1e-3
     )

@@ -6,7 +6,7 @@ from unittest import mock
 import jax
 import numpy as np
 import pytest
-from command import call, mistakes
+from command import call, mistakes, write_columns
 
 from jaxilc.cli import commands
 from jaxilc.design import LAWS
@@ -153,8 +153,7 @@ def _next_plays(law):
     assert call("next", *state, *words)[0] == 0
     t, r, u = np.loadtxt("next.csv", delimiter=",", skiprows=1, unpack=True)[:3]
     assert np.all(u == 0)
-    columns = {"delimiter": ",", "header": "t [s],u [V],y [mm]", "comments": ""}
-    np.savetxt("trial.csv", np.stack([t, u, 0 * t], 1), **columns)
+    write_columns("trial.csv", "t [s],u [V],y [mm]", t, u, 0 * t)
     assert call("next", *state, "--measured", "trial.csv")[0] == 0
     played = np.loadtxt("next.csv", delimiter=",", skiprows=1, unpack=True)[2][:-1]
     n = len(law.L) // 2

@@ -5,7 +5,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from command import call, mistakes
+from command import call, mistakes, write_columns
 
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.pytree.named_paths import replaced
@@ -52,8 +52,7 @@ def here(tmp_path, monkeypatch):
     (tmp_path / "axis.toml").write_text(AXIS)
     f = np.arange(1.0, 200.0)
     P = 1 / (1 + 2j * np.pi * f / 80)
-    rows = np.column_stack([f, P.real, P.imag, 0.02 * np.abs(P)])
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="f [Hz],re,im,std", comments="")
+    write_columns("a.csv", "f [Hz],re,im,std", f, P.real, P.imag, 0.02 * np.abs(P))
     return tmp_path
 
 

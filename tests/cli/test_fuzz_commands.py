@@ -14,6 +14,7 @@ import jax
 import numpy as np
 import pytest
 import typer
+from command import write_columns
 from fuzz import LONGEST, fuzz, pick
 
 from jaxilc import cli, runtime
@@ -123,9 +124,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "p.toml").write_text(PLANT)
     time = np.arange(200) * 1e-3
-    record = np.column_stack([time, np.sin(40 * time), np.sin(40 * time - 0.1)])
-    np.savetxt(tmp_path / "record.csv", record, delimiter=",", header="t,u,y", comments="")
-    np.savetxt(tmp_path / "repeats.csv", record, delimiter=",", header="t,e_1,e_2", comments="")
+    for name, header in (("record", "t,u,y"), ("repeats", "t,e_1,e_2")):
+        write_columns(f"{name}.csv", header, time, np.sin(40 * time), np.sin(40 * time - 0.1))
     (tmp_path / "bad.json").write_text("{}")
     (tmp_path / "bad.toml").write_text("x = [")
     (tmp_path / "folder").mkdir()

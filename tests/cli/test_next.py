@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 import scipy.signal
+from command import write_columns
 from typer.testing import CliRunner
 
 from jaxilc.cli import app
@@ -59,8 +60,7 @@ def measure(folder, j, gain):
     y = scipy.signal.lfilter([0.0, gain * (1 - kept)], [1.0, -kept], u)
     y += 1e-3 * np.random.default_rng(j).normal(size=len(y))
     path = folder / f"trial-{j}.csv"
-    header = "t [s],r [mm],y [mm],u [V]"
-    np.savetxt(path, np.column_stack([t, r, y, u]), delimiter=",", header=header, comments="")
+    write_columns(path, "t [s],r [mm],y [mm],u [V]", t, r, y, u)
     return path, float(np.sqrt(np.mean((r - y)[1:] ** 2)))
 
 
@@ -217,18 +217,9 @@ def test_what_is_not_the_input_of_the_plant_is_not_fitted(copied, tmp_path):
     with pytest.raises(ValueError, match="has no measured trial yet"):
         call("identify", "--state", tmp_path / "loop", "--out", tmp_path)
     t, y = np.arange(N + 1) * DT, np.linspace(0, 1, N + 1)
-    header = "t [s],y [mm]"
-    np.savetxt(
-        tmp_path / "t.csv", np.column_stack([t, y]), delimiter=",", header=header, comments=""
-    )
-    call(
-        "next",
-        *(
-            "--state", tmp_path / "loop", "--measured", tmp_path / "t.csv", "--set",
-            "campaign.replayed_input=true",
-        ),
-        *("--out", folder / "next.csv"),
-    )  # fmt: skip
+    write_columns(tmp_path / "t.csv", "t [s],y [mm]", t, y)
+    replayed = ("--measured", tmp_path / "t.csv", "--set", "campaign.replayed_input=true")
+    call("next", "--state", tmp_path / "loop", *replayed, "--out", folder / "next.csv")
     with pytest.raises(ValueError, match=r"trial 1 was not measured .* In a closed loop"):
         call("identify", "--state", tmp_path / "loop", "--out", tmp_path)
     with pytest.raises(ValueError, match="RECORD and --state exclude each other"):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.signal
+from command import write_columns
 
 from jaxilc import outcomes
 
@@ -17,7 +18,7 @@ def write(path, seed, gain=2.0, dt=DT, noise=1e-3):
     kept = np.exp(-5.0 * dt)
     y = scipy.signal.lfilter([0, gain * (1 - kept)], [1, -kept], u)
     y += noise * rng.standard_normal(N + 1)
-    np.savetxt(path, np.column_stack([t, u, y]), delimiter=",", header="t,u,y [mm]", comments="")
+    write_columns(path, "t,u,y [mm]", t, u, y)
     return path
 
 
@@ -47,8 +48,7 @@ def test_mass_and_friction_of_a_record_of_force_are_told(tmp_path, monkeypatch):
     x = 0.05 * np.sin(6.0 * t) + 0.02 * np.sin(15.0 * t)
     v, a = np.gradient(x, 1e-3), np.gradient(np.gradient(x, 1e-3), 1e-3)
     force = 20.0 * a + 30.0 * v + 5.0 * np.tanh(v / 1e-3) - 1.0
-    rows = np.column_stack([t, force, x])
-    np.savetxt("r.csv", rows, delimiter=",", header="t [s],u [N],y [m]", comments="")
+    write_columns("r.csv", "t [s],u [N],y [m]", t, force, x)
     found = outcomes.identify("r.csv", reading={"structure": STRUCTURE})
     for name, value in {"mass": 20.0, "viscous": 30.0, "coulomb": 5.0, "offset": -1.0}.items():
         assert found.numbers["friction"][name] == pytest.approx(value, rel=0.1)

@@ -34,6 +34,7 @@ def test_every_view_has_the_verdict_and_the_cells_of_all_tables(outcome, tmp_pat
             assert said.replace("'", "&#39;").replace("<", "&lt;") in html
     unlike_live = [figure for figure in outcome.figures.values() if not figure.live]
     assert page.count("<figure><img") == len(unlike_live)
+    assert page.count('<figure class="live">') == 2  # errors by trial, and within a trial
     assert shown.count("<figure><img") == len(outcome.figures)
 
 

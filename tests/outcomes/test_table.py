@@ -17,13 +17,18 @@ TITLE = (
 )
 
 
+def printed(table, width):
+    console = Console(width=width)
+    with console.capture() as shown:
+        console.print(table)
+    return shown.get()
+
+
 def test_a_title_is_not_folded_to_the_width_of_its_table():
     table = Table("trial", "pid", title=TITLE)
     table.add_row("1", "20.4")
-    console = Console(width=100)
-    with console.capture() as shown:
-        console.print(table)
-    lines = [line.rstrip() for line in shown.get().splitlines()]
+    shown = printed(table, 100)
+    lines = [line.rstrip() for line in shown.splitlines()]
     assert lines[:2] == [
         "Voice-coil motor for noncircular turning",
         "settled error [µm] by trial, published value in brackets",
@@ -41,27 +46,23 @@ def test_a_table_that_is_too_wide_goes_on_below():
     names = [f"scheme-number-{i}" for i in range(9)]
     table = Table("trial", *names, title=TITLE)
     table.add_row("1", *(f"cell {i}" for i in range(9)))
-    console = Console(width=80)
-    with console.capture() as shown:
-        console.print(table)
-    lines = shown.get().splitlines()
+    shown = printed(table, 80)
+    lines = shown.splitlines()
     assert max(map(len, lines)) <= 80
-    assert "…" not in shown.get()
+    assert "…" not in shown
     headers = [line.replace("┃", " ").split() for line in lines if "┃" in line]
     assert [header[0] for header in headers] == ["trial"] * len(headers)
     assert [name for header in headers for name in header[1:]] == names
-    assert [f"cell {i}" in shown.get() for i in range(9)] == [True] * 9
+    assert [f"cell {i}" in shown for i in range(9)] == [True] * 9
     assert len(table.columns) == 10  # a report reads these columns
 
 
 def test_a_word_is_not_broken_where_another_column_can_give_way():
     table = Table("entry", "rms error", "max error", "effort", "file", "what was seen")
     table.add_row("1", "0.7071", "1", "0", "measured-trial.csv", "a warning of many words " * 3)
-    console = Console(width=60)
-    with console.capture() as shown:
-        console.print(table)
-    assert "measured-trial.csv" in shown.get()
-    assert max(map(len, shown.get().splitlines())) == 60
+    shown = printed(table, 60)
+    assert "measured-trial.csv" in shown
+    assert max(map(len, shown.splitlines())) == 60
 
 
 def test_a_column_that_is_whole_is_not_folded():
@@ -69,11 +70,9 @@ def test_a_column_that_is_whole_is_not_folded():
     table.add_column("--set", whole=True)
     table.add_column("value")
     table.add_row("machine.plant.a.long.path.of.a.parameter", "many words " * 9)
-    console = Console(width=80)
-    with console.capture() as shown:
-        console.print(table)
-    assert "machine.plant.a.long.path.of.a.parameter" in shown.get()
-    assert max(map(len, shown.get().splitlines())) <= 80
+    shown = printed(table, 80)
+    assert "machine.plant.a.long.path.of.a.parameter" in shown
+    assert max(map(len, shown.splitlines())) <= 80
 
 
 HOSTILE = "[bold]x[/nothing] :x: \x1b[31mred\x07 \u202ereversed\ud800 [mm] $y$"
