@@ -516,17 +516,10 @@ def identify(
         raise ValueError("RECORD is missing; give a file, or --state and the folder of a campaign")
     structure = {name: 1 if value is None else value for name, value in counts.items()}
     reading = {
-        "structure": {} if auto else structure,
-        "delay": delay,
-        "dt": dt,
-        "averages": averages,
-        "time": time_name,
-        "input": input_name,
-        "output": output_name,
-        "time_unit": time_unit,
-        "columns": names_in(columns),
-        "resample": resample,
-    }
+        "structure": {} if auto else structure, "delay": delay, "dt": dt, "averages": averages,
+        "time": time_name, "input": input_name, "output": output_name, "time_unit": time_unit,
+        "columns": names_in(columns), "resample": resample,
+    }  # fmt: skip
     tell(
         "identify", pages, record, reading=reading, validate=validate,
         plant_file=plant_file, folder=folder,

@@ -71,7 +71,7 @@ def trials(
     from ..hardware.prediction import kept
     from ..scenarios.campaign_source import belongs_to, said_of_change, said_of_source
 
-    journal, report = Journal(state), pages.page
+    journal, report = Journal(state), pages.file(".html")
     rows = journal.log()
     known = journal.last_known()
     recipe = known["recipe"] if "scenario" in known["recipe"] else {}
@@ -109,7 +109,7 @@ def trials(
         "verdict": sentences,
         "next": following if live else "",
     }
-    written(files, pages.numbers, numbers)
+    written(files, pages.file(".json"), numbers)
 
 
 def _verdict(lines: list[str], following: str) -> Verdict:
@@ -628,7 +628,7 @@ def next_(
         # Of the next trial; a stop while it is simulated loses nothing, all is written by now.
         prediction = _predicted(opened, compute=new or measured is not None, store=True)
         expected = _expected(opened, prediction)
-    files = measured, out_file, plot, pages.numbers
+    files = measured, out_file, plot, pages.file(".json")
     _close(opened, turn, place, (prediction, expected), source, trial, files, columns, dry_run)
 
 

@@ -408,15 +408,9 @@ class Pages:
 
     reports: Reports = None
 
-    @property
-    def page(self) -> Path | None:
-        """The file for the page, None where none is asked for."""
-        return next((file for file in self.reports or () if file.suffix == ".html"), None)
-
-    @property
-    def numbers(self) -> Path | None:
-        """The file for the numbers, None where none is asked for."""
-        return next((file for file in self.reports or () if file.suffix == ".json"), None)
+    def file(self, ending: str) -> Path | None:
+        """The file for the page, `.html`, or the numbers, `.json`; None where none is asked for."""
+        return next((file for file in self.reports or () if file.suffix == ending), None)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -52,9 +52,9 @@ def present(outcome: Outcome, pages: Pages, *, details: bool = False) -> None:
         err.print(line)
     with working("figures") if outcome.figures else nullcontext(silent) as progress:
         paths = outcome.save(progress=progress)
-    if pages.page is not None:
-        paths.append(outcome.page(pages.page, paths))
-    written(paths, pages.numbers, outcome.as_json())
+    if (page := pages.file(".html")) is not None:
+        paths.append(outcome.page(page, paths))
+    written(paths, pages.file(".json"), outcome.as_json())
     outcome.conclude(out)
     if outcome.failed:
         err.print(outcome.failed)

@@ -155,7 +155,16 @@ def filter_measured(
     place = folder or Path("out") / f"filter-{Path(records[0]).stem}"
     said = [_records_verdict(names, answered, sigmas), _between(answered)]
     numbers, kept = _law_numbers(answered, answered.offers), []
-    numbers["records"] = {name: _record_numbers(test) for name, test in of_each.items()}
+    numbers["records"] = {
+        name: {
+            "peak": test.peak,
+            "frequency": test.worst,
+            "resonances": [one._asdict() for one in test.resonances],
+            "without_filter_above_1_from": test.curves.first_above,
+            "curves": _curve_numbers(test.curves),
+        }
+        for name, test in of_each.items()
+    }
     if taps is not None:
         lines = [lines_of(one, law, sigmas) for one in read]
         numbers["synthesis"], more = _records_synthesised(
@@ -435,16 +444,6 @@ def _record_rows(test: RecordTest) -> list[tuple[str, str]]:
         beyond = f"above {number(test.ends[1])} Hz, where Q still is {number(test.unseen)}"
         rows.append(("not measured", beyond))
     return rows
-
-
-def _record_numbers(test: RecordTest) -> Numbers:
-    return {
-        "peak": test.peak,
-        "frequency": test.worst,
-        "resonances": [one._asdict() for one in test.resonances],
-        "without_filter_above_1_from": test.curves.first_above,
-        "curves": _curve_numbers(test.curves),
-    }
 
 
 def _records_verdict(names: list[str], answered: MeasuredQuestion, sigmas: float) -> str:

@@ -152,12 +152,8 @@ def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Interactive]:
 def _folder(asked: Path | None, name: str, made_with: Numbers, *, replace: bool) -> Path:
     """The folder for the results of a run, in which no other run's are mixed with them.
 
-    Without --out it is the first of out/run-NAME, out/run-NAME-2 and so on that is free, or that
-    holds a run of the same settings.
-
+    asked, replace: as `run` has them, which says what is taken and what is raised
     made_with: all that determines the numbers and the figures
-    replace: whether the run of other settings in the folder is replaced
-    Raises FileExistsError where the folder that was asked for holds a run of other settings.
     """
 
     def differing(folder: Path) -> list[str]:
