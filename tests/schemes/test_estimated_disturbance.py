@@ -8,13 +8,11 @@ from cases import DT, SIGMAS
 from jaxilc.learning import Machine, learn
 from jaxilc.learning.over_trials import measured_trial
 from jaxilc.plants import StateSpace
-from jaxilc.scenarios.specification import scheme as read
 from jaxilc.schemes import (
     ConstrainedNormOptimal,
     EstimatedDisturbance,
     NormOptimal,
     PIDType,
-    WithFeedback,
 )
 from jaxilc.schemes.norm_optimal import lifted_model
 from jaxilc.signals import Task, Trial
@@ -155,34 +153,12 @@ def test_its_gain_withstands_absurd_sizes():
 
 
 @pytest.mark.parametrize(
-    ("message", "given"),
-    {
-        r"process_std = 0 is outside its allowed range \(0, inf\)": {"process_std": 0.0},
-        r"measurement_std = -1 is outside its allowed range \[0, inf\)": {"measurement_std": -1.0},
-        r"initial_std = nan is outside its allowed range \[0, inf\)": {"initial_std": np.nan},
-        r"process_std has shape \(2,\); allowed are \(\) and \(1,\)": {"process_std": (1.0, 2.0)},
-        r"scheme is a PIDType": {"scheme": PIDType(gamma_p=1.0)},
-        r"the model has 2 inputs but the task 1": {"scheme": NormOptimal(MODEL, **WEIGHTS)},
-    }.items(),
+    ("message", "scheme"),
+    [
+        ("scheme is a PIDType", PIDType(gamma_p=1.0)),
+        ("the model has 2 inputs but the task 1", NormOptimal(MODEL, **WEIGHTS)),
+    ],
 )
-def test_bad_input_is_refused(message, given):
+def test_a_scheme_that_does_not_fit_is_named(message, scheme):
     with pytest.raises(ValueError, match=message):
-        EstimatedDisturbance(
-            **{"scheme": NEARLY_INVERSE, "process_std": 1.0, "measurement_std": 1.0} | given
-        ).check(SINGLE)
-
-
-def test_a_plant_file_names_it_with_the_plant_as_its_model():
-    within = {"class": "NormOptimal", "model": "plant", "w_s": 1e-3}
-    table = {"class": "EstimatedDisturbance", "process_std": 0.1, "measurement_std": 0.2}
-    feedback = {"class": "PID", "kp": 0.5}
-    law = read(
-        {"class": "WithFeedback", "learning": table | {"scheme": within}, "feedback": feedback},
-        "schemes.x",
-        LAG,
-        DT,
-    )
-    assert isinstance(law, WithFeedback)
-    assert isinstance(law.learning, EstimatedDisturbance)
-    rms = np.asarray(learn(Machine(LAG), law, SINGLE, 8).rms)
-    assert rms[-1] < 0.2 * rms[0]
+        EstimatedDisturbance(scheme, process_std=1.0, measurement_std=1.0).check(SINGLE)

@@ -116,10 +116,6 @@ ERRORS = {
         lambda: HigherOrder((0.5, -0.5), (1.0, 1.0)),
         r"sum of alpha = 0 is outside its allowed range \(0, 1\]",
     ),
-    "gains": (
-        lambda: HigherOrder((1.0,), ((1.0, 2.0),)),
-        r"gamma has shape \(1, 2\); allowed are \(1,\) and \(1, 1\)",
-    ),
     "lead": (lambda: HigherOrder(lead=N), f"HigherOrder: lead = {N} is outside"),
 }
 

@@ -2,8 +2,6 @@
 
 import dataclasses
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -181,21 +179,6 @@ def test_the_rate_is_that_with_which_learning_comes_to_its_end():
         ratio = np.linalg.norm(three - two) / np.linalg.norm(two - one)
         assert (found.rate > 1) == (ratio > 1) == grows
         assert ratio < 1.15 * found.rate
-
-
-@pytest.mark.thorough
-def test_it_is_differentiable_by_the_pitch_and_batched():
-    task = there_and_back(60.0)
-
-    def cost(pitch):
-        scheme = law(PositionBasis(Harmonics(pitch, (1, 2))))
-        return jnp.mean(learn(MACHINE, scheme, task, 2).rms[-1])
-
-    h = 1e-4
-    slope = (cost(12.1 + h) - cost(12.1 - h)) / (2 * h)
-    assert float(jax.grad(cost)(12.1)) == pytest.approx(float(slope), rel=1e-4)
-    many = jax.vmap(cost)(jnp.array([11.0, 12.1, 13.0]))
-    np.testing.assert_allclose(many[1], cost(12.1), rtol=1e-9)
 
 
 @pytest.mark.thorough(but=["7.3"])

@@ -363,21 +363,6 @@ def test_taps_of_harmonics_have_their_values_there_and_a_slope(n):
     np.testing.assert_allclose(slopes[:, 1], one, atol=1e-12)
 
 
-@pytest.mark.thorough
-def test_the_slope_by_the_period_is_that_of_differences():
-    r = task_of(np.sin(2 * np.pi * np.arange(401) / 61.37))
-
-    def cost(period):
-        scheme = WithFeedback(RepetitiveControl(LAW, period, longest=0.08), FEEDBACK)
-        return jnp.sum(run(scheme, r).e ** 2)
-
-    h = 1e-8
-    slope = (cost(0.0612 + h) - cost(0.0612 - h)) / (2 * h)
-    assert float(jax.grad(cost)(0.0612)) == pytest.approx(float(slope), rel=1e-5)
-    many = jax.vmap(cost)(jnp.array([0.05, 0.0612, 0.07]))
-    np.testing.assert_allclose(many[1], cost(0.0612), rtol=1e-12)
-
-
 def test_a_traced_period_out_of_range_is_no_other_period():
     task = task_of(np.sin(2 * np.pi * np.arange(201) / 50))
 

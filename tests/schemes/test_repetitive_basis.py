@@ -107,19 +107,6 @@ def test_it_learns_what_its_functions_can_make_beside_a_feedback():
     assert 0.1 * before < np.max(np.abs(run(two, r)[-n:])) < before  # the third
 
 
-def test_the_period_has_a_slope_and_a_batch_is_that_of_single_runs():
-    r = repeating(201)
-
-    def cost(period):
-        functions = dataclasses.replace(HARMONICS, pitch=period)
-        return jnp.sum(run(RepetitiveBasis(functions, gain=0.03, lead=0.005), r) ** 2)
-
-    h, at = 1e-8, 0.0253
-    slope = float(cost(at + h) - cost(at - h)) / (2 * h)
-    assert float(jax.grad(cost)(at)) == pytest.approx(slope, rel=1e-4)
-    np.testing.assert_allclose(jax.vmap(cost)(jnp.array([0.025, at]))[1], cost(at), rtol=1e-10)
-
-
 def test_an_angle_takes_the_place_of_time():
     """At any speed the weights are those of the angle; the second output is the angle."""
     turns = np.cumsum(1 / (n * (1 + 0.3 * np.sin(np.arange(3001) / 400))))
@@ -143,8 +130,6 @@ def test_an_angle_takes_the_place_of_time():
 
 def test_what_does_not_fit_is_said():
     task = Task(np.zeros(101), dt=DT)
-    with pytest.raises(ValueError, match=r"gain has shape \(5,\); allowed are \(\) and \(6,\)"):
-        RepetitiveBasis(HARMONICS, gain=np.ones(5)).check(task)
     with pytest.raises(ValueError, match=r"angle = 1 is none of the task's outputs 0..0"):
         RepetitiveBasis(HARMONICS, gain=1.0, angle=1).check(task)
     with pytest.raises(ValueError, match="RepetitiveBasis works channel by channel"):
