@@ -229,7 +229,11 @@ PLANTS = {
     ),
 }
 
-# This is a model of motor_and_table.
+# These are models of discrete, of mimo, and of motor_and_table.
+_MODEL = StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
+_MODEL_OF_TWO = StateSpace(
+    [[0.94, 0.03], [0.01, 0.9]], [[0.06, 0.01], [-0.02, 0.07]], [[1.0, 0.05], [0.25, 1.0]], dt=DT
+)
 _NOMINAL = StateSpace([[0.87, 0.12], [0.33, 0.58]], [[0.22], [0.0]], np.eye(2), dt=DT)
 # These numbers are close to the model of arx.
 _SLIDING = {"a1": 5.8e4, "a2": 400.0, "b": 1.15e5, "k_n": 200.0, "lam1": 150.0, "lam2": 300.0}
@@ -342,29 +346,10 @@ SCHEMES = {
     "p_type_on_table": OnOutputs(PIDType(gamma_p=0.5, lead=1), (1,)),
     "cross_coupled": CrossCoupled(PIDType(gamma_p=0.8), contour=1.5, own=0.4),
     "norm_optimal": NormOptimal(
-        StateSpace(
-            [[0.94, 0.03], [0.01, 0.9]],
-            [[0.06, 0.01], [-0.02, 0.07]],
-            [[1.0, 0.05], [0.25, 1.0]],
-            dt=DT,
-        ),
-        w_q=((4.0, 0.5), (0.5, 3.0)),
-        w_r=(0.02, 0.03),
-        w_s=0.001,
+        _MODEL_OF_TWO, w_q=((4.0, 0.5), (0.5, 3.0)), w_r=(0.02, 0.03), w_s=0.001
     ),
-    "norm_optimal_lifted": NormOptimal(
-        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT),
-        w_r=0.05,
-        w_s=0.01,
-        limit=0.6,
-        form="lifted",
-    ),
-    "gradient": GradientILC(
-        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT),
-        w_q=2.0,
-        w_s=0.01,
-        limit=1.5,
-    ),
+    "norm_optimal_lifted": NormOptimal(_MODEL, w_r=0.05, w_s=0.01, limit=0.6, form="lifted"),
+    "gradient": GradientILC(_MODEL, w_q=2.0, w_s=0.01, limit=1.5),
     # A step takes four trials, and the limit cuts off some of its experiments.
     "model_free": ModelFreeGradient(
         2.0,
@@ -377,7 +362,7 @@ SCHEMES = {
     ),
     # Every bound is met: each has a derivative.
     "constrained": ConstrainedNormOptimal(
-        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT),
+        _MODEL,
         w_r=0.05,
         w_s=0.01,
         w_d=0.02,
@@ -389,16 +374,7 @@ SCHEMES = {
         tube=0.47,
     ),
     "estimated_disturbance": EstimatedDisturbance(
-        NormOptimal(
-            StateSpace(
-                [[0.94, 0.03], [0.01, 0.9]],
-                [[0.06, 0.01], [-0.02, 0.07]],
-                [[1.0, 0.05], [0.25, 1.0]],
-                dt=DT,
-            ),
-            w_r=0.02,
-            w_s=0.001,
-        ),
+        NormOptimal(_MODEL_OF_TWO, w_r=0.02, w_s=0.001),
         process_std=0.05,
         measurement_std=(0.1, 0.04),
         initial_std=0.3,
@@ -429,12 +405,7 @@ SCHEMES = {
     # Units that make each parameter near 1: a reference moves 300 per second, 1e5 per second^2.
     "basis_functions": BasisFunctions(
         PolynomialBasis((0, 2), coulomb=90.0, lead=4e-4),
-        StateSpace(
-            [[0.94, 0.03], [0.01, 0.9]],
-            [[0.06, 0.01], [-0.02, 0.07]],
-            [[1.0, 0.05], [0.25, 1.0]],
-            dt=DT,
-        ),
+        _MODEL_OF_TWO,
         w_q=((4.0, 0.5), (0.5, 3.0)),
         w_r=(0.02, 0.03),
         w_s=0.001,
@@ -442,7 +413,7 @@ SCHEMES = {
     ),
     "basis_gradient": BasisFunctions(
         SelectedBasis(PolynomialBasis((0, 1, 2), lead=2e-4), (0, 1)),
-        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT),
+        _MODEL,
         start=(0.8, 3e-3),
         step=0.7,
         w_q=2.0,
@@ -450,16 +421,13 @@ SCHEMES = {
         update="gradient",
     ),
     "basis_rational": BasisFunctions(
-        RationalBasis(PolynomialBasis((0, 1)), least=0.02),
-        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT),
-        w_r=0.05,
-        iterations=2,
+        RationalBasis(PolynomialBasis((0, 1)), least=0.02), _MODEL, w_r=0.05, iterations=2
     ),
     "position_basis": BasisFunctions(
         JoinedBasis(
             (PolynomialBasis((1,)), PositionBasis(Splines(-0.2, 1.2, 4), turning=50.0, lead=3e-4))
         ),
-        StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT),
+        _MODEL,
         w_r=0.05,
         w_s=0.01,
     ),
@@ -470,13 +438,7 @@ SCHEMES = {
         PIDType(gamma_p=-1.0, lead=2), PolynomialBasis((0, 1), lead=3e-4), (-0.5, -2e-3)
     ),
     "at_samples": AtSamples(
-        NormOptimal(
-            with_jerk(
-                StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
-            ),
-            w_r=0.02,
-            w_s=1e-3,
-        ),
+        NormOptimal(with_jerk(_MODEL), w_r=0.02, w_s=1e-3),
         weight=np.where(np.arange(FEW + 1) % 4 == 0, 1.0, 0.1),
         jerk_time=5e-4,
     ),

@@ -203,16 +203,13 @@ def fitted(
 
 
 def _told(basis: Basis, G: Array, g: Array, r: Array, dt: float, inputs: int) -> Array:
-    """G^-1 g of the functions that a trial sees, and 0 for the others, whose parameters stay."""
-    told = basis.seen(r, dt, inputs)
-    return solved_scaled(G * jnp.outer(told, told), g * told)
+    """G^-1 g of the functions that a trial sees, and 0 for the others, whose parameters stay.
 
-
-def solved_scaled(G: Array, g: Array) -> Array:
-    """G^-1 g of a positive semidefinite G (m, m), scaled, for columns of any units.
-
-    A column that is zero, or that others make, gets the least parameter.
+    G (m, m) is positive semidefinite, and scaled, for columns of any units. A column that is zero,
+    or that others make, gets the least parameter.
     """
+    told = basis.seen(r, dt, inputs)
+    G, g = G * jnp.outer(told, told), g * told
     scale = _scale(G)
     least = ROUNDING * len(g) * jnp.finfo(G.dtype).eps
     scaled = G * jnp.outer(scale, scale) + least * jnp.eye(len(g), dtype=G.dtype)

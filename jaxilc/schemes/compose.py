@@ -83,6 +83,14 @@ class LearningAndFeedback(Scheme):
         feedback, seen, _ = self.parts(task, UNASKED)["feedback"]
         return under("feedback", feedback.played(schedule.feedback, seen))
 
+    def _need_playback(self) -> None:
+        """Raises ValueError unless the learning part plays back what it has learned."""
+        if not self.learning.plays_back:
+            raise ValueError(
+                f"{type(self).__name__}: {type(self.learning).__name__} acts within the trial; "
+                "allowed are schemes that play back a learned signal"
+            )
+
     def _silent(self, task: Task) -> dict[str, Array]:
         """The signals over a trial in which they are all zero."""
         shapes = jax.eval_shape(lambda: self.signals(self.initial_state(task)))
@@ -260,11 +268,7 @@ class OnReference(LearningAndFeedback):
     def check(self, task: Task) -> None:
         super().check(task)
         need_feedforward(self, self.learning, self.parts(task, UNASKED)["learning"].task)
-        if not self.learning.plays_back:
-            raise ValueError(
-                f"OnReference: {type(self.learning).__name__} acts within the trial; allowed are "
-                "schemes that play back a learned signal"
-            )
+        self._need_playback()
 
     def play(self, learned: Array, memory: Pair, task: Task) -> ReferenceSchedule:
         feedback = self.feedback.schedule(memory.feedback, task)
@@ -383,17 +387,13 @@ class MultivariableILC(LearningAndFeedback):
                 f"inputs one, not {task.inputs}"
             )
         super().check(task)
-        name = type(self.learning).__name__
-        if not self.learning.plays_back:
-            raise ValueError(
-                f"MultivariableILC: {name} acts within the trial; allowed are schemes that play "
-                "back a learned signal"
-            )
+        self._need_playback()
         if not hasattr(
             jax.eval_shape(lambda: self.learning.initial_memory(self.learning_task(task))), "u"
         ):
             raise ValueError(
-                f"MultivariableILC: the memory of {name} has no field u that could start at r_0"
+                f"MultivariableILC: the memory of {type(self.learning).__name__} has no field u "
+                "that could start at r_0"
             )
         if self.prefilter is not None:
             self.prefilter.check(task.N + 1, task.dt)

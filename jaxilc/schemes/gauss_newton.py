@@ -242,14 +242,10 @@ def _tolerance(problem: Problem) -> float:
 def _first(problem: Problem, start: Array, dt: float) -> _Course:
     """The motion of the start itself, within the bounds of w."""
     m = len(weight_of(problem, problem.weights))
-    states = ravel_pytree(problem.model.initial_state())[0].size
-    further = start.shape[1] if "rate" in kinds(problem) else 0
-    N, n = start.shape
-    still = jnp.zeros((N, states + further), start.dtype)
-    way = Way(jnp.zeros_like(start), still, jnp.zeros((N, n, states + further), start.dtype))
-    at = moved(problem, Motion(start, still[:, :states], problem.target), way, 1.0, dt)
-    none, zero = jnp.zeros((2, N, m), start.dtype), jnp.zeros((), start.dtype)
-    return _Course(at, zero, zero + 1, zero, zero + jnp.inf, none + 1, none)
+    none, zero = jnp.zeros((2, len(start), m), start.dtype), jnp.zeros((), start.dtype)
+    return _Course(
+        _motion(problem, start, dt), zero, zero + 1, zero, zero + jnp.inf, none + 1, none
+    )
 
 
 def _turn(problem: Problem, course: _Course, dt: float) -> _Course:
@@ -402,7 +398,7 @@ def _curvature(problem: Problem, found: Found, dt: float) -> _Curved:
         H[k] = d^2/d(x, w)^2 (q[k]' h(f(x, w)) + p[k+1]' f(x, w)),
         p[k] = A[k]' (p[k+1] + C[k]' q[k]),    q[k]: derivative by y[k+1]
     """
-    at = _motion(problem, found.w, dt)
+    at = _motion(problem._replace(limit=None, rate=None), found.w, dt)
     system, W = linear_form(problem, at.w, dt), weight_of(problem, problem.weights)
     free = factor(system, W, jnp.zeros(found.s.shape[1:]))
     held = stiffness(system, free, found.s, found.l)
@@ -437,12 +433,11 @@ def _curvature(problem: Problem, found: Found, dt: float) -> _Curved:
 
 
 def _motion(problem: Problem, w: Array, dt: float) -> Motion:
-    """The motion under w."""
+    """The motion under w, within its bounds."""
     states = ravel_pytree(problem.model.initial_state())[0].size
     still = jnp.zeros((len(w), states), w.dtype)
     way = Way(jnp.zeros_like(w), still, jnp.zeros((*w.shape, states), w.dtype))
-    free = problem._replace(limit=None, rate=None)
-    return moved(free, Motion(w, still, problem.target), way, 1.0, dt)
+    return moved(problem, Motion(w, still, problem.target), way, 1.0, dt)
 
 
 def _adjoint(system: System, slope: Array, n: int, outputs: int, states: int) -> Array:

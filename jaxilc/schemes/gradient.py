@@ -20,9 +20,9 @@ from ..signals.task import Task, Trial
 from .quadratic_cost import (
     WithModel,
     largest_eigenvalue,
-    matrix_of,
     need_channels_of,
     need_weight,
+    symmetric_of,
     weights_of,
 )
 from .scheme import Scheme, limited
@@ -342,8 +342,7 @@ class ModelFreeGradient(Scheme):
     def learn(self, memory: ExperimentMemory, trial: Trial) -> ExperimentMemory:
         now = memory.experiment
         first, last = now == 0, now == self.trials_a_step - 1
-        W = matrix_of(self.w_q, self.outputs)
-        error = jnp.where(first, trial.e[1:] @ ((W + W.T) / 2), memory.error)
+        error = jnp.where(first, trial.e[1:] @ symmetric_of(self.w_q, self.outputs), memory.error)
         learned = jnp.where(first, trial.u, memory.learned)
         total = jnp.where(first, 0.0, memory.total) + trial.y[:0:-1] @ self._share(now, memory).T
         learned = jnp.where(

@@ -135,7 +135,7 @@ class NormOptimal(Scheme):
     def _solve(self, model: StateSpace | TimeVaryingStateSpace, N: int) -> Recursion | Lifted:
         Q, R, S = self._weights()
         if self.form == "lifted":
-            H = lifted_model(model, N, model.dt)
+            H = _lifted(model, N)
             n_u, n_y = model.n_u, model.n_y
             QH = jnp.einsum("pq,kqm->kpm", Q, H.reshape(N, n_y, -1)).reshape(H.shape)
             return Lifted(
@@ -179,9 +179,8 @@ class NormOptimal(Scheme):
         return cho_solve((solved.factor, False), pull).reshape(u.shape)
 
 
-def lifted_model(model: StateSpace | TimeVaryingStateSpace, N: int, dt: float) -> Array:
+def _lifted(model: StateSpace | TimeVaryingStateSpace, N: int) -> Array:
     """The lifted matrix H (N n_y, N n_u) of a model: y[1..N] = H u[0..N-1]; block row k: y[k+1]."""
-    model = model.sampled(dt)
     n_u, n_y = model.n_u, model.n_y
 
     def forth(X: Array, now: Tree) -> tuple[Tree, Tree]:

@@ -15,11 +15,11 @@ from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.needs import known
 from ..signals.task import Task
 
-STEPS = 10  # of the Lanczos process
+STEPS = 10  # of the Lanczos process, at most; no more than there are elements
 ROUNDING = 100.0  # in units of the last place
 
 
-def largest_eigenvalue(f: Callable[[Array], Array], like: Array, steps: int = STEPS) -> Array:
+def largest_eigenvalue(f: Callable[[Array], Array], like: Array) -> Array:
     """() the largest eigenvalue of a positive semidefinite map f, from below.
 
         f V = V T + beta v e'
@@ -29,7 +29,6 @@ def largest_eigenvalue(f: Callable[[Array], Array], like: Array, steps: int = ST
     rounding, and is equal to it where the process comes to its end before the steps do.
 
     f: from the shape of `like` to the same
-    steps: at most so many, and at most the number of elements
     Unlike `theory.spectrum`, which looks at the residual to decide when to stop, this has a fixed
     number of steps, and so derivatives, backward and of any order.
     """
@@ -51,7 +50,7 @@ def largest_eigenvalue(f: Callable[[Array], Array], like: Array, steps: int = ST
         following = jnp.where(goes_on, rest / beta, 0.0)
         return (basis, following), (v @ image, jnp.where(goes_on, beta, 0.0))
 
-    steps = min(steps, n)
+    steps = min(STEPS, n)
     before = jnp.zeros((steps, n), like.dtype), start / jnp.linalg.norm(start)
     _, (alpha, beta) = lax.scan(advance, before, jnp.arange(steps))
     # After the end of the process the diagonal is negative, each element by another amount: an
@@ -148,9 +147,16 @@ def need_model_of(scheme: WithModel, task: Task) -> None:
 
 def weights_of(scheme: WithModel, *names: str) -> tuple[Array, ...]:
     """The symmetric parts of the weights, so that a gradient step keeps a weight symmetric."""
-    sizes = (scheme.model.n_y if name == "w_q" else scheme.model.n_u for name in names)
-    full = [matrix_of(getattr(scheme, name), size) for name, size in zip(names, sizes, strict=True)]
-    return tuple((W + W.T) / 2 for W in full)
+    n_y, n_u = scheme.model.n_y, scheme.model.n_u
+    return tuple(
+        symmetric_of(getattr(scheme, name), n_y if name == "w_q" else n_u) for name in names
+    )
+
+
+def symmetric_of(weight: Leaf, size: int) -> Array:
+    """The symmetric part of a weight as a matrix."""
+    W = matrix_of(weight, size)
+    return (W + W.T) / 2
 
 
 def matrix_of(weight: Leaf, size: int) -> Array:

@@ -154,13 +154,10 @@ class SMC(Scheme):
 
 
 class Carried(NamedTuple):
-    """The memory of `ASMC` with `carry`: eta_hat (n,), with which the next trial starts."""
+    """What `ASMC` with `carry` knows: eta_hat (n,), with which the next trial starts.
 
-    eta_hat: Array
-
-
-class CarriedRows(NamedTuple):
-    """The schedule of `ASMC` with `carry`: the start gain in row 0 of eta_hat (N, n), then zero."""
+    In its schedule eta_hat (N, n) is this gain in row 0, then zero.
+    """
 
     eta_hat: Array
 
@@ -212,7 +209,7 @@ class ASMC(SMC):
     def schedule(self, memory: Tree, task: Task) -> Tree:
         if not self.carry:
             return ()
-        return CarriedRows(jnp.zeros((task.N, task.outputs)).at[0].set(memory.eta_hat))
+        return Carried(jnp.zeros((task.N, task.outputs)).at[0].set(memory.eta_hat))
 
     def initial_state(self, task: Task) -> SlidingState:
         state = super().initial_state(task)

@@ -16,7 +16,14 @@ from ..signals.task import Limit, Task, Trial
 from .constrained_norm_optimal import limits_of_rows
 from .constraints import kinds, need_feasible, rows_of
 from .gauss_newton import Found, Problem, optimum
-from .quadratic_cost import matrix_of, need_convex, need_definite, need_model_of, need_weight
+from .quadratic_cost import (
+    need_convex,
+    need_definite,
+    need_model_of,
+    need_weight,
+    symmetric_of,
+    weights_of,
+)
 from .scheme import Scheme
 from .weights import WeighedOutput, output_weighed
 
@@ -156,7 +163,7 @@ class TwoStep(Scheme):
         size, y, u = self._corrections, trial.y, trial.u
         none = jnp.zeros((len(u), size), y.dtype)
         weights = (self.w_y, self.model.n_y), (self.w_alpha, size), (self.w_change, size)
-        Q, S, change = (_symmetric(matrix_of(weight, n)) for weight, n in weights)
+        Q, S, change = (symmetric_of(weight, n) for weight, n in weights)
         added, beside = u, jnp.zeros_like(y)
         if self.correction == "output":
             # what alpha does to the output: it is the output, one sample later
@@ -167,9 +174,7 @@ class TwoStep(Scheme):
 
     def _control(self, model: Plant, r: Array, u: Array, alpha: Array) -> Problem:
         """The problem of the second step, with the next input as its unknown."""
-        n_u, n_y = self.model.n_u, self.model.n_y
-        weights = (self.w_q, n_y), (self.w_r, n_u), (self.w_s, n_u)
-        Q, R, S = (_symmetric(matrix_of(weight, n)) for weight, n in weights)
+        Q, R, S = weights_of(self, "w_q", "w_r", "w_s")
         added, beside = alpha, jnp.zeros_like(r)
         if self.correction == "output":
             added, beside = jnp.zeros_like(u), beside.at[1:].set(alpha)
@@ -215,11 +220,6 @@ def _seen(problem: Problem, trial: Trial) -> Problem:
         return problem
     beside = output_weighed(trial, problem.beside)
     return problem._replace(model=WeighedOutput(problem.model, trial.weight), beside=beside)
-
-
-def _symmetric(W: Array) -> Array:
-    """The symmetric part, so that a gradient step keeps a weight symmetric."""
-    return (W + W.T) / 2
 
 
 def _delay(size: int, dtype: Value, dt: float) -> StateSpace:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import ALGEBRA, DT
+from dense import lifted
 
 from jaxilc import Machine, Task, learn
 from jaxilc.learning.quantities import counted_metrics
@@ -35,17 +36,11 @@ WEIGHT = np.isin(np.arange(N + 1), POINTS).astype(float)
 TASK = Task(np.where(WEIGHT > 0, np.arange(N + 1) / N, 0.0), DT)  # zero where nothing is asked
 
 
-def lifted(model, row=0):
-    A, B, C = (np.asarray(M) for M in (model.A, model.B, model.C))
-    h = [(C @ np.linalg.matrix_power(A, k) @ B)[row, 0] for k in range(N)]
-    return np.array([[h[i - k] if i >= k else 0.0 for k in range(N)] for i in range(N)])
-
-
 def test_norm_optimal_learning_comes_to_the_points_with_the_least_effort():
     scheme = AtSamples(NormOptimal(MODEL, w_r=1e-4), weight=WEIGHT)
     history = learn(Machine(REAL), scheme, TASK, 60)
-    G = lifted(REAL)[np.array(POINTS) - 1]
-    H = lifted(MODEL)[np.array(POINTS) - 1]
+    G = lifted(REAL, N)[np.array(POINTS) - 1]
+    H = lifted(MODEL, N)[np.array(POINTS) - 1]
     r = np.asarray(TASK.reference)[list(POINTS), 0]
     # u = H' a with G u = r: the input of the space in which the law learns
     expected = H.T @ np.linalg.solve(G @ H.T, r)
@@ -58,7 +53,7 @@ def test_the_jerk_of_the_motion_is_part_of_the_cost():
     times, w_s = 2e-3, 1e-5
     scheme = AtSamples(NormOptimal(with_jerk(MODEL), w_s=w_s), weight=WEIGHT, jerk_time=times)
     history = learn(Machine(MODEL), scheme, TASK, 2)
-    H, P = lifted(MODEL), np.diag(WEIGHT[1:])
+    H, P = lifted(MODEL, N), np.diag(WEIGHT[1:])
     third = np.eye(N) - 3 * np.eye(N, k=-1) + 3 * np.eye(N, k=-2) - np.eye(N, k=-3)
     J = (times / DT) ** 3 * third @ H
     r = np.asarray(TASK.reference)[1:, 0]
@@ -66,7 +61,9 @@ def test_the_jerk_of_the_motion_is_part_of_the_cost():
     np.testing.assert_allclose(
         history.memory.u[:, 0], np.linalg.solve(cost, H.T @ P @ r), rtol=1e-6, atol=1e-8
     )
-    np.testing.assert_allclose(lifted(with_jerk(MODEL), 1), third @ H / DT**3, rtol=1e-6, atol=1)
+    np.testing.assert_allclose(
+        lifted(with_jerk(MODEL), N)[1::2], third @ H / DT**3, rtol=1e-6, atol=1
+    )
 
 
 LAWS = {
@@ -176,7 +173,7 @@ def test_without_an_effort_the_limit_is_certified_in_the_inputs_that_learning_re
     w_r = 1e-3
     scheme = AtSamples(NormOptimal(MODEL, w_r=w_r), weight=WEIGHT)
     rows = np.array(POINTS) - 1
-    G, H = lifted(REAL)[rows], lifted(MODEL)[rows]
+    G, H = lifted(REAL, N)[rows], lifted(MODEL, N)[rows]
     # u moves along H' alone, and the errors at the points decide: e+ = (I - G L) e
     L = H.T @ np.linalg.inv(H @ H.T + w_r * np.eye(len(rows)))
     Q, _ = np.linalg.qr(H.T)

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import ALGEBRA, DT, SCHEMES, case
+from dense import lifted
 from numpy.polynomial import Polynomial
 
 from jaxilc import Machine, Task, learn
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree import pytree
-from jaxilc.scenarios import specification
 from jaxilc.schemes import (
     Basis,
     BasisFunctions,
@@ -28,8 +28,6 @@ from jaxilc.schemes import (
 )
 from jaxilc.schemes.bases import _path
 from jaxilc.schemes.parts import with_all_parts
-from jaxilc.theory.certificates import MONOTONE, long_run
-from jaxilc.uncertainty import drawn_machines
 
 MODEL = StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
 STEP = Polynomial([0] * 5 + [126, -420, 540, -315, 70])  # from 0 to 1, four derivatives at rest
@@ -39,13 +37,6 @@ def moved(samples, height=1.0, dt=DT):
     """Return a reference that moves within the middle 70 % of a trial."""
     s = np.clip((np.arange(samples + 1) / samples - 0.15) / 0.7, 0, 1)
     return Task(height * STEP(s), dt)
-
-
-def lifted(model, N):
-    """Return the lifted matrix of a model of one input and one output."""
-    A, B, C = (np.asarray(M) for M in (model.A, model.B, model.C))
-    h = [(C @ np.linalg.matrix_power(A, k) @ B)[0, 0] for k in range(N)]
-    return np.array([[h[i - k] if i >= k else 0.0 for k in range(N)] for i in range(N)])
 
 
 def test_derivatives_are_those_of_a_polynomial_to_second_order():
@@ -304,19 +295,3 @@ def test_a_users_own_basis_and_given_functions_are_the_same():
     given = GivenBasis(np.asarray(Saw().columns(task.reference, DT, 1)))
     one, other = (learn(Machine(MODEL), BasisFunctions(b, MODEL), task, 2) for b in (Saw(), given))
     np.testing.assert_allclose(one.rms, other.rms, **ALGEBRA)
-
-
-@pytest.mark.thorough
-def test_a_plant_file_names_bases_and_theory_reads_the_law():
-    table = {
-        "class": "BasisFunctions",
-        "model": "plant",
-        "basis": {"class": "PolynomialBasis", "orders": [0, 1, 2]},
-        "w_r": 0.1,
-    }
-    scheme = specification.scheme(table, "schemes.a", MODEL, DT)
-    run = long_run(drawn_machines(Machine(MODEL), {}, {}), scheme, moved(15))
-    assert run.claim[0] == MONOTONE
-    table["basis"]["order"] = 3
-    with pytest.raises(ValueError, match="orders"):
-        specification.scheme(table, "schemes.a", MODEL, DT)

@@ -1,8 +1,7 @@
-"""Constrained norm-optimal learning is compared with an independent solver and printed numbers.
+"""Constrained norm-optimal learning is compared with an independent solver.
 
-The solver is least distance programming by non-negative least squares (Lawson and Hanson 1974), on
-dense matrices that NumPy makes from the definitions. The printed numbers are those of
-IterativeLearningControl2.jl.
+This is least distance programming by non-negative least squares (Lawson and Hanson 1974), on dense
+matrices that NumPy makes from the definitions.
 """
 
 import dataclasses
@@ -15,16 +14,11 @@ import scipy.linalg
 import scipy.optimize
 import scipy.signal
 from cases import DT
+from dense import lifted
 
 from jaxilc.learning import Machine
 from jaxilc.plants import StateSpace
-from jaxilc.schemes import (
-    PID,
-    ConstrainedNormOptimal,
-    NormOptimal,
-    OnOutputs,
-    WithFeedback,
-)
+from jaxilc.schemes import PID, ConstrainedNormOptimal, NormOptimal, OnOutputs, WithFeedback
 from jaxilc.signals import Task
 from jaxilc.signals.task import Trial
 from jaxilc.theory.certificates import certify_each
@@ -41,18 +35,6 @@ def learned(scheme, memory, r, y, u, beside):
 batched = jax.jit(jax.vmap(learned.__wrapped__))
 
 
-def lifted(A, B, C):
-    """Return H (N n_y, N n_u), the output y[1..N] after each unit impulse."""
-    steps = [B]
-    for _ in range(N):
-        steps.append(A @ steps[-1])
-    H = np.zeros((N, len(C), N, B.shape[1]))
-    for k in range(N):
-        for i in range(k + 1):
-            H[k, :, i] = C @ steps[k - i]
-    return H.reshape(N * len(C), -1)
-
-
 def walk(rng, *shape):
     path = np.cumsum(rng.standard_normal(shape), axis=0)
     return path - path[0]
@@ -63,7 +45,7 @@ def problem(seed, n, size):
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, n))
     A *= 0.9 / np.max(np.abs(np.linalg.eigvals(A)))
-    B, C = rng.standard_normal((n, size)), rng.standard_normal((size, n))
+    model = StateSpace(A, rng.standard_normal((n, size)), rng.standard_normal((size, n)), dt=DT)
     F = 0.2 * rng.standard_normal((size, n))
     r, y = walk(rng, N + 1, size), 0.3 * walk(rng, N + 1, size)
     u, beside = 0.1 * rng.standard_normal((2, N, size))
@@ -71,8 +53,8 @@ def problem(seed, n, size):
     some = 0.15 * walk(rng, N, size)
     change = (some - u).ravel()
     total = some + beside
-    total[1:] += (lifted(A, B, F) @ change).reshape(N, size)[:-1]
-    out = y[1:] + (lifted(A, B, C) @ change).reshape(N, size)
+    total[1:] += (lifted(model, N, F) @ change).reshape(N, size)[:-1]
+    out = y[1:] + (lifted(model, N) @ change).reshape(N, size)
     if size == 2:  # close to the path, so that a bound across it is tight
         r[1:] = out + 0.2 * rng.standard_normal((N, size))
     room = rng.uniform(0.05, 2.0, (2, N, size))
@@ -96,7 +78,7 @@ def problem(seed, n, size):
         "w_d": rng.uniform(0.0, 0.1),
         "step": rng.uniform(0.4, 1.0),
     }
-    scheme = ConstrainedNormOptimal(StateSpace(A, B, C, dt=DT), **weights, **bounds, feedback=F)
+    scheme = ConstrainedNormOptimal(model, **weights, **bounds, feedback=F)
     scheme.check(Task(r, dt=DT))
     return scheme, (r, y, u, beside)
 
@@ -110,10 +92,10 @@ def dense(scheme, trial):
     """Return P, q, c, G, h, and the rows of G of each bound: x'P x/2 + q'x + c with G x <= h."""
     r, y, u, beside = trial
     model, size = scheme.model, u.shape[1]
-    H, eye = lifted(model.A, model.B, model.C), np.eye(N * size)
+    H, eye = lifted(model, N), np.eye(N * size)
     D = eye - np.eye(N * size, k=-size)
     total = eye.copy()
-    total[size:] += lifted(model.A, model.B, scheme.feedback)[:-size]
+    total[size:] += lifted(model, N, scheme.feedback)[:-size]
     e, v = (r - y)[1:].ravel(), u.ravel()
     P = scheme.w_q * H.T @ H + (scheme.w_r + scheme.w_s) * eye + scheme.w_d * D.T @ D
     q = scheme.step * (-scheme.w_q * H.T @ e + scheme.w_s * v + scheme.w_d * D.T @ D @ v)
@@ -180,10 +162,7 @@ def test_the_optimum_is_that_of_another_solver(n, size):
 
 @pytest.mark.thorough
 def test_what_cannot_be_met_is_flagged_and_spoils_no_other():
-    """A problem without a solution keeps its input, says so, and has a derivative of zero.
-
-    Its output must be above 1e3 while its input may not.
-    """
+    """The output must be above 1e3, the input may not: the input stays, its derivative is zero."""
     problems = [problem(seed, 3, 1) for seed in range(PROBLEMS)]
     schemes, trials = stacked([one for one, _ in problems]), stacked([t for _, t in problems])
     memory = problems[0][0].initial_memory(Task(problems[0][1][0], dt=DT))
@@ -248,55 +227,6 @@ def test_where_no_bound_matters_it_is_norm_optimal_learning():
         np.testing.assert_allclose(found.u, expected, rtol=1e-9, atol=1e-11)
         assert found.converged == 1
         assert found.steps == 0
-
-
-def double_mass():
-    """Return the loop of IterativeLearningControl2.jl: A, B from r, B from u, and C, at 0.02 s."""
-    A = np.array([[0, 1, 0, 0], [-100, -2, 100, 1], [0, 0, 0, 1], [100, 1, -100, -2.0]])
-    B, C = np.array([[0.0], [1], [0], [0]]), np.array([[1.0, 0, 0, 0]])
-    a, b, c, d = scipy.signal.tf2ss(10 * np.polymul([1, 1], [1, 1]), np.polymul([1, 0], [0.02, 1]))
-    loop = np.block([[A - B @ d @ C, B @ c], [-b @ C, a]])
-    both = np.hstack([np.vstack([B @ d, b]), np.vstack([B, np.zeros((2, 1))])])
-    rows = np.hstack([C, np.zeros((1, 2))])
-    A, B, C, _, _ = scipy.signal.cont2discrete((loop, both, rows, np.zeros((1, 2))), 0.02)
-    return A, B[:, :1], B[:, 1:], C
-
-
-@pytest.mark.thorough
-def test_a_published_case():
-    """The constrained case of IterativeLearningControl2.jl (its test suite, ConstrainedILC).
-
-    Its law is a half step: its quadratic term counts twice what its linear term does. Errors of
-    trials 1 and 5 are 7.211602 and 4.4544077312. Its tests allow 0.1.
-    """
-    A, B_r, B_u, C = double_mass()
-    r = np.sign(np.sin(np.arange(0, 3 * np.pi, 0.02)))[:, None]
-
-    def answer(B, u):
-        return scipy.signal.dlsim((A, B, C, np.zeros((1, 1)), 0.02), u)[1]
-
-    scheme = ConstrainedNormOptimal(
-        StateSpace(A, B_u, C, dt=0.02),
-        w_q=1000.0,
-        w_s=0.001,
-        step=0.5,
-        limit=25.0,
-        y_low=-1.1,
-        y_high=1.1,
-    )
-    task = Task(r, dt=0.02)
-    memory, errors = scheme.initial_memory(task), []
-    scheme = scheme.prepared(task)
-    law = jax.jit(lambda memory, y: scheme.learn(memory, Trial(r, y, memory.u, 0.02)))
-    for _ in range(5):
-        y = answer(B_r, r) + answer(B_u, np.vstack([memory.u, [[0.0]]]))
-        errors.append(np.linalg.norm(r - y))
-        memory = law(memory, y)
-        assert memory.converged
-    np.testing.assert_allclose(errors[0], 7.211602, atol=1e-6)
-    np.testing.assert_allclose(errors[-1], 4.4544077312, atol=1e-6)
-    assert np.max(np.abs(memory.u)) <= 25.0
-    assert np.max(np.abs(y)) <= 1.1 + 1e-9
 
 
 FIRST = StateSpace([[0.6]], [[0.4]], [[1.0]], dt=0.01)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import scipy.signal
 from cases import ALGEBRA, DT
+from dense import lifted
 
 from jaxilc.learning import Machine, learn
 from jaxilc.learning.quantities import contour_metrics
@@ -21,6 +22,7 @@ POLES, GAINS = (0.6, 0.85), (0.4, 0.15)
 MACHINE = Machine(
     TwoAxes(*(DifferenceEquation((a,), (b,), dt=DT) for a, b in zip(POLES, GAINS, strict=True)))
 )
+AXES = StateSpace(np.diag(POLES), np.diag(GAINS), np.eye(2), dt=DT)  # the same
 TASK = Task(PATH, dt=DT)
 
 
@@ -107,11 +109,7 @@ def test_a_certificate_counts_what_lies_along_the_path():
     That is what the dense map of the inputs that the law moves shows.
     """
     task = Task(PATH[:31], dt=DT)
-    n = 2 * task.N
-    G = np.zeros((n, n))
-    for i, (a, b) in enumerate(zip(POLES, GAINS, strict=True)):
-        for k in range(task.N):
-            G[2 * k + i, i : 2 * k + 2 : 2] = b * a ** np.arange(k, -1, -1.0)
+    n, G = 2 * task.N, lifted(AXES, task.N)
     t = np.asarray(tangents(task.reference))[1:]
     for own, contour in ((0.5, 1.0), (0.0, 1.0)):
         L = np.zeros((n, n))
@@ -148,15 +146,11 @@ def test_what_it_cannot_serve_is_refused(scheme, task, said):
 
 @pytest.mark.thorough
 def test_a_law_with_a_model_minimises_the_error_that_it_is_shown():
-    plant = StateSpace(np.diag(POLES), np.diag(GAINS), np.eye(2), dt=DT)
     task = Task(PATH[6:27] - PATH[6], dt=DT)
-    scheme = CrossCoupled(NormOptimal(plant, w_s=0.05), own=0.2, contour=1.0)
-    found = learn(Machine(plant), scheme, task, 2).memory.u
+    scheme = CrossCoupled(NormOptimal(AXES, w_s=0.05), own=0.2, contour=1.0)
+    found = learn(Machine(AXES), scheme, task, 2).memory.u
     n = task.N
-    H, W = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
-    for i, (a, b) in enumerate(zip(POLES, GAINS, strict=True)):
-        for k in range(n):
-            H[2 * k + i, i : 2 * k + 2 : 2] = b * a ** np.arange(k, -1, -1.0)
+    H, W = lifted(AXES, n), np.zeros((2 * n, 2 * n))
     t = np.asarray(tangents(task.reference))[1:]
     for k in range(n):
         W[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = 1.2 * np.eye(2) - np.outer(t[k], t[k])

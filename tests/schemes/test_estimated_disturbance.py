@@ -4,17 +4,12 @@ import jax
 import numpy as np
 import pytest
 from cases import DT, SIGMAS
+from dense import lifted
 
 from jaxilc.learning import Machine, learn
 from jaxilc.learning.over_trials import measured_trial
 from jaxilc.plants import StateSpace
-from jaxilc.schemes import (
-    ConstrainedNormOptimal,
-    EstimatedDisturbance,
-    NormOptimal,
-    PIDType,
-)
-from jaxilc.schemes.norm_optimal import lifted_model
+from jaxilc.schemes import ConstrainedNormOptimal, EstimatedDisturbance, NormOptimal, PIDType
 from jaxilc.signals import Task, Trial
 from jaxilc.theory import linearity, outlook
 from jaxilc.theory.certificates import certify_each
@@ -40,7 +35,7 @@ def test_it_is_its_equations(initial):
     law = EstimatedDisturbance(NormOptimal(MODEL, **WEIGHTS), q, m, initial)
     history = learn(MACHINE, law, TASK, 5, save=lambda trial: (trial.y[1:], trial.u))
     y, u = map(np.asarray, history.saved)
-    H = np.asarray(lifted_model(MODEL, N, DT))
+    H = lifted(MODEL, N)
     Q = np.kron(np.eye(N), np.diag(WEIGHTS["w_q"]))
     cost = H.T @ Q @ H + (WEIGHTS["w_r"] + WEIGHTS["w_s"]) * np.eye(2 * N)
     r = np.asarray(TASK.reference)[1:].ravel()
@@ -81,17 +76,13 @@ def test_the_scheme_within_may_have_bounds():
 
 
 def test_it_leaves_the_error_of_the_steady_kalman_filter_and_less_than_without():
-    """The error that is left is that of the steady Kalman filter.
-
-    The next error is the difference between the disturbance and its prediction, of variance
-    q^2 / kappa, where norm-optimal learning alone leaves q^2 + m^2.
-    """
+    """Its next error has the variance q^2 / kappa; norm-optimal learning leaves q^2 + m^2."""
     q, m, samples, trials, first = 0.1, 0.2, 256, 60, 20
     task = Task(np.zeros(samples + 1), dt=DT)
     random = np.random.default_rng(7)
     d = np.cumsum(q * random.standard_normal((trials, samples, 1)), axis=0)
     v = m * random.standard_normal((trials, samples, 1))
-    G = np.asarray(lifted_model(LAG, samples, DT))
+    G = lifted(LAG, samples)
 
     @jax.jit
     def errors(law):

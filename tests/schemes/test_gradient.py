@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import ALGEBRA, DIFFERENCES, DT
+from dense import lifted
 
 from jaxilc import Machine, Task
 from jaxilc.learning.over_trials import measured_trial
@@ -41,22 +42,6 @@ PENDULUM = NonlinearSystem({"gravity": 0.17}, (0.05, -0.1), _swung, _angle, n_in
 Q, S = np.array([[4.0, 0.5], [0.5, 3.0]]), np.array([0.1, 0.2, 0.3])
 
 
-def lifted(A, B, C):
-    """Return G (N n_y, N n_u), from matrices A[k], B[k], C[k] of each sample."""
-    n_y, n_u = len(C[0]), B[0].shape[1]
-    G = np.zeros((N, n_y, N, n_u))
-    for k in range(N):
-        X = np.asarray(B[k])
-        for i in range(k, N):
-            G[i, :, k] = C[i] @ X
-            X = A[i + 1] @ X if i + 1 < N else X
-    return G.reshape(N * n_y, N * n_u)
-
-
-def constant(model):
-    return lifted(*([np.asarray(M)] * N for M in (model.A, model.B, model.C)))
-
-
 def after(scheme, u, e):
     """Return the memory after a trial that played u (N, n_u) with the errors e (N, n_y)."""
     task = Task(np.zeros((N + 1, e.shape[1])), dt=DT, inputs=u.shape[1])
@@ -65,7 +50,7 @@ def after(scheme, u, e):
 
 
 def test_it_goes_down_the_gradient_of_the_cost_of_many_channels():
-    G = constant(WIDE)
+    G = lifted(WIDE, N)
     u, e = RANDOM.standard_normal((N, 3)), RANDOM.standard_normal((N, 2))
     found = after(GradientILC(WIDE, step=0.01, w_q=Q, w_s=S), u, e)
     slope = G.T @ np.kron(np.eye(N), Q) @ e.ravel() - np.kron(np.eye(N), np.diag(S)) @ u.ravel()
@@ -79,7 +64,7 @@ def test_it_goes_down_the_gradient_of_the_cost_of_many_channels():
 def test_of_a_model_that_varies_over_the_trial():
     wave = 1 + 0.3 * np.sin(np.arange(N))[:, None, None]
     model = TimeVaryingStateSpace(*(np.asarray(M) * wave for M in (MODEL.A, MODEL.B, MODEL.C)), DT)
-    G = lifted(*(np.asarray(M) for M in (model.A, model.B, model.C)))
+    G = lifted(model, N)
     u, e = RANDOM.standard_normal((2, N, 1))
     expected = u[:, 0] + 2.0 * G.T @ e[:, 0]
     np.testing.assert_allclose(after(GradientILC(model, step=2.0), u, e).u[:, 0], expected)
@@ -147,7 +132,7 @@ def test_where_the_gain_grows_with_the_motion_the_memory_says_so():
 
 
 def test_a_step_is_refused_from_its_bound_on():
-    bound = 2 / np.linalg.norm(constant(MODEL), 2) ** 2
+    bound = 2 / np.linalg.norm(lifted(MODEL, N), 2) ** 2
     GradientILC(MODEL, step=0.999 * bound).check(BUMP)
     with pytest.raises(ValueError, match=rf"step = .* below 2 / \|G\|\^2 = {bound:.5g}"):
         GradientILC(MODEL, step=1.001 * bound).check(BUMP)
@@ -156,7 +141,7 @@ def test_a_step_is_refused_from_its_bound_on():
 @pytest.mark.thorough
 def test_certificates_are_as_sharp_as_the_bound():
     """On a machine of k times the gain the bound is 1 / k of that of the model."""
-    step = 1 / np.linalg.norm(constant(MODEL), 2) ** 2
+    step = 1 / np.linalg.norm(lifted(MODEL, N), 2) ** 2
     machines = jax.vmap(lambda k: Machine(dataclasses.replace(MODEL, C=k * MODEL.C)))(
         jnp.array([0.5, 1.999, 2.001])
     )

@@ -46,10 +46,7 @@ def rms_of(y, r=TASK.reference):
 
 
 def replayed(y, *, max_error=np.inf, rms=np.inf, growth=np.inf, trials):
-    """Return the indices of the unguarded trials that the stop rule runs.
-
-    The rule is applied here exactly as it is stated.
-    """
+    """Return which unguarded trials the stop rule, exactly as it is stated, runs."""
     shown, best, j = [], 0, 0
     for _ in range(trials):
         shown.append(j)
@@ -118,10 +115,7 @@ def test_a_trial_that_is_not_finite_is_gone_back_from():
 
 @pytest.mark.thorough
 def test_gradient_of_a_frozen_trial_is_that_of_what_it_is_frozen_with():
-    """The gradient of a frozen trial is that of the memory with which it is frozen.
-
-    After the fifth trial the rule returns to the memory that gave the fourth.
-    """
+    """After the fifth trial the rule returns to the memory that gave the fourth."""
 
     def last(law, trials):
         return jnp.sum(learn(COIL, law, TASK, trials).rms[-1])
@@ -139,38 +133,24 @@ def test_gradient_of_a_frozen_trial_is_that_of_what_it_is_frozen_with():
 
 FEEDBACK = PID(kp=0.5, ki=5.0)
 LIMITED, SHARP = PIDType(gamma_p=0.6, lead=1, limit=0.7), ZeroPhaseFIR((1.4, -0.2))
+FFDL = FFDLMFAILC(phi0=ARX[0] + ARX[1], lam=0.02)
 NESTS = {
-    "filter_outside": (lambda guard: Filtered(guard(LIMITED), SHARP), Filtered(LIMITED, SHARP)),
-    "filter_inside": (lambda guard: guard(Filtered(LIMITED, SHARP)), Filtered(LIMITED, SHARP)),
-    "over_feedback": (
-        lambda guard: WithFeedback(guard(LIMITED), FEEDBACK),
-        WithFeedback(LIMITED, FEEDBACK),
-    ),
-    "around_feedback": (
-        lambda guard: guard(WithFeedback(LIMITED, FEEDBACK)),
-        WithFeedback(LIMITED, FEEDBACK),
-    ),
-    "on_reference": (
-        lambda guard: OnReference(guard(LIMITED), FEEDBACK),
-        OnReference(LIMITED, FEEDBACK),
-    ),
-    "around_reference": (
-        lambda guard: guard(OnReference(LIMITED, FEEDBACK)),
-        OnReference(LIMITED, FEEDBACK),
-    ),
-    "mfailc": (
-        lambda guard: guard(FFDLMFAILC(phi0=ARX[0] + ARX[1], lam=0.02)),
-        FFDLMFAILC(phi0=ARX[0] + ARX[1], lam=0.02),
-    ),
-    "preview": (lambda guard: guard(PID(kp=0.5, ka=1e-4)), PID(kp=0.5, ka=1e-4)),
+    "filter_outside": lambda guard: Filtered(guard(LIMITED), SHARP),
+    "filter_inside": lambda guard: guard(Filtered(LIMITED, SHARP)),
+    "over_feedback": lambda guard: WithFeedback(guard(LIMITED), FEEDBACK),
+    "around_feedback": lambda guard: guard(WithFeedback(LIMITED, FEEDBACK)),
+    "on_reference": lambda guard: OnReference(guard(LIMITED), FEEDBACK),
+    "around_reference": lambda guard: guard(OnReference(LIMITED, FEEDBACK)),
+    "mfailc": lambda guard: guard(FFDL),
+    "preview": lambda guard: guard(PID(kp=0.5, ka=1e-4)),
 }
 
 
 @pytest.mark.thorough(but=["filter_inside", "around_feedback", "mfailc"])
 @pytest.mark.parametrize("nest", NESTS)
 def test_guards_with_nothing_to_do_change_nothing(nest):
-    build, plain = NESTS[nest]
-    guarded = build(lambda scheme: StopWhen(Ladder(scheme, 1), max_error=1e-9, growth=10.0))
+    plain = NESTS[nest](lambda scheme: scheme)
+    guarded = NESTS[nest](lambda scheme: StopWhen(Ladder(scheme, 1), max_error=1e-9, growth=10.0))
     y, u, history = run(SERVO, guarded, 4)
     expected_y, expected_u, expected = run(SERVO, plain, 4)
     np.testing.assert_allclose(y, expected_y, **ALGEBRA)
@@ -191,11 +171,7 @@ def test_guards_with_nothing_to_do_change_nothing(nest):
 
 
 def test_guards_fire_within_each_other():
-    """A stop rule and a ladder work within each other.
-
-    With the ladder inside there are two repeats of each input, and the rule stops after the first
-    input that is good enough. With the ladder outside, the rule judges the mean trial.
-    """
+    """The rule inside judges the mean trial; around the ladder it judges each repeat."""
     y, _, _ = run(SERVO, PIDType(gamma_p=0.6, lead=1), 6)
     errors = [np.max(np.abs(TASK.reference - one)) for one in y]
     tolerance = 1.0001 * errors[2]
@@ -233,10 +209,7 @@ def test_ladder_learns_from_the_mean_of_its_repeats(feedback):
 @pytest.mark.thorough
 @pytest.mark.parametrize("law", ["p_type", "cfdl"])
 def test_gain_of_the_ladder(law):
-    """The gain of the ladder follows its rule.
-
-    By hand, the scheme gets r - gain (r - mean y).
-    """
+    """By hand, the scheme gets r - gain (r - mean y)."""
     scheme = (
         PIDType(gamma_p=0.3, lead=1)
         if law == "p_type"
@@ -282,11 +255,7 @@ def test_ladder_by_hand_needs_the_signals_of_what_it_is_around():
 
 
 def test_repeatability():
-    """Repeatability equals its definition.
-
-    For a machine with known noise, the RMS of N noise samples has the standard deviation
-    sigma / sqrt(2 N).
-    """
+    """The RMS of N samples of noise has the standard deviation sigma / sqrt(2 N)."""
     rms = np.array([[0.031, 0.5], [0.033, 0.4], [0.032, 0.6]])
     found = repeatability(rms)
     np.testing.assert_allclose(found.mean, [0.032, 0.5], **ALGEBRA)

@@ -34,10 +34,7 @@ def run(machine, scheme, r=R):
 
 
 def machine_of(plant, offset=None):
-    """Return the machine of a plant.
-
-    offset: constant disturbance of the output, so that the machine does not start at zero
-    """
+    """Return the machine of a plant, whose output is `offset` off, also at the start."""
     disturbance = None if offset is None else Disturbance(output=np.full((N + 1, 1), offset))
     return Machine(DifferenceEquation(*PLANTS[plant], dt=DT), disturbance=disturbance)
 
@@ -93,10 +90,7 @@ class Loop:
 def mfac_loop(
     plant, L_y, L_u, *, lam, rho, eta, mu, phi0, epsilon=1e-5, limit=None, reset="book", offset=0.0
 ):
-    """Run a trial in full form.
-
-    The index i of the papers starts at 1, so component i is [i - 1] here.
-    """
+    """Run a trial in full form; component i of the papers is [i - 1] here."""
     phi0, rho = np.atleast_1d(phi0).astype(float), np.broadcast_to(rho, L_y + L_u)
     loop, phi = Loop(plant, phi0, epsilon, reset, limit, offset), phi0
     for k in range(N):
@@ -137,11 +131,7 @@ def mfapc_loop(
     offset=0.0,
     closed_form=False,
 ):
-    """Run a trial by Dai 2014, eq. 11 to 18.
-
-    The P x P_u matrix A_1 is built and the normal equations are solved. If `closed_form`, eq. 10 is
-    used.
-    """
+    """Run a trial by Dai 2014, eq. 11 to 18, with the matrix A_1 (P, P_u), or by eq. 10."""
     theta0 = np.eye(n_p)[0] if theta0 is None else np.asarray(theta0)
     # `before` holds phi(k-1), ..., phi(k-n_p).
     loop, theta, before = (Loop(plant, phi0, epsilon, reset, limit, offset), theta0, [phi0] * n_p)
@@ -202,10 +192,7 @@ OPTIONS = {
 
 
 def mfac(plant, law, **options):
-    """Return a scheme of the package and its loop.
-
-    The start value has the right sign, but is otherwise inaccurate.
-    """
+    """Return a scheme and its loop; the start value has the right sign, but is inaccurate."""
     kind, L_y, L_u = WINDOWS[law]
     start = {"printed": [0.5, -0.1, -0.04, 0.02, 0.01], "arx": [0.5, -0.1, 0.08, 0.05, 0.02]}[plant]
     weights = {
@@ -262,10 +249,7 @@ MFAPC = {
 
 
 def mfapc(plant, offset=0.0, closed_form=False, **options):
-    """Return a scheme of the package and its loop.
-
-    Its forecasts and their coefficients sometimes leave the allowed region.
-    """
+    """Return a scheme and its loop, whose forecasts and coefficients leave the allowed region."""
     weights = {
         "lam": 3.0,
         "eta": 0.9,
@@ -306,11 +290,7 @@ def test_mfapc(options):
 
 
 def test_mfapc_without_resets():
-    """MFAPC works without resets.
-
-    No forecast changes its sign here, so it does not matter whether mode `none` also switches off
-    eq. 16.
-    """
+    """No forecast changes its sign, so that nothing depends on eq. 16 in mode `none`."""
     scheme, loop = mfapc("arx", P_u=3, reset="none", theta0=None, theta_limit=10.0)
     assert_equal(run(machine_of("arx"), scheme), loop)
     assert not +loop.due
@@ -318,10 +298,9 @@ def test_mfapc_without_resets():
 
 @pytest.mark.parametrize("P_u", [1, 2])
 def test_a_horizon_of_250_samples_beyond_the_end_of_the_trial(P_u):
-    """A horizon of 250 samples may extend beyond the end of the trial.
+    """The reference is held at its end.
 
-    The reference is held at its end. Nothing of size P x P_u is built, but the result is that of
-    the matrix.
+    Nothing of size P x P_u is built, but the result is that of the matrix.
     """
     assert N < 250
     for plant in PLANTS:
@@ -345,11 +324,7 @@ DEADBEAT = {
 
 @pytest.mark.parametrize("law", DEADBEAT)
 def test_the_true_model_without_a_price_on_moves_is_deadbeat(law):
-    """With the true model and no weight on moves the control is deadbeat.
-
-    Where the data model with start value phi0 is the plant itself, y equals r at every sample that
-    the input can reach.
-    """
+    """The plant is the data model with phi0: y is r wherever the input can reach."""
     (a, b), scheme = DEADBEAT[law]
     y, _, phi = run(Machine(DifferenceEquation(a, b, dt=DT)), scheme)
     np.testing.assert_allclose(y[1:, 0], R[1:], atol=1e-11)
@@ -378,11 +353,7 @@ PREDICTIVE = CHANNELS | {"phi0": (0.12, -0.3), "delta": (0.05, 0.6), "theta_limi
     ids=["cfdl", "ffdl", "mfapc_1", "mfapc_2", "mfapc_3"],
 )
 def test_channels_are_taken_one_by_one(build):
-    """Channels are controlled independently.
-
-    Two machines side by side, each with its own weights, give the results of the two machines
-    alone.
-    """
+    """Two machines side by side, with weights each, are the two machines alone."""
     weights = PREDICTIVE if isinstance(build(CHANNELS), CFDLMFAPC) else CHANNELS
     poles, gains, r = (
         np.array([0.9, 0.6]),

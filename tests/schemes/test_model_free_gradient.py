@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import ALGEBRA, DT, SIGMAS
+from dense import lifted
 
 from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.hardware import Campaign, Measured
@@ -38,15 +39,6 @@ MIMO = Task(RANDOM.standard_normal((N + 1, 3)), dt=DT, inputs=2)
 Q = np.diag([1.0, 2.0, 0.5]) + 0.1
 
 
-def lifted(model, N=N):
-    A, B, C = (np.asarray(M) for M in (model.A, model.B, model.C))
-    G = np.zeros((N, len(C), N, B.shape[1]))
-    for i in range(N):
-        for k in range(i + 1):
-            G[i, :, k] = C @ np.linalg.matrix_power(A, i - k) @ B
-    return G.reshape(N * len(C), -1)
-
-
 @pytest.mark.thorough(but=["feedback1-mean"])
 @pytest.mark.parametrize("about", ["trial", "mean"])
 @pytest.mark.parametrize("feedback", [None, PID(kp=GAIN)])
@@ -70,7 +62,7 @@ def test_with_an_experiment_for_each_pair_it_is_exact_for_many_channels(about):
     scheme = ModelFreeGradient(0.02, 5.0, Q, about=about, inputs=2, outputs=3)
     assert scheme.trials_a_step == {"trial": 7, "mean": 8}[about]
     found = learn(Machine(WIDE), scheme, MIMO, 2 * scheme.trials_a_step).memory
-    G, u, r = lifted(WIDE), np.zeros(2 * N), np.asarray(MIMO.reference)[1:].ravel()
+    G, u, r = lifted(WIDE, N), np.zeros(2 * N), np.asarray(MIMO.reference)[1:].ravel()
     for _ in range(2):
         u = u + 0.02 * G.T @ np.kron(np.eye(N), Q) @ (r - G @ u)
     np.testing.assert_allclose(found.u.ravel(), u, **ALGEBRA)
@@ -89,7 +81,7 @@ def test_random_signs_give_the_gradient_in_the_mean():
         return learn(Machine(WIDE), scheme, MIMO, 2, memory=start).memory.u.ravel()
 
     found = np.asarray(jax.jit(jax.vmap(one))(jnp.arange(float(draws))))
-    expected = lifted(WIDE).T @ np.asarray(MIMO.reference)[1:].ravel()
+    expected = lifted(WIDE, N).T @ np.asarray(MIMO.reference)[1:].ravel()
     error = np.std(found, axis=0) / np.sqrt(draws)
     assert np.all(np.abs(np.mean(found, axis=0) - expected) < SIGMAS * error)
     assert np.max(error) < 0.2 * np.max(np.abs(expected)), "the mean should be known well"

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import pytest
 from cases import DT, PLANTS
+from dense import lifted
 
 from jaxilc.learning import Machine, learn
 from jaxilc.plants import StateSpace, TimeVaryingStateSpace
@@ -51,40 +52,15 @@ WEIGHTS = {
 }
 
 
-def matrices(model):
-    """Return A, B and C of each sample; C is that of the sample after."""
-    parts = [np.asarray(M) for M in (model.A, model.B, model.C)]
-    return [M if M.ndim == 3 else np.broadcast_to(M, (N, *M.shape)) for M in parts]
-
-
-def dense(model):
-    """Return H, column by column, by a loop over the samples.
-
-    A column is the output y[1..N] after a unit impulse.
-    """
-    A, B, C = matrices(model)
-    (n, n_u), n_y = B.shape[1:], C.shape[1]
-    H = np.zeros((N, n_y, N, n_u))
-    for at in range(N):
-        for channel in range(n_u):
-            x = np.zeros(n)
-            for k in range(N):
-                x = A[k] @ x + (B[k, :, channel] if k == at else 0.0)
-                H[k, :, at, channel] = C[k] @ x
-    return H.reshape(N * n_y, N * n_u)
-
-
 def weights_of(scheme):
     """Return W_q, W_r and W_s of the whole trial."""
-    per_sample = [np.asarray(w) for w in (scheme.w_q, scheme.w_r, scheme.w_s)]
-    return [np.kron(np.eye(N), w if w.ndim == 2 else w * np.eye(2)) for w in per_sample]
+    n_u, n_y = scheme.model.n_u, scheme.model.n_y
+    per_sample = ((scheme.w_q, n_y), (scheme.w_r, n_u), (scheme.w_s, n_u))
+    return [np.kron(np.eye(N), w if w.ndim == 2 else w * np.eye(n)) for w, n in per_sample]
 
 
 def next_input(scheme, H, e, u):
-    """Return the next input of norm-optimal learning (MILC 2024, eq. 7 and 8).
-
-    u_{j+1} = (H' W_q H + W_s + W_r)^-1 ((H' W_q H + W_r) u_j + H' W_q e_j).
-    """
+    """Return the equation of norm-optimal learning (MILC 2024, eq. 7 and 8), in lifted matrices."""
     Q, R, S = weights_of(scheme)
     new = np.linalg.solve(H.T @ Q @ H + S + R, (H.T @ Q @ H + R) @ u.ravel() + H.T @ Q @ e.ravel())
     return new.reshape(u.shape)
@@ -110,7 +86,7 @@ def relative(found, expected):
 )
 def test_riccati_is_lifted_is_the_equation(kind, weights):
     model = MODELS[kind]
-    H, inputs = dense(model), {}
+    H, inputs = lifted(model, N), {}
     for form in ("riccati", "lifted"):
         scheme = NormOptimal(model, **WEIGHTS[weights], form=form)
         history = learn(MACHINE, scheme, TASK, TRIALS, save=signals)
@@ -120,23 +96,21 @@ def test_riccati_is_lifted_is_the_equation(kind, weights):
             assert relative(u[j + 1], next_input(scheme, H, e[j], u[j])) < 1e-9
         assert relative(history.memory.u, next_input(scheme, H, e[-1], u[-1])) < 1e-9
         assert (
-            relative(dense(MACHINE.plant) @ u[-1].ravel(), (REFERENCE[1:] - e[-1]).ravel()) < 1e-12
+            relative(lifted(MACHINE.plant, N) @ u[-1].ravel(), (REFERENCE[1:] - e[-1]).ravel())
+            < 1e-12
         )
         inputs[form] = u
     assert relative(inputs["riccati"], inputs["lifted"]) < 1e-9
     assert np.linalg.norm(e[-1]) < 0.3 * np.linalg.norm(e[0])
-    assert relative(H, dense(MACHINE.plant)) > 0.1, "the model should be wrong"
+    assert relative(H, lifted(MACHINE.plant, N)) > 0.1, "the model should be wrong"
 
 
 @pytest.mark.parametrize("w_r", [1e-3, 1e-6, 1e-9])
 def test_small_weights_cost_the_recursion_no_digits(w_r):
-    """Small weights cost the recursion no digits.
-
-    Where the equation is badly conditioned, both forms lose the same digits, and no more.
-    """
+    """Where the equation is badly conditioned, both forms lose the same digits, and no more."""
     schemes = [NormOptimal(MODEL, w_q=1.0, w_r=w_r, form=form) for form in ("riccati", "lifted")]
     found = [np.asarray(learn(Machine(MODEL), scheme, TASK, 3).memory.u) for scheme in schemes]
-    assert relative(*found) < 1e-15 * np.linalg.cond(dense(MODEL)) ** 2 + 1e-12
+    assert relative(*found) < 1e-15 * np.linalg.cond(lifted(MODEL, N)) ** 2 + 1e-12
 
 
 @pytest.mark.parametrize("form", ["riccati", "lifted"])
@@ -149,7 +123,7 @@ def test_a_limit_is_respected_and_learning_goes_on(form):
     limit = 0.6 * np.max(np.abs(free[-1]), axis=0)
     scheme = NormOptimal(MODEL, **WEIGHTS["scalar"], limit=limit, form=form)
     e, u = map(np.asarray, learn(MACHINE, scheme, TASK, TRIALS, save=signals).saved)
-    H = dense(MODEL)
+    H = lifted(MODEL, N)
     for j in range(TRIALS - 1):
         np.testing.assert_allclose(
             u[j + 1], np.clip(next_input(scheme, H, e[j], u[j]), -limit, limit), atol=1e-9
@@ -164,12 +138,11 @@ def test_a_limit_is_respected_and_learning_goes_on(form):
 
 
 def test_without_a_weight_on_the_change_one_trial_is_enough():
-    """Without a weight on the change of the input, one trial is enough.
+    """With w_r = 0 and the right model, u_2 = (H' W_q H + W_s)^-1 H' W_q r, and it stays there.
 
-    With w_r = 0 and the right model, u_2 = (H' W_q H + W_s)^-1 H' W_q r, and it stays there. With
-    w_r > 0 learning ends at the same input.
+    With w_r > 0 learning ends at the same input.
     """
-    H, r = dense(MODEL), REFERENCE[1:].ravel()
+    H, r = lifted(MODEL, N), REFERENCE[1:].ravel()
     scheme = NormOptimal(MODEL, w_q=2.0, w_s=0.3)
     best = np.linalg.solve(2.0 * H.T @ H + 0.3 * np.eye(2 * N), 2.0 * H.T @ r)
     u = np.asarray(learn(Machine(MODEL), scheme, TASK, 3, save=signals).saved[1]).reshape(3, -1)
@@ -179,12 +152,11 @@ def test_without_a_weight_on_the_change_one_trial_is_enough():
 
 
 def test_without_a_weight_on_the_input_the_error_falls_by_the_closed_form():
-    """Without a weight on the input the error falls by a closed form.
+    """With w_s = 0 and the right model, e_{j+1} = (I + H W_q H' / w_r)^-1 e_j.
 
-    With w_s = 0 and the right model, e_{j+1} = (I + H W_q H' / w_r)^-1 e_j. For w_r -> 0 the plant
-    is inverted in one trial.
+    For w_r -> 0 the plant is inverted in one trial.
     """
-    H, r = dense(MODEL), REFERENCE[1:].ravel()
+    H, r = lifted(MODEL, N), REFERENCE[1:].ravel()
 
     def learned(**weights):
         saved = learn(Machine(MODEL), NormOptimal(MODEL, **weights), TASK, 5, save=signals).saved
@@ -254,11 +226,7 @@ def test_bad_weights_and_models_are_named(message):
 
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
 def test_a_weight_is_symmetric_up_to_rounding(precision):
-    """A weight must be symmetric up to rounding.
-
-    A congruence T' D T, which a change of units gives, is symmetric in exact arithmetic only. Its
-    symmetric part is used.
-    """
+    """A congruence T' D T is symmetric in exact arithmetic only; its symmetric part is used."""
     rng, turned = np.random.default_rng(2), []
     while len(turned) < 20:
         T, D = (
@@ -330,11 +298,7 @@ TALL = StateSpace(MODEL.A, np.asarray(MODEL.B)[:, :1], MODEL.C, dt=DT)
 
 @pytest.mark.parametrize("form", ["riccati", "lifted"])
 def test_models_need_not_be_square(form):
-    """Models need not be square.
-
-    They have one input, two outputs, and three inputs, where the recursion calls LAPACK for the
-    inverse.
-    """
+    """One input with two outputs, and three, of which LAPACK makes the inverse."""
     wide = StateSpace(
         MODEL.A, np.hstack([np.asarray(MODEL.B), [[0.3], [-0.2], [0.1]]]), MODEL.C, dt=DT
     )
@@ -343,13 +307,8 @@ def test_models_need_not_be_square(form):
             NormOptimal(model, w_q=2.0, w_r=0.1, w_s=0.02, form=form),
             Task(REFERENCE, dt=DT, inputs=model.n_u),
         )
-        H, n_u = dense(model), model.n_u
         e, u = map(np.asarray, learn(Machine(model), scheme, task, 3, save=signals).saved)
-        new = np.linalg.solve(
-            2 * H.T @ H + 0.12 * np.eye(N * n_u),
-            (2 * H.T @ H + 0.1 * np.eye(N * n_u)) @ u[1].ravel() + 2 * H.T @ e[1].ravel(),
-        )
-        assert relative(u[2].ravel(), new) < 1e-9
+        assert relative(u[2], next_input(scheme, lifted(model, N), e[1], u[1])) < 1e-9
 
 
 def test_known_weights_are_looked_at_within_a_transformation_too():

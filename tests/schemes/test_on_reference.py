@@ -5,6 +5,7 @@ Each trial is that of the feedback alone under the corrected reference; the laws
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 from cases import ALGEBRA, ARX, DT
@@ -188,7 +189,7 @@ NESTED = {
 @pytest.mark.parametrize("name", NESTED)
 def test_signals_of_the_parts_carry_their_names(name):
     scheme, names = NESTED[name]
-    trial = learn(PLANT, scheme, Task(R, dt=DT), 1).final
+    trial = jax.eval_shape(lambda: learn(PLANT, scheme, Task(R, dt=DT), 1)).final
     assert set(trial.signals) == names
     assert all(signal.shape == (N, 1) for signal in trial.signals.values())
 

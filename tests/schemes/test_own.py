@@ -12,19 +12,11 @@ import pytest
 from cases import ALGEBRA, DT
 
 from jaxilc.hardware import Campaign, Measured
-from jaxilc.learning import Machine, learn, next_memory
+from jaxilc.learning import Machine, learn
 from jaxilc.learning.playback import schedules
 from jaxilc.plants import DifferenceEquation
 from jaxilc.pytree import child, leaf, named_leaves, pytree
-from jaxilc.schemes import (
-    FFDLMFAILC,
-    PID,
-    Feedforward,
-    Ladder,
-    PIDType,
-    Scheme,
-    WithFeedback,
-)
+from jaxilc.schemes import FFDLMFAILC, PID, Feedforward, Ladder, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.parts import with_all_parts
 from jaxilc.schemes.scheme import limited
 from jaxilc.schemes.wrapper import Wrapper
@@ -44,10 +36,7 @@ GAIN = {"plant.b": Uniform(0.8, 1.2, relative=True)}
 
 
 class Kept(NamedTuple):
-    """What the wrapper keeps.
-
-    It keeps the memory of its scheme under a name of its own, and a count.
-    """
+    """What the wrapper keeps: the memory of its scheme under a name of its own, and a count."""
 
     inner: object
     trials: jax.Array
@@ -81,10 +70,7 @@ class Both(NamedTuple):
 
 @pytree
 class Blend(Scheme):
-    """The scheme is u = share u_1 + (1 - share) u_2 of two laws.
-
-    Each law learns from the whole trial.
-    """
+    """The scheme is u = share u_1 + (1 - share) u_2 of two laws that learn from the whole trial."""
 
     first: Scheme = child()
     second: Scheme = child()
@@ -305,11 +291,3 @@ def test_a_law_of_one_method_starts_from_zero_and_is_limited_in_what_it_learns()
     )
     assert np.max(np.abs(of_own.signal)) > 0.3 > np.max(np.abs(trial.u)) == 0
     np.testing.assert_allclose(of_own.signal, of_theirs.signal, **ALGEBRA)
-
-
-def test_they_learn_from_measured_trials(case):
-    memory = case.own.initial_memory(TASK)
-    y = learn(MACHINE, case.own, TASK, 1).final.y
-    signals = {"feedback": np.zeros(N)} if "learning" in case.share else {}
-    following = next_memory(case.own, TASK, memory, y, np.zeros(N), **signals)
-    assert np.max(np.abs(case.own.feedforward(following, TASK))) > 0.01

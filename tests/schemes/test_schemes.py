@@ -5,13 +5,14 @@ The loops are written from the papers' equations.
 
 import math
 
+import jax
 import numpy as np
 import pytest
 import scipy.signal
 from cases import ALGEBRA, ARX, DT, PRINTED
 
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.learning import Machine, learn
+from jaxilc.learning import Actuator, Machine, learn, replay, run_trial
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import (
     CFDLMFAILC,
@@ -19,11 +20,13 @@ from jaxilc.schemes import (
     PFDLMFAILC,
     PID,
     Filtered,
+    HigherOrder,
     OnOutputs,
     PIDType,
     WithFeedback,
 )
 from jaxilc.signals import Task
+from jaxilc.tuning.objectives import Bounded
 
 N, TRIALS = 60, 6
 R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))
@@ -36,23 +39,26 @@ def everything(trial):
     return trial.y, trial.u
 
 
-def run(plant, scheme, trials=TRIALS):
-    """Return outputs (J, N+1) and inputs (J, N) of the package."""
-    a, b = PLANTS[plant]
-    history = learn(
-        Machine(DifferenceEquation(a, b, dt=DT)), scheme, Task(R, dt=DT), trials, save=everything
+def machine_of(plant, **actuator):
+    return Machine(
+        DifferenceEquation(*PLANTS[plant], dt=DT), Actuator(**actuator) if actuator else None
     )
+
+
+def run(plant, scheme, trials=TRIALS, **actuator):
+    """Return outputs (J, N+1) and inputs (J, N) of the package."""
+    history = learn(machine_of(plant, **actuator), scheme, Task(R, dt=DT), trials, save=everything)
     return tuple(np.asarray(signal)[..., 0] for signal in history.saved)
 
 
-def loops(plant, learning=None, feedback=None, trials=TRIALS):
+def loops(plant, learning=None, feedback=None, trials=TRIALS, applied=lambda k, u: u):
     """Return the same outputs and inputs by hand.
 
     Before trial j learning.prepare(j, Y, W) is called, and within it learning.input(k, j, Y, W) and
-    feedback(k, e).
+    feedback(k, e). applied(k, u) is what the actuator makes of a command.
 
-    Row j of Y, U, W is trial j (outputs, applied inputs, learned inputs). Row 0 is the state before
-    the first trial.
+    Row j of Y, U, W is trial j: outputs, applied inputs, and these less the share of the feedback.
+    Row 0 is the state before the first trial.
     """
     a, b = PLANTS[plant]
     Y, U, W = np.zeros((trials + 1, N + 1)), np.zeros((trials + 1, N)), np.zeros((trials + 1, N))
@@ -60,8 +66,9 @@ def loops(plant, learning=None, feedback=None, trials=TRIALS):
         if learning:
             learning.prepare(j, Y, W)
         for k in range(N):
-            W[j, k] = learning.input(k, j, Y, W) if learning else 0.0
-            U[j, k] = W[j, k] + (feedback(k, R[k] - Y[j, k]) if feedback else 0.0)
+            share = feedback(k, R[k] - Y[j, k]) if feedback else 0.0
+            U[j, k] = applied(k, share + (learning.input(k, j, Y, W) if learning else 0.0))
+            W[j, k] = U[j, k] - share
             for i in range(len(a)):
                 Y[j, k + 1] += a[i] * Y[j, k - i] if k >= i else 0.0
                 Y[j, k + 1] += b[i] * U[j, k - i] if k >= i else 0.0
@@ -139,11 +146,21 @@ class PIDTypeLoop:
         return self.u[k]
 
 
-class MFAILCLoop:
-    """The loop of MFAILC by Cao 2019, eq. 25 and 27, with the reset of Dai 2014, eq. 12.
+class HigherOrderLoop:
+    def __init__(self, alpha, gamma, lead=0, limit=None):
+        self.weights, self.m, self.limit = (alpha, gamma), lead, limit
 
-    Equations 12 and 13 are the case L_y = 0, L_u = 1.
-    """
+    def prepare(self, j, Y, W):
+        """Nothing is known of the trials before the first one."""
+
+    def input(self, k, j, Y, W):
+        before = zip(range(j - 1, 0, -1), *self.weights, strict=False)
+        terms = (a * W[i, k] + g * error(Y, i, k + 1 + self.m) for i, a, g in before)
+        return clip(sum(terms), self.limit)
+
+
+class MFAILCLoop:
+    """MFAILC by Cao 2019, eq. 12 and 13, 25 and 27, with the reset of Dai 2014, eq. 12."""
 
     def __init__(
         self,
@@ -263,10 +280,9 @@ def test_pid(plant, form, options):
 
 @pytest.mark.thorough
 def test_feedforward_of_the_reference_in_closed_form():
-    """The feedforward of the reference has a closed form.
+    """An integrator follows exactly.
 
-    An integrator follows exactly. A double integrator is moved by the mean acceleration,
-    y[k] = (r[k+1] + 2 r[k] + r[k-1]) / 4.
+    A double integrator is moved by the mean acceleration, y[k] = (r[k+1] + 2 r[k] + r[k-1]) / 4.
     """
     t = np.linspace(0.0, 1.0, N - 1)
     # The reference is at rest for the first two samples.
@@ -289,29 +305,6 @@ def test_feedforward_of_the_reference_in_closed_form():
     )
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("form", ["position", "increment"])
-def test_feedforward_is_the_feedbacks_share(form):
-    """The feedforward of the reference belongs to the feedback.
-
-    The learning law gets its own part of the input only. With gains of zero every number is that of
-    plain PID.
-    """
-    gains, law = (
-        {"kp": 0.8, "ki": 20.0, "kd": 2e-4, "kv": 0.02, "ka": 1e-5},
-        PIDTypeLoop(gamma_p=0.6, lead=1),
-    )
-    scheme = WithFeedback(PIDType(gamma_p=0.6, lead=1), PID(**gains, form=form))
-    assert_equal(run("arx", scheme), loops("arx", law, pid(form, **gains)))
-    final = learn(Machine(DifferenceEquation(*ARX, dt=DT)), scheme, Task(R, dt=DT), 1).final
-    np.testing.assert_allclose(final.signals["feedback"], final.u, **ALGEBRA)
-    without = {k: v for k, v in gains.items() if k not in ("kv", "ka")}
-    np.testing.assert_array_equal(
-        run("arx", PID(**without, kv=0.0, ka=0.0, form=form))[0],
-        run("arx", PID(**without, form=form))[0],
-    )
-
-
 P_TYPES = {
     "p": {"gamma_p": 0.6},
     "pd": {"gamma_p": 0.6, "gamma_d": 1.5},
@@ -327,6 +320,66 @@ P_TYPES = {
         "limit": 0.8,
     },
 }
+
+
+ORDERS = {
+    "one": {"alpha": (1.0,), "gamma": (0.6,)},
+    "two": {"alpha": (0.7, 0.3), "gamma": (0.6, -0.2)},
+    "lead_limit": {"alpha": (1.5, -0.8, 0.3), "gamma": (0.6, -0.2, 0.1), "lead": 2, "limit": 0.3},
+    "leaky": {"alpha": (0.5, 0.4), "gamma": (0.6, 0.3)},
+}
+
+
+@pytest.mark.parametrize("weights", ORDERS.values(), ids=ORDERS)
+def test_higher_order(weights):
+    by_hand = loops("arx", HigherOrderLoop(**weights))
+    assert_equal(run("arx", HigherOrder(**weights)), by_hand)
+    limited = np.sum(np.abs(by_hand[1]) == weights.get("limit"))
+    assert "limit" not in weights or 5 < limited < by_hand[1].size
+
+
+def test_higher_order_takes_gains_for_each_channel():
+    plant = StateSpace([[0.7, 0.1], [0.0, 0.5]], [[0.3, 0.0], [0.1, 0.5]], np.eye(2), dt=DT)
+    task, gains = Task(np.stack([R, R[::-1]], axis=1), dt=DT), (0.8, -0.2)
+    laws = HigherOrder((1.0,), (gains,)), PIDType(gamma_p=gains)
+    one, other = (learn(Machine(plant), law, task, 8).rms for law in laws)
+    np.testing.assert_allclose(one, other, **ALGEBRA)
+
+
+def test_higher_order_converges_as_its_characteristic_roots_say():
+    """On y[k+1] = u[k] every sample obeys e_{j+1} = sum_i (alpha_i - gamma_i) e_{j-i}.
+
+    Where all of these coefficients are zero, learning is deadbeat.
+    """
+    machine, e_1 = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)), R[1:, None]
+    for alpha, gamma in (
+        ((0.8, 0.2), (0.5, 0.1)),
+        ((0.8, 0.2), (0.8, 0.2)),
+        ((0.8, 0.2), (-0.4, 0.1)),
+    ):
+        saved = learn(machine, HigherOrder(alpha, gamma), Task(R, dt=DT), 30, save=everything).saved
+        first, second = np.subtract(alpha, gamma)
+        # u_1 is zero, and so is the input before it
+        e = [e_1, first * e_1 + (1 - alpha[0]) * e_1]
+        for _ in range(28):
+            e.append(first * e[-1] + second * e[-2])
+        np.testing.assert_allclose(R[1:, None] - saved[0][:, 1:], e, rtol=1e-8, atol=1e-12)
+        roots = np.roots([1, -first, -second])
+        assert (np.max(np.abs(e[-1])) < 1e-3) == np.all(np.abs(roots) < 1)
+
+
+WRONG_ORDERS = {
+    r"HigherOrder: alpha \(0,\) and gamma \(0,\) do not fit": ((), ()),
+    r"alpha \(2,\) and gamma \(1,\) do not fit": ((0.5, 0.5), (1.0,)),
+    r"sum of alpha = 1.1 is outside its allowed range \(0, 1\]": ((0.8, 0.3), (1.0, 1.0)),
+    r"sum of alpha = 0 is outside its allowed range \(0, 1\]": ((0.5, -0.5), (1.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("message", WRONG_ORDERS)
+def test_orders_that_cannot_be_are_named(message):
+    with pytest.raises(ValueError, match=message):
+        HigherOrder(*WRONG_ORDERS[message])
 
 
 @pytest.mark.parametrize("plant", PLANTS)
@@ -357,10 +410,7 @@ OPTIONS = {
 
 
 def mfailc(plant, law, options):
-    """Return a scheme of the package and its loop.
-
-    The start value has the right sign, but is otherwise inaccurate.
-    """
+    """Return a scheme and its loop; the start value has the right sign, but is inaccurate."""
     kind, L_y, L_u = WINDOWS[law]
     start = {"printed": [0.5, -0.1, -0.06, 0.02, 0.01], "arx": [0.5, -0.1, 0.2, 0.05, 0.02]}[plant]
     phi0 = start[:L_y] + start[2 : 2 + L_u]
@@ -393,11 +443,70 @@ def test_mfailc(plant, law, options):
     )
 
 
-def fir(u):
-    """Return u filtered by symmetric weights, with the end values held.
+KP, RANDOM_ACTUATORS = 0.4, 12
 
-    It is 0.5 u(k) + 0.2 (u(k-1) + u(k+1)) + 0.05 (u(k-2) + u(k+2)).
-    """
+
+class ActuatorLoop:
+    """Limit, rate limit and resolution; at random, one of them, or none, is nearly absent."""
+
+    def __init__(self, rng):
+        limit, rate, step = rng.uniform(0.4, 2.0), rng.uniform(100.0, 600.0), rng.uniform(1e-3, 0.2)
+        absent = rng.integers(4)
+        self.values = {
+            "limit": 1e6 if absent == 0 else limit,
+            "rate": 1e9 if absent == 1 else rate,
+            "resolution": 1e-9 if absent == 2 else step,
+        }
+
+    def __call__(self, k, u):
+        limit, rate, step = self.values.values()
+        last = self.moved if k else 0.0
+        self.moved = np.clip(last + np.clip(u - last, -rate * DT, rate * DT), -limit, limit)
+        return np.clip(np.round(self.moved / step) * step, -limit, limit)
+
+
+@pytest.mark.thorough(but=["ffdl-over_feedback"])
+@pytest.mark.parametrize("over", [False, True], ids=["alone", "over_feedback"])
+@pytest.mark.parametrize("law", ["pfdl", "ffdl", "ffdl_long"])
+def test_increments_are_of_what_the_actuator_applied(law, over):
+    """Both increments of the input are: that of the last trial, and that of the running one."""
+    rng, acted = np.random.default_rng(5), 0
+    for _ in range(RANDOM_ACTUATORS):
+        actuator = ActuatorLoop(rng)
+        scheme, loop = mfailc("arx", law, {"mode": "none"})
+        scheme = WithFeedback(scheme, PID(kp=KP)) if over else scheme
+        feedback = pid("position", KP, 0.0, 0.0) if over else None
+        expected = loops("arx", loop, feedback, 5, actuator)
+        assert_equal(run("arx", scheme, 5, **actuator.values), expected)
+        free = loops("arx", mfailc("arx", law, {"mode": "none"})[1], feedback, 5)
+        acted += np.max(np.abs(free[1] - expected[1])) > 0.01
+    assert acted > RANDOM_ACTUATORS // 2, "most of the actuators change the input"
+
+
+SLOW = {"limit": 0.5, "rate": 200.0, "resolution": 0.05}
+
+
+@pytest.mark.parametrize(
+    "wrapped",
+    [lambda s: OnOutputs(s, (0,)), lambda s: Bounded.around(s, Task(R, dt=DT))],
+    ids=["outputs", "bounded"],
+)
+def test_a_wrapper_hands_on_what_was_applied(wrapped):
+    scheme, _ = mfailc("arx", "ffdl", {"mode": "none"})
+    assert_equal(run("arx", wrapped(scheme), 5, **SLOW), run("arx", scheme, 5, **SLOW))
+
+
+def test_a_replay_knows_what_the_actuator_applied():
+    machine, task = machine_of("arx", **SLOW), Task(R, dt=DT)
+    scheme, _ = mfailc("arx", "ffdl", {"mode": "none"})
+    memory = learn(machine, scheme, task, 3).memory
+    trial = run_trial(machine, scheme, task, memory, jax.random.key(0))
+    found = replay(scheme, task, memory, trial.y, machine.actuator)[0]
+    np.testing.assert_allclose(found, trial.u, **ALGEBRA)
+
+
+def fir(u):
+    """Return u by taps 0.05, 0.2, 0.5, 0.2, 0.05, with the end values held."""
     taps = {0: 0.5, 1: 0.2, -1: 0.2, 2: 0.05, -2: 0.05}
     return np.array(
         [sum(tap * u[min(max(k + i, 0), N - 1)] for i, tap in taps.items()) for k in range(N)]
@@ -431,10 +540,7 @@ def test_filtered(law, q):
 
 @pytest.mark.parametrize("law", ["p_type", "filtered", "ffdl"])
 def test_with_feedback(law):
-    """A learned feedforward acts together with a PID loop.
-
-    The learning law gets its own part of the input only.
-    """
+    """The learning law gets its own part of the input only."""
     gains = {"kp": 0.8, "ki": 20.0, "kd": 2e-4}
     if law == "ffdl":
         learning, loop = mfailc("arx", "ffdl", OPTIONS["none"])
@@ -481,10 +587,9 @@ def test_on_outputs():
 
 
 def test_ffdl_with_the_true_model_takes_off_a_share_rho_of_the_error_in_each_trial():
-    """FFDL with the true model reduces the error by the factor 1 - rho_c in each trial.
+    """Equation 25 with Phi the ARX vector and lam -> 0 gives e_{j+1} = (1 - rho_c) e_j.
 
-    Equation 25 with Phi the ARX vector and lam -> 0 gives e_{j+1} = (1 - rho_c) e_j. For rho_c = 1
-    it is deadbeat in one trial.
+    For rho_c = 1 it is deadbeat in one trial.
     """
     a, b = ARX
     for rho, share in ((1.0, 0.0), ((1.0, 1.0, 0.6, 1.0), 0.4)):

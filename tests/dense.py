@@ -1,0 +1,20 @@
+"""The lifted matrix of a linear model, against which recursions are tested."""
+
+import numpy as np
+
+
+def lifted(model, N, C=None):
+    """Return the matrix (N n_y, N n_u) from u[0..N-1] to y[1..N], one impulse after the other.
+
+    model: its A, B and C are constant or of each sample, C then of the sample after
+    C: of other outputs of the same state; None: those of the model
+    """
+    C = model.C if C is None else C
+    A, B, C = (np.broadcast_to(M, (N, *np.shape(M)[-2:])) for M in (model.A, model.B, C))
+    H = np.zeros((N, C.shape[1], N, B.shape[2]))
+    for k in range(N):
+        X = B[k]
+        for i in range(k, N):
+            X = A[i] @ X if i > k else X
+            H[i, :, k] = C[i] @ X
+    return H.reshape(N * C.shape[1], -1)
