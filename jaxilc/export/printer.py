@@ -19,8 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jax.typing import DTypeLike
+from numpy.lib.stride_tricks import as_strided
 
-from ..native.operations import Node, Number, elementwise
+from ..native.operations import MOVES, Node, Number, elementwise
 from ..native.program import Const, Program, Step, Unknown, Value
 from . import operations
 from .law import Field, Function
@@ -32,6 +33,7 @@ _NEUTRAL = {"mul": 1, "and": True, "or": False}
 _INDEX = ("i", "j", "h", "g", "f", "e", "d", "c")
 SHARED = {"reshape", "squeeze", "expand_dims", "broadcast_in_dim"}
 METHOD = {"squeeze": "reshape", "expand_dims": "reshape"}
+METHOD |= dict.fromkeys(("transpose", "rev", "broadcast_in_dim", "slice"), "moved")
 METHOD |= dict.fromkeys(operations.FIRST, "gathered") | dict.fromkeys(operations.RUNNING, "running")
 
 
@@ -391,42 +393,19 @@ class Body(ABC):
         x = x if x.whole else self.copied(x, step.ins[0].dtype)
         return x._replace(shape=shape, strides=row_major(shape))
 
-    def of_transpose(self, step: Step, ins: list[View]) -> View:
-        order = step.params["permutation"]
-        strides = () if ins[0].single else tuple(ins[0].strides[i] for i in order)
-        return ins[0]._replace(shape=step.outs[0].shape, strides=strides)
-
-    def of_rev(self, step: Step, ins: list[View]) -> View:
-        strides, (start, terms) = list(ins[0].strides), ins[0].start
-        if ins[0].single:
-            return ins[0]
-        for i in step.params["dimensions"]:
-            start += strides[i] * (ins[0].shape[i] - 1)
-            strides[i] = -strides[i]
-        return ins[0]._replace(strides=tuple(strides), start=(start, terms))
-
-    def of_broadcast_in_dim(self, step: Step, ins: list[View]) -> View:
+    def of_moved(self, step: Step, ins: list[View]) -> View:
+        """The same numbers at other places, which NumPy tells of an array that nobody reads."""
         x, shape = ins[0], step.outs[0].shape
         if x.single:
             return x._replace(shape=shape)
-        strides = [0] * len(shape)
-        for i, to in enumerate(step.params["broadcast_dimensions"]):
-            strides[to] = x.strides[i] if x.shape[i] == shape[to] else 0
-        return x._replace(shape=shape, strides=tuple(strides))
-
-    def of_slice(self, step: Step, ins: list[View]) -> View:
-        of, x, shape = step.params, ins[0], step.outs[0].shape
-        if x.single:
-            return x._replace(shape=shape)
+        before = as_strided(np.empty(1, np.int8), x.shape, x.strides)
+        after = MOVES[step.name](step.params, [before], shape)
+        first, last = (of.__array_interface__["data"][0] for of in (before, after))
         number, terms = x.start
-        number += sum(a * s for a, s in zip(of["start_indices"], x.strides, strict=True))
-        by = of["strides"] or (1,) * len(shape)
-        strides = tuple(a * s for a, s in zip(by, x.strides, strict=True))
-        return x._replace(shape=shape, strides=strides, start=(int(number), terms))
+        return x._replace(shape=shape, strides=after.strides, start=(number + last - first, terms))
 
     def of_dynamic_slice(self, step: Step, ins: list[View]) -> View:
-        x, shape = ins[0], step.outs[0].shape
-        return self.part(x, shape, ins[1:])
+        return self.part(ins[0], step.outs[0].shape, ins[1:])
 
     def part(self, x: View, shape: tuple[int, ...], places: Sequence[View]) -> View:
         """A part of an array from a place that is found while it runs, and clamped."""

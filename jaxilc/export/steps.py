@@ -99,7 +99,7 @@ class _Writer:
                 raise Unknown(f"{name} of complex numbers")
             return COMPLEX[name](self, step, ins)
         if name == "select_n" and isinstance(ins[0], Const) and uniform(ins[0].array):
-            return [self.kept(ins[1 + int(np.ravel(ins[0].array)[0])], step.outs[0])]
+            return [ins[1 + int(np.ravel(ins[0].array)[0])]]
         if name in REWRITTEN:
             return self.traced(partial(REWRITTEN[name], step), ins)
         if name in ("gather", "scatter", "scatter-add"):
@@ -122,11 +122,6 @@ class _Writer:
         new = [Value(x.shape, x.dtype) for x in outs]
         self.steps.append(Step(name, params, ins, new))
         return new
-
-    def kept(self, x: Value, out: Value) -> Value:
-        """The operand that was selected, in the shape of the result."""
-        return x if x.shape == out.shape else self.traced(
-            lambda x: jnp.broadcast_to(x, out.shape), [x])[0]  # fmt: skip
 
     def traced(self, function: Function, ins: Sequence[Value]) -> list[Value]:
         """What stands for the results of a function of JAX on these operands; constants stay so."""

@@ -33,14 +33,6 @@ def fresh():
     forget()
 
 
-def test_this_version_of_jax_needs_no_fallback(fresh):
-    """No fallback is needed for this version of JAX.
-
-    The test fails on a machine whose JAX the package does not know well enough.
-    """
-    assert jax_internals.why_not() is None
-
-
 @pytest.mark.thorough
 def test_unstable_parts_of_jax_are_imported_in_one_module_only():
     root = Path(jaxilc.__file__).parent
@@ -72,6 +64,7 @@ def learned():
 
 
 def test_without_them_the_numbers_are_the_same(fresh, monkeypatch):
+    """The version of JAX here needs no fallback: it is one that the package knows well enough."""
     with_them = learned()
     assert jax_internals.why_not() is None
     jax_internals._found.cache_clear()

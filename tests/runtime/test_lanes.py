@@ -81,18 +81,14 @@ def test_absurd_sizes_have_lanes(memory, each, machines, expected):
          r"machines = 2.5 is outside its allowed range \[1, inf\) of whole numbers"),
         ((float("nan"), 1.0, 4), "tiled: memory = nan"),
         ((8e9, -1.0, 4), "tiled: of_a_machine = -1"),
+        ((8e9, 1e3, 4, 7e9),
+         "one machine beside 7 GB of results takes 1 kB of memory, where 6 GB"),
     ],
 )  # fmt: skip
 def test_what_cannot_fit_is_refused_with_what_would(arguments, message):
+    sizes, beside = arguments[:3], sum(arguments[3:])
     with pytest.raises(ValueError, match=message):
-        lanes_for(*arguments)
-
-
-def test_results_that_leave_no_room_are_named():
-    with pytest.raises(
-        ValueError, match="one machine beside 7 GB of results takes 1 kB of memory, where 6 "
-    ):
-        lanes_for(8e9, 1e3, 4, beside=7e9)
+        lanes_for(*sizes, beside=beside)
 
 
 class Device:

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from cases import case
+from cases import FIRST_ORDER, case
 from gain_case import GAINS, PROBLEM, STATIC
 from sweep_case import PLAN
 
@@ -197,16 +197,9 @@ worst-case cao-2019 --scheme cfdl-mfailc --draws 1000000000
 worst-case cao-2019 --scheme cfdl-mfailc --evaluations 1000000000
 next --state campaign --scenario long.toml --out next.csv
 """
-PLANT = """
-[plant]
-kind = "state_space"
-A = [[0.5]]
-B = [[1.0]]
-C = [[1.0]]
-dt = 0.001
-[task]
-dt = 0.001
-[task.reference]
+PLANT = (
+    FIRST_ORDER
+    + """[task.reference]
 function = "sinusoid"
 amplitude = 1.0
 frequency = 1.0
@@ -214,6 +207,7 @@ duration = {}
 [schemes.ilc]
 class = "PIDType"
 """
+)
 LIMITED = """
 import json, resource, sys, time
 import jax

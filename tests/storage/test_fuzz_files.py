@@ -4,6 +4,7 @@ A file is refused with a ValueError, or read to finite numbers. fuzz.py says how
 """
 
 import json
+import tomllib
 
 import jax
 import numpy as np
@@ -20,99 +21,106 @@ from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.parameters import with_parameters
 from jaxilc.signals import Task, references, s_curves
 
-TASK = {"dt": 0.001, "unit": "mm", "input_unit": "V"}
-SINE = {"function": "sinusoid", "amplitude": 1.0, "frequency": 10.0, "duration": 0.05}
-SCHEMES = {
-    "pid": {"class": "PID", "kp": 0.5},
-    "ilc": {
-        "class": "WithFeedback",
-        "learning": {
-            "class": "Filtered",
-            "scheme": {"class": "PIDType", "gamma_p": 0.5, "lead": 1},
-            "filter": {"class": "ZeroPhaseButterworth", "cutoff": 90.0},
-        },
-        "feedback": {"class": "PID", "kp": 0.4, "ki": 1.0},
-    },
-    "ffdl": {
-        "class": "StopWhen",
-        "rms": 0.1,
-        "scheme": {"class": "FFDLMFAILC", "phi0": [0.5, 0.0, -0.1, 0.0], "lam": 0.5},
-    },
-}
-OPTIMAL = {"noilc": {"class": "NormOptimal", "model": "plant", "w_q": 1.0, "w_r": [[0.1]]}}
-FILES = (
-    {
-        "plant": {"kind": "transfer_function", "num": [4000.0], "den": [1.0, 80.0, 4000.0]},
-        "machine": {
-            "actuator": {"limit": 10.0, "rate": 1e4},
-            "sensor": {"resolution": 1e-4},
-            "disturbance": {"input_noise": 1e-3},
-        },
-        "task": TASK | {"reference": SINE, "settle": [0.01, 0.05]},
-        "schemes": SCHEMES,
-        "uncertainty": {
-            "plant.B": {"distribution": "uniform", "low": 0.9, "high": 1.1, "relative": True}
-        },
-    },
-    {
-        "name": "two",
-        "title": "Two axes",
-        "trials": 3,
-        "tolerance": 0.1,
-        "shown_unit": "µm",
-        "shown_scale": 1e3,
-        "show_trials": [1, 3],
-        "plant": {
-            "kind": "state_space",
-            "A": [[0.9, 0.0], [0.0, 0.8]],
-            "B": [[0.1, 0.0], [0.0, 0.2]],
-            "C": [[1, 0], [0, 1]],
-            "dt": 0.001,
-        },
-        "task": TASK
-        | {
-            "reference": [
-                SINE,
-                {
-                    "function": "multisine",
-                    "amplitudes": [1, 2],
-                    "frequencies": [20, 40],
-                    "duration": 0.05,
-                },
-            ]
-        },
-        "schemes": {"ilc": {"class": "PIDType", "gamma_p": [0.5, 0.4]}},
-    },
-    {
-        "plant": {
-            "kind": "zeros_poles_gain",
-            "zeros": [-50.0],
-            "poles": [[-20, 30], [-20, -30], -90],
-            "gain": 3e4,
-        },
-        "task": TASK
-        | {
-            "reference": {
-                "function": "s_curve",
-                "positions": [0, 1],
-                "velocity": 90,
-                "acceleration": 9e3,
-                "jerk": 2e6,
-            }
-        },
-        "schemes": OPTIMAL,
-    },
-    {
-        "plant": {
-            "kind": "VoiceCoilMotor",
-            "friction": {"class": "StribeckFriction", "coulomb_force": 1.0, "static_force": 1.5},
-        },
-        "task": TASK | {"reference": {"csv": "r.csv", "column": "r"}, "inputs": 1},
-        "schemes": {
-            "on": {"class": "OnOutputs", "outputs": [0], "scheme": {"class": "CFDLMFAPC", "P": 5}}
-        },
-    },
+TEXTS = (
+    """
+[plant]
+kind = "transfer_function"
+num = [4000.0]
+den = [1.0, 80.0, 4000.0]
+[machine]
+actuator = { limit = 10.0, rate = 1e4 }
+sensor = { resolution = 1e-4 }
+disturbance = { input_noise = 1e-3 }
+[task]
+dt = 0.001
+unit = "mm"
+input_unit = "V"
+reference = { function = "sinusoid", amplitude = 1.0, frequency = 10.0, duration = 0.05 }
+settle = [0.01, 0.05]
+[schemes]
+pid = { class = "PID", kp = 0.5 }
+ffdl.class = "StopWhen"
+ffdl.rms = 0.1
+ffdl.scheme = { class = "FFDLMFAILC", phi0 = [0.5, 0.0, -0.1, 0.0], lam = 0.5 }
+[schemes.ilc]
+class = "WithFeedback"
+feedback = { class = "PID", kp = 0.4, ki = 1.0 }
+learning.class = "Filtered"
+learning.scheme = { class = "PIDType", gamma_p = 0.5, lead = 1 }
+learning.filter = { class = "ZeroPhaseButterworth", cutoff = 90.0 }
+[uncertainty."plant.B"]
+distribution = "uniform"
+low = 0.9
+high = 1.1
+relative = true
+""",
+    """
+name = "two"
+title = "Two axes"
+trials = 3
+tolerance = 0.1
+shown_unit = "µm"
+shown_scale = 1e3
+show_trials = [1, 3]
+[plant]
+kind = "state_space"
+A = [[0.9, 0.0], [0.0, 0.8]]
+B = [[0.1, 0.0], [0.0, 0.2]]
+C = [[1, 0], [0, 1]]
+dt = 0.001
+[task]
+dt = 0.001
+unit = "mm"
+input_unit = "V"
+[[task.reference]]
+function = "sinusoid"
+amplitude = 1.0
+frequency = 10.0
+duration = 0.05
+[[task.reference]]
+function = "multisine"
+amplitudes = [1, 2]
+frequencies = [20, 40]
+duration = 0.05
+[schemes]
+ilc = { class = "PIDType", gamma_p = [0.5, 0.4] }
+""",
+    """
+[plant]
+kind = "zeros_poles_gain"
+zeros = [-50.0]
+poles = [[-20, 30], [-20, -30], -90]
+gain = 3e4
+[task]
+dt = 0.001
+unit = "mm"
+input_unit = "V"
+[task.reference]
+function = "s_curve"
+positions = [0, 1]
+velocity = 90
+acceleration = 9e3
+jerk = 2e6
+[schemes]
+noilc = { class = "NormOptimal", model = "plant", w_q = 1.0, w_r = [[0.1]] }
+""",
+    """
+[plant]
+kind = "VoiceCoilMotor"
+friction = { class = "StribeckFriction", coulomb_force = 1.0, static_force = 1.5 }
+[task]
+dt = 0.001
+unit = "mm"
+input_unit = "V"
+reference = { csv = "r.csv", column = "r" }
+inputs = 1
+[schemes.on]
+class = "OnOutputs"
+outputs = [0]
+scheme = { class = "CFDLMFAPC", P = 5 }
+""",
 )
+FILES = tuple(map(tomllib.loads, TEXTS))
 
 
 @pytest.fixture
@@ -158,23 +166,9 @@ def test_plant_files(folder):
     assert fuzz(60, attempt, (ValueError, OSError)) > 1
 
 
-TOML = """name = "axis"
-[plant]
-kind = "transfer_function"
-num = [4000.0]
-den = [1.0, 80.0, 4000.0]
-[task]
-dt = 0.001
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 10.0, duration = 0.05 }
-[schemes.ilc]
-class = "PIDType"
-gamma_p = 0.5
-"""
-
-
 @pytest.mark.parametrize("suffix", [".toml", ".json"])
 def test_bytes_of_plant_files(folder, suffix):
-    whole = (TOML if suffix == ".toml" else json.dumps(FILES[1], indent=1)).encode()
+    whole = (TEXTS[0] if suffix == ".toml" else json.dumps(FILES[1], indent=1)).encode()
 
     def attempt(rng):
         path = folder / f"plant{suffix}"

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import sweep_case
 import xarray as xr
+from cases import FIRST_ORDER
 
 import jaxilc
 from jaxilc import Machine, Uniform, cli
@@ -277,16 +278,9 @@ def test_without_distributed_the_extra_is_named(monkeypatch):
         PLAN.run(cluster="tcp://127.0.0.1:9")
 
 
-AXIS = """
-[plant]
-kind = "state_space"
-A = [[0.5]]
-B = [[0.5]]
-C = [[1.0]]
-dt = 0.001
-[task]
-dt = 0.001
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
+AXIS = (
+    FIRST_ORDER
+    + """reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
 [schemes.pid]
 class = "PID"
 kp = 0.5
@@ -296,6 +290,7 @@ low = 0.9
 high = 1.1
 relative = true
 """
+)
 
 
 def sweep_command(monkeypatch, *arguments):

@@ -37,6 +37,13 @@ def dataset(programs):
     return PLAN.run()
 
 
+def resumed(plan, store):
+    """Return the dataset of a store that a plan goes on with, and how many machines it computed."""
+    computed = []
+    dataset = plan.run(store, resume=True, progress=lambda *told: computed.append(told[-1]))
+    return dataset, computed
+
+
 def test_each_sample_can_be_rebuilt_and_run_alone(dataset):
     for i in (0, 3, 10):
         alone = jaxilc.learn(
@@ -57,33 +64,6 @@ def test_the_dataset_is_labelled(dataset):
     assert configuration["seed"] == 7
     assert configuration["environment"]["versions"]["jax"] == jax.__version__
     assert configuration["schemes"]["learning"]["lam"] == 1.0
-
-
-@pytest.mark.thorough
-def test_chunks_and_lanes_do_not_change_the_numbers(dataset):
-    other = dataclasses.replace(PLAN, chunk=11, lanes=5).run()
-    np.testing.assert_allclose(other["rms"], dataset["rms"], rtol=1e-12)
-
-
-def test_an_interrupted_sweep_resumes_to_the_same_dataset(tmp_path, dataset):
-    class Killed(Exception):
-        pass
-
-    def kill_after_second_chunk(name, done, fresh):
-        if done >= 8:
-            raise Killed
-
-    store = tmp_path / "store.zarr"
-    with pytest.raises(Killed):
-        PLAN.run(store, progress=kill_after_second_chunk)
-    assert bool(jaxilc.open_dataset(store)["finite"].sel(scheme="feedback").any()) is False
-    computed = []
-    resumed = PLAN.run(
-        store, resume=True, progress=lambda name, done, fresh: computed.append(fresh)
-    )
-    assert computed == [0, 0, 3, 4, 4, 3]
-    xr.testing.assert_identical(resumed, dataset)
-    xr.testing.assert_identical(jaxilc.open_dataset(store), dataset)
 
 
 def test_a_store_of_another_configuration_is_refused(tmp_path):
@@ -122,14 +102,11 @@ def test_a_store_under_earlier_names_is_resumed_and_opened(tmp_path, dataset, mo
             PLAN.run(store, progress=stop_after_second_chunk)
     with pytest.raises(ValueError, match="it differs in: machines: 11 there, 12 here"):
         dataclasses.replace(PLAN, machines=12).run(store, resume=True)
-    computed = []
-    resumed = PLAN.run(
-        store, resume=True, progress=lambda name, done, fresh: computed.append(fresh)
-    )
+    whole, computed = resumed(PLAN, store)
     assert computed == [0, 0, 3, 4, 4, 3]
-    assert resumed.attrs["configuration"] == earlier_names(dataset.attrs["configuration"])
-    xr.testing.assert_identical(resumed.drop_attrs(deep=False), dataset.drop_attrs(deep=False))
-    xr.testing.assert_identical(jaxilc.open_dataset(store), resumed)
+    assert whole.attrs["configuration"] == earlier_names(dataset.attrs["configuration"])
+    xr.testing.assert_identical(whole.drop_attrs(deep=False), dataset.drop_attrs(deep=False))
+    xr.testing.assert_identical(jaxilc.open_dataset(store), whole)
 
 
 def test_a_population_takes_the_place_of_the_machine():
@@ -158,15 +135,13 @@ def test_chunks_grow_with_the_machines_but_not_with_what_is_kept_of_them(monkeyp
 def test_a_store_keeps_its_chunks_where_none_are_asked_for(tmp_path, monkeypatch):
     feedback = {"feedback": PLAN.schemes["feedback"]}
     given = {"schemes": feedback, "trials": 2, "keep": (), "machines": 5, "chunk": None}
-    store, computed = tmp_path / "store.zarr", []
+    store = tmp_path / "store.zarr"
     monkeypatch.setattr(sweep_module, "CHUNK", 4)
     whole = dataclasses.replace(PLAN, **given).run(store)
     monkeypatch.setattr(sweep_module, "CHUNK", 8)
-    resumed = dataclasses.replace(PLAN, **given).run(
-        store, resume=True, progress=lambda name, done, fresh: computed.append(fresh)
-    )
+    again, computed = resumed(dataclasses.replace(PLAN, **given), store)
     assert computed == [0, 0]
-    xr.testing.assert_identical(resumed, whole)
+    xr.testing.assert_identical(again, whole)
     with pytest.raises(ValueError, match="it differs in: chunk: 4 there, 3 here"):
         dataclasses.replace(PLAN, **given | {"chunk": 3}).run(store, resume=True)
 
@@ -201,10 +176,7 @@ def test_a_store_knows_its_quantities_by_what_they_do(tmp_path):
 
     store = tmp_path / "store.zarr"
     dataset = plan(0.1).run(store)
-    computed = []
-    moved = plan(0.1, lines=9, file="other.py").run(
-        store, resume=True, progress=lambda name, done, fresh: computed.append(fresh)
-    )
+    moved, computed = resumed(plan(0.1, lines=9, file="other.py"), store)
     assert computed == [0]
     xr.testing.assert_identical(moved, dataset)
     for other in (plan(0.2), plan(0.1, body="jnp.maximum(jnp.min(trial.e), level)")):
