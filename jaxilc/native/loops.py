@@ -439,13 +439,15 @@ class _Driver:
 
 def _fixed(before: Sequence[Step], step: Step) -> list[np.ndarray | None]:
     """The values of operands of the loop over trials that depend on no argument; else None."""
-    known: dict[Value, Known] = {}
-    by_jax(before, known)
-    found = [x.array if isinstance(x, Const) else known.get(x) for x in step.ins]
-    return [
-        np.asarray(x) if x is not None and (np.size(x) <= FEW or x.dtype.kind in "iu") else None
-        for x in found
-    ]
+
+    def values() -> list[Known | None]:
+        known: dict[Value, Known] = {}
+        by_jax(before, known)
+        found = [x.array if isinstance(x, Const) else known.get(x) for x in step.ins]
+        few = (x is not None and (x.size <= FEW or x.dtype.kind in "iu") for x in found)
+        return [x if b else None for x, b in zip(found, few, strict=True)]
+
+    return [x if x is None else np.asarray(x) for x in jax.jit(values)()]
 
 
 def real() -> np.dtype:

@@ -6,6 +6,7 @@ import itertools
 import logging
 import re
 from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Generic, TypeGuard, TypeVar
 
@@ -18,7 +19,7 @@ from ..learning.known_metrics import Metrics
 from ..learning.machine import Machine
 from ..learning.over_trials import learn
 from ..runtime.capacity import host_bytes, shown
-from ..runtime.lanes import all_stored, usual_lanes
+from ..runtime.lanes import all_stored
 from ..runtime.start import native_unwanted
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
@@ -204,6 +205,10 @@ class Compiled(Generic[Common, One, Found]):
         found = self._call(jax.tree.leaves(common), jax.tree.leaves(batch))
         return jax.tree.unflatten(self._tree, found)
 
+    def compile(self, common: Common, batch: One) -> None:
+        """Let XLA compile what a later call with arguments of these shapes needs."""
+        self._call.lower(jax.tree.leaves(common), jax.tree.leaves(batch)).compile()
+
     def _of_batch(self, shared: list[jax.Array], each: list[jax.Array]) -> list[jax.Array]:
         machines, tile = len(each[0]), self.tile
         if machines <= tile:
@@ -265,26 +270,25 @@ class Compiled(Generic[Common, One, Found]):
 
 
 class Native(Generic[Common, One, Found]):
-    """A function of what is common and of one machine, compiled where that is possible.
+    """A function of what is common and of one machine, compiled where that is possible."""
 
-    fn: the function
-    xla: the function of what is common and of a batch that computes the same by XLA
-    """
-
-    def __init__(self, fn: Callable[[Common, One], Found], xla: Callable[[Common, One], Found]):
-        self._fn, self._xla = fn, xla
+    def __init__(self, fn: Callable[[Common, One], Found]):
+        self._fn = fn
         self._programs: dict[Hashable, Compiled[Common, One, Found] | str] = {}
 
-    def why_not(self, common: Common, batch: One) -> str | None:
+    def why_not(self, common: Common, batch: One, *, ahead: bool = False) -> str | None:
         """The reason why XLA computes these arguments; None where a compiled program does.
 
-        A new program first computes this batch, and its results are compared with those of XLA,
-        which compiles quickly, and once more with its optimiser where they differ.
+        A new program first computes a few machines of this batch, a group and one more. Its results
+        are compared with those of XLA, which compiles quickly, and once more with its optimiser
+        where they differ.
         Where machine code is kept on disk, it is noted there that they agree, for later processes.
+
+        ahead: whether all of the batch is computed next; XLA then compiles for it at the same time
         """
         key = _key(common, batch)
         if key not in self._programs:
-            self._programs[key] = self._tried(common, batch)
+            self._programs[key] = self._tried(common, batch, ahead)
         found = self._programs[key]
         return found if isinstance(found, str) else None
 
@@ -294,9 +298,9 @@ class Native(Generic[Common, One, Found]):
         assert isinstance(found, Compiled)
         return found
 
-    def _tried(self, common: Common, batch: One) -> Compiled[Common, One, Found] | str:
+    def _tried(self, common: Common, batch: One, ahead: bool) -> Compiled[Common, One, Found] | str:
         try:
-            program = Compiled(self._fn, common, jax.tree.map(lambda x: x[0], batch))
+            program = Compiled(self._fn, common, jax.eval_shape(_first, batch))
             if not program.learns:
                 return ONCE
             if program.memories:
@@ -309,13 +313,18 @@ class Native(Generic[Common, One, Found]):
         key = program.key
         if agreed(key):
             return program
-        both = jax.jit(lambda *arguments: (program(*arguments), self._xla(*arguments)))
-        traced = both.lower(common, batch)
-        for options in (QUICKLY, None):  # a gradient of XLA was NaN without its optimiser alone
-            off = differs(*traced.compile(options)(common, batch))
-            if off is None:
-                agree(key)
-                return program
+        few = jax.tree.map(lambda x: x[: program.lanes + 1], batch)
+        by_xla = jax.vmap(self._fn, (None, 0))
+        both = jax.jit(lambda *arguments: (program(*arguments), by_xla(*arguments)))
+        with ThreadPoolExecutor(1) as aside:
+            if ahead:
+                aside.submit(program.compile, common, batch)
+            traced = both.lower(common, few)
+            for options in (QUICKLY, None):  # a gradient of XLA was NaN without its optimiser alone
+                off = differs(*traced.compile(options)(common, few))
+                if off is None:
+                    agree(key)
+                    return program
         log.warning("native: %s, as XLA computes it; XLA computes instead", off)
         return f"another result than that of XLA: {off}"
 
@@ -330,19 +339,18 @@ def fastest(
 ) -> tuple[Callable[[Common, One], Found], bool]:
     """`tiled(fn)`, or a compiled program that does the same, and whether it is the latter.
 
-    A program is compiled where `setup` asks for it, or the sample-steps are worth it. It first
-    computes a tile of this batch, and its results are compared with those of XLA.
+    A program is compiled where `setup` asks for it, or the sample-steps are worth it, and compared
+    with XLA, see `Native.why_not`.
 
     common, batch: arguments, of which a program may be called with others of the same shapes
     steps: gives the number of sample-steps of all calls together, see `native_unwanted`
     """
     by_xla = tiled(fn, lanes=lanes)
-    native, reason = Native(fn, by_xla), native_unwanted(steps)
-    few = jax.tree.map(lambda x: x[: lanes or usual_lanes() or 1], batch)
-    reason = reason or native.why_not(common, few)
+    native, reason = Native(fn), native_unwanted(steps)
+    reason = reason or native.why_not(common, batch, ahead=True)
     log.info("native: computed by %s", f"XLA: {reason}" if reason else "a program for this "
              "processor")  # fmt: skip
-    return (by_xla, False) if reason else (native.program(common, few), True)
+    return (by_xla, False) if reason else (native.program(common, batch), True)
 
 
 def sample_steps(fn: Callable[[Common, One], Found], common: Common, batch: One) -> float:
@@ -361,8 +369,12 @@ def sample_steps(fn: Callable[[Common, One], Found], common: Common, batch: One)
             )
         return found
 
-    one = jax.tree.map(lambda x: x[0], batch)
+    one = jax.eval_shape(_first, batch)
     return turns(jax.make_jaxpr(fn)(common, one)) * len(jax.tree.leaves(batch)[0])
+
+
+def _first(batch: One) -> One:
+    return jax.tree.map(lambda x: x[0], batch)
 
 
 def _has_steps(x: object) -> TypeGuard[Jaxpr | ClosedJaxpr]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from ..pytree.aliases import Leaf, Numbers, Value
 from .linear import LARGEST_ORDER, StateSpace

@@ -17,7 +17,6 @@ from itertools import islice
 from typing import NamedTuple, TypeAlias
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..learning.divergence import Course
@@ -71,7 +70,7 @@ class Host:
             why_not = native_unwanted(partial(self._sample_steps, n))
             if not shared:
                 why_not = "the workers of a cluster may differ in their processors"
-            self._natives[n] = why_not or _shared_native(member, plan.lanes)
+            self._natives[n] = why_not or _shared_native(member)
         self._by_trial = {
             n: v.dims.index("trial") - 1 for n, v in plan.variables.items() if "trial" in v.dims
         }
@@ -80,8 +79,8 @@ class Host:
     def environment(self) -> provenance.Environment:
         """What the numbers depend on besides the plan, see `provenance.environment`.
 
-        `native` are the variants that a program compiled for this processor computes; a first tile
-        of each is then computed by XLA too, and compared.
+        `native` are the variants that a program compiled for this processor computes; a few
+        machines of each are then computed by XLA too, and compared.
         """
         names = [*self.plan.variants]
         with ThreadPoolExecutor(COMPILERS) as compilers:
@@ -103,7 +102,7 @@ class Host:
         native = self._natives[self.plan.variants[name].trials]
         if isinstance(native, str):
             return native
-        return native.why_not(*self._arguments(name, 0, self.plan.lanes))
+        return native.why_not(*self._arguments(name, 0, self.plan.chunk), ahead=True)
 
     def _native(
         self, name: str, arguments: tuple[Tree, Tree]
@@ -219,10 +218,10 @@ class Host:
         plan, of = self.plan, self.plan.variants[name]
         member = np.minimum(np.arange(start, start + min(size, plan.members)), plan.members - 1)
         point, index = np.divmod(member, plan.machines)
-        drawn = {n: jnp.asarray(x[plan.first + index]) for n, x in plan.population.drawn.items()}
-        at_point = jax.tree.map(jnp.asarray, plan.axes.leaves_at(point, of.name))
+        drawn = {n: x[plan.first + index] for n, x in plan.population.drawn.items()}
+        at_point = plan.axes.leaves_at(point, of.name)
         common = (of.machine, of.scheme, of.task, jax.random.key(plan.population.seed))
-        return common, (jnp.asarray(index), drawn, at_point)
+        return common, (index, drawn, at_point)
 
 
 def _longer(values: np.ndarray, axis: int, missing: int) -> np.ndarray:
@@ -274,6 +273,6 @@ _shared_program = lru_cache(maxsize=PROGRAMS)(_program)
 
 
 @lru_cache(maxsize=PROGRAMS)
-def _shared_native(of: _Member, lanes: int | None) -> Native[Tree, Tree, ByName]:
+def _shared_native(of: _Member) -> Native[Tree, Tree, ByName]:
     """The function compiled for this processor, where it can be."""
-    return Native(of.found, _shared_program(of, lanes))
+    return Native(of.found)

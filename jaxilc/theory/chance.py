@@ -49,10 +49,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
-import scipy.sparse
-import scipy.sparse.linalg
-import scipy.special
+import scipy
 from jax.flatten_util import ravel_pytree
 
 from ..learning.machine import Machine

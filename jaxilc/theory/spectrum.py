@@ -23,7 +23,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
-import scipy.sparse
 from jax import lax
 
 from .condition import Condition, Premise, condition, premise

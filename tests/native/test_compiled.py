@@ -181,13 +181,13 @@ def test_noise_is_drawn_ahead_and_a_table_is_searched_at_each_sample():
 
 def test_another_result_than_that_of_xla_is_refused_and_told(monkeypatch, caplog):
     common = arguments("p_type")
-    xla, once = jax.jit(jax.vmap(of_machine, (None, 0))), iter(["not that of XLA in haste"])
+    once = iter(["not that of XLA in haste"])
     monkeypatch.setattr(run, "differs", lambda *of: next(once, None) or differs(*of))
-    assert Native(of_machine, xla).why_not(common, GAINS) is None
+    assert Native(of_machine).why_not(common, GAINS) is None
     assert next(once, None) is None
     wrong = dataclasses.replace(operations.INSTRUCTIONS["sub"], text={"f": "fadd"})
     monkeypatch.setitem(operations.INSTRUCTIONS, "sub", wrong)
-    reason = Native(of_machine, xla).why_not(common, GAINS)
+    reason = Native(of_machine).why_not(common, GAINS)
     assert "another result than that of XLA" in reason
     assert "XLA computes instead" in caplog.text
 
@@ -257,7 +257,7 @@ def test_what_agreed_with_xla_is_not_compared_again(monkeypatch, tmp_path):
     monkeypatch.setattr(run, "differs", lambda *of: compared.append(1) or differs(*of))
 
     def text():
-        native = Native(of_machine, jax.vmap(of_machine, (None, 0)))
+        native = Native(of_machine)
         assert native.why_not(common, GAINS[:2]) is None
         program = native.program(common, GAINS[:2])
         return jax.jit(program).lower(common, GAINS[:2]).as_text()

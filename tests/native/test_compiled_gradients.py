@@ -130,7 +130,7 @@ def test_memories_that_the_ram_cannot_hold_are_in_blocks_and_it_is_told(monkeypa
     def told(room):
         monkeypatch.setattr(run, "host_bytes", lambda: room)
         caplog.clear()
-        native = Native(of_37_trials, jax.jit(jax.vmap(of_37_trials, (None, 0))))
+        native = Native(of_37_trials)
         return native.why_not(first, GAINS), caplog.text
 
     of_all, of_blocks = (
@@ -150,7 +150,7 @@ def test_a_wrong_slope_is_refused(monkeypatch, caplog):
     common = arguments("p_type")
     wrong = lambda n, x, y: n.of("sub", x, y)  # noqa: E731
     monkeypatch.setitem(operations.COMPOSED, "add_any", (wrong, ()))
-    native = Native(by_all_leaves, jax.jit(jax.vmap(by_all_leaves, (None, 0))))
+    native = Native(by_all_leaves)
     assert "another result than that of XLA" in native.why_not(common, GAINS)
     assert "XLA computes instead" in caplog.text
 
