@@ -232,11 +232,7 @@ def steps(live: list[Manifest]) -> list[int]:
 
     live: manifests of the start and of the measured trials, see `Journal.live`
     """
-    found, step = [], 1
-    for manifest in live[1:]:
-        found.append(step)
-        step += bool(manifest["learned"])
-    return found
+    return [next_step(live[:i]) for i in range(1, len(live))]
 
 
 def next_step(live: list[Manifest]) -> int:

@@ -11,13 +11,13 @@ import shutil
 import sys
 from pathlib import Path
 
+import campaigns_with_faults as faults
 import jax
 import numpy as np
 import pytest
 from cases import case
 from fuzz import damaged, dumped, flipped, fuzz, pick, refusal
 
-from jaxilc import cli
 from jaxilc.hardware import Campaign, Journal, Measured, Rules
 from jaxilc.hardware import campaign as of_campaign
 from jaxilc.hardware.checks import ACCEPTED
@@ -292,12 +292,7 @@ class = "PIDType"
 
 def command(*arguments):
     """Return the exit code of a command."""
-    sys.argv = ["jaxilc", *map(str, arguments)]
-    try:
-        cli.main()
-    except SystemExit as stop:
-        return stop.code
-    return 0
+    return faults.call(*arguments)[0]
 
 
 def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypatch):

@@ -48,10 +48,8 @@ def test_linuxcnc_comes_to_the_commanded_position(tmp_path):
 
     place = np.linspace(0, 10, 200)
     undo = [place - screw(place, way) for way in (1, -1)]
-    splines = Splines(0.0, 10.0, 200, degree=1)
-    write_map(
-        tmp_path / "x.comp", PositionMap(splines, np.concatenate(undo), turning=0.1), place[::2]
-    )
+    learned = PositionMap(Splines(0.0, 10.0, 200, degree=1), np.concatenate(undo), turning=0.1)
+    write_map(tmp_path / "x.comp", learned, place[::2])
     rows = np.loadtxt(tmp_path / "x.comp")
     x = np.linspace(-0.5, 10.5, 333)
     for kind, most in ((1, 1e-3), (0, np.inf)):

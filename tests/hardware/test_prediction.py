@@ -12,18 +12,7 @@ from gain_case import GAINS, STATIC, TASK
 from jaxilc.cli.hardware import new_plant_file, next_command, verdict
 from jaxilc.figures.campaign import bands_by_trial
 from jaxilc.hardware import prediction as predictions
-from jaxilc.hardware.prediction import (
-    MACHINES,
-    SEED,
-    Subject,
-    distance,
-    next_step,
-    place_of,
-    predict,
-    prediction_of,
-    simulated,
-    steps,
-)
+from jaxilc.hardware.prediction import Subject, distance, place_of, prediction_of
 from jaxilc.schemes import PIDType
 from jaxilc.storage.sealed import sealed
 from jaxilc.uncertainty import draw
@@ -34,15 +23,15 @@ SUBJECT = Subject(STATIC, PIDType(gamma_p=GAMMA), TASK, GAINS)
 
 @pytest.fixture(scope="module")
 def predicted():
-    return predict(SUBJECT, TRIALS)
+    return predictions.predict(SUBJECT, TRIALS)
 
 
 def test_the_band_is_that_of_machines_that_each_learn_by_themselves(predicted):
     # On a gain g the error is (1 - gamma g)^(j-1) r.
-    gains = draw(STATIC, GAINS, MACHINES + 1, seed=SEED)["plant.B"][1:]
+    gains = draw(STATIC, GAINS, predictions.MACHINES + 1, seed=predictions.SEED)["plant.B"][1:]
     left = np.abs(1 - GAMMA * gains)[:, None] ** np.arange(TRIALS)
     r = np.asarray(TASK.reference)[1:]
-    errors, largest = simulated(SUBJECT, TRIALS)
+    errors, largest = predictions.simulated(SUBJECT, TRIALS)
     np.testing.assert_allclose(errors, left * np.sqrt(np.mean(r**2)), **ALGEBRA)
     np.testing.assert_allclose(largest, left * np.max(np.abs(r)), **ALGEBRA)
     # Six of 256 lie below the lower end, or on it, and as many above; the first errors are equal.
@@ -111,8 +100,8 @@ def journal_of(*learned):
 
 def test_a_trial_that_was_only_looked_at_repeats_its_step(predicted):
     live = journal_of(True, False, False, True)
-    assert (steps(live), next_step(live)) == ([1, 2, 2, 2], 3)
-    assert (steps(live[:1]), next_step(live[:1])) == ([], 1)
+    assert (predictions.steps(live), predictions.next_step(live)) == ([1, 2, 2, 2], 3)
+    assert (predictions.steps(live[:1]), predictions.next_step(live[:1])) == ([], 1)
     bands = bands_by_trial(live, predicted)
     assert list(bands.trial) == [1, 2, 3, 4, 5, 6, 7, 8]  # steps 3 to 6 are ahead
     np.testing.assert_array_equal(bands.high, predicted.rms.high[[0, 1, 1, 1, 2, 3, 4, 5]])
@@ -127,11 +116,10 @@ def test_the_file_is_computed_once_and_again_where_it_is_damaged(tmp_path, predi
 
     monkeypatch.setattr(predictions, "predict", computed)
 
-    def ask(folder, needed=3, subject=SUBJECT, configuration="c"):
+    def ask(folder, needed=3, subject=SUBJECT):
         asked.clear()
-        found = predictions.of_campaign(
-            folder, subject, needed, expected=TRIALS, configuration=configuration
-        )
+        known = {"expected": TRIALS, "configuration": "c"}
+        found = predictions.of_campaign(folder, subject, needed, **known)
         np.testing.assert_array_equal(found.rms.high, predicted.rms.high)
         assert found.course == predicted.course
         return list(asked)

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 from rigs_of_many_kinds import cylinder
 from two_mass_rig import DT, Rig, read_schedule, stroke
-from typer.testing import CliRunner
 
-from jaxilc.cli import app
 from jaxilc.hardware import Rules, checks
 
 R = stroke()
@@ -113,23 +111,15 @@ def test_each_suspicion_can_be_accepted_by_name(tmp_path):
     (tmp_path / "axis.toml").write_text(faults.PLANT)
     state, out = tmp_path / "x", tmp_path / "next.csv"
     start = ("next", "--state", state, "--set", "campaign.predict=false", "--out", out)
-    assert call(*start, "--scenario", tmp_path / "axis.toml") == (0, "")
+    assert faults.call(*start, "--scenario", tmp_path / "axis.toml")[0] == 0
     for j in (1, 2):
         u = read_schedule(out)
         y = Rig().play(u, j) if j == 1 else np.zeros(len(R))
         faults.write_trial(tmp_path / f"{j}.csv", R, y, u)
         arguments = (*start, "--measured", tmp_path / f"{j}.csv")
         if j == 2:
-            code, told = call(*arguments)
+            code, told = faults.call(*arguments)
             assert code == 3
             assert "accept=frozen" in told
             arguments += ("--set", "campaign.accept=frozen,input,growth")
-        assert call(*arguments)[0] == 0
-
-
-def call(*arguments):
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    error = result.exception
-    if error is None:
-        return 0, ""
-    return 3 if type(error).__name__ == "Refused" else 2, str(error)
+        assert faults.call(*arguments)[0] == 0

@@ -70,9 +70,8 @@ def test_std_variance_and_coherence(tmp_path):
     np.testing.assert_allclose(std("std", [1, 2, 3]), [1, 2, 3])
     np.testing.assert_allclose(std("Variance", [1, 4, 9]), [1, 2, 3])
     c = np.array([0.5, 0.9, 1.0])
-    np.testing.assert_allclose(
-        std("coherence", c, 10), abs(G) * np.sqrt((1 - c) / (10 * c)), rtol=1e-12
-    )
+    expected = abs(G) * np.sqrt((1 - c) / (10 * c))
+    np.testing.assert_allclose(std("coherence", c, 10), expected, rtol=1e-12)
     np.testing.assert_allclose(std("coherence", c), std("coherence", c, 1), rtol=1e-12)
     with pytest.raises(ValueError, match=r"line 4: coh = '0' is outside \(0, 1\]"):
         std("coh", ["0.5", "1", "0"], 10)

@@ -22,6 +22,14 @@ F = np.linspace(3.0, 300.0, 200)
 MEASURED = os.environ.get("JAXILC_MEASURED")
 
 
+def held(plant, f, dt):
+    """Return the response of a plant that is sampled at dt."""
+    sampled = plant.sampled(dt)
+    A, B, C = (np.asarray(M) for M in (sampled.A, sampled.B, sampled.C))
+    z = np.exp(2j * np.pi * f * dt)[:, None, None]
+    return (C @ np.linalg.solve(z * np.eye(len(A)) - A, B))[:, 0, 0]
+
+
 def drawn(parts, seed, delay=2.3e-3):
     rng = np.random.default_rng(seed)
     rates = rng.uniform(20, 2000, parts.lags + parts.modes)
@@ -43,10 +51,7 @@ def test_the_columns_are_those_of_the_plant_and_the_slopes_their_differences(par
     if dt is None:
         expected = np.asarray(plant.transfer(2j * np.pi * F))[:, 0, 0]
     else:
-        held = plant.sampled(dt)
-        A, B, C = (np.asarray(M) for M in (held.A, held.B, held.C))
-        z = np.exp(2j * np.pi * F * dt)[:, None, None]
-        expected = (C @ np.linalg.solve(z * np.eye(len(A)) - A, B))[:, 0, 0]
+        expected = held(plant, F, dt)
     np.testing.assert_allclose(found, expected, rtol=1e-10)
     J = grown_response.jacobian(at, parts, F, dt)
     direction = np.random.default_rng(1).normal(size=len(values)) * 1e-6 * np.abs(values)
@@ -94,20 +99,14 @@ def test_the_order_of_a_simulated_machine_is_found_and_its_intervals_hold(seed, 
     relative = np.sqrt(np.mean(np.abs(found.simulated[:, 0] / P - 1) ** 2))
     noise = np.sqrt(np.mean(np.abs(measured.response / P - 1) ** 2))
     assert relative < 0.3 * noise
-    true = dict(
-        zip(grown_response.names_of(parts), grown_response.values_of(at, parts), strict=True)
-    )
+    names, values = grown_response.names_of(parts), grown_response.values_of(at, parts)
+    true = dict(zip(names, values, strict=True))
     order = np.argsort([found.parameters[f"frequencies[{i}]"].value for i in range(modes)])
-    within = []
-    for j, i in enumerate(order):
-        for name in ("frequencies", "dampings", "mode_gains", "mode_rates"):
-            one = found.parameters[f"{name}[{i}]"]
-            within.append(one.low <= true[f"{name}[{j}]"] <= one.high)
-    within += [
-        one.low <= true[n] <= one.high
-        for n, one in found.parameters.items()
-        if n in ("delay", "double_integrator", "integrator")
-    ]
+    of_modes = ("frequencies", "dampings", "mode_gains", "mode_rates")
+    pairs = [(f"{n}[{i}]", f"{n}[{j}]") for j, i in enumerate(order) for n in of_modes]
+    pairs += [(n, n) for n in ("delay", "double_integrator", "integrator")]
+    intervals = [(found.parameters[ours], true[theirs]) for ours, theirs in pairs]
+    within = [one.low <= value <= one.high for one, value in intervals]
     assert np.mean(within) > 0.8  # 95 % are expected, of numbers that are not independent
 
 
@@ -125,10 +124,8 @@ def test_machines_drawn_as_if_independent_spread_as_far_as_the_lines_are_from_th
     low[-1] = high[-1] = found.plant.delay
     far = []
     for _ in range(40):
-        held = grown_response.model_of(rng.uniform(low, high), one.parts).sampled(DT)
-        A, B, C = (np.asarray(M) for M in (held.A, held.B, held.C))
-        z = np.exp(2j * np.pi * measured.frequencies * DT)[:, None, None]
-        P = (C @ np.linalg.solve(z * np.eye(len(A)) - A, B))[:, 0, 0]
+        plant = grown_response.model_of(rng.uniform(low, high), one.parts)
+        P = held(plant, measured.frequencies, DT)
         far.append(np.abs(P - found.simulated[:, 0]))
     error = np.abs(measured.response - found.simulated[:, 0])
     assert np.mean(error <= np.quantile(far, 0.95, axis=0)) > 0.8
@@ -151,6 +148,11 @@ def test_a_given_delay_is_kept():
         ({"coherence": [0.5, 1.1, 0.5]}, r"a coherence in \(0, 1\] for each line"),
         ({"coherence": [0.5, -0.1, 0.5]}, r"a coherence in \(0, 1\] for each line"),
         ({"response": [1, np.nan, 1]}, "not finite"),
+        ({"std": [1, np.nan, 1]}, "not finite"),
+        ({"std": [1, -1, 1]}, "and std from 0 on"),
+        ({"response": [0, 0, 0]}, "is 0 at all lines"),
+        ({"response": [1e-200] * 3}, r"the largest .response. is .*e-200; allowed is"),
+        ({"response": [1e200] * 3}, r"the largest .response. is .*e[+]200; allowed is"),
         ({}, "3 lines are too few to fit"),
     ],
     ids=str,

@@ -53,11 +53,8 @@ def test_a_parameter_that_only_fits_noise_is_not_chosen(monkeypatch):
     found = compare_orders(RECORD, structures=tuple(factor))
     assert asked == list(factor)
     assert [one.parameters for one in found] == [3, 4, 5, 6]
-    np.testing.assert_allclose(
-        [one.rms for one in found],
-        [f * np.sqrt(np.mean(y**2)) for f in factor.values()],
-        rtol=1e-12,
-    )
+    rms = np.sqrt(np.mean(y**2)) * np.array([*factor.values()])
+    np.testing.assert_allclose([one.rms for one in found], rms, rtol=1e-12)
     assert found[1].bic > found[0].bic
     best = best_order(found)
     assert (best.poles, best.pairs, best.zeros) == (1, 1, 0)

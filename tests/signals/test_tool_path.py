@@ -1,8 +1,4 @@
-"""These tests check tool paths of segments and G-code programs.
-
-The references are compared with dense points of each path, written from geometry alone, and with
-averages of polygons by quadrature.
-"""
+"""References of tool paths and G-code programs, against geometry and averages of polygons."""
 
 from __future__ import annotations
 
@@ -100,16 +96,14 @@ def test_a_rounded_polygon_is_its_average_and_uses_its_tolerance():
 
 
 def test_stops_dwells_and_reversals():
-    go, turn_back = (
-        Straight(np.zeros(2), np.array([5.0, 0])),
-        Straight(np.array([5.0, 0]), np.zeros(2)),
-    )
+    there = np.array([5.0, 0])
+    go, turn_back = Straight(np.zeros(2), there), Straight(there, np.zeros(2))
     made = follow([Move(go, 20.0), Dwell(0.1), Move(turn_back, 20.0)], corner=0.05, **LIMITS)
     at_end = np.flatnonzero(np.all(made.reference == [5.0, 0.0], axis=1))
     assert (made.stops, len(at_end)) == (1, 51)  # 0.1 s after the sample of arrival
     made = follow([Move(go, 20.0), Move(turn_back, 20.0)], corner=0.05, **LIMITS)
     assert (made.stops, made.rounded) == (1, 0)  # a reversal cannot be rounded
-    other = Straight(np.array([5.0, 0]), np.array([9.0, 0]))
+    other = Straight(there, np.array([9.0, 0]))
     assert follow([Move(go, 20.0), Move(other, 10.0)], corner=None, **LIMITS).stops == 1
     assert follow([Move(go, 20.0), Move(other, 20.0)], corner=None, **LIMITS).stops == 0
 
@@ -131,9 +125,8 @@ def test_planes_units_and_a_helix():
     assert_allclose([moves[0].feed, moves[0].segment.end[0]], 25.4)
     s = np.linspace(0, 1, 3601)
     helix = np.concatenate([arc((20, 0), 5.4, 0, 360)[::1], np.linspace(0, 4, 4001)[:, None]], 1)
-    assert_allclose(
-        moves[1].segment.at(np.linspace(0, moves[1].segment.length, 4001)), helix, atol=1e-9
-    )
+    turned = moves[1].segment
+    assert_allclose(turned.at(np.linspace(0, turned.length, 4001)), helix, atol=1e-9)
     # anticlockwise seen from +y: from z to x
     x, y, z = moves[2].segment.at(s * moves[2].segment.length).T
     assert_allclose(
@@ -190,9 +183,7 @@ def test_many_straight_moves_are_those_planned_one_by_one():
     at = 0
     for move in steps[:200]:
         chord = move.segment.end - move.segment.start
-        along = s_curve(
-            [0.0, np.linalg.norm(chord)], velocity=move.feed, acceleration=500.0, jerk=2e4, dt=5e-3
-        )
+        along = s_curve([0.0, np.linalg.norm(chord)], velocity=move.feed, **limits)
         expected = move.segment.start + np.outer(along / along[-1], chord)
         assert_allclose(made.reference[at : at + len(along)], expected, atol=1e-9)
         at += len(along) - 1
