@@ -115,47 +115,32 @@ def test_spread_widens_the_relative_ones_only():
     assert wide[SLOW] == UNCERTAINTY[SLOW]
 
 
+BAD_NAMES = [
+    ({"plant.mass": Uniform(1, 2)}, "plant.mass.*Known: plant.gain, plant.zero"),
+    ({"sensor.noise": Uniform(1, 2)}, "sensor.noise.*known"),
+    ({"actuator.rate": Uniform(1, 2)}, "actuator.rate = None is not a float leaf"),
+    ({"plant.poles": Uniform(1, 2)}, r"plant.poles has shape \(3,\).*plant.poles\[0\]"),
+    ({SLOW: Uniform(-1.0, 7.0)}, r"poles\[2\] was drawn between -.* allowed is \(0, inf\)"),
+    ({GAIN: 0.1}, "plant.gain = 0.1 is no distribution; allowed are Uniform, Normal and LogUnif"),
+    ([GAIN], r"uncertainty = \['plant.gain'\] is a list; allowed are names with distributions"),
+]
+RANGE = r"outside its allowed range"
+BAD_OPTIONS = [
+    ({"sampling": "halton"}, "sampling = 'halton' is not one of monte-carlo"),
+    ({"machines": 0}, rf"machines = 0 is {RANGE} \[1, inf\)"),
+    ({"machines": 2.5}, rf"machines = 2.5 is {RANGE} \[1, inf\) of whole numbers"),
+    ({"machines": None}, "machines = None is not a number"),
+    ({"seed": 2**70}, rf"seed = 1.18059e\+21 is {RANGE} \[0, 9e\+18\] of whole numbers"),
+    ({"seed": -1}, f"seed = -1 is {RANGE}"),
+]
+
+
 @pytest.mark.parametrize(
-    ("uncertainty", "kwargs", "message"),
-    [
-        ({"plant.mass": Uniform(1, 2)}, {}, r"plant.mass.*Known: plant.gain, plant.zero"),
-        ({"sensor.noise": Uniform(1, 2)}, {}, r"sensor.noise.*known"),
-        ({"actuator.rate": Uniform(1, 2)}, {}, r"actuator.rate = None is not a float leaf"),
-        ({"plant.poles": Uniform(1, 2)}, {}, r"plant.poles has shape \(3,\).*plant.poles\[0\]"),
-        (
-            {SLOW: Uniform(-1.0, 7.0)},
-            {},
-            r"plant.poles\[2\] was drawn between -.* allowed is \(0, inf\)",
-        ),
-        (UNCERTAINTY, {"sampling": "halton"}, r"sampling = 'halton' is not one of monte-carlo"),
-        (UNCERTAINTY, {"machines": 0}, r"machines = 0 is outside its allowed range \[1, inf\)"),
-        (
-            UNCERTAINTY,
-            {"machines": 2.5},
-            r"machines = 2.5 is outside its allowed range \[1, inf\) of whole numbers",
-        ),
-        (UNCERTAINTY, {"machines": None}, "machines = None is not a number"),
-        (
-            UNCERTAINTY,
-            {"seed": 2**70},
-            r"seed = 1.18059e\+21 is outside its allowed range \[0, 9e\+18\] of whole numbers",
-        ),
-        (UNCERTAINTY, {"seed": -1}, r"seed = -1 is outside its allowed range"),
-        (
-            {GAIN: 0.1},
-            {},
-            "plant.gain = 0.1 is no distribution; allowed are Uniform, Normal and LogUniform",
-        ),
-        (
-            [GAIN],
-            {},
-            r"uncertainty = \['plant.gain'\] is a list; allowed are names with distributions",
-        ),
-    ],
+    ("given", "message"), [*(({"uncertainty": u}, m) for u, m in BAD_NAMES), *BAD_OPTIONS]
 )
-def test_bad_input_is_named(uncertainty, kwargs, message):
+def test_bad_input_is_named(given, message):
     with pytest.raises(ValueError, match=message):
-        draw(MACHINE, uncertainty, **({"machines": 50} | kwargs))
+        draw(MACHINE, **({"uncertainty": UNCERTAINTY, "machines": 50} | given))
 
 
 def test_a_grid_that_has_no_names_is_refused():

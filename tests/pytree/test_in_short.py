@@ -16,16 +16,10 @@ from jaxilc.schemes import PIDType
 from jaxilc.theory.learning_map import LearningMaps
 
 ROOMS = (
-    *("learning", "signals", "sweeps", "tuning", "design", "hardware", "identification"),
-    *("scenarios", "filters", "plants", "schemes", "uncertainty"),
-    *(
-        "theory",
-        "theory.outlook",
-        "theory.frequency",
-        "theory.certificates",
-        "tuning.worst_case",
-    ),
-)
+    "learning", "signals", "sweeps", "tuning", "design", "hardware", "identification",
+    "scenarios", "filters", "plants", "schemes", "uncertainty", "theory", "theory.outlook",
+    "theory.frequency", "theory.certificates", "tuning.worst_case",
+)  # fmt: skip
 SMALL = (int, float, str, bool, type(None))
 
 
