@@ -52,25 +52,6 @@ def test_one_tap_is_p_type_learning():
     np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
-        ({"L": (1.0, 2.0)}, r"L has shape \(2,\); allowed is an odd number"),
-        ({"L": ()}, r"L has shape \(0,\)"),
-        ({"L": (1.0,), "keep": ((1.0,),) * 2}, r"keep has shape \(2, 1\)"),
-    ],
-)
-def test_taps_of_a_wrong_shape_are_named(values, said):
-    with pytest.raises(ValueError, match=said):
-        LearningFilter(**values)
-
-
-def test_taps_longer_than_the_trial_are_named():
-    for law in (LearningFilter((1.0,), lead=N), LearningFilter((1.0,), keep=np.ones(2 * N + 1))):
-        with pytest.raises(ValueError, match=f"less than the trial of N = {N}"):
-            law.check(TASK)
-
-
 def test_matrices_and_segments_are_the_sum_over_their_taps():
     random = np.random.default_rng(4)
     task = Task(random.standard_normal((N + 1, 2)), dt=1e-3, inputs=3)
@@ -113,22 +94,24 @@ def test_a_law_that_is_scheduled_is_no_law_of_every_sample(late):
     assert law_of(LearningFilter(taps[0]), task).invariant.held
 
 
+BEYOND = f"less than the trial of N = {N}"
+
+
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("L", "values", "said"),
     [
-        ({"L": ((1.0,), (2.0,))}, r"taps of 2 segments, but starts = \(\) make 1"),
-        ({"L": ((1.0,), (2.0,)), "starts": (0,)}, "samples above 0 that rise"),
-        ({"L": ((1.0,), (2.0,), (1.0,)), "starts": (5, 5)}, "samples above 0 that rise"),
+        ((1.0, 2.0), {}, r"L has shape \(2,\); allowed is an odd number"),
+        ((), {}, r"L has shape \(0,\)"),
+        ((1.0,), {"keep": ((1.0,),) * 2}, r"keep has shape \(2, 1\)"),
+        (((1.0,), (2.0,)), {}, r"taps of 2 segments, but starts = \(\) make 1"),
+        (((1.0,), (2.0,)), {"starts": (0,)}, "samples above 0 that rise"),
+        (((1.0,), (2.0,), (1.0,)), {"starts": (5, 5)}, "samples above 0 that rise"),
+        (np.ones((3, 2, 2)), {}, r"allowed are matrices of \(1, 1\)"),
+        (((1.0,), (2.0,)), {"starts": (N,)}, f"starts reaches over {N} samples"),
+        ((1.0,), {"lead": N}, BEYOND),
+        ((1.0,), {"keep": np.ones(2 * N + 1)}, BEYOND),
     ],
 )
-def test_segments_that_do_not_fit_are_named(values, said):
+def test_what_does_not_fit_is_named(L, values, said):
     with pytest.raises(ValueError, match=said):
-        LearningFilter(**values)
-
-
-def test_channels_and_samples_that_do_not_fit_the_task_are_named():
-    matrices = LearningFilter(np.ones((3, 2, 2)))
-    with pytest.raises(ValueError, match=r"allowed are matrices of \(1, 1\)"):
-        matrices.check(TASK)
-    with pytest.raises(ValueError, match=f"starts reaches over {N} samples"):
-        LearningFilter(((1.0,), (2.0,)), starts=(N,)).check(TASK)
+        LearningFilter(L, **values).check(TASK)
