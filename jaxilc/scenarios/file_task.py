@@ -140,8 +140,9 @@ def reference_of(
         lengths = ", ".join(str(len(column)) for column in columns)
         raise ValueError(f"{at}: the outputs have {lengths} samples; allowed is one length")
     if len(columns) != plant.n_y:
+        named = f" ({', '.join(names)})" if names else ""
         raise ValueError(
-            f"{at}: the plant has {plant.n_y} outputs{_named(names)}, and "
+            f"{at}: the plant has {plant.n_y} outputs{named}, and "
             f"{len(columns)} of them {'has' if len(columns) == 1 else 'have'} a reference; "
             "needed is a list with one for each output, or a path"
         )
@@ -167,10 +168,6 @@ def names_of(plant: Plant) -> tuple[str, ...]:
 
 def is_path(reference: Value) -> bool:
     return isinstance(reference, Mapping) and "path" in reference
-
-
-def _named(names: tuple[str, ...]) -> str:
-    return f" ({', '.join(names)})" if names else ""
 
 
 def _reference(value: Value, where: str, folder: Path, dt: float) -> np.ndarray:

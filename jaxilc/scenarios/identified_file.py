@@ -11,7 +11,6 @@ go on with the new file, and its predictions are those of the fitted plant.
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 import tomllib
 from collections.abc import Sequence
@@ -20,6 +19,7 @@ from typing import NamedTuple, TypeAlias, cast
 
 import jax
 import numpy as np
+import tomlkit
 
 from ..filters import ZeroPhaseButterworth
 from ..identification import Estimate, Identified, Record, not_significant
@@ -182,17 +182,13 @@ def _largest_cutoff(P, f, dt, task, largest, delay: int) -> StartingLaw | None:
     unit = 1 / np.max(np.abs(steady))
     gains = [_rounded(share * unit, 3) * np.sign(steady[0]) for share in SHARES]
     lowest = min(2 / task.duration, 0.1 / dt)
-    law = widest([_lines(P, f, dt)], ORDER, gains, leads, largest, lowest)
+    ahead = np.exp(2j * np.pi * f * dt)  # of a law of gain 1 and lead 0
+    lines = Lines(f, P, np.zeros(P.shape), np.ones(len(f)), ahead, dt)
+    law = widest([lines], ORDER, gains, leads, largest, lowest)
     if law is None:
         return None
     cutoff = _rounded(min(law.cutoff, 0.4 / dt), 2)
     return StartingLaw(law.gain, law.lead, cutoff, len(P), np.inf, np.inf, np.nan)
-
-
-def _lines(P, f, dt) -> Lines:
-    """The responses with a law of gain 1 and lead 0."""
-    one = np.exp(2j * np.pi * f * dt)
-    return Lines(f, P, np.zeros(P.shape), np.ones(len(f)), one, dt)
 
 
 def _enclosed(loops: list[Loop], which, law: StartingLaw, dt: float) -> list[Largest]:
@@ -236,7 +232,6 @@ STALE = (  # beginnings of the comments of a file that `identify` wrote, which h
     "# Chosen for ",
     "# sup |Q (1 - L P)|", "# learning is stable where it is", "# fitted plant.",
 )  # fmt: skip
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
 _HEADER = re.compile(r"""^\s*\[{1,2}\s*(["']?)([\w-]+)\1\s*(?:\.[^\]]*)?\]{1,2}\s*(?:\#.*)?$""")
 Fittable: TypeAlias = ProcessModel | ModalModel
 
@@ -426,7 +421,7 @@ def comment(text: str) -> str:
 def _text(unit: str) -> str:
     """A unit as a string of TOML, without what a scenario does not allow in one."""
     plain = "".join(c for c in comment(unit) if c not in '[],;$"\\').replace("*/", "/")
-    return json.dumps(plain, ensure_ascii=False)
+    return _value(plain)
 
 
 # The file of a campaign
@@ -541,15 +536,11 @@ def _names_files(value: object) -> bool:
 
 
 def _key(name: str) -> str:
-    return name if _BARE.fullmatch(name) else json.dumps(name, ensure_ascii=False)
+    return tomlkit.key(name).as_string()
 
 
 def _value(value: object) -> str:
-    """A value of a plant file as TOML."""
+    """A value of a plant file as TOML, a table in one line."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    return json.dumps(value) if isinstance(value, bool) else repr(value)
+    return tomlkit.item(value).as_string()
