@@ -10,8 +10,8 @@ import numpy as np
 from ..pytree.aliases import Value
 from ..pytree.ranges import value_text
 from .description import Axis, Band, Cells, Colours, Curve, Figure, Layer, Panel, Rule, Shade, Where
-from .paper import draw, named
-from .style import BLACK, GREY, limits_of, style_of
+from .paper import draw, edges_on, named
+from .style import BLACK, GREY, edges_of, limits_of, style_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -138,18 +138,18 @@ def layers_of(
     number: of the scheme, for its colour;  tips: of the cells or of the line
     mark, name: of the line
     """
-    places = [standing(one)[0] for one in labels]
+    places = [standing(one) for one in labels]
     if len(places) == 2:
-        x, y = places
+        (x, _), (y, _) = places
         return [Cells(x, y, here, shown, tips=tips or {}), Where(x, y, lost)]
-    (x,), style = places, style_of(number)
+    ((x, log),), style = places, style_of(number)
     layers: list[Layer] = []
     if members is not None:
         low, high = np.quantile(members, (0.05, 0.95), axis=-1, method="inverted_cdf")
         layers.append(Band(x, low, high, colour=style["colour"]))
     look = style | {"mark": mark}
     layers.append(Curve(x, here, name=name, tips=tips or {}, **look))
-    edges = np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]])
+    edges = np.clip(edges_of(x, log), x[0], x[-1])
     return layers + [
         Shade(edges[j], edges[j + 1], colour="#e0e0e0", alpha=1.0) for j in np.flatnonzero(lost)
     ]
@@ -384,7 +384,7 @@ def _bounds(ax: Axes, places, lines, held) -> list[Artist]:
             hatch = PREMISES[name]
             fails = np.ma.masked_where(where, np.ones(where.shape)).T
             ax.pcolor(
-                *places, fails, shading="nearest", cmap=ListedColormap(["none"]),
+                *edges_on(ax, *places), fails, cmap=ListedColormap(["none"]),
                 hatch=hatch, edgecolors=PALE, linewidth=0,
             )  # fmt: skip
             handles.append(Patch(fill=False, hatch=hatch, ec=PALE, label=f"{name} fails"))

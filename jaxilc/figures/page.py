@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from .description import Axis, Band, Bars, Cells, Curve, Figure, Layer, Panel, Rule, Shade, Where
-from .style import BOUND, Dash, labelled, limits_of
+from .style import BOUND, Dash, edges_of, labelled, limits_of
 from .units import READABLE, power_of, prefixed
 
 if TYPE_CHECKING:
@@ -400,7 +400,7 @@ def _cells(made: Plot, of: Cells, x: _Way, y: _Way) -> list[GlyphRenderer]:
 
     values, shows = np.asarray(of.values, float), of.shows
     centres = np.meshgrid(of.x, of.y, indexing="ij")
-    sides = np.meshgrid(_edges(of.x, x.axis.log), _edges(of.y, y.axis.log), indexing="ij")
+    sides = np.meshgrid(edges_of(of.x, x.axis.log), edges_of(of.y, y.axis.log), indexing="ij")
     columns = {"left": sides[0][:-1, :-1], "right": sides[0][1:, :-1], "bottom": sides[1][:-1, :-1],
                "top": sides[1][:-1, 1:], "x": centres[0], "y": centres[1],
                "value": np.where(np.isfinite(values), values, np.nan)}  # fmt: skip
@@ -422,14 +422,6 @@ def _cells(made: Plot, of: Cells, x: _Way, y: _Way) -> list[GlyphRenderer]:
     )  # fmt: skip
     made.add_layout(bar, "right")
     return [drawn]
-
-
-def _edges(x: Points, log: bool) -> np.ndarray:
-    """(K+1,) the ends of the cells of K values."""
-    at = np.log(x) if log else np.asarray(x, float)
-    middle = (at[1:] + at[:-1]) / 2
-    ends = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
-    return np.exp(ends) if log else ends
 
 
 def _where(made: Plot, of: Where, x: _Way, y: _Way) -> list[GlyphRenderer]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeAlias, TypedDict
 import numpy as np
 
 from .description import Axis, Band, Bars, Cells, Curve, Figure, Layer, Panel, Rule, Shade, Where
-from .style import limits_of
+from .style import edges_of, limits_of
 from .units import name_axis
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.typing import LegendLocType
 
     from ..pytree.aliases import Value
+    from .description import Points
 
 Drawing: TypeAlias = Any  # axes, or an array of those of one figure, as of `pyplot.subplots`
 Handles: TypeAlias = "dict[str, Artist]"  # of a legend, by name
@@ -253,10 +254,15 @@ def _cells(ax: Axes, of: Cells) -> None:
     from matplotlib.colors import LogNorm, Normalize
 
     norm = (LogNorm if of.shows.log else Normalize)(*of.shows.ends)
-    ax.pcolormesh(
-        of.x, of.y, np.ma.masked_invalid(of.values).T, norm=norm, cmap=of.shows.palette,
-        shading="nearest" if len(of.x) == len(of.values) else "flat", rasterized=True,
-    )  # fmt: skip
+    edges = (of.x, of.y) if len(of.x) > len(of.values) else edges_on(ax, of.x, of.y)
+    values = np.ma.masked_invalid(of.values).T
+    ax.pcolormesh(*edges, values, norm=norm, cmap=of.shows.palette, rasterized=True)
+
+
+def edges_on(ax: Axes, x: Points, y: Points) -> list[np.ndarray]:
+    """The edges of cells with these centres on the axes."""
+    both = ((x, ax.xaxis), (y, ax.yaxis))
+    return [edges_of(at, axis.get_scale() == "log") for at, axis in both]
 
 
 def _where(ax: Axes, of: Where) -> None:

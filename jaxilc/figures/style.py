@@ -139,3 +139,11 @@ def limits_of(values, *, pad: float = 1.5) -> tuple[float, float] | None:
     found = np.asarray(values, float)
     found = found[np.isfinite(found) & (found > 0)]
     return (found.min() / pad, found.max() * pad) if found.size else None
+
+
+def edges_of(x: Sequence[float] | np.ndarray, log: bool) -> np.ndarray:
+    """(n+1,) the edges of the cells of n values, in the middle between them on their axis."""
+    at = np.log(x) if log else np.asarray(x, float)
+    middle = (at[1:] + at[:-1]) / 2
+    ends = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
+    return np.exp(ends) if log else ends

@@ -25,6 +25,8 @@ def test_a_map_has_the_error_of_each_point_and_a_star_at_the_best():
     (star,) = ax.lines
     assert (star.get_xdata()[0], star.get_ydata()[0]) == (0.1, 1)
     assert (ax.get_xlabel(), ax.get_xscale()) == ("a [V]", "log")
+    edges = ax.collections[0].get_coordinates()[0, :, 0]
+    np.testing.assert_allclose(edges[1:] * edges[:-1], np.square([0.1, 1.0, 10.0]))  # around each
     colours = ax.collections[0].norm
     assert 1 < colours.vmin < 2, "the colours end at what is shown, not at the best machine"
     assert [label.get_text() for label in ax.get_yticklabels()] == ["p", "q", "r"]
