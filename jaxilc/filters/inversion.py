@@ -119,17 +119,10 @@ class StableInverse(Inverse):
 
         What is cut off before the first sample has then decayed to `tolerance`.
         """
-        slowest = max(
-            (
-                abs(root)
-                for *_, a1, a2 in np.asarray(self.backward)
-                for root in np.roots([1.0, a1, a2])
-            ),
-            default=0.0,
-        )
-        return max(self.advance, 0) + (
-            int(np.ceil(np.log(tolerance) / np.log(slowest))) if slowest else 0
-        )
+        roots = [np.roots([1.0, a1, a2]) for *_, a1, a2 in np.asarray(self.backward)]
+        slowest = np.max(np.abs(np.concatenate([[], *roots])), initial=0.0)
+        decay = int(np.ceil(np.log(tolerance) / np.log(slowest))) if slowest else 0
+        return max(self.advance, 0) + decay
 
 
 @pytree

@@ -85,18 +85,15 @@ class SwitchableFilter(Filter):
         after = t >= times - 1e-9 * dt
         share = jnp.clip((t - times) / jnp.where(self.width > 0, self.width, 1.0) + 0.5, 0.0, 1.0)
         h = jnp.where(self.width > 0, 0.5 - 0.5 * jnp.cos(jnp.pi * share), after)
-        return -jnp.diff(
-            jnp.concatenate([jnp.ones_like(t)[None], h, jnp.zeros_like(t)[None]]), axis=0
-        )
+        whole = jnp.concatenate([jnp.ones_like(t)[None], h, jnp.zeros_like(t)[None]])
+        return -jnp.diff(whole, axis=0)
 
     def __call__(self, signal, dt):
-        of_segments = jax.vmap(lambda cutoff: self._pass(cutoff)(signal, dt))(
-            jnp.asarray(self.cutoff)
-        )
-        return jnp.einsum("sk,skn->kn", self.weights(signal.shape[0], dt), of_segments)
+        def passed(cutoff):
+            return ZeroPhaseButterworth(cutoff, self.order, self.padding)(signal, dt)
 
-    def _pass(self, cutoff) -> ZeroPhaseButterworth:
-        return ZeroPhaseButterworth(cutoff, self.order, self.padding)
+        of_segments = jax.vmap(passed)(jnp.asarray(self.cutoff))
+        return jnp.einsum("sk,skn->kn", self.weights(signal.shape[0], dt), of_segments)
 
     def _need_segments(self, bounds, where):
         """Raises ValueError where a segment is empty, or shorter than a change."""

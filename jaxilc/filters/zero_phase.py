@@ -54,9 +54,8 @@ class ZeroPhaseFIR(Filter):
         reach = self.taps.shape[0] - 1
         padded = jnp.pad(signal, ((reach, reach), (0, 0)), mode="edge")
         kernel = jnp.concatenate([self.taps[:0:-1], self.taps])
-        return jax.vmap(
-            lambda channel: jnp.convolve(channel, kernel, mode="valid"), in_axes=1, out_axes=1
-        )(padded)
+        of_channel = lambda channel: jnp.convolve(channel, kernel, mode="valid")  # noqa: E731
+        return jax.vmap(of_channel, in_axes=1, out_axes=1)(padded)
 
 
 @pytree
@@ -87,13 +86,9 @@ class ZeroPhaseButterworth(Filter):
         if self.padding is None:
             with np.errstate(divide="ignore"):
                 octaves = np.log(np.tan(half_angles(len(signal))))  # -inf at rest
+            below = jnp.log(jnp.tan(jnp.pi * self.cutoff * dt)) - octaves
             # 1 / (1 + ratio^(2 order)) without a power that could overflow
-            return mirrored(
-                signal,
-                jax.nn.sigmoid(
-                    2 * self.order * (jnp.log(jnp.tan(jnp.pi * self.cutoff * dt)) - octaves)
-                ),
-            )
+            return mirrored(signal, jax.nn.sigmoid(2 * self.order * below))
         sections = butterworth_sections(self.cutoff, dt, self.order)
         return forward_and_backward(lambda x: run_sections(sections, x), signal, self.padding)
 
@@ -153,18 +148,13 @@ class ZeroPhaseIIR(Filter):
         need_padding(self, samples)
 
     def __call__(self, signal, dt):
+        both = jnp.asarray(self.b), jnp.asarray(self.a)
         if self.padding is None:
             z = jnp.exp(2j * half_angles(len(signal)))
-            above, below = (
-                jnp.polyval(c[::-1].astype(z.dtype), 1 / z)
-                for c in map(jnp.asarray, (self.b, self.a))
-            )
+            above, below = (jnp.polyval(c[::-1].astype(z.dtype), 1 / z) for c in both)
             return mirrored(signal, jnp.abs(above / below) ** 2)
-        order = max(self.a.shape[0], self.b.shape[0]) - 1
-        b, a = (
-            jnp.pad(c / self.a[0], (0, order + 1 - c.shape[0]))
-            for c in map(jnp.asarray, (self.b, self.a))
-        )
+        order = max(map(len, both)) - 1
+        b, a = (jnp.pad(c / self.a[0], (0, order + 1 - len(c))) for c in both)
         # register i of the transposed direct form, at rest under a constant input of 1
         rest = jnp.cumsum((b - a * jnp.sum(b) / jnp.sum(a))[:0:-1])[::-1]
 

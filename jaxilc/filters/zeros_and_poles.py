@@ -43,11 +43,9 @@ def factors(system, dt: float | None = None) -> Factors:
     own, dt = _sample_time(system, dt)
     if isinstance(system, Factors):
         return system
-    inputs, outputs = (
-        (system.n_u, system.n_y)
-        if isinstance(system, StateSpace)
-        else (system.ninputs, system.noutputs)
-    )
+    of_plant = isinstance(system, StateSpace)
+    inputs = system.n_u if of_plant else system.ninputs
+    outputs = system.n_y if of_plant else system.noutputs
     if (inputs, outputs) != (1, 1):
         raise ValueError(
             f"factors: the system has {inputs} inputs and {outputs} outputs; allowed is one of "
@@ -94,22 +92,14 @@ def output_ratio(system, dt: float | None = None, *, above: int = 1, below: int 
 
 def _sampled(system, own, dt):
     """A, B, C, D in discrete time, on the host."""
-    of_plant = isinstance(system, StateSpace) and (
-        system.A,
-        system.B,
-        system.C,
-        np.zeros((system.n_y, system.n_u)),
-    )
-    A, B, C, D = (np.asarray(M, float) for M in of_plant or system_matrices(system))
-    scale = (
-        scipy.linalg.matrix_balance(A, permute=False, separate=True)[1][0] if len(A) else np.ones(0)
-    )
-    # balanced, because a companion form would cost its zeros digits
-    A, B, C = (
-        A * scale / scale[:, None],
-        B / scale[:, None],
-        C * scale,
-    )
+    if isinstance(system, StateSpace):
+        matrices = system.A, system.B, system.C, np.zeros((system.n_y, system.n_u))
+    else:
+        matrices = system_matrices(system)
+    A, B, C, D = (np.asarray(M, float) for M in matrices)
+    if len(A):  # balanced, because a companion form would cost its zeros digits
+        scale = scipy.linalg.matrix_balance(A, permute=False, separate=True)[1][0]
+        A, B, C = A * scale / scale[:, None], B / scale[:, None], C * scale
     return (A, B, C, D) if own else scipy.signal.cont2discrete((A, B, C, D), dt)[:4]
 
 

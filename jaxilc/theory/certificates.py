@@ -87,16 +87,14 @@ from .frequency import learning_condition
 from .learning_map import (
     DENSE,
     LearningMaps,
-    View,
     changes_nothing,
     count_of,
     ends_at_zero,
     first_of,
-    joined,
+    in_groups,
     known_as,
     limit_names,
     maps_of,
-    that_fit,
     view_of,
 )
 from .lifted import weights_condition
@@ -292,8 +290,7 @@ def certify_each(
     """
     check(first_of(machines), scheme, task)
     check_size("certify", COPIES, machines=count_of(machines), trials=trials)
-    groups = that_fit(machines, task)
-    return joined([_certified(some, scheme, task, trials, steps) for some in groups])
+    return in_groups(lambda some: _certified(some, scheme, task, trials, steps), machines, task)
 
 
 def _certified(
@@ -305,7 +302,9 @@ def _certified(
     predicted = predict(exact, scheme, task, trials)
     runs, distance, variation = None, None, machines.variation
     if course_of_draws is not None or (variation is not None and variation.draws):
-        runs = simulate_runs(machines, scheme, task, trials, SEEDS)
+        keys = jax.random.split(jax.random.key(11), SEEDS)
+        run_all = tiled_with(_simulate_runs, trials=trials)
+        runs = np.asarray(run_all((scheme, task, keys), machines))
         simulated = np.sqrt(np.mean(runs**2, axis=1))
         if course_of_draws is not None:
             unknown = np.all(np.isnan(course_of_draws), axis=1, keepdims=True)
@@ -313,8 +312,9 @@ def _certified(
     elif run.outlook is None:
         simulated = simulate(machines, scheme, task, trials)
     else:
-        limit, view = run.outlook.limit, view_of(scheme, task)
-        simulated, distance = follow(machines, scheme, task, trials, limit, view)
+        following = tiled_with(_follow, trials=trials, view=view_of(scheme, task))
+        found = following((scheme, task), (machines, jnp.asarray(run.outlook.limit)))
+        simulated, distance = map(np.asarray, found)
     floor, doubt = np.full((2, len(simulated)), np.nan)
     if run.outlook is not None:
         lasts = np.isin(run.claim, (MONOTONE, CONVERGES))
@@ -685,29 +685,6 @@ def simulate(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.n
     return np.asarray(tiled_with(_simulate, trials=trials)((scheme, task), machines))
 
 
-def simulate_runs(
-    machines: Machine, scheme: Scheme, task: Task, trials: int, runs: int
-) -> np.ndarray:
-    """(S, R, J) root mean square errors of R runs of each machine, with all that is drawn.
-
-    As theory does, they begin when machine and reference have changed for the last time.
-    """
-    keys = jax.random.split(jax.random.key(11), runs)
-    return np.asarray(tiled_with(_simulate_runs, trials=trials)((scheme, task, keys), machines))
-
-
-def follow(
-    machines: Machine, scheme: Scheme, task: Task, trials: int, limit, view: View
-) -> tuple[np.ndarray, np.ndarray]:
-    """(S, J) root mean square errors as simulated, and (S, J) distances from a limit.
-
-    The distance is that of what is played from a limit (S, n), see `learning_map`.
-    """
-    run = tiled_with(_follow, trials=trials, view=view)
-    errors, distance = run((scheme, task), (machines, jnp.asarray(limit)))
-    return np.asarray(errors), np.asarray(distance)
-
-
 # One machine at a time
 # --------------------------------------------------------------------------------------------------
 
@@ -767,6 +744,10 @@ def _floats(memory):
 
 
 def _simulate_runs(common, machine, *, trials):
+    """(R, J) root mean square errors of runs with all that is drawn, by their keys.
+
+    As theory does, they begin when machine and reference have changed for the last time.
+    """
     scheme, task, keys = common
     machine, task = machine.after_changes(task)
     return jax.vmap(lambda key: _error(learn(machine, scheme, task, trials, key=key)))(keys)
@@ -777,7 +758,7 @@ def _simulate(common, machine, *, trials):
 
 
 def _follow(common, one, *, trials, view):
-    """(J,) root mean square errors as simulated, and distances from the limit of learning."""
+    """(J,) root mean square errors as simulated, and distances of what is played from a limit."""
     (scheme, task), (machine, limit) = common, one
     scheme = scheme.prepared(task)
 

@@ -59,7 +59,7 @@ from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
 from ..signals.task import Task
 from .learning_map import View, alone, count_of, first_of, learning_of, slopes
-from .spectrum import drifting, reachable, triangular_radius
+from .spectrum import drifting, norm_of, reachable, triangular_radius
 from .trials import with_input, with_offset, with_output
 
 
@@ -504,10 +504,10 @@ class _Run(NamedTuple):
         """An upper bound of ||M|| over all that can be drawn."""
         lost = kept < 1
         middle = np.where(lost, 0.5, 1.0)[:, None] * held
-        reach = _norm(self.moments.reach(self.outputs)) + 0.5 * np.max(lost) * _norm(held)
+        reach = norm_of(self.moments.reach(self.outputs)) + 0.5 * np.max(lost) * norm_of(held)
         L, Y = self.parts.L, self.parts.Y
         A = self.parts.M + (L * kept) @ (held @ Y)
-        return _norm(A - L @ middle @ Y) + _norm(L) * _norm(Y) * reach
+        return norm_of(A - L @ middle @ Y) + norm_of(L) * norm_of(Y) * reach
 
     def factor(self) -> float:
         """The largest eigenvalue of T*(I), below 1 where it surely is; infinite if it overflows."""
@@ -528,7 +528,7 @@ class _Run(NamedTuple):
         w = np.linalg.lstsq(np.eye(len(parts.M)) - parts.M, parts.c)[0]
         spread = float(np.trace(self.added(w))) / (1 - factor)
         share = np.sqrt(np.repeat(self.moments.counted, self.outputs) / self.outputs)
-        of_output, of_noise = _norm(share[:, None] * parts.Y), share[:, None] * parts.F
+        of_output, of_noise = norm_of(share[:, None] * parts.Y), share[:, None] * parts.F
         e = share * (parts.r - parts.Y @ w - parts.y)
         left = np.sqrt(e @ e + of_output**2 * spread + np.sum(of_noise**2))
         far = of_output * np.sqrt(np.sum((parts.start - w) ** 2) + spread)
@@ -749,10 +749,6 @@ def _range_of(moves) -> np.ndarray | None:
     V, sizes, _ = np.linalg.svd(moves, full_matrices=False)
     there = sizes > ROUNDING * np.finfo(moves.dtype).eps * sizes[0]
     return None if np.sum(there) == len(moves) else V[:, there]
-
-
-def _norm(matrix) -> float:
-    return float(np.linalg.norm(matrix, 2)) if np.all(np.isfinite(matrix)) else np.inf
 
 
 # By the programs of machine and law

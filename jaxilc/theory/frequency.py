@@ -94,9 +94,8 @@ CAUSAL = (
 )
 LEARNING = (
     "sup |Q (keep - L P)| < 1: far from the ends of a long trial each frequency of what is learned "
-    "comes nearer to its limit by this "
-    "factor or more in every trial (Norrlöf, Gunnarsson 2002; Bristow 2006; Li 2020, eq. 9); the "
-    "whole trial converges as its premise says"
+    "comes nearer to its limit by this factor or more in every trial (Norrlöf, Gunnarsson 2002; "
+    "Bristow 2006; Li 2020, eq. 9); the whole trial converges as its premise says"
 )
 NORM_OPTIMAL = (
     "|W_D + W_e G* (G - G_t)| < W_e |G|^2 + W_u + W_D: far from the ends of a long trial, "
@@ -105,9 +104,8 @@ NORM_OPTIMAL = (
 )
 ROBUST = (
     "sup |Q| (|keep - L P| + |L P W|) < 1, for every plant P (1 + W D) with a stable |D| <= 1: far "
-    "from the ends of a long trial each "
-    "frequency comes nearer to its limit by this factor or more in every trial (Bristow 2006); the "
-    "whole trial as its premise says"
+    "from the ends of a long trial each frequency comes nearer to its limit by this factor or "
+    "more in every trial (Bristow 2006); the whole trial as its premise says"
 )
 TRIED = (
     "sup |Q (keep - L P)| < 1 for each of the plants that were tried: samples of the box, its "

@@ -37,6 +37,7 @@ from .spectrum import (
     growth_about,
     krylov,
     largest,
+    norm_of,
     radius_with_doubt,
     reachable,
     reached,
@@ -64,8 +65,6 @@ DRIFT = 1e-8  # share of what an error moves, above which a growth in each trial
 WIDE = 1e-12  # relative width that covers the rounding of a norm
 TILE = 2**28  # bytes of Lanczos vectors in a tile
 ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
-
-Whole = TypeVar("Whole")
 
 
 class View(NamedTuple):
@@ -200,11 +199,6 @@ def limit_names(machines: Machine, scheme: Scheme, task: Task) -> list[str]:
     return list(jax.eval_shape(jax.vmap(one, in_axes=(0, None, None)), machines, scheme, task))
 
 
-def limits_as_one(limits: dict[str, jax.Array]) -> jax.Array:
-    """What all limits act on, one after the other in one row."""
-    return jnp.concatenate(list(limits.values()))
-
-
 def slopes(f: Callable[[jax.Array], T], x: jax.Array) -> tuple[T, T]:
     """f at x (n,), and how each array (m,) of its result depends on x there, as (m, n)."""
     here, push = jax.linearize(f, x)
@@ -305,19 +299,13 @@ def maps_of(machines: Machine, scheme: Scheme, task: Task, steps: int = STEPS) -
     return Maps(machines, scheme, task, view, steps)
 
 
-def that_fit(machines: Machine, task: Task) -> list[Machine]:
-    """The machines in groups, so that the dense matrices of each group fit into `ROOM`."""
+def in_groups(ask: Callable[[Machine], T], machines: Machine, task: Task) -> T:
+    """What is answered of all machines, asked in groups whose dense matrices fit into `ROOM`."""
     count, rows = count_of(machines), task.N * max(task.inputs, task.outputs)
     chunk = max(1, ROOM // (8 * rows**2)) if rows <= DENSE else count
     groups = [slice(at, at + chunk) for at in range(0, count, chunk)]
-    return [jax.tree.map(lambda leaf, at=at: leaf[at], machines) for at in groups]
-
-
-def joined(parts: list[Whole]) -> Whole:
-    """The results of groups of machines, as one result for all."""
-    if len(parts) == 1:
-        return parts[0]
-    return jax.tree.map(lambda *several: np.concatenate(several), *parts)
+    parts = [ask(jax.tree.map(lambda leaf, at=at: leaf[at], machines)) for at in groups]
+    return jax.tree.map(lambda *several: np.concatenate(several), *parts) if parts[1:] else parts[0]
 
 
 def count_of(machines: Machine) -> int:
@@ -513,12 +501,8 @@ def _apply(matrices, vectors) -> np.ndarray:
 
 
 def _norms(matrices) -> np.ndarray:
-    """(S,) largest singular values; infinite where a matrix overflows."""
-    found = np.full(len(matrices), np.inf)
-    for i, M in enumerate(matrices):
-        if np.all(np.isfinite(M)) and M.size:
-            found[i] = np.linalg.norm(M, 2)
-    return found
+    """(S,) their norms; infinite where a matrix overflows."""
+    return np.array([norm_of(M) for M in matrices])
 
 
 # Without a matrix
@@ -661,7 +645,7 @@ def _radius(found: Learning, _):
 
 def _first_met(found: Learning, _, reach, room):
     sizes = [signal.size for signal in jax.eval_shape(found.limits, found.start).values()]
-    acted = lambda w: limits_as_one(found.limits(w)) / room  # noqa: E731
+    acted = lambda w: jnp.concatenate([*found.limits(w).values()]) / room  # noqa: E731
     gain = _gain(acted, found.start)
 
     def look(now):

@@ -30,7 +30,7 @@ from ..pytree.in_short import in_short
 from ..schemes import Scheme
 from ..signals.task import Task
 from .condition import Premise, premise
-from .learning_map import LearningMaps, joined, limit_names, maps_of, that_fit
+from .learning_map import LearningMaps, in_groups, limit_names, maps_of
 from .spectrum import LONGEST
 
 POWERS = (1, 4, 16, 64)  # of M that are looked at, until one contracts
@@ -161,7 +161,7 @@ def outlooks(machines: Machine, scheme: Scheme, task: Task) -> Outlook:
 
     Its premises are left to `linearity`: here everything is taken to be linear.
     """
-    return joined([outlook_of(maps_of(some, scheme, task)) for some in that_fit(machines, task)])
+    return in_groups(lambda some: outlook_of(maps_of(some, scheme, task)), machines, task)
 
 
 def outlook_of(maps: LearningMaps, astray: np.ndarray | None = None) -> Outlook:
@@ -191,7 +191,7 @@ def outlook_of(maps: LearningMaps, astray: np.ndarray | None = None) -> Outlook:
 
 def decays(machines: Machine, scheme: Scheme, task: Task) -> Decay:
     """How the distance from the limit falls on each machine. machines: with a leading axis."""
-    return joined([decay_of(maps_of(some, scheme, task)) for some in that_fit(machines, task)])
+    return in_groups(lambda some: decay_of(maps_of(some, scheme, task)), machines, task)
 
 
 def decay_of(maps: LearningMaps) -> Decay:

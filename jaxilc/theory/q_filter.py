@@ -12,7 +12,6 @@ proved: a resonance that is narrower than the spacing of the lines does not show
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -189,13 +188,10 @@ def _changed(
     scheme: Scheme, wanted: Callable[[Scheme], bool], change: Callable[[Scheme], Scheme]
 ) -> Scheme | None:
     """The scheme with its first part that is wanted changed; None where it has none."""
-    if wanted(scheme):
-        return change(scheme)
-    for name, part in scheme._fields_that_are_schemes().items():
-        made = _changed(part, wanted, change)
-        if made is not None:
-            return dataclasses.replace(scheme, **{name: made})
-    return None
+    at, part = _first(scheme, wanted)
+    if part is None:
+        return None
+    return replaced(scheme, {at.removesuffix("."): change(part)}) if at else change(part)
 
 
 def _first(scheme: Scheme, wanted: Callable[[Scheme], bool], at: str = "") -> tuple[str, Value]:
@@ -596,8 +592,7 @@ def _offer_on_records(what, change: Change, law: PLaw, records, sigmas: float) -
         gain=law.gain * change.gain, lead=law.lead + change.lead, cutoff=change.cutoff
     )
     tests = [_tested(lines_of(record, made, sigmas), made, record) for record in records]
-    now = {"gain": law.gain, "lead": law.lead, "cutoff": law.cutoff}
-    then = {"gain": made.gain, "lead": made.lead, "cutoff": made.cutoff}
-    settings = {name: value for name, value in then.items() if value != now[name]}
+    now, then = law._asdict(), made._asdict()
+    settings = {name: then[name] for name in ("gain", "lead", "cutoff") if then[name] != now[name]}
     reach = min(test.curves.learned_up_to for test in tests)
     return Offer(what, settings, change, max(test.peak for test in tests), reach, np.nan)

@@ -182,13 +182,13 @@ def repetitive_condition(
         ]
         loops, taps = [_response_of(of, task) for of in every], every[0].law
     top = worst_of([test.condition for test in tests])
-    (size, _), (left, factor) = (
-        np.concatenate(
-            [_sensitivity(loops, taps, task, each, part, parallel) for part in _in_parts(of)],
-            axis=1,
-        )
-        for of in (f, true)
-    )
+
+    def sensitivity(f):
+        some = np.array_split(f, max(1, -(-len(f) // AT_ONCE)))
+        found = [_sensitivity(loops, taps, task, each, part, parallel) for part in some]
+        return np.concatenate(found, axis=1)
+
+    (size, _), (left, factor) = sensitivity(f), sensitivity(true)
     worst, at = int(np.argmax(size)), {name: float(of[top]) for name, of in drawn.items()}
     of_size = float(size[worst]), float(f[worst])
     return RepetitiveTest(tests[top], period, f, size, *of_size, true, left, factor, at)
@@ -260,10 +260,6 @@ def largest_gain(fastest: float) -> float:
     h = np.unique(np.geomspace(1, max(1.0, 1 / fastest), 4000).astype(int))
     within = np.sqrt(((2 * h + 4) / (1 - fastest) + 1) / (2 * h + 1))
     return float(np.min(within + SLOPE * fastest * h * np.sqrt(6 / (1 - fastest) + 1)))
-
-
-def _in_parts(f: np.ndarray) -> list[np.ndarray]:
-    return np.array_split(f, max(1, -(-len(f) // AT_ONCE)))
 
 
 def _parts_seen(machine: Machine, law: Scheme, task: Task, seen: tuple[int, ...]) -> Parts:

@@ -41,9 +41,8 @@ PRINTED = (
 )
 SLIDING = (
     "|f| < eta_hat + k_n Delta: V falls outside the boundary layer, so that sigma reaches it and "
-    "stays (Xu 2024, eq. 9 and 17, without the "
-    "k_n Delta by which the reaching law helps at the edge of the layer; Delta = 0 for sgn, "
-    "sampled: a band in proportion to dt)"
+    "stays (Xu 2024, eq. 9 and 17, without the k_n Delta by which the reaching law helps at the "
+    "edge of the layer; Delta = 0 for sgn, sampled: a band in proportion to dt)"
 )
 RISE = 1e-9  # a relative rise of V that rounding explains
 
@@ -198,9 +197,8 @@ def sampled_condition(
             premise("eta_hat at rest", run.eta_hat == eta_hat, at_rest),
         )
     linear: Value = within_layer(scheme, eta_hat)
-    path = next(
-        name for name in named_leaves(linear.learning) if name.split(".")[-1] == "lam0"
-    ).removesuffix("lam0")
+    leaves = named_leaves(linear.learning)
+    path = next(name for name in leaves if name.split(".")[-1] == "lam0").removesuffix("lam0")
     tests, found = [], {}
     for t in (0.0, task.duration):
         gain = np.exp(np.asarray(law.lam0) * t)
@@ -221,15 +219,10 @@ def sampled_condition(
     )
     first, last = tests
     worse = last if last.condition.value > first.condition.value else first
-    held = condition(
-        worse.condition.value,
-        worse.condition.theorem,
-        premises=(*found.values(), growing, *premises),
-    )
-    curves = np.stack([first.magnitude, last.magnitude])
-    return ExponentialTest(
-        held, first.frequencies, curves, worse.worst, task.duration if worse is last else 0.0
-    )
+    premises = *found.values(), growing, *premises
+    held = condition(worse.condition.value, worse.condition.theorem, premises=premises)
+    curves, time = np.stack([first.magnitude, last.magnitude]), task.duration * (worse is last)
+    return ExponentialTest(held, first.frequencies, curves, worse.worst, time)
 
 
 def _learning(name: str, scheme: Scheme, *, filtered: bool = False) -> ExponentialPD:

@@ -37,8 +37,7 @@ LONGEST = 1024  # powers that are looked at for a growth
 
 MONOTONE = (
     "sigma_max < 1: the 2-norm of the deviation from the limit falls by at least this factor in "
-    "every trial (Bristow 2006; Norrlöf, "
-    "Gunnarsson 2002)"
+    "every trial (Bristow 2006; Norrlöf, Gunnarsson 2002)"
 )
 ASYMPTOTIC = (
     "rho < 1: the deviation goes to zero in the end, whatever it does before (Bristow 2006; "
@@ -121,6 +120,11 @@ def transient(
     """
     growth = np.max(transient_growth(M, trials))
     return condition(growth, TRANSIENT, limit=allowed, premises=premises)
+
+
+def norm_of(M) -> float:
+    """The 2-norm of (n, m); infinite where a number of it overflowed."""
+    return float(np.linalg.norm(M, 2)) if M.size and np.all(np.isfinite(M)) else np.inf
 
 
 def radius_with_doubt(M) -> tuple[float, float]:
@@ -370,17 +374,9 @@ def largest(
 
     start = jax.random.normal(jax.random.key(0), (n,), like.dtype)
     V = jnp.zeros((steps + 1, n), like.dtype).at[0].set(start / jnp.linalg.norm(start))
-    state = (
-        jnp.zeros((steps, m), like.dtype),
-        V,
-        jnp.zeros(steps, like.dtype),
-        jnp.zeros(steps, like.dtype),
-    )
-    unknown = (
-        jnp.zeros((), like.dtype),
-        *(jnp.full((), jnp.inf, like.dtype),) * 2,
-        jnp.zeros(n, like.dtype),
-    )
+    none, infinite = jnp.zeros(steps, like.dtype), jnp.full((), jnp.inf, like.dtype)
+    state = jnp.zeros((steps, m), like.dtype), V, none, none
+    unknown = jnp.zeros((), like.dtype), infinite, infinite, jnp.zeros(n, like.dtype)
     _, k, (value, residual, bound, direction), _ = lax.while_loop(
         more, work, (state, jnp.asarray(0), unknown, jnp.asarray(False))
     )

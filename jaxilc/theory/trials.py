@@ -17,6 +17,7 @@ from ..pytree.fields import child, pytree
 from ..schemes import Scheme, WithFeedback
 from ..schemes.compose import Pair
 from ..schemes.scheme import Feedforward, Memory, Schedule, State
+from ..schemes.wrapper import Wrapper
 from ..signals.task import Sample, Task, Trial
 
 # trials before a scheme that adapts is looked at: by then one of two-trial increments has seen
@@ -136,43 +137,23 @@ def _with(machine: Machine, part: str, name: str, d) -> Machine:
 
 
 @pytree
-class _Inside(Scheme):
-    """A scheme within a trial, with another schedule than its own."""
+class _Playing(Wrapper):
+    """A scheme that plays a given signal. Its memory is the scheme's, and what is played."""
 
     scheme: Scheme = child()
-
-    @property
-    def preview(self) -> int:
-        return self.scheme.preview
-
-    @property
-    def plays_back(self) -> bool:
-        return self.scheme.plays_back
-
-    def initial_state(self, task: Task) -> State:
-        return self.scheme.initial_state(task)
-
-    def act(self, state: State, sample: Sample) -> tuple[State, jax.Array]:
-        return self.scheme.act(state, sample)
-
-    def signals(self, state: State) -> dict[str, jax.Array]:
-        return self.scheme.signals(state)
-
-
-@pytree
-class _Playing(_Inside):
-    """A scheme that plays a given signal. Its memory is the scheme's, and what is played."""
 
     def schedule(self, memory: Memory, task: Task) -> Schedule:
         return self.scheme.play(memory[1], memory[0], task)
 
 
 @pytree
-class Prescribed(_Inside):
+class Prescribed(Wrapper):
     """A scheme that is shown a prescribed output instead of the measured one.
 
     Its memory is the scheme's, and that output (N+1, n_y).
     """
+
+    scheme: Scheme = child()
 
     @property
     def plays_back(self) -> bool:

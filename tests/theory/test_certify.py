@@ -52,15 +52,10 @@ def sentence(found, trials=10):
 
 
 def dense_error_map(machine, gain):
-    """Return I - gain G, with G the Toeplitz matrix of Markov parameters.
-
-    They come from the impulse response, computed by hand.
-    """
+    """Return I - gain G, with G the Toeplitz matrix of the impulse response."""
     a, b = float(machine.plant.a[0]), float(machine.plant.b[0])
     g = b * a ** np.arange(N)
-    return np.eye(N) - gain * np.array(
-        [[g[i - j] if i >= j else 0.0 for j in range(N)] for i in range(N)]
-    )
+    return np.eye(N) - gain * scipy.linalg.toeplitz(g, np.zeros(N))
 
 
 def test_a_monotone_claim_has_the_dense_singular_value_and_is_kept():
@@ -86,17 +81,11 @@ def test_machines_are_drawn_where_none_are_given():
 
 
 def test_nothing_claimed_is_broken_whatever_is_drawn():
-    wide = {
-        "plant.a": Uniform(0.2, 1.3, relative=True),
-        "plant.b": Uniform(0.1, 8.0, relative=True),
-    }
-    found = certified(
-        FIRST_ORDER, WithFeedback(PIDType(gamma_p=0.8), PID(kp=0.1)), 12, wide, samples=64
-    )
+    wide = {"plant.a[0]": Uniform(0.14, 0.91), "plant.b[0]": Uniform(0.03, 2.4)}
+    scheme = WithFeedback(PIDType(gamma_p=0.8), PID(kp=0.1))
+    found = certified(FIRST_ORDER, scheme, 12, wide, samples=64)
     assert not len(found.broken_promises())
-    assert 10 <= np.sum(found.claim == "monotone") <= 54, (
-        "some are claimed and some are not, or the test says nothing"
-    )
+    assert 10 <= np.sum(found.claim == "monotone") <= 54, "or the test says nothing"
 
 
 @pytest.mark.thorough
@@ -137,17 +126,14 @@ def test_a_law_that_keeps_all_leaves_nothing_however_small_its_gain():
 
 @pytest.mark.thorough
 def test_an_error_that_no_input_reaches_is_left_over_by_a_derivative():
-    """An error that no input reaches remains in a law with a derivative.
+    """Learning uses e[0] in every trial, so the error converges to an effect of e[0].
 
-    Learning uses e[0] in every trial, so the error converges to an effect of e[0] and not to zero.
     It increases towards it for hundreds of trials.
     """
     d = np.zeros((N + 1, 1))
     d[0] = 0.3
-    machine, scheme = (
-        replace(FIRST_ORDER, disturbance=Disturbance(output=d)),
-        PIDType(gamma_p=0.6, gamma_d=0.3),
-    )
+    machine = replace(FIRST_ORDER, disturbance=Disturbance(output=d))
+    scheme = PIDType(gamma_p=0.6, gamma_d=0.3)
     found = certified(machine, scheme, 120, B)
     assert set(found.claim) == {"monotone"}
     assert not np.any(found.of_error)
@@ -246,23 +232,15 @@ def test_of_a_law_that_changes_nothing_nothing_is_claimed(scheme):
 
 @pytest.mark.thorough
 def test_what_is_claimed_does_not_depend_on_how_long_one_watches():
-    """A claim does not depend on the number of simulated trials.
-
-    Of 174 machines that were said to converge after 25 trials, 54 diverged later.
-    """
-    wide = {
-        "plant.a": Uniform(0.9, 1.39, relative=True),
-        "plant.b": Uniform(0.5, 4.0, relative=True),
-    }
+    """Of 174 machines that were said to converge after 25 trials, 54 diverged later."""
+    wide = {"plant.a[0]": Uniform(0.63, 0.973), "plant.b[0]": Uniform(0.15, 1.2)}
     few, many = (
         certified(FIRST_ORDER, PIDType(gamma_p=0.8, lead=1), trials, wide, samples=24)
         for trials in (5, 400)
     )
     np.testing.assert_array_equal(few.claim, many.claim)
     np.testing.assert_array_equal(few.reason, many.reason)
-    assert np.sum(few.expected != many.expected) >= 3, (
-        "what is expected within J trials does depend on J"
-    )
+    assert np.sum(few.expected != many.expected) >= 3, "this does depend on J"
     assert not len(few.broken_promises()) + len(many.broken_promises())
 
 
@@ -286,16 +264,9 @@ def random_limited(rng, size):
 
 @pytest.mark.thorough
 def test_a_limit_that_is_met_late_is_told_with_its_trial():
-    """A limit that is met late is reported with its trial.
-
-    P-type learning with a small gain meets its limit after hundreds of trials. Near the third trial
-    nothing indicates it.
-    """
-    machines, scheme, trials = (
-        random_limited(np.random.default_rng(1), 24),
-        PIDType(gamma_p=0.03),
-        800,
-    )
+    """With a small gain it is met after hundreds of trials; near the third nothing indicates it."""
+    machines, trials = random_limited(np.random.default_rng(1), 24), 800
+    scheme = PIDType(gamma_p=0.03)
     found = certify_each(machines, scheme, TASK, trials)
     assert not len(found.broken_promises())
     met, clear = found.outlook.met, found.outlook.clear
@@ -303,40 +274,20 @@ def test_a_limit_that_is_met_late_is_told_with_its_trial():
     assert np.sum(clear) >= 5
     assert np.sum(met > 100) >= 2
     limits, unlimited = np.asarray(machines.actuator.limit), replace(machines, actuator=None)
-    run = jax.vmap(
-        lambda machine: (
-            jaxilc.learn(
-                machine, scheme, TASK, trials, save=lambda trial: jax.numpy.abs(trial.u).max()
-            ).saved
-        )
-    )
-    beyond = np.asarray(run(unlimited)) > limits[:, None]
+
+    def largest(machine):
+        return jaxilc.learn(machine, scheme, TASK, trials, save=lambda t: abs(t.u).max()).saved
+
+    beyond = np.asarray(jax.vmap(largest)(unlimited)) > limits[:, None]
     np.testing.assert_array_equal(np.where(beyond.any(axis=1), beyond.argmax(axis=1) + 1, 0), met)
     late = int(np.argmax(met))
     assert f"is met in trial {met[late]}" in found.reason[late]
 
 
-@pytest.mark.thorough
-def test_a_limit_out_of_reach_takes_nothing_from_a_claim_and_one_within_reach_all():
-    scheme = PIDType(gamma_p=0.8)
-    far = certified(replace(FIRST_ORDER, actuator=Actuator(limit=1e3)), scheme, 15, B)
-    assert set(far.claim) == {"monotone"}
-    near = certified(replace(FIRST_ORDER, actuator=Actuator(limit=0.3)), scheme, 15, B)
-    assert set(near.claim) == {"not claimed"}
-    assert set(near.expected) == {"falls"} != set(near.observed), (
-        "theory leaves limits out, so the confusion table can fail"
-    )
-    assert "limit is met in trial" in near.reason[0]
-
-
 def test_one_who_only_watched_knows_no_divergence():
-    """Divergence is not claimed of a machine whose growth a limit stops.
-
-    It grows until its limit stops it, and so does not grow without bound.
-    """
-    found = certified(
-        replace(FIRST_ORDER, actuator=Actuator(limit=10.0)), PIDType(gamma_p=-0.8), 15, B
-    )
+    """The error grows until its limit stops it, and so does not grow without bound."""
+    limited = replace(FIRST_ORDER, actuator=Actuator(limit=10.0))
+    found = certified(limited, PIDType(gamma_p=-0.8), 15, B)
     assert set(found.claim) == {"not claimed"}
 
 
@@ -349,11 +300,16 @@ def test_the_transient_that_lies_is_told_beforehand():
     """
     samples, trials = 50, 10
     g = np.convolve(0.9 ** np.arange(samples), 0.9 ** np.arange(samples))[:samples]
-    M = np.eye(samples) - 0.5 * np.tril(scipy.linalg.toeplitz(g))
-    errors = [np.ones(samples)]
-    while len(errors) < 200:
-        errors.append(M @ errors[-1])
-    size = np.linalg.norm(errors, axis=1)
+
+    def learned(gain, trials):
+        """Return the map of errors, and the norm of each of them."""
+        M = np.eye(samples) - gain * np.tril(scipy.linalg.toeplitz(g))
+        errors = [np.ones(samples)]
+        while len(errors) < trials:
+            errors.append(M @ errors[-1])
+        return M, np.linalg.norm(errors, axis=1)
+
+    M, size = learned(0.5, 200)
     growth, trial = np.max(size) / size[0], np.argmax(size) + 1
     assert (f"{growth:.2e}", trial) == ("1.21e+11", 14), "the first trial is trial 1"
     assert size[-1] < 1e-9 * size[0], "it converges in the end"
@@ -381,11 +337,7 @@ def test_the_transient_that_lies_is_told_beforehand():
     assert list(lost.claim) == ["not claimed"]
     assert "beyond the digits of the numbers" in lost.reason[0]
     # with a smaller gain the transient comes later, and at last too late to be seen
-    M = np.eye(samples) - 0.1 * np.tril(scipy.linalg.toeplitz(g))
-    errors = [np.ones(samples)]
-    while len(errors) < 4000:
-        errors.append(M @ errors[-1])
-    size = np.linalg.norm(errors, axis=1)
+    _, size = learned(0.1, 4000)
     slow = certify_each(machines, PIDType(gamma_p=0.1), task, trials)
     assert list(slow.claim) == ["converges"]
     assert list(slow.peak_trial) == [np.argmax(size) + 1]
@@ -423,19 +375,12 @@ def test_experiments_are_no_part_of_the_course():
 
 
 def test_frozen_stops_estimators_alone():
-    """`frozen` stops estimators only.
-
-    A field named eta may also be a switching gain: that of SMC was changed from 1.36e6 to 1e-30.
-    """
+    """A field named eta may be a switching gain: that of SMC was changed from 1.36e6 to 1e-30."""
     sliding = cases.SCHEMES["smc"]
     scheme = WithFeedback(CFDLMFAILC(lam=2.0, eta=0.7), sliding)
     assert float(scheme.frozen().learning.eta) < 1e-20
     assert float(scheme.frozen().learning.lam) == 2.0
-    assert (
-        jax.tree.leaves(scheme.frozen().feedback)
-        == jax.tree.leaves(sliding.frozen())
-        == jax.tree.leaves(sliding)
-    )
+    assert jax.tree.leaves(scheme.frozen().feedback) == jax.tree.leaves(sliding)
     linear = WithFeedback(PIDType(gamma_p=1.0), PID(kp=1.0))
     assert jax.tree.leaves(linear.frozen()) == jax.tree.leaves(linear)
 
@@ -452,22 +397,14 @@ SCHEMES = {
 @pytest.mark.thorough
 @pytest.mark.parametrize("scheme", SCHEMES.values(), ids=SCHEMES)
 def test_the_prediction_is_the_simulation_where_all_is_linear(scheme):
-    """The prediction equals the simulation where everything is linear.
-
-    The prediction is a linear recursion from the third trial on, the simulation goes trial by
-    trial.
-    """
+    """The prediction is a linear recursion from the third trial on."""
     found = certified(FIRST_ORDER, scheme, 12, B, samples=3)
     np.testing.assert_allclose(found.predicted, found.simulated, rtol=1e-7, atol=1e-12)
     assert not len(found.broken_promises())
 
 
 def test_machines_in_parts_are_certified_as_all_at_once(monkeypatch):
-    """Machines that are certified in parts get the same certificates as all at once.
-
-    This is needed where the dense matrices of all do not fit into RAM. It holds for every claim,
-    also where nothing is linear.
-    """
+    """It is needed where the dense matrices of all do not fit into RAM."""
     machines = random_limited(np.random.default_rng(3), 5)
     for scheme in (PIDType(gamma_p=0.3), CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign")):
         whole = certify_each(machines, scheme, TASK, 6)

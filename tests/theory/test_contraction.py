@@ -10,7 +10,7 @@ import scipy.linalg
 from cases import DT, PLANTS, task_for
 
 from jaxilc.filters import ZeroPhaseFIR
-from jaxilc.learning import Disturbance, Machine, Sensor, learn
+from jaxilc.learning import Disturbance, Machine, learn
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import named_leaves
 from jaxilc.schemes import (
@@ -26,7 +26,8 @@ from jaxilc.schemes import (
     WithFeedback,
 )
 from jaxilc.signals import Task
-from jaxilc.theory import contraction, frequency, lifted
+from jaxilc.theory import contraction, lifted
+from jaxilc.theory.spectrum import largest
 from jaxilc.uncertainty import Uniform, draw, drawn_machine
 
 MACHINE = Machine(PLANTS["arx"])
@@ -64,18 +65,10 @@ def maps(machine, scheme, task):
 @pytest.mark.thorough(but=["p_type"])
 @pytest.mark.parametrize("name", ["p_type", "ffdl", "ilc_mfapc"])
 def test_singular_values_are_those_of_the_dense_matrix(name):
-    """The singular values are those of the dense matrix, to 1e-6 at N = 200.
-
-    This holds for the whole memory and for the error, with linear and adaptive schemes, and over
-    adaptive feedback.
-    """
+    """Of the whole memory and of the error, of linear and adaptive schemes, at N = 200."""
     dense, free = maps(MACHINE, SCHEMES[name], task_for(PLANTS["arx"], 200))
     for J, found in zip(dense, free, strict=True):
         np.testing.assert_allclose(found.value, top(J), rtol=1e-6)
-        if len(J) <= 200:
-            np.testing.assert_allclose(
-                found.value, np.linalg.svd(J, compute_uv=False)[0], rtol=1e-6
-            )
         assert found.residual <= 1e-6 * found.value
         assert found.steps < min(J.shape) or name == "ilc_mfapc", (
             "the matrix should not have to be exhausted"
@@ -85,19 +78,17 @@ def test_singular_values_are_those_of_the_dense_matrix(name):
 
 
 def test_the_error_map_of_a_linear_law_is_the_lifted_one():
-    """The error map of a linear law is the lifted one, I - G L.
-
-    This also holds in a closed loop, and for powers of the map over several trials.
-    """
-    task = task_for(PLANTS["arx"], 50)
-    for scheme in (
-        PIDType(gamma_p=0.5, gamma_d=0.3, lead=2),
-        WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.8, ki=20.0)),
+    """It is I - G L, also in a closed loop, and its powers are those over several trials."""
+    for machine, scheme in (
+        (Machine(PLANTS["mimo"]), PIDType(gamma_p=(2.0, 1.0))),
+        (MACHINE, PIDType(gamma_p=0.5, gamma_d=0.3, lead=2)),
+        (MACHINE, WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.8, ki=20.0))),
     ):
-        found = contraction.error_map(MACHINE, scheme, task, trials=3)
+        task = task_for(machine.plant, 50)
+        found = contraction.error_map(machine, scheme, task, trials=3)
         J = jax.jit(jax.jacfwd(found.f))(found.at)
         M = lifted.error_map(
-            lifted.lifted_plant(MACHINE, scheme, task), lifted.learning_law(scheme, task).L
+            lifted.lifted_plant(machine, scheme, task), lifted.learning_law(scheme, task).L
         )
         for j in range(3):
             np.testing.assert_allclose(J[j], np.linalg.matrix_power(M, j + 1), atol=1e-12)
@@ -105,25 +96,12 @@ def test_the_error_map_of_a_linear_law_is_the_lifted_one():
     np.testing.assert_allclose(growth, lifted.transient_growth(M, 3), rtol=1e-6)
 
 
-def test_the_error_map_of_two_inputs_and_outputs():
-    plant = StateSpace(
-        [[0.9, 0.1], [-0.2, 0.8]], [[0.2, 0.05], [0.0, 0.3]], [[1.0, 0.1], [0.2, 1.0]], dt=DT
-    )
-    machine, task, scheme = Machine(plant), task_for(plant, 30), PIDType(gamma_p=(2.0, 1.0))
-    found = contraction.error_map(machine, scheme, task)
-    M = lifted.error_map(
-        lifted.lifted_plant(machine, None, task), lifted.learning_law(scheme, task).L
-    )
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(found.f))(found.at)[0], M, atol=1e-12)
-
-
 @pytest.mark.thorough
 def test_an_adaptive_scheme_does_what_its_derivative_says():
-    """An adaptive scheme does what its derivative says.
+    """A small disturbance acts from the fourth trial on, in the direction that grows most.
 
-    A small disturbance acts from the fourth trial on, in the direction that grows most. The
-    simulated change of the next error is sigma_max times as large. With the estimate frozen, the
-    change would be clearly different.
+    The simulated change of the next error is sigma_max times as large. With the estimate frozen,
+    the change would be clearly different.
     """
     scheme, task, eps = SCHEMES["cfdl"], task_for(PLANTS["arx"], 60), 1e-6
     before = learn(MACHINE, scheme, task, 3).memory
@@ -152,10 +130,7 @@ def test_an_adaptive_scheme_does_what_its_derivative_says():
 
 
 def test_names_and_weights_of_the_memory():
-    """Leaves of the memory have names and weights.
-
-    The weight of a leaf scales rows and columns of the Jacobian, and names select its blocks.
-    """
+    """The weight of a leaf scales rows and columns of the Jacobian, and names select its blocks."""
     task, scheme = task_for(PLANTS["arx"], 20), SCHEMES["ffdl"]
     memory = contraction.learned_memory(MACHINE, scheme, task)
     assert set(named_leaves(memory)) == {"u", "y", "phi[0]", "phi[1]", "phi[2]", "phi[3]", "seen"}
@@ -186,21 +161,6 @@ def test_names_and_weights_of_the_memory():
             contraction.learning_map(MACHINE, scheme, task, memory, **{bad: value})
     with pytest.raises(ValueError, match="PID has no floating leaf"):
         contraction.learning_map(MACHINE, PID(kp=0.1), task)
-
-
-def test_noise_is_left_out():
-    task = task_for(PLANTS["arx"], 20)
-    noisy = Machine(
-        PLANTS["arx"], sensor=Sensor(noise=0.5), disturbance=Disturbance(output_noise=0.5)
-    )
-    for one, other in zip(
-        *(
-            jax.tree.leaves(contraction.learned_memory(m, SCHEMES["cfdl"], task))
-            for m in (MACHINE, noisy)
-        ),
-        strict=True,
-    ):
-        np.testing.assert_allclose(one, other, atol=1e-14)
 
 
 ROTATION = 0.95 * np.array([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]])
@@ -244,6 +204,16 @@ def test_iterations_on_given_matrices(kind):
     assert radius.doubt < 1e-6
 
 
+@pytest.mark.parametrize("rate", [0.02, 1.0, 30.0, 300.0])
+def test_singular_values_of_very_different_sizes_have_a_bound(rate):
+    """The residual underflows in few steps, which says nothing of a larger one not met yet."""
+    values = 0.5 * np.exp(-rate * np.arange(500.0))
+    times = lambda v: values * v  # noqa: E731
+    found = largest(times, times, jnp.zeros(500), 500, steps=60, tolerance=0.0)
+    assert found.value <= 0.5 * (1 + 1e-12)
+    assert 0.5 <= found.bound <= 0.5 * 1.1
+
+
 def test_the_zero_map_and_a_map_that_is_not_square():
     singular, radius = both(np.zeros((120, 120)))
     assert (float(singular.value), float(radius.value)) == (0.0, 0.0)
@@ -253,24 +223,6 @@ def test_the_zero_map_and_a_map_that_is_not_square():
             lambda at, matrix=matrix: contraction.singular_value(lambda x: matrix @ x, at)
         )(jnp.zeros(matrix.shape[1]))
         np.testing.assert_allclose(found.value, top(matrix), rtol=1e-9)
-
-
-@pytest.mark.thorough
-def test_doubt_covers_the_error_of_a_map_far_from_normal():
-    """The stated uncertainty covers the error for a map that is far from normal.
-
-    For I - gamma G the iteration sees sup |1 - gamma z P|, and not the only eigenvalue 1 - gamma C
-    B. With all steps it equals the dense computation.
-    """
-    task, scheme = task_for(PLANTS["arx"], 150), PIDType(gamma_p=4.0)
-    for steps in (20, 150):
-        found = jax.jit(
-            lambda m, steps=steps: contraction.spectral_radius_of(
-                *contraction.learning_map(m, scheme, task), steps=steps
-            )
-        )(MACHINE)
-        assert abs(found.value - (1 - 4.0 * 0.06)) < found.doubt
-    assert contraction.attracting(MACHINE, scheme, task, steps=20).verdict == "not claimed"
 
 
 @pytest.mark.thorough
@@ -295,10 +247,9 @@ LAG = Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT))
 
 
 def test_designed_to_contract_and_designed_to_diverge():
-    """A designed case contracts, and another one diverges.
+    """On a lag an adaptive map contracts near its fixed point, to which learning converges.
 
-    For adaptive learning on a lag, the map contracts and attracts near its fixed point, and
-    learning converges to it. A law with too high a gain does neither, and its error grows.
+    A law with too high a gain does neither, and its error grows.
     """
     task = task_for(LAG.plant, 30)
     scheme = CFDLMFAILC(phi0=0.7, lam=0.1, rho=0.9, mu=0.1, reset="book")
@@ -319,10 +270,8 @@ def test_designed_to_contract_and_designed_to_diverge():
     assert input_map.verdict == "holds"
     assert "everywhere" in input_map.theorem
     wild = PIDType(gamma_p=3.5)
-    assert (
-        contraction.contracting(LAG, wild, task, leaves=("u",), weights={"u": 1.0}).verdict
-        == "fails"
-    )
+    of_input = {"leaves": ("u",), "weights": {"u": 1.0}}
+    assert contraction.contracting(LAG, wild, task, **of_input).verdict == "fails"
     assert contraction.error_contracting(LAG, wild, task).verdict == "fails"
     assert learn(LAG, wild, task, 30).rms[-1, 0] > 100 * learn(LAG, wild, task, 1).rms[0, 0]
 
@@ -337,28 +286,19 @@ def test_away_from_its_fixed_point_an_adaptive_map_claims_nothing():
 
 @pytest.mark.thorough
 def test_estimates_that_nothing_resets_are_neutral():
-    """Estimates that are never reset are neutral.
-
-    At a fixed point without error nothing changes phi. This is the eigenvalue 1, which the map
-    without the estimates does not have.
-    """
+    """At a fixed point without error nothing changes phi, which is an eigenvalue 1."""
     task = task_for(LAG.plant, 20)
     scheme = CFDLMFAILC(phi0=0.7, lam=0.1, rho=0.9, mu=0.1, reset="none")
     memory = learn(LAG, scheme, task, 60).memory
     whole = contraction.attracting(LAG, scheme, task, memory, steps=100)
     np.testing.assert_allclose(whole.value, 1.0, atol=1e-6)
     assert whole.verdict != "holds"
-    assert (
-        contraction.attracting(LAG, scheme, task, memory, leaves=("u", "y"), steps=100).verdict
-        == "holds"
-    )
+    rest = contraction.attracting(LAG, scheme, task, memory, leaves=("u", "y"), steps=100)
+    assert rest.verdict == "holds"
 
 
 def test_what_only_tells_of_the_past_is_no_state():
-    """Counters and diagnostics of the model-based laws are left out of the learning map.
-
-    A counter alone would be an eigenvalue 1, and no such law would ever be seen to attract.
-    """
+    """A counter alone would be an eigenvalue 1, and no such law would ever be seen to attract."""
     plant, tight = PLANTS["discrete"], {"w_r": 0.1, "limit": 3.0}
     pendulum = PLANTS["pendulum"]
     for machine, scheme, known in (
@@ -415,13 +355,9 @@ def test_over_plants_equals_one_by_one():
     drawn = draw(MACHINE, uncertainty, 5)
 
     def quantity(machine):
-        learning, error = (
-            contraction.learning_map(machine, scheme, task),
-            contraction.error_map(machine, scheme, task),
-        )
-        return contraction.singular_value(*error).value, contraction.spectral_radius_of(
-            *learning, steps=40
-        ).value
+        learning = contraction.learning_map(machine, scheme, task)
+        sigma = contraction.singular_value(*contraction.error_map(machine, scheme, task))
+        return sigma.value, contraction.spectral_radius_of(*learning, steps=40).value
 
     together = contraction.over_plants(quantity, MACHINE, uncertainty, drawn)
     alone = jax.jit(lambda values: quantity(drawn_machine(MACHINE, uncertainty, values)))
@@ -430,22 +366,6 @@ def test_over_plants_equals_one_by_one():
             [x[i] for x in together], alone({name: v[i] for name, v in drawn.items()}), rtol=1e-6
         )
     assert np.ptp(together[0]) > 0.05
-
-
-@pytest.mark.thorough
-@pytest.mark.slow
-def test_a_trial_of_5000_samples():
-    """A trial of 5000 samples is treated without the matrix, which would take 200 MB.
-
-    sigma_max of the error map equals sup |1 - gamma z P| to four digits.
-    """
-    task = Task(np.sin(2 * np.pi * np.arange(5001) / 1000), dt=DT)
-    value = contraction.error_contracting(MACHINE, SCHEMES["p_type"], task).value
-    np.testing.assert_allclose(
-        value,
-        frequency.learning_condition(MACHINE, SCHEMES["p_type"], task).condition.value,
-        rtol=1e-4,
-    )
 
 
 def test_a_value_above_1_that_is_no_eigenvalue_is_not_told_to_be_one():

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from cases import ARX, CASES, DT, PLANTS, SCHEMES, case, task_for
 from jax.flatten_util import ravel_pytree
+from jax.lax import scan, while_loop
 
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Actuator, Machine, Sensor
@@ -133,10 +134,9 @@ def parts_of(scheme) -> list:
 
 @pytest.mark.parametrize("seed", range(14))
 def test_any_composition_superposes_if_it_is_said_to(seed):
-    """Any composition obeys superposition if this is claimed of it.
+    """The map from one memory to the next is tested with large and small changes.
 
-    The map from one memory to the next is tested with large and small changes. No composition whose
-    parts obey superposition is refused.
+    No composition whose parts obey superposition is refused.
     """
     scheme = composed(np.random.default_rng(seed), depth=1 + seed % 3).prepared(TASK)
     said = all(p.held for p in linearity.learning_premises(MACHINE, scheme, TASK))
@@ -205,68 +205,39 @@ class Bent(Scheme):
 @pytest.mark.parametrize("wrapper", [OnlyTen, Bent])
 def test_a_wrapper_that_nobody_knows_cannot_slip_through(wrapper):
     machines = drawn_machines(Machine(DifferenceEquation((0.7,), (0.3,), dt=DT)), {}, {})
-    for scheme in (
-        wrapper(PIDType(gamma_p=0.5)),
-        WithFeedback(wrapper(PIDType(gamma_p=0.5)), PID(kp=0.3)),
-    ):
-        found = certify_each(machines, scheme, TASK, 5)
-        assert set(found.claim) == {"not claimed"}
-    assert set(certify_each(machines, PIDType(gamma_p=0.5), TASK, 5).claim) != {"not claimed"}
+    law = PIDType(gamma_p=0.5)
+    for scheme in (wrapper(law), WithFeedback(wrapper(law), PID(kp=0.3))):
+        assert set(certify_each(machines, scheme, TASK, 5).claim) == {"not claimed"}
+    assert set(certify_each(machines, law, TASK, 5).claim) != {"not claimed"}
 
 
 # Limits
 # --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "pid_type_leaky_limited",
-        "higher_order_leaky_limited",
-        "norm_optimal_lifted",
-        "filtered",
-        "actuator",
-        "cut",
-    ],
-)
+LIMITED = Machine(MACHINE.plant, actuator=Actuator(limit=4.0, rate=200.0))
+EXTRA = {
+    "filtered": (MACHINE, Filtered(PIDType(gamma_p=0.5, limit=0.3), ZeroPhaseFIR((0.5, 0.25)))),
+    "actuator": (LIMITED, PIDType(gamma_p=0.5)),
+    "cut": (MACHINE, WithFeedback(PIDType(gamma_p=0.5, limit=0.5), PID(kp=0.3))),
+}
+OF_CASES = ["pid_type_leaky_limited", "higher_order_leaky_limited", "norm_optimal_lifted"]
+
+
+@pytest.mark.parametrize("name", [*OF_CASES, *EXTRA])
 def test_limits_that_are_declared_decide_whether_anything_changes(name):
-    """Declared limits decide whether anything changes.
-
-    As long as every trial is within its bounds, the free run equals the limited one. From the first
-    trial beyond them it does not.
-    """
-    extra = {
-        "filtered": (
-            MACHINE,
-            Filtered(PIDType(gamma_p=0.5, limit=0.3), ZeroPhaseFIR((0.5, 0.25))),
-            TASK,
-        ),
-        "actuator": (
-            Machine(MACHINE.plant, actuator=Actuator(limit=4.0, rate=200.0)),
-            PIDType(gamma_p=0.5),
-            TASK,
-        ),
-        "cut": (MACHINE, WithFeedback(PIDType(gamma_p=0.5, limit=0.5), PID(kp=0.3)), TASK),
-    }
-    machine, scheme, task = extra.get(name) or case(name)
-
+    """The free run equals the limited one up to the first trial beyond a bound, and no further."""
+    machine, scheme, task = (*EXTRA[name], TASK) if name in EXTRA else case(name)
     free, bounded = scheme.unlimited().prepared(task), scheme.prepared(task)
 
     @jax.jit
     def turn(one, other):
-        """Return the results of one trial of the free run and of the limited one.
-
-        They are the largest share of a bound in the free trial, the outputs of both runs, and both
-        next memories.
-        """
-        trial, seen = (
-            trial_of(machine.unlimited(), free, task, one),
-            trial_of(machine, bounded, task, other),
-        )
+        """Return the largest share of a bound in a free trial, both outputs and next memories."""
+        trial = trial_of(machine.unlimited(), free, task, one)
+        seen = trial_of(machine, bounded, task, other)
         found = machine.limits(trial) | scheme.limits(task, one, trial)
-        share = jnp.max(
-            jnp.stack([jnp.max(jnp.abs(signal) / bound) for signal, bound in found.values()])
-        )
+        shares = [jnp.max(jnp.abs(signal) / bound) for signal, bound in found.values()]
+        share = jnp.max(jnp.stack(shares))
         return share, trial.y, seen.y, free.learn(one, trial), bounded.learn(other, seen)
 
     one = other = scheme.initial_memory(task)
@@ -284,52 +255,38 @@ def test_limits_that_are_declared_decide_whether_anything_changes(name):
 # Single operations
 # --------------------------------------------------------------------------------------------------
 
-OPERATIONS = {
-    "a filter": (lambda a, x: jnp.convolve(x, a), AFFINE),
-    "a transform": (lambda a, x: jnp.fft.irfft(jnp.fft.rfft(x) * a[0]), AFFINE),
-    "a choice of the fixed": (lambda a, x: jnp.where(a > 0, x, -x), AFFINE),
-    "a scan": (lambda a, x: jax.lax.scan(lambda c, v: (0.5 * c + v, c), 0.0, x)[1], AFFINE),
-    "its own square": (lambda a, x: x * x, OTHERWISE),
-    "a limit": (lambda a, x: jnp.clip(x, -1e30, 1e30), OTHERWISE),
-    "a choice by itself": (lambda a, x: jnp.where(x > 1e30, x, 2 * x), OTHERWISE),
-    "a limit within a scan": (
-        lambda a, x: jax.lax.scan(lambda c, v: (jnp.minimum(0.5 * c + v, 1e30), c), 0.0, x)[1],
-        OTHERWISE,
-    ),
-    "a late product": (
-        lambda a, x: jax.lax.scan(lambda c, v: ((v, c[0]), c[0] * c[1]), (0.0, 1.0), x)[1],
-        OTHERWISE,
-    ),
-    "a loop that it ends": (
-        lambda a, x: jax.lax.while_loop(lambda c: c[0] < 3.0, lambda c: c + 1.0, x),
-        OTHERWISE,
-    ),
-    "a branch": (lambda a, x: jax.lax.cond(x[0] > 0, lambda v: v, lambda v: 2 * v, x), OTHERWISE),
-    "rounding": (lambda a, x: jnp.round(x), OTHERWISE),
+LINEAR = {
+    "a filter": lambda a, x: jnp.convolve(x, a),
+    "a transform": lambda a, x: jnp.fft.irfft(jnp.fft.rfft(x) * a[0]),
+    "a choice of the fixed": lambda a, x: jnp.where(a > 0, x, -x),
+    "a scan": lambda a, x: scan(lambda c, v: (0.5 * c + v, c), 0.0, x)[1],
+}
+OTHERS = {
+    "its own square": lambda a, x: x * x,
+    "a limit": lambda a, x: jnp.clip(x, -1e30, 1e30),
+    "a choice by itself": lambda a, x: jnp.where(x > 1e30, x, 2 * x),
+    "a limit in a scan": lambda a, x: scan(lambda c, v: (jnp.minimum(c + v, 1e30), c), 0.0, x)[1],
+    "a late product": lambda a, x: scan(lambda c, v: ((v, c[0]), c[0] * c[1]), (0.0, 1.0), x)[1],
+    "a loop that it ends": lambda a, x: while_loop(lambda c: c[0] < 3.0, lambda c: c + 1.0, x),
+    "a branch": lambda a, x: jax.lax.cond(x[0] > 0, lambda v: v, lambda v: 2 * v, x),
+    "rounding": lambda a, x: jnp.round(x),
 }
 
 
-@pytest.mark.parametrize("name", OPERATIONS)
+@pytest.mark.parametrize("name", LINEAR | OTHERS)
 def test_what_an_operation_leaves_of_linearity(name):
-    f, expected = OPERATIONS[name]
-    assert dependence(f, jnp.ones(4), jnp.ones(4)).order == expected
-    assert bool(obstacle(f, jnp.ones(4), jnp.ones(4))) == (expected == OTHERWISE)
+    f, linear = (LINEAR | OTHERS)[name], name in LINEAR
+    assert dependence(f, jnp.ones(4), jnp.ones(4)).order == (AFFINE if linear else OTHERWISE)
+    assert bool(obstacle(f, jnp.ones(4), jnp.ones(4))) != linear
 
 
 def test_a_derivative_that_misses_rounding_is_known_to():
-    """A derivative that ignores rounding is recognised.
-
-    A quantiser passes derivatives unchanged, so they are not derivatives of the quantiser.
-    """
+    """A quantiser passes derivatives unchanged, so they are not derivatives of the quantiser."""
     sensor = Sensor(resolution=0.1)
     straight = lambda _, x: x + jax.lax.stop_gradient(jnp.round(x) - x)  # noqa: E731
     assert blind(straight, sensor, jnp.ones(4))
     assert not blind(lambda _, x: 2.0 * x, sensor, jnp.ones(4))
     machine = Machine(MACHINE.plant, sensor=sensor)
-    assert blind(
-        lambda fixed, w: (
-            trial_of(fixed, PIDType(), TASK, PIDType().initial_memory(TASK)._replace(u=w)).y
-        ),
-        machine,
-        jnp.zeros((40, 1)),
-    )
+    memory = PIDType().initial_memory(TASK)
+    output = lambda machine, w: trial_of(machine, PIDType(), TASK, memory._replace(u=w)).y  # noqa: E731
+    assert blind(output, machine, jnp.zeros((40, 1)))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from jaxilc import Machine, Task
 from jaxilc.filters import ZeroPhaseButterworth
@@ -102,16 +103,9 @@ def test_offers_keep_the_margin_between_the_lines_and_go_no_further(answer):
 def test_the_floor_is_that_of_the_limit_of_learning(answer):
     found, _ = answer
     keep, L = law_matrices()
-    impulse = np.array(
-        [
-            (C @ np.linalg.matrix_power(A, k) @ B).item()
-            for A, B, C in [map(np.asarray, linear_loop(Machine(PLANT), None, TASK))]
-            for k in range(TASK.N)
-        ]
-    )
-    G = np.array(
-        [[impulse[i - j] if i >= j else 0.0 for j in range(TASK.N)] for i in range(TASK.N)]
-    )
+    A, B, C = map(np.asarray, linear_loop(Machine(PLANT), None, TASK))
+    impulse = [(C @ np.linalg.matrix_power(A, k) @ B).item() for k in range(TASK.N)]
+    G = scipy.linalg.toeplitz(impulse, np.zeros(TASK.N))
     r = np.asarray(TASK.reference)[1:, 0]
     u = np.linalg.solve(np.eye(TASK.N) - keep + L @ G, L @ r)
     assert found.now.floor == pytest.approx(np.sqrt(np.mean((r - G @ u) ** 2)), rel=2e-3)

@@ -20,17 +20,22 @@ from jaxilc.uncertainty import drawn_machines
 N, DT, TRIALS, FINE, FAR = 24, 1e-3, 300, 1e-13, 1e6
 
 
+def lag(a):
+    return StateSpace([[a]], [[1 - a]], [[1.0]], dt=DT)
+
+
 def machines(*several):
     """With a leading axis, of (a, step of the sensor, step of the converter, limit)."""
     made = [
-        Machine(
-            StateSpace([[a]], [[1 - a]], [[1.0]], dt=DT),
-            Actuator(limit=limit, resolution=of_u),
-            Sensor(resolution=of_y),
-        )
+        Machine(lag(a), Actuator(limit=limit, resolution=of_u), Sensor(resolution=of_y))
         for a, of_y, of_u, limit in several
     ]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *made)
+
+
+def of_lag(a):
+    """The matrix of its trial."""
+    return np.array([[(1 - a) * a ** max(i - k, 0) * (i >= k) for k in range(N)] for i in range(N)])
 
 
 def learned(r, a, of_y, of_u, gain, leak, limit=np.inf):
@@ -39,7 +44,7 @@ def learned(r, a, of_y, of_u, gain, leak, limit=np.inf):
     def rounded(x, step):
         return np.round(x / step) * step if step else x
 
-    G = np.array([[(1 - a) * a ** max(i - k, 0) * (i >= k) for k in range(N)] for i in range(N)])
+    G = of_lag(a)
     w, errors, inputs = np.zeros(N), [], []
     for _ in range(TRIALS):
         u = np.clip(rounded(np.clip(w, -limit, limit), of_u), -limit, limit)
@@ -109,7 +114,7 @@ def test_a_ball_that_is_reached_and_the_limits_in_it():
 def test_what_is_not_claimed_of_a_machine_that_rounds():
     """Growth that may hide below a step, samples lost by chance, and what is never unlearned."""
     r = np.sin(np.pi * np.arange(N + 1) / N) ** 2
-    machine = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT), sensor=Sensor(resolution=0.1))
+    machine = Machine(lag(0.0), sensor=Sensor(resolution=0.1))
 
     def of(machine, law=PIDType(gamma_p=0.5)):  # noqa: B008
         found = long_run(drawn_machines(machine, {}, {}), law, task(r))
@@ -139,15 +144,13 @@ def test_hysteresis_at_the_input_holds_learning_within_a_ball():
         return z
 
     for law, over in ((Dahl(0.5, 0.1), dahl), (BoucWen(0.5, 4.0, 1.0), bouc_wen)):
-        plant = InputHysteresis(StateSpace([[a]], [[1 - a]], [[1.0]], dt=DT), law)
+        plant = InputHysteresis(lag(a), law)
         learning = PIDType(gamma_p=gain, leak=leak)
         found = certify(Machine(plant), learning, task(r), 60, {}, {})
         assert found.claim[0] == "monotone"
         assert "within which hysteresis holds it" in found.reason[0]
         assert not len(found.broken_promises())
-        G = np.array(
-            [[(1 - a) * a ** max(i - k, 0) * (i >= k) for k in range(N)] for i in range(N)]
-        )
+        G = of_lag(a)
         w, still, apart = np.zeros(N), np.zeros(N), []
         for trial in range(60):
             z, u, drive = 0.0, 0.0, []
@@ -162,14 +165,14 @@ def test_hysteresis_at_the_input_holds_learning_within_a_ball():
 
 
 def test_hysteresis_that_is_integrated_in_steps_is_named():
-    plant = InputHysteresis(StateSpace([[0.5]], [[0.5]], [[1.0]], dt=DT), BoucWen(0.5, 4.0, 1.0, 2))
+    plant = InputHysteresis(lag(0.5), BoucWen(0.5, 4.0, 1.0, 2))
     found = certify(Machine(plant), PIDType(gamma_p=0.5), task(np.ones(N + 1)), 3, {}, {})
     assert found.claim[0] == "not claimed"
     assert "InputHysteresis" in found.reason[0]
 
 
 def test_noise_that_is_rounded_adds_up_with_the_ball():
-    fine = Machine(StateSpace([[0.3]], [[0.7]], [[1.0]], dt=DT), sensor=Sensor(noise=0.05))
+    fine = Machine(lag(0.3), sensor=Sensor(noise=0.05))
     rounds = dataclasses.replace(fine, sensor=Sensor(noise=0.05, resolution=0.02))
     law, r = PIDType(gamma_p=0.6, leak=0.1), np.sin(np.pi * np.arange(N + 1) / N)
     one, other = (certify(machine, law, task(r), 30, {}, {}) for machine in (fine, rounds))
