@@ -59,7 +59,7 @@ def client(tmp_path_factory):
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
     }
     options = {
-        "env": programs, "processes": True, "threads_per_worker": 1, "dashboard_address": None,
+        "env": programs, "processes": True, "threads_per_worker": 1, "dashboard_address": ":0",
         "host": "127.0.0.1", "memory_limit": 0,
     }  # fmt: skip
     with (
