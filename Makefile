@@ -16,7 +16,8 @@ DRAWN := cao_2019_identification cao_2019_table_1 cao_2019_table_2 dai_2014_figu
          milc_2024_figures milc_2024_table_1
 
 .DEFAULT_GOAL := help
-.PHONY: help run check lint test matrix papers bench history sbom docs wheel clean
+.PHONY: help run check lint test matrix papers bench history sbom docs wheel clean \
+        ruff ty mypy pages
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,16 +29,29 @@ check: lint  ## lint, format, types, quick tests: a minute on 2 cores
 	$(BIN)/python -m pytest -n 2 -m "quick and not slow" $(addprefix --ignore=,$(ROUNDED))
 	ISA=SSE4_2 $(BIN)/python -m pytest -n 2 -m "quick and not slow" $(ROUNDED)
 
-test: lint  ## as CI runs it: the documentation and all tests, the thorough ones by turns
-	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py
+test: $(VENV)/.ready  ## as CI runs it: the documentation and all tests, the thorough ones by turns
+	$(MAKE) -j 2 mypy pages ty ruff
 	$(BIN)/python -m pytest -n 2 -m "not shipped"
 	XLA_FLAGS= $(BIN)/python -m pytest -n 2 -m shipped
 
 lint: $(VENV)/.ready  ## lint, format and types alone
+	$(MAKE) -j 2 mypy ty ruff
+
+# Most of these use one core, so two of them run side by side.
+ruff ty mypy pages: $(VENV)/.ready
+
+ruff:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+ty:
 	$(BIN)/ty check
+
+mypy:
 	$(BIN)/mypy
+
+pages:
+	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py
 
 matrix:  ## all tests with Python 3.11 and 3.13, where these are, and the speed of both
 	.ci/matrix

@@ -35,12 +35,8 @@ PARTED = (  # one of each kind
     "ilc_asmc",
 )
 SHIPPED = ("pid_increment", "cfdl_sign", "ffdl_sign")  # as pyproject.toml lists them
-ALWAYS = {*PARTED, *WITHOUT_JIT, *SHIPPED}  # others have their turn
+ALWAYS = {*PARTED, *SHIPPED}  # others have their turn
 of_each_kind = pytest.mark.parametrize("run", PARTED, indirect=True, scope="module")
-# These programs of single machines are compiled in addition to those of batches.
-alone = pytest.mark.parametrize(
-    "run", dict.fromkeys((*WITHOUT_JIT, *PARTED)), indirect=True, scope="module"
-)
 
 
 class Run(NamedTuple):
@@ -133,7 +129,7 @@ def test_parts_are_made_and_checked_inside_jit_though_nothing_of_them_is_traced(
     checked.eval_shape(1.0)
 
 
-@alone
+@of_each_kind  # these programs of single machines are compiled in addition to those of batches
 def test_vmap_equals_loop(run):
     for i in range(LANES):
         assert_same(lane(run.batch, i), of(lane(run.lanes, i), run.task))
