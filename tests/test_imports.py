@@ -4,6 +4,7 @@ Each family imports from those before it, and from none after it.
 """
 
 import ast
+import functools
 import importlib
 import tomllib
 from pathlib import Path
@@ -36,10 +37,17 @@ ORDER = [
 ROOT = Path(jaxilc.__file__).parent
 
 
+@functools.cache
+def imports_in(file: Path) -> list[ast.Import | ast.ImportFrom]:
+    """Return the statements of a file that import, at its head or within a function."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def imports_of(file: Path) -> set[str]:
-    """Return the families that a file imports from, at its head or within a function."""
+    """Return the families that a file imports from."""
     folder, found = [*file.relative_to(ROOT.parent).parts[:-1]], set()
-    for node in ast.walk(ast.parse(file.read_text())):
+    for node in imports_in(file):
         if isinstance(node, ast.Import):
             assert not any(name.name.split(".")[0] == "jaxilc" for name in node.names), file
         if isinstance(node, ast.ImportFrom) and node.level:
@@ -84,7 +92,7 @@ def test_no_circle_within_a_family():
     for file in ROOT.rglob("*.py"):
         folder = file.relative_to(ROOT.parent).parts[:-1]
         here = ".".join([*folder, file.stem])
-        for node in ast.walk(ast.parse(file.read_text())):
+        for node in imports_in(file):
             if isinstance(node, ast.ImportFrom) and node.level == 1:
                 names = [node.module] if node.module else [name.name for name in node.names]
                 graph.setdefault(here, set()).update(".".join([*folder, n]) for n in names)
