@@ -192,6 +192,16 @@ def test_another_result_than_that_of_xla_is_refused_and_told(monkeypatch, caplog
     assert "XLA computes instead" in caplog.text
 
 
+def test_xla_compiles_for_the_next_call_beside_the_comparison(caplog):
+    common, native = arguments("p_type"), Native(of_machine)
+    with jax.log_compiles():
+        assert native.why_not(common, GAINS, ahead=True) is None
+        for batch, compiles in ((GAINS, False), (GAINS[:5], True)):
+            caplog.clear()
+            native.program(common, batch)(common, batch)
+            assert ("Finished XLA compilation" in caplog.text) == compiles
+
+
 def test_the_comparison_finds_a_difference_of_one_machine_and_one_number():
     wanted = {"a": np.array([[1.0, 1e6], [np.nan, np.inf]]), "b": np.array([1, 2])}
     assert differs(wanted, wanted) is None
