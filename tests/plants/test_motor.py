@@ -121,7 +121,7 @@ MOTORS = {
 }
 
 
-@pytest.mark.thorough
+@pytest.mark.thorough(but=["sprung"])
 @pytest.mark.parametrize("motor", MOTORS.values(), ids=MOTORS)
 def test_response_is_that_of_python_control(motor):
     """The response is that of python-control for commands that reach no limit.
