@@ -591,7 +591,9 @@ def next_(
     settings, of = _of_campaign(settings_of(set_ or ()))
     names = {"t": time_name, "u": input_name, "y": output_name, "r": of.get("reference", "r")}
     columns = {OPTIONS[signal]: name for signal, name in names.items() if name != signal}
-    headings, accept = ([*filter(None, names_in(of.get(of_it)))] for of_it in ("columns", "accept"))
+    headings, accept = (
+        [name for name in names_in(of.get(key)) if name] for key in ("columns", "accept")
+    )
     if headings:
         columns["--set campaign.columns"] = of["columns"]
     new = _starts(state, measured, undo, out_file, of.get("number", "double"), dry_run)

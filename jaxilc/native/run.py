@@ -284,7 +284,8 @@ class Native(Generic[Common, One, Found]):
         where they differ.
         Where machine code is kept on disk, it is noted there that they agree, for later processes.
 
-        ahead: whether all of the batch is computed next; XLA then compiles for it at the same time
+        ahead: whether a call that no `jit` is around computes all of the batch next; XLA then
+            compiles for it at the same time
         """
         key = _key(common, batch)
         if key not in self._programs:
@@ -347,7 +348,7 @@ def fastest(
     """
     by_xla = tiled(fn, lanes=lanes)
     native, reason = Native(fn), native_unwanted(steps)
-    reason = reason or native.why_not(common, batch, ahead=True)
+    reason = reason or native.why_not(common, batch)
     log.info("native: computed by %s", f"XLA: {reason}" if reason else "a program for this "
              "processor")  # fmt: skip
     return (by_xla, False) if reason else (native.program(common, batch), True)

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import cached_property, lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial
 from itertools import islice
 from typing import NamedTuple, TypeAlias
 
@@ -71,6 +71,7 @@ class Host:
             if not shared:
                 why_not = "the workers of a cluster may differ in their processors"
             self._natives[n] = why_not or _shared_native(member)
+        self._why_not = cache(self._reason)
         self._by_trial = {
             n: v.dims.index("trial") - 1 for n, v in plan.variables.items() if "trial" in v.dims
         }
@@ -97,7 +98,7 @@ class Host:
     def _sample_steps(self, trials: int) -> float:
         return self.plan.members * trials * self.plan.task.N
 
-    def _why_not(self, name: str) -> str | None:
+    def _reason(self, name: str) -> str | None:
         """The reason why XLA computes a variant; None where it does not."""
         native = self._natives[self.plan.variants[name].trials]
         if isinstance(native, str):
