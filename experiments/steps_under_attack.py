@@ -225,7 +225,7 @@ def steps(cases, task, history):
         for j in range(len(y)):
             if scheme.plays_back:
                 inputs.append(np.clip(plays(scheme, memory), -limit, limit))
-            of_trial = {name: x[j] for name, x in signals.items()}
+            of_trial = {n: x[j] for n, x in signals.items() if x.shape[-1] == task.inputs}
             memory = next_memory(step, task, memory, y[j], u[j], **of_trial)
         memories.append(memory)
         played.append(np.array(inputs))

@@ -79,7 +79,7 @@ def problem_of(name: str, mode: str) -> Tuning:
 def compared(problem: Tuning, objective, points: int, seed: int = 38) -> dict:
     """{each machine, each risk: (slopes, left, right)} along random directions at random points."""
     losses = problem._losses
-    evaluate = jax.jit(losses.evaluation(objective, clip=np.inf, steps=1))
+    evaluate = jax.jit(losses.evaluation(objective, clip=np.inf, steps=1)[0])
     rng = np.random.default_rng(seed)
     start = np.asarray(problem._weights.starts(1, 0.0, 0)[0])
     found = {name: [] for name in ("each machine", *RISKS)}
