@@ -205,6 +205,7 @@ class Problem(NamedTuple):
         return searched(
             lambda theta: self.projected(theta, parts), of_residual, theta, self.bounds(parts),
             steps=steps, tolerance=tolerance, eased=EASED,
+            furthest=np.append(np.ones(len(theta) - 1), np.inf),  # of logarithms, not of the delay
         )  # fmt: skip
 
 

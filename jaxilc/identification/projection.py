@@ -50,13 +50,14 @@ def searched(
     steps: int,
     tolerance: float,
     eased: float,
+    furthest: float | Numbers = 1.0,
 ) -> tuple[Projected, bool]:
     """The minimum near theta by Levenberg-Marquardt steps within bounds, and whether it is one.
 
     slopes: (rows, [n_y,] theta) derivatives of the residual at constant N
     tolerance: relative decrease of the cost below which a step ends the search
-    eased: what the damping is divided by after a step; it is multiplied by 6 where one fails. No
-        element moves by more than 1 at a step
+    eased: what the damping is divided by after a step; it is multiplied by 6 where one fails
+    furthest: by which an element moves at a step, at most
     """
     low, high = bounds
     now, damping = at(np.clip(theta, low, high)), 1e-3
@@ -71,7 +72,7 @@ def searched(
             step = np.zeros(len(g))
             damped = H[np.ix_(free, free)] + damping * np.eye(len(free))
             step[free] = -np.linalg.solve(damped, g[free])
-            new = at(np.clip(now.theta + np.clip(step / size, -1.0, 1.0), low, high))
+            new = at(np.clip(now.theta + np.clip(step / size, -furthest, furthest), low, high))
             if new.cost < now.cost:
                 break
             damping *= 6

@@ -140,6 +140,17 @@ def test_a_given_delay_is_kept():
     assert "delay" not in found.parameters
 
 
+def test_a_search_moves_a_long_delay_as_far_as_a_short_one():
+    s = 2j * np.pi * F
+    of_lines = F, np.exp(-3e-3 * s) / (1 + s / 100), np.ones(len(F))
+    for slower in (1.0, 1e6):
+        f, G, weights = of_lines[0] / slower, *of_lines[1:]
+        problem = grown_response.Problem(f, G, weights, None, 0.1 * slower, None)
+        begin = np.array([np.log(200 / slower), 2e-3 * slower])
+        at, _ = problem.least_squares(begin, Parts(lags=1), 25, 1e-4)
+        np.testing.assert_allclose(at.theta[-1], 3e-3 * slower, rtol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
