@@ -836,8 +836,8 @@ def first_lag(record: Record, longest: int = LONGEST_LOOKED_FOR) -> int:
     none is, or where the record is too short for such a fit. Of several experiments, the first is
     taken.
     """
-    y = as_columns("first_lag", "y", record.y)[:, 0]
-    u = as_columns("first_lag", "u", record.u)[:, 0]
+    u, y = (as_columns("first_lag", name, getattr(record, name))[:, 0] for name in "uy")
+    u, y = (of[: len(of) // record.trials] for of in (u, y))
     n = min(longest + BEYOND, (len(u) - 1) // 6)
     if n < 1:
         return 0

@@ -22,7 +22,10 @@ def record(delay, noise=0.01, samples=400, pole=200.0):
 
 @pytest.mark.parametrize("delay", [0, 1, 7])
 def test_the_first_answer_tells_the_delay(delay):
-    assert first_lag(record(delay), 20) == delay
+    one = record(delay)
+    assert first_lag(one, 20) == delay
+    twice = Record(np.tile(one.u, (2, 1)), np.tile(one.y, (2, 1)), DT, trials=2)
+    assert first_lag(twice, 20) == delay
 
 
 def test_without_an_answer_there_is_no_delay():
