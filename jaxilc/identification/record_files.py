@@ -119,6 +119,11 @@ def read_record_file(
         signals, timed = _text_signals(path, time, inputs, outputs, time_unit, list(columns), dt)
     for one in signals:
         _check_increasing(path, time, one)
+    for name, one in zip(outputs, signals[len(inputs) :], strict=True):
+        if not np.isfinite(one.values[-1]):
+            raise ValueError(
+                f"read_record: {path}, {one.places[-1]}: {name} is not a finite number"
+            )
     if resample is None and dt is not None and timed and not _has_step(signals, dt):
         resample = dt
     of_inputs, of_outputs = signals[: len(inputs)], signals[len(inputs) :]
@@ -345,11 +350,10 @@ def resampled(
 
 def _integral(held: Signal, grid) -> np.ndarray:
     """The integral over time of a signal that is held from each of its times to the next."""
-    known = np.isfinite(held.values)
-    times, values = held.times[known], held.values[known]
-    last = float(np.median(np.diff(times)))
-    area = np.concatenate([[0.0], np.cumsum(values * np.append(np.diff(times), last))])
-    return np.interp(grid, np.append(times, times[-1] + last), area)
+    values = held.values[np.isfinite(held.values)]
+    end = held.times[-1] + float(np.median(np.diff(held.times)))
+    times = np.append(held.times, end)[: len(values) + 1]
+    return np.interp(grid, times, np.append(0.0, np.cumsum(values * np.diff(times))))
 
 
 # The column of the time
@@ -499,8 +503,8 @@ def _mat_signal(
         raise ValueError(
             f"read_record: {path}: {name} has {len(values)} values and {len(times)} times"
         )
-    for what, of in (("its times", times), (name, values)):
-        if not np.all(np.isfinite(of[:-1])):
+    for what, of in (("its times", times), (name, values[:-1])):
+        if not np.all(np.isfinite(of)):
             k = int(np.argmin(np.isfinite(of)))
             raise ValueError(f"read_record: {path}, row {k + 1}: {what} is not a finite number")
     scale = 1.0 if dt is not None and own is None else seconds_in(path, time, unit, times)

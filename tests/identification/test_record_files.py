@@ -184,6 +184,15 @@ def test_matlab_files_are_read(tmp_path, kind):
     check(read_record(tmp_path / "r.mat"))
 
 
+def test_the_last_row_of_a_matlab_file_needs_a_time_and_an_output(tmp_path):
+    for name, said in (("t", "its times is"), ("y", "y is")):
+        signals = {"t": SECONDS.ravel(), "u": U, "y": 1.0 * Y}
+        signals[name] = np.append(signals[name][:-1], np.nan)
+        scipy.io.savemat(tmp_path / "r.mat", signals)
+        with pytest.raises(ValueError, match=f"r.mat, row {len(Y)}: {said} not a finite number"):
+            read_record(tmp_path / "r.mat")
+
+
 def test_what_matlab_must_export_differently_is_said(tmp_path, monkeypatch):
     path = tmp_path / "r.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF")
@@ -240,6 +249,9 @@ def test_a_record_of_uneven_times_is_resampled_when_asked(tmp_path):
     found = read_record(path, resample=1e-3)
     np.testing.assert_allclose(found.u, 1.0, rtol=1e-9)
     np.testing.assert_allclose(np.diff(found.y[:, 0]), 5e-3, rtol=1e-9)
+    late = Signal(np.append(t, t[-1] + 5e-3), np.append(np.ones(200), np.nan), [""] * 201)
+    held, _ = resampled(path, [late], [late._replace(values=late.times)], 1e-3)
+    np.testing.assert_allclose(held, 1.0, rtol=1e-9)  # until the last time, which has no input
     with pytest.raises(ValueError, match=r"--dt 1e-09 \(resample\) is outside its allowed"):
         read_record(path, resample=1e-9)
     np.savetxt(path, np.delete(table, np.s_[50:90], 0), delimiter=",", header="t,u,y", comments="")
