@@ -565,7 +565,8 @@ def identified_response(
     ratio = float(np.sqrt(residual @ residual / freedom))
     covariance = inverse_of_normal(stacked(J))
     covariance = covariance * max(ratio, 1.0) ** 2 * _in_common(error)
-    spread = np.sum((J_of @ covariance) * J_of.conj(), axis=1).real
+    determined = np.where(np.isfinite(covariance), covariance, 0.0)
+    spread = np.sum((J_of @ determined) * J_of.conj(), axis=1).real
     spread = spread + growing.variances(P, one.floor, 0.0)
     apart = _apart(J_of, covariance, spread, dict(zip(names, values, strict=False)))
     width = scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2)
