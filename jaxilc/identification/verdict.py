@@ -52,7 +52,8 @@ class Identified(NamedTuple):
     samples: the output samples 0 .. samples-1 were fitted, the others validate the fit
     simulated: (N+1, n_y) the plant's output, with the bias
     fit: (n_y,) 100 (1 - |y - simulated| / |y - mean y|) [%] over the fitted part; 100 is perfect
-    validation_fit: (n_y,) the same over the validation part [%]; nan if all samples were fitted
+    validation_fit: (n_y,) the same over the validation part [%]; nan if all samples were fitted,
+        and where the output rests in that part
     residual_std: (n_y,) standard deviation of y - simulated over the fitted part, with the degrees
         of freedom that are left
     whiteness: (n_y,) share of the residual's autocorrelations at lags 1 .. 20 that lie within
@@ -205,12 +206,12 @@ def widened(covariance, J, residual):
 
 
 def fit_of(y, residual):
-    """(n_y,) fit of each output, 100 (1 - |residual| / |y - mean y|) [%]."""
+    """(n_y,) fit of each output, 100 (1 - |residual| / |y - mean y|) [%]; nan where it rests."""
     if len(y) < 2:
         return np.full(y.shape[1], np.nan)
-    return 100 * (
-        1 - np.linalg.norm(residual, axis=0) / np.linalg.norm(y - np.mean(y, axis=0), axis=0)
-    )
+    about = np.linalg.norm(y - np.mean(y, axis=0), axis=0)
+    about = np.where(np.ptp(y, axis=0) > 0, about, np.nan)
+    return 100 * (1 - np.linalg.norm(residual, axis=0) / about)
 
 
 def _whiteness(residual) -> float:

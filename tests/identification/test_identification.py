@@ -8,6 +8,7 @@ from cases import ALGEBRA, SIGMAS
 
 from jaxilc import figures
 from jaxilc.identification import Record, excite, identify, read_record, write_record
+from jaxilc.identification.verdict import fit_of
 from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoil, voice_coil
 from jaxilc.pytree import get_at
@@ -263,6 +264,12 @@ def test_chosen_leaves_and_elements_of_a_given_plant(record):
     np.testing.assert_array_equal(found.plant.poles[:2], start.poles[:2])
     assert found.poles == ()
     assert np.isnan(found.validation_fit[0])
+
+
+def test_where_an_output_rests_it_has_no_fit():
+    rest, moved = np.full(120, 0.45), U[:120]  # the mean of the first is not exactly 0.45
+    y = np.stack([rest, moved], axis=1)
+    np.testing.assert_allclose(fit_of(y, 0.1 * np.std(moved) * y), [np.nan, 90], rtol=0.02)
 
 
 @pytest.mark.thorough
