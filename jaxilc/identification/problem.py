@@ -20,6 +20,7 @@ from .records import Record, as_columns, first_of, output_from_rest, task_of
 
 # With fewer samples for each parameter, the intervals would be wrong: they hold for long records.
 SAMPLES_PER_PARAMETER = 5
+LARGEST = 1e100  # of a signal or a response, whose square must be a number
 LEAST_POSITIVE = 1e-100  # a positive number may shrink to, before it would round to 0
 
 
@@ -203,6 +204,13 @@ def checked_record(record: Record) -> Record:
             f"identify: u has {len(u)} rows and y {len(y)}; allowed is one more row in y than in u"
             f"{of_each}"
         )
+    for name, of in (("u", u), ("y", y)):
+        largest = np.max(np.abs(of), initial=0.0)
+        if largest and not 1 / LARGEST <= largest <= LARGEST:
+            raise ValueError(
+                f"identify: the largest |{name}| is {largest:.3g}; allowed is "
+                f"[{1 / LARGEST:g}, {LARGEST:g}]"
+            )
     if not 0 < record.dt < np.inf:
         raise ValueError(f"identify: dt = {record.dt} is outside its allowed range (0, inf)")
     return Record(u, y, float(record.dt), trials)

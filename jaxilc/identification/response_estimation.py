@@ -29,7 +29,7 @@ from .estimation import (
     with_as_many,
     with_numerator,
 )
-from .problem import SAMPLES_PER_PARAMETER, Coordinates, Minimum, free_elements, minimum
+from .problem import LARGEST, SAMPLES_PER_PARAMETER, Coordinates, Minimum, free_elements, minimum
 from .verdict import (
     CONFIDENCE,
     WHITE,
@@ -41,7 +41,6 @@ from .verdict import (
     poles_of,
 )
 
-LARGEST = 1e100  # of a response, whose square must be a number
 IN_DISC = 1.7308  # sqrt(-ln 0.05): |r| <= this / sqrt(F) in 95 % of cases, r complex and normal
 
 
