@@ -191,9 +191,9 @@ def _factor(path, column: _Column, units: dict[str, float], example: str) -> flo
 
 def _response(read: _Reader, columns: dict[str, _Column]) -> np.ndarray:
     """(rows,) the complex response."""
-    if "re" in columns:
+    if "re" in columns and "im" in columns:
         return read.numbers(columns["re"]) + 1j * read.numbers(columns["im"])
-    if "magnitude" not in columns:
+    if not ("magnitude" in columns and "phase" in columns):
         return read.complex_numbers(columns["complex"])
     magnitude, phase = columns["magnitude"], columns["phase"]
     radians = _factor(read.path, phase, RADIANS, "phase [deg]")

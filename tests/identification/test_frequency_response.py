@@ -23,6 +23,7 @@ WAYS = {
     "dB,rad": ("Frequency (Hz),mag_dB,phase_rad", F, 20 * np.log10(abs(G)), np.angle(G)),
     "units below": ("f,mag,phase\nHz,dB,°", F, 20 * np.log10(abs(G)), np.angle(G, deg=True)),
     "complex": ("f [Hz],G", F, G),
+    "complex, and half of others": ("f [Hz],G,re,gain [abs]", F, G, G.real, abs(G)),
     "complex, i": ("f [Hz],G", F, [f"{g.real} {g.imag:+}i" for g in G]),
 }
 
