@@ -9,7 +9,7 @@ The error of each trial is read. A file has one or several trials:
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -63,15 +63,15 @@ def read_repeats(
     columns: names of the columns of text without a header
     dt: sample time [s] of all files, whatever times they have
     without: sample time [s] of files without times
-    Raises ValueError naming the file for what is missing or no number, for sample times that differ
-    and for trials whose lengths differ by more than 1 %.
+    Raises ValueError naming the file for what is missing or no number, for units or sample times
+    that differ, and for trials whose lengths differ by more than 1 %.
     """
     for name, value in (("dt", dt), ("without", without)):
         if value is not None:
             require("read_repeats", name, value, "(0, inf)")
     trials, units, steps, names, places = [], [], [], [], []
     for path in map(Path, paths):
-        signals = _signals_of(path, time, columns, dt, error)
+        signals = _signals_of(path, time, columns, dt, (error, output, reference))
         e = signals.errors(error, output, reference)
         step = without if signals.dt is None else signals.dt
         if step is None:
@@ -79,6 +79,7 @@ def read_repeats(
         trials += list(e)
         names += [path.stem if len(e) == 1 else f"{path.stem} {j + 1}" for j in range(len(e))]
         units.append(signals.unit)
+        _one_unit(path, units)
         places += [x[0] for x in map(signals.of, (output, reference)) if x is not None]
         steps.append(step)
     if not trials:
@@ -151,10 +152,12 @@ class _Signals(NamedTuple):
         return r - y
 
 
-def _signals_of(path: Path, time: str, columns: Sequence[str], dt: float | None, error: str):
-    """The signals of a file of any kind."""
+def _signals_of(
+    path: Path, time: str, columns: Sequence[str], dt: float | None, names: tuple[str, str, str]
+) -> _Signals:
+    """The signals of a file of any kind; names: of error, output and reference."""
     if path.suffix.lower() not in (".npz", ".mat"):
-        return _columns_of(path, time, columns, dt, error)
+        return _columns_of(path, time, columns, dt, names)
     found: Mapping[str, MatValue]
     if path.suffix.lower() == ".mat":
         found = read_mat(path, LARGEST)
@@ -177,8 +180,19 @@ def _step(path: Path, times: np.ndarray) -> float:
     return float(f"{np.mean(steps):.12g}")
 
 
+def _one_unit(path: Path, units: Iterable[str | None]) -> str:
+    """The unit of errors, "" where none is told; raises ValueError for several."""
+    told = {re.sub("[µμ]", "u", unit): unit for unit in units if unit}
+    if len(told) > 1:
+        raise ValueError(
+            f"{path}: the errors are in {', '.join(told.values())}; allowed is one unit of all "
+            "outputs and references, and nothing is converted"
+        )
+    return next(iter(told.values()), "")
+
+
 def _columns_of(
-    path: Path, time: str, columns: Sequence[str], dt: float | None, error: str
+    path: Path, time: str, columns: Sequence[str], dt: float | None, names: tuple[str, str, str]
 ) -> _Signals:
     """The signals of a text file; the columns e_0, e_1 ... are trials of e."""
     header, rows = read_columns(path, list(columns))
@@ -193,5 +207,7 @@ def _columns_of(
     if at is not None and dt is None and len(values) > 1:
         times = values[:, at]
         dt = _step(path, times * seconds_in(path, header[at], None, times))
-    unit = next((name_and_unit(header[i])[1] for i in found.get(error, ())), "")
-    return _Signals(path, {name: values[:, i].T for name, i in found.items()}, dt, unit or "")
+    error, *others = names
+    used = found.get(error) or [i for name in others for i in found.get(name, ())]
+    unit = _one_unit(path, (name_and_unit(header[i])[1] for i in used))
+    return _Signals(path, {name: values[:, i].T for name, i in found.items()}, dt, unit)

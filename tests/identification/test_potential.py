@@ -105,6 +105,21 @@ def test_files_of_every_kind_hold_the_same_trials(tmp_path):
     assert read_repeats([tmp_path / "c.csv"]).unit == "mm"
 
 
+def test_errors_of_several_units_are_refused(tmp_path):
+    t, columns = np.arange(N) * DT, {"delimiter": ",", "comments": ""}
+    for name, head in (
+        ("a", "t [s],y [um],r [mm]"),
+        ("b", "t [s],y [mm],r"),
+        ("c", "t [s],e [µm]"),
+    ):
+        table = np.column_stack([t] * len(head.split(",")))
+        np.savetxt(tmp_path / f"{name}.csv", table, header=head, **columns)
+    assert read_repeats([tmp_path / "b.csv"]).unit == "mm"
+    for files, said in (("a", "a.csv: the errors are in um, mm; "), ("bc", "c.csv: .* in mm, µm;")):
+        with pytest.raises(ValueError, match=said):
+            read_repeats([tmp_path / f"{name}.csv" for name in files])
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
