@@ -88,7 +88,7 @@ def _as_header(schedules, task: Task, trial: int, number: str) -> str:
         "",
         f"#define JAXILC_TRIAL {trial}",
         f"#define JAXILC_SAMPLES {task.N}",
-        f"#define JAXILC_SAMPLE_TIME {task.dt!r} /* s */",
+        f"#define JAXILC_SAMPLE_TIME {float(task.dt)!r} /* s */",
         "",
     ]
     for name, schedule in schedules.items():

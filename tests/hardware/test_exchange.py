@@ -3,6 +3,7 @@
 Tables to play are read by a C compiler, and played by the feedback alone.
 """
 
+import dataclasses
 import re
 import shutil
 import subprocess
@@ -228,8 +229,8 @@ def test_written_files_keep_every_digit(tmp_path):
 )
 @pytest.mark.parametrize("number", ["double", "float"])
 def test_a_compiler_reads_the_c_header_as_it_was_meant(tmp_path, number):
-    given = two_schedules()
-    write_schedules(tmp_path / "next.h", given, TWO, trial=4, number=number)
+    given, task = two_schedules(), dataclasses.replace(TWO, dt=np.float64(DT))
+    write_schedules(tmp_path / "next.h", given, task, trial=4, number=number)
     header = (tmp_path / "next.h").read_text()
     assert re.search(r"/\* reference \[µm\], trial 4 \*/", header)
     (tmp_path / "main.c").write_text(
