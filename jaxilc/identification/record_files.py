@@ -146,8 +146,15 @@ def write_record(
 
     Several inputs become the columns u_0, u_1, ..., and likewise several outputs. The last row
     repeats the last u.
+    Raises ValueError for a record that is not finite, and for one of several experiments.
     """
     u, y = as_columns("write_record", "u", record.u), as_columns("write_record", "y", record.y)
+    require("write_record", "dt", record.dt, "(0, inf)")
+    if len(y) != len(u) + 1 or record.trials != 1:
+        raise ValueError(
+            f"write_record: u has {len(u)} rows and y {len(y)}, of trials = {record.trials}; "
+            "allowed is one more row in y than in u, of one experiment"
+        )
     header = [time if name_and_unit_of_time(time)[1] else f"{time} [s]"]
     for name, signal in ((input, u), (output, y)):
         header += (

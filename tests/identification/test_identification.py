@@ -346,6 +346,8 @@ def test_several_channels_and_foreign_columns(tmp_path):
     )
     np.testing.assert_array_equal(read.u, two.u)
     np.testing.assert_array_equal(read.y, two.y[:, 1:])
+    with pytest.raises(ValueError, match=r"write_record: u has 2 rows and y 4, .* one experiment"):
+        write_record(tmp_path / "two.csv", two._replace(u=two.u[:2], trials=2))
     (tmp_path / "scope.txt").write_text(
         "\ufeffCH1 [V]; t [s] ;note;pos [mm]\n1;0.5;start;0\n\n-1;0.52;;0.25\n1;0.54;end;0.5\n"
     )
