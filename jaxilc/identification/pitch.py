@@ -58,11 +58,15 @@ def pitch_of(
         of the same orders explain is no part of the one that is looked for
 
     Raises ValueError for signals that do not fit, for a motion that is shorter than two pitches of
-    `most`, and for a range of more pitches than can be tried.
+    `most`, for a range of more pitches than can be tried, and for orders that are no harmonics.
     """
     x, s = (np.asarray(a, float).ravel() for a in (position, signal))
     require("pitch_of", "least", least, "(0, inf)")
     require("pitch_of", "most", most, f"({least:g}, inf)")
+    if not orders:
+        raise ValueError("pitch_of: orders = () is empty; allowed is at least one")
+    for order in orders:
+        require("pitch_of", "orders", order, "[1, inf)", whole=True)
     if len(x) != len(s) or len(x) < 10 * len(orders) + 10:
         raise ValueError(
             f"pitch_of: position {x.shape} and signal {s.shape}; allowed are as many of each, "

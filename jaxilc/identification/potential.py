@@ -28,6 +28,7 @@ from scipy.stats import chi2
 from scipy.stats import f as ratio_of_variances
 
 from ..pytree.in_short import in_short
+from ..pytree.ranges import require
 from .verdict import Estimate
 
 LEVEL = 0.95  # of all intervals
@@ -104,8 +105,10 @@ def potential_of(e, dt: float) -> Potential:
 
     e: (M, N) errors of M >= 2 trials with the same input
     dt: sample time [s]
-    Raises ValueError for other shapes, values that are not finite, and two trials that are equal.
+    Raises ValueError for other shapes, values that are not finite, two trials that are equal, and a
+    sample time outside its range.
     """
+    require("potential", "dt", dt, "(0, inf)")
     e = _checked(e)
     apart = len(e) > 2 and _first_is_unlike(e, dt)
     alike = e[1:] if apart else e

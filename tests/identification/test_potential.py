@@ -86,6 +86,8 @@ def test_a_drift_is_told_apart():
     assert found.new.low < 1 < found.new.high
     assert found.averages == 1
     assert potential_of(repeats(rng, 6), DT).drift == 0
+    with pytest.raises(ValueError, match=r"dt = 0 is outside its allowed range \(0, inf\)"):
+        potential_of(e, 0)
 
 
 def test_files_of_every_kind_hold_the_same_trials(tmp_path):

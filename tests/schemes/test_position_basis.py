@@ -232,3 +232,6 @@ def test_what_does_not_fit_is_said():
         pitch_of(x, np.sin(x), least=1e-4, most=20)
     with pytest.raises(ValueError, match="the signal is a straight line"):
         pitch_of(x, 2 * x + 1, least=1, most=20)
+    for orders, said in (((), r"\(\) is empty"), ((1, 0), r"0 is outside its allowed range \[1,")):
+        with pytest.raises(ValueError, match=f"pitch_of: orders = {said}"):
+            pitch_of(x, np.sin(x), least=1, most=20, orders=orders)
