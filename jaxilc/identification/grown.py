@@ -694,11 +694,12 @@ def grow(
     samples = round(fit_share * len(record.y))
     if order is not None:
         require("identify", "order", order, f"[1, {HIGHEST}]", whole=True)
-    if delay is not None:
-        require("identify", "delay", delay, f"[0, {LONGEST_DELAY}]", whole=True)
     n_u, n_y = record.u.shape[1], record.y.shape[1]
     need_samples(samples * n_y, n_y + (order or 1) * (1 + n_u * n_y))
     need_excitation(record, samples)
+    if delay is not None:
+        most = min(LONGEST_DELAY, min(samples - 1, len(record.u) // record.trials) - 1)
+        require("identify", "delay", delay, f"[0, {most}]", whole=True, note=" for this record")
     whole = Signals.of(record, samples)
     signals = whole.first()
     affordable = (samples * n_y / SAMPLES_PER_PARAMETER - n_y) / (1 + n_u * n_y)

@@ -56,6 +56,8 @@ def test_the_delay_is_a_shift_of_the_input():
         later(Record(u, np.zeros((7, 1)), DT), 6)
     with pytest.raises(ValueError, match="delay = -1 is outside"):
         identify(record(0), delay=-1)
+    with pytest.raises(ValueError, match=r"delay = 280 is outside .* \[0, 279\] .* this record"):
+        grow(record(0), delay=280)  # of 281 samples that are fitted
     with pytest.raises(ValueError, match="longest = 2000 is outside"):
         grow(record(0), longest=2000)
 
