@@ -40,7 +40,7 @@ from ..pytree.in_short import in_short
 from ..pytree.ranges import brief
 from ..schemes.weights import weighed
 from ..signals.task import Task, Trial
-from ..storage.columns import missing, name_and_unit, numbers_in, read_columns
+from ..storage.columns import missing, name_and_unit, need_one, numbers_in, read_columns
 from ..storage.mat_files import ROOM, Other, read_mat
 from .checks import Finding
 
@@ -106,9 +106,10 @@ def read_measured(
     short: whether the trial may have ended early. Its signals have the length of the task all the
         same: after the end, y is the reference, and the input and the other signals are NaN, until
         `completed` knows them
-    Raises ValueError naming file, place and signal: for a missing column, for a unit that is not
-    declared or not the task's, for a value that is not finite, for a gap or an uneven step of the
-    time, for another sample time or length (nothing is resampled), and for another reference.
+    Raises ValueError naming file, place and signal: for a column that is missing or there twice,
+    for a unit that is not declared or not the task's, for a value that is not finite, for a gap or
+    an uneven step of the time, for another sample time or length (nothing is resampled), and for
+    another reference.
     """
     shapes = _shapes(task, others)
     found = _read(path, shapes, names or {}, columns, task.dt)
@@ -250,6 +251,8 @@ def _read_text(
         if at is None:
             continue
         used.update(at)
+        for i in at:
+            need_one(path, header, i)
         if len({_plain(units[i] or "") for i in at}) > 1:
             several = ", ".join(str(units[i]) for i in at)
             raise ValueError(

@@ -26,6 +26,7 @@ from ..storage.columns import (
     is_number,
     missing,
     name_and_unit,
+    need_one,
     numbers_in,
     read_columns,
 )
@@ -99,10 +100,10 @@ def read_record_file(
     dt: sample time [s] of a file without a time, where a column `sample` counts samples; a file
         with other times is resampled
     resample: new sample time [s], see `resampled`; None: the record is taken as it is
-    Raises ValueError naming file, line and column for a column that is missing, a value that is not
-    a finite number, a time that does not increase or, without `resample`, whose steps are not equal
-    (to 1 %), for a time without a unit whose steps are 0.1 or more, such as milliseconds, and for
-    fewer than 2 rows.
+    Raises ValueError naming file, line and column for a column that is missing or there twice, a
+    value that is not a finite number, a time that does not increase or, without `resample`, whose
+    steps are not equal (to 1 %), for a time without a unit whose steps are 0.1 or more, such as
+    milliseconds, and for fewer than 2 rows.
     """
     for name, value in (("dt", dt), ("resample", resample)):
         if value is not None:
@@ -285,6 +286,7 @@ def _place(path, name: str, header: list[str], option: str) -> int:
     """
     for headings in (header, [name_and_unit(heading)[0] for heading in header]):
         if name in headings:
+            need_one(path, header, headings.index(name))
             return headings.index(name)
     raise ValueError("read_record: " + missing(path, name, header, f"--{option} ({option})"))
 

@@ -87,6 +87,16 @@ def missing(path: str | Path, name: str, present: Iterable[str], option: str = "
     return f"{path} has no column {brief(name)}; present are {quoted(path, listed(present))}{other}"
 
 
+def need_one(path: str | Path, header: Sequence[str], at: int) -> None:
+    """Raises ValueError where other columns have the heading of the column `at`, with its unit."""
+    count = sum(heading == header[at] for heading in header)
+    if count > 1:
+        raise ValueError(
+            f"{path} has {count} columns {quoted(path, brief(header[at]))}; allowed is one of a "
+            "signal: rename the others"
+        )
+
+
 def numbers_in(row: list[str], at: Sequence[int]) -> list[float]:
     """The numbers of a row in the columns `at`; NaN for a cell that is missing or not a number."""
     return [_number(row[i]) if i < len(row) else math.nan for i in at]
