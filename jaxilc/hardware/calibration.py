@@ -31,6 +31,7 @@ from .prediction import Band, Place, as_lists, band_of
 SHARE = 0.9  # of the trials that lie within the band
 ALARM = 0.001  # chance of a trial so far outside that the machine must be another
 FORGOTTEN = 0.1  # share by which the evidence of a trial counts less in the next one
+LEAST = 1e-100  # an error below it counts as this; its square is a number
 ROUNDED = 0.015  # c: least standard deviation of a logarithm
 _STEPS = (0.0, 0.5, 1.0)  # w
 _LEVELS = np.geomspace(1e-4, 0.3, 14)  # f as a share of the error of the first trial
@@ -113,7 +114,7 @@ def _gain(more, sizes, used, before: int) -> float:
 
 def _told(e, step, gain: float, size) -> np.ndarray:
     """(2, w) the error that each share of the step leaves, and the step over it."""
-    left = np.maximum([size(e - w * (1 + gain) * step) for w in _STEPS], 1e-300)
+    left = np.maximum([size(e - w * (1 + gain) * step) for w in _STEPS], LEAST)
     return np.array([left, size(step) / left])
 
 
@@ -124,7 +125,7 @@ class _Level:
         shape = (len(_STEPS), len(_LEVELS), len(_END), len(_MODEL))
         normal = -(_NORMAL**2) / 2
         self.log = np.broadcast_to(normal[:, None] + normal, shape)
-        self.f = max(first, 1e-300) * _LEVELS[:, None, None]
+        self.f = max(first, LEAST) * _LEVELS[:, None, None]
 
     def _at(self, told: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Weights, means and standard deviations of the logarithm of the next error."""
@@ -138,7 +139,7 @@ class _Level:
     def learned(self, told: np.ndarray, error: float) -> bool:
         """Whether an error was not far outside; if so, the weights follow it."""
         weights, mean, spread = self._at(told)
-        t = (np.log(max(error, 1e-300)) - mean) / spread
+        t = (np.log(max(error, LEAST)) - mean) / spread
         share = float(np.sum(weights * ndtr(t)))
         if not ALARM / 2 <= share <= 1 - ALARM / 2:
             return False
@@ -157,7 +158,8 @@ class _Level:
                 middle = (low + high) / 2
                 above = np.sum(weights * ndtr((middle - mean) / spread)) > share
                 low, high = (low, middle) if above else (middle, high)
-            found.append(float(np.exp(low)))
+            with np.errstate(over="ignore"):  # an end may be infinite
+                found.append(float(np.exp(low)))
         return found
 
 

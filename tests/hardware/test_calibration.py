@@ -53,6 +53,14 @@ def test_a_lasting_change_is_told_once():
     assert told == [False, True, False, False]
 
 
+def test_a_trial_without_any_error_has_a_band():
+    """As of a file whose output is its reference."""
+    y, s = trials(1, count=4)
+    for errorless in (np.arange(4) >= 0, np.arange(4) == 0, np.arange(4) == 3):
+        found = expected(np.where(errorless[:, None, None], R, y), s, TASK, 5)
+        assert not np.any(np.isnan([found.rms, found.largest]))
+
+
 def test_after_a_change_of_the_gain_the_bands_begin_anew():
     """It is told once, where every later trial was told to be another machine before."""
     told, within = [], []
