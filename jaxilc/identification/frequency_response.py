@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..pytree.closest import listed
-from ..pytree.ranges import require
+from ..pytree.ranges import brief, require
 from ..storage.columns import numbers_in, read_columns
 from ..storage.reading import quoted
 from ..theory.on_lines import MeasuredResponse
@@ -139,7 +139,8 @@ class _Reader(NamedTuple):
         """Raise ValueError for row k of a column."""
         line, row = self.rows[k]
         text = row[column.at].strip() if column.at < len(row) else ""
-        raise ValueError(f"{self.path}, line {line}: {column.heading} = {text!r} is {what}")
+        seen = quoted(self.path, brief(text))
+        raise ValueError(f"{self.path}, line {line}: {column.heading} = {seen} is {what}")
 
 
 def _kind_and_unit(heading: str) -> tuple[str | None, str | None]:

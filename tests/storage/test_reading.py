@@ -17,7 +17,7 @@ from cases import DT
 
 from jaxilc.cli.options import schemes_from
 from jaxilc.hardware import read_measured
-from jaxilc.identification import read_record
+from jaxilc.identification import read_frequency_response, read_record
 from jaxilc.scenarios import load
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.parameters import with_parameters
@@ -104,6 +104,9 @@ def test_what_is_no_file_of_data_is_not_quoted(tmp_path):
         with pytest.raises(ValueError, match="not shown") as caught:
             read(tmp_path / name)
         assert "toor" not in str(caught.value).lower()
+    (tmp_path / "lines").write_text("f [Hz],re,im\n1,toor,0\n")
+    with pytest.raises(ValueError, match=r"line 2: re = \(not shown"):
+        read_frequency_response(tmp_path / "lines")
     (tmp_path / "named.csv").write_text(secret.read_text())
     with pytest.raises(ValueError, match="present are toor:x:0:0"):
         read_record(tmp_path / "named.csv")
