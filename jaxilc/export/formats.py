@@ -62,13 +62,14 @@ def _fmu(asked: Asked) -> Made:
     of_c, task, warnings = _c(asked), asked.law.task, []
     texts = {name: str(text) for name, text in of_c.files.items()}
     blocks = [fmu.law_block(task, texts, asked.about[0])]
+    about = f"The plant for which the law is certified: {type(asked.machine.plant).__name__}."
     try:
         model = model_of(asked.machine, task)
+        of_plant = files_of_plant(model, [about])
     except Unknown as error:
         warnings.append(f"The plant has no FMU: {error} cannot be a part of one.")
     else:
-        about = f"The plant for which the law is certified: {type(asked.machine.plant).__name__}."
-        blocks.append(fmu.plant_block(task, files_of_plant(model, [about]), about, model.first))
+        blocks.append(fmu.plant_block(task, of_plant, about, model.first))
     made: dict[str, str | bytes] = {
         f"{block.name}_fmi{version}.fmu": fmu.packed(block, version=version)
         for block in blocks

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from cases import case
+from cases import PLANTS, case
 from jax import lax
 
 from jaxilc.export import law_of, program_of
@@ -245,12 +245,15 @@ def test_single_precision_is_refused_by_name(exported):
             FORMATS[name].make(asked)
 
 
-def test_a_plant_that_has_no_fmu_is_told(exported):
+@pytest.mark.parametrize(("changes", "said"), [
+    ({"disturbance": Disturbance(input=np.zeros((12, 2)))}, "the disturbance of the machine"),
+    ({"plant": PLANTS["ball_screw_real"]},  # a table of friction is searched
+     "div of uint32 by what is no positive constant"),
+])  # fmt: skip
+def test_a_plant_that_has_no_fmu_is_told(exported, changes, said, monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
     law, y, *_ = exported
-    machine = case("norm_optimal")[0]
-    machine = dataclasses.replace(machine, disturbance=Disturbance(input=np.zeros((law.task.N, 2))))
+    machine = dataclasses.replace(case("norm_optimal")[0], **changes)
     made = FORMATS["fmu"].make(Asked(law, machine, ["A law."], "0" * 64, [y], single=False))
     assert not [name for name in made.files if name.startswith("plant")]
-    assert made.warnings == (
-        "The plant has no FMU: the disturbance of the machine cannot be a part of one.",
-    )
+    assert made.warnings == (f"The plant has no FMU: {said} cannot be a part of one.",)
