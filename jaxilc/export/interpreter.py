@@ -195,7 +195,7 @@ def _dynamic_update(step: Step, ins: list[np.ndarray]) -> np.ndarray:
 
 
 def _gathered(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    axes, x = step.params["axes"], ins[0]
+    axes, x = sorted(step.params["axes"]), ins[0]
     rows = np.moveaxis(x, axes, range(len(axes)))
     rows = rows.reshape(math.prod(x.shape[i] for i in axes), *rows.shape[len(axes) :])
     total = np.full(rows.shape[1:], operations.first(step.name, x.dtype), x.dtype)

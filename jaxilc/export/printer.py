@@ -476,7 +476,7 @@ class Body(ABC):
 
     def of_gathered(self, step: Step, ins: list[View]) -> View:
         """Numbers put together in order: for each of the kept axes, over the others."""
-        x, out, others = ins[0], step.outs[0], step.params["axes"]
+        x, out, others = ins[0], step.outs[0], sorted(step.params["axes"])
         sizes = dict(enumerate(x.shape))
         over = {i: sizes.pop(i) for i in others}
         if math.prod(over.values()) == 1 and step.name != "reduce_sum":

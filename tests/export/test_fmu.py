@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from cases import PLANTS, case
 from jax import lax
+from jax import numpy as jnp
 
 from jaxilc.export import law_of, program_of
 from jaxilc.export.c_files import files_of
@@ -168,10 +169,14 @@ def until_the_third(x):
     return lax.while_loop(lambda of: of[1] < 3, lambda of: (of[0][::-1], of[1] + 1), (x, 0))[0]
 
 
+def summed_by_columns(x):
+    return x - jnp.sum(jnp.square(x.reshape(4, 10) / 7), axis=(1, 0))
+
+
 @compiled
-@pytest.mark.parametrize("turned", [three_passes, until_the_third])
+@pytest.mark.parametrize("turned", [three_passes, until_the_third, summed_by_columns])
 def test_a_loop_may_turn_the_array_that_it_carries(turned, tmp_path):
-    """Its passes read all of the array before they write to it."""
+    """Its passes read all of the array before they write to it; sums are row by row."""
     task = Task(np.zeros(4), dt=1e-3)
 
     def step(x, u):
