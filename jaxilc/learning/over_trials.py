@@ -114,12 +114,12 @@ def learn(
             "objects that can be hashed"
         )
     check(machine, scheme, task)
-    size = bytes_of_metrics(task)
+    trials, size = int(trials), bytes_of_metrics(task)
     if trials * size > LITTLE:
         check_size("learn", 2 * size, trials=trials)
     key = jax.random.key(0) if key is None else key
     return _program(save or _nothing, int(trials_a_pass), watch, usual_stored())(
-        machine, scheme, task, int(trials), key, memory, jnp.asarray(first, int), start
+        machine, scheme, task, trials, key, memory, jnp.asarray(first, int), start
     )
 
 

@@ -41,7 +41,8 @@ def check_size(what: str, each: float | Callable[..., float], **counts: float) -
     counts: the counts, such as the number of machines, by name
     For each count the message gives the largest value that fits while the others do not change.
     """
-    each = int(each) if isinstance(each, np.integer) else each
+    each = each.item() if isinstance(each, np.number) else each
+    counts = {n: x.item() if isinstance(x, np.number) else x for n, x in counts.items()}
 
     def need(**counts: float) -> float:
         return (

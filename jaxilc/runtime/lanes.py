@@ -111,7 +111,7 @@ def lanes_for(
     for name, size in (("memory", memory), ("of_a_machine", of_a_machine), ("beside", beside)):
         if size is not None:
             require(what, name, size, "[0, inf)")
-    enough = 1 << (machines - 1).bit_length()
+    enough = 1 << int(machines - 1).bit_length()
     if memory is None:
         return min(WIDE, enough)
     room = SHARE * memory - beside

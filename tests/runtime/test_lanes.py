@@ -52,7 +52,7 @@ def test_the_lanes_are_the_largest_power_of_two_that_fits():
     ("memory", "each", "machines", "expected"),
     [
         (None, 1e5, 10**6, WIDE),  # a device that reports no memory
-        (None, 1e5, 100, 128),
+        (None, 1e5, np.int64(100), 128),
         (1e11, 1e5, 1, 1),
         (1e11, 0.0, 3, 4),
         (0, 0.0, 5, 8),

@@ -46,6 +46,7 @@ def of_sweep(**options):
 
 REFUSED = {
     "learn": (lambda: learn(MACHINE, SCHEME, TASK, 10**18), "trials"),
+    "learn by NumPy": (lambda: learn(MACHINE, SCHEME, TASK, np.int32(2 * 10**9)), "trials"),
     "run": (lambda: run_schemes(MACHINE, {"a": SCHEME}, TASK, 10**9), "trials"),
     "sweep of machines": (of_sweep(machines=10**9), "machines"),
     "sweep of trials": (of_sweep(trials=HUGE), "trials"),
