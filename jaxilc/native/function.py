@@ -144,6 +144,8 @@ class _Function:
 
     def _computed(self, moved: tuple[bool, ...], *given: jax.Array) -> Arrays:
         """The results of machines, by a program where one can be made, else by XLA."""
+        if not given:
+            return self._fn()
         if not any(moved):
             alone = self._computed((True,) * len(given), *(x[None] for x in given))
             return [x[0] for x in alone]

@@ -76,6 +76,7 @@ def test_a_wrong_program_is_told_while_jax_traces_and_xla_computes(monkeypatch, 
 def test_arguments_are_those_of_the_example_in_shape_and_type():
     fast = compiled(lambda x, n: {"y": x * n}, np.ones(3), 2)
     np.testing.assert_array_equal(fast(np.arange(3.0), 4)["y"], [0, 4, 8])  # by XLA
+    assert compiled(lambda: jnp.ones(2).sum())() == 2
     with pytest.raises(ValueError, match=r"compiled: arguments\[0\] = float64\[2\] is not float64"):
         fast(np.ones(2), 2)
     with pytest.raises(ValueError, match=r"compiled: arguments = .* as in the example"):
