@@ -6,13 +6,15 @@ Functions such as `exp` are those of the C library, as in the printed programs.
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from jax.typing import DTypeLike
 
+from ..native.code import address_of
 from ..native.operations import INSTRUCTIONS, MOVES, Node, elementwise
 from ..native.program import Const, Program, Step, Unknown, Value
 from ..pytree.aliases import Function, Leaf
@@ -131,10 +133,21 @@ def _library(name: str) -> Callable[..., np.ndarray]:
 
     def each(*given: np.ndarray) -> np.ndarray:
         arrays = np.broadcast_arrays(*given)
-        found = [one(*map(float, x)) for x in zip(*(a.ravel() for a in arrays), strict=True)]
+        of = _of_float(name) or one if arrays[0].dtype == np.float32 else one
+        found = [of(*map(float, x)) for x in zip(*(a.ravel() for a in arrays), strict=True)]
         return np.reshape(np.array(found, float), arrays[0].shape)
 
     return each
+
+
+@cache
+def _of_float(name: str) -> Callable[..., float] | None:
+    """The function of the C library for `float`, which rounds otherwise; None without one."""
+    numbers = [ctypes.c_float] * (3 if name == "pow" else 2)
+    try:
+        return ctypes.CFUNCTYPE(*numbers)(address_of(f"{name}f"))
+    except Unknown:
+        return None
 
 
 SINGLE: dict[str, Function] = {

@@ -251,7 +251,7 @@ class Code:
             builder.getModulePassManager().run(module, builder)
         for function in module.functions:
             if function.is_declaration and not function.name.startswith("llvm."):
-                llvm.add_symbol(function.name, _address(function.name))
+                llvm.add_symbol(function.name, address_of(function.name))
         self._engine = llvm.create_mcjit_compiler(module, machine)
         if place is not None:
             self._engine.set_object_cache(
@@ -342,13 +342,13 @@ def in_vectors(lanes: int, size: int, name: str, operands: int) -> str | None:
         return None
     found = f"_ZGV{letter}N{lanes}{'v' * operands}_{name}"
     try:
-        _address(found)
+        address_of(found)
     except Unknown:
         return None
     return found
 
 
-def _address(name: str) -> int:
+def address_of(name: str) -> int:
     """The address of a function of the C library; raises Unknown where there is none."""
     for library in (None, "libm.so.6", "libmvec.so.1"):
         try:

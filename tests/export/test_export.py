@@ -125,6 +125,31 @@ def test_a_long_transform_can_be_printed():
     assert all(len(x.shape) <= 3 for step in program.steps for x in step.outs)
 
 
+IN_FLOAT = """#include <math.h>
+#include <stdio.h>
+
+int main(void)
+{
+    for (int i = 1; i <= 1000; ++i) {
+        const float x = 0.0078125f * (float) i;
+        printf("%a %a %a %a\\n", sinf(x), tanhf(x), powf(x, x), expf(20.0f * x));
+    }
+    return 0;
+}
+"""
+
+
+@needs_c
+def test_functions_in_float_are_those_of_the_c_library(tmp_path):
+    """Numbers of double precision, rounded, are others."""
+    found = compiled(tmp_path, {"law.c": IN_FLOAT}, driver="-lm").stdout.split()
+    program = program_of(
+        lambda x: [jnp.sin(x), jnp.tanh(x), jnp.power(x, x), jnp.exp(20 * x)], np.zeros(1000)
+    )
+    wanted = interpret(program, [np.arange(1, 1001, dtype=np.float32) / 128], np.float32)
+    assert np.array_equal(np.reshape([*map(float.fromhex, found)], (-1, 4)), np.transpose(wanted))
+
+
 def test_what_cannot_be_exported_is_refused_by_name():
     key = jax.random.key(0)
     with pytest.raises(Unknown, match="draws random numbers"):
