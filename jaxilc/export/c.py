@@ -43,9 +43,12 @@ def number(value: float | Number, dtype: DTypeLike, single: bool) -> str:
         return "true" if value else "false"
     if kind != "f":
         return str(int(value)) if value >= 0 else f"({int(value)})"
+    if single:
+        with np.errstate(over="ignore"):  # which is infinite then
+            value = np.float32(value)
     if not np.isfinite(value):
         return "NAN" if np.isnan(value) else "INFINITY" if value > 0 else "(-INFINITY)"
-    text = f"{float(str(np.float32(value)))!r}f" if single else repr(float(value))
+    text = f"{float(str(value))!r}f" if single else repr(float(value))
     return f"({text})" if np.signbit(value) else text
 
 

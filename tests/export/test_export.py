@@ -14,6 +14,7 @@ import pytest
 from cases import CASES, SAMPLES, SCHEMES, few, task_for
 
 from jaxilc.export import check, files_of, interpret, law_of, program_of
+from jaxilc.export.c import number
 from jaxilc.export.certificate import CERTIFICATE, certificate_of
 from jaxilc.export.guard import CODES, Trials
 from jaxilc.export.steps import dft
@@ -148,6 +149,13 @@ def test_functions_in_float_are_those_of_the_c_library(tmp_path):
     )
     wanted = interpret(program, [np.arange(1, 1001, dtype=np.float32) / 128], np.float32)
     assert np.array_equal(np.reshape([*map(float.fromhex, found)], (-1, 4)), np.transpose(wanted))
+
+
+@pytest.mark.parametrize(("value", "text"), [
+    (0.1, "0.1f"), (-0.0, "(-0.0f)"), (1e39, "INFINITY"), (-1e39, "(-INFINITY)"),
+])  # fmt: skip
+def test_a_number_beyond_the_range_of_float_is_infinite_there(value, text):
+    assert number(value, float, single=True) == text
 
 
 def test_what_cannot_be_exported_is_refused_by_name():
