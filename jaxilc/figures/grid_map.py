@@ -149,7 +149,7 @@ def layers_of(
         layers.append(Band(x, low, high, colour=style["colour"]))
     look = style | {"mark": mark}
     layers.append(Curve(x, here, name=name, tips=tips or {}, **look))
-    edges = np.clip(edges_of(x, log), x[0], x[-1])
+    edges = np.clip(edges_of(x, log), x.min(), x.max())  # of a scheme the values may fall
     return layers + [
         Shade(edges[j], edges[j + 1], colour="#e0e0e0", alpha=1.0) for j in np.flatnonzero(lost)
     ]
@@ -245,7 +245,9 @@ def marked(name: str, sign: str, labels: list[xr.DataArray], point, here) -> lis
     if len(at) < len(labels) or not np.all(np.isfinite(at)):
         return []
     if len(at) == 1:
-        at.append(np.interp(at[0], standing(labels[0])[0], here))
+        places = standing(labels[0])[0]
+        by_size = np.argsort(places)
+        at.append(np.interp(at[0], places[by_size], here[by_size]))
     size, (x, y) = 11 if sign == "*" else 7, at
     return [Curve([x], [y], "", mark=sign, size=size, colour="#ffffff", rim=BLACK, name=name)]
 

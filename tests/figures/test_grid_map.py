@@ -40,6 +40,14 @@ def test_a_single_axis_is_a_line_with_a_band():
     assert len(ax.patches) == 1  # the value at which machines diverge
 
 
+def test_values_of_a_scheme_that_fall_along_an_axis_have_their_stripe_and_their_star():
+    dataset = dataset_of([[np.inf], [1.0], [4.0]], ["p"]).assign_coords({"law.c": ("a", [1, 3, 2])})
+    (ax,) = figures.grid_map(dataset, metric="rms")
+    assert (list(ax.lines[1].get_xdata()), list(ax.lines[1].get_ydata())) == ([3], [1.0])
+    (stripe,) = ax.patches
+    assert sorted([stripe.get_x(), stripe.get_x() + stripe.get_width()]) == [1.0, 1.5]
+
+
 @pytest.mark.parametrize(
     ("shows", "expected"),
     [
