@@ -29,7 +29,7 @@ from ..theory.q_filter import (
     lines_of,
     with_law,
 )
-from ..tuning.synthesis import synthesised
+from ..tuning.synthesis import need_taps, synthesised
 from ..uncertainty import Uncertainty, Uniform, check
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
@@ -72,7 +72,7 @@ def filter_(
     Raises ValueError naming what is allowed, and where no scheme has a linear law.
     """
     request = Request.of(request)
-    _check(margin, machines)
+    _check(margin, taps, machines)
     chosen = _varied(request, vary)
     place = folder or Path("out") / f"filter-{chosen.name}"
     ask = partial(
@@ -138,7 +138,7 @@ def filter_measured(
     margin, taps, band, folder: as for `filter_`
     Raises ValueError for a number out of its range, and as `measured_question`.
     """
-    _check(margin)
+    _check(margin, taps)
     law = PLaw(gain, lead, cutoff, order, dt)
     law.check()
     read = [read_frequency_response(one, averages=averages) for one in records]
@@ -193,11 +193,13 @@ def filter_measured(
     )
 
 
-def _check(margin: float, machines: int = 1) -> None:
+def _check(margin: float, taps: int | None, machines: int = 1) -> None:
     if not 0 < margin < 1:
         raise ValueError(f"--margin {margin:g} is outside its allowed range (0, 1)")
     if machines < 1:
         raise ValueError(f"--machines {machines} is outside its allowed range [1, inf)")
+    if taps is not None:
+        need_taps(taps)
 
 
 def _varied(request: Request, vary: Sequence[str]) -> Scenario:
@@ -394,7 +396,9 @@ def _scheme_synthesised(
     f = f[(f > 0) & (f <= 0.5 / dt)]
     P = responses(tried.loops, f, dt)
     one = np.ones(len(f), complex)
-    band = asked.band or min(2 * (best.change.cutoff if best else 0.025 / dt), 0.4 / dt)
+    band = asked.band
+    if band is None:
+        band = min(2 * (best.change.cutoff if best else 0.025 / dt), 0.4 / dt)
     lead = int(np.max(inner.L.size and np.round(_lead_of(inner, best)), initial=0))
     lines = [Lines(f, P, np.zeros(P.shape), one, one, dt)]
     made = synthesised(lines, band=band, margin=asked.margin, taps=taps, lead=lead)
@@ -505,7 +509,8 @@ def _records_synthesised(
     """Synthesise filters on the lines and write their table: numbers and a sentence."""
     best = _best_of(answered.offers)
     furthest = min(float(one.f[-1]) for one in lines)
-    band = band or min(2 * (best.change.cutoff if best else law.cutoff), furthest)
+    if band is None:
+        band = min(2 * (best.change.cutoff if best else law.cutoff), furthest)
     lead = law.lead + (best.change.lead if best else 0)
     made = synthesised(lines, band=band, margin=margin, taps=taps, lead=lead)
     folder.mkdir(parents=True, exist_ok=True)

@@ -79,10 +79,8 @@ def synthesised(
     """
     dt, nyquist = several[0].dt, 0.5 / several[0].dt
     require("synthesis", "margin", margin, "(0, 1)")
-    require("synthesis", "taps", taps, "[3, 501]", whole=True)
+    need_taps(taps)
     require("synthesis", "lead", lead, "[0, inf)", whole=True)
-    if taps % 2 == 0:
-        raise ValueError(f"synthesis: taps = {taps} is even; allowed are odd numbers")
     within, note = f"({several[0].f[0]}, {nyquist}]", ", from the first line to Nyquist"
     require("synthesis", "band", band, within, " Hz", note=note)
     allowed = (1 - margin) - SPARE
@@ -101,6 +99,13 @@ def synthesised(
     loss = float(np.mean(np.abs(1 - Q[f <= band])))
     spacing = max(float(np.max(np.diff(one.f))) * taps * dt for one in several)
     return Synthesis(scheme, peak, loss, band, spacing)
+
+
+def need_taps(taps: int) -> None:
+    """Raises ValueError for a number of taps that filters cannot have."""
+    require("synthesis", "taps", taps, "[3, 501]", whole=True)
+    if taps % 2 == 0:
+        raise ValueError(f"synthesis: taps = {taps} is even; allowed are odd numbers")
 
 
 def need_solver() -> ModuleType:

@@ -124,6 +124,9 @@ axis.toml --vary plant.gian=0.1 => plant.gian
 axis.toml --vary plant.gain=120% => share in (0, 1)
 axis.toml --vary plant.gain=0.1 --spread 0.1 => exclude each other
 axis.toml --set ilc.filter.cutoff=250 => cutoff = 250.0 Hz is outside
+axis.toml --taps 0 => taps = 0 is outside its allowed range [3, 501]
+a.csv --gain 1 --cutoff 30 --dt 0.001 --taps 4 => taps = 4 is even; allowed are odd numbers
+a.csv --gain 0.5 --cutoff 30 --dt 0.001 --taps 5 --band 0 => band = 0 Hz is outside
 axis.toml --gain 1 => --gain is for a measured response only
 axis.toml a.csv => filter takes one scenario, or measured responses
 a.csv => --gain, --cutoff, --dt not given
