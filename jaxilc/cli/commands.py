@@ -552,12 +552,16 @@ def filter_(
         ),
     ] = None,
     spread: Spread = None,
-    machines: Annotated[int, Option(help="Machines drawn, beside all corners.")] = 32,
+    machines: Annotated[
+        int | None, Option(help="Machines drawn, beside all corners; 32 if not given.")
+    ] = None,
     seed: Seed = 0,
     set_: Set = None,
     params: Params = None,
     gain: Annotated[float | None, Option(help="Learning gain, for an FRF.")] = None,
-    lead: Annotated[int, Option(help="Lead of the learning [samples], for an FRF.")] = 0,
+    lead: Annotated[
+        int | None, Option(help="Lead of the learning [samples], for an FRF; 0 if not given.")
+    ] = None,
     cutoff: Annotated[float | None, Option(help="Of the filter [Hz], for an FRF.")] = None,
     dt: Annotated[float | None, Option(help="Sample time [s], for an FRF.")] = None,
     taps: Annotated[
@@ -580,30 +584,30 @@ def filter_(
     """
     taps = TAPS if synthesise and taps is None else taps
     how: dict[str, Value] = {"margin": margin, "taps": taps, "band": band}
-    law = {"gain": gain, "cutoff": cutoff, "dt": dt}
+    law: dict[str, Value] = {"gain": gain, "cutoff": cutoff, "dt": dt}
+    of_record: dict[str, Value] = {
+        "lead": lead, "order": order, "sigmas": sigmas, "averages": averages,
+    }  # fmt: skip
+    drawn: dict[str, Value] = {"vary": vary, "machines": machines, "sampling": sampling}
     records = [Path(one).suffix.lower() in RECORDS for one in source]
     if all(records):
-        _only_for("a scenario", scheme=scheme, vary=vary, spread=spread, set=set_, params=params)
+        _only_for("a scenario", scheme=scheme, spread=spread, set=set_, params=params, **drawn)
         missing = [f"--{name}" for name, value in law.items() if value is None]
         if missing:
             raise ValueError(
                 f"a measured response needs a law: {', '.join(missing)} not given; u is learned by "
                 "u + gain e[k + 1 + lead] with a low-pass of --cutoff"
             )
-        how |= law | {"lead": lead, "order": order, "sigmas": sigmas, "averages": averages}
-        tell("filter_measured", written, source, **how)
+        tell("filter_measured", written, source, **how, **law, **of_record)
     elif any(records) or len(source) > 1:
         raise ValueError(
             f"filter takes one scenario, or measured responses {', '.join(RECORDS)}; given are "
             f"{', '.join(source)}"
         )
     else:
-        _only_for("a measured response", **law, averages=averages)
+        _only_for("a measured response", **law, **of_record)
         request = asked(source[0], scheme, set_, params, spread=spread)
-        tell(
-            "filter_", written, request, vary=vary, machines=machines, seed=seed,
-            sampling=sampling, **how,
-        )  # fmt: skip
+        tell("filter_", written, request, seed=seed, **drawn, **how)
 
 
 def _only_for(what: str, **given: object) -> None:

@@ -128,11 +128,13 @@ axis.toml --taps 0 => taps = 0 is outside its allowed range [3, 501]
 a.csv --gain 1 --cutoff 30 --dt 0.001 --taps 4 => taps = 4 is even; allowed are odd numbers
 a.csv --gain 0.5 --cutoff 30 --dt 0.001 --taps 5 --band 0 => band = 0 Hz is outside
 axis.toml --gain 1 => --gain is for a measured response only
+axis.toml --lead 1 => --lead is for a measured response only
 axis.toml a.csv => filter takes one scenario, or measured responses
 a.csv => --gain, --cutoff, --dt not given
 a.csv --gain 1 --cutoff 600 --dt 0.001 => cutoff = 600 Hz is outside
 a.csv --gain 1 --cutoff 20 --dt 0.01 => has a line at 199 Hz; allowed is up to 50 Hz
 a.csv --gain 1 --cutoff 0.5 --dt 0.001 => starts at 1 Hz and has 0 lines
+a.csv --gain 1 --cutoff 30 --dt 0.001 --machines 5 => --machines is for a scenario only
 a.csv --gain 1 --cutoff 30 --dt 0.001 --scheme ilc => --scheme is for a scenario only
 """),
 )
