@@ -151,6 +151,7 @@ def filter_measured(
     progress("on the lines of the records")
     answered = q_filter.measured_question(read, law, sigmas=sigmas, margin=margin)
     names, files = [Path(one).name for one in records], [str(one) for one in records]
+    names = names if len({*names}) == len(names) else files  # of several folders
     of_each = dict(zip(names, answered.tests, strict=True))
     place = folder or Path("out") / f"filter-{Path(records[0]).stem}"
     said = [_records_verdict(names, answered, sigmas), _between(answered)]

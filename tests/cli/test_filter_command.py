@@ -8,6 +8,7 @@ import pytest
 from command import call, mistakes, write_columns
 
 from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.outcomes import filter_measured
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.scenarios.design_file import toml_of, write_with_scheme
 from jaxilc.schemes import Filtered, LearningFilter, PIDType, WithFeedback
@@ -112,6 +113,13 @@ def test_the_answer_for_a_record(here):
     robust = Q * (np.abs(1 - LP) + 3 * 0.02 * np.abs(LP))
     assert found["peak"] == pytest.approx(np.max(robust), rel=1e-9)
     assert "Next: jaxilc filter a.csv --gain 0.5" in said
+
+
+def test_records_of_one_name_in_several_folders_are_told_apart(here):
+    (here / "b").mkdir()
+    (here / "b/a.csv").write_bytes((here / "a.csv").read_bytes())
+    found = filter_measured(["a.csv", "b/a.csv"], gain=0.5, cutoff=30.0, dt=1e-3)
+    assert [*found.numbers["records"]] == ["a.csv", "b/a.csv"]
 
 
 @pytest.mark.parametrize(
