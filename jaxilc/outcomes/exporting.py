@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -114,7 +115,7 @@ def export(
             f"{costs['bytes']} bytes of memory.",
             *claimed["verdict"],
         ), "prove that the files belong together",
-            f"jaxilc export --check {folder}"),
+            shlex.join(["jaxilc", "export", "--check", str(folder)])),
         warnings=made.warnings,
         folder=Path(folder),
         files={file: partial(_write, text) for file, text in made.files.items()}

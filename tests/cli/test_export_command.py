@@ -57,9 +57,10 @@ def test_a_mistake_is_one_line_and_nothing_is_written(tmp_path, words, message):
 )
 def test_other_languages_carry_the_certificate_too(tmp_path, kind, files):
     given = ("export", "axis.toml", "--limit", "9", "--machines", "1", "--format", kind)
-    code, _, err = call(*given)
+    code, out, err = call(*given, "--out", "a law")
     assert code == 0, err
-    folder = tmp_path / "law"
+    assert out.endswith("jaxilc export --check 'a law'\n")
+    folder = tmp_path / "a law"
     assert {path.name for path in folder.iterdir()} == files | {"certificate.json"}
     certificate = read_json(folder / "certificate.json")
     digest = certificate["certificate"]
@@ -68,9 +69,9 @@ def test_other_languages_carry_the_certificate_too(tmp_path, kind, files):
     path = folder / {"hal": "law.comp", "st": "law.st"}[kind]
     text = path.read_text()
     assert digest in text
-    assert call("export", "--check", "law")[0] == 0
+    assert call("export", "--check", "a law")[0] == 0
     path.write_text(text.replace(digest, "f" * 64))
-    code, _, err = call("export", "--check", "law")
+    code, _, err = call("export", "--check", "a law")
     assert code == 2
     assert "of another law" in " ".join(err.split())
     assert call(*given, "--number", "float")[0] == 2
