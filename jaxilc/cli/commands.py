@@ -388,6 +388,8 @@ def export(
     if check is not None:
         tell("check_export", pages, check, bar=False)
         return
+    if state is not None:
+        _only_for("a scenario", scheme=scheme, set=set_, params=params)
     request = None if source is None else asked(source, scheme, set_, params)
     tell(
         "export", pages, request, format=format_, state=state, limit=limit, number=number,

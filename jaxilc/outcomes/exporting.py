@@ -152,6 +152,10 @@ def _chosen(
     if state is not None:
         from ..scenarios.campaigns import Given, open_campaign
 
+        if request is not None:
+            raise ValueError(
+                "a scenario and --state exclude each other; a campaign has its own scheme, weights"
+            )
         opened = open_campaign(Path(state), Given(), new=False)
         campaign, recipe = opened.campaign, opened.recipe
         rules = {key: value for key, value in recipe["rules"].items() if value is not None}

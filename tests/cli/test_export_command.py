@@ -42,6 +42,8 @@ axis.toml --limit 1 --format ada => --format ada is not known
 axis.toml --limit 1 --number half => --number half is not known
 axis.toml --limit 1 --scheme pid => export takes one scheme that learns
  => export needs a scenario or a plant file
+axis.toml --limit 1 --state s => a scenario and --state exclude each other
+--limit 1 --state s --scheme ilc => --scheme is for a scenario only
 --check nowhere => nowhere/certificate.json: no such file
 """),
 )
