@@ -202,13 +202,15 @@ def save_figure(
 
 
 def _places(live: list[Manifest], prediction: Prediction):
-    """Each trial that counts with its place on what was expected, by the serial of its entry."""
+    """Each whole trial that counts with its place on what was expected, by its serial."""
     from ..hardware.calibration import kept
     from ..hardware.journal import METRICS
     from ..hardware.prediction import steps
+    from ..hardware.trial_files import ENDED
 
     for manifest, step in zip(live[1:], steps(live), strict=True):
-        yield manifest["serial"], _place(prediction, step, manifest[METRICS], kept(manifest))
+        if not any(text.startswith(ENDED) for _, text in manifest["findings"]):
+            yield manifest["serial"], _place(prediction, step, manifest[METRICS], kept(manifest))
 
 
 def _as_numbers(live: list[Manifest], prediction: Prediction) -> Numbers:
@@ -265,13 +267,11 @@ def against_prediction(
 ) -> tuple[str, list[Finding]]:
     """The sentence on what was predicted for a trial, and a finding where it lies outside.
 
-    Both are empty for a trial that ended early, whose error is that of a part.
-
     prediction, place: that of the campaign, and where the trial lies on it; None without one
     """
     from ..hardware.checks import GROWN_BEYOND
 
-    if prediction is None or place is None or turn.record.weight is not None:
+    if prediction is None or place is None:
         return "", []
     unit = now.task.unit
     if turn.expected is None and prediction.certain:
@@ -744,6 +744,7 @@ def _turn(
 ) -> tuple[Turn, Place | None]:
     """The turn that a measured trial makes, and where it lies on what was expected of it.
 
+    A trial that ended early lies nowhere on it, since its error is that of a part.
     Its findings are printed. Raises Refused where the checks refuse the trial.
     """
     from ..hardware.campaign import refuse
@@ -752,7 +753,7 @@ def _turn(
     now = opened.campaign
     turn = now.turn(record, **how, expected=_expected(opened, prediction))
     place = None
-    if prediction is not None:
+    if prediction is not None and turn.record.weight is None:
         place = _place(prediction, next_step(now.journal.live()), turn.metrics, turn.expected)
     predicted, finding = against_prediction(now, turn, prediction, place)
     turn.findings.extend(finding)

@@ -48,6 +48,7 @@ STEP_TOLERANCE = 0.01  # share of the sample time by which a single step may dif
 RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may differ
 # Options of the command line that name columns, as `names` does.
 OPTIONS = {"t": "--time", "u": "--input", "y": "--output", "r": "--set campaign.reference"}
+ENDED = "the trial ended"  # so begins the note on one that ended early
 REFERENCE_TOLERANCE = 1e-4  # share of the reference's range by which r may differ
 
 
@@ -440,8 +441,8 @@ def ended(record: Trial, measured: Measured) -> tuple[Trial, list[Finding]]:
     W = jnp.asarray(np.broadcast_to(there[:, None], record.r.shape))
     shown = jax.device_get(weighed(record, W))
     text = (
-        f"the trial ended after {measured.samples} of {N} samples; the rest is not learned from, "
-        "and is played as it was"
+        f"{ENDED} after {measured.samples} of {N} samples; the rest is not learned from, and is "
+        "played as it was"
     )
     return shown, [Finding("note", text)]
 

@@ -261,13 +261,18 @@ def test_a_trial_that_ended_early_is_learned_from_as_far_as_it_goes(copied):
     path.write_text("\n".join(lines[: kept + 1]) + "\n")
     with pytest.raises(ValueError, match="short_trial=true accepts fewer"):
         go_on("--measured", path)
-    said = " ".join(go_on("--measured", path, "--set", "campaign.short_trial=true"))
+    asked = ("--measured", path, "--report", folder / "n.json")
+    said = " ".join(go_on(*asked, "--set", "campaign.short_trial=true"))
     assert f"the trial ended after {kept - 1} of {rows - 1} samples" in " ".join(said.split())
     after = np.genfromtxt(folder / "next.csv", delimiter=",", skip_header=1)[:, 2]
     np.testing.assert_allclose(after[kept:], before[kept:], rtol=1e-9)
     assert np.max(np.abs(after[: kept - 2] - before[: kept - 2])) > 0
     journal = Journal(folder / "x")  # it is marked, so that no plant is fitted to it
     assert "weight" in journal.arrays(journal.live()[-1], "trial.npz")
+    assert "predicted" not in json.loads((folder / "n.json").read_text())
+    call("trials", "--state", folder / "x", "--report", folder / "t.json")
+    placed = json.loads((folder / "t.json").read_text())["predicted"]["trials"]
+    assert [one["serial"] for one in placed] == [1, 2], "the error of a part lies in no band"
 
 
 def test_trials_without_learning_tell_when_to_stop(copied, unpainted):
