@@ -587,6 +587,10 @@ def next_(
     from ..hardware.trial_files import OPTIONS, read_measured
     from ..scenarios.campaigns import Given, open_campaign
 
+    if (page := pages.file(".html")) is not None:
+        raise ValueError(
+            f"--report {page} is a page, which `jaxilc trials` writes; allowed here is .json"
+        )
     begin()
     settings, of = _of_campaign(settings_of(set_ or ()))
     names = {"t": time_name, "u": input_name, "y": output_name, "r": of.get("reference", "r")}

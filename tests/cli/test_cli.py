@@ -297,6 +297,7 @@ list file.toml => file.toml is no text in UTF-8: invalid start byte 0xff at byte
 identify file => file is no text in UTF-8: invalid start byte 0xff at byte 0
 certify cao-2019 --scheme cfdl-mfailc --trials 1 => --trials 1 is outside its allowed range [2, \
 inf) of cfdl-mfailc
+next --state s --dry-run --report n.html => --report n.html is a page, which `jaxilc trials` writes
 next --state s --out n.csv --scenario cao => scenario = 'cao' is unknown; did you mean cao-2019 \
 or cao-2019-rig?
 next --state s --out n.csv --scenario milc-2024 => --scheme is missing; those that learn are \
