@@ -34,8 +34,8 @@ NO_VALUE = {
 EXIT_CODES = (
     "Exit codes:",
     "0    done",
-    "1    an error of jaxilc itself, with its traceback; without one, a chunk of a sweep that no"
-    " worker could compute",
+    "1    an error of jaxilc itself, with its traceback; without one, design or learn-law found no"
+    " safe law, simulation contradicts a claim, or no worker could compute a chunk of a sweep",
     "2    a mistake in what was asked: one line that names what is allowed",
     "3    next: the measured trial, or the input after it, is refused",
     "130  stopped by Ctrl-C: sweep, tune and pareto keep what is done, and go on with --resume",
