@@ -73,6 +73,8 @@ def _try_place(address: str, port: int) -> None:
     """Raise ValueError, before anything is compiled, where the page could not be served."""
     from tornado.netutil import bind_sockets
 
+    if not address:  # which would be all addresses
+        raise ValueError(f"--address {address!r} is no address; allowed is one of this computer")
     try:
         for one in bind_sockets(port, address):
             one.close()
