@@ -314,6 +314,8 @@ class Outcome:
         for line in self.warnings:
             console.print(line)
         self.conclude(console)
+        if self.failed:
+            console.print(self.failed)
         return text.getvalue().rstrip()
 
     def _repr_html_(self) -> str:
@@ -327,4 +329,4 @@ class Outcome:
     def _words(self) -> list[str]:
         """All lines, and what went wrong."""
         between = (line for line in (*self.tables, *self.details) if isinstance(line, str))
-        return [*between, *self.lines, *self.warnings]
+        return [*between, *self.lines, *self.warnings, *([self.failed] if self.failed else [])]

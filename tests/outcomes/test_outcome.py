@@ -1,5 +1,6 @@
 """An outcome is one object: terminal, JSON, page and notebook show the same of it."""
 
+import dataclasses
 import re
 
 import pytest
@@ -36,6 +37,12 @@ def test_every_view_has_the_verdict_and_the_cells_of_all_tables(outcome, tmp_pat
     assert page.count("<figure><img") == len(unlike_live)
     assert page.count('<figure class="live">') == 2  # errors by trial, and within a trial
     assert shown.count("<figure><img") == len(outcome.figures)
+
+
+def test_every_view_says_what_failed(outcome, tmp_path):
+    lost = dataclasses.replace(outcome, failed="no law was found", figures={}, live=tuple)
+    page = lost.page(tmp_path / "page.html").read_text("utf-8")
+    assert all("no law was found" in view for view in (repr(lost), lost._repr_html_(), page))
 
 
 def test_a_notebook_shows_an_outcome_once(outcome, monkeypatch):
