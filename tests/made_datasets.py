@@ -13,13 +13,15 @@ def run_of(errors, reference=None, u=None, *, dt=1e-3, schemes=("a",), **coords)
     r = np.zeros(e.shape[2:]) if reference is None else reference
     u = np.zeros((*e.shape[:2], e.shape[2] - 1, 1)) if u is None else u
     dims = ("scheme", "trial", "time", "channel")
+    with np.errstate(over="ignore"):
+        rms = np.sqrt(np.mean(e**2, axis=(2, 3)))
     return xr.Dataset(
         {
             "r": (dims[2:], r),
             "y": (dims, r - e, {"units": "mm"}),
             "e": (dims, e, {"units": "mm"}),
             "u": (("scheme", "trial", "input_time", "input"), u, {"units": "V"}),
-            "rms": (dims[:2], np.sqrt(np.mean(e**2, axis=(2, 3)))),
+            "rms": (dims[:2], rms),
         },
         {
             "scheme": [*schemes],

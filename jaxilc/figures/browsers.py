@@ -62,7 +62,8 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     if count > most:
         chosen = np.unique(np.round(np.geomspace(count, 1, most)).astype(int)) - 1
     points = int(np.clip(ROOM // (len(chosen) * of_a_trial), FEWEST, MOST))
-    factor, unit = shown_in(scale * np.nanmax(np.abs(dataset["e"].isel(trial=-1).values)), unit)
+    last = np.fmax.reduce(np.abs(dataset["e"].isel(trial=-1).values), axis=None)
+    factor, unit = shown_in(scale * last, unit)
     columns = {"t": thinned(dataset["time"].values, points, times=True)}
     signals = {n: dataset[n].values for n in ("y", "e", "u")}
     for c in range(len(outputs)):

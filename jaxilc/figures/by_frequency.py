@@ -73,18 +73,23 @@ def spectrum(
     for trial, shade in zip(trials, shades_of(trials), strict=True):
         e = scale * signal_of(dataset, "e", scheme, trial)[1:]
         names = outputs_of(dataset, e.shape[1])
+        e = np.where(np.isfinite(e), e, np.nan)
+        _, size = np.frexp(np.nanmax(np.abs(e), initial=0.0))  # whose square may be too large
         f, power = periodogram(
-            e, 1.0 / (time[1] - time[0]), window="boxcar", detrend="constant", scaling="spectrum",
-            axis=0,
+            np.ldexp(e, -size), 1.0 / (time[1] - time[0]), window="boxcar", detrend="constant",
+            scaling="spectrum", axis=0,
         )  # fmt: skip
-        for i, amplitude in enumerate(np.sqrt(2.0 * np.where(power > 0, power, np.nan)[1:]).T):
+        amplitudes = np.ldexp(np.sqrt(2.0 * np.where(power > 0, power, np.nan)[1:]), size)
+        for i, amplitude in enumerate(amplitudes.T):
             at, dash = _peaks(f[1:], amplitude), DASHES[i % len(DASHES)]
             name = f"trial {trial}" + f", {names[i]}" * (len(names) > 1)
             layers.append(Curve(f[1 + at], amplitude[at], dash, 1, name=name, colour=shade))
     held = limits_of([v for of in layers for v in of.y])
     ends = held and (max(held[0], held[1] * 10.0**-SEEN), held[1])
     last = max((_last_seen(of, ends[0] if ends else 0.0) for of in layers), default=f[-1])
-    along = FREQUENCY._replace(ends=(f[1], min(max(BEYOND * last, 10 * f[1]), f[-1])))
+    along = FREQUENCY
+    if len(f) > 2:
+        along = along._replace(ends=(f[1], min(max(BEYOND * last, 10 * f[1]), f[-1])))
     up = Axis("amplitude of the error", unit, log=True, ends=ends)
     return Figure([Panel(along, up, layers, f"{scheme}: spectrum of the error")])
 
@@ -119,6 +124,8 @@ def time_frequency(
     time = dataset["time"].values
     dt, N = time[1] - time[0], len(time) - 1
     least = min(8, N)
+    if N < 2 * SLOWEST:
+        raise ValueError(f"time_frequency: a trial of {N} samples is too short; needed are 4")
     samples = max(N // 16, least) if window is None else round(window / dt)
     if not least <= samples <= N:
         raise ValueError(
@@ -209,10 +216,9 @@ def _last_seen(of: Curve, floor: float) -> float:
 
 def _peaks(f, amplitude):
     """The indices of the lines that are the largest within their sixtieth of a decade."""
-    groups = np.split(
-        np.arange(len(f)), np.flatnonzero(np.diff(np.floor(60 * np.log10(f / f[0])))) + 1
-    )
-    return np.array([group[np.argmax(np.nan_to_num(amplitude[group]))] for group in groups])
+    parts = np.floor(60 * np.log10(f / f[:1]))
+    groups = np.split(np.arange(len(f)), np.flatnonzero(np.diff(parts)) + 1) if len(f) else ()
+    return np.array([group[np.argmax(np.nan_to_num(amplitude[group]))] for group in groups], int)
 
 
 # Whether a Q-filter is safe: plant, filter, L P and |Q (1 - L P)| of a family

@@ -288,7 +288,8 @@ def thinned(values, points: int, *, times: bool = False) -> np.ndarray:
 
     times: the values are times, which need no such pairs
     """
-    values = np.asarray(values, np.float32)
+    with np.errstate(over="ignore"):
+        values = np.asarray(values, np.float32)
     values = np.where(np.isfinite(values), values, np.nan)
     if len(values) <= points:
         return values

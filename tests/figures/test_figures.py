@@ -15,6 +15,7 @@ from matplotlib import image
 from matplotlib.colors import to_hex
 
 from jaxilc import figures
+from jaxilc.figures import browsers
 from jaxilc.figures.saving import LIGHTER
 from jaxilc.figures.style import marks_of, numbers_of, style_of
 from jaxilc.figures.units import written
@@ -427,7 +428,7 @@ def test_the_crossing_is_marked_where_the_closed_form_has_it():
 DRAWN = {
     "zero": np.zeros((1001, 2)),
     "lost": np.full((1001, 2), np.nan),
-    "huge": np.where(TIME[:, None] < 0.5, 1e150, [[np.nan, 0]]),
+    "huge": np.where(TIME[:, None] < 0.5, 1e200, [[np.inf, 0]]),
     "short": circle_at(1.0)[:6],
 }
 
@@ -440,6 +441,14 @@ def test_what_is_zero_diverged_or_short_is_drawn_without_complaint(name, tmp_pat
     for figure in (figures.tracking, figures.spectrum, figures.time_frequency, figures.contour):
         saved = figures.save(figure(dataset, "a", (1,)), tmp_path / "figure.png")
         assert saved.stat().st_size > 5_000
+    assert browsers.trials(dataset).caption
+
+
+def test_a_trial_of_one_sample_has_no_frequency():
+    dataset = dataset_of([circle_at(1.0)[:2]], circle_at(2.0)[:2])
+    assert [len(line.get_xdata()) for line in figures.spectrum(dataset, "a", (1,)).lines] == [0, 0]
+    with pytest.raises(ValueError, match="a trial of 1 samples is too short; needed are 4"):
+        figures.time_frequency(dataset, "a", (1,))
 
 
 def test_a_zoom_at_the_end_of_the_trial_lies_within_it():
