@@ -262,16 +262,17 @@ def hover(
 ) -> None:
     """Rows of a name and a value for the point under the pointer.
 
-    rows: `@x{g}` is the value of column x with four digits, of any size
+    rows: `@x{g}` is the value of column x with four digits, of any size; a unit may follow
     head: what stands above them, such as `$name`, the name of the curve
     """
     from bokeh.models import HoverTool
 
     columns = {name for _, value in rows for name in re.findall(r"(@\w+)\{g\}", value)}
+    parts = [(name.replace("_", " "), *value.partition(" ")) for name, value in rows]
     lines = f"<div><b>{head}</b></div>" * bool(head) + "".join(
         f'<div><span style="color: #555">{_literal(name)}:</span> '
-        f"{value.replace('{g}', '{%.4g}')}</div>"
-        for name, value in rows
+        f"{value.replace('{g}', '{%.4g}')}{blank}{_literal(unit)}</div>"
+        for name, value, blank, unit in parts
     )
     shown = f'<div style="max-width: 28em; white-space: normal">{lines}</div>'
     told = dict.fromkeys(columns, "printf")
@@ -280,7 +281,7 @@ def hover(
 
 def _literal(text: str) -> str:
     """A text for a tooltip, in which nothing stands for a column or for a tag."""
-    return escape(text.replace("_", " ")).replace("@", "&#64;").replace("$", "&#36;")
+    return escape(text).replace("@", "&#64;").replace("$", "&#36;")
 
 
 def thinned(values, points: int, *, times: bool = False) -> np.ndarray:

@@ -5,10 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bokeh.models import HoverTool
 from browser import needs_chromium, opened
 
 from jaxilc.figures import browsers, certificate, searches
+from jaxilc.figures.description import Axis, Curve, Panel
 from jaxilc.figures.page import live as page_of
+from jaxilc.figures.page import panel_of
 from jaxilc.figures.report import html_report, write_report
 from jaxilc.figures.style import COLOURS, luminance, readable
 from jaxilc.tuning.worst_case import Search, WorstCase, WorstMachine
@@ -115,6 +118,14 @@ def test_a_machine_has_its_claim_and_its_parameters_under_the_pointer():
     assert [of["t1"].tolist() for of in lines] == [[0.0, 2.0], [1.0]]  # their gains
     np.testing.assert_allclose(lines[1]["ys"][0], [2.0, np.nan])
     assert claims.renderers[0].data_source.data["right"] == [2, 1]
+
+
+def test_a_unit_is_no_markup_under_the_pointer():
+    curve = Curve([1.0, 2.0], [1.0, 2.0], name="a")
+    made = panel_of(Panel(Axis("x_1", "<b>@y"), Axis("y", "mm"), [curve]))
+    (tool,) = made.select({"type": HoverTool})
+    assert "x 1:</span> @x{%.4g} &lt;b&gt;&#64;y</div>" in tool.tooltips
+    assert "y:</span> @y{%.4g} mm</div>" in tool.tooltips
 
 
 def test_text_can_be_read_on_its_ground():
