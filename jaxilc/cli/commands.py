@@ -159,6 +159,7 @@ def certify(
 
     Example: jaxilc certify cao-2019 --scheme cfdl-mfailc --trials 200 --machines 256
     """
+    at_least(1, machines=machines)
     tell(
         "certify", written, what.request(spread=spread), machines=machines, seed=seed,
         sampling=sampling,

@@ -295,6 +295,7 @@ worst-case cao-2019 --scheme pid --starts 0 --evaluations 9 => --starts 0 is out
 run bare.toml => bare.toml has no scheme; needed is a table [schemes.NAME] at least
 list file.toml => file.toml is no text in UTF-8: invalid start byte 0xff at byte 0
 identify file => file is no text in UTF-8: invalid start byte 0xff at byte 0
+certify cao-2019 --machines 0 => --machines 0 is outside its allowed range [1, inf)
 certify cao-2019 --scheme cfdl-mfailc --trials 1 => --trials 1 is outside its allowed range [2, \
 inf) of cfdl-mfailc
 next --state s --dry-run --report n.html => --report n.html is a page, which `jaxilc trials` writes
