@@ -299,7 +299,7 @@ def left(option: str, instead: str) -> OptionInfo:
     """
 
     def check(value: object) -> object:
-        if value:
+        if value or (value == 0 and value is not False):
             warn(f"warning: {option} will go: {instead}")
         return value
 

@@ -376,7 +376,7 @@ def test_a_mistake_is_one_line_and_nothing_is_written(words, message, tmp_path):
         ("tune", "--held-out", "-1", "held_out = -1 is outside its allowed range [0, inf)"),
         ("tune", "--unseen", "-1", "--unseen -1 is outside its allowed range [1, inf)"),
         ("tune", "--starts", "-1", "starts = -1 is outside its allowed range [1, inf)"),
-        ("tune", "--rate", "-1", "rate = -1 is outside its allowed range (0, inf)"),
+        ("tune", "--rate", "0", "rate = 0 is outside its allowed range (0, inf)"),
         ("tune", "--optimiser", "sgd", "optimiser = 'sgd' is not one of adam, lbfgs"),
         ("tune", "--sampling", "grid", "sampling = 'grid' is not one of monte-carlo"),
         ("tune", "--compare-trials", "-1", "--compare-trials -1 is outside its allowed range"),
