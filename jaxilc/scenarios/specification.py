@@ -32,17 +32,21 @@ Kind: TypeAlias = Callable[[Value, str], T]  # of a value of a file, at a place 
 
 
 @contextlib.contextmanager
-def at_place(*places: object, owner: str = "") -> Generator[None]:
-    """A ValueError or TypeError from within is a ValueError that begins with the place in a file.
+def at_place(
+    *places: object, owner: str = "", also: type[Exception] = ValueError
+) -> Generator[None]:
+    """A ValueError from within is one that begins with the place in a file.
 
     places: such as the file and the table; empty ones are left out
     owner: name of a function with which its messages begin, and which a reader of a file does not
         know; empty for the last place, which is told once
+    also: a further error that values of a file cause where they are arguments; elsewhere it is a
+        mistake in a program, such as a user's own scheme, and stays as it is
     """
     try:
         with np.errstate(all="ignore"):  # infinite results are refused where they are used
             yield
-    except (ValueError, TypeError) as error:
+    except (ValueError, also) as error:
         said = str(error).removeprefix(f"{owner or places[-1]}: ")
         raise ValueError(": ".join(str(part) for part in (*places, said) if part)) from None
 
@@ -256,7 +260,7 @@ def built(
         if value is not _DEFAULT:
             fields[field.name] = value
     table.done()
-    with at_place(where):
+    with at_place(where, also=TypeError):
         return cls(**fields)
 
 
@@ -320,7 +324,7 @@ def _model(values: Mapping, where: str, plant: Plant | None, dt: float | None) -
     gains = () if function is schemes.with_jerk else (table.take("C_P", number),)
     model = table.take("P", functools.partial(_state_space, plant, dt))
     table.done()
-    with at_place(where):
+    with at_place(where, also=TypeError):
         return function(*gains, model)
 
 
@@ -341,7 +345,7 @@ def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateS
     """The file's own plant as a discrete linear model."""
     if plant is None or dt is None:
         raise ValueError(f"{where} = 'plant' has no plant to stand for")
-    with at_place(where):
+    with at_place(where, also=TypeError):
         linear = getattr(plant, "linear", plant.sampled)(dt)
     if not isinstance(linear, plants.StateSpace):
         name = type(plant).__name__
@@ -380,7 +384,7 @@ def called(function: Callable[..., T], table: Table, units: str, **given: Value)
         if value is not _DEFAULT:
             arguments[name] = value
     table.done()
-    with at_place(table.where):
+    with at_place(table.where, also=TypeError):
         return function(**arguments, **given)
 
 

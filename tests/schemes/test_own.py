@@ -16,6 +16,7 @@ from jaxilc.learning import Machine, learn
 from jaxilc.learning.playback import schedules
 from jaxilc.plants import DifferenceEquation
 from jaxilc.pytree import child, leaf, named_leaves, pytree
+from jaxilc.scenarios.scenario import Scenario
 from jaxilc.schemes import FFDLMFAILC, PID, Feedforward, Ladder, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.parts import with_all_parts
 from jaxilc.schemes.scheme import limited
@@ -291,3 +292,21 @@ def test_a_law_of_one_method_starts_from_zero_and_is_limited_in_what_it_learns()
     )
     assert np.max(np.abs(of_own.signal)) > 0.3 > np.max(np.abs(trial.u)) == 0
     np.testing.assert_allclose(of_own.signal, of_theirs.signal, **ALGEBRA)
+
+
+@pytree
+class Undecidable(PIDType):
+    """A scheme with a mistake: it asks JAX for a decision on a signal."""
+
+    def learn(self, memory, trial):
+        return memory if trial.y[1, 0] > 0 else super().learn(memory, trial)
+
+
+def test_a_mistake_in_the_program_of_a_scheme_is_shown_as_it_is():
+    """It is none in a value, which the check of a scenario tells in a sentence."""
+    made = Scenario("a", "a", MACHINE, TASK, {"mine": Undecidable(gamma_p=0.5)}, 2, {})
+    with pytest.raises(jax.errors.TracerBoolConversionError):
+        made.check()
+    bad = made.with_values({"mine.lead": 2 * N})
+    with pytest.raises(ValueError, match="mine: Undecidable: lead = 80 is"):
+        bad.check()
