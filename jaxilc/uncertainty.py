@@ -24,7 +24,7 @@ import numpy as np
 from .pytree.aliases import Tree, Value
 from .pytree.closest import not_one_of
 from .pytree.in_short import in_short
-from .pytree.named_paths import get_at, interval_at, replaced
+from .pytree.named_paths import get_at, interval_at, kind_at, replaced
 from .pytree.ranges import SEEDS, brief, require
 from .runtime.capacity import check_size
 
@@ -175,7 +175,7 @@ def check(machine: Tree, uncertainty: Uncertainty) -> None:
             value = get_at(machine, name)
         except KeyError as error:
             raise ValueError(f"uncertainty: {error.args[0]}") from None
-        if value is None or np.asarray(value).dtype.kind != "f":
+        if np.asarray(value).dtype.kind != "f" or kind_at(machine, name)[0] == "static":
             raise ValueError(
                 f"uncertainty: {name} = {value!r} is not a float leaf of this machine and cannot "
                 "be drawn"

@@ -442,6 +442,7 @@ REFUSED = {
     ),
     # [uncertainty], [grid], and what stands before all tables
     "uncertainty: 'plant.C_d'": uncertain("plant.C_d"),
+    "uncertainty: plant.dt = 0.0 is not a float leaf of this machine": uncertain("plant.dt"),
     "uncertainty.plant.B.distribution = 'beta' is not one of uniform, normal": uncertain(
         distribution="beta"
     ),
