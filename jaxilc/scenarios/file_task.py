@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +44,7 @@ from .specification import (
     Table,
     at_place,
     built,
+    by_name,
     called,
     flag,
     list_of,
@@ -189,23 +190,34 @@ def _reference(value: Value, where: str, folder: Path, dt: float) -> np.ndarray:
 
 
 def uncertainty_of(values: Value, where: str) -> dict[str, Distribution]:
-    """Distributions by path within the machine; `machine.` before it may be left out, as here."""
+    """Distributions by path within the machine."""
+    found = distributions_in(values, where)
+    return by_name((name, place, _distribution(of, place)) for name, place, of in found)
+
+
+def distributions_in(values: Value, where: str) -> Iterator[tuple[str, str, Value]]:
+    """Paths within the machine, and the places and tables of their distributions.
+
+    `machine.` before a path may be left out in a file, and is left out here.
+    """
 
     def is_one(of: Value) -> bool:
         nested = isinstance(of, Mapping) and all(isinstance(v, Mapping) for v in of.values())
         return not nested or "distribution" in of
 
-    found: dict[str, Distribution] = {}
     for name, place, of in named_in(values, where, is_one):
-        inner = Table(of, place)
-        cls = DISTRIBUTIONS[inner.take("distribution", one_of(DISTRIBUTIONS))]
-        named = [f.name for f in dataclasses.fields(cls) if f.name != "relative"]
-        fields = {one: inner.take(one, number) for one in named}
-        relative = inner.take("relative", flag, False)
-        inner.done()
-        with at_place(inner.where):
-            found[name.removeprefix("machine.")] = cls(**fields, relative=relative)
-    return found
+        yield name.removeprefix("machine."), place, of
+
+
+def _distribution(values: Value, where: str) -> Distribution:
+    table = Table(values, where)
+    cls = DISTRIBUTIONS[table.take("distribution", one_of(DISTRIBUTIONS))]
+    named = [f.name for f in dataclasses.fields(cls) if f.name != "relative"]
+    fields = {one: table.take(one, number) for one in named}
+    relative = table.take("relative", flag, False)
+    table.done()
+    with at_place(where):
+        return cls(**fields, relative=relative)
 
 
 # How the trials differ

@@ -88,7 +88,17 @@ from .li_2020 import li_2020
 from .milc_2024 import milc_2024
 from .pendulum import pendulum
 from .scenario import Learnable, Quantity, Scenario, judged
-from .specification import Table, at_place, list_of, named_in, number, scheme, text, whole
+from .specification import (
+    Table,
+    at_place,
+    by_name,
+    list_of,
+    named_in,
+    number,
+    scheme,
+    text,
+    whole,
+)
 from .xu_2024 import xu_2024
 
 # Scenarios of papers, by name
@@ -270,5 +280,4 @@ def _potential(values: Value, where: str) -> Learnable:
 
 def _axes(values: Value, where: str) -> dict[str, Value]:
     """Axes of a grid by name."""
-    found = named_in(values, where, lambda of: not isinstance(of, Mapping))
-    return {name: of for name, _, of in found}
+    return by_name(named_in(values, where, lambda of: not isinstance(of, Mapping)))

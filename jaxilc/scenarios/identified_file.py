@@ -38,6 +38,7 @@ from ..theory.law import law_of
 from ..theory.loop import minimal
 from ..theory.on_lines import Lines, MeasuredResponse, low_pass, widest
 from ..uncertainty import Population, Uncertainty, Uniform
+from .file_task import distributions_in
 
 # The law to start with
 # --------------------------------------------------------------------------------------------------
@@ -494,11 +495,8 @@ def _plant_values(plant: Plant) -> dict[str, Value]:
 
 def _interval_values(found: Identified, before: dict[str, Value]) -> dict[str, Value]:
     """The intervals of the fit, and those of the file that are not of the plant."""
-    kept = {
-        name: of
-        for name, of in dict(before.get("uncertainty", {})).items()
-        if name.partition(".")[0] != "plant"
-    }
+    given = distributions_in(before.get("uncertainty", {}), "uncertainty")
+    kept = {name: of for name, _, of in given if name.partition(".")[0] != "plant"}
     return kept | {
         name: {"distribution": "uniform", "low": one.low, "high": one.high}
         for name, one in intervals(found)[0].items()

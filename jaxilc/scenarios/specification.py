@@ -124,6 +124,19 @@ def named_in(
                 yield f"{name}.{rest}", place, value
 
 
+def by_name(found: Iterable[tuple[str, str, T]]) -> dict[str, T]:
+    """Values by name, of names, places and values.
+
+    Raises ValueError for a name that is given twice, such as "plant.B" and `B` in a table `plant`.
+    """
+    values: dict[str, T] = {}
+    for name, place, value in found:
+        if name in values:
+            raise ValueError(f"{place} gives {name} a second time; allowed is once")
+        values[name] = value
+    return values
+
+
 # Kinds of values
 # --------------------------------------------------------------------------------------------------
 

@@ -450,6 +450,12 @@ REFUSED = {
         "uncertainty": {"plant.B": {"distribution": "uniform", "low": 1.0}}
     },
     "uncertainty.plant.B: Uniform: low = 3": uncertain(low=3.0),
+    "uncertainty.machine.plant.B gives plant.B a second time; allowed is once": {
+        "uncertainty": uncertain()["uncertainty"] | {"machine": uncertain()["uncertainty"]}
+    },
+    "grid.ilc.gamma_p gives ilc.gamma_p a second time; allowed is once": {
+        "grid": {"ilc.gamma_p": "1:2:3", "ilc": {"gamma_p": "4:5:3"}}
+    },
     "grid: 'ilc.gama_p' cannot be an axis; did": {"grid": {"ilc.gama_p": "1:2:3"}},
     "grid: ilc.gamma_p = '1:2' is not LOW:HIGH:COUNT": {"grid": {"ilc": {"gamma_p": "1:2"}}},
     r"trials = 0 is outside its allowed range \[1, inf\)": {"trials": 0},

@@ -23,6 +23,10 @@ distribution = "uniform"
 low = 0.9
 high = 1.1
 relative = true
+[uncertainty.machine.plant.C]
+distribution = "uniform"
+low = 0.5
+high = 1.5
 [uncertainty."actuator.limit"]
 distribution = "normal"
 mean = 9.0
