@@ -22,6 +22,7 @@ __all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]
 
 Limits: TypeAlias = float | Numbers  # of the length of a vector, or of each axis
 LONGEST = 1_000_000  # samples of a plan
+BEYOND = 1e4  # times what samples can show, at which a limit is none; larger numbers cost digits
 
 
 class Plan(NamedTuple):
@@ -104,10 +105,14 @@ def plan(
     bends too sharply for its table, and for more than a million samples.
     """
     u, q, arc = tabulated(curve, interval, points)
-    groups = _groups(q.shape[1], feed, acceleration, jerk, dt)
+    _require_limits(q.shape[1], feed, acceleration, jerk, dt)
+    limits = f"feed = {feed:g} mm/s, acceleration = {acceleration} mm/s^2, jerk = {jerk} mm/s^3"
+    feed = np.minimum(feed, BEYOND * arc[-1] / dt)
+    acceleration = np.minimum(acceleration, BEYOND * feed / dt)
+    jerk = np.minimum(jerk, BEYOND * acceleration / dt)
+    groups = _groups(q.shape[1], acceleration, jerk)
     ramp, T, arc_at = _look_ahead(arc, q, feed, np.min(acceleration), np.min(jerk))
     if not T / dt <= LONGEST:
-        limits = f"feed = {feed:g} mm/s, acceleration = {acceleration} mm/s^2, jerk = {jerk} mm/s^3"
         raise ValueError(
             f"plan: {limits} need {T:.3g} s, {T / dt:.3g} samples of dt = {dt:g} s; allowed are up "
             f"to {LONGEST}"
@@ -185,17 +190,18 @@ def _sampled(
     return Plan(reference[:, :-1], parameter, s, *motion, float(dt))
 
 
-def _groups(d: int, feed: float, acceleration: Limits, jerk: Limits, dt: float) -> Groups:
-    """(axes, acceleration, jerk) for each vector that is limited; axis d is the arc length.
-
-    Raises ValueError for a limit or a sample time outside its range.
-    """
+def _require_limits(d: int, feed: float, acceleration: Limits, jerk: Limits, dt: float) -> None:
+    """Raises ValueError for a limit or a sample time outside its range."""
     require("plan", "feed", feed, POSITIVE, " mm/s")
-    require("plan", "dt", dt, POSITIVE, " s")
+    require("plan", "dt", dt, "[1e-12, 1e9]", " s")
     for name, value, unit in (("acceleration", acceleration, " mm/s^2"), ("jerk", jerk, " mm/s^3")):
         if np.shape(value) not in ((), (d,)):
             raise ValueError(f"plan: {name} has shape {np.shape(value)}; allowed are () and ({d},)")
         require("plan", name, value, POSITIVE, unit, many=True)
+
+
+def _groups(d: int, acceleration: Limits, jerk: Limits) -> Groups:
+    """(axes, acceleration, jerk) for each vector that is limited; axis d is the arc length."""
     if np.ndim(acceleration) == 0 and np.ndim(jerk) == 0:
         return [(np.arange(d), acceleration, jerk), (np.array([d]), acceleration, jerk)]
     accelerations, jerks = np.broadcast_to(acceleration, d), np.broadcast_to(jerk, d)

@@ -148,6 +148,15 @@ def test_a_circle_is_driven_at_the_speed_of_the_closed_form(jerk, speed):
     assert_allclose(np.median(planned.speed), speed, rtol=5e-3)
 
 
+@pytest.mark.parametrize("beyond", ["feed", "jerk"])
+def test_a_limit_far_beyond_what_samples_show_is_none(beyond):
+    """A quarter of a circle of 1 mm takes as many samples as with a limit that is merely large."""
+    large = {"feed": 50.0, "acceleration": 1e3, "jerk": 1e4} | {beyond: 1e6}
+    quarter = (circle(1.0), (0, np.pi / 2))
+    known, found = (plan(*quarter, dt=0.05, **large | {beyond: of}) for of in (1e6, 1e300))
+    assert_allclose(found.reference, known.reference, atol=1e-2)
+
+
 def test_with_much_jerk_a_curve_takes_the_time_of_phase_plane_integration():
     """The classical optimum without a jerk limit: |(kappa v^2, v dv/ds)| <= a, both ways."""
     s = np.linspace(0, 2 * np.pi, 40_001)
