@@ -180,7 +180,11 @@ def _reference(value: Value, where: str, folder: Path, dt: float) -> np.ndarray:
     path, column = folder / table.take("csv", text), table.take("column", text, "r")
     time = table.take("time", text, "t")
     table.done()
-    record = read_record(path, time=time, input=column, output=column)
+    try:
+        record = read_record(path, time=time, input=column, output=column)
+    except ValueError as error:
+        said = str(error).removeprefix("read_record: ").replace("--input (input)", "`column`")
+        raise ValueError(f"{where}: {said}") from None
     if abs(record.dt / dt - 1) > 1e-6:
         raise ValueError(
             f"{where}: {path} is sampled at {record.dt:g} s but the task at {dt:g} s; "

@@ -248,6 +248,10 @@ def test_a_toml_file_is_a_whole_scenario(tmp_path):
         "actuator.limit": LogUniform(8.0, 12.0),
     }
     assert draw(made.machine, made.uncertainty, 5)["actuator.limit"].shape == (5,)
+    path.write_text(EVERYTHING.replace('column = "x"', 'column = "r"'), encoding="utf-8")
+    said = "axis.toml: task.reference: .*path.csv has no column 'r'; present are t, x; `column` nam"
+    with pytest.raises(ValueError, match=said):
+        read_scenario(path)
 
 
 def test_what_a_file_describes_learns_as_what_the_library_makes(tmp_path):
