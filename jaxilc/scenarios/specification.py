@@ -305,11 +305,11 @@ def _field(
     if isinstance(hint, type | UnionType) and not isinstance(value, hint):
         plain = isinstance(value, str | int | float | list)
         found = f" = {brief(value)}" if plain else f" is a {type(value).__name__}"
-        raise ValueError(f"{where}{found}{' is no table' * plain}; {_kinds(hint, value)}")
+        raise ValueError(f"{where}{found}{' is no table' * plain}; {_kinds(hint, value, plant)}")
     return value
 
 
-def _kinds(hint: object, value: Value) -> str:
+def _kinds(hint: object, value: Value, plant: Plant | None = None) -> str:
     """What is allowed for a part, as text for a message on a value that is not.
 
     Text that is close to a class, or to "plant", is answered with it first.
@@ -322,11 +322,10 @@ def _kinds(hint: object, value: Value) -> str:
     allowed = f"a table with class = {' | '.join(named)}"
     written = {name: f'{{ class = "{name}", ... }}' for name in named}
     if issubclass(plants.StateSpace, wanted):
-        written["plant"] = '"plant"'
-        allowed = (
-            f'"plant", which stands for the plant of this file, {allowed}, or a table with '
-            f"function = {' | '.join(_MODELS)}"
-        )
+        allowed += f", or a table with function = {' | '.join(_MODELS)}"
+        if plant is not None:
+            written["plant"] = '"plant"'
+            allowed = f'"plant", which stands for the plant of this file, {allowed}'
     near = [written[name] for name in closest(value, written)]
     return (f"did you mean {' or '.join(near)}? Allowed is " if near else "allowed is ") + allowed
 

@@ -380,6 +380,9 @@ REFUSED = {
     "plant.mass is not a key here; allowed are dampings": {
         "plant": {"kind": "ProcessModel", "mass": 1.0}
     },
+    "plant.plant = 'axis' is no table; allowed is a table with class = BallScrewDrive": {
+        "plant": {"kind": "InBlocks", "plant": "axis"}
+    },
     "plant.record is missing": {"plant": {"kind": "identified"}},
     # [machine]
     "machine.limit is not a key here; allowed are actuator, disturbance, sensor": {
