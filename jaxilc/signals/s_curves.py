@@ -157,9 +157,8 @@ def s_curve(
     for move, origin, target in zip(moves, positions[:-1], positions[1:], strict=True):
         under_way = time > start
         r[under_way] = origin + move.at(time[under_way] - start)[0]
-        r[time >= start + move.duration - 1e-9 * dt] = (
-            target  # origin + (target - origin) may round to a neighbour
-        )
+        # origin + (target - origin) may round to a neighbour
+        r[under_way & (time >= start + move.duration - 1e-9 * dt)] = target
         start += move.duration + dwell
     return r
 

@@ -219,6 +219,11 @@ def test_s_curve_ends_exactly_where_the_difference_rounds():
     assert s_curve([origin, target], **LIMITS, dt=1e-3)[-1] == target
 
 
+def test_s_curve_starts_at_its_first_position_however_fast_it_moves():
+    at_once = dict.fromkeys(LIMITS, 1e300)
+    assert s_curve([3.0, 4.0, 2.0], dwell=2e-3, dt=1e-3, **at_once).tolist() == [3, 4, 4, 2, 2]
+
+
 def test_s_curve_holds_its_end():
     r = s_curve([0.0, 30.0], **LIMITS, dt=1e-3, duration=1.0)
     assert len(r) == 1001
