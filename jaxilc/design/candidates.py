@@ -11,7 +11,7 @@ costs the end of the trial.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -32,7 +32,7 @@ from ..schemes import (
     Scheme,
     learning_filter,
 )
-from ..signals.task import Task
+from ..signals.task import Task, Trial
 from ..theory.law import law_of
 from ..theory.loop import Loop, minimal
 from ..theory.on_lines import Change, Lines, largest_cutoff, low_pass
@@ -523,6 +523,7 @@ def tuned(
     machines: int,
     held_out: int,
     steps: int,
+    quantities: Mapping[str, Callable[[Trial], jax.Array]],
 ) -> Candidate:
     """The candidate with tuned weights, or as near to them as |Q (1 - L P)| <= 1 - margin allows.
 
@@ -532,7 +533,8 @@ def tuned(
     ones of the candidate, until the frequency test holds with its margin over the family.
 
     out: folder of the tuning's state;  resume: go on with what is there
-    machines, held_out, steps: as for `Tuning`; machines are drawn as those of the family
+    machines, held_out, steps, quantities: as for `Tuning`; machines are drawn as those of the
+        family
 
     A candidate without weights is returned as it is.
     """
@@ -542,7 +544,7 @@ def tuned(
     problem = Tuning(
         family.population, candidate.scheme, task, trials, weights=candidate.bounds,
         objective=Holding(first, metric) + EARLY * EveryTrial(metric) + penalty(family, 1 - margin),
-        risk=CVaR(WORST), machines=machines, held_out=held_out, steps=steps,
+        risk=CVaR(WORST), machines=machines, held_out=held_out, steps=steps, quantities=quantities,
     )  # fmt: skip
     found = problem.run(out, resume=resume, progress=progress)
     for way in STEPS_BACK:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from ..learning.machine import Machine
+from ..learning.metrics import Keep
 from ..learning.over_trials import learn
 from ..schemes import Scheme
 from ..schemes.learning_filter import segments_of
-from ..signals.task import Task
+from ..signals.task import Task, Trial
 from ..sweeps.summary import SchemeSummary
 from ..theory.certificates import DIVERGES, NOTHING, long_run
 from ..theory.frequency import Tried, WholeSet, bound_of_set, largest_of
@@ -122,16 +123,25 @@ class Limits(NamedTuple):
 
 
 def limits_of(
-    scheme: Scheme, machine: Machine, task: Task, trials: int, metric: str, machines: float
+    scheme: Scheme,
+    machine: Machine,
+    task: Task,
+    trials: int,
+    metric: str,
+    machines: float,
+    quantities: Mapping[str, Callable[[Trial], jax.Array]],
 ) -> Limits:
     """What limits the error of a scheme.
 
     machines: the error of 95 % of the uncertain machines
+    quantities: further metrics of a trial, by name
     """
+    keep = Keep.of(quantities)
 
     def error(machine: Machine, scheme: Scheme) -> float:
-        history = learn(machine, scheme, task, trials, key=jax.random.key(0))
-        return float(np.max(np.asarray(getattr(history.metrics, metric))[-1]))
+        history = learn(machine, scheme, task, trials, key=jax.random.key(0), save=keep)
+        found = history.metrics._asdict() | history.saved
+        return float(np.max(np.asarray(found[metric])[-1]))
 
     quiet = machine.noiseless()
     return Limits(

@@ -71,8 +71,8 @@ class Design(Question):
     4. Of the law with the least 95 % error: the enclosed |Q (1 - L P)|, the certificates of the
        nominal and the worst machine, and which cause adds most to its error.
 
-    machine, task, trials, uncertainty, feedback, metric, margin, machines, seed: see `Question`;
-        one input and one output
+    machine, task, trials, uncertainty, feedback, metric, margin, machines, seed, quantities:
+        see `Question`; one input and one output
     laws: names of `LAWS`, all if empty
     tolerance: largest value of the metric that passes
     steps: of a tuning
@@ -172,7 +172,7 @@ class Design(Question):
         found = tuned(
             candidate, family, self.task, self.trials, metric=self.metric, margin=self.margin,
             out=state, resume=resume and state.exists(), progress=tell, machines=TUNED_ON,
-            held_out=HELD_OUT, steps=self.steps,
+            held_out=HELD_OUT, steps=self.steps, quantities=self.quantities,
         )  # fmt: skip
         told("tuned", found)
         return found
@@ -190,7 +190,7 @@ class Design(Question):
             if not proof.refuted:
                 limits = limits_of(
                     scheme, family.population.machine, self.task, self.trials, self.metric,
-                    one.error,
+                    one.error, self.quantities,
                 )  # fmt: skip
                 chosen = Recommended(one, proof, limits)
                 del others[at]

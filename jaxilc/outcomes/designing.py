@@ -91,7 +91,7 @@ def design(
     place = folder or Path("out") / f"design-{chosen.name}"
     question = asked_of(
         Design, chosen, laws=tuple(laws), tolerance=chosen.look["tolerance"], margin=margin,
-        machines=machines, steps=steps, seed=seed,
+        machines=machines, steps=steps, seed=seed, quantities=chosen.functions,
     )  # fmt: skip
     state = state_of(place, force=force, resume=resume)
     designed = question.run(state, resume=resume, told=_told(chosen, steps, progress, say))

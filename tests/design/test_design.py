@@ -20,10 +20,11 @@ from jaxilc.design.candidates import (
     impulse_response,
     rms_of,
 )
-from jaxilc.design.judging import judged_trials, ranked, verdict
+from jaxilc.design.judging import judged_trials, limits_of, ranked, verdict
 from jaxilc.design.responses import designed_on, family_of, resonance_band
 from jaxilc.filters import ZeroPhaseBandStop, ZeroPhaseButterworth
 from jaxilc.learning import learn
+from jaxilc.learning.metrics import root_mean_square
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import PID, ErrorFiltered, Filtered, PIDType, WithFeedback
 from jaxilc.sweeps.summary import SchemeSummary
@@ -253,7 +254,8 @@ def test_a_design_that_is_resumed_recommends_the_same_law(tmp_path):
     machine = Machine(ProcessModel(2.0, poles=[150.0]), sensor=Sensor(noise=1e-4))
     task = Task(TASK.reference[:61], dt=DT)
     given = machine, task, 4, {"plant.gain": WIDE["plant.gain"]}
-    settings = {"laws": ["p-type"], "machines": 9, "steps": 2, "metric": "rms", "tolerance": 0.5}
+    settings = {"laws": ["p-type"], "machines": 9, "steps": 2, "metric": "own", "tolerance": 0.5}
+    settings["quantities"] = {"own": lambda trial: root_mean_square(trial.e[1:])[0]}
     asked, stages, laws = Design(*given, margin=MARGIN, **settings), [], []
 
     def told(stage, what):
@@ -268,6 +270,11 @@ def test_a_design_that_is_resumed_recommends_the_same_law(tmp_path):
     order = ["safe", "tuning", "tuned", "judging", "judged", "proving"]
     assert list(dict.fromkeys(stages)) == order
     assert laws[0] == laws[1]
+    own, rms = (
+        limits_of(PIDType(gamma_p=0.1), *given[:3], metric, 1.0, settings["quantities"])
+        for metric in ("own", "rms")
+    )
+    np.testing.assert_allclose(own, rms, rtol=1e-12)
     with pytest.raises(FileExistsError):
         asked.run(tmp_path / "state")
     for wrong, said in (({"margin": 1.0}, "margin"), ({"laws": ["ptype"]}, "did you mean p-type")):
