@@ -265,7 +265,11 @@ def worst_machine(
     hold, and where the last trial is an experiment.
     """
     need_learned_at_last("worst_machine", scheme, task, trials)
+    require("worst_machine", "starts", starts, "[1, inf)", whole=True)
     of_a_step = starts * (1 + GRADIENT_COST)
+    for name, count, least in (("evaluations", evaluations, of_a_step), ("draws", draws, 1)):
+        if count is not None:
+            require("worst_machine", name, count, f"[{least}, inf)", whole=True)
     steps = steps if evaluations is None else evaluations // of_a_step
     population = Population.of(machine, uncertainty)
     each = bytes_of_a_draw(population.uncertainty)

@@ -163,6 +163,20 @@ def test_a_box_that_leaves_the_range_of_a_leaf_is_refused():
         monte_carlo_search(lambda s: s.leak, PIDType(), {"leak": Uniform(0.1, 0.2)}, 0)
 
 
+@pytest.mark.parametrize(
+    ("counts", "message"),
+    [
+        ({"starts": 0, "evaluations": 9}, r"starts = 0 is outside its allowed range \[1, inf\)"),
+        ({"starts": 2, "evaluations": 7}, r"evaluations = 7 .* allowed range \[8, inf\)"),
+        ({"draws": 0}, r"draws = 0 is outside its allowed range \[1, inf\)"),
+    ],
+)
+def test_counts_are_named_before_the_ascent(counts, message):
+    given = STATIC, PIDType(gamma_p=0.9), TASK, 3, {"plant.B": Uniform(0.5, 1.4, relative=True)}
+    with pytest.raises(ValueError, match=message):
+        worst_machine(*given, **counts, progress=pytest.fail)
+
+
 def test_the_last_trial_must_not_be_an_experiment():
     """The error of an experiment says nothing of what was learned; no weight is chosen by it."""
     plant = StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3)
