@@ -60,8 +60,9 @@ def pareto(
     resume: continue from the states at `out`, where shares may be added
     Raises ValueError naming shares that are not allowed, and what `Tuning.run` raises.
     """
+    shares = list(shares)
     if not shares or len(set(shares)) < len(shares) or not all(0 <= share <= 1 for share in shares):
-        raise ValueError(f"pareto: shares = {list(shares)} are not different numbers in [0, 1]")
+        raise ValueError(f"pareto: shares = {shares} are not different numbers in [0, 1]")
     if out is not None and not resume:
         need_free(out)
     losses = held_out_losses(problem, first, second)
@@ -106,9 +107,10 @@ def by_trials(
     Raises ValueError naming budgets that are not allowed or too short for the objective, and what
     `Tuning.run` raises.
     """
+    budgets = list(budgets)
     if not budgets or len(set(budgets)) < len(budgets) or not all(J >= 1 for J in budgets):
         raise ValueError(
-            f"by_trials: budgets = {list(budgets)} are not different numbers of trials in [1, inf)"
+            f"by_trials: budgets = {budgets} are not different numbers of trials in [1, inf)"
         )
     if out is not None and not resume:
         need_free(out)

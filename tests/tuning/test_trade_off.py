@@ -147,6 +147,10 @@ def test_budgets_of_trials_meet_the_closed_form(tmp_path):
          r"shares = \[0.1, 0.1\] are not different"),
         (lambda out: pareto(PROBLEM, Final(), Effort(), (), out),
          r"shares = \[\] are not different"),
+        (lambda out: pareto(PROBLEM, Final(), Effort(), np.array([0.1, 1.2]), out),
+         r"shares = .*0.1.*1.2.* are not different numbers in \[0, 1\]"),
+        (lambda out: by_trials(PROBLEM, np.array([5, 0]), out),
+         r"budgets = .*5.*0.* are not different numbers of trials in \[1, inf\)"),
         (lambda out: by_trials(PROBLEM, (5, 0), out),
          r"budgets = \[5, 0\] are not different numbers of trials in \[1, inf\)"),
         (
