@@ -332,8 +332,9 @@ class Growth(Objective):
     floor: float = FLOOR
 
     def __call__(self, run: Run):
-        x = levels(run, self.metric, self.floor)[self.after - 1 :]
-        return jnp.sum(jax.nn.relu(jnp.diff(x)))
+        x = levels(run, self.metric, self.floor)
+        require("Growth", "after", self.after, f"[1, {len(x)}]")
+        return jnp.sum(jax.nn.relu(jnp.diff(x[self.after - 1 :])))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -29,7 +29,8 @@ from ..pytree.aliases import Value
 from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import replaced
-from ..pytree.ranges import SEEDS, require
+from ..pytree.ranges import SEEDS, brief, fits, require
+from ..pytree.ranges import allowed as allowed_kind
 from ..runtime.capacity import check_program, check_size
 from ..runtime.earlier_names import takes_also
 from ..runtime.provenance import describe, environment
@@ -67,6 +68,7 @@ OPTIONAL = ("lanes", "truncate")
 WHOLE |= {"patience": "[0, inf)", "seed": SEEDS}
 REAL = {"rate": "(0, inf)", "clip": "(0, inf]", "ceiling": "(0, inf)", "scatter": "[0, inf)"}
 CHOICES = {"mode": ("auto", "forward", "reverse"), "optimiser": OPTIMISERS}
+KINDS = {"objective": Objective, "risk": Risk, "optimiser": str | optax.GradientTransformation}
 COPIES = 6  # in RAM, of the record of each step: in the state, in its file, and while it is written
 
 
@@ -156,6 +158,9 @@ class Tuning:
                 require("Tuning", name, getattr(self, name), allowed, whole=True)
         for name, allowed in REAL.items():
             require("Tuning", name, getattr(self, name), allowed)
+        for name, kind in KINDS.items():
+            if not fits(value := getattr(self, name), kind):
+                raise ValueError(f"Tuning: {name} = {brief(value)}; {allowed_kind(kind)}")
         for name, choices in CHOICES.items():
             value = getattr(self, name)
             if isinstance(value, str) and value not in choices:
@@ -356,7 +361,7 @@ class Tuning:
             self.machine,
             schemes,
             self.task,
-            trials or self.trials,
+            self.trials if trials is None else trials,
             self.uncertainty,
             machines=machines,
             seed=self.seed + 2 if seed is None else seed,

@@ -18,6 +18,7 @@ from ..learning.over_trials import check
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
+from ..pytree.ranges import brief
 from ..schemes import Scheme
 from ..signals.task import Task
 from .descent import State
@@ -105,6 +106,8 @@ class Weights:
         Raises ValueError naming a weight that does not exist, is absent or static, bounds that are
         empty or not allowed, and a start outside its bounds.
         """
+        if isinstance(asked, str):
+            raise ValueError(f"Tuning: weights = {asked!r} is text; allowed are names, [{asked!r}]")
         asked = asked if isinstance(asked, Mapping) else dict.fromkeys(asked)
         if not asked:
             raise ValueError("Tuning: weights is empty; at least one is needed")
@@ -235,7 +238,12 @@ def _elements(
             f"weights: {name} = {value!r} is not a float leaf of this scheme and cannot be tuned"
         )
     allowed: Value = interval_at(scheme, name)  # every float leaf has an interval
-    low, high = (allowed.low, allowed.high) if bounds is None else map(float, bounds)
+    try:
+        low, high = (allowed.low, allowed.high) if bounds is None else map(float, bounds)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"weights: the bounds {brief(bounds)} of {name} are not two numbers (low, high)"
+        ) from None
     if not low < high:
         raise ValueError(f"weights: the bounds ({low:g}, {high:g}) of {name} are empty")
     if low < allowed.low or high > allowed.high:

@@ -25,7 +25,7 @@ from jaxilc.runtime.provenance import describe
 from jaxilc.schemes import Filtered, PIDType
 from jaxilc.tuning import Tuning
 from jaxilc.tuning.descent import Evaluation, by_gradient, by_least_squares, for_starts
-from jaxilc.tuning.objectives import Final, Holding, Objective
+from jaxilc.tuning.objectives import Final, Growth, Holding, Objective
 from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
 from jaxilc.tuning.weights import Bijection
 from jaxilc.uncertainty import Uniform
@@ -343,6 +343,8 @@ def test_the_comparison_is_on_plants_nobody_has_seen(tuned):
     for seen_by in (0, 1):
         with pytest.raises(ValueError, match=f"compare: seed = {seen_by} is one of 0 and 1"):
             PROBLEM.compare(tuned, seed=seen_by)
+    with pytest.raises(ValueError, match="trials = 0 is outside"):
+        PROBLEM.compare(tuned, trials=0)
 
 
 def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
@@ -372,6 +374,11 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
         ({"weights": ["lead"]}, "weights: lead = 0 is not a float leaf"),
         ({"weights": ["limit"]}, "weights: limit = None is not a float leaf"),
         ({"weights": []}, "weights is empty"),
+        ({"weights": "gamma_p"}, r"weights = 'gamma_p' is text; allowed are names, \['gamma_p'\]"),
+        ({"weights": {"gamma_p": 0.3}}, r"bounds 0.3 of gamma_p are not two numbers \(low, high\)"),
+        ({"objective": None}, "objective = None; allowed is Objective"),
+        ({"risk": np.mean}, "risk = <function mean .*; allowed is Risk"),
+        ({"optimiser": None}, "optimiser = None; allowed are text and GradientTransformation"),
         ({"weights": {"gamma_p": (1.0, 1.0)}},
          r"weights: the bounds \(1, 1\) of gamma_p are empty"),
         ({"weights": {"gamma_p": (0.5, 1.0)}},
@@ -395,6 +402,7 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
         ({"objective": Final("speed")},
          "metric = 'speed' is not one of max_error, rms, settled_error"),
         ({"objective": Holding(9)}, r"first = 9 is outside its allowed range \[1, 3\]"),
+        ({"objective": Growth(after=9)}, r"after = 9 is outside its allowed range \[1, 3\]"),
         ({"objective": Final(trial=9)}, r"trial = 9 is outside its allowed range \[1, 3\]"),
         ({"uncertainty": {"plant.mass": Uniform(1, 2)}}, "plant.mass"),
     ],
