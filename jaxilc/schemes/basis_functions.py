@@ -297,8 +297,7 @@ class OnBasis(Guard):
 
     def schedule(self, memory: OnBasisMemory, task: Task) -> Schedule:
         u = self.basis.signal(memory.theta, jnp.asarray(task.reference), task.dt, task.inputs)
-        schedule = self.scheme.schedule(memory.scheme, task)
-        return schedule._replace(u=limited(u, self.limit))
+        return self.scheme.play(limited(u, self.limit), memory.scheme, task)
 
     def feedforward(self, memory: OnBasisMemory, task: Task) -> Array:
         return self.schedule(memory, task).u

@@ -465,10 +465,15 @@ class Filtered(Wrapper):
 
     def schedule(self, memory: Memory, task: Task) -> Schedule:
         schedule = self.scheme.schedule(memory, task)
-        return schedule._replace(u=limited(self.filter(schedule.u, task.dt), self.limit))
+        if isinstance(schedule, ReferenceSchedule):  # all of its rows follow from what is learned
+            return self.scheme.play(self.feedforward(memory, task), memory, task)
+        return schedule._replace(u=self._filtered(schedule.u, task))
 
     def feedforward(self, memory: Tree, task: Task) -> Array:
-        return self.schedule(memory, task).u
+        return self._filtered(self.scheme.feedforward(memory, task), task)
+
+    def _filtered(self, learned: Array, task: Task) -> Array:
+        return limited(self.filter(learned, task.dt), self.limit)
 
     def limits(self, task: Task, memory: Tree, trial: Trial) -> dict[str, Limit]:
         found = super().limits(task, memory, trial)

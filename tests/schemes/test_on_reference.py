@@ -20,9 +20,11 @@ from jaxilc.schemes import (
     FFDLMFAILC,
     PID,
     Filtered,
+    OnBasis,
     OnOutputs,
     OnReference,
     PIDType,
+    PolynomialBasis,
     WithFeedback,
 )
 from jaxilc.signals import Task
@@ -192,6 +194,20 @@ def test_signals_of_the_parts_carry_their_names(name):
     trial = jax.eval_shape(lambda: learn(PLANT, scheme, Task(R, dt=DT), 1)).final
     assert set(trial.signals) == names
     assert all(signal.shape == (N, 1) for signal in trial.signals.values())
+
+
+@pytest.mark.parametrize(
+    "around",
+    [
+        lambda law: Filtered(law, ZeroPhaseFIR((0.5, 0.25))),
+        lambda law: OnBasis(law, PolynomialBasis((1, 2))),
+    ],
+)
+def test_what_is_around_it_is_as_around_its_learning(around):
+    law, feedback = PIDType(gamma_p=0.5), PID(**GAINS)
+    within = run(OnReference(around(law), feedback))
+    assert_same(run(around(OnReference(law, feedback))), within, ["y", "u", "correction"])
+    assert np.ptp(within["u"], axis=0).max() > 1e-2
 
 
 def test_two_corrections_add_up():
