@@ -261,6 +261,11 @@ class _Member(NamedTuple):
             name: x[..., 0] if name in along and x.shape[-1] == 1 else x
             for name, x in found.items()
         }
+        for name, x in history.saved.items():
+            if x.shape[1:]:
+                raise ValueError(
+                    f"quantity = {name!r} has shape {x.shape[1:]}; allowed is one number of a trial"
+                )
         squeezed |= history.saved | history.watched
         return squeezed | {name: getattr(history, name) for name in Course._fields}
 

@@ -127,6 +127,10 @@ class Sweep:
         plan.need_room()
         axes.check(population, plan.parts)
         _ = population.drawn
+        for name in {*self.quantities} & {*plan.coordinates()} if self.quantities else ():
+            raise ValueError(
+                f"quantity = {name!r} is a coordinate of the dataset; choose another name"
+            )
         if plan.lanes is None:
             most = max(bytes_of_trial(of.scheme, of.task) for of in plan.variants.values())
             lanes = usual_lanes(most) or Host(plan).fitting_lanes()
@@ -213,7 +217,7 @@ class Sweep:
         layout = Layout(
             self.plan.variables,
             self.plan.coordinates(),
-            self.plan.chunk,
+            int(self.plan.chunk),
             self.configuration(hosts.environment),
         )
         found = out if out is not None and Path(out).exists() else None

@@ -230,7 +230,7 @@ class Tuning:
         around = environment("optax", *["llvmlite"] * native)
         if native:
             around["native"] = True
-        return described | {"lanes": self._losses.lanes, "environment": around}
+        return described | {"lanes": int(self._losses.lanes), "environment": around}
 
     def scheme_of(self, values: Mapping[str, Value]) -> Scheme:
         """The scheme with these values of the weights by name; also usable inside `jit`."""

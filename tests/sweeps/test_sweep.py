@@ -142,6 +142,8 @@ def test_a_store_keeps_its_chunks_where_none_are_asked_for(tmp_path, monkeypatch
     again, computed = resumed(dataclasses.replace(PLAN, **given), store)
     assert computed == [0, 0]
     xr.testing.assert_identical(again, whole)
+    of_numpy = dataclasses.replace(PLAN, **given | {"chunk": np.int64(4)})
+    xr.testing.assert_identical(of_numpy.run(tmp_path / "other.zarr"), whole)
     with pytest.raises(ValueError, match="it differs in: chunk: 4 there, 3 here"):
         dataclasses.replace(PLAN, **given | {"chunk": 3}).run(store, resume=True)
 
@@ -206,11 +208,18 @@ def test_several_channels_stay_apart():
         ({"keep": ("x",)}, "keep = 'x' is not one of y, e, u"),
         ({"schemes": {}}, "schemes is empty"),
         ({"uncertainty": {"plant.mass": Uniform(1, 2)}}, "plant.mass.*Known"),
+        ({"quantities": {"sample": np.sum}}, "quantity = 'sample' is a coordinate of the dataset"),
     ],
 )
 def test_bad_input_is_named_before_anything_runs(change, message):
     with pytest.raises(ValueError, match=message):
         dataclasses.replace(PLAN, **change)
+
+
+def test_a_quantity_that_is_no_number_is_named_before_anything_is_computed():
+    plan = dataclasses.replace(PLAN, quantities={"all": lambda trial: trial.e[:, 0]})
+    with pytest.raises(ValueError, match=r"quantity = 'all' has shape \(\d+,\); allowed is one"):
+        plan.run(progress=lambda *told: pytest.fail("something was computed"))
 
 
 def test_tiles_equal_a_loop_whatever_the_batch_size():

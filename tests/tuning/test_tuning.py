@@ -204,6 +204,8 @@ def test_many_starts_take_the_best_by_held_out_plants(tuned):
 
 def test_a_whole_number_of_numpy_is_one():
     assert dataclasses.replace(PROBLEM, machines=np.int64(3)).population.size == 3
+    problem = dataclasses.replace(PROBLEM, machines=np.int64(4), lanes=np.int64(2))
+    assert json.dumps(problem.configuration()) == json.dumps(PROBLEM.configuration())
 
 
 def test_patience_ends_it():
