@@ -139,8 +139,9 @@ class WithFeedback(LearningAndFeedback):
     feedback: scheme that acts within the trial
 
     The learning part is shown the input minus the contribution of the feedback, so that it learns
-    its own contribution only, and the contribution of the feedback as the signal `beside`. What an
-    actuator cuts off from u is counted as cut off from the learned part.
+    its own contribution only, and the contribution of the feedback as the signal `beside`. A
+    feedback that learns is shown its own contribution as the input. What an actuator cuts off from
+    u is counted as cut off from the learned part.
     The signal `feedback` of the trial records the contribution of the feedback. The signals of the
     parts are recorded as `learning.NAME` and `feedback.NAME`.
     `learn` raises ValueError for a trial without the signal `feedback`.
@@ -165,7 +166,7 @@ class WithFeedback(LearningAndFeedback):
         )
         beside = {"beside": trial.signals["feedback"]} | learning.signals
         own = learning._replace(u=trial.u - trial.signals["feedback"], signals=beside)
-        return {"learning": own, "feedback": feedback}
+        return {"learning": own, "feedback": feedback._replace(u=trial.signals["feedback"])}
 
     def schedule(self, memory: Pair, task: Task) -> Pair:
         return Pair(

@@ -225,6 +225,14 @@ def test_two_corrections_add_up():
         np.testing.assert_allclose(together[name], share, **ALGEBRA)
 
 
+def test_two_inputs_that_are_learned_add_up():
+    """A feedback that learns, too, is shown what it contributed, and not what is added to it."""
+    feedback, gammas = PID(**GAINS), (0.2, 0.3)
+    one, other, both = (PIDType(gamma_p=gamma) for gamma in (*gammas, sum(gammas)))
+    expected = run(WithFeedback(both, feedback))
+    assert_same(run(WithFeedback(one, WithFeedback(other, feedback))), expected, ["y", "u"])
+
+
 def test_a_feedback_that_learns_on_the_input_and_the_reference_learn_from_the_same_error():
     scheme = OnReference(PIDType(gamma_p=0.3), WithFeedback(PIDType(gamma_p=0.2), PID(**GAINS)))
     saved = run(scheme, trials=3)
