@@ -22,6 +22,7 @@ from ..learning.playback import replay
 from ..learning.variation import Variation
 from ..plants.structure import CONSTANT, dependence, obstacle
 from ..schemes import Scheme
+from ..schemes.compose import LearningAndFeedback
 from ..schemes.parts import trials_of_step, with_all_parts
 from ..schemes.scheme import Memory
 from ..signals.task import Task
@@ -146,8 +147,12 @@ def _differing(variation: Variation, scheme: Scheme, task: Task) -> str:
 def remembers(scheme: Scheme, task: Task) -> bool:
     """Whether what is learned depends on more than the last trial.
 
-    It may depend on earlier trials, estimates or counters.
+    It may depend on earlier trials, estimates or counters, also of a feedback that learns: what it
+    has learned is a part of the next trial.
     """
+    parts = [part.scheme for part in with_all_parts(scheme, task)]
+    if any(isinstance(one, LearningAndFeedback) and one.feedback.learns for one in parts):
+        return True
     free, shape = scheme.unlimited(), learned_shape(scheme, task)
     trial = free.record(jnp.zeros(shape), jnp.zeros((task.N + 1, task.outputs)), task)
 

@@ -142,6 +142,17 @@ def test_an_error_that_no_input_reaches_is_left_over_by_a_derivative():
     assert np.all(certified(FIRST_ORDER, scheme, 15, B).of_error)
 
 
+@pytest.mark.parametrize(("gain", "claim"), [(0.3, "monotone"), (9.0, "diverges")])
+def test_what_a_feedback_learns_counts_too(gain, claim):
+    short, feedback = Task(np.sin(np.arange(9.0)), dt=DT), PID(kp=0.3)
+    both = WithFeedback(PIDType(gamma_p=0.2), WithFeedback(PIDType(gamma_p=gain), feedback))
+    one = WithFeedback(PIDType(gamma_p=0.2 + gain), feedback)
+    machines = drawn_machines(FIRST_ORDER, {}, {})
+    found, expected = (long_run(machines, law, short) for law in (both, one))
+    assert found.claim == expected.claim == claim
+    np.testing.assert_allclose(found.sigma, expected.sigma, rtol=1e-9)
+
+
 def test_a_wrong_sign_is_claimed_to_diverge_and_does():
     found = certified(FIRST_ORDER, PIDType(gamma_p=-0.8), 15, B)
     assert set(found.claim) == {"diverges"}
