@@ -465,15 +465,10 @@ class Filtered(Wrapper):
         need_feedforward(self, self.scheme, task)
 
     def schedule(self, memory: Memory, task: Task) -> Schedule:
-        schedule = self.scheme.schedule(memory, task)
-        if isinstance(schedule, ReferenceSchedule):  # all of its rows follow from what is learned
-            return self.scheme.play(self.feedforward(memory, task), memory, task)
-        return schedule._replace(u=self._filtered(schedule.u, task))
+        return self.scheme.play(self.feedforward(memory, task), memory, task)
 
     def feedforward(self, memory: Tree, task: Task) -> Array:
-        return self._filtered(self.scheme.feedforward(memory, task), task)
-
-    def _filtered(self, learned: Array, task: Task) -> Array:
+        learned = self.scheme.feedforward(memory, task)
         return limited(self.filter(learned, task.dt), self.limit)
 
     def limits(self, task: Task, memory: Tree, trial: Trial) -> dict[str, Limit]:
