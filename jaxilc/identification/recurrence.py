@@ -4,6 +4,8 @@ Two thirds of a trial choose the period and its harmonics; the other third, whic
 seen, judges them. So do the first two thirds with the last one, and the last two with the first.
 Over even steps, as of the time, the mean of all periods that are seen foretells the rest, too: few
 long periods of any shape, where three harmonics tell many short ones. The better of both counts.
+A period that even steps show has a sample for each half wave of its harmonics: faster ones would
+look like slow ones.
 """
 
 from __future__ import annotations
@@ -47,16 +49,21 @@ def recurrence_of(over, signal) -> Recurrence | None:
     )
     third = len(x) // 3
     ways = ((slice(0, 2 * third), slice(2 * third, None)), (slice(third, None), slice(0, third)))
-    steps = np.diff(x)
-    even = len(steps) > 0 and float(np.ptp(steps)) <= 1e-6 * abs(float(steps[0]))
     found = []
     try:
-        for how in (_foretold, _repeated) if even else (_foretold,):
+        for how in (_foretold, _repeated) if _even_step(x) else (_foretold,):
             both = [how(x, s, *way) for way in ways]
             found.append(Recurrence(both[0].period, min(one.share for one in both)))
     except ValueError:  # too short, at rest, or nothing but a line
         return None
     return max(found, key=lambda one: one.share)
+
+
+def _even_step(x) -> float:
+    """The step from sample to sample; 0 where steps differ, or there is none."""
+    steps = np.diff(x) if len(x) > 1 else np.zeros(1)
+    step = abs(float(steps[0]))
+    return step if float(np.ptp(steps)) <= 1e-6 * step else 0.0
 
 
 def _repeated(x, s, seen: slice, rest: slice) -> Recurrence:
@@ -66,6 +73,9 @@ def _repeated(x, s, seen: slice, rest: slice) -> Recurrence:
     part = flat[seen]
     lags = np.arange(n // PERIODS[1] + 1, n // 2 + 1)
     off = np.array([np.mean((part[lag:] - part[:-lag]) ** 2) for lag in lags])
+    off[: int(np.argmax(off > np.var(part)))] = (
+        np.inf
+    )  # whatever is smooth is like its next samples
     at = int(np.argmin(off))
     alike = off[at] + ALIKE * 2 * float(np.var(part))
     parts = [lag for k in range(5, 1, -1) if (lag := round(lags[at] / k)) >= lags[0]]
@@ -89,9 +99,8 @@ def _share(s, foretold, line, rest: slice) -> float:
 def _foretold(x, s, seen: slice, rest: slice) -> Recurrence:
     """The period of a part that is seen, and what it foretells of the rest."""
     span = float(np.ptp(x[seen]))
-    found = pitch_of(
-        x[seen], s[seen], least=span / PERIODS[1], most=span / PERIODS[0], orders=ORDERS
-    )
+    least = max(span / PERIODS[1], 2 * max(ORDERS) * _even_step(x))
+    found = pitch_of(x[seen], s[seen], least=least, most=span / PERIODS[0], orders=ORDERS)
     line, of_period = beside(x), waves(x, 1 / found.pitch, ORDERS)
     weights = np.linalg.lstsq(np.hstack([line, of_period])[seen], s[seen])[0]
     foretold = of_period @ weights[line.shape[1] :]

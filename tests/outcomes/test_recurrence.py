@@ -7,7 +7,7 @@ import pytest
 
 from jaxilc import Task, learn
 from jaxilc.filters import ZeroPhaseButterworth
-from jaxilc.identification.recurrence import Recurrence
+from jaxilc.identification.recurrence import Recurrence, recurrence_of
 from jaxilc.identification.repeats import Repeats
 from jaxilc.outcomes import potential, repeating
 from jaxilc.outcomes.outcome import silent
@@ -54,6 +54,23 @@ def test_what_the_error_repeats_in_is_told_with_the_law(tmp_path, position, of_t
     if period:
         name, size = period
         assert found.numbers["within"][name]["period"] == pytest.approx(size, rel=0.02)
+
+
+@pytest.mark.parametrize("count", [60, 90, 150, 200])
+def test_a_smooth_error_of_few_samples_has_no_period_of_two(count):
+    x = np.linspace(0, 1, count)
+    for e in (
+        np.sin(np.pi * x),
+        np.sin(1.4 * np.pi * x + 0.3),
+        np.exp(-3 * x),
+        np.sin(2 * np.pi * x),
+    ):
+        found = recurrence_of(x, e)
+        assert not found.repeats
+        assert found.period > 6 * x[1]
+    found = recurrence_of(x, np.sin(2 * np.pi * 7.3 * x))
+    assert found.repeats
+    assert found.period == pytest.approx(1 / 7.3, rel=0.01)
 
 
 def test_one_trial_tells_less_than_two():
