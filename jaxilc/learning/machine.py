@@ -232,7 +232,10 @@ class Machine:
         )
 
     def check(self, task: Task) -> None:
-        """Raises ValueError where machine and task differ in channels, lengths or sample time."""
+        """Raises ValueError where machine and task differ in channels or lengths.
+
+        A plant of another sample time than the task's raises it where it is `sampled`.
+        """
         for what, here, there in (
             ("inputs", self.plant.n_u, task.inputs),
             ("outputs", self.plant.n_y, task.outputs),
