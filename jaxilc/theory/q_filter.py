@@ -52,6 +52,7 @@ ATTEMPTS = 5  # to keep the margin between the lines too
 FINENESS = 1e-4
 NEAREST = 4  # of the worst plants on the grid, whose largest value is enclosed for an offer
 LEADS = 30  # longest change of the lead that is tried, at least [samples]
+MOST_LEAD = 1000  # that is tried, or asked for on a record: each takes its time [samples]
 DIGITS = 3  # of cutoffs and gains that are offered
 LINES_IN_WIDTH = 4  # lines within the half-power width of a resonance that show it well
 HEIGHT = 3.0  # dB by which a peak stands out
@@ -384,7 +385,7 @@ def changed(
     if what == CUTOFF:
         cutoff = largest_cutoff(several, now, allowed, lowest)
         return None if cutoff is None else now._replace(cutoff=rounded(cutoff))
-    tried = range(-lead, max(LEADS, 2 * lead) + 1)
+    tried = range(-lead, max(0, min(max(LEADS, 2 * lead), MOST_LEAD - lead)) + 1)
     best = best_lead(several, now, allowed, tried, lowest)
     return None if best is None else now._replace(lead=best[0], cutoff=rounded(best[1]))
 
@@ -412,7 +413,7 @@ class PLaw(NamedTuple):
     """u_{j+1} = Q (u_j + gain e_j[k+1+lead]), with Q as `ZeroPhaseButterworth`.
 
     gain:   [unit of u per unit of y]
-    lead:   [samples]
+    lead:   up to 1000 [samples]; a loop that answers later is sampled more slowly than it is
     cutoff: [Hz]
     order:  of one pass of Q
     dt:     sample time [s]
@@ -432,7 +433,7 @@ class PLaw(NamedTuple):
     def check(self) -> None:
         """Raises ValueError for a number that is not allowed."""
         require("", "dt", self.dt, "(0, inf)")
-        require("", "lead", self.lead, "[0, inf)", whole=True)
+        require("", "lead", self.lead, f"[0, {MOST_LEAD}]", whole=True)
         require("", "order", self.order, "[1, 100]", whole=True)
         if not np.isfinite(self.gain) or self.gain == 0:
             raise ValueError(f"gain = {self.gain:g} is not allowed; allowed is any other number")

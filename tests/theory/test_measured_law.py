@@ -67,6 +67,11 @@ def test_the_width_of_a_resonance_and_its_lines():
         (LAW._replace(cutoff=np.nan), record(), "cutoff = nan"),
         (LAW._replace(gain=0.0), record(), "gain = 0 is not allowed"),
         (LAW._replace(lead=-1), record(), "lead"),
+        (
+            LAW._replace(lead=1001),
+            record(),
+            r"lead = 1001 is outside its allowed range \[0, 1000\]",
+        ),
         (LAW._replace(dt=-1.0), record(), "dt"),
         (LAW._replace(dt=2e-3), record(), "has a line at 299 Hz; allowed is up to 250 Hz"),
         (LAW, record(f=np.arange(50.0, 200.0)), "starts at 50 Hz and has 0 lines up to the cutoff"),
