@@ -54,6 +54,7 @@ MANIFEST, COPY, HEAD = "manifest.json", "manifest.copy.json", "head.json"
 OTHER = "it is whole, but not the entry that was written here"
 DAMAGED = "damaged"  # the event of an entry that cannot be read
 BACK = "--undo goes back to an earlier trial"
+MISSING = 1000  # entries, from which on the last folder is none
 _ENTRY = re.compile(r"^\d{6}$")
 MOST = 10**6  # entries that a head may name
 METRICS = "figures"  # key of a trial's metrics, as in the first campaigns
@@ -250,9 +251,18 @@ class Journal:
         return sorted(f for f in self.path.iterdir() if _ENTRY.match(f.name))
 
     def _next(self) -> int:
-        """The serial of the next entry."""
-        entries = self._entries()
-        return max(int(entries[-1].name) + 1 if entries else 0, len(self._head()))
+        """The serial of the next entry.
+
+        Raises ValueError for a folder that is named like an entry, but far behind all others.
+        """
+        entries, head = self._entries(), len(self._head())
+        following = int(entries[-1].name) + 1 if entries else 0
+        if following - max(len(entries), head) > MISSING:
+            raise Damaged(
+                f"{entries[-1]} is no entry of this campaign, which has {len(entries) - 1} others; "
+                "move it elsewhere"
+            )
+        return max(following, head)
 
     def _head(self) -> list[str]:
         """The checksums of the manifests by serial; none where there is no head, or a damaged one.

@@ -232,6 +232,12 @@ def test_a_campaign_of_before_goes_on_and_is_bound_from_then_on(copied):
         journal.live()
 
 
+def test_a_folder_that_is_named_like_an_entry_far_behind_all_is_named(copied):
+    (copied[0] / "999999").mkdir()
+    with pytest.raises(ValueError, match="999999 is no entry of this campaign, which has 4 others"):
+        opened(copied[0])
+
+
 def rounded(trial, digits):
     return trial._replace(
         y=np.array([[float(f"{v:.{digits}g}")] for v in trial.y[:, 0]]), source="again.csv"
