@@ -512,7 +512,7 @@ def _mat_signal(
         raise ValueError(
             f"read_record: {path}: {name} has {len(values)} values and {len(times)} times"
         )
-    for what, of in (("its times", times), (name, values[:-1])):
+    for what, of in (("the time", times), (name, values[:-1])):
         if not np.all(np.isfinite(of)):
             k = int(np.argmin(np.isfinite(of)))
             raise ValueError(f"read_record: {path}, row {k + 1}: {what} is not a finite number")

@@ -35,7 +35,7 @@ from .bounds import bounds_numbers, premises_table
 from .case import Case
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .words import counted, number
+from .words import counted, number, several
 
 COURSE_WORDS = {TURNS: "have a best trial and then turn", GROWS: "end above their start"}
 
@@ -221,7 +221,7 @@ def certificate_tables(name: str, trials: int, numbers: Numbers) -> list[Table]:
         title=f"{name}: what is claimed, however many trials are run",
         rows=((claim, str(count)) for claim, count in numbers["claims"].items()),
     )
-    what = f"machines by their error within {trials} trials"
+    what = f"machines by their error within {several(trials, 'trial')}"
     title = f"{name}: {what}, by theory and simulation"
     courses = Table("by theory", right=COURSES, title=title)
     for course, row in numbers["confusion"].items():
@@ -233,7 +233,8 @@ def certificate_tables(name: str, trials: int, numbers: Numbers) -> list[Table]:
 def certificate_sentence(name: str, trials: int, numbers: Numbers, scale: float, unit: str) -> str:
     """The content of a certificate in words."""
     in_the_long_run, within = _claimed(numbers, scale, unit), _expected(numbers)
-    return f"{name}: {in_the_long_run}. Within {trials} trials {within}.{transient_words(numbers)}"
+    said = f"{name}: {in_the_long_run}. Within {several(trials, 'trial')} {within}."
+    return f"{said}{transient_words(numbers)}"
 
 
 def reason_lines(name: str, numbers: Numbers) -> list[str]:
@@ -289,7 +290,8 @@ def _claimed(numbers: Numbers, scale: float, unit: str) -> str:
         if claims[CONVERGES]:
             which.append(f"{claims[CONVERGES]} in the end")
         parts.append(
-            f"in the long run {certified} of {machines} machines come nearer to their limit"
+            f"in the long run {certified} of {several(machines, 'machine')} "
+            f"{'comes nearer to its' if machines == 1 else 'come nearer to their'} limit"
             f"{senses_words(numbers) or ','} {' and '.join(which)}; "
             f"it leaves {left_words(numbers, scale, unit)}"
         )
@@ -386,7 +388,8 @@ def certify_verdict(
             does = "diverges" if claims[DIVERGES] else "is not certified"
             reasons = row["reasons"][claim]
             why = max(reasons, key=lambda reason: reasons[reason])
-            said.append(f"{name} {does} on {claims[claim]} of {machines} machines: {why}.")
+            where = _all(1) if machines == 1 else f"{claims[claim]} of {machines} machines"
+            said.append(f"{name} {does} on {where}: {why}.")
     return Verdict((*said, *besides), *_after_certify(case, numbers, certified))
 
 

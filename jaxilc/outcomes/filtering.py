@@ -33,7 +33,7 @@ from ..tuning.synthesis import need_taps, synthesised
 from ..uncertainty import Uncertainty, Uniform, check
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .words import number
+from .words import number, several
 
 ORDER = 2  # of one pass of the filter of a measured law
 LINES_A_TAP = 4  # of the grid on which filters are synthesised
@@ -277,7 +277,7 @@ def _scheme_answer(asked: _Asked) -> Outcome:
         verdict = _scheme_next(said, asked.source, name, answered, best)
     per = f"{task.unit}/{task.input_unit}" if task.unit and task.input_unit else ""
     draw = partial(figures.q_filter_figure, curves, margin=margin, unit=per)
-    title = f"{name}: |Q (1 - L P)| of {len(answered.tried.loops)} machines"
+    title = f"{name}: |Q (1 - L P)| of {several(len(answered.tried.loops), 'machine')}"
     return Outcome(
         command="filter",
         numbers=_scheme_numbers(answered, offered, chosen.shown_scale) | {"synthesis": made},

@@ -24,7 +24,7 @@ from ..sweeps import runs
 from .case import HEADS, Case, diverged, experiment_lines, output_names, shown_trials
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, settings_of
-from .words import DIVERGES, EXACT, FALLS, GROWS, SETTLED, Trend, number, trend_of
+from .words import DIVERGES, EXACT, FALLS, GROWS, SETTLED, Trend, number, several, trend_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -386,7 +386,9 @@ def run_verdict(case: Case, numbers: Numbers, errors: Mapping[str, Sequence[floa
     course = course._replace(words=course.words and f"it {course.words}")
     if course.kind == DIVERGES:
         which = best if len(errors) == 1 else "Every scheme"
-        return Verdict((f"{which} diverges within {trials} trials.",), *case.remedy(best))
+        return Verdict(
+            (f"{which} diverges within {several(trials, 'trial')}.",), *case.remedy(best)
+        )
     if last > EXACT * first:
         course = _with_rms(course, numbers["schemes"][best])
     begun = f", after {case.size(first)} in trial 1" if trials > 1 else ""

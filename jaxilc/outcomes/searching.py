@@ -18,7 +18,7 @@ from ..uncertainty import Uncertainty
 from .case import Case, both
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .words import number
+from .words import number, several
 
 FEW = 6  # settings of the worst machine that the next command repeats
 ALIKE = 1e-3  # of the loss: two machines that differ by less are as bad
@@ -173,9 +173,10 @@ def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
     ends = (
         f"has a {case.metric} of {case.size(worst['value'])} in trial {trial}{times}"
         if math.isfinite(worst["value"])
-        else f"diverges within {trial} trials"
+        else f"diverges within {several(trial, 'trial')}"
     )
-    said = f"{scheme}: the worst machine {ends}; found by {name}, in {worst['needed']} simulations."
+    needed = several(worst["needed"], "simulation")
+    said = f"{scheme}: the worst machine {ends}; found by {name}, in {needed}."
     if len(worst["set"]) > FEW:
         what, following = "what theory claims", case.on("certify", scheme)
     else:

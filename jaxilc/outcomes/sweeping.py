@@ -25,7 +25,7 @@ from .bounds import bounds_tables, watched_numbers
 from .case import Case, both, experiment_lines, output_names, shown_trials
 from .outcome import Figure, Interactive, Numbers, Outcome, Table, Verdict
 from .request import Request, point_of, unless_there
-from .words import number, trend_of
+from .words import number, several, trend_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -362,7 +362,9 @@ def yield_table(numbers: Numbers) -> Table:
     what = f"{numbers['figure']} of trial {numbers['trials']}{within}"
     yields = ("yield (95 % interval)",) if known else ()
     columns = (*yields, "grown (from)", "diverged (from)")
-    table = Table("scheme", right=columns, title=f"{numbers['samples']} machines, {what}")
+    table = Table(
+        "scheme", right=columns, title=f"{several(numbers['samples'], 'machine')}, {what}"
+    )
     for name, row in numbers["schemes"].items():
         low, high = row["yield_interval"] or (0.0, 0.0)
         table.add_row(
@@ -384,7 +386,7 @@ def grid_table(numbers: Numbers) -> Table | None:
     if "grid" not in numbers:
         return None
     axes, best = numbers["grid"]["axes"], numbers["grid"]["best"]
-    count = f"{np.prod([*axes.values()], dtype=int)} points"
+    count = several(int(np.prod([*axes.values()], dtype=int)), "point")
     columns = (*axes, "95 %", "points within twice", "points that diverge")
     title = f"best of {count}: 95 % {numbers['figure']} [{numbers['unit']}]"
     table = Table("scheme", right=columns, title=title)
@@ -439,6 +441,9 @@ def _yield(case: Case, numbers: Numbers, row: Numbers) -> str:
     if row["yield"] is None:
         return ""
     machines, (low, high) = numbers["samples"], row["yield_interval"]
+    if machines == 1:
+        ends = "ends" if row["yield"] else "does not end"
+        return f"the only machine {ends} within {case.size(numbers['tolerance'])}; "
     which = (
         f"{_percent(row['yield'])} of {machines} machines (95 % interval {_percent(low)} to "
         f"{_percent(high)})"
@@ -451,6 +456,12 @@ def _yield(case: Case, numbers: Numbers, row: Numbers) -> str:
 def _spread(case: Case, numbers: Numbers, row: Numbers) -> str:
     """The 95 % quantile of the last trial, and the worst machine."""
     at = row["by_trial"][str(numbers["trials"])]
+    if numbers["samples"] == 1:
+        which = "it" if row["yield"] is not None else "the only machine"
+        size = f"a {case.metric} of {case.size(at['high'])}"
+        return (
+            f"{which} ends with {size if math.isfinite(at['high']) else 'an error that diverged'}"
+        )
     which = "of them" if row["yield"] is not None else f"of {numbers['samples']} machines"
     if not math.isfinite(at["high"]):
         return f"fewer than 95 % {which} end with an error that has not diverged"

@@ -31,6 +31,11 @@ def sized(value: float, unit: str) -> str:
     return " ".join(filter(None, (number((of := prefixed(value, unit))[0]), of[1])))
 
 
+def several(count: int, one: str) -> str:
+    """A count with its noun, in the plural unless it is one."""
+    return f"{count} {one}{'s' * (count != 1)}"
+
+
 def counted(reasons: Iterable[str]) -> dict[str, int]:
     """The number of times that each reason is given.
 

@@ -186,7 +186,7 @@ def test_matlab_files_are_read(tmp_path, kind):
 
 
 def test_the_last_row_of_a_matlab_file_needs_a_time_and_an_output(tmp_path):
-    for name, said in (("t", "its times is"), ("y", "y is")):
+    for name, said in (("t", "the time is"), ("y", "y is")):
         signals = {"t": SECONDS.ravel(), "u": U, "y": 1.0 * Y}
         signals[name] = np.append(signals[name][:-1], np.nan)
         scipy.io.savemat(tmp_path / "r.mat", signals)

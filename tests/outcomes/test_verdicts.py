@@ -155,11 +155,11 @@ def test_run_compares_schemes_and_the_tolerance():
     assert ran(alone, pid=[1.0]).following == "jaxilc list dai-2014"
 
 
-def swept(case, share, high, worst, **lost):
+def swept(case, share, high, worst, machines=64, **lost):
     row = {"yield": share, "yield_interval": [0.5, 1.0], "semi_converged": 0.0, "diverged": 0.0}
     at = {"high": high[-1], "worst": worst, "worst_sample": 5}
     row |= {"by_trial": {str(len(high)): at}} | lost
-    numbers = {"schemes": {"ilc": row}, "trials": len(high), "samples": 64, "tolerance": 0.02}
+    numbers = {"schemes": {"ilc": row}, "trials": len(high), "samples": machines, "tolerance": 0.02}
     return sweep_verdict(case, numbers, {"ilc": high})
 
 
@@ -190,6 +190,12 @@ def test_sweep_says_yield_worst_machine_and_what_is_lost():
     assert "fewer than 95 % of 64 machines end with an error that has not diverged" in found.said[0]
     grown = "On 50.0 % the settled error has grown up to 3 times since its best trial."
     assert found.said[1] == grown
+    for share, said in (
+        (1.0, "the only machine ends within 0.02 mm; it ends with a settled error of 0.01 mm."),
+        (0.0, "the only machine does not end within 0.02 mm; it ends with a settled error of 0.01"),
+        (None, "the only machine ends with a settled error of 0.01 mm."),
+    ):
+        assert f"ilc: {said}" in swept(CASE, share, high, high[-1], machines=1).said[0]
 
 
 def test_list_shows_a_value_that_can_be_set():
@@ -240,6 +246,8 @@ def test_certify_says_what_is_certified_what_not_and_why():
     assert found.said == ("ilc diverges on 1 of 8 machines: an eigenvalue.",)
     assert parsed(found)[0] == "design"
     assert parsed(certify_verdict(published, {"a": doubt}, 1.0))[0] == "sweep"
+    one = certify_verdict(CASE, {"ilc": certificate({"diverges": {"an eigenvalue": 1}}, 0.1)}, 1.0)
+    assert one.said == ("ilc diverges on the nominal machine: an eigenvalue.",)
     turns = certificate({"not claimed": {"it is nonlinear": 2}}, None, "turns")
     assert parsed(certify_verdict(published, {"a": turns}, 1.0))[0] == "worst-case"
 
@@ -374,6 +382,9 @@ def test_worst_case_leads_to_its_machine():
     numbers["searches"] |= {"gradient": search, "chance": sooner}
     said = worst_case_verdict(OF_TUNING, "c", numbers).said[0]
     assert said.endswith("found by chance, in 5 simulations."), "as bad a machine, and sooner"
+    numbers["searches"]["chance"] = sooner | {"needed": 1}
+    said = worst_case_verdict(OF_TUNING, "c", numbers | {"trial": 1}).said[0]
+    assert said.endswith("found by chance, in 1 simulation.")
     numbers["searches"]["chance"] = sooner | {"loss": 0.99}
     assert "found by gradient" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
 
