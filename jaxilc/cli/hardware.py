@@ -389,7 +389,8 @@ def coming(
         return ""
     else:
         low, _, high = (float(end[step - 1]) for end in prediction.rms)
-    return f"trial {trial} is predicted to have an RMS error of {low:.3g} to {high:.3g} {unit}"
+    said = f"trial {trial} is predicted to have an RMS error of {low:.3g} to {high:.3g} {unit}"
+    return said.rstrip()
 
 
 def verdict(
@@ -435,8 +436,9 @@ def verdict(
     if len(errors) > 1:
         said += f", {_share(error, begun)} of that of trial {first}"
     if stop is not None and error <= stop:
+        below = f"{stop:.3g} {unit}".rstrip()
         return [
-            f"{said}; what is new in each trial explains all of it (below {stop:.3g} {unit}), so "
+            f"{said}; what is new in each trial explains all of it (below {below}), so "
             f"learning has ended: the input of trial {best} may be played from now on"
         ]
     if error > (1 + growth) * least:
@@ -763,8 +765,8 @@ def _turn(
     turn.findings.extend(finding)
     largest = ", ".join(f"{value:.6g}" for value in turn.metrics["max_error"])
     unit = now.task.unit
-    rms = f"RMS error {turn.metrics['error']:.6g} {unit}"
-    say(f"trial {turn.trial}: {rms}, largest {largest} {unit}")
+    rms = f"RMS error {turn.metrics['error']:.6g} {unit}".rstrip()
+    say(f"trial {turn.trial}: {rms}, largest {largest} {unit}".rstrip())
     if predicted:
         say(predicted)
     if record.ignored:

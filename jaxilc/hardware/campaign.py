@@ -424,8 +424,9 @@ class Campaign:
             return self.journal.live()[-1]
         behind = {m["trial"]: m for m in self.journal.behind()}
         if trial not in behind:
-            said = f"those before the last one, {max(behind, default=-1) + 1}"
-            raise ValueError(f"trial = {trial} is not one to go back to; allowed are {said}")
+            said = f"allowed are those before the last one, {max(behind, default=-1) + 1}"
+            said = said if behind else "there is none before the start"
+            raise ValueError(f"trial = {trial} is not one to go back to; {said}")
         return behind[trial]
 
     def _is_measured(

@@ -406,9 +406,10 @@ def _check_reference(path, r, places, task: Task) -> None:
             if np.max(np.abs(a - b)) <= allowed
         ]
         hint = f"; it is that reference shifted by {shifted[0]} samples" if shifted else ""
+        unit = f" {task.unit}" if task.unit else ""
         raise ValueError(
-            f"{path}, {places[k]}: r is {off[k]:.3g} {task.unit} away from the task's reference; "
-            f"allowed is {allowed:.3g} {task.unit}{hint}"
+            f"{path}, {places[k]}: r is {off[k]:.3g}{unit} away from the task's reference; "
+            f"allowed is {allowed:.3g}{unit}{hint}"
         )
 
 

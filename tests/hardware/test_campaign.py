@@ -230,7 +230,7 @@ def test_undo_goes_back_to_the_table_that_was_played_and_on_from_there(copied, s
     go_on(state, folder / "next.csv", "--undo", 0)
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-1.csv").read_bytes()
     assert len(Journal(state).manifests()) == TRIALS + 4, "nothing is thrown away"
-    with pytest.raises(ValueError, match="trial = 0 is not one to go back to"):
+    with pytest.raises(ValueError, match="trial = 0 is not one to go back to; there is none bef"):
         go_on(state, folder / "next.csv", "--undo", 0)
 
 

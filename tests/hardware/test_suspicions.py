@@ -41,6 +41,8 @@ def test_lost_counts_and_another_unit_are_steps_that_no_motion_makes():
     assert "wrong unit" in found
     rough = LAST + np.random.default_rng(0).normal(0, 0.1, LAST.shape)
     assert checks.jumped(rough, R[:, None], None, (), "mm") == []
+    (found,) = said(checks.jumped(1000 * LAST, R[:, None], LAST, (), ""))
+    assert "  " not in found, "a task without a unit"
 
 
 @pytest.mark.parametrize(
