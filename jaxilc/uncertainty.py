@@ -275,7 +275,10 @@ class Population:
         return drawn_machine(self.machine, self.uncertainty, values)
 
     def machine_of(self, number: int) -> Tree:
-        """One of the machines."""
+        """One of the machines; raises ValueError for a number that none of them has."""
+        if not 0 <= number < self.size:
+            allowed = f"allowed is one of 0 to {self.size - 1}"
+            raise ValueError(f"machine_of: number = {number} is no machine of the set; {allowed}")
         return self.with_numbers({name: values[number] for name, values in self.drawn.items()})
 
     def key_of(self, number: int | jax.Array) -> jax.Array:
