@@ -20,12 +20,12 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.playback import replay
 from ..learning.variation import Variation
-from ..plants.structure import CONSTANT, dependence, obstacle
-from ..schemes import Scheme
-from ..schemes.compose import LearningAndFeedback
+from ..plants.structure import CONSTANT, Dependence, dependence, obstacle
+from ..pytree.aliases import Function, Tree
+from ..schemes import Scheme, WithFeedback
 from ..schemes.parts import trials_of_step, with_all_parts
-from ..schemes.scheme import Memory
-from ..signals.task import Task
+from ..schemes.scheme import UNASKED, Memory
+from ..signals.task import Task, Trial
 from .condition import Premise, premise
 from .loop import tick_of
 from .trials import learned_shape, next_learned, played, step
@@ -34,6 +34,7 @@ ONE_LAW = "learning law linear and the same in each trial"
 LINEAR = "machine and feedback linear"
 ONE_TRIAL = "what is learned follows from the last trial alone"
 INVARIANT = "loop linear and time invariant"
+EACH_ALIKE = "each trial starts alike and is learned from alike"
 
 
 def linear_law(scheme: Scheme, task: Task, memory: Memory = None) -> Premise:
@@ -113,15 +114,21 @@ def learning_premises(machine: Machine, scheme: Scheme, task: Task) -> tuple[Pre
     learning, so that the part that breaks one is named.
     """
     found = linear_trial(machine, scheme, task), linear_law(scheme, task)
-    differs = "" if machine.variation is None else _differing(machine.variation, scheme, task)
-    if differs:
-        return found[0], premise(ONE_LAW, False, differs)
+    alike = alike_trials(machine, scheme, task)
+    if not alike.held:
+        return found[0], premise(ONE_LAW, False, alike.detail)
     fixed = machine.unlimited(), scheme.unlimited().prepared(task), task
     whole = obstacle(_step, fixed, scheme.initial_memory(task))
     if whole and all(p.held for p in found):
         said = f"a trial and learning from it is no linear map, by {whole}"
         return found[0], premise(ONE_LAW, False, said)
     return found
+
+
+def alike_trials(machine: Machine, scheme: Scheme, task: Task) -> Premise:
+    """The premise that a trial and its learning are one map in each, where its means are taken."""
+    differs = "" if machine.variation is None else _differing(machine.variation, scheme, task)
+    return premise(EACH_ALIKE, not differs, differs)
 
 
 def _differing(variation: Variation, scheme: Scheme, task: Task) -> str:
@@ -145,24 +152,52 @@ def _differing(variation: Variation, scheme: Scheme, task: Task) -> str:
 
 
 def remembers(scheme: Scheme, task: Task) -> bool:
-    """Whether what is learned depends on more than the last trial.
+    """Whether what is learned depends on more than what the last trial played, and its error.
 
-    It may depend on earlier trials, estimates or counters, also of a feedback that learns: what it
-    has learned is a part of the next trial.
+    It may depend on earlier trials, estimates or counters, also of what is played beside it, such
+    as by a feedback that learns, or on what a feedback did.
     """
-    parts = [part.scheme for part in with_all_parts(scheme, task)]
-    if any(isinstance(one, LearningAndFeedback) and one.feedback.learns for one in parts):
-        return True
-    free, shape = scheme.unlimited(), learned_shape(scheme, task)
-    trial = free.record(jnp.zeros(shape), jnp.zeros((task.N + 1, task.outputs)), task)
+    return bool(_learned_from_too(scheme, task))
+
+
+def _learned_from_too(scheme: Scheme, task: Task) -> str:
+    """From what a scheme learns beside the signal that it played, and its error, in words."""
+    free, still = scheme.unlimited().prepared(task), jnp.zeros(learned_shape(scheme, task))
 
     def learned(fixed, memory):
         scheme, task = fixed
-        following = scheme.learn(memory, trial._replace(r=jnp.asarray(task.reference)))
-        return scheme.feedforward(following, task)
+        following = scheme.learn(memory, _recorded(scheme, task))
+        return scheme.feedforward(following, task), scheme.play(still, memory, task)
 
-    fixed, memory = (free.prepared(task), task), scheme.initial_memory(task)
-    return dependence(learned, fixed, memory).order != CONSTANT
+    if _depends(learned, (free, task), free.initial_memory(task)):
+        return "earlier trials"
+
+    def seeing(fixed, beside):
+        learning, task = fixed
+        trial = _recorded(learning, task)
+        shown = trial._replace(signals=trial.signals | {"beside": beside})
+        return learning.learn(learning.initial_memory(task), shown)
+
+    for part, seen, _ in with_all_parts(free, task):
+        if isinstance(part, WithFeedback):
+            own = part.parts(seen, UNASKED)["learning"]
+            if _depends(seeing, (own.scheme, own.task), jnp.zeros((seen.N, seen.inputs))):
+                return "what the feedback does"
+    return ""
+
+
+def _recorded(scheme: Scheme, task: Task) -> Trial:
+    """The record of a trial in which nothing was played, and which has no error."""
+    shape = learned_shape(scheme, task) or (task.N, task.inputs)
+    trial = scheme.record(jnp.zeros(shape), jnp.zeros((task.N + 1, task.outputs)), task)
+    return trial._replace(r=jnp.asarray(task.reference))
+
+
+def _depends(f: Function, fixed: Tree, varying: Tree) -> bool:
+    found = jax.tree.leaves(
+        dependence(f, fixed, varying), is_leaf=lambda one: isinstance(one, Dependence)
+    )
+    return any(one.order != CONSTANT for one in found)
 
 
 def of_last_trial(scheme: Scheme, task: Task) -> Premise:
@@ -171,10 +206,9 @@ def of_last_trial(scheme: Scheme, task: Task) -> Premise:
     Without it, |Q (keep - L P)| of the last trial says nothing: learning from several trials
     converges or not by the roots of a polynomial at each frequency (`HigherOrder`).
     """
-    held = not remembers(scheme, task)
-    name = type(scheme).__name__
-    found = f"{name}, read off its program" if held else f"{name} learns from earlier trials too"
-    return premise(ONE_TRIAL, held, found)
+    more, name = _learned_from_too(scheme, task), type(scheme).__name__
+    found = f"{name} learns from {more} too" if more else f"{name}, read off its program"
+    return premise(ONE_TRIAL, not more, found)
 
 
 def keeps_all(scheme: Scheme, task: Task, *, off: bool = False) -> bool:

@@ -211,6 +211,60 @@ def test_a_wrapper_that_nobody_knows_cannot_slip_through(wrapper):
     assert set(certify_each(machines, law, TASK, 5).claim) != {"not claimed"}
 
 
+@pytree
+class Beside(Scheme):
+    """Two laws of a user, whose inputs are added; the second learns beside what is played back."""
+
+    first: Scheme = child()
+    second: Scheme = child()
+
+    def initial_memory(self, task):
+        return self.first.initial_memory(task), self.second.initial_memory(task)
+
+    def schedule(self, memory, task):
+        return memory
+
+    def feedforward(self, memory, task):
+        return memory[0].u
+
+    def play(self, learned, memory, task):
+        return memory[0]._replace(u=learned), memory[1]
+
+    def act(self, state, sample):
+        first, second = sample.row
+        return state, first.u + second.u
+
+    def learn(self, memory, trial):
+        first = self.first.learn(memory[0], trial._replace(u=trial.u - memory[1].u))
+        return first, self.second.learn(memory[1], trial._replace(u=memory[1].u))
+
+
+@pytree
+class OfFeedback(Scheme):
+    """A user's law that learns from what the feedback beside it did, too."""
+
+    share: jax.Array = leaf(default=8.0)
+
+    def learn(self, memory, trial):
+        beside = trial.signals.get("beside", jnp.zeros_like(trial.u))
+        return memory._replace(u=trial.u + 0.2 * trial.e[1:] + self.share * beside)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "more"),
+    [
+        (WithFeedback(PIDType(gamma_p=0.2), PID(kp=1.0)), ""),
+        (WithFeedback(OfFeedback(), PID(kp=1.0)), "what the feedback does"),
+        (Beside(PIDType(gamma_p=0.2), PIDType(gamma_p=9.0)), "earlier trials"),
+    ],
+)
+def test_what_a_law_learns_from_besides_is_found_in_the_program_of_any_law(scheme, more):
+    """A monotone error was claimed of the two laws of a user, under which it grew to 1e86."""
+    found = linearity.of_last_trial(scheme, TASK)
+    assert found.held == (not more)
+    assert more in found.detail
+
+
 # Limits
 # --------------------------------------------------------------------------------------------------
 
