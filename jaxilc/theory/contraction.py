@@ -35,7 +35,7 @@ from ..schemes.scheme import Memory
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, drawn_machine
 from .condition import Condition, Premise, condition, premise
-from .linearity import linear_law
+from .linearity import alike_trials, linear_law
 from .spectrum import SingularValue, SpectralRadius, singular_value, spectral_radius_of
 from .trials import LEARNED, Prescribed, learned_from, learned_memory, step, trial_of, with_output
 
@@ -326,7 +326,8 @@ def error_contracting(
     where, which = (EVERYWHERE, "") if affine else (NEARBY, "small ")
     theorem = ERROR.format(n=trials, which=which, where=where)
     smooth = affine or not blind(errors, fixed, at)
-    return condition(found.value, theorem, premises=(_differentiable(smooth), _bounded(found)))
+    premises = _differentiable(smooth), alike_trials(machine, scheme, task), _bounded(found)
+    return condition(found.value, theorem, premises=premises)
 
 
 @partial(jax.jit, static_argnames=("leaves", "steps", "tolerance"))
@@ -363,7 +364,7 @@ def _distance(map_: Map):
     return jnp.where(moved > 0, moved / size, 0.0)
 
 
-def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premise, Premise], str]:
+def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premise, ...], str]:
     """The premises of a derivative at one memory, and where what it says is true."""
     memory = _like_learned(machine, scheme, task) if memory is None else memory
     fixed = machine, scheme, task, memory
@@ -375,7 +376,8 @@ def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premi
     found = f"{why or 'affine, read off its program'}; {moved}"
     local = premise("map affine, or taken at its fixed point", not why or distance <= FIXED, found)
     smooth = not why or not blind(partial(_learned, leaves=leaves), fixed, at)
-    return (local, _differentiable(smooth)), NEARBY if why else EVERYWHERE
+    premises = local, _differentiable(smooth), alike_trials(machine, scheme, task)
+    return premises, NEARBY if why else EVERYWHERE
 
 
 def _like_learned(machine, scheme, task) -> Memory:

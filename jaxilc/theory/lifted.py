@@ -28,7 +28,7 @@ from ..uncertainty import drawn_machines
 from .condition import Condition, condition, premise
 from .law import learning_law
 from .learning_map import limit_names
-from .linearity import keeps_all, linear_law, linear_trial
+from .linearity import alike_trials, keeps_all, linear_law, linear_trial, of_last_trial
 from .outlook import outlooks
 from .spectrum import asymptotic, monotone, sigma_max, spectral_radius, transient, transient_growth
 from .trials import learned_shape, played, starts_off
@@ -178,8 +178,12 @@ def learning_conditions(
     """
     G = lifted_plant(machine, scheme, task, about=about, memory=memory)
     law, one = learning_law(scheme, task, memory), drawn_machines(machine, {}, {})
-    of_trial = linear_trial(machine, scheme, task, memory=memory)
-    premises = [of_trial, linear_law(scheme, task, memory)]
+    premises = [
+        linear_trial(machine, scheme, task, memory=memory),
+        linear_law(scheme, task, memory),
+        of_last_trial(scheme, task),
+        alike_trials(machine, scheme, task),
+    ]
     if limit_names(one, scheme, task):
         premises.append(outlooks(one, scheme, task).of_limits(0))
     M = input_map(G, law.L, keep=law.keep)

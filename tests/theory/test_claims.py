@@ -13,12 +13,14 @@ from cases import DT, PLANTS, task_for
 
 from jaxilc import scenarios
 from jaxilc.filters import ZeroPhaseButterworth
-from jaxilc.learning import Actuator, Machine, Sensor, learn
+from jaxilc.learning import Actuator, Machine, Sensor, Variation, learn
 from jaxilc.plants import DifferenceEquation, StateSpace, TimeVaryingStateSpace
 from jaxilc.schemes import (
+    PID,
     SMC,
     ExponentialPD,
     Filtered,
+    HigherOrder,
     Ladder,
     NormOptimal,
     PIDType,
@@ -83,6 +85,32 @@ def test_a_rule_of_when_to_learn_is_no_law_of_each_trial(scheme):
     assert set(verdicts) == {"not claimed"}
     stopped = learn(LAG, scheme, TASK, 12).memory
     assert "everywhere" not in contraction.error_contracting(LAG, scheme, TASK, stopped).theorem
+
+
+FEEDBACK = PID(kp=1.0, ki=30.0)
+
+
+@pytest.mark.thorough(but=["machine0"])
+@pytest.mark.parametrize(
+    ("machine", "scheme"),
+    [
+        (LAG, HigherOrder((0.5, 0.5), (0.3, 9.0))),
+        (LAG, WithFeedback(PIDType(gamma_p=0.2), WithFeedback(PIDType(gamma_p=9.0), FEEDBACK))),
+        (dataclasses.replace(LAG, variation=Variation(carried=1.0)), PIDType(gamma_p=3.0)),
+    ],
+)
+def test_a_law_from_more_than_the_last_trial_is_no_map_of_its_input(machine, scheme):
+    """The map of the last input alone has a spectral radius below 1; the error grows."""
+    task = Task(np.sin(np.arange(9.0)), dt=DT)
+    errors = rms(machine, scheme, task, 40)
+    assert errors[-1] > 10 * errors[0]
+    found = lifted.learning_conditions(machine, scheme, task)
+    assert found["asymptotic"].value < 1
+    assert {one.verdict for one in found.values()} == {"not claimed"}
+    if machine.carries:
+        of_frequency = frequency.learning_condition(machine, scheme, task).condition
+        assert of_frequency.verdict == "not claimed"
+        assert not contraction.attracting(machine, scheme, task).holds
 
 
 @pytest.mark.thorough
