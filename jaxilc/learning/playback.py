@@ -23,7 +23,8 @@ def schedules(scheme: Scheme, memory: Tree, task: Task) -> dict[str, np.ndarray]
         scheme that learns a reference [unit of y]
     table.NAME: (N, n) rows of a law that acts within the trial, such as FFDL-MFAILC, which the
         controller must then compute
-    feedback.NAME: the same for a feedback that learns
+    feedback.NAME, learning.NAME: the same for a feedback that learns, and for a learning part that
+        has a feedback, where its names are those of the feedback
 
     Each scheme declares what it plays, see `Scheme.played`.
     Raises ValueError for a scheme that learns nothing.

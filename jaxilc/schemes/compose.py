@@ -197,10 +197,17 @@ class WithFeedback(LearningAndFeedback):
         return {"feedback": state.u} | learning | feedback
 
     def played(self, schedule: Pair, task: Task) -> dict[str, Array]:
-        """What a machine plays; `feedforward` is added to the output of the feedback."""
+        """What a machine plays; `feedforward` is added to the output of the feedback.
+
+        A learning part that has a feedback, too, is under `learning` where its names are those of
+        the feedback.
+        """
         learning = self.learning.played(schedule.learning, task)
         renamed = {"feedforward" if name == "u" else name: rows for name, rows in learning.items()}
-        return renamed | self._of_feedback(schedule, task)
+        of_feedback = self._of_feedback(schedule, task)
+        if renamed.keys() & of_feedback.keys():
+            renamed = under("learning", learning)
+        return renamed | of_feedback
 
     def play(self, learned: Array, memory: Pair, task: Task) -> Pair:
         return Pair(
@@ -292,9 +299,13 @@ class OnReference(LearningAndFeedback):
         return {"correction": state.correction} | under("feedback", feedback)
 
     def played(self, schedule: ReferenceSchedule, task: Task) -> dict[str, Array]:
-        """What a machine plays; the feedback follows `reference` (N+1, n_y), not the task's r."""
+        """What a machine plays; the feedback follows `reference` (N+1, n_y), not the task's r.
+
+        A feedback that learns on its reference, too, follows its own, to which both have added.
+        """
         reference = jnp.asarray(task.reference).at[1:].add(schedule.u)
-        return {"reference": reference} | self._of_feedback(schedule, task)
+        seen = dataclasses.replace(task, reference=reference)
+        return {"reference": reference} | self._of_feedback(schedule, seen)
 
     def record(self, learned: Array, e: Array, task: Task) -> Trial:
         still = super().record(jnp.zeros((task.N, task.inputs)), e, task)

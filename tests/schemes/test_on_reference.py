@@ -12,6 +12,7 @@ from cases import ALGEBRA, ARX, DT
 
 from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.learning import Machine, feedforward, learn, measured_trial, next_memory
+from jaxilc.learning.playback import schedules
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import (
     CFDLMFAC,
@@ -231,6 +232,21 @@ def test_two_inputs_that_are_learned_add_up():
     one, other, both = (PIDType(gamma_p=gamma) for gamma in (*gammas, sum(gammas)))
     expected = run(WithFeedback(both, feedback))
     assert_same(run(WithFeedback(one, WithFeedback(other, feedback))), expected, ["y", "u"])
+
+
+def test_a_machine_is_told_all_that_parts_of_parts_have_learned():
+    """One of two references lacked the other's correction, and one of three inputs was lost."""
+    task, laws = Task(R, dt=DT), [PIDType(gamma_p=gamma) for gamma in (0.1, 0.2, 0.3)]
+    inner = WithFeedback(laws[2], PID(**GAINS))
+    two = OnReference(laws[0], OnReference(laws[1], PID(**GAINS)))
+    memory = learn(PLANT, two, task, 2).memory
+    both = memory.learning.u + memory.feedback.learning.u
+    found = schedules(two, memory, task)["feedback.reference"]
+    np.testing.assert_allclose(found[1:, 0], R[1:] + np.ravel(both), **ALGEBRA)
+    three = WithFeedback(WithFeedback(laws[0], WithFeedback(laws[1], PID(**GAINS))), inner)
+    assert set(schedules(three, three.initial_memory(task), task)) == {
+        "learning.feedforward", "learning.feedback.feedforward", "feedback.feedforward",
+    }  # fmt: skip
 
 
 def test_a_feedback_that_learns_on_the_input_and_the_reference_learn_from_the_same_error():
