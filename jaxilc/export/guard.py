@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..hardware.checks import DEAD, GROWN, LARGER, LEARNED, LEAST
+from ..hardware.checks import DEAD, GROWN, INPUTS, LARGER, LEARNED, LEAST, kind
 from ..pytree.aliases import Array, Tree
 from ..schemes import Scheme
 from ..schemes.parts import trials_of_step
@@ -116,9 +116,9 @@ def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree
     good = [jnp.all(~jnp.isnan(x)) for x in jax.tree.leaves(memory)]
     for name, of in scheme.played(schedule, task).items():
         good.append(jnp.all(jnp.isfinite(of)))
-        if name in ("u", "feedforward", "table.u"):
+        if kind(name) in INPUTS:
             good.append(jnp.all(jnp.abs(of) <= limit))
-        if name == "reference" and correction is not None:
+        if kind(name) == "reference" and correction is not None:
             good.append(_peak(name, of, task) <= correction)
     allowed = LARGER * (1 + 1 / jnp.maximum(1.0, seen.learned))
     for name, of in _learned(scheme, task, schedule).items():
@@ -129,11 +129,11 @@ def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree
 
 def _learned(scheme: Scheme, task: Task, schedule: Tree) -> dict[str, Array]:
     found = scheme.played(schedule, task) if scheme.learns else {}
-    return {name: of for name, of in found.items() if name in LEARNED}
+    return {name: of for name, of in found.items() if kind(name) in LEARNED}
 
 
 def _peak(name: str, schedule: Array, task: Task) -> Array:
     reference = np.asarray(task.reference)
-    if name == "reference" and schedule.shape == reference.shape:
+    if kind(name) == "reference" and schedule.shape == reference.shape:
         schedule = schedule - reference
     return jnp.max(jnp.abs(schedule))

@@ -216,29 +216,39 @@ def beyond_limits(
     findings = []
     for name, schedule in schedules.items():
         departure, unit, limits = schedule, task.input_unit, None
-        if name == "reference":
-            unit, departure = task.unit, schedule - np.asarray(task.reference)
-            # If several outputs share one reference, the output that is nearest to it counts.
-            if departure.shape != schedule.shape:
-                departure = departure[:, [np.argmin(np.max(np.abs(departure), axis=0))]]
+        of_reference = kind(name) == "reference"
+        if of_reference:
+            unit, departure = task.unit, _from_reference(schedule, np.asarray(task.reference))
             limits = (
                 None if rules.correction is None else np.full(schedule.shape[1], rules.correction)
             )
-        elif name in ("u", "feedforward", "table.u"):
+        elif kind(name) in INPUTS:
             limits = rules.limits(actuator, schedule.shape[1])
         if not np.all(np.isfinite(schedule)):
             k = int(np.argmin(np.isfinite(schedule).all(axis=1)))
             findings.append(Finding("refusal", f"the next {name} is not finite at sample {k}"))
         elif limits is not None and np.any(np.abs(departure) > limits):
             k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), schedule.shape)
-            option = "campaign.limit" if name != "reference" else "campaign.largest_correction"
-            away = " away from the task's" if name == "reference" else ""
+            option = "campaign.largest_correction" if of_reference else "campaign.limit"
+            away = " away from the task's" if of_reference else ""
             text = (
                 f"the next {name} is {departure[k, i]:.6g}{_of(unit)}{away} at sample {k}; "
                 f"allowed are +-{limits[i]:g}{_of(unit)} ({option})"
             )
             findings.append(Finding("refusal", text))
     return findings
+
+
+def _from_reference(schedule, r):
+    """(N+1, n) how far references are from those of the task.
+
+    Where there are not as many, the output that is nearest to each counts.
+    """
+    if schedule.shape == r.shape:
+        return schedule - r
+    away = schedule[:, None] - r[:, :, None]
+    nearest = np.argmin(np.max(np.abs(away), axis=0), axis=0)
+    return away[:, nearest, np.arange(schedule.shape[1])]
 
 
 def _resolution(actuator: Actuator | None):
@@ -283,6 +293,7 @@ MISPLAYED = 0.1  # share of the input's rms by which the recorded input may diff
 GROWN, GROWN_BEYOND = 10.0, 3.0  # times the best error; the second for one above the band, too
 LEAST = 1e-6  # share of the range of the reference; errors below it are rounding
 LEARNED = {"u", "feedforward", "reference"}  # schedules that are learned from errors
+INPUTS = {"u", "feedforward", "table.u"}  # schedules that a limit of the input is for
 LARGER = 1.1  # the next input may exceed what learning from a constant error would give by 10 %
 EXPLAINS = 0.6  # share of the power of a difference that friction or a lag explains
 LEFT_BY_GAIN, LEFT_BY_DELAY = 0.05, 0.02  # shares of that power that a gain and a delay may leave
@@ -406,9 +417,15 @@ def grown_beyond(
     return [_refused("growth", text, accept)]
 
 
+def kind(name: str) -> str:
+    """What a schedule is, whatever part plays it: one such as `reference`, or `table.NAME`."""
+    within = name.split(".")
+    return ".".join(within[within.index("table") :]) if "table" in within else within[-1]
+
+
 def peak(name: str, schedule, task: Task) -> float:
     """The largest value of a schedule; of a reference, the largest distance from the task's."""
-    if name == "reference" and np.shape(schedule) == np.shape(task.reference):
+    if kind(name) == "reference" and np.shape(schedule) == np.shape(task.reference):
         schedule = schedule - np.asarray(task.reference)
     return float(np.max(np.abs(schedule), initial=0.0))
 
@@ -431,7 +448,7 @@ def larger(
     learned: j
     """
     found = []
-    for name in LEARNED & schedules.keys():
+    for name in (name for name in schedules if kind(name) in LEARNED):
         largest, reached = played.get(name, 0.0), peak(name, schedules[name], task)
         allowed = LARGER * (1 + 1 / max(1, learned - 1)) * largest
         if largest and reached > allowed:
