@@ -52,7 +52,8 @@ class Visits(NamedTuple):
 def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory = None) -> Visits:
     """Which parameters of a basis learning finds on this motion, and how fast.
 
-    scheme: `BasisFunctions` with a basis that is linear in theta, alone or beside a feedback
+    scheme: `BasisFunctions` with a basis that is linear in theta, alone or beside a feedback that
+        does not learn
     memory: where the derivative of learning is taken; None: before the first trial
 
     Raises ValueError for another scheme.
@@ -62,6 +63,11 @@ def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory = Non
         raise ValueError(
             f"visits: scheme is a {type(law).__name__}; allowed are BasisFunctions with a basis "
             "that is linear in theta, and WithFeedback(BasisFunctions(...), feedback)"
+        )
+    if isinstance(scheme, WithFeedback) and scheme.feedback.learns:
+        raise ValueError(
+            f"visits: the feedback, a {type(scheme.feedback).__name__}, learns too, which moves the "
+            "parameters; allowed is one that does not"
         )
     scheme.check(task)
     memory = scheme.initial_memory(task) if memory is None else memory

@@ -225,6 +225,10 @@ def test_what_does_not_fit_is_said():
         JoinedBasis((position,)).check(dataclasses.replace(task, inputs=2))
     with pytest.raises(ValueError, match="scheme is a PID; allowed are BasisFunctions"):
         theory.visits(MACHINE, PID(kp=1.0), task)
+    learning = WithFeedback(PIDType(gamma_p=9.0), PID(kp=1.0))
+    both = dataclasses.replace(law(position), feedback=learning)
+    with pytest.raises(ValueError, match="visits: the feedback, a WithFeedback, learns too"):
+        theory.visits(MACHINE, both, task)
     x = np.linspace(0, 40, 200)
     with pytest.raises(ValueError, match="most = 30 with a motion over 40"):
         pitch_of(x, np.sin(x), least=1, most=30)
