@@ -181,9 +181,10 @@ def learning_conditions(
     premises = [
         linear_trial(machine, scheme, task, memory=memory),
         linear_law(scheme, task, memory),
-        of_last_trial(scheme, task),
         alike_trials(machine, scheme, task),
     ]
+    if premises[1].held:  # one that adapts remembers anyway
+        premises.append(of_last_trial(scheme, task))
     if limit_names(one, scheme, task):
         premises.append(outlooks(one, scheme, task).of_limits(0))
     M = input_map(G, law.L, keep=law.keep)
