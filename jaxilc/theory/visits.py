@@ -66,8 +66,8 @@ def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory = Non
         )
     if isinstance(scheme, WithFeedback) and scheme.feedback.learns:
         raise ValueError(
-            f"visits: the feedback, a {type(scheme.feedback).__name__}, learns too, which moves the "
-            "parameters; allowed is one that does not"
+            f"visits: the feedback, a {type(scheme.feedback).__name__}, learns too, which moves "
+            "the parameters; allowed is one that does not"
         )
     scheme.check(task)
     memory = scheme.initial_memory(task) if memory is None else memory
