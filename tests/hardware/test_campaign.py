@@ -537,12 +537,12 @@ def test_every_table_is_looked_at_before_it_is_played():
     rows["table.weights[0]"][3] = np.nan
     found = beyond_limits(rows, task, None, Rules(limit=0.4, correction=0.1))
     assert [f.kind for f in found] == ["refusal"] * 3
-    assert "0.2  away from the task's" in found[0].text
+    assert "0.2 away from the task's" in found[0].text
     assert "the next table.u is -0.5  at sample 0; allowed are +-0.4" in found[1].text
     assert found[2].text == "the next table.weights[0] is not finite at sample 3"
     of_parts = {"feedback.reference": np.hstack([r, r[:, :1] + 0.2]), "feedback.feedforward": r}
     found = beyond_limits(of_parts, task, None, Rules(limit=0.4, correction=0.1))
-    assert "the next feedback.reference is 0.2  away from the task's" in found[0].text
+    assert "the next feedback.reference is 0.2 away from the task's" in found[0].text
     assert "the next feedback.feedforward" in found[1].text
     grown = larger(of_parts, {"feedback.feedforward": 0.1}, 2, task, ())
     assert ["feedback.feedforward would reach" in one.text for one in grown] == [True]
