@@ -516,7 +516,7 @@ def test_a_learned_reference_is_held_to_its_largest_correction(tmp_path):
     correction = 0.4 * np.asarray(trial.e)[2:, 0]  # this is gamma_p e[k+1+lead]
     k = int(np.argmax(np.abs(correction))) + 1  # w[k] is added to r[k+1]
     assert (
-        f"the next reference is {correction[k - 1]:.6g}  away from the task's at sample {k}"
+        f"the next reference is {correction[k - 1]:.6g} away from the task's at sample {k}"
         in turn.refusals[0]
     )
     with pytest.raises(ValueError, match="the next reference"):
@@ -538,7 +538,7 @@ def test_every_table_is_looked_at_before_it_is_played():
     found = beyond_limits(rows, task, None, Rules(limit=0.4, correction=0.1))
     assert [f.kind for f in found] == ["refusal"] * 3
     assert "0.2 away from the task's" in found[0].text
-    assert "the next table.u is -0.5  at sample 0; allowed are +-0.4" in found[1].text
+    assert "the next table.u is -0.5 at sample 0; allowed are +-0.4" in found[1].text
     assert found[2].text == "the next table.weights[0] is not finite at sample 3"
     of_parts = {"feedback.reference": np.hstack([r, r[:, :1] + 0.2]), "feedback.feedforward": r}
     found = beyond_limits(of_parts, task, None, Rules(limit=0.4, correction=0.1))

@@ -90,7 +90,7 @@ def test_a_rule_of_when_to_learn_is_no_law_of_each_trial(scheme):
 FEEDBACK = PID(kp=1.0, ki=30.0)
 
 
-@pytest.mark.thorough(but=["machine0"])
+@pytest.mark.thorough(but=["several trials"])
 @pytest.mark.parametrize(
     ("machine", "scheme"),
     [
@@ -98,6 +98,7 @@ FEEDBACK = PID(kp=1.0, ki=30.0)
         (LAG, WithFeedback(PIDType(gamma_p=0.2), WithFeedback(PIDType(gamma_p=9.0), FEEDBACK))),
         (dataclasses.replace(LAG, variation=Variation(carried=1.0)), PIDType(gamma_p=3.0)),
     ],
+    ids=["several trials", "a feedback that learns", "a state that is carried"],
 )
 def test_a_law_from_more_than_the_last_trial_is_no_map_of_its_input(machine, scheme):
     """The map of the last input alone has a spectral radius below 1; the error grows."""
