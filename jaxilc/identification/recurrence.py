@@ -73,9 +73,7 @@ def _repeated(x, s, seen: slice, rest: slice) -> Recurrence:
     part = flat[seen]
     lags = np.arange(n // PERIODS[1] + 1, n // 2 + 1)
     off = np.array([np.mean((part[lag:] - part[:-lag]) ** 2) for lag in lags])
-    off[: int(np.argmax(off > np.var(part)))] = (
-        np.inf
-    )  # whatever is smooth is like its next samples
+    off[: int(np.argmax(off > np.var(part)))] = np.inf  # a smooth signal is like its next samples
     at = int(np.argmin(off))
     alike = off[at] + ALIKE * 2 * float(np.var(part))
     parts = [lag for k in range(5, 1, -1) if (lag := round(lags[at] / k)) >= lags[0]]
