@@ -47,6 +47,15 @@ def shown_by(api, family):
     return {name for example in examples for name in example.names}
 
 
+def test_the_source_of_each_public_name_has_a_page():
+    """What a class has of Python itself, such as a default that is a type, would have none."""
+    for family, names in PUBLIC.items():
+        for name in names:
+            one = getattr(importlib.import_module(family), name)
+            of = [one, *(getattr(one, n) for n in dir(one) if n[0] != "_" and inspect.isclass(one))]
+            assert "builtins" not in {getattr(part, "__module__", "") for part in of}, name
+
+
 def test_each_public_class_and_function_has_an_example(api):
     """One that several families have needs it once."""
     shown = {family: shown_by(api, family) for family in PUBLIC}

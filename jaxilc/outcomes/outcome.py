@@ -237,7 +237,7 @@ class Outcome:
     figures: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
     files: Mapping[str, Callable[[Path], object]] = dataclasses.field(default_factory=dict)
     kept: Sequence[Path] = ()
-    live: Callable[[], Sequence[Interactive]] = tuple
+    live: Callable[[], Sequence[Interactive]] = dataclasses.field(default=lambda: ())
     asked: Mapping[str, object] = dataclasses.field(default_factory=dict)
     configuration: Mapping[str, object] | None = None
     failed: str = ""
