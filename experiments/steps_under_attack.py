@@ -214,8 +214,8 @@ def steps(cases, task, history):
     after = jax.jit(lambda scheme, memory, trial: scheme.learn(memory, trial._replace(dt=task.dt)))
     plays = jax.jit(lambda scheme, memory: scheme.feedforward(memory, task))
     memories, played = [], []
-    of_all = cases[1], cases[0].actuator.limit, history.saved, history.memory
-    for scheme, limit, (y, u, signals), last in each(*of_all):
+    known = cases[1], cases[0].actuator.limit, history.saved, history.memory
+    for scheme, limit, (y, u, signals), last in each(*known):
         if not np.all(np.isfinite(y)):
             memories.append(last)
             played.append(u if scheme.plays_back else np.array([]))

@@ -111,7 +111,7 @@ def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
     return [Finding("warning", text)]
 
 
-def _of(unit: str) -> str:
+def spaced(unit: str) -> str:
     """A unit behind its number; empty where there is none, as of an input without one."""
     return f" {unit}" if unit else ""
 
@@ -122,9 +122,9 @@ def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Fin
     allowed = AS_COMMANDED * np.max(np.abs(u), initial=0.0) + np.max(_resolution(actuator))
     if np.max(off) <= allowed:
         return []
-    k, unit = int(np.argmax(off)), task.input_unit
+    k, unit = int(np.argmax(off)), spaced(task.input_unit)
     text = (
-        f"the measured input is up to {off[k]:.3g}{_of(unit)} away (sample {k}) from the scheme's "
+        f"the measured input is up to {off[k]:.3g}{unit} away (sample {k}) from the scheme's "
         "over the measured output: was another schedule played, or is the machine's feedback, "
         "its delay or its limit not the scheme's?"
     )
@@ -157,12 +157,13 @@ def repeated(trial: Trial, last_y, rules: Rules, unit: str) -> list[Finding]:
     last_y: (N+1, n_y) output of the other trial
     """
     difference, error = _rms(np.asarray(trial.y) - last_y), _rms(trial.e)
+    unit = spaced(unit)
     text = (
         "the same schedule as in the last trial: RMS difference of the outputs "
-        f"{difference:.3g}{_of(unit)}, RMS error {error:.3g}{_of(unit)}"
+        f"{difference:.3g}{unit}, RMS error {error:.3g}{unit}"
     )
     if rules.repeatability is not None and difference > rules.repeatability:
-        return [Finding("refusal", f"{text}; allowed is {rules.repeatability:.3g}{_of(unit)}")]
+        return [Finding("refusal", f"{text}; allowed is {rules.repeatability:.3g}{unit}")]
     return [Finding("warning" if difference > LITTLE * error else "note", text)]
 
 
@@ -201,9 +202,10 @@ def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: st
     if not history or error <= (1 + rules.growth) * history[-1][1]:
         return []
     last, (best, least) = history[-1][1], min(history, key=lambda row: row[1])
+    unit = spaced(unit)
     text = (
-        f"the RMS error grew from {last:.4g} to {error:.4g}{_of(unit)}, by {error / last - 1:.1%}; "
-        f"the best was trial {best} with {least:.4g}{_of(unit)}: "
+        f"the RMS error grew from {last:.4g} to {error:.4g}{unit}, by {error / last - 1:.1%}; "
+        f"the best was trial {best} with {least:.4g}{unit}: "
         f"--undo {best - 1} goes back to what it played"
     )
     return [Finding("refusal" if rules.stop_on_growth else "warning", text)]
@@ -231,9 +233,10 @@ def beyond_limits(
             k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), schedule.shape)
             option = "campaign.largest_correction" if of_reference else "campaign.limit"
             away = " away from the task's" if of_reference else ""
+            unit = spaced(unit)
             text = (
-                f"the next {name} is {departure[k, i]:.6g}{_of(unit)}{away} at sample {k}; "
-                f"allowed are +-{limits[i]:g}{_of(unit)} ({option})"
+                f"the next {name} is {departure[k, i]:.6g}{unit}{away} at sample {k}; "
+                f"allowed are +-{limits[i]:g}{unit} ({option})"
             )
             findings.append(Finding("refusal", text))
     return findings
@@ -362,7 +365,7 @@ def jumped(y, r, last_y, accept: tuple[str, ...], unit: str) -> list[Finding]:
 
     last_y: (N+1, n_y) output of the trial before, None without one
     """
-    found = []
+    found, unit = [], spaced(unit)
     for i in range(np.shape(y)[1]):
         steps = np.abs(np.diff(y[:, i]))
         usual = np.max(np.abs(np.diff(r[:, i])))
@@ -376,8 +379,8 @@ def jumped(y, r, last_y, accept: tuple[str, ...], unit: str) -> list[Finding]:
         if usual > 0 and steps[k] > allowed:
             called = "y" if np.shape(y)[1] == 1 else f"y{i}"
             text = (
-                f"{called} jumps by {steps[k]:.3g}{_of(unit)} at sample {k + 1}, where reference "
-                f"and last trial make steps of {usual:.3g}{_of(unit)} at most; suspected is the "
+                f"{called} jumps by {steps[k]:.3g}{unit} at sample {k + 1}, where reference "
+                f"and last trial make steps of {usual:.3g}{unit} at most; suspected is the "
                 "encoder (lost counts, noise) or a wrong unit"
             )
             found.append(_refused("jump", text, accept))
@@ -411,7 +414,7 @@ def grown_beyond(
     cause = changed.text or "the encoder, a wrong unit or schedule, or a changed machine"
     then = f" ({changed.then})" if changed.then else ""
     text = (
-        f"the RMS error is {error:.4g}{_of(unit)}, {error / best:.3g} times the best; "
+        f"the RMS error is {error:.4g}{spaced(unit)}, {error / best:.3g} times the best; "
         f"suspected is {cause}{then}"
     )
     return [_refused("growth", text, accept)]
@@ -452,7 +455,7 @@ def larger(
         largest, reached = played.get(name, 0.0), peak(name, schedules[name], task)
         allowed = LARGER * (1 + 1 / max(1, learned - 1)) * largest
         if largest and reached > allowed:
-            unit = _of(unit_of(name, task))
+            unit = spaced(unit_of(name, task))
             text = (
                 f"the next {name} would reach {reached:.6g}{unit}, where {largest:.6g}{unit} is "
                 f"the largest that was played and {allowed:.4g}{unit} is allowed; suspected is "

@@ -42,7 +42,7 @@ from ..schemes.weights import weighed
 from ..signals.task import Task, Trial
 from ..storage.columns import missing, name_and_unit, need_one, numbers_in, read_columns
 from ..storage.mat_files import ROOM, Other, read_mat
-from .checks import Finding
+from .checks import Finding, spaced
 
 STEP_TOLERANCE = 0.01  # share of the sample time by which a single step may differ
 RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may differ
@@ -406,7 +406,7 @@ def _check_reference(path, r, places, task: Task) -> None:
             if np.max(np.abs(a - b)) <= allowed
         ]
         hint = f"; it is that reference shifted by {shifted[0]} samples" if shifted else ""
-        unit = f" {task.unit}" if task.unit else ""
+        unit = spaced(task.unit)
         raise ValueError(
             f"{path}, {places[k]}: r is {off[k]:.3g}{unit} away from the task's reference; "
             f"allowed is {allowed:.3g}{unit}{hint}"

@@ -20,7 +20,7 @@ from jaxilc.export.guard import CODES, Trials
 from jaxilc.export.steps import dft
 from jaxilc.native.program import Unknown
 from jaxilc.outcomes.exporting import trials_of_test
-from jaxilc.schemes import Feedforward
+from jaxilc.schemes import PID, Feedforward, PIDType, WithFeedback
 from jaxilc.signals import Trial
 from jaxilc.storage.sealed import read_json, seal_of, write_json
 
@@ -187,6 +187,13 @@ def test_the_guard_goes_back_to_the_last_good_input():
     small = law_of(SCHEMES["p_type"], task, 0.1).played()
     assert CODES[small.trial(good[0])[1]] == "TOO_LARGE"
     assert np.max(np.abs(small.trial(good[0])[0])) <= 0.1
+
+
+def test_the_guard_holds_what_a_feedback_has_learned_to_the_limit():
+    inner = WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.01))
+    for limit, code in ((1e3, "LEARNED"), (0.1, "TOO_LARGE")):
+        law = law_of(WithFeedback(PIDType(gamma_p=1e-6), inner), task_of("p_type"), limit)
+        assert CODES[law.played().trial(trials_of_test(law)[0])[1]] == code
 
 
 def test_a_law_starts_with_what_a_campaign_has_learned():
