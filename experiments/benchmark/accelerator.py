@@ -239,7 +239,7 @@ def main(minutes: float, out: Path) -> int:
         "samples": sizes.samples,
         "usual_unroll": lanes.usual_unroll(),
     }
-    session.waiting = planned(sizes, jax.device_count())
+    session.waiting = planned(sizes, jax.device_count(), lanes.usual_unroll())
     check(session)
     use("float64")
     session.found |= {"copy_gb_a_second": copy_rate() / 1e9, "pass_us": 1e6 * seconds_a_pass()}

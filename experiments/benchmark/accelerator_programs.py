@@ -24,10 +24,14 @@ ENOUGH = 0.3  # seconds of runs in all, after which no other is timed
 COMPARED = 16  # machines whose results are kept, to be compared between rows
 
 
-def use(precision: str, unroll: int = 1) -> None:
-    """From now on, compute in this precision, with so many samples in each pass of the loop."""
+def use(precision: str, unroll: int | None = None) -> None:
+    """From now on, compute in this precision, with so many samples in each pass of the loop.
+
+    unroll: None for as many as before
+    """
     jax.config.update("jax_enable_x64", precision == "float64")
-    lanes.UNROLL[jax.default_backend()] = unroll
+    if unroll is not None:
+        lanes.UNROLL[jax.default_backend()] = unroll
     jax.clear_caches()
 
 

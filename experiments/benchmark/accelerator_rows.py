@@ -37,7 +37,7 @@ ACCELERATOR = Sizes(
     trials=80,
     machines=(1024, 10**4, 10**5, 10**6),
     lanes=tuple(2**i for i in range(12, 19)),
-    unroll=(1, 2, 4, 8, 16),
+    unroll=(1, 4, 16, 64),
 )
 CPU = Sizes(200, 2, 4, (100, 1000), (16, 64, 256), (1, 2, 4))
 
@@ -53,7 +53,7 @@ class Row(NamedTuple):
     precision: str = "float64"
 
 
-def planned(sizes: Sizes, devices: int = 1) -> list[Row]:
+def planned(sizes: Sizes, devices: int = 1, usual: int = 1) -> list[Row]:
     """All rows, the most important first.
 
     Lanes grow by a factor of four from row to row, so that the cost of a row follows from the one
@@ -61,16 +61,17 @@ def planned(sizes: Sizes, devices: int = 1) -> list[Row]:
     long to compile.
 
     devices: number of devices, each of which has the lanes of a row
+    usual: samples in a pass of the rows that do not vary them
     """
     coarse, fine, middle = sizes.lanes[::2], sizes.lanes[1::2], sizes.lanes[len(sizes.lanes) // 2]
     ends, between = (sizes.machines[0], sizes.machines[-1]), sizes.machines[1:-1]
     single: dict[str, Any] = {"precision": "float32"}
 
     def by_lanes(what, lanes, **options):
-        return [Row(what, n * devices, sizes.few, n, **options) for n in lanes]
+        return [Row(what, n * devices, sizes.few, n, usual, **options) for n in lanes]
 
     def by_machines(what, machines, **options):
-        return [Row(what, n, sizes.trials, **options) for n in machines]
+        return [Row(what, n, sizes.trials, None, usual, **options) for n in machines]
 
     def by_unroll(what, unroll, **options):
         return [Row(what, middle * devices, sizes.few, middle, n, **options) for n in unroll]

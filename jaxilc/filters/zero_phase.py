@@ -12,11 +12,11 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from ..pytree.aliases import Leaf
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known
+from ..runtime.lanes import over_samples
 
 
 class Filter:
@@ -164,7 +164,7 @@ class ZeroPhaseIIR(Filter):
                 shifted = jnp.concatenate([registers[1:], jnp.zeros_like(registers[:1])])
                 return shifted + b[1:, None] * now - a[1:, None] * y, y
 
-            return lax.scan(tick, rest[:, None] * x[0], x)[1]
+            return over_samples(tick, rest[:, None] * x[0], x)[1]
 
         return forward_and_backward(one_pass, signal, self.padding)
 
@@ -259,4 +259,4 @@ def run_sections(sections, signal) -> jax.Array:
             x = y
         return following, x
 
-    return lax.scan(tick, settled, signal)[1]
+    return over_samples(tick, settled, signal)[1]

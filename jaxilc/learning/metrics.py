@@ -16,6 +16,7 @@ from jax import lax
 
 from ..pytree.aliases import Array, Tree
 from ..runtime.jax_internals import with_slope
+from ..runtime.lanes import over_samples
 from ..signals.rows import for_scan
 from ..signals.task import Task, Trial
 from .known_metrics import GATHERED, METRICS, Gathering, Metrics
@@ -158,8 +159,8 @@ def _slopes(x: Array, dx: Array, counted: list[np.ndarray], largest: list[bool])
         return jax.tree.map(jnp.add, sums, slopes_of_row(places, *now)), None
 
     first = [(zero, zero.astype(int))] * len(largest)
-    places = [at for _, at in lax.scan(place, first, (rows, x))[0]]
-    return lax.scan(tick, [zero] * len(largest), ((rows, x), dx))[0]
+    places = [at for _, at in over_samples(place, first, (rows, x))[0]]
+    return over_samples(tick, [zero] * len(largest), ((rows, x), dx))[0]
 
 
 def _dot(a: Array, b: Array) -> Array:

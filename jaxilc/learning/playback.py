@@ -5,9 +5,9 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from ..pytree.aliases import Array, Tree, Value
+from ..runtime.lanes import over_samples
 from ..schemes import Scheme
 from ..signals.rows import ahead_of
 from ..signals.task import Sample, Task
@@ -83,5 +83,5 @@ def replay(
     ahead, schedule = ahead_of(r[1:], scheme.preview), scheme.schedule(memory, task)
     rows, rest = (r[:-1], ahead, jnp.asarray(y)[:-1], schedule), jnp.zeros(task.inputs)
     start = (scheme.initial_state(task), rest, None if actuator is None else rest)
-    found: tuple[Array, dict[str, Array]] = lax.scan(tick, start, rows, length=task.N)[1]
+    found: tuple[Array, dict[str, Array]] = over_samples(tick, start, rows)[1]
     return found

@@ -9,7 +9,7 @@ from jax import lax
 
 from ..pytree.aliases import Array, Tree, Value
 from ..runtime.capacity import bytes_of
-from ..runtime.lanes import usual_unroll
+from ..runtime.lanes import over_samples
 from ..schemes import Scheme
 from ..schemes.weights import weighed
 from ..signals.rows import for_scan
@@ -100,7 +100,7 @@ def run_and_measure(
         _is_settled(task)[1:] if measured else None,
         _at(there, slice(1, None)),
     )
-    carry, record = lax.scan(tick, carry, for_scan(rows), unroll=usual_unroll())
+    carry, record = over_samples(tick, carry, for_scan(rows))
     y_next, u, signals = for_scan(record)
     trial = Trial(r, jnp.concatenate([y[None], y_next]), u, dt, signals)
     if there is not None:

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jax.flatten_util import ravel_pytree
 
 from ..pytree.aliases import Array, Tree
+from ..runtime.lanes import over_samples
 from .linear import TimeVaryingStateSpace
 from .plant import Plant
 
@@ -31,7 +31,7 @@ def motion(plant: Plant, u: Array, dt: float) -> Array:
         return x, plant.output(x)
 
     start = plant.initial_state()
-    return jnp.concatenate([plant.output(start)[None], lax.scan(step, start, u)[1]])
+    return jnp.concatenate([plant.output(start)[None], over_samples(step, start, u)[1]])
 
 
 class Flat(NamedTuple):
@@ -72,5 +72,5 @@ def linearised(plant: Plant, u: Array, dt: float) -> TimeVaryingStateSpace:
         x = step(x, u_k)
         return x, (A, B, jax.jacfwd(output)(x))
 
-    A, B, C = lax.scan(along, start, u)[1]
+    A, B, C = over_samples(along, start, u)[1]
     return TimeVaryingStateSpace(A, B, C, dt=dt)

@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 from ..pytree.aliases import Array, Tree
 from ..pytree.fields import child, pytree, static
 from ..runtime.capacity import check_size
-from ..runtime.lanes import machines_side_by_side
+from ..runtime.lanes import machines_side_by_side, over_samples
 from ..signals.task import Task, product
 from .along_motion import flat
 from .cnc_axis import Axes
@@ -146,7 +146,7 @@ def _block(plant: Plant, dt: float, L: int) -> Block:
     impulses = jax.vmap(lambda u: step(rest, u))(jnp.eye(n_u))
     start = jnp.concatenate([jnp.eye(n), impulses])
     # by steps, not by squaring, which loses digits where powers of A first grow
-    x = jnp.concatenate([start[None], lax.scan(free, start, length=2 * L)[1]])
+    x = jnp.concatenate([start[None], over_samples(free, start, None, length=2 * L)[1]])
     y = jax.vmap(jax.vmap(output))(x)
     lag = np.arange(L) - np.arange(L)[:, None] - 1
     H = jnp.where((lag >= 0)[:, :, None, None], y[np.maximum(lag, 0), n:], 0.0)
@@ -163,11 +163,13 @@ def _block(plant: Plant, dt: float, L: int) -> Block:
 def _chain(A: Array, x: Array, f: Array) -> Array:
     """(M, n) the states x[0] = x, x[i+1] = x[i] A + f[i]."""
     columns = A.T
-    return lax.scan(lambda x, f: (product(columns, x) + f, x), x, f)[1]
+    return over_samples(lambda x, f: (product(columns, x) + f, x), x, f)[1]
 
 
 def _stepped(plant: Plant, u: Array, dt: float) -> Array:
     """The outputs y[k] at the inputs u[k], step by step."""
-    return lax.scan(lambda x, u: (plant.step(x, u, dt), plant.output(x)), plant.initial_state(), u)[
-        1
-    ]
+
+    def tick(x: Tree, u: Array) -> tuple[Tree, Array]:
+        return plant.step(x, u, dt), plant.output(x)
+
+    return over_samples(tick, plant.initial_state(), u)[1]

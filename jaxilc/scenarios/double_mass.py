@@ -13,13 +13,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from ..learning.machine import Disturbance, Machine
 from ..learning.metrics import root_mean_square
 from ..plants import StateSpace, motion
 from ..pytree.aliases import Leaf
 from ..pytree.fields import child, leaf, pytree
+from ..runtime.lanes import over_samples
 from ..schemes import ConstrainedNormOptimal, GradientILC, ModelFreeGradient, NormOptimal, Scheme
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial, product
@@ -97,7 +97,7 @@ class InverseLaw(Scheme):
             u = (e_next - product(C, product(A, x))) / first
             return product(A, x) + product(B, u), u
 
-        return lax.scan(tick, jnp.zeros(A.shape[-1]), e)[1]
+        return over_samples(tick, jnp.zeros(A.shape[-1]), e)[1]
 
 
 def _lagged(signal, pole):
@@ -106,7 +106,7 @@ def _lagged(signal, pole):
     def tick(state, x):
         return pole * state + (1 - pole) * x, state
 
-    return lax.scan(tick, jnp.zeros_like(signal[0]), signal)[1]
+    return over_samples(tick, jnp.zeros_like(signal[0]), signal)[1]
 
 
 # The scenario

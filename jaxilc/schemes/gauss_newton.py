@@ -33,6 +33,7 @@ from jax.scipy.linalg import block_diag
 from ..plants import linearised, motion
 from ..pytree.aliases import Array, Tree
 from ..runtime.jax_internals import once, with_slope
+from ..runtime.lanes import over_samples
 from ..signals.task import Trial, product
 from . import interior_point
 from .constraints import Rows, kinds, rows_of, system_of, weight_of
@@ -164,7 +165,7 @@ def moved(problem: Problem, at: Motion, way: Way, share: Array | float, dt: floa
     rest = jnp.zeros_like(w[0])
     first = model.initial_state()
     rows = (w, problem.added, at.x, z, way.K)
-    _, (real, x, y) = lax.scan(step, (first, (rest, rest)), rows)
+    _, (real, x, y) = over_samples(step, (first, (rest, rest)), rows)
     return Motion(real, x, jnp.concatenate([model.output(first)[None], y]) + problem.beside)
 
 
@@ -452,6 +453,6 @@ def _adjoint(system: System, slope: Array, n: int, outputs: int, states: int) ->
 
     # the row of the output at k is C[k] A[k], with the matrix C of the sample after
     rest = jnp.zeros(states, slope.dtype)
-    return lax.scan(
+    return over_samples(
         back, rest, (A[:, :states, :states], G[:, n : n + outputs, :states], q), reverse=True
     )[1]

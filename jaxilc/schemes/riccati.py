@@ -13,10 +13,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import lax
 from jax.scipy.linalg import cho_solve
 
 from ..pytree.aliases import Array, Tree
+from ..runtime.lanes import over_samples
 from ..signals.task import product
 
 UNROLLED = 4  # inputs up to which a solution is written out, since LAPACK would take longer
@@ -175,4 +175,4 @@ def scan(
         return f(carry, (at, *now[1]))
 
     varying = tuple(M for M in matrices if M.ndim == 3)
-    return lax.scan(turn, start, (varying, rows), length=length, reverse=reverse)
+    return over_samples(turn, start, (varying, rows), length=length, reverse=reverse)

@@ -1,22 +1,23 @@
-"""Lanes follow from the memory of a device, which is faked here; the loop may be unrolled.
+"""Lanes follow from the memory of a device, which is faked here; loops over samples are unrolled.
 
 The tests make JAX's CPU devices look like those of an accelerator that has so many bytes.
 """
 
 import dataclasses
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-from cases import case
+from cases import SCHEMES, case
 from gain_case import GAINS, PROBLEM, STATIC
 from sweep_case import PLAN
 
 from jaxilc import Sweep, tiled
 from jaxilc.learning import learn
-from jaxilc.learning.within_trial import bytes_of_trial, run_trial
+from jaxilc.learning.within_trial import bytes_of_trial
 from jaxilc.runtime import capacity, lanes
 from jaxilc.runtime.lanes import SHARE, WIDE, fitting_lanes, lanes_for, usual_lanes
 from jaxilc.schemes import PIDType
@@ -208,21 +209,30 @@ def test_a_tuning_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
     assert stored_lanes(tmp_path) is None
 
 
-@pytest.mark.parametrize("unroll", [3, 64])
-def test_unrolling_keeps_the_numbers(monkeypatch, unroll):
-    machine, scheme, task = case("p_type_over_pid")  # of 32 samples
-    memory = scheme.initial_memory(task)
+@pytest.mark.thorough(but=["ffdl_book-3", "p_type_over_pid-64"])
+@pytest.mark.parametrize(
+    ("name", "samples"), [*((name, 3) for name in SCHEMES), ("p_type_over_pid", 64)]
+)
+def test_the_loops_of_an_accelerator_have_the_numbers_and_slopes(monkeypatch, name, samples):
+    machine, scheme, task = case(name)
 
-    def found():  # a new function, so that it is traced again
-        def run(scale):
-            trial = run_trial(machine, scheme, task, memory, jax.random.key(0))
-            return scale * trial.y, trial.u
+    def scaled(gain, x):
+        return x * gain if jnp.issubdtype(jnp.asarray(x).dtype, jnp.floating) else x
 
-        return jax.jit(run), jax.jit(run)(1.0)
+    def found():
+        def loss(gain):
+            changed, law = jax.tree.map(lambda x: scaled(gain, x), (machine, scheme))
+            history = learn(changed, law, task, 2)
+            return history.rms[-1].sum(), (history.max_error, history.final.u)
 
+        run = jax.value_and_grad(loss, has_aux=True)
+        jax.clear_caches()  # of what was traced for the other kind of device
+        return jax.make_jaxpr(run)(1.01), jax.jit(run)(1.01)
+
+    with monkeypatch.context() as accelerated:
+        accelerated.setattr(lanes, "UNROLL", {"cpu": samples})
+        accelerated.setattr(lanes, "SCANNED", set())
+        program, unrolled = found()
     expected = found()[1]
-    monkeypatch.setattr(lanes, "UNROLL", {"cpu": unroll})
-    run, unrolled = found()
-    for one, other in zip(expected, unrolled, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
-    assert f"unroll={unroll}" in str(jax.make_jaxpr(run)(1.0))
+    chex.assert_trees_all_close(unrolled, expected, rtol=1e-9, atol=1e-12)
+    assert f"unroll={samples}" in str(program)
