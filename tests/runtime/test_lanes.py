@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-from cases import SCHEMES, case
+from cases import case
 from gain_case import GAINS, PROBLEM, STATIC
 from sweep_case import PLAN
 
@@ -209,11 +209,18 @@ def test_a_tuning_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
     assert stored_lanes(tmp_path) is None
 
 
-@pytest.mark.thorough(but=["ffdl_book-3", "p_type_over_pid-64"])
-@pytest.mark.parametrize(
-    ("name", "samples"), [*((name, 3) for name in SCHEMES), ("p_type_over_pid", 64)]
-)
-def test_the_loops_of_an_accelerator_have_the_numbers_and_slopes(monkeypatch, name, samples):
+# each kind of loop over samples; the one of 32 samples is shorter than a pass of 64
+LOOPS = (
+    "ffdl_book-3", "ilc_mfapc-3", "keep_unmeasured-3", "milc-3",
+    "norm_optimal-3", "p_type_butterworth-3", "p_type_iir-3", "p_type_over_pid-64",
+    "pid_type_leaky_limited-3", "two_step-3",
+)  # fmt: skip
+
+
+@pytest.mark.thorough(but=["ffdl_book-3"])
+@pytest.mark.parametrize("loop", LOOPS)
+def test_the_loops_of_an_accelerator_have_the_numbers_and_slopes(monkeypatch, loop):
+    name, samples = loop.split("-")
     machine, scheme, task = case(name)
 
     def scaled(gain, x):
@@ -230,7 +237,7 @@ def test_the_loops_of_an_accelerator_have_the_numbers_and_slopes(monkeypatch, na
         return jax.make_jaxpr(run)(1.01), jax.jit(run)(1.01)
 
     with monkeypatch.context() as accelerated:
-        accelerated.setattr(lanes, "UNROLL", {"cpu": samples})
+        accelerated.setattr(lanes, "UNROLL", {"cpu": int(samples)})
         accelerated.setattr(lanes, "SCANNED", set())
         program, unrolled = found()
     expected = found()[1]
