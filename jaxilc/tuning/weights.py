@@ -58,8 +58,7 @@ class Bijection:
             end, sign = (low, 1.0) if np.isinf(high) else (high, -1.0)
             nearest = np.log(MARGIN * abs(end)) if end else -FAR
             return end + sign * jnp.exp(jnp.clip(z, nearest, FAR))
-        share = MARGIN + (1.0 - 2.0 * MARGIN) * jax.nn.sigmoid(z)
-        return low * (high / low) ** share if low * high > 0 else low + (high - low) * share
+        return self._at(MARGIN + (1.0 - 2.0 * MARGIN) * jax.nn.sigmoid(z))
 
     def inverse(self, value: float) -> float:
         """The number z that is mapped to this value inside the interval."""
@@ -70,22 +69,33 @@ class Bijection:
             return float(np.log(value - low))
         if np.isinf(low):
             return float(np.log(high - value))
-        share = (
-            np.log(value / low) / np.log(high / low)
-            if low * high > 0
-            else (value - low) / (high - low)
-        )
-        share = (share - MARGIN) / (1.0 - 2.0 * MARGIN)
+        share = (self._share(value) - MARGIN) / (1.0 - 2.0 * MARGIN)
         return float(np.log(share / (1.0 - share)))
 
     def inside(self, value: float) -> float:
         """The value, moved inside the interval if it lies on an end of it."""
-        width = self.high - self.low if np.isfinite(self.high - self.low) else 1.0
-        if value <= self.low + 10 * MARGIN * width:
-            # If the range has only the end 0, the value approaches it exponentially and needs no
-            # distance from it.
-            return value if value > self.low and np.isinf(self.high) else self.low + NUDGE * width
-        return self.high - NUDGE * width if value >= self.high - 10 * MARGIN * width else value
+        low, high = self.low, self.high
+        if np.isinf(low) and np.isinf(high):
+            return value
+        if np.isinf(high) or np.isinf(low):  # 0 is approached exponentially, without a distance
+            end, sign = (low, 1.0) if np.isinf(high) else (high, -1.0)
+            near = sign * (value - end) <= 10 * MARGIN * abs(end)
+            return end + sign * NUDGE * (abs(end) or 1.0) if near else value
+        share = self._share(value)
+        near = not 10 * MARGIN < share < 1.0 - 10 * MARGIN
+        return float(self._at(NUDGE if share < 0.5 else 1.0 - NUDGE)) if near else value
+
+    def _at(self, share):
+        """The value at a share of the way from one finite end to the other."""
+        low, high = self.low, self.high
+        return low * (high / low) ** share if low * high > 0 else low + (high - low) * share
+
+    def _share(self, value: float) -> float:
+        """The share at which `_at` is the value."""
+        low, high = self.low, self.high
+        if low * high > 0:
+            return float(np.log(value / low) / np.log(high / low))
+        return (value - low) / (high - low)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -76,6 +76,10 @@ def test_bijections_are_one_to_one_and_stay_inside(interval):
     assert np.all((far > interval[0]) & (far < interval[1]))
     for end in interval:
         assert interval[0] < bijection.inside(end) < interval[1] or np.isinf(end)
+        if np.isfinite(end):  # beside an end, the value from which a tuning starts is the one told
+            inside = bijection.inside(end + 1e-9 * (float(bijection(0.0)) - end))
+            np.testing.assert_allclose(bijection(bijection.inverse(inside)), inside, rtol=1e-9)
+    assert [bijection.inside(v) for v in values] == values.tolist()
     if np.isfinite(interval).all() and np.prod(interval) > 0:  # the middle is the geometric mean
         np.testing.assert_allclose(abs(bijection(0.0)), np.sqrt(np.prod(interval)), rtol=1e-9)
 
