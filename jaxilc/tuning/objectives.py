@@ -313,9 +313,9 @@ class TrialsTo(Objective):
     width: float = 0.5
 
     def __call__(self, run: Run):
-        x = levels(run, self.metric, FLOOR)
-        limit = jnp.log(self.tolerance / largest(peak(run.task)) / FLOOR)
-        return jnp.sum(jax.nn.sigmoid((x - limit) / self.width))
+        floor = FLOOR * self.tolerance / largest(peak(run.task))  # far below what is asked for
+        x = levels(run, self.metric, floor, one_unit=True)
+        return jnp.sum(jax.nn.sigmoid((x + jnp.log(FLOOR)) / self.width))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -431,9 +431,11 @@ class D2(Objective):
         return jax.nn.relu(jnp.log(found.d2 / self.below))
 
 
-def levels(run: Run, metric: str, floor: float) -> jax.Array:
+def levels(run: Run, metric: str, floor: Leaf, *, one_unit: bool = False) -> jax.Array:
     """(J,) values l of a metric, for its largest channel.
 
+    one_unit: whether all channels are relative to the largest of all peaks, so that the largest
+        channel is that of the largest value
     For a trial that exceeded the ceiling at any sample, it is l of max |e| if that is larger.
     Otherwise an error that diverges at the start, outside the settled window, would not count, as
     the bound keeps it from spreading. Raises ValueError naming the metrics that exist.
@@ -447,7 +449,8 @@ def levels(run: Run, metric: str, floor: float) -> jax.Array:
     else:
         known = (*TUNED, *(history.saved or {}))
         raise ValueError(not_one_of(f"metric = {metric!r}", metric, known))
-    x = x / (peak(run.task) if metric in _OF_OUTPUTS else largest(peak(run.task)))
+    each = metric in _OF_OUTPUTS and not one_unit
+    x = x / (peak(run.task) if each else largest(peak(run.task)))
     x = largest(jnp.abs(x.reshape(len(x), -1)), axis=1)
     x = jnp.where(anywhere <= run.ceiling, x, jnp.maximum(x, anywhere))
     return 0.5 * jnp.log(x**2 + floor**2) - jnp.log(floor)

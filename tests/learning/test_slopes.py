@@ -5,6 +5,7 @@ The tests also check what divergence does to slopes.
 
 import dataclasses
 from functools import partial
+from types import SimpleNamespace
 
 import chex
 import jax
@@ -345,6 +346,16 @@ def test_terms_are_what_they_say():
         np.testing.assert_allclose(value, number, **{"rtol": 1e-7} | tolerance)
     np.testing.assert_allclose(several, parts, rtol=1e-12)
     assert found(np.zeros(5))[-1] == 0.0
+
+
+@pytest.mark.parametrize("tolerance", [2e-2, 1e-6, 1e-9])
+def test_a_tolerance_is_one_number_for_all_outputs_however_small(tolerance):
+    errors = tolerance * np.array([[4.0, 0.5], [0.5, 3.0], [0.2, 0.1], [0.0, 0.0]])
+    metrics = SimpleNamespace(settled_error=errors)
+    history = SimpleNamespace(metrics=metrics, saved={}, max_error=errors)
+    task = Task(np.outer(np.sin(np.arange(9.0)), [1.0, 0.01]), dt=1e-3)
+    trials = TrialsTo(tolerance, width=0.1)(Run(STATIC, PIDType(), task, history))
+    np.testing.assert_allclose(trials, 2.0, rtol=1e-3)
 
 
 # Divergence
