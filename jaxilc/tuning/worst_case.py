@@ -9,6 +9,7 @@ a machine, or a dictionary of a machine and a phase, an initial state, or a refe
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, TypeVar
 
@@ -30,7 +31,7 @@ from ..schemes import Scheme
 from ..schemes.parts import need_learned_at_last
 from ..signals.task import Task, Trial
 from ..uncertainty import LogUniform, Population, Uncertainty, drawn_machine
-from .objectives import Final, judge
+from .objectives import Final, judge, levels
 
 GRADIENT_COST = 3  # cost of a gradient beyond that of its loss, in evaluations of the loss
 T = TypeVar("T")
@@ -202,6 +203,17 @@ class _Box:
 # --------------------------------------------------------------------------------------------------
 
 
+@dataclasses.dataclass(frozen=True)
+class _Largest(Final):
+    """The value of the output in which the metric is largest, and not the largest share of a peak.
+
+    The peaks of outputs may differ.
+    """
+
+    def __call__(self, run):
+        return levels(run, self.metric, self.floor, one_unit=True)[-1]
+
+
 class Search(NamedTuple):
     """One search for the worst machine.
 
@@ -279,7 +291,7 @@ def worst_machine(
     for name, count in (("evaluations", evaluations), ("draws", draws)):
         if count is not None:
             check_size("worst-case", each, **{name: count})
-    objective, keep = Final(metric), Keep.of(quantities or {})
+    objective, keep = _Largest(metric), Keep.of(quantities or {})
 
     def loss(one: Machine) -> jax.Array:
         return judge(one, scheme, task, trials, objective, save=keep)
@@ -290,7 +302,7 @@ def worst_machine(
         return scale * float(jnp.max(values[-1])) if not history.diverged[-1] else float("inf")
 
     def of_losses(losses: np.ndarray) -> np.ndarray:
-        """Metrics from losses; with several outputs the largest peak of the reference is used."""
+        """Metrics from losses."""
         unit = scale * float(jnp.max(peak(task))) * objective.floor
         return unit * np.sqrt(np.maximum(np.exp(2.0 * losses) - 1.0, 0.0))
 

@@ -177,6 +177,18 @@ def test_counts_are_named_before_the_ascent(counts, message):
         worst_machine(*given, **counts, progress=pytest.fail)
 
 
+@pytest.mark.thorough
+def test_the_worst_machine_has_the_largest_error_of_outputs_of_different_peaks():
+    # The second output errs more in units of its peak; y1[k+1] = b u[k] errs more in millimetres.
+    machine = Machine(StateSpace(np.zeros((2, 2)), np.eye(2), np.eye(2), dt=1e-3))
+    law, task = PIDType(gamma_p=[0.5, 0.1]), Task(np.outer(np.sin(TIME), [1.0, 0.01]), dt=1e-3)
+    box = {f"plant.B[{i}][{i}]": Uniform(0.5, 1.4) for i in (0, 1)}
+    found = worst_machine(machine, law, task, 2, box, metric="max_error", starts=2, steps=8)
+    np.testing.assert_allclose(found.searches["gradient"].value, 1 - 0.5 * 0.5)
+    np.testing.assert_allclose(found.searches["gradient"].course[-1], 1 - 0.5 * 0.5)
+    np.testing.assert_allclose(max(found.by_chance), found.searches["chance"].value)
+
+
 def test_the_last_trial_must_not_be_an_experiment():
     """The error of an experiment says nothing of what was learned; no weight is chosen by it."""
     plant = StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3)
