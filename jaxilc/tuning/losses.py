@@ -13,8 +13,9 @@ How learning affects the gradients:
                                   slope of the loss.
     a settled metric              It does not include the start of a trial, where errors may grow:
                                   add a term of `max_error`.
-    a slope that is not finite    The slope of that machine is left out of the step. Its loss still
-                                  counts, and `dropped` says how many such slopes there were.
+    a slope that is not finite    The slope of that machine is left out of the step, which follows
+                                  the worst of the others where the risk asks for the worst. Its
+                                  loss still counts, and `dropped` says how many there were.
 """
 
 from __future__ import annotations
@@ -123,7 +124,8 @@ class Losses:
 
         def evaluate(z) -> Evaluation:
             losses, slopes, good = repaired(*over_machines(z, batch), clip)
-            omega = self.risk.weights(losses) * good
+            behind = jnp.min(losses) - 1.0  # where a machine without a slope takes no share of one
+            omega = self.risk.weights(jnp.where(good, losses, behind)) * good
             omega = omega / jnp.where(jnp.sum(omega) > 0, jnp.sum(omega), 1.0)
             value, gradient = self.risk(losses), omega @ slopes
             residuals, jacobian = losses / len(losses) ** 0.5, slopes / len(losses) ** 0.5

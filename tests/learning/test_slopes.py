@@ -46,6 +46,7 @@ from jaxilc.tuning.objectives import (
     judge,
     kept_for,
 )
+from jaxilc.tuning.risks import Worst
 from jaxilc.uncertainty import Uniform
 
 EVERYTHING = (
@@ -473,6 +474,23 @@ def test_a_plant_above_the_floor_is_heard_among_those_below_it():
     np.testing.assert_array_equal(
         repaired(jnp.full(2, jnp.nan), jnp.ones((2, 1)), clip=3.0)[1], 0.0
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class NotOfTheNominal(Objective):
+    """The square of gamma - g, and no number on the machine of the nominal gain g = 1."""
+
+    def __call__(self, run):
+        gain = run.machine.plant.B[0, 0]
+        return jnp.where(gain == 1.0, jnp.nan, (run.scheme.gamma_p - gain) ** 2)
+
+
+def test_the_worst_machine_that_has_a_slope_is_followed_where_the_first_has_none():
+    problem = dataclasses.replace(PROBLEM, trials=1, objective=NotOfTheNominal(), risk=Worst())
+    gains = problem.population.drawn["plant.B"][1:]
+    found = problem._evaluation[0](jnp.array([1.25]))  # gamma = 0.4 z
+    np.testing.assert_allclose(found.value, max((0.5 - gains) ** 2))
+    np.testing.assert_allclose(found.gradient, [min(0.8 * (0.5 - gains))])
 
 
 @pytest.mark.parametrize(("clip", "found"), [(3.0, True), (np.inf, False)])
