@@ -285,7 +285,8 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
     rows, last = numbers["figures"][metric], str(numbers["trials"])
     given, tuned = rows["given"][last], rows["tuned"][last]
     held, scheme = numbers["held_out"], numbers["scheme"]
-    if held["step"] == 0:
+    kept = (math.isclose(row["tuned"], row["given"]) for row in numbers["weights"].values())
+    if held["step"] == 0 and all(kept):  # and not another start, which no step has bettered
         said = "No step was better than the weights as given on the machines held out."
         return Verdict((said,), "the worst machine", case.on("worst-case", scheme))
     changed = [

@@ -320,7 +320,10 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     assert tune_verdict(OF_TUNING, hardly, params).said[1] == (
         "That is 0.83 % less at best: the weights as given are about as good."
     )
-    nothing = tune_verdict(OF_TUNING, tuned(step=0), params)
+    another_start = tuned(step=0)
+    assert tune_verdict(OF_TUNING, another_start, params).said == found.said
+    another_start["weights"]["lam"]["tuned"] = 1.0
+    nothing = tune_verdict(OF_TUNING, another_start, params)
     assert "No step was better" in nothing.said[0]
     assert parsed(nothing)[1]["params"].name == "old.json"
 
