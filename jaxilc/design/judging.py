@@ -59,6 +59,17 @@ class Verdict(NamedTuple):
     lost: str
     summary: SchemeSummary
 
+    @property
+    def gained_later(self) -> float:
+        """The share by which the 95 % error falls from that trial to the last one of the sweep."""
+        settled, last = self.summary.high[[self.settled_at - 1, -1]]
+        return float(1 - last / settled) if settled > 0 else 0.0
+
+    @property
+    def still_falls(self) -> bool:
+        """Whether trials after `settled_at` gain more than what counts as settled."""
+        return self.gained_later > 1 - 1 / SETTLED
+
 
 def verdict(
     candidate: Candidate, summary: SchemeSummary, trials: int, tolerance: float | None

@@ -327,7 +327,7 @@ def _table(chosen: Scenario, designed: Designed) -> Table:
             one.candidate.name,
             f"{one.candidate.largest:.3f}",
             f"{one.error * scale:.4g}",
-            f"trial {one.settled_at}",
+            "still falls" if one.still_falls else f"trial {one.settled_at}",
             verdict,
         )
     for one in designed.absent:
@@ -379,7 +379,10 @@ def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> lis
         )
     return [
         *said,
-        f"Stop after trial {one.settled_at}: what later trials gain is less than 5 %.",
+        f"The error still falls after trial {one.settled_at}, by {one.gained_later:.0%} to trial "
+        f"{designed.long}: more trials than {designed.trials} leave less."
+        if one.still_falls
+        else f"Stop after trial {one.settled_at}: what later trials gain is less than 5 %.",
         f"Most of the error comes from {CAUSES[limits.largest]}: without noise and limits the "
         f"nominal machine reaches {size(limits.law)}, with the limits of the actuator "
         f"{size(limits.limits)}, with noise too {size(limits.noise)}, and 95 % of the uncertain "

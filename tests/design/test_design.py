@@ -222,6 +222,10 @@ def of_sweep(high, worst=None, diverged=0.0):
 def test_a_law_is_judged_by_its_worst_trial_after_those_asked_for():
     one = verdict(None, of_sweep([9, 3, 1.02, 1, 1.5]), 4, 2.0)
     assert (one.error, one.settled_at, one.tolerated_from, one.lost) == (1.5, 3, 3, "")
+    assert not one.still_falls
+    slow = verdict(None, of_sweep([9, 3, 1.02, 1, 0.25]), 4, 2.0)
+    assert (slow.error, slow.settled_at, slow.still_falls) == (1, 3, True)
+    np.testing.assert_allclose(slow.gained_later, 1 - 0.25 / 1.02)
     assert verdict(None, of_sweep([9, 3, 1, 1, 2.5]), 4, 2.0).tolerated_from == 0
     assert verdict(None, of_sweep([1.5, 1, 1, 1, 1]), 4, 2.0).tolerated_from == 1
     assert "2.5 times" in verdict(None, of_sweep([9, 3, 1, 1, 1], [9, 3, 1, 1, 2.5]), 4, None).lost
