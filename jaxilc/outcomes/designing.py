@@ -13,7 +13,7 @@ from typing import TypeVar
 from .. import figures
 from ..design import Design, Designed, Learned, LearnedLaw, Recommended, feedback_among
 from ..design.candidates import Absent, Candidate
-from ..design.judging import Proof
+from ..design.judging import LIKE, Proof
 from ..design.judging import Verdict as Judged
 from ..design.learned import LEARNED, SAFE
 from ..design.question import Told
@@ -322,7 +322,9 @@ def _table(chosen: Scenario, designed: Designed) -> Table:
     )  # fmt: skip
     best = None if designed.chosen is None else designed.chosen.verdict
     for one in (*((best,) if best else ()), *designed.others):
-        verdict = "recommended" if one is best else "lost" if one.lost else "larger error"
+        verdict = "lost" if one.lost else "larger error"
+        if best is not None and not one.lost and one.error <= LIKE * best.error:
+            verdict = "recommended" if one is best else "as good"
         table.add_row(
             one.candidate.name,
             f"{one.candidate.largest:.3f}",

@@ -1,6 +1,7 @@
 """`jaxilc design` and `jaxilc learn-law` as a user types them."""
 
 import json
+from types import SimpleNamespace
 from unittest import mock
 
 import jax
@@ -9,9 +10,11 @@ import pytest
 from command import call, mistakes, write_columns
 
 from jaxilc.cli import commands
-from jaxilc.design import LAWS
+from jaxilc.design import LAWS, Designed, Recommended
+from jaxilc.design.candidates import Candidate
+from jaxilc.design.judging import Verdict
 from jaxilc.design.learned import STARTS, LearnedLaw, Taps
-from jaxilc.outcomes.designing import state_of
+from jaxilc.outcomes.designing import _table, state_of
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import LearningFilter
 
@@ -79,6 +82,18 @@ def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file):
     assert float(law.scheme.gamma_p) == numbers["chosen"]["weights"]["scheme.gamma_p"]
     code, _, err = call("design", file.name, *asked)
     assert (code, "add --force" in err) == (2, True)
+
+
+def test_a_law_that_is_as_good_as_the_simpler_one_has_no_larger_error():
+    chosen = SimpleNamespace(name="axis", judged_by="rms", shown=lambda _: (1.0, "mm"))
+    errors, one = {"simple": 1.0, "other": 0.995, "worse": 1.1}, SimpleNamespace(high=np.ones(9))
+    verdicts = [
+        Verdict(Candidate(name, "", None, {}, 0.9, 1.0), error, 1.0, 1.0, 1, 0, "", one)
+        for name, error in errors.items()
+    ]
+    best = Recommended(verdicts[0], None, None)
+    table = _table(chosen, Designed(best, tuple(verdicts[1:]), (), 4, 9, 3))
+    assert [*map(str, table.columns[-1].cells)] == ["recommended", "as good", "larger error"]
 
 
 def test_a_state_is_resumed_replaced_or_refused(tmp_path):
