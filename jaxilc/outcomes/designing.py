@@ -356,17 +356,17 @@ def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> lis
     one, limits, size = best.verdict, best.limits, partial(size_of, chosen)
     said = [
         f"Take {one.candidate.name}: {_with_weights(one.candidate, chosen)}.",
-        f"Of {designed.machines} machines that the design has not seen, 95 % stay at or below a "
-        f"{chosen.judged_by.replace('_', ' ')} of {size(one.error)} from trial {designed.trials} "
-        f"to {designed.long}; half of them stay at or below {size(one.median)}, all of them at or "
-        f"below {size(one.worst)}.",
+        f"Of {designed.machines} machines that the design has not seen, 95 % are at or below a "
+        f"{chosen.judged_by.replace('_', ' ')} of {size(one.error)} in each trial from "
+        f"{designed.trials} to {designed.long}; half of them are at or below {size(one.median)}, "
+        f"all of them at or below {size(one.worst)}.",
         safety_said(best.proof),
     ]
     if chosen.tolerance is not None:
         said.append(
             f"Tolerance {chosen.tolerance:g} {chosen.shown(chosen.judged_by)[1]}: "
             + (
-                f"95 % of the machines are within it from trial {one.tolerated_from} on."
+                f"95 % of the machines are within it in each trial from {one.tolerated_from} on."
                 if one.tolerated_from
                 else f"{one.summary.yield_share:.0%} of the machines are within it at the end; "
                 "95 % is not reached."
@@ -612,8 +612,8 @@ def _errors_said(chosen: Scenario, learned: Learned) -> str:
     return (
         f"Of {learned.machines} machines that it has not seen, half are at or below a "
         f"{chosen.judged_by.replace('_', ' ')} of {size(errors['median'])} in trial "
-        f"{learned.trials} and 95 % at or below {size(errors['error_95'])}; to trial "
-        f"{learned.long} 95 % stay at or below {size(one.error)}."
+        f"{learned.trials} and 95 % at or below {size(errors['error_95'])}; in each trial to "
+        f"{learned.long} 95 % are at or below {size(one.error)}."
     )
 
 
