@@ -217,7 +217,7 @@ class _Largest(Final):
 class Search(NamedTuple):
     """One search for the worst machine.
 
-    value: the metric of that machine in the last trial
+    value: the metric of that machine in the last trial, inf if any trial diverged
     needed: number of evaluations until this machine was found
     level_with_chance: number of evaluations until the loss reached that of the random search, None
         if it never did
@@ -235,7 +235,7 @@ class Search(NamedTuple):
 class WorstMachine(NamedTuple):
     """The results of the searches, with metrics multiplied by `scale`.
 
-    nominal: metric of the nominal machine in the last trial
+    nominal: metric of the nominal machine in the last trial, inf if any trial diverged
     searches: searches by name: `gradient`, `chance` with as many evaluations, and `more chance` if
         asked for
     by_chance: (n,) metric of each machine of the largest random search
@@ -299,7 +299,7 @@ def worst_machine(
     def of_machine(one: Machine) -> float:
         history = learn(one, scheme, task, trials, save=keep)
         values = history.saved[metric] if metric in history.saved else getattr(history, metric)
-        return scale * float(jnp.max(values[-1])) if not history.diverged[-1] else float("inf")
+        return scale * float(jnp.max(values[-1])) if not np.any(history.diverged) else float("inf")
 
     def of_losses(losses: np.ndarray) -> np.ndarray:
         """Metrics from losses."""

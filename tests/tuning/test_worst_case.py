@@ -189,6 +189,18 @@ def test_the_worst_machine_has_the_largest_error_of_outputs_of_different_peaks()
     np.testing.assert_allclose(max(found.by_chance), found.searches["chance"].value)
 
 
+@pytest.mark.thorough
+def test_a_machine_that_diverges_and_returns_has_diverged():
+    # The error grows to 28,000 peaks of the reference, and is small in the last trial.
+    machine = Machine(StateSpace([[0.99]], [[0.1]], [[1.0]], dt=1e-3))
+    task = Task(np.sin(2 * np.pi * np.arange(11) / 10), dt=1e-3)
+    given = machine, PIDType(gamma_p=15.0), task, 90
+    assert learn(*given).rms[-1] < 1e-3
+    box = {"plant.B": Uniform(0.9, 1.0, relative=True)}
+    found = worst_machine(*given, box, metric="rms", starts=1, steps=1)
+    assert [found.nominal, found.searches["gradient"].value] == [np.inf, np.inf]
+
+
 def test_the_last_trial_must_not_be_an_experiment():
     """The error of an experiment says nothing of what was learned; no weight is chosen by it."""
     plant = StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3)
