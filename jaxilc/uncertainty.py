@@ -283,7 +283,7 @@ class Population:
 
     def key_of(self, number: int | jax.Array) -> jax.Array:
         """The key of one machine's noise, which does not depend on the number of machines."""
-        return jax.random.fold_in(jax.random.key(self.seed), number)
+        return jax.random.fold_in(key_of(self.seed), number)
 
     def batch(self, first: int = 0) -> tuple[jax.Array, dict[str, jax.Array]]:
         """The numbers and drawn values of all machines from the first one on, for `tiled`."""
@@ -299,6 +299,13 @@ class Population:
     def machines(self) -> Tree:
         """All machines as one, see `drawn_machines`."""
         return drawn_machines(self.machine, self.uncertainty, self.drawn)
+
+
+def key_of(seed: int) -> jax.Array:
+    """The key of a seed, of which JAX would take the last 32 bits alone in single precision."""
+    if jax.config.x64_enabled or seed < 2**32:
+        return jax.random.key(seed)
+    return jax.random.fold_in(jax.random.key(seed % 2**32), seed // 2**32)
 
 
 T = TypeVar("T")

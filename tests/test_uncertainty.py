@@ -58,6 +58,14 @@ def test_seeds_differ():
     assert not np.array_equal(*(draw(MACHINE, UNCERTAINTY, 9, seed=s)[GAIN] for s in (0, 1)))
 
 
+@pytest.mark.parametrize("double", [False, True])
+def test_each_seed_has_noise_of_its_own(double):
+    with jax.enable_x64(double):
+        seeds = (5, 2**31, 2**32 + 5, 2**33 + 5, 8 * 10**18)
+        keys = [Population(MACHINE, seed=seed).key_of(1) for seed in seeds]
+        assert len({tuple(jax.random.key_data(key).tolist()) for key in keys}) == len(seeds)
+
+
 def test_corners_are_all_combinations_of_the_ends():
     drawn = draw(
         MACHINE,

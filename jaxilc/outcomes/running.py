@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import jax
 import numpy as np
 
 from .. import figures
@@ -21,6 +20,7 @@ from ..scenarios.from_file import options
 from ..scenarios.reproduction import met
 from ..storage.files import whole_folder
 from ..sweeps import runs
+from ..uncertainty import key_of
 from .case import HEADS, Case, diverged, experiment_lines, output_names, shown_trials
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, settings_of
@@ -68,7 +68,7 @@ def run(
     made_with = runs.configuration(chosen, seed)
     place = _folder(folder, chosen.name, made_with, replace=replace)
     dataset, _ = runs.run_schemes(
-        chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=jax.random.key(seed),
+        chosen.machine, chosen.schemes, chosen.task, chosen.trials, key=key_of(seed),
         quantities=chosen.functions,
         progress=lambda done, name: progress(name, done, len(chosen.schemes)),
     )  # fmt: skip

@@ -32,7 +32,7 @@ from ..runtime.events import COMPILING, COMPUTING
 from ..runtime.lanes import fitting_lanes
 from ..runtime.start import native_unwanted
 from ..runtime.tiles import tiled
-from ..uncertainty import Drawn, drawn_machine
+from ..uncertainty import Drawn, drawn_machine, key_of
 from .plan import Chunk, Plan
 from .store import UNFILLED
 
@@ -221,7 +221,7 @@ class Host:
         point, index = np.divmod(member, plan.machines)
         drawn = {n: x[plan.first + index] for n, x in plan.population.drawn.items()}
         at_point = plan.axes.leaves_at(point, of.name)
-        common = (of.machine, of.scheme, of.task, jax.random.key(plan.population.seed))
+        common = (of.machine, of.scheme, of.task, key_of(plan.population.seed))
         return common, (index, drawn, at_point)
 
 
