@@ -304,9 +304,10 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
     second = []
     gain = max(1 - tuned[of] / given[of] if given[of] else 0.0 for of in ("median", "worst"))
     if gain < WORTHWHILE:
-        second.append(
-            f"That is {100 * gain:.2g} % less at best: the weights as given are about as good."
-        )
+        change = "more at least" if gain < 0 else "less at best"
+        good = "about as good" if gain > -WORTHWHILE else "better in this"
+        said = f"That is {abs(100 * gain):.2g} % {change}: the weights as given are {good}."
+        second.append(said)
     if tuned["worst"] > given["worst"]:
         second.append("The worst machine has become worse: --risk worst or cvar tunes for it.")
     elif held["reason"] == "steps" and held["step"] == held["steps"]:

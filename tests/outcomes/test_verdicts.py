@@ -320,6 +320,10 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     assert tune_verdict(OF_TUNING, hardly, params).said[1] == (
         "That is 0.83 % less at best: the weights as given are about as good."
     )
+    hardly["figures"]["settled_error"]["tuned"]["15"] = {"median": 1.32, "worst": 3.6}
+    assert tune_verdict(OF_TUNING, hardly, params).said[1] == (
+        "That is 10 % more at least: the weights as given are better in this."
+    )
     another_start = tuned(step=0)
     assert tune_verdict(OF_TUNING, another_start, params).said == found.said
     another_start["weights"]["lam"]["tuned"] = 1.0
