@@ -85,6 +85,8 @@ class Compiled(Generic[Common, One, Found]):
 
     def __init__(self, fn: Callable[[Common, One], Found], common: Common, one: One,
                  lanes: int | None = None, blocks: int | None = None):  # fmt: skip
+        if (backend := jax.default_backend()) != "cpu":
+            raise Unknown(f"JAX computes on {backend}")
         with all_stored():
             closed, shape = jax.make_jaxpr(fn, return_shape=True)(common, one)
         self._jaxpr = closed.jaxpr

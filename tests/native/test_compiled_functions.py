@@ -10,7 +10,7 @@ import pytest
 from cases import case
 
 from jaxilc.learning import learn
-from jaxilc.native import compiled, operations
+from jaxilc.native import compiled, operations, why_not
 from jaxilc.native.run import differs
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.runtime import jax_internals
@@ -71,6 +71,14 @@ def test_a_wrong_program_is_told_while_jax_traces_and_xla_computes(monkeypatch, 
     ]
     np.testing.assert_array_equal(*(f(1.0, B) for f in over))
     assert "XLA computes instead" in caplog.text
+
+
+def test_where_jax_computes_on_another_device_no_program_is_made(monkeypatch, caplog):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    caplog.set_level(logging.INFO, "jaxilc")
+    assert compiled(lambda x: 2 * x, 1.0)(3.0) == 6
+    assert "compiled: JAX computes on gpu" in caplog.text
+    assert why_not(machine, scheme, task) == "JAX computes on gpu"
 
 
 def test_arguments_are_those_of_the_example_in_shape_and_type():
