@@ -107,12 +107,12 @@ def host_bytes() -> int | None:
 
 
 def device_bytes() -> int | None:
-    """The bytes that are free on all devices together, if the devices have RAM of their own.
+    """The bytes that are free for what is spread evenly over all devices, where these have RAM.
 
-    None on a CPU, and if unknown.
+    The device with the least is the first that is full. None on a CPU, and if unknown.
     """
     known = _of_devices()
-    return None if known is None else sum(max(0, limit - used) for limit, used in known)
+    return None if known is None else len(known) * max(0, min(of - used for of, used in known))
 
 
 def device_memory() -> int | None:

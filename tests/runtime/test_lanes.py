@@ -106,7 +106,8 @@ class Device:
     ("stats", "memory", "free"),
     [
         ([{"bytes_limit": 100, "bytes_in_use": 30}], 100, 70),
-        ([{"bytes_limit": 100}, {"bytes_limit": 80, "bytes_in_use": 90}], 80, 100),
+        ([{"bytes_limit": 100}, {"bytes_limit": 80, "bytes_in_use": 90}], 80, 0),
+        ([{"bytes_limit": 800}, {"bytes_limit": 240, "bytes_in_use": 10}], 240, 460),
         ([{"bytes_limit": 100}, None], None, None),
         ([{"bytes_limit": 100}, {}], None, None),
         ([{"bytes_in_use": 3}], None, None),
