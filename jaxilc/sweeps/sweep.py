@@ -317,9 +317,10 @@ def _that_fits(plan: Plan, hosts: Host | Workers, name: str, need: int, room: in
     small = min(2 * tile, size)
     least = next(hosts.chunk_bytes((name,), small))[1] if small < size else need
     if least > room:
+        fewer = f"a smaller chunk or fewer lanes than {plan.lanes}, " if plan.lanes > 1 else ""
         return (
-            f"{small} machines at a time take {capacity.shown(least)} already; keep fewer signals, "
-            "take fewer trials, or shorten them"
+            f"{small} machines at a time take {capacity.shown(least)} already; take {fewer}"
+            "fewer trials or shorter ones, or keep fewer signals"
         )
     fits = int(small + (room - least) / (need - least) * (size - small)) // tile * tile
     return f"chunk = {fits} would fit"

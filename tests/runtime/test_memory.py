@@ -64,6 +64,10 @@ def test_where_no_chunk_fits_it_says_so(monkeypatch, tmp_path):
     with_memory(monkeypatch, PLAN.bytes_stored() + 10_000)
     with pytest.raises(ValueError, match=f"{2 * TILE} machines at a time take .* already"):
         PLAN.run(tmp_path / "store.zarr")
+    wide = dataclasses.replace(PLAN, lanes=64)  # a single tile has all machines
+    with_memory(monkeypatch, PLAN.bytes_stored() + 200_000)
+    with pytest.raises(ValueError, match=r"64 machines .* already; take a smaller chunk or fewer"):
+        wide.run(tmp_path / "store.zarr")
 
 
 def test_a_dataset_that_does_not_fit_is_refused(monkeypatch, tmp_path):
