@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -37,6 +37,7 @@ from ..runtime.provenance import describe, environment
 from ..schemes import Scheme
 from ..schemes.parts import need_learned_at_last
 from ..signals.task import Task, Trial
+from ..storage.files import need_free
 from ..sweeps.sweep import Sweep
 from ..uncertainty import Population, Uncertainty, takes_population
 from .descent import (
@@ -275,6 +276,8 @@ class Tuning:
         in use, has no undamaged state, or was made with another configuration, and for a step that
         the RAM cannot hold.
         """
+        if out is not None and not resume:
+            need_free(out)
         if resume and out is not None and self.lanes is None:
             begun = stored_lanes(Path(out)) or self._losses.lanes
             if begun != self._losses.lanes:
@@ -282,19 +285,13 @@ class Tuning:
                 return again.run(out, resume=True, progress=progress)
         z = self._weights.starts(self.starts, self.scatter, self.seed)
         method, held_out = self._programs
-        # Python traces one program at a time, and this one takes longer to compile than the other
-        step = method.programs[1].lower(*arguments_like(method, z))
-        given = jax.eval_shape(self._weights.at, z)
-        with ThreadPoolExecutor(1) as compiler:
-            compiled = compiler.submit(lambda: held_out.lower(given).compile())
-            check_program(
-                "Tuning: a step of all starts",
-                "take fewer trials, starts or lanes, or a shorter trial",
-                step,
-            )
-        compiled.result()
-        place = None if out is None else Folder(Path(out), self.configuration(), resume)
-        with place or nullcontext():
+        with ExitStack() as opened:
+            place = None
+            if resume and out is not None and Path(out).exists():  # refused before it is compiled
+                place = opened.enter_context(Folder(Path(out), self.configuration(), resume))
+            self._compile(z)
+            if out is not None and place is None:
+                place = opened.enter_context(Folder(Path(out), self.configuration(), resume))
             now = State.start(z, method.init(z), self.steps)
 
             def after_step(now: State, record: Step) -> None:
@@ -315,6 +312,21 @@ class Tuning:
         both = {name: np.array([self.start[name], best[name]], z.dtype) for name in best}
         before, after = in_rounds(held_out, both, self.starts).tolist()
         return Tuned.of(now, self._weights, self.scheme, before, after, reason)
+
+    def _compile(self, z: np.ndarray) -> None:
+        """Compile both programs; raises ValueError for a step that the RAM cannot hold."""
+        method, held_out = self._programs
+        # Python traces one program at a time, and this one takes longer to compile than the other
+        step = method.programs[1].lower(*arguments_like(method, z))
+        given = jax.eval_shape(self._weights.at, z)
+        with ThreadPoolExecutor(1) as compiler:
+            compiled = compiler.submit(lambda: held_out.lower(given).compile())
+            check_program(
+                "Tuning: a step of all starts",
+                "take fewer trials, starts or lanes, or a shorter trial",
+                step,
+            )
+        compiled.result()
 
     def compare(
         self,

@@ -272,9 +272,10 @@ def test_an_interrupted_tuning_resumes_to_the_same_numbers(optimiser, tmp_path):
     assert_same_tuned(whole, resumed)
 
 
-def test_a_folder_of_another_tuning_is_refused(tmp_path):
+def test_a_folder_of_another_tuning_is_refused_before_compiling(tmp_path, monkeypatch):
     problem = dataclasses.replace(PROBLEM, steps=1, uncertainty={}, held_out=0)
     problem.run(tmp_path / "state")
+    monkeypatch.setattr(Tuning, "_compile", lambda *_: pytest.fail("it was compiled"))
     with pytest.raises(FileExistsError, match="exists already"):
         problem.run(tmp_path / "state")
     with pytest.raises(
