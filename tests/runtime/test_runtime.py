@@ -9,6 +9,7 @@ import jax
 import pytest
 
 import jaxilc
+from jaxilc.runtime import start
 
 
 def python(program, *arguments, **environment):
@@ -104,6 +105,19 @@ def test_a_later_version_is_given_the_options_that_it_knows(flags):
 
 def test_options_that_are_given_are_not_changed(flags):
     assert flags["kept"] == [KEPT_AS_IT_IS, []]
+
+
+def test_an_accelerator_multiplies_matrices_in_the_precision_that_was_chosen(monkeypatch):
+    monkeypatch.setattr(start, "_accelerated", lambda: True)
+    of = jax.ShapeDtypeStruct((2, 2), "float32")
+    try:
+        for before, after in ((None, "HIGHEST"), ("high", "HIGH")):
+            jax.config.update("jax_default_matmul_precision", before)
+            jaxilc.setup(precision="float32", devices=jax.device_count())
+            assert f"[{after}, {after}]" in jax.jit(lambda x: x @ x).lower(of).as_text()
+    finally:
+        jax.config.update("jax_default_matmul_precision", None)
+        jaxilc.setup(devices=jax.device_count())
 
 
 def test_the_version_of_jax_whose_loops_are_slow_is_reported(monkeypatch):
