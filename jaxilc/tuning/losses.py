@@ -151,7 +151,8 @@ class Losses:
             return usual
         of_one = partial(self._slope_of_one, objective=split(objective)[0])
         batch, z = self.population.batch(), jnp.zeros(len(self.weights.start))
-        return fitting_lanes(of_one, z, batch, machines * self.starts, what="Tuning")
+        every = machines * self.starts
+        return fitting_lanes(of_one, z, batch, every, held=every, what="Tuning")
 
     def _slope_of_one(self, z, one, *, objective: Objective):
         """The loss of one machine of a batch at z (P,), and its slope."""

@@ -208,6 +208,9 @@ def test_a_tuning_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
     assert small.run(tmp_path / "state", resume=True).values["gamma_p"] > 0.4
     assert stored_lanes(tmp_path / "state") == large.configuration()["lanes"]
     assert stored_lanes(tmp_path) is None
+    device(600)  # which the losses and slopes of all machines take, too
+    with pytest.raises(ValueError, match=r"Tuning: one machine beside .* of results takes"):
+        type(PROBLEM)(**fields).configuration()
 
 
 # each kind of loop over samples; the one of 32 samples is shorter than a pass of 64
