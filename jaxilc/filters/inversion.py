@@ -9,6 +9,7 @@ sample of delay that no drive has: the table then leads by velocity dt / 2.
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
@@ -17,7 +18,8 @@ from ..pytree.aliases import Leaf
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known
 from ..pytree.ranges import Interval, require
-from .zero_phase import Filter, run_sections
+from ..runtime.lanes import over_samples
+from .zero_phase import Filter
 from .zeros_and_poles import EPS, Factors, factors, output_ratio
 
 __all__ = [
@@ -244,3 +246,25 @@ def _run_ahead(sections, signal, advance, extension):
     before, start = max(-advance, 0), max(advance, 0)
     held = jnp.pad(signal, ((before, max(advance + extension, 0)), (0, 0)), mode="edge")
     return run_sections(sections, held)[start : start + signal.shape[0] + extension]
+
+
+def run_sections(sections, signal) -> jax.Array:
+    """A cascade of second-order sections over a (N, n) signal.
+
+    It starts in the steady state of the first sample.
+    """
+    settled, level = [], signal[0]
+    for b0, b1, b2, a1, a2 in sections:
+        gain = (b0 + b1 + b2) / (1.0 + a1 + a2)
+        settled.append(((gain - b0) * level, (b2 - a2 * gain) * level))
+        level = gain * level
+
+    def tick(states, x):
+        following = []
+        for (b0, b1, b2, a1, a2), (s1, s2) in zip(sections, states, strict=True):
+            y = b0 * x + s1
+            following.append((b1 * x - a1 * y + s2, b2 * x - a2 * y))
+            x = y
+        return following, x
+
+    return over_samples(tick, settled, signal)[1]

@@ -9,6 +9,8 @@ with a lead grew at the ends on 131. Mirrored at its ends, a signal never comes 
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -89,8 +91,8 @@ class ZeroPhaseButterworth(Filter):
             below = jnp.log(jnp.tan(jnp.pi * self.cutoff * dt)) - octaves
             # 1 / (1 + ratio^(2 order)) without a power that could overflow
             return mirrored(signal, jax.nn.sigmoid(2 * self.order * below))
-        sections = butterworth_sections(self.cutoff, dt, self.order)
-        return forward_and_backward(lambda x: run_sections(sections, x), signal, self.padding)
+        one_pass = partial(butterworth_pass, self.cutoff, dt, self.order)
+        return forward_and_backward(one_pass, signal, self.padding)
 
 
 # Li 2020, section 4: printed as a fourth-order Butterworth at 10 Hz, for
@@ -208,27 +210,40 @@ def forward_and_backward(one_pass, signal, edge: int) -> jax.Array:
     return both[edge : both.shape[0] - edge]
 
 
-def butterworth_sections(cutoff, dt, order: int) -> jax.Array:
-    """(order/2 rounded up, 5) rows b0 b1 b2 a1 a2 of a Butterworth low-pass.
+def butterworth_pass(cutoff, dt, order: int, signal) -> jax.Array:
+    """A causal Butterworth low-pass over a (N, n) signal, from rest at its first sample.
 
-    Each section has unit DC gain. The bilinear transform with prewarping, K = tan(pi cutoff dt),
-    turns a pole pair at -cos t +- i sin t into
+    The bilinear transform with prewarping, K = tan(pi cutoff dt), by the states of integrators: of
+    a pole pair at -cos t +- i sin t
 
-        K^2 (1 + z^-1)^2 / ((1 + 2 K cos t + K^2) + 2 (K^2 - 1) z^-1 + (1 - 2 K cos t + K^2) z^-2)
+        h = K / (1 + K D) (x - s_2 - D s_1),   v = s_1 + h,     y = s_2 + K v,   D = K + 2 cos t
+                                               s_1' = v + h,   s_2' = y + K v
+
+    and h = K / (1 + K) (x - s), y = s + h, s' = y + h of a real pole. They pass a constant as it
+    is, where b0 b1 b2 a1 a2 lose cutoff^2 dt^2 to rounding: in float32 all of it.
     """
     K = jnp.tan(jnp.pi * cutoff * dt)
-    rows = []
-    for i in range(order // 2):
-        damping = 2.0 * np.cos(np.pi * (order - 1 - 2 * i) / (2 * order))
-        scale = 1.0 + damping * K + K**2
-        rows.append(
-            jnp.stack([K**2, 2.0 * K**2, K**2, 2.0 * (K**2 - 1.0), 1.0 - damping * K + K**2])
-            / scale
-        )
-    if order % 2:
-        zero = jnp.zeros_like(K)
-        rows.append(jnp.stack([K, K, zero, K - 1.0, zero]) / (1.0 + K))
-    return jnp.stack(rows)
+    signal = jnp.asarray(signal, jnp.result_type(signal, K))
+    angles = np.pi * np.arange(order - 1, 0, -2) / (2 * order)
+    dampings = [K + 2.0 * np.cos(angle) for angle in angles]
+    gains, of_real = [K / (1.0 + K * D) for D in dampings], K / (1.0 + K)
+
+    def tick(states, x):
+        (pairs, last), following = states, []
+        for (s1, s2), D, gain in zip(pairs, dampings, gains, strict=True):
+            h = gain * (x - s2 - D * s1)
+            v = s1 + h
+            rise = K * v
+            x = s2 + rise
+            following.append((v + h, x + rise))
+        if order % 2:
+            h = of_real * (x - last)
+            x = last + h
+            last = x + h
+        return (following, last), x
+
+    at_rest = [(jnp.zeros_like(signal[0]), signal[0]) for _ in dampings]
+    return over_samples(tick, (at_rest, signal[0]), signal)[1]
 
 
 def odd_extension(signal, samples: int) -> jax.Array:
@@ -238,25 +253,3 @@ def odd_extension(signal, samples: int) -> jax.Array:
     left = 2.0 * signal[:1] - signal[samples:0:-1]
     right = 2.0 * signal[-1:] - signal[-2 : -samples - 2 : -1]
     return jnp.concatenate([left, signal, right])
-
-
-def run_sections(sections, signal) -> jax.Array:
-    """A cascade of second-order sections over a (N, n) signal.
-
-    It starts in the steady state of the first sample.
-    """
-    settled, level = [], signal[0]
-    for b0, b1, b2, a1, a2 in sections:
-        gain = (b0 + b1 + b2) / (1.0 + a1 + a2)
-        settled.append(((gain - b0) * level, (b2 - a2 * gain) * level))
-        level = gain * level
-
-    def tick(states, x):
-        following = []
-        for (b0, b1, b2, a1, a2), (s1, s2) in zip(sections, states, strict=True):
-            y = b0 * x + s1
-            following.append((b1 * x - a1 * y + s2, b2 * x - a2 * y))
-            x = y
-        return following, x
-
-    return over_samples(tick, settled, signal)[1]
