@@ -12,7 +12,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..hardware.checks import DEAD, GROWN, INPUTS, LARGER, LEARNED, LEAST, kind
+from ..hardware.checks import (
+    DEAD,
+    GROWN,
+    INPUTS,
+    LARGER,
+    LEARNED,
+    LEAST,
+    from_references,
+    kind,
+    peak,
+)
 from ..pytree.aliases import Array, Tree
 from ..schemes import Scheme
 from ..schemes.parts import trials_of_step
@@ -102,7 +112,7 @@ def of_trial(scheme: Scheme, task: Task, seen: Seen, schedule: Tree,
     code = jnp.where(~fine, 1, jnp.where(stuck, 2, jnp.where(grown, 3, 0))).astype(jnp.int32)
     best = jnp.where((code == 0) & compared, jnp.minimum(seen.best, rms), seen.best)
     played = _learned(scheme, task, schedule)
-    largest = {name: jnp.maximum(seen.largest[name], _peak(name, of, task))
+    largest = {name: jnp.maximum(seen.largest[name], peak(name, of, task))
                for name, of in played.items()}  # fmt: skip
     return code, Seen(best, seen.learned, largest, seen.fine)
 
@@ -119,21 +129,15 @@ def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree
         if kind(name) in INPUTS:
             good.append(jnp.all(jnp.abs(of) <= limit))
         if kind(name) == "reference" and correction is not None:
-            good.append(_peak(name, of, task) <= correction)
+            away = jnp.min(jnp.max(jnp.abs(from_references(of, task)), axis=0), axis=-1)
+            good.append(jnp.all(away <= correction))
     allowed = LARGER * (1 + 1 / jnp.maximum(1.0, seen.learned))
     for name, of in _learned(scheme, task, schedule).items():
         largest = seen.largest[name]
-        good.append((largest == 0) | (_peak(name, of, task) <= allowed * largest))
+        good.append((largest == 0) | (peak(name, of, task) <= allowed * largest))
     return jnp.all(jnp.stack(good)) if good else jnp.asarray(True)
 
 
 def _learned(scheme: Scheme, task: Task, schedule: Tree) -> dict[str, Array]:
     found = scheme.played(schedule, task) if scheme.learns else {}
     return {name: of for name, of in found.items() if kind(name) in LEARNED}
-
-
-def _peak(name: str, schedule: Array, task: Task) -> Array:
-    reference = np.asarray(task.reference)
-    if kind(name) == "reference" and schedule.shape == reference.shape:
-        schedule = schedule - reference
-    return jnp.max(jnp.abs(schedule))

@@ -278,7 +278,7 @@ class Campaign:
         following = learned(scheme, task, memory, record) if learn else memory
         following_schedules = schedules(scheme, following, task)
         findings += _of_the_next(following, following_schedules, task, self.actuator, self.rules)
-        peaks = {name: checks.peak(name, of, task) for name, of in played.items()}
+        peaks = {name: float(checks.peak(name, of, task)) for name, of in played.items()}
         if measured.u is not None:
             findings += self._as_the_machine_can(record, commanded, played, live)
         if learn:

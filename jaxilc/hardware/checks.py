@@ -220,7 +220,9 @@ def beyond_limits(
         departure, unit, limits = schedule, task.input_unit, None
         of_reference = kind(name) == "reference"
         if of_reference:
-            unit, departure = task.unit, _from_reference(schedule, np.asarray(task.reference))
+            unit, away = task.unit, from_references(schedule, task)
+            nearest = np.argmin(np.max(np.abs(away), axis=0), axis=-1)
+            departure = np.take_along_axis(away, nearest[None, :, None], axis=-1)[..., 0]
             limits = (
                 None if rules.correction is None else np.full(schedule.shape[1], rules.correction)
             )
@@ -242,16 +244,15 @@ def beyond_limits(
     return findings
 
 
-def _from_reference(schedule, r):
-    """(N+1, n) how far references are from those of the task.
+def from_references(schedule, task: Task):
+    """(N+1, n, 1) how far references are from those of the task.
 
-    Where there are not as many, the output that is nearest to each counts.
+    Where there are not as many, (N+1, n, n_y): of all outputs, of which the nearest to each counts.
     """
+    r = np.asarray(task.reference)
     if schedule.shape == r.shape:
-        return schedule - r
-    away = schedule[:, None] - r[:, :, None]
-    nearest = np.argmin(np.max(np.abs(away), axis=0), axis=0)
-    return away[:, nearest, np.arange(schedule.shape[1])]
+        return (schedule - r)[..., None]
+    return schedule[..., None] - r[:, None]
 
 
 def _resolution(actuator: Actuator | None):
@@ -426,11 +427,16 @@ def kind(name: str) -> str:
     return ".".join(within[within.index("table") :]) if "table" in within else within[-1]
 
 
-def peak(name: str, schedule, task: Task) -> float:
-    """The largest value of a schedule; of a reference, the largest distance from the task's."""
-    if kind(name) == "reference" and np.shape(schedule) == np.shape(task.reference):
+def peak(name: str, schedule, task: Task):
+    """() the largest value of what is learned; of a correction of the task's reference, its own.
+
+    A reference of another shape is learned as a whole, from one that need not be the task's.
+
+    schedule: (rows, n) array of NumPy or, in a traced program, of JAX
+    """
+    if kind(name) == "reference" and schedule.shape == np.shape(task.reference):
         schedule = schedule - np.asarray(task.reference)
-    return float(np.max(np.abs(schedule), initial=0.0))
+    return abs(schedule).max(initial=0.0)
 
 
 def larger(

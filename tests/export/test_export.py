@@ -20,8 +20,8 @@ from jaxilc.export.guard import CODES, Trials
 from jaxilc.export.steps import dft
 from jaxilc.native.program import Unknown
 from jaxilc.outcomes.exporting import trials_of_test
-from jaxilc.schemes import PID, Feedforward, PIDType, WithFeedback
-from jaxilc.signals import Trial
+from jaxilc.schemes import PID, Feedforward, MultivariableILC, PIDType, WithFeedback
+from jaxilc.signals import Task, Trial
 from jaxilc.storage.sealed import read_json, seal_of, write_json
 
 FEW = 12
@@ -193,6 +193,14 @@ def test_the_guard_holds_what_a_feedback_has_learned_to_the_limit():
     inner = WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.01))
     for limit, code in ((1e3, "LEARNED"), (0.1, "TOO_LARGE")):
         law = law_of(WithFeedback(PIDType(gamma_p=1e-6), inner), task_of("p_type"), limit)
+        assert CODES[law.played().trial(trials_of_test(law)[0])[1]] == code
+
+
+def test_the_guard_compares_a_learned_reference_with_the_nearest_output():
+    scheme, r = MultivariableILC(PIDType(gamma_p=1e-3), PID(kp=0.01)), task_of("p_type").reference
+    task = Task(np.hstack([r + 1, r]), 1e-3, inputs=1)
+    for correction, code in ((0.1, "LEARNED"), (1e-6, "TOO_LARGE")):
+        law = law_of(scheme, task, 1e3, correction=correction)
         assert CODES[law.played().trial(trials_of_test(law)[0])[1]] == code
 
 
