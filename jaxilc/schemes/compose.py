@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import jax
@@ -13,6 +14,7 @@ from ..pytree.aliases import Array, Tree
 from ..pytree.fields import child, pytree, static
 from ..signals.rows import ahead_of, delay
 from ..signals.task import Limit, Sample, Task, Trial
+from .guards import Ladder
 from .parts import need_no_experiments
 from .scheme import (
     UNASKED,
@@ -52,7 +54,20 @@ class LearningAndFeedback(Scheme):
 
     @property
     def trials_a_step(self) -> int:
-        return self.learning.trials_a_step
+        return math.lcm(self.learning.trials_a_step, self.feedback.trials_a_step)
+
+    def frozen(self) -> Scheme:
+        """As of any scheme, but parts that learn after different numbers of trials keep these."""
+        law, names = super().frozen(), ("learning", "feedback")
+        each = {
+            name: getattr(self, name).trials_a_step // getattr(law, name).trials_a_step
+            for name in names
+            if getattr(self, name).learns
+        }
+        if len(set(each.values())) < 2:
+            return law
+        steps = {name: Ladder(getattr(law, name), n) for name, n in each.items() if n > 1}
+        return law._with(steps)
 
     def initial_memory(self, task: Task) -> Pair:
         parts = self.parts(task, UNASKED).items()

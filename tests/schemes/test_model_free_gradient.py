@@ -115,9 +115,20 @@ def test_repeated_experiments_are_averaged():
     np.testing.assert_allclose(found.rms[::2], expected.rms, **ALGEBRA)
 
 
-def test_the_forecast_is_of_each_experiment():
+P_TYPE = PIDType(gamma_p=0.1)
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        ModelFreeGradient(0.8, about="mean"),
+        WithFeedback(P_TYPE, ModelFreeGradient(0.3)),
+        WithFeedback(P_TYPE, Ladder(P_TYPE, 3)),
+    ],
+)
+def test_the_forecast_is_of_each_trial_of_a_step(scheme):
+    """A step is over when both parts have learned a whole number of times."""
     machines = jax.tree.map(lambda x: jnp.stack([x, x]), MACHINE)
-    scheme = ModelFreeGradient(0.8, about="mean")
     np.testing.assert_allclose(
         predict(machines, scheme, TASK, 10), simulate(machines, scheme, TASK, 10), rtol=1e-9
     )
