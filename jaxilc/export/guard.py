@@ -25,7 +25,7 @@ from ..hardware.checks import (
 )
 from ..pytree.aliases import Array, Tree
 from ..schemes import Scheme
-from ..schemes.parts import trials_of_step
+from ..schemes.parts import growth_of, trials_of_step
 from ..signals.task import Task, Trial
 
 # what the end of a trial tells, by its code
@@ -121,7 +121,7 @@ def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree
             correction: float | None) -> Array:  # fmt: skip
     """Whether what was learned is played: a number, within its limit, and no larger than learned.
 
-    peak <= 1.1 j / (j - 1) largest,    j: number of trials that are learned from
+    peak <= 1.1 g j / (j - 1) largest,    as in `hardware.checks.larger`
     """
     good = [jnp.all(~jnp.isnan(x)) for x in jax.tree.leaves(memory)]
     for name, of in scheme.played(schedule, task).items():
@@ -131,7 +131,7 @@ def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree
         if kind(name) == "reference" and correction is not None:
             away = jnp.min(jnp.max(jnp.abs(from_references(of, task)), axis=0), axis=-1)
             good.append(jnp.all(away <= correction))
-    allowed = LARGER * (1 + 1 / jnp.maximum(1.0, seen.learned))
+    allowed = LARGER * growth_of(scheme, task) * (1 + 1 / jnp.maximum(1.0, seen.learned))
     for name, of in _learned(scheme, task, schedule).items():
         largest = seen.largest[name]
         good.append((largest == 0) | (peak(name, of, task) <= allowed * largest))

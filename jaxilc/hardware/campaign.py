@@ -28,6 +28,7 @@ from ..pytree.in_short import in_short
 from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, environment, need_same
 from ..schemes import Scheme
+from ..schemes.parts import growth_of
 from ..schemes.scheme import Memory
 from ..signals.task import Task, Trial
 from ..storage.sealed import as_json
@@ -340,7 +341,8 @@ class Campaign:
             name: max([of, *(m.get("peaks", {}).get(name, 0.0) for m in live[1:])])
             for name, of in peaks.items()
         }
-        return checks.larger(following, largest, learned, self.task, self.rules.accept)
+        grows = growth_of(self.scheme, self.task)
+        return checks.larger(following, largest, learned, self.task, self.rules.accept, grows)
 
     def _against_those_before(
         self, record: Trial, error: float, played: str, expected: Expected | None

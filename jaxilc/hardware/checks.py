@@ -445,21 +445,24 @@ def larger(
     learned: int,
     task: Task,
     accept: tuple[str, ...],
+    grows: float = 1.0,
 ) -> list[Finding]:
     """A next schedule that is larger than learning from a constant error would make it.
 
-        peak <= 1.1 j / (j - 1) largest,    j > 1: number of trials that are learned from
+        peak <= 1.1 g j / (j - 1) largest,    j > 1: number of trials that are learned from
 
-    From u_1 = 0 a constant error makes u_{j+1} = j / (j - 1) u_j; one that falls makes less. After
-    the first trial twice what it played is allowed; where it played nothing, nothing is a bound.
+    From u_1 = 0 a constant error makes u_{j+1} = j / (j - 1) u_j; one that falls makes less. Only a
+    law of higher order makes more: g times as much. After the first trial twice what it played is
+    allowed; where it played nothing, nothing is a bound.
 
     played: the largest value of each schedule in the trials so far
     learned: j
+    grows: g, of `schemes.parts.growth_of`
     """
     found = []
     for name in (name for name in schedules if kind(name) in LEARNED):
         largest, reached = played.get(name, 0.0), peak(name, schedules[name], task)
-        allowed = LARGER * (1 + 1 / max(1, learned - 1)) * largest
+        allowed = LARGER * grows * (1 + 1 / max(1, learned - 1)) * largest
         if largest and reached > allowed:
             unit = spaced(unit_of(name, task))
             text = (

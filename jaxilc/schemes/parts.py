@@ -30,6 +30,11 @@ def trials_of_step(scheme: Scheme, task: Task) -> int:
     return scheme.trials_a_step if experiments else 1
 
 
+def growth_of(scheme: Scheme, task: Task) -> float:
+    """The most by which a part makes what is learned grow faster than j / (j - 1), see `Law`."""
+    return max(part.scheme.grows for part in with_all_parts(scheme, task))
+
+
 def need_learned_at_last(owner: str, scheme: Scheme, task: Task, trials: int) -> None:
     """Raises ValueError where the last trial is an experiment, which says nothing of learning."""
     each = trials_of_step(scheme, task)

@@ -15,6 +15,8 @@ from ..signals.task import Task, Trial
 from .scheme import Feedforward, Scheme, limited, need_square
 from .sliding_mode import need_input_gain
 
+FORESEEN = 50  # trials in which the growth of what is learned is looked for
+
 
 @pytree
 class PIDType(Scheme):
@@ -125,6 +127,21 @@ class HigherOrder(Scheme):
                 raise ValueError(
                     f"HigherOrder: the sum of alpha = {total:g} is outside its allowed range (0, 1]"
                 )
+
+    @property
+    @np.errstate(over="ignore", invalid="ignore")
+    def grows(self) -> float:
+        """From trials with e = 1, by the law itself; input and errors before them are zero."""
+        alpha, gamma = np.asarray(self.alpha), np.asarray(self.gamma)
+        gamma = np.cumsum(gamma.reshape(len(alpha), -1), axis=0)
+        u, largest, most = np.zeros(gamma.shape), np.zeros(gamma.shape[1]), 1.0
+        for j in range(1, FORESEEN + 1):
+            now = alpha @ u + gamma[min(j, len(gamma)) - 1]
+            played = largest > 0
+            ratio = np.abs(now[played]) / largest[played] / (1 + 1 / max(1, j - 1))
+            most = max(most, float(np.max(ratio, initial=0.0)))
+            u, largest = np.vstack([now, u[:-1]]), np.maximum(largest, np.abs(now))
+        return most
 
     def check(self, task: Task) -> None:
         need_square(self, task)

@@ -42,12 +42,15 @@ class Law:
 
     preview: number of samples of the reference after k that `act` needs
     trials_a_step: number of trials that are run before the scheme learns once
+    grows: times the factor j / (j - 1) by which an error that stays makes the learned input grow
+        after trial j, at most, see `hardware.checks.larger`
     """
 
     # `@pytree` makes a dataclass of each subclass
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Value]]]
     preview: int = 1
     trials_a_step: int = 1
+    grows: float = 1.0
 
     def __init__(self, *values: Value, **named: Value) -> None:
         if type(self) is not Scheme or values or named:

@@ -20,7 +20,7 @@ from jaxilc.export.guard import CODES, Trials
 from jaxilc.export.steps import dft
 from jaxilc.native.program import Unknown
 from jaxilc.outcomes.exporting import trials_of_test
-from jaxilc.schemes import PID, Feedforward, MultivariableILC, PIDType, WithFeedback
+from jaxilc.schemes import PID, Feedforward, HigherOrder, MultivariableILC, PIDType, WithFeedback
 from jaxilc.signals import Task, Trial
 from jaxilc.storage.sealed import read_json, seal_of, write_json
 
@@ -194,6 +194,12 @@ def test_the_guard_holds_what_a_feedback_has_learned_to_the_limit():
     for limit, code in ((1e3, "LEARNED"), (0.1, "TOO_LARGE")):
         law = law_of(WithFeedback(PIDType(gamma_p=1e-6), inner), task_of("p_type"), limit)
         assert CODES[law.played().trial(trials_of_test(law)[0])[1]] == code
+
+
+def test_the_guard_lets_a_law_of_higher_order_learn_from_an_error_that_stays():
+    played = law_of(HigherOrder((1.0, 0.0), (0.1, 0.5)), task_of("p_type"), 1e3).played()
+    y = np.asarray(task_of("p_type").reference) - 1.0
+    assert [CODES[played.trial(y)[1]] for _ in range(3)] == ["LEARNED"] * 3
 
 
 def test_the_guard_compares_a_learned_reference_with_the_nearest_output():

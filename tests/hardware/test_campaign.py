@@ -26,7 +26,7 @@ from jaxilc.hardware.checks import beyond_limits, larger
 from jaxilc.learning import Sensor, learn, run_trial
 from jaxilc.plants import from_control
 from jaxilc.scenarios import load_scenario
-from jaxilc.schemes import Ladder, Scheme, WithFeedback
+from jaxilc.schemes import HigherOrder, Ladder, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.storage import files
@@ -520,6 +520,17 @@ def test_a_learned_reference_is_held_to_its_largest_correction(tmp_path):
         in turn.refusals[0]
     )
     with pytest.raises(ValueError, match="the next reference"):
+        campaign.keep(turn)
+
+
+def test_a_law_of_higher_order_may_learn_from_an_error_that_stays(tmp_path):
+    """From u_1 = 0 and e = 1 it plays 0.1, then 0.7: seven times as much."""
+    task, scheme = case("p_type")[2], HigherOrder((1.0, 0.0), (0.1, 0.5))
+    campaign = Campaign.start(tmp_path / "state", scheme, task)
+    for noise in (0.0, 1e-6, 2e-6):  # no two trials are the same
+        y = np.asarray(task.reference) - 1.0 - noise
+        turn = campaign.turn(Measured(y, None, {}, (), "a trial"), replay_input=True)
+        assert not [text for text in turn.refusals if "would reach" in text]
         campaign.keep(turn)
 
 
