@@ -249,8 +249,9 @@ class Campaign:
         learn: False only inspects the trial; the same schedule is then played again
         replay_input: whether to compute an input that the file lacks by the scheme's law
         expected: what the trials before expect of this one, see `calibration`
-        Raises ValueError for a trial without an input, and for one that was measured already, even
-        if its file was rounded.
+        Raises ValueError for a trial without an input, for one that was measured already, even if
+        its file was rounded, and for one that ended early where a step takes several trials: what
+        they have in common, or how they differ, is not known of its rest.
         """
         scheme, task, live = self.scheme, self.task, self.journal.live()
         memory, number = self.memory(), live[-1]["trial"] + 1
@@ -261,6 +262,12 @@ class Campaign:
             raise ValueError(
                 f"{measured.source} has no input u; record it, name it by --input, or add "
                 "--set campaign.replayed_input=true where the controller runs this scheme"
+            )
+        if learn and measured.samples is not None and scheme.trials_a_step > 1:
+            raise ValueError(
+                f"{measured.source} ended after {measured.samples} of {task.N} samples, and "
+                f"{type(scheme).__name__} learns from {scheme.trials_a_step} trials at a time, all "
+                "of them whole; play the same schedule again, or look at the trial by --no-learn"
             )
         measured, u, signals = completed(measured, commanded, signals, played)
         record = jax.device_get(measured_trial(task, measured.y, u))._replace(signals=signals)

@@ -26,7 +26,7 @@ from jaxilc.hardware.checks import beyond_limits, larger
 from jaxilc.learning import Sensor, learn, run_trial
 from jaxilc.plants import from_control
 from jaxilc.scenarios import load_scenario
-from jaxilc.schemes import HigherOrder, Ladder, Scheme, WithFeedback
+from jaxilc.schemes import HigherOrder, Ladder, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.storage import files
@@ -532,6 +532,17 @@ def test_a_law_of_higher_order_may_learn_from_an_error_that_stays(tmp_path):
         turn = campaign.turn(Measured(y, None, {}, (), "a trial"), replay_input=True)
         assert not [text for text in turn.refusals if "would reach" in text]
         campaign.keep(turn)
+
+
+def test_a_trial_that_ended_early_is_no_part_of_a_step_of_several(tmp_path):
+    """Of a mean of two trials the rest was learned from with half of the error."""
+    task = case("p_type")[2]
+    campaign = Campaign.start(tmp_path / "state", Ladder(PIDType(gamma_p=0.5), 2), task)
+    y = np.asarray(task.reference) * np.linspace(0.5, 1.0, task.N + 1)[:, None]
+    short = Measured(y, None, {}, (), "trial 1", samples=task.N // 2)
+    with pytest.raises(ValueError, match=r"trial 1 ended after .* learns from 2 trials at a time"):
+        campaign.turn(short, replay_input=True)
+    assert not campaign.turn(short, replay_input=True, learn=False).learned
 
 
 def test_every_table_is_looked_at_before_it_is_played():
