@@ -6,7 +6,7 @@ Each of these parts is optional and takes no time when it is absent.
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,8 @@ from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_channels, need_scalars
 from ..signals.task import Limit, Task, Trial, quantise
 from .variation import Variation
+
+T = TypeVar("T")
 
 
 @pytree
@@ -173,10 +175,14 @@ class Machine:
         return {} if self.actuator is None else self.actuator.limits(trial.u, trial.dt)
 
     def sampled(self, dt: float) -> Machine:
-        """This machine with all of its plant that depends on dt computed before the scans."""
-        plant, variation = self.plant.sampled(dt), self.variation
+        """This machine with all of its plant that depends on dt computed before the scans.
+
+        Its numbers are of the precision that JAX computes in, whatever that of its parameters.
+        """
+        wide = as_computed(self)
+        plant, variation = wide.plant.sampled(dt), wide.variation
         variation = None if variation is None else variation.sampled(dt)
-        return dataclasses.replace(self, plant=plant, variation=variation)
+        return dataclasses.replace(wide, plant=plant, variation=variation)
 
     def at_trial(self, task: Task, j: Tree) -> tuple[Machine, Task]:
         """This machine, sampled, and the task, as they are in trial j; None for the long run."""
@@ -266,6 +272,16 @@ class Machine:
                 raise ValueError(
                     f"Disturbance: {name} has shape {signal.shape}; this task needs {shape}"
                 )
+
+
+def as_computed(tree: T) -> T:
+    """Parameters in single precision as JAX computes, so in double precision where it does."""
+    return jax.tree.map(lambda x: jnp.asarray(x, float) if is_single(x) else x, tree)
+
+
+def is_single(x: Leaf) -> bool:
+    """Whether a leaf is in single precision."""
+    return jnp.result_type(x) == jnp.float32
 
 
 def _without(part: Value, *names: str) -> Value:

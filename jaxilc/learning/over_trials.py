@@ -26,7 +26,7 @@ from ..signals.task import Task, Trial
 from .divergence import course
 from .known_metrics import Metrics, bytes_of_metrics
 from .machine import Machine
-from .rehearsal import need_pytrees, rehearse
+from .rehearsal import need_double, need_pytrees, rehearse
 from .watch import Watch
 from .within_trial import first_start, run_and_measure
 
@@ -142,8 +142,12 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
     need_pytrees(machine, scheme)
     check_length(task, scheme)
     machine.check(task)
-    scheme.check(task)
-    rehearse(machine, scheme, task)
+    try:
+        scheme.check(task)
+        rehearse(machine, scheme, task)
+    except TypeError as error:
+        need_double(scheme, error)
+        raise
 
 
 @lru_cache(maxsize=PROGRAMS)

@@ -19,7 +19,7 @@ from ..pytree.ranges import brief
 from ..schemes import Scheme
 from ..schemes.scheme import Part
 from ..signals.task import Sample, Task, Trial
-from .machine import Machine
+from .machine import Machine, as_computed, is_single
 
 
 def need_pytrees(*trees: Tree) -> None:
@@ -38,8 +38,18 @@ def need_pytrees(*trees: Tree) -> None:
 
 def rehearse(machine: Machine, scheme: Scheme, task: Task) -> None:
     """Raises ValueError where a method of the plant or of the scheme returns a wrong shape."""
-    _rehearse_plant(machine.plant, task.dt)
+    _rehearse_plant(as_computed(machine.plant), task.dt)
     _turn.eval_shape(scheme, task, actuated=machine.actuator is not None)
+
+
+def need_double(scheme: Scheme, error: TypeError) -> None:
+    """Raises ValueError where JAX's error tells of parameters that are in single precision."""
+    single = [name for name, x in named_leaves(scheme).items() if is_single(x)]
+    if single and "float32" in str(error) and jnp.result_type(float) != jnp.float32:
+        raise ValueError(
+            f"{type(scheme).__name__}: {', '.join(single)} in float32 cannot be computed with in "
+            "float64; allowed is float64"
+        ) from error
 
 
 def _rehearse_plant(plant: Plant, dt: float) -> None:
