@@ -74,10 +74,13 @@ class Request:
         The metric judges it, and the spread widens its uncertainty.
         Raises ValueError naming what is allowed.
         """
+        from ..pytree.ranges import require
         from ..scenarios.from_file import load_scenario
         from ..scenarios.parameters import with_parameters
         from ..scenarios.scenario import judged
 
+        if self.tolerance is not None:
+            require("", "tolerance", self.tolerance, "(0, inf)")
         here = self.expanded()
         values, known = settings_of(here.set), here._options()
         of_paper = {path: value for path, value in values.items() if path in known}

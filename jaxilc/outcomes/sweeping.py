@@ -234,8 +234,6 @@ def live_store(chosen: Scenario, dataset: xr.Dataset) -> list[Interactive]:
 def _tolerance(chosen: Scenario, tolerance: float | None) -> float | None:
     """The tolerance that is asked for, or that of the scenario, in the unit of the simulation."""
     tolerance = chosen.tolerance if tolerance is None else tolerance
-    if tolerance is not None and not tolerance > 0:
-        raise ValueError(f"--tolerance {tolerance:g} is outside its allowed range (0, inf)")
     return None if tolerance is None else tolerance / chosen.shown(chosen.judged_by)[0]
 
 

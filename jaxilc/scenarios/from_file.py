@@ -243,9 +243,6 @@ def read_scenario(path: str | Path) -> Scenario:
     with at_place(path, ""):
         require("", "trials", trials, "[1, inf)")
         require("", "show_trials", show_trials, "[1, inf)", many=True)
-        for limit, value in (("tolerance", tolerance), ("shown_scale", shown_scale)):
-            if value is not None:
-                require("", limit, value, "(0, inf)")
     with at_place(path, "grid"):
         grid_of(grid, machine, found, task)
     with at_place(path, ""):

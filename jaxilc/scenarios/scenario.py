@@ -16,7 +16,7 @@ from ..pytree.aliases import Tree, Value
 from ..pytree.closest import known_names, not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import allowed_at, get_at, owner_of, read_at, replaced, settable
-from ..pytree.ranges import brief
+from ..pytree.ranges import brief, require
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..storage.printable import printable
@@ -121,6 +121,9 @@ class Scenario:
         for name in ("unit", "input_unit"):
             _need_shown(name, getattr(self.task, name), '[],;$"\\')
         _need_shown("shown_unit", self.shown_unit, '[],;$"\\')
+        for limit in ("tolerance", "shown_scale"):
+            if getattr(self, limit) is not None:
+                require("", limit, getattr(self, limit), "(0, inf)")
 
     @property
     def functions(self) -> dict[str, Callable[[Trial], jax.Array]]:

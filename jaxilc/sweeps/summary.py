@@ -11,6 +11,7 @@ import numpy as np
 
 from ..learning.divergence import GROWTH, grown_from
 from ..pytree.in_short import in_short
+from ..pytree.ranges import require
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -72,18 +73,16 @@ def summarise(
     metric: name of a variable over (scheme, sample, trial); with several channels the largest
         counts
     growth: relative rise above the best trial from which on the error counts as grown
-    Raises ValueError for a tolerance that is not positive, a metric that is not there, and for a
-    grid.
+    Raises ValueError for a tolerance that is not positive and finite, a metric that is not there,
+    and for a grid.
     """
     if axes_of(dataset):
         raise ValueError(
             f"summarise: the dataset has a grid over {', '.join(axes_of(dataset))}; allowed is one "
             "point, dataset.sel({...}), or at_best(dataset, best_points(dataset))"
         )
-    if tolerance is not None and not tolerance > 0:
-        raise ValueError(
-            f"summarise: tolerance = {tolerance:g} is outside its allowed range (0, inf)"
-        )
+    if tolerance is not None:
+        require("summarise", "tolerance", tolerance, "(0, inf)")
     if metric not in dataset or not {"scheme", "sample", "trial"} <= set(dataset[metric].dims):
         names = [
             n for n, v in dataset.data_vars.items() if {"scheme", "sample", "trial"} <= set(v.dims)

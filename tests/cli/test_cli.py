@@ -270,7 +270,9 @@ run cao-2019 --precision half => precision = 'half' is not one of 'float64', 'fl
 sweep cao-2019 --machines 0 => machines = 0 is outside its allowed range [1, inf)
 sweep cao-2019 --spread 2 => spread = 2 is outside its allowed range (0, 1)
 sweep cao-2019 --sampling grid => sampling = 'grid' is not one of monte-carlo
-sweep cao-2019 --tolerance -1 => --tolerance -1 is outside its allowed range (0, inf)
+sweep cao-2019 --tolerance 0 => tolerance = 0 is outside its allowed range (0, inf)
+sweep cao-2019 --tolerance inf => tolerance = inf is outside its allowed range (0, inf)
+sweep cao-2019 --tolerance nan => tolerance = nan is outside its allowed range (0, inf)
 sweep cao-2019 --keep z => keep = 'z' is not one of y, e, u
 sweep cao-2019 --grid lam => --grid 'lam' is not PATH=VALUES
 sweep cao-2019 --scheme pid --grid cfdl-mfailc.lam=1,2 => grid: 'cfdl-mfailc.lam' cannot be an axis

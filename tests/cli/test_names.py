@@ -110,6 +110,8 @@ def test_what_cannot_be_shown_is_refused(tmp_path, changes, message):
 def test_a_scenario_made_in_python_is_held_to_the_same():
     with pytest.raises(ValueError, match="scheme = 'a/b' is no name"):
         dataclasses.replace(scenarios.load("dai-2014"), schemes={"a/b": PID()})
+    with pytest.raises(ValueError, match="tolerance = inf is outside its allowed range"):
+        dataclasses.replace(scenarios.load("dai-2014"), tolerance=float("inf"))
 
 
 def test_a_name_that_leads_elsewhere_writes_nothing(tmp_path, monkeypatch):
