@@ -126,6 +126,16 @@ def test_a_long_transform_can_be_printed():
     assert all(len(x.shape) <= 3 for step in program.steps for x in step.outs)
 
 
+def test_a_loop_without_passes_leaves_no_array_without_elements():
+    def looped(x, rows):
+        return jax.lax.scan(lambda c, row: (c + row[0], c * row), 3.0 * x, rows)
+
+    program = program_of(looped, 1.5, jnp.zeros((0, 2)))
+    assert [step.name for step in program.steps] == ["mul"]
+    found, rows = interpret(program, [np.float64(1.5), np.zeros((0, 2))], np.float64)
+    assert (found, rows.shape) == (4.5, (0, 2))
+
+
 IN_FLOAT = """#include <math.h>
 #include <stdio.h>
 
