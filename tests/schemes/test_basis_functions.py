@@ -160,6 +160,20 @@ def test_on_a_basis_any_law_is_projected_after_each_trial():
         u = P @ np.linalg.lstsq(P, u + 0.5 * (r - y)[1:], rcond=None)[0]
 
 
+def test_the_limit_of_a_law_on_a_basis_is_also_that_of_what_the_functions_make():
+    F = np.vander(np.linspace(0, 1, 12), 3)
+    P = F @ np.linalg.pinv(F)
+    at = int(np.argmax(np.abs(P).sum(axis=1)))  # there the fit of a signal of size 1 is largest
+    task = Task(np.concatenate([[0.0], np.sign(P[at])]), DT)
+    scheme = OnBasis(PIDType(gamma_p=1.0, limit=1.05), GivenBasis(F))
+    known = scheme.initial_memory(task)
+    trial = scheme.record(np.zeros((12, 1)), task.reference, task)
+    limits = scheme.limits(task, known, trial)
+    assert np.max(np.abs(limits["scheme.limit"].signal)) < 1.05 < np.max(np.abs(P @ np.sign(P[at])))
+    found = limits["fitted.limit"].signal[:, 0]
+    np.testing.assert_allclose(found, P @ np.sign(P[at]), rtol=1e-7)
+
+
 def test_what_was_learned_serves_a_reference_of_another_length_and_size():
     scheme = BasisFunctions(PolynomialBasis((0, 1, 2)), MODEL)
     learned = learn(Machine(MODEL), scheme, moved(120), 3).memory
