@@ -39,6 +39,7 @@ from ..schemes import (
 from ..storage.printable import printable
 from ..theory.condition import HOLDS
 from ..theory.law import Taps, law_of
+from ..theory.linearity import alike_trials
 from ..theory.loop import linear_loop, minimal
 from ..theory.visits import visits
 from ..uncertainty import Population
@@ -391,6 +392,10 @@ def _in_position(
     scheme: Scheme = BasisFunctions(basis, model)
     if isinstance(law, WithFeedback):
         scheme = dataclasses.replace(law, learning=scheme)
+    alike = alike_trials(machine, scheme, task)
+    if not alike.held:
+        found.lines.append(f"{BY_PLACE} is not written: {alike.detail}.")
+        return
     seen = visits(machine, scheme, task)
     told, count = int(np.sum(seen.told)), len(seen.told)
     found.numbers[BY_PLACE] = {"pitch": pitch, "told": told, "functions": count, "rate": seen.rate}

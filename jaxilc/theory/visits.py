@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..learning.machine import Machine
+from ..learning.over_trials import check
 from ..pytree.in_short import in_short
 from ..schemes import BasisFunctions, Scheme, WithFeedback
 from ..schemes.bases import pushed
@@ -24,6 +25,7 @@ from ..schemes.gradient import answers
 from ..schemes.quadratic_cost import weights_of
 from ..schemes.scheme import Memory
 from ..signals.task import Task
+from .linearity import alike_trials
 from .trials import step
 
 TOLD = 1e-8  # share of the largest eigenvalue of the scaled G, above which a trial tells
@@ -56,7 +58,8 @@ def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory = Non
         does not learn
     memory: where the derivative of learning is taken; None: before the first trial
 
-    Raises ValueError for another scheme.
+    Raises ValueError for another scheme, where machine, scheme and task do not fit, and for a machine
+    whose trials do not start alike, or are not learned from alike.
     """
     law = scheme.learning if isinstance(scheme, WithFeedback) else scheme
     if not isinstance(law, BasisFunctions) or not law.basis.linear:
@@ -69,7 +72,10 @@ def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory = Non
             f"visits: the feedback, a {type(scheme.feedback).__name__}, learns too, which moves "
             "the parameters; allowed is one that does not"
         )
-    scheme.check(task)
+    check(machine, scheme, task)
+    alike = alike_trials(machine, scheme, task)
+    if not alike.held:
+        raise ValueError(f"visits: {alike.detail}")
     memory = scheme.initial_memory(task) if memory is None else memory
     columns, X, Q, M = (np.asarray(a) for a in _seen(machine, scheme, task, memory))
     size = np.max(np.abs(columns), axis=(0, 1))

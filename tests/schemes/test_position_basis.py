@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxilc import Machine, Sensor, Task, learn, theory
+from jaxilc import Machine, Sensor, Task, Variation, learn, theory
 from jaxilc.identification import pitch_of
 from jaxilc.plants import ByPosition, Harmonics, PositionMap, Splines, StateSpace
 from jaxilc.schemes import (
@@ -229,6 +229,9 @@ def test_what_does_not_fit_is_said():
     both = dataclasses.replace(law(position), feedback=learning)
     with pytest.raises(ValueError, match="visits: the feedback, a WithFeedback, learns too"):
         theory.visits(MACHINE, both, task)
+    carries = dataclasses.replace(MACHINE, variation=Variation(carried=1.0))
+    with pytest.raises(ValueError, match="visits: each trial starts where the one before has ended"):
+        theory.visits(carries, law(position), task)
     x = np.linspace(0, 40, 200)
     with pytest.raises(ValueError, match="most = 30 with a motion over 40"):
         pitch_of(x, np.sin(x), least=1, most=30)
