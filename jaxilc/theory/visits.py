@@ -58,8 +58,9 @@ def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory = Non
         does not learn
     memory: where the derivative of learning is taken; None: before the first trial
 
-    Raises ValueError for another scheme, where machine, scheme and task do not fit, and for a machine
-    whose trials do not start alike, or are not learned from alike.
+    What changes is taken as after its last change. Raises ValueError for another scheme, where
+    machine, scheme and task do not fit, and for a machine whose trials do not start alike, or are
+    not learned from alike.
     """
     law = scheme.learning if isinstance(scheme, WithFeedback) else scheme
     if not isinstance(law, BasisFunctions) or not law.basis.linear:
@@ -76,6 +77,7 @@ def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory = Non
     alike = alike_trials(machine, scheme, task)
     if not alike.held:
         raise ValueError(f"visits: {alike.detail}")
+    task = machine.at_trial(task, None)[1]
     memory = scheme.initial_memory(task) if memory is None else memory
     columns, X, Q, M = (np.asarray(a) for a in _seen(machine, scheme, task, memory))
     size = np.max(np.abs(columns), axis=(0, 1))
