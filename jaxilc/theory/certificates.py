@@ -41,6 +41,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import NamedTuple, cast
 
 import jax
@@ -249,7 +250,7 @@ class LongRun(NamedTuple):
 def long_run(machines: Machine, scheme: Scheme, task: Task, *, steps: int = 300) -> LongRun:
     """The claims alone, without the prediction and the simulation of trials; see `certify_each`."""
     check(first_of(machines), scheme, task)
-    return _long_run(machines, scheme, task, steps)[0]
+    return in_groups(lambda some, task: _long_run(some, scheme, task, steps)[0], machines, task)
 
 
 def certify(
@@ -290,11 +291,12 @@ def certify_each(
     """
     check(first_of(machines), scheme, task)
     check_size("certify", COPIES, machines=count_of(machines), trials=trials)
-    return in_groups(lambda some: _certified(some, scheme, task, trials, steps), machines, task)
+    certified = partial(_certified, given=task, trials=trials, steps=steps)
+    return in_groups(lambda some, task: certified(some, scheme, task), machines, task)
 
 
 def _certified(
-    machines: Machine, scheme: Scheme, task: Task, trials: int, steps: int
+    machines: Machine, scheme: Scheme, task: Task, given: Task, trials: int, steps: int
 ) -> Certificate:
     run, course_of_draws = _long_run(machines, scheme, task, steps, trials)
     bounded = run.ball is not None and bool(np.any(np.isfinite(run.ball.error)))
@@ -310,7 +312,7 @@ def _certified(
             unknown = np.all(np.isnan(course_of_draws), axis=1, keepdims=True)
             predicted = np.where(unknown, predicted, course_of_draws)
     elif run.outlook is None:
-        simulated = simulate(machines, scheme, task, trials)
+        simulated = simulate(machines, scheme, given, trials)
     else:
         following = tiled_with(_follow, trials=trials, view=view_of(scheme, task))
         found = following((scheme, task), (machines, jnp.asarray(run.outlook.limit)))

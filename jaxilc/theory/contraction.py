@@ -170,10 +170,10 @@ def error_map(
     """
     scheme = scheme.prepared(task)
     memory = learned_memory(machine, scheme, task) if memory is None else memory
-    r, first = jnp.asarray(task.reference), trial_of(machine, scheme, task, memory)
+    first = trial_of(machine, scheme, task, memory)
 
     def f(e):
-        y = jnp.concatenate([first.y[:1], r[1:] - e.reshape(task.N, -1)])
+        y = jnp.concatenate([first.y[:1], first.r[1:] - e.reshape(task.N, -1)])
         trial = trial_of(machine, Prescribed(scheme), task, (memory, y))
         disturbed = with_output(machine, y - trial.y)
 

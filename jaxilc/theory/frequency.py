@@ -190,12 +190,13 @@ class Parts(NamedTuple):
 
 
 def parts_of(machine: Machine, scheme: Scheme, task: Task) -> Parts:
-    """The parts of the conditions of a machine under a scheme.
+    """The parts of the conditions of a machine under a scheme, after its last change.
 
     Raises ValueError where machine, scheme and task do not fit, or for a scheme that learns no
     feedforward.
     """
     check(machine, scheme, task)
+    task = machine.at_trial(task, None)[1]
     loop, law = reduced(machine, scheme, task), law_of(scheme, task)
     premises = (
         invariant_loop(machine, scheme, task),

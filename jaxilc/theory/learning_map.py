@@ -299,12 +299,22 @@ def maps_of(machines: Machine, scheme: Scheme, task: Task, steps: int = STEPS) -
     return Maps(machines, scheme, task, view, steps)
 
 
-def in_groups(ask: Callable[[Machine], T], machines: Machine, task: Task) -> T:
-    """What is answered of all machines, asked in groups whose dense matrices fit into `ROOM`."""
+def in_groups(ask: Callable[[Machine, Task], T], machines: Machine, task: Task) -> T:
+    """What is answered of all machines, asked in groups whose dense matrices fit into `ROOM`.
+
+    The machines of a group have one task, that of the trials after the last change.
+    """
     count, rows = count_of(machines), task.N * max(task.inputs, task.outputs)
     chunk = max(1, ROOM // (8 * rows**2)) if rows <= DENSE else count
+    references = None if machines.variation is None else machines.variation.references
+    lasts = None if references is None else np.asarray(references.values)[:, -1]
+    chunk = chunk if lasts is None or np.all(lasts == lasts[0]) else 1
     groups = [slice(at, at + chunk) for at in range(0, count, chunk)]
-    parts = [ask(jax.tree.map(lambda leaf, at=at: leaf[at], machines)) for at in groups]
+    parts = []
+    for at in groups:
+        if lasts is not None:
+            task = dataclasses.replace(task, reference=lasts[at.start])
+        parts.append(ask(jax.tree.map(lambda leaf, at=at: leaf[at], machines), task))
     return jax.tree.map(lambda *several: np.concatenate(several), *parts) if parts[1:] else parts[0]
 
 

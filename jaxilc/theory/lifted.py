@@ -177,6 +177,7 @@ def learning_conditions(
                   it is not linear
     """
     G = lifted_plant(machine, scheme, task, about=about, memory=memory)
+    task = machine.at_trial(task, None)[1]
     law, one = learning_law(scheme, task, memory), drawn_machines(machine, {}, {})
     premises = [
         linear_trial(machine, scheme, task, memory=memory),
@@ -210,6 +211,7 @@ def _arguments(function, machine, scheme, task, about, memory):
         machine.check(task)
     else:
         check(machine, scheme, task)
+        task = machine.at_trial(task, None)[1]
         memory = scheme.initial_memory(task) if memory is None else memory
     learned = learned_shape(scheme, task)
     shape = learned or (task.N, task.inputs)

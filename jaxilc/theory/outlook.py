@@ -161,7 +161,7 @@ def outlooks(machines: Machine, scheme: Scheme, task: Task) -> Outlook:
 
     Its premises are left to `linearity`: here everything is taken to be linear.
     """
-    return in_groups(lambda some: outlook_of(maps_of(some, scheme, task)), machines, task)
+    return in_groups(lambda some, task: outlook_of(maps_of(some, scheme, task)), machines, task)
 
 
 def outlook_of(maps: LearningMaps, astray: np.ndarray | None = None) -> Outlook:
@@ -191,7 +191,7 @@ def outlook_of(maps: LearningMaps, astray: np.ndarray | None = None) -> Outlook:
 
 def decays(machines: Machine, scheme: Scheme, task: Task) -> Decay:
     """How the distance from the limit falls on each machine. machines: with a leading axis."""
-    return in_groups(lambda some: decay_of(maps_of(some, scheme, task)), machines, task)
+    return in_groups(lambda some, task: decay_of(maps_of(some, scheme, task)), machines, task)
 
 
 def decay_of(maps: LearningMaps) -> Decay:
