@@ -57,13 +57,15 @@ def tick_of(machine: Machine, scheme: Scheme | None, task: Task):
     """One sample of the simulator as a function, with its arguments at rest.
 
     The result (tick, fixed, rest) is a function tick(fixed, now) -> (next flat state, y), the
-    machine and scheme that it needs, and `rest`, the `Now` of a loop at rest.
+    machine and scheme that it needs, and `rest`, the `Now` of a loop at rest. A plant that changes
+    is that of the trials after its last change.
 
     Raises ValueError for a scheme that plays several samples of what it learned at once, as
     OnReference over a feedback with preview.
     """
     preview = 1 if scheme is None else scheme.preview
-    machine, short = machine.noiseless().sampled(task.dt), shortened(task, 3 + preview)
+    machine = machine.noiseless().sampled(task.dt).at_trial(task, None)[0]
+    short = shortened(task, 3 + preview)
     shape = learned_shape(scheme, short)
     width = task.inputs if shape is None else shape[1]
     zeros = jnp.zeros((short.N, width))

@@ -16,6 +16,7 @@ from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.learning import (
     Actuator,
     Machine,
+    PlantChange,
     References,
     Sensor,
     Variation,
@@ -122,6 +123,17 @@ def test_a_law_from_more_than_the_last_trial_is_no_map_of_its_input(machine, sch
         of_frequency = frequency.learning_condition(machine, scheme, task).condition
         assert of_frequency.verdict == "not claimed"
         assert not contraction.attracting(machine, scheme, task).holds
+
+
+def test_a_condition_is_on_the_plant_after_its_change():
+    """That of the plant before, 0.57, was said to hold while the error grew to 1e14."""
+    after = DifferenceEquation((0.7,), (-0.3,), dt=DT)
+    changes = Variation(change=PlantChange(after, first=5))
+    machine = dataclasses.replace(LAG, variation=changes)
+    loop = frequency.linear_loop(machine, None, TASK)
+    np.testing.assert_array_equal(loop.B, frequency.linear_loop(Machine(after), None, TASK).B)
+    found = frequency.learning_condition(machine, PIDType(gamma_p=0.8), TASK).condition
+    assert found.value > 1
 
 
 def test_what_a_basis_learns_is_claimed_of_the_reference_after_its_change():
