@@ -597,6 +597,7 @@ def tried_plants(
     """
     machine, uncertainty = population.machine, population.uncertainty
     check(machine, scheme, task)
+    task = machine.at_trial(task, None)[1]
     names, law = tuple(uncertainty.items()), law_of(scheme, task)
     points = _points(population)
     common = (machine.unlimited(), scheme.unlimited(), task)
@@ -916,6 +917,8 @@ def _not_a_process_model(machine, scheme, uncertainty: Uncertainty) -> str:
     plant = machine.plant
     if not isinstance(plant, ProcessModel):
         return f"the plant is a {type(plant).__name__}, no ProcessModel"
+    if machine.variation is not None and machine.variation.change is not None:
+        return "the plant changes"
     if not scheme.plays_back:
         return "there is a feedback"
     shapes = [name.removeprefix("plant.").split("[")[0] for name in uncertainty]
