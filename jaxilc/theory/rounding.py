@@ -22,7 +22,6 @@ p / (1 - p) times the sum so far. What the rounding of these numbers themselves 
 
 from __future__ import annotations
 
-import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -41,7 +40,7 @@ from ..schemes.wrapper import Wrapper
 from ..signals.task import Limit, Sample, Task, Trial
 from .learning_map import View, alone, count_of, learning_of, slopes
 from .spectrum import reached
-from .trials import with_input, with_output
+from .trials import with_input, with_output, with_plant_within
 
 OF = {"sensor": "rounding", "converter": "rounding", "hysteresis": "hysteresis"}
 LARGEST = 1024  # inputs up to which rounding is followed
@@ -101,10 +100,8 @@ def off_linear(machine: Machine) -> tuple[str, ...]:
 
 def linear_part(machine: Machine) -> Machine:
     """The machine without that."""
-    still, plant = machine.unrounded(), machine.plant
-    if isinstance(plant, InputHysteresis) and "hysteresis" in off_linear(machine):
-        return dataclasses.replace(still, plant=plant.plant)
-    return still
+    still = machine.unrounded()
+    return with_plant_within(still) if "hysteresis" in off_linear(machine) else still
 
 
 def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball | None:
@@ -300,7 +297,8 @@ def _parts(common, machine, *, view: View, names: tuple[str, ...]) -> tuple:
             elif name == "converter":
                 acting = _Adding(scheme, 0.5 * machine.actuator.resolution * part)
             else:
-                one = with_input(one, machine.plant.hysteresis.limit * part)
+                limit = machine.at_trial(task, None)[0].plant.hysteresis.limit
+                one = with_input(one, limit * part)
         found = learning_of(one, acting, task, view)
         limits = [jnp.zeros(1), *found.limits(w).values()]  # never empty, as `tiled` needs
         return found.following(w), found.error(w), jnp.concatenate(limits)

@@ -12,7 +12,7 @@ from ..learning.machine import Disturbance, Machine
 from ..learning.variation import Variation
 from ..learning.within_trial import run_trial
 from ..plants import InBlocks
-from ..pytree.aliases import Value
+from ..pytree.aliases import Tree, Value
 from ..pytree.fields import child, pytree
 from ..schemes import Scheme, WithFeedback
 from ..schemes.compose import Pair
@@ -34,7 +34,7 @@ def trial_of(machine: Machine, scheme: Scheme, task: Task, memory, key: Key = No
     """
     machine = machine.noiseless(averaged=key is None)
     if isinstance(machine.plant, InBlocks):
-        machine = dataclasses.replace(machine, plant=machine.plant.plant)
+        machine = with_plant_within(machine)
     return run_trial(machine, scheme, task, memory, jax.random.key(0) if key is None else key)
 
 
@@ -104,6 +104,17 @@ def next_learned(scheme: Scheme, task: Task, memory, learned, e, e0: Value = 0.0
 def starts_off(machine: Machine, scheme: Scheme, task: Task):
     """Whether a trial begins with an error, e[0] other than zero."""
     return jnp.any(trial_of(machine, scheme, task, scheme.initial_memory(task)).e[0] != 0)
+
+
+def with_plant_within(machine: Machine) -> Machine:
+    """The machine with the plant within its own one, also in a change of it."""
+    own: Tree = machine.plant
+    variation = machine.variation
+    if variation is not None and (change := variation.change) is not None:
+        plants = {"after": change.after, "before": change.before}
+        inner = {name: getattr(of, "plant", None) for name, of in plants.items()}
+        variation = dataclasses.replace(variation, change=dataclasses.replace(change, **inner))
+    return dataclasses.replace(machine, plant=own.plant, variation=variation)
 
 
 def shortened(task: Task, samples: int) -> Task:

@@ -4,6 +4,7 @@ It is compared with what the simulation does, and with what is said now.
 """
 
 import dataclasses
+from functools import partial
 
 import jax
 import numpy as np
@@ -22,7 +23,14 @@ from jaxilc.learning import (
     Variation,
     learn,
 )
-from jaxilc.plants import DifferenceEquation, StateSpace, TimeVaryingStateSpace
+from jaxilc.plants import (
+    Dahl,
+    DifferenceEquation,
+    InBlocks,
+    InputHysteresis,
+    StateSpace,
+    TimeVaryingStateSpace,
+)
 from jaxilc.schemes import (
     PID,
     SMC,
@@ -38,7 +46,7 @@ from jaxilc.schemes import (
     WithFeedback,
 )
 from jaxilc.signals import Task
-from jaxilc.theory import contraction, frequency, lifted, sliding
+from jaxilc.theory import contraction, frequency, lifted, sliding, trials
 from jaxilc.theory.certificates import printed_conditions
 from jaxilc.theory.enclosure import arc_of_loop, size, supremum
 from jaxilc.theory.learning_map import Matrices
@@ -134,6 +142,18 @@ def test_a_condition_is_on_the_plant_after_its_change():
     np.testing.assert_array_equal(loop.B, frequency.linear_loop(Machine(after), None, TASK).B)
     found = frequency.learning_condition(machine, PIDType(gamma_p=0.8), TASK).condition
     assert found.value > 1
+
+
+@pytest.mark.parametrize(
+    "around", [partial(InBlocks, length=5), partial(InputHysteresis, hysteresis=Dahl(0.1, 0.3))]
+)
+def test_the_plant_within_another_one_may_change(around):
+    """The change, of another class than the plant within, ended in an error of JAX."""
+    before, after = (StateSpace([[0.7]], [[b]], [[1.0]], dt=DT) for b in (0.3, 0.4))
+    change = PlantChange(around(after), first=5, before=around(before))
+    machine = Machine(around(before), variation=Variation(change=change))
+    loop = frequency.linear_loop(trials.with_plant_within(machine), None, TASK)
+    np.testing.assert_allclose(loop.B, frequency.linear_loop(Machine(after), None, TASK).B)
 
 
 def test_what_a_basis_learns_is_claimed_of_the_reference_after_its_change():
