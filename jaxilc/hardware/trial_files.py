@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import unicodedata
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -40,7 +39,15 @@ from ..pytree.in_short import in_short
 from ..pytree.ranges import brief
 from ..schemes.weights import weighed
 from ..signals.task import Task, Trial
-from ..storage.columns import missing, name_and_unit, need_one, numbers_in, read_columns
+from ..storage.columns import (
+    missing,
+    name_and_unit,
+    need_one,
+    need_unit,
+    numbers_in,
+    plain_unit,
+    read_columns,
+)
 from ..storage.mat_files import ROOM, Other, read_mat
 from .checks import Finding, spaced
 
@@ -254,7 +261,7 @@ def _read_text(
         used.update(at)
         for i in at:
             need_one(path, header, i)
-        if len({_plain(units[i] or "") for i in at}) > 1:
+        if len({plain_unit(units[i] or "") for i in at}) > 1:
             several = ", ".join(str(units[i]) for i in at)
             raise ValueError(
                 f"{path}: the channels of {name} have the units {several}; allowed is one"
@@ -340,20 +347,10 @@ def _read_mat(
     return _File(columns, [f"sample {k}" for k in range(len(columns["t"][0]))], ignored)
 
 
-def _plain(unit: str) -> str:
-    """A unit in one spelling: the two micro signs are made equal, and "-" or "1" is no unit."""
-    unit = unicodedata.normalize("NFKC", unit).strip()
-    return "" if unit in ("-", "1") else unit
-
-
 def _check_unit(path, name: str, declared: str | None, wanted: str) -> None:
     if declared is None and wanted:
         raise ValueError(f"{path}: {name} declares no unit; this task needs '{name} [{wanted}]'")
-    if _plain(declared or "") != _plain(wanted):
-        raise ValueError(
-            f"{path}: {name} is in {declared!r}; this task needs {wanted!r}, "
-            "and nothing is converted"
-        )
+    need_unit(path, name, declared or "", wanted)
 
 
 def _check_time(path, t, places, task: Task) -> None:

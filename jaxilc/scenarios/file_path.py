@@ -28,7 +28,7 @@ from ..signals import paths
 from ..signals.gcode import read_gcode
 from ..signals.segments import FARTHEST, SHORTEST, Straight
 from ..signals.tool_path import Dwell, Followed, Move, follow
-from ..storage.columns import missing, name_and_unit, numbers_in, read_columns
+from ..storage.columns import missing, name_and_unit, need_unit, numbers_in, read_columns
 from ..storage.reading import quoted, read_text
 from .specification import Table, at_place, list_of_numbers, number, numbers, one_of, text, whole
 
@@ -148,7 +148,7 @@ def _curve(
 def _points(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:
     file = setting.folder / table.take("file", text)
     join = table.take("join", one_of(("lines", "spline")), "lines")
-    points = _points_of(file, setting.axes)
+    points = _points_of(file, setting.axes, setting.unit)
     if join == "spline":
         return _curve(table, setting, limits, lambda: _spline(points, file))
     feed = table.take("feed", _number)
@@ -213,13 +213,15 @@ def _spline(points: np.ndarray, file: Path) -> tuple:
     return spline, (0.0, float(chords[-1]))
 
 
-def _points_of(file: Path, axes: Sequence[str]) -> np.ndarray:
+def _points_of(file: Path, axes: Sequence[str], unit: str) -> np.ndarray:
     """(M, d) the points of a file of columns named as the axes; one given twice counts once."""
     header, rows = read_columns(file)
-    names = [name_and_unit(heading)[0] for heading in header]
+    names, units = zip(*map(name_and_unit, header), strict=True)
     for axis in axes:
         if axis not in names:
             raise ValueError(missing(file, axis, header))
+        if unit and (declared := units[names.index(axis)]):
+            need_unit(file, axis, declared, unit)
     at = [names.index(axis) for axis in axes]
     found: list[np.ndarray] = []
     for line, row in rows:

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..identification.record_files import read_record
+from ..identification.record_files import read_record_file
 from ..learning.machine import Actuator, Disturbance, Machine, Sensor
 from ..learning.variation import PlantChange, References, Variation
 from ..plants import Plant
@@ -37,6 +37,7 @@ from ..pytree.ranges import require
 from ..schemes.at_samples import windows_of
 from ..signals import references
 from ..signals.task import Task
+from ..storage.columns import need_unit
 from ..uncertainty import Distribution, LogUniform, Normal, Uniform
 from .file_path import Setting, planned_path
 from .specification import (
@@ -134,7 +135,7 @@ def reference_of(
         return planned.reference
     each = value if isinstance(value, list) else [value]
     columns = [
-        _reference(v, f"{at}[{i}]" if isinstance(value, list) else at, setting.folder, setting.dt)
+        _reference(v, f"{at}[{i}]" if isinstance(value, list) else at, setting)
         for i, v in enumerate(each)
     ]
     if len({len(column) for column in columns}) > 1:
@@ -171,25 +172,29 @@ def is_path(reference: Value) -> bool:
     return isinstance(reference, Mapping) and "path" in reference
 
 
-def _reference(value: Value, where: str, folder: Path, dt: float) -> np.ndarray:
-    """(N+1,) reference from a function of `references` or a column of a file with a header."""
+def _reference(value: Value, where: str, setting: Setting) -> np.ndarray:
+    """(N+1,) reference from a function of `references`, or a column in the unit of the task."""
     table = Table(value, where, '{ function = "sinusoid", ... } or { csv = "FILE", column = "r" }')
     if "csv" not in table:
         function = table.take("function", one_of(REFERENCES))
-        return np.asarray(called(getattr(references, function), table, UNITS, dt=dt))
-    path, column = folder / table.take("csv", text), table.take("column", text, "r")
+        return np.asarray(called(getattr(references, function), table, UNITS, dt=setting.dt))
+    path, column = setting.folder / table.take("csv", text), table.take("column", text, "r")
     time = table.take("time", text, "t")
     table.done()
     try:
-        record = read_record(path, time=time, input=column, output=column)
+        found = read_record_file(path, time=time, input=column, output=column)
     except ValueError as error:
         said = str(error).removeprefix("read_record: ").replace("--input (input)", "`column`")
         raise ValueError(f"{where}: {said}") from None
-    if abs(record.dt / dt - 1) > 1e-6:
+    record, (unit,) = found.record, found.output_units
+    if abs(record.dt / setting.dt - 1) > 1e-6:
         raise ValueError(
-            f"{where}: {path} is sampled at {record.dt:g} s but the task at {dt:g} s; "
+            f"{where}: {path} is sampled at {record.dt:g} s but the task at {setting.dt:g} s; "
             "nothing is resampled"
         )
+    if unit and setting.unit:
+        with at_place(where):
+            need_unit(path, column, unit, setting.unit)
     return np.asarray(record.y)[:, 0]
 
 

@@ -17,6 +17,7 @@ import csv
 import io
 import math
 import re
+import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -76,6 +77,21 @@ def name_and_unit(heading: str) -> tuple[str, str | None]:
     """
     found = _HEADING.match(heading)
     return (found[1], found[2]) if found else ("", None)
+
+
+def plain_unit(unit: str) -> str:
+    """A unit in one spelling: µm is "um" or has either micro sign; "-" or "1" is no unit."""
+    unit = unicodedata.normalize("NFKC", unit).strip()
+    return {"-": "", "1": "", "um": "μm", "°": "deg"}.get(unit, unit)
+
+
+def need_unit(path: str | Path, name: str, declared: str, wanted: str) -> None:
+    """Raises ValueError for a column in another unit than that of the task."""
+    if plain_unit(declared) != plain_unit(wanted):
+        raise ValueError(
+            f"{path}: {name} is in {declared!r}; this task needs {wanted!r}, "
+            "and nothing is converted"
+        )
 
 
 def missing(path: str | Path, name: str, present: Iterable[str], option: str = "") -> str:

@@ -47,6 +47,7 @@ KINDS = {
 def write(folder, reference, **tables):
     """Write a plant file of two axes with this reference."""
     (folder / "p.csv").write_text(POINTS)
+    (folder / "inch.csv").write_text(POINTS.replace("y [mm]", "y [in]"))
     (folder / "p.ngc").write_text(PROGRAM)
     task = {"dt": 0.004, "unit": "mm", "reference": reference} | tables.pop("task", {})
     file = {
@@ -170,6 +171,7 @@ REFUSED = {
     "corners is not a key here; did you mean corner": {**KINDS["lines"], "corners": 1},
     "table.json is no .*|has no column 'x'": {**KINDS["lines"], "file": "table.json"},
     "p.csv, line 1: .* is no word": {**KINDS["gcode"], "file": "p.csv"},
+    "y is in 'in'; this task needs 'mm'": {**KINDS["lines"], "file": "inch.csv"},
     "is no file": {**KINDS["gcode"], "file": "."},
 }
 

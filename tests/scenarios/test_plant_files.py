@@ -19,6 +19,7 @@ from jaxilc.cli import app
 from jaxilc.identification import excite, write_record
 from jaxilc.learning import Machine, learn
 from jaxilc.scenarios import load_scenario
+from jaxilc.scenarios.file_task import task_of
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.specification import classes
 from jaxilc.schemes import (
@@ -252,6 +253,20 @@ def test_a_toml_file_is_a_whole_scenario(tmp_path):
     said = "axis.toml: task.reference: .*path.csv has no column 'r'; present are t, x; `column` nam"
     with pytest.raises(ValueError, match=said):
         read_scenario(path)
+
+
+@pytest.mark.parametrize(
+    ("unit", "heading", "fits"), [("um", "µm", True), ("mm", "µm", False), ("", "µm", True)]
+)
+def test_a_reference_in_another_unit_is_refused(tmp_path, unit, heading, fits):
+    (tmp_path / "r.csv").write_text(f"t [ms],r [{heading}]\n0,0\n1,5\n2,0\n", encoding="utf-8")
+    values = {"dt": 1e-3, "unit": unit, "reference": {"csv": "r.csv"}}
+    plant = plants.StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3)
+    if fits:
+        assert list(task_of(values, "task", tmp_path, plant, []).reference[:, 0]) == [0, 5, 0]
+    else:
+        with pytest.raises(ValueError, match="r is in 'µm'; this task needs 'mm'"):
+            task_of(values, "task", tmp_path, plant, [])
 
 
 def test_what_a_file_describes_learns_as_what_the_library_makes(tmp_path):
