@@ -125,8 +125,8 @@ class Request:
         wide = with_spread(chosen.uncertainty, self.spread)
         if not any(d.relative for d in wide.values()):
             raise ValueError(
-                f"spread = {self.spread:g} widens nothing, since no uncertainty of {self.source} is "
-                "relative; needed is one with relative = true in [uncertainty]"
+                f"spread = {self.spread:g} widens nothing, since no uncertainty of {self.source} "
+                "is relative; needed is one with relative = true in [uncertainty]"
             )
         return dataclasses.replace(chosen, uncertainty=wide)
 
