@@ -17,6 +17,7 @@ import pytest
 from cases import CASES
 
 import jaxilc
+from jaxilc.scenarios.from_file import load_scenario
 from jaxilc.scenarios.specification import HIDDEN, classes
 
 ROOT = Path(__file__).parents[1]
@@ -87,6 +88,17 @@ def test_a_users_script_passes_type_checkers(name, scripts):
 
 def test_the_shortest_script_of_a_user_runs():
     exec(SHORTEST, {})
+
+
+def test_what_the_guide_changes_in_the_file_of_init_is_there():
+    """A command on `axis.toml` names values that the file which `jaxilc init` writes has."""
+    known = load_scenario(Path(jaxilc.scenarios.__file__).with_name("axis.toml")).settable()
+    sources = [ROOT / "README.md", *DOCS.glob("guide/*.md"), *ROOT.glob("jaxilc/cli/*.py")]
+    text = "\n".join(file.read_text(encoding="utf-8") for file in sources)
+    lines = "\n".join(re.findall(r"jaxilc [a-z-]+ axis\.toml\b.*", text))
+    named = re.findall(r"--(?:vary|grid|set) '?([^\s=]+)=", lines)
+    assert {re.sub(r"\[\d\]", "", path) for path in named} <= set(known)
+    assert len(named) > 4
 
 
 @pytest.fixture

@@ -583,7 +583,7 @@ def filter_(
     |Q (1 - L P)| below 1 at every frequency, for every machine of the uncertainty or every line of
     a measured response, with the largest cutoff, gain and lead that keep a margin.
 
-    Example: jaxilc filter axis.toml --vary plant.gain=15% --vary plant.frequencies=20%
+    Example: jaxilc filter axis.toml --vary plant.B=15%
     """
     taps = TAPS if synthesise and taps is None else taps
     how: dict[str, Value] = {"margin": margin, "taps": taps, "band": band}
