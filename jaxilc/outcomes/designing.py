@@ -29,6 +29,7 @@ from .repeating import Following, following, recurs, repeats_in, within_numbers,
 from .request import Request
 from .sweeping import live_store
 from .terms import objective_of, risk_of
+from .words import several
 
 Q = TypeVar("Q")
 
@@ -299,8 +300,9 @@ def _with_weights(what: Candidate, chosen: Scenario) -> str:
         name = path.rpartition(".")[2]
         value = f"{float(get_at(what.scheme, path)):.4g}{units.get(name, '')}"
         said.append(f"{EDGES.get(name, name)} = {value}")
-    lead = _lead(what.scheme)
-    return ", ".join(filter(None, (*said, f"lead = {lead} samples" if lead else "")))
+    if lead := _lead(what.scheme):
+        said.append(f"lead = {several(lead, 'sample')}")
+    return ", ".join(said)
 
 
 def _lead(scheme: Scheme | None) -> int:

@@ -14,9 +14,9 @@ from jaxilc.design import LAWS, Designed, Recommended
 from jaxilc.design.candidates import Candidate
 from jaxilc.design.judging import Verdict
 from jaxilc.design.learned import STARTS, LearnedLaw, Taps
-from jaxilc.outcomes.designing import _table, state_of
+from jaxilc.outcomes.designing import _table, _with_weights, state_of
 from jaxilc.scenarios.from_file import read_scenario
-from jaxilc.schemes import LearningFilter
+from jaxilc.schemes import LearningFilter, PIDType
 
 FILE = """
 tolerance = 0.9
@@ -44,6 +44,12 @@ def file(tmp_path, monkeypatch):
     path = tmp_path / "axis.toml"
     path.write_text(FILE)
     return path
+
+
+def test_a_lead_of_one_sample_is_told_in_the_singular():
+    law = SimpleNamespace(words="P-type", bounds=["gamma_p"], scheme=PIDType(gamma_p=0.5, lead=1))
+    there = SimpleNamespace(task=SimpleNamespace(unit="mm", input_unit="V"))
+    assert _with_weights(law, there) == "P-type, gamma_p = 0.5 V/mm, lead = 1 sample"
 
 
 def test_the_laws_that_are_completed_are_those_that_are_tried():
