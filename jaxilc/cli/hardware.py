@@ -94,6 +94,8 @@ def trials(
     sentences = verdict(live, None, prediction, unit, 0.02) if live else []
     measured = Path(live[-1]["source"]) if len(live) > 1 else None
     following = next_command(state, len(live) or 1, measured, None)
+    if measured is not None and _named_otherwise(measured):
+        following = following.replace("record it,", "record it, name its columns as before,", 1)
     for line in (*sentences, following) if live else ():
         say(line)
     if report is not None:
@@ -110,6 +112,22 @@ def trials(
         "next": following if live else "",
     }
     written(files, pages.file(".json"), numbers)
+
+
+def _named_otherwise(measured: Path) -> bool:
+    """Whether `next` was told the names of the columns of a record, which no journal keeps.
+
+    Only a record of text that is still there shows it, by a header without `y`, or by none.
+    """
+    from ..storage.columns import name_and_unit, read_columns
+
+    try:
+        header, _ = read_columns(measured)
+    except OSError:
+        return False
+    except ValueError:
+        return measured.suffix != ".mat"
+    return all(name_and_unit(heading)[0].rstrip("0123456789") != "y" for heading in header)
 
 
 def _verdict(lines: list[str], following: str) -> Verdict:

@@ -249,6 +249,8 @@ def test_a_file_without_a_header_is_named_in_the_next_command_too(copied):
     said, _ = go_on("--measured", folder / "3.txt", "--set", columns)
     assert f"trial 3: RMS error {rms:.6g} mm" in said
     assert f"--set '{columns}'" in said.splitlines()[-1]
+    said, _ = call("trials", "--state", folder / "x")
+    assert "record it, name its columns as before, then: jaxilc next" in said
 
 
 def test_a_trial_that_ended_early_is_learned_from_as_far_as_it_goes(copied):
