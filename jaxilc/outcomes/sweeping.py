@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 NOMINAL = "nominal.zarr"  # the bounds of the nominal machine over a grid
 SIGMA_STEPS = 40  # of the Lanczos iteration on the nominal machine of a point
 ENOUGH = 0.95  # share of machines within the tolerance with which a scheme is not in request
+ALIKE = "Only noise tells these machines apart: without an uncertainty each is the nominal one."
 
 BAND = (
     "Each panel is a scheme: median, 5 to 95 % and worst machine by trial. Beside them stands "
@@ -430,8 +431,9 @@ def sweep_verdict(case: Case, numbers: Numbers, highs: Mapping[str, Sequence[flo
     said = f"{case.head(best)}{_yield(case, numbers, row)}{_spread(case, numbers, row)}."
     told = course.words and case.learns[best]
     second = lost or (f"The 95 % {case.metric} {course.words}." if told else "")
+    alike = () if case.uncertain or numbers["samples"] == 1 else (ALIKE,)
     enough = row["yield"] is None or row["yield"] >= ENOUGH
-    return Verdict(both(said, second), *_after_sweep(case, best, not lost, enough))
+    return Verdict((*both(said, second), *alike), *_after_sweep(case, best, not lost, enough))
 
 
 def _yield(case: Case, numbers: Numbers, row: Numbers) -> str:
@@ -494,7 +496,8 @@ def _after_sweep(case: Case, best: str, sound: bool, enough: bool) -> tuple[str,
     if not enough:
         if case.designable:
             return case.remedy(best)
-        return "the worst machine", case.on("worst-case", best)
+        if case.uncertain:
+            return "the worst machine", case.on("worst-case", best)
     return "what theory claims", case.on("certify", best)
 
 

@@ -179,6 +179,9 @@ def test_sweep_says_yield_worst_machine_and_what_is_lost():
     assert parsed(found)[0] == "design"
     name, params = parsed(swept(CASE._replace(designable=False), 0.75, high, 0.03))
     assert (name, params["scheme"]) == ("worst-case", "ilc")
+    found = swept(CASE._replace(designable=False, uncertain=False), 0.75, high, 0.03)
+    assert found.said[-1].startswith("Only noise tells these machines apart")
+    assert parsed(found)[0] == "certify"
     found = swept(CASE, None, high, np.inf, diverged=1 / 64, diverged_at=9)
     assert found.said == (
         "ilc: 95 % of 64 machines end with a settled error of at most 0.01 mm, the worst (machine "
