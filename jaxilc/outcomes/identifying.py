@@ -162,7 +162,7 @@ def _not_linear(fitted: Fitted) -> tuple[list[str], Numbers, list[Table]]:
     lines.append(
         f"The input is that of a mass with friction, to {of.fit:.4g} %: the table has its numbers."
     )
-    table = identification_table("mass and friction, with 95 % intervals", rows)
+    table = identification_table("mass and friction", rows)
     return lines, numbers | {"friction": {name: value for name, value, *_ in rows}}, [table]
 
 
@@ -434,7 +434,8 @@ def _structure(best: Order) -> Numbers:
 
 def identification_table(title: str, rows: Sequence[tuple[str, float, float, float]]) -> Table:
     """The table of identified quantities with their 95 % intervals."""
-    title = f"{title}: identified, with 95 % intervals"
+    rates = any(name.startswith("pole ") for name, *_ in rows)
+    title += ": identified, with 95 % intervals" + "; zeros, poles, frequencies in rad/s" * rates
     table = Table("quantity", right=("value", "low", "high"), title=title)
     for name, *values in rows:
         largest = NOTHING * np.max(np.abs(values), where=np.isfinite(values), initial=0.0)
