@@ -40,7 +40,9 @@ class Visits(NamedTuple):
         output; inf where the trial does not tell it
     told: (m,) whether the trial tells the parameter
     rate: largest |eigenvalue| of the derivative of learning, in all that the trial tells: below 1
-        these parameters converge from near by. NaN where nothing is told
+        these parameters converge from near by. In all there is, where what the trial does not tell
+        is moved, too, and moves the rest on a machine that is not the model. NaN where nothing is
+        told
     """
 
     names: tuple[str, ...]
@@ -95,8 +97,11 @@ def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory = Non
     doubt = np.sqrt(np.diag(inverse @ np.einsum("kim,kin->mn", QX, QX) @ inverse))
     rate = np.nan
     if np.any(seen):
-        within = V[:, seen].T @ (M * np.outer(s, 1 / s)) @ V[:, seen]
-        rate = float(np.max(np.abs(np.linalg.eigvals(within))))
+        moved = V.T @ (M * np.outer(s, 1 / s)) @ V
+        there, back = (np.max(np.abs(x), initial=0.0) for x in (moved[~seen][:, seen],
+                                                                moved[seen][:, ~seen]))  # fmt: skip
+        moved = moved if min(there, back) > TOLD**0.5 else moved[seen][:, seen]
+        rate = float(np.max(np.abs(np.linalg.eigvals(moved))))
     names = law.basis.names(task.outputs, task.inputs)
     return Visits(names, seconds, np.where(told, doubt, np.inf), told, rate)
 

@@ -181,6 +181,22 @@ def test_the_rate_is_that_with_which_learning_comes_to_its_end():
         assert ratio < 1.15 * found.rate
 
 
+def test_the_rate_counts_what_the_model_cannot_tell_where_it_moves_and_acts():
+    """Two inputs that act alike on the model, and not on the machine; w_r moves them unlike."""
+    r = np.sin(np.linspace(0, 2 * np.pi, 41))[:, None] ** 2 * [1.0, 0.5]
+    one, eye = np.random.default_rng(1282), np.eye(2)
+    for _ in range(12):
+        alike = np.outer(one.normal(size=2), [1.0, one.normal()])
+        model = StateSpace(0.3 * eye, alike, eye, dt=0.01)
+        machine = Machine(dataclasses.replace(model, B=alike + one.normal(size=(2, 2))))
+        w_r = 10.0 ** one.uniform(-1, 1, 2)
+        scheme = BasisFunctions(PolynomialBasis((0,)), model, w_r=w_r, step=0.5)
+        task = Task(r, dt=0.01, inputs=2)
+        history = learn(machine, scheme, task, 150)
+        grown = history.rms[-1].max() > 2 * history.rms[-40].max()
+        assert (theory.visits(machine, scheme, task).rate > 1) == bool(grown)
+
+
 @pytest.mark.thorough(but=["7.3"])
 @pytest.mark.parametrize("pitch", [12.0, 7.3])
 def test_the_pitch_is_found_from_a_record(pitch):
