@@ -128,7 +128,7 @@ def learning_premises(machine: Machine, scheme: Scheme, task: Task) -> tuple[Pre
 def alike_trials(machine: Machine, scheme: Scheme, task: Task) -> Premise:
     """The premise that a trial and its learning are one map in each, where its means are taken."""
     differs = "" if machine.variation is None else _differing(machine.variation, scheme, task)
-    return premise(EACH_ALIKE, not differs, differs)
+    return premise(EACH_ALIKE, not differs, differs or machine.said_of_claims().removesuffix(": "))
 
 
 def _differing(variation: Variation, scheme: Scheme, task: Task) -> str:

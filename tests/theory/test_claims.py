@@ -142,6 +142,7 @@ def test_a_condition_is_on_the_plant_after_its_change():
     np.testing.assert_array_equal(loop.B, frequency.linear_loop(Machine(after), None, TASK).B)
     found = frequency.learning_condition(machine, PIDType(gamma_p=0.8), TASK).condition
     assert found.value > 1
+    assert "from trial 5 on" in {p.detail for p in found.premises}
 
 
 @pytest.mark.parametrize(
