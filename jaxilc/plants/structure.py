@@ -47,8 +47,8 @@ class Dependence(NamedTuple):
 # fmt: off
 LINEAR = frozenset((
     "add", "add_any", "sub", "neg", "reshape", "broadcast_in_dim", "transpose", "squeeze",
-    "expand_dims", "slice", "split", "concatenate", "stack", "pad", "rev", "copy", "copy_p",
-    "reduce_sum", "cumsum", "reduce_window_sum", "real", "imag", "complex", "conj", "fft",
+    "expand_dims", "slice", "split", "concatenate", "stack", "unstack", "pad", "rev", "copy",
+    "copy_p", "reduce_sum", "cumsum", "reduce_window_sum", "real", "imag", "complex", "conj", "fft",
     "by_sample", "device_put",
 ))
 # linear in each of two operands by itself

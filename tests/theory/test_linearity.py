@@ -310,6 +310,7 @@ def test_limits_that_are_declared_decide_whether_anything_changes(name):
 # --------------------------------------------------------------------------------------------------
 
 LINEAR = {
+    "unstack": lambda _, x: sum(jnp.unstack(x)),
     "a filter": lambda a, x: jnp.convolve(x, a),
     "a transform": lambda a, x: jnp.fft.irfft(jnp.fft.rfft(x) * a[0]),
     "a choice of the fixed": lambda a, x: jnp.where(a > 0, x, -x),
