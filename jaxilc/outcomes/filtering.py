@@ -327,7 +327,7 @@ def _scheme_verdict(name: str, answered: Question, uncertainty) -> str:
     where = f"at {number(tried.worst[tried.top])} Hz"
     at = _machine_said(tried.at, uncertainty)
     where += f" on the machine {at}" if at else ""
-    if np.max(tried.radii) >= 1 - 1e-9:
+    if not answered.stable:
         return f"{name}: nothing is claimed{over}: a loop without learning is not stable."
     if value < 1:
         rest = "proved for all of them" if answered.proof.proved else "on the machines tried"
@@ -342,6 +342,8 @@ def _scheme_verdict(name: str, answered: Question, uncertainty) -> str:
 
 
 def _how_far(answered: Question, best: Offer | None, margin: float, scale, unit) -> str:
+    if not answered.stable:
+        return "Nor is it said how far a law may go: a feedback must first make each loop stable."
     if best is None:
         return f"No cutoff, gain or lead keeps a margin of {margin:g}: another law is needed."
     bought = f"a repeated error is learned to a tenth up to {number(best.learned_up_to)} Hz"
@@ -357,6 +359,8 @@ def _scheme_next(
     said: Sequence[str], source: str, name: str, answered: Question, best: Offer | None
 ) -> Verdict:
     """The verdict with the next command."""
+    if not answered.stable:
+        return Verdict(tuple(said))
     if answered.peak >= 1 and best is None:
         lower = f"Next: a lower gain or another law in {source}; `jaxilc tune --help` says how."
         return Verdict((*said, lower))

@@ -720,7 +720,7 @@ def _after(
 
 
 def _margin(opened: Opened) -> float:
-    """The largest |Q (1 - L P)| of a campaign's law over the machines of its plant file."""
+    """The largest |Q (1 - L P)| of a campaign's law over its machines; inf if one is unstable."""
     of, campaign = opened.scenario, opened.campaign
     answered, _ = question(of.machine, campaign.scheme, campaign.task, of.uncertainty)
-    return float(answered.now.peak)
+    return float(answered.now.peak) if answered.stable else np.inf

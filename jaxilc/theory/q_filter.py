@@ -30,7 +30,7 @@ from .frequency import Tried, WholeSet, bound_of_set, grid, largest_of, tried_pl
 from .law import law_of, law_response
 from .learning_map import maps_of, view_of
 from .linearity import invariant_loop, linear_law, of_last_trial
-from .loop import Loop, responses
+from .loop import Loop, responses, stable
 from .on_lines import (
     Change,
     Curves,
@@ -232,8 +232,15 @@ class Question(NamedTuple):
     rounding: float
 
     @property
+    def stable(self) -> bool:
+        """Whether each loop that was tried is stable without learning; else nothing is claimed."""
+        return stable(float(np.max(self.tried.radii)))
+
+    @property
     def peak(self) -> float:
-        """The largest value that was found, or that is proved if that is larger."""
+        """The largest value that was found, or that is proved if that is larger; nan of no claim."""
+        if not self.stable:
+            return np.nan
         found = float(self.tried.values[self.tried.top])
         return max(found, self.proof.bound) if self.proof.proved else found
 
@@ -268,7 +275,8 @@ def question(
     )
     curves = curves_of(whole)
     proof = bound_of_set(population, scheme, task, law, tried)
-    top, places = float(tried.values[tried.top]), places_in(scheme)
+    settled = stable(float(np.max(tried.radii)))
+    top, places = float(tried.values[tried.top]) if settled else np.nan, places_in(scheme)
     cutoff = float(get_at(scheme, places.cutoff)) if places.cutoff else np.inf
     change, floor = Change(1.0, 0, cutoff, places.order), floor_of(machine, scheme, task, top)
     now = Offer("as it is", {}, change, top, curves.learned_up_to, floor)
@@ -344,8 +352,11 @@ def offers_of(
     Each is changed alone, except that the best lead comes with the largest cutoff that it allows.
     Where the scheme has no filter, one is offered on top of it. What the lines of the grid allow is
     enclosed between them on the worst plants, and reduced until the margin is kept there too.
+    Nothing is offered where a loop is not stable.
     """
     places, offers, allowed = found.places, [], 1 - margin
+    if not found.stable:
+        return offers
     lead = int(get_at(scheme, places.lead)) if places.lead else 0
     for what in kinds(places):
         target = allowed

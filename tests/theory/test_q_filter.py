@@ -188,6 +188,18 @@ def test_responses_are_those_of_the_closed_form():
     np.testing.assert_allclose(responses([loop], f, DT)[0], sampled(f, 1.0, 300.0, 0.2), rtol=1e-8)
 
 
+def test_nothing_is_safe_or_offered_where_a_machine_is_unstable():
+    """The report said `safe`, and how far the law may go, by the lines of the responses alone."""
+    task = Task(np.zeros(101), dt=DT)
+    plant = Machine(StateSpace([[-0.8]], [[1.8]], [[1.0]], dt=DT))
+    law = Filtered(PIDType(gamma_p=0.9), ZeroPhaseButterworth(100.0))
+    box = {"plant.A": Uniform(0.9, 1.26, relative=True)}
+    found, inner = question(plant, law, task, box, machines=1)
+    assert float(found.tried.values[found.tried.top]) < 0.9 < 1 <= np.max(found.tried.radii)
+    assert np.isnan([found.peak, found.now.peak, found.now.floor]).all()
+    assert offers_of(found, inner, plant, law, task, 0.05) == []
+
+
 def test_a_law_that_is_not_linear_is_named():
     with pytest.raises(
         ValueError, match=r"CFDLMFAILC: the condition .* needs: learning law linear"
