@@ -173,7 +173,8 @@ def filter_measured(
         )
         said.append(more)
         kept.append(Path(numbers["synthesis"]["file"]))
-    verdict = _records_next(said, files, law, answered, margin)
+    besides: Numbers = {"sigmas": sigmas, "averages": averages, "margin": margin}
+    verdict = _records_next(said, files, law, answered, besides)
     curves = {name: test.curves for name, test in of_each.items()}
     return Outcome(
         command="filter",
@@ -483,17 +484,25 @@ def _between(answered: MeasuredQuestion) -> str:
 
 
 def _records_next(
-    said: Sequence[str], records: list[str], law: PLaw, answered: MeasuredQuestion, margin: float
+    said: Sequence[str],
+    records: list[str],
+    law: PLaw,
+    answered: MeasuredQuestion,
+    besides: Numbers,
 ) -> Verdict:
-    """The verdict, with how far the law may go and the next command."""
-    best = _best_of(answered.offers)
+    """The verdict, with how far the law may go and the next command.
+
+    besides: the other options; those that were given stand in the command
+    """
+    best, margin = _best_of(answered.offers), besides["margin"]
     if best is None:
         no = f"No cutoff keeps a margin of {margin:g}: take a lower --gain or another --lead."
         return Verdict((*said, no))
-    values = law._asdict() | best.settings
+    values = law._asdict() | best.settings | besides
+    usual = {"order": ORDER, "sigmas": 3.0, "averages": None, "margin": 0.1}
     command = ["jaxilc", "filter", *records]
-    for name in ("gain", "lead", "cutoff", "dt", *(() if law.order == ORDER else ("order",))):
-        command += [f"--{name}", f"{values[name]:g}"]
+    for name in ("gain", "lead", "cutoff", "dt", *(k for k, v in usual.items() if values[k] != v)):
+        command += [f"--{name}", f"{values[name]:.15g}"]
     far = (
         f"With a margin of {margin:g} a repeated error may be learned to a tenth up to "
         f"{number(best.learned_up_to)} Hz."

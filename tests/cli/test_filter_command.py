@@ -1,6 +1,7 @@
 """`jaxilc filter`: the answers that are printed, the files that are left, and what is refused."""
 
 import json
+import shlex
 import tomllib
 
 import numpy as np
@@ -113,6 +114,19 @@ def test_the_answer_for_a_record(here):
     robust = Q * (np.abs(1 - LP) + 3 * 0.02 * np.abs(LP))
     assert found["peak"] == pytest.approx(np.max(robust), rel=1e-9)
     assert "Next: jaxilc filter a.csv --gain 0.5" in said
+
+
+def test_the_next_command_for_a_record_asks_the_same(here):
+    """A rounded sample time refused the line at its Nyquist frequency; sigmas were left out."""
+    f, dt = np.linspace(30.0, 3000.0, 100), 1 / 6000
+    c = np.full(100, 0.9)
+    write_columns("c.csv", "f [Hz],re,im,coherence", f, 1 / (1 + (f / 800) ** 2), 0 * f, c)
+    asked = {"sigmas": 2.0, "averages": 100, "margin": 0.2}
+    found = filter_measured(["c.csv"], gain=0.5, cutoff=300.0, dt=dt, **asked)
+    code, out, _ = call(*shlex.split(found.verdict.following)[1:], "--report", "o.json")
+    assert code == 0, out
+    peak = json.loads((here / "o.json").read_text())["peak"]
+    assert peak == pytest.approx(max(one["peak"] for one in found.numbers["offers"]), rel=1e-9)
 
 
 def test_records_of_one_name_in_several_folders_are_told_apart(here):
