@@ -24,12 +24,13 @@ from ..scenarios.design_file import design_path, need_same_folder, write_design
 from ..schemes import Scheme
 from ..storage.files import need_unused
 from ..sweeps.store import open_dataset
+from ..theory.q_filter import rounded
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .repeating import Following, following, recurs, repeats_in, within_numbers, within_trial
 from .request import Request
 from .sweeping import live_store
 from .terms import objective_of, risk_of
-from .words import several
+from .words import number, several
 
 Q = TypeVar("Q")
 
@@ -257,8 +258,8 @@ def _beyond(proof: Proof) -> str:
         )
     if proof.further > 0:
         said += (
-            f"; each of them may differ from its model by {100 * proof.further:.2g} % at any "
-            "frequency"
+            "; each stable response from what is learned to the output may differ from its model "
+            f"by {number(rounded(100 * proof.further))} % at any frequency"
         )
     return said
 

@@ -238,7 +238,7 @@ class Question(NamedTuple):
 
     @property
     def peak(self) -> float:
-        """The largest value that was found, or that is proved if that is larger; nan of no claim."""
+        """The largest value that was found, or that is proved if larger; nan if not `stable`."""
         if not self.stable:
             return np.nan
         found = float(self.tried.values[self.tried.top])

@@ -12,10 +12,11 @@ from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw
 from jaxilc.design.by_response import FirstTaps, by_response, moved, sizes_of
 from jaxilc.design.candidates import UNSAFE, Candidate, candidates, contraction, penalty
-from jaxilc.design.judging import _further
+from jaxilc.design.judging import Proof, _further
 from jaxilc.design.learned import Passed, gate, kept_or
 from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.window import Filters, ShapedFilter, window_of
+from jaxilc.outcomes.designing import safety_said
 from jaxilc.plants import ProcessModel
 from jaxilc.theory.law import law_of, learning_law
 from jaxilc.tuning import Tuning
@@ -124,6 +125,14 @@ def test_each_machine_may_differ_from_its_model_by_what_the_proof_says(family, w
     turns = 1 + W * np.exp(2j * np.pi * np.arange(72) / 72)
     sizes = [family._replace(P=family.P * D).sizes_of_law(law, DT).max() for D in turns]
     assert 0.99 < max(sizes) <= 1 + 1e-9
+
+
+@pytest.mark.parametrize(("further", "percent"), [(0.1069, "10.6"), (1.5, "150")])
+def test_what_a_machine_may_differ_by_is_rounded_down_and_of_its_closed_loop(further, percent):
+    """A drive of twice the gain was called safe, under a feedback that is unstable with it."""
+    proof = Proof(0.8, 0.9, 10.0, {}, 1, ("monotone",) * 2, ("",) * 2, further=further)
+    what = "each stable response from what is learned to the output may differ from its model by"
+    assert f"{what} {percent} % at any frequency" in safety_said(proof)
 
 
 def test_shaped_is_a_learning_filter(window, found):
