@@ -572,9 +572,10 @@ def _settings_of(values: Mapping[str, ArrayLike], before: str = "") -> list[str]
 
 
 def _plain(value) -> str:
+    """A number, or those of an array in one list, which those of one channel are by themselves."""
     array = np.asarray(value)
     if array.ndim:
-        return "[" + ",".join(f"{v:.4g}" for v in array) + "]"
+        return "[" + ",".join(f"{v:.6g}" for v in array.ravel()) + "]"
     return f"{array.item():.6g}"
 
 

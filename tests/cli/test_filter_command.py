@@ -9,7 +9,7 @@ import pytest
 from command import call, mistakes, write_columns
 
 from jaxilc.filters import ZeroPhaseButterworth
-from jaxilc.outcomes import filter_measured
+from jaxilc.outcomes import filter_, filter_measured
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.scenarios.design_file import toml_of, write_with_scheme
 from jaxilc.schemes import Filtered, LearningFilter, PIDType, WithFeedback
@@ -114,6 +114,16 @@ def test_the_answer_for_a_record(here):
     robust = Q * (np.abs(1 - LP) + 3 * 0.02 * np.abs(LP))
     assert found["peak"] == pytest.approx(np.max(robust), rel=1e-9)
     assert "Next: jaxilc filter a.csv --gain 0.5" in said
+
+
+def test_taps_of_one_by_one_matrices_are_written_as_they_are_set(here, monkeypatch):
+    """They ended in a TypeError, and those of one axis were rounded beyond the margin."""
+    taps = {"L": np.array([[[0.123456]], [[0.5]]])}
+    offer = Offer("largest gain", taps, Change(1.2, 0, np.inf, 2), 0.89, 30.0, 0.002)
+    monkeypatch.setattr(q_filter, "question", lambda *_, **__: answer(0.6, WholeSet(0.61, "")))
+    monkeypatch.setattr(q_filter, "offers_of", lambda *_: [offer])
+    said = filter_("axis.toml", vary=["plant.gain=15%"]).verdict.following
+    assert shlex.split(said)[-1] == "ilc.L=[0.123456,0.5]"
 
 
 def test_the_next_command_for_a_record_asks_the_same(here):
