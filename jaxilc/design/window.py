@@ -133,9 +133,13 @@ def along(matrix, taps):
 
 
 def moved_by(start: Filters, of_L, of_keep, z, unit=None) -> Filters:
-    """The taps after steps z along directions as columns, first those of L; also of tracers."""
+    """The taps after steps z along directions as columns, first those of L; also of tracers.
+
+    Of inputs that learn from no output in common, keep passes nothing from one to the other.
+    """
     found, after = [], 0
-    for taps, of, factor in ((start.L, of_L, unit), (start.keep, of_keep, None)):
+    shared = None if unit is None else (unit > 0) @ (unit > 0).T
+    for taps, of, factor in ((start.L, of_L, unit), (start.keep, of_keep, shared)):
         axis = 0 if taps.ndim % 2 else 1
         shape = (*taps.shape[:axis], of.shape[1], *taps.shape[axis + 1 :])
         size = int(np.prod(shape))
