@@ -69,7 +69,7 @@ def write_with_scheme(path: Path, source: str, name: str, scheme: Scheme) -> tup
     be added to a file by hand.
     """
     table = f"\n# Found by `jaxilc filter`.\n{toml_of({name: scheme})}"
-    before = Path(source).read_text() if Path(source).suffix == ".toml" else ""
+    before = Path(source).read_text(encoding="utf-8") if Path(source).suffix == ".toml" else ""
     _write(path, before + table)
     if before:
         try:
