@@ -30,8 +30,9 @@ FEWEST, MOST = 100, 600  # points of a signal
 CHOOSE = """
 const k = schemes.indexOf(scheme.value), c = outputs.indexOf(output.value), j = slider.value;
 const key = [k, j, c].join("_");
-shown.data = {t: all.data["t"], r: all.data["r_" + c], y: all.data["y_" + key],
-              e: all.data["e_" + key], u: all.data["u_" + [k, j].join("_")]};
+shown.data = {t: all.data["t"], r: all.data["r_" + c] ?? all.data["r_" + [j, c].join("_")],
+              y: all.data["y_" + key], e: all.data["e_" + key],
+              u: all.data["u_" + [k, j].join("_")]};
 told.text = scheme.value + ", trial " + trials[j];
 """
 PARAMETER = """
@@ -58,6 +59,7 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     schemes, count = names_of(dataset), dataset.sizes["trial"]
     outputs = outputs_of(dataset, dataset.sizes["channel"])
     chosen, of_a_trial = np.arange(count), len(schemes) * (2 * len(outputs) + 1)
+    of_a_trial += len(outputs) * (dataset["r"].ndim > 2)
     most = int(np.clip(ROOM // (FEWEST * of_a_trial), 1, TRIALS))
     if count > most:
         chosen = np.unique(np.round(np.geomspace(count, 1, most)).astype(int)) - 1
@@ -66,8 +68,11 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     factor, unit = shown_in(scale * last, unit)
     columns = {"t": thinned(dataset["time"].values, points, times=True)}
     signals = {n: dataset[n].values for n in ("y", "e", "u")}
+    r = dataset["r"].values
     for c in range(len(outputs)):
-        columns[f"r_{c}"] = thinned(dataset["r"].values[:, c], points)
+        of_trials = {f"r_{i}_{c}": r[j, :, c] for i, j in enumerate(chosen)} if r.ndim > 2 else {}
+        for name, values in (of_trials or {f"r_{c}": r[:, c]}).items():
+            columns[name] = thinned(values, points)
     for k in range(len(schemes)):
         for i, j in enumerate(chosen):
             for c in range(len(outputs)):
@@ -79,7 +84,8 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
             columns[f"u_{k}_{i}"] = thinned(np.append(u, u[-1]), points)
     last = len(chosen) - 1
     every = ColumnDataSource(columns)
-    begin = {"t": "t", "r": "r_0", "y": f"y_0_{last}_0", "e": f"e_0_{last}_0", "u": f"u_0_{last}"}
+    of_r = "r_0" if r.ndim == 2 else f"r_{last}_0"
+    begin = {"t": "t", "r": of_r, "y": f"y_0_{last}_0", "e": f"e_0_{last}_0", "u": f"u_0_{last}"}
     shown = ColumnDataSource({name: columns[of] for name, of in begin.items()})
     numbers = dataset["trial"].values[chosen].tolist()
     of_trial = CustomJSTickFormatter(args={"trials": numbers}, code="return String(trials[tick])")

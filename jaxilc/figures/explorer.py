@@ -221,8 +221,7 @@ class Exploration:
             trials=s.trials, metric=s.judged_by, keep=self.keep, frequency=self._has_response(),
         )  # fmt: skip
         scale = s.shown(s.judged_by)[0]
-        y, u = (np.asarray(x).reshape(len(x), -1)[:, 0] for x in signals)
-        r = np.asarray(s.task.reference).reshape(len(y), -1)[:, 0]
+        r, y, u = (np.asarray(x).reshape(len(x), -1)[:, 0] for x in signals)
         errors = scale * np.asarray(errors)
         found = np.asarray(size)
         return Outcome(errors, r, y, s.shown_scale * (r - y), u, self.f[: found.shape[1]], found)
@@ -337,14 +336,14 @@ def _size(scheme, machine, task, f) -> jax.Array:
 
 @functools.partial(jax.jit, static_argnames=("trials", "metric", "keep", "frequency"))
 def _computed(scheme, machines, task, f, *, trials, metric, keep, frequency):
-    """Errors of all machines, y and u of the last trial of the nominal one, and |Q - L P|."""
+    """Errors of all machines, r, y and u of the nominal one's last trial, and |Q - L P|."""
 
     def of(common, machine):
         scheme, task = common
         history = learn(machine, scheme, task, trials, save=keep)
         values = history.saved[metric] if keep.quantities else getattr(history, metric)
         values = jnp.max(values.reshape(trials, -1), axis=1)
-        return jnp.where(history.diverged, jnp.inf, values), (history.final.y, history.final.u)
+        return jnp.where(history.diverged, jnp.inf, values), history.final[:3]
 
     errors, signals = tiled(of)((scheme, task), machines)
     first = jax.tree.map(lambda x: x[0], signals)

@@ -86,6 +86,8 @@ def tracking(
             f"tracking: zoom = ({low:g}, {high:g}) is not a part of the trial, {time[0]:g} to "
             f"{time[-1]:g} s"
         )
+    found = [_reference(dataset, *s[:2], j).T for s, j in zip(signals, trials, strict=True)]
+    references = list({r.tobytes(): r for r in found}.values()) if "r" in dataset else found[:1]
     channels = signals[0][1].shape[1]
     names = outputs_of(dataset, channels)
     called = names if len(names) > 1 and not names[0].startswith("output ") else None
@@ -95,7 +97,7 @@ def tracking(
     panels: list[list[Panel]] = []
     for part in (time >= time[0], (time >= low) & (time <= high)):
         at = time[part]
-        r = Curve(at, _reference(dataset, *signals[0][:2])[part].T, width=3, colour=PALE)
+        r = Curve(at, np.concatenate(references)[:, part], width=3, colour=PALE)
         rows: list[list[Layer]] = [[replace(r, name="reference")], *([] for _ in of_error), []]
         for (y, e, u), j, shade in zip(signals, trials, shades, strict=True):
             for row, values in zip(rows, (y, *(scale * e.T[..., None]), u), strict=True):
@@ -151,7 +153,9 @@ def contour(
     from ..signals.contour import contour_error
 
     signals = [tuple(signal_of(dataset, name, scheme, j) for name in ("y", "e")) for j in trials]
-    path = _reference(dataset, *signals[0])
+    references = [_reference(dataset, *s, j) for s, j in zip(signals, trials, strict=True)]
+    references = references if "r" in dataset else references[:1] * len(trials)
+    path = references[0]
     if path.shape[1] != 2:
         raise ValueError(
             f"contour: the dataset has {path.shape[1]} outputs; allowed are 2, the axes of a plane"
@@ -161,25 +165,29 @@ def contour(
             f"contour: trial {trials[0]} diverged, and a sweep does not keep the path; choose "
             "another sample"
         )
-    errors = [np.asarray(contour_error(y, path, window=window)) for y, _ in signals]
+    pairs = [(y, r) for (y, _), r in zip(signals, references, strict=True)]
+    errors = [np.asarray(contour_error(y, r, window=window)) for y, r in pairs]
     # the gradient of the distance is its direction, so this is the vector from the path to the tool
-    away = jax.grad(lambda y: 0.5 * (contour_error(y, path, window=window) ** 2).sum())
+    away = jax.grad(lambda y, r: 0.5 * (contour_error(y, r, window=window) ** 2).sum())
     largest = np.max(np.abs(errors), where=np.isfinite(errors), initial=0.0)
     width = np.max(np.ptp(path, axis=0))
     m = magnification or (_one_two_five(SHOWN * width / largest) if largest > 0 else 1.0)
-    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    arcs = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(r, axis=0), axis=1)))
+            for r in references]  # fmt: skip
     paths: list[Layer] = []
     distances: list[Layer] = []
-    for (y, _), error, j, shade in zip(signals, errors, trials, shades_of(trials), strict=True):
-        along_x, along_y = (y + (m - 1.0) * np.asarray(away(y))).T
+    of_trials = zip(pairs, errors, arcs, trials, shades_of(trials), strict=True)
+    for (y, r), error, arc, j, shade in of_trials:
+        along_x, along_y = (y + (m - 1.0) * np.asarray(away(y, r))).T
         paths.append(Curve(along_x, along_y, width=0.8, colour=shade, name=f"trial {j}"))
         distances.append(Curve(arc, scale * error, width=0.8, colour=shade, name=f"trial {j}"))
-    paths.append(Curve(path[:, 0], path[:, 1], width=0.8, colour=BLACK, name="path"))
+    for r in {r.tobytes(): r for r in references}.values():
+        paths.append(Curve(r[:, 0], r[:, 1], width=0.8, colour=BLACK, name="path"))
     length, (of_x, of_y) = dataset["y"].attrs.get("units", ""), outputs_of(dataset, 2)
     if of_x.startswith("output "):
         of_x, of_y = "x", "y"
     title = f"{scheme}: contour error drawn {m:g} times"
-    along = Axis("length along the path", length, ends=(0.0, arc[-1]))
+    along = Axis("length along the path", length, ends=(0.0, max(arc[-1] for arc in arcs)))
     return Figure(
         [Panel(Axis(of_x, length), Axis(of_y, length), paths, title, equal=True),
          Panel(along, Axis("contour error", unit), distances, legend="")],
@@ -212,8 +220,12 @@ def _label(line: int, trial: int, names: list[str] | None) -> str:
     return names[line] if line else f"trial {trial}, {names[0]}"
 
 
-def _reference(dataset, y, e) -> np.ndarray:
-    return dataset["r"].values if "r" in dataset else y + e
+def _reference(dataset, y, e, trial: int) -> np.ndarray:
+    """(N+1, channels) the reference of a trial."""
+    if "r" not in dataset:
+        return y + e
+    r = dataset["r"]
+    return (r.sel(trial=trial) if "trial" in r.dims else r).values
 
 
 def _around_the_largest(time, e) -> tuple[float, float]:

@@ -46,13 +46,16 @@ def run_schemes(
     progress: called before each scheme with the number of schemes done and its name
     Returns the dataset and the histories by the name of the scheme. With the `memory` of a history
     learning can be continued. The dataset has the dimensions scheme, trial, time, channel,
-    input_time and input; its variables are r, y, e, u, the metrics and the quantities.
+    input_time and input; its variables are r, y, e, u, the metrics and the quantities. Where the
+    reference changes, r has the dimension trial, too.
     Raises as `learn` does, and ValueError, before anything runs, for more trials than the RAM can
     hold.
     """
     for scheme in schemes.values():
         check(machine, scheme, task)
-    keep, signals = Keep.of(quantities or {}, "y", "u"), (task.N + 1) * (task.outputs + task.inputs)
+    changes = machine.variation is not None and machine.variation.references is not None
+    keep = Keep.of(quantities or {}, "y", "u", *(["r"] if changes else []))
+    signals = (task.N + 1) * (task.outputs * (1 + changes) + task.inputs)
     check_size("run", 8 * COPIES * signals * len(schemes), trials=trials)
     histories = {}
     for done, (name, scheme) in enumerate(schemes.items()):
@@ -81,7 +84,10 @@ def made_with(store: Path) -> dict[str, Value]:
 
 
 def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
-    """The dataset of histories by name, with y, u and each quantity of every trial in `saved`."""
+    """The dataset of histories by name, with y, u and each quantity of every trial in `saved`.
+
+    The reference is that of each trial if it is in `saved`, too; if not, that of the task.
+    """
     import xarray as xr
 
     def stacked(saved: str) -> np.ndarray:
@@ -101,12 +107,13 @@ def history_dataset(histories: Mapping[str, History], task: Task) -> xr.Dataset:
         for m in METRICS
     }
     of_y, of_u = {"units": task.unit}, {"units": task.input_unit}
-    r, y = np.asarray(task.reference), stacked("y")
-    further = [name for name in next(iter(histories.values())).saved if name not in ("y", "u")]
+    saved, y = next(iter(histories.values())).saved, stacked("y")
+    r, of_r = np.asarray(saved.get("r", task.reference)), ("trial", "time", "channel")
+    further = [name for name in saved if name not in ("r", "y", "u")]
     along = ("scheme", "trial", "time", "channel")
     return xr.Dataset(
         {
-            "r": (("time", "channel"), r, of_y),
+            "r": (of_r[-r.ndim :], r, of_y),
             "y": (along, y, of_y),
             "e": (along, r - y, of_y),
             "u": (("scheme", "trial", "input_time", "input"), stacked("u"), of_u),

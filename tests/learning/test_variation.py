@@ -9,7 +9,19 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, DT, case
 
-from jaxilc import Machine, PlantChange, References, Sweep, Task, Uniform, Variation, learn
+from jaxilc import (
+    Machine,
+    PlantChange,
+    References,
+    Sweep,
+    Task,
+    Uniform,
+    Variation,
+    figures,
+    learn,
+    run_schemes,
+)
+from jaxilc.figures import browsers
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.learning import run_trial
 from jaxilc.learning.arrival import newest
@@ -355,6 +367,18 @@ def test_slopes_go_through_what_differs():
 
     slope = jax.grad(loss)(1.0)
     np.testing.assert_allclose(slope, (loss(1 + 1e-6) - loss(1 - 1e-6)) / 2e-6, rtol=1e-6)
+
+
+def test_the_dataset_and_the_figures_of_a_run_have_the_reference_of_each_trial():
+    values = np.stack([R, 2 * R])[..., None]
+    dataset, histories = run_schemes(vary(references=References(values, (3,))), {"p": LAW}, TASK, 4)
+    np.testing.assert_allclose(dataset["r"], values[[0, 0, 1, 1]], rtol=1e-6)
+    rms = np.sqrt(np.mean(dataset["e"].values[0, :, 1:] ** 2, axis=1))
+    np.testing.assert_allclose(rms, histories["p"].rms, rtol=1e-5)
+    lines = figures.tracking(dataset, "p", (1, 4))[0, 0].lines
+    for line, r in zip(lines[:2], values[..., 0], strict=True):
+        np.testing.assert_allclose(line.get_ydata(), r, rtol=1e-6)
+    assert "each trial" in browsers.trials(dataset).caption
 
 
 def test_a_sweep_draws_what_differs():
