@@ -86,7 +86,7 @@ def tracking(
             f"tracking: zoom = ({low:g}, {high:g}) is not a part of the trial, {time[0]:g} to "
             f"{time[-1]:g} s"
         )
-    found = [_reference(dataset, *s[:2], j).T for s, j in zip(signals, trials, strict=True)]
+    found = [_reference(dataset, j, *s[:2]).T for s, j in zip(signals, trials, strict=True)]
     references = list({r.tobytes(): r for r in found}.values()) if "r" in dataset else found[:1]
     channels = signals[0][1].shape[1]
     names = outputs_of(dataset, channels)
@@ -153,7 +153,7 @@ def contour(
     from ..signals.contour import contour_error
 
     signals = [tuple(signal_of(dataset, name, scheme, j) for name in ("y", "e")) for j in trials]
-    references = [_reference(dataset, *s, j) for s, j in zip(signals, trials, strict=True)]
+    references = [_reference(dataset, j, *s) for s, j in zip(signals, trials, strict=True)]
     references = references if "r" in dataset else references[:1] * len(trials)
     path = references[0]
     if path.shape[1] != 2:
@@ -220,7 +220,7 @@ def _label(line: int, trial: int, names: list[str] | None) -> str:
     return names[line] if line else f"trial {trial}, {names[0]}"
 
 
-def _reference(dataset, y, e, trial: int) -> np.ndarray:
+def _reference(dataset, trial: int, y, e) -> np.ndarray:
     """(N+1, channels) the reference of a trial."""
     if "r" not in dataset:
         return y + e

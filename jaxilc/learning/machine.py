@@ -210,6 +210,11 @@ class Machine:
         """The record of a trial as it reaches the learning law. key: as for the trial"""
         return trial if self.variation is None else self.variation.shown(trial, key)
 
+    @property
+    def last_change(self) -> int:
+        """Number of the trial from which on nothing changes; 1 where nothing does."""
+        return 1 if self.variation is None else self.variation.last_change
+
     def said_of_claims(self) -> str:
         """Of which trials a claim is made, as the beginning of a sentence; empty for all alike."""
         return "" if self.variation is None else self.variation.said_of_claims()

@@ -203,13 +203,15 @@ class Variation:
         """Whether something is drawn for each trial."""
         return self.scatter is not None or not self.alike
 
+    @property
+    def last_change(self) -> int:
+        """Number of the trial from which on nothing changes; 1 where nothing does."""
+        drifted = 1 if self.change is None else self.change.first + self.change.over - 1
+        return max(drifted, *(() if self.references is None else self.references.first), 1)
+
     def said_of_claims(self) -> str:
         """What a claim of theory is about, as the beginning of a sentence; empty for all trials."""
-        last = 0 if self.change is None else self.change.first + self.change.over - 1
-        if self.references is not None:
-            last = max((last, *self.references.first))
-        said = [f"from trial {last} on"] if last > 1 else []
-        return ", ".join(said) + ": " if said else ""
+        return f"from trial {self.last_change} on: " if self.last_change > 1 else ""
 
     # Of a trial
     # ----------------------------------------------------------------------------------------------

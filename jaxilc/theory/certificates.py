@@ -382,6 +382,8 @@ def _of_runs(
 ) -> tuple[LongRun, np.ndarray | None]:
     """The claims on single runs, where something is drawn, from those on the mean of all runs."""
     view, size = view_of(scheme, task), len(means.claim)
+    # what is drawn before the last change is not followed, so it is not known where w begins
+    strays = machines.last_change > 1 and bool(limit_names(machines, scheme, task))
     alike, inputs = learned_alike(machines), len(view.moving)
     if inputs > LARGEST:
         if alike:
@@ -405,7 +407,7 @@ def _of_runs(
                 claim[i], reason[i] = NOTHING, DRAWN.format(means.ball.of[i])
         elif claim[i] != NOTHING:
             reason[i] = f"but for what is drawn, {reason[i]}"
-        if claim[i] != NOTHING and not one.clear:
+        if claim[i] != NOTHING and (strays or not one.clear):
             claim[i], reason[i] = NOTHING, "a limit may be met in a trial that is drawn"
         if means.ball is None and claim[i] in (MONOTONE, CONVERGES) and np.isfinite(one.most):
             reason[i] += f"; {GAUSSIAN if one.certain else MARKOV}"

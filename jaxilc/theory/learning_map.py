@@ -29,7 +29,7 @@ from ..learning.machine import Machine
 from ..runtime.lanes import usual_lanes
 from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
-from ..signals.task import Task
+from ..signals.task import Limit, Task
 from .law import learning_law
 from .linearity import keeps_all, remembers
 from .spectrum import (
@@ -48,6 +48,7 @@ from .trials import (
     Key,
     learned_from,
     learned_shape,
+    memory_at_last_change,
     next_learned,
     played,
     shown_of,
@@ -81,7 +82,7 @@ class View(NamedTuple):
 class Learning(NamedTuple):
     """The learning map and what belongs to it, as functions of the flat vector w (n,).
 
-    start:     (n,) the w of the first trial
+    start:     (n,) the w of the first trial; where limits act, of the first after the last change
     following: F, from w to the w of the next trial
     error:     from w to (N n_y,), the errors e[1..N] of its trial
     output:    from w to ((N+1) n_y,), the output of its trial
@@ -109,6 +110,8 @@ def learning_of(
     bounded = machine, scheme
     machine, scheme = machine.unlimited(), scheme.unlimited().prepared(task)
     first, moving = scheme.initial_memory(task), np.array(view.moving)
+    if machine.last_change > 1 and jax.eval_shape(_limits, *bounded, task):
+        first = memory_at_last_change(bounded[0], bounded[1].prepared(task), task)
     start, unravel = ravel_pytree(first if view.whole else scheme.feedforward(first, task))
 
     def trial(w):
@@ -190,13 +193,14 @@ def _moved(scheme, task, w, e):
 
 def limit_names(machines: Machine, scheme: Scheme, task: Task) -> list[str]:
     """The names of the limits that machines and scheme have. machines: with a leading axis."""
+    return list(jax.eval_shape(jax.vmap(_limits, in_axes=(0, None, None)), machines, scheme, task))
 
-    def one(machine, scheme, task):
-        first = scheme.initial_memory(task)
-        trial = trial_of(machine.unlimited(), scheme.unlimited(), task, first)
-        return machine.limits(trial) | scheme.limits(task, first, trial)
 
-    return list(jax.eval_shape(jax.vmap(one, in_axes=(0, None, None)), machines, scheme, task))
+def _limits(machine: Machine, scheme: Scheme, task: Task) -> dict[str, Limit]:
+    """What the limits of machine and scheme act on in the first trial, by name."""
+    first = scheme.initial_memory(task)
+    trial = trial_of(machine.unlimited(), scheme.unlimited(), task, first)
+    return machine.limits(trial) | scheme.limits(task, first, trial)
 
 
 def slopes(f: Callable[[jax.Array], T], x: jax.Array) -> tuple[T, T]:

@@ -62,6 +62,20 @@ def learned_memory(machine: Machine, scheme: Scheme, task: Task):
     return lax.fori_loop(0, LEARNED, turn, scheme.initial_memory(task))
 
 
+def memory_at_last_change(machine: Machine, scheme: Scheme, task: Task) -> Memory:
+    """The memory before the trial from which on nothing changes, without noise.
+
+    Limits of machine and scheme, which is prepared, count.
+    """
+    machine, scheme = lax.stop_gradient((machine.noiseless(), scheme))
+
+    def turn(j, memory):
+        trial = run_trial(machine, scheme, task, memory, jax.random.key(0), j)
+        return learned_from(machine, scheme, memory, trial)
+
+    return lax.fori_loop(1, machine.last_change, turn, scheme.initial_memory(task))
+
+
 def learned_shape(scheme: Scheme | None, task: Task) -> tuple[int, ...] | None:
     """(N, m) of what a scheme learns and plays back; None for one that learns no feedforward."""
     if scheme is None:
