@@ -54,11 +54,13 @@ def export(
     from ..export.certificate import CERTIFICATE, certificate_of
     from ..export.formats import FORMATS, Asked
     from ..native.program import Unknown
+    from ..scenarios.campaigns import need_one_reference
 
     for name, value, allowed in (("format", format, FORMATS), ("number", number, NUMBERS)):
         if value not in allowed:
             raise ValueError(f"--{name} {value} is not known; allowed are {', '.join(allowed)}")
     chosen, name, memory, kept = _chosen(request, state)
+    need_one_reference("an exported law", chosen.machine)
     scheme, actuator = chosen.schemes[name], chosen.machine.actuator
     largest = kept.get("limit", getattr(actuator, "limit", None)) if limit is None else limit
     if largest is None or not np.all(np.asarray(largest) > 0):

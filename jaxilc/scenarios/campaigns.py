@@ -13,6 +13,7 @@ from ..hardware.campaign import Campaign
 from ..hardware.checks import Rules
 from ..hardware.journal import Journal, Manifest
 from ..hardware.prediction import Subject
+from ..learning.machine import Machine
 from ..pytree.closest import known_names
 from ..pytree.ranges import is_number
 from ..runtime.provenance import differences
@@ -97,6 +98,7 @@ def open_campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False
     values = recipe.get("parameters", {}).get("values", {})
     chosen = bare.with_values({f"{name}.{path}": value for path, value in values.items()})
     chosen = chosen.with_values({p: v for p, v in settings.items() if p not in known})
+    need_one_reference("a campaign", chosen.machine)
     subject = (state, chosen.schemes[name], chosen.task)
     actuator = chosen.machine.actuator
     if new:
@@ -110,6 +112,15 @@ def open_campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False
     except ValueError as error:
         changed = said_of_change(recipe, "so this campaign cannot go on with it")
         raise ValueError("; ".join(text for text in (str(error), changed) if text)) from None
+
+
+def need_one_reference(what: str, machine: Machine) -> None:
+    """Raises ValueError for a machine whose references change."""
+    if machine.variation is not None and machine.variation.references is not None:
+        raise ValueError(
+            f"{what} follows the reference of the task in every trial, but machine.variation has "
+            "references that change; leave them out, and take one for each reference"
+        )
 
 
 def _parameters(bare: Scenario, scheme: str, path: Path) -> Manifest:

@@ -19,6 +19,7 @@ from jaxilc import (
     Variation,
     figures,
     learn,
+    outcomes,
     run_schemes,
 )
 from jaxilc.figures import browsers
@@ -28,6 +29,7 @@ from jaxilc.learning.arrival import newest
 from jaxilc.learning.over_trials import truncated
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree import replaced
+from jaxilc.scenarios.campaigns import Given, open_campaign
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import (
     CFDLMFAILC,
@@ -467,6 +469,16 @@ reference = { function = "sinusoid", amplitude = 1.0, frequency = 10.0, duration
 class = "KeepUnmeasured"
 scheme = { class = "PIDType", gamma_p = 0.5 }
 """
+
+
+def test_a_controller_follows_one_reference(tmp_path):
+    """That of the task was written and certified for trials that were told to have another."""
+    path = tmp_path / "axis.toml"
+    path.write_text(FILE, encoding="utf-8")
+    with pytest.raises(ValueError, match="a campaign follows the reference of the task in every"):
+        open_campaign(tmp_path / "a", Given(scenario=str(path)), new=True, dry_run=True)
+    with pytest.raises(ValueError, match="an exported law follows the reference of the task"):
+        outcomes.export(str(path), folder=tmp_path / "law", limit=1.0)
 
 
 def test_a_plant_file_says_how_trials_differ(tmp_path):
