@@ -151,6 +151,8 @@ def certificate_numbers(of_scheme: OfScheme) -> Numbers:
     first, quantile: largest root mean square error of the first trial, where something is drawn or
         rounded, and that of the last one below which 95 % of the simulated runs end, where
         something is drawn; else None
+    since: number of the trial from which on nothing changes; all that is told here begins with it,
+        courses with nothing learned
     expected, observed, confusion: course of the error in J trials, by theory and by simulation
     transient: how far the error grows before it falls, where learning is claimed to converge, in
         units of the first error, in which trial, and on how many machines; and about how far noise
@@ -167,6 +169,7 @@ def certificate_numbers(of_scheme: OfScheme) -> Numbers:
     rounds = found.ball is not None and bool(np.any(claimed))
     last = None if found.runs is None else np.quantile(found.runs[:, :, -1], 0.95, axis=1)
     numbers = {
+        "since": of_scheme.since,
         "claims": {claim: int(np.sum(found.claim == claim)) for claim in CLAIMS},
         "monotone_in_the_error": int(np.sum(found.of_error)),
         "reasons": {
@@ -233,8 +236,16 @@ def certificate_tables(name: str, trials: int, numbers: Numbers) -> list[Table]:
 def certificate_sentence(name: str, trials: int, numbers: Numbers, scale: float, unit: str) -> str:
     """The content of a certificate in words."""
     in_the_long_run, within = _claimed(numbers, scale, unit), _expected(numbers)
-    said = f"{name}: {in_the_long_run}. Within {several(trials, 'trial')} {within}."
+    changes = numbers.get("since", 1) > 1
+    begun = ", begun after the last change with nothing learned," if changes else ""
+    said = f"{name}: {since_words(numbers)}{in_the_long_run}. "
+    said += f"Within {several(trials, 'trial')}{begun} {within}."
     return f"{said}{transient_words(numbers)}"
+
+
+def since_words(numbers: Numbers) -> str:
+    """From which trial on something is claimed, before a comma; empty for all trials."""
+    return f"from trial {numbers['since']} on, " if numbers.get("since", 1) > 1 else ""
 
 
 def reason_lines(name: str, numbers: Numbers) -> list[str]:
@@ -368,7 +379,7 @@ def certify_verdict(
         claims, machines = row["claims"], sum(row["claims"].values())
         if claims[MONOTONE] + claims[CONVERGES] == machines:
             what = (
-                f"learning {_how(row)}{senses_words(row)} and leaves "
+                f"{since_words(row)}learning {_how(row)}{senses_words(row)} and leaves "
                 f"{left_words(row, scale, case.unit)}"
             )
             first = np.inf if row["first"] is None else row["first"]

@@ -482,11 +482,13 @@ class OfScheme(NamedTuple):
     certificate: of each machine
     checked: the bounds of Cao 2019 and their premises; None for a scheme that has no such bounds
     seconds: that the certificate took
+    since: number of the trial from which on nothing changes, where what is claimed begins
     """
 
     certificate: Certificate
     checked: Checked | None
     seconds: float
+    since: int = 1
 
 
 def certify_schemes(
@@ -523,7 +525,7 @@ def certify_schemes(
         seconds, bounds = time.perf_counter() - start, None
         if isinstance(scheme, FFDLMFAILC):
             bounds = checked_machines(machine, scheme, task, trials, uncertainty, drawn)
-        found[name] = OfScheme(certificate, bounds, seconds)
+        found[name] = OfScheme(certificate, bounds, seconds, machine.last_change)
     return found
 
 
@@ -758,7 +760,9 @@ def _simulate_runs(common, machine, *, trials):
 
 
 def _simulate(common, machine, *, trials):
-    return _error(learn(machine.noiseless(), *common, trials))
+    scheme, task = common
+    machine, task = machine.noiseless().after_changes(task)
+    return _error(learn(machine, scheme, task, trials))
 
 
 def _follow(common, one, *, trials, view):

@@ -23,6 +23,7 @@ from jaxilc.learning import (
     Variation,
     learn,
 )
+from jaxilc.outcomes.certifying import certificate_numbers, certificate_sentence
 from jaxilc.plants import (
     Dahl,
     DifferenceEquation,
@@ -48,7 +49,7 @@ from jaxilc.schemes import (
 )
 from jaxilc.signals import Task
 from jaxilc.theory import contraction, frequency, lifted, sliding, trials
-from jaxilc.theory.certificates import certify, printed_conditions
+from jaxilc.theory.certificates import OfScheme, certify, printed_conditions
 from jaxilc.theory.enclosure import arc_of_loop, size, supremum
 from jaxilc.theory.learning_map import Matrices
 from jaxilc.theory.loop import Loop
@@ -169,6 +170,10 @@ def test_limits_are_met_from_what_was_learned_before_the_last_change(limit, clai
     found = certify(machine, scheme, task, 2)
     assert found.claim[0] == claim
     assert ("actuator.limit is met in trial 9" in found.reason[0]) == (limit == 3.0)
+    numbers = certificate_numbers(OfScheme(found, None, 1.0, machine.last_change))
+    said = certificate_sentence("ilc", 2, numbers, 1.0, "mm")
+    assert "ilc: from trial 9 on, " in said
+    assert "2 trials, begun after the last change" in said
 
 
 def test_what_a_basis_learns_is_claimed_of_the_reference_after_its_change():
