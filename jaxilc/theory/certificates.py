@@ -828,6 +828,10 @@ def carried_radius(machine: Machine, scheme: Scheme, task: Task) -> CarriedRadiu
     if trials_of_step(scheme, task) > 1:
         said = f"{type(scheme).__name__} makes experiments between its steps"
         return CarriedRadius(NOTHING, said, np.nan, np.nan)
+    references = getattr(machine.variation, "references", None)
+    if references is not None and not references.first:
+        said = "the reference changes after every trial, and what is learned has no limit"
+        return CarriedRadius(NOTHING, said, np.nan, np.nan)
     free, law = machine.unlimited().noiseless(), scheme.unlimited().prepared(task)
     key = jax.random.key(0)
 

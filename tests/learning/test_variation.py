@@ -327,6 +327,11 @@ def test_what_theory_cannot_say_it_does_not():
         found = certify(vary(**how), law, TASK, 3, {}, {})
         assert found.claim[0] == NOTHING
         assert said in found.reason[0]
+    # of the last reference alone, `diverges` was said of a law on a basis whose error stays
+    turns = vary(carried=0.5, references=References(np.stack([R, 2 * R])[..., None]))
+    carried = carried_radius(turns, LAW, TASK)
+    assert carried.claim == NOTHING
+    assert "changes after every trial" in carried.reason
 
 
 def test_laws_that_compare_trials_keep_what_was_not_measured():
