@@ -73,7 +73,7 @@ def filter_(
     """
     request = Request.of(request)
     _check(margin, taps, machines)
-    chosen = _varied(request, vary)
+    chosen, beside = _varied(request, vary)
     place = folder or Path("out") / f"filter-{chosen.name}"
     ask = partial(
         q_filter.question, chosen.machine, task=chosen.task, uncertainty=chosen.uncertainty,
@@ -83,7 +83,7 @@ def filter_(
     refused = []
     for done, (name, scheme) in enumerate(chosen.schemes.items()):
         progress(name, done, len(chosen.schemes))
-        asked = _Asked(request.source, chosen, name, scheme, ask, margin, taps, band, place)
+        asked = _Asked(request, beside, chosen, name, scheme, ask, margin, taps, band, place)
         try:
             answers[name] = _scheme_answer(asked)
         except ValueError as error:
@@ -204,16 +204,21 @@ def _check(margin: float, taps: int | None, machines: int = 1) -> None:
         need_taps(taps)
 
 
-def _varied(request: Request, vary: Sequence[str]) -> Scenario:
-    """The scenario; texts PATH=SHARE, where there are any, stand for its uncertainty."""
+def _varied(request: Request, vary: Sequence[str]) -> tuple[Scenario, str]:
+    """The scenario; texts PATH=SHARE, where there are any, stand for its uncertainty.
+
+    Also which machines `certify` has in place of these; empty where they are the same.
+    """
     if vary and request.spread is not None:
         raise ValueError("--vary and --spread exclude each other")
-    shares, chosen = dict(map(_share, vary)), request.scenario()
+    shares, own = dict(map(_share, vary)), request.scenario()
     if not shares:
-        return chosen
+        return own, ""
     found = {name: Uniform(1 - s, 1 + s, relative=True) for name, s in shares.items()}
-    check(chosen.machine, found)
-    return dataclasses.replace(chosen, uncertainty=found)
+    check(own.machine, found)
+    drawn = "those of [uncertainty]" if own.uncertainty else "the nominal one alone"
+    beside = f" (certify has no --vary: its machines are {drawn})"
+    return dataclasses.replace(own, uncertainty=found), beside
 
 
 def _share(text: str) -> tuple[str, float]:
@@ -237,7 +242,8 @@ def _share(text: str) -> tuple[str, float]:
 class _Asked(NamedTuple):
     """What is asked of one scheme; `question` asks it of the machines that are drawn."""
 
-    source: str
+    request: Request
+    beside: str  # which machines `certify` has in place of these
     chosen: Scenario
     name: str
     scheme: Scheme
@@ -251,7 +257,20 @@ class _Asked(NamedTuple):
         """Write a plant file with a scheme, and say whether a command can take it."""
         self.folder.mkdir(parents=True, exist_ok=True)
         file = self.folder / f"{self.name}-{what}.toml"
-        return write_with_scheme(file, self.source, name, scheme)
+        return write_with_scheme(file, self.request.source, name, scheme)
+
+    def certified(self, said: Sequence[str], source: str, scheme: str, *more: str) -> Verdict:
+        """The verdict with the command that certifies a scheme of a file.
+
+        more: settings of the scheme besides those that were asked for
+        """
+        new = {setting.partition("=")[0] for setting in more}
+        given = tuple(x for x in self.request.set if x.partition("=")[0].strip() not in new)
+        if source != self.request.source:  # where the scheme is new, with all of its weights
+            given = tuple(x for x in given if not x.strip().startswith(f"{self.name}."))
+        here = dataclasses.replace(self.request, source=source, set=(*given, *more))
+        what = f"the whole trial with its ends{self.beside}"
+        return Verdict(tuple(said), what, here.following("certify", scheme=scheme))
 
 
 def _scheme_answer(asked: _Asked) -> Outcome:
@@ -273,9 +292,9 @@ def _scheme_answer(asked: _Asked) -> Outcome:
         kept.append(path)
         verdict = Verdict((*said, f"Next: add {path} to a plant file and certify it"))
         if ready:
-            verdict = Verdict(tuple(said), "", f"jaxilc certify {path} --scheme {name}-filtered")
+            verdict = asked.certified(said, str(path), f"{name}-filtered")
     else:
-        verdict = _scheme_next(said, asked.source, name, answered, best)
+        verdict = _scheme_next(said, asked, answered, best)
     per = f"{task.unit}/{task.input_unit}" if task.unit and task.input_unit else ""
     draw = partial(figures.q_filter_figure, curves, margin=margin, unit=per)
     title = f"{name}: |Q (1 - L P)| of {several(len(answered.tried.loops), 'machine')}"
@@ -357,19 +376,19 @@ def _how_far(answered: Question, best: Offer | None, margin: float, scale, unit)
 
 
 def _scheme_next(
-    said: Sequence[str], source: str, name: str, answered: Question, best: Offer | None
+    said: Sequence[str], asked: _Asked, answered: Question, best: Offer | None
 ) -> Verdict:
     """The verdict with the next command."""
     if not answered.stable:
         return Verdict(tuple(said))
     if answered.peak >= 1 and best is None:
+        source = asked.request.source
         lower = f"Next: a lower gain or another law in {source}; `jaxilc tune --help` says how."
         return Verdict((*said, lower))
-    command = ["jaxilc", "certify", source, "--scheme", name]
+    settings: Sequence[str] = ()
     if best is not None and best.settings and (answered.peak >= 1 or best.peak < 1):
-        for setting in _settings_of(best.settings, f"{name}."):
-            command += ["--set", setting]
-    return Verdict(tuple(said), "the whole trial with its ends", shlex.join(command))
+        settings = _settings_of(best.settings, f"{asked.name}.")
+    return asked.certified(said, asked.request.source, asked.name, *settings)
 
 
 def _scheme_numbers(answered: Question, offered: Sequence[Offer], scale: float) -> Numbers:

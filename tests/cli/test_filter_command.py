@@ -86,6 +86,7 @@ def test_the_answer_for_a_machine(here, monkeypatch, value, proof, said, bound):
     monkeypatch.setattr(q_filter, "question", lambda *_, **__: answer(value, proof))
     monkeypatch.setattr(q_filter, "offers_of", lambda *_: [offer])
     asked = ("--vary", "machine.plant.gain=15%", "--report", "o.json", "--out", "o")
+    asked += ("--set", "plant.poles[0]=61", "--set", "ilc.scheme.lead=2")
     code, out, _ = call("filter", "axis.toml", *asked)
     assert code == 0
     found = json.loads((here / "o.json").read_text())["schemes"]["ilc"]
@@ -96,8 +97,9 @@ def test_the_answer_for_a_machine(here, monkeypatch, value, proof, said, bound):
     assert said in text
     assert "10 Hz on the machine plant.gain x 0.85" in text
     assert "0.002 mm rms is left instead of 0.01 mm" in text
-    certify = "jaxilc certify axis.toml --scheme ilc --set ilc.filter.cutoff=50"
-    assert f"{certify} --set ilc.scheme.lead=4" in text
+    assert "certify has no --vary: its machines are the nominal one alone" in text
+    certify = "jaxilc certify axis.toml --scheme ilc --set 'plant.poles[0]=61'"
+    assert f"{certify} --set ilc.filter.cutoff=50 --set ilc.scheme.lead=4" in text
     assert (here / "o/ilc.png").exists()
 
 
