@@ -76,7 +76,10 @@ def trials(
     known = journal.last_known()
     recipe = known["recipe"] if "scenario" in known["recipe"] else {}
     live, prediction = _live(journal), kept(journal.path, str(known.get("configuration_hash")))
-    log = _log_table(str(state), rows, _band_texts(live, prediction))
+    of = zip(("errors", "effort"), units(journal), strict=True)
+    told = ", ".join(f"{what} in {unit}" for what, unit in of if unit)
+    title = f"{state}: {told}" if told else str(state)
+    log = _log_table(title, rows, _band_texts(live, prediction))
     out.print(log)
     said = said_of_source(recipe) if recipe else []
     changed = said_of_change(recipe, UNCHANGED) if recipe else ""

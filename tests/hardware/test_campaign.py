@@ -207,6 +207,7 @@ def test_the_log_is_printed_written_and_plotted(copied):
     )
     assert code == 0
     assert out.count("trial, undone") == 8
+    assert "state: errors in mm, effort in V" in " ".join(out.split())
     with open(folder / "log.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["event"] for row in rows] == ["start"] + ["trial"] * TRIALS + ["undo"]
