@@ -17,6 +17,12 @@ from .words import number
 # --------------------------------------------------------------------------------------------------
 
 
+WORDS = {  # of metrics whose names are not what a sentence calls them
+    "max error": "largest error",
+    "rms": "rms error",
+    "contour max": "largest contour error",
+    "contour rms": "rms contour error",
+}
 HEADS = tuple(m.head or m.name.replace("_", " ") for m in ERRORS)
 
 
@@ -100,6 +106,16 @@ class Case(NamedTuple):
             name: [of_scheme[j - j % every[name]] for j in range(len(of_scheme))]
             for name, of_scheme in errors.items()
         }
+
+    @property
+    def error(self) -> str:
+        """What a sentence calls the metric."""
+        return WORDS.get(self.metric, self.metric)
+
+    @property
+    def an_error(self) -> str:
+        """The same with its article."""
+        return f"{'an' if self.error.startswith(('rms', *'aeiou')) else 'a'} {self.error}"
 
     def size(self, value: float) -> str:
         """A value of the metric with its unit."""

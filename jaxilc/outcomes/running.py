@@ -393,7 +393,7 @@ def run_verdict(case: Case, numbers: Numbers, errors: Mapping[str, Sequence[floa
         course = _with_rms(course, numbers["schemes"][best])
     begun = f", after {case.size(first)} in trial 1" if trials > 1 else ""
     it = f"; {course.words}" if course.words and case.learns[best] else ""
-    ends = f"trial {trials} has a {case.metric} of {case.size(last)}{begun}{it}."
+    ends = f"trial {trials} has {case.an_error} of {case.size(last)}{begun}{it}."
     said = f"{case.head(best, alike)}{ends}"
     passed = case.tolerance is None or last <= case.tolerance
     sentences = (said, _larger_elsewhere(case, best, numbers), case.beside_tolerance(last))

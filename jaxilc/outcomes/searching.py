@@ -171,7 +171,7 @@ def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
     if 0 < nominal < math.inf and math.isfinite(worst["value"]):
         times = f", {number(worst['value'] / nominal)} times that of the nominal machine"
     ends = (
-        f"has a {case.metric} of {case.size(worst['value'])} in trial {trial}{times}"
+        f"has {case.an_error} of {case.size(worst['value'])} in trial {trial}{times}"
         if math.isfinite(worst["value"])
         else f"diverges within {several(trial, 'trial')}"
     )

@@ -427,10 +427,10 @@ def sweep_verdict(case: Case, numbers: Numbers, highs: Mapping[str, Sequence[flo
     rows, highs = numbers["schemes"], case.of_learned(highs)
     last = {name: math.inf if math.isnan(of[-1]) else of[-1] for name, of in highs.items()}
     best = min(rows, key=lambda name: (-(rows[name]["yield"] or 0.0), last[name]))
-    row, course, lost = rows[best], trend_of(highs[best]), _lost(rows[best], case.metric)
+    row, course, lost = rows[best], trend_of(highs[best]), _lost(rows[best], case.error)
     said = f"{case.head(best)}{_yield(case, numbers, row)}{_spread(case, numbers, row)}."
     told = course.words and case.learns[best]
-    second = lost or (f"The 95 % {case.metric} {course.words}." if told else "")
+    second = lost or (f"The 95 % {case.error} {course.words}." if told else "")
     alike = () if case.uncertain or numbers["samples"] == 1 else (ALIKE,)
     enough = row["yield"] is None or row["yield"] >= ENOUGH
     return Verdict((*both(said, second), *alike), *_after_sweep(case, best, not lost, enough))
@@ -458,7 +458,7 @@ def _spread(case: Case, numbers: Numbers, row: Numbers) -> str:
     at = row["by_trial"][str(numbers["trials"])]
     if numbers["samples"] == 1:
         which = "it" if row["yield"] is not None else "the only machine"
-        size = f"a {case.metric} of {case.size(at['high'])}"
+        size = f"{case.an_error} of {case.size(at['high'])}"
         return (
             f"{which} ends with {size if math.isfinite(at['high']) else 'an error that diverged'}"
         )
@@ -467,12 +467,12 @@ def _spread(case: Case, numbers: Numbers, row: Numbers) -> str:
         return f"fewer than 95 % {which} end with an error that has not diverged"
     worst = case.size(at["worst"]) if math.isfinite(at["worst"]) else "one that has diverged"
     return (
-        f"95 % {which} end with a {case.metric} of at most {case.size(at['high'])}, the worst "
+        f"95 % {which} end with {case.an_error} of at most {case.size(at['high'])}, the worst "
         f"(machine {at['worst_sample']}) with {worst}"
     )
 
 
-def _lost(row: Numbers, metric: str) -> str:
+def _lost(row: Numbers, error: str) -> str:
     """A sentence on the machines that diverge or whose metric grows, empty if there are none."""
     parts = []
     if row["diverged"]:
@@ -483,7 +483,7 @@ def _lost(row: Numbers, metric: str) -> str:
     if row["semi_converged"]:
         times = number(row["grown_to"])
         parts.append(
-            f"on {_percent(row['semi_converged'])} the {metric} has grown up to {times} times "
+            f"on {_percent(row['semi_converged'])} the {error} has grown up to {times} times "
             "since its best trial"
         )
     said = "; ".join(parts)

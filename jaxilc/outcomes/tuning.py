@@ -299,7 +299,7 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
     )
     first = (
         f"{', '.join(changed[:FEW])}{more}: of {numbers['samples']} machines not seen, the median "
-        f"{case.metric} of trial {last} is {median}, the worst {worst}."
+        f"{case.error} of trial {last} is {median}, the worst {worst}."
     )
     second = []
     gain = max(1 - tuned[of] / given[of] if given[of] else 0.0 for of in ("median", "worst"))
@@ -606,11 +606,11 @@ def budget_verdict(case: Case, scheme: str, numbers: Numbers, folder: Path) -> V
         gain = 100 * (1 - tuned["median"] / min(fewer))
         enough = (
             f"{J} trials, the largest of {len(rows)} budgets, still leave {gain:.2g} % less than "
-            f"the others, so that more may leave less: a median {case.metric} of"
+            f"the others, so that more may leave less: a median {case.error} of"
         )
     elif len(rows) > 1:
         enough = (
-            f"{J} trials are enough for a median {case.metric} within 5 % of the least of "
+            f"{J} trials are enough for a median {case.error} within 5 % of the least of "
             f"{len(rows)} budgets:"
         )
     else:

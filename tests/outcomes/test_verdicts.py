@@ -124,20 +124,20 @@ def test_run_compares_schemes_and_the_tolerance():
         {"pid": False, "a": True, "b": True}, metric="rms", unit="µm", tolerance=5.0,
     )  # fmt: skip
     found = ran(several, pid=[9.0] * 40, a=4 + 0.5**J, b=np.append(0.1 ** J[:-1], np.inf))
-    assert found.said[0].startswith("a is best of 3 schemes: trial 40 has a rms of 4 µm, after 4.5")
+    assert found.said[0].startswith("a is best of 3 schemes: trial 40 has an rms error of 4 µm, after 4.5")
     assert found.said[1] == "It is within the tolerance of 5 µm."
     name, params = parsed(found)
     assert (name, params["scheme"], params["metric"]) == ("sweep", ["a"], "rms")
     assert params["set_"] == ["plant=printed"]
     found = ran(several, pid=[9.0] * 40, a=np.append(np.inf, 0.1 ** J[1:]), b=[np.nan] * 40)
     assert found.said[0] == (
-        "pid is best of 3 schemes (it does not learn): trial 40 has a rms of 9 µm, after 9 µm in "
+        "pid is best of 3 schemes (it does not learn): trial 40 has an rms error of 9 µm, after 9 µm in "
         "trial 1."
     )
     assert found.said[1] == "It is beyond the tolerance of 5 µm."
     assert parsed(found)[1]["scheme"] == ["a"]
     found = ran(several, pid=[9.0] * 40, a=4 + 0.5**J, b=4.04 + 0.1**J)
-    assert found.said[0].startswith("a and b end alike, best of 3 schemes: a in trial 40 has a rms")
+    assert found.said[0].startswith("a and b end alike, best of 3 schemes: a in trial 40 has an rms error")
     largest = {
         name: {"max_error": {"40": x}} for name, x in (("pid", 12.0), ("a", 30.0), ("b", 40.0))
     }
@@ -199,6 +199,10 @@ def test_sweep_says_yield_worst_machine_and_what_is_lost():
         (None, "the only machine ends with a settled error of 0.01 mm."),
     ):
         assert f"ilc: {said}" in swept(CASE, share, high, high[-1], machines=1).said[0]
+    for metric, said in (("contour max", "a largest contour error"), ("max error", "a largest error"),
+                         ("rms", "an rms error"), ("jerk", "a jerk")):  # fmt: skip
+        found = swept(CASE._replace(metric=metric), None, high, 0.03)
+        assert f"95 % of 64 machines end with {said} of at most 0.01 mm" in found.said[0]
 
 
 def test_list_shows_a_value_that_can_be_set():
