@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import figures
+from ..figures.style import labelled
 from ..learning.divergence import CEILING, GROWTH
 from ..learning.known_metrics import ERRORS, OF_TRIALS
 from ..runtime.provenance import differences
@@ -283,7 +284,7 @@ def run_table(scenario: Scenario, numbers: Numbers) -> Table:
             printed = ", published value in brackets" if values else printed
             cells.append(number(rows[metric][str(j)]) + "".join(f" ({v:g})" for v in values))
         rows_by_trial.append((str(j), *cells))
-    what = f"{metric.replace('_', ' ')} [{unit}] by trial{printed}"
+    what = f"{labelled(metric, unit)} by trial{printed}"
     return Table(
         right=("trial", *scenario.schemes), title=f"{scenario.title}\n{what}", rows=rows_by_trial
     )

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import figures
+from ..figures.style import labelled
 from ..pytree.named_paths import get_at
 from ..scenarios import Scenario
 from ..storage.sealed import write_json
@@ -132,7 +133,7 @@ def _settings(machine, uncertainty: Uncertainty) -> list[str]:
 
 def worst_case_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
     """The tables of the result and cost of each search, and of the worst machine for `--set`."""
-    metric = f"{numbers['figure'].replace('_', ' ')} [{numbers['unit']}]"
+    metric = labelled(numbers["figure"], numbers["unit"])
     what = f"largest {metric} at trial {numbers['trial']}, nominal {number(numbers['nominal'])}"
     columns = ("found", "evaluations", "of them until found", "until level with chance")
     title = f"{scenario.title}\n{numbers['scheme']}: {what}"

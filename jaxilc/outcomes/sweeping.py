@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from .. import figures
+from ..figures.style import labelled
 from ..pytree.ranges import value_text
 from ..scenarios import Scenario
 from ..scenarios.scenario import Look
@@ -321,7 +322,7 @@ def swept_axes_table(numbers: Numbers) -> Table | None:
     tolerance, unit = numbers["tolerance"], numbers["unit"]
     within = () if tolerance is None else (f"within {tolerance:g}",)
     columns = (*within, "median", "95 %", "worst (machine)")
-    title = f"largest error [{unit}] of trial {numbers['trials']} by axis"
+    title = f"{labelled('largest error', unit)} of trial {numbers['trials']} by axis"
     table = Table("scheme", "axis", right=columns, title=title)
     for name, axes in numbers["axes"].items():
         for axis, at in axes.items():
@@ -357,7 +358,7 @@ def yield_table(numbers: Numbers) -> Table:
     earliest trial from which on one of these machines has grown or diverged.
     """
     known = numbers["tolerance"] is not None
-    within = f" within {numbers['tolerance']:g} {numbers['unit']}" if known else ""
+    within = f" within {numbers['tolerance']:g} {numbers['unit']}".rstrip() if known else ""
     what = f"{numbers['figure']} of trial {numbers['trials']}{within}"
     yields = ("yield (95 % interval)",) if known else ()
     columns = (*yields, "grown (from)", "diverged (from)")
@@ -387,7 +388,7 @@ def grid_table(numbers: Numbers) -> Table | None:
     axes, best = numbers["grid"]["axes"], numbers["grid"]["best"]
     count = several(int(np.prod([*axes.values()], dtype=int)), "point")
     columns = (*axes, "95 %", "points within twice", "points that diverge")
-    title = f"best of {count}: 95 % {numbers['figure']} [{numbers['unit']}]"
+    title = f"best of {count}: 95 % {labelled(numbers['figure'], numbers['unit'])}"
     table = Table("scheme", right=columns, title=title)
     for name, row in best.items():
         at = [value_text(x) for x in row["point"].values()]
@@ -400,7 +401,7 @@ def spread_table(numbers: Numbers) -> Table:
     """The table of quantiles over the machines in the last trial, and of the worst machine."""
     last = str(numbers["trials"])
     columns = ("median", "5 %", "95 %", "worst", "its machine")
-    title = f"{numbers['figure']} [{numbers['unit']}] of trial {last}"
+    title = f"{labelled(numbers['figure'], numbers['unit'])} of trial {last}"
     table = Table("scheme", right=columns, title=title)
     for name, row in numbers["schemes"].items():
         at = row["by_trial"][last]
@@ -411,7 +412,7 @@ def spread_table(numbers: Numbers) -> Table:
 
 def band_table(numbers: Numbers) -> Table:
     """The table of the median and the 95 % quantile for each trial and scheme."""
-    title = f"{numbers['figure']} [{numbers['unit']}] by trial: median (95 % quantile)"
+    title = f"{labelled(numbers['figure'], numbers['unit'])} by trial: median (95 % quantile)"
     table = Table(right=("trial", *numbers["schemes"]), title=title)
     for j in next(iter(numbers["schemes"].values()))["by_trial"]:
         rows = [row["by_trial"][j] for row in numbers["schemes"].values()]

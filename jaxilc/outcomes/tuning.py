@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from .. import figures
+from ..figures.style import labelled
 from ..pytree.aliases import Value
 from ..scenarios import Scenario
 from ..scenarios.from_file import load_scenario
@@ -239,7 +240,7 @@ def tuning_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
         weights.add_row(name, *cells, allowed)
     found = [weights]
     for metric, rows in numbers["figures"].items():
-        what = f"{metric.replace('_', ' ')} [{rows['unit']}]"
+        what = labelled(metric, rows["unit"])
         table = Table(
             right=("trial", *WHICH, "ratio of medians", "ratio of worsts"),
             title=f"{what} of {numbers['samples']} machines never seen: median (95 %, worst); "
@@ -543,7 +544,7 @@ def front_table(scenario: Scenario, scheme: str, numbers: Numbers) -> Table:
 def budget_table(scenario: Scenario, scheme: str, numbers: Numbers) -> Table:
     """The table for each number of trials: the metric as given and as tuned, and the weights."""
     rows = numbers["budgets"]
-    metric = f"{numbers['figure'].replace('_', ' ')} [{numbers['unit']}] of trial J"
+    metric = f"{labelled(numbers['figure'], numbers['unit'])} of trial J"
     what = f"{metric} on {numbers['samples']} machines never seen: median (95 %, worst)"
     columns = ("J", *WHICH, *next(iter(rows.values()))["weights"])
     title = f"{scenario.title}\n{scheme}, tuned for J trials: {what}"

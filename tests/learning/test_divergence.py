@@ -184,6 +184,8 @@ def test_tables_and_figures_say_so(swept):
     assert str(cells["diverged (from)"][0]) == "0.0%"
     assert f"({figures_['schemes']['growing']['diverged_at']})" in str(cells["diverged (from)"][1])
     assert f"({figures_['schemes']['growing']['grown_from']})" in str(cells["grown (from)"][1])
+    bare = sweeping.spread_table(figures_ | {"unit": ""})
+    assert str(bare.title) == f"rms of trial {TRIALS}"
     worst = next(
         column
         for column in sweeping.spread_table(figures_).columns
