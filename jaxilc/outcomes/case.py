@@ -23,6 +23,7 @@ WORDS = {  # of metrics whose names are not what a sentence calls them
     "contour max": "largest contour error",
     "contour rms": "rms contour error",
 }
+OF_CONTOUR = {"max_error": "contour_max", "rms": "contour_rms"}  # metrics of an axis, of a contour
 HEADS = tuple(m.head or m.name.replace("_", " ") for m in ERRORS)
 
 

@@ -22,7 +22,7 @@ from ..scenarios.reproduction import met
 from ..storage.files import whole_folder
 from ..sweeps import runs
 from ..uncertainty import key_of
-from .case import HEADS, Case, diverged, experiment_lines, output_names, shown_trials
+from .case import HEADS, OF_CONTOUR, Case, diverged, experiment_lines, output_names, shown_trials
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, settings_of
 from .words import DIVERGES, EXACT, FALLS, GROWS, SETTLED, Trend, number, several, trend_of
@@ -35,7 +35,6 @@ CURVES = (2, 20)  # trials that are drawn besides the last one
 CHANGED = "published values hold for the scenario as it stands; --set or --params changed it here"
 OPEN = "The paper is silent at {places} places; --details tells what was chosen."
 ALIKE = 0.02  # schemes whose errors differ by no more than this share are told as alike
-OF_CONTOUR = {"max_error": "contour_max", "rms": "contour_rms"}  # metrics of an axis, of a contour
 # What the figures of a scheme show, by the name of the function that draws them.
 OF_A_SCHEME = {
     "tracking": "output, error and input within chosen trials; the right column shows the shaded "

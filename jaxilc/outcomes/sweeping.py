@@ -14,6 +14,7 @@ import numpy as np
 
 from .. import figures
 from ..figures.style import labelled
+from ..learning.known_metrics import ERRORS
 from ..pytree.ranges import value_text
 from ..scenarios import Scenario
 from ..scenarios.scenario import Look
@@ -23,7 +24,15 @@ from ..sweeps.summary import SchemeSummary, axes_of, summarise
 from ..sweeps.sweep import Sweep
 from ..theory.bounds import BoundsWatch
 from .bounds import bounds_tables, watched_numbers
-from .case import Case, both, experiment_lines, output_names, shown_trials
+from .case import (
+    OF_CONTOUR,
+    WORDS,
+    Case,
+    both,
+    experiment_lines,
+    output_names,
+    shown_trials,
+)
 from .outcome import Figure, Interactive, Numbers, Outcome, Table, Verdict
 from .request import Request, point_of, unless_there
 from .words import number, several, trend_of
@@ -280,20 +289,26 @@ def _in_trial(row: SchemeSummary, trial: int, scale: float) -> Numbers:
 
 
 def axes_numbers(scenario: Scenario, dataset: xr.Dataset, tolerance: float | None) -> Numbers:
-    """The largest error of the last trial over the machines of a sweep, by scheme and axis.
+    """The error of the last trial over the machines of a sweep, by scheme and axis.
 
-    Besides the outputs there is the contour, where it is a metric. All are in the shown unit, with
-    the share of machines within the tolerance. A sweep of a single output has none.
+    It is the error by which schemes are judged: of an axis for that of the contour, and the largest
+    where they are judged by something else, of which a tolerance says nothing of an axis. Besides
+    the outputs there is the contour, where it has that metric. All are in the shown unit, with the
+    share of machines within the tolerance. A sweep of a single output has none.
 
     tolerance: largest error that passes [unit of the dataset]; None if none is known
     """
     if scenario.task.outputs == 1:
         return {}
+    known = {of: of for of in (m.name for m in ERRORS)}
+    known |= {of_contour: of for of, of_contour in OF_CONTOUR.items()}
+    metric = known.get(scenario.judged_by, "max_error")
+    tolerance = tolerance if scenario.judged_by in known else None
     errors = {
-        called: dataset["max_error"].isel(channel=i)
-        for i, called in enumerate(output_names(scenario))
+        called: dataset[metric].isel(channel=i) for i, called in enumerate(output_names(scenario))
     }
-    errors |= {"contour": dataset["contour_max"]} if "contour_max" in scenario.quantities else {}
+    if (contour := OF_CONTOUR.get(metric)) in scenario.quantities:
+        errors["contour"] = dataset[contour]
     found: Numbers = {}
     for called, values in errors.items():
         named = dataset[["finite", "diverged"]].assign(error=values)
@@ -301,7 +316,8 @@ def axes_numbers(scenario: Scenario, dataset: xr.Dataset, tolerance: float | Non
             last = _in_trial(row, len(row.median), scenario.shown_scale)
             share = None if tolerance is None else row.yield_share
             found.setdefault(row.scheme, {})[called] = last | {"yield": share}
-    return {"axes": found}
+    metric = metric.replace("_", " ")
+    return {"axes": found, "axes_of": labelled(WORDS.get(metric, metric), scenario.shown_unit)}
 
 
 def grid_numbers(scenario: Scenario, best: Sequence[BestPoint], axes: Mapping[str, int]) -> Numbers:
@@ -316,17 +332,17 @@ def grid_numbers(scenario: Scenario, best: Sequence[BestPoint], axes: Mapping[st
 
 
 def swept_axes_table(numbers: Numbers) -> Table | None:
-    """The table of the largest errors of the last trial of a sweep, axis by axis, and contour."""
+    """The table of the errors of the last trial of a sweep, axis by axis, and of the contour."""
     if "axes" not in numbers:
         return None
-    tolerance, unit = numbers["tolerance"], numbers["unit"]
-    within = () if tolerance is None else (f"within {tolerance:g}",)
+    shares = [at["yield"] for axes in numbers["axes"].values() for at in axes.values()]
+    within = (f"within {numbers['tolerance']:g}",) if None not in shares else ()
     columns = (*within, "median", "95 %", "worst (machine)")
-    title = f"{labelled('largest error', unit)} of trial {numbers['trials']} by axis"
+    title = f"{numbers['axes_of']} of trial {numbers['trials']} by axis"
     table = Table("scheme", "axis", right=columns, title=title)
     for name, axes in numbers["axes"].items():
         for axis, at in axes.items():
-            share = [] if tolerance is None else [f"{at['yield']:.1%}"]
+            share = [f"{at['yield']:.1%}"] if within else []
             worst = f"{number(at['worst'])} ({at['worst_sample']})"
             table.add_row(name, axis, *share, number(at["median"]), number(at["high"]), worst)
     return table

@@ -120,6 +120,12 @@ def test_a_path_is_run_and_swept_with_the_names_of_its_axes(tmp_path):
     assert of_sweep["contour"]["yield"] == numbers["schemes"]["ilc"]["yield"]
     of_y = swept["max_error"].sel(scheme="ilc", channel="y", trial=2)
     assert of_sweep["y"]["worst"] == float(of_y.max())
+    for metric, last, said in (("rms", "contour", "rms error"),
+                               ("settled_error", "y", "settled error")):  # fmt: skip
+        of = axes_numbers(judged(made, metric), swept, 0.5)
+        assert ([*of["axes"]["ilc"]][-1], of["axes_of"]) == (last, f"{said} [mm]")
+        error = float(swept[metric].sel(scheme="ilc", channel="y", trial=2).max())
+        assert of["axes"]["ilc"]["y"]["worst"] == error
     drawn = figures.contour(dataset, "ilc", (1, 2))
     assert [drawn[0].get_xlabel(), drawn[0].get_ylabel()] == ["x [mm]", "y [mm]"]
     for table in (axes_table(found), swept_axes_table(numbers)):
