@@ -5,7 +5,8 @@ This module does not import JAX for the list of all scenarios, so that it is the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from ..scenarios.catalogue import LISTED
@@ -38,7 +39,12 @@ def settings(source: str) -> Outcome:
     return Outcome(
         command="list",
         numbers={},
-        verdict=list_verdict(Case.of(chosen, Request(source)), values, [*chosen.options]),
+        verdict=list_verdict(
+            Case.of(chosen, Request(source)),
+            values,
+            [*chosen.options],
+            lambda settings: chosen.with_values(settings).check(),
+        ),
         scenario=chosen,
         tables=[settable_table(chosen)],
     )
@@ -65,10 +71,16 @@ def _brief(value: object) -> str:
     return np.array2string(np.asarray(value), precision=6, threshold=6)
 
 
-def list_verdict(case: Case, values: Mapping[str, Leaf], options: Sequence[str]) -> Verdict:
-    """How much can be set, and a run with one of the values, as it stands.
+def list_verdict(
+    case: Case,
+    values: Mapping[str, Leaf],
+    options: Sequence[str],
+    tried: Callable[[dict[str, object]], object],
+) -> Verdict:
+    """How much can be set, and a run with one of the values halved.
 
     options: names of the options of the scenario
+    tried: function of values by path; raises ValueError for one that is not allowed
     """
     import numpy as np
 
@@ -78,6 +90,12 @@ def list_verdict(case: Case, values: Mapping[str, Leaf], options: Sequence[str])
     heads = [f"{name}." for name in sorted(case.learns, key=lambda name: not case.learns[name])]
     single = [path for path, value in values.items() if np.asarray(value).shape == ()]
     floats = [path for path in single if np.asarray(values[path]).dtype.kind == "f"]
-    path = next((p for head in heads for p in floats if p.startswith(head)), None)
-    changed = () if path is None else (f"{path}={float(values[path]):.6g}",)
-    return Verdict(said, "with another value", case.request.following("run", set=changed))
+    floats.sort(key=lambda path: ".model." in path)  # weights first
+    for path in (p for head in heads for p in floats if p.startswith(head)):
+        half = f"{0.5 * float(values[path]):.6g}"
+        with suppress(ValueError):
+            if 0 < abs(float(half)) < np.inf:
+                tried({path: half})
+                changed = case.request.following("run", set=(f"{path}={half}",))
+                return Verdict(said, f"with half of {path.rpartition('.')[2]}", changed)
+    return Verdict(said, "as it stands", case.request.following("run"))

@@ -124,7 +124,9 @@ def test_run_compares_schemes_and_the_tolerance():
         {"pid": False, "a": True, "b": True}, metric="rms", unit="µm", tolerance=5.0,
     )  # fmt: skip
     found = ran(several, pid=[9.0] * 40, a=4 + 0.5**J, b=np.append(0.1 ** J[:-1], np.inf))
-    assert found.said[0].startswith("a is best of 3 schemes: trial 40 has an rms error of 4 µm, after 4.5")
+    assert found.said[0].startswith(
+        "a is best of 3 schemes: trial 40 has an rms error of 4 µm, after 4.5"
+    )
     assert found.said[1] == "It is within the tolerance of 5 µm."
     name, params = parsed(found)
     assert (name, params["scheme"], params["metric"]) == ("sweep", ["a"], "rms")
@@ -137,7 +139,9 @@ def test_run_compares_schemes_and_the_tolerance():
     assert found.said[1] == "It is beyond the tolerance of 5 µm."
     assert parsed(found)[1]["scheme"] == ["a"]
     found = ran(several, pid=[9.0] * 40, a=4 + 0.5**J, b=4.04 + 0.1**J)
-    assert found.said[0].startswith("a and b end alike, best of 3 schemes: a in trial 40 has an rms error")
+    assert found.said[0].startswith(
+        "a and b end alike, best of 3 schemes: a in trial 40 has an rms error"
+    )
     largest = {
         name: {"max_error": {"40": x}} for name, x in (("pid", 12.0), ("a", 30.0), ("b", 40.0))
     }
@@ -207,10 +211,19 @@ def test_sweep_says_yield_worst_machine_and_what_is_lost():
 
 def test_list_shows_a_value_that_can_be_set():
     values = {"machine.plant.dt": np.float64(0.001), "ilc.lead": 3, "ilc.gamma_p": np.array(0.8)}
-    found = list_verdict(CASE, values, ["plant"])
-    assert found.said == ("4 values can be set in my axis.toml.",)
-    assert parsed(found)[1]["set_"] == ["ilc.gamma_p=0.8"]
-    assert parsed(list_verdict(CASE._replace(learns={}), values, []))[0] == "design"
+    values |= {"ilc.leak": np.array(0.0), "ilc.b": np.array(4.0)}
+
+    def tried(settings):
+        if "ilc.gamma_p" in settings:
+            raise ValueError("outside its allowed range")
+
+    found = list_verdict(CASE, values, ["plant"], dict)
+    assert found.said == ("6 values can be set in my axis.toml.",)
+    assert parsed(found)[1]["set_"] == ["ilc.gamma_p=0.4"], "another value than the one there"
+    assert parsed(list_verdict(CASE, values, [], tried))[1]["set_"] == ["ilc.b=2"]
+    del values["ilc.b"]
+    assert parsed(list_verdict(CASE, values, [], tried))[1]["set_"] == ()
+    assert parsed(list_verdict(CASE._replace(learns={}), values, [], dict))[0] == "design"
 
 
 # certify, and its tables
