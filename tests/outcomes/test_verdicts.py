@@ -133,8 +133,8 @@ def test_run_compares_schemes_and_the_tolerance():
     assert params["set_"] == ["plant=printed"]
     found = ran(several, pid=[9.0] * 40, a=np.append(np.inf, 0.1 ** J[1:]), b=[np.nan] * 40)
     assert found.said[0] == (
-        "pid is best of 3 schemes (it does not learn): trial 40 has an rms error of 9 µm, after 9 µm in "
-        "trial 1."
+        "pid is best of 3 schemes (it does not learn): trial 40 has an rms error of 9 µm, after "
+        "9 µm in trial 1."
     )
     assert found.said[1] == "It is beyond the tolerance of 5 µm."
     assert parsed(found)[1]["scheme"] == ["a"]
@@ -203,8 +203,12 @@ def test_sweep_says_yield_worst_machine_and_what_is_lost():
         (None, "the only machine ends with a settled error of 0.01 mm."),
     ):
         assert f"ilc: {said}" in swept(CASE, share, high, high[-1], machines=1).said[0]
-    for metric, said in (("contour max", "a largest contour error"), ("max error", "a largest error"),
-                         ("rms", "an rms error"), ("jerk", "a jerk")):  # fmt: skip
+    for metric, said in (
+        ("contour max", "a largest contour error"),
+        ("max error", "a largest error"),
+        ("rms", "an rms error"),
+        ("jerk", "a jerk"),
+    ):
         found = swept(CASE._replace(metric=metric), None, high, 0.03)
         assert f"95 % of 64 machines end with {said} of at most 0.01 mm" in found.said[0]
 
