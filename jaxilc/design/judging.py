@@ -226,7 +226,8 @@ def proof_of(family: Family, scheme: Scheme, task: Task, *, between: bool = Fals
     laws = [law_of(one, task) for one in segments]
     sizes = np.array([family.sizes_of_law(law, task.dt) for law in laws])
     of_machine = np.max(sizes, axis=(0, 2))
-    which = list(dict.fromkeys([0, *np.argsort(-of_machine)[:ENCLOSED].tolist()]))
+    ends = _corners(family) if between else []  # what is proved between them is largest there
+    which = list(dict.fromkeys([0, *np.argsort(-of_machine)[:ENCLOSED].tolist(), *ends]))
     found = []
     for i in which:
         loop = minimal(family.loops[i], task.N)
@@ -245,6 +246,13 @@ def proof_of(family: Family, scheme: Scheme, task: Task, *, between: bool = Fals
         reasons=(str(told.reason[0]), str(told.reason[-1])), scheduled=len(segments) > 1,
         further=_further(family, laws, sizes, task.dt), whole=whole,
     )  # fmt: skip
+
+
+def _corners(family: Family) -> list[int]:
+    """The machines of which each uncertain number is at an end of what was drawn."""
+    drawn = [np.asarray(of) for of in family.drawn.values()]
+    at_end = [(of == of.min()) | (of == of.max()) for of in drawn]
+    return np.flatnonzero(np.all(at_end, axis=0)).tolist() if drawn else []
 
 
 def _further(family: Family, laws, sizes, dt: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxilc import Machine, Sensor, Task, Uniform
-from jaxilc.design import LearnedLaw
+from jaxilc.design import LearnedLaw, judging
 from jaxilc.design.by_response import FirstTaps, by_response, moved, sizes_of
 from jaxilc.design.candidates import UNSAFE, Candidate, candidates, contraction, penalty
 from jaxilc.design.judging import Proof, _further
@@ -18,6 +18,7 @@ from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.window import Filters, ShapedFilter, window_of
 from jaxilc.outcomes.designing import safety_said
 from jaxilc.plants import ProcessModel
+from jaxilc.schemes import PIDType
 from jaxilc.theory.law import law_of, learning_law
 from jaxilc.tuning import Tuning
 
@@ -133,6 +134,17 @@ def test_what_a_machine_may_differ_by_is_rounded_down_and_of_its_closed_loop(fur
     proof = Proof(0.8, 0.9, 10.0, {}, 1, ("monotone",) * 2, ("",) * 2, further=further)
     what = "each stable response from what is learned to the output may differ from its model by"
     assert f"{what} {percent} % at any frequency" in safety_said(proof)
+
+
+def test_the_proof_of_a_whole_set_encloses_its_corners(monkeypatch):
+    """A peak lies between the lines of the grid, on a corner that is not the worst on the grid."""
+    monkeypatch.setattr(judging, "ENCLOSED", 0)
+    drawn = designed_on(MACHINE, {"plant.gain": WIDE["plant.gain"]}, machines=3)
+    family, scheme = family_of(drawn, None, TASK, points=4), PIDType(gamma_p=0.3)
+    whole = judging.proof_of(family, scheme, TASK, between=True).whole
+    dense = family_of(drawn, None, TASK, points=4000)
+    z = np.exp(2j * np.pi * DT * dense.frequencies)
+    assert whole.bound >= np.abs(1 - 0.3 * z * dense.P).max() - 1e-9
 
 
 def test_shaped_is_a_learning_filter(window, found):
