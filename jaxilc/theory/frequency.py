@@ -840,7 +840,7 @@ def bound_of_set(
       |Q (keep - L P)| is largest at one of its ends.
 
     law:   of the scheme
-    tried: the plants of the box that were tried, its corners among them up to 8 numbers
+    tried: the plants of the box that were tried, such as its corners
     """
     machine, uncertainty = population.machine, population.uncertainty
     if not np.all(stable(tried.radii)):
@@ -848,10 +848,13 @@ def bound_of_set(
     if not uncertainty:
         return WholeSet(float(tried.values[tried.top]), "there is one plant only")
     curved = _curved(machine, scheme, task, uncertainty)
-    if not curved and len(uncertainty) <= CORNERS:
+    ends = np.array([of.corners() for of in uncertainty.values()]).T
+    at_end = np.isclose(tried.points[:, None], ends, rtol=1e-12, atol=0)
+    corners = np.unique(np.argmax(at_end, 1)[np.all(np.any(at_end, 1), 1)], axis=0)
+    if not curved and len(corners) == 2 ** len(uncertainty):
         how = "P is affine in each uncertain number, so the worst plant is a corner of the box"
         return WholeSet(float(tried.values[tried.top]), how)
-    what = f"P is not affine in {', '.join(curved)}" if curved else f"over {CORNERS} numbers"
+    what = f"P is not affine in {', '.join(curved)}" if curved else "not all corners were tried"
     why = _not_a_process_model(machine, scheme, uncertainty)
     if not why and law.L.taps.shape[1:] != (1, 1):
         why = "the law has several channels"

@@ -138,6 +138,8 @@ def test_gains_are_proved_by_their_corners_and_a_pole_is_not():
     )
     assert proof.bound == pytest.approx(worst, rel=1e-3)
     assert "corner" in proof.how
+    inner = tried._replace(points=0.99 * tried.points)
+    assert "not all corners" in bound_of_set(of, law, TASK, taps, inner).how
     pole = {"plant.A": Uniform(0.95, 1.05, relative=True)}
     proof = bound_of_set(Population(plant, pole), law, TASK, taps, tried)
     assert not proof.proved
