@@ -98,9 +98,9 @@ def visits(machine: Machine, scheme: Scheme, task: Task, *, memory: Memory = Non
     rate = np.nan
     if np.any(seen):
         moved = V.T @ (M * np.outer(s, 1 / s)) @ V
-        there, back = (np.max(np.abs(x), initial=0.0) for x in (moved[~seen][:, seen],
-                                                                moved[seen][:, ~seen]))  # fmt: skip
-        moved = moved if min(there, back) > TOLD**0.5 else moved[seen][:, seen]
+        across = np.abs(moved[~seen][:, seen]), np.abs(moved[seen][:, ~seen])
+        if min(np.max(x, initial=0.0) for x in across) <= TOLD**0.5:
+            moved = moved[seen][:, seen]
         rate = float(np.max(np.abs(np.linalg.eigvals(moved))))
     names = law.basis.names(task.outputs, task.inputs)
     return Visits(names, seconds, np.where(told, doubt, np.inf), told, rate)
