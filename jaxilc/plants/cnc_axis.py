@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -43,23 +41,11 @@ def cnc_axis(form: str = "double_integrator", gain: float = 1.0) -> StateSpace:
     return StateSpace(A, [[0.25 * gain], [0.0], [0.0]], [[0.19, 0.0, -0.01899]], dt=SAMPLE_TIME)
 
 
-class AxesState(NamedTuple):
-    """The states of the two axes."""
-
-    x: object
-    y: object
-
-
-class SpaceState(NamedTuple):
-    """The states of the three axes."""
-
-    x: object
-    y: object
-    z: object
-
-
 class Axes(Plant):
-    """Axes side by side, each with its inputs and outputs, in the order of the fields."""
+    """Axes side by side, each with its inputs and outputs, in the order of the fields.
+
+    The state is the tuple of those of the axes.
+    """
 
     @property
     def axes(self) -> dict[str, Plant]:
@@ -107,22 +93,19 @@ class Axes(Plant):
         return tuple(f"{axis}_{name}" for axis, names in each for name in names)
 
     def initial_state(self) -> Tree:
-        return self._state(axis.initial_state() for axis in self.axes.values())
+        return tuple(axis.initial_state() for axis in self.axes.values())
 
     def step(self, x: Tree, u: Array, dt: float) -> Tree:
         after, first = [], 0
         for axis, state in zip(self.axes.values(), x, strict=True):
             after.append(axis.step(state, u[first : first + axis.n_u], dt))
             first += axis.n_u
-        return self._state(after)
+        return tuple(after)
 
     def output(self, x: Tree) -> Array:
         return jnp.concatenate(
             [axis.output(state) for axis, state in zip(self.axes.values(), x, strict=True)]
         )
-
-    def _state(self, states: Iterable[Tree]) -> AxesState | SpaceState:
-        return (AxesState if len(self.axes) == 2 else SpaceState)(*states)
 
 
 @pytree
