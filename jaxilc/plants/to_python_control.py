@@ -44,18 +44,20 @@ def to_control(plant: Plant, dt: float | None = None) -> Value:
         raise ValueError(f"to_control: {type(plant).__name__} is not a plant of jaxilc")
     own_dt = _own_sample_time(plant)
     continuous = plant.continuous()
+    channels = {"inputs": plant.input_names, "outputs": plant.output_names}
+    names = {what: list(given) for what, given in channels.items() if given}
     # a dead time is many samples of the shortest sample time, and known to be linear
     if not (isinstance(plant, ProcessModel | ModalModel) and plant.delay):
-        need_linear(plant, dt or own_dt or SHORT)
+        _need_linear(plant, dt or own_dt or SHORT)
     if dt is None and continuous is not None:
-        return as_system(continuous.A, continuous.B, continuous.C, 0.0, **names_of(plant))
+        return as_system(continuous.A, continuous.B, continuous.C, 0.0, **names)
     if dt is None and not own_dt:
         raise ValueError(
             f"to_control: {type(plant).__name__} has no form in continuous time and no sample time "
             "of its own; give dt, the sample time in s"
         )
     A, B, C = _matrices(plant, dt or own_dt)
-    return as_system(A, B, C, dt or own_dt, **names_of(plant))
+    return as_system(A, B, C, dt or own_dt, **names)
 
 
 def initial_state(plant: Plant, dt: float | None = None) -> np.ndarray:
@@ -75,13 +77,7 @@ def as_system(A: Leaf, B: Leaf, C: Leaf, dt: float, **names: Value) -> Value:
     return control.ss(A, B, C, D, float(dt), remove_useless_states=False, **names)
 
 
-def names_of(plant: Plant) -> dict[str, list[str]]:
-    """The names of the plant's inputs and outputs as `control.ss` takes them."""
-    given = {"inputs": plant.input_names, "outputs": plant.output_names}
-    return {what: list(names) for what, names in given.items() if names}
-
-
-def need_linear(plant: Plant, dt: float) -> None:
+def _need_linear(plant: Plant, dt: float) -> None:
     """Raises ValueError unless each step is a linear map, the same at each sample."""
     if isinstance(plant, TimeVaryingStateSpace):
         raise ValueError(
