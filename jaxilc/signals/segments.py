@@ -20,20 +20,6 @@ class Straight:
     start: np.ndarray
     end: np.ndarray
 
-    @property
-    def length(self) -> float:
-        return float(np.linalg.norm(self.end - self.start))
-
-    def at(self, s: Numbers) -> np.ndarray:
-        """(M, d) positions at the lengths s, (M,)."""
-        return self.start + np.multiply.outer(s, self.slopes[0])
-
-    @property
-    def slopes(self) -> tuple[np.ndarray, np.ndarray]:
-        """The derivative of the position by the length at both ends, (d,) each."""
-        slope = (self.end - self.start) / self.length
-        return slope, slope
-
 
 @dataclasses.dataclass(frozen=True)
 class Arc:
@@ -107,11 +93,10 @@ def lengths_and_slopes(segments: Sequence[Segment]) -> tuple[np.ndarray, np.ndar
     ends = np.array([(segment.start, segment.end) for segment in segments])
     chords = ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(chords, axis=1)
-    curved = [i for i, segment in enumerate(segments) if isinstance(segment, Arc)]
-    lengths[curved] = [segments[i].length for i in curved]
     slopes = np.repeat((chords / lengths[:, None])[:, None], 2, axis=1)
-    for i in curved:
-        slopes[i] = segments[i].slopes
+    for i, segment in enumerate(segments):
+        if isinstance(segment, Arc):
+            lengths[i], slopes[i] = segment.length, segment.slopes
     return lengths, slopes
 
 

@@ -64,10 +64,10 @@ def used(reference, limits=LIMITS):
 def test_a_program_is_the_path_that_geometry_says_and_keeps_its_limits():
     steps = read_gcode(PROGRAM, ("x", "y"))
     lengths = [10, 2.5 * np.pi, 2.5 * np.pi, 10, 2.5 * np.pi]
-    assert_allclose([step.segment.length for step in steps], lengths, rtol=1e-12)
-    for step, dense in zip(steps, DENSE, strict=True):
-        s = np.linspace(0, step.segment.length, 4001)
-        assert_allclose(step.segment.at(s), dense, atol=1e-12)
+    for step, length, dense in zip(steps, lengths, DENSE, strict=True):
+        alone = Chain([step.segment], 0.05)
+        assert_allclose(alone.length, length, rtol=1e-12)
+        assert_allclose(alone(np.linspace(0, length, 4001)), dense, atol=1e-12)
     path = np.concatenate(DENSE)
     # the second arc goes on from the first one in its direction, so only one corner is left
     for corner, stops, rounded in ((None, 1, 0), (0.05, 0, 1)):
