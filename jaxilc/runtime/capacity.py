@@ -59,17 +59,11 @@ def check_size(what: str, each: float | Callable[..., float], **counts: float) -
     raise refused(f"{what}: {given} take", need(**counts), room, instead)
 
 
-def check_program(
-    what: str, instead: str, lowered: jax.stages.Lowered, *, devices: int | None = None
-) -> None:
-    """Raises ValueError where a jitted function does not fit in RAM; it is compiled but not run.
-
-    devices: number of devices on which it runs; None: all
-    """
-    host, on_devices = host_bytes(), device_bytes()
-    room = host if on_devices is None else on_devices
-    need = 0 if room is None else program_bytes(lowered, devices=devices)
-    if room is not None and need > room:
+def check_program(what: str, instead: str, lowered: jax.stages.Lowered) -> None:
+    """Raises ValueError where a jitted function does not fit in RAM; it is compiled but not run."""
+    on_devices = device_bytes()
+    room = host_bytes() if on_devices is None else on_devices
+    if room is not None and (need := program_bytes(lowered)) > room:
         raise refused(f"{what} takes", need, room, instead)
 
 
