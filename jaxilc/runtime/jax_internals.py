@@ -216,6 +216,22 @@ def _found() -> tuple[Known | None, str | None]:
     return known, None
 
 
+def _primitive(
+    name: str, value: Function, shaped: Function, batched: Function, *, several: bool = False
+) -> Value:
+    """A new primitive that computes a value, one array or several, with its rule for batches."""
+    from jax.extend.core import Primitive
+    from jax.interpreters import batching, mlir
+
+    made = Primitive(name)
+    made.multiple_results = several
+    made.def_impl(value)
+    made.def_abstract_eval(shaped)
+    mlir.register_lowering(made, mlir.lower_fun(value, multiple_results=several))
+    batching.primitive_batchers[made] = batched
+    return made
+
+
 def _rows_primitive() -> Function:
     """The function `bind(x, axis, turned)` of a primitive that sets the layout of an array.
 
@@ -223,8 +239,7 @@ def _rows_primitive() -> Function:
     first.
     """
     from jax.experimental.layout import Layout, with_layout_constraint
-    from jax.extend.core import Primitive
-    from jax.interpreters import ad, batching, mlir
+    from jax.interpreters import ad
 
     def placed(x: Array, *, axis: int, turned: bool) -> Array:
         if axis == 0:
@@ -242,12 +257,9 @@ def _rows_primitive() -> Function:
         x = jnp.moveaxis(args[0], dims[0], 0)
         return by_sample.bind(x, axis=axis + 1, turned=turned), 0
 
-    by_sample = Primitive("by_sample")
+    by_sample = _primitive("by_sample", placed, lambda x, **_: x, batched)
     by_sample.def_impl(lambda x, **_: x)
-    by_sample.def_abstract_eval(lambda x, **_: x)
-    mlir.register_lowering(by_sample, mlir.lower_fun(placed, multiple_results=False))
     ad.deflinear2(by_sample, lambda cotangent, _, **how: [by_sample.bind(cotangent, **how)])
-    batching.primitive_batchers[by_sample] = batched
     return by_sample.bind
 
 
@@ -268,8 +280,7 @@ def _product_primitive() -> Function:
     Its operands are (..., m, n) and (..., n), with as many axes before these. Such an axis has the
     length 1 in an operand that is the same for all members of a batch.
     """
-    from jax.extend.core import Primitive
-    from jax.interpreters import ad, batching, mlir
+    from jax.interpreters import ad
 
     def shaped(matrix: Array, vector: Array) -> jax.core.ShapedArray:
         before = np.broadcast_shapes(matrix.shape[:-2], vector.shape[:-1])
@@ -294,12 +305,8 @@ def _product_primitive() -> Function:
             *(x[None] if d is None else jnp.moveaxis(x, d, 0) for x, d in pairs)
         ), 0
 
-    by_columns = Primitive("by_columns")
-    by_columns.def_impl(_sum_of_columns)
-    by_columns.def_abstract_eval(shaped)
-    mlir.register_lowering(by_columns, mlir.lower_fun(_sum_of_columns, multiple_results=False))
+    by_columns = _primitive("by_columns", _sum_of_columns, shaped, batched)
     ad.defbilinear(by_columns, by_matrix, by_vector)
-    batching.primitive_batchers[by_columns] = batched
     return by_columns.bind
 
 
@@ -309,8 +316,7 @@ def _ruled_primitive() -> Function:
     value: from a list of arrays to a list of arrays
     slope: from two such lists, the arguments and their tangents, to a list of the tangents of value
     """
-    from jax.extend.core import Primitive
-    from jax.interpreters import ad, batching, mlir
+    from jax.interpreters import ad
 
     def shaped(*x: Tree, value: Lists, slope: Lists) -> list[jax.core.ShapedArray]:
         return jax.make_jaxpr(value)(list(x)).out_avals
@@ -331,20 +337,13 @@ def _ruled_primitive() -> Function:
     def evaluated(*x: Array, value: Lists, slope: Lists) -> list[Array]:
         return value(list(x))
 
-    ruled = Primitive("ruled")
-    ruled.multiple_results = True
-    ruled.def_impl(evaluated)
-    ruled.def_abstract_eval(shaped)
-    mlir.register_lowering(ruled, mlir.lower_fun(evaluated, multiple_results=True))
+    ruled = _primitive("ruled", evaluated, shaped, batched, several=True)
     ad.primitive_jvps[ruled] = moved
-    batching.primitive_batchers[ruled] = batched
     return ruled.bind
 
 
 def _batches_primitive() -> Function:
     """The function `bind(*x, function, rule, outs)` of a primitive with a rule for batches."""
-    from jax.extend.core import Primitive
-    from jax.interpreters import batching, mlir
 
     def batched(
         x: list[Array], dims: list[int], *, rule: Lists, **_: Value
@@ -357,15 +356,10 @@ def _batches_primitive() -> Function:
     def evaluated(*x: Array, function: Lists, **_: Value) -> list[Array]:
         return function(*x)
 
-    batches = Primitive("batches")
-    batches.multiple_results = True
-    batches.def_impl(evaluated)
-    batches.def_abstract_eval(
-        lambda *_, outs, **how: [jax.core.ShapedArray(x.shape, x.dtype) for x in outs]
-    )
-    mlir.register_lowering(batches, mlir.lower_fun(evaluated, multiple_results=True))
-    batching.primitive_batchers[batches] = batched
-    return batches.bind
+    def shaped(*_: Array, outs: Value, **how: Value) -> list[jax.core.ShapedArray]:
+        return [jax.core.ShapedArray(x.shape, x.dtype) for x in outs]
+
+    return _primitive("batches", evaluated, shaped, batched, several=True).bind
 
 
 def _try_out(known: Known) -> None:
