@@ -17,7 +17,7 @@ import rich.table
 from rich.console import ConsoleOptions, RenderableType, RenderResult
 from rich.text import Text
 
-from ..storage.printable import printable
+from ..storage.reading import printable
 
 if TYPE_CHECKING:
     from ..figures.description import Figure as Description

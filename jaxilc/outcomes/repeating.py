@@ -36,7 +36,7 @@ from ..schemes import (
     Scheme,
     WithFeedback,
 )
-from ..storage.printable import printable
+from ..storage.reading import printable
 from ..theory.condition import HOLDS
 from ..theory.law import Taps, law_of
 from ..theory.linearity import alike_trials

@@ -14,7 +14,7 @@ from ..pytree.aliases import Tree, Value
 from ..pytree.fields import kind_of
 from ..schemes import Scheme
 from ..storage.files import atomically
-from ..storage.printable import printable
+from ..storage.reading import printable
 from .from_file import read_scenario
 from .parameters import plain, same
 from .specification import HIDDEN, classes

@@ -31,8 +31,7 @@ from ..schemes import Filtered, PIDType
 from ..signals import references
 from ..signals.task import Task
 from ..storage.files import atomically
-from ..storage.printable import printable
-from ..storage.reading import LARGEST_TREE, read_text, tree_of
+from ..storage.reading import LARGEST_TREE, printable, read_text, tree_of
 from ..theory.frequency import Largest, Loop, grid, largest_of, linear_loop, response
 from ..theory.law import law_of
 from ..theory.loop import minimal

@@ -19,7 +19,7 @@ from ..pytree.named_paths import allowed_at, get_at, owner_of, read_at, replaced
 from ..pytree.ranges import brief, require
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
-from ..storage.printable import printable
+from ..storage.reading import printable
 from ..uncertainty import Uncertainty
 from .published import COMPARED, OVER_TRIALS, Conclusion, Published
 from .specification import at_place

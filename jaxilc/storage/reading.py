@@ -3,7 +3,8 @@
 Only regular files of a limited size are read: as bytes, as text, or as a tree (TOML, JSON);
 `columns` reads tables. An error in the content raises ValueError, which names the file. A file that
 does not exist, or may not be read, raises OSError. Messages quote only files whose names, links
-followed, end as files of data do: a plant file may name any other, with secrets in it.
+followed, end as files of data do: a plant file may name any other, with secrets in it. What is
+shown of any file has no control characters (`printable`).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import os
 import re
 import stat
 import tomllib
+import unicodedata
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -77,6 +79,19 @@ def quoted(path: str | Path, text: str) -> str:
     if Path(os.path.realpath(path)).suffix.lower() in QUOTED:
         return text
     return "(not shown, since the file's name has no ending such as .csv or .txt)"
+
+
+def printable(text: str) -> str:
+    """The text with Python's escapes for characters that cannot be printed, except line ends.
+
+    So it has no control characters, such as colour codes.
+    """
+    return "".join(
+        c
+        if c == "\n" or c.isprintable() or unicodedata.category(c) == "Zs"
+        else c.encode("unicode_escape").decode()
+        for c in text
+    )
 
 
 def read_tree(path: str | Path, kind: str | None = None) -> Value:

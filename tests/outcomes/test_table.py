@@ -9,7 +9,7 @@ from rich.console import Console
 
 from jaxilc.outcomes.outcome import Console as Plain
 from jaxilc.outcomes.outcome import Table
-from jaxilc.storage.printable import printable
+from jaxilc.storage.reading import printable
 
 TITLE = (
     "Voice-coil motor for noncircular turning\n"
