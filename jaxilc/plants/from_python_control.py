@@ -6,14 +6,23 @@ a command: it imports Matplotlib.
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from typing import NamedTuple, TypeAlias
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy
+from jax import lax
 
-from ..pytree.aliases import Leaf, Numbers, Value
-from .linear import LARGEST_ORDER, StateSpace
-from .nonlinear_system import NonlinearSystem, nonlinear_system
+from ..pytree.aliases import Array, Function, Leaf, Numbers, Tree, Value
+from ..pytree.fields import child, leaf, pytree, static
+from ..pytree.ranges import as_numbers, brief
+from .integration import runge_kutta
+from .linear import LARGEST_ORDER, StateSpace, matching
+from .plant import Plant
+from .structure import followers
 
 BALANCED = 8  # order above which the states of a polynomial are scaled
 TINY = 1e-14  # first coefficient of a numerator, below which SciPy warns that it may be rounding
@@ -67,7 +76,7 @@ def from_control(
             "(continuous) and a time in s"
         )
     if not linear:
-        return nonlinear_system(system, x0, substep)
+        return _nonlinear(system, x0, substep)
     if substep is not None:
         raise ValueError("from_control: substep is for a nonlinear system; this one is linear")
     A, B, C, D = system_matrices(system)
@@ -203,3 +212,168 @@ def _side_by_side(blocks: dict[tuple[int, int], Matrices], n_y: int, n_u: int) -
         A[here, here], B[here, j], C[i, here], D[i, j] = a, b[:, 0], c[0], d[0, 0]
         at = here.stop
     return A, B, C, D
+
+
+# Nonlinear systems
+# --------------------------------------------------------------------------------------------------
+
+
+class TimedState(NamedTuple):
+    """The number k of the sample (), the time t = k dt () [s] and the state x (n,)."""
+
+    k: Array
+    t: Array
+    x: Array
+
+
+@pytree
+class NonlinearSystem(Plant):
+    """A system that is given by two functions, as `control.nlsys` takes them.
+
+        continuous:  dx/dt  = update(t, x, u, parameters),  y = read(t, x, parameters)
+        discrete:    x[k+1] = update(t, x, u, parameters),  y = read(t, x, parameters)
+
+    A continuous system is integrated by the classical Runge-Kutta method of order 4 under an input
+    that is held over the sample, in ceil(dt / substep) equal steps a sample.
+
+    parameters: numbers by name; each is a leaf, so that it can be drawn, tuned and differentiated
+    x0:         (n,) initial state
+    update:     function (t, x, u, parameters) -> (n,), which JAX can trace
+    read:       function (t, x, parameters) -> (n_y,), which JAX can trace
+    n_in, n_out: number of inputs and of outputs
+    timed:      whether the functions depend on the time t, which is 0 at the start of each trial
+    dt:         sample time of a discrete system [s]; 0 for a continuous one
+    substep:    longest step of the integrator [s]; 0 for a discrete system
+    """
+
+    parameters: Tree = child()
+    x0: Leaf = leaf()
+    update: Function = static()
+    read: Function = static()
+    n_in: int = static(interval="[1, inf)", whole=True)
+    n_out: int = static(interval="[1, inf)", whole=True)
+    timed: bool = static(default=False)
+    dt: float = static(default=0.0, interval="[0, inf)")
+    substep: float = static(default=0.0, interval="[0, inf)")
+
+    @property
+    def n_u(self) -> int:
+        return self.n_in
+
+    @property
+    def n_y(self) -> int:
+        return self.n_out
+
+    def sampled(self, dt: float) -> NonlinearSystem:
+        return matching(self, dt) if self.dt else self
+
+    def initial_state(self) -> Tree:
+        x = jnp.asarray(self.x0)
+        return TimedState(jnp.zeros((), int), jnp.zeros((), x.dtype), x) if self.timed else x
+
+    def step(self, x: Tree, u: Array, dt: float) -> Tree:
+        if self.timed:
+            k = x.k + 1
+            return TimedState(k, (k * dt).astype(x.t.dtype), self._next(x.t, x.x, u, dt))
+        return self._next(jnp.zeros((), x.dtype), x, u, dt)
+
+    def output(self, x: Tree) -> Array:
+        t, x = (x.t, x.x) if self.timed else (jnp.zeros((), x.dtype), x)
+        return _vector(self.read(t, x, self.parameters), x.dtype)
+
+    def _next(self, t: Array, x: Tree, u: Array, dt: float) -> Array:
+        if self.dt:
+            return _vector(self.update(t, x, u, self.parameters), x.dtype)
+        steps = max(math.ceil(dt / self.substep - 1e-9), 1)
+
+        def rates(now: Tree) -> tuple[Tree, Tree]:
+            t, x = now
+            return jnp.ones_like(t), _vector(self.update(t, x, u, self.parameters), x.dtype)
+
+        def one(_: object, now: Tree) -> Array:
+            return runge_kutta(rates, now, dt / steps)
+
+        return lax.fori_loop(0, steps, one, (t, x))[1]
+
+
+def _nonlinear(system: Value, x0: Array, substep: float | None) -> NonlinearSystem:
+    """The plant of a `control.NonlinearIOSystem`; raises as `from_control`."""
+    if system.dt and substep is not None:
+        raise ValueError("from_control: substep is for a continuous system; this one is discrete")
+    if not system.dt and (substep is None or not substep > 0):
+        raise ValueError(
+            f"from_control: substep = {substep} for a nonlinear system in continuous time; give "
+            "the longest step of the integrator (Runge-Kutta of order 4) in s, above 0"
+        )
+    n, n_u, n_y = system.nstates, system.ninputs, system.noutputs
+    updfcn, outfcn = system.updfcn, system.outfcn
+    plant = NonlinearSystem(
+        {name: _number(name, value) for name, value in (system.params or {}).items()},
+        np.zeros(n) if x0 is None else x0,
+        updfcn,
+        _the_state
+        if outfcn is None
+        else lambda t, x, parameters: outfcn(t, x, jnp.zeros(n_u, x.dtype), parameters),
+        n_in=n_u,
+        n_out=n_y,
+        dt=float(system.dt),
+        substep=float(substep or 0.0),
+    )
+    if plant.x0.shape != (n,):
+        raise ValueError(f"from_control: x0 has shape {plant.x0.shape}; allowed is ({n},)")
+
+    def update(parameters: Value, now: Tree) -> Array:
+        return _vector(updfcn(*now, parameters))
+
+    def read(parameters: Value, now: Tree) -> Array:
+        return _vector(now[1] if outfcn is None else outfcn(*now, parameters))
+
+    now = jnp.zeros(()), jnp.asarray(plant.x0), jnp.zeros(n_u)
+    update_timed, *_ = _followed("update", update, plant.parameters, now, (n,))
+    read_timed, _, fed_through = _followed("output", read, plant.parameters, now, (n_y,))
+    if fed_through:
+        raise ValueError(
+            "from_control: the output function uses u, a direct feedthrough; u[k] acts on y[k+1] "
+            "at the earliest, so it may use t, x and the parameters only"
+        )
+    return dataclasses.replace(plant, timed=update_timed or read_timed)
+
+
+def _vector(values: Value, dtype: Value = None) -> Array:
+    """What a function of the system returns, a list of numbers or an array, as one array."""
+    return jnp.asarray(values, dtype)
+
+
+def _the_state(t: Array, x: Tree, parameters: Value) -> Array:
+    return x
+
+
+def _number(name: str, value: Value) -> Array:
+    found = as_numbers(value)
+    if found is None:
+        raise ValueError(
+            f"from_control: the parameter {name} = {brief(value)} is not a number or an array of "
+            "numbers"
+        )
+    return jnp.asarray(found, float)
+
+
+def _followed(
+    what: str, f: Function, parameters: Value, now: Tree, shape: tuple[int, ...]
+) -> list[bool]:
+    """Whether the value of f depends on each of now = (t, x, u).
+
+    Raises ValueError unless JAX can trace f and it returns an array of that shape.
+    """
+    try:
+        found = jax.eval_shape(f, parameters, now).shape
+    except Exception as error:  # whatever a user's function raises when it is given tracers
+        raise ValueError(
+            f"from_control: JAX cannot trace the {what} function ({type(error).__name__}); write "
+            "it with jax.numpy in place of numpy or math, and without `if` on t, x or u"
+        ) from error
+    if found != shape:
+        raise ValueError(
+            f"from_control: the {what} function returns the shape {found}; allowed is {shape}"
+        )
+    return [any(of) for of in followers(f, parameters, now)]

@@ -12,7 +12,7 @@ from dense import lifted
 from jaxilc import Machine, Task
 from jaxilc.learning.over_trials import measured_trial
 from jaxilc.plants import DifferenceEquation, StateSpace, TimeVaryingStateSpace
-from jaxilc.plants.nonlinear_system import NonlinearSystem
+from jaxilc.plants.from_python_control import NonlinearSystem
 from jaxilc.schemes import GradientILC
 from jaxilc.theory.certificates import DIVERGES, MONOTONE, long_run
 from jaxilc.theory.law import law_of, learning_law
