@@ -13,7 +13,7 @@ import pytest
 import scipy.signal
 from cases import ALGEBRA, DRIVE, DT, PLANTS, few
 
-from jaxilc.learning import Machine
+from jaxilc.learning import Machine, learn
 from jaxilc.plants import (
     BallScrewDrive,
     DifferenceEquation,
@@ -31,6 +31,8 @@ from jaxilc.plants import (
 from jaxilc.plants.from_python_control import Linear, canonical_form, from_linear
 from jaxilc.plants.to_python_control import initial_state
 from jaxilc.pytree import leaf, pytree
+from jaxilc.schemes import PID
+from jaxilc.signals import Task
 from jaxilc.uncertainty import Uniform, drawn_machines
 
 N = 40
@@ -61,7 +63,9 @@ def simulated(plant, u, dt=DT):
 
 
 def forced(system, u, x0=0.0):
-    """Return the output (N+1, n_y) of a discrete system by python-control."""
+    """Return the output (N+1, n_y) of a system by python-control; the input is held."""
+    if system.isctime():
+        system = control.sample_system(control.ss(system), DT)
     held = np.vstack([u, u[-1:]]).T
     time = np.arange(len(u) + 1) * system.dt
     return control.forced_response(system, time, held, X0=x0, squeeze=False).outputs.T
@@ -93,8 +97,6 @@ def test_and_in_its_own_time(name):
         return
     system, sampled = to_control(plant), to_control(plant, DT)
     assert system.dt == (0 if plant.continuous() is not None else DT)
-    if system.dt == 0:
-        system = control.sample_system(system, DT)
     u = U[:, : plant.n_u]
     y, own = forced(system, u, initial_state(plant)), forced(sampled, u, initial_state(plant, DT))
     # Runge-Kutta steps integrate the motor; their length is as large as its fastest pole allows.
@@ -221,9 +223,101 @@ def test_what_is_not_linear_is_refused_by_name(plant, message):
         to_control(*plant) if isinstance(plant, tuple) else to_control(plant)
 
 
-def test_another_sample_time_is_refused():
-    with pytest.raises(ValueError, match=r"DifferenceEquation is sampled at 0.001 s"):
-        to_control(PLANTS["arx"], 2 * DT)
+# Linear systems of python-control
+# --------------------------------------------------------------------------------------------------
+
+LAG, OSCILLATOR = control.tf([40.0], [1.0, 40.0]), control.tf([30.0, 1e4], [1.0, 60.0, 1e4])
+NONE = control.tf([0.0], [1.0], 0)
+COMING = {
+    "siso_tf": OSCILLATOR,
+    "siso_tf_discrete": control.tf([0.06, 0.03], [1.0, -1.6, 0.65], DT),
+    "siso_ss": control.ss([[0.0, 1.0], [-4e3, -80.0]], [[0.0], [4e3]], [[1.0, 0.0]], 0),
+    "siso_ss_discrete": control.ss([[0.9, 0.1], [-0.2, 0.8]], [[0.01], [0.1]], [[1.0, 0.5]], 0, DT),
+    "mimo_tf": control.combine_tf([[OSCILLATOR, -0.5 * LAG], [NONE, LAG * LAG]]),
+    "mimo_tf_discrete": control.combine_tf(
+        [[control.tf([0.1], [1, -0.9], DT), control.tf([0.2, -0.1], [1, -1.1, 0.3], DT)]]
+    ),
+    "mimo_ss": control.ss(
+        *(np.asarray(getattr(PLANTS["mimo"], name)) for name in "ABC"), np.zeros((2, 2))
+    ),
+    "integrator": control.tf([1.0], [1.0, 0.0]),
+    "two_outputs": control.ss([[0.9, 0.1], [0.3, 0.6]], [[0.2], [0.0]], np.eye(2), 0, DT),
+}
+
+
+@pytest.mark.parametrize("name", COMING)
+def test_from_control_responds_as_python_control(name):
+    system = COMING[name]
+    plant = from_control(system)
+    assert (plant.n_y, plant.n_u) == (system.noutputs, system.ninputs)
+    u = U[:, : plant.n_u]
+    y = (
+        forced(system, u)
+        if isinstance(system, control.StateSpace) or system.ninputs == system.noutputs == 1
+        else sum_of_entries(system, u)
+    )
+    np.testing.assert_allclose(simulated(plant, u), y, rtol=1e-8, atol=1e-10)
+    assert np.all(np.max(np.abs(y), axis=0) > 1e-3)
+
+
+def sum_of_entries(system, u):
+    """Return the response of a MIMO transfer function, entry by entry.
+
+    python-control needs slycot to convert the whole function.
+    """
+    return np.stack(
+        [
+            sum(forced(system[i, j], u[:, j : j + 1])[:, 0] for j in range(system.ninputs))
+            for i in range(system.noutputs)
+        ],
+        axis=1,
+    )
+
+
+NOT_TAKEN = {
+    "unstable": (
+        control.tf([1.0], [1.0, -2.0]),
+        r"unstable \(a pole 2 right of the imaginary axis\).*allow_unstable=True",
+    ),
+    "unstable_discrete": (
+        control.tf([1.0], [1.0, -1.25], DT),
+        r"unstable \(a pole 0.25 outside the unit circle\)",
+    ),
+    "improper": (control.tf([1.0, 0.0, 0.0], [1.0, 3.0]), r"entry \(0, 0\) is improper"),
+    "feedthrough_tf": (control.tf([1.0, 0.0], [1.0, 3.0]), r"direct feedthrough D = \[\[1.0\]\]"),
+    "feedthrough_ss": (
+        control.ss([[-1.0]], [[1.0]], [[1.0]], [[2.0]]),
+        r"direct feedthrough D = \[\[2.0\]\]",
+    ),
+    "dt_true": (control.tf([0.1], [1.0, -0.9], True), r"dt = True leaves the sample time open"),
+    "dt_none": (
+        control.ss([[-1.0]], [[1.0]], [[1.0]], 0, None),
+        r"dt = None leaves the sample time open",
+    ),
+    "frequency_data": (
+        control.frd([1.0, 0.5], [1.0, 2.0]),
+        r"FrequencyResponseData is not a control.StateSpace",
+    ),
+    "matrix": (np.eye(2), r"ndarray is not a control.StateSpace or control.TransferFunction"),
+}
+
+
+@pytest.mark.parametrize(("system", "message"), NOT_TAKEN.values(), ids=NOT_TAKEN)
+def test_from_control_names_what_it_cannot_take(system, message):
+    with pytest.raises(ValueError, match="from_control: .*" + message):
+        from_control(system)
+
+
+def test_unstable_plant_under_a_stabilising_loop():
+    """x' = 20 x + u under u = -120 x has its pole at -100.
+
+    Sampled, the pole is exp(20 dt) - 120 (exp(20 dt) - 1) / 20.
+    """
+    plant = from_control(control.tf([1.0], [1.0, -20.0]), allow_unstable=True)
+    kicked = StateSpace(plant.A, plant.B, plant.C, np.ones(1) / plant.C[0], plant.dt)
+    y = learn(Machine(kicked), PID(kp=120.0), Task(np.zeros(N + 1), dt=DT), 1).final.y[:, 0]
+    growth = np.exp(20 * DT)
+    np.testing.assert_allclose(y, (growth - 6 * (growth - 1)) ** np.arange(N + 1), **ALGEBRA)
 
 
 # Nonlinear systems of python-control
