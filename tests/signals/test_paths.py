@@ -394,14 +394,10 @@ def test_a_closed_path_has_no_start():
         + 0.01 * np.cos(7 * ANGLES)[:, None]
     )
     expected = brute_force(y, path)
-    for of in (contour_error, jax.jit(contour_error, static_argnames="window")):
-        assert_allclose(np.abs(of(y, path, window=12)), expected, **ALGEBRA)
-    ahead = y[np.minimum(np.arange(401) + 20, 400)]
-    assert_allclose(
-        np.abs(contour_error(ahead, path, window=25)),
-        brute_force(ahead, path),
-        **ALGEBRA,
-    )
+    ahead = y[np.minimum(np.arange(401) + 14, 400)]
+    for one in (y, ahead):
+        found = np.abs(contour_error(one, path, window=12))
+        assert_allclose(found, brute_force(one, path), **ALGEBRA)
     as_if_open = np.abs(contour_error(y, path, window=12, closed=False))
     assert_allclose(as_if_open[12:], expected[12:], **ALGEBRA)
     assert np.max(as_if_open) > 0.08 > 5 * np.max(expected)
@@ -429,15 +425,13 @@ def test_its_gradient_is_that_of_differences_and_finite_on_the_path(measured):
     y, path = measured
 
     def total(y):
-        return jnp.sum(contour_error(y, path, window=12) ** 2)
+        return jnp.sum(contour_error(y, path, window=6) ** 2)
 
-    at = ((10, 60, 90), (0, 1, 0))
-    steps = np.zeros((3, *y.shape))
-    steps[(range(3), *at)] = 1e-6
-    above, below = jax.jit(jax.vmap(total))(np.concatenate([y + steps, y - steps])).reshape(2, 3)
-    assert_allclose(jax.jit(jax.grad(total))(y)[at], (above - below) / 2e-6, **DIFFERENCES)
-    on_path = jax.jit(jax.jacobian(lambda y: contour_error(y, path, window=3)))(path)
-    assert np.all(np.isfinite(on_path))
+    slope = jax.jit(jax.grad(total))
+    way = np.random.default_rng(4).normal(size=y.shape)
+    differences = (total(y + 1e-6 * way) - total(y - 1e-6 * way)) / 2e-6
+    assert_allclose(jnp.vdot(slope(y), way), differences, **DIFFERENCES)
+    assert np.all(np.isfinite(slope(path)))
 
 
 def test_vmapped_it_equals_a_loop(measured):
