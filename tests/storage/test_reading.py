@@ -5,11 +5,10 @@ These are devices, pipes, folders, deep nesting, and compressed files that unpac
 
 import json
 import os
-import subprocess
-import sys
 import tracemalloc
 import zlib
 
+import jax
 import numpy as np
 import pytest
 import scipy.io
@@ -18,6 +17,7 @@ from cases import DT
 from jaxilc.cli.options import schemes_from
 from jaxilc.hardware import read_measured
 from jaxilc.identification import read_frequency_response, read_record
+from jaxilc.runtime.start import keep_programs
 from jaxilc.scenarios import load
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.parameters import with_parameters
@@ -269,29 +269,21 @@ def test_what_is_no_mat_file_of_these_versions_says_so(tmp_path):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_without_a_home_it_works_and_keeps_nothing():
-    """Without a home folder the package works and stores nothing.
+def test_without_a_home_nothing_is_kept(monkeypatch):
+    """An example is a container whose user has no entry in the password file, and no HOME."""
 
-    An example is a container whose user has no entry in the password file, and no HOME.
-    """
-    program = (
-        "import os, pwd\n"
-        "def nobody(uid): raise KeyError(uid)\n"
-        "pwd.getpwuid = nobody\n"
-        "from jaxilc.runtime.start import keep_programs, setup\n"
-        "setup(); print(keep_programs())"
-    )
-    gone = ("HOME", "XDG_CACHE_HOME", "JAXILC_CACHE", "JAX_COMPILATION_CACHE_DIR")
-    kept = {name: value for name, value in os.environ.items() if name not in gone}
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=kept,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=True,
-    )
-    assert done.stdout.split() == ["None"]
+    def nobody(uid):
+        raise KeyError(uid)
+
+    monkeypatch.setattr("pwd.getpwuid", nobody)
+    for name in ("HOME", "XDG_CACHE_HOME", "JAXILC_CACHE"):
+        monkeypatch.delenv(name, raising=False)
+    folder = jax.config.jax_compilation_cache_dir
+    try:
+        jax.config.update("jax_compilation_cache_dir", None)
+        assert keep_programs() is None
+    finally:
+        jax.config.update("jax_compilation_cache_dir", folder)
 
 
 @pytest.mark.parametrize(
