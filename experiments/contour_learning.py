@@ -24,9 +24,8 @@ from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.learning.quantities import contour_metrics
 from jaxilc.plants import ProcessModel, TwoAxes
 from jaxilc.schemes import CrossCoupled, Filtered, PIDType
-from jaxilc.signals.curves import butterfly, circle
 from jaxilc.signals.gcode import read_gcode
-from jaxilc.signals.paths import plan
+from jaxilc.signals.paths import butterfly, circle, plan
 from jaxilc.signals.tool_path import follow
 from jaxilc.tuning.objectives import EveryTrial, Holding
 

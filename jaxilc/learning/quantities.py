@@ -15,8 +15,7 @@ from ..pytree.aliases import Array, Value
 from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..signals.contour import contour_error
-from ..signals.sample_times import samples_within
-from ..signals.task import Task, Trial
+from ..signals.task import Task, Trial, samples_within
 from .metrics import largest, root_mean_square
 
 WAYS = ("largest", "root mean square")  # in which one number follows from the errors

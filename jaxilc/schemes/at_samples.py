@@ -12,8 +12,7 @@ from ..plants import Plant, StateSpace
 from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import known, need_numbers
-from ..signals.sample_times import samples_within
-from ..signals.task import Task, Trial
+from ..signals.task import Task, Trial, samples_within
 from .gradient import Ready
 from .parts import need_no_comparing, with_all_parts
 from .scheme import Part, Scheme

@@ -126,6 +126,21 @@ def _check_names(names: Sequence[str], outputs: int) -> None:
         )
 
 
+def samples_within(name: str, window: tuple[float, float], task: Task) -> slice:
+    """The samples of a window (start, stop) [s] of a task, both ends included.
+
+    Raises ValueError, with the name, for a window that is not within the task, or has no sample
+    that an input can reach.
+    """
+    start, stop = window
+    if not 0 <= start <= stop <= task.duration * (1 + 1e-9) or round(stop / task.dt) < 1:
+        raise ValueError(
+            f"{name} = ({start:g}, {stop:g}) s is not a window within [0, {task.duration:g}] s "
+            "with a sample that an input can reach"
+        )
+    return slice(round(start / task.dt), round(stop / task.dt) + 1)
+
+
 class Sample(NamedTuple):
     """What a scheme sees at sample `k`, when it must decide `u[k]`.
 

@@ -1,7 +1,7 @@
 """A tool path of segments as a reference: corners, feed, and rests, planned within limits.
 
 Each corner is either a stop, or rounded within a tolerance. Between two stops, the path is planned
-by `paths.plan`, or in closed form (`s_curves`) where it is one straight segment.
+by `paths.plan`, or in closed form (`s_curve_moves`) where it is one straight segment.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import numpy as np
 from ..pytree.aliases import Value
 from ..pytree.ranges import require
 from .paths import LONGEST, plan
-from .s_curves import SCurveMove, s_curve_moves
-from .sample_times import POSITIVE
+from .references import POSITIVE, SCurveMove, s_curve_moves
 from .segments import Chain, Segment, Straight, lengths_and_slopes, turns
 
 SMOOTH = np.radians(1.0)  # a joint that turns by less is no corner, and is never a stop

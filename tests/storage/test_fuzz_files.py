@@ -19,7 +19,7 @@ from jaxilc.identification import read_record
 from jaxilc.scenarios import load
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.parameters import with_parameters
-from jaxilc.signals import Task, references, s_curves
+from jaxilc.signals import Task, references
 
 TEXTS = (
     """
@@ -133,8 +133,7 @@ def folder(tmp_path, monkeypatch):
             raise ValueError(f"{function}: too long for this test")
         return whole(function, duration, dt, *arrays)
 
-    for module in (references, s_curves):
-        monkeypatch.setattr(module, "sample_times", of_moderate_length)
+    monkeypatch.setattr(references, "sample_times", of_moderate_length)
     time = np.arange(51) * DT
     np.savetxt(
         tmp_path / "r.csv",
