@@ -57,7 +57,7 @@ def linear_form(motor):
 
 def positions(motor, u, dt=DT):
     """Return the positions (N+1,) [mm] of a motion from rest."""
-    return 1e3 * np.asarray(states(motor, u, rest(motor), dt).position)
+    return np.asarray(jax.vmap(motor.output)(states(motor, u, rest(motor), dt)))[:, 0]
 
 
 # The linear motor
@@ -137,15 +137,6 @@ def test_response_is_that_of_python_control(motor):
     linear = linear_form(motor)
     exact = np.asarray(states(linear, u, linear.initial_state())) @ np.asarray(linear.C[0])
     np.testing.assert_allclose(exact, y, rtol=0, atol=1e-9 * np.max(np.abs(y)))
-
-
-def test_output_is_in_millimetres_and_follows_the_identified_slope():
-    """One volt for half a second gives, after the first transient, -4.798 mm (1 - exp(-6.404 t)).
-
-    This is Cao 2019, eq. 7.
-    """
-    y = positions(voice_coil_motor(), np.ones(500))[-1]
-    assert y == pytest.approx(-4.798 * (1 - np.exp(-6.404 * (0.5 - 2 / 474 - 1 / 928.2))), rel=2e-3)
 
 
 # The reduction
@@ -256,7 +247,7 @@ def test_integrator_is_of_order_four():
     The order is the slope of log error over log step, by regression.
     """
     motor = VoiceCoilMotor(**UNLIMITED, **FULL)
-    steps = DT / np.array([12, 16, 24, 32])
+    steps = DT / np.array([12, 20, 32])
     exact = positions(dataclasses.replace(motor, substep=DT / 256), U)
     errors = [
         np.max(np.abs(positions(dataclasses.replace(motor, substep=h), U) - exact)) for h in steps
@@ -337,6 +328,7 @@ def test_limits_hold_and_give_the_printed_acceleration():
     reaches its speed of 3.44 m/s.
     """
     motor = VoiceCoilMotor(holding_gain=0.0, command_delay=None)
+    assert motor.force_constant * PEAK_CURRENT / motor.mass == pytest.approx(ACCELERATION, abs=0.5)
     u = np.full(400, -200.0)
     x, drive = driven(motor, u)
     assert np.max(np.abs(drive.voltage)) == 560.0
@@ -348,6 +340,10 @@ def test_limits_hold_and_give_the_printed_acceleration():
     assert np.max(drive.speed) == SPEED
     # The equation of the coil limits the rate to U_max / L.
     assert np.max(np.abs(np.diff(x.current))) <= 560.0 / 0.02 * FINE
+    x, drive = driven(dataclasses.replace(motor, **UNLIMITED), u)
+    assert np.max(x.current) > 23.0
+    assert np.max(drive.voltage) > 560.0
+    assert np.max(drive.speed) > 3.44
 
 
 @pytree
@@ -367,20 +363,6 @@ def test_anti_windup(motor, low, high):
     motor = motor(holding_gain=0.0, command_delay=None, current_limit=CONTINUOUS_CURRENT)
     x = states(motor, np.full(1000, -200.0), rest(motor), 2e-4)
     assert low < float(np.max(x.speed)) / 3.44 - 1 < high
-
-
-def test_peak_force_at_standstill_gives_the_printed_acceleration():
-    motor = VoiceCoilMotor()
-    a = float(motor.force_constant * motor.current_limit / motor.mass)
-    assert a == pytest.approx(ACCELERATION, abs=0.5)
-
-
-def test_without_limits_they_are_exceeded():
-    motor = VoiceCoilMotor(**UNLIMITED, holding_gain=0.0, command_delay=None)
-    x, drive = driven(motor, np.full(400, -200.0))
-    assert np.max(x.current) > 23.0
-    assert np.max(drive.voltage) > 560.0
-    assert np.max(drive.speed) > 3.44
 
 
 @pytest.mark.thorough
