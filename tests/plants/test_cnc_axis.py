@@ -5,7 +5,6 @@ They also check two axes side by side, and learning from a filtered error.
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
@@ -16,7 +15,7 @@ from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth
 from jaxilc.learning import Keep, Machine, Sensor, best_trial, learn
 from jaxilc.plants import StateSpace, ThreeAxes, TwoAxes, cnc_axis
 from jaxilc.schemes import PID, ErrorFiltered, Filtered, OnOutputs, PIDType, WithFeedback
-from jaxilc.signals import Task, Trial
+from jaxilc.signals import Task
 
 
 @pytest.mark.parametrize(
@@ -76,25 +75,6 @@ def test_learning_from_a_filtered_error():
         np.testing.assert_allclose(
             found["u"][j + 1, :, 0], found["u"][j, :, 0] + gamma * filtered[1:], atol=1e-9
         )
-
-
-def test_filtering_the_error_forgets_nothing():
-    """Where nothing is left to learn, the learned input stays as it is.
-
-    A robustness filter would continue to smooth it.
-    """
-    task = Task(np.zeros(81), dt=DT)
-    noise = np.random.default_rng(0).standard_normal((80, 1))
-    quiet = Trial(jnp.zeros((81, 1)), jnp.zeros((81, 1)), jnp.asarray(noise), DT)
-    law, q = PIDType(gamma_p=0.4), ZeroPhaseButterworth(60.0)
-    kept = ErrorFiltered(law, q)
-    np.testing.assert_array_equal(
-        kept.feedforward(kept.learn(kept.initial_memory(task), quiet), task), noise
-    )
-    smoothed = Filtered(law, q)
-    assert np.linalg.norm(
-        smoothed.feedforward(smoothed.learn(smoothed.initial_memory(task), quiet), task)
-    ) < 0.8 * np.linalg.norm(noise)
 
 
 def test_the_filter_of_the_error_is_checked():
