@@ -11,8 +11,11 @@ from jaxilc.plants import StateSpace, linearised, motion
 N = 12
 
 
+moved, linear_form = (jax.jit(of, static_argnums=2) for of in (motion, linearised))
+
+
 def stepped(plant, u):
-    plant = plant.sampled(DT)
+    plant = jax.jit(lambda plant: plant.sampled(DT))(plant)
     step = jax.jit(lambda x, u: plant.step(x, u, DT))
     x, y = plant.initial_state(), []
     for k in range(len(u) + 1):
@@ -26,7 +29,7 @@ def stepped(plant, u):
 def test_motion_is_what_the_steps_make(name):
     plant = PLANTS[name]
     u = jnp.asarray(np.random.default_rng(1).standard_normal((N, plant.n_u)))
-    np.testing.assert_allclose(motion(plant, u, DT), stepped(plant, u), **ALGEBRA)
+    np.testing.assert_allclose(moved(plant, u, DT), stepped(plant, u), **ALGEBRA)
 
 
 @pytest.mark.thorough
@@ -34,9 +37,9 @@ def test_linear_form_is_the_derivative_of_the_motion():
     plant = PLANTS["fast_tool_servo_nonlinear"]
     random = np.random.default_rng(2)
     u, du = (jnp.asarray(random.standard_normal((N, 1))) for _ in range(2))
-    small = motion(linearised(plant, u, DT), du, DT)
+    small = moved(linear_form(plant, u, DT), du, DT)
     h = 1e-6
-    differences = (motion(plant, u + h * du, DT) - motion(plant, u - h * du, DT)) / (2 * h)
+    differences = (moved(plant, u + h * du, DT) - moved(plant, u - h * du, DT)) / (2 * h)
     np.testing.assert_allclose(small, differences, rtol=DIFFERENCES["rtol"], atol=1e-7)
 
 
