@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALGEBRA
 from jax import lax
 from scipy.integrate import solve_ivp
 
@@ -64,17 +63,14 @@ def as_control(plant):
 def test_identified_servo_is_the_printed_one():
     """Section 5.2 prints G(s) and a1, a2, b: a resonance at 247 Hz with a damping of 0.0226."""
     servo = fast_tool_servo()
-    np.testing.assert_allclose(servo.coefficients, (2.413e6, 70.16, 2.229e7), rtol=1e-14)
+    for gain in (1, 2):  # that of the amplifier is part of b
+        found = FastToolServo(amplifier_gain=gain * 20.0).coefficients
+        np.testing.assert_allclose(found, (2.413e6, 70.16, gain * 2.229e7), rtol=1e-14)
     s = 2j * np.pi * np.array([0.1, 40.0, 247.0, 1000.0])
     np.testing.assert_allclose(as_control(servo.linear())(s), G(s), rtol=1e-10)
     frequencies, dampings, _ = control.damp(as_control(servo.linear()), doprint=False)
     np.testing.assert_allclose(frequencies / (2 * np.pi), 247.2, atol=0.05)
     np.testing.assert_allclose(dampings, 0.0226, atol=5e-5)
-
-
-def test_amplifier_gain_is_part_of_b():
-    doubled = FastToolServo(amplifier_gain=40.0)
-    np.testing.assert_allclose(doubled.coefficients, (2.413e6, 70.16, 2 * 2.229e7), rtol=1e-14)
 
 
 LAG = control.tf([1.0], [1 / (2 * np.pi * 3000.0), 1.0])
@@ -396,22 +392,6 @@ def test_hysteresis_is_that_of_solve_ivp_for_any_jumps(h):
     by_steps = isinstance(h, BoucWen) and h.exponent is not None
     np.testing.assert_allclose(along(h, x), exact, rtol=0, atol=1e-5 if by_steps else 1e-10)
     assert np.ptp(exact) > 1.3 * h.limit  # the path passed branches below and above zero
-
-
-def test_dahl_from_rest_in_closed_form():
-    """Dahl's model from rest has a closed form (Dahl 1968).
-
-        F = F_c (1 - exp(-sigma x / F_c)),
-
-    and for i = 2 the hyperbola
-
-        F = F_c (1 - 1 / (1 + sigma x / F_c)).
-    """
-    x = np.linspace(0.01, 2.0, 50)
-    np.testing.assert_allclose(along(Dahl(2.0, 0.7), x), 0.7 * -np.expm1(-2.0 * x / 0.7), **ALGEBRA)
-    np.testing.assert_allclose(
-        along(Dahl(2.0, 0.7, exponent=2.0), x), 0.7 * (1 - 1 / (1 + 2.0 * x / 0.7)), **ALGEBRA
-    )
 
 
 @pytest.mark.parametrize("h", [*BOUC_WEN.values(), *DAHL.values()])
