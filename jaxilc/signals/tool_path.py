@@ -99,14 +99,12 @@ def follow(
     limits: dict[str, Value] = {"acceleration": acceleration, "jerk": jerk, "dt": dt}
     lengths, slopes = lengths_and_slopes([move.segment for move in moves])
     angles = turns(slopes)
-    pieces = list(_pieces(steps, angles, corner))
-    alone = [
-        piece.start for piece in pieces if isinstance(piece, range) and _is_alone(piece, moves)
-    ]
+    pieces = list(_pieces(steps, moves, angles, corner))
+    alone = [piece for piece in pieces if isinstance(piece, int)]
     runs = _straights([moves[i] for i in alone], lengths[alone], slopes[alone, 0], limits)
     rests = [int(np.ceil(of.seconds / dt - 1e-9)) for of in pieces if isinstance(of, Dwell)]
     _require_room(sum(map(len, runs)) + sum(rests), dt)
-    many = [piece for piece in pieces if isinstance(piece, range) and not _is_alone(piece, moves)]
+    many = [piece for piece in pieces if isinstance(piece, range)]
     if len(many) > MOST_PIECES or any(len(piece) > MOST_MOVES for piece in many):
         raise ValueError(
             f"the path has {len(many)} parts of rounded corners or arcs without a stop, of up to "
@@ -118,7 +116,7 @@ def follow(
     for piece in pieces:
         if isinstance(piece, Dwell):
             parts.append(np.repeat(parts[-1][-1:], next(rest), axis=0))
-        elif _is_alone(piece, moves):
+        elif isinstance(piece, int):
             parts.append(next(straights))
         else:
             of = moves[piece.start : piece.stop]
@@ -127,7 +125,7 @@ def follow(
         _require_room(samples, dt)
     passed = [i for piece in many for i in piece[:-1]]
     rounded = int(np.sum(angles[passed] >= SMOOTH))
-    stops = sum(isinstance(piece, range) for piece in pieces) - 1
+    stops = len(alone) + len(many) - 1
     return Followed(np.concatenate(parts), stops, rounded, float(np.sum(lengths)))
 
 
@@ -140,12 +138,19 @@ def _require_room(samples: int, dt: float) -> None:
 
 
 def _pieces(
-    steps: Sequence[Move | Dwell], angles: np.ndarray, corner: float | None
-) -> Iterator[Dwell | range]:
-    """Ranges of moves that are passed without a stop, and the dwells between them.
+    steps: Sequence[Move | Dwell], moves: Sequence[Move], angles: np.ndarray, corner: float | None
+) -> Iterator[Dwell | int | range]:
+    """The moves that are passed without a stop, and the dwells between them.
+
+    A straight move by itself, whose plan has a closed form, is its number, and others are a range.
 
     angles: by which the path turns after each move but the last [rad]
     """
+
+    def passed() -> int | range:
+        alone = at == first + 1 and isinstance(moves[first].segment, Straight)
+        return first if alone else range(first, at)
+
     first = at = 0  # of the piece, and the move
     largest, before = SMOOTH if corner is None else REVERSAL, None
     for step in steps:
@@ -155,7 +160,7 @@ def _pieces(
             and before.feed == step.feed
             and angles[at - 1] <= largest
         ):
-            yield range(first, at)
+            yield passed()
             first = at
         if isinstance(step, Dwell):
             yield step
@@ -163,12 +168,7 @@ def _pieces(
             at += 1
         before = step
     if first < at:
-        yield range(first, at)
-
-
-def _is_alone(piece: range, moves: Sequence[Move]) -> bool:
-    """Whether a piece is one straight move, whose plan has a closed form."""
-    return len(piece) == 1 and isinstance(moves[piece.start].segment, Straight)
+        yield passed()
 
 
 def _planned(piece: list[Move], tolerance: float, limits: Mapping[str, Value]) -> np.ndarray:
