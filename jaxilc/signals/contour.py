@@ -10,6 +10,7 @@ import numpy as np
 from jax import lax
 
 from ..pytree.aliases import Array, Tree, Value
+from ..pytree.ranges import require
 
 
 def contour_error(y: Value, path: Value, *, window: int, closed: bool | None = None) -> Array:
@@ -42,11 +43,7 @@ def contour_error(y: Value, path: Value, *, window: int, closed: bool | None = N
     """
     if closed is not None and not isinstance(closed, bool):
         raise ValueError(f"contour_error: closed = {closed!r} is not one of True, False, None")
-    if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
-        raise ValueError(
-            f"contour_error: window = {window!r} is outside its allowed range [1, inf) of whole "
-            "numbers"
-        )
+    require("contour_error", "window", window, "[1, inf)", whole=True)
     shape, path_shape = np.shape(y), np.shape(path)
     if (
         len(shape) != 2

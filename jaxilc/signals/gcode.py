@@ -16,7 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..pytree.aliases import Numbers, Tree
-from ..pytree.ranges import brief
+from ..pytree.ranges import brief, require
+from .references import POSITIVE
 from .segments import FARTHEST, SHORTEST, Arc, Straight
 from .tool_path import Dwell, Move
 
@@ -104,8 +105,7 @@ class _Reader:
                 raise ValueError(f"G{value:g} is not supported; allowed are {_SUPPORTED}")
         if "F" in words:
             self.feed = words.pop("F") * self.unit / 60
-            if not self.feed > 0:
-                raise ValueError(f"F = {self.feed * 60:g} is outside its allowed range (0, inf)")
+            require("", "F", self.feed * 60, POSITIVE)
         if dwell:
             self._dwell(words)
         elif words:
