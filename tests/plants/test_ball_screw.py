@@ -1,8 +1,4 @@
-"""The ball-screw drive is compared with independent computations.
-
-These are python-control, formulas of the two-mass system, scipy's integrator, and the conservation
-of energy.
-"""
+"""The ball-screw drive against python-control, formulas of two masses, scipy, and its energy."""
 
 import dataclasses
 from functools import partial
@@ -173,10 +169,7 @@ REAL = dataclasses.replace(
 
 
 def sampled_loop(drive, u, dt=DT):
-    """Return positions (N+1, 2) [mm] of the sampled speed loop in NumPy.
-
-    It surrounds a continuous drive that scipy integrates.
-    """
+    """Return (N+1, 2) positions [mm], of a speed loop in NumPy around a drive that scipy solves."""
     drive = jax.tree.map(
         lambda leaf: float(leaf) if np.ndim(leaf) == 0 else np.asarray(leaf), drive
     )
@@ -253,10 +246,7 @@ def test_the_real_drive_is_its_differential_equation_under_a_sampled_speed_loop(
 
 
 def energy(drive, x):
-    """Return the kinetic energy plus the energy of the spring [J].
-
-    x: (..., 4)
-    """
+    """Return the kinetic energy [J] of states (..., 4), and that of the spring."""
     x_M, v_M, x_T, v_T = np.moveaxis(np.asarray(x), -1, 0)
     stretch = (
         x_M
@@ -271,9 +261,7 @@ def energy(drive, x):
 
 @pytest.mark.parametrize("damping", [0.0, 30.0])
 def test_the_lead_error_does_no_work(damping):
-    """While the drive coasts, the energy that motor and table lose is in the spring, or was
-    dissipated by its damper, which never returns energy.
-    """
+    """While it coasts, lost motion is in the spring, or in its damper, which returns none."""
     coasting = BallScrewDrive(
         motor_mass=2.0, table_mass=1.0, stiffness=4e4, damping=damping, force_gain=1.0,
         speed_gain=0.0, speed_integral_gain=0.0,

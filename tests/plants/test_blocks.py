@@ -1,8 +1,4 @@
-"""Trials are simulated in blocks.
-
-The numbers are compared with SciPy's, python-control's and the plant's own. The tests also check
-the cases in which the plant steps instead.
-"""
+"""Trials in blocks, against SciPy's, python-control's and the plant's own, and where it steps."""
 
 import control
 import jax
@@ -91,9 +87,6 @@ def outputs(plant, task, u):
 
 @pytest.mark.parametrize("name", ["continuous", "motor_and_table"])
 def test_a_linear_plant_moves_in_blocks_as_in_steps(no_steps, name):
-    """One trial of the plant as it is, starting at rest or not, is compared with one of the same
-    plant in a wrapper.
-    """
     plant = PLANTS[name]
     task, u = task_for(plant, 40), RNG.normal(size=(40, plant.n_u))
     plain, wrapped = (outputs(p, task, u) for p in (plant, InBlocks(plant, 8)))
@@ -167,9 +160,7 @@ def test_what_blocks_cannot_do_is_done_in_steps(scheme, parts):
 
 
 def test_digits_that_blocks_would_lose_are_kept(monkeypatch):
-    """The poles are close together, and the reference is long enough for rounding errors to
-    accumulate, so the blocks would be wrong.
-    """
+    """The poles are close together, and rounding accumulates over the long reference."""
     u = RNG.normal(size=(4000, 1))
     expected = scipy.signal.lfilter((0.0, *CLOSE.b), np.poly(POLES).real, np.append(u, 0.0))[
         :, None
@@ -181,10 +172,7 @@ def test_digits_that_blocks_would_lose_are_kept(monkeypatch):
 
 
 def test_growth_is_kept_as_long_as_it_is_finite(no_steps):
-    """A unit impulse gives y[k] = 1.05^(k-1), which grows to 1e21.
-
-    The estimate of the lost digits accepts it.
-    """
+    """A unit impulse grows to 1e21, y[k] = 1.05^(k-1), and the estimate accepts it."""
     u = np.eye(1000, 1)
     y = response(DifferenceEquation((1.05,), (1.0,), dt=DT), u, 32)[:, 0]
     np.testing.assert_allclose(y[1:], 1.05 ** np.arange(1000), rtol=1e-11)

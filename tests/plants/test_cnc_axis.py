@@ -1,7 +1,4 @@
-"""These tests check the CNC axis of Li 2020 and its scenario.
-
-They also check two axes side by side, and learning from a filtered error.
-"""
+"""The CNC axis of Li 2020, its scenario, axes side by side, and learning from a filtered error."""
 
 import dataclasses
 
@@ -23,10 +20,6 @@ from jaxilc.signals import Task
     [("printed", (0.8602, 0.9567, 1.0331)), ("double_integrator", (0.85, 1.0, 1.0))],
 )
 def test_poles_and_first_markov_parameter(form, poles):
-    """With the printed coefficients the axis is unstable.
-
-    The intended model is (z - 1)^2 (z - 0.85). Both have CB = 0.0475.
-    """
     plant = cnc_axis(form)
     found = np.sort(np.linalg.eigvals(plant.A).real)
     np.testing.assert_allclose(found, poles, atol=5e-5 if form == "printed" else 1e-7)
@@ -62,10 +55,7 @@ def test_axes_are_machines_of_their_own(axes):
 
 
 def test_learning_from_a_filtered_error():
-    """Learning from a filtered error is u_{j+1}[k] = u_j[k] + gamma (F e_j)[k+1].
-
-    F is scipy's zero-phase filter.
-    """
+    """It is u_{j+1}[k] = u_j[k] + gamma (F e_j)[k+1] with scipy's zero-phase filter F."""
     task, cutoff, gamma = task_for(PLANTS["arx"], 80), 60.0, 0.4
     scheme = ErrorFiltered(PIDType(gamma_p=gamma), ZeroPhaseButterworth(cutoff, padding=9))
     found = learn(Machine(PLANTS["arx"]), scheme, task, 4, save=Keep(("e", "u"))).saved
@@ -143,9 +133,6 @@ def test_options_are_refused(option, value):
 
 
 def test_the_limit_of_a_law_that_sees_some_outputs_holds_behind_a_filter():
-    """The filtered learned input stays within the limit of the law, also where that law learns from
-    one output.
-    """
     plant = PLANTS["motor_and_table"]
     scheme = Filtered(OnOutputs(PIDType(gamma_p=3.0, limit=0.4), (1,)), ZeroPhaseButterworth(150.0))
     found = learn(Machine(plant), scheme, task_for(plant, 60), 6, save=Keep(("u",))).saved["u"]

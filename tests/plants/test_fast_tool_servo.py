@@ -1,7 +1,4 @@
-"""These tests check the fast tool servo and its hysteresis (Xu 2024).
-
-They are compared with python-control, scipy's solvers, closed forms and the printed model.
-"""
+"""The fast tool servo and its hysteresis (Xu 2024), against python-control, scipy and the print."""
 
 import dataclasses
 from functools import partial
@@ -105,10 +102,7 @@ def test_response_is_the_zero_order_hold_of_the_transfer_function(parts, system)
 
 
 def test_a_load_of_one_newton_moves_the_tool_by_one_micrometre():
-    """The step response of the servo ends at -F/k:
-
-    -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin)).
-    """
+    """It is the step -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin))."""
     w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
     root = np.sqrt(1 - zeta**2)
     step = 1 - np.exp(-zeta * w * TIME) * (
@@ -124,9 +118,7 @@ def test_drift_adds_a_ramp():
 
 
 def test_periodic_force_is_the_sum_of_its_sines():
-    """It is the forced motion, plus the free motion that makes position and speed zero at the
-    start.
-    """
+    """The forced motion, and the free one that makes position and speed zero at the start."""
     a, f, phase = np.array([[1.0, 0.5, 0.2], [40.0, 120.0, 700.0], [0.3, -1.0, 2.0]])
     s = 2j * np.pi * f
     # From N to um/s^2 the factor is 1e6 / m, with m = 1 / 2.413.
@@ -208,10 +200,7 @@ def numbers(part, names, absent):
 
 
 def integrated(p, u, dt=DT):
-    """Return the output (N+1,) of a nonlinear servo, by solve_ivp, sample by sample.
-
-    The differential equations are written here independently of the package.
-    """
+    """Return the output (N+1,) of a nonlinear servo, its equations written again, by solve_ivp."""
     m, k_c, k_f, T, k_b = numbers(p, "mass damping stiffness conversion amplifier_gain", None)
     load, drift = (0.0 if x is None else float(x) for x in (p.load, p.drift))
     v = u if p.hysteresis is None else u - path_of(p.hysteresis, u)
@@ -251,10 +240,7 @@ def integrated(p, u, dt=DT):
 
 
 def slope_of_error(servo, u, substeps):
-    """Return the slope of log error over log step, by regression, and the smallest error.
-
-    The error is the difference from solve_ivp.
-    """
+    """Return the slope of the log error to solve_ivp over the log step, and the smallest error."""
     exact = integrated(servo, u)
     errors = [
         np.max(np.abs(outputs(dataclasses.replace(servo, substeps=s), u) - exact)) for s in substeps
@@ -305,10 +291,7 @@ def test_full_servo_moves_as_by_solve_ivp(parts, relative):
 
 
 def test_default_step_is_enough_for_the_task():
-    """The task is the 40 Hz of section 5 with the friction of a guide.
-
-    With one step per sample the error is below 1 nm, the resolution of the encoder.
-    """
+    """At 40 Hz (section 5) one step a sample errs by less than the 1 nm of the encoder."""
     servo = FastToolServo(damping=3e-4, friction=Dahl(0.2, 0.5, exponent=1.0))
     u = 2.0 * np.sin(2 * np.pi * 40.0 * np.arange(160) * DT)
     exact = integrated(servo, u)
@@ -324,10 +307,7 @@ def gain_at_40_hz(servo, amplitude):
 
 
 def test_full_form_answers_small_strokes_like_the_identified_one():
-    """Section 5.2 identified G with 10 mV.
-
-    At 20 um the gain is larger, and the hysteresis loop makes the tool lag behind.
-    """
+    """Section 5.2 identified G with 10 mV; at 20 um the gain and the lag are larger."""
     small, large = (gain_at_40_hz(fast_tool_servo("full"), amplitude) for amplitude in (0.01, 2.16))
     expected = complex(G(80j * np.pi))
     assert abs(small / expected - 1) < 0.03  # creep adds the most, 1.5 % per decade
@@ -378,10 +358,7 @@ def along(h, x):
 
 
 def loop(samples, turns=3, amplitude=1.5):
-    """Return a sinusoid of some turns with `samples` samples in each.
-
-    x = 0 is at the samples 0 and `samples`/2 of a turn.
-    """
+    """Return a sinusoid of some turns; x = 0 is at the samples 0 and `samples`/2 of a turn."""
     return amplitude * np.sin(2 * np.pi * np.arange(1, turns * samples + 1) / samples)
 
 
@@ -396,10 +373,7 @@ def test_hysteresis_is_that_of_solve_ivp_for_any_jumps(h):
 
 @pytest.mark.parametrize("h", [*BOUC_WEN.values(), *DAHL.values()])
 def test_hysteresis_is_rate_independent(h):
-    """The same loop is run at two frequencies with one sample rate.
-
-    At the common points z does not depend on how densely the motion was sampled.
-    """
+    """At common points z does not depend on how densely the motion was sampled."""
     fast, slow = along(h, loop(40)), along(h, loop(400))[9::10]
     # A monotonic motion may be divided anywhere. The result is exact where `over` is exact.
     exact = isinstance(h, Dahl) or h.exponent is None
@@ -422,11 +396,7 @@ def test_width_of_the_loop_in_closed_form():
     "h", [*BOUC_WEN.values(), BoucWen(0.5, 0.4, 0.1, exponent=3.0), *DAHL.values()]
 )
 def test_hysteresis_stays_within_its_bound(h):
-    """Hysteresis stays within its bound, |z| <= (A / (beta + gamma))^(1/n).
-
-    This holds for jumps of any size. With few substeps the value after a huge jump may be 2 % too
-    small or too large.
-    """
+    """At a huge jump, few substeps end up to 2 % beside |z| = (A / (beta + gamma))^(1/n)."""
     x = np.random.default_rng(3).normal(size=200) * 10.0 ** np.random.default_rng(4).uniform(
         -2, 3, 200
     )
@@ -448,10 +418,7 @@ def test_hysteresis_stays_within_its_bound(h):
     ],
 )
 def test_gradients_are_finite_everywhere(h):
-    """Gradients are finite everywhere: at rest, at zero, at the bound and beyond it.
-
-    From rest, the derivative with respect to the displacement is the initial slope.
-    """
+    """At rest, at zero, at the bound and beyond; from rest it is the initial slope."""
     levels = float(h.limit) * np.array([0.0, -1.01, -1.0, -0.5, 0.5, 1.0, 1.01])
     z, dx = (a.ravel() for a in np.meshgrid(levels, [0.0, -0.1, 0.1]))
 
@@ -471,9 +438,7 @@ def test_gradients_are_finite_everywhere(h):
 
 @pytest.mark.thorough
 def test_gradient_of_a_servo_at_rest():
-    """Without input and load all speeds and increments are exactly zero, and so is the derivative
-    with respect to every parameter.
-    """
+    """All speeds and increments are exactly zero, and so is the slope by every parameter."""
     servo = FastToolServo(
         friction=FRICTION,
         cutting=CuttingForce(0.0, 0.0),

@@ -1,7 +1,4 @@
-"""The modal model, and the dead time that the process model has too.
-
-They are compared with SciPy's matrix exponential, python-control and closed forms.
-"""
+"""The modal model, and dead times, against matrix exponentials, python-control, closed forms."""
 
 import dataclasses
 import decimal

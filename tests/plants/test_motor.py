@@ -1,7 +1,4 @@
-"""The physical motor is compared with independent results.
-
-These are python-control, closed forms, printed data and the fitted model.
-"""
+"""The physical motor against python-control, closed forms, printed data and the fitted model."""
 
 import dataclasses
 import re
@@ -124,10 +121,7 @@ MOTORS = {
 @pytest.mark.thorough(but=["sprung"])
 @pytest.mark.parametrize("motor", MOTORS.values(), ids=MOTORS)
 def test_response_is_that_of_python_control(motor):
-    """The response is that of python-control for commands that reach no limit.
-
-    At its default step the integrator of order 4 is accurate to 1e-5 of the largest output.
-    """
+    """For commands that reach no limit; the default step errs by 1e-5 of the largest output."""
     u = 0.1 * U
     discrete = control.sample_system(wired(motor), DT, method="zoh")
     y = control.forced_response(discrete, np.arange(N + 1) * DT, np.append(u, u[-1])).outputs
@@ -176,10 +170,7 @@ def test_reduction_keeps_poles_gain_and_delay(name, up_to):
 
 
 def test_printed_bandwidths():
-    """The bandwidths are those of section II-A, and there is no finite DC gain.
-
-    They are about 500 Hz from speed command to speed, and about 2 kHz for the current loop.
-    """
+    """Those of section II-A: 500 Hz from command to speed, 2 kHz of the current loop."""
     motor = voice_coil_motor("printed")
     speed = np.abs(
         at(wired(motor), np.array([500.0, 1e-3]))
@@ -200,9 +191,7 @@ def test_printed_bandwidths():
 
 
 def test_a_spring_alone_leaves_the_integrator():
-    """The integral part of the speed loop overcomes a spring, so without a hold the position per
-    volt is unbounded.
-    """
+    """The integral part overcomes a spring: without a hold the position per volt is unbounded."""
     held = VoiceCoilMotor(stiffness=5e4)
     free = replaced(held, {"holding_gain": 0.0})
     assert np.min(np.abs(wired(free).poles())) < 1e-6
@@ -242,10 +231,7 @@ FULL = {
 
 
 def test_integrator_is_of_order_four():
-    """The integrator is of order four, on a smooth motion with friction, cogging and end effect.
-
-    The order is the slope of log error over log step, by regression.
-    """
+    """By regression of the log error over the log step, with all smooth forces."""
     motor = VoiceCoilMotor(**UNLIMITED, **FULL)
     steps = DT / np.array([12, 20, 32])
     exact = positions(dataclasses.replace(motor, substep=DT / 256), U)
@@ -257,10 +243,7 @@ def test_integrator_is_of_order_four():
 
 
 def test_sample_time_does_not_change_the_motion():
-    """The substep alone determines the accuracy.
-
-    The same steps are taken within twice as many samples.
-    """
+    """The same steps are taken within twice as many samples."""
     motor = VoiceCoilMotor(**FULL)
     np.testing.assert_allclose(
         positions(motor, np.repeat(U, 2), DT / 2)[::2], positions(motor, U), **ALGEBRA
@@ -281,10 +264,7 @@ def test_unstable_substep_is_refused_where_it_is_known():
 
     @jax.jit
     def unchecked(mass):
-        """Simulate with a traced mass, whose value is not checked.
-
-        What was refused above diverges here.
-        """
+        """Simulate with a traced mass, whose value is not checked: what was refused diverges."""
         motor = VoiceCoilMotor(mass=mass, **UNLIMITED, substep=5e-4)
         return states(motor, np.zeros(N), rest(motor, speed=0.1)).position[-1]
 
@@ -322,11 +302,7 @@ def driven(motor, u):
 
 
 def test_limits_hold_and_give_the_printed_acceleration():
-    """The command is far beyond the limits.
-
-    The current is 23 A, and the acceleration 431 m/s^2 (Cao 2019, section II-A), until the motor
-    reaches its speed of 3.44 m/s.
-    """
+    """At 23 A it accelerates by 431 m/s^2 up to 3.44 m/s (Cao 2019, section II-A)."""
     motor = VoiceCoilMotor(holding_gain=0.0, command_delay=None)
     assert motor.force_constant * PEAK_CURRENT / motor.mass == pytest.approx(ACCELERATION, abs=0.5)
     u = np.full(400, -200.0)
@@ -384,10 +360,7 @@ def test_gradient_is_zero_beyond_a_limit():
 
 
 def pushed(force, **parts):
-    """Return a motor whose drive applies a force only, and the command for that force [N].
-
-    Its loops are so weak that they do not brake.
-    """
+    """Return a motor whose weak drive applies a force only, and the command for it [N]."""
     motor = VoiceCoilMotor(
         **UNLIMITED, **parts, command_delay=None, holding_gain=0.0, viscous_damping=0.0,
         command_scale=1.0, setpoint_weight=1.0,
@@ -409,10 +382,7 @@ def test_friction_curve():
 
 
 def test_friction_holds_against_a_small_force_and_yields_to_a_large_one():
-    """Below 12 N the carriage creeps at v_t artanh(F/F_s).
-
-    Above, it is driven by the force that Coulomb friction and back-EMF leave.
-    """
+    """Below 12 N it creeps at v_t artanh(F/F_s); above, Coulomb force and back-EMF brake."""
     friction = StribeckFriction(8.0, 12.0, transition_velocity=1e-4, stribeck_velocity=0.01)
     motor, u = pushed(9.0, friction=friction)
     x = states(motor, u, rest(motor))
@@ -461,10 +431,7 @@ def test_end_effect_weakens_the_motor_and_the_buffer_stops_it():
 
 
 def test_motor_learns_like_its_reduced_form():
-    """The motor learns as its reduced form does, on Cao 2019's task, shortened to 1 mm at 2 Hz.
-
-    The error falls to a quarter, and stays that of the structure of eq. 7.
-    """
+    """On Cao 2019's task, shortened to 1 mm at 2 Hz, down to the error of eq. 7's structure."""
     task = Task(np.sin(4 * np.pi * np.arange(501) * DT), dt=DT, unit="mm", input_unit="V")
     motor = voice_coil_motor()
     full, reduced = (

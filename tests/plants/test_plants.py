@@ -70,11 +70,7 @@ def test_voice_coil_has_the_coefficients_of_the_paper():
     ("form", "gain"), [("printed", -4.3), ("dai_2014_printed", -4.3 * 0.0010 / 0.0036)]
 )
 def test_printed_forms_have_another_dc_gain(form, gain):
-    """The printed forms have another DC gain than the identified model.
-
-    The sums of the printed coefficients are -0.0043 for b, and for 1 - sum(a) 0.0010, or 0.0036
-    with 2.236 for 2.2386. So the gains are -4.3 and -1.19.
-    """
+    """The printed coefficients sum to b = -0.0043, and 1 - a = 0.0010, or 0.0036 with 2.236."""
     assert dc_gain(voice_coil(form)) == pytest.approx(gain, rel=1e-9)
     assert form != "dai_2014_printed" or gain == pytest.approx(-1.19, abs=5e-3)
 

@@ -1,7 +1,4 @@
-"""Systems of python-control and scipy.signal become plants, and plants become systems.
-
-Both are compared with the simulators of these packages.
-"""
+"""Systems of python-control and scipy.signal as plants and back, against their simulators."""
 
 from functools import partial
 
@@ -252,10 +249,7 @@ def test_from_control_responds_as_python_control(name):
 
 
 def sum_of_entries(system, u):
-    """Return the response of a MIMO transfer function, entry by entry.
-
-    python-control needs slycot to convert the whole function.
-    """
+    """Return the response of a MIMO transfer function by entries: python-control needs slycot."""
     return np.stack(
         [
             sum(forced(system[i, j], u[:, j : j + 1])[:, 0] for j in range(system.ninputs))

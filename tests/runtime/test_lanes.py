@@ -1,7 +1,4 @@
-"""Lanes follow from the memory of a device, which is faked here; loops over samples are unrolled.
-
-The tests make JAX's CPU devices look like those of an accelerator that has so many bytes.
-"""
+"""Lanes follow from the memory of a device, which is faked; loops over samples are unrolled."""
 
 import dataclasses
 

@@ -1,7 +1,4 @@
-"""The RAM of a program is planned from its arrays.
-
-A sweep that would not fit says so before it starts.
-"""
+"""The RAM of a program is planned from its arrays; what would not fit is refused before."""
 
 import dataclasses
 import re

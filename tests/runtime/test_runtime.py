@@ -222,10 +222,7 @@ def test_keeping_programs_can_be_switched_off_and_sent_elsewhere(tmp_path):
 
 @pytest.mark.thorough
 def test_batched_linear_algebra_on_every_device_does_not_deadlock():
-    """Batched linear algebra on every device does not deadlock.
-
-    With one thread per core in XLA's pool, this stopped within a hundred calls.
-    """
+    """With one thread per core in XLA's pool, this stopped within a hundred calls."""
     program = """
 import jaxilc; jaxilc.setup(devices=2)
 import jax, numpy as np

@@ -1,7 +1,4 @@
-"""These tests check which programs `learn` keeps for its `save` functions.
-
-It keeps those of the last few functions, so that a new lambda in every call does not fill the RAM.
-"""
+"""`learn` keeps the programs of its last few `save` functions, not one of every new lambda."""
 
 import gc
 import os

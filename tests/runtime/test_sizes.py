@@ -1,7 +1,4 @@
-"""Every size is computed before anything is drawn or allocated.
-
-A size above the limit of the process is refused, with the size that would fit.
-"""
+"""Sizes are computed before anything is drawn; one too large is refused with what would fit."""
 
 import dataclasses
 import json
@@ -240,11 +237,7 @@ for command in sys.stdin.read().split("\\n"):
 
 @pytest.mark.thorough
 def test_every_command_reckons_within_the_limit_of_the_process(tmp_path):
-    """Every command computes its sizes within the limit of the process.
-
-    Each size would fit into 16 GB, or into no machine. It is refused here, since it exceeds the
-    limit of the process. A small sweep is accepted.
-    """
+    """Each size would fit into 16 GB or no machine, and not here; a small sweep does."""
     for name, duration in (("long", 10000.0), ("short", 0.01)):
         (tmp_path / f"{name}.toml").write_text(PLANT.format(duration))
     commands = [*COMMANDS.strip().split("\n"), "sweep short.toml --samples 4 --trials 2"]

@@ -1,7 +1,4 @@
-"""Paths are compared with closed forms and a phase-plane integration.
-
-Contour errors are compared with closed forms and a full search.
-"""
+"""Paths and contour errors against closed forms, phase-plane integration and a full search."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""A sweep, a tuning and a campaign that are killed continue to the same numbers.
-
-The process is killed between any two operations on the folder.
-"""
+"""What is killed between two operations on its folder goes on to the same numbers."""
 
 import dataclasses
 from pathlib import Path
@@ -30,10 +27,7 @@ def nothing_left_over(folder):
 
 @pytest.fixture
 def without_waiting(monkeypatch):
-    """Let nothing wait for the disk.
-
-    Only a power failure loses written data; killing the process does not.
-    """
+    """Let nothing wait for the disk: only a power failure loses written data."""
     monkeypatch.setattr(files.os, "fsync", lambda _: None)
 
 
@@ -139,10 +133,7 @@ def test_a_campaign_goes_on_from_every_state_of_its_folder(tmp_path, without_wai
     ]
 
     def go_on(folder):
-        """Return what a campaign learned from two trials.
-
-        It may have learned from some of them before.
-        """
+        """Return what a campaign learned from two trials, from some of them maybe before."""
         begun = folder.is_dir() and any(not f.name.startswith(UNFINISHED) for f in folder.iterdir())
         make = Campaign.open if begun else Campaign.start
         campaign = make(folder, scheme, task, rules=Rules(accept=ACCEPTED))

@@ -1,7 +1,4 @@
-"""Files and folders are complete or absent at every moment.
-
-Leftovers are removed, and JSON is strict.
-"""
+"""Files and folders are whole or absent at every moment; leftovers go, and JSON is strict."""
 
 import errno
 import json

@@ -1,7 +1,4 @@
-"""Files that would stop the reader or fill its RAM are refused at once, with little RAM.
-
-These are devices, pipes, folders, deep nesting, and compressed files that unpack to a huge size.
-"""
+"""Devices, pipes, deep nesting and packed bombs are refused at once, with little RAM."""
 
 import json
 import os
@@ -187,11 +184,7 @@ def test_arrays_and_text_are_those_that_scipy_reads(tmp_path, packed):
 
 
 def test_the_order_of_bytes_is_that_of_the_file(tmp_path):
-    """The byte order is that of the file.
-
-    The file is as MATLAB writes it on a processor of the other byte order: a header, then one array
-    `y` of two doubles, and `s`, a text of two letters.
-    """
+    """As MATLAB writes it on another processor: `y` of two doubles, `s`, a text of two letters."""
 
     def element(kind, data):
         return np.array([kind, len(data)], ">u4").tobytes() + data + bytes(-len(data) % 8)
