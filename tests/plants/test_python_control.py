@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
-from cases import ALGEBRA, DRIVE, DT, PLANTS, few
+from cases import ALGEBRA, DRIVE, DT, PLANTS
 
 from jaxilc.learning import Machine, learn
 from jaxilc.plants import (
@@ -68,6 +68,7 @@ def forced(system, u, x0=0.0):
     return control.forced_response(system, time, held, X0=x0, squeeze=False).outputs.T
 
 
+@pytest.mark.thorough(but=LEAVING)
 @pytest.mark.parametrize("name", LINEAR)
 def test_a_linear_plant_leaves_as_the_system_that_the_simulator_steps(name):
     """In its own time, too: python-control holds the continuous system to the one sampled here."""
@@ -75,11 +76,9 @@ def test_a_linear_plant_leaves_as_the_system_that_the_simulator_steps(name):
     sampled, u = to_control(plant, DT), U[:, : plant.n_u]
     assert sampled.dt == DT
     assert (sampled.ninputs, sampled.noutputs) == (plant.n_u, plant.n_y)
-    own = forced(sampled, u, initial_state(plant, DT))
-    if name in few(LEAVING, LINEAR):
-        y = simulated(plant, u)
-        np.testing.assert_allclose(own, y, rtol=1e-8, atol=1e-10)
-        assert np.max(np.abs(y)) > 1e-4
+    own, y = forced(sampled, u, initial_state(plant, DT)), simulated(plant, u)
+    np.testing.assert_allclose(own, y, rtol=1e-8, atol=1e-10)
+    assert np.max(np.abs(y)) > 1e-4
     if "ball_screw" in name or name == "modal":  # it has a delay and a direct term
         with pytest.raises(ValueError, match=r"no form in continuous time .* give dt"):
             to_control(plant)

@@ -40,6 +40,7 @@ def placed(x):
     return through(x, lambda memory: for_scan(for_carry(memory)))
 
 
+@pytest.mark.thorough(but=["hessian", "vmap of jvp of vmap", "checkpoint"])
 @pytest.mark.parametrize(
     "transform",
     [
