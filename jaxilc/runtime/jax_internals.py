@@ -1,12 +1,10 @@
 """All uses of parts of JAX that may change without notice, with a fallback for each.
 
 These parts are `jax.extend.core.Primitive`, `jax.interpreters` (`ad`, `batching`, `mlir`) and
-`jax.experimental.layout`. `rows_together` uses them to set the layout of arrays in RAM,
-`product_by_columns` to give a product its derivatives, `with_slope` to give them to any function,
-and `with_batches` to give a function a rule for batches. The fallback of the first does nothing,
-that of the second leaves the derivatives to JAX, that of the third is `jax.custom_jvp`, and that of
-the last is `custom_vmap`; then programs are slower, and results are the same up to their rounding,
-but for second derivatives in reverse mode, which lose a part. The fallbacks are used
+`jax.experimental.layout`. Without them `rows_together` does nothing, `product_by_columns` leaves
+its derivatives to JAX, and `jax.custom_jvp` and `custom_vmap` stand in for `with_slope` and
+`with_batches`; then programs are slower, and results are the same up to their rounding, but for
+second derivatives in reverse mode, which lose a part. The fallbacks are used
 
     if this version of JAX lacks one of these parts, or they behave differently. A RuntimeWarning,
     once in a process, reports this and names the version.
@@ -179,18 +177,12 @@ def why_not() -> str | None:
 
 
 class Known(NamedTuple):
-    """The functions `bind` of the primitives.
+    """The functions `bind` of the primitives."""
 
-    rows: that of `rows_together`
-    product: that of `product_by_columns`
-    ruled: that of `with_slope`
-    batches: that of `with_batches`
-    """
-
-    rows: Function
-    product: Function
-    ruled: Function
-    batches: Function
+    rows: Function  # of `rows_together`
+    product: Function  # of `product_by_columns`
+    ruled: Function  # of `with_slope`
+    batches: Function  # of `with_batches`
 
 
 @cache
