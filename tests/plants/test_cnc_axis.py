@@ -31,13 +31,6 @@ def test_poles_and_first_markov_parameter(form, poles):
     np.testing.assert_allclose(impulse[1:, 0], markov, rtol=1e-9)
 
 
-def test_another_form_is_refused():
-    with pytest.raises(
-        ValueError, match="form = 'rounded' is not one of 'printed', 'double_integrator'"
-    ):
-        cnc_axis("rounded")
-
-
 @pytest.mark.parametrize("axes", [TwoAxes, ThreeAxes])
 def test_axes_are_machines_of_their_own(axes):
     one, other = PLANTS["arx"], StateSpace([[0.8]], [[0.3]], [[1.0]], dt=DT)

@@ -535,10 +535,6 @@ def test_too_few_samples_a_period_of_the_fastest_mode_are_refused(parts, samples
             r"BoucWen: gamma = -1.0 is outside its allowed range \(-beta, beta\], beta = 1.0",
         ),
         (lambda: BoucWen(0.3, 1.0, 1.1), r"BoucWen: gamma = 1.1 is outside"),
-        (
-            lambda: fast_tool_servo("exact"),
-            r"fast_tool_servo: form = 'exact' is not one of 'identified', 'full'",
-        ),
     ],
 )
 def test_errors_name_the_parameter(build, message):

@@ -440,25 +440,3 @@ def test_motor_learns_like_its_reduced_form():
     )
     np.testing.assert_allclose(full, reduced, rtol=0.05)
     assert full[-1] < 0.25 * full[0]
-
-
-# Errors
-# --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (
-            lambda: voice_coil_motor("eq7"),
-            r"voice_coil_motor: form = 'eq7' is not one of 'identified', 'printed'",
-        ),
-        (
-            lambda: StribeckFriction(10.0, 8.0),
-            r"StribeckFriction: static_force = 8.0 is below coulomb_force = 10.0",
-        ),
-    ],
-)
-def test_errors_name_the_parameter(build, message):
-    with pytest.raises(ValueError, match=message):
-        build()

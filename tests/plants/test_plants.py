@@ -28,9 +28,11 @@ from jaxilc.plants import (
     TwoAxes,
     VoiceCoil,
     VoiceCoilMotor,
+    cnc_axis,
     fast_tool_servo,
     motion,
     voice_coil,
+    voice_coil_motor,
 )
 from jaxilc.schemes import PID, PIDType
 from jaxilc.signals import Task
@@ -109,12 +111,19 @@ def test_voice_coil_is_the_zero_order_hold_of_its_transfer_function(weights, dt)
     np.testing.assert_allclose(response(plant, U, dt)[:, 0], y, rtol=1e-7, atol=1e-9)
 
 
-def test_unknown_form_is_named():
-    with pytest.raises(
-        ValueError,
-        match=r"voice_coil: form = 'exakt' is not one of 'exact', 'printed', 'dai_2014_printed'",
-    ):
-        voice_coil("exakt")
+@pytest.mark.parametrize(
+    ("make", "forms"),
+    [
+        (voice_coil, "'exact', 'printed', 'dai_2014_printed'"),
+        (voice_coil_motor, "'identified', 'printed'"),
+        (fast_tool_servo, "'identified', 'full'"),
+        (cnc_axis, "'printed', 'double_integrator'"),
+    ],
+)
+def test_unknown_form_is_named(make, forms):
+    said = f"^{make.__name__}: form = 'exakt' is not one of {forms}$"
+    with pytest.raises(ValueError, match=said):
+        make("exakt")
 
 
 def test_difference_equation_steps_as_written():
@@ -184,6 +193,10 @@ def test_another_sample_time_is_refused(plant):
             r"DifferenceEquation: a \(2,\) and b \(1,\) must both",
         ),
         (lambda: VoiceCoil(poles=(474.0, 6.404)), r"VoiceCoil: .*poles"),
+        (
+            lambda: StribeckFriction(10.0, 8.0),
+            "StribeckFriction: static_force = 8.0 is below coulomb_force = 10.0",
+        ),
     ],
 )
 def test_misshapen_plants_are_refused_at_construction(build, message):
