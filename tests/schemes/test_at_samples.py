@@ -88,9 +88,11 @@ def test_what_is_free_is_not_learned_from(name):
         free = TASK.reference
     y, u = np.linspace(0, 0.7, N + 1)[:, None], np.linspace(1, 0, N)[:, None]
 
+    blank = jax.eval_shape(lambda: scheme.initial_memory(TASK))
+    memory = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), blank)
+
     @jax.jit
     def learned(r):
-        memory = scheme.initial_memory(TASK)
         return scheme.feedforward(scheme.learn(memory, Trial(r, y, u, DT)), TASK)
 
     one, other = (np.asarray(learned(jnp.asarray(r))) for r in (TASK.reference, free))

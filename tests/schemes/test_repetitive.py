@@ -37,10 +37,10 @@ def task_of(reference):
     return Task(np.asarray(reference, float), dt=DT)
 
 
-def run(scheme, task):
-    machine = Machine(PLANT)
-    made = jax.jit(lambda s: run_trial(machine, s, task, s.initial_memory(task), jax.random.key(0)))
-    return made(scheme)
+@jax.jit
+def run(scheme, r, plant=PLANT):
+    task = Task(r, dt=DT)
+    return run_trial(Machine(plant), scheme, task, scheme.initial_memory(task), jax.random.key(0))
 
 
 def by_hand(r, period):
@@ -64,7 +64,7 @@ def by_hand(r, period):
 
 def test_it_is_the_law_of_the_trial_a_period_later():
     r = np.sin(2 * np.pi * np.arange(301) / 50) + 0.3 * np.random.default_rng(0).normal(size=301)
-    found = run(WithFeedback(RepetitiveControl(LAW, PERIOD), FEEDBACK), task_of(r))
+    found = run(WithFeedback(RepetitiveControl(LAW, PERIOD), FEEDBACK), r)
     y, v = by_hand(r, 50)
     np.testing.assert_allclose(found.y[:, 0], y, atol=1e-10)
     np.testing.assert_allclose(found.u[:, 0] - found.signals["feedback"][:, 0], v, atol=1e-10)
@@ -87,7 +87,7 @@ def test_what_is_left_at_each_frequency_is_the_sensitivity(period):
         wave = np.exp(-2j * np.pi * f * DT * k[late])
         sizes = []
         for one in (scheme, FEEDBACK):
-            sizes.append(size_of_wave(np.asarray(run(one, task_of(r)).e)[late, 0], wave))
+            sizes.append(size_of_wave(np.asarray(run(one, r).e)[late, 0], wave))
         assert sizes[0] / sizes[1] == pytest.approx(found.sensitivity[at], rel=2e-3), at
 
 
@@ -222,7 +222,8 @@ def test_two_periods_at_once_are_each_learned_and_what_is_left_is_told():
     """Against the sensitivity at each frequency, with a law that is good enough for both."""
     pair, inverse = (0.05, 0.0633), np.array([-0.75, 2.5, 0.0])
     law = LearningFilter(0.8 * inverse, keep=(0.0, 0.9, 0.0))
-    model = Machine(StateSpace([[0.3]], [[0.4]], [[1.0]], dt=DT))
+    plant = StateSpace([[0.3]], [[0.4]], [[1.0]], dt=DT)
+    model = Machine(plant)
     scheme, alone = RepetitiveControl(law, pair), RepetitiveControl(law, pair[0])
     task = task_of(np.zeros(101))
     found = theory.repetitive_condition(model, scheme, task)
@@ -232,17 +233,10 @@ def test_two_periods_at_once_are_each_learned_and_what_is_left_is_told():
     assert set(np.round(1 / np.array(pair), 6)) <= set(np.round(found.harmonics, 6))
     assert found.worst > 1.5 * one.worst > 1.5  # the waterbed of two
     k = np.arange(4001)
-
-    @jax.jit
-    def error(scheme, r):
-        task = Task(r, dt=DT)
-        memory = scheme.initial_memory(task)
-        return run_trial(model, scheme, task, memory, jax.random.key(0)).e
-
     for at in (5, 50, 116, 200):
         f, late = found.frequencies[at], slice(2000, 4000)
         wave = np.exp(-2j * np.pi * f * DT * k)
-        size = size_of_wave(np.asarray(error(scheme, wave.real))[late, 0], wave[late])
+        size = size_of_wave(np.asarray(run(scheme, wave.real, plant).e)[late, 0], wave[late])
         assert size == pytest.approx(found.sensitivity[at], rel=3e-3), f
     left = found.left[[np.argmin(np.abs(found.harmonics - 1 / period)) for period in pair]]
     assert np.all(left < 0.35)
@@ -292,7 +286,7 @@ def test_periods_in_parallel_need_what_one_needs_and_grow_less_between_than_in_s
     for at in (5, 50, 116):
         wave, sizes = np.exp(-2j * np.pi * found.frequencies[at] * DT * k), []
         for of in (parallel, FEEDBACK):
-            e = np.asarray(run(of, task_of(wave.real)).e)[late, 0]
+            e = np.asarray(run(of, wave.real).e)[late, 0]
             sizes.append(size_of_wave(e, wave[late]))
         assert sizes[0] / sizes[1] == pytest.approx(found.sensitivity[at], rel=1e-3)
 
@@ -327,9 +321,7 @@ def test_each_harmonic_has_a_gain_of_its_own():
     np.testing.assert_allclose(found.left[:4], [0.01 / 0.81, 1, 0.01 / 0.81, 1], rtol=1e-6)
     waves = np.exp(2j * np.pi / 50 * np.outer(k[-500:], (1, 2, 3)))
     r = sum(np.sin(2 * np.pi * h * k / 50) for h in (1, 2, 3))
-    sizes = [
-        np.abs(np.asarray(run(of, task_of(r)).e)[-500:, 0] @ waves) for of in (scheme, FEEDBACK)
-    ]
+    sizes = [np.abs(np.asarray(run(of, r).e)[-500:, 0] @ waves) for of in (scheme, FEEDBACK)]
     np.testing.assert_allclose(sizes[0] / sizes[1], found.left[:3], rtol=1e-3)
 
 
@@ -353,7 +345,7 @@ def test_a_traced_period_out_of_range_is_no_other_period():
     @jax.jit
     def largest(period):
         scheme = WithFeedback(RepetitiveControl(LAW, period, longest=0.0625), FEEDBACK)
-        return jnp.max(jnp.abs(run(scheme, task).e))
+        return jnp.max(jnp.abs(run(scheme, task.reference[:, 0]).e))
 
     for period, fits in ((0.006, True), (0.0625, True), (0.005, False), (0.08, False)):
         assert np.isfinite(largest(period)) == fits, period
