@@ -121,7 +121,7 @@ def test_in_single_precision_a_padded_filter_far_below_the_sample_rate_keeps_its
     for cutoff in (0.01, 1.0):
         q = ZeroPhaseButterworth(cutoff, order, padding=60)
         with jax.enable_x64(False):
-            single = [q(jnp.asarray(x, jnp.float32), DT) for x in (SIGNAL, 0 * SIGNAL + 7.3)]
+            single = [filtered(q, jnp.asarray(x, jnp.float32)) for x in (SIGNAL, 0 * SIGNAL + 7.3)]
         assert {x.dtype for x in single} == {np.dtype("float32")}
         np.testing.assert_allclose(single[0], filtered(q, SIGNAL), rtol=2e-5, atol=2e-5)
         assert np.all(single[1] == np.float32(7.3))
@@ -151,16 +151,6 @@ def test_the_derivatives_of_a_band_stop_are_differences_and_finite_where_it_is_z
     # x_l x_h = 1 at a quarter of the sample rate, which is a line of an even number of samples
     edges = np.arctan([0.8, 1 / 0.8]) / (np.pi * DT)
     assert np.all(np.isfinite(jax.grad(level, (0, 1))(*edges)))
-
-
-def test_butterworth_keeps_a_straight_line_and_is_symmetric_in_time():
-    """Reversing the signal reverses the result, except for the transients at the ends."""
-    line = np.linspace(-1.0, 3.0, N)[:, None]
-    q = ZeroPhaseButterworth(100.0, padding=9)
-    np.testing.assert_allclose(filtered(q, line), line, atol=1e-3)
-    bump = np.exp(-(((np.arange(N) - 30) / 4.0) ** 2))[:, None]
-    np.testing.assert_allclose(filtered(q, bump[::-1])[::-1], filtered(q, bump), atol=1e-6)
-    assert np.argmax(filtered(q, bump)) == 30
 
 
 @pytest.mark.parametrize(

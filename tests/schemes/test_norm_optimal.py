@@ -151,26 +151,6 @@ def test_without_a_weight_on_the_change_one_trial_is_enough():
     np.testing.assert_allclose(np.ravel(u), best, rtol=1e-9, atol=1e-12)
 
 
-def test_without_a_weight_on_the_input_the_error_falls_by_the_closed_form():
-    """With w_s = 0 and the right model, e_{j+1} = (I + H W_q H' / w_r)^-1 e_j.
-
-    For w_r -> 0 the plant is inverted in one trial.
-    """
-    H, r = lifted(MODEL, N), REFERENCE[1:].ravel()
-
-    def learned(**weights):
-        saved = learn(Machine(MODEL), NormOptimal(MODEL, **weights), TASK, 5, save=signals).saved
-        return [np.asarray(signal).reshape(5, -1) for signal in saved]
-
-    e, _ = learned(w_q=2.0, w_r=0.4)
-    for j in range(4):
-        np.testing.assert_allclose(
-            e[j + 1], np.linalg.solve(np.eye(2 * N) + 5.0 * H @ H.T, e[j]), rtol=1e-9, atol=1e-12
-        )
-    _, u = learned(w_q=1.0, w_r=1e-12)
-    np.testing.assert_allclose(u[1], np.linalg.solve(H, r), rtol=1e-4, atol=1e-6)
-
-
 @pytest.mark.thorough
 def test_memory_of_the_recursion_is_linear_in_the_length_of_the_trial():
     def temporaries(form, N):

@@ -236,17 +236,6 @@ def test_learning_equals_the_equations(lead, limit):
     np.testing.assert_allclose(history.memory.learning.u[:, 0], learned, rtol=1e-8, atol=1e-9)
 
 
-def test_learning_reduces_the_repetitive_error_from_trial_to_trial():
-    feedback = ASMC(**MODEL, k_n=1000.0, phi=1e5, epsilon=0.2, Delta=500.0, eta=2e6)
-    history = learn(FORCED, WithFeedback(ExponentialPD(K_P=2e6, K_D=4e3, b=B), feedback), TASK, 8)
-    rms, most = (np.asarray(x)[:, 0] for x in (history.rms, history.max_error))
-    assert np.all(np.diff(rms) < 0)
-    assert rms[-1] < rms[0] / 20
-    assert most[-1] < most[0] / 10
-    against = learn(FORCED, WithFeedback(ExponentialPD(K_P=-2e6, K_D=-4e3, b=B), feedback), TASK, 8)
-    assert against.rms[2, 0] > 2 * rms[0], "with the other sign it should grow"
-
-
 def differences(x, tau):
     pairs = jnp.asarray(x[1:]), jnp.asarray(x[:-1])
     return np.array(
