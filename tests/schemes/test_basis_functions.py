@@ -245,7 +245,7 @@ def test_a_sparse_basis_keeps_what_the_trials_have_in_common():
         r = np.asarray(moved(samples, height).reference)
         u = basis.signal(np.array([0.0, 0.05, 2e-4, 0.0, 0.0, 0.1]), r, DT, 1)
         trials.append((r, np.asarray(u) + 0.01 * rng.standard_normal(u.shape)))
-    found = select_basis(basis, trials, dt=DT)
+    found = select_basis(basis, trials, dt=DT, penalties=np.geomspace(1, 1e-3, 16))
     assert found.names == ("velocity", "acceleration", "friction")
     np.testing.assert_allclose(found.theta, [0.05, 2e-4, 0.1], rtol=0.03)
     assert found.counts[0] <= 1

@@ -19,21 +19,6 @@ TASK = Task(np.sin(np.arange(N + 1) / 4.0), dt=1e-3)
 LAW = LearningFilter((0.3, -0.2, 0.5, 0.1, 0.05), keep=(0.2, 0.7, -0.1), lead=2)
 
 
-def test_it_is_the_sum_over_its_taps():
-    random = np.random.default_rng(3)
-    u, y = random.standard_normal(N), random.standard_normal(N + 1)
-    trial = measured_trial(TASK, y, u)
-    e, mirrored = np.asarray(TASK.reference)[:, 0] - y, np.r_[u[0], u, u[-1]]
-    expected = np.zeros(N)
-    for k in range(N):
-        expected[k] = np.asarray(LAW.keep) @ mirrored[k : k + 3]
-        for i, tap in enumerate(np.asarray(LAW.L)):
-            at = k + 1 + 2 + i - 2
-            expected[k] += tap * e[at] if 0 <= at <= N else 0.0
-    found = LAW.learn(LAW.initial_memory(TASK), trial).u[:, 0]
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
-
-
 def test_theory_reads_its_taps():
     law = law_of(LAW, TASK)
     np.testing.assert_array_equal(law.L.powers, [5, 4, 3, 2, 1])
@@ -52,19 +37,28 @@ def test_one_tap_is_p_type_learning():
     np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
-def test_matrices_and_segments_are_the_sum_over_their_taps():
-    random = np.random.default_rng(4)
-    task = Task(random.standard_normal((N + 1, 2)), dt=1e-3, inputs=3)
-    L, keep = random.standard_normal((2, 5, 3, 2)), random.standard_normal((2, 3, 3, 3))
-    law = LearningFilter(L, keep=keep, lead=1, starts=(10,))
-    u, y = random.standard_normal((N, 3)), random.standard_normal((N + 1, 2))
+RANDOM = np.random.default_rng(4)
+SCHEDULED = LearningFilter(
+    RANDOM.standard_normal((2, 5, 3, 2)),
+    keep=RANDOM.standard_normal((2, 3, 3, 3)),
+    lead=1,
+    starts=(10,),
+)
+
+
+@pytest.mark.parametrize("law", [LAW, SCHEDULED], ids=["numbers", "matrices and segments"])
+def test_it_is_the_sum_over_its_taps(law):
+    n_u, n_y = law.L.shape[2:] or (1, 1)
+    L, keep = np.reshape(law.L, (-1, 5, n_u, n_y)), np.reshape(law.keep, (-1, 3, n_u, n_u))
+    task = Task(RANDOM.standard_normal((N + 1, n_y)), dt=1e-3, inputs=n_u)
+    u, y = RANDOM.standard_normal((N, n_u)), RANDOM.standard_normal((N + 1, n_y))
     e, mirrored = np.asarray(task.reference) - y, np.concatenate([u[:1], u, u[-1:]])
-    expected = np.zeros((N, 3))
+    expected = np.zeros((N, n_u))
     for k in range(N):
-        s = int(k >= 10)
+        s = sum(k >= start for start in law.starts)
         expected[k] = sum(keep[s, i] @ mirrored[k + i] for i in range(3))
         for i in range(5):
-            at = k + 1 + 1 + i - 2
+            at = k + 1 + law.lead + i - 2
             expected[k] += L[s, i] @ e[at] if 0 <= at <= N else 0.0
     law.check(task)
     found = law.learn(law.initial_memory(task), measured_trial(task, y, u)).u

@@ -207,7 +207,7 @@ def test_the_pitch_is_found_from_a_record(pitch):
     friction = 5 * np.sign(np.gradient(x)) + 0.1 * x
     doubts, off = [], []
     for _ in range(12):
-        found = pitch_of(x, clean + friction + random.normal(size=len(x)), least=2, most=20)
+        found = pitch_of(x, clean + friction + random.normal(size=len(x)), least=5, most=16)
         doubts.append(found.doubt)
         off.append(found.pitch - pitch)
     assert np.max(np.abs(off)) < 6 * np.mean(doubts) < 0.2
