@@ -26,7 +26,7 @@ LONG = {"p_type_switchable", "asmc_carried_limited"}
 # Without jit each operation is compiled by itself, which takes seconds. So this is for the plants,
 # filters and laws that ask whether values are known.
 WITHOUT_JIT = ("p_type_butterworth", "norm_optimal", "fast_tool_servo_nonlinear")
-PARTED = (  # one of each kind
+PARTED = (  # one of each kind; others have their turn
     "p_type_ladder",
     "ffdl_book",
     "norm_optimal",
@@ -34,8 +34,6 @@ PARTED = (  # one of each kind
     "keep_unmeasured",
     "ilc_asmc",
 )
-SHIPPED = ("pid_increment", "cfdl_sign", "ffdl_sign")  # as pyproject.toml lists them
-ALWAYS = {*PARTED, *SHIPPED}  # others have their turn
 of_each_kind = pytest.mark.parametrize("run", PARTED, indirect=True, scope="module")
 
 
@@ -70,7 +68,7 @@ batched = jax.jit(jax.vmap(jax.value_and_grad(loss, has_aux=True), in_axes=(0, N
 sampled = jax.jit(lambda machine, dt: machine.sampled(dt), static_argnums=1)
 
 
-@pytest.fixture(scope="module", params=[x for x in CASES if x in ALWAYS or drawn(x)])
+@pytest.fixture(scope="module", params=[x for x in CASES if x in PARTED or drawn(x)])
 def run(request) -> Run:
     machine, scheme, task = case(request.param)
     if request.param not in LONG:
