@@ -1,5 +1,4 @@
 from . import inversion
-from .band_stop import ZeroPhaseBandStop
 from .inversion import (
     ZPETC,
     Inverse,
@@ -11,7 +10,13 @@ from .inversion import (
     zpetc,
 )
 from .switching import SwitchableFilter, cutoffs_below, instantaneous_frequency, segments
-from .zero_phase import Filter, ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
+from .zero_phase import (
+    Filter,
+    ZeroPhaseBandStop,
+    ZeroPhaseButterworth,
+    ZeroPhaseFIR,
+    ZeroPhaseIIR,
+)
 
 __all__ = [
     "ZPETC",

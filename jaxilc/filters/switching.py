@@ -13,7 +13,7 @@ import scipy
 from ..pytree.aliases import Leaf
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known
-from ..pytree.ranges import Interval
+from ..pytree.ranges import require
 from .zero_phase import Filter, ZeroPhaseButterworth, need_padding
 
 
@@ -138,9 +138,9 @@ def instantaneous_frequency(reference, dt, *, of="velocity", window=0.0, floor=0
             f"{name}: reference of shape {r.shape} must be finite and have shape (N+1,) or (N+1, "
             "n_y) with N >= 3"
         )
-    _require(name, "dt", dt, "(0, inf)", " s")
-    _require(name, "window", window, f"[0, {(len(r) - 1) * dt:.9g}]", " s")
-    _require(name, "floor", floor, "[0, 1)")
+    require(name, "dt", dt, "(0, inf)", " s")
+    require(name, "window", window, f"[0, {(len(r) - 1) * dt:.9g}]", " s")
+    require(name, "floor", floor, "[0, 1)")
     if of not in ("velocity", "position"):
         raise ValueError(f"{name}: of = {of!r} is not one of 'velocity', 'position'")
     v = np.gradient(r, dt, axis=0) if of == "velocity" else scipy.signal.detrend(r, axis=0)
@@ -204,8 +204,8 @@ def segments(
         raise ValueError(
             f"segments: cutoffs = {cutoffs} Hz; allowed is a pair (low, high) with 0 < low <= high"
         )
-    _require("segments", "threshold", threshold, "(0, inf)", " Hz")
-    _require("segments", "shortest", shortest, f"[0, {N * dt:.9g})", " s")
+    require("segments", "threshold", threshold, "(0, inf)", " Hz")
+    require("segments", "shortest", shortest, f"[0, {N * dt:.9g})", " s")
     fast = np.any(frequency.reshape(N + 1, -1) > threshold, axis=1)[:N]
     starts, kinds = _merged(np.flatnonzero(np.diff(fast)) + 1, fast, shortest / dt)
     found = SwitchableFilter(
@@ -227,7 +227,7 @@ def cutoffs_below(critical, *, shares=(0.2, 0.8)) -> tuple[float, float]:
 
     Raises ValueError for a value outside its range. An infinite critical frequency needs no filter.
     """
-    _require("cutoffs_below", "critical", critical, "(0, inf)", " Hz")
+    require("cutoffs_below", "critical", critical, "(0, inf)", " Hz")
     if np.shape(shares) != (2,) or not 0 < shares[0] <= shares[1]:
         raise ValueError(
             f"cutoffs_below: shares = {shares}; allowed is a pair (low, high) with 0 < low <= high"
@@ -249,12 +249,3 @@ def _merged(starts, fast, shortest):
         kinds = np.delete(kinds, slice(max(i, 1), inner.stop)) if i else kinds[1:]
         bounds = np.delete(bounds, inner)
     return bounds[1:-1], kinds
-
-
-def _require(function, name, value, interval, unit=""):
-    """Raises ValueError unless the number lies in the interval."""
-    interval = Interval.parse(interval)
-    if np.ndim(value) or not interval.contains(value):
-        raise ValueError(
-            f"{function}: {name} = {value}{unit} is outside its allowed range {interval}"
-        )

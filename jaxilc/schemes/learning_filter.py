@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..filters import Filter, Inverse, SwitchableFilter, ZeroPhaseFIR
-from ..filters.inversion import CIRCLE
-from ..filters.zeros_and_poles import Factors, factors
+from ..filters.inversion import CIRCLE, Factors, factors
 from ..plants import StateSpace
 from ..pytree.aliases import Array, Function, Leaf, Tree, Value
 from ..pytree.fields import leaf, pytree, static
