@@ -330,6 +330,13 @@ class SelectedBasis(Basis):
                 f"SelectedBasis: kept = {self.kept}; allowed are different whole numbers from 0"
             )
 
+    @property
+    def keeps(self) -> bool:
+        return self.basis.keeps
+
+    def seen(self, r: Array, dt: float, inputs: int) -> Array:
+        return self.basis.seen(r, dt, inputs)[np.array(self.kept)]
+
     def names(self, outputs: int, inputs: int) -> tuple[str, ...]:
         of_all = self.basis.names(outputs, inputs)
         return tuple(of_all[i] for i in self.kept)

@@ -18,6 +18,7 @@ from jaxilc.schemes import (
     PolynomialBasis,
     PositionBasis,
     RationalBasis,
+    SelectedBasis,
     WithFeedback,
     fitted,
 )
@@ -116,6 +117,15 @@ def test_any_law_learns_a_map_and_keeps_what_it_does_not_visit():
     u = np.asarray(basis.signal(memory.learning.theta, part.reference, DT, 1))
     again = fitted(basis, u, part.reference, DT, theta=memory.learning.theta)
     np.testing.assert_allclose(again, memory.learning.theta, rtol=1e-6, atol=1e-9)
+
+
+def test_a_selection_of_a_map_keeps_what_a_trial_does_not_visit():
+    basis = SelectedBasis(PositionBasis(Splines(0, 50, 6, degree=1)), (1, 2, 5))
+    r, theta = there_and_back(30.0, stroke=15.0).reference, np.array([1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(basis.seen(r, DT, 1), [1.0, 1.0, 0.0])
+    u = basis.signal(np.array([4.0, 5.0, 0.0]), r, DT, 1)
+    np.testing.assert_allclose(fitted(basis, u, r, DT, theta=theta), [4.0, 5.0, 3.0], rtol=1e-9)
+    assert basis.keeps
 
 
 def test_a_lead_is_a_place_further_on():
