@@ -24,8 +24,7 @@ from .mfac import CFDLMFAC, CFDLMFAILC, CFDLMFAPC, FFDLMFAC, FFDLMFAILC, PFDLMFA
 from .norm_optimal import NormOptimal
 from .pid import PID
 from .pid_type import ExponentialPD, HigherOrder, PIDType
-from .repetitive import PeriodTracking, RepetitiveControl, harmonic_taps
-from .repetitive_basis import RepetitiveBasis
+from .repetitive import PeriodTracking, RepetitiveBasis, RepetitiveControl, harmonic_taps
 from .scheme import Feedforward, Scheme
 from .sliding_mode import ASMC, SMC
 from .two_step import TwoStep

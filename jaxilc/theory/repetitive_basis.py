@@ -20,7 +20,7 @@ from ..learning.machine import Machine
 from ..plants.position import Harmonics
 from ..pytree.in_short import in_short
 from ..schemes import RepetitiveBasis, Scheme, WithFeedback
-from ..schemes.repetitive_basis import BEFORE
+from ..schemes.repetitive import BEFORE
 from ..signals.task import Task
 from ..uncertainty import Population, drawn_machines
 from .condition import Condition, condition, premise
