@@ -242,6 +242,13 @@ class PositionBasis(Basis):
         return PositionMap(self.functions, theta, self.turning)
 
 
+def need_linear(owner: str, basis: Basis) -> None:
+    """Raises ValueError for a basis whose input is not linear in theta."""
+    if not basis.linear:
+        name = type(basis).__name__
+        raise ValueError(f"{owner}: a {name} is not linear in theta; give another or its numerator")
+
+
 @pytree
 class JoinedBasis(Basis):
     """The functions of several bases side by side, such as those of motion and of position.
@@ -253,9 +260,7 @@ class JoinedBasis(Basis):
 
     def __post_init__(self) -> None:
         for basis in self.bases:
-            if not basis.linear:
-                name = type(basis).__name__
-                raise ValueError(f"JoinedBasis: a {name} is not linear in theta; give another")
+            need_linear("JoinedBasis", basis)
 
     @property
     def keeps(self) -> bool:
@@ -321,9 +326,7 @@ class SelectedBasis(Basis):
     kept: tuple[int, ...] = static()
 
     def __post_init__(self) -> None:
-        if not self.basis.linear:
-            name = type(self.basis).__name__
-            raise ValueError(f"SelectedBasis: a {name} is not linear in theta; give another")
+        need_linear("SelectedBasis", self.basis)
         good = all(type(i) is int and i >= 0 for i in self.kept)
         if not good or not self.kept or len(set(self.kept)) != len(self.kept):
             raise ValueError(
@@ -491,9 +494,7 @@ def select_basis(
     Raises ValueError for fewer trials, for shapes that do not fit, for numbers that are not finite,
     and for inputs that are all zero.
     """
-    if not basis.linear:
-        name = type(basis).__name__
-        raise ValueError(f"select_basis: a {name} is not linear in theta; give its numerator")
+    need_linear("select_basis", basis)
     require("select_basis", "dt", dt, "(0, inf)")
     columns, inputs, names = _equations(basis, trials, dt)
     tried = _penalties(penalties)

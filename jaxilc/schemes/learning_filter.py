@@ -255,7 +255,14 @@ class LearningFilter(Scheme):
                 "allowed are the same, and None for taps of any sample time"
             )
         for name, seen in (("L", task.outputs), ("keep", task.inputs)):
-            self._need_channels_of(name, seen, task)
+            taps = getattr(self, name)
+            if taps.ndim > 2 and taps.shape[-2:] != (task.inputs, seen):
+                raise ValueError(
+                    f"LearningFilter: {name} has shape {taps.shape}; allowed are matrices of "
+                    f"({task.inputs}, {seen}) for this task"
+                )
+            if taps.ndim <= 2 and name == "L":
+                need_square(self, task)
         reach = self.lead + self._taps("L") // 2
         for what, samples in (
             ("lead and L reach", reach),
@@ -268,18 +275,6 @@ class LearningFilter(Scheme):
                     f"trial of N = {task.N}"
                 )
 
-    def _need_channels_of(self, name: str, seen: int, task: Task) -> None:
-        """Raises ValueError unless the taps fit the channels that they go to and come from."""
-        taps = getattr(self, name)
-        if taps.ndim <= 2:
-            if name == "L":
-                need_square(self, task)
-        elif taps.shape[-2:] != (task.inputs, seen):
-            raise ValueError(
-                f"LearningFilter: {name} has shape {taps.shape}; allowed are matrices of "
-                f"({task.inputs}, {seen}) for this task"
-            )
-
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
         N, n, m = trial.u.shape[0], self._taps("L") // 2, self._taps("keep") // 2
         e = jnp.pad(trial.e, ((n, n + self.lead), (0, 0)))[1 + self.lead :][: N + 2 * n]
@@ -288,15 +283,15 @@ class LearningFilter(Scheme):
 
     def segments(self) -> list[LearningFilter]:
         """The law of each segment, as if it were that of all samples."""
-        of = {
-            name: [getattr(self, name)] * (len(self.starts) + 1)
-            if not self._scheduled(name)
-            else list(getattr(self, name))
+        of_each = (
+            getattr(self, name)
+            if self._scheduled(name)
+            else [getattr(self, name)] * (len(self.starts) + 1)
             for name in ("L", "keep")
-        }
+        )
         return [
             dataclasses.replace(self, L=L, keep=keep, starts=())
-            for L, keep in zip(of["L"], of["keep"], strict=True)
+            for L, keep in zip(*of_each, strict=True)
         ]
 
     def _scheduled(self, name: str) -> bool:

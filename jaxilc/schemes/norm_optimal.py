@@ -151,7 +151,7 @@ class NormOptimal(Scheme):
             return (P + P.T) / 2, (K, G)
 
         start = jnp.zeros_like(model.A, shape=model.A.shape[-1:] * 2)
-        return Recursion(*scan(back, start, _matrices(model), N, reverse=True)[1])
+        return Recursion(*scan(back, start, (model.A, model.B, model.C), N, reverse=True)[1])
 
     def _step_riccati(self, e: Array, u: Array) -> Array:
         """The change u_{j+1} - u_j of the input, as (N, n_u)."""
@@ -169,7 +169,7 @@ class NormOptimal(Scheme):
             return product(A, x) + product(B, d), d
 
         rest = jnp.zeros_like(model.A, shape=model.A.shape[-1:])
-        matrices, N = _matrices(model), len(u)
+        matrices, N = (model.A, model.B, model.C), len(u)
         g = scan(back, rest, matrices, N, solved.K, solved.G, e, u, reverse=True)[1]
         return scan(forth, rest, matrices, N, solved.K, g)[1]
 
@@ -189,12 +189,8 @@ def _lifted(model: StateSpace | TimeVaryingStateSpace, N: int) -> Array:
         return X, C @ X
 
     start = jnp.zeros_like(model.A, shape=(model.A.shape[-1], N * n_u))
-    return scan(forth, start, _matrices(model), N, jnp.arange(N))[1].reshape(N * n_y, N * n_u)
-
-
-def _matrices(model: StateSpace | TimeVaryingStateSpace) -> tuple[Array, ...]:
-    """A and B of each sample, constant or not, and C of the next one."""
-    return model.A, model.B, model.C
+    rows = scan(forth, start, (model.A, model.B, model.C), N, jnp.arange(N))[1]
+    return rows.reshape(N * n_y, N * n_u)
 
 
 def _inverse(M: Array) -> Array:
