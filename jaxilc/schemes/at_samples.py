@@ -15,9 +15,8 @@ from ..pytree.needs import known, need_numbers
 from ..signals.task import Task, Trial, samples_within
 from .gradient import Ready
 from .parts import need_no_comparing, with_all_parts
-from .scheme import Part, Scheme
+from .scheme import Part, Scheme, Wrapper
 from .weights import weighed
-from .wrapper import Wrapper
 
 BOUNDS = ("y_low", "y_high", "tube", "contour")  # of outputs, which need all of an output
 

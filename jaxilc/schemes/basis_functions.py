@@ -12,16 +12,15 @@ from ..plants import Plant
 from ..pytree.aliases import Array, Function, Leaf, Value
 from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels, need_numbers
-from ..signals.task import Limit, Task, Trial
+from ..signals.task import Task, Trial
 from .bases import Basis, pushed
 from .compose import need_feedforward
 from .gradient import Ready, answers, need_answers, varies
 from .guards import Guard
 from .parts import need_no_experiments
 from .quadratic_cost import largest_eigenvalue, need_weight, weights_of
-from .scheme import Feedforward, Memory, Schedule, Scheme, limited, next_unlimited
+from .scheme import Feedforward, Memory, Schedule, Scheme, Wrapper, limited
 from .weights import answers_weighed
-from .wrapper import Wrapper
 
 ROUNDING = 100.0  # in units of the last place, of a scaled Gram matrix
 
@@ -270,6 +269,7 @@ class OnBasis(Guard):
     iterations: int = static(default=5, interval="[1, 100]", whole=True)
     solved: Ready | None = child(default=None)
     of_one_length = True
+    limits_again = "fitted"
 
     def frozen(self) -> Scheme:
         return Scheme.frozen(self)
@@ -301,13 +301,6 @@ class OnBasis(Guard):
 
     def feedforward(self, memory: OnBasisMemory, task: Task) -> Array:
         return self.schedule(memory, task).u
-
-    def limits(self, task: Task, memory: OnBasisMemory, trial: Trial) -> dict[str, Limit]:
-        found = super().limits(task, memory, trial)
-        if self.limit is None:
-            return found
-        fitted = Limit(next_unlimited(self, task, memory, trial), self.limit)
-        return found | {"fitted.limit": fitted}
 
     def started(self, memory: OnBasisMemory, u: Array, task: Task) -> OnBasisMemory:
         """The memory with the parameters that come nearest to an input u (N, n_u)."""

@@ -23,12 +23,11 @@ from .scheme import (
     Schedule,
     Scheme,
     State,
+    Wrapper,
     limited,
     limits_of_parts,
-    next_unlimited,
     under,
 )
-from .wrapper import Wrapper
 
 
 class Pair(NamedTuple):
@@ -110,6 +109,13 @@ class LearningAndFeedback(Scheme):
         """The signals over a trial in which they are all zero."""
         shapes = jax.eval_shape(lambda: self.signals(self.initial_state(task)))
         return {name: jnp.zeros((task.N, *one.shape), one.dtype) for name, one in shapes.items()}
+
+
+def seen_of(trial: Trial, outputs: tuple[int, ...]) -> Trial:
+    """The trial as a scheme sees it that sees only these outputs."""
+    seen, W = list(outputs), trial.weight
+    W = W if W is None else W[..., seen, :][..., seen]
+    return trial._replace(r=trial.r[..., seen], y=trial.y[..., seen], weight=W)
 
 
 def signals_of_part(name: str, signals: dict[str, Array]) -> dict[str, Array]:
@@ -387,19 +393,15 @@ class MultivariableILC(LearningAndFeedback):
     def shown(self, trial: Trial) -> dict[str, Trial]:
         need_signals(self, trial, feedback="(N, 1)", reference="(N, 1)")
         start, r = trial.r[:1, self.table_output, None], trial.signals["reference"]
-        y = trial.y[:, [self.motor_output, self.table_output]]
-        seen, W = [self.motor_output, self.table_output], trial.weight
-        W = W if W is None else W[..., seen, :][..., seen]
-        followed, wanted = jnp.concatenate([start, r]), trial.r[:, self.table_output, None]
-        own = Trial(
-            jnp.concatenate([followed, wanted], axis=1),
-            y,
-            jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1),
-            trial.dt,
-            weight=W,
+        seen = seen_of(trial, (self.motor_output, self.table_output))
+        followed = jnp.concatenate([start, r])
+        own = seen._replace(
+            r=seen.r.at[:, :1].set(followed),
+            u=jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1),
+            signals={},
         )
         signals = signals_of_part("feedback", trial.signals)
-        of_motor = trial._replace(r=followed, y=y[:, :1], signals=signals, weight=None)
+        of_motor = trial._replace(r=followed, y=seen.y[:, :1], signals=signals, weight=None)
         return {"learning": own, "feedback": of_motor}
 
     def check(self, task: Task) -> None:
@@ -483,6 +485,7 @@ class Filtered(Wrapper):
 
     scheme: Scheme = child()
     filter: Filter = child()
+    limits_again = "filtered"
 
     def check(self, task: Task) -> None:
         super().check(task)
@@ -496,13 +499,6 @@ class Filtered(Wrapper):
     def feedforward(self, memory: Tree, task: Task) -> Array:
         learned = self.scheme.feedforward(memory, task)
         return limited(self.filter(learned, task.dt), self.limit)
-
-    def limits(self, task: Task, memory: Tree, trial: Trial) -> dict[str, Limit]:
-        found = super().limits(task, memory, trial)
-        if self.limit is None:
-            return found
-        filtered = Limit(next_unlimited(self, task, memory, trial), self.limit)
-        return found | {"filtered.limit": filtered}
 
 
 @pytree
@@ -550,9 +546,7 @@ class OnOutputs(Wrapper):
         return {"scheme": Part(self.scheme, seen, memory)}
 
     def shown(self, trial: Trial) -> dict[str, Trial]:
-        seen, W = list(self.outputs), trial.weight
-        W = W if W is None else W[..., seen, :][..., seen]
-        return {"scheme": trial._replace(r=trial.r[..., seen], y=trial.y[..., seen], weight=W)}
+        return {"scheme": seen_of(trial, self.outputs)}
 
     def check(self, task: Task) -> None:
         if not self.outputs or not all(0 <= i < task.outputs for i in self.outputs):

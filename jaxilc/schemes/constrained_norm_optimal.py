@@ -6,6 +6,7 @@ import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from ..plants import StateSpace, TimeVaryingStateSpace
 from ..pytree.aliases import Array, Leaf, Tree
@@ -13,7 +14,7 @@ from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_channels, need_numbers
 from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial
-from .constraints import Rows, kinds, need_feasible, rows_of, system_of, weight_of
+from .constraints import Rows, need_feasible, rows_of, side_by_side, system_of, weight_of
 from .interior_point import Problem, solve
 from .quadratic_cost import need_convex, need_model_of, need_stable, need_weight, weights_of
 from .riccati import Factor, factor, newton
@@ -209,15 +210,11 @@ class ConstrainedNormOptimal(Scheme):
         if "rate" in rows:
             of["rate"] = rows["rate"].now @ rate
         of |= {name: jnp.zeros_like(rows[name].now) for name in rows if name not in of}
-        return self.step * jnp.concatenate([of[name] for name in kinds(self)], axis=1)
+        return self.step * jnp.concatenate([of[name] for name in rows], axis=1)
 
     def _problem(self, trial: Trial) -> Problem:
         rows = rows_of(self, trial)
-        now, low, high = (
-            jnp.concatenate([getattr(rows[name], which) for name in kinds(self)], axis=1)
-            for which in Rows._fields
-        )
-        slope = self._slope(rows, trial)
+        now, low, high = side_by_side(rows)
         Q, _, S, rate = self._weights()
         e, u = trial.e[1:], trial.u
         cost = jnp.sum(e * (e @ Q)) + jnp.sum(u * (u @ S))
@@ -226,7 +223,7 @@ class ConstrainedNormOptimal(Scheme):
         return Problem(
             system_of(self, trial.r),
             weight_of(self, self._weights()),
-            slope,
+            self._slope(rows, trial),
             low - now,
             high - now,
             # not below zero at the optimum, for any step
@@ -236,13 +233,9 @@ class ConstrainedNormOptimal(Scheme):
     def limits(self, task: Task, memory: Tree, trial: Trial) -> dict[str, Limit]:
         ready = self._for(trial)
         rows, (_, change) = rows_of(ready, trial), ready._free(trial)
-        following, at = {}, 0
-        for name in kinds(self):
-            now, low, high = rows[name]
-            width = now.shape[1]
-            following[name] = Rows(now + change[:, at : at + width], low, high)
-            at += width
-        return limits_of_rows(self, following)
+        ends = np.cumsum([of.now.shape[1] for of in rows.values()])[:-1]
+        changes = zip(rows.items(), jnp.split(change, ends, axis=1), strict=True)
+        return limits_of_rows(self, {n: of._replace(now=of.now + by) for (n, of), by in changes})
 
 
 def limits_of_rows(scheme: Scheme, rows: dict[str, Rows]) -> dict[str, Limit]:

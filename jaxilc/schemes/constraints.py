@@ -70,7 +70,7 @@ def system_of(scheme: Bounded, r: Array) -> System:
         across = normals(r)[1:, None, :]
         seen["contour"] = (across @ C @ A, across @ C @ B)
     rows = [seen[name] for name in kinds(scheme)]
-    G_z, G_d = (_stacked([row[i] for row in rows]) for i in (0, 1))
+    G_z, G_d = (stacked([row[i] for row in rows]) for i in (0, 1))
     if not with_rate:
         return System(A, B, G_z, G_d)
     # the input of the sample before is a further state
@@ -81,7 +81,7 @@ def system_of(scheme: Bounded, r: Array) -> System:
         ]
     )
     A = jnp.pad(A, [(0, 0)] * (A.ndim - 2) + [(0, n_u), (0, n_u)])
-    return System(A, _stacked([B, eye]), _beside(G_z, before), G_d)
+    return System(A, stacked([B, eye]), _beside(G_z, before), G_d)
 
 
 def normals(r: Array) -> Array:
@@ -103,7 +103,7 @@ def weight_of(scheme: Bounded, weights: tuple[Array, ...]) -> Array:
 
 
 def rows_of(scheme: Bounded, trial: Trial) -> dict[str, Rows]:
-    """The rows of a trial, by kind."""
+    """The rows of a trial, by kind, in the order of `kinds`."""
     r, y, u = trial.r, trial.y, trial.u
     low, high = output_bounds(scheme, r)
     found = {"input": _symmetric(u, scheme.limit), "output": Rows(y[1:], low[1:], high[1:])}
@@ -122,42 +122,38 @@ def rows_of(scheme: Bounded, trial: Trial) -> dict[str, Rows]:
     return found
 
 
-def output_bounds(scheme: Bounded, r: Array) -> tuple[Array, Array]:
+def side_by_side(rows: dict[str, Rows]) -> Rows:
+    """The rows of all kinds as those of one, each (N, m)."""
+    return Rows(*(jnp.concatenate(each, axis=1) for each in zip(*rows.values(), strict=True)))
+
+
+def output_bounds(scheme: Bounded, r: Leaf, xp: ModuleType = jnp) -> tuple[Leaf, Leaf]:
     """(N+1, n_y) the bounds of the output, from its own bounds and from those of the error."""
-    return _bounds(jnp, scheme.y_low, scheme.y_high, scheme.tube, r)
-
-
-def _bounds(numpy: ModuleType, y_low: Leaf, y_high: Leaf, tube: Leaf, r: Leaf) -> tuple[Leaf, Leaf]:
-    """`output_bounds` by NumPy, or by its namesake of JAX."""
-    low, high = numpy.full_like(r, -numpy.inf), numpy.full_like(r, numpy.inf)
-    if y_low is not None:
-        low = numpy.maximum(low, y_low)
-    if y_high is not None:
-        high = numpy.minimum(high, y_high)
-    if tube is not None:
-        low, high = numpy.maximum(low, r - tube), numpy.minimum(high, r + tube)
+    low, high = xp.full_like(r, -xp.inf), xp.full_like(r, xp.inf)
+    if scheme.y_low is not None:
+        low = xp.maximum(low, scheme.y_low)
+    if scheme.y_high is not None:
+        high = xp.minimum(high, scheme.y_high)
+    if scheme.tube is not None:
+        low, high = xp.maximum(low, r - scheme.tube), xp.minimum(high, r + scheme.tube)
     return low, high
 
 
 def need_feasible(scheme: Bounded, task: Task) -> None:
     """Raises ValueError for bounds of the output that leave nothing, or exclude the start."""
     owner = type(scheme).__name__
-    for name in ("y_low", "y_high", "tube"):
-        value = getattr(scheme, name)
+    bounds = {name: getattr(scheme, name) for name in ("y_low", "y_high", "tube")}
+    for name, value in bounds.items():
         allowed = ((), (task.outputs,), (task.N + 1, task.outputs))
         if value is not None and value.shape not in allowed:
             raise ValueError(
                 f"{owner}: {name} has shape {value.shape}; allowed are (), ({task.outputs},) and "
                 f"({task.N + 1}, {task.outputs})"
             )
-    bounds = [scheme.y_low, scheme.y_high, scheme.tube]
-    if all(bound is None for bound in bounds) or not known((bounds, task.reference)):
+    names = " and ".join(name for name, value in bounds.items() if value is not None)
+    if not names or not known((bounds, task.reference)):
         return
-    y_low, y_high, tube = (x if x is None else np.asarray(x) for x in bounds)
-    low, high = _bounds(np, y_low, y_high, tube, np.asarray(task.reference))
-    names = " and ".join(
-        name for name in ("y_low", "y_high", "tube") if getattr(scheme, name) is not None
-    )
+    low, high = output_bounds(scheme, np.asarray(task.reference), np)
     empty = np.argwhere(low >= high)
     if len(empty):
         k, i = empty[0]
@@ -187,7 +183,7 @@ def _symmetric(now: Array, bound: Array | None) -> Rows:
     return Rows(now, -bound, bound)
 
 
-def _stacked(blocks: list[Array]) -> Array:
+def stacked(blocks: list[Array]) -> Array:
     """Blocks one below the other, where some have a leading axis of N."""
     lead = next((block.shape[:1] for block in blocks if block.ndim == 3), ())
     return jnp.concatenate([jnp.broadcast_to(b, (*lead, *b.shape[-2:])) for b in blocks], axis=-2)

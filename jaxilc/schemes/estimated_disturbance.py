@@ -12,10 +12,9 @@ from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .constrained_norm_optimal import ConstrainedNormOptimal
 from .norm_optimal import NormOptimal
-from .riccati import System, shown
-from .scheme import Memory, Part, under
+from .riccati import System, answer
+from .scheme import Memory, Part, Wrapper, under
 from .weights import counts_at_all, output_weighed
-from .wrapper import Wrapper
 
 
 class Estimate(NamedTuple):
@@ -102,7 +101,7 @@ class EstimatedDisturbance(Wrapper):
         """The trial with the output G u + d^ of the new estimate, d^, and its deviation."""
         model = self.scheme.model.sampled(trial.dt)
         A, B, C = (jnp.asarray(M) for M in (model.A, model.B, model.C))
-        without = shown(System(A, B, C @ A, C @ B), trial.u)
+        _, without = answer(System(A, B, C @ A, C @ B), trial.u)
         kappa, std = self._gain(memory.std)
         if trial.weight is not None:
             start = trial.y[:1]  # which no input can reach

@@ -36,9 +36,9 @@ from ..runtime.jax_internals import once, with_slope
 from ..runtime.lanes import over_samples
 from ..signals.task import Trial, product
 from . import interior_point
-from .constraints import Rows, kinds, rows_of, system_of, weight_of
+from .constraints import Rows, kinds, rows_of, side_by_side, stacked, system_of, weight_of
 from .interior_point import ONE_DERIVATIVE, stiffness
-from .riccati import System, carried, factor, newton, shown
+from .riccati import System, adjoint, answer, factor, newton
 
 
 class Problem(NamedTuple):
@@ -114,9 +114,7 @@ def half_cost(problem: Problem, w: Array, y: Array) -> Array:
 
 def rows_at(problem: Problem, w: Array, y: Array, dt: float) -> Rows:
     """The rows of all kinds side by side, each (N, m)."""
-    rows = rows_of(problem, Trial(problem.target, y, w, dt))
-    of = zip(*(rows[kind] for kind in kinds(problem)), strict=True)
-    return Rows(*(jnp.concatenate(each, axis=1) for each in of))
+    return side_by_side(rows_of(problem, Trial(problem.target, y, w, dt)))
 
 
 def slope_at(problem: Problem, w: Array, y: Array, now: Array) -> Array:
@@ -265,11 +263,11 @@ def _turn(problem: Problem, course: _Course, dt: float) -> _Course:
     else:
         (d, _), K, s, l = newton(system, free, slope), free.K, course.s, course.l  # noqa: E741
         good = jnp.where(jnp.all(jnp.isfinite(d)), 1.0, 0.0)
-    v = shown(system, d)
+    z, v = answer(system, d)
     penalty = jnp.maximum(course.penalty, 2 * jnp.max(l))
     over = jnp.sum(beyond(problem, at, dt)[0])
     descent = jnp.sum(slope * v) - penalty * over
-    way = Way(d, carried(system, d), K)
+    way = Way(d, z, K)
     at, accepted = _searched(problem, at, way, cost + penalty * over, descent, penalty, dt)
     size = _size(problem, course.at, cost)
     share = jnp.sqrt(jnp.sum(v * (v @ W)) / 2 / size)
@@ -407,7 +405,7 @@ def _curvature(problem: Problem, found: Found, dt: float) -> _Curved:
     slope = slope_at(problem, at.w, at.y, now) - (found.l[0] - found.l[1])
     n, states = at.w.shape[1], at.x.shape[1]
     q = slope[:, n : n + at.y.shape[1]]
-    p = _adjoint(system, slope, n, at.y.shape[1], states)
+    p = adjoint(system, slope)[0][:, :states]
     unravel = ravel_pytree(problem.model.initial_state())[1]
 
     def weighted(xw: Array, added: Array, q: Array, p: Array) -> Array:
@@ -416,15 +414,9 @@ def _curvature(problem: Problem, found: Found, dt: float) -> _Curved:
 
     xw = jnp.concatenate([at.x, at.w], axis=1)
     H = jax.vmap(jax.hessian(weighted))(xw, problem.added, q, p)
-    N, width = len(xw), system.A.shape[-1]
+    width = system.A.shape[-1]
     further = jnp.eye(width + n)
-    both = (
-        jnp.concatenate([M, jnp.broadcast_to(part, (N, *part.shape))], axis=1)
-        for M, part in (
-            (jnp.broadcast_to(system.G_z, (N, *system.G_z.shape[-2:])), further[:, :width]),
-            (jnp.broadcast_to(system.G_d, (N, *system.G_d.shape[-2:])), further[:, width:]),
-        )
-    )
+    both = stacked([system.G_z, further[:, :width]]), stacked([system.G_d, further[:, width:]])
     # between the state and w there may be the input of the sample before, which is linear
     place = jnp.delete(further, slice(states, width), axis=1)
     H = place @ H @ place.T
@@ -439,20 +431,3 @@ def _motion(problem: Problem, w: Array, dt: float) -> Motion:
     still = jnp.zeros((len(w), states), w.dtype)
     way = Way(jnp.zeros_like(w), still, jnp.zeros((*w.shape, states), w.dtype))
     return moved(problem, Motion(w, still, problem.target), way, 1.0, dt)
-
-
-def _adjoint(system: System, slope: Array, n: int, outputs: int, states: int) -> Array:
-    """(N, n_x) the derivative p[k+1] of what follows the output y[k+1] by the state x[k+1]."""
-    G = jnp.broadcast_to(system.G_z, (len(slope), *system.G_z.shape[-2:]))
-    A = jnp.broadcast_to(system.A, (len(slope), *system.A.shape[-2:]))
-    q = slope[:, n : n + outputs]
-
-    def back(p: Array, now: Tree) -> tuple[Tree, Tree]:
-        A, G, q = now
-        return A.T @ p + G.T @ q, p
-
-    # the row of the output at k is C[k] A[k], with the matrix C of the sample after
-    rest = jnp.zeros(states, slope.dtype)
-    return over_samples(
-        back, rest, (A[:, :states, :states], G[:, n : n + outputs, :states], q), reverse=True
-    )[1]

@@ -13,8 +13,7 @@ from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels, need_numbers
 from ..signals.task import Task, Trial
 from .parts import need_no_comparing, need_no_experiments
-from .scheme import Memory, Part, Scheme
-from .wrapper import Wrapper
+from .scheme import Memory, Part, Scheme, Wrapper
 
 T = TypeVar("T")
 

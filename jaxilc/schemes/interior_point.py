@@ -20,7 +20,7 @@ from jax import lax
 
 from ..pytree.aliases import Array, Tree, Value
 from ..runtime.jax_internals import once, with_slope
-from .riccati import Factor, System, adjoint, factor, newton, shown
+from .riccati import Factor, System, adjoint, answer, factor, newton
 
 GAP = 1e-9  # share of the cost, in double precision
 RESIDUAL = 1e-8  # of the other two conditions of optimality, each in its own unit
@@ -193,7 +193,7 @@ def _iterate(problem: Problem, bounds: _Bounds, fits: Array, at_stake: Array) ->
     fits: () whether the solution without bounds is the optimum, so that nothing is to do
     at_stake: () by how much the cost falls without bounds
     """
-    scale = jnp.max(jnp.abs(adjoint(problem.system, problem.b)))
+    scale = jnp.max(jnp.abs(adjoint(problem.system, problem.b)[1]))
     scale = jnp.where(scale > 0, scale, 1.0)
     dtype = problem.b.dtype
     small = max(1e-12, 30 * float(jnp.finfo(dtype).eps))
@@ -237,9 +237,8 @@ def _judged(problem: Problem, bounds: _Bounds, scale: Array, point: Point, steps
     off = jnp.max(jnp.where(bounds.there, jnp.abs(products / target - 1), 0.0))
     missing = jnp.where(bounds.there, bounds.sign * point.v + bounds.offset - point.s, 0.0)
     both = _slope(problem, bounds, point), jnp.sum(bounds.sign * point.l, axis=0)
-    slope, forces = jnp.max(
-        jnp.abs(jax.vmap(adjoint, (None, 0))(problem.system, jnp.stack(both))), axis=(1, 2)
-    )
+    of_both = jax.vmap(lambda q: adjoint(problem.system, q)[1])(jnp.stack(both))
+    slope, forces = jnp.max(jnp.abs(of_both), axis=(1, 2))
     return _Course(
         point,
         steps + 1,
@@ -299,7 +298,7 @@ def _last_step(problem: Problem, free: Factor, point: Point) -> Array:
     of = factor(still.system, still.W, jnp.sum(weight, axis=0))
 
     def step(problem: Problem, point: Point, weight: Array, of: Factor) -> Array:
-        bounds, v = _bounds_of(problem), shown(problem.system, point.d)
+        bounds, (_, v) = _bounds_of(problem), answer(problem.system, point.d)
         now = bounds.sign * v + bounds.offset
         l = point.l - weight * (now - lax.stop_gradient(now))  # noqa: E741
         return newton(problem.system, of, _slope(problem, bounds, point._replace(v=v, l=l)))[0]

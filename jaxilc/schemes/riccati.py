@@ -88,32 +88,25 @@ def newton(system: System, of: Factor, q: Array) -> tuple[Array, Array]:
     return scan(forth, rest, system, len(q), of.K, g)[1]
 
 
-def shown(system: System, d: Array) -> Array:
-    """(N, m) the rows v of inputs d (N, n_u)."""
+def answer(system: System, d: Array) -> tuple[Array, Array]:
+    """(N, n) the states z[0..N-1] and (N, m) the rows v of inputs d (N, n_u)."""
 
     def forth(z: Array, now: Tree) -> tuple[Tree, Tree]:
         (A, B, G_z, G_d), d_k = now
-        return product(A, z) + product(B, d_k), product(G_z, z) + product(G_d, d_k)
+        return product(A, z) + product(B, d_k), (z, product(G_z, z) + product(G_d, d_k))
 
     return scan(forth, jnp.zeros(system.A.shape[-1], d.dtype), system, len(d), d)[1]
 
 
-def carried(system: System, d: Array) -> Array:
-    """(N, n) the states z[0..N-1] under inputs d (N, n_u)."""
+def adjoint(system: System, q: Array) -> tuple[Array, Array]:
+    """The derivatives of sum_k q[k]' v[k], for constant q (N, m), by z[k+1] (N, n) and d (N, n_u).
 
-    def forth(z: Array, now: Tree) -> tuple[Tree, Tree]:
-        (A, B, _, _), d_k = now
-        return product(A, z) + product(B, d_k), z
-
-    return scan(forth, jnp.zeros(system.A.shape[-1], d.dtype), system, len(d), d)[1]
-
-
-def adjoint(system: System, q: Array) -> Array:
-    """(N, n_u) the derivative of sum_k q[k]' v[k] with respect to d, for constant q (N, m)."""
+    That by z[k+1] is of what follows it.
+    """
 
     def back(p: Array, now: Tree) -> tuple[Tree, Tree]:
         (A, B, G_z, G_d), q_k = now
-        return product(G_z.T, q_k) + product(A.T, p), product(G_d.T, q_k) + product(B.T, p)
+        return product(G_z.T, q_k) + product(A.T, p), (p, product(G_d.T, q_k) + product(B.T, p))
 
     rest = jnp.zeros(system.A.shape[-1], q.dtype)
     return scan(back, rest, system, len(q), q, reverse=True)[1]

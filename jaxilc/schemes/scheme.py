@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple, Self, TypeAlias, TypeVar
 import jax
 import jax.numpy as jnp
 
-from ..pytree.aliases import Array, Tree, Value
+from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import need_decorated
 from ..pytree.named_paths import named_leaves
 from ..signals.task import Limit, Sample, Task, Trial
@@ -284,6 +284,90 @@ class Scheme(Law):
         """
         r = jnp.asarray(task.reference)
         return Trial(r, r - e, learned, task.dt)
+
+
+class Wrapper(Scheme):
+    """A scheme around another scheme, which behaves like it except for what the wrapper overrides.
+
+    A wrapper whose inner scheme sees another task, or has another memory, overrides `parts`; what
+    is done within a trial follows from that. A wrapper whose inner scheme learns from another trial
+    overrides `shown`.
+
+    limits_again: what it does to an input that was learned and limited, before it limits that, too
+    """
+
+    limits_again: ClassVar[str] = ""
+    scheme: Scheme
+
+    def parts(self, task: Task, memory: Memory) -> dict[str, Part]:
+        return {"scheme": Part(self.scheme, task, memory)}
+
+    def _inner(self, task: Task, memory: Memory = UNASKED) -> Part:
+        return Part(*self.parts(task, memory)["scheme"])
+
+    @property
+    def preview(self) -> int:
+        return self.scheme.preview
+
+    @property
+    def learns(self) -> bool:
+        return self.scheme.learns
+
+    @property
+    def plays_back(self) -> bool:
+        return self.scheme.plays_back
+
+    @property
+    def limit(self) -> Leaf | None:
+        return getattr(self.scheme, "limit", None)
+
+    @property
+    def trials_a_step(self) -> int:
+        return self.scheme.trials_a_step
+
+    def initial_memory(self, task: Task) -> Memory:
+        scheme, task, _ = self._inner(task)
+        return scheme.initial_memory(task)
+
+    def learn(self, memory: Memory, trial: Trial) -> Memory:
+        return self.scheme.learn(memory, self.shown(trial)["scheme"])
+
+    def schedule(self, memory: Memory, task: Task) -> Schedule:
+        scheme, task, memory = self._inner(task, memory)
+        return scheme.schedule(memory, task)
+
+    def feedforward(self, memory: Memory, task: Task) -> Array:
+        scheme, task, memory = self._inner(task, memory)
+        return scheme.feedforward(memory, task)
+
+    def initial_state(self, task: Task) -> State:
+        scheme, task, _ = self._inner(task)
+        return scheme.initial_state(task)
+
+    def act(self, state: State, sample: Sample) -> tuple[State, Array]:
+        return self.scheme.act(state, sample)
+
+    def signals(self, state: State) -> dict[str, Array]:
+        return self.scheme.signals(state)
+
+    def played(self, schedule: Schedule, task: Task) -> dict[str, Array]:
+        scheme, task, _ = self._inner(task)
+        return scheme.played(schedule, task)
+
+    def play(self, learned: Array, memory: Memory, task: Task) -> Schedule:
+        scheme, task, memory = self._inner(task, memory)
+        return scheme.play(learned, memory, task)
+
+    def record(self, learned: Array, e: Array, task: Task) -> Trial:
+        scheme, task, _ = self._inner(task)
+        return scheme.record(learned, e, task)
+
+    def limits(self, task: Task, memory: Memory, trial: Trial) -> dict[str, Limit]:
+        found = super().limits(task, memory, trial)
+        if self.limits_again and self.limit is not None:
+            learned = next_unlimited(self, task, memory, trial)
+            found[f"{self.limits_again}.limit"] = Limit(learned, self.limit)
+        return found
 
 
 def under(name: str, found: dict[str, T]) -> dict[str, T]:

@@ -14,8 +14,8 @@ from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .constrained_norm_optimal import limits_of_rows
-from .constraints import kinds, need_feasible, rows_of
-from .gauss_newton import Found, Problem, optimum
+from .constraints import need_feasible, rows_of
+from .gauss_newton import Problem, optimum
 from .quadratic_cost import (
     need_convex,
     need_definite,
@@ -147,15 +147,15 @@ class TwoStep(Scheme):
         start = u + memory.alpha - alpha if self.correction == "input" else u
         found = optimum(_seen(self._control(model, trial.r, u, alpha), trial), start, dt)
         good = estimated.converged * found.converged
-        return _memory(
-            memory._replace(
-                u=jnp.where(good > 0, found.w, memory.u),
-                alpha=alpha,
-                unsolved=memory.unsolved + 1 - good,
-            ),
+        return TwoStepMemory(
+            jnp.where(good > 0, found.w, memory.u),
+            alpha,
             good,
-            estimated,
-            found,
+            memory.unsolved + 1 - good,
+            estimated.steps,
+            found.steps,
+            jnp.maximum(estimated.moved, found.moved),
+            found.violation,
         )
 
     def _estimation(self, model: Plant, trial: Trial) -> Problem:
@@ -186,8 +186,7 @@ class TwoStep(Scheme):
         model = self.model.sampled(trial.dt)
         problem = self._control(model, trial.r, trial.u, following.alpha)
         y = motion(model, following.u + problem.added, trial.dt) + problem.beside
-        rows = rows_of(problem, Trial(trial.r, y, following.u, trial.dt))
-        return limits_of_rows(self, {kind: rows[kind] for kind in kinds(problem)})
+        return limits_of_rows(self, rows_of(problem, Trial(trial.r, y, following.u, trial.dt)))
 
 
 @partial(jax.jit, static_argnums=2)
@@ -196,21 +195,9 @@ def _first(scheme: TwoStep, r: Array, dt: float) -> TwoStepMemory:
     u = jnp.zeros((len(r) - 1, scheme.model.n_u), r.dtype)
     alpha = jnp.zeros((len(u), scheme._corrections), r.dtype)
     found = optimum(scheme._control(scheme.model.sampled(dt), r, u, alpha), u, dt)
-    zero = jnp.zeros((), r.dtype)
-    unsolved = 1 - found.converged
-    blank = TwoStepMemory(found.w, alpha, zero, unsolved, zero, zero, zero, zero)
-    none = found._replace(steps=zero, moved=zero)
-    return _memory(blank, found.converged, none, found)
-
-
-def _memory(memory: TwoStepMemory, good: Array, estimated: Found, found: Found) -> TwoStepMemory:
-    """The memory with what is known of the two solutions."""
-    return memory._replace(
-        converged=good,
-        estimation_steps=estimated.steps,
-        control_steps=found.steps,
-        moved=jnp.maximum(estimated.moved, found.moved),
-        violation=found.violation,
+    zero, good = jnp.zeros((), r.dtype), found.converged
+    return TwoStepMemory(
+        found.w, alpha, good, 1 - good, zero, found.steps, found.moved, found.violation
     )
 
 

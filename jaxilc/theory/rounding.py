@@ -35,8 +35,7 @@ from ..pytree.fields import child, leaf, pytree
 from ..pytree.in_short import in_short
 from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
-from ..schemes.scheme import Memory, Schedule, State
-from ..schemes.wrapper import Wrapper
+from ..schemes.scheme import Memory, Schedule, State, Wrapper
 from ..signals.task import Limit, Sample, Task, Trial
 from .learning_map import View, alone, count_of, learning_of, slopes
 from .spectrum import reached

@@ -16,8 +16,7 @@ from ..pytree.aliases import Tree, Value
 from ..pytree.fields import child, pytree
 from ..schemes import Scheme, WithFeedback
 from ..schemes.compose import Pair
-from ..schemes.scheme import Feedforward, Memory, Schedule, State
-from ..schemes.wrapper import Wrapper
+from ..schemes.scheme import Feedforward, Memory, Schedule, State, Wrapper
 from ..signals.task import Sample, Task, Trial
 
 # trials before a scheme that adapts is looked at: by then one of two-trial increments has seen

@@ -17,7 +17,7 @@ from jaxilc.plants import Plant
 from jaxilc.pytree import child, get_at, interval_at, kind_at, leaf, named_leaves, pytree, replaced
 from jaxilc.pytree import settable as settable_of
 from jaxilc.schemes import PIDType, Scheme
-from jaxilc.schemes.wrapper import Wrapper
+from jaxilc.schemes.scheme import Wrapper
 from jaxilc.signals import Task
 from jaxilc.sweeps import Sweep
 from jaxilc.tuning import Tuning

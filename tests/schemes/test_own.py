@@ -19,8 +19,7 @@ from jaxilc.pytree import child, leaf, named_leaves, pytree
 from jaxilc.scenarios.scenario import Scenario
 from jaxilc.schemes import FFDLMFAILC, PID, Feedforward, Ladder, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.parts import with_all_parts
-from jaxilc.schemes.scheme import limited
-from jaxilc.schemes.wrapper import Wrapper
+from jaxilc.schemes.scheme import Wrapper, limited
 from jaxilc.signals import Task
 from jaxilc.sweeps import Sweep
 from jaxilc.theory import certify
