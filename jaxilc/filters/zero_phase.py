@@ -257,7 +257,8 @@ def mirrored(signal, response) -> jax.Array:
 
 def forward_and_backward(one_pass, signal, edge: int) -> jax.Array:
     """A causal filter run over the (N, n) signal and back, with odd extension at each end."""
-    forward = one_pass(odd_extension(signal, edge))
+    extended = jnp.pad(signal, ((edge, edge), (0, 0)), mode="reflect", reflect_type="odd")
+    forward = one_pass(extended)
     both = one_pass(forward[::-1])[::-1]
     return both[edge : both.shape[0] - edge]
 
@@ -296,12 +297,3 @@ def butterworth_pass(cutoff, dt, order: int, signal) -> jax.Array:
 
     at_rest = [(jnp.zeros_like(signal[0]), signal[0]) for _ in dampings]
     return over_samples(tick, (at_rest, signal[0]), signal)[1]
-
-
-def odd_extension(signal, samples: int) -> jax.Array:
-    """The signal reflected through its end points by so many samples (scipy's odd_ext)."""
-    if samples == 0:
-        return signal
-    left = 2.0 * signal[:1] - signal[samples:0:-1]
-    right = 2.0 * signal[-1:] - signal[-2 : -samples - 2 : -1]
-    return jnp.concatenate([left, signal, right])

@@ -92,6 +92,9 @@ class LearningAndFeedback(Scheme):
         acted = {"feedback": shown["feedback"]._replace(u=own)}
         return limits_of_parts(self.parts(task, memory), shown | acted)
 
+    def signals(self, state: State) -> dict[str, Array]:
+        return state.told | under("feedback", self.feedback.signals(state.feedback))
+
     def _of_feedback(self, schedule: Schedule, task: Task) -> dict[str, Array]:
         """What a machine must know of the feedback of a schedule, by name."""
         feedback, seen, _ = self.parts(task, UNASKED)["feedback"]
@@ -148,6 +151,13 @@ class PairState(NamedTuple):
     learning: State
     feedback: State
     u: Array
+
+
+class Followed(NamedTuple):
+    """The state of a feedback that follows what was learned, and the signals of the last sample."""
+
+    feedback: State
+    told: dict[str, Array]
 
 
 @pytree
@@ -256,17 +266,6 @@ class ReferenceSchedule(NamedTuple):
     feedback: Schedule
 
 
-class ReferenceState(NamedTuple):
-    """The state of `OnReference`.
-
-    feedback: state of the feedback
-    correction: (n_y,) w[k] [unit of y]
-    """
-
-    feedback: State
-    correction: Array
-
-
 @pytree
 class OnReference(LearningAndFeedback):
     """The feedback follows r + w, and w is learned (the series structure of Li 2020, Fig. 1).
@@ -304,20 +303,17 @@ class OnReference(LearningAndFeedback):
         ahead = ahead_of(learned, self.preview)
         return ReferenceSchedule(learned, delay(learned, 1), ahead, feedback)
 
-    def initial_state(self, task: Task) -> ReferenceState:
-        return ReferenceState(self.feedback.initial_state(task), jnp.zeros(task.outputs))
+    def initial_state(self, task: Task) -> Followed:
+        told = {"correction": jnp.zeros(task.outputs)}
+        return Followed(self.feedback.initial_state(task), told)
 
-    def act(self, state: ReferenceState, sample: Sample) -> tuple[ReferenceState, Array]:
+    def act(self, state: Followed, sample: Sample) -> tuple[Followed, Array]:
         row = sample.row
         seen = sample._replace(
             r=sample.r + row.now, ahead=sample.ahead + row.ahead, row=row.feedback
         )
         feedback, u = self.feedback.act(state.feedback, seen)
-        return ReferenceState(feedback, row.u), u
-
-    def signals(self, state: ReferenceState) -> dict[str, Array]:
-        feedback = self.feedback.signals(state.feedback)
-        return {"correction": state.correction} | under("feedback", feedback)
+        return Followed(feedback, {"correction": row.u}), u
 
     def played(self, schedule: ReferenceSchedule, task: Task) -> dict[str, Array]:
         """What a machine plays; the feedback follows `reference` (N+1, n_y), not the task's r.
@@ -331,19 +327,6 @@ class OnReference(LearningAndFeedback):
     def record(self, learned: Array, e: Array, task: Task) -> Trial:
         still = super().record(jnp.zeros((task.N, task.inputs)), e, task)
         return still._replace(signals=self._silent(task) | {"correction": learned})
-
-
-class LearnedState(NamedTuple):
-    """The state of MILC within a trial.
-
-    feedback: state of the feedback
-    u: (n_u,) contribution of the feedback to the input [unit of u]
-    reference: (1,) r[k+1], the learned reference that the feedback follows [unit of y]
-    """
-
-    feedback: State
-    u: Array
-    reference: Array
 
 
 @pytree
@@ -441,21 +424,18 @@ class MultivariableILC(LearningAndFeedback):
         schedule = feedback.schedule(known, motor)
         return ReferenceSchedule(u, now, ahead_of(r, self.preview), schedule)
 
-    def initial_state(self, task: Task) -> LearnedState:
+    def initial_state(self, task: Task) -> Followed:
         feedback, motor, _ = self.parts(task, UNASKED)["feedback"]
-        return LearnedState(feedback.initial_state(motor), jnp.zeros(1), jnp.zeros(1))
+        told = {"feedback": jnp.zeros(1), "reference": jnp.zeros(1)}
+        return Followed(feedback.initial_state(motor), told)
 
-    def act(self, state: LearnedState, sample: Sample) -> tuple[LearnedState, Array]:
+    def act(self, state: Followed, sample: Sample) -> tuple[Followed, Array]:
         row = sample.row
         seen = sample._replace(
             r=row.now, ahead=row.ahead, y=sample.y[self.motor_output][None], row=row.feedback
         )
         feedback, u = self.feedback.act(state.feedback, seen)
-        return LearnedState(feedback, u, row.ahead[0]), row.u + u
-
-    def signals(self, state: LearnedState) -> dict[str, Array]:
-        feedback = self.feedback.signals(state.feedback)
-        return {"feedback": state.u, "reference": state.reference} | under("feedback", feedback)
+        return Followed(feedback, {"feedback": u, "reference": row.ahead[0]}), row.u + u
 
     def played(self, schedule: ReferenceSchedule, task: Task) -> dict[str, Array]:
         """What a machine plays in a trial, by name.

@@ -149,7 +149,6 @@ class ConstrainedNormOptimal(Scheme):
         )
 
     def prepared(self, task: Task) -> ConstrainedNormOptimal:
-        """This scheme with the equations solved that depend on model and weights alone."""
         return self._prepared(jnp.asarray(task.reference), task.dt)
 
     def _prepared(self, r: Array, dt: float) -> ConstrainedNormOptimal:

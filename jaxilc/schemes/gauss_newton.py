@@ -320,32 +320,17 @@ def optimum(problem: Problem, start: Array, dt: float) -> Found:
     return with_slope(partial(solve, dt=dt), partial(_tangent, dt))(problem, start)
 
 
-class _Curved(NamedTuple):
-    """The second derivative of the Lagrange function by w, as the cost of rows of a system.
-
-    The rows are those of the problem, then the state, then w itself.
-
-    W: (N, m, m), D: (N, m) as for `riccati.factor`
-    held: (2, N, m') the weights with which bounds hold the rows of the problem
-    """
-
-    system: System
-    W: Array
-    D: Array
-    held: Array
-
-
 def _tangent(dt: float, at: tuple[Problem, Array], by: tuple[Problem, Array]) -> Found:
     """The slope of `optimum` for `with_slope`."""
     problem, found = once((at[0], optimum(*at, dt)), ONE_DERIVATIVE)
     solved, n = found.converged > 0, found.w.shape[1]
 
     def of(problem: Problem) -> Array:
-        return _slope(_calm(problem, solved), found, curved.held, dt)
+        return _slope(_calm(problem, solved), found, held, dt)
 
-    curved = _curvature(_calm(problem, solved), found, dt)
+    held, *curved = _curvature(_calm(problem, solved), found, dt)
     # a problem that was not solved may be NaN, which times zero would spoil the others of a batch
-    system, W, D = jax.tree.map(lambda M: jnp.where(solved, M, 0.0), curved[:3])
+    system, W, D = jax.tree.map(lambda M: jnp.where(solved, M, 0.0), curved)
     eye = jnp.eye(W.shape[-1])
     system = system._replace(G_d=jnp.where(solved, system.G_d, eye[:, -n:]))
     W = jnp.where(solved, W, eye)
@@ -389,10 +374,12 @@ def _slope(problem: Problem, found: Found, held: Array, dt: float) -> Array:
 
 
 @partial(jax.jit, static_argnums=2)
-def _curvature(problem: Problem, found: Found, dt: float) -> _Curved:
-    """The second derivative at the optimum.
+def _curvature(problem: Problem, found: Found, dt: float) -> tuple[Array, System, Array, Array]:
+    """The second derivative of the Lagrange function by w at the optimum, as the cost of rows.
 
-    What the linear form leaves out is that of the model, weighted with the adjoint p of the state:
+    It is the weights (2, N, m') with which bounds hold the rows of the problem, and system, W and D
+    of `riccati.factor`, whose rows are those of the problem, then the state, then w itself. What
+    the linear form leaves out is that of the model, weighted with the adjoint p of the state:
 
         H[k] = d^2/d(x, w)^2 (q[k]' h(f(x, w)) + p[k+1]' f(x, w)),
         p[k] = A[k]' (p[k+1] + C[k]' q[k]),    q[k]: derivative by y[k+1]
@@ -422,7 +409,7 @@ def _curvature(problem: Problem, found: Found, dt: float) -> _Curved:
     H = place @ H @ place.T
     W = jax.vmap(lambda H: block_diag(W, H))(H)
     D = jnp.pad(jnp.sum(held, axis=0), ((0, 0), (0, width + n)))
-    return _Curved(System(system.A, system.B, *both), W, D, held)
+    return held, System(system.A, system.B, *both), W, D
 
 
 def _motion(problem: Problem, w: Array, dt: float) -> Motion:

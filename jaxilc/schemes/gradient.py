@@ -146,7 +146,6 @@ class GradientILC(Scheme):
         return GradientMemory(jnp.zeros((task.N, task.inputs)), none, none, none)
 
     def prepared(self, task: Task) -> GradientILC:
-        """This scheme with its model sampled, and the curvature of a linear model."""
         return self._prepared(task.N, task.dt)
 
     def _prepared(self, N: int, dt: float) -> GradientILC:
@@ -345,9 +344,9 @@ class ModelFreeGradient(Scheme):
         error = jnp.where(first, trial.e[1:] @ symmetric_of(self.w_q, self.outputs), memory.error)
         learned = jnp.where(first, trial.u, memory.learned)
         total = jnp.where(first, 0.0, memory.total) + trial.y[:0:-1] @ self._share(now, memory).T
-        learned = jnp.where(
-            last, self._filtered(learned + self.step / self.amplitude * total, trial.dt), learned
-        )
+        new = learned + self.step / self.amplitude * total
+        new = new if self.filter is None else self.filter(new, trial.dt)
+        learned = jnp.where(last, new, learned)
         following = jnp.where(last, 0.0, now + 1)
         base = learned if self.about == "trial" else jnp.mean(learned, axis=0, keepdims=True)
         excited = base + self.amplitude * error[::-1] @ self._pattern(following, memory).T
@@ -380,6 +379,3 @@ class ModelFreeGradient(Scheme):
             return jnp.eye(self.inputs)
         key = jax.random.fold_in(jax.random.key(self.seed), memory.steps.astype(int))
         return jnp.where(jax.random.bernoulli(key, shape=(self.inputs, self.outputs)), 1.0, -1.0)
-
-    def _filtered(self, u: Array, dt: float) -> Array:
-        return u if self.filter is None else self.filter(u, dt)

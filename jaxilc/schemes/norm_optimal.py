@@ -111,7 +111,6 @@ class NormOptimal(Scheme):
             )
 
     def prepared(self, task: Task) -> NormOptimal:
-        """This scheme with the equations solved that depend on model and weights alone."""
         return self._prepared(task.N, task.dt)
 
     def learn(self, memory: Feedforward, trial: Trial) -> Feedforward:
