@@ -25,7 +25,7 @@ from ..hardware.checks import (
 )
 from ..pytree.aliases import Array, Tree
 from ..schemes import Scheme
-from ..schemes.parts import growth_of, trials_of_step
+from ..schemes.scheme import growth_of, trials_of_step
 from ..signals.task import Task, Trial
 
 # what the end of a trial tells, by its code

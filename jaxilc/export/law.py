@@ -28,7 +28,7 @@ from ..native.program import Program, Step, read
 from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.named_paths import named_leaves
 from ..schemes import Scheme
-from ..schemes.parts import with_all_parts
+from ..schemes.scheme import with_all_parts
 from ..signals.task import Sample, Task, Trial
 from . import guard
 from .interpreter import interpret

@@ -28,8 +28,7 @@ from ..pytree.in_short import in_short
 from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, environment, need_same
 from ..schemes import Scheme
-from ..schemes.parts import growth_of
-from ..schemes.scheme import Memory
+from ..schemes.scheme import Memory, growth_of
 from ..signals.task import Task, Trial
 from ..storage.sealed import as_json
 from . import calibration, checks

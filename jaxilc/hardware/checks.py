@@ -17,7 +17,7 @@ from ..learning.machine import Actuator
 from ..learning.playback import unit_of
 from ..pytree.ranges import require
 from ..schemes import Scheme
-from ..schemes.parts import trials_of_step
+from ..schemes.scheme import trials_of_step
 from ..signals.task import Task, Trial
 from .journal import METRICS, Manifest
 
@@ -457,7 +457,7 @@ def larger(
 
     played: the largest value of each schedule in the trials so far
     learned: j
-    grows: g, of `schemes.parts.growth_of`
+    grows: g, of `schemes.scheme.growth_of`
     """
     found = []
     for name in (name for name in schedules if kind(name) in LEARNED):

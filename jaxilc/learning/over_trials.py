@@ -20,7 +20,7 @@ from ..pytree.ranges import brief, require
 from ..runtime.capacity import bytes_of, check_size
 from ..runtime.lanes import usual_stored
 from ..schemes import Scheme
-from ..schemes.parts import trials_of_step
+from ..schemes.scheme import trials_of_step
 from ..signals.rows import for_carry
 from ..signals.task import Task, Trial
 from .divergence import course

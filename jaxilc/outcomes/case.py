@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from ..learning.known_metrics import ERRORS
 from ..scenarios import Scenario
-from ..schemes.parts import trials_of_step
+from ..schemes.scheme import trials_of_step
 from .request import Request
 from .words import number
 
@@ -70,7 +70,7 @@ class Case(NamedTuple):
     metric: name of the metric by which schemes are judged, in words
     unit: in which it is shown
     tolerance: largest value that passes, None if none is known
-    steps: trials of a learning step by name, see `schemes.parts.trials_of_step`
+    steps: trials of a learning step by name, see `schemes.scheme.trials_of_step`
     """
 
     request: Request

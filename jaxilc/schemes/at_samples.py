@@ -14,8 +14,7 @@ from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import known, need_numbers
 from ..signals.task import Task, Trial, samples_within
 from .gradient import Ready
-from .parts import need_no_comparing, with_all_parts
-from .scheme import Part, Scheme, Wrapper
+from .scheme import Part, Scheme, Wrapper, need_no_comparing, with_all_parts
 from .weights import weighed
 
 BOUNDS = ("y_low", "y_high", "tube", "contour")  # of outputs, which need all of an output

@@ -17,9 +17,8 @@ from .bases import Basis, pushed
 from .compose import need_feedforward
 from .gradient import Ready, answers, need_answers, varies
 from .guards import Guard
-from .parts import need_no_experiments
 from .quadratic_cost import largest_eigenvalue, need_weight, weights_of
-from .scheme import Feedforward, Memory, Schedule, Scheme, Wrapper, limited
+from .scheme import Feedforward, Memory, Schedule, Scheme, Wrapper, limited, need_no_experiments
 from .weights import answers_weighed
 
 ROUNDING = 100.0  # in units of the last place, of a scaled Gram matrix

@@ -15,7 +15,6 @@ from ..pytree.fields import child, pytree, static
 from ..signals.rows import ahead_of, delay
 from ..signals.task import Limit, Sample, Task, Trial
 from .guards import Ladder
-from .parts import need_no_experiments
 from .scheme import (
     UNASKED,
     Memory,
@@ -26,6 +25,7 @@ from .scheme import (
     Wrapper,
     limited,
     limits_of_parts,
+    need_no_experiments,
     under,
 )
 

@@ -10,8 +10,7 @@ from ..pytree.aliases import Array, Leaf
 from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_numbers
 from ..signals.task import Task, Trial
-from .parts import need_no_comparing, need_no_experiments
-from .scheme import Scheme, Wrapper
+from .scheme import Scheme, Wrapper, need_no_comparing, need_no_experiments
 from .weights import weighed
 
 RESTS = 1e-6  # share of the largest step of a reference, up to which it counts as rest

@@ -12,8 +12,7 @@ from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels, need_numbers
 from ..signals.task import Task, Trial
-from .parts import need_no_comparing, need_no_experiments
-from .scheme import Memory, Part, Scheme, Wrapper
+from .scheme import Memory, Part, Scheme, Wrapper, need_no_comparing, need_no_experiments
 
 T = TypeVar("T")
 

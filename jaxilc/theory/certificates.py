@@ -68,7 +68,7 @@ from ..schemes import (
     Scheme,
     WithFeedback,
 )
-from ..schemes.parts import trials_of_step
+from ..schemes.scheme import trials_of_step
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, draw, drawn_machines
 from .bounds import Checked, checked_machines

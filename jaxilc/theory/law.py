@@ -20,8 +20,7 @@ import numpy as np
 
 from ..filters.zero_phase import Filter
 from ..schemes import Scheme
-from ..schemes.parts import with_all_parts
-from ..schemes.scheme import Memory
+from ..schemes.scheme import Memory, with_all_parts
 from ..signals.task import Task
 from .condition import Premise, premise
 from .loop import on_circle

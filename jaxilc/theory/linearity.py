@@ -23,8 +23,7 @@ from ..learning.variation import Variation
 from ..plants.structure import CONSTANT, Dependence, dependence, obstacle
 from ..pytree.aliases import Function, Tree
 from ..schemes import Scheme, WithFeedback
-from ..schemes.parts import trials_of_step, with_all_parts
-from ..schemes.scheme import UNASKED, Memory
+from ..schemes.scheme import UNASKED, Memory, trials_of_step, with_all_parts
 from ..signals.task import Task, Trial
 from .condition import Premise, premise
 from .loop import tick_of

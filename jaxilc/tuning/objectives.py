@@ -33,8 +33,7 @@ from ..pytree.fields import child, leaf, pytree
 from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.guards import Guard
-from ..schemes.parts import need_second_derivatives
-from ..schemes.scheme import Memory, State
+from ..schemes.scheme import Memory, State, need_second_derivatives
 from ..signals.task import Sample, Task, Trial
 
 

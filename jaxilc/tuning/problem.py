@@ -35,7 +35,7 @@ from ..runtime.capacity import check_program, check_size
 from ..runtime.earlier_names import takes_also
 from ..runtime.provenance import describe, environment
 from ..schemes import Scheme
-from ..schemes.parts import need_learned_at_last
+from ..schemes.scheme import need_learned_at_last
 from ..signals.task import Task, Trial
 from ..storage.files import need_free
 from ..sweeps.sweep import Sweep

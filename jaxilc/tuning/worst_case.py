@@ -28,7 +28,7 @@ from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, require
 from ..runtime.capacity import check_program, check_size
 from ..schemes import Scheme
-from ..schemes.parts import need_learned_at_last
+from ..schemes.scheme import need_learned_at_last
 from ..signals.task import Task, Trial
 from ..uncertainty import LogUniform, Population, Uncertainty, drawn_machine
 from .objectives import Final, judge, levels

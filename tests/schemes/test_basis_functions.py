@@ -27,7 +27,7 @@ from jaxilc.schemes import (
     started,
 )
 from jaxilc.schemes.bases import _path
-from jaxilc.schemes.parts import with_all_parts
+from jaxilc.schemes.scheme import with_all_parts
 
 MODEL = StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
 STEP = Polynomial([0] * 5 + [126, -420, 540, -315, 70])  # from 0 to 1, four derivatives at rest

@@ -8,7 +8,7 @@ from cases import SCHEMES, case
 
 from jaxilc import schemes
 from jaxilc.pytree.ranges import Interval
-from jaxilc.schemes.parts import with_all_parts
+from jaxilc.schemes.scheme import with_all_parts
 
 RANGES = {
     "[0, inf)": """ASMC.eta ASMC.phi ASMC.epsilon FFDLMFAILC.lead PID.tau SMC.eta SMC.k_n SMC.lam2

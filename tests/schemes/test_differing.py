@@ -12,7 +12,7 @@ import pytest
 from cases import DT, FEW, PLANTS, SCHEMES, case, task_for
 
 from jaxilc.schemes import AtSamples, CrossCoupled, KeepUnmeasured, OnBasis, PolynomialBasis
-from jaxilc.schemes.parts import with_all_parts
+from jaxilc.schemes.scheme import with_all_parts
 from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Trial
 

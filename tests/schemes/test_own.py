@@ -18,8 +18,7 @@ from jaxilc.plants import DifferenceEquation
 from jaxilc.pytree import child, leaf, named_leaves, pytree
 from jaxilc.scenarios.scenario import Scenario
 from jaxilc.schemes import FFDLMFAILC, PID, Feedforward, Ladder, PIDType, Scheme, WithFeedback
-from jaxilc.schemes.parts import with_all_parts
-from jaxilc.schemes.scheme import Wrapper, limited
+from jaxilc.schemes.scheme import Wrapper, limited, with_all_parts
 from jaxilc.signals import Task
 from jaxilc.sweeps import Sweep
 from jaxilc.theory import certify

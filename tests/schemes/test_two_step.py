@@ -15,7 +15,7 @@ from jaxilc.plants import Pendulum, StateSpace
 from jaxilc.scenarios.reproduction import _simulated
 from jaxilc.schemes import NormOptimal, TwoStep, WithFeedback
 from jaxilc.schemes.gauss_newton import optimum
-from jaxilc.schemes.parts import need_second_derivatives
+from jaxilc.schemes.scheme import need_second_derivatives
 from jaxilc.schemes.two_step import TwoStepMemory
 from jaxilc.signals import Task
 from jaxilc.signals.task import Trial
