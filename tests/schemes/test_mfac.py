@@ -208,6 +208,7 @@ def mfac(plant, law, **options):
     return kind(**weights, **windows), mfac_loop(plant, L_y, L_u, **weights, offset=offset)
 
 
+@pytest.mark.thorough(but=["book-cfdl", "book-ffdl", "sign-pfdl", "none-ffdl_long", "limit-ffdl"])
 @pytest.mark.parametrize("law", WINDOWS)
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 def test_mfac(law, options):
@@ -265,6 +266,9 @@ def mfapc(plant, offset=0.0, closed_form=False, **options):
     )
 
 
+@pytest.mark.thorough(
+    but=["1", "3_sign", "3_limit", "3_of_order_1", "5_constant", "5_of_order_7", "one_step"]
+)
 @pytest.mark.parametrize("options", MFAPC.values(), ids=MFAPC)
 def test_mfapc(options):
     due = Counter()

@@ -520,6 +520,7 @@ FILTERS = {
 }
 
 
+@pytest.mark.thorough(but=["p_type-fir", "cfdl-fir", "ffdl-butterworth"])
 @pytest.mark.parametrize("q", FILTERS)
 @pytest.mark.parametrize("law", ["p_type", "cfdl", "ffdl"])
 def test_filtered(law, q):
