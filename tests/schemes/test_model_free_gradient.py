@@ -169,7 +169,3 @@ def test_a_machine_plays_the_experiments_and_their_errors_are_no_growth(tmp_path
 def test_what_does_not_fit_is_named(make, said):
     with pytest.raises(ValueError, match=said):
         make().check(TASK)
-
-
-def test_a_filter_around_a_usual_law_is_not_refused():
-    StopWhen(Filtered(PIDType(gamma_p=0.5), ZeroPhaseFIR()), growth=0.5).check(TASK)
