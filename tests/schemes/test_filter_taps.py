@@ -107,7 +107,7 @@ IIR = ZeroPhaseIIR((0.0461, 0.0922, 0.0461), (1.0, -1.3073, 0.4918))
 )
 def test_its_frequency_response_is_that_of_the_filters(L, Q, options, of_L, of_Q):
     law = learning_filter(L, Q, **options)
-    found = law_response(law, Task(np.zeros(2001), dt=DT), FREQUENCIES)
+    found = law_response(law, Task(np.zeros(801), dt=DT), FREQUENCIES)
     np.testing.assert_allclose(found.keep[:, 0, 0], of_Q(CIRCLE), rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(found.L[:, 0, 0], of_Q(CIRCLE) * of_L(CIRCLE), rtol=1e-8, atol=1e-10)
 

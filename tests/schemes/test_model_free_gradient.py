@@ -118,6 +118,7 @@ def test_repeated_experiments_are_averaged():
 P_TYPE = PIDType(gamma_p=0.1)
 
 
+@pytest.mark.thorough(but=["beside a law", "of two laws"])
 @pytest.mark.parametrize(
     "scheme",
     [
@@ -125,6 +126,7 @@ P_TYPE = PIDType(gamma_p=0.1)
         WithFeedback(P_TYPE, ModelFreeGradient(0.3)),
         WithFeedback(P_TYPE, Ladder(P_TYPE, 3)),
     ],
+    ids=["alone", "beside a law", "of two laws"],
 )
 def test_the_forecast_is_of_each_trial_of_a_step(scheme):
     """A step is over when both parts have learned a whole number of times."""
