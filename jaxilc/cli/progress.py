@@ -8,13 +8,15 @@ import threading
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from . import console, durations
 
 if TYPE_CHECKING:
-    from ..outcomes.sweeping import Swept
+    import xarray as xr
+
     from ..sweeps import Sweep
 
 T = TypeVar("T")
@@ -96,59 +98,39 @@ def working(command: str) -> Generator[Callable[..., None]]:
             durations.remember(key, seconds)
 
 
-def thread_for_later(*works: Callable[[], object]) -> threading.Thread:
-    """A thread that imports what a command needs afterwards, and does other works; not started.
-
-    An error is not reported: it comes again where the result is needed.
-    """
-
-    def run():
-        for work in (lambda: [*map(importlib.import_module, AFTERWARDS)], *works):
-            with suppress(Exception):
-                work()
-
-    return threading.Thread(target=run)
-
-
-def stopped(store: Path) -> NoReturn:
-    """Print how to continue after Ctrl-C, and end with exit code 130."""
-    console.warn(f"stopped; {store} holds what is done: the same command with --resume goes on")
-    sys.exit(130)
-
-
-def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) -> Swept:
-    """Run a sweep with a progress bar for each scheme.
+def run_sweep(
+    plan: Sweep,
+    store: Path,
+    *,
+    resume: bool,
+    progress: Callable[..., object] = lambda *_: None,
+    cluster: str | None,
+) -> xr.Dataset:
+    """Run a sweep, as `Sweep.run`, with a progress bar for each scheme.
 
     Ctrl-C ends the command with exit code 130, and a chunk that no worker could compute ends it
     with exit code 1.
     """
-    from ..outcomes.sweeping import Swept
     from ..sweeps.cluster import ChunkFailed
 
     console.stage_ends("start")
-    start = time.perf_counter()
-    counted: dict[str, int] = {}
-    of_a_machine = plan.trials * plan.task.N
-    later = thread_for_later()
+    start, counted = time.perf_counter(), 0
     with progress_bar("rate") as bar:
         bars = {
             name: bar.add_task(name, total=plan.population.size * plan.axes.size, rate="")
             for name in plan.schemes
         }
 
-        def progress(name: str, done: int, fresh: int) -> None:
-            if fresh and later.ident is None:  # from now on the devices compute
-                later.start()
-            counted[name] = counted.get(name, 0) + fresh
-            rate = sum(counted.values()) * of_a_machine / (time.perf_counter() - start)
+        def told(name: str, done: int, fresh: int) -> None:
+            nonlocal counted
+            counted += fresh * plan.trials * plan.task.N
+            rate = counted / (time.perf_counter() - start)
             bar.update(bars[name], completed=done, rate=f"{rate:.2g} steps/s")
+            progress(name, done, fresh)
 
         try:
-            dataset = plan.run(store, resume=resume, progress=progress, cluster=cluster)
-            if later.ident is not None:
-                later.join()
-        except KeyboardInterrupt:
-            stopped(store)
+            run = partial(plan.run, cluster=cluster)
+            dataset = run_search(run, store, resume=resume, progress=told)
         except ImportError as error:
             if cluster is None:
                 raise
@@ -158,7 +140,7 @@ def run_sweep(plan: Sweep, store: Path, *, resume: bool, cluster: str | None) ->
             console.warn(f"{store} holds what is done: the same command with --resume goes on")
             sys.exit(1)
     console.stage_ends("run")
-    return Swept(dataset, time.perf_counter() - start, sum(counted.values()) * of_a_machine)
+    return dataset
 
 
 def run_search(
@@ -169,11 +151,18 @@ def run_search(
     progress: Callable[..., object],
     meanwhile: Sequence[Callable[[], object]] = (),
 ) -> T:
-    """Run one or several tunings, as `outcomes.tuning.run_search`.
+    """Run a sweep, or one or several tunings, as `outcomes.tuning.run_search`.
 
     What the command needs afterwards is done meanwhile. Ctrl-C ends it with exit code 130.
     """
-    later = thread_for_later(*meanwhile)
+    works = (lambda: [*map(importlib.import_module, AFTERWARDS)], *meanwhile)
+
+    def do_works() -> None:
+        for work in works:
+            with suppress(Exception):  # it comes again where the result is needed
+                work()
+
+    later = threading.Thread(target=do_works)
 
     def told(*step: object) -> None:
         progress(*step)
@@ -185,5 +174,6 @@ def run_search(
         if later.ident is not None:
             later.join()
     except KeyboardInterrupt:
-        stopped(state)
+        console.warn(f"stopped; {state} holds what is done: the same command with --resume goes on")
+        sys.exit(130)
     return found

@@ -73,7 +73,6 @@ def run(
         progress=lambda done, name: progress(name, done, len(chosen.schemes)),
     )  # fmt: skip
     numbers = run_numbers(chosen, dataset)
-    by_axis = axes_table(numbers)
     changed = request.params or not settings_of(request.set).keys() <= chosen.options.keys()
     published = [CHANGED] if chosen.due and changed else reading_lines(chosen, numbers)
     choices = [f"chosen: {text}" for text in chosen.chosen]
@@ -86,7 +85,7 @@ def run(
         tables=[
             run_table(chosen, numbers),
             last_trial_table(numbers),
-            *([] if by_axis is None else [by_axis]),
+            *([axes_table(numbers)] if chosen.task.outputs > 1 else []),
         ],
         lines=[
             *course_lines(numbers),
@@ -335,10 +334,8 @@ def last_trial_table(numbers: Numbers) -> Table:
     return table
 
 
-def axes_table(numbers: Numbers) -> Table | None:
+def axes_table(numbers: Numbers) -> Table:
     """The table of the errors of the last trial of a run, axis by axis, and of the contour."""
-    if not any("axes" in rows for rows in numbers["schemes"].values()):
-        return None
     last = str(numbers["trials"])
     title = f"trial {last} by axis, errors in {numbers['unit'] or 'the unit of y'}"
     table = Table("scheme", "axis", right=HEADS, title=title)

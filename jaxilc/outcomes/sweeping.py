@@ -60,27 +60,6 @@ MAPS = {
 }
 
 
-class Swept(NamedTuple):
-    """The result of a sweep.
-
-    dataset: dataset that `Sweep.run` returns
-    seconds: time of the sweep, with compilation [s]
-    steps: number of sample-steps that were computed; 0 where the store held all machines
-    """
-
-    dataset: xr.Dataset
-    seconds: float
-    steps: int
-
-
-def run_plan(plan: Sweep, store: Path, *, resume: bool) -> Swept:
-    """Run a sweep without showing its progress."""
-    start, counted = time.perf_counter(), []
-    dataset = plan.run(store, resume=resume, progress=lambda _, __, fresh: counted.append(fresh))
-    steps = sum(counted) * plan.trials * plan.task.N
-    return Swept(dataset, time.perf_counter() - start, steps)
-
-
 def sweep(
     request: Request | str,
     *,
@@ -92,7 +71,7 @@ def sweep(
     bounds: bool = False,
     folder: Path | None = None,
     resume: bool = False,
-    run: Callable[..., Swept] = run_plan,
+    run: Callable[..., xr.Dataset] = Sweep.run,
 ) -> Outcome:
     """Schemes against many uncertain machines: yield, quantiles, worst case, figure, dataset.
 
@@ -102,7 +81,7 @@ def sweep(
     bounds: whether d1, d2 and the premises of Cao 2019 are watched on each machine
     folder: for the results; out/sweep-NAME if not given
     resume: whether to go on with what is in the folder
-    run: how a plan is run, as `run_plan`
+    run: how a plan is run, as `Sweep.run`
     Raises ValueError naming what is allowed, and FileExistsError for results without `resume`.
     """
     request = Request.of(request)
@@ -118,9 +97,14 @@ def sweep(
     stores = [unless_there(place / "dataset.zarr", resume)]
     if bounds and any(axis.size > 1 for axis in plan.axes.axes):
         stores.append(unless_there(place / NOMINAL, resume))
-    swept = run(plan, stores[0], resume=resume)
-    nominal = run(_nominal(plan), stores[1], resume=resume).dataset if stores[1:] else None
-    return _told(_Found(chosen, request, tolerance, swept.dataset, nominal), swept, stores)
+    start, fresh = time.perf_counter(), []
+    dataset = run(
+        plan, stores[0], resume=resume, progress=lambda _, __, machines: fresh.append(machines)
+    )
+    steps, seconds = sum(fresh) * plan.trials * plan.task.N, time.perf_counter() - start
+    nominal = run(_nominal(plan), stores[1], resume=resume) if stores[1:] else None
+    found = _Found(chosen, request, tolerance, dataset, nominal, stores, steps, seconds)
+    return _told(found)
 
 
 class _Found(NamedTuple):
@@ -131,6 +115,9 @@ class _Found(NamedTuple):
     tolerance: largest metric that passes [unit of the dataset], None if none is known
     whole: the dataset
     nominal: the same grid of the nominal machine with its bounds; None without a map of them
+    stores: of both
+    steps: sample-steps that were computed; 0 where the store held all machines
+    seconds: time of the sweep, with compilation [s]
     """
 
     chosen: Scenario
@@ -138,11 +125,16 @@ class _Found(NamedTuple):
     tolerance: float | None
     whole: xr.Dataset
     nominal: xr.Dataset | None
+    stores: list[Path]
+    steps: int
+    seconds: float
 
 
-def _told(found: _Found, swept: Swept, stores: list[Path]) -> Outcome:
+def _told(found: _Found) -> Outcome:
     """The outcome of a sweep: that of the best point, where it has a grid."""
-    chosen, request, tolerance, dataset, _ = found
+    chosen, request, tolerance, dataset = found[:4]
+    steps, seconds = found.steps, found.seconds
+    speed = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
     sizes = {axis: dataset.sizes[axis] for axis in axes_of(dataset)}
     best = best_points(dataset, tolerance, metric=chosen.judged_by) if sizes else []
     if best:
@@ -166,15 +158,22 @@ def _told(found: _Found, swept: Swept, stores: list[Path]) -> Outcome:
     several = any(size > 1 for size in sizes.values())
     return Outcome(
         command="sweep",
-        numbers=numbers | {"sample_steps": swept.steps, "seconds": swept.seconds},
+        numbers=numbers | {"sample_steps": steps, "seconds": seconds},
         verdict=verdict,
-        folder=stores[0].parent,
+        folder=found.stores[0].parent,
         scenario=chosen,
-        tables=_tables(numbers),
+        tables=[
+            *([grid_table(numbers)] if sizes else []),
+            yield_table(numbers),
+            spread_table(numbers),
+            band_table(numbers),
+            *([swept_axes_table(numbers)] if "axes" in numbers else []),
+            *bounds_tables(numbers),
+        ],
         lines=[
             *sweep_lines(numbers),
             *experiment_lines(chosen),
-            *_speed(swept.steps, swept.seconds),
+            *([f"{speed}: {steps / seconds:.3g} a second"] if steps else []),
         ],
         figures={
             **(_maps(found, best, drawn) if several else {}),
@@ -182,31 +181,10 @@ def _told(found: _Found, swept: Swept, stores: list[Path]) -> Outcome:
                 BAND, partial(figures.error_band, dataset, summary=summary, **drawn)
             ),
         },
-        kept=stores,
+        kept=found.stores,
         live=partial(live_sweep, dataset, summary, drawn, found.whole if several else None, best),
         configuration=dataset.attrs["configuration"],
     )
-
-
-def _tables(numbers: Numbers) -> list[Table]:
-    """The tables of a sweep."""
-    every = [
-        grid_table(numbers),
-        yield_table(numbers),
-        spread_table(numbers),
-        band_table(numbers),
-        swept_axes_table(numbers),
-        *bounds_tables(numbers),
-    ]
-    return [table for table in every if table is not None]
-
-
-def _speed(steps: int, seconds: float) -> list[str]:
-    """How fast the sample-steps were computed; nothing where the store held them all."""
-    if not steps:
-        return []
-    took = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
-    return [f"{took}: {steps / seconds:.3g} a second"]
 
 
 def live_sweep(
@@ -331,10 +309,8 @@ def grid_numbers(scenario: Scenario, best: Sequence[BestPoint], axes: Mapping[st
     return {"grid": {"axes": dict(axes), "best": found}}
 
 
-def swept_axes_table(numbers: Numbers) -> Table | None:
+def swept_axes_table(numbers: Numbers) -> Table:
     """The table of the errors of the last trial of a sweep, axis by axis, and of the contour."""
-    if "axes" not in numbers:
-        return None
     shares = [at["yield"] for axes in numbers["axes"].values() for at in axes.values()]
     within = (f"within {numbers['tolerance']:g}",) if None not in shares else ()
     columns = (*within, "median", "95 %", "worst (machine)")
@@ -397,10 +373,8 @@ def _share(share: float, trial: int) -> str:
     return f"{share:.1%}" + (f" ({trial})" if trial else "")
 
 
-def grid_table(numbers: Numbers) -> Table | None:
+def grid_table(numbers: Numbers) -> Table:
     """The table of the best point of each scheme, to which all other tables belong."""
-    if "grid" not in numbers:
-        return None
     axes, best = numbers["grid"]["axes"], numbers["grid"]["best"]
     count = several(int(np.prod([*axes.values()], dtype=int)), "point")
     columns = (*axes, "95 %", "points within twice", "points that diverge")
