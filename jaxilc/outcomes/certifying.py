@@ -89,6 +89,16 @@ def certify(
     what = "simulation contradicts what was claimed: please report this"
     of_all = {"scenario": request.source, "trials": chosen.trials, "samples": machines}
     said = [line for name, one in periods.items() for line in period_sentences(name, one)]
+    shown = {
+        name: Figure(
+            f"{name}: the error by trial, simulated and predicted, and what is claimed.",
+            partial(
+                figures.certificate, one.certificate, scale=scale, unit=unit, title=name,
+                parameters=drawn,
+            ),
+        )
+        for name, one in found.items()
+    }  # fmt: skip
     if numbers:
         verdict = certify_verdict(case, numbers, scale, said)
     else:
@@ -102,19 +112,8 @@ def certify(
         scenario=chosen,
         tables=tables,
         lines=lines,
-        figures={
-            name: Figure(
-                f"{name}: the error by trial, simulated and predicted, and what is claimed.",
-                partial(figures.certificate, one.certificate, scale=scale, unit=unit, title=name),
-            )
-            for name, one in found.items()
-        },
-        live=lambda: [
-            figures.certificate.described(
-                one.certificate, scale=scale, unit=unit, title=name, parameters=drawn
-            )
-            for name, one in found.items()
-        ],
+        figures=shown,
+        live=lambda: [one.described() for one in shown.values()],
         asked={"machines": machines, "seed": seed, "sampling": sampling},
         failed=f"{', '.join(broken)}: {what}" if broken else "",
     )

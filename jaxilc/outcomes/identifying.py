@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -43,6 +43,9 @@ from ..scenarios.identified_file import write_plant_file, write_refitted
 from ..theory.on_lines import MeasuredResponse
 from ..theory.q_filter import question
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
+
+if TYPE_CHECKING:
+    from ..figures.paper import Drawing
 
 ANY = "any"  # zeros, of a model that has as many as its poles allow
 SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
@@ -276,34 +279,26 @@ class Fitted(NamedTuple):
     def drawn(self) -> dict[str, Figure]:
         """The figures of a record, its model and the Bode diagram, or of both responses."""
         measured, found, (into, of) = self.measured, self.found, self.units
+        units = {"input_unit": into, "output_unit": of}
+        draw: dict[str, partial[Drawing]] = {}
         if not isinstance(measured, Record):
-            fit = partial(figures.response_fit_figure, measured, found)
-            return {"response": Figure(CAPTIONS["response"], fit, live=True)}
-        draw = {
-            "record": partial(figures.record_figure, measured, input_unit=into, output_unit=of),
-            "validation": partial(
-                figures.validation_figure, measured, found, output_unit=of, unit=of
-            ),
-        }
-        if found.plant.n_u == found.plant.n_y == 1:
-            draw["response"] = partial(
-                figures.response_figure, found, measured.dt, input_unit=into, output_unit=of
+            draw["response"] = partial(figures.response_fit_figure, measured, found)
+        else:
+            draw["record"] = partial(figures.record_figure, measured, **units)
+            draw["validation"] = partial(
+                figures.validation_figure, measured, found, unit=of, output_unit=of
             )
+            if found.plant.n_u == found.plant.n_y == 1:
+                draw["response"] = partial(figures.response_figure, found, measured.dt, **units)
         return {name: Figure(CAPTIONS[name], of_name, live=True) for name, of_name in draw.items()}
 
     def live(self) -> list[Interactive]:
         """The same as interactive figures, a record and its model in one."""
-        measured, found, (into, of) = self.measured, self.found, self.units
-        if not isinstance(measured, Record):
-            return [figures.response_fit_figure.described(measured, found)]
-        described = figures.validation_figure.described
-        shown: list[Interactive] = [
-            described(measured, found, unit=of, input_unit=into, output_unit=of)
-        ]
-        if found.plant.n_u == found.plant.n_y == 1:
-            of_plant = figures.response_figure.described
-            shown.append(of_plant(found, measured.dt, input_unit=into, output_unit=of))
-        return shown
+        drawn = self.drawn()
+        if drawn.pop("record", None) is not None:
+            both = partial(drawn["validation"].draw, input_unit=self.units[0])
+            drawn["validation"] = drawn["validation"]._replace(draw=both)
+        return [figure.described() for figure in drawn.values()]
 
 
 def _plant_file(path: Path, fitted: Fitted, source: str) -> tuple[str, bool]:

@@ -9,6 +9,7 @@ import copy
 import dataclasses
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
@@ -193,13 +194,18 @@ class Figure(NamedTuple):
     """A figure that is drawn when it is needed.
 
     caption: what it shows, in sentences
-    draw: a function that returns its axes
+    draw: a function that returns its axes: one of `figures`, with its arguments
     live: whether the interactive figures of a page show the same
     """
 
     caption: str
-    draw: Callable[[], Drawing]
+    draw: partial[Drawing]
     live: bool = False
+
+    def described(self) -> Description:
+        """What is drawn, as a page shows it."""
+        of: Value = self.draw.func
+        return of.described(*self.draw.args, **self.draw.keywords)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -218,7 +224,8 @@ class Outcome:
     figures: figures by the names of their files
     files: functions that write a further file or store at a place, by its name
     kept: files and stores that were written while computing
-    live: a function that makes or describes the interactive figures of a page
+    live: a function that makes or describes the interactive figures of a page; None for the figures
+        that are live, described
     asked: further rows of a page, below the name of the command
     configuration: all that determines the numbers; None for that of the scenario
     failed: a sentence where the numbers contradict each other, or nothing was found; the command
@@ -237,7 +244,7 @@ class Outcome:
     figures: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
     files: Mapping[str, Callable[[Path], object]] = dataclasses.field(default_factory=dict)
     kept: Sequence[Path] = ()
-    live: Callable[[], Sequence[Interactive]] = dataclasses.field(default=lambda: ())
+    live: Callable[[], Sequence[Interactive]] | None = None
     asked: Mapping[str, object] = dataclasses.field(default_factory=dict)
     configuration: Mapping[str, object] | None = None
     failed: str = ""
@@ -287,7 +294,7 @@ class Outcome:
         """
         from ..figures.report import command_report
 
-        files, live = {file.stem: file for file in reversed(drawn)}, self.live()
+        files, live = {file.stem: file for file in reversed(drawn)}, self._interactive()
         (page,) = command_report(
             path,
             self.command,
@@ -325,6 +332,11 @@ class Outcome:
         pictures = [(figure.caption, figure.draw()) for figure in self.figures.values()]
         tables = [table for table in self.tables if isinstance(table, Table)]
         return fragment(self.verdict, tables, self._words(), pictures)
+
+    def _interactive(self) -> Sequence[Interactive]:
+        if self.live is not None:
+            return self.live()
+        return [figure.described() for figure in self.figures.values() if figure.live]
 
     def _words(self) -> list[str]:
         """All lines, and what went wrong."""

@@ -94,7 +94,6 @@ def potential(
         tables=[_table(repeats, found)],
         lines=[*_lines(repeats, found), *recurs(within, repeats)],
         figures={"potential": Figure(OF_DENSITY, shown, live=True)},
-        live=lambda: [figures.potential_figure.described(repeats, found)],
         kept=kept,
         asked={"records": ", ".join(map(str, paths))},
     )

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import figures
+from ..figures.searches import worst_by_effort
 from ..figures.style import labelled
 from ..pytree.named_paths import get_at
 from ..scenarios import Scenario
@@ -17,7 +18,7 @@ from ..storage.sealed import write_json
 from ..tuning.worst_case import GRADIENT_COST, WorstMachine, worst_machine
 from ..uncertainty import Uncertainty
 from .case import Case, both
-from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
+from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
 from .words import number, several
 
@@ -67,9 +68,16 @@ def worst_case(
     } | worst_case_numbers(found, chosen.uncertainty)
     verdict = worst_case_verdict(Case.of(chosen, request), scheme, numbers)
     shown = {"metric": chosen.judged_by, "unit": unit}
-    marked = {name: search.value for name, search in found.searches.items()}
-    chance = figures.worst_against_chance
-    draw = partial(chance, found.by_chance, marked, nominal=found.nominal, **shown)
+    marked = {name: one.value for name, one in found.searches.items()}
+    figure = Figure(
+        "The share of drawn machines that err no more than so much, and the errors of the machines "
+        "that were searched for.",
+        partial(
+            figures.worst_against_chance, found.by_chance, marked, nominal=found.nominal,
+            machines={name: one.case.values for name, one in found.searches.items()}, **shown,
+        ),
+        live=True,
+    )  # fmt: skip
     return Outcome(
         command="worst-case",
         numbers=numbers,
@@ -77,30 +85,11 @@ def worst_case(
         folder=folder or Path("out") / f"worst-case-{chosen.name}",
         scenario=chosen,
         tables=worst_case_tables(chosen, numbers),
-        figures={
-            "worst-case": Figure(
-                "The share of drawn machines that err no more than so much, and the errors of the "
-                "machines that were searched for.",
-                draw,
-                live=True,
-            )
-        },
+        figures={"worst-case": figure},
         files={"worst-case.json": partial(write_json, value=numbers | verdict.as_json())},
-        live=partial(_live, found, shown),
+        live=lambda: [figure.described(), worst_by_effort.described(found.searches, **shown)],
         asked={"starts": starts, "steps": steps, "seed": seed},
     )
-
-
-def _live(found: WorstMachine, shown: dict[str, str]) -> list[Interactive]:
-    """The machines drawn and those searched for, and what each search found with what effort."""
-    from ..figures.searches import worst_by_effort
-
-    values = {name: one.value for name, one in found.searches.items()}
-    machines = {name: one.case.values for name, one in found.searches.items()}
-    chance = figures.worst_against_chance.described(
-        found.by_chance, values, nominal=found.nominal, machines=machines, **shown
-    )
-    return [chance, worst_by_effort.described(found.searches, **shown)]
 
 
 def worst_case_numbers(found: WorstMachine, uncertainty: Uncertainty) -> Numbers:

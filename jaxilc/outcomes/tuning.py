@@ -21,7 +21,7 @@ from ..sweeps.summary import summarise
 from ..tuning import Tuned, Tuning, trade_off
 from ..tuning.objectives import Objective
 from .case import Case
-from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
+from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, unless_there
 from .sweeping import live_store, sweep_numbers
 from .terms import limits_not_met, objective_of, risk_of, weights_of, with_limits
@@ -445,18 +445,13 @@ def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str
     left = sorted(set(shares) - {p.share for p in points})
     numbers: Numbers = {"trials": problem.trials, "points": rows, "left_out": left}
     one, other = (f"{name}, on held-out machines" for name in names)
-
-    def live() -> list[Interactive]:
-        weights = {
-            None if share == "given" else float(share): row["weights"]
-            for share, row in rows.items()
-        }
-        first, second = names
-        described = figures.pareto_front.described
-        return [described(points, first=first, second=second, given=given, weights=weights)]
-
+    weights = {
+        None if share == "given" else float(share): row["weights"] for share, row in rows.items()
+    }
     case = Case.of(of.chosen, of.request)
-    draw = partial(figures.pareto_front, points, first=one, second=other, given=given)
+    draw = partial(
+        figures.pareto_front, points, first=one, second=other, given=given, weights=weights
+    )
     caption = "The trade-off: each point is a tuning, with the share of the first objective."
     return of.outcome(
         {f"params-share-{p.share}.json": (p.tuned, rows[str(p.share)]) for p in points},
@@ -468,7 +463,6 @@ def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str
             for share in left
         ],
         figures={"front": Figure(caption, draw, live=True)},
-        live=live,
     )
 
 
@@ -484,15 +478,11 @@ def _by_trials(of: _Of, budgets: Sequence[int], unseen: int) -> Outcome:
     numbers = budget_numbers(of.chosen, found, compared)
     rows, metric, unit = numbers["budgets"], numbers["figure"], numbers["unit"]
     errors = [[[row[w]["median"], row[w]["worst"]] for row in rows.values()] for w in WHICH]
-
-    def live() -> list[Interactive]:
-        each = [row["weights"] for row in rows.values()]
-        weights = {name: [of[name] for of in each] for name in each[0]}
-        described = figures.final_error_by_trials.described
-        return [described(budgets, *errors, weights=weights, metric=metric, unit=unit)]
-
+    weights = {name: [row["weights"][name] for row in rows.values()] for name in problem.start}
     case = Case.of(of.chosen, of.request)
-    draw = partial(figures.final_error_by_trials, budgets, *errors, metric=metric, unit=unit)
+    draw = partial(
+        figures.final_error_by_trials, budgets, *errors, metric=metric, unit=unit, weights=weights
+    )
     caption = "The last error with the weights as given, and with those tuned for so many trials."
     return of.outcome(
         {f"params-{J}-trials.json": (tuned, rows[str(J)]) for J, tuned in found.items()},
@@ -500,7 +490,6 @@ def _by_trials(of: _Of, budgets: Sequence[int], unseen: int) -> Outcome:
         verdict=budget_verdict(case, of.scheme, numbers, of.folder),
         tables=[budget_table(of.chosen, of.scheme, numbers)],
         figures={"trials": Figure(caption, draw, live=True)},
-        live=live,
     )
 
 
