@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
-from ..outcomes.outcome import Numbers, Table, Verdict
+from ..outcomes.outcome import Figure, Interactive, Numbers, Table, Verdict
 from ..outcomes.request import settings_of
 from .console import begin, out, say, warn
 from .options import (
@@ -28,12 +29,12 @@ from .options import (
 from .present import written
 
 if TYPE_CHECKING:
-    from ..figures.page import Live
     from ..hardware.calibration import Expected
     from ..hardware.campaign import Campaign, Turn
     from ..hardware.checks import Finding
     from ..hardware.journal import Journal, Manifest
     from ..hardware.prediction import Place, Prediction
+    from ..pytree.aliases import Value
     from ..scenarios.campaigns import Opened
 
 
@@ -69,32 +70,28 @@ def trials(
     from ..figures.report import command_report
     from ..hardware.journal import Journal, units, write_log
     from ..hardware.prediction import kept
-    from ..scenarios.campaign_source import belongs_to, said_of_change, said_of_source
+    from ..scenarios.campaign_source import belongs_to
 
     journal, report = Journal(state), pages.file(".html")
     rows = journal.log()
     known = journal.last_known()
     recipe = known["recipe"] if "scenario" in known["recipe"] else {}
     live, prediction = _live(journal), kept(journal.path, str(known.get("configuration_hash")))
+    places = {} if prediction is None else _places(live, prediction)
     of = zip(("errors", "effort"), units(journal), strict=True)
     told = ", ".join(f"{what} in {unit}" for what, unit in of if unit)
     title = f"{state}: {told}" if told else str(state)
-    log = _log_table(title, rows, _band_texts(live, prediction))
+    log = _log_table(title, rows, _band_texts(places))
     out.print(log)
-    said = said_of_source(recipe) if recipe else []
-    changed = said_of_change(recipe, UNCHANGED) if recipe else ""
+    said, changed = _say_source(recipe) if recipe else ([], "")
     files = []
     if table is not None:
         files.append(write_log(table, rows))
     now = _opened(state) if live and (plot or report) else None
+    figure = _figure(journal, rows, live, (prediction, None))
     if plot is not None:
-        files.append(save_figure(plot, now, rows, live, (prediction, None), units(journal)))
-    for line in said:
-        say(line)
-    if changed:
-        warn(f"warning: {changed}")
-    unit = units(journal)[0]
-    sentences = verdict(live, None, prediction, unit, 0.02) if live else []
+        files.append(_save(figure, plot, now, live))
+    sentences = verdict(live, None, prediction, units(journal)[0], 0.02) if live else []
     measured = Path(live[-1]["source"]) if len(live) > 1 else None
     following = next_command(state, len(live) or 1, measured, None)
     if measured is not None and _named_otherwise(measured):
@@ -104,13 +101,17 @@ def trials(
     if report is not None:
         found = _verdict(sentences, following) if live else Verdict(())
         asked = {"campaign": "; ".join(said)} if said else {}
-        shown = _explored(now, (rows, live, prediction), units(journal))
+        shown: list[Interactive] = _browser(now, live)
+        if any(row["event"] == "trial" for row in rows):
+            shown.insert(0, figure.described())
         files += command_report(report, "trials", [log], verdict=found, live=shown, asked=asked)
+    placed = [{"serial": serial, **place._asdict()} for serial, place in places.items()]
     numbers = {
         "source": belongs_to(recipe) if recipe else {},
         "changed": changed,
         "trials": rows,
-        "predicted": None if prediction is None else _as_numbers(live, prediction),
+        "predicted": prediction
+        and {"machines": prediction.machines, **prediction.bands(), "trials": placed},
         "verdict": sentences,
         "next": following if live else "",
     }
@@ -140,33 +141,6 @@ def _verdict(lines: list[str], following: str) -> Verdict:
     return Verdict(tuple(line[:1].upper() + line[1:] for line in said), what, command)
 
 
-def _explored(
-    now: Campaign | None,
-    found: tuple[list[Manifest], list[Manifest], Prediction | None],
-    units: tuple[str, str],
-) -> list[Live]:
-    """The interactive figures of a campaign.
-
-    now: the campaign; None: no trial is then shown in time
-    found: rows of the journal, manifests that count, and what was predicted
-    """
-    from ..figures import browsers
-    from ..figures.campaign import bands_by_trial, campaign_figure
-    from ..figures.page import live as page_of
-    from ..hardware.campaign import TRIAL
-
-    rows, live, prediction = found
-    bands = None if prediction is None or not live else bands_by_trial(live, prediction)
-    shown = []
-    if any(row["event"] == "trial" for row in rows):
-        of = campaign_figure.described(rows, unit=units[0], input_unit=units[1], bands=bands)
-        shown.append(page_of(of))
-    if now is not None and len(live) > 1:
-        measured = {m["trial"]: now.journal.arrays(m, TRIAL) for m in live[1:]}
-        shown.append(browsers.measured_trials(now.task, measured))
-    return shown
-
-
 def _live(journal: Journal) -> list[Manifest]:
     """The manifests that count; none where the campaign must be taken back first."""
     try:
@@ -187,71 +161,68 @@ def _opened(state: Path) -> Campaign | None:
         return None
 
 
-def save_figure(
-    path: Path,
-    now: Campaign | None,
+def _figure(
+    journal: Journal,
     rows: list[Manifest],
     live: list[Manifest],
     predicted: tuple[Prediction | None, Expected | None],
-    units: tuple[str, str] = ("", ""),
-) -> Path:
-    """Write the figure of a campaign, and return its file.
+) -> Figure:
+    """The errors of a campaign by trial, with the prediction, and what the next trial will have."""
+    from ..figures.campaign import bands_by_trial, campaign_figure
+    from ..hardware.journal import units
 
-    now: the campaign; None: the figure then shows no trial in time
-    live: manifests that count
-    predicted: the prediction of the plant file, and what is expected of the next trial
-    units: units of y and of u, for a campaign that is not given
-    """
+    (prediction, expected), (unit, input_unit) = predicted, units(journal)
+    bands = bands_by_trial(live, prediction, expected) if prediction and live else None
+    draw = partial(campaign_figure, rows, unit=unit, input_unit=input_unit, bands=bands)
+    return Figure("", draw)
+
+
+def _save(figure: Figure, path: Path, now: Campaign | None, live: list[Manifest]) -> Path:
+    """Write that figure to a file, with the last trial in time where the campaign is known."""
     from .. import figures
-    from ..figures.campaign import LastTrial, bands_by_trial, campaign_figure
+    from ..figures.campaign import LastTrial
     from ..hardware.campaign import TRIAL
 
-    last, unit, input_unit = None, *units
-    if now is not None:
-        task, unit, input_unit = now.task, now.task.unit, now.task.input_unit
-        if len(live) > 1:
-            signals = now.journal.arrays(live[-1], TRIAL)
-            last = LastTrial(
-                live[-1]["trial"], task.time, task.reference, signals["y"], signals["u"]
-            )
-    prediction, expected = predicted
-    bands = None
-    if prediction is not None and live:
-        bands = bands_by_trial(live, prediction, expected)
-    axes = campaign_figure(rows, unit=unit, input_unit=input_unit, bands=bands, last=last)
-    return figures.save(axes, path)
+    last = None
+    if now is not None and len(live) > 1:
+        task, signals = now.task, now.journal.arrays(live[-1], TRIAL)
+        last = LastTrial(live[-1]["trial"], task.time, task.reference, signals["y"], signals["u"])
+    return figures.save(figure.draw(last=last), path)
 
 
-def _places(live: list[Manifest], prediction: Prediction):
-    """Each whole trial that counts with its place on what was expected, by its serial."""
+def _browser(now: Campaign | None, live: list[Manifest]) -> list[Interactive]:
+    """The measured trials in time, for a page; nothing where the campaign is not known."""
+    from ..figures import browsers
+    from ..hardware.campaign import TRIAL
+
+    if now is None or len(live) < 2:
+        return []
+    measured = {m["trial"]: now.journal.arrays(m, TRIAL) for m in live[1:]}
+    return [browsers.measured_trials(now.task, measured)]
+
+
+def _places(live: list[Manifest], prediction: Prediction) -> dict[int, Place]:
+    """Where each whole trial that counts lies on what was expected, by its serial."""
     from ..hardware.calibration import kept
     from ..hardware.journal import METRICS
     from ..hardware.prediction import steps
     from ..hardware.trial_files import ENDED
 
-    for manifest, step in zip(live[1:], steps(live), strict=True):
-        if not any(text.startswith(ENDED) for _, text in manifest["findings"]):
-            yield manifest["serial"], _place(prediction, step, manifest[METRICS], kept(manifest))
+    places = {
+        manifest["serial"]: _place(prediction, step, manifest[METRICS], kept(manifest))
+        for manifest, step in zip(live[1:], steps(live), strict=True)
+        if not any(text.startswith(ENDED) for _, text in manifest["findings"])
+    }
+    return {serial: place for serial, place in places.items() if place}
 
 
-def _as_numbers(live: list[Manifest], prediction: Prediction) -> Numbers:
-    places = [
-        {"serial": serial, **place._asdict()}
-        for serial, place in _places(live, prediction)
-        if place
-    ]
-    return {"machines": prediction.machines, **prediction.bands(), "trials": places}
-
-
-def _band_texts(live: list[Manifest], prediction: Prediction | None) -> dict[int, str]:
+def _band_texts(places: Mapping[int, Place]) -> dict[int, str]:
     """The predicted RMS error of each trial that counts, as text, by the serial of its entry."""
-    if prediction is None:
-        return {}
     marks = {"within": "", "slight": " (outside)", "clear": " (far outside)"}
     return {
         serial: f"{place.rms[0]:.3g} to {place.rms[1]:.3g}{marks[place.level]}"
-        for serial, place in _places(live, prediction)
-        if place and place.rms[0] < place.rms[1]
+        for serial, place in places.items()
+        if place.rms[0] < place.rms[1]
     }
 
 
@@ -405,13 +376,17 @@ def coming(
 
     (prediction, expected), step = predicted, next_step(live) if live else 1
     if expected is not None:
-        low, _, high = (float(end[0]) for end in expected.rms)
+        band = _band(expected, 0, unit)
     elif prediction is None or prediction.certain or step > prediction.trials:
         return ""
     else:
-        low, _, high = (float(end[step - 1]) for end in prediction.rms)
-    said = f"trial {trial} is predicted to have an RMS error of {low:.3g} to {high:.3g} {unit}"
-    return said.rstrip()
+        band = _band(prediction, step - 1, unit)
+    return f"trial {trial} is predicted to have {band}"
+
+
+def _band(of: Prediction | Expected, at: int, unit: str) -> str:
+    low, _, high = (float(end[at]) for end in of.rms)
+    return f"an RMS error of {low:.3g} to {high:.3g} {unit}".rstrip()
 
 
 def verdict(
@@ -439,10 +414,8 @@ def verdict(
     if not errors:
         if prediction is None or prediction.certain:
             return ["no trial is measured yet"]
-        low, _, high = (float(end[-1]) for end in prediction.rms)
-        after = f"an RMS error of {low:.3g} to {high:.3g} {unit}".rstrip()
-        last = prediction.trials
-        return [f"no trial is measured yet; the plant file predicts {after} for trial {last}"]
+        of_last = f"{_band(prediction, -1, unit)} for trial {prediction.trials}"
+        return [f"no trial is measured yet; the plant file predicts {of_last}"]
     numbers, last = list(experiments)[: len(errors)] or [0] * len(errors), errors[-1][0]
     errors = [one for one, number in zip(errors, numbers, strict=True) if not number]
     (first, begun), (trial, error) = errors[0], errors[-1]
@@ -636,7 +609,8 @@ def next_(
     now = opened.campaign
     if not (new or now.journal.bound or dry_run or undo is not None):
         _bind(now.journal)
-    source = _say_source(opened)
+    said, changed = _say_source(opened.recipe)
+    source = [*said, changed] if changed else said
     schedules = now.first_schedules() if new else now.schedules(undo)
     trial = 1 if new else (now.trials if undo is None else undo) + 1
     if undo is not None and not dry_run:
@@ -726,17 +700,16 @@ def _bind(journal: Journal) -> None:
     )
 
 
-def _say_source(opened: Opened) -> list[str]:
-    """Print and return the sentences on what the campaign belongs to, and what has changed."""
+def _say_source(recipe: Mapping[str, Value]) -> tuple[list[str], str]:
+    """Print and return the sentences on what a campaign belongs to, and on what has changed."""
     from ..scenarios.campaign_source import said_of_change, said_of_source
 
-    said = said_of_source(opened.recipe)
+    said, changed = said_of_source(recipe), said_of_change(recipe, UNCHANGED)
     for line in said:
         say(line)
-    changed = said_of_change(opened.recipe, UNCHANGED)
     if changed:
         warn(f"warning: {changed}")
-    return [*said, changed] if changed else said
+    return said, changed
 
 
 def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | None:
@@ -846,10 +819,10 @@ def _close(
     measured, out_file, plot, json_file = files
     prediction = predicted[0]
     now, journal = opened.campaign, opened.campaign.journal
-    rows = journal.log() if journal.exists else []
     live = journal.live() if journal.exists else []
+    paths = []
     if plot is not None and live and not dry_run:
-        plot = save_figure(plot, now, rows, live, predicted)
+        paths.append(_save(_figure(journal, journal.log(), live, predicted), plot, now, live))
     numbers_of = experiment_numbers(now.scheme, now.task, live)
     known = opened.scenario.potential
     stop = None if known is None else known.stop
@@ -871,5 +844,4 @@ def _close(
         numbers |= {"trial": turn.trial, "metrics": turn.metrics, "findings": findings}
     if place is not None:
         numbers["predicted"] = place._asdict()
-    paths = [plot] if plot is not None and live and not dry_run else []
     written(paths, None if dry_run else json_file, numbers)
