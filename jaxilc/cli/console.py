@@ -53,10 +53,7 @@ counted: defaultdict[str, float] = defaultdict(float)
 
 
 def speak(*, quiet: bool, verbose: bool) -> None:
-    """Set how much is printed: warnings and errors only, or a log in addition.
-
-    Raises ValueError if both are asked for.
-    """
+    """Set how much is printed: warnings and errors only, or a log in addition; both are refused."""
     if quiet and verbose:
         raise ValueError("--quiet and --verbose exclude each other")
     out.quiet = quiet
@@ -75,10 +72,7 @@ def tracebacks() -> bool:
 
 
 def log_jax(programs: Path | None) -> None:
-    """Log the devices of JAX, and from now on every program that takes long to compile.
-
-    programs: folder in which compiled programs are kept, None if they are not kept
-    """
+    """Log versions and devices, and from now on programs that take long to compile."""
     if not log.isEnabledFor(logging.INFO):
         return
     import jax
@@ -100,19 +94,13 @@ def log_jax(programs: Path | None) -> None:
 
 
 def stage_ends(stage: str) -> None:
-    """Note the end of a stage of a sweep, for the log: first of `start`, then of `run`.
-
-    Of two sweeps in one command the start of the first and the end of the second count.
-    """
+    """Note the end of a stage of sweeps: of `start` for the first one, of `run` for the last."""
     if stage != "start" or not counted[stage]:
         counted[stage] = time.perf_counter()
 
 
 def ended() -> None:
-    """Log the time that the command took, and how much of it was compiling.
-
-    For a sweep of this process, also log which share of it was spent in compiled code.
-    """
+    """Log the time that the command took, and how much of it was compiling and computing."""
     if log.isEnabledFor(logging.INFO):
         if counted[COMPUTING] and counted["run"]:
             log.info("%s", _shares(time.perf_counter()))
@@ -169,10 +157,7 @@ _preferred = {"precision": "float64"}
 
 
 def prefer(precision: str) -> None:
-    """Set the precision of what is computed: float64 or float32.
-
-    Raises ValueError for another one.
-    """
+    """Set the precision of what is computed, float64 or float32; raises ValueError for another."""
     if precision not in ("float64", "float32"):
         raise ValueError(f"precision = {precision!r} is not one of 'float64', 'float32'")
     _preferred["precision"] = precision

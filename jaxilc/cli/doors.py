@@ -28,11 +28,7 @@ MOST = 10_000  # tokens that are remembered
 
 
 class Doors(HTTPServerConnectionDelegate):
-    """A server's application behind these rules.
-
-    application: application of Tornado
-    address: address that the server listens on
-    """
+    """A server's application, of Tornado, behind these rules; address: where it listens."""
 
     def __init__(self, application: HTTPServerConnectionDelegate, address: str):
         self.application, self.address = application, address

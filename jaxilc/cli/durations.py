@@ -18,10 +18,7 @@ USUAL = {"run": 6.0, "certify": 16.0, "identify": 6.0, "filter": 11.0, "export":
 
 
 def file() -> Path | None:
-    """The file of durations, in the cache folder of the user; None where nothing is kept.
-
-    JAXILC_CACHE names another folder; with `off` nothing is kept.
-    """
+    """The file of durations, in the user's cache or JAXILC_CACHE; None where that is `off`."""
     chosen = os.environ.get("JAXILC_CACHE", "")
     if chosen == "off":
         return None

@@ -91,10 +91,7 @@ def _refused(address: str, port: int, error: OSError | UnicodeError) -> ValueErr
 
 
 def server_of(shown, address: str, port: int):
-    """The server of a page, not started, and the address of the page.
-
-    Raises ValueError for an address or a port that cannot be used.
-    """
+    """The server of a page, not started, and the address of the page."""
     from bokeh.application import Application
     from bokeh.application.handlers.function import FunctionHandler
     from bokeh.server.server import BaseServer

@@ -119,10 +119,7 @@ def trials(
 
 
 def _named_otherwise(measured: Path) -> bool:
-    """Whether `next` was told the names of the columns of a record, which no journal keeps.
-
-    Only a record of text that is still there shows it, by a header without `y`, or by none.
-    """
+    """Whether `next` was told the names of columns, as the record shows by no header with `y`."""
     from ..storage.columns import name_and_unit, read_columns
 
     try:
@@ -227,10 +224,7 @@ def _band_texts(places: Mapping[int, Place]) -> dict[int, str]:
 
 
 def _log_table(title: str, rows: list[Manifest], predicted: dict[int, str]) -> Table:
-    """A table with a row for each entry of the journal, and all channels of each metric.
-
-    predicted: text on the predicted RMS error by the serial of an entry; without any, no column
-    """
+    """A row for each entry of the journal, with all channels, and texts of bands if any."""
     band = ("predicted rms",) if predicted else ()
     columns = ("entry", "trial", "event", "rms error", *band, "max error", "effort", "file")
     shown = Table(*columns, "warnings", title=title)
@@ -257,10 +251,7 @@ def _log_table(title: str, rows: list[Manifest], predicted: dict[int, str]) -> T
 def against_prediction(
     now: Campaign, turn: Turn, prediction: Prediction | None, place: Place | None
 ) -> tuple[str, list[Finding]]:
-    """The sentence on what was predicted for a trial, and a finding where it lies outside.
-
-    prediction, place: that of the campaign, and where the trial lies on it; None without one
-    """
+    """The sentence on what was predicted for a trial, and a finding where it lies outside."""
     from ..hardware.checks import GROWN_BEYOND
 
     if prediction is None or place is None:
@@ -320,10 +311,7 @@ def _side(turn: Turn, place: Place) -> str:
 
 
 def _unexpected(now: Campaign, turn: Turn, place: Place, fit: str) -> Finding:
-    """The finding of a trial outside the band that the trials before gave.
-
-    fit: the command that fits the plant again
-    """
+    """The finding of a trial outside the band that the trials before gave."""
     from ..hardware.checks import Finding
 
     side = _side(turn, place)
@@ -350,10 +338,7 @@ def step_back(now: Campaign) -> str:
 
 
 def new_plant_file(recipe: Numbers) -> str:
-    """A name for a plant file that is fitted to the trials of a campaign: axis.toml, axis-2.toml.
-
-    recipe: recipe of the campaign
-    """
+    """A name for a plant file that is fitted to the trials of a campaign: axis-2.toml."""
     file = recipe.get("file")
     given = Path(str(file.get("given"))) if isinstance(file, dict) else Path("axis.toml")
     found = _LAST_NUMBER.match(given.stem)
@@ -368,10 +353,7 @@ def coming(
     trial: int,
     unit: str,
 ) -> str:
-    """A sentence on what is predicted for the next trial, empty without a band.
-
-    predicted: the prediction of the plant file, and what the trials so far expect
-    """
+    """A sentence on what is predicted for the next trial, empty without a band."""
     from ..hardware.prediction import next_step
 
     (prediction, expected), step = predicted, next_step(live) if live else 1
@@ -636,10 +618,7 @@ def next_(
 
 
 def _of_campaign(settings: dict[str, str]) -> tuple[dict[str, str], Numbers]:
-    """The settings of the scenario, and those of the campaign, whose names begin with `campaign.`.
-
-    Raises ValueError for a name that is not known, or a value that has another type.
-    """
+    """The settings of the scenario, and those of `campaign.`, which must be known."""
     found: Numbers = {}
     rest = {}
     for path, text in settings.items():
@@ -713,10 +692,7 @@ def _say_source(recipe: Mapping[str, Value]) -> tuple[list[str], str]:
 
 
 def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | None:
-    """The prediction of the campaign, None without one; where there can be none, says why.
-
-    compute: whether it is simulated where the folder does not have it
-    """
+    """The prediction of the campaign, kept or computed; where there can be none, says why."""
     from ..hardware.prediction import kept, key_of, next_step, of_campaign
 
     if not opened.recipe.get("predict", True):

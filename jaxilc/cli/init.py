@@ -83,11 +83,7 @@ def init(
 
 
 def _of_record(content: str, record: Path, file: Path, names: tuple[str, str, str]) -> str:
-    """The file for a drive of which a move was recorded: its plant, its task and its units.
-
-    names: of the columns of time, set-point and position
-    Raises as `read_record_file`.
-    """
+    """The file for a drive of which a move was recorded, in columns of these names."""
     from ..identification.record_files import read_record_file
 
     time, set_point, position = names

@@ -72,11 +72,7 @@ MACHINE = "Learn on a real machine"
 
 
 def file_to_write(param: typer.CallbackParam, path: Path | None) -> Path | None:
-    """The path of a file for results.
-
-    param: the option, for the message
-    Raises ValueError, before anything is computed, if no file can be written there.
-    """
+    """The path of a file; raises ValueError at once if none can be written there."""
     if path is not None and (path.is_dir() or not _may_write(path)):
         raise ValueError(
             f"{_called(param)} {path} cannot be written; allowed is a file in a folder that can"
@@ -146,11 +142,7 @@ def figures_as(text: str | None) -> str | None:
 
 
 def at_least(low: int, **given: int | None) -> None:
-    """Check that the numbers of options are at least `low`.
-
-    given: numbers by the name of the option, with `_` for `-`; None for an option not given
-    Raises ValueError naming the first option whose number is below `low`.
-    """
+    """Raises ValueError naming the first option, with `_` for `-`, whose number is too low."""
     for name, value in given.items():
         if value is not None and value < low:
             option = name.replace("_", "-")
@@ -293,10 +285,7 @@ Reports = Annotated[
 
 
 def left(option: str, instead: str) -> OptionInfo:
-    """An option that is not shown any more, and warns where it is given.
-
-    instead: what does the same now, in words
-    """
+    """An option that is not shown any more, and warns where it is given: what does the same now."""
 
     def check(value: object) -> object:
         if value or (value == 0 and value is not False):
@@ -500,11 +489,7 @@ class Commands(typer.core.TyperGroup):
 
 
 def now_named(words: list[str], commands: list[str]) -> list[str]:
-    """The words of a command line with options as they are called now.
-
-    words: words after the name of the program
-    commands: names of all commands
-    """
+    """The words after the name of the program, with options as they are called now."""
     at = next((i for i, word in enumerate(words) if word in commands), len(words))
     known = OF_ALL | RENAMED.get(words[at], {}) if words[at:] else {}
     before, after, rest = words[:at], words[at : at + 1], words[at + 1 :]

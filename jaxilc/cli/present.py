@@ -41,10 +41,7 @@ def tell(
 
 
 def present(outcome: Outcome, pages: Pages, *, details: bool = False) -> None:
-    """Print an outcome, write its files, and end with the command to type next.
-
-    Where the outcome says that the command failed, it ends with exit code 1.
-    """
+    """Print an outcome, and write its files; one that failed ends with exit code 1."""
     from ..outcomes.outcome import silent
 
     outcome.show(out, details=details)

@@ -33,13 +33,12 @@ def watched_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Number
     """What a `BoundsWatch` found of each scheme that learns, over machines and trials, by scheme.
 
     Over a grid each machine counts at each point, and the last trial of a point with fewer trials
-    than another counts again.
+    than another counts again. Besides those of `bounds_numbers` there are:
 
     d2, left_out: smallest, median and largest over the machines; null where nothing is proved
     norm, pointwise: median over the machines of the median and of the largest ratio over the trials
     growing: share of the trials, of all machines, after which the 2-norm of the error was larger,
         of those before which it was above rounding
-    The other numbers are those of `bounds_numbers`.
     """
     trial, found = dataset["trial"], {}
     if "trials" in dataset.coords:

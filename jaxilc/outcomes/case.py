@@ -28,10 +28,7 @@ HEADS = tuple(m.head or m.name.replace("_", " ") for m in ERRORS)
 
 
 def shown_trials(scenario: Scenario) -> list[int]:
-    """The trials that have a row in a table: those that the scenario names, and the last one.
-
-    Where it names none, they are 1, 2, 5, 10, 20 and so on.
-    """
+    """The trials of tables: those that the scenario names, or 1, 2, 5, 10 ..., and the last."""
     decades = range(len(str(scenario.trials)))
     named = scenario.show_trials or [n * 10**k for k in decades for n in (1, 2, 5)]
     return sorted({j for j in named if j <= scenario.trials} | {scenario.trials})
@@ -98,10 +95,7 @@ class Case(NamedTuple):
         )
 
     def of_learned(self, errors: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
-        """The errors of the trials by scheme; those of experiments are replaced.
-
-        An experiment gets the error of the trial before it that played what was learned.
-        """
+        """The errors by scheme; an experiment has that of the learned trial before it."""
         every = {name: self.steps.get(name, 1) for name in errors}
         return {
             name: [of_scheme[j - j % every[name]] for j in range(len(of_scheme))]
@@ -130,10 +124,7 @@ class Case(NamedTuple):
         return f"It is {side} the tolerance of {self.size(self.tolerance)}."
 
     def head(self, best: str, alike: Sequence[str] = ()) -> str:
-        """The beginning of a sentence on the best scheme.
-
-        alike: further schemes that end as well
-        """
+        """The beginning of a sentence on the best scheme, and on those that end alike."""
         others = len(self.learns)
         is_best = f" is best of {others} schemes" if others > 1 else ""
         if alike:
@@ -158,10 +149,7 @@ class Case(NamedTuple):
         return "what can be set", self.request.following("list")
 
     def _redesigned(self) -> Request:
-        """What was asked without the weights of the schemes, which a design chooses itself.
-
-        It takes their feedback, so that settings of a feedback are kept.
-        """
+        """What was asked, of the schemes the feedback alone, which a design keeps."""
         kept = (
             one
             for one in self.request.set

@@ -369,10 +369,7 @@ def _expected(numbers: Numbers) -> str:
 def certify_verdict(
     case: Case, numbers: Mapping[str, Numbers], scale: float, besides: Sequence[str] = ()
 ) -> Verdict:
-    """Which schemes are certified on every machine, which are not, and why.
-
-    besides: sentences on other schemes
-    """
+    """Which schemes are certified on every machine, which are not, and why."""
     certified, said = [], []
     for name, row in numbers.items():
         claims, machines = row["claims"], sum(row["claims"].values())

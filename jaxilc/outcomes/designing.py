@@ -171,10 +171,7 @@ def target_of(request: Request, out: str | Path | None, what: str, *, replace: b
 
 
 def state_of(folder: Path, *, force: bool, resume: bool) -> Path:
-    """The folder for the state, without that of an earlier run if it is to be replaced.
-
-    Raises FileExistsError for one that is there, and ValueError where another process uses it.
-    """
+    """The folder for the state, without that of an earlier run, which is refused or replaced."""
     state = folder / "state"
     if state.exists() and not resume:
         need_unused(state)

@@ -205,10 +205,7 @@ def _check(margin: float, taps: int | None, machines: int = 1) -> None:
 
 
 def _varied(request: Request, vary: Sequence[str]) -> tuple[Scenario, str]:
-    """The scenario; texts PATH=SHARE, where there are any, stand for its uncertainty.
-
-    Also which machines `certify` has in place of these; empty where they are the same.
-    """
+    """The scenario, with an uncertainty PATH=SHARE if given, and what `certify` has instead."""
     if vary and request.spread is not None:
         raise ValueError("--vary and --spread exclude each other")
     shares, own = dict(map(_share, vary)), request.scenario()
@@ -260,10 +257,7 @@ class _Asked(NamedTuple):
         return write_with_scheme(file, self.request.source, name, scheme)
 
     def certified(self, said: Sequence[str], source: str, scheme: str, *more: str) -> Verdict:
-        """The verdict with the command that certifies a scheme of a file.
-
-        more: settings of the scheme besides those that were asked for
-        """
+        """The verdict with the command that certifies a scheme of a file, with more settings."""
         new = {setting.partition("=")[0] for setting in more}
         given = tuple(x for x in self.request.set if x.partition("=")[0].strip() not in new)
         if source != self.request.source:  # where the scheme is new, with all of its weights
@@ -509,10 +503,7 @@ def _records_next(
     answered: MeasuredQuestion,
     besides: Numbers,
 ) -> Verdict:
-    """The verdict, with how far the law may go and the next command.
-
-    besides: the other options; those that were given stand in the command
-    """
+    """The verdict with how far the law may go, and the next command with the options given."""
     best, margin = _best_of(answered.offers), besides["margin"]
     if best is None:
         no = f"No cutoff keeps a margin of {margin:g}: take a lower --gain or another --lead."

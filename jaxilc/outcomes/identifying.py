@@ -396,11 +396,7 @@ def _of_response(path: Path, asked: Reading, progress: Progress) -> Fitted:
 def _grown_response(
     measured: MeasuredResponse, dt: float | None, delay: float | None, progress: Progress
 ) -> tuple[Identified, Numbers, list[Table], tuple[str, ...]]:
-    """The plant of the order that is chosen, its structure, the tables, and what is left.
-
-    Where a gain with real zeros and poles explains the lines as well, it is the answer: it is
-    shorter to read.
-    """
+    """The plant of the chosen order, or a gain with real zeros and poles that explains as much."""
     orders, chosen = identification.grow_response(
         measured, dt=dt, delay=delay, each=lambda order: progress(f"order {order}")
     )
@@ -462,11 +458,7 @@ def grown_response_table(orders: Sequence[LineModel], chosen: LineModel) -> Tabl
 
 
 def grown_table(grown: Grown) -> Table:
-    """The table of the fits that `grow` compared, of which the chosen one is marked.
-
-    The column rms is that of the residual, in the unit of the output; the column valid. is the fit
-    of the part that was not fitted. Every fit has as many zeros as its poles allow.
-    """
+    """The table of the fits that `grow` compared, of which the chosen one is marked."""
     shown, least = grown.tried, grown.chosen.bic
     if len(shown) > MOST_ORDERS:
         best = sorted(shown, key=lambda one: one.bic)[:MOST_ORDERS]
@@ -485,13 +477,10 @@ def grown_table(grown: Grown) -> Table:
 
 
 def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) -> Table:
-    """The table of the structures that were fitted, of which the best one is marked.
+    """The table of the structures with the smallest criterion, of which the best one is marked.
 
     The column rms is that of the residual, in the unit of the output; of a frequency response,
-    divided by the standard deviation of each line. The column valid. is the fit of the part that
-    was not fitted. Of many fits, those of the smallest criterion are shown.
-
-    dt: sample time, in which the delay is told [s]; None: in ms
+    divided by the standard deviation of each line. A delay is in samples of dt, or else in ms.
     """
     of_response, delayed = (
         best.found.of_response,
@@ -636,11 +625,7 @@ def _judged(record: Record, known: Plant, found: Identified) -> Refit:
 def _fitted(
     record: Record, scenario: Scenario, counts: Mapping[str, int | None], delay: int | None
 ) -> Refit:
-    """The fit of the structure that was asked for, or else of that of the campaign's plant.
-
-    A ProcessModel is fitted from its own values. Where the result explains little, the campaign's
-    plant is no start, and many others are tried.
-    """
+    """The fit of the structure asked for, or of the campaign's own, from its values if good."""
     plant = scenario.machine.plant
     structure: Numbers = {name: 1 if value is None else value for name, value in counts.items()}
     own = delay is None and all(value is None for value in counts.values())

@@ -77,11 +77,7 @@ def list_verdict(
     options: Sequence[str],
     tried: Callable[[dict[str, object]], object],
 ) -> Verdict:
-    """How much can be set, and a run with one of the values halved.
-
-    options: names of the options of the scenario
-    tried: function of values by path; raises ValueError for one that is not allowed
-    """
+    """How much can be set, and a run with half of a value that is `tried` without a ValueError."""
     import numpy as np
 
     said = (f"{len(values) + len(options)} values can be set in {case.request.source}.",)

@@ -62,10 +62,7 @@ NARROWEST = 4  # least width of a column, with the space beside the text
 
 
 class Console(rich.console.Console):
-    """A console of rich that never interprets text as markup, and colours no part of it.
-
-    Titles, names and paths come from the user, and are shown unchanged.
-    """
+    """A console of rich that shows titles, names and paths of the user without markup."""
 
     def __init__(self, **options: Value):
         super().__init__(markup=False, emoji=False, highlight=False, **options)
@@ -103,10 +100,7 @@ class Table(rich.table.Table):
     def add_column(
         self, header: RenderableType = "", *args: Value, whole: bool = False, **options: Value
     ) -> None:
-        """Add a column.
-
-        whole: whether other columns are folded before this one
-        """
+        """Add a column; other columns are folded before one that is to be whole."""
         super().add_column(_plain(header), *args, overflow="fold", no_wrap=whole, **options)
 
     def add_row(self, *cells: RenderableType | None, **options: Value) -> None:
@@ -152,7 +146,6 @@ def _shared(room: int, sizes: list[tuple[int, int]]) -> list[int]:
 
     Where even the least widths do not fit, the widest columns become narrower than that.
 
-    room: width that all columns share
     sizes: for each column its least width, at which no word is broken, and its width without a fold
     """
     widths, least = [most for _, most in sizes], [low for low, _ in sizes]
@@ -268,10 +261,7 @@ class Outcome:
         return self.numbers | self.verdict.as_json()
 
     def save(self, folder: str | Path | None = None, progress: Progress = silent) -> list[Path]:
-        """Draw and save the figures, write the further files, and return the places of all.
-
-        folder: it is made if it is not there; None for that of the outcome
-        """
+        """Save figures and files to the folder, or the outcome's own; return the places of all."""
         from .. import figures
 
         place = self.folder if folder is None else Path(folder)
@@ -288,10 +278,7 @@ class Outcome:
         return [*paths, *self.kept]
 
     def page(self, path: str | Path, drawn: Sequence[Path] = ()) -> Path:
-        """Write one self-contained HTML page of the outcome.
-
-        drawn: files of the figures, where they are saved already, before all other files
-        """
+        """Write one self-contained HTML page, with files of figures that are drawn already."""
         from ..figures.report import command_report
 
         files, live = {file.stem: file for file in reversed(drawn)}, self._interactive()

@@ -217,10 +217,7 @@ Within = Mapping[str, Recurrence | None]
 
 
 def repeats_in(paths: Sequence[str | Path], **reading: Value) -> Repeats:
-    """The trials of files, or of the folder of a campaign.
-
-    Raises ValueError as `read_repeats` does, and for a folder beside something else.
-    """
+    """The trials of files, or of the folder of a campaign; raises as `read_repeats` does."""
     found = [Path(one) for one in paths]
     folder = next((path for path in found if path.is_dir()), None)
     if folder is None:
@@ -232,11 +229,7 @@ def repeats_in(paths: Sequence[str | Path], **reading: Value) -> Repeats:
 
 
 def within_trial(repeats: Repeats, found: Potential | None = None) -> Within:
-    """How what repeats from trial to trial repeats within the trial, over time and position.
-
-    Empty where of several trials nothing repeats, or by chance alone.
-    found: what learning can gain, where it is known already
-    """
+    """How what repeats repeats within the trial, over time and position; empty if by chance."""
     if len(repeats.e) > 1:
         found = found or potential_of(repeats.e, repeats.dt)
         if not found.cutoff.value or not found.repeatable.low:
@@ -293,12 +286,7 @@ def recurs(within: Within, repeats: Repeats) -> list[str]:
 
 @dataclasses.dataclass
 class Following:
-    """The laws that follow from how an error repeats.
-
-    schemes: by name, those whose condition holds
-    lines: what is said of each, and why one is left out
-    numbers: of each, as JSON
-    """
+    """The laws whose condition holds, what is said of each law, and its numbers, by name."""
 
     schemes: dict[str, Scheme] = dataclasses.field(default_factory=dict)
     lines: list[str] = dataclasses.field(default_factory=list)
@@ -308,10 +296,7 @@ class Following:
 def following(
     chosen: Scenario, within: Within, laws: Sequence[Scheme], progress: Progress
 ) -> Following:
-    """The laws for an error that repeats in a period or in the position.
-
-    laws: between trials, the best one first, each with the feedback of the machine
-    """
+    """The laws for an error that repeats within the trial; of laws between trials, best first."""
     found = Following()
     over = {name: one.period for name, one in within.items() if one and one.repeats}
     if laws and "time" in over:

@@ -83,11 +83,7 @@ def reproduce(
 
 
 def _by_paper(rows: Sequence[Row], judged: Sequence[Judged]) -> Table:
-    """The counts of each scenario, and of all where there are several.
-
-    Counted are the numbers that a paper prints for the first time: how many are met, of those that
-    were fitted to and of those that are predicted, and how many are within 10 % and 3 %.
-    """
+    """The counts of each scenario, of numbers that its paper prints first, and of all."""
     title = "independent printed numbers that are met, and conclusions that hold"
     table = Table("", "reading", right=NUMBERS_IN_SUMMARY, title=title)
     names = dict.fromkeys(row.scenario for row in rows if row.published.agreement is None)
@@ -175,10 +171,7 @@ def _lines(rows: Sequence[Numbers]) -> list[str]:
 
 
 def _cells(row: Numbers) -> tuple[str, ...]:
-    """The cells of a row, in the order of `COLUMNS`.
-
-    A comparison with another scheme has the quantity that is compared, and `% less` or `% of it`.
-    """
+    """The cells of a row by `COLUMNS`; a comparison has its quantity, and `% less` or `% of it`."""
     for ending, unit in zip(COMPARED, ("% less", "% of it"), strict=True):
         if row["against"] and row["quantity"].endswith(ending):
             row = row | {"quantity": row["quantity"].removesuffix(ending), "unit": unit}

@@ -97,20 +97,14 @@ class Request:
         return judged(here._widened(chosen), here.metric)
 
     def of_one_scheme(self) -> tuple[Scenario, str]:
-        """The scenario as it is asked for, and the name of its only scheme.
-
-        Raises ValueError as `scenario` does, and where several schemes are chosen.
-        """
+        """The scenario and the name of its only scheme; raises ValueError if there are several."""
         chosen = self.scenario()
         if len(chosen.schemes) > 1:
             raise ValueError(f"--scheme: needed is one of {', '.join(chosen.schemes)}")
         return chosen, next(iter(chosen.schemes))
 
     def machine_to_design(self) -> Scenario:
-        """The scenario of a plant file, which need not have schemes, for the design of a law.
-
-        Of `schemes` the first one is taken, whose feedback counts; all if there is none.
-        """
+        """The scenario of a plant file, of whose schemes, if there are any, the feedback counts."""
         from ..scenarios.from_file import load_scenario
 
         chosen = self._with_trials(load_scenario(self.source, settings_of(self.set)))
@@ -195,11 +189,7 @@ class Request:
         return dataclasses.replace(self, set=(*self.set, setting))
 
     def following(self, command: str, *words: str, scheme: str = "", **changed: object) -> str:
-        """The words of another command for the same scenario, quoted for a shell.
-
-        scheme: name of the scheme, empty for none
-        changed: values of options in place of those that were given; None leaves one out
-        """
+        """The words of a command for the same scenario; an option changed to None is left out."""
         line = ["jaxilc", command]
         option = NAMES_ITS_FILE.get(command)
         line += [option] if option else []
@@ -241,11 +231,7 @@ def settings_of(given: Sequence[str]) -> dict[str, str]:
 
 
 def unless_there(place: Path, resume: bool) -> Path:
-    """The place of what a computation keeps, inside the folder for results.
-
-    Raises FileExistsError if it exists already and is not to be gone on with, and ValueError where
-    another process is writing there.
-    """
+    """The place in a folder for results; raises FileExistsError if it is there, unless resumed."""
     if place.exists() and not resume:
         need_unused(place)
         raise FileExistsError(
@@ -262,11 +248,7 @@ SHOWN = 3  # settings in which a scenario differs, of those that are told
 
 
 def open_grid(folder: Path) -> xr.Dataset:
-    """The dataset over a grid in a folder for results, or at the place of the store itself.
-
-    Raises ValueError for a folder without a sweep, a sweep that is damaged or not complete, and one
-    without a grid.
-    """
+    """The dataset of a grid in a folder; raises ValueError if there is none, or it is damaged."""
     from ..sweeps.store import open_dataset, stored_configuration
 
     store = folder / "dataset.zarr"

@@ -149,11 +149,7 @@ def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Interactive]:
 
 
 def _folder(asked: Path | None, name: str, made_with: Numbers, *, replace: bool) -> Path:
-    """The folder for the results of a run, in which no other run's are mixed with them.
-
-    asked, replace: as `run` has them, which says what is taken and what is raised
-    made_with: all that determines the numbers and the figures
-    """
+    """The folder for the results of a run, in which no run of other settings is."""
 
     def differing(folder: Path) -> list[str]:
         store = folder / "dataset.zarr"
@@ -178,8 +174,7 @@ def _folder(asked: Path | None, name: str, made_with: Numbers, *, replace: bool)
 def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> Numbers:
     """The metrics of a run [shown unit] by scheme, metric and trial, with the published ones.
 
-    With several channels the largest counts. The errors of a trial that diverged are infinite (see
-    `learning.divergence`).
+    With several channels the largest counts. The errors of a trial that diverged are infinite.
     """
     schemes: Numbers = {}
     for name in scenario.schemes:
@@ -203,10 +198,7 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> Numbers:
 
 
 def errors_by_trial(scenario: Scenario, dataset: xr.Dataset) -> dict[str, list[float]]:
-    """The metric by which a scenario is judged, of every trial by scheme [shown unit].
-
-    Errors are those of `run_numbers`.
-    """
+    """The metric that judges a scenario, of every trial by scheme, as in `run_numbers`."""
     found = {
         name: _shown(scenario, _largest(dataset, name), scenario.judged_by)
         for name in scenario.schemes
@@ -248,10 +240,7 @@ def _grown(chosen: xr.Dataset) -> Numbers:
 
 
 def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) -> Numbers:
-    """A published number and ours, which is None for a trial that was not run.
-
-    `met` is whether they are near, as `reproduce` judges it.
-    """
+    """A published number and ours, None of a trial that was not run, and whether it is met."""
     trial = p.trial or 1
     ours = float(shown[p.quantity].sel(trial=trial)) if trial <= scenario.trials else None
     near = None if ours is None else met(p, ours)
@@ -267,10 +256,7 @@ def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) ->
 
 
 def run_table(scenario: Scenario, numbers: Numbers) -> Table:
-    """The table of the metric by which the scenario is judged, for each trial and scheme.
-
-    A published value is shown in brackets, and the title says so where there is one.
-    """
+    """The metric that judges by trial and scheme, with published values in brackets."""
     metric, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
     rows_by_trial, printed = [], ""
     for j in shown_trials(scenario):
@@ -302,10 +288,7 @@ def other_rows(scenario: Scenario, numbers: Numbers) -> list[str]:
 
 
 def reading_lines(scenario: Scenario, numbers: Numbers) -> list[str]:
-    """A sentence where ours and published numbers part: what is simulated, what `reproduce` judges.
-
-    A paper can be read in several ways, and it can print several forms of its plant.
-    """
+    """A sentence where ours and published numbers part: what is simulated, what is judged."""
     beside = [p for rows in numbers["schemes"].values() for p in rows["published"]]
     near = [p["met"] for p in beside if p["met"] is not None]
     if all(near):
@@ -399,11 +382,7 @@ def run_verdict(case: Case, numbers: Numbers, errors: Mapping[str, Sequence[floa
 
 
 def _larger_elsewhere(case: Case, best: str, numbers: Numbers) -> str:
-    """A sentence where the best scheme errs more than another one at some sample of the trial.
-
-    Empty where it does not, and where schemes are compared by another metric than a settled or an
-    rms error of all outputs.
-    """
+    """A sentence where the best scheme, by a settled or rms error, errs more at some sample."""
     trial, rows = str(numbers["trials"]), numbers["schemes"]
     largest = {name: of["max_error"][trial] for name, of in rows.items() if "max_error" in of}
     least = min(largest, key=lambda name: largest[name], default=best)

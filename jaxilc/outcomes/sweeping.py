@@ -194,11 +194,7 @@ def live_sweep(
     grid: xr.Dataset | None = None,
     best: Sequence[BestPoint] = (),
 ) -> list[Interactive]:
-    """The errors by trial of all machines, and each machine against its parameters.
-
-    drawn: metric, tolerance, scale and unit
-    grid, best: a grid of which the dataset has the best points, for its map; None for no map
-    """
+    """The map of a grid with its best points, errors by trial, machines against parameters."""
     from ..figures import browsers, live_grid
     from ..figures.band import band_together
 
@@ -267,14 +263,11 @@ def _in_trial(row: SchemeSummary, trial: int, scale: float) -> Numbers:
 
 
 def axes_numbers(scenario: Scenario, dataset: xr.Dataset, tolerance: float | None) -> Numbers:
-    """The error of the last trial over the machines of a sweep, by scheme and axis.
+    """The error of the last trial over the machines of a sweep, by scheme and axis [shown unit].
 
     It is the error by which schemes are judged: of an axis for that of the contour, and the largest
     where they are judged by something else, of which a tolerance says nothing of an axis. Besides
-    the outputs there is the contour, where it has that metric. All are in the shown unit, with the
-    share of machines within the tolerance. A sweep of a single output has none.
-
-    tolerance: largest error that passes [unit of the dataset]; None if none is known
+    the outputs there is the contour, where it has that metric; a single output has none.
     """
     if scenario.task.outputs == 1:
         return {}
@@ -344,10 +337,9 @@ def sweep_lines(numbers: Numbers) -> list[str]:
 
 
 def yield_table(numbers: Numbers) -> Table:
-    """The table of yields with their intervals, and of shares that have grown or diverged.
+    """The table of yields, where a tolerance is known, and of shares that have grown or diverged.
 
-    There is no column of yields without a tolerance. The number in brackets, `(from)`, is the
-    earliest trial from which on one of these machines has grown or diverged.
+    In brackets, `(from)`, is the earliest trial from which on one of these machines has.
     """
     known = numbers["tolerance"] is not None
     within = f" within {numbers['tolerance']:g} {numbers['unit']}".rstrip() if known else ""

@@ -158,10 +158,7 @@ def numbers_of(option: str, text: str, *, whole: bool = False) -> list[float]:
 
 
 def _unknown(what: str, name: str, listed: str) -> str:
-    """The message that a name is not one of those listed, with the closest ones first.
-
-    listed: names with what may follow them, such as `cvar[:alpha]`, and commas between them
-    """
+    """The message that a name is none of those listed, such as `cvar[:alpha]`; closest first."""
     forms = {re.split(r"[\[:]", form)[0]: form for form in listed.split(", ")}
     near = [forms[one] for one in closest(name, forms)]
     if not near:

@@ -156,10 +156,7 @@ def objective_for(chosen: Scenario, text: str) -> Objective:
 def problem_of(
     chosen: Scenario, weights: str, objective: Objective, risk: str, **settings: Value
 ) -> Tuning:
-    """The tuning problem of a scenario with one scheme.
-
-    settings: further arguments of `Tuning`, by name
-    """
+    """The tuning problem of a scenario with one scheme, with further arguments of `Tuning`."""
     (scheme,) = chosen.schemes.values()
     return Tuning(
         chosen.machine, scheme, chosen.task, chosen.trials, weights=weights_of(weights),
@@ -193,10 +190,7 @@ def parameter_file(
 
 
 def tuning_numbers(scenario: Scenario, scheme: str, tuned: Tuned, dataset: xr.Dataset) -> Numbers:
-    """Weights and held-out losses, and quantiles over the machines of a comparison [shown unit].
-
-    Quantiles are stored by metric, by `given` or `tuned`, and by trial.
-    """
+    """Weights, held-out losses, and quantiles over machines by metric, tuning and trial."""
     trials, machines = dataset.sizes["trial"], dataset.sizes["sample"]
     by_metric = {}
     for metric in dict.fromkeys((scenario.judged_by, "max_error")):
@@ -494,10 +488,7 @@ def _by_trials(of: _Of, budgets: Sequence[int], unseen: int) -> Outcome:
 
 
 def budget_numbers(scenario: Scenario, found: Mapping[int, Tuned], dataset: xr.Dataset) -> Numbers:
-    """The metric of trial J [shown unit] for each number J of trials of a tuning.
-
-    dataset: sweep of all tuned schemes, named by J as text, and of the scheme `given`
-    """
+    """The metric of trial J [shown unit] over the machines, as given and as tuned for J trials."""
     metric, (scale, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
     summary = {row.scheme: row for row in summarise(dataset, 1.0, metric=metric)}
 

@@ -37,10 +37,7 @@ def several(count: int, one: str) -> str:
 
 
 def counted(reasons: Iterable[str]) -> dict[str, int]:
-    """The number of times that each reason is given.
-
-    Reasons that differ only in their numbers are counted together, with the range of each number.
-    """
+    """How often each reason is given; where numbers alone differ, as one with their ranges."""
     groups: dict[str, list[list[float]]] = {}
     for reason in reasons:
         groups.setdefault(NUMBER.sub("{}", reason), []).append(
