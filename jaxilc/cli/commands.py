@@ -391,7 +391,7 @@ def export(
         return
     if state is not None:
         _only_for("a scenario", scheme=scheme, set=set_, params=params)
-    request = None if source is None else asked(source, scheme, set_, params)
+    request = None if source is None else asked(source, scheme, set_, params=params)
     tell(
         "export", pages, request, format=format_, state=state, limit=limit, number=number,
         machines=machines, seed=seed, folder=out_dir,
@@ -609,7 +609,7 @@ def filter_(
         )
     else:
         _only_for("a measured response", **law, **of_record)
-        request = asked(source[0], scheme, set_, params, spread=spread)
+        request = asked(source[0], scheme, set_, params=params, spread=spread)
         tell("filter_", written, request, seed=seed, **drawn, **how)
 
 

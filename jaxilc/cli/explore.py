@@ -13,6 +13,8 @@ from .options import GridAxes, Machines, OutFolder, Simulated, at_least
 from .progress import working
 
 if TYPE_CHECKING:
+    import socket
+
     import xarray as xr
 
     from ..pytree.aliases import Value
@@ -44,7 +46,8 @@ def explore(
     at_least(1, machines=machines)
     if not 0 <= port <= 65535:
         raise ValueError(f"--port {port} is outside its allowed range [0, 65535]")
-    _try_place(address, port)
+    for one in _place(address, port):  # before anything is compiled
+        one.close()
     request = what.request()
     with working("explore") as told:
         begin()
@@ -69,25 +72,20 @@ def explore(
     _serve(shown, address, port, browser=browser)
 
 
-def _try_place(address: str, port: int) -> None:
-    """Raise ValueError, before anything is compiled, where the page could not be served."""
+def _place(address: str, port: int) -> list[socket.socket]:
+    """The sockets of a page; raises ValueError where it cannot be served."""
     from tornado.netutil import bind_sockets
 
     if not address:  # which would be all addresses
         raise ValueError(f"--address {address!r} is no address; allowed is one of this computer")
     try:
-        for one in bind_sockets(port, address):
-            one.close()
+        return bind_sockets(port, address)
     except (OSError, UnicodeError) as error:
-        raise _refused(address, port, error) from None
-
-
-def _refused(address: str, port: int, error: OSError | UnicodeError) -> ValueError:
-    why = error.strerror if isinstance(error, OSError) else "no name of a computer"
-    return ValueError(
-        f"--address {address} --port {port} cannot be used ({why}); --port 0 takes any port that "
-        "is free"
-    )
+        why = error.strerror if isinstance(error, OSError) else "no name of a computer"
+        raise ValueError(
+            f"--address {address} --port {port} cannot be used ({why}); --port 0 takes any port "
+            "that is free"
+        ) from None
 
 
 def server_of(shown, address: str, port: int):
@@ -98,14 +96,10 @@ def server_of(shown, address: str, port: int):
     from bokeh.server.tornado import BokehTornado
     from tornado.httpserver import HTTPServer
     from tornado.ioloop import IOLoop
-    from tornado.netutil import bind_sockets
 
     from .doors import Doors
 
-    try:
-        sockets = bind_sockets(port, address)
-    except OSError as error:
-        raise _refused(address, port, error) from None
+    sockets = _place(address, port)
     page = f"{address}:{sockets[0].getsockname()[1]}"
     application = BokehTornado(
         {"/": Application(FunctionHandler(shown))},

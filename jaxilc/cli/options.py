@@ -305,16 +305,9 @@ def in_python(option: str) -> OptionInfo:
 # --------------------------------------------------------------------------------------------------
 
 
-def asked(
-    source: str,
-    schemes: list[str] | None,
-    set_: list[str] | None,
-    params: Path | None = None,
-    trials: int | None = None,
-    spread: float | None = None,
-) -> Request:
+def asked(source: str, schemes: list[str] | None, set_: list[str] | None, **more: Value) -> Request:
     """What is asked of a scenario by options, of which any may be missing."""
-    return Request(source, tuple(schemes or ()), tuple(set_ or ()), params, trials, spread)
+    return Request(source, tuple(schemes or ()), tuple(set_ or ()), **more)
 
 
 def names_in(text: str | None) -> list[str]:
@@ -332,12 +325,10 @@ class Simulated:
     set_: Set = None
     params: Params = None
 
-    def request(
-        self, spread: float | None = None, metric: str | None = None, tolerance: float | None = None
-    ) -> Request:
+    def request(self, **more: Value) -> Request:
         """What is asked of the scenario, with further fields of a request."""
-        of = asked(self.scenario, self.scheme, self.set_, self.params, self.trials, spread)
-        return dataclasses.replace(of, metric=metric, tolerance=tolerance)
+        given = {"params": self.params, "trials": self.trials}
+        return asked(self.scenario, self.scheme, self.set_, **given, **more)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -352,7 +343,8 @@ class OneSimulated:
 
     def request(self, trials: int | None) -> Request:
         """What is asked of the scenario, with a number of trials."""
-        return asked(self.scenario, [self.scheme], self.set_, self.params, trials, self.spread)
+        given = {"params": self.params, "trials": trials, "spread": self.spread}
+        return asked(self.scenario, [self.scheme], self.set_, **given)
 
 
 @dataclasses.dataclass(frozen=True)

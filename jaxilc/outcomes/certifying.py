@@ -525,10 +525,8 @@ def _reasons(condition: Condition) -> list[str]:
 
 def _machines(numbers: Numbers) -> tuple[str, str]:
     """On which machines a condition holds, and the numbers of the worst one, in words."""
-    count = numbers["machines"]
     at = ", ".join(f"{key} = {number(value)}" for key, value in numbers["at"].items())
-    whose = "the nominal machine" if count == 1 else f"all {count} machines"
-    return whose, f" on the worst ({at})" if at else ""
+    return _all(numbers["machines"]), f" on the worst ({at})" if at else ""
 
 
 def _basis_sentence(name: str, numbers: Numbers) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -140,17 +140,14 @@ class Request:
     def expanded(self) -> Request:
         """The same with a point in place of a stored grid, where `params` is the folder of one.
 
-        What is set stands after the point, and so counts.
-        Raises ValueError as `stored_grid.best_of` does, and for an axis that no option can set.
+        It is the best one by the metric and the tolerance of the scenario, over its schemes. What
+        is set stands after the point, and so counts.
+        Raises ValueError as `open_grid` does, for a sweep of another scenario or one of which more
+        than 5 % of the machines diverge at every point, and for an axis that no option can set.
         """
         if self.params is None or not Path(self.params).is_dir():
             return self
-
-        def load(of: Mapping[str, str]) -> Scenario:
-            texts = tuple(f"{path}={text}" for path, text in of.items())
-            return dataclasses.replace(self, set=texts, params=None).scenario()
-
-        point = best_of(Path(self.params), settings_of(self.set), load)
+        point = self._best_point(Path(self.params))
         known = {*self._options(), "trials"}
         for axis in point:
             if axis.startswith("task.") or ("." not in axis and axis not in known):
@@ -161,6 +158,30 @@ class Request:
         trials = of_point if self.trials is None else self.trials
         texts = (*(f"{axis}={x}" for axis, x in point.items()), *self.set)
         return dataclasses.replace(self, trials=trials, set=texts, params=None)
+
+    def _best_point(self, folder: Path) -> dict[str, Value]:
+        """The values of all axes at the best point of a stored grid, by name."""
+        from ..sweeps.points import best_points, labels_of
+
+        dataset, settings = open_grid(folder), settings_of(self.set)
+        axes = {*labels_of(dataset)}
+        own = (path for path in settings if not {path, f"machine.{path}"} & axes)
+        texts = tuple(f"{path}={settings[path]}" for path in own)
+        bare = dataclasses.replace(self, set=texts, params=None).scenario()
+        schemes = [name for name in bare.schemes if name in dataset["scheme"]]
+        if not schemes:
+            raise ValueError(
+                f"--params {folder} has the schemes "
+                f"{', '.join(map(str, dataset['scheme'].values))}, and none of "
+                f"{', '.join(bare.schemes)}"
+            )
+        _need_same(folder, dataset.attrs["configuration"], bare, schemes, settings)
+        limit = bare.look["tolerance"]
+        found = best_points(dataset.sel(scheme=schemes), limit, metric=bare.judged_by)
+        best = min(found, key=lambda of: of.rank)
+        if not math.isfinite(best.error):
+            raise ValueError(f"--params {folder}: {best.sentences[0]}")
+        return point_of(dataset, best.point)
 
     def grid(self, axes: Sequence[str], chosen: Scenario) -> dict[str, Value]:
         """The grid of the scenario with further axes, for `Sweep`.
@@ -175,18 +196,16 @@ class Request:
             if name in read:
                 raise ValueError(f"--grid {name} is given twice; allowed is once")
             read.add(name)
-            labels = [label.strip() for label in values.split(",")]
-            of_option = name in chosen.options
-            if of_option and len({*labels}) < len(labels):
-                raise ValueError(f"--grid {axis!r} has equal values; allowed are different ones")
-            grid[name] = (
-                {x: self.also(f"{name}={x}").scenario() for x in labels} if of_option else values
-            )
+            grid[name] = values
+            if name in chosen.options:
+                labels = [label.strip() for label in values.split(",")]
+                if len({*labels}) < len(labels):
+                    raise ValueError(
+                        f"--grid {axis!r} has equal values; allowed are different ones"
+                    )
+                at = {x: dataclasses.replace(self, set=(*self.set, f"{name}={x}")) for x in labels}
+                grid[name] = {label: request.scenario() for label, request in at.items()}
         return grid
-
-    def also(self, setting: str) -> Request:
-        """The same with a further setting."""
-        return dataclasses.replace(self, set=(*self.set, setting))
 
     def following(self, command: str, *words: str, scheme: str = "", **changed: object) -> str:
         """The words of a command for the same scenario; an option changed to None is left out."""
@@ -269,40 +288,6 @@ def open_grid(folder: Path) -> xr.Dataset:
             "missing; the same sweep with --resume goes on"
         )
     return dataset
-
-
-def best_of(
-    folder: Path, settings: Mapping[str, str], load: Callable[[Mapping[str, str]], Scenario]
-) -> dict[str, Value]:
-    """The values of all axes at the best point of a stored grid, by name.
-
-    It is the best one by the metric and the tolerance of the scenario, over its schemes.
-
-    settings: texts of `--set`, which may differ from the sweep
-    load: the scenario with such texts
-    Raises ValueError as `open_grid` does, and for a sweep of another scenario, or one of which more
-    than 5 % of the machines diverge at every point.
-    """
-    from ..sweeps.points import best_points, labels_of
-
-    dataset = open_grid(folder)
-    axes = {*labels_of(dataset)}
-    bare = load(
-        {path: text for path, text in settings.items() if not {path, f"machine.{path}"} & axes}
-    )
-    schemes = [name for name in bare.schemes if name in dataset["scheme"]]
-    if not schemes:
-        raise ValueError(
-            f"--params {folder} has the schemes {', '.join(map(str, dataset['scheme'].values))}, "
-            f"and none of {', '.join(bare.schemes)}"
-        )
-    _need_same(folder, dataset.attrs["configuration"], bare, schemes, settings)
-    limit = bare.look["tolerance"]
-    found = best_points(dataset.sel(scheme=schemes), limit, metric=bare.judged_by)
-    best = min(found, key=lambda of: of.rank)
-    if not math.isfinite(best.error):
-        raise ValueError(f"--params {folder}: {best.sentences[0]}")
-    return point_of(dataset, best.point)
 
 
 def point_of(dataset: xr.Dataset, point: Mapping[str, Value]) -> dict[str, Value]:

@@ -18,7 +18,7 @@ import pytest
 from browser import looking_at, needs_chromium
 
 from jaxilc import Machine, Sweep, Task, learn
-from jaxilc.cli.explore import LOOPBACK, _try_place, server_of
+from jaxilc.cli.explore import LOOPBACK, _place, server_of
 from jaxilc.figures.explorer import Exploration, Explorer, _computed
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.plants import StateSpace
@@ -210,7 +210,7 @@ def test_the_page_is_served_on_this_computer_and_loads_nothing_else(serving):
 
 def test_an_empty_address_does_not_open_the_page_to_all():
     with pytest.raises(ValueError, match="--address '' is no address"):
-        _try_place("", 0)
+        _place("", 0)
 
 
 def test_another_host_another_page_and_a_token_that_was_used_get_no_answer(serving):
