@@ -378,10 +378,13 @@ def test_reproduce_prints_every_published_number_with_its_verdict(jaxilc_command
 def test_certify_compares_theory_with_simulation(jaxilc_command, tmp_path):
     arguments = (
         "certify", "cao-2019", "--scheme", "cfdl-mfailc", "--scheme", "pid", "--machines", 3,
-        "--trials", 4, "--report", "c.json",
+        "--trials", 4, "--report", "c.json", "--report", "page.html",
     )  # fmt: skip
     code, out, _ = jaxilc_command(*arguments)
     assert code == 0
+    page = (tmp_path / "page.html").read_text("utf-8")
+    for part in ("jaxilc certify cao-2019", "data:image/png", "in the long run", "<td>3</td>"):
+        assert part in page
     assert "constant sign of phi" in out
     numbers = json.loads((tmp_path / "c.json").read_text())
     assert list(numbers["schemes"]) == ["cfdl-mfailc"], "pid does not learn"
@@ -758,21 +761,3 @@ def test_a_refused_trial_has_its_own_exit_code(jaxilc_command, tmp_path):
     assert (
         jaxilc_command("next", "--state", "s", "--measured", "trial.csv", "--out", "2.csv")[0] == 0
     )
-
-
-@pytest.mark.slow
-def test_certify_and_worst_case_leave_reports(jaxilc_command, tmp_path):
-    (tmp_path / "mine.toml").write_text(PLANT + LEARNER + UNCERTAIN)
-    common = ("mine.toml", "--scheme", "ilc", "--report", "page.html")
-    for command, options, expected in (
-        ("certify", ("--machines", 3, "--trials", 3), ("in the long run", "<td>3</td>")),
-        ("worst-case", ("--trial", 2, "--starts", 2, "--steps", 2),
-         ("until level with chance", "plant.B")),
-    ):  # fmt: skip
-        code, out, err = jaxilc_command(command, *common, *options)
-        assert code == 0, err
-        assert "page.html" in out
-        text = (tmp_path / "page.html").read_text(encoding="utf-8")
-        assert f"jaxilc {command} mine.toml" in text
-        assert "data:image/png" in text
-        assert all(part in text for part in expected)

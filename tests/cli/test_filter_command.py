@@ -49,7 +49,7 @@ LAW = ("--gain", 0.5, "--lead", 2, "--cutoff", 30, "--dt", 0.001)
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def here(tmp_path, monkeypatch, unpainted):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "axis.toml").write_text(AXIS)
     f = np.arange(1.0, 200.0)

@@ -1,14 +1,11 @@
 """The folder of a grid, given for `--params`, is its best point, or is refused in words."""
 
-import dataclasses
-import json
 import shutil
 
 import numpy as np
 import pytest
-from command import call
 
-from jaxilc import Sweep
+from jaxilc import Sweep, outcomes
 from jaxilc.outcomes import Request
 from jaxilc.sweeps import best_points, open_dataset
 
@@ -23,11 +20,11 @@ def asked(folder, *, scheme=NAME, trials=None, settings=(), scenario="cao-2019")
     return Request(scenario, (scheme,), (*SHORT, *settings), folder, trials).scenario()
 
 
-def stored(folder, grid, *, trials=3, machines=2):
+def stored(folder, grid, settings=()):
     """Store a sweep as the command does, and return its folder."""
-    of = asked(None, trials=trials)
+    of = asked(None, trials=3, settings=settings)
     Sweep(
-        of.machine, of.schemes, of.task, of.trials, uncertainty=of.uncertainty, machines=machines,
+        of.machine, of.schemes, of.task, of.trials, uncertainty=of.uncertainty, machines=2,
         quantities=of.functions, grid=grid,
     ).run(folder / "dataset.zarr")  # fmt: skip
     return folder
@@ -68,20 +65,23 @@ def test_what_is_set_goes_on_top(grid):
     assert (float(found.machine.plant.gain), found.options["reading"]) == (-3.0, "stroke")
 
 
-def test_tuning_starts_at_the_best_point(tmp_path, monkeypatch, unpainted):
+def test_tuning_starts_at_the_best_point(tmp_path):
+    class Begun(Exception):
+        pass
+
+    def begin(search, *_, **__):
+        raise Begun(search.__self__)
+
     folder = stored(tmp_path / "grid", {f"{NAME}.lam": [0.5, 2.0], "plant.gain": [-4e3, 7e3]})
-    best = asked(folder)
-    command = ["tune", "cao-2019", "--scheme", NAME, "--set", *SHORT, "--params", str(folder)]
-    command += ["--weights", "lam", "--trials", "3", "--steps", "1", "--unseen", "2"]
-    command += ["--machines", "2", "--held-out", "2", "--report", "t.json", "--out", "t"]
-    monkeypatch.chdir(tmp_path)
-    code, out, err = call(*command)
-    assert code == 0, err
-    numbers = json.loads((tmp_path / "t.json").read_text())
-    assert numbers["weights"]["lam"]["given"] == float(best.schemes[NAME].lam)
-    gain = f"machine.plant.gain={float(best.machine.plant.gain)}"
-    assert gain in numbers["next"]  # it is not in the parameter file
-    assert "--params" in out
+    best, request = asked(folder), Request("cao-2019", (NAME,), (*SHORT,), folder, 3)
+    with pytest.raises(Begun) as begun:
+        outcomes.tune(request, weights="lam", machines=2, held_out=2, unseen=2, run=begin)
+    (problem,) = begun.value.args
+    gain = float(best.machine.plant.gain)
+    assert problem.start == {"lam": float(best.schemes[NAME].lam)}
+    assert float(problem.population.machine.plant.gain) == gain
+    following = request.expanded().without(NAME).following("sweep")
+    assert f"machine.plant.gain={gain}" in following  # it is not in the parameter file
 
 
 def test_what_is_no_grid_of_this_scenario_is_refused(tmp_path):
@@ -97,18 +97,14 @@ def test_what_is_no_grid_of_this_scenario_is_refused(tmp_path):
         Request("cao-2019", (NAME,), params=lam).scenario()
     with pytest.raises(ValueError, match="and none of p-type"):
         Request("li-2020", ("p-type",), params=lam).scenario()
-    wide = dataclasses.replace(asked(None), machine=asked(None, settings=["plant.gain=5"]).machine)
-    Sweep(
-        wide.machine, wide.schemes, wide.task, 2, uncertainty={}, machines=1,
-        quantities=wide.functions, grid={f"{NAME}.lam": [1, 2]},
-    ).run(tmp_path / "w/dataset.zarr")  # fmt: skip
+    wide = stored(tmp_path / "wide", {f"{NAME}.lam": [0.5, 2.0]}, settings=["plant.gain=5"])
     with pytest.raises(ValueError, match=r"it differs in machine.plant.gain: 5.0 there"):
-        asked(tmp_path / "w")
-    assert asked(tmp_path / "w", settings=["plant.gain=5"]).machine.plant.gain == 5.0
-    lost = stored(tmp_path / "lost", {"plant.gain": [-1e9, -2e9]}, machines=1)
+        asked(wide)
+    assert asked(wide, settings=["plant.gain=5"]).machine.plant.gain == 5.0
+    lost = stored(tmp_path / "lost", {f"{NAME}.lam": [0.5, 2.0]}, settings=["plant.gain=-1e9"])
     with pytest.raises(ValueError, match="more than 5 % of the machines diverge at every point"):
-        asked(lost)
-    settle = stored(tmp_path / "settle", {"task.settle": [None, (0.001, 0.01)]})
+        asked(lost, settings=["plant.gain=-1e9"])
+    settle = stored(tmp_path / "settle", {"task.settle": [(0.001, 0.01)]})
     with pytest.raises(ValueError, match=r"the axis task.settle is not one that --set can set"):
         asked(settle)
 
