@@ -11,34 +11,29 @@ from __future__ import annotations
 
 import ipaddress
 import socket
-from collections.abc import Awaitable
 from urllib.parse import urlsplit
 
-from tornado.httputil import (
-    HTTPConnection,
-    HTTPHeaders,
-    HTTPMessageDelegate,
-    HTTPServerConnectionDelegate,
-    RequestStartLine,
-    ResponseStartLine,
-)
+from tornado.httputil import HTTPHeaders, HTTPMessageDelegate, HTTPServerRequest
+from tornado.routing import Router
+from tornado.web import Application, RequestHandler, stream_request_body
 
 LOOPBACK = "127.0.0.1"
 MOST = 10_000  # tokens that are remembered
 
 
-class Doors(HTTPServerConnectionDelegate):
-    """A server's application, of Tornado, behind these rules; address: where it listens."""
+class Doors(Router):
+    """The way to an application of Tornado by these rules; address: what its server listens on."""
 
-    def __init__(self, application: HTTPServerConnectionDelegate, address: str):
+    def __init__(self, application: Application, address: str):
         self.application, self.address = application, address
         self.used: dict[str, None] = {}
 
-    def start_request(
-        self, server_conn: object, request_conn: HTTPConnection
-    ) -> HTTPMessageDelegate:
-        inner = self.application.start_request(server_conn, request_conn)
-        return _Request(self, inner, request_conn)
+    def find_handler(
+        self, request: HTTPServerRequest, **options: object
+    ) -> HTTPMessageDelegate | None:
+        if said := self.refuses(request.headers):
+            return self.application.get_handler_delegate(request, _Refusal, {"said": said})
+        return self.application.find_handler(request, **options)
 
     def refuses(self, headers: HTTPHeaders) -> str:
         """Why a request gets no answer; an empty text for one that does."""
@@ -79,34 +74,17 @@ class Doors(HTTPServerConnectionDelegate):
         return True
 
 
-class _Request(HTTPMessageDelegate):
-    """One request, which is given on once its headers are seen."""
+@stream_request_body
+class _Refusal(RequestHandler):
+    """The answer to a request that gets none, before its body is read."""
 
-    def __init__(self, doors: Doors, inner: HTTPMessageDelegate, connection: HTTPConnection):
-        self.doors, self.inner, self.connection = doors, inner, connection
-        self.refused = False
+    def initialize(self, said: str) -> None:
+        self.said = said
 
-    def headers_received(
-        self, start_line: RequestStartLine | ResponseStartLine, headers: HTTPHeaders
-    ) -> Awaitable[None] | None:
-        said = self.doors.refuses(headers)
-        self.refused = bool(said)
-        if not said:
-            return self.inner.headers_received(start_line, headers)
-        body = said.encode()
-        answer = {"Content-Length": str(len(body)), "Content-Type": "text/plain"}
-        start = ResponseStartLine("HTTP/1.1", 403, "Forbidden")
-        self.connection.write_headers(start, HTTPHeaders(answer), body)
-        self.connection.finish()
-        return None
+    def prepare(self) -> None:
+        self.set_status(403)
+        self.set_header("Content-Type", "text/plain")
+        self.finish(self.said)
 
-    def data_received(self, chunk: bytes) -> Awaitable[None] | None:
-        return None if self.refused else self.inner.data_received(chunk)
-
-    def finish(self) -> None:
-        if not self.refused:
-            self.inner.finish()
-
-    def on_connection_close(self) -> None:
-        if not self.refused:
-            self.inner.on_connection_close()
+    def data_received(self, chunk: bytes) -> None:
+        """Leave the body aside."""
