@@ -90,7 +90,7 @@ class Case(NamedTuple):
             designable=request.of_file and single and ".design." not in request.source,
             metric=chosen.judged_by.replace("_", " "),
             unit=chosen.shown(chosen.judged_by)[1],
-            tolerance=chosen.tolerance if request.tolerance is None else request.tolerance,
+            tolerance=chosen.tolerance,
             steps={n: trials_of_step(s, chosen.task) for n, s in chosen.schemes.items()},
         )
 
@@ -158,9 +158,9 @@ class Case(NamedTuple):
         return dataclasses.replace(self.request, set=tuple(kept))
 
 
-def both(first: str, second: str) -> tuple[str, ...]:
+def said(*sentences: str) -> tuple[str, ...]:
     """The sentences that are not empty."""
-    return tuple(one for one in (first, second) if one)
+    return tuple(filter(None, sentences))
 
 
 def diverged(errors: Sequence[float]) -> bool:

@@ -51,6 +51,7 @@ def export(
     Raises ValueError naming what is allowed, and what of a law cannot be exported.
     """
     from ..export import law_of
+    from ..export.c_files import cost
     from ..export.certificate import CERTIFICATE, certificate_of
     from ..export.formats import FORMATS, Asked
     from ..native.program import Unknown
@@ -107,7 +108,12 @@ def export(
     except Unknown as error:
         raise ValueError(f"{name} cannot be exported: {error}") from None
     whole = certificate_of(claims, made.files)
-    costs = _operations(law) | {"bytes": made.bytes}
+    of = {function.name: cost(function.program) for function in law.functions}
+    costs = {
+        "operations_a_sample": of["sample"],
+        "operations_between_trials": of["end"],
+        "bytes": made.bytes,
+    }
     return Outcome(
         command="export",
         numbers=claims | {"certificate": digest} | costs,
@@ -227,13 +233,6 @@ def _weights(scheme: Tree) -> Numbers:
         array = np.asarray(value)
         found[path] = array.tolist() if array.size <= 8 else f"{array.shape} numbers"
     return found
-
-
-def _operations(law: Law) -> dict[str, int]:
-    from ..export.c_files import cost
-
-    of = {function.name: cost(function.program) for function in law.functions}
-    return {"operations_a_sample": of["sample"], "operations_between_trials": of["end"]}
 
 
 def _plant_file(source: str) -> dict[str, str] | None:

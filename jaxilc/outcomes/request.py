@@ -71,16 +71,13 @@ class Request:
         """The scenario as it is asked for.
 
         Its options are set first, then the parameters, then all else, then the schemes are chosen.
-        The metric judges it, and the spread widens its uncertainty.
+        The metric and the tolerance judge it, and the spread widens its uncertainty.
         Raises ValueError naming what is allowed.
         """
-        from ..pytree.ranges import require
         from ..scenarios.from_file import load_scenario
         from ..scenarios.parameters import with_parameters
         from ..scenarios.scenario import judged
 
-        if self.tolerance is not None:
-            require("", "tolerance", self.tolerance, "(0, inf)")
         here = self.expanded()
         values, known = settings_of(here.set), here._options()
         of_paper = {path: value for path, value in values.items() if path in known}
@@ -94,7 +91,9 @@ class Request:
             chosen = with_parameters(chosen, here.params)
         chosen = here._with_trials(chosen.with_values(rest)).select(here.schemes)
         chosen.check()
-        return judged(here._widened(chosen), here.metric)
+        chosen = judged(here._widened(chosen), here.metric)
+        limit = chosen.tolerance if here.tolerance is None else here.tolerance
+        return dataclasses.replace(chosen, tolerance=limit)
 
     def of_one_scheme(self) -> tuple[Scenario, str]:
         """The scenario and the name of its only scheme; raises ValueError if there are several."""

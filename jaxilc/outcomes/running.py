@@ -22,7 +22,16 @@ from ..scenarios.reproduction import met
 from ..storage.files import whole_folder
 from ..sweeps import runs
 from ..uncertainty import key_of
-from .case import HEADS, OF_CONTOUR, Case, diverged, experiment_lines, output_names, shown_trials
+from .case import (
+    HEADS,
+    OF_CONTOUR,
+    Case,
+    diverged,
+    experiment_lines,
+    output_names,
+    said,
+    shown_trials,
+)
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, settings_of
 from .words import DIVERGES, EXACT, FALLS, GROWS, SETTLED, Trend, number, several, trend_of
@@ -299,11 +308,11 @@ def reading_lines(scenario: Scenario, numbers: Numbers) -> list[str]:
     other = [name for name, value in judged.items() if scenario.options.get(name) != value]
     here = ", ".join(f"{name}={scenario.options[name]}" for name in other)
     there = " ".join(f"--set {name}={judged[name]}" for name in other)
-    said = [f"{near.count(True)} of {len(near)} published numbers are met within 30 %"]
+    lines = [f"{near.count(True)} of {len(near)} published numbers are met within 30 %"]
     if other:
-        said[0] += f": simulated is {here}"
-        said.append(f"The paper is judged with {there}")
-    return [". ".join([*said, f"jaxilc reproduce {scenario.name} says how each number was read."])]
+        lines[0] += f": simulated is {here}"
+        lines.append(f"The paper is judged with {there}")
+    return [". ".join([*lines, f"jaxilc reproduce {scenario.name} says how each number was read."])]
 
 
 def last_trial_table(numbers: Numbers) -> Table:
@@ -374,11 +383,10 @@ def run_verdict(case: Case, numbers: Numbers, errors: Mapping[str, Sequence[floa
     begun = f", after {case.size(first)} in trial 1" if trials > 1 else ""
     it = f"; {course.words}" if course.words and case.learns[best] else ""
     ends = f"trial {trials} has {case.an_error} of {case.size(last)}{begun}{it}."
-    said = f"{case.head(best, alike)}{ends}"
+    head = f"{case.head(best, alike)}{ends}"
     passed = case.tolerance is None or last <= case.tolerance
-    sentences = (said, _larger_elsewhere(case, best, numbers), case.beside_tolerance(last))
-    after = _after_run(case, best, course, passed, trials)
-    return Verdict(tuple(one for one in sentences if one), *after)
+    sentences = said(head, _larger_elsewhere(case, best, numbers), case.beside_tolerance(last))
+    return Verdict(sentences, *_after_run(case, best, course, passed, trials))
 
 
 def _larger_elsewhere(case: Case, best: str, numbers: Numbers) -> str:

@@ -15,9 +15,9 @@ from ..figures.style import labelled
 from ..pytree.named_paths import get_at
 from ..scenarios import Scenario
 from ..storage.sealed import write_json
-from ..tuning.worst_case import GRADIENT_COST, WorstMachine, worst_machine
+from ..tuning.worst_case import GRADIENT_COST, worst_machine
 from ..uncertainty import Uncertainty
-from .case import Case, both
+from .case import Case, said
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
 from .words import number, several
@@ -56,7 +56,19 @@ def worst_case(
         steps=steps, evaluations=evaluations, draws=draws, seed=seed,
         progress=lambda done, whole, name: progress(name, done, whole),
     )  # fmt: skip
-    numbers = {
+    searches = {
+        name: {
+            "value": search.value,
+            "loss": search.case.loss,
+            "evaluations": search.case.evaluations,
+            "needed": search.needed,
+            "level_with_chance": search.level_with_chance,
+            "numbers": search.case.values,
+            "set": _settings(search.case.subject, chosen.uncertainty),
+        }
+        for name, search in found.searches.items()
+    }
+    numbers: Numbers = {
         "scenario": request.source,
         "scheme": scheme,
         "trial": chosen.trials,
@@ -65,7 +77,9 @@ def worst_case(
         "seed": seed,
         "params": None if request.params is None else str(request.params),
         "given": [*request.set],
-    } | worst_case_numbers(found, chosen.uncertainty)
+        "nominal": found.nominal,
+        "searches": searches,
+    }
     verdict = worst_case_verdict(Case.of(chosen, request), scheme, numbers)
     shown = {"metric": chosen.judged_by, "unit": unit}
     marked = {name: one.value for name, one in found.searches.items()}
@@ -90,23 +104,6 @@ def worst_case(
         live=lambda: [figure.described(), worst_by_effort.described(found.searches, **shown)],
         asked={"starts": starts, "steps": steps, "seed": seed},
     )
-
-
-def worst_case_numbers(found: WorstMachine, uncertainty: Uncertainty) -> Numbers:
-    """The result and cost of each search, with the machine as arguments of `--set`."""
-    searches = {
-        name: {
-            "value": search.value,
-            "loss": search.case.loss,
-            "evaluations": search.case.evaluations,
-            "needed": search.needed,
-            "level_with_chance": search.level_with_chance,
-            "numbers": search.case.values,
-            "set": _settings(search.case.subject, uncertainty),
-        }
-        for name, search in found.searches.items()
-    }
-    return {"nominal": found.nominal, "searches": searches}
 
 
 def _settings(machine, uncertainty: Uncertainty) -> list[str]:
@@ -166,11 +163,11 @@ def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
         else f"diverges within {several(trial, 'trial')}"
     )
     needed = several(worst["needed"], "simulation")
-    said = f"{scheme}: the worst machine {ends}; found by {name}, in {needed}."
+    first = f"{scheme}: the worst machine {ends}; found by {name}, in {needed}."
     if len(worst["set"]) > FEW:
         what, following = "what theory claims", case.on("certify", scheme)
     else:
         settings = (*case.request.set, *worst["set"])
         what = "that machine"
         following = case.request.following("run", scheme=scheme, set=settings)
-    return Verdict(both(said, case.beside_tolerance(worst["value"])), what, following)
+    return Verdict(said(first, case.beside_tolerance(worst["value"])), what, following)

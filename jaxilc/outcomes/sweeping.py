@@ -28,9 +28,9 @@ from .case import (
     OF_CONTOUR,
     WORDS,
     Case,
-    both,
     experiment_lines,
     output_names,
+    said,
     shown_trials,
 )
 from .outcome import Figure, Interactive, Numbers, Outcome, Table, Verdict
@@ -92,7 +92,6 @@ def sweep(
         quantities=chosen.functions, grid=request.grid(grid, chosen),
         watch=BoundsWatch() if bounds else None,
     )  # fmt: skip
-    tolerance = _tolerance(chosen, request.tolerance)
     place = folder or Path("out") / f"sweep-{chosen.name}"
     stores = [unless_there(place / "dataset.zarr", resume)]
     if bounds and any(axis.size > 1 for axis in plan.axes.axes):
@@ -103,8 +102,7 @@ def sweep(
     )
     steps, seconds = sum(fresh) * plan.trials * plan.task.N, time.perf_counter() - start
     nominal = run(_nominal(plan), stores[1], resume=resume) if stores[1:] else None
-    found = _Found(chosen, request, tolerance, dataset, nominal, stores, steps, seconds)
-    return _told(found)
+    return _told(_Found(chosen, request, dataset, nominal, stores, steps, seconds))
 
 
 class _Found(NamedTuple):
@@ -112,7 +110,6 @@ class _Found(NamedTuple):
 
     chosen: the scenario
     request: what was asked
-    tolerance: largest metric that passes [unit of the dataset], None if none is known
     whole: the dataset
     nominal: the same grid of the nominal machine with its bounds; None without a map of them
     stores: of both
@@ -122,7 +119,6 @@ class _Found(NamedTuple):
 
     chosen: Scenario
     request: Request
-    tolerance: float | None
     whole: xr.Dataset
     nominal: xr.Dataset | None
     stores: list[Path]
@@ -132,8 +128,8 @@ class _Found(NamedTuple):
 
 def _told(found: _Found) -> Outcome:
     """The outcome of a sweep: that of the best point, where it has a grid."""
-    chosen, request, tolerance, dataset = found[:4]
-    steps, seconds = found.steps, found.seconds
+    chosen, request, dataset, *_, steps, seconds = found
+    tolerance = chosen.look["tolerance"]
     speed = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
     sizes = {axis: dataset.sizes[axis] for axis in axes_of(dataset)}
     best = best_points(dataset, tolerance, metric=chosen.judged_by) if sizes else []
@@ -141,8 +137,7 @@ def _told(found: _Found) -> Outcome:
         request = _at(request, dataset, _first(best))
         dataset = at_best(dataset, best)
         chosen = dataclasses.replace(chosen, trials=dataset.sizes["trial"])
-    scale, drawn = chosen.shown(chosen.judged_by)[0], chosen.look
-    drawn["tolerance"] = tolerance
+    drawn = chosen.look
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])
     numbers |= axes_numbers(chosen, dataset, tolerance)
@@ -151,7 +146,7 @@ def _told(found: _Found) -> Outcome:
         numbers["bounds"] = watched_numbers(chosen, dataset)
         if sizes:
             numbers["grid"]["bounds"] = watched_numbers(chosen, found.whole)
-    highs = {row.scheme: [scale * float(high) for high in row.high] for row in summary}
+    highs = {row.scheme: (drawn["scale"] * row.high).tolist() for row in summary}
     verdict = sweep_verdict(Case.of(chosen, request), numbers, highs)
     if best:
         verdict = verdict._replace(said=(*_first(best).sentences, *verdict.said))
@@ -214,12 +209,6 @@ def live_store(chosen: Scenario, dataset: xr.Dataset) -> list[Interactive]:
     """The same of machines on which laws were judged, in the units of the scenario."""
     look = chosen.look
     return live_sweep(dataset, summarise(dataset, look["tolerance"], metric=look["metric"]), look)
-
-
-def _tolerance(chosen: Scenario, tolerance: float | None) -> float | None:
-    """The tolerance that is asked for, or that of the scenario, in the unit of the simulation."""
-    tolerance = chosen.tolerance if tolerance is None else tolerance
-    return None if tolerance is None else tolerance / chosen.shown(chosen.judged_by)[0]
 
 
 def sweep_numbers(
@@ -411,12 +400,12 @@ def sweep_verdict(case: Case, numbers: Numbers, highs: Mapping[str, Sequence[flo
     last = {name: math.inf if math.isnan(of[-1]) else of[-1] for name, of in highs.items()}
     best = min(rows, key=lambda name: (-(rows[name]["yield"] or 0.0), last[name]))
     row, course, lost = rows[best], trend_of(highs[best]), _lost(rows[best], case.error)
-    said = f"{case.head(best)}{_yield(case, numbers, row)}{_spread(case, numbers, row)}."
+    first = f"{case.head(best)}{_yield(case, numbers, row)}{_spread(case, numbers, row)}."
     told = course.words and case.learns[best]
     second = lost or (f"The 95 % {case.error} {course.words}." if told else "")
     alike = () if case.uncertain or numbers["samples"] == 1 else (ALIKE,)
     enough = row["yield"] is None or row["yield"] >= ENOUGH
-    return Verdict((*both(said, second), *alike), *_after_sweep(case, best, not lost, enough))
+    return Verdict(said(first, second, *alike), *_after_sweep(case, best, not lost, enough))
 
 
 def _yield(case: Case, numbers: Numbers, row: Numbers) -> str:
@@ -496,7 +485,7 @@ def _maps(found: _Found, best: Sequence[BestPoint], drawn: Look) -> dict[str, Fi
     if (changed := values_at(axes, found.chosen)) != marks[own.name]:
         marks["as asked"] = changed
     shows = {"grid": "high", "grid-best-trial": "best_trial"}
-    shows |= {"grid-yield": "yield"} if found.tolerance else {}
+    shows |= {"grid-yield": "yield"} if found.chosen.tolerance else {}
     draw = partial(figures.grid_map, whole, best=[*best], marks=marks, **drawn)
     maps = {name: Figure(MAPS[name], partial(draw, shows=of)) for name, of in shows.items()}
     if found.nominal is not None:

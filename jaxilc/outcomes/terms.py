@@ -34,12 +34,11 @@ ROUNDING = 1e-9  # by which a limit may be exceeded, relatively
 RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 
 
-def objective_of(text: str, metric: str, scale: float, option: str = "--objective") -> Objective:
+def objective_of(text: str, metric: str, scale: float) -> Objective:
     """An objective from a text such as `final:20 + 0.3*final@max_error`.
 
     metric: metric of the terms that name none
     scale: the tolerances in the text are `scale` times the metric
-    option: name of the option, for messages
     Raises ValueError naming what is allowed.
     """
     from ..tuning import objectives as o
@@ -63,7 +62,7 @@ def objective_of(text: str, metric: str, scale: float, option: str = "--objectiv
         rest, _, named = rest.partition("@")
         name, _, number = rest.strip().partition(":")
         if name not in kinds:
-            raise ValueError(_unknown(f"{option}: {name!r}", name, OBJECTIVES))
+            raise ValueError(_unknown(f"--objective: {name!r}", name, OBJECTIVES))
         one = kinds[name](named.strip() or metric, number or None)
         total = total + (_positive(f"weight of {name}", weight) if star else 1.0) * one
     return total
