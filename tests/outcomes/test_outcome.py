@@ -53,7 +53,7 @@ def test_a_notebook_shows_an_outcome_once(outcome, monkeypatch):
     assert all(said in outside for said in outcome.verdict.said)
 
 
-def test_figures_and_files_are_written_where_they_belong(outcome, tmp_path):
+def test_figures_and_files_are_written_where_they_belong(outcome, tmp_path, unpainted):
     paths = outcome.save(tmp_path / "elsewhere")
     assert {path.stem for path in paths} == {*outcome.figures, "dataset"}
     assert all(path.parent == tmp_path / "elsewhere" and path.exists() for path in paths)

@@ -14,8 +14,16 @@ from jaxilc.outcomes.outcome import silent
 from jaxilc.outcomes.repeating import following, recurs, within_trial
 from jaxilc.plants import ByPosition, Harmonics, PositionMap, StateSpace
 from jaxilc.scenarios.from_file import read_scenario
-from jaxilc.schemes import PID, Filtered, NormOptimal, PIDType, WithFeedback
+from jaxilc.schemes import (
+    PID,
+    BasisFunctions,
+    Filtered,
+    PIDType,
+    PolynomialBasis,
+    WithFeedback,
+)
 from jaxilc.signals.task import Trial
+from jaxilc.theory.condition import HOLDS, NOT_CLAIMED
 
 t = 1e-3 * np.arange(3001)
 BACK_AND_FORTH = 60 * np.sin(np.pi * t / 2.1) ** 2 + 4 * t  # [mm], at many speeds
@@ -127,14 +135,22 @@ def test_a_law_between_trials_learns_from_period_to_period(axis):
     assert np.std(whole[-200:]) < 0.05 * np.std(whole[:200])
 
 
-def test_a_period_that_is_too_short_or_a_law_without_taps_is_told(axis):
+def test_a_period_that_is_too_short_or_a_law_without_taps_is_told(axis, monkeypatch):
+    """The first law that has its condition, which other tests compute, is taken."""
     short = following(axis, {"time": Recurrence(0.01, 0.9)}, [P_TYPE], silent)
     assert not short.schemes
     assert "repetitive is not written: RepetitiveControl: period" in short.lines[0]
     model = StateSpace([[0.82]], [[0.28]], [[1.0]], dt=1e-3)
-    optimal = WithFeedback(NormOptimal(model, w_r=0.1), PID(0.2))
-    both = following(axis, {"time": Recurrence(0.2, 0.9)}, [optimal, P_TYPE], silent)
-    assert list(both.schemes) == ["repetitive"]
+    no_taps = WithFeedback(BasisFunctions(PolynomialBasis((0, 1)), model), PID(0.2))
+    period = {"time": Recurrence(0.2, 0.9)}
+    alone = following(axis, period, [no_taps], silent)
+    assert "repetitive is not written: the law is none of taps" in alone.lines[0]
+    answers = iter([{"verdict": NOT_CLAIMED, "condition": 2.0}, {"verdict": HOLDS}])
+    monkeypatch.setattr(repeating, "of_periods", lambda *_: {"repetitive": next(answers)})
+    monkeypatch.setattr(repeating, "period_sentences", lambda name, _: [name])
+    found = following(axis, period, [no_taps, P_TYPE, P_TYPE], silent)
+    assert (list(found.schemes), found.lines) == (["repetitive"], ["repetitive"])
+    assert found.numbers == {"repetitive": {"verdict": HOLDS}}
     assert following(axis, {"time": Recurrence(0.2, 0.3)}, [P_TYPE], silent).lines == []
 
 
