@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from ..outcomes.terms import numbers_of
+from ..outcomes.terms import OBJECTIVES, numbers_of
 from .console import begin, between, prefer
 from .options import (
-    TERMS,
+    SCENARIO,
     Columns,
     Details,
     GridAxes,
@@ -26,7 +26,6 @@ from .options import (
     OutputColumn,
     Pages,
     Params,
-    Replace,
     Resume,
     Sampling,
     Schemes,
@@ -91,7 +90,9 @@ def run(
     written: Written,
     metric: MetricName = None,
     seed: Seed = 0,
-    replace: Replace = False,
+    replace: Annotated[
+        bool, Option("--replace", help="Replace the run of other settings in the folder.")
+    ] = False,
     details: Details = False,
 ) -> None:
     """Learn on the nominal machine: errors beside the published ones, figures, dataset.
@@ -240,6 +241,9 @@ def worst_case(
     )  # fmt: skip
 
 
+TERMS = f"Terms NAME[:NUMBER][@METRIC] with + between, each WEIGHT* or 1; NAME of {OBJECTIVES}."
+
+
 def tune(
     what: OneSimulated,
     how: Tuned,
@@ -333,14 +337,7 @@ def reproduce(
 
 def export(
     pages: Pages,
-    source: Annotated[
-        str | None,
-        Argument(
-            metavar="SCENARIO",
-            help="Of `jaxilc list`, or your own, a TOML or JSON file.",
-            autocompletion=scenarios_from,
-        ),
-    ] = None,
+    source: Annotated[str | None, SCENARIO] = None,
     format_: Annotated[
         str,
         Option(

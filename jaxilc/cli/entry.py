@@ -20,7 +20,7 @@ from .console import ended, err, prefer, speak, tracebacks
 from .explore import explore
 from .hardware import Refused, next_, trials
 from .init import init
-from .options import DESIGN, MACHINE, PROVE, SIMULATE, Commands, FigureFormat, add, of_list
+from .options import DESIGN, MACHINE, PROVE, SIMULATE, Commands, add, figures_as, of_list
 
 LONGEST = 2000  # characters of the message of an error
 LONG_WORD = re.compile(r"(\S{60})\S{200,}(\S{40})")  # such as a value that was given by mistake
@@ -81,7 +81,14 @@ def options(
             help="float64, if not given, or float32.", autocompletion=of_list("float64", "float32")
         ),
     ] = None,
-    figures: FigureFormat = None,
+    figures: Annotated[
+        str | None,
+        Option(
+            metavar="FORMAT",
+            help="Format and style of figures: png, svg or pdf; print or dark; both as svg,dark.",
+            callback=figures_as,
+        ),
+    ] = None,
     version: Annotated[
         bool,
         Option("--version", callback=_version, is_eager=True, help="Show the version and exit."),

@@ -19,7 +19,7 @@ from typer import Argument, Option
 
 from ..learning.known_metrics import TUNED
 from ..outcomes.request import Request
-from ..outcomes.terms import OBJECTIVES, RISKS
+from ..outcomes.terms import RISKS
 from ..scenarios.catalogue import SCHEMES
 from ..storage.reading import read_tree
 from .console import warn
@@ -152,21 +152,17 @@ def at_least(low: int, **given: int | None) -> None:
 # What is simulated
 # --------------------------------------------------------------------------------------------------
 
-ScenarioName = Annotated[
-    str,
-    Argument(
-        metavar="SCENARIO",
-        help="Of `jaxilc list`, or your own, a TOML or JSON file.",
-        autocompletion=scenarios_from,
-    ),
-]
+SCENARIO = Argument(
+    metavar="SCENARIO",
+    help="Of `jaxilc list`, or your own, a TOML or JSON file.",
+    autocompletion=scenarios_from,
+)
 Schemes = Annotated[
     list[str] | None,
     Option(
         "--scheme", help="Scheme to use; repeatable. All if not given.", autocompletion=schemes_from
     ),
 ]
-OneScheme = Annotated[str, Option("--scheme", help="Scheme to use.", autocompletion=schemes_from)]
 Trials = Annotated[int | None, Option(help="Trials J; the scenario's own if not given.")]
 Set = Annotated[
     list[str] | None,
@@ -222,19 +218,6 @@ Sampling = Annotated[
     ),
 ]
 
-# Tuning
-# --------------------------------------------------------------------------------------------------
-
-Weights = Annotated[
-    str, Option(metavar="A,B,C", help="To tune, with or without bounds: lam=0.1:10,phi0.")
-]
-TERMS = f"Terms NAME[:NUMBER][@METRIC] with + between, each WEIGHT* or 1; NAME of {OBJECTIVES}."
-OverMachines = Annotated[str, Option("--risk", help=f"Over the machines: {RISKS}.")]
-TunedOn = Annotated[
-    int, Option("--machines", "--samples", help="Machines to tune on, the nominal one included.")
-]
-Steps = Annotated[int, Option(help="Steps at most.")]
-
 # Columns of a file that was measured
 # --------------------------------------------------------------------------------------------------
 
@@ -257,28 +240,7 @@ OutFolder = Annotated[
     ),
 ]
 Details = Annotated[bool, Option("--details", help="Print what the tables are a summary of, too.")]
-Replace = Annotated[
-    bool, Option("--replace", help="Replace the run of other settings in the folder.")
-]
-FigureFormat = Annotated[
-    str | None,
-    Option(
-        "--figures",
-        metavar="FORMAT",
-        help="Format and style of figures: png, svg or pdf; print or dark; both as svg,dark.",
-        callback=figures_as,
-    ),
-]
 Resume = Annotated[bool, Option("--resume", help="Go on with what is in the folder.")]
-Reports = Annotated[
-    list[Path] | None,
-    Option(
-        "--report",
-        help="Write what was found to this file: .html is one self-contained page, .json has every "
-        "printed number; repeatable.",
-        callback=reports_to_write,
-    ),
-]
 
 # Options that left the command line; they are taken for one version, with a warning.
 # --------------------------------------------------------------------------------------------------
@@ -319,7 +281,7 @@ def names_in(text: str | None) -> list[str]:
 class Simulated:
     """What is simulated."""
 
-    scenario: ScenarioName
+    scenario: Annotated[str, SCENARIO]
     scheme: Schemes = None
     trials: Trials = None
     set_: Set = None
@@ -335,8 +297,8 @@ class Simulated:
 class OneSimulated:
     """What is simulated with one scheme."""
 
-    scenario: ScenarioName
-    scheme: OneScheme
+    scenario: Annotated[str, SCENARIO]
+    scheme: Annotated[str, Option(help="Scheme to use.", autocompletion=schemes_from)]
     set_: Set = None
     params: Params = None
     spread: Spread = None
@@ -351,11 +313,16 @@ class OneSimulated:
 class Tuned:
     """How weights are tuned, on which machines."""
 
-    weights: Weights
-    risk: OverMachines = "mean"
+    weights: Annotated[
+        str, Option(metavar="A,B,C", help="To tune, with or without bounds: lam=0.1:10,phi0.")
+    ]
+    risk: Annotated[str, Option(help=f"Over the machines: {RISKS}.")] = "mean"
     trials: Trials = None
-    machines: TunedOn = 32
-    steps: Steps = 100
+    machines: Annotated[
+        int,
+        Option("--machines", "--samples", help="Machines to tune on, the nominal one included."),
+    ] = 32
+    steps: Annotated[int, Option(help="Steps at most.")] = 100
     seed: Seed = 0
     resume: Resume = False
     bounds: Annotated[list[str] | None, left("--bounds", "--weights A=LOW:HIGH does it")] = None
@@ -387,7 +354,15 @@ class Tuned:
 class Pages:
     """The files of `--report`."""
 
-    reports: Reports = None
+    reports: Annotated[
+        list[Path] | None,
+        Option(
+            "--report",
+            help="Write what was found to this file: .html is one self-contained page, .json has "
+            "every printed number; repeatable.",
+            callback=reports_to_write,
+        ),
+    ] = None
 
     def file(self, ending: str) -> Path | None:
         """The file for the page, `.html`, or the numbers, `.json`; None where none is asked for."""

@@ -223,9 +223,7 @@ def tuning_numbers(scenario: Scenario, scheme: str, tuned: Tuned, dataset: xr.Da
 def tuning_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
     """The table of weights, and for each metric a table by trial, as given and as tuned."""
     scheme = numbers["scheme"]
-    weights = Table("weight", title=f"{scenario.title}\n{scheme}: weights")
-    for column in WHICH:
-        weights.add_column(column, justify="right")
+    weights = Table("weight", right=WHICH, title=f"{scenario.title}\n{scheme}: weights")
     weights.add_column("allowed")
     for name, row in numbers["weights"].items():
         cells = (f"{row[which]:.6g}" for which in WHICH)
