@@ -382,10 +382,8 @@ def verdict(
 ) -> list[str]:
     """One or two sentences on what the campaign has reached.
 
-    live: manifests of the start and of the trials that count, see `Journal.live`
-    turn: the trial of this call, None without one; it counts if it is not among the manifests
-    growth: share by which an error may grow without a warning
-    experiments: see `checks.experiment_numbers`; empty where no trial is an experiment
+    live: manifests that count;  turn: the trial of this call, which may not be among them
+    experiments: see `checks.experiment_numbers`
     stop: RMS error below which nothing shows that there is more to learn; None: it is not known
     """
     from ..hardware.journal import METRICS
@@ -439,12 +437,7 @@ def next_command(
     out_file: Path | None,
     columns: Mapping[str, str] | None = None,
 ) -> str:
-    """What to do next: play, record, and the command that takes the record.
-
-    trial: number of the next trial
-    measured, out_file: files of this call; the names of the next ones follow them
-    columns: options that name columns of the record, with their values
-    """
+    """What to play and record next, and the command that takes it, by names like those of now."""
     played = out_file or Path("next.csv")
     record = Path(f"trial-{trial}.csv") if measured is None else _with_number(measured, trial)
     after = _numbered_on(played, trial)
@@ -782,13 +775,7 @@ def _close(
     columns: dict[str, str],
     dry_run: bool,
 ) -> None:
-    """Print the verdict and the next command; write the figure and the numbers, if asked for.
-
-    predicted: the prediction of the plant file, and what is expected of the next trial
-    trial: number of the next trial
-    files: those of --measured, --out, --plot, and the one for the numbers
-    columns: options that name columns of the measured trial, with their values
-    """
+    """Print the verdict and the next command; write the figure and the numbers, if asked for."""
     from ..hardware.checks import experiment_numbers
     from ..scenarios.campaign_source import belongs_to
 

@@ -381,12 +381,10 @@ class Written(Pages):
 
 
 def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
-    """Add a command with the name of a function to the command line.
+    """Add a command with the name of a function to a group, `panel`, of `jaxilc --help`.
 
     A parameter of the function whose type is a dataclass is a group: the command has an option for
     each of its fields, and the function gets the object.
-
-    panel: the group of commands in `jaxilc --help`
     """
     hints = get_type_hints(function, include_extras=True)
     shown: dict[str, inspect.Parameter] = {}

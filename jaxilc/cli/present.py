@@ -22,10 +22,8 @@ def tell(
 ) -> None:
     """Ask the library, and present the outcome.
 
-    pages: its files; the function gets their folder, where results have one
     asked: first arguments of the function, such as a request
     bar: whether a progress bar is shown; a search with a bar of its own shows that
-    details: whether the details of the outcome are printed, too
     how: further arguments of the function, which has its own values for those that are None
     """
     how = {option: value for option, value in how.items() if value is not None}

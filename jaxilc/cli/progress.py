@@ -36,9 +36,7 @@ def progress_bar(
 ):
     """A progress bar that also shows a field of its tasks; nothing is shown without a terminal.
 
-    transient: whether the bar is removed at the end
-    expected: seconds that all of it took the last time; the time left before a part is done
-    usual: seconds that all of it takes elsewhere, told where no time is known here
+    expected, usual: seconds that all took the last time here, or takes elsewhere, for the time left
     """
     from rich.progress import (
         BarColumn,
@@ -77,9 +75,8 @@ def working(command: str) -> Generator[Callable[..., None]]:
     """A context with the progress bar of a command, which is gone when the command prints.
 
     It begins before JAX is loaded, so that something is seen within the first second. It yields a
-    function of what is done now, as a text, and of `done` and `total`, the parts of the work. The
-    time left follows from the parts that are done, and before that from how long the same command
-    took the last time, or that command on the same scenario with other options.
+    function of what is done now, and of the parts that are done and in total. The time left follows
+    from these, and before that from the same command, or that command on the same scenario.
     """
     start = time.perf_counter()
     keys = [durations.key_of([command, *sys.argv[1:end]]) for end in (None, 3)]

@@ -479,11 +479,7 @@ def learn_law(
     state = state_of(place, force=force, resume=resume)
     learned = question.run(state, resume=resume, told=_law_told(steps, progress, say))
     said = _law_sentences(chosen, learned)
-    shown, live = (
-        of_judged(state, chosen, "learning", "The errors by trial")
-        if learned.verdicts
-        else ({}, tuple)
-    )
+    shown, live = of_judged(state, chosen, "learning", "The errors by trial")
     law, task = {}, chosen.task
     if learned.passed is not None:
         unit = f"{task.input_unit}/{task.unit}" if task.input_unit and task.unit else ""

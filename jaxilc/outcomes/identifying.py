@@ -257,12 +257,9 @@ class Reading(NamedTuple):
 class Fitted(NamedTuple):
     """What was found.
 
-    measured: the record or the response
-    found: the identification
     dt: sample time [s], None where it is not known
     structure: the structure that was fitted, with the delay where it is whole
-    tables: the structures that were compared
-    units: units of input and output
+    tables: the structures that were compared;  units: of input and output
     lines: sentences on how the file was read
     grown: what was grown, where the structure was looked for
     """

@@ -108,13 +108,8 @@ def sweep(
 class _Found(NamedTuple):
     """What was swept.
 
-    chosen: the scenario
-    request: what was asked
-    whole: the dataset
-    nominal: the same grid of the nominal machine with its bounds; None without a map of them
-    stores: of both
-    steps: sample-steps that were computed; 0 where the store held all machines
-    seconds: time of the sweep, with compilation [s]
+    whole: the dataset;  nominal: the same grid of the nominal machine with its bounds, for a map
+    stores: of both;  steps, seconds: sample-steps that were computed, and the time with compilation
     """
 
     chosen: Scenario
@@ -216,8 +211,7 @@ def sweep_numbers(
 ) -> Numbers:
     """The summary of a sweep [shown unit] by scheme, with quantiles and the worst machine by trial.
 
-    tolerance: largest metric that passes [unit of the dataset]; None, and null for the yields, if
-        none is known
+    tolerance: largest metric that passes [unit of the dataset]; None, and null for the yields
     """
     k, unit = scenario.shown(scenario.judged_by)
     schemes = {

@@ -69,10 +69,7 @@ def objective_of(text: str, metric: str, scale: float) -> Objective:
 
 
 def with_limits(objective: str, limits: Sequence[str]) -> str:
-    """The text of an objective with a penalty for each limit, a text such as `d2=0.95`.
-
-    Raises ValueError for a text that is not NAME=NUMBER, or a name that cannot be limited.
-    """
+    """The text of an objective with a penalty for each limit, a text as `d2=0.95`."""
     for name, largest in _limits(limits):
         objective += f" + {STRICT}*{name}:{largest:.17g}"
     return objective
@@ -138,12 +135,7 @@ def weights_of(text: str) -> dict[str, tuple[float, float] | None]:
 
 
 def numbers_of(option: str, text: str, *, whole: bool = False) -> list[float]:
-    """Numbers, all different, from a text such as `0.1,0.3`.
-
-    option: name of the option, for messages
-    whole: whether the numbers are numbers of trials
-    Raises ValueError for a text that is not a number, and for a number that is given twice.
-    """
+    """The numbers, all different, of an option's text such as `0.1,0.3`; or numbers of trials."""
     items = [item.strip() for item in text.split(",")]
     numbers = [
         float(item) if whole and item.isdecimal() else _number(option, item) for item in items

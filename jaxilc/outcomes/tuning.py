@@ -53,10 +53,7 @@ def run_search(
     progress: Callable[..., object],
     meanwhile: Sequence[Callable[[], object]] = (),
 ) -> T:
-    """Run one or several tunings, and do nothing meanwhile.
-
-    search: function of the folder of its state, of `resume` and of `progress`, as `Tuning.run`
-    """
+    """Run a search, such as `Tuning.run`, in the folder of its state, and do nothing meanwhile."""
     return search(state, resume=resume, progress=progress)
 
 

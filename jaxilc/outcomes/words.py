@@ -65,11 +65,10 @@ WINDOW = 3  # trials
 
 
 class Trend(NamedTuple):
-    """The course of an error over the trials.
+    """The course of an error over the trials, and the number of the best one.
 
     kind: `diverges`, `grows`, `falls`, `settled`, or `single` for one trial
     words: the end of a sentence whose subject is the error, empty for one trial
-    best: number of the best trial
     """
 
     kind: str
