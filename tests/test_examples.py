@@ -40,7 +40,7 @@ NOT_RUN = {
     "five_minutes.md: jaxilc design": LONG,
     "how_to.md: jaxilc sweep": "the sweep of five_minutes.md, with a page",
     "grids.md: jaxilc explore": "it serves a page until it is stopped",
-    "grids.md: jaxilc tune": "it takes minutes: tests/outcomes/test_stored_grid.py begins it",
+    "grids.md: jaxilc tune": "it takes minutes: tests/outcomes/test_stored_grid.py runs it smaller",
     "how_to.md: pip": "it changes the environment",
     "how_to.md: jaxilc explore": "it serves a page until it is stopped",
     "how_to.md: jaxilc init": "it needs a recorded move: tests/cli/test_init.py makes one",
