@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import tomlkit
-from tomlkit.items import Item
 
 from ..pytree.aliases import Tree, Value
 from ..pytree.fields import kind_of
@@ -51,13 +50,33 @@ def toml_of(schemes: Mapping[str, Scheme]) -> str:
 
     Raises ValueError as `table_of` does.
     """
-    document, made = tomlkit.document(), tomlkit.table(is_super_table=True)
-    for name, scheme in schemes.items():
-        table = tomlkit.table()
-        for key, value in table_of(scheme).items():
-            table.append(key, _item(value))
-        made.append(name, table)
-    document.append("schemes", made)
+    tables = {f"schemes.{toml_key(name)}": table_of(scheme) for name, scheme in schemes.items()}
+    return "\n".join(f"[{name}]\n{toml_lines(table)}" for name, table in tables.items())
+
+
+def toml_lines(table: Mapping[str, Value]) -> str:
+    """The keys and values of a table, each in a line."""
+    return "".join(f"{toml_key(name)} = {toml_value(value)}\n" for name, value in table.items())
+
+
+def toml_value(value: Value) -> str:
+    """A value of a plant file as TOML, a table in one line."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{toml_key(k)} = {toml_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return tomlkit.item(value).as_string()
+
+
+def toml_key(name: str) -> str:
+    return tomlkit.key(name).as_string()
+
+
+def without_tables(text: str, names: Iterable[str]) -> str:
+    """The text of a TOML file without these tables; all else stays as it is."""
+    document = tomlkit.parse(text)
+    for name in names:
+        document.pop(name, None)
     return tomlkit.dumps(document)
 
 
@@ -82,20 +101,6 @@ def write_with_scheme(path: Path, source: str, name: str, scheme: Scheme) -> tup
 
 def _write(path: Path, text: str) -> None:
     atomically(path, lambda file: file.write(text.encode()))
-
-
-def _item(value: Value) -> Item:
-    if isinstance(value, list) and value and isinstance(value[0], Mapping):
-        tables = tomlkit.array()
-        for one in value:
-            tables.append(_item(one))
-        return tables
-    if not isinstance(value, Mapping):
-        return tomlkit.item(value)
-    table = tomlkit.inline_table()
-    for key, inner in value.items():
-        table.append(key, _item(inner))
-    return table
 
 
 # The plant file that a design leaves
@@ -152,8 +157,8 @@ def write_potential(path: str | Path, found: Mapping[str, float], unit: str) -> 
         raise ValueError(f"{path}: learning has nothing to gain, so that no table is written")
     if unit and own and unit != own:
         raise ValueError(f"{path} has the unit {own!r}, the repeats have {unit!r}; allowed is one")
-    lines = "".join(f"{name} = {value!r}\n" for name, value in found.items())
-    table = f"[potential]  # by `jaxilc potential`: rms errors, and a frequency in Hz\n{lines}"
+    head = "[potential]  # by `jaxilc potential`: rms errors, and a frequency in Hz"
+    table = f"{head}\n{toml_lines(found)}"
     return _with_tables(path, path, {"potential": dict(found)}, table)
 
 
@@ -171,9 +176,6 @@ def _with_tables(
         kept = {name: table for name, table in content.items() if table is not None}
         written = json.dumps(kept, indent=1, ensure_ascii=False) + "\n"
     else:
-        document = tomlkit.parse(text)
-        for name in changed:
-            document.pop(name, None)
-        written = f"{head}{tomlkit.dumps(document).rstrip()}\n\n{toml}"
+        written = f"{head}{without_tables(text, changed).rstrip()}\n\n{toml}"
     _write(path, written)
     return path

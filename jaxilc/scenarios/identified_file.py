@@ -11,7 +11,6 @@ go on with the new file, and its predictions are those of the fitted plant.
 from __future__ import annotations
 
 import dataclasses
-import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +18,6 @@ from typing import NamedTuple, TypeAlias, cast
 
 import jax
 import numpy as np
-import tomlkit
 
 from ..filters import ZeroPhaseButterworth
 from ..identification import Estimate, Identified, Record, not_significant
@@ -28,7 +26,6 @@ from ..plants import ModalModel, Plant, ProcessModel
 from ..pytree.aliases import Value
 from ..pytree.named_paths import interval_at
 from ..schemes import Filtered, PIDType
-from ..signals import references
 from ..signals.task import Task
 from ..storage.files import atomically
 from ..storage.reading import LARGEST_TREE, printable, read_text, tree_of
@@ -37,6 +34,7 @@ from ..theory.law import law_of
 from ..theory.loop import minimal
 from ..theory.on_lines import Lines, MeasuredResponse, low_pass, widest
 from ..uncertainty import Population, Uncertainty, Uniform
+from .design_file import toml_lines, toml_value, without_tables
 from .file_task import distributions_in
 
 # The law to start with
@@ -49,6 +47,7 @@ SHARES = (0.15, 0.25, 0.4, 0.6, 0.8, 1.0)  # of the inverse of the DC gain, trie
 CORNERS = 8  # parameters up to which all corners of their intervals are taken
 DRAWN = 129  # machines that are taken for more parameters
 NEAREST = 4  # of the worst machines on the grid, whose largest value is enclosed
+Fittable: TypeAlias = ProcessModel | ModalModel
 
 
 class StartingLaw(NamedTuple):
@@ -86,16 +85,9 @@ class StartingTask(NamedTuple):
     frequency: float
     duration: float
 
-    def task(self, dt: float) -> Task:
-        r = references.sinusoid(
-            self.amplitude, self.frequency, duration=self.duration, dt=dt, phase=-np.pi / 2,
-            offset=self.amplitude,
-        )  # fmt: skip
-        return Task(r, dt=dt)
-
 
 def starting_law(
-    plant: ProcessModel | ModalModel, uncertainty: Uncertainty, dt: float, samples: int
+    plant: Fittable, uncertainty: Uncertainty, dt: float, samples: int
 ) -> StartingLaw | None:
     """The filtered P-type law of the largest cutoff that learns on every plant of the intervals.
 
@@ -104,9 +96,8 @@ def starting_law(
     The largest value of the condition is looked for over the corners of the intervals (over draws
     where there are many parameters), on a grid of frequencies; those of the fitted plant and of the
     worst corners are then enclosed between the lines of the grid, with the law of the scheme's own
-    program. Among laws whose
-    cutoff is at least 0.7 of the largest possible one, the one that learns low frequencies fastest
-    is taken. Where 0.9 cannot be reached, 0.97 is allowed.
+    program. Among laws whose cutoff is at least 0.7 of the largest possible one, the fastest at
+    low frequencies is taken. Where 0.9 cannot be reached, 0.97 is allowed.
 
     uncertainty: distributions of leaves, named as in a plant file, such as `plant.gain`
     dt: sample time [s]
@@ -138,14 +129,19 @@ def starting_law(
 
 
 def starting_task(
-    law: StartingLaw, plant: ProcessModel | ModalModel, largest_input: float, dt: float
+    law: StartingLaw | None, plant: Fittable, largest_input: float | None, dt: float
 ) -> StartingTask:
     """Two periods of a sinusoid at a fifth of the law's cutoff, or slower.
 
-    Its amplitude needs at most half of the largest input of the record, by the fitted gain.
+    Its amplitude needs at most half of the largest input of the record, by the fitted gain. Where
+    there is no law there are 1000 samples; where there is none or no such input, it is 1.
     """
+    if law is None:
+        return StartingTask(1.0, 2 / (1000 * dt), 1000 * dt)
     samples = int(np.clip(round(10 / (law.cutoff * dt)), max(100, 8 * law.lead), 20000))
     frequency = 2 / (samples * dt)
+    if largest_input is None:
+        return StartingTask(1.0, frequency, samples * dt)
     slowest = 1e-3 * frequency  # for the gain at rest, also where the plant integrates
     gain = np.abs([_response_of(plant, 2j * np.pi * f) for f in (slowest, frequency)])
     allowed = 0.5 * largest_input / np.sum(1 / gain)
@@ -199,7 +195,7 @@ def _enclosed(loops: list[Loop], which, law: StartingLaw, dt: float) -> list[Lar
     return [largest_of(taps, loop, task) for loop in reduced]
 
 
-def _response_of(plant: ProcessModel | ModalModel, s: complex) -> complex:
+def _response_of(plant: Fittable, s: complex) -> complex:
     """G(s) without the delay, of which the size does not depend."""
     if isinstance(plant, ModalModel):
         return complex(np.asarray(plant.transfer(np.array([s])))[0, 0, 0])
@@ -232,8 +228,6 @@ STALE = (  # beginnings of the comments of a file that `identify` wrote, which h
     "# Chosen for ",
     "# sup |Q (1 - L P)|", "# learning is stable where it is", "# fitted plant.",
 )  # fmt: skip
-_HEADER = re.compile(r"""^\s*\[{1,2}\s*(["']?)([\w-]+)\1\s*(?:\.[^\]]*)?\]{1,2}\s*(?:\#.*)?$""")
-Fittable: TypeAlias = ProcessModel | ModalModel
 
 
 class Experiment(NamedTuple):
@@ -371,11 +365,6 @@ def _text_of(found: Identified, facts: Experiment, law: StartingLaw | None, **mo
         counts = f"lags {lags}, modes {pairs}, integrators {integrators}"
         more["zeros"] = ", ".join(f"{z:.4g}" for z in plant.all_zeros() if z.imag >= 0)
         more["integrates"] = integrators > 0
-    start = StartingTask(1.0, 2 / (1000 * facts.dt), 1000 * facts.dt)
-    if law is not None:
-        start = starting_task(law, plant, facts.largest_input or np.inf, facts.dt)
-        if facts.largest_input is None:
-            start = start._replace(amplitude=1.0)
     validation = float(found.validation_fit[0])
     validated = f", of the validation part {validation:.4g} %" if np.isfinite(validation) else ""
     made = Environment(
@@ -385,14 +374,14 @@ def _text_of(found: Identified, facts: Experiment, law: StartingLaw | None, **mo
         keep_trailing_newline=True,
         undefined=StrictUndefined,
     )
-    made.filters |= {"g4": "{:.4g}".format, "g6": "{:.6g}".format, "toml": _value}
+    made.filters |= {"g4": "{:.4g}".format, "g6": "{:.6g}".format, "toml": toml_value}
     return made.get_template("identified.toml.jinja2").render(
         **{"integrates": False} | more,
         found=found,
         facts=facts,
         plant=plant,
         law=law,
-        start=start,
+        start=starting_task(law, plant, facts.largest_input, facts.dt),
         modal=modal,
         counts=counts,
         validated=validated,
@@ -421,7 +410,7 @@ def comment(text: str) -> str:
 def _text(unit: str) -> str:
     """A unit as a string of TOML, without what a scenario does not allow in one."""
     plain = "".join(c for c in comment(unit) if c not in '[],;$"\\').replace("*/", "/")
-    return _value(plain)
+    return toml_value(plain)
 
 
 # The file of a campaign
@@ -451,12 +440,8 @@ def write_refitted(
         raise ValueError(
             f"{source} names files relative to its folder; write the new plant file there"
         )
-    wanted = {name: value for name, value in before.items() if name not in REPLACED}
-    wanted |= {"plant": _plant_values(found.plant), "uncertainty": _interval_values(found, before)}
-    rest = _without_stale(_without(text, REPLACED))
-    machine = before.get("machine", {})
-    if noise and not {"sensor", "disturbance"} & set(machine):
-        wanted["machine"] = {**machine, "sensor": {"noise": float(noise)}}
+    rest = _without_stale(without_tables(text, REPLACED).rstrip().splitlines())
+    if noise and not {"sensor", "disturbance"} & before.get("machine", {}).keys():
         rest += ["", "[machine.sensor]", f"noise = {float(noise)!r}  # of the residual of the fit"]
     lines = [
         *rest,
@@ -464,21 +449,18 @@ def write_refitted(
         f"[plant]  # fitted to {comment(fitted_to)} by `jaxilc identify`; "
         f"fit {float(np.min(found.fit)):.4g} %",
         *(f"# {comment(note)}" for note in notes),
-        *(f"{key} = {_value(value)}" for key, value in wanted["plant"].items()),
-        "",
+        toml_lines(_plant_values(found.plant)),
         "[uncertainty]  # of the plant: the 95 % intervals of the fit",
-        *(f"{_key(name)} = {_value(of)}" for name, of in wanted["uncertainty"].items()),
+        toml_lines(_interval_values(found, before)),
     ]
     new = "\n".join(lines).strip("\n") + "\n"
     try:
-        sound = tomllib.loads(new) == wanted
+        tomllib.loads(new)
     except tomllib.TOMLDecodeError:
-        sound = False
-    if not sound:
         raise ValueError(
-            f"{source}: its tables [plant] and [uncertainty] cannot be replaced as they are "
-            "written; write each under a heading of its own, such as [plant]"
-        )
+            f"{source}: its table `machine` cannot get a sensor as it is written; write it under a "
+            "heading of its own, such as [machine]"
+        ) from None
     atomically(path, lambda file: file.write(new.encode()))
     return path
 
@@ -502,18 +484,6 @@ def _interval_values(found: Identified, before: dict[str, Value]) -> dict[str, V
     }
 
 
-def _without(text: str, tables: tuple[str, ...]) -> list[str]:
-    """The lines of a TOML text that do not stand in these tables."""
-    kept, within = [], False
-    for line in text.splitlines():
-        header = _HEADER.match(line)
-        if header:
-            within = header[2] in tables
-        if not within:
-            kept.append(line)
-    return kept
-
-
 def _without_stale(lines: list[str]) -> list[str]:
     """The lines without the comments in which `identify` told of an earlier fit and its law."""
     if not any(line.startswith(STALE[0]) for line in lines):
@@ -530,14 +500,3 @@ def _names_files(value: object) -> bool:
     return "csv" in value or any(
         _names_files(of) for name, of in value.items() if name not in REPLACED
     )
-
-
-def _key(name: str) -> str:
-    return tomlkit.key(name).as_string()
-
-
-def _value(value: object) -> str:
-    """A value of a plant file as TOML, a table in one line."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
-    return tomlkit.item(value).as_string()

@@ -82,8 +82,7 @@ def test_only_the_plant_and_its_uncertainty_are_replaced(tmp_path):
 @pytest.mark.parametrize(
     ("text", "folder", "message"),
     [
-        ('plant = { kind = "PMLSM" }\n[task]\ndt = 1.0\n', ".", "cannot be replaced as they are"),
-        ('[plant]\nx = """\n[task]\n"""\n[task]\ndt = 1.0\n', ".", "cannot be replaced"),
+        ("machine = { actuator = { limit = 9.0 } }\n[plant]\n", ".", "cannot get a sensor"),
         ('[plant]\n[task.reference]\ncsv = "r.csv"\n', "other", "names files relative to its fold"),
         ("[plant", ".", "axis.toml: "),
     ],
@@ -93,5 +92,22 @@ def test_a_file_that_cannot_be_changed_is_refused(tmp_path, text, folder, messag
     (tmp_path / "other").mkdir()
     new = tmp_path / folder / "new.toml"
     with pytest.raises(ValueError, match=message):
-        write_refitted(new, tmp_path / "axis.toml", fitted(), fitted_to="a")
+        write_refitted(new, tmp_path / "axis.toml", fitted(), fitted_to="a", noise=0.01)
     assert not new.exists()
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        'plant = { kind = "PMLSM" }\n[task]\ndt = 1.0\n',
+        'plant.kind = "PMLSM"\n[task]\ndt = 1.0\n',
+        '[plant]\nx = """\n[task]\n"""\n[task]\ndt = 1.0\n',
+        "[plant]\nx = 1\n[task]\ndt = 1.0\n[plant.friction]\ny = 2\n",
+    ],
+)
+def test_a_plant_is_replaced_however_it_is_written(tmp_path, plant):
+    (tmp_path / "axis.toml").write_text(plant)
+    new = write_refitted(tmp_path / "b.toml", tmp_path / "axis.toml", fitted(), fitted_to="a")
+    written = tomllib.loads(new.read_text())
+    assert written["task"] == {"dt": 1.0}
+    assert written["plant"]["poles"] == [9.0]
