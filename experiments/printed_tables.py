@@ -1,6 +1,27 @@
 """The printed tables of the papers as dictionaries, for the experiments that compare with them."""
 
-from jaxilc.scenarios.published import by, published
+from collections.abc import Iterable
+
+from jaxilc.pytree.aliases import Tree
+from jaxilc.scenarios.published import Published, published
+
+
+def by(rows: Iterable[Published], *keys: str, **where: object) -> Tree:
+    """The values of rows by one or several keys, nested: {scheme: {trial: value}}.
+
+    keys: names of fields or of options
+    where: values of fields that rows must have
+    """
+    found: Tree = {}
+    for row in rows:
+        if all(getattr(row, name) == value for name, value in where.items()):
+            known = row._asdict() | dict(row.options)
+            inner = found
+            for key in keys[:-1]:
+                inner = inner.setdefault(known[key], {})
+            inner[known[keys[-1]]] = row.value
+    return found
+
 
 # settled errors [µm]
 CAO_1 = by(published("cao-2019", "stroke"), "scheme", "trial", source="Table 1")

@@ -31,7 +31,7 @@ from ..schemes import (
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import Readings, printed
+from .published import Readings, need_one_of, printed
 from .scenario import Quantity, Scenario
 
 
@@ -104,23 +104,19 @@ def cao_2019(
 def task_of(reference: str, frequency: float, reading: str) -> Task:
     """The motion of the tool, see `cao_2019`."""
     dt, settle = 1e-3, None
-    match reference:
-        case "sinusoid":
-            duration = round(1 / frequency / dt) * dt
-            motion = {"amplitude": (1.0, {}), "stroke": (0.5, {"phase": -np.pi / 2, "offset": 0.5})}
-            size, form = motion[reading]
-            r = references.sinusoid(size, frequency, duration=duration, dt=dt, **form)
-            if reading == "stroke":
-                settle = (READINGS[reading].settled_from / 8 * duration, duration)
-        case "piston":
-            r = references.noncircular(
-                duration=round(4 / frequency / dt) * dt, dt=dt, spindle_speed=frequency / 2,
-                feed=0.5, ellipticity=(0.4, 0.6), bulge=0.1, length=1.0,
-            )  # fmt: skip
-        case _:
-            raise ValueError(
-                f"cao-2019: reference = {reference!r} is not one of 'sinusoid', 'piston'"
-            )
+    need_one_of("cao-2019", "reference", reference, ("sinusoid", "piston"))
+    if reference == "piston":
+        r = references.noncircular(
+            duration=round(4 / frequency / dt) * dt, dt=dt, spindle_speed=frequency / 2,
+            feed=0.5, ellipticity=(0.4, 0.6), bulge=0.1, length=1.0,
+        )  # fmt: skip
+    else:
+        duration = round(1 / frequency / dt) * dt
+        motion = {"amplitude": (1.0, {}), "stroke": (0.5, {"phase": -np.pi / 2, "offset": 0.5})}
+        size, form = motion[reading]
+        r = references.sinusoid(size, frequency, duration=duration, dt=dt, **form)
+        if reading == "stroke":
+            settle = (READINGS[reading].settled_from / 8 * duration, duration)
     return Task(reference=r, dt=dt, settle=settle, unit="mm", input_unit="V")
 
 

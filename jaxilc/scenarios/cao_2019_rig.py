@@ -7,7 +7,6 @@ the loop gains are positive. Lengths in mm, input in V, errors shown in µm.
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
 
 import numpy as np
 
@@ -25,17 +24,9 @@ from .scenario import Scenario
 LAM, ETA, MU, RHO, PHI0 = 1.5, 1.0, 1.0, 1.0, 1.0  # printed
 
 
-class Reading(NamedTuple):
-    """A reading of section V.
-
-    offset: constant voltage at the input of the drive [V]; fitted, if any, and then four steps of
-        the 16-bit converter
-    """
-
-    offset: float
-
-
-READINGS = Readings("cao-2019-rig", Reading)
+# By reading, the constant voltage at the input of the drive [V], fitted, and then four steps of the
+# 16-bit converter; or none.
+OFFSETS = Readings("cao-2019-rig", lambda offset: offset)
 
 
 def cao_2019_rig(
@@ -57,7 +48,7 @@ def cao_2019_rig(
     require(
         "cao-2019-rig", "passes", passes if passes % 1 else int(passes), "[1, 1000]", whole=True
     )
-    offset = READINGS[reading].offset
+    offset = OFFSETS[reading]
     motor = dataclasses.replace(
         voice_coil_motor(),
         command_scale=3.44 / 10.0,

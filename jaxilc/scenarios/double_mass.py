@@ -24,7 +24,7 @@ from ..schemes import ConstrainedNormOptimal, GradientILC, ModelFreeGradient, No
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial, product
 from ..uncertainty import Uniform
-from .published import printed
+from .published import need_one_of, printed
 from .scenario import Quantity, Scenario
 
 
@@ -117,7 +117,6 @@ SAMPLE_TIME = 0.02
 DURATION = 3 * np.pi
 MODELLED = 1.0  # inertia of the load that the model knows [kg]
 LIMIT, HIGHEST, OF_CONTROLLER = 25.0, 1.1, 1000.0
-SECOND = ("none", "velocity", "controller")
 
 
 class Loop(NamedTuple):
@@ -240,15 +239,9 @@ def double_mass(
         the output of the `controller`, which is bounded
     Raises ValueError for a load that is not positive, and for other choices.
     """
-    for name, value, allowed in (
-        ("at", at, ("input", "reference")),
-        ("reference", reference, ("smooth", "square")),
-        ("second", second, SECOND),
-    ):
-        if value not in allowed:
-            raise ValueError(
-                f"double-mass: {name} = {value!r} is not one of {', '.join(map(repr, allowed))}"
-            )
+    need_one_of("double-mass", "at", at, ("input", "reference"))
+    need_one_of("double-mass", "reference", reference, ("smooth", "square"))
+    need_one_of("double-mass", "second", second, ("none", "velocity", "controller"))
     if not 0 < load < np.inf:
         raise ValueError(f"double-mass: load = {load} is outside its allowed range (0, inf) kg")
     r, loop = references(reference, second), closed_loop(load)

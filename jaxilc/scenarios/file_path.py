@@ -17,7 +17,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import scipy
@@ -27,7 +27,7 @@ from ..pytree.ranges import brief, require
 from ..signals import paths
 from ..signals.gcode import read_gcode
 from ..signals.segments import FARTHEST, SHORTEST, Straight
-from ..signals.tool_path import Dwell, Followed, Move, follow
+from ..signals.tool_path import Dwell, Move, follow
 from ..storage.columns import missing, name_and_unit, need_unit, numbers_in, read_columns
 from ..storage.reading import quoted, read_text
 from .specification import Table, at_place, list_of_numbers, number, numbers, one_of, text, whole
@@ -36,17 +36,6 @@ UNITS = "lengths in the `unit` of the task, times in s, feeds in that unit per s
 LARGEST_PROGRAM = 16_000_000  # bytes
 MILLIMETRE = {"mm": 1.0, "": 1.0, "µm": 1e3, "um": 1e3, "m": 1e-3}  # in units of the task
 POINTS = 100_000  # of a file, at most
-
-
-class Planned(NamedTuple):
-    """A path as a reference.
-
-    reference: (N+1, d)
-    note: text on how the path is followed
-    """
-
-    reference: np.ndarray
-    note: str
 
 
 Limits: TypeAlias = dict[str, np.ndarray]  # of acceleration and jerk
@@ -68,8 +57,8 @@ class Setting:
     dt: float
 
 
-def planned_path(values: Value, where: str, setting: Setting) -> Planned:
-    """The reference along the path that a table describes.
+def planned_path(values: Value, where: str, setting: Setting) -> tuple[np.ndarray, str]:
+    """The reference (N+1, d) along the path that a table describes, and how the path is followed.
 
     Raises ValueError naming the key, or file and line, that is wrong.
     """
@@ -90,7 +79,7 @@ def planned_path(values: Value, where: str, setting: Setting) -> Planned:
         )
     reference = np.pad(reference - reference[0], ((int(hold), int(hold)), (0, 0)), mode="edge")
     seconds = (len(reference) - 1) * setting.dt
-    return Planned(reference, f"the {kind} path takes {seconds:.6g} s; {said}")
+    return reference, f"the {kind} path takes {seconds:.6g} s; {said}"
 
 
 def _circle(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:
@@ -185,21 +174,18 @@ def _gcode(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, 
 def _followed(
     steps: Sequence[Move | Dwell], corner, setting: Setting, limits, where: str, scale: float = 1.0
 ) -> tuple[np.ndarray, str]:
+    """The reference along moves, and in words how corners are passed."""
     with at_place(where, owner="plan"):
         made = follow(steps, corner=corner, dt=setting.dt, **limits)
-    return made.reference, _how(made, corner, setting.unit, scale)
-
-
-def _how(made: Followed, corner: float | None, unit: str, scale: float) -> str:
-    """How corners are passed, in words."""
-    stops = f"{made.stops} stop{'s' * (made.stops != 1)} on the way"
+    unit, stops = setting.unit, f"{made.stops} stop{'s' * (made.stops != 1)} on the way"
     rounded = (
         'none rounded (corner = "stop")'
         if corner is None
         else f"{made.rounded} corner{'s' * (made.rounded != 1)} rounded within "
         f"{corner * scale:g} {unit}".rstrip()
     )
-    return f"{made.length * scale:.6g} {unit}, {stops}, {rounded}".replace(" ,", ",")
+    said = f"{made.length * scale:.6g} {unit}, {stops}, {rounded}".replace(" ,", ",")
+    return made.reference, said
 
 
 def _spline(points: np.ndarray, file: Path) -> tuple:

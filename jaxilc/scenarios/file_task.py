@@ -130,9 +130,9 @@ def reference_of(
 ) -> np.ndarray:
     """(N+1, n_y) the reference of all outputs: a path, or one for each of them."""
     if is_path(value):
-        planned = planned_path(value, at, setting)
-        notes.append(planned.note)
-        return planned.reference
+        reference, note = planned_path(value, at, setting)
+        notes.append(note)
+        return reference
     each = value if isinstance(value, list) else [value]
     columns = [
         _reference(v, f"{at}[{i}]" if isinstance(value, list) else at, setting)

@@ -37,7 +37,7 @@ from ..schemes import (
 from ..signals import paths
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import printed
+from .published import need_one_of, printed
 from .scenario import Quantity, Scenario
 
 # With these gains the loop's spectral radius is 0.913.
@@ -130,12 +130,8 @@ def li_2020(
     axes: `x`, or `xy` with a second axis of 90 % of the gain
     Raises ValueError for another setting, plant or choice of axes.
     """
-    if setting not in SETTINGS:
-        raise ValueError(
-            f"li-2020: setting = {setting!r} is not one of {', '.join(map(repr, SETTINGS))}"
-        )
-    if axes not in ("x", "xy"):
-        raise ValueError(f"li-2020: axes = {axes!r} is not one of 'x', 'xy'")
+    need_one_of("li-2020", "setting", setting, SETTINGS)
+    need_one_of("li-2020", "axes", axes, ("x", "xy"))
     gain, noise, trials, pulse = SETTINGS[setting]
     axis, path = cnc_axis(plant), butterfly_path()
     two = axes == "xy"

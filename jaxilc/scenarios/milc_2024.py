@@ -32,7 +32,7 @@ from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedbac
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import Readings, printed
+from .published import Readings, need_one_of, printed
 from .scenario import Quantity, Scenario
 
 DT = 1 / 4000
@@ -160,8 +160,7 @@ def milc_2024(axis: str = "x", reading: str = "short-stroke") -> Scenario:
         of the input, which meets the largest errors too
     Raises ValueError for another axis or reading.
     """
-    if axis not in PITCH:
-        raise ValueError(f"milc-2024: axis = {axis!r} is not one of 'x', 'z'")
+    need_one_of("milc-2024", "axis", axis, PITCH)
     of = READINGS[reading]
     drive, r = nominal_drive(of.antiresonance, of.force_gain, of.unit), path(of)
     return Scenario(

@@ -7,14 +7,21 @@ from collections.abc import Callable, Iterable
 from decimal import Decimal
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, NamedTuple, TypedDict, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from ..pytree.closest import not_one_of
 
 if TYPE_CHECKING:
-    from ..pytree.aliases import Tree, Value
+    from ..pytree.aliases import Value
 
 T = TypeVar("T")
+
+
+def need_one_of(paper: str, option: str, value: str, choices: Iterable[str]) -> None:
+    """Raises ValueError for an option of a scenario that is none of its choices, naming them."""
+    if value not in choices:
+        allowed = ", ".join(map(repr, choices))
+        raise ValueError(f"{paper}: {option} = {value!r} is not one of {allowed}")
 
 
 class Fit(NamedTuple):
@@ -130,13 +137,13 @@ class Conclusion(NamedTuple):
     sides: tuple[Published | float, ...]
 
 
-def agreement_of(printed: str, rtol: float = 1e-6) -> float:
+def agreement_of(printed: str) -> float:
     """The `agreement` of a number that other software prints as this text, such as "0.0040917".
 
-    It is rtol, or half a unit of the last printed digit where the print is coarser.
+    It is 1e-6, or half a unit of the last printed digit where the print is coarser.
     """
     half = Decimal(1).scaleb(int(Decimal(printed).as_tuple().exponent)) / 2
-    return max(rtol, float(half / abs(Decimal(printed))))
+    return max(1e-6, float(half / abs(Decimal(printed))))
 
 
 @cache
@@ -178,12 +185,6 @@ class Readings(dict[str, T]):
         raise ValueError(not_one_of(f"{self.paper}: reading = {reading!r}", reading, self))
 
 
-def chosen(name: str, reading: str = "") -> tuple[str, ...]:
-    """What a paper leaves open, and what was chosen, under a reading if it has several."""
-    found = file_of(name)
-    return (*found["chosen"], *(found["readings"][reading]["chosen"] if reading else ()))
-
-
 def published(name: str, reading: str = "") -> tuple[Published, ...]:
     """The printed rows of a scenario, under a reading if the paper has several."""
     found = file_of(name)
@@ -215,22 +216,18 @@ def conclusions(name: str, reading: str = "") -> tuple[Conclusion, ...]:
     return tuple(several)
 
 
-class Printed(TypedDict):
-    """The fields of the scenario of a paper that follow from its file."""
+def printed(name: str, reading: str = "") -> dict[str, Value]:
+    """The fields of the scenario of a paper that follow from its file.
 
-    name: str
-    published: tuple[Published, ...]
-    conclusions: tuple[Conclusion, ...]
-    chosen: tuple[str, ...]
-
-
-def printed(name: str, reading: str = "") -> Printed:
-    """The fields of the scenario of a paper that follow from its file."""
+    These are its name, its printed rows, its conclusions, and what was chosen where it is open.
+    """
+    found = file_of(name)
+    of_reading = found["readings"][reading]["chosen"] if reading else ()
     return {
         "name": name,
         "published": published(name, reading),
         "conclusions": conclusions(name, reading),
-        "chosen": chosen(name, reading),
+        "chosen": (*found["chosen"], *of_reading),
     }
 
 
@@ -255,20 +252,3 @@ def _row(found: dict[str, Value], fields: dict[str, Value], reading: str) -> Pub
         set=tuple(fields.pop("set", {}).items()), reading=fields.pop("how", ""), fitted=fit,
         **fields,
     )  # fmt: skip
-
-
-def by(rows: Iterable[Published], *keys: str, **where: object) -> Tree:
-    """The values of rows by one or several keys, nested: {scheme: {trial: value}}.
-
-    keys: names of fields or of options
-    where: values of fields that rows must have
-    """
-    found: Tree = {}
-    for row in rows:
-        if all(getattr(row, name) == value for name, value in where.items()):
-            known = row._asdict() | dict(row.options)
-            inner = found
-            for key in keys[:-1]:
-                inner = inner.setdefault(known[key], {})
-            inner[known[keys[-1]]] = row.value
-    return found

@@ -290,33 +290,27 @@ def _verdict(i: int, published: tuple[Published, ...], ours: list[float]) -> tup
     """The verdict on row i, and the reason if it is open."""
     here, x = published[i], np.asarray(ours)
     ratio, of = _judged_ratio(here, x[i])
-    if here.agreement is not None:
-        return _agreement(ratio, here.agreement)
     if met(here, x[i]):
-        return "met", ""
+        return "met" if here.agreement is None else "agrees", ""
     if not np.isfinite(ratio):
         return "open", "ours is not finite"
+    if here.agreement is not None:
+        off = abs(ratio - 1.0)
+        return "open", f"ours differs by {off:.2g} of it, beyond {here.agreement:.2g}"
     others = [
         k
         for k, p in enumerate(published)
         if k != i and _comparable(here, p) and p.value != here.value
     ]
-    against = [
-        k
-        for k in others
-        if not (
-            np.isfinite(x[k]) and np.sign(x[i] - x[k]) == np.sign(here.value - published[k].value)
-        )
-    ]
+    printed = np.array([p.value for p in published])
+    alike = np.isfinite(x) & (np.sign(x[i] - x) == np.sign(here.value - printed))
+    against = [k for k in others if not alike[k]]
     size = f"{ratio:.2f} times {of}"
     if not others:
         return "open", f"{size}, and no other row to compare with"
     if against:
-        return (
-            "open",
-            f"{size}, and not in the printed order with {len(against)} of {len(others)} "
-            "comparable rows",
-        )
+        among = f"{len(against)} of {len(others)} comparable rows"
+        return "open", f"{size}, and not in the printed order with {among}"
     if not 1 / SHAPE <= ratio <= SHAPE:
         return "open", f"in the printed order, but {size}, beyond a factor of {SHAPE:g}"
     return "shape", ""
@@ -335,15 +329,6 @@ def _judged_ratio(here: Published, ours: float) -> tuple[float, str]:
         return ratio, of
     left = (100 - ours) / (100 - here.value)
     return (ratio, of) if max(ratio, 1 / ratio) > max(left, 1 / left) else (left, "what is left")
-
-
-def _agreement(ratio: float, within: float) -> tuple[str, str]:
-    """The verdict on a number of other software, and the reason if it is open."""
-    if not np.isfinite(ratio):
-        return "open", "ours is not finite"
-    if abs(ratio - 1.0) <= within:
-        return "agrees", ""
-    return "open", f"ours differs by {abs(ratio - 1.0):.2g} of it, beyond {within:.2g}"
 
 
 def _comparable(a: Published, b: Published) -> bool:

@@ -22,7 +22,7 @@ from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import Readings, file_of, printed
+from .published import Readings, file_of, need_one_of, printed
 from .scenario import Quantity, Scenario
 
 DT = 1e-4
@@ -93,8 +93,7 @@ def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "large-
     quarter of the stroke.
     """
     of = READINGS[reading]
-    if disturbance not in ("none", "multi"):
-        raise ValueError(f"xu-2024: disturbance = {disturbance!r} is not one of 'none', 'multi'")
+    need_one_of("xu-2024", "disturbance", disturbance, ("none", "multi"))
     require("xu-2024", "load", load, "[-5, 5]", " N")
     names = [
         "stiffness",
