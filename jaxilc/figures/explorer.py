@@ -57,12 +57,13 @@ DECADES = 2.0  # of a weight, to both sides of its value
 LEADS, MORE = 60, 8  # least end of the slider of a lead [samples], and of another whole number
 LINES = 240  # frequencies
 KEPT = 8  # spreads whose machines are kept
+MACHINE = "machine."  # before a path of the machine
 
 
 class Control(NamedTuple):
     """A number that can be moved.
 
-    path: of the scheme, or of the machine with `machine.` before it
+    path: of the scheme, or of the machine with `MACHINE` before it
     value: as given
     low, high: ends of the slider
     log: whether the slider is logarithmic
@@ -130,12 +131,12 @@ class Exploration:
         check(scenario.machine, self.given, scenario.task)
         self.machines = machines
         self.spread = _spread_of(scenario)
-        self.controls = controls_of(self.given, float(scenario.task.dt))
+        dt, N = float(scenario.task.dt), scenario.task.N
+        found = (_control(self.given, path, dt) for path in settable(self.given))
+        self.controls = [control for control in found if control][:MOST]
         needed = {n: of for n, of in scenario.functions.items() if n == scenario.judged_by}
         self.keep = Keep.of(needed)
-        dt, N = float(scenario.task.dt), scenario.task.N
         self.f = np.geomspace(1 / (N * dt), 0.5 / dt, LINES)
-        self._machines: dict[tuple[float | bytes | None, ...], Machine] = {}
         self.map = None if grid is None else self._mapped(grid, needed, progress)
 
     def _mapped(self, grid, needed, progress) -> tuple[xr.Dataset, BestPoint]:
@@ -189,19 +190,14 @@ class Exploration:
 
     def scheme_with(self, values: Mapping[str, float]) -> Scheme:
         """The scheme with values by path; raises ValueError naming what is allowed."""
-        return self._with(values)[0]
+        return replaced(self.given, self._read(values)[0])
 
-    def _with(self, values: Mapping[str, float]) -> tuple[Scheme, Machine]:
-        """The scheme and the nominal machine with values by path."""
-        known = {control.path: control for control in self.controls}
-        read = {p: int(v) if known[p].whole else float(v) for p, v in values.items()}
-        moved = {p.removeprefix("machine."): v for p, v in read.items() if self._of_machine(p)}
-        own = {p: v for p, v in read.items() if not self._of_machine(p)}
-        return replaced(self.given, own), replaced(self.scenario.machine, moved)
-
-    @staticmethod
-    def _of_machine(path: str) -> bool:
-        return path.startswith("machine.")
+    def _read(self, values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+        """The values by path in the scheme, and those by path in the machine."""
+        whole = {control.path for control in self.controls if control.whole}
+        read = {p: int(v) if p in whole else float(v) for p, v in values.items()}
+        moved = {p.removeprefix(MACHINE): v for p, v in read.items() if p.startswith(MACHINE)}
+        return {p: v for p, v in read.items() if not p.startswith(MACHINE)}, moved
 
     def outcome(
         self, values: Mapping[str, float], spread: float | None = None, *, alone: bool = False
@@ -212,8 +208,10 @@ class Exploration:
         Raises ValueError naming what is allowed.
         """
         s = self.scenario
-        scheme, nominal = self._with(values)
-        machines = self._drawn(nominal, self.spread if spread is None else float(spread))
+        own, moved = self._read(values)
+        scheme = replaced(self.given, own)
+        spread = self.spread if spread is None else float(spread)
+        machines = self._drawn(tuple(moved.items()), spread)
         if alone:
             machines = jax.tree.map(lambda x: x[:1], machines)
         errors, signals, size = _computed(
@@ -226,21 +224,17 @@ class Exploration:
         found = np.asarray(size)
         return Outcome(errors, r, y, s.shown_scale * (r - y), u, self.f[: found.shape[1]], found)
 
-    def _drawn(self, nominal: Machine, spread: float | None) -> Machine:
-        """The machines of a spread; those of the last few are kept."""
+    @functools.lru_cache(KEPT)  # noqa: B019  (an exploration lives as long as its page)
+    def _drawn(self, moved: tuple[tuple[str, float], ...], spread: float | None) -> Machine:
+        """The machines of a spread, with values of the nominal one by path."""
         s = self.scenario
-        key = spread, *(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(nominal))
-        if key not in self._machines:
-            wide = s.uncertainty
-            if spread is not None and spread != self.spread:
-                wide = with_spread(wide, spread)
-            if len(self._machines) >= KEPT:
-                self._machines.clear()
-            population = Population(nominal, wide, count=self.machines, sampling="sobol")
-            self._machines[key] = population.machines
-        return self._machines[key]
+        wide = s.uncertainty
+        if spread is not None and spread != self.spread:
+            wide = with_spread(wide, spread)
+        nominal = replaced(s.machine, dict(moved))
+        return Population(nominal, wide, count=self.machines, sampling="sobol").machines
 
-    @functools.cache  # noqa: B019  (an exploration lives as long as its page)
+    @functools.cache  # noqa: B019
     def _has_response(self) -> bool:
         """Whether the law has a frequency response, on a machine of one output and one input."""
         s = self.scenario
@@ -268,7 +262,7 @@ class Exploration:
         words = ["jaxilc", "run" if spread is None else "sweep", self.source, "--scheme", self.name]
         words += self.repeated
         for path, value in self.changed(values).items():
-            whole = path if self._of_machine(path) else f"{self.name}.{path}"
+            whole = path if path.startswith(MACHINE) else f"{self.name}.{path}"
             words += ["--set", f"{whole}={value:.6g}"]
         if spread is not None:
             words += ["--spread", f"{spread:.4g}"]
@@ -284,17 +278,11 @@ class Exploration:
         return write_parameters(Path(path), self.scenario.name, changed, how)
 
 
-def controls_of(scheme: Scheme, dt: float) -> list[Control]:
-    """The single numbers of a scheme that can be moved, with the ends of their sliders.
+def _control(tree: Tree, path: str, dt: float) -> Control | None:
+    """The control of a number at a path; None where there is no single finite number.
 
     dt: sample time [s]; a cutoff stays below half of the sample rate
     """
-    found = (_control(scheme, path, dt) for path in settable(scheme))
-    return [control for control in found if control][:MOST]
-
-
-def _control(tree: Tree, path: str, dt: float) -> Control | None:
-    """The control of a number at a path; None where there is no single finite number."""
     value, kind = get_at(tree, path), kind_at(tree, path)[0]
     whole = kind == "static" and isinstance(value, int) and not isinstance(value, bool)
     if not (whole or kind == "leaf") or value is None or np.size(value) != 1:
@@ -467,12 +455,7 @@ class Explorer:
         self.map.points.selected.indices = []  # so that the same point can be chosen again
 
     def _move(self) -> None:
-        """Answer a slider: the nominal machine at first, then the band over all machines.
-
-        It is computed beside the server, which goes on taking what sliders say. Of the values that
-        a slider passes meanwhile only the last ones are answered, so that the figures do not fall
-        behind the hand.
-        """
+        """Answer a slider beside the server: of the values that it passes only the latest."""
         from bokeh.document import without_document_lock
 
         self.asked += 1
@@ -484,7 +467,7 @@ class Explorer:
             document.add_next_tick_callback(answer)
 
     async def _answer(self) -> None:
-        """Answer until nothing new is asked."""
+        """Answer until nothing new is asked: the nominal machine at first, then all machines."""
         band_at, answered, alone = time.monotonic(), -1, self.of.machines > 1
         try:
             while answered != self.asked:
