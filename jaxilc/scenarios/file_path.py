@@ -13,15 +13,15 @@ the unit of the task, times in s. A path is measured from its start, since a pla
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
 
+from ..plants import Plant
 from ..pytree.aliases import Value
 from ..pytree.ranges import brief, require
 from ..signals import paths
@@ -41,24 +41,35 @@ POINTS = 100_000  # of a file, at most
 Limits: TypeAlias = dict[str, np.ndarray]  # of acceleration and jerk
 
 
-@dataclasses.dataclass(frozen=True)
-class Setting:
-    """What a path is planned for.
+AXES = ("x", "y", "z")
+
+
+class Setting(NamedTuple):
+    """What a reference is read for.
 
     folder: folder of the file
-    axes: names of the axes
+    plant: the plant of the task
+    names: names of its outputs; empty where they have none
     unit: unit of the task
     dt: sample time [s]
+    notes: list to which texts on how paths are followed are appended
     """
 
     folder: Path
-    axes: Sequence[str]
+    plant: Plant
+    names: tuple[str, ...]
     unit: str
     dt: float
+    notes: list[str]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The names of the outputs, x, y and z where they have none."""
+        return self.names or AXES[: self.plant.n_y]
 
 
-def planned_path(values: Value, where: str, setting: Setting) -> tuple[np.ndarray, str]:
-    """The reference (N+1, d) along the path that a table describes, and how the path is followed.
+def planned_path(values: Value, where: str, setting: Setting) -> np.ndarray:
+    """(N+1, d) the reference along the path that a table describes.
 
     Raises ValueError naming the key, or file and line, that is wrong.
     """
@@ -79,7 +90,8 @@ def planned_path(values: Value, where: str, setting: Setting) -> tuple[np.ndarra
         )
     reference = np.pad(reference - reference[0], ((int(hold), int(hold)), (0, 0)), mode="edge")
     seconds = (len(reference) - 1) * setting.dt
-    return reference, f"the {kind} path takes {seconds:.6g} s; {said}"
+    setting.notes.append(f"the {kind} path takes {seconds:.6g} s; {said}")
+    return reference
 
 
 def _circle(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:

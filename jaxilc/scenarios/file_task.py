@@ -41,7 +41,6 @@ from ..storage.columns import need_unit
 from ..uncertainty import Distribution, LogUniform, Normal, Uniform
 from .file_path import Setting, planned_path
 from .specification import (
-    Kind,
     Table,
     at_place,
     built,
@@ -75,14 +74,8 @@ def machine_of(
     made = {
         key: table.take(key, functools.partial(built, cls=cls), None) for key, cls in parts.items()
     }
-    setting = Setting(folder, task.names or AXES[: plant.n_y], task.unit, task.dt)
-
-    def reference(value: Value, at: str) -> np.ndarray:
-        return reference_of(value, at, setting, plant, task.names, notes)
-
-    variation = table.take(
-        "variation", lambda v, at: variation_of(v, at, plant, task, reference), None
-    )
+    setting = Setting(folder, plant, task.names, task.unit, task.dt, notes)
+    variation = table.take("variation", functools.partial(variation_of, setting, task), None)
     table.done()
     return Machine(plant, **made, variation=variation)
 
@@ -104,13 +97,8 @@ def task_of(values: Value, where: str, folder: Path, plant: Plant, notes: list[s
             f"{table.at('names')} = {list(names)} are {len(names)} names; the plant has "
             f"{plant.n_y} outputs"
         )
-    axes = names or AXES[: plant.n_y]
-
-    setting, given = Setting(folder, axes, unit, dt), table.values.get("reference")
-
-    reference = table.take(
-        "reference", lambda v, at: reference_of(v, at, setting, plant, names, notes)
-    )
+    setting, given = Setting(folder, plant, names, unit, dt, notes), table.values.get("reference")
+    reference = table.take("reference", functools.partial(reference_of, setting))
     settle = table.take("settle", list_of(in_units), None)
     inputs, input_unit = table.take("inputs", whole, plant.n_u), table.take("input_unit", text, "")
     table.take("windows", lambda v, at: windows_of(at, list_of(_window)(v, at)), ())
@@ -121,18 +109,14 @@ def task_of(values: Value, where: str, folder: Path, plant: Plant, notes: list[s
         return Task(
             reference, dt=dt, settle=None if settle is None else (settle[0], settle[1]),
             inputs=inputs, unit=unit, input_unit=input_unit,
-            names=axes if is_path(given) else names,
+            names=setting.axes if is_path(given) else names,
         )  # fmt: skip
 
 
-def reference_of(
-    value: Value, at: str, setting: Setting, plant: Plant, names: tuple[str, ...], notes: list[str]
-) -> np.ndarray:
+def reference_of(setting: Setting, value: Value, at: str) -> np.ndarray:
     """(N+1, n_y) the reference of all outputs: a path, or one for each of them."""
     if is_path(value):
-        reference, note = planned_path(value, at, setting)
-        notes.append(note)
-        return reference
+        return planned_path(value, at, setting)
     each = value if isinstance(value, list) else [value]
     columns = [
         _reference(v, f"{at}[{i}]" if isinstance(value, list) else at, setting)
@@ -141,10 +125,10 @@ def reference_of(
     if len({len(column) for column in columns}) > 1:
         lengths = ", ".join(str(len(column)) for column in columns)
         raise ValueError(f"{at}: the outputs have {lengths} samples; allowed is one length")
-    if len(columns) != plant.n_y:
-        named = f" ({', '.join(names)})" if names else ""
+    if len(columns) != setting.plant.n_y:
+        named = f" ({', '.join(setting.names)})" if setting.names else ""
         raise ValueError(
-            f"{at}: the plant has {plant.n_y} outputs{named}, and "
+            f"{at}: the plant has {setting.plant.n_y} outputs{named}, and "
             f"{len(columns)} of them {'has' if len(columns) == 1 else 'have'} a reference; "
             "needed is a list with one for each output, or a path"
         )
@@ -156,9 +140,6 @@ def _window(value: Value, where: str) -> float | list[float]:
     if isinstance(value, list):
         return list_of(number)(value, where)
     return number(value, where)
-
-
-AXES = ("x", "y", "z")
 
 
 def names_of(plant: Plant) -> tuple[str, ...]:
@@ -236,26 +217,22 @@ def _distribution(values: Value, where: str) -> Distribution:
 _PARTS = ("change", "references", "averaged")
 
 
-def variation_of(
-    values: Value, where: str, plant: Plant, task: Task, reference: Kind[np.ndarray]
-) -> Variation:
+def variation_of(setting: Setting, task: Task, values: Value, where: str) -> Variation:
     """The variation that a table describes.
 
     Raises ValueError naming the key that is wrong.
     """
     table = Table(values, where)
-    change = table.take("change", lambda v, at: _change(v, at, plant), None)
-    references = table.take(
-        "references", lambda v, at: _further_references(v, at, task, reference), None
-    )
+    change = table.take("change", functools.partial(_change, setting.plant), None)
+    further = functools.partial(_further_references, setting, task)
+    references = table.take("references", further, None)
     table.take("averaged", flag, False)
     numbers_of = {key: value for key, value in table.values.items() if key not in _PARTS}
     made = built(numbers_of, where, cls=Variation)
-    fields = {f: getattr(made, f) for f in numbers_of}
-    return Variation(**fields, change=change, references=references)
+    return dataclasses.replace(made, change=change, references=references)
 
 
-def _change(values: Value, where: str, plant: Plant) -> PlantChange:
+def _change(plant: Plant, values: Value, where: str) -> PlantChange:
     table = Table(values, where)
     first, over = table.take("first", whole), table.take("over", whole, 1)
     given = table.take("set", _named_numbers, {})
@@ -276,13 +253,11 @@ def _named_numbers(value: Value, where: str) -> dict[str, np.ndarray]:
     return {name: numbers(x, f"{where}.{name}") for name, x in value.items()}
 
 
-def _further_references(
-    values: Value, where: str, task: Task, reference: Kind[np.ndarray]
-) -> References:
+def _further_references(setting: Setting, task: Task, values: Value, where: str) -> References:
     def one(value: Value, at: str) -> tuple[int | None, np.ndarray]:
         table = Table(value, at)
         first = table.take("first", whole, None)
-        r = table.take("reference", reference)
+        r = table.take("reference", functools.partial(reference_of, setting))
         table.done()
         if r.shape != np.shape(task.reference):
             raise ValueError(
