@@ -1,59 +1,12 @@
-"""A scenario with a user's own machine from a TOML or JSON file.
+"""A scenario by its name, or with a user's own machine from a TOML or JSON file.
 
-    # All keys before the first table are optional: name, title, trials, tolerance, judged_by (the
-    # metric to which the tolerance belongs), shown_unit, shown_scale, show_trials.
-    trials = 20
+`axis.toml` beside this module is such a file, with a comment on each key. Besides these there are:
 
-    # kind: transfer_function, zeros_poles_gain, state_space, identified, or a class of
-    # jaxilc.plants. A transfer function is one in s; with dt = 0.001 it is one in z. TwoAxes and
-    # ThreeAxes have such a table for each axis, [plant.x], [plant.y], or [plant.axis] for all.
-    [plant]
-    kind = "transfer_function"
-    num = [4000.0]
-    den = [1.0, 80.0, 4000.0]
-
-    [machine.actuator]                       # limit, rate, resolution
-    limit = 10.0
-    [machine.sensor]                         # resolution, noise
-    resolution = 1e-4
-    [machine.disturbance]                    # input_noise, output_noise
-    input_noise = 1e-3
-    [machine.variation]                      # how the trials differ, see `file_task`
-    shortest = 0.9
-
-    # dt, unit, input_unit, settle, inputs, names, windows: times [s] or pairs of them at which the
-    # error counts (`counted_max`, `counted_rms`), for a law within `AtSamples`
-    [task]
-    dt = 0.001
-    unit = "mm"
-    input_unit = "V"
-
-    # A function of jaxilc.references with its parameters, or csv = FILE and column = NAME;
-    # [[task.reference]] for each of several outputs, or one path of all axes (see `file_path`).
-    [task.reference]
-    function = "sinusoid"
-    amplitude = 1.0
-    frequency = 0.5
-    duration = 2.0
-
-    [schemes.ilc]                            # a class of jaxilc.schemes, with its fields as keys
-    class = "WithFeedback"
-    learning = { class = "PIDType", gamma_p = 0.5, lead = 2 }
-    feedback = { class = "PID", kp = 1.0 }
-
-    # distribution: uniform (low, high), normal (mean, std) or log_uniform (low, high).
-    [uncertainty]
-    "plant.B" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
-
-    # Axes over which a sweep runs: values, LOW:HIGH:COUNT, or LOW:HIGH:COUNTlog, see `sweeps.grid`.
-    [grid]
-    "ilc.learning.gamma_p" = "0.1:2:20log"
-    "ilc.learning.lead" = [0, 2, 4]
-
-    [potential]                              # what `jaxilc potential` measured: rms, rms, Hz
-    floor = 1e-3
-    stop = 1.5e-3
-    cutoff = 70.0
+    name, judged_by (the metric to which the tolerance belongs), shown_unit, shown_scale
+    [machine.variation], how the trials differ, see `file_task`
+    [task]: inputs, names, a path of all axes as `reference` (see `file_path`), and windows: times
+        [s] or pairs of them at which the error counts (`counted_max`, `counted_rms`)
+    [potential], what `jaxilc potential` measured: floor and stop, rms errors, and cutoff [Hz]
 
 Names of files are relative to the folder of this file. An unknown key is refused, and the message
 names the allowed ones.
@@ -197,7 +150,7 @@ def load_scenario(name: str | Path, settings: Mapping[str, object] | None = None
 
 
 def read_scenario(path: str | Path) -> Scenario:
-    """The scenario that a file describes, in the format of this module's docstring.
+    """The scenario that a file describes, in the format that this module's docstring tells.
 
     A scenario without a name takes that of the file, with dashes for characters that are not
     allowed in a name.
