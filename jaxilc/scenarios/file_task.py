@@ -1,20 +1,10 @@
 """Machine, task and uncertainty of a TOML or JSON file.
 
-[machine.variation]          # offset, scatter, carried, shortest, dropped, late, delayed, delay
-scatter = 1e-3
-shortest = 0.8
+[machine.variation] has the fields of `Variation`, but for
 
-# the plant from trial 21 on: values that are set, or multiplied, by their names in the plant
-[machine.variation.change]
-first = 21
-over = 1
-set = { "x0" = [0.0, 0.0] }
-scale = { "B" = 1.2 }
-
-# further references, each from a trial on; without `first` they change after each trial
-[[machine.variation.references]]
-first = 11
-reference = { function = "sinusoid", amplitude = 2.0, frequency = 0.5, duration = 2.0 }
+    change       the plant from trial `first` on, reached in `over` trials: values to `set`, and
+                 factors by which to `scale`, by their names in the plant
+    references   a list of further ones: `reference`, from trial `first` on; without it in turns
 """
 
 from __future__ import annotations

@@ -118,8 +118,8 @@ def reproduce(
     *,
     progress: Callable[[int, int, str], object] | None = None,
 ) -> list[Row]:
-    """Every published number beside ours, see `compared`."""
-    return compared(names, reading, progress=progress)[0]
+    """Every published number beside ours, see `compared`; no conclusion is simulated."""
+    return compared(names, reading, progress=progress, conclusions=False)[0]
 
 
 def compared(
@@ -127,11 +127,13 @@ def compared(
     reading: str | None = None,
     *,
     progress: Callable[[int, int, str], object] | None = None,
+    conclusions: bool = True,
 ) -> tuple[list[Row], list[Judged]]:
     """Simulate every published number and conclusion of the named scenarios; else of all.
 
     reading: name of a reading, for scenarios that have several; None: of each the one that is taken
     progress: called before each scenario with the number of rows done, that of all rows, and a name
+    conclusions: whether these are simulated, too
     Raises ValueError naming the allowed scenarios or readings.
     """
     chosen = {name: with_reading(name, reading) for name in names or scenarios.SCENARIOS}
@@ -141,7 +143,8 @@ def compared(
     for name, scenario in loaded.items():
         if progress is not None:
             progress(len(rows), sum(len(of.published) for of in loaded.values()), name)
-        of_rows, of_conclusions = _of_scenario(name, scenario.published, scenario.conclusions)
+        concluded = scenario.conclusions if conclusions else ()
+        of_rows, of_conclusions = _of_scenario(name, scenario.published, concluded)
         rows += of_rows
         judged += of_conclusions
     return rows, judged

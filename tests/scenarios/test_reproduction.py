@@ -323,10 +323,13 @@ def made_up(monkeypatch):
         Published("feedback", None, "max_error", ours("feedback", 1, "max_error"), "made up"),
     )
 
+    sides = tuple(published[0]._replace(set=(("learning.gamma_p", x),)) for x in (0.1, 0.2))
+    concluded = (Conclusion("it falls", "section 1", "falls", FALLS, sides),)
+
     def build(gain: float = 1.0) -> Scenario:
         return Scenario(
-            "made-up", "", MACHINE, TASK, scaled(gain), 4, {}, published, shown_unit="µm",
-            shown_scale=1e3,
+            "made-up", "", MACHINE, TASK, scaled(gain), 4, {}, published, concluded,
+            shown_unit="µm", shown_scale=1e3,
         )  # fmt: skip
 
     runs = []
@@ -349,7 +352,8 @@ def test_rows_of_a_made_up_scenario(made_up):
     # The third row is in order with feedback, which is the same at every trial.
     assert [r.verdict for r in rows] == ["met", "shape", "shape", "met", "met"]
     assert {r.unit for r in rows} == {"µm"}
-    assert sorted(runs) == [("PID", 1), ("PIDType", 3), ("PIDType", 4)]
+    assert sorted(runs) == [("PID", 1), ("PIDType", 3), ("PIDType", 4)], "and no conclusion"
+    assert [judged.holds for judged in reproduction.compared(["made-up"])[1]] == [True]
 
 
 @pytest.mark.parametrize("name", scenarios.SCENARIOS)
