@@ -539,9 +539,11 @@ class Explorer:
             said[0] += f"; worst of {len(found.errors)}: {worst}"
         if found.size.size:
             largest = float(np.max(found.size))
-            safe = "monotone at all frequencies" if largest < 1 else "not safe"
+            safe = "below 1" if largest < 1 else "not safe"
             among = f" of {len(found.errors)} machines" if several else ""
-            said.append(f"largest |Q (1 − L P)|{among}: {largest:.4g}, {safe}")
+            said.append(
+                f"largest |Q (1 − L P)|{among} at {len(found.f)} frequencies: {largest:.4g}, {safe}"
+            )
         self.told.text = "<br/>".join(map(escape, said))
         words = escape(self.of.command(self.values(), self.spread_asked())).split(" ")
         whole = (f'<span style="white-space: nowrap">{word}</span>' for word in words)
