@@ -181,7 +181,8 @@ def outlook_of(maps: LearningMaps, astray: np.ndarray | None = None) -> Outlook:
         room = None if astray is None else np.where(astray < 1, 1 - astray, np.nan)
         met, clear, which = maps.first_met(decay.reach, room)
         met = np.where(met > 0, met + maps.machines.last_change - 1, 0)
-        clear &= astray is None or maps.machines.last_change == 1  # it is not known where w begins
+        if astray is not None and maps.machines.last_change > 1:
+            clear = np.zeros_like(clear)  # it is not known where w begins
     if astray is not None:
         met = np.zeros_like(met)  # the trial is that of the machine that does not go astray
     labels = np.array([names[i] for i in which] if names else [""] * len(left))

@@ -295,6 +295,21 @@ def test_a_limit_that_is_met_late_is_told_with_its_trial():
     assert f"is met in trial {met[late]}" in found.reason[late]
 
 
+def test_without_a_matrix_limits_are_met_in_the_same_trials(monkeypatch):
+    """That of a machine with a limit ended in an error of NumPy."""
+    short, scheme = Task(np.sin(np.pi * np.arange(13) / 12) ** 2, dt=DT), PIDType(gamma_p=0.3)
+    limited = [replace(FIRST_ORDER, actuator=Actuator(limit=limit)) for limit in (50.0, 0.9, 1.2)]
+    machines = jax.tree.map(lambda *leaves: np.stack(leaves), *limited)
+    by_matrix = outlook.outlooks(machines, scheme, short)
+    monkeypatch.setattr(learning_map, "DENSE", 8)
+    found = outlook.outlooks(machines, scheme, short)
+    assert found.clear.tolist() == by_matrix.clear.tolist() == [True, False, False]
+    np.testing.assert_array_equal(found.met, by_matrix.met)
+    assert 1 < found.met[1] < found.met[2]
+    np.testing.assert_allclose(found.limit, by_matrix.limit, rtol=1e-6)
+    np.testing.assert_allclose(found.decay.norm, by_matrix.decay.norm, rtol=1e-6)
+
+
 def test_one_who_only_watched_knows_no_divergence():
     """The error grows until its limit stops it, and so does not grow without bound."""
     limited = replace(FIRST_ORDER, actuator=Actuator(limit=10.0))
