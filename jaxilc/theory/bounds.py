@@ -206,15 +206,15 @@ def bounds_of(machine: Machine, scheme: Scheme, task: Task, u: Value = None) -> 
     b = largest(jnp.linalg.norm(Phi, axis=1)) if L_y + L_u > 1 else largest(jnp.abs(phi))
     total = jnp.sum(every)
     left_out = jnp.sum(rest) / jnp.where(total > 0, total, 1.0)
-    nothing = dict.fromkeys(Bounds._fields, jnp.full((), UNPROVED))
-    found = nothing | {
+    unproved = jnp.full((), UNPROVED)
+    found = dict.fromkeys(Bounds._fields, unproved) | {
         "ppd_low": low,
         "ppd_high": high,
         "left_out": left_out,
         "b": b,
         "lam_min": b**2 / 4,
-        "linear": _as_number(_linear(machine, task)),
-        "alone": _as_number(left_out <= NOTHING_OFF),
+        "linear": jnp.asarray(_linear(machine, task)),
+        "alone": left_out <= NOTHING_OFF,
     }
     if isinstance(scheme, FFDLMFAILC | FFDLMFAC | CFDLMFAPC):
         eta, mu, square = _first(scheme.eta), _first(scheme.mu), _first(scheme.epsilon) ** 2
@@ -229,10 +229,10 @@ def bounds_of(machine: Machine, scheme: Scheme, task: Task, u: Value = None) -> 
         own = type(scheme) in (CFDLMFAILC, FFDLMFAILC, PFDLMFAILC)  # no law of a user's own
         printed = own and compact(scheme) and scheme.lead == 0 and scheme.limit is None
         found |= {
-            "radius": largest(jnp.abs(one)) if scheme.lead == 0 else nothing["radius"],
-            "signs": _as_number(signs),
-            "damped": _as_number(lam > b**2 / 4),
-            "printed": _as_number((eta <= 1.0) & printed),
+            "radius": largest(jnp.abs(one)) if scheme.lead == 0 else unproved,
+            "signs": signs,
+            "damped": lam > b**2 / 4,
+            "printed": (eta <= 1.0) & printed,
         }
         if compact(scheme):
             ends = jnp.stack([jnp.minimum(start, low), jnp.maximum(start, high)])
@@ -244,9 +244,10 @@ def bounds_of(machine: Machine, scheme: Scheme, task: Task, u: Value = None) -> 
                 "ppd_start": largest(jnp.abs(start - phi)),
                 "ppd_rest": 2 * b / gap,
             }
-    bounds = Bounds(**found)
-    held = jnp.stack([bounds.linear, bounds.alone, bounds.signs, bounds.damped, bounds.printed])
-    return bounds._replace(claimed=_as_number(jnp.all(held == 1.0)))
+    of_plant_and_law = ("linear", "alone", "signs", "damped", "printed")
+    held = {name: jnp.asarray(found[name], Phi.dtype) for name in of_plant_and_law}
+    claimed = jnp.all(jnp.stack([*held.values()]) == 1.0)
+    return Bounds(**found | held | {"claimed": claimed.astype(Phi.dtype)})
 
 
 def ppd_bound(bounds: Bounds, trials: int) -> jax.Array:
@@ -528,10 +529,6 @@ def _earlier(signal, samples: int):
 
 def _first(leaf):
     return jnp.ravel(jnp.asarray(leaf))[0]
-
-
-def _as_number(held) -> jax.Array:
-    return jnp.where(jnp.asarray(held), 1.0, 0.0)
 
 
 def _need_one_channel(task: Task) -> None:

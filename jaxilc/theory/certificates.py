@@ -312,7 +312,8 @@ def _certified(
             unknown = np.all(np.isnan(course_of_draws), axis=1, keepdims=True)
             predicted = np.where(unknown, predicted, course_of_draws)
     elif run.outlook is None:
-        simulated = simulate(machines, scheme, given, trials)
+        run_each = tiled_with(_simulate, trials=trials)
+        simulated = np.asarray(run_each((scheme, given), machines))
     else:
         following = tiled_with(_follow, trials=trials, view=view_of(scheme, task))
         found = following((scheme, task), (machines, jnp.asarray(run.outlook.limit)))
@@ -686,11 +687,6 @@ def _finite_or_infinite(errors) -> np.ndarray:
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
-def simulate(machines: Machine, scheme: Scheme, task: Task, trials: int) -> np.ndarray:
-    """(S, J) root mean square errors as `learn` simulates them, without noise."""
-    return np.asarray(tiled_with(_simulate, trials=trials)((scheme, task), machines))
-
-
 # One machine at a time
 # --------------------------------------------------------------------------------------------------
 
@@ -760,6 +756,7 @@ def _simulate_runs(common, machine, *, trials):
 
 
 def _simulate(common, machine, *, trials):
+    """(J,) root mean square errors of one machine as `learn` simulates them, without noise."""
     scheme, task = common
     machine, task = machine.noiseless().after_changes(task)
     return _error(learn(machine, scheme, task, trials))

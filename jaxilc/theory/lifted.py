@@ -78,7 +78,7 @@ def lifted_plant(
 
     Raises ValueError where machine, scheme and task do not fit, or for `about` of another shape.
     """
-    arguments = _arguments("lifted_plant", machine, scheme, task, about, memory)
+    arguments = _arguments(machine, scheme, task, about, memory)
     if time_invariant is not False:
         impulse, probe, answer = map(np.asarray, _impulse_response(*arguments))
         G = _toeplitz(impulse)
@@ -94,7 +94,7 @@ def error_map(G, L) -> np.ndarray:
     G: (N n_y, N n_w)
     L: (N n_w, N n_y)
     """
-    _need_product("error_map", "L", L, (G.shape[-1], G.shape[-2]))
+    _need_product("error_map", G, L)
     return np.eye(G.shape[-2]) - G @ L
 
 
@@ -104,7 +104,7 @@ def input_map(G, L, *, keep=None) -> np.ndarray:
     G, L: as in `error_map`
     keep: (N n_w, N n_w); None for the identity
     """
-    _need_product("input_map", "L", L, (G.shape[-1], G.shape[-2]))
+    _need_product("input_map", G, L)
     return (np.eye(G.shape[-1]) if keep is None else keep) - L @ G
 
 
@@ -205,7 +205,7 @@ def learning_conditions(
 # --------------------------------------------------------------------------------------------------
 
 
-def _arguments(function, machine, scheme, task, about, memory):
+def _arguments(machine, scheme, task, about, memory):
     """The arguments of the compiled functions, checked."""
     if scheme is None:
         machine.check(task)
@@ -219,7 +219,7 @@ def _arguments(function, machine, scheme, task, about, memory):
         about = jnp.zeros(shape) if learned is None else scheme.feedforward(memory, task)
     about = jnp.asarray(about, float)
     if about.shape != shape:
-        raise ValueError(f"{function}: about has shape {about.shape}; this task needs {shape}")
+        raise ValueError(f"lifted_plant: about has shape {about.shape}; this task needs {shape}")
     return machine, scheme, task, memory, about
 
 
@@ -256,8 +256,7 @@ def _toeplitz(impulse):
     return blocks.transpose(0, 2, 1, 3).reshape(N * n_y, N * n_u)
 
 
-def _need_product(function, name, matrix, shape):
-    if np.shape(matrix) != shape:
-        raise ValueError(
-            f"{function}: {name} has shape {np.shape(matrix)}; allowed with this G is {shape}"
-        )
+def _need_product(function, G, L):
+    shape = (G.shape[-1], G.shape[-2])
+    if np.shape(L) != shape:
+        raise ValueError(f"{function}: L has shape {np.shape(L)}; allowed with this G is {shape}")

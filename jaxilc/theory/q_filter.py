@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import find_peaks
+from scipy.signal import find_peaks, peak_widths
 
 from ..filters import ZeroPhaseButterworth
 from ..learning.machine import Machine
@@ -56,7 +56,6 @@ MOST_LEAD = 1000  # that is tried, or asked for on a record: each takes its time
 DIGITS = 3  # of cutoffs and gains that are offered
 LINES_IN_WIDTH = 4  # lines within the half-power width of a resonance that show it well
 HEIGHT = 3.0  # dB by which a peak stands out
-UNSEEN = 0.05  # |Q| above the last line that is worth a warning
 FEWEST = 3  # lines below the cutoff
 
 
@@ -565,13 +564,12 @@ def spacings(record: MeasuredResponse) -> list[Spacing]:
     f, size = record.frequencies, np.abs(record.response)
     level = 20 * np.log10(np.maximum(size, 1e-300))
     peaks, _ = find_peaks(level, prominence=HEIGHT)
-    if not len(peaks):
-        return []
-    left, right = np.array([_half_power(size**2, peak) for peak in peaks]).T
+    ends = np.zeros_like(peaks), np.full_like(peaks, len(f) - 1)
+    half_power = peak_widths(size**2, peaks, prominence_data=(size[peaks] ** 2, *ends))
     at = np.arange(len(f))
     return [
-        Spacing(float(f[p]), float(np.interp(b, at, f) - np.interp(a, at, f)), float(b - a))
-        for p, a, b in zip(peaks, left, right, strict=True)
+        Spacing(float(f[p]), float(np.interp(b, at, f) - np.interp(a, at, f)), float(width))
+        for p, width, _, a, b in zip(peaks, *half_power, strict=True)
     ]
 
 
@@ -584,19 +582,6 @@ def _tested(inner: Lines, law: PLaw, record: MeasuredResponse) -> RecordTest:
     return RecordTest(
         curves, float(curves.high[top]), float(inner.f[top]), spacings(record), ends, unseen
     )
-
-
-def _half_power(power, peak: int) -> tuple[float, float]:
-    """Where the power first falls to half of a peak on either side, in units of lines."""
-    ends = []
-    for step in (-1, 1):
-        i = peak
-        while 0 <= i + step < len(power) and power[i] > power[peak] / 2:
-            i += step
-        above, below = power[i - step], power[i]
-        share = (above - power[peak] / 2) / (above - below) if below < above else 1.0
-        ends.append(i - step + step * min(share, 1.0))
-    return ends[0], ends[1]
 
 
 def _offer_on_records(what, change: Change, law: PLaw, records, sigmas: float) -> Offer:
