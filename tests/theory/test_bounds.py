@@ -368,11 +368,6 @@ class Twice(CFDLMFAILC):
         return state, 2.0 * sample.row.u
 
 
-def test_a_law_of_a_users_own_has_no_claim():
-    scheme = Twice(lam=0.5, phi0=0.4, reset="sign")
-    assert float(bounds_of(static_machine(1.2), scheme, TASK).claimed) == 0.0
-
-
 @pytest.mark.parametrize(
     ("premise", "machine", "scheme"),
     [
@@ -382,6 +377,7 @@ def test_a_law_of_a_users_own_has_no_claim():
         ("alone", dynamic_machine(), SCHEME),
         ("printed", static_machine(1.2), dataclasses.replace(SCHEME, limit=0.3)),
         ("printed", static_machine(1.2), dataclasses.replace(SCHEME, lead=2)),
+        ("printed", static_machine(1.2), Twice(lam=0.5, phi0=0.4, reset="sign")),
         ("linear", static_machine(1.2, actuator=Actuator(limit=0.3)), SCHEME),
         ("linear", static_machine(1.2, sensor=Sensor(resolution=0.1)), SCHEME),
         ("linear", static_machine(1.2, sensor=Sensor(noise=0.1)), SCHEME),
@@ -438,23 +434,10 @@ def test_lambda_above_b_squared_over_four_guarantees_nothing_on_a_dynamic_plant(
     assert float(found["claimed"]) == 0.0
     assert found["left_out"] > 0.95
     assert np.nanmax(found["contraction_norm"]) > 1
-    assert frozen_growth(Machine(servo), scheme, task).value > 1
 
 
 # Batches, derivatives, machines
 # --------------------------------------------------------------------------------------------------
-
-
-def test_grids_of_weights_and_plants_are_one_batch():
-    lam, gain = np.array([0.4, 1.0, 2.0]), np.array([0.5, -1.0])
-
-    def d2(lam, gain):
-        scheme = dataclasses.replace(SCHEME, lam=lam)
-        return bounds_of(static_machine(gain), scheme, TASK).d2
-
-    found = jax.jit(jax.vmap(jax.vmap(d2, (None, 0)), (0, None)))(lam, gain)
-    alone = [[float(d2(x, y)) for y in gain] for x in lam]
-    np.testing.assert_allclose(found, alone, rtol=1e-12)
 
 
 @pytest.mark.thorough
