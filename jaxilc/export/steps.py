@@ -21,7 +21,7 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from ..native.program import Const, Known, Program, Step, Unknown, Value, lowered, without_dead
-from ..native.solves import Parameters
+from ..native.solves import Parameters, lu, triangular_solve
 from ..pytree.aliases import Array, Function, Tree
 from . import operations
 from .interpreter import carried_out
@@ -317,63 +317,11 @@ def _at_place(step: Step, *given: Array) -> Array:
     raise Unknown(f"{step.name} at several places that are found while it runs")
 
 
-def _triangular_solve(step: Step, a: Array, b: Array) -> Array:
-    """The solution of a triangular set of equations, one unknown after another."""
-    of, n = step.params, a.shape[-1]
-    if a.ndim > 2:
-        return jax.vmap(partial(_triangular_solve, step))(a, b)
-    if not of["left_side"]:
-        raise Unknown("equations with the unknown on the left")
-    a = a.T if of["transpose_a"] else a
-    lower = of["lower"] != of["transpose_a"]
-    places = np.arange(n, dtype=np.int32) if lower else np.arange(n - 1, -1, -1, dtype=np.int32)
-    diagonal = jnp.ones(n, a.dtype) if of["unit_diagonal"] else jnp.diagonal(a)
-    off = jnp.where(np.tri(n, k=-1, dtype=bool) if lower else ~np.tri(n, dtype=bool), a, 0.0)
-
-    def unknown(x: Array, now: Tree) -> tuple[Array, None]:
-        i, row, scale, right = now
-        found = (right - row @ x) / scale
-        return lax.dynamic_update_slice(x, found[None], (i, jnp.int32(0))), None
-
-    rows = (jnp.asarray(places), off[places], diagonal[places], b[places])
-    return lax.scan(unknown, jnp.zeros(b.shape, b.dtype), rows)[0]
-
-
-def _lu(step: Step, a: Array) -> tuple[Array, Array, Array]:
-    """Elimination with the largest pivot of each column (Golub and Van Loan, algorithm 3.4.1)."""
-    n = a.shape[-1]
-    if a.ndim > 2:
-        return jax.vmap(partial(_lu, step))(a)
-    if a.shape[0] != n:
-        raise Unknown("an elimination of a matrix that is not square")
-    order, pivots = jnp.arange(n, dtype=jnp.int32), []
-    count = np.arange(n)
-    for k in range(n - 1):
-        size = jnp.where(count < k, -1.0, jnp.abs(a[:, k]))
-        best = jnp.int32(k)
-        most = size[k]
-        for i in range(k + 1, n):
-            best = jnp.where(size[i] > most, jnp.int32(i), best)
-            most = jnp.maximum(most, size[i])
-        pivots.append(best)
-        here, other = count == k, count == best
-        row_k = a[k]
-        row_p = jnp.sum(jnp.where(other[:, None], a, 0.0), axis=0)
-        a = jnp.where(here[:, None], row_p, jnp.where(other[:, None], row_k, a))
-        kept_k, kept_p = order[k], jnp.sum(jnp.where(other, order, 0))
-        order = jnp.where(here, kept_p, jnp.where(other, kept_k, order)).astype(jnp.int32)
-        factor = jnp.where(count > k, a[:, k] / a[k, k], 0.0)
-        below = a - factor[:, None] * jnp.where(count >= k, a[k], 0.0)
-        a = jnp.where((count > k)[:, None] & (count == k)[None, :], factor[:, None], below)
-    pivots.append(jnp.int32(n - 1))
-    return a, jnp.stack(pivots), order
-
-
 REWRITTEN: dict[str, Function] = {
     "conv_general_dilated": _convolved,
     "by_columns": lambda step, matrix, vector: jnp.matmul(matrix, vector[..., None])[..., 0],
-    "triangular_solve": _triangular_solve,
-    "lu": _lu,
+    "triangular_solve": lambda step, a, b: triangular_solve(a, b, **step.params),
+    "lu": lambda step, a: lu(a),
 }
 
 

@@ -179,8 +179,8 @@ def _eqn(eqn: JaxprEqn, ins: list[Value], steps: list[Step], whole: bool) -> lis
         params = given | {"jaxpr": params["jaxpr"]}
     if name == "cond" and whole:
         return _both(params["branches"], ins, steps)
-    if name in PARTS and whole:
-        return PARTS[name](ins, params, partial(_added, steps))
+    if whole and (simple := written(name, params, ins)) is not None:
+        return _inline(simple.jaxpr, simple.consts, ins, steps, whole)
     outs = [_value(v) for v in eqn.outvars]
     steps.append(Step(name, params, ins, outs, eqn.primitive))
     return outs
@@ -268,46 +268,13 @@ def _both(branches: Sequence[ClosedJaxpr], ins: list[Value], steps: list[Step]) 
     return outs
 
 
-def _split(ins: list[Value], params: Parameters, add: Callable[..., Value]) -> list[Value]:
-    axis, start, outs = params["axis"], 0, []
-    for size in params["sizes"]:
-        first, last = [0] * len(ins[0].shape), list(ins[0].shape)
-        first[axis], last[axis] = start, start + size
-        shape = [b - a for a, b in zip(first, last, strict=True)]
-        outs.append(add("slice", ins, shape, start_indices=tuple(first),
-                        limit_indices=tuple(last), strides=None))  # fmt: skip
-        start += size
-    return outs
-
-
-def _stack(ins: list[Value], params: Parameters, add: Callable[..., Value]) -> list[Value]:
-    axis = params["axis"]
-    shape = list(ins[0].shape)
-    shape.insert(axis, 1)
-    parts = [_reshaped(add, x, shape) for x in ins]
-    shape[axis] = len(ins)
-    return [add("concatenate", parts, shape, dimension=axis)]
-
-
-def _unstack(ins: list[Value], params: Parameters, add: Callable[..., Value]) -> list[Value]:
-    axis, (x,) = params["axis"], ins
-    shape = [n for i, n in enumerate(x.shape) if i != axis]
-    ones = {"sizes": [1] * x.shape[axis], "axis": axis}
-    return [_reshaped(add, one, shape) for one in _split(ins, ones, add)]
-
-
-PARTS: dict[str, Callable[..., list[Value]]] = {
-    "split": _split, "stack": _stack, "unstack": _unstack,
-}  # fmt: skip
-
-
 def loops(program: Program) -> Iterator[Step]:
     """The loops among the steps of a program, without those within them."""
     return (step for step in program.steps if step.name == "scan")
 
 
 def with_loops_from(program: Program, shortest: int) -> Program:
-    """The program with every shorter loop, every loop within a loop and small solves written out.
+    """The program with every shorter loop and every loop within a loop written out.
 
     Raises Unknown for a loop of more than UNROLLED passes that would have to be written out.
     """
@@ -317,10 +284,7 @@ def with_loops_from(program: Program, shortest: int) -> Program:
         new: dict[Value, Value] = {}
         for step in program.steps:
             ins = [new.get(x, x) for x in step.ins]
-            if (small := written(step.name, step.params, ins)) is not None:
-                outs = _inline(small.jaxpr, small.consts, ins, steps, True)
-                new |= zip(step.outs, outs, strict=True)
-            elif step.name != "scan":
+            if step.name != "scan":
                 steps.append(Step(step.name, step.params, ins, step.outs, step.primitive))
             elif step.params["length"] >= shortest:
                 body = opened(step.params["body"], float("inf"))

@@ -221,7 +221,7 @@ def test_numbers_move_from_and_to_places_that_are_found_while_it_runs():
 def test_a_small_elimination_is_that_of_lapack(shape):
     a = np.round(np.random.default_rng(0).normal(size=shape), 1)  # with equal pivots, too
     for x in (a, np.zeros(shape)):
-        for found, wanted in zip(solves._lu(x), jax.lax.linalg.lu(x), strict=True):
+        for found, wanted in zip(solves.lu(x), jax.lax.linalg.lu(x), strict=True):
             np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-14)
 
 
@@ -232,7 +232,7 @@ def test_a_small_triangular_solve_is_that_of_lapack(flags):
     left, lower = flags
     for transposed, unit in ((False, False), (True, True)):
         how = {"lower": lower, "transpose_a": transposed, "unit_diagonal": unit}
-        (found,) = solves._triangular_solve(a, b, left_side=left, **how)
+        (found,) = solves.triangular_solve(a, b, left_side=left, **how)
         wanted = jax.lax.linalg.triangular_solve(a, b, left_side=left, **how)
         np.testing.assert_allclose(found, wanted, rtol=1e-12)
 
