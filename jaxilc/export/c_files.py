@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..native.operations import TOGETHER, elementwise
 from ..native.program import Program, Step, Unknown
-from . import guard, operations
+from . import guard
 from .c import REAL, Printed, field_name, number, printed, started, table, type_of
 from .law import Field, Law, said_of_scheme
 
@@ -95,9 +96,9 @@ def _cost(step: Step) -> int:
         return int(of["bound"]) * (cost(of["body"]) + cost(of["condition"]))
     if step.name == "dot_general":
         return 2 * size * math.prod(step.ins[0].shape[i] for i in of["dimension_numbers"][0][0])
-    if step.name in operations.TOGETHER:
+    if step.name in TOGETHER:
         return math.prod(step.ins[0].shape)
-    return 0 if step.name in operations.ARRAYS else size
+    return size if elementwise(step.name) else 0
 
 
 def bytes_of(law: Law, *, single: bool = False) -> int:

@@ -1,6 +1,7 @@
 """The meaning of the operations, carried out one after another in NumPy.
 
-This is what printed programs are compared with, to the last bit. It shares no code with printers.
+This is what printed programs are compared with, to the last bit. It shares no code with printers;
+what steps do with arrays are functions of `native.operations`, which compiled programs use too.
 Functions such as `exp` are those of the C library, as in the printed programs.
 """
 
@@ -15,10 +16,24 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from ..native.code import address_of
-from ..native.operations import INSTRUCTIONS, MOVES, Node, elementwise
+from ..native.operations import (
+    GATHERED,
+    INSTRUCTIONS,
+    MOVES,
+    RUNNING,
+    Node,
+    counted,
+    elementwise,
+    formula,
+    gathered,
+    neutral,
+    part,
+    product,
+    running,
+    updated,
+)
 from ..native.program import Const, Program, Step, Unknown, Value
 from ..pytree.aliases import Function, Leaf
-from . import operations
 
 
 def interpret(
@@ -32,9 +47,14 @@ def interpret(
         return _run(program, operands, np.dtype(real))
 
 
+def known(name: str) -> bool:
+    """Whether a step of this name has a meaning here, and so can be exported."""
+    return name in ARRAYS or name in ("scan", "while") or elementwise(name)
+
+
 def carried_out(step: Step, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
     """The results of a step in double precision; raises Unknown for one that is not known."""
-    if not operations.known(step.name):
+    if not known(step.name):
         raise Unknown(step.name)
     with np.errstate(all="ignore"):
         return _step(step, list(arrays), np.dtype(np.float64))
@@ -61,7 +81,7 @@ def _step(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]
     if step.name == "while":
         return _while(step, ins, real)
     if elementwise(step.name):
-        found = _node(operations.formula(step), ins, real, {})
+        found = _node(formula(step), ins, real, {})
         return [np.broadcast_to(found, step.outs[0].shape)]
     return [_as(ARRAYS[step.name](step, ins), step.outs[0].dtype, real).reshape(step.outs[0].shape)]
 
@@ -171,84 +191,30 @@ def _moved(move: Function, step: Step, ins: list[np.ndarray]) -> np.ndarray:
     return move(step.params, ins, step.outs[0].shape)
 
 
-def _pad(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    x, out = ins[0], np.full(step.outs[0].shape, ins[1], ins[0].dtype)
-    to, of = [], []
-    for (low, _, inner), n, m in zip(step.params["padding_config"], x.shape, out.shape,
-                                     strict=True):  # fmt: skip
-        places = low + (1 + inner) * np.arange(n)
-        inside = (places >= 0) & (places < m)
-        to.append(places[inside])
-        of.append(np.flatnonzero(inside))
-    out[np.ix_(*to)] = x[np.ix_(*of)]
-    return out
-
-
-def _iota(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    shape, axis = step.outs[0].shape, step.params["dimension"]
-    wide = [1] * len(shape)
-    wide[axis] = shape[axis]
-    return np.broadcast_to(np.arange(shape[axis]).reshape(wide), shape)
-
-
-def _part(x: np.ndarray, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> tuple[slice, ...]:
-    clamped = [min(max(int(s), 0), n - size)
-               for s, n, size in zip(starts, x.shape, sizes, strict=True)]  # fmt: skip
-    return tuple(slice(a, a + size) for a, size in zip(clamped, sizes, strict=True))
-
-
-def _dynamic_slice(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    return ins[0][_part(ins[0], step.outs[0].shape, ins[1:])]
-
-
-def _dynamic_update(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    x = np.array(ins[0])
-    x[_part(x, ins[1].shape, ins[2:])] = ins[1]
-    return x
-
-
 def _gathered(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    axes, x = sorted(step.params["axes"]), ins[0]
-    rows = np.moveaxis(x, axes, range(len(axes)))
-    rows = rows.reshape(math.prod(x.shape[i] for i in axes), *rows.shape[len(axes) :])
-    total = np.full(rows.shape[1:], operations.first(step.name, x.dtype), x.dtype)
-    for row in rows:
-        total = SINGLE[operations.TOGETHER[step.name]](total, row)
-    return total
+    """0 + x[0] + x[1] + ...; a maximum begins with -infinity, and is NaN if one is NaN."""
+    how, x = GATHERED[step.name], ins[0]
+    return gathered(SINGLE[how], x, step.params["axes"], neutral(how, x.dtype))
 
 
 def _running(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    rows = np.array(np.moveaxis(ins[0], step.params["axis"], 0))
-    rows = rows[::-1] if step.params["reverse"] else rows
-    for i in range(1, len(rows)):
-        rows[i] = SINGLE[operations.TOGETHER[step.name]](rows[i - 1], rows[i])
-    rows = rows[::-1] if step.params["reverse"] else rows
-    return np.moveaxis(rows, 0, step.params["axis"])
+    """x[0], x[0] + x[1], ...; from the end with `reverse`."""
+    return running(SINGLE[RUNNING[step.name]], ins[0], step.params["axis"], step.params["reverse"])
 
 
 def _dot(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    (of_a, of_b), (batch_a, batch_b) = step.params["dimension_numbers"]
-    a, b = ins
-    free_a = [i for i in range(a.ndim) if i not in (*of_a, *batch_a)]
-    free_b = [i for i in range(b.ndim) if i not in (*of_b, *batch_b)]
-    batch = [a.shape[i] for i in batch_a]
-    terms = math.prod(a.shape[i] for i in of_a)
-    left = a.transpose(*of_a, *batch_a, *free_a).reshape(terms, math.prod(batch), -1, 1)
-    right = b.transpose(*of_b, *batch_b, *free_b).reshape(terms, math.prod(batch), 1, -1)
-    total = np.zeros((math.prod(batch), left.shape[2], right.shape[3]), a.dtype)
-    for x, y in zip(left, right, strict=True):
-        total = total + x * y
-    return total
+    """0 + a[0] b[0] + a[1] b[1] + ..., over the contracted axes."""
+    (a, b), zero = ins, neutral("add", ins[0].dtype)
+    return product(step.params["dimension_numbers"], a, b, SINGLE["mul"], SINGLE["add"], zero)
 
 
 ARRAYS: dict[str, Callable[[Step, list[np.ndarray]], np.ndarray]] = {
     **{name: partial(_moved, move) for name, move in MOVES.items()},
-    "pad": _pad,
-    "iota": _iota,
-    "take": lambda step, ins: ins[0].ravel()[step.params["table"]],
-    "dynamic_slice": _dynamic_slice,
-    "dynamic_update_slice": _dynamic_update,
-    **dict.fromkeys(operations.FIRST, _gathered),
-    **dict.fromkeys(("cumsum", "cumprod", "cummax", "cummin"), _running),
+    **dict.fromkeys(GATHERED, _gathered),
+    **dict.fromkeys(RUNNING, _running),
     "dot_general": _dot,
+    "iota": lambda step, ins: counted(step.params, step.outs[0].shape),
+    "take": lambda step, ins: ins[0].ravel()[step.params["table"]],
+    "dynamic_slice": lambda step, ins: ins[0][part(ins[0], step.outs[0].shape, ins[1:])],
+    "dynamic_update_slice": lambda step, ins: updated(ins[0], ins[1], ins[2:]),
 }

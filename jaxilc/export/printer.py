@@ -21,20 +21,29 @@ import numpy as np
 from jax.typing import DTypeLike
 from numpy.lib.stride_tricks import as_strided
 
-from ..native.operations import MOVES, Node, Number, elementwise
+from ..native.operations import (
+    GATHERED,
+    MOVES,
+    NEUTRAL,
+    RUNNING,
+    TOGETHER,
+    Node,
+    Number,
+    elementwise,
+    formula,
+    neutral,
+)
 from ..native.program import Const, Program, Step, Unknown, Value
-from . import operations
 from .law import Field, Function
 from .steps import uniform
 
 LONGEST = 60  # characters of a number that is written where it is used
 _NAME = re.compile(r"(?:\w+->)?\w+")
-_NEUTRAL = {"mul": 1, "and": True, "or": False}
 _INDEX = ("i", "j", "h", "g", "f", "e", "d", "c")
 SHARED = {"reshape", "squeeze", "expand_dims", "broadcast_in_dim"}
 METHOD = {"squeeze": "reshape", "expand_dims": "reshape"}
 METHOD |= dict.fromkeys(("transpose", "rev", "broadcast_in_dim", "slice"), "moved")
-METHOD |= dict.fromkeys(operations.FIRST, "gathered") | dict.fromkeys(operations.RUNNING, "running")
+METHOD |= dict.fromkeys(GATHERED, "gathered") | dict.fromkeys(RUNNING, "running")
 
 
 class View(NamedTuple):
@@ -291,7 +300,7 @@ class Body(ABC):
         elif elementwise(name):
             self.one_by_one(step)
         elif not (name in SHARED and self.shared(step)) and not (
-            name in operations.FIRST and self.in_this_loop(step)
+            name in GATHERED and self.in_this_loop(step)
         ):
             ins = [self.view(x) for x in step.ins]
             self.flush()
@@ -337,7 +346,7 @@ class Body(ABC):
             if x in views else self.read(x)
             for x in step.ins
         ]  # fmt: skip
-        text = self.text(operations.formula(step), operands)
+        text = self.text(formula(step), operands)
         once = self.uses[out] == 1 and len(text) <= LONGEST
         if shape:
             self.local[out] = closed(text) if once else self.named(out.dtype, text)
@@ -375,8 +384,8 @@ class Body(ABC):
         if x.name == "const":
             return self.number(x.value, x.dtype)
         args = [self.text(one, operands) for one in x.args]
-        if x.name == "mul" or (x.name in _NEUTRAL and x.dtype.kind == "b"):
-            one = self.number(_NEUTRAL[x.name], x.dtype)
+        if x.name == "mul" or (x.name in NEUTRAL and x.dtype.kind == "b"):
+            one = self.number(neutral(x.name, x.dtype), x.dtype)
             if one in args:  # the other operand is left as it is, to the last bit
                 return args[1 - args.index(one)]
         return self.operation(x, args)
@@ -493,12 +502,12 @@ class Body(ABC):
     def total(self, step: Step) -> str:
         """A variable in which numbers are put together, with what it begins with."""
         name, dtype = self.name("t"), step.outs[0].dtype
-        first = operations.first(step.name, dtype)
-        self.set(name, dtype, self.number(first, dtype), changes=True)
+        first = self.number(neutral(TOGETHER[step.name], dtype), dtype)
+        self.set(name, dtype, first, changes=True)
         return name
 
     def more(self, step: Step, total: str, term: str) -> str:
-        how = operations.TOGETHER[step.name]
+        how = TOGETHER[step.name]
         return self.assigned(total, self.together(how, total, term, step.outs[0].dtype))
 
     def in_this_loop(self, step: Step) -> bool:

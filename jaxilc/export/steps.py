@@ -1,7 +1,7 @@
 """From a function to the steps that every printer knows: the intermediate form of the export.
 
 A function is traced with fixed sizes and lowered by `native.program`. What remains is written by
-the operations of `operations`: steps on constants are carried out, complex numbers become pairs of
+the operations of `interpreter`: steps on constants are carried out, complex numbers become pairs of
 real ones, and transforms, solutions of linear equations and convolutions become loops of sums.
 What cannot be written so is refused by name.
 """
@@ -23,8 +23,7 @@ from jax.typing import ArrayLike
 from ..native.program import Const, Known, Program, Step, Unknown, Value, lowered, without_dead
 from ..native.solves import Parameters, lu, triangular_solve
 from ..pytree.aliases import Array, Function, Tree
-from . import operations
-from .interpreter import carried_out
+from .interpreter import carried_out, known
 
 MOST = 64  # rows that are picked one by one
 LARGEST_DENSE = 16  # prime factor of the length of a transform up to which its matrix is stored
@@ -91,13 +90,13 @@ class _Writer:
         if name == "scan" and not step.params["length"]:  # no language has arrays without elements
             n, m = step.params["consts"], step.params["carry"]
             return [*ins[n : n + m], *(Const(np.zeros(x.shape, x.dtype)) for x in step.outs[m:])]
-        known = [x for x in map(_known, ins) if x is not None]
-        all_known = len(known) == len(ins)
+        arrays = [x for x in map(_known, ins) if x is not None]
+        all_known = len(arrays) == len(ins)
         if all_known and name not in ("scan", "while"):
-            return self.constant(step, ins, known)
+            return self.constant(step, ins, arrays)
         if any(isinstance(x, Pair) for x in ins) or any(_complex(x) for x in step.outs):
             if name == "scan" and all_known:
-                return self.constant(step, ins, known)
+                return self.constant(step, ins, arrays)
             if name not in COMPLEX:
                 raise Unknown(f"{name} of complex numbers")
             return COMPLEX[name](self, step, ins)
@@ -110,11 +109,11 @@ class _Writer:
         if name == "scan":
             params = step.params | {"body": _written(step.params["body"])}
             if all_known:
-                return self.constant(Step("scan", params, ins, step.outs), ins, known)
+                return self.constant(Step("scan", params, ins, step.outs), ins, arrays)
             return self.added("scan", params, ins, step.outs)
         if name == "while":
             return self.loop(step, ins)
-        if not operations.known(name):
+        if not known(name):
             kind = "random_bits" if name.startswith("random") else name
             raise Unknown(REASONS.get(kind, f"the operation {name} is not among the known ones"))
         return self.added(name, step.params, ins, step.outs)
@@ -146,7 +145,7 @@ class _Writer:
         """The results of a step on operands that are these arrays, by JAX if need be."""
         special = any(isinstance(x, Pair) or _is_key(x) for x in ins)
         real = not special and not any(_complex(x) or _is_key(x) for x in step.outs)
-        if operations.known(step.name) and real:
+        if known(step.name) and real:
             with suppress(Unknown):  # numbers of a type that only constants have
                 return [Const(x) for x in carried_out(step, [np.asarray(x) for x in arrays])]
         if step.name == "scan":
@@ -319,7 +318,6 @@ def _at_place(step: Step, *given: Array) -> Array:
 
 REWRITTEN: dict[str, Function] = {
     "conv_general_dilated": _convolved,
-    "by_columns": lambda step, matrix, vector: jnp.matmul(matrix, vector[..., None])[..., 0],
     "triangular_solve": lambda step, a, b: triangular_solve(a, b, **step.params),
     "lu": lambda step, a: lu(a),
 }

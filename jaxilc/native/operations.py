@@ -230,10 +230,10 @@ class Numbers:
         with zero is left out, though it would make +0 of -0.
         """
         one, other = (args * 2)[:2]
-        if (name == "mul" and _is(other, 1)) or (name == "add" and _is(other, 0)):
-            return one
-        if (name == "mul" and _is(one, 1)) or (name == "add" and _is(one, 0)):
-            return other
+        if name in NEUTRAL:
+            nothing = neutral(name, one.dtype)
+            if _is(other, nothing) or _is(one, nothing):
+                return one if _is(other, nothing) else other
         if name == "div" and other.name == "const" and _has_reciprocal(other.value):
             return self.of("mul", one, self.const(1 / other.value, other.dtype))
         if name == "div" and other.name == "select" and all(map(_is_power_of_two, other.args[1:])):
@@ -295,6 +295,10 @@ class Numbers:
             raise Unknown(f"an array of {values.size} numbers that are no rows of a trial")
         return _filled(values.shape, [self.const(v, values.dtype) for v in values.ravel()])
 
+    def elements(self, name: str) -> Callable[..., Array]:
+        """An operation on arrays, element by element."""
+        return partial(self.each, partial(self.of, name))
+
     def each(self, function: Callable[..., Node], *arrays: Array) -> Array:
         """The function of the elements of arrays, of which some may be single numbers."""
         arrays = tuple(np.broadcast_arrays(*arrays))
@@ -320,7 +324,7 @@ def _is_power_of_two(x: Node) -> bool:
     return x.name == "const" and _has_reciprocal(x.value) and abs(np.frexp(x.value)[0]) == 0.5
 
 
-def _is(x: Node, value: float) -> bool:
+def _is(x: Node, value: float | Number) -> bool:
     return x.name == "const" and bool(x.value == value)
 
 
@@ -449,18 +453,28 @@ COMPOSED: dict[str, tuple[Callable[..., Node], tuple[str, ...]]] = {
     "le_to": (lambda n, x, y: _not(n, _less_in_order(n, y, x)), ()),
     "real": (lambda n, x: x, ()),
 }
-# how the elements along an axis are put together: the operation, and what it begins with
-GATHERED: dict[str, tuple[str, float]] = {
-    "reduce_sum": ("add", 0), "reduce_prod": ("mul", 1), "reduce_max": ("max", -np.inf),
-    "reduce_min": ("min", np.inf), "reduce_and": ("and", True), "reduce_or": ("or", False),
-}  # fmt: skip
+# by which operation the elements along an axis are put together
+GATHERED = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min",
+            "reduce_and": "and", "reduce_or": "or"}  # fmt: skip
 RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+TOGETHER = GATHERED | RUNNING
+# what these begin with: what leaves the other operand as it is, to the last bit, but for -0 + 0
+NEUTRAL = {"add": 0.0, "mul": 1.0, "max": -np.inf, "min": np.inf, "and": np.inf, "or": 0.0}
+
+
+def neutral(name: str, dtype: np.dtype) -> Number:
+    """What an operation of NEUTRAL begins with; of whole numbers, the largest and the smallest."""
+    value = NEUTRAL[name]
+    if dtype.kind in "iu" and np.isinf(value):
+        value = -1 if name == "and" and dtype.kind == "i" else _ends(dtype)[value > 0]
+    found: Number = dtype.type(value > 0 if dtype == BOOL else value)
+    return found
 
 
 def known(name: str) -> bool:
     """Whether `applied` knows steps of this name."""
-    moved = name in MOVES or name in MOVED_BY_JAX or name in ("dot_general", "by_columns", "iota")
-    return moved or elementwise(name) or name in GATHERED or name in RUNNING
+    moved = name in MOVES or name in TO_PLACES or name in ("dot_general", "iota")
+    return moved or elementwise(name) or name in TOGETHER
 
 
 def foreign(step: Step) -> bool:
@@ -484,13 +498,14 @@ def one_by_one(n: Numbers, step: Step) -> Callable[..., Node]:
     return partial(n.of, step.name)
 
 
-def start(n: Numbers, name: str, dtype: np.dtype) -> Node:
-    """What a gathering over no elements gives."""
-    dtype = np.dtype(dtype)
-    value = GATHERED[name][1]
-    if isinstance(value, float) and dtype.kind != "f":
-        value = (False, True)[value > 0] if dtype == BOOL else _ends(dtype)[value > 0]
-    return n.const(value, dtype)
+def formula(step: Step) -> Node:
+    """What a step computes element by element: a tree of operations of `INSTRUCTIONS`.
+
+    Its operands are nodes of the name `operand`. Raises Unknown for other steps.
+    """
+    n = Numbers(np.float64)
+    places = [n.place("operand", np.dtype(x.dtype), i) for i, x in enumerate(step.ins)]
+    return one_by_one(n, step)(*places)
 
 
 # Steps on small arrays
@@ -511,59 +526,82 @@ def applied(n: Numbers, step: Step, arrays: Sequence[Array],
     if elementwise(name):
         return n.each(one_by_one(n, step), *arrays)
     if name in GATHERED:
-        return _gathered(n, name, arrays[0], params["axes"], shape, out.dtype)
+        how, begin = GATHERED[name], n.const(neutral(GATHERED[name], out.dtype), out.dtype)
+        return gathered(n.elements(how), arrays[0], params["axes"], begin).reshape(shape)
     if name in RUNNING:
-        return _running(n, step, arrays[0])
+        return running(n.elements(RUNNING[name]), arrays[0], params["axis"], params["reverse"])
     if name == "dot_general":
         cast = partial(n.of, "convert", dtype=out.dtype)
         a, b = (n.each(cast, x) for x in arrays)
         zero = n.const(0, out.dtype)
-        return _dot(n, params["dimension_numbers"], a, b, zero).reshape(shape)
-    if name == "by_columns":
-        matrix, vector = arrays
-        terms = [n.each(partial(n.of, "mul"), matrix[..., j], vector[..., j, None])
-                 for j in range(matrix.shape[-1])]  # fmt: skip
-        return reduce(partial(n.each, partial(n.of, "add")), terms).reshape(shape)
+        return product(params["dimension_numbers"], a, b, n.elements("mul"), n.elements("add"),
+                       zero).reshape(shape)  # fmt: skip
     if name in MOVES:
         return MOVES[name](params, arrays, shape)
-    if name in MOVED_BY_JAX:
-        return _moved_by_jax(n, step, arrays, shape)
+    if name in TO_PLACES:
+        return _to_places(n, step, arrays, shape)
     if name == "iota":
-        return n.array(step.bound()[0])
+        return n.array(counted(params, shape).astype(out.dtype))
     raise Unknown(name)
 
 
-def _gathered(n: Numbers, name: str, x: Array, axes: Sequence[int],
-              shape: Sequence[int], dtype: np.dtype) -> Array:  # fmt: skip
-    front = np.moveaxis(x, axes, range(len(axes)))
-    rows = front.reshape(-1, 1, *front.shape[len(axes) :])  # each one an array, not a node
-    if not len(rows):
-        return np.full(shape, start(n, name, dtype), object)
-    return reduce(partial(n.each, partial(n.of, GATHERED[name][0])), rows).reshape(shape)
+# What steps do with arrays, of nodes or of numbers
+# --------------------------------------------------------------------------------------------------
 
 
-def _running(n: Numbers, step: Step, x: Array) -> Array:
-    front = np.moveaxis(x, step.params["axis"], 0)
-    rows = [front[i : i + 1] for i in range(len(front))]
-    rows = rows[::-1] if step.params["reverse"] else rows
+def gathered(together: Callable[..., Array], x: Array, axes: Sequence[int],
+             begin: Node | Number) -> Array:  # fmt: skip
+    """The elements along axes put together, in row-major order."""
+    front = np.moveaxis(x, sorted(axes), range(len(axes)))
+    count, rest = math.prod(front.shape[: len(axes)]), front.shape[len(axes) :]
+    return reduce(together, front.reshape(count, *rest), np.full(rest, begin, x.dtype))
+
+
+def running(together: Callable[..., Array], x: Array, axis: int, back: bool) -> Array:
+    """The elements up to each one along an axis put together; or those from it on."""
+    found = np.array(np.moveaxis(x, axis, 0))
+    rows = found[::-1] if back else found
     for i in range(1, len(rows)):
-        rows[i] = n.each(partial(n.of, RUNNING[step.name]), rows[i - 1], rows[i])
-    rows = rows[::-1] if step.params["reverse"] else rows
-    return np.moveaxis(np.concatenate(rows), 0, step.params["axis"])
+        rows[i : i + 1] = together(rows[i - 1 : i], rows[i : i + 1])
+    return np.moveaxis(found, 0, axis)
 
 
-def _dot(n: Numbers, numbers: lax.DotDimensionNumbers, a: Array, b: Array, zero: Node) -> Array:
+def product(numbers: lax.DotDimensionNumbers, a: Array, b: Array, multiply: Callable[..., Array],
+            add: Callable[..., Array], zero: Node | Number) -> Array:  # fmt: skip
     """(batch, free of a, free of b) the product of arrays, summed over the contracted axes."""
     (of_a, of_b), (batch_a, batch_b) = numbers
     free_a = [i for i in range(a.ndim) if i not in (*of_a, *batch_a)]
     free_b = [i for i in range(b.ndim) if i not in (*of_b, *batch_b)]
-    many, terms = math.prod(a.shape[i] for i in batch_a), math.prod(a.shape[i] for i in of_a)
-    left = a.transpose(*batch_a, *free_a, *of_a).reshape(many, -1, 1, terms)
-    right = b.transpose(*batch_b, *free_b, *of_b).reshape(many, 1, -1, terms)
-    products = n.each(partial(n.of, "mul"), left, right)
-    if not terms:
-        return np.full(products.shape[:-1], zero, object)
-    return reduce(partial(n.each, partial(n.of, "add")), np.moveaxis(products, -1, 0))
+
+    def size(axes: Sequence[int], x: Array) -> int:
+        return math.prod(x.shape[i] for i in axes)
+
+    terms, many, rows, columns = size(of_a, a), size(batch_a, a), size(free_a, a), size(free_b, b)
+    left = a.transpose(*of_a, *batch_a, *free_a).reshape(terms, many, rows, 1)
+    right = b.transpose(*of_b, *batch_b, *free_b).reshape(terms, many, 1, columns)
+    total = np.full((many, rows, columns), zero, a.dtype)
+    for x, y in zip(left, right, strict=True):
+        total = add(total, multiply(x, y))
+    return total
+
+
+def counted(params: Parameters, shape: Sequence[int]) -> np.ndarray:
+    """The place of each element along an axis."""
+    return np.indices(shape, sparse=True)[params["dimension"]] + np.zeros(shape, int)
+
+
+def part(x: Array, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> tuple[slice, ...]:
+    """A part of an array, whose start is clamped so that the part lies within it."""
+    clamped = [min(max(int(s), 0), n - size)
+               for s, n, size in zip(starts, x.shape, sizes, strict=True)]  # fmt: skip
+    return tuple(slice(a, a + size) for a, size in zip(clamped, sizes, strict=True))
+
+
+def updated(x: Array, new: Array, starts: Sequence[np.ndarray]) -> Array:
+    """The array with such a part replaced."""
+    found = np.array(x)
+    found[part(x, new.shape, starts)] = new
+    return found
 
 
 def _broadcast(params: Parameters, arrays: Sequence[Array], shape: Sequence[int]) -> Array:
@@ -580,15 +618,14 @@ def _slice(params: Parameters, arrays: Sequence[Array], shape: Sequence[int]) ->
 
 
 def _pad(params: Parameters, arrays: Sequence[Array], shape: Sequence[int]) -> Array:
-    x, value = arrays
-    out = np.full(shape, value[()], object)
-    for index in np.ndindex(x.shape):
-        at = tuple(
-            low + i * (1 + between)
-            for i, (low, _, between) in zip(index, params["padding_config"], strict=True)
-        )
-        if all(0 <= i < size for i, size in zip(at, shape, strict=True)):
-            out[at] = x[index]
+    (x, value), to, of = arrays, [], []
+    out = np.full(shape, value, x.dtype)
+    for (low, _, inner), n, m in zip(params["padding_config"], x.shape, shape, strict=True):
+        places = low + (1 + inner) * np.arange(n)
+        inside = (places >= 0) & (places < m)
+        to.append(places[inside])
+        of.append(np.flatnonzero(inside))
+    out[np.ix_(*to)] = x[np.ix_(*of)]
     return out
 
 
@@ -606,9 +643,8 @@ MOVES: dict[str, Callable[..., Array]] = {
 }
 
 
-# further ones, by the number of the first operand that says where
-MOVED_BY_JAX = {"gather": 1, "scatter": 1, "scatter-add": 1, "dynamic_slice": 1,
-                "dynamic_update_slice": 2}  # fmt: skip
+# further ones, with operands that say where
+TO_PLACES = ("gather", "scatter", "scatter-add", "dynamic_slice", "dynamic_update_slice")
 
 
 def constants(array: Array, dtype: DTypeLike) -> np.ndarray | None:
@@ -618,31 +654,29 @@ def constants(array: Array, dtype: DTypeLike) -> np.ndarray | None:
     return np.array([x.value for x in array.flat], dtype).reshape(array.shape)
 
 
-def _moved_by_jax(n: Numbers, step: Step, arrays: Sequence[Array],
-                  shape: Sequence[int]) -> Array:  # fmt: skip
+def _to_places(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[int]) -> Array:
     """The result of a step that moves numbers from places, or to them.
 
-    JAX moves the numbers of the elements, counted through all arrays, in place of the elements.
+    A gather of JAX moves the numbers of the elements in place of the elements.
     """
-    first, to = MOVED_BY_JAX[step.name], step.name.startswith("scatter")
-    known = {i: constants(arrays[i], step.ins[i].dtype)
-             for i in range(first, 2 if to else len(arrays))}  # fmt: skip
-    unknown = [i for i, x in known.items() if x is None]
-    if unknown:
-        return _anywhere(n, step, arrays, shape, unknown)
-    if to:
-        return _scattered(n, step, arrays, jnp.asarray(known[1]))
-    moved, numbered, count = arrays[:first], [], 0
-    for x in moved:
-        numbered.append(jnp.arange(count, count + x.size).reshape(x.shape))
-        count += x.size
-    changed = {"fill_value": -1} if step.name == "gather" else {}
+    name, first = step.name, 2 if step.name == "dynamic_update_slice" else 1
+    last = len(arrays) if name.startswith("dynamic") else 2
+    known = {i: constants(arrays[i], step.ins[i].dtype) for i in range(first, last)}
     places = [x for x in known.values() if x is not None]
-    found = np.asarray(step.bound(*numbered, *places, **changed)[0])
+    if len(places) < len(known):
+        unknown = [i for i, x in known.items() if x is None]
+        return _anywhere(n, step, arrays, shape, unknown)
+    if name == "dynamic_slice":
+        return arrays[0][part(arrays[0], shape, places)]
+    if name == "dynamic_update_slice":
+        return updated(arrays[0], arrays[1], places)
+    if name != "gather":
+        return _scattered(n, step, arrays, jnp.asarray(places[0]))
+    numbered = jnp.arange(arrays[0].size).reshape(arrays[0].shape)
+    found = np.asarray(step.bound(numbered, *places, fill_value=-1)[0])
     if found.size and found.min() < 0:
-        raise Unknown(f"{step.name} beyond the end")
-    every = np.concatenate([x.ravel() for x in moved])
-    return _filled(shape, every[found.ravel()])
+        raise Unknown(f"{name} beyond the end")
+    return _filled(shape, arrays[0].ravel()[found.ravel()])
 
 
 def _window(step: Step, axes: int, new: Sequence[int]) -> list[int]:
@@ -715,11 +749,11 @@ def _anywhere(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[i
         """The result for all machines at place i."""
         given = [changed.get(f"_{k}", a) for k, a in enumerate(arrays)]
         given[unknown[0]] = n.array(np.full(index.shape, i, dtype))
-        return _moved_by_jax(n, step, given, shape)
+        return _to_places(n, step, given, shape)
 
     def here(i: int, no: Array, yes: Array) -> Array:
         is_here = n.each(lambda p: n.of("eq", p, n.const(i, dtype)), place)
-        return n.each(partial(n.of, "select"), is_here, no, yes)
+        return n.elements("select")(is_here, no, yes)
 
     if name == "scatter-add":
         found, new = x, arrays[2]

@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial, reduce
+from functools import reduce
 from typing import NamedTuple, TypeAlias
 
 import jax
@@ -30,7 +30,7 @@ from .operations import (
     constants,
     elementwise,
     known,
-    start,
+    neutral,
 )
 from .places import At, AtIndex, Buffer, Cell, Given, Sample
 from .program import Const, Program, Step, Unknown, Value, loops, lowered
@@ -689,8 +689,8 @@ def _scatter(of: Trials, step: Step, operands: list[Item]) -> Item | None:
                 (out.shape[axis] - first - by - length, zero),
             ]) for first, length, by in runs
         ]  # fmt: skip
-        add = partial(of.n.each, partial(of.n.of, "add"))
-        return Computed(out.shape, axis, out.dtype, lambda *x: reduce(add, x), [row, *added])
+        return Computed(out.shape, axis, out.dtype, lambda *x: reduce(of.n.elements("add"), x),
+                        [row, *added])  # fmt: skip
     parts: list[tuple[int, Item]] = []
     end = 0
     for first, length, by in runs:
@@ -775,7 +775,7 @@ def _gather(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     if row.axis not in step.params["axes"]:
         return None
     out = step.outs[0]
-    return _gathered(of, step.name, row, out,
+    return _gathered(of, GATHERED[step.name], row, out,
                      lambda x: applied(of.n, step, [x], out.shape), [row])  # fmt: skip
 
 
@@ -787,9 +787,13 @@ def _gathered(of: Trials, name: str, row: Row, out: Value, function: Callable[..
     shape = (1, *out.shape)
     one = Computed((row.length, *out.shape), 0, out.dtype, of_row, operands)
     cells = of.new_cells(out.shape, out.dtype, loop=one.loop + 1)
-    begin = np.full(out.shape, start(of.n, name, out.dtype), object)
-    of.loop(one.loop).gatherings.append(Gathering(GATHERED[name][0], one, cells, begin))
+    begin = np.full(out.shape, _neutral(of, name, out.dtype), object)
+    of.loop(one.loop).gatherings.append(Gathering(name, one, cells, begin))
     return cells
+
+
+def _neutral(of: Trials, name: str, dtype: np.dtype) -> Node:
+    return of.n.const(neutral(name, dtype), dtype)
 
 
 def _scanned(of: Trials, tick: Callable[..., tuple[jax.Array, jax.Array]], begins: list[Array],
@@ -813,8 +817,7 @@ def _running(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         return None
     if row.axis != 0:
         raise Unknown(f"{step.name} along samples that are not the first axis")
-    gathering = next(long for long, (short, _) in GATHERED.items() if short == name)
-    begin = np.full(row.shape[1:], start(of.n, gathering, row.dtype), object)
+    begin = np.full(row.shape[1:], _neutral(of, name, row.dtype), object)
 
     def tick(before: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         after = getattr(lax, name)(before, x)
@@ -841,7 +844,7 @@ def _place_of_best(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         new = beyond | ((x != x) & (best == best))
         return jnp.where(new, x, best), jnp.where(new, k, at)
 
-    begin = start(of.n, "reduce_max" if largest else "reduce_min", row.dtype)
+    begin = _neutral(of, "max" if largest else "min", row.dtype)
     begins = [np.full(shape, x, object) for x in (begin, of.n.const(0, out.dtype))]
     return _scanned(of, tick, begins, [row, Count((row.length,), 0, out.dtype)], out)[1]
 
@@ -860,7 +863,7 @@ def _dot(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     out = step.outs[0]
     if of.axis_of(out.shape) is not None:
         raise Unknown("dot_general over samples, for each sample")
-    return _gathered(of, "reduce_sum", rows[0][0], out,
+    return _gathered(of, "add", rows[0][0], out,
                      lambda *x: applied(of.n, step, x, out.shape), operands)  # fmt: skip
 
 
@@ -884,12 +887,11 @@ def _convolved(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     item = _pad(of, Step("pad", {"padding_config": config}, [], [padded]), [row, zero])
     assert item is not None
     wide = rows_of(item)
-    multiply, add = partial(of.n.of, "mul"), partial(of.n.of, "add")
+    multiply, add = of.n.elements("mul"), of.n.elements("add")
 
     def product(seen: Array, taps: Array) -> Array:
         """(batch, out) the sum over the channels of (batch, in) and (out, in)."""
-        products = of.n.each(multiply, seen[:, None], taps[None])
-        return reduce(partial(of.n.each, add), np.moveaxis(products, -1, 0))
+        return reduce(add, np.moveaxis(multiply(seen[:, None], taps[None]), -1, 0))
 
     def seen(arrays: Sequence[Array]) -> list[Array]:
         return [x.transpose(numbers.lhs_spec)[:, :, 0] for x in arrays]
@@ -905,12 +907,12 @@ def _convolved(of: Trials, step: Step, operands: list[Item]) -> Item | None:
             return np.stack(each, -1).transpose(np.argsort(to))
 
         rows = shifted(out.shape[to[2]], kernel.length)
-        return _gathered(of, "reduce_sum", rows[0], out, slopes_of_row, [*rows, kernel])
+        return _gathered(of, "add", rows[0], out, slopes_of_row, [*rows, kernel])
     taps = kernel.transpose(numbers.rhs_spec)
 
     def of_row(*arrays: Array) -> Array:
         each = [product(x, taps[:, :, i]) for i, x in enumerate(seen(arrays))]
-        return reduce(partial(of.n.each, add), each)[:, :, None].transpose(np.argsort(to))
+        return reduce(add, each)[:, :, None].transpose(np.argsort(to))
 
     rows = shifted(kernel.shape[numbers.rhs_spec[2]], out.shape[to[2]])
     return Computed(out.shape, to[2], out.dtype, of_row, rows)
@@ -953,8 +955,6 @@ def _keeps_axis(step: Step, operands: list[Item], axis: int) -> bool:
         return params["dimension"] != axis and all(x.axis == axis for x in rows)
     if name == "dot_general":
         return _axis_of_product(params["dimension_numbers"], operands) == axis
-    if name == "by_columns":
-        return all(x.axis == axis == 0 and x.shape[0] == out.shape[0] for x in rows)
     if name.startswith("reduce_"):
         return axis == rows[0].axis - sum(a < rows[0].axis for a in params["axes"])
     if name in ("scatter", "scatter-add"):
@@ -1102,7 +1102,7 @@ class _Build:
                 old = _inside_loop(self.n, gathering.cells)
                 cells += zip(
                     gathering.cells.flat,
-                    self.n.each(partial(self.n.of, gathering.name), old, new).flat,
+                    self.n.elements(gathering.name)(old, new).flat,
                     strict=True,
                 )
         results = [

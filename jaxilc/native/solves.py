@@ -93,6 +93,10 @@ def _sort(keys: jax.Array, *others: jax.Array, **_: object) -> tuple[jax.Array, 
     return (*(jnp.stack(x) for x in columns),)
 
 
+def _by_columns(matrix: jax.Array, vector: jax.Array, **_: object) -> list[jax.Array]:
+    return [jnp.matmul(matrix, vector[..., None])[..., 0]]
+
+
 def _split(x: jax.Array, *, sizes: Sequence[int], axis: int, **_: object) -> list[jax.Array]:
     ends = np.cumsum(sizes)
     return [lax.slice_in_dim(x, int(end) - size, int(end), axis=axis)
@@ -109,7 +113,7 @@ def _unstack(x: jax.Array, *, axis: int, **_: object) -> list[jax.Array]:
 
 WRITTEN: dict[str, Callable[..., Sequence[jax.Array]]] = {
     "lu": lu, "triangular_solve": triangular_solve, "sort": _sort,
-    "split": _split, "stack": _stack, "unstack": _unstack,
+    "by_columns": _by_columns, "split": _split, "stack": _stack, "unstack": _unstack,
 }  # fmt: skip
 
 
