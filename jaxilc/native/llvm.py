@@ -18,10 +18,20 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from .handed import Handed, handed_on
-from .operations import CONVERSIONS, Array, Node, Number, instruction
-from .places import At, AtIndex, Buffer, Cell, Given, Sample
-from .rows import Loop, Row, Segment, Stored, Trials, small
+from .operations import (
+    CONVERSIONS,
+    Array,
+    At,
+    AtIndex,
+    Buffer,
+    Cell,
+    Given,
+    Node,
+    Number,
+    Sample,
+    instruction,
+)
+from .rows import Handed, Loop, Row, Segment, Stored, Trials, handed_on, small
 
 ALIGNED = 64  # bytes
 FLUSH = 0x8040  # of the register MXCSR: results and operands too small to be normal are zero
@@ -517,8 +527,6 @@ class Text:
         for scan in loop.scans:
             for i, cells in enumerate(scan.cells):
                 self._set(cells, scan.begin(i))
-        for gathering in loop.gatherings:
-            self._set(gathering.cells, gathering.begin)
         for segment in loop.segments:
             self._segment(segment, loop.direction)
 

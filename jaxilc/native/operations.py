@@ -1,8 +1,9 @@
 """Operations on single numbers, one of each machine, and steps on small arrays of them.
 
-A `Node` is a number that each machine has. `INSTRUCTIONS` is the table of all operations that a
-compiled program consists of, `COMPOSED` says which further primitives of JAX are made from them,
-and `applied` carries out a step on small arrays of nodes. What neither knows is `Unknown`.
+A `Node` is a number that each machine has, computed or read from a `Place`. `INSTRUCTIONS` is the
+table of all operations that a compiled program consists of, `COMPOSED` says which further
+primitives of JAX are made from them, and `applied` carries out a step on small arrays of nodes.
+What neither knows is `Unknown`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import partial, reduce
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,6 @@ import numpy as np
 from jax import lax
 from numpy.typing import ArrayLike, DTypeLike
 
-from .places import AtIndex, Place
 from .program import UNROLLED, Step, Unknown
 from .solves import Parameters
 
@@ -28,6 +28,66 @@ Number: TypeAlias = np.bool | np.integer | np.floating
 LARGEST = 4096  # elements of a small array
 BOOL = np.dtype(bool)
 TYPES = {np.dtype(t) for t in ("bool", "int32", "int64", "uint32", "float64", "float32")}
+
+
+class Buffer(NamedTuple):
+    """Rows in RAM.
+
+    kind: `given` to the program, `carried` from trial to trial, `kept` within a trial, or `out`
+    number: which of its kind
+    length, width: its rows, and the numbers in each
+    dtype: the type of the numbers
+    alike: whether there is one number for all machines
+    by_trial: whether there are such rows for each trial
+    """
+
+    kind: str
+    number: int
+    length: int
+    width: int
+    dtype: np.dtype
+    alike: bool = False
+    by_trial: bool = False
+
+
+class Cell(NamedTuple):
+    """A number that is carried from sample to sample, or from trial to trial."""
+
+    number: int
+
+
+class Given(NamedTuple):
+    """A number of an operand that has no axis of samples."""
+
+    operand: int
+    number: int
+
+
+class At(NamedTuple):
+    """A number of the row of a buffer at sample sign k + first; at sample first, if sign is 0."""
+
+    buffer: Buffer
+    sign: int
+    first: int
+    number: int
+
+
+class AtIndex(NamedTuple):
+    """A number of the row of a buffer at an index that is a node; known before that loop."""
+
+    buffer: Buffer
+    number: int
+    loop: int
+
+
+class Sample(NamedTuple):
+    """The number of the sample: sign k + first."""
+
+    sign: int
+    first: int
+
+
+Place: TypeAlias = Cell | Given | At | AtIndex | Sample
 
 
 class Node:

@@ -24,15 +24,20 @@ from .operations import (
     GATHERED,
     RUNNING,
     Array,
+    At,
+    AtIndex,
+    Buffer,
+    Cell,
+    Given,
     Node,
     Numbers,
+    Sample,
     applied,
     constants,
     elementwise,
     known,
     neutral,
 )
-from .places import At, AtIndex, Buffer, Cell, Given, Sample
 from .program import Const, Program, Step, Unknown, Value, loops, lowered
 
 MOST_NODES = 60_000  # of all loops; a compiler takes seconds for so many
@@ -71,14 +76,6 @@ class Stored(Row):
     def __init__(self, shape: Sequence[int], axis: int, buffer: Buffer):
         super().__init__(shape, axis, buffer.dtype)
         self.buffer = buffer
-
-
-class Same(Row):
-    """The same row at each sample."""
-
-    def __init__(self, shape: Sequence[int], axis: int, dtype: np.dtype, elements: Array):
-        super().__init__(shape, axis, dtype, elements)
-        self.elements = elements
 
 
 class Count(Row):
@@ -129,6 +126,11 @@ class Computed(Row):
         self.function, self.operands = function, operands
 
 
+def _same(shape: Sequence[int], axis: int, dtype: np.dtype, one: Array) -> Row:
+    """The same row at each sample."""
+    return Computed(shape, axis, dtype, lambda x: x, [one])
+
+
 class Result(Row):
     """The results of a scan.
 
@@ -164,7 +166,7 @@ Item: TypeAlias = Row | Array  # an array with an axis of samples, or a small on
 
 
 class Scan:
-    """A scan over samples.
+    """A scan over samples; a sum over all samples is one that only carries.
 
     loop: the number of the loop that it belongs to
     offset: the sample of it that is computed at sample k of the loop is k + offset
@@ -174,7 +176,7 @@ class Scan:
 
     def __init__(self, step: Step, operands: list[Item], loop: int):
         self.body: Program = step.params["body"]
-        self.length, self.reverse = step.params["length"], step.params["reverse"]
+        self.length = step.params["length"]
         self.consts, self.carry = step.params["consts"], step.params["carry"]
         self.operands, self.loop, self.offset = operands, loop, 0
         self.cells: list[Array] = []
@@ -203,19 +205,6 @@ class Sink:
         self.buffer, self.offset, self.length = buffer, 0, row.length
 
 
-class Gathering:
-    """Rows that are put together to one, such as a sum over all samples.
-
-    name: the operation
-    cells: where what was gathered so far is
-    """
-
-    def __init__(self, name: str, row: Row, cells: Array, begin: Array):
-        self.rows: list[Row] = [row]
-        self.name, self.cells, self.begin = name, cells, begin
-        self.offset, self.length = 0, row.length
-
-
 class Segment(NamedTuple):
     """A range of samples at which a loop computes the same.
 
@@ -242,12 +231,11 @@ class Loop:
         self.direction = 0
         self.scans: list[Scan] = []
         self.sinks: list[Sink] = []
-        self.gatherings: list[Gathering] = []
         self.segments: list[Segment] = []
 
     @property
-    def items(self) -> list[Scan | Sink | Gathering]:
-        return [*self.scans, *self.sinks, *self.gatherings]
+    def items(self) -> list[Scan | Sink]:
+        return [*self.scans, *self.sinks]
 
 
 class Trials:
@@ -323,7 +311,7 @@ class Trials:
     def _constant_rows(self, array: np.ndarray, axis: int) -> Row:
         first = array.take([0], axis)
         if np.array_equal(array, np.broadcast_to(first, array.shape)):
-            return Same(array.shape, axis, array.dtype, self.n.array(first))
+            return _same(array.shape, axis, array.dtype, self.n.array(first))
         return self._given(array, axis)
 
     def _given(self, array: np.ndarray, axis: int) -> Row:
@@ -447,7 +435,7 @@ class Trials:
             for i, to in enumerate(step.params["broadcast_dimensions"]):
                 if to == axis and operands[0].shape[i] != 1:
                     raise Unknown("broadcast_in_dim to samples")
-            return Same(out.shape, axis, out.dtype, applied(self.n, step, operands, shape))
+            return _same(out.shape, axis, out.dtype, applied(self.n, step, operands, shape))
         if step.name == "concatenate" and step.params["dimension"] == axis:
             parts = [(x.shape[axis], x) for x in operands]
             return _joined(out.shape, axis, out.dtype, parts)
@@ -487,7 +475,8 @@ class Trials:
             row.kept = self._buffer("kept", row.shape, row.axis, row.dtype)
         return row.kept
 
-    def _scan(self, step: Step, operands: list[Item]) -> None:
+    def _scan(self, step: Step, operands: list[Item], *, either: bool = False) -> None:
+        """Add a scan to the first loop that can hold it; `either` if it may run backward, too."""
         consts, carry = step.params["consts"], step.params["carry"]
         for i, x in enumerate(operands[: consts + carry]):
             if isinstance(x, Row):
@@ -495,11 +484,12 @@ class Trials:
                     raise Unknown("rows that are carried from sample to sample")
                 operands[i] = self._table(x)
         number = max([0, *map(loop_of, operands)])
-        direction = -1 if step.params["reverse"] else 1
-        while self.loop(number).direction not in (0, direction):
-            number += 1
+        if not either:
+            direction = -1 if step.params["reverse"] else 1
+            while self.loop(number).direction not in (0, direction):
+                number += 1
+            self.loop(number).direction = direction
         scan = Scan(step, operands, number)
-        self.loop(number).direction = direction
         self.loop(number).scans.append(scan)
         for x, out in zip(operands[consts : consts + carry], step.outs, strict=False):
             scan.cells.append(self.new_cells(out.shape, out.dtype, loop=number + 1))
@@ -580,7 +570,7 @@ def _joined(shape: Sequence[int], axis: int, dtype: np.dtype,
     for length, part in parts:
         if length > 0:
             if not isinstance(part, Row) and part.shape[axis] != length:
-                part = Same(_with(shape, axis, length), axis, dtype, part)
+                part = _same(_with(shape, axis, length), axis, dtype, part)
             found.append(Part(sum(p.length for p in found), length, part))
     return found[0].rows if len(found) == 1 else Joined(shape, axis, dtype, found)
 
@@ -786,28 +776,24 @@ def _gathered(of: Trials, name: str, row: Row, out: Value, function: Callable[..
 
     shape = (1, *out.shape)
     one = Computed((row.length, *out.shape), 0, out.dtype, of_row, operands)
-    cells = of.new_cells(out.shape, out.dtype, loop=one.loop + 1)
-    begin = np.full(out.shape, _neutral(of, name, out.dtype), object)
-    of.loop(one.loop).gatherings.append(Gathering(name, one, cells, begin))
-    return cells
+    begin = np.full(out.shape, of.n.const(neutral(name, out.dtype), out.dtype), object)
+    sum_, x, more = (Value(out.shape, out.dtype) for _ in range(3))
+    body = Program([sum_, x], [Step(name, {}, [sum_, x], [more])], [more])
+    params = {"length": row.length, "reverse": False, "body": body, "consts": 0, "carry": 1}
+    of._scan(Step("scan", params, [], [out]), [begin, one], either=True)
+    return small(of.value(out))
 
 
-def _neutral(of: Trials, name: str, dtype: np.dtype) -> Node:
-    return of.n.const(neutral(name, dtype), dtype)
-
-
-def _scanned(of: Trials, tick: Callable[..., tuple[jax.Array, jax.Array]], begins: list[Array],
-             rows: list[Row], out: Value, *, reverse: bool = False) -> list[Item]:  # fmt: skip
-    """What a scan of a function carries out of its last sample, and its rows, if it has some."""
-    like = [jax.ShapeDtypeStruct(x.shape, x.flat[0].dtype) for x in begins]
-    like += [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in rows]
-    closed = jax.make_jaxpr(tick)(*like)
-    body = lowered(closed.jaxpr, closed.consts)
-    params = {"length": rows[0].length, "reverse": reverse, "body": body, "consts": 0}
-    outs = [Value(x.shape, x.dtype) for x in body.outs[: len(begins)]]
-    outs += [out] * (len(body.outs) - len(begins))
-    of._scan(Step("scan", params | {"carry": len(begins)}, [], outs), [*begins, *rows])
-    return [of._known[x] for x in outs]
+def _by_jax(of: Trials, function: Callable[..., jax.Array], *operands: Item) -> Item:
+    """The result of a function of JAX on rows and small arrays."""
+    like = [jax.ShapeDtypeStruct(x.shape, x.dtype if isinstance(x, Row) else x.flat[0].dtype)
+            for x in operands]  # fmt: skip
+    closed = jax.make_jaxpr(function)(*like)
+    program = lowered(closed.jaxpr, closed.consts)
+    of._known |= zip(program.ins, operands, strict=True)
+    for step in program.steps:
+        of._step(step)
+    return of.value(program.outs[0])
 
 
 def _running(of: Trials, step: Step, operands: list[Item]) -> Item | None:
@@ -817,13 +803,13 @@ def _running(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         return None
     if row.axis != 0:
         raise Unknown(f"{step.name} along samples that are not the first axis")
-    begin = np.full(row.shape[1:], _neutral(of, name, row.dtype), object)
 
     def tick(before: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         after = getattr(lax, name)(before, x)
         return after, after
 
-    return _scanned(of, tick, [begin], [row], step.outs[0], reverse=step.params["reverse"])[1]
+    begin = jnp.full(row.shape[1:], neutral(name, row.dtype), row.dtype)
+    return _by_jax(of, lambda x: lax.scan(tick, begin, x, reverse=step.params["reverse"])[1], row)
 
 
 def _place_of_best(of: Trials, step: Step, operands: list[Item]) -> Item | None:
@@ -836,17 +822,21 @@ def _place_of_best(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     if row.dtype.kind not in "fb":
         raise Unknown(f"{step.name} of {row.dtype}")
     largest, shape = step.name == "argmax", row.shape[1:]
+    begin = neutral("max" if largest else "min", row.dtype)
 
     def tick(
-        best: jax.Array, at: jax.Array, x: jax.Array, k: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
+        before: tuple[jax.Array, jax.Array], now: tuple[jax.Array, jax.Array]
+    ) -> tuple[tuple[jax.Array, jax.Array], None]:
+        (best, at), (x, k) = before, now
         beyond = x > best if largest else x < best
         new = beyond | ((x != x) & (best == best))
-        return jnp.where(new, x, best), jnp.where(new, k, at)
+        return (jnp.where(new, x, best), jnp.where(new, k, at)), None
 
-    begin = _neutral(of, "max" if largest else "min", row.dtype)
-    begins = [np.full(shape, x, object) for x in (begin, of.n.const(0, out.dtype))]
-    return _scanned(of, tick, begins, [row, Count((row.length,), 0, out.dtype)], out)[1]
+    def place(rows: jax.Array) -> jax.Array:
+        first = jnp.full(shape, begin, row.dtype), jnp.zeros(shape, out.dtype)
+        return lax.scan(tick, first, (rows, jnp.arange(row.length, dtype=out.dtype)))[0][1]
+
+    return _by_jax(of, place, row)
 
 
 def _dot(of: Trials, step: Step, operands: list[Item]) -> Item | None:
@@ -874,48 +864,22 @@ def _convolved(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     out, to = step.outs[0], numbers.out_spec
     ones = (*params["window_strides"], *params["lhs_dilation"], *params["rhs_dilation"],
             params["batch_group_count"], params["feature_group_count"])  # fmt: skip
-    axis, slopes = of.axis_of(out.shape), isinstance(kernel, Row)
-    if set(ones) != {1} or len(to) != 3 or not isinstance(row, Row) or (
-        row.axis != numbers.lhs_spec[2] or axis != (None if slopes else to[2])
-    ) or (isinstance(kernel, Row) and kernel.axis != numbers.rhs_spec[2]):  # fmt: skip
+    slopes = isinstance(kernel, Row)
+    if set(ones) != {1} or len(to) != 3 or not isinstance(row, Row):
         raise Unknown("conv_general_dilated of this kind")
-    low, high = params["padding"][0]
-    config = [(0, 0, 0)] * 3
-    config[row.axis] = (low, high, 0)
-    padded = Value(_with(row.shape, row.axis, row.length + low + high), row.dtype)
-    zero = np.full((), of.n.const(0, row.dtype), object)
-    item = _pad(of, Step("pad", {"padding_config": config}, [], [padded]), [row, zero])
-    assert item is not None
-    wide = rows_of(item)
-    multiply, add = of.n.elements("mul"), of.n.elements("add")
 
-    def product(seen: Array, taps: Array) -> Array:
-        """(batch, out) the sum over the channels of (batch, in) and (out, in)."""
-        return reduce(add, np.moveaxis(multiply(seen[:, None], taps[None]), -1, 0))
+    def summed(x: jax.Array, taps: jax.Array) -> jax.Array:
+        x, taps = x.transpose(numbers.lhs_spec), taps.transpose(numbers.rhs_spec)
+        x = lax.pad(x, jnp.zeros((), x.dtype), [(0, 0, 0), (0, 0, 0), (*params["padding"][0], 0)])
+        few, many = sorted((taps.shape[2], out.shape[to[2]]))
+        shifted = [x[:, :, i : i + many] for i in range(few)]
+        if slopes:
+            each = [jnp.tensordot(part, taps, ((1, 2), (1, 2))) for part in shifted]
+            return jnp.stack(each, axis=-1).transpose(np.argsort(to))
+        each = [jnp.tensordot(part, taps[:, :, i], (1, 1)) for i, part in enumerate(shifted)]
+        return reduce(jnp.add, each).transpose(0, 2, 1).transpose(np.argsort(to))
 
-    def seen(arrays: Sequence[Array]) -> list[Array]:
-        return [x.transpose(numbers.lhs_spec)[:, :, 0] for x in arrays]
-
-    def shifted(count: int, length: int) -> list[Row]:
-        return [Shifted(wide, i, length) for i in range(count)]
-
-    if isinstance(kernel, Row):
-
-        def slopes_of_row(*arrays: Array) -> Array:
-            errors = arrays[-1].transpose(numbers.rhs_spec)[:, :, 0]
-            each = [product(x, errors) for x in seen(arrays[:-1])]
-            return np.stack(each, -1).transpose(np.argsort(to))
-
-        rows = shifted(out.shape[to[2]], kernel.length)
-        return _gathered(of, "add", rows[0], out, slopes_of_row, [*rows, kernel])
-    taps = kernel.transpose(numbers.rhs_spec)
-
-    def of_row(*arrays: Array) -> Array:
-        each = [product(x, taps[:, :, i]) for i, x in enumerate(seen(arrays))]
-        return reduce(add, each)[:, :, None].transpose(np.argsort(to))
-
-    rows = shifted(kernel.shape[numbers.rhs_spec[2]], out.shape[to[2]])
-    return Computed(out.shape, to[2], out.dtype, of_row, rows)
+    return _by_jax(of, summed, row, kernel)
 
 
 HANDLED: dict[str, Callable[[Trials, Step, list[Item]], Item | None]] = {
@@ -1000,7 +964,7 @@ def _gather_of_row(step: Step, row: Row) -> Step:
 
 
 class _Build:
-    """What builds the segments of a loop from its scans, sinks and gatherings."""
+    """What builds the segments of a loop from its scans and sinks."""
 
     def __init__(self, of: Trials, number: int, loop: Loop):
         self.of, self.n, self.number, self.loop = of, of.n, number, loop
@@ -1096,15 +1060,6 @@ class _Build:
         for sink in self.loop.sinks:
             if at.active(sink):
                 stores.append((sink.buffer, sink.offset, at.row(sink.rows[0], 1, sink.offset)))
-        for gathering in self.loop.gatherings:
-            if at.active(gathering):
-                new = at.row(gathering.rows[0], 1, gathering.offset).reshape(gathering.cells.shape)
-                old = _inside_loop(self.n, gathering.cells)
-                cells += zip(
-                    gathering.cells.flat,
-                    self.n.elements(gathering.name)(old, new).flat,
-                    strict=True,
-                )
         results = [
             (result, scan.offset, at.done[scan][result.number])
             for scan in self.loop.scans if scan in at.done for result in scan.results
@@ -1142,8 +1097,6 @@ class _Rows:
         return self.rows[key]
 
     def _row(self, row: Row, sign: int, c: int) -> Array:
-        if isinstance(row, Same):
-            return row.elements
         if isinstance(row, Shifted):
             return self.row(row.row, sign, c + row.by)
         if isinstance(row, Flipped):
@@ -1210,7 +1163,7 @@ class _At(_Rows):
         self.of, self.n = of, of.n
         self.done: dict[Scan, list[Array]] = {}
 
-    def active(self, item: Scan | Sink | Gathering) -> bool:
+    def active(self, item: Scan | Sink) -> bool:
         return self.first + item.offset >= 0 and self.last + item.offset <= item.length
 
     def read(self, row: Row, sign: int, c: int) -> Array:
@@ -1288,3 +1241,78 @@ class _At(_Rows):
         for m, i in enumerate(np.ndindex(*sizes)):
             out[i] = n.row(index, table.dtype, AtIndex(table.buffer, m, table.loop))
         return out
+
+
+# What a sample hands on
+# --------------------------------------------------------------------------------------------------
+
+
+class Handed(NamedTuple):
+    """A number that each sample of a loop hands on to the next one, which would compute it again.
+
+    cell: in which it is handed on
+    node: what a sample would compute
+    ahead: what the sample before computes, which is the same
+    """
+
+    cell: Node
+    node: Node
+    ahead: Node
+
+
+def handed_on(of: Trials, segment: Segment, wanted: Sequence[Node], d: int) -> list[Handed]:
+    """What the samples of a segment hand on.
+
+    A law that reads the increments du[k] and du[k-1] asks for the same number twice: du[k-1] is
+    what the sample before has computed as du[k]. So the nodes of a sample are compared with those
+    of the sample before, and what both compute is carried in a cell.
+    What is only read is read again, since that takes no longer, and products are computed again,
+    since they are a part of a sum that is rounded once.
+
+    wanted: the nodes that the segment needs
+    d: 1 if it runs forward, -1 if backward
+    """
+    n, new = of.n, {cell.what: x for cell, x in segment.cells}
+    moved: dict[Node, Node | None] = {}  # each node, as the sample before calls it
+    for node in _in_turn(wanted):
+        if not node.varies:
+            moved[node] = node
+        elif isinstance(node.what, At):
+            first = node.what.first + d * node.what.sign
+            moved[node] = n.known(node, (), node.what._replace(first=first))
+        elif isinstance(node.what, Cell):
+            moved[node] = new.get(node.what)
+        else:
+            args = [x for x in map(moved.get, node.args) if x is not None]
+            whole = len(args) == len(node.args) > 0
+            moved[node] = n.known(node, args, node.what) if whole else None
+    found: dict[Node, Handed] = {}
+    todo, seen = list(wanted), set[Node]()
+    while todo:
+        node = todo.pop()
+        if node in seen:
+            continue
+        seen.add(node)
+        ahead = moved[node]
+        again = not node.args or (node.name == "mul" and node.dtype.kind == "f")
+        if node.varies and not again and ahead is not None and ahead in moved:
+            cell = of.new_cells((1,), node.dtype, loop=0).item()
+            found[node] = Handed(cell, node, ahead)
+            todo.append(ahead)
+        else:
+            todo += node.args
+    return [*found.values()]
+
+
+def _in_turn(nodes: Iterable[Node]) -> list[Node]:
+    """Nodes and all that they are computed from, operands first."""
+    found: dict[Node, None] = {}
+    todo = list(nodes)
+    while todo:
+        node = todo[-1]
+        missing = [x for x in node.args if x not in found]
+        if missing and node not in found:
+            todo += missing
+        else:
+            found[todo.pop()] = None
+    return [*found]
