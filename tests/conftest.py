@@ -40,6 +40,7 @@ from turns import drawn  # noqa: E402
 from jaxilc import figures  # noqa: E402
 from jaxilc.learning import Machine  # noqa: E402
 from jaxilc.sweeps import host  # noqa: E402
+from jaxilc.tuning import Tuning  # noqa: E402
 
 if QUICKLY_COMPILED:  # a pass of two trials takes twice as long to compile
     host.TRIALS_A_PASS = 1
@@ -153,6 +154,14 @@ def compiled_once(tmp_path_factory):
     for name, value in before.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
+
+
+@pytest.fixture
+def tuned_by_one_program(monkeypatch):
+    """Compile the first tuning of a test alone: the others are the same, begun anew or resumed."""
+    make, programs = Tuning._programs.func, []
+    once = property(lambda self: (programs or programs.append(make(self)) or programs)[0])
+    monkeypatch.setattr(Tuning, "_programs", once)
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from ..pytree.aliases import Leaf
@@ -400,9 +399,8 @@ def better_of(problem: Tuning, window: Window, one: Filters, other: Filters) -> 
 
     problem: a tuning of the steps z of a `ShapedFilter` around `one`
     """
-    steps = [np.zeros(window.number_of_steps()), window.steps(one, other)]
-    names, loss = list(problem.start), jax.jit(problem.held_out_loss)
-    of_one, of_other = (float(loss(dict(zip(names, z, strict=True)))) for z in steps)
+    steps = np.stack([np.zeros(window.number_of_steps()), window.steps(one, other)])
+    of_one, of_other = problem.held_out_losses(dict(zip(problem.start, steps.T, strict=True)))
     return other if of_other < of_one or not np.isfinite(of_one) else one
 
 

@@ -310,8 +310,12 @@ class Tuning:
             )
         best = self._weights.at(now.best_z)
         both = {name: np.array([self.start[name], best[name]], z.dtype) for name in best}
-        before, after = in_rounds(held_out, both, self.starts).tolist()
+        before, after = self.held_out_losses(both).tolist()
         return Tuned.of(now, self._weights, self.scheme, before, after, reason)
+
+    def held_out_losses(self, rows: Mapping[str, np.ndarray]) -> np.ndarray:
+        """(n,) the held-out losses of n values of each weight, by the program that `run` uses."""
+        return in_rounds(self._programs[1], rows, self.starts)
 
     def _compile(self, z: np.ndarray) -> None:
         """Compile both programs; raises ValueError for a step that the RAM cannot hold."""

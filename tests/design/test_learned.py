@@ -13,14 +13,13 @@ from jaxilc.design import LearnedLaw, judging
 from jaxilc.design.by_response import FirstTaps, by_response, moved, sizes_of
 from jaxilc.design.candidates import UNSAFE, Candidate, candidates, contraction, penalty
 from jaxilc.design.judging import Proof, _further
-from jaxilc.design.learned import Passed, gate, kept_or
+from jaxilc.design.learned import Passed, better_of, gate, kept_or
 from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.window import Filters, ShapedFilter, window_of
 from jaxilc.outcomes.designing import safety_said
-from jaxilc.plants import ProcessModel
+from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import PIDType
 from jaxilc.theory.law import law_of, learning_law
-from jaxilc.tuning import Tuning
 
 DT, N, TRIALS, MARGIN = 1e-3, 120, 5, 0.1
 MACHINE = Machine(
@@ -100,6 +99,23 @@ def test_the_steps_from_some_taps_to_others_lead_there(family, window, safe, fou
         np.testing.assert_allclose(one, other, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("losses", "best"), [((1, 0.9), 1), ((1, 1), 0), ((np.nan, 2), 1), ((1, np.nan), 0)]
+)
+def test_a_tuning_begins_with_the_taps_of_less_loss(window, found, losses, best):
+    ends, asked = (found, window.nothing()), []
+    names = [f"z[{i}]" for i in range(window.number_of_steps())]
+
+    def held_out_losses(rows):
+        asked.extend(np.stack([rows[name] for name in names], axis=1))
+        return np.array(losses)
+
+    problem = SimpleNamespace(start=dict.fromkeys(names), held_out_losses=held_out_losses)
+    assert better_of(problem, window, *ends) is ends[best]
+    for z, end in zip(asked, ends, strict=True):
+        np.testing.assert_allclose(moved(window, found, z).L, end.L, atol=1e-9)
+
+
 def test_by_response_beats_the_safe_law_and_keeps_the_bound(family, window, safe, found):
     assert sizes_of(family, window, found, DT).max() <= 1 - MARGIN + 5e-3
     of_L, of_keep = window.responses(family.frequencies, DT)
@@ -139,6 +155,8 @@ def test_what_a_machine_may_differ_by_is_rounded_down_and_of_its_closed_loop(fur
 def test_the_proof_of_a_whole_set_encloses_its_corners(monkeypatch):
     """A peak lies between the lines of the grid, on a corner that is not the worst on the grid."""
     monkeypatch.setattr(judging, "ENCLOSED", 0)
+    told = SimpleNamespace(claim=("", ""), reason=("", ""))
+    monkeypatch.setattr(judging, "long_run", lambda *_: told)  # of the claims, which others test
     drawn = designed_on(MACHINE, {"plant.gain": WIDE["plant.gain"]}, machines=3)
     family, scheme = family_of(drawn, None, TASK, points=4), PIDType(gamma_p=0.3)
     whole = judging.proof_of(family, scheme, TASK, between=True).whole
@@ -192,18 +210,16 @@ class Enough(Exception):
     """Raised where a test has seen what it wants."""
 
 
-@pytest.mark.usefixtures("compiled_once")
+@pytest.mark.usefixtures("compiled_once", "tuned_by_one_program")
 def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, monkeypatch):
     monkeypatch.setattr("jaxilc.design.learned.DENSE", 3)
     monkeypatch.setattr("jaxilc.design.learned.WATCH", 3)
     monkeypatch.setattr("jaxilc.design.by_response.leads_of", lambda *_: [4])
     monkeypatch.setattr(LearnedLaw, "_safe", lambda *_: [])
-    make, programs = Tuning._programs.func, []  # of the tuning, which is the same each time
-    once = property(lambda self: (programs or programs.append(make(self)) or programs)[0])
-    monkeypatch.setattr(Tuning, "_programs", once)
+    machine, wide = StateSpace([[0.86]], [[0.28]], [[1.0]], dt=DT), Uniform(0.9, 1.1, relative=True)
     asked = LearnedLaw(
-        MACHINE, TASK, 2, WIDE, taps=(5, 5), start="nothing", metric="rms", margin=MARGIN,
-        trained_on=2, held_out=0, steps=4,
+        Machine(machine), TASK, 2, {"plant.B": wide}, taps=(5, 5), start="nothing", metric="rms",
+        margin=MARGIN, trained_on=2, held_out=0, steps=4,
     )  # fmt: skip
     whole, killed, passed = tmp_path / "whole", tmp_path / "killed", []
 
