@@ -196,6 +196,7 @@ def test_a_chance_has_no_slope_and_says_so(name):
     with pytest.raises(ValueError, match="shortest, dropped and delayed are chances"):
         jax.grad(loss)(0.3, 0.5)
 
+    @jax.jit
     def mean(chance):  # of a record, which theory takes, and which has a slope
         known = machine.noiseless().variation
         known = replaced(known, {name: chance})
