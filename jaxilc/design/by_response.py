@@ -193,7 +193,7 @@ def of_matrices(family: Family, keep, L, trials: Sequence[int], near: float):
     learned = jnp.sum(learned / (1 - jnp.minimum(size, near) ** 2), axis=1)
     squares = []
     for trial in trials:
-        whole = _sum_of_powers(M, trial - 1)
+        whole, _ = _powers(M, trial - 1)
         share = jnp.eye(P.shape[-2]) - _times(_times(P, whole), L)
         left = units[:, None] * _times(share, family.error)
         squares.append(jnp.sum(_square(left), axis=(1, 2, 3)) + learned)
@@ -211,23 +211,14 @@ def _size(M):
     return jnp.sqrt(total) * share ** (1 / SHARPNESS)
 
 
-def _sum_of_powers(M, count: int):
-    """1 + M + ... + M^(count - 1)"""
-    if count <= 1:
-        return jnp.broadcast_to(count * jnp.eye(M.shape[-1]), M.shape).astype(M.dtype)
-    if count % 2:
-        return jnp.eye(M.shape[-1]) + _times(M, _sum_of_powers(M, count - 1))
-    half = _sum_of_powers(M, count // 2)
-    return half + _times(_power(M, count // 2), half)
-
-
-def _power(M, count: int):
-    """M^count, count >= 1"""
+def _powers(M, count: int):
+    """1 + M + ... + M^(count - 1), and M^count; count >= 1"""
+    one = jnp.eye(M.shape[-1])
     if count == 1:
-        return M
-    half = _power(M, count // 2)
-    whole = _times(half, half)
-    return _times(M, whole) if count % 2 else whole
+        return jnp.broadcast_to(one, M.shape).astype(M.dtype), M
+    half, power = _powers(M, count // 2)
+    whole, power = half + _times(power, half), _times(power, power)
+    return (one + _times(M, whole), _times(M, power)) if count % 2 else (whole, power)
 
 
 def _times(A, B):
