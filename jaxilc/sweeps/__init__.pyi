@@ -1,10 +1,9 @@
-from .cluster import ChunkFailed
+from .cluster import ChunkFailed, UnlikeWorkers
 from .points import BestPoint, at_best, best_points
 from .runs import history_dataset, run_schemes
 from .store import open_dataset
 from .summary import SchemeSummary, summarise
 from .sweep import Sweep
-from .worker import UnlikeWorkers
 
 __all__ = [
     "BestPoint",

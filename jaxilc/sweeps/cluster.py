@@ -4,43 +4,58 @@ Only the calling process writes them to the store. Dask may run on SLURM, Kubern
 in two shells. The scheduler and all workers need this package and the modules of the user's own
 classes, but no shared files. A chunk whose worker dies is computed again by another one.
 
-All workers must have the same environment, see `worker`. If their processors are of one kind as
-well, the dataset equals the one that a single such host computes, bit for bit.
+Sums in another order are rounded differently, so all workers must have the same versions, backend
+and number of devices. If their processors are of one kind as well, the dataset equals the one that
+a single such host computes, bit for bit.
 """
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
+import json
+import pickle
 import re
+import socket
+import threading
 import uuid
 from collections import Counter
 from collections.abc import Generator, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import jax
 import numpy as np
 
 from ..pytree.aliases import Tree, Value
+from ..runtime import capacity
+from ..runtime.provenance import Environment, differences, environment
+from ..runtime.start import setup
 from ..storage.reading import read_tree
+from .host import Host
 from .plan import Chunk, Plan
-from .worker import Found, UnlikeWorkers, call_host, common_environment, described
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, Worker
 
 T = TypeVar("T")
 PATIENCE = 30.0  # seconds within which a scheduler must answer
 # Seconds within which a first worker must join: Python starts slowly on many nodes at once.
 ARRIVAL = 120.0
 AHEAD = 2  # chunks given to each worker: the one that it computes, and the next one
+_ONE_AT_A_TIME = threading.Lock()
 LARGE = "1GB"  # size of a pickled plan above which Dask warns, in place of its usual 10 MB
 
 
 class ChunkFailed(RuntimeError):
     """A chunk could not be computed by any worker; the chunks finished before are in the store."""
+
+
+class UnlikeWorkers(ValueError):
+    """The workers differ, so that their numbers would be rounded differently."""
 
 
 @contextmanager
@@ -233,3 +248,104 @@ def _nodes(tree: Tree) -> Iterator[Tree]:
     elif dataclasses.is_dataclass(tree):
         yield tree
         yield from _nodes([getattr(tree, field.name) for field in dataclasses.fields(tree)])
+
+
+# What runs in a worker: its description, and chunks of a plan
+# --------------------------------------------------------------------------------------------------
+
+
+class Found(NamedTuple):
+    """The properties of a worker.
+
+    free: bytes of RAM that are free on this host, None where unknown
+    on_devices: bytes that are free on its devices, None where they have no RAM of their own
+    limit: bytes that Dask allows the worker, None where there is no limit
+    """
+
+    environment: Environment
+    host: str
+    free: int | None
+    on_devices: int | None
+    limit: int | None
+
+    def room(self, stored: int, sharing: int) -> int | None:
+        """Bytes that are available for a chunk, None where unknown.
+
+        stored: bytes of the dataset, which is on the host of the calling process
+        """
+        if self.on_devices is not None:
+            return self.on_devices
+        beside = stored if self.host == socket.gethostname() else 0
+        rooms = [self.limit, None if self.free is None else max(0, self.free - beside) // sharing]
+        return min((room for room in rooms if room is not None), default=None)
+
+
+async def described(precision: str, dask_worker: Worker) -> Found:
+    """The properties of this worker, which Dask passes."""
+    # A thread is used, so that the worker answers the scheduler while JAX starts or while it waits
+    # for a chunk of another sweep.
+    return await asyncio.to_thread(_found, precision, dask_worker)
+
+
+def _found(precision: str, worker: Worker) -> Found:
+    import dask
+    import psutil
+
+    with _ONE_AT_A_TIME:
+        setup(precision=precision)
+        limit = worker.memory_manager.memory_limit
+        if limit is not None:  # Dask kills a worker beyond this share of the limit
+            share = dask.config.get("distributed.worker.memory.terminate") or 1.0
+            limit = max(0, int(share * limit) - psutil.Process().memory_info().rss)
+        return Found(
+            environment(),
+            socket.gethostname(),
+            capacity.host_bytes(),
+            capacity.device_bytes(),
+            limit,
+        )
+
+
+def call_host(
+    plan: bytes, precision: str, expected: Environment, method: str, arguments: tuple[Value, ...]
+) -> Value:
+    """The result of a method of the plan's `Host` in this worker.
+
+    Calls run one at a time, however many threads the worker has, since a chunk uses all devices.
+
+    Raises UnlikeWorkers where the environment of this worker differs.
+    """
+    from distributed import get_worker
+
+    with _ONE_AT_A_TIME:
+        setup(precision=precision)  # must come before the plan is unpickled, which makes arrays
+        host = _host(plan, precision)
+        differing = differences(host.environment, expected)
+        if differing:
+            raise UnlikeWorkers(
+                f"the worker {get_worker().address} is not like those of this sweep: "
+                f"{'; '.join(differing)}"
+            )
+        return getattr(host, method)(*arguments)
+
+
+@lru_cache(maxsize=2)
+def _host(plan: bytes, precision: str) -> Host:
+    """The host of a plan in this worker, kept with its compiled programs from chunk to chunk."""
+    return Host(pickle.loads(plan))
+
+
+def common_environment(environments: Mapping[str, Environment]) -> Environment:
+    """The environment that all workers have.
+
+    Raises UnlikeWorkers naming the workers that differ from the majority.
+    """
+    texts = {address: json.dumps(found, sort_keys=True) for address, found in environments.items()}
+    ((most, _),) = Counter(texts.values()).most_common(1)
+    alike, odd = next(a for a in texts if texts[a] == most), [a for a in texts if texts[a] != most]
+    if odd:
+        differing = {a: "; ".join(differences(environments[a], environments[alike])) for a in odd}
+        raise UnlikeWorkers(
+            "; ".join(f"the worker {a} is not like {alike}: {of}" for a, of in differing.items())
+        )
+    return environments[alike]

@@ -7,6 +7,7 @@ one before are handed over.
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
@@ -67,7 +68,7 @@ class Host:
         self._programs = {n: make(of, plan.lanes) for n, of in self._members.items()}
         self._natives: dict[int, Native[Tree, Tree, ByName] | str] = {}
         for n, member in self._members.items():
-            why_not = native_unwanted(partial(self._sample_steps, n))
+            why_not = native_unwanted(partial(math.prod, (plan.members, n, plan.task.N)))
             if not shared:
                 why_not = "the workers of a cluster may differ in their processors"
             self._natives[n] = why_not or _shared_native(member)
@@ -94,9 +95,6 @@ class Host:
         if native:
             found["native"] = native
         return found
-
-    def _sample_steps(self, trials: int) -> float:
-        return self.plan.members * trials * self.plan.task.N
 
     def _reason(self, name: str) -> str | None:
         """The reason why XLA computes a variant; None where it does not."""

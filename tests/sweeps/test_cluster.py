@@ -29,7 +29,7 @@ from jaxilc.plants.voice_coil import CAO_2019_EQ_29
 from jaxilc.pytree import pytree
 from jaxilc.runtime import capacity
 from jaxilc.schemes import PID
-from jaxilc.sweeps import cluster, host, worker
+from jaxilc.sweeps import cluster, host
 from jaxilc.sweeps.store import Store
 
 distributed = pytest.importorskip("distributed", reason="needs Dask: pip install 'jaxilc[cluster]'")
@@ -249,7 +249,7 @@ def test_a_chunk_too_large_for_one_of_the_workers_is_refused(tmp_path, client):
     ],
 )
 def test_room_of_a_worker(found, room):
-    assert worker.Found({}, socket.gethostname(), *found).room(200, 2) == room
+    assert cluster.Found({}, socket.gethostname(), *found).room(200, 2) == room
 
 
 def test_classes_that_workers_cannot_import_are_named():
