@@ -181,7 +181,7 @@ def _shifts(rows: int, late: int) -> tuple:
 
 
 def _chance_to_last(shortest: float, N: int) -> np.ndarray:
-    """(N+1,) the chance that a trial lasts to k, of a length drawn as `arrival.there_until` does.
+    """(N+1,) the chance that a trial lasts to k, of a length drawn as `variation.there_until` does.
 
     The last sample is the whole part of N (shortest + (1 - shortest) x), x uniform in [0, 1).
     """

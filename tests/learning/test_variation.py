@@ -25,8 +25,8 @@ from jaxilc import (
 from jaxilc.figures import browsers
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.learning import run_trial
-from jaxilc.learning.arrival import newest
 from jaxilc.learning.over_trials import truncated
+from jaxilc.learning.variation import newest
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree import replaced
 from jaxilc.scenarios.campaigns import Given, open_campaign

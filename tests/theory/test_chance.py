@@ -14,9 +14,8 @@ import pytest
 import scipy.stats
 
 from jaxilc.learning import Machine
-from jaxilc.learning.arrival import there_until
 from jaxilc.learning.machine import Actuator, Disturbance, Sensor
-from jaxilc.learning.variation import PlantChange, Variation
+from jaxilc.learning.variation import PlantChange, Variation, there_until
 from jaxilc.outcomes.certifying import certificate_numbers, left_words, senses_words
 from jaxilc.outcomes.words import number
 from jaxilc.plants import StateSpace
