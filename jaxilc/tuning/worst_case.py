@@ -320,25 +320,12 @@ def worst_machine(
         found[name] = monte_carlo_search(loss, population, None, count, seed=seed)
     told(whole, whole, "judging the worst")
     nominal = of_machine(population.machine)
-    searches = {
-        name: _search(
-            case,
-            value=of_machine(case.subject),
-            each=of_a_step if case is climbed else 1,
-            chance=found["chance"].loss,
-            course=of_losses(case.best),
-        )
-        for name, case in found.items()
-    }
+    searches, chance = {}, found["chance"].loss
+    for name, case in found.items():
+        each = of_a_step if case is climbed else 1  # evaluations between two entries of its best
+        needed, level = (each * (1 + int(x.argmax())) for x in (case.best, case.best >= chance))
+        searches[name] = Search(
+            case, of_machine(case.subject), needed, level if case.loss >= chance else None,
+            of_losses(case.best),
+        )  # fmt: skip
     return WorstMachine(nominal, searches, of_losses(list(found.values())[-1].found))
-
-
-def _search(case: WorstCase, *, value: float, each: int, chance: float, course) -> Search:
-    """The record of one search.
-
-    each: evaluations between two entries of `case.best`
-    chance: loss that the random search found
-    course: metrics of `case.best`
-    """
-    level = each * (1 + int((case.best >= chance).argmax())) if case.loss >= chance else None
-    return Search(case, value, each * (1 + int(case.best.argmax())), level, course)
