@@ -324,7 +324,7 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
             of("compare.Programme")((1,)).samples,
         ),
         r"`Tuning` goes forward for up to (\w+)\)": lambda: of(
-            "jaxilc.tuning.losses.FORWARD_UP_TO"
+            "jaxilc.tuning.problem.FORWARD_UP_TO"
         ),
         r"for the weights `(\w+)`, `(\w+)`, `(\w+)`, `(\w+)` and `(\w+)`:": lambda: of(
             "gradients.WEIGHTS"

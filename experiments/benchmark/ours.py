@@ -23,7 +23,6 @@ from operations import cost, of_a_trial
 from timing import OURS, Entry, Row, in_turns
 
 from jaxilc import scenarios
-from jaxilc.learning.divergence import CEILING
 from jaxilc.learning.known_metrics import bytes_of_metrics
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.metrics import Keep
@@ -41,10 +40,9 @@ from jaxilc.scenarios.xu_2024 import MODEL
 from jaxilc.schemes import NormOptimal, Scheme
 from jaxilc.signals.task import Task, Trial
 from jaxilc.sweeps.host import TRIALS_A_PASS
+from jaxilc.tuning import Tuning
 from jaxilc.tuning.descent import Evaluation, over_starts
-from jaxilc.tuning.losses import Losses
 from jaxilc.tuning.objectives import Final, Objective
-from jaxilc.tuning.risks import Mean
 from jaxilc.tuning.weights import Weights
 from jaxilc.uncertainty import Population, Uncertainty, Uniform
 
@@ -112,24 +110,22 @@ class Learning:
         Raises ValueError where the program does not fit into RAM, Unknown where none can be
         compiled.
         """
-        losses = Losses(
-            population=self.population,
-            weights=weights,
-            scheme=self.scheme,
-            task=self.task,
-            trials=self.trials,
-            risk=Mean(),
+        problem = Tuning(
+            self.population,
+            self.scheme,
+            self.task,
+            self.trials,
+            list(weights.start),
+            objective=self.objective,
             mode="forward" if forward else "reverse",
-            truncate=None,
-            ceiling=CEILING,
             quantities=self.quantities,
-            lanes=1,
-            starts=1,
+            held_out=0,
+            clip=np.inf,
+            steps=1,
         )
-        lanes = losses.fitting_lanes(self.objective, self.population.size)
-        of_lanes = dataclasses.replace(losses, lanes=lanes)
+        vars(problem)["population"] = self.population  # of the machines that opponents have
         with _wanted(native):
-            evaluate, compiled = of_lanes.evaluation(self.objective, clip=np.inf, steps=1)
+            evaluate, compiled = problem.evaluation
         if native and not compiled:
             raise Unknown("a gradient that XLA computes")
         return _built(over_starts(evaluate), weights.starts(1, 0.0, SEED))

@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +36,6 @@ from ..storage.sealed import (
     write_json,
 )
 
-T = TypeVar("T")
 Z: TypeAlias = jax.Array | np.ndarray  # the point of one start, or of all
 DAMPING = 1e-2  # of least squares, at its start
 OPTIMISERS = ("adam", "lbfgs", "least-squares")
@@ -251,15 +250,6 @@ def for_starts(method: Method) -> Method:
     return Method(
         lambda z: jax.device_get(init(z)), lambda z, state: jax.device_get(step(z, state)), programs
     )
-
-
-def arguments_like(method: Method, z: T) -> tuple[T, Tree]:
-    """The arguments of the compiled step of a method for all starts: z (K, P) and the state.
-
-    Only shapes are worked out; nothing is computed.
-    """
-    state = jax.eval_shape(method.programs[0], z)
-    return z, jax.tree.map(lambda s: jax.ShapeDtypeStruct(s.shape, s.dtype), state)
 
 
 # The state

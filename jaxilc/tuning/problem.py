@@ -4,7 +4,24 @@
 
 Loss and slope of each machine are computed in tiles, and only these numbers are kept; the slopes
 are then weighted by the derivatives of the risk by the losses. Smooth maps from the real line keep
-the weights inside their ranges. `losses` says how learning affects the gradients.
+the weights inside their ranges.
+
+How learning affects the gradients:
+
+    clips, quantisers, resets     Their docstrings say what the gradient is: zero, straight-through,
+                                  or that of the branch that was taken. `reset="smooth"` has the
+                                  whole gradient (`schemes.mfac`).
+    a diverging learning process  `objectives.Bounded` limits its error to a ceiling. The gradient
+                                  is that of the trial that reached the ceiling.
+    many trials                   Where learning amplifies, the slope of log e grows with the number
+                                  of trials. `clip` bounds the slope of each machine. `truncate`
+                                  takes the slope through the last trials only, which is not the
+                                  slope of the loss.
+    a settled metric              It does not include the start of a trial, where errors may grow:
+                                  add a term of `max_error`.
+    a slope that is not finite    The slope of that machine is left out of the step, which follows
+                                  the worst of the others where the risk asks for the worst. Its
+                                  loss still counts, and `dropped` says how many there were.
 """
 
 from __future__ import annotations
@@ -13,18 +30,22 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax
 
 from ..learning.divergence import CEILING
 from ..learning.known_metrics import bytes_of_metrics
 from ..learning.machine import Machine
+from ..learning.metrics import Keep
 from ..learning.over_trials import check
+from ..learning.within_trial import bytes_of_trial
+from ..native.run import fastest
 from ..pytree.aliases import Value
 from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
@@ -33,7 +54,9 @@ from ..pytree.ranges import SEEDS, brief, fits, require
 from ..pytree.ranges import allowed as allowed_kind
 from ..runtime.capacity import check_program, check_size
 from ..runtime.earlier_names import takes_also
+from ..runtime.lanes import fitting_lanes, usual_lanes
 from ..runtime.provenance import describe, environment
+from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..schemes.scheme import need_learned_at_last
 from ..signals.task import Task, Trial
@@ -47,15 +70,15 @@ from .descent import (
     Method,
     State,
     Step,
-    arguments_like,
+    counted,
     descended,
     for_starts,
     method_of,
     over_starts,
+    repaired,
     stored_lanes,
 )
-from .losses import Losses
-from .objectives import Final, Objective
+from .objectives import Final, Objective, Sum, judge
 from .risks import Mean, Risk
 from .weights import Bijection, NamesOrBounds, Tuned, Weights
 
@@ -70,6 +93,7 @@ WHOLE |= {"patience": "[0, inf)", "seed": SEEDS}
 REAL = {"rate": "(0, inf)", "clip": "(0, inf]", "ceiling": "(0, inf)", "scatter": "[0, inf)"}
 CHOICES = {"mode": ("auto", "forward", "reverse"), "optimiser": OPTIMISERS}
 KINDS = {"objective": Objective, "risk": Risk, "optimiser": str | optax.GradientTransformation}
+FORWARD_UP_TO = 2  # weights
 COPIES = 6  # in RAM, of the record of each step: in the state, in its file, and while it is written
 
 
@@ -205,14 +229,10 @@ class Tuning:
     @cached_property
     def _losses(self) -> Losses:
         """The losses, with the lanes that suit them where they were left open."""
-        names = {f.name for f in dataclasses.fields(Losses)} - {"weights"}
-        given: dict[str, Value] = {name: getattr(self, name) for name in names}
-        given |= {"weights": self._weights, "lanes": self.lanes or 1}
-        losses = Losses(**given)
+        losses = Losses(self, self._weights, self.lanes or 1)
         if self.lanes is not None:
             return losses
-        lanes = losses.fitting_lanes(self.objective, max(self.machines, self.held_out))
-        return dataclasses.replace(losses, lanes=lanes)
+        return dataclasses.replace(losses, lanes=losses.fitting_lanes())
 
     @property
     def start(self) -> dict[str, float]:
@@ -227,7 +247,7 @@ class Tuning:
     def configuration(self) -> dict[str, object]:
         """All that determines the numbers, as JSON."""
         described = {f.name: describe(getattr(self, f.name)) for f in dataclasses.fields(self)}
-        native = self._evaluation[1]
+        native = self.evaluation[1]
         around = environment("optax", *["llvmlite"] * native)
         if native:
             around["native"] = True
@@ -320,15 +340,17 @@ class Tuning:
     def _compile(self, z: np.ndarray) -> None:
         """Compile both programs; raises ValueError for a step that the RAM cannot hold."""
         method, held_out = self._programs
+        init, step = method.programs
         # Python traces one program at a time, and this one takes longer to compile than the other
-        step = method.programs[1].lower(*arguments_like(method, z))
+        state = jax.eval_shape(init, z)
+        strong = jax.tree.map(lambda s: jax.ShapeDtypeStruct(s.shape, s.dtype), state)
         given = jax.eval_shape(self._weights.at, z)
         with ThreadPoolExecutor(1) as compiler:
             compiled = compiler.submit(lambda: held_out.lower(given).compile())
             check_program(
                 "Tuning: a step of all starts",
                 "take fewer trials, starts or lanes, or a shorter trial",
-                step,
+                step.lower(z, strong),
             )
         compiled.result()
 
@@ -393,12 +415,12 @@ class Tuning:
 
     def _method(self) -> Method:
         """The optimiser on the training loss."""
-        return method_of(self.optimiser, self._evaluation[0], self.rate, self.steps)
+        return method_of(self.optimiser, self.evaluation[0], self.rate, self.steps)
 
     @cached_property
-    def _evaluation(self) -> tuple[Callable[[jax.Array], Evaluation], bool]:
+    def evaluation(self) -> tuple[Callable[[jax.Array], Evaluation], bool]:
         """The training loss, and whether a program compiled for this processor computes it."""
-        return self._losses.evaluation(self.objective, clip=self.clip, steps=self.steps)
+        return self._losses.evaluation()
 
 
 def in_rounds(
@@ -415,3 +437,166 @@ def in_rounds(
     rounds = np.minimum(np.arange(-(-n // size) * size), n - 1).reshape(-1, size)
     results = [f({name: of[k] for name, of in rows.items()}) for k in rounds]
     return np.concatenate(results)[:n]
+
+
+# The losses over the machines, and their slopes
+# --------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Losses:
+    """The losses of a tuning, with their slopes.
+
+    weights: those that are tuned, with their maps;  lanes: as many as it was chosen to have
+    """
+
+    of: Tuning
+    weights: Weights
+    lanes: int
+
+    def _lanes_of(self, batch) -> int:
+        """The lanes of `tiled` over a batch and, under `vmap`, over all starts."""
+        of_a_device = -(-len(batch[0]) // jax.device_count())
+        wide = usual_lanes() is None  # all machines of all starts in one tile, if they fit
+        lanes = self.lanes if wide else min(self.lanes, of_a_device)
+        return max(1, lanes // self.of.starts)
+
+    def of_machine(
+        self, machine: Machine, values: Mapping[str, Value], objective: Objective, *, key=None
+    ) -> jax.Array:
+        """() the objective of one machine, with these values of the weights by name."""
+        of = self.of
+        last = None if of.truncate is None else min(of.truncate, of.trials)
+        return judge(
+            machine, replaced(of.scheme, values), of.task, of.trials, objective,
+            key=key, ceiling=of.ceiling, save=Keep.of(of.quantities), last=last,
+        )  # fmt: skip
+
+    def risk_of(
+        self, values: Mapping[str, Value], objective: Objective, population: Population, first: int
+    ) -> jax.Array:
+        """() the risk over machines with these weights, plus the nominal terms."""
+        of_machines, of_nominal = split(objective)
+        batch = population.batch(first)
+        run = tiled(
+            lambda values, one: self._of_one(values, one, of_machines, population),
+            lanes=self._lanes_of(batch),
+        )
+        risk = self.of.risk(counted(run(values, batch)))
+        if not of_nominal.parts:
+            return risk
+        return risk + self.of_machine(population.machine, values, of_nominal)
+
+    def evaluation(self) -> tuple[Callable[[jax.Array], Evaluation], bool]:
+        """A function that evaluates the loss over the machines of the population at z (P,).
+
+        The second result is whether a program compiled for this processor does, see `native`.
+
+            value = risk(l_1, ..., l_S) + nominal terms
+            slope = sum_s (d risk / d l_s) (d l_s / d z) + slope of the nominal terms
+        """
+        of, (of_machines, of_nominal) = self.of, split(self.of.objective)
+        batch = of.population.batch()
+        of_one = partial(self._slope_of_one, objective=of_machines)
+        z = jnp.asarray(self.weights.starts(1, 0.0, 0)[0])
+        runs = of.steps * of.starts * len(jax.tree.leaves(batch)[0]) * of.trials
+        over_machines, native = fastest(
+            of_one, z, batch, lanes=self._lanes_of(batch), steps=lambda: runs * of.task.N
+        )
+
+        def evaluate(z) -> Evaluation:
+            losses, slopes, good = repaired(*over_machines(z, batch), of.clip)
+            behind = jnp.min(losses) - 1.0  # where a machine without a slope takes no share of one
+            omega = of.risk.weights(jnp.where(good, losses, behind)) * good
+            omega = omega / jnp.where(jnp.sum(omega) > 0, jnp.sum(omega), 1.0)
+            value, gradient = of.risk(losses), omega @ slopes
+            residuals, jacobian = losses / len(losses) ** 0.5, slopes / len(losses) ** 0.5
+            if of_nominal.parts:
+                nominal = of.population.machine
+                term, slope = jax.value_and_grad(
+                    lambda z: self.of_machine(nominal, self.weights.at(z), of_nominal)
+                )(z)
+                value, gradient = value + term, gradient + slope
+                residuals, jacobian = jnp.append(residuals, term), jnp.vstack([jacobian, slope])
+            dropped = jnp.sum(~good).astype(losses.dtype)
+            return Evaluation(value, gradient, residuals, jacobian, dropped)
+
+        return evaluate, native
+
+    def fitting_lanes(self) -> int:
+        """The lanes that suit the backend and fit with slopes, for all machines at each start.
+
+        Raises ValueError where a single machine does not fit on a device.
+        """
+        of = self.of
+        usual = usual_lanes(bytes_of_trial(of.scheme, of.task), backward=not self._forward)
+        if usual is not None:
+            return usual
+        of_one = partial(self._slope_of_one, objective=split(of.objective)[0])
+        batch, z = of.population.batch(), jnp.zeros(len(self.weights.start))
+        every = max(of.machines, of.held_out) * of.starts
+        return fitting_lanes(of_one, z, batch, every, held=every, what="Tuning")
+
+    def _slope_of_one(self, z, one, *, objective: Objective):
+        """The loss of one machine of a batch at z (P,), and its slope."""
+
+        def loss(z, one):
+            return self._of_one(self.weights.at(z), one, objective, self.of.population)
+
+        return value_and_slope(loss, z, one, forward=self._forward)
+
+    @property
+    def _forward(self) -> bool:
+        """Whether slopes are computed forward, which costs less for few weights."""
+        few = self.of.mode == "auto" and len(self.weights.bijections) <= FORWARD_UP_TO
+        return self.of.mode == "forward" or few
+
+    def _of_one(self, values, one, objective: Objective, population: Population):
+        """The objective of one machine of a batch."""
+        machine, key = population.one_of(one)
+        return self.of_machine(machine, values, objective, key=key)
+
+
+def split(objective: Objective) -> tuple[Sum, Sum]:
+    """The terms of an objective for every machine, and its terms for the nominal machine alone."""
+    of_machines, of_nominal = (
+        Sum(tuple(t for t in objective.terms if t[1].nominal is nominal))
+        for nominal in (False, True)
+    )
+    return of_machines, of_nominal
+
+
+def value_and_slope(f: Callable, z, *arguments, forward: bool):
+    """f(z, *arguments) and its (P,) gradient, by P forward derivatives at once or one reverse pass.
+
+    Under `vmap` over the arguments, the P forward derivatives stay outside of the batch, so that
+    those of all members for one weight are adjacent in RAM, as the members themselves are.
+    """
+    return _forward(f)(z, arguments) if forward else jax.value_and_grad(f)(z, *arguments)
+
+
+def _forward(f: Callable) -> Callable:
+    def slopes(of, z):
+        """The values of a function, any shape, and its derivatives, with P as the last axis."""
+        if z.size == 1:
+            value, slope = jax.jvp(of, (z,), (jnp.ones_like(z),))
+            return value, slope[..., None]
+        return jax.vmap(lambda tangent: jax.jvp(of, (z,), (tangent,)), out_axes=(None, -1))(
+            jnp.eye(z.size, dtype=z.dtype)
+        )
+
+    def alone(z, arguments):
+        return slopes(lambda z: f(z, *arguments), z)
+
+    of_one = jax.custom_batching.custom_vmap(alone)
+
+    @of_one.def_vmap
+    def of_batch(axis_size, batched, z, arguments):
+        axes = jax.tree.map(lambda is_batched: 0 if is_batched else None, batched)
+        if axes[0] == 0:
+            both = jax.vmap(alone, in_axes=axes)(z, arguments)
+        else:
+            both = slopes(lambda z: jax.vmap(lambda one: f(z, *one), axes[1:])(arguments), z)
+        return both, (True, True)
+
+    return of_one

@@ -29,7 +29,6 @@ from jaxilc.schemes.mfac import reset_estimate
 from jaxilc.signals import Task
 from jaxilc.tuning import objectives
 from jaxilc.tuning.descent import Evaluation, by_gradient, for_starts, repaired
-from jaxilc.tuning.losses import value_and_slope
 from jaxilc.tuning.objectives import (
     D2,
     Bounded,
@@ -47,6 +46,7 @@ from jaxilc.tuning.objectives import (
     judge,
     kept_for,
 )
+from jaxilc.tuning.problem import value_and_slope
 from jaxilc.tuning.risks import Worst
 from jaxilc.uncertainty import Uniform
 
@@ -486,7 +486,7 @@ class NotOfTheNominal(Objective):
 def test_the_worst_machine_that_has_a_slope_is_followed_where_the_first_has_none():
     problem = dataclasses.replace(PROBLEM, trials=1, objective=NotOfTheNominal(), risk=Worst())
     gains = problem.population.drawn["plant.B"][1:]
-    found = jax.jit(problem._evaluation[0])(jnp.array([1.25]))  # gamma = 0.4 z
+    found = jax.jit(problem.evaluation[0])(jnp.array([1.25]))  # gamma = 0.4 z
     np.testing.assert_allclose(found.value, max((0.5 - gains) ** 2))
     np.testing.assert_allclose(found.gradient, [min(0.8 * (0.5 - gains))])
 

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from jaxilc.tuning.descent import over_starts
-from jaxilc.tuning.losses import value_and_slope
-from jaxilc.tuning.problem import in_rounds
+from jaxilc.tuning.problem import in_rounds, value_and_slope
 
 
 @pytest.mark.parametrize("starts", [1, 3])
