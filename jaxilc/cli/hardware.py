@@ -81,7 +81,7 @@ def trials(
     of = zip(("errors", "effort"), units(journal), strict=True)
     told = ", ".join(f"{what} in {unit}" for what, unit in of if unit)
     title = f"{state}: {told}" if told else str(state)
-    log = _log_table(title, rows, _band_texts(places))
+    log = _log_table(title, rows, places)
     out.print(log)
     said, changed = _say_source(recipe) if recipe else ([], "")
     files = []
@@ -213,18 +213,14 @@ def _places(live: list[Manifest], prediction: Prediction) -> dict[int, Place]:
     return {serial: place for serial, place in places.items() if place}
 
 
-def _band_texts(places: Mapping[int, Place]) -> dict[int, str]:
-    """The predicted RMS error of each trial that counts, as text, by the serial of its entry."""
+def _log_table(title: str, rows: list[Manifest], places: Mapping[int, Place]) -> Table:
+    """A row for each entry of the journal, with all channels, and predicted bands if any."""
     marks = {"within": "", "slight": " (outside)", "clear": " (far outside)"}
-    return {
+    predicted = {
         serial: f"{place.rms[0]:.3g} to {place.rms[1]:.3g}{marks[place.level]}"
         for serial, place in places.items()
         if place.rms[0] < place.rms[1]
     }
-
-
-def _log_table(title: str, rows: list[Manifest], predicted: dict[int, str]) -> Table:
-    """A row for each entry of the journal, with all channels, and texts of bands if any."""
     band = ("predicted rms",) if predicted else ()
     columns = ("entry", "trial", "event", "rms error", *band, "max error", "effort", "file")
     shown = Table(*columns, "warnings", title=title)
