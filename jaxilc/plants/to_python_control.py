@@ -8,7 +8,6 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..pytree.aliases import Array, Leaf, Numbers, Tree, Value
 from ..pytree.fields import kind_of
@@ -62,10 +61,10 @@ def to_control(plant: Plant, dt: float | None = None) -> Value:
 
 def initial_state(plant: Plant, dt: float | None = None) -> np.ndarray:
     """(n,) the state that the system of `to_control(plant, dt)` has before the first sample."""
-    start = plant.continuous() if dt is None else None
-    if start is None:
-        start = plant.sampled(dt or _own_sample_time(plant))
-    return np.asarray(ravel_pytree(start.initial_state())[0])
+    continuous = plant.continuous() if dt is None else None
+    if continuous is not None:
+        return np.asarray(continuous.initial_state())
+    return np.asarray(_linearised(plant, dt=dt or _own_sample_time(plant))[-1])
 
 
 def as_system(A: Leaf, B: Leaf, C: Leaf, dt: float, **names: Value) -> Value:
@@ -147,7 +146,7 @@ def _obstacle(plant: Plant, dt: float) -> str:
 
 def _matrices(plant: Plant, dt: float) -> tuple[Numbers, ...]:
     """A (n, n), B (n, n_u), C (n_y, n) of a linear plant, from its own step and output."""
-    *matrices, moved, shown = _linearised(plant, dt=dt)
+    *matrices, moved, shown, _ = _linearised(plant, dt=dt)
     if np.any(np.asarray(moved)) or np.any(np.asarray(shown)):
         raise ValueError(
             f"to_control: {type(plant).__name__} adds a constant to its state or its output; "
@@ -158,8 +157,8 @@ def _matrices(plant: Plant, dt: float) -> tuple[Numbers, ...]:
 
 @partial(jax.jit, static_argnames="dt")
 def _linearised(plant: Plant, dt: float) -> Tree:
-    """A, B and C, and what step and output give for a state and an input of zeros."""
+    """A, B, C, what step and output give for a state and an input of zeros, and the start."""
     start, step, output = flat(plant.sampled(dt), dt)
     rest, u = jnp.zeros_like(start), jnp.zeros(plant.n_u)
     A, B = jax.jacfwd(step, (0, 1))(rest, u)
-    return A, B, jax.jacfwd(output)(rest), step(rest, u), output(rest)
+    return A, B, jax.jacfwd(output)(rest), step(rest, u), output(rest), start
