@@ -116,9 +116,13 @@ def test_derivatives_of_a_product_by_columns(batched, rows):
             inner = jax.vmap(product, batched)
             return jnp.sum(jax.vmap(inner, (0, None))(matrices, vector) ** 3)
 
-        at = matrices, vector
-        slope = jax.grad(whole, (0, 1))
-        return whole(*at), slope(*at), jax.jvp(whole, at, moved)[1], jax.jvp(slope, at, moved)[1]
+        @jax.jit
+        def every(at, moved):
+            slope = jax.grad(whole, (0, 1))
+            along = (jax.jvp(f, at, moved)[1] for f in (whole, slope))
+            return whole(*at), slope(*at), *along
+
+        return every((matrices, vector), moved)
 
     ours, theirs = map(found, (jax_internals.product_by_columns, jnp.matmul))
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
@@ -140,7 +144,7 @@ def test_a_product_by_columns_where_jax_follows_what_differs_between_devices():
         return jnp.sum(spread(matrix, vectors) ** 2)
 
     ours, theirs = (
-        jax.grad(whole)(matrix, product)
+        jax.jit(jax.grad(whole), static_argnums=1)(matrix, product)
         for product in (jax_internals.product_by_columns, jnp.matmul)
     )
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
@@ -188,7 +192,8 @@ def test_slopes_of_a_product_by_columns_have_the_types_of_its_operands(types):
     operands = [jnp.ones(shape, kind) for shape, kind in zip([(3, 2), 2], types, strict=True)]
 
     def slopes(product):
-        return jax.grad(lambda *of: jnp.sum(jnp.abs(product(*of)) ** 2), (0, 1))(*operands)
+        whole = jax.grad(lambda *of: jnp.sum(jnp.abs(product(*of)) ** 2), (0, 1))
+        return jax.jit(whole)(*operands)
 
     ours, theirs = map(slopes, (jax_internals.product_by_columns, jnp.matmul))
     for slope, other, operand in zip(ours, theirs, operands, strict=True):
