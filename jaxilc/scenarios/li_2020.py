@@ -46,7 +46,8 @@ DERIVATIVE = 16.9 * SAMPLE_TIME  # [s/mm]
 SPEED_FEEDFORWARD = 0.72  # share of the reference's speed in the derivative, fitted to 18 µm
 CUTOFFS = (10.0, 50.0)  # [Hz], printed
 FILTFILT = 9  # samples of odd extension, as `filtfilt` takes them for these filters
-WIDTH = 13.8  # of the butterfly [mm], fitted to 60 µm
+# Width of the butterfly [mm], fitted to 60 µm; feed, acceleration and jerk are proportional to it.
+WIDTH = 13.8
 # Samples before the motion, so that its sharp points lie at 2915, 4788, 5248, 5708 and 7581.
 REST = 497
 
@@ -74,14 +75,11 @@ SETTINGS = {
 
 
 @lru_cache
-def butterfly_path(width: float = WIDTH) -> np.ndarray:
-    """(N+1, 2) the planned butterfly [mm], after a second of rest.
-
-    width: width of the butterfly [mm]; feed, acceleration and jerk are proportional to it
-    """
+def butterfly_path() -> np.ndarray:
+    """(N+1, 2) the planned butterfly [mm], after a second of rest."""
     planned = paths.plan(
-        paths.butterfly(width), (0.0, 1.0), feed=width / 4.793, acceleration=width / 0.09716,
-        jerk=width / 0.0009716, dt=SAMPLE_TIME,
+        paths.butterfly(WIDTH), (0.0, 1.0), feed=WIDTH / 4.793, acceleration=WIDTH / 0.09716,
+        jerk=WIDTH / 0.0009716, dt=SAMPLE_TIME,
     )  # fmt: skip
     return np.concatenate([np.zeros((REST, 2)), planned.reference])
 
@@ -161,10 +159,10 @@ def li_2020(
     )  # fmt: skip
 
 
-def half_sine(N: int, height: float, start: int = 625, width: int = 250) -> np.ndarray:
-    """(N, 1) signal: half a sine over `width` samples from `start`, zero elsewhere."""
-    k = np.arange(N) - start
-    return np.where((k >= 0) & (k < width), height * np.sin(np.pi * k / width), 0.0)[:, None]
+def half_sine(N: int, height: float) -> np.ndarray:
+    """(N, 1) signal: half a sine over 250 samples from sample 625 on, zero elsewhere."""
+    k = np.arange(N) - 625
+    return np.where((k >= 0) & (k < 250), height * np.sin(np.pi * k / 250), 0.0)[:, None]
 
 
 def feedback_effort(trial) -> jax.Array:
