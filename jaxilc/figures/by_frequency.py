@@ -84,9 +84,10 @@ def spectrum(
             at, dash = _peaks(f[1:], amplitude), DASHES[i % len(DASHES)]
             name = f"trial {trial}" + f", {names[i]}" * (len(names) > 1)
             layers.append(Curve(f[1 + at], amplitude[at], dash, 1, name=name, colour=shade))
-    held = limits_of([v for of in layers for v in of.y])
+    x, y = (np.concatenate([getattr(of, way) for of in layers]) for way in "xy")
+    held = limits_of(y)
     ends = held and (max(held[0], held[1] * 10.0**-SEEN), held[1])
-    last = max((_last_seen(of, ends[0] if ends else 0.0) for of in layers), default=f[-1])
+    last = np.max(x, where=y >= (ends[0] if ends else 0.0), initial=0.0)
     along = FREQUENCY
     if len(f) > 2:
         along = along._replace(ends=(f[1], min(max(BEYOND * last, 10 * f[1]), f[-1])))
@@ -209,11 +210,6 @@ def _without_slow(e, samples: int):
     return e - convolve1d(e, weights / weights.sum(), axis=0, mode="mirror")
 
 
-def _last_seen(of: Curve, floor: float) -> float:
-    """The last frequency at which a curve is above the floor of its axes."""
-    return max(np.asarray(of.x)[np.asarray(of.y) >= floor], default=0.0)
-
-
 def _peaks(f, amplitude):
     """The indices of the lines that are the largest within their sixtieth of a decade."""
     parts = np.floor(60 * np.log10(f / f[:1]))
@@ -287,11 +283,11 @@ def _ends_of_families(
     """Frequencies up to which Q passes anything, |P| within three decades, and the largest test."""
     passed = max(np.max(c.f[np.abs(c.Q) > PASSED], initial=c.f[0]) for c in families)
     lowest = max(min(c.f[0] for c in families), SLOWEST_SHOWN * passed)
-    sizes = [np.abs(c.P[(c.f >= lowest) & (c.f <= passed)]) for c in families]
-    largest = max(float(np.max(values)) for values in sizes)
-    least = min(float(np.min(values)) for values in sizes)
+    sizes = np.concatenate([np.abs(c.P[(c.f >= lowest) & (c.f <= passed)]) for c in families])
+    largest = float(np.max(sizes))
+    least = max(float(np.min(sizes)), LEAST * largest)
     tall = max(float(np.max(c.high)) for c in families)
-    return (lowest, passed), (max(least, LEAST * largest) / 2, 2 * largest), tall
+    return (lowest, passed), (least / 2, 2 * largest), tall
 
 
 def _same_plant(one: Curves, other: Curves) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeAlias
 
 import numpy as np
 
@@ -197,13 +197,7 @@ def grid(ax: Axes) -> None:
 # --------------------------------------------------------------------------------------------------
 
 
-class _Look(TypedDict):
-    color: str
-    alpha: float | None
-    label: str | None
-
-
-def _look(layer: Layer) -> _Look:
+def _look(layer: Layer) -> dict[str, Value]:
     alpha = None if layer.alpha == 1 else layer.alpha
     return {"color": layer.colour, "alpha": alpha, "label": layer.name or None}
 
