@@ -406,7 +406,7 @@ def under_chance(
         one = alone(machines, i)
         machine = first_of(one)
         drawn = partial(_products, machine, scheme, task, view)
-        parts = Parts(*(np.asarray(part[0]) for part in parts_of((scheme, task), one)))
+        parts = Parts(*(np.asarray(part)[0] for part in parts_of((scheme, task), one)))
         parts = parts if astray is None else parts.closer(astray[i])
         variation = machine.variation or Variation()
         found.append(_judged(parts, variation, task, trials, drawn, in_norm=in_norm))

@@ -329,7 +329,7 @@ def count_of(machines: Machine) -> int:
 
 def first_of(machines: Machine) -> Machine:
     """The first of several machines."""
-    return jax.tree.map(lambda leaf: leaf[0], machines)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[0], machines)  # without a program a leaf
 
 
 def alone(machines: Machine, i: int) -> Machine:

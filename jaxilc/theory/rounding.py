@@ -119,7 +119,7 @@ def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball |
     for i in range(count):  # the matrices of one alone are large
         parts = parts_of((scheme, task), alone(machines, i))
         with np.errstate(over="ignore", invalid="ignore"):
-            found.append(_ball(_sizes(names, task), *(np.asarray(part[0]) for part in parts)))
+            found.append(_ball(_sizes(names, task), *(np.asarray(part)[0] for part in parts)))
     return Ball(of, *map(np.array, zip(*found, strict=True)))
 
 
