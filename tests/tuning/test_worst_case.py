@@ -184,9 +184,14 @@ def test_the_worst_machine_has_the_largest_error_of_outputs_of_different_peaks()
     law, task = PIDType(gamma_p=[0.5, 0.1]), Task(np.outer(np.sin(TIME), [1.0, 0.01]), dt=1e-3)
     box = {f"plant.B[{i}][{i}]": Uniform(0.5, 1.4) for i in (0, 1)}
     found = worst_machine(machine, law, task, 2, box, metric="max_error", starts=2, steps=8)
-    np.testing.assert_allclose(found.searches["gradient"].value, 1 - 0.5 * 0.5)
-    np.testing.assert_allclose(found.searches["gradient"].course[-1], 1 - 0.5 * 0.5)
-    np.testing.assert_allclose(max(found.by_chance), found.searches["chance"].value)
+    climbed, chance = (found.searches[name] for name in ("gradient", "chance"))
+    np.testing.assert_allclose([climbed.value, climbed.course[-1]], 1 - 0.5 * 0.5)
+    np.testing.assert_allclose(max(found.by_chance), chance.value)
+    each = 2 * (1 + GRADIENT_COST)  # evaluations of a step of both starts
+    assert climbed.needed == each * (1 + climbed.case.best.argmax())
+    level = climbed.case.best >= chance.case.loss
+    assert climbed.level_with_chance == each * (1 + level.argmax())
+    assert chance.needed == chance.level_with_chance == 1 + chance.case.found.argmax()
 
 
 @pytest.mark.thorough
