@@ -237,4 +237,4 @@ def test_the_gradient_of_a_random_program_is_that_of_jax():
         assert differs(found, wanted) is None, of
 
     attempt(np.random.default_rng(31))  # a maximum, and the rows that reach it, in two loops
-    assert fuzz(3, attempt, allowed=())  # none of them is refused
+    assert fuzz(2, attempt, allowed=())  # none of them is refused
