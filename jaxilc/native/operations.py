@@ -650,17 +650,19 @@ def counted(params: Parameters, shape: Sequence[int]) -> np.ndarray:
     return np.indices(shape, sparse=True)[params["dimension"]] + np.zeros(shape, int)
 
 
-def part(x: Array, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> tuple[slice, ...]:
-    """A part of an array, whose start is clamped so that the part lies within it."""
-    clamped = [min(max(int(s), 0), n - size)
-               for s, n, size in zip(starts, x.shape, sizes, strict=True)]  # fmt: skip
-    return tuple(slice(a, a + size) for a, size in zip(clamped, sizes, strict=True))
+def clamped(
+    shape: Sequence[int], sizes: Sequence[int], starts: Sequence[np.ndarray]
+) -> tuple[slice, ...]:
+    """A part of an array of a shape, whose start is clamped so that the part lies within it."""
+    of = zip(starts, shape, sizes, strict=True)
+    firsts = [min(max(int(s), 0), n - size) for s, n, size in of]
+    return tuple(slice(a, a + size) for a, size in zip(firsts, sizes, strict=True))
 
 
 def updated(x: Array, new: Array, starts: Sequence[np.ndarray]) -> Array:
     """The array with such a part replaced."""
     found = np.array(x)
-    found[part(x, new.shape, starts)] = new
+    found[clamped(x.shape, new.shape, starts)] = new
     return found
 
 
@@ -727,7 +729,7 @@ def _to_places(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[
         unknown = [i for i, x in known.items() if x is None]
         return _anywhere(n, step, arrays, shape, unknown)
     if name == "dynamic_slice":
-        return arrays[0][part(arrays[0], shape, places)]
+        return arrays[0][clamped(arrays[0].shape, shape, places)]
     if name == "dynamic_update_slice":
         return updated(arrays[0], arrays[1], places)
     if name != "gather":

@@ -421,13 +421,15 @@ def in_order(step: Step) -> bool:
 def _has_loop(step: Step) -> bool:
     def within(jaxpr: Jaxpr | ClosedJaxpr) -> bool:
         return any(
-            eqn.primitive.name == "scan" or any(map(within, _jaxprs(eqn))) for eqn in jaxpr.eqns
+            eqn.primitive.name == "scan" or any(map(within, jaxprs_within(eqn)))
+            for eqn in jaxpr.eqns
         )
 
     return within(step.params["jaxpr"])
 
 
-def _jaxprs(eqn: JaxprEqn) -> Iterator[Jaxpr | ClosedJaxpr]:
+def jaxprs_within(eqn: JaxprEqn) -> Iterator[Jaxpr | ClosedJaxpr]:
+    """The jaxprs among the parameters of a step of another."""
     expanded = [_expanded(eqn)] if eqn.primitive.name == OBJECT else []
     for value in (*eqn.params.values(), expanded):
         for one in value if isinstance(value, tuple | list) else (value,):

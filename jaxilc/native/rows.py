@@ -33,6 +33,7 @@ from .operations import (
     Numbers,
     Sample,
     applied,
+    clamped,
     constants,
     elementwise,
     known,
@@ -621,11 +622,9 @@ def _dynamic_slice(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     starts = [x for x in given if x is not None]
     if len(starts) < len(given):
         raise Unknown("dynamic_slice of samples that are found while it runs")
-    sizes = step.params["slice_sizes"]
-    first = [min(max(int(x), 0), n - size)
-             for x, n, size in zip(starts, row.shape, sizes, strict=True)]  # fmt: skip
-    limits = [i + size for i, size in zip(first, sizes, strict=True)]
-    params = {"start_indices": tuple(first), "limit_indices": tuple(limits), "strides": None}
+    ranges = clamped(row.shape, step.params["slice_sizes"], starts)
+    params = {"start_indices": tuple(x.start for x in ranges),
+              "limit_indices": tuple(x.stop for x in ranges), "strides": None}  # fmt: skip
     return _slice(of, Step("slice", params, [], step.outs), [row])
 
 
@@ -666,7 +665,7 @@ def _scatter(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         new = new.reshape(shape)
     runs = _runs(at.ravel(), out.shape[axis])
 
-    def part(first: int, length: int) -> Item:
+    def some(first: int, length: int) -> Item:
         if isinstance(new, Row):
             return Shifted(new, first, length)
         return new.take(range(first, first + length), axis)
@@ -675,7 +674,7 @@ def _scatter(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         zero = np.full(_with(shape, axis, 1), of.n.const(0, out.dtype), object)
         added = [
             _joined(out.shape, axis, out.dtype, [
-                (first + by, zero), (length, part(first, length)),
+                (first + by, zero), (length, some(first, length)),
                 (out.shape[axis] - first - by - length, zero),
             ]) for first, length, by in runs
         ]  # fmt: skip
@@ -687,7 +686,7 @@ def _scatter(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         if first + by < end:
             raise Unknown("scatter of samples that are not in order")
         parts += [(first + by - end, Shifted(row, end, first + by - end)),
-                  (length, part(first, length))]  # fmt: skip
+                  (length, some(first, length))]  # fmt: skip
         end = first + by + length
     parts.append((row.length - end, Shifted(row, end, row.length - end)))
     return _joined(row.shape, axis, row.dtype, parts)

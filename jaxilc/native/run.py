@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, Generic, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,14 +24,7 @@ from ..runtime.start import native_unwanted
 from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..signals.task import Task
-from .code import (
-    agree,
-    agreed,
-    cores,
-    key_of,
-    of_compiler,
-    width,
-)
+from .code import agree, agreed, cores, key_of, of_compiler, width
 from .loops import Back, Blocks, ByValue, Loop, Memories, There, Whole, real, size_of
 from .operations import foreign
 from .program import (
@@ -44,6 +37,7 @@ from .program import (
     by_jax,
     flat,
     in_order,
+    jaxprs_within,
     of_trials,
 )
 
@@ -362,14 +356,9 @@ def sample_steps(fn: Callable[[Common, One], Found], common: Common, batch: One)
     def turns(jaxpr: Jaxpr | ClosedJaxpr) -> float:
         found = 0.0
         for step in jaxpr.eqns:
-            within = sum(
-                turns(x)
-                for x in jax.tree.leaves([*step.params.values()], is_leaf=_has_steps)
-                if _has_steps(x)
-            )
-            found += (
-                step.params["length"] * max(within, 1) if step.primitive.name == "scan" else within
-            )
+            within = sum(map(turns, jaxprs_within(step)))
+            scans = step.primitive.name == "scan"
+            found += step.params["length"] * max(within, 1) if scans else within
         return found
 
     one = jax.eval_shape(_first, batch)
@@ -378,10 +367,6 @@ def sample_steps(fn: Callable[[Common, One], Found], common: Common, batch: One)
 
 def _first(batch: One) -> One:
     return jax.tree.map(lambda x: x[0], batch)
-
-
-def _has_steps(x: object) -> TypeGuard[Jaxpr | ClosedJaxpr]:
-    return hasattr(x, "eqns")
 
 
 def why_not(machine: Machine, scheme: Scheme, task: Task, trials: int = 2) -> str | None:
