@@ -104,7 +104,8 @@ def trials(
         shown: list[Interactive] = _browser(now, live)
         if any(row["event"] == "trial" for row in rows):
             shown.insert(0, figure.described())
-        files += command_report(report, "trials", [log], verdict=found, live=shown, asked=asked)
+        page = command_report(report, "trials", [log], verdict=found, live=shown, asked=asked)
+        files.append(page)
     placed = [{"serial": serial, **place._asdict()} for serial, place in places.items()]
     numbers = {
         "source": belongs_to(recipe) if recipe else {},

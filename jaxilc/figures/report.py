@@ -18,7 +18,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 from rich.table import Table
@@ -29,7 +29,6 @@ from ..storage.files import atomically
 if TYPE_CHECKING:
     from jinja2 import Template
 
-    from ..pytree.aliases import Value
     from ..scenarios import Scenario
     from .description import Figure
     from .page import Live
@@ -58,18 +57,19 @@ class Said(Protocol):
     def following(self) -> str: ...
 
 
-class _Lines(NamedTuple):
-    """The conclusion of a command whose lines are its verdict."""
+def html_report(
+    title: str,
+    asked: Mapping[str, object],
+    tables: Sequence[Table | Rows] = (),
+    figures: Sequence[Picture | tuple[str, Picture]] = (),
+    configuration: Mapping[str, object] | None = None,
+    notes: Mapping[str, Sequence[str]] | None = None,
+    *,
+    verdict: Said | None = None,
+    live: Sequence[Live] = (),
+) -> str:
+    """The page as text.
 
-    said: Sequence[str]
-    what: str = ""
-    following: str = ""
-
-
-class Page(NamedTuple):
-    """The parts of a page.
-
-    title: title of the page
     asked: arguments of the command or call, by name
     tables: tables of `rich`, whose texts are taken as they are, or pairs (caption, rows by column)
     figures: PNG or SVG files or axes, or pairs (caption, one of these)
@@ -77,27 +77,11 @@ class Page(NamedTuple):
     notes: paragraphs by heading
     verdict: what was found; it stands first
     live: interactive figures
-    """
-
-    title: str
-    asked: Mapping[str, object]
-    tables: Sequence[Table | Rows] = ()
-    figures: Sequence[Picture | tuple[str, Picture]] = ()
-    configuration: Mapping[str, object] | None = None
-    notes: Mapping[str, Sequence[str]] | None = None
-    verdict: Said | None = None
-    live: Sequence[Live] = ()
-
-
-def html_report(title: str, asked: Mapping[str, object], *parts: Value, **named: Value) -> str:
-    """The page as text; its arguments are those of `Page`.
-
     Raises ValueError naming a figure that is neither PNG nor SVG, and FileNotFoundError for a file
     that does not exist.
     """
-    page = Page(title, asked, *parts, **named)
-    library, script, places, left_out = _scripts(page.live)
-    pictures, others = _pictures(page.figures, ROOM - len(library) - len(script))
+    library, script, places, left_out = _scripts(live)
+    pictures, others = _pictures(figures, ROOM - len(library) - len(script))
     text = _template("report").render(
         title=title,
         policy=LIVE_POLICY if places else POLICY,
@@ -105,15 +89,15 @@ def html_report(title: str, asked: Mapping[str, object], *parts: Value, **named:
         library=library,
         script=script,
         date=f"{datetime.datetime.now().astimezone():%d %B %Y, %H:%M %Z}",
-        verdict=page.verdict,
+        verdict=verdict,
         asked=asked,
         live=places,
         figures=pictures,
         left_out=", ".join([*left_out, *others]),
-        tables=[_of_rich(t) if isinstance(t, Table) else _of_rows(*t) for t in page.tables],
-        notes=page.notes or {},
+        tables=[_of_rich(t) if isinstance(t, Table) else _of_rows(*t) for t in tables],
+        notes=notes or {},
         versions=_versions(),
-        settings=dict(_flat(page.configuration or {})),
+        settings=dict(_flat(configuration or {})),
     )
     return text.strip() + "\n"
 
@@ -208,7 +192,7 @@ def _caption_of(drawing: Picture) -> str:
     """The caption of a drawing without one: the name of its file in words, or the axes' title."""
     if isinstance(drawing, str | Path):
         return Path(drawing).stem.replace("-", " ")
-    return _first(drawing).get_title()
+    return np.ravel(drawing)[0].get_title()
 
 
 def write_report(
@@ -225,34 +209,31 @@ def write_report(
 
 
 def command_report(
-    path: str | Path | None,
+    path: str | Path,
     command: str,
-    tables: Sequence[Table | Rows],
-    figures: Sequence[Picture | tuple[str, Picture]] = (),
+    tables: Sequence[Table],
+    figures: Sequence[tuple[str, Picture]] = (),
     *,
+    verdict: Said,
     scenario: Scenario | None = None,
     configuration: Mapping[str, object] | None = None,
     lines: Sequence[str] = (),
     asked: Mapping[str, object] | None = None,
-    verdict: Said | None = None,
     live: Sequence[Figure | Live | None] = (),
-) -> list[Path]:
-    """Write the page of a command of the command line, and return a list with its file.
+) -> Path:
+    """Write the page of a command of the command line, and return its path.
 
-    path: path of the page; None writes nothing, and the list is empty
     tables: tables that were printed
-    figures: axes or files; a PDF is named on the page, other files are left out
+    figures: pairs of a caption and axes or a file; a PDF is named on the page
+    verdict: what the command found
     scenario: the scenario that was run, None for a command without one
     configuration: all that determines the numbers, None for that of the scenario
     lines: lines that were printed besides the tables
     asked: further rows below the name of the command
-    verdict: what the command found
     live: interactive figures, or descriptions of them; None for one that has nothing to show
     """
     from . import page
 
-    if path is None:
-        return []
     rows: dict[str, object] = {"command": shlex.join(["jaxilc", *sys.argv[1:]])}
     if scenario is not None:
         rows |= {
@@ -263,36 +244,22 @@ def command_report(
         }
         parts = ("machine", "schemes", "task", "trials", "uncertainty")
         configuration = configuration or {name: describe(getattr(scenario, name)) for name in parts}
-    return [
-        write_report(
-            path,
-            f"jaxilc {command}" + (f": {scenario.title}" if scenario is not None else ""),
-            rows | dict(asked or {}),
-            tables,
-            [f for f in figures if _suffix(f) in ("", *MEDIA)],
-            configuration,
-            {
-                "Figures in files of their own": [
-                    str(_drawing(f)) for f in figures if _suffix(f) == ".pdf"
-                ],
-                "In words": lines if verdict else (),
-                "Chosen where the paper leaves it open": scenario.chosen if scenario else (),
-            },
-            verdict=verdict or (_Lines(lines) if lines else None),
-            live=[page.live(one) for one in live if one is not None],
-        )
-    ]
-
-
-def _drawing(figure: Picture | tuple[str, Picture]) -> Picture:
-    """The drawing of a figure with or without a caption."""
-    return figure[1] if isinstance(figure, tuple) else figure
-
-
-def _suffix(figure: Picture | tuple[str, Picture]) -> str:
-    """The ending of the file of a figure, empty for axes."""
-    drawing = _drawing(figure)
-    return Path(drawing).suffix if isinstance(drawing, str | Path) else ""
+    of_pdf = [str(one) for _, one in figures if isinstance(one, Path) and one.suffix == ".pdf"]
+    return write_report(
+        path,
+        f"jaxilc {command}" + (f": {scenario.title}" if scenario is not None else ""),
+        rows | dict(asked or {}),
+        tables,
+        [(caption, one) for caption, one in figures if str(one) not in of_pdf],
+        configuration,
+        {
+            "Figures in files of their own": of_pdf,
+            "In words": lines,
+            "Chosen where the paper leaves it open": scenario.chosen if scenario else (),
+        },
+        verdict=verdict,
+        live=[page.live(one) for one in live if one is not None],
+    )
 
 
 def _versions() -> dict[str, object]:
@@ -310,12 +277,8 @@ def _picture(drawing: Picture) -> tuple[str, bytes]:
             raise ValueError(f"html_report: figure {drawing} is not one of {', '.join(MEDIA)}")
         return kind, Path(drawing).read_bytes()
     file = io.BytesIO()
-    _first(drawing).figure.savefig(file, format="png", dpi=DPI)
+    np.ravel(drawing)[0].figure.savefig(file, format="png", dpi=DPI)
     return MEDIA[".png"], file.getvalue()
-
-
-def _first(axes: Drawing) -> Drawing:
-    return np.ravel(axes)[0]
 
 
 # Values and tables as texts

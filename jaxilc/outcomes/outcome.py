@@ -282,7 +282,7 @@ class Outcome:
         from ..figures.report import command_report
 
         files, live = {file.stem: file for file in reversed(drawn)}, self._interactive()
-        (page,) = command_report(
+        return command_report(
             path,
             self.command,
             [table for table in (*self.tables, *self.details) if isinstance(table, Table)],
@@ -298,7 +298,6 @@ class Outcome:
             verdict=self.verdict,
             live=live,
         )
-        return page
 
     def __repr__(self) -> str:
         """The verdict, the tables and the lines as text."""

@@ -27,6 +27,7 @@ from jaxilc.figures.band import band_together
 from jaxilc.figures.by_trial import error_by_trial
 from jaxilc.figures.page import live as page_of
 from jaxilc.figures.report import LIVE_POLICY, POLICY, command_report, html_report, write_report
+from jaxilc.outcomes.outcome import Verdict
 from jaxilc.outcomes.running import run_numbers, run_table
 from jaxilc.sweeps import runs
 from jaxilc.sweeps.summary import summarise
@@ -183,16 +184,14 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     drawn_axes().figure.savefig(tmp_path / "error-by-trial.png")
     monkeypatch.setattr(sys, "argv", ["/somewhere/jaxilc", "run", "dai-2014", "--set", "name=a b"])
     path = tmp_path / "new folder" / "report.html"
-    assert command_report(None, "run", [], []) == [], "without a path nothing is written"
-    # The store is not a picture.
-    figures = [tmp_path / "error-by-trial.png", tmp_path / "dataset.zarr"]
-    assert command_report(
-        path, "run", [run_table(chosen, numbers)], figures, scenario=chosen, lines=["a line"]
-    ) == [path]
+    figures = [("a caption", tmp_path / name) for name in ("error-by-trial.png", "of-print.pdf")]
+    found = {"verdict": Verdict(("a sentence",)), "lines": ["a line"]}
+    tables = [run_table(chosen, numbers)]
+    assert command_report(path, "run", tables, figures, scenario=chosen, **found) == path
     tree = parsed(path.read_text(encoding="utf-8"))
     sections = {one.findtext("h2"): one for one in tree.findall("body/section")}
     assert [*sections][:2] == ["Conclusion", "What was asked"]
-    assert sections["Conclusion"].findtext("p") == "a line"
+    assert sections["Conclusion"].findtext("p") == "a sentence"
     asked = {row[0].text: row[1].text for row in sections["What was asked"].iter("tr")}
     assert asked["command"] == "jaxilc run dai-2014 --set 'name=a b'"
     assert (asked["plant"], asked["schemes"], asked["trials"]) == ("printed", "pid", "1")
@@ -206,7 +205,7 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     assert abs(float(row[1]) / error - 1) < 5e-3
     assert len(list(tree.iter("img"))) == 1
     lines = [li.text for li in tree.iter("li")]
-    assert lines == [*chosen.chosen]
+    assert lines == [str(tmp_path / "of-print.pdf"), "a line", *chosen.chosen]
     settings = {row[0].text: row[1].text for row in tree.find(".//details").iter("tr")}
     poles = [float(text) for text in settings["machine.plant.poles"].split(", ")]
     np.testing.assert_allclose(poles, chosen.machine.plant.poles, rtol=1e-3)
