@@ -6,19 +6,19 @@ layers. `paper` draws it with Matplotlib, `page` with Bokeh for a page; of a pub
 
     band          a sweep at a glance: one panel a scheme, and the yield against the tolerance
     grid_map      a grid at a glance: a map over two axes, or a line over one, also of how the error
-                  contracts and where the bounds say so
+                  contracts and where the bounds say so; on a page a click shows how a point learns
     by_trial      errors against the trial: one machine, and theory against simulation
     within_trial  signals against time with a zoom, and the contour of two axes
     by_frequency  spectrum and time-frequency map of the error, |Q (keep - L P)|, whether a Q-filter
                   is safe, and a learned law beside the inverse of the plant
     published     the numbers of a paper and ours
     searches      tunings, trade-offs, worst machines
-    browsers      pages with a choice: a trial, a parameter, a paper; live_grid: a point of a grid
+    browsers      pages with a choice: a trial, a parameter, a paper
     experiments   identification: the record, the model against it, and repeats of a motion
     campaign      a campaign on a real machine
     report        one HTML page with figures and tables
     saving        files: PNG, SVG or PDF, for print or on a dark ground
-    units         numbers with SI prefixes
+    style         colours, dashes and marks, and numbers with SI prefixes
 
 A scheme has the same colour, line style and mark in all figures of a dataset. The colours of trials
 run from light to dark, so that both can be distinguished in print and by readers who are blind to

@@ -9,8 +9,7 @@ import numpy as np
 
 from .description import TRIAL, Axis, Band, Curve, Figure, Layer, Panel, Rule
 from .paper import draw, drawn
-from .style import colour_of, limits_of, names_of, numbers_of, readable
-from .units import written
+from .style import colour_of, limits_of, names_of, numbers_of, readable, written
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -31,8 +31,8 @@ from .style import (
     numbers_of,
     shades_of,
     style_of,
+    written,
 )
-from .units import written
 from .within_trial import outputs_of, signal_of
 
 if TYPE_CHECKING:

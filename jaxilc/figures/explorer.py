@@ -30,7 +30,7 @@ from ..runtime.tiles import tiled
 from ..theory.law import traced_response
 from ..theory.loop import linear_loop, response
 from ..uncertainty import Population, with_spread
-from .live_grid import GridMap, map_of
+from .grid_map import GridMap, in_order, live_map
 from .page import plot, shown_in, side_by_side, spoken
 from .style import COLOURS, labelled
 
@@ -146,7 +146,6 @@ class Exploration:
         from ..sweeps.grid import values_at
         from ..sweeps.points import best_points, labels_of
         from ..sweeps.sweep import Sweep
-        from .grid_map import in_order
 
         s = self.scenario
         if not isinstance(grid, xr.Dataset):
@@ -435,7 +434,7 @@ class Explorer:
 
     def _map(self, dataset: xr.Dataset, best: BestPoint) -> Plot:
         """The map of a grid, on which a click moves the sliders, and a ring says where they are."""
-        self.map = drawn = map_of(dataset, best, height=300, **self.of.scenario.look)
+        self.map = drawn = live_map(dataset, best, height=300, **self.of.scenario.look)
         drawn.points.selected.indices = []
         drawn.points.selected.on_change("indices", lambda attr, old, new: self._go(new))
         drawn.figure.scatter(

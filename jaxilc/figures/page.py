@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from .description import Axis, Band, Bars, Cells, Curve, Figure, Layer, Panel, Rule, Shade, Where
-from .style import BOUND, Dash, edges_of, labelled, limits_of
-from .units import READABLE, power_of, prefixed
+from .style import BOUND, READABLE, Dash, edges_of, labelled, limits_of, power_of, prefixed
 
 if TYPE_CHECKING:
     from bokeh.models import Axis as AxisOfPage

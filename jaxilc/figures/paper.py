@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeAlias
 import numpy as np
 
 from .description import Axis, Band, Bars, Cells, Curve, Figure, Layer, Panel, Rule, Shade, Where
-from .style import edges_of, limits_of
-from .units import name_axis
+from .style import edges_of, limits_of, name_axis
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -149,18 +148,21 @@ def new_axes(
 def _finish(ax: Axes, panel: Panel) -> None:
     """Ends, ticks, labels and the title, after all layers are drawn."""
     ax.set_title(panel.title, fontsize="medium")
+    ax.grid(True, alpha=0.25)
+    ax.set_axisbelow(True)
     for way, of in (("x", panel.x), ("y", panel.y)):
-        axis = getattr(ax, f"{way}axis")
         if of.ends:
             getattr(ax, f"set_{way}lim")(*of.ends)
-        _ticks(axis, of)
-    grid(ax)
+        _ticks(getattr(ax, f"{way}axis"), of)
     if panel.equal:
         ax.set_aspect("equal", adjustable="datalim")
         ax.apply_aspect()
     for axis, of in ((ax.xaxis, panel.x), (ax.yaxis, panel.y)):
         if not of.names:
             name_axis(axis, of.name, of.unit)
+        low, high = sorted(axis.get_view_interval())
+        if of.log and high < 1e2 * low:
+            axis.grid(True, which="minor", alpha=0.15)
     if panel.note:
         ground = {"facecolor": "w", "edgecolor": "none", "alpha": 0.7, "pad": 1.5}
         ax.text(
@@ -179,18 +181,6 @@ def _ticks(axis: AxisOfPaper, of: Axis) -> None:
         axis.set_ticks(of.ticks)
     elif of.most:
         axis.set_major_locator(MaxNLocator(of.most, integer=of.whole))
-
-
-def grid(ax: Axes) -> None:
-    """Add a pale grid after all curves are drawn, and plain numbers on logarithmic axes."""
-    ax.grid(True, alpha=0.25)
-    ax.set_axisbelow(True)
-    for axis in (ax.xaxis, ax.yaxis):
-        if axis.get_scale() == "log":
-            name_axis(axis, axis.get_label_text(), "")
-            low, high = sorted(axis.get_view_interval())
-            if high < 1e2 * low:
-                axis.grid(True, which="minor", alpha=0.15)
 
 
 # Layers

@@ -10,8 +10,7 @@ import numpy as np
 
 from .description import Axis, Band, Curve, Figure, Layer, Panel, Rule, Tips
 from .paper import drawn
-from .style import BLACK, COLOURS, DASHES, GREY, MARKS, colour_of, limits_of
-from .units import written
+from .style import BLACK, COLOURS, DASHES, GREY, MARKS, colour_of, limits_of, written
 
 if TYPE_CHECKING:
     from ..tuning.trade_off import Point

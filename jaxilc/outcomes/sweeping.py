@@ -185,8 +185,9 @@ def live_sweep(
     best: Sequence[BestPoint] = (),
 ) -> list[Interactive]:
     """The map of a grid with its best points, errors by trial, machines against parameters."""
-    from ..figures import browsers, live_grid
+    from ..figures import browsers
     from ..figures.band import band_together
+    from ..figures.grid_map import live_grid
 
     parameters = {
         str(name): values.values
@@ -194,7 +195,7 @@ def live_sweep(
         if values.dims[:1] == ("sample",) and name != "sample"
     }
     return [
-        live_grid.grid(grid, best=[*best], **drawn) if grid is not None and best else None,
+        live_grid(grid, best=[*best], **drawn) if grid is not None and best else None,
         band_together(summary, **drawn),
         browsers.machines(dataset, parameters, **drawn),
     ]

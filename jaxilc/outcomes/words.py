@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..figures.style import prefixed
 from ..learning.divergence import GROWTH
 
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
@@ -26,8 +27,6 @@ def number(value: float) -> str:
 
 def sized(value: float, unit: str) -> str:
     """A number with its unit, with a prefix such as µ."""
-    from ..figures.units import prefixed  # which needs Matplotlib
-
     return " ".join(filter(None, (number((of := prefixed(value, unit))[0]), of[1])))
 
 

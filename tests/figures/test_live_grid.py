@@ -9,7 +9,7 @@ from browser import needs_chromium, opened
 from made_datasets import sweep_of
 
 from jaxilc import figures
-from jaxilc.figures import live_grid
+from jaxilc.figures.grid_map import _of_bounds, live_grid, live_map
 from jaxilc.figures.report import html_report, write_report
 from jaxilc.sweeps import best_points
 
@@ -23,7 +23,7 @@ def dataset_of(errors, b, trials=3):
 
 def live_of(dataset, **options):
     best = best_points(dataset, options.get("tolerance"), metric="rms")
-    return best, live_grid.map_of(dataset, best[0], metric="rms", **options)
+    return best, live_map(dataset, best[0], metric="rms", **options)
 
 
 def test_each_cell_has_the_numbers_of_the_picture_and_lies_around_its_point():
@@ -46,7 +46,7 @@ def test_each_cell_has_the_numbers_of_the_picture_and_lies_around_its_point():
     assert live.figure.yaxis[0].major_label_overrides == {0: "p", 1: "q"}
     watched = {"contraction_norm": dataset["rms"] / 4, "d2": dataset["diverged_at"] + 0.5}
     _, live = live_of(dataset.assign(watched | {"claimed": watched["d2"] < 1}))
-    called = [*live_grid._of_bounds(live.dataset)]
+    called = [*_of_bounds(live.dataset)]
     ratio, d2, claimed = (live.points.data[f"t{i}"] for i in (7, 8, 9))
     assert (ratio[3], d2[3], claimed[3]) == ("0.2652", "0.5", "1")  # mean of 2/4, 1/4; of half
     hovers = [one.tooltips for one in live.figure.select({"type": HoverTool})]
@@ -58,7 +58,7 @@ def test_a_click_shows_how_the_point_learns():
     """The curves of all points stand in one array, of which the page takes a part."""
     dataset = dataset_of([[8, 4], [2, 1], [np.inf, 4]], ["p", "q"])
     best = best_points(dataset, metric="rms")
-    page = live_grid.grid(dataset, metric="rms", best=best)
+    page = live_grid(dataset, metric="rms", best=best)
     (react,) = live_source(page).selected.js_property_callbacks["change:indices"]
     every, now = react.args["all"].data, react.args["shown"].data
     np.testing.assert_allclose(now["j"], [1, 2, 3])
@@ -88,7 +88,7 @@ def live_source(page):
 def test_any_grid_makes_a_page(errors, b):
     dataset = dataset_of(errors, b)
     best = best_points(dataset, 1.5, metric="rms")
-    live = live_grid.grid(dataset, metric="rms", tolerance=1.5, best=best)
+    live = live_grid(dataset, metric="rms", tolerance=1.5, best=best)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         text = html_report("t", {}, live=[live])
@@ -104,7 +104,7 @@ def test_a_large_grid_keeps_its_ends_and_its_best_point():
     assert live.at(live.points.selected.indices[0]) == {"a": 77.0, "b": 123.0}
     assert live.dataset["a"].values[[0, -1]].tolist() == [0.0, 199.0]
     assert len(live.values) <= 65 * 65
-    page = html_report("t", {}, live=[live_grid.grid(dataset, metric="rms", best=best)])
+    page = html_report("t", {}, live=[live_grid(dataset, metric="rms", best=best)])
     assert len(page) < 5_000_000
     assert "left out" not in page
 
@@ -112,7 +112,7 @@ def test_a_large_grid_keeps_its_ends_and_its_best_point():
 @needs_chromium
 def test_a_browser_shows_the_point_that_is_clicked(tmp_path):
     dataset = dataset_of([[8, 4], [2, 1]], ["p", "q"])
-    live = live_grid.grid(dataset, metric="rms", best=best_points(dataset, metric="rms"))
+    live = live_grid(dataset, metric="rms", best=best_points(dataset, metric="rms"))
     page, source = write_report(tmp_path / "page.html", "t", {}, live=[live]), live_source(live)
     said = opened(
         page,
