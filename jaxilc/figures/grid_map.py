@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -496,16 +497,12 @@ def live_map(
     last = last_errors(dataset, metric)
     factor, unit = shown_in(scale * last.values, unit)
     labels = [labels_for(dataset, axis, of.scheme) for axis in drawn]
-    places = np.meshgrid(*(np.arange(one.size) for one in labels), indexing="ij")
     known = {str(one.name): one.values.tolist() for one in labels}
-    values = [
-        {name: of[i] for (name, of), i in zip(known.items(), row, strict=True)}
-        for row in zip(*(place.ravel() for place in places), strict=True)
-    ]
+    values = [dict(zip(known, row, strict=True)) for row in product(*known.values())]
     shape = tuple(one.size for one in labels)
     lost = (dataset["diverged_at"] > 0).any("sample").values.reshape(shape)
     tips: dict[str, list[Value]] = {
-        called_of(one): [[*row.values()][i] for row in values] for i, one in enumerate(labels)
+        called_of(one): [row[str(one.name)] for row in values] for one in labels
     }
     curves = {}
     for name, words in SHOWN.items():

@@ -57,8 +57,11 @@ def draw(figure: Figure, ax: Drawing = None) -> Drawing:
     """
     rows = math.ceil(len(figure.panels) / figure.columns)
     if ax is None:
-        ax = new_axes(
-            rows, figure.columns, size=figure.size,
+        from matplotlib.figure import Figure as Paper
+
+        size = figure.size or (7.2, 1.6 + 2.6 * rows)
+        ax = Paper(figsize=size, layout="constrained", dpi=150).subplots(
+            rows, figure.columns,
             sharex="x" in figure.shares and (figure.columns == 1 or "col"),
             sharey="y" in figure.shares and "row",
             height_ratios=figure.heights, width_ratios=figure.widths,
@@ -129,20 +132,6 @@ def _colour_bar(figure: Figure, axes: np.ndarray) -> None:
         extend = "min" if of.cut else "neither"
         bar = beside[0].figure.colorbar(maps[0], ax=beside, extend=extend)
         name_axis(bar.ax.yaxis, of.name, of.unit)
-
-
-def new_axes(
-    rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **named: Value
-) -> Drawing:
-    """The axes of a new figure.
-
-    size: width and height [in]; None for a height of 2.6 in for each row
-    named: further arguments of `Figure.subplots`
-    """
-    from matplotlib.figure import Figure as Paper
-
-    paper = Paper(figsize=size or (7.2, 1.6 + 2.6 * rows), layout="constrained", dpi=150)
-    return paper.subplots(rows, columns, **named)
 
 
 def _finish(ax: Axes, panel: Panel) -> None:

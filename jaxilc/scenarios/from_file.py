@@ -98,10 +98,9 @@ def load(name: str, **chosen) -> Scenario:
     if name not in SCENARIOS:
         raise ValueError(not_one_of(f"scenario = {brief(name)}", name, SCENARIOS))
     allowed = options(name)
-    for option in chosen:
+    for option, value in chosen.items():
         if option not in allowed:
             raise ValueError(not_one_of(f"{name}: option {brief(option)}", option, allowed))
-    for option, value in chosen.items():
         if isinstance(allowed[option], str) and not isinstance(value, str):
             raise ValueError(f"{name}: option {option} = {brief(value)} is not text")
         if isinstance(allowed[option], float):

@@ -49,13 +49,9 @@ def write_parameters(
     schemes: values by the scheme's name and the path within it
     obtained: how the values were found, as JSON
     """
-    content = {
-        "scenario": scenario,
-        "schemes": schemes,
-        "versions": environment()["versions"],
-        "obtained": obtained,
-    }
-    write_json(path, content)
+    versions = environment()["versions"]
+    found = {"scenario": scenario, "schemes": schemes, "versions": versions, "obtained": obtained}
+    write_json(path, found)
     return path
 
 
