@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from itertools import product
+from itertools import cycle, product
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -103,7 +103,7 @@ def grid_map(
             best_at = dataset.coords.to_dataset().sel(of.point)
             point = {str(one.name): best_at[one.name].item() for one in labels}
             layers += marked("best", "*", labels, point, here)
-        for (name, mark), sign in zip((marks or {}).items(), MARKS, strict=False):
+        for (name, mark), sign in zip((marks or {}).items(), cycle(MARKS), strict=False):
             if _nearest(mark, [other for one, other in chosen if one is of], at):
                 layers += marked(name, sign, labels, mark, here)
         beside = (labels_for(dataset, k, of.scheme).sel({k: v}) for k, v in at.items())
@@ -346,7 +346,7 @@ def contraction_map(
             layers += [Band(x, low, high), Curve(x, here, name="observed"), Rule(1.0, colour=GREY)]
             for n, values in lines.items():
                 layers.append(Curve(x, values, LINES[n][0], colour=LINES[n][1], name=n))
-        for (mark, point), sign in zip((marks or {}).items(), MARKS, strict=False):
+        for (mark, point), sign in zip((marks or {}).items(), cycle(MARKS), strict=False):
             layers += marked(mark, sign, labels, point, here)
         lost = [premise for premise, where in held.items() if not where.any()]
         if lost:

@@ -173,6 +173,15 @@ def test_the_map_of_contraction_has_the_lines_and_the_regions_that_were_put_in()
     assert named(ax) == ["observed", "d2", "fails everywhere: alone"]
 
 
+def test_more_marks_than_there_are_signs_are_all_drawn():
+    marks = {f"own {i}": {"a": 1.0, "b": "q"} for i in range(6)}
+    errors = dataset_of([[1.0, 2.0], [3.0, 4.0]], ["p", "q"])
+    maps = figures.grid_map(errors, metric="rms", marks=marks)
+    watch = watched([[0.5, 2.0], [0.5, 2.0]], ["p", "q"])
+    for ax in (*maps, *figures.contraction_map(watch, marks=marks)):
+        assert marks.keys() <= {*named(ax)}
+
+
 @pytest.mark.parametrize("factor", [[[1e3, 1e3]] * 2, [[np.nan, np.nan]] * 2, [[0.0, 0.0]] * 2])
 def test_a_map_on_which_nothing_contracts_or_nothing_is_known_is_drawn(factor, tmp_path):
     unknown = dict.fromkeys(("d2", *PREMISES), np.nan)
