@@ -28,8 +28,14 @@ from ..theory.certificates import (
 )
 from ..theory.chance import STILL, SURELY
 from ..theory.condition import HOLDS, NOT_CLAIMED, Condition
-from ..theory.repetitive import POINTS, largest_gain, repetitive_condition, side_by_side
-from ..theory.repetitive_basis import basis_condition, basis_of
+from ..theory.repetitive import (
+    POINTS,
+    basis_condition,
+    basis_of,
+    largest_gain,
+    repetitive_condition,
+    side_by_side,
+)
 from ..uncertainty import Population
 from .bounds import bounds_numbers, premises_table
 from .case import Case

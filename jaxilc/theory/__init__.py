@@ -22,9 +22,8 @@ ground up:
     q_filter         whether a Q-filter is safe, for a family of machines or on records
     chance           what holds for single runs where something is drawn for each trial, by the
                      moments of what reaches the law
-    repetitive       repetitive control within one long trial, and what it does between harmonics
-    repetitive_basis
-                     basis functions within one long trial, by the map of a period
+    repetitive       within one long trial: repetitive control and what it does between harmonics,
+                     and basis functions, by the map of a period
     visits           which parameters of a basis a trial tells, as of the places it visits
     rounding         how far from its limit a machine that rounds is held
     certificates     claims and predictions of many machines against simulation; the conditions that
@@ -59,8 +58,7 @@ from .certificates import (
     certify_each,
 )
 from .condition import Condition, Premise
-from .repetitive import RepetitiveTest, repetitive_condition
-from .repetitive_basis import PeriodTest, basis_condition
+from .repetitive import PeriodTest, RepetitiveTest, basis_condition, repetitive_condition
 from .to_python_control import to_control
 from .visits import Visits, visits
 

@@ -60,7 +60,7 @@ from ..schemes import Scheme
 from ..signals.task import Task
 from .learning_map import View, alone, count_of, first_of, learning_of, slopes
 from .spectrum import drifting, norm_of, reachable, triangular_radius
-from .trials import with_input, with_offset, with_output
+from .trials import disturbed
 
 
 class RecordMoments(NamedTuple):
@@ -290,13 +290,13 @@ RARE = 0.05  # chance with which a late trial may have more error than is told
 TILTS = np.geomspace(1e-9, 0.95, 512)  # 2 s max l; each gives a bound, of which the least counts
 WHOLE = 1e-10  # share of squares above which a direction is surely one of all that are moved
 DOUBLINGS = 40  # of the number of trials that are summed, at most
-# the part of a machine that draws a noise, the field of its size, and how it is added to a trial;
-# the law sees that of the sensor as it sees noise of the output
+# the part of a machine that draws a noise, the field of its size, and where it acts as `disturbed`
+# has it; the law sees that of the sensor as it sees noise of the output
 NOISE = {
-    "sensor": ("sensor", "noise", with_output),
-    "output": ("disturbance", "output_noise", with_output),
-    "input": ("disturbance", "input_noise", with_input),
-    "start": ("variation", "scatter", with_offset),
+    "sensor": ("sensor", "noise", "output"),
+    "output": ("disturbance", "output_noise", "output"),
+    "input": ("disturbance", "input_noise", "input"),
+    "start": ("variation", "scatter", "offset"),
 }
 
 
@@ -527,10 +527,9 @@ class _Run(NamedTuple):
         parts = self.parts
         w = np.linalg.lstsq(np.eye(len(parts.M)) - parts.M, parts.c)[0]
         spread = float(np.trace(self.added(w))) / (1 - factor)
-        share = np.sqrt(np.repeat(self.moments.counted, self.outputs) / self.outputs)
-        of_output, of_noise = norm_of(share[:, None] * parts.Y), share[:, None] * parts.F
-        e = share * (parts.r - parts.Y @ w - parts.y)
-        left = np.sqrt(e @ e + of_output**2 * spread + np.sum(of_noise**2))
+        Y, F, e = self._shared(w)
+        of_output = norm_of(Y)
+        left = np.sqrt(e @ e + of_output**2 * spread + np.sum(F**2))
         far = of_output * np.sqrt(np.sum((parts.start - w) ** 2) + spread)
         return float(left), left + far * factor ** (np.arange(trials) / 2)
 
@@ -656,16 +655,21 @@ class _Run(NamedTuple):
         of_sample = np.mean(squares.reshape(-1, self.outputs), axis=1)
         return float(np.sqrt(max(self.moments.counted @ of_sample, 0.0)))
 
+    def _shared(self, w) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Y, F and the mean error, each sample by the root of its share in the mean square."""
+        parts = self.parts
+        share = np.sqrt(np.repeat(self.moments.counted, self.outputs) / self.outputs)
+        e = share * (parts.r - parts.Y @ w - parts.y)
+        return share[:, None] * parts.Y, share[:, None] * parts.F, e
+
     def _quantile(self, w, X) -> float:
         """The root mean square error above which a trial is with a chance of `RARE` or less.
 
         The error is Gaussian, with the mean of w and the covariance of X and of the noise.
         """
-        parts = self.parts
-        share = np.sqrt(np.repeat(self.moments.counted, self.outputs) / self.outputs)
-        Y, F = share[:, None] * parts.Y, share[:, None] * parts.F
+        Y, F, e = self._shared(w)
         sizes, V = np.linalg.eigh(Y @ X @ Y.T + F @ F.T)
-        squares, sizes = (V.T @ (share * (parts.r - parts.Y @ w - parts.y))) ** 2, sizes.clip(0.0)
+        squares, sizes = (V.T @ e) ** 2, sizes.clip(0.0)
         if sizes[-1] <= 0:
             return float(np.sqrt(np.sum(squares)))
         s = TILTS[:, None] / (2 * sizes[-1])
@@ -765,8 +769,8 @@ def _noisy(machine: Machine, noise: dict[str, jax.Array]) -> Machine:
     """The machine with this noise, of variance 1, in place of what it draws."""
     one = machine
     for name, x in noise.items():
-        of, size, added = NOISE[name]
-        one = added(one, getattr(getattr(machine, of), size) * x)
+        of, size, acts_on = NOISE[name]
+        one = disturbed(one, acts_on, getattr(getattr(machine, of), size) * x)
     return one
 
 

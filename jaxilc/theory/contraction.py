@@ -18,26 +18,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..plants.structure import blind, followers, obstacle
 from ..pytree.named_paths import named_leaves
-from ..runtime.tiles import tiled
 from ..schemes import Scheme
 from ..schemes.scheme import Memory
 from ..signals.task import Task
-from ..uncertainty import Uncertainty, drawn_machine
 from .condition import Condition, Premise, condition, premise
 from .linearity import alike_trials, linear_law
 from .spectrum import SingularValue, SpectralRadius, singular_value, spectral_radius_of
-from .trials import LEARNED, Prescribed, learned_from, learned_memory, step, trial_of, with_output
+from .trials import LEARNED, Prescribed, disturbed, learned_from, learned_memory, step, trial_of
 
 __all__ = [
     "LEARNED",
@@ -47,18 +44,14 @@ __all__ = [
     "attracting",
     "contracting",
     "error_contracting",
-    "error_growth",
     "error_map",
     "learned_memory",
     "learning_map",
-    "over_plants",
     "singular_value",
     "spectral_radius_of",
 ]
 
-# leaves of a memory that are no state: they only tell the first trial from the others
-T = TypeVar("T")
-FLAGS = ("seen",)
+FLAGS = ("seen",)  # leaves of a memory that only tell the first trial from the others
 OF_OUTPUT = ("y",)  # leaves of a memory that have the unit of the output
 FIXED = 1e-6  # by how much of itself a trial may move a memory that counts as a fixed point
 
@@ -175,44 +168,16 @@ def error_map(
     def f(e):
         y = jnp.concatenate([first.y[:1], first.r[1:] - e.reshape(task.N, -1)])
         trial = trial_of(machine, Prescribed(scheme), task, (memory, y))
-        disturbed = with_output(machine, y - trial.y)
+        after = disturbed(machine, "output", y - trial.y)
 
         def following(memory, _):
-            trial = trial_of(disturbed, scheme, task, memory)
-            return learned_from(disturbed, scheme, memory, trial), trial.e[1:].ravel()
+            trial = trial_of(after, scheme, task, memory)
+            return learned_from(after, scheme, memory, trial), trial.e[1:].ravel()
 
         known = learned_from(machine, scheme, memory, trial._replace(y=y))
         return lax.scan(following, known, length=trials)[1]
 
     return Map(f, first.e[1:].ravel())
-
-
-def error_growth(
-    f: Callable, at, trials: int, *, steps: int = 300, tolerance: float = 1e-6
-) -> SingularValue:
-    """The largest |e_{j+i}| / |e_j| for i = 1..J: fields with a leading axis of J.
-
-    f, at: an `error_map` over J `trials`
-    """
-    run = partial(singular_value, f, at, steps=steps, tolerance=tolerance)
-    return lax.map(lambda row: run(row=row), jnp.arange(trials))
-
-
-def over_plants(
-    quantity: Callable[[Machine], T],
-    machine: Machine,
-    uncertainty: Uncertainty,
-    drawn: Mapping[str, np.ndarray],
-    lanes: int = 4,
-) -> T:
-    """quantity(machine) for every plant drawn, tiled over devices.
-
-    drawn: as from `uncertainty.draw`
-    """
-    run = tiled(
-        lambda common, values: quantity(drawn_machine(common, uncertainty, values)), lanes=lanes
-    )
-    return run(machine, {name: jnp.asarray(values) for name, values in drawn.items()})
 
 
 def _acting(machine: Machine, scheme: Scheme, task: Task, memory) -> list[bool]:
@@ -321,7 +286,10 @@ def error_contracting(
     found = _singular_of_error(machine, scheme, task, memory, trials=trials, **options)
     memory = _like_learned(machine, scheme, task) if memory is None else memory
     fixed, at = (machine, scheme, task, memory), jnp.zeros(task.N * task.outputs)
-    errors = partial(_errors, trials=trials)
+
+    def errors(fixed, at):
+        return error_map(*fixed, trials=trials).f(at)
+
     affine = bool(linear_law(scheme, task, memory).held) and not obstacle(errors, fixed, at)
     where, which = (EVERYWHERE, "") if affine else (NEARBY, "small ")
     theorem = ERROR.format(n=trials, which=which, where=where)
@@ -370,12 +338,15 @@ def _where(machine, scheme, task, memory, leaves, distance) -> tuple[tuple[Premi
     fixed = machine, scheme, task, memory
     at = jax.eval_shape(lambda *fixed: learning_map(*fixed, leaves=leaves).at, *fixed)
     law = linear_law(scheme, task, memory)
-    why = "" if law.held else law.detail
-    why = obstacle(partial(_learned, leaves=leaves), fixed, at) or why
+
+    def learned(fixed, at):
+        return learning_map(*fixed, leaves=leaves).f(at)
+
+    why = obstacle(learned, fixed, at) or ("" if law.held else law.detail)
     moved = f"another trial moves the memory by {float(distance):.1e} of itself"
     found = f"{why or 'affine, read off its program'}; {moved}"
     local = premise("map affine, or taken at its fixed point", not why or distance <= FIXED, found)
-    smooth = not why or not blind(partial(_learned, leaves=leaves), fixed, at)
+    smooth = not why or not blind(learned, fixed, at)
     premises = local, _differentiable(smooth), alike_trials(machine, scheme, task)
     return premises, NEARBY if why else EVERYWHERE
 
@@ -388,14 +359,6 @@ def _like_learned(machine, scheme, task) -> Memory:
 def _differentiable(smooth: bool) -> Premise:
     found = "read off its program" if smooth else "something is rounded, and its derivative made up"
     return premise(DIFFERENTIABLE, smooth, found)
-
-
-def _learned(fixed, at, *, leaves):
-    return learning_map(*fixed, leaves=leaves).f(at)
-
-
-def _errors(fixed, at, *, trials):
-    return error_map(*fixed, trials=trials).f(at)
 
 
 def _bounded(found: SingularValue) -> Premise:

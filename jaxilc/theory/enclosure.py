@@ -140,16 +140,16 @@ class Supremum(NamedTuple):
     angle: float
 
 
-def supremum(bounds: Callable, low: float, high: float) -> Supremum:
-    """The largest value of a function of the angle on [low, high], within [0, pi].
+def supremum(bounds: Callable) -> Supremum:
+    """The largest value of a function of the angle on [0, pi].
 
     bounds: from the centres (F,) and half widths (F,) of arcs to the values (F,) at the centres and
             the upper bounds (F,) over the arcs
     """
-    edges = np.linspace(low, high, ARCS + 1)
+    edges = np.linspace(0.0, np.pi, ARCS + 1)
     centre, h = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / 2
     parts = np.array([-3.0, -1.0, 1.0, 3.0])  # where a quarter of an arc lies in it
-    best, where, done, looked = -np.inf, low, -np.inf, 0
+    best, where, done, looked = -np.inf, 0.0, -np.inf, 0
     while len(centre):
         chunks = [slice(i, i + CHUNK) for i in range(0, len(centre), CHUNK)]
         found = zip(*(bounds(centre[some], h[some]) for some in chunks), strict=True)

@@ -28,7 +28,7 @@ found by iterating the right-hand side from the identity.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import NamedTuple
 
@@ -51,7 +51,7 @@ from ..signals.task import Task
 from ..uncertainty import Population, Uncertainty, drawn_machine, drawn_machines
 from .condition import Condition, Premise, condition, premise
 from .enclosure import Arc, Disc, arc_of_loop, arc_of_taps, balanced, exactly, size, supremum
-from .law import Law, Taps, at_points, filter_response, law_of, law_response, learning_law
+from .law import Law, Taps, at_points, law_of, law_response, learning_law
 from .learning_map import limit_names
 from .lifted import lifted_plant
 from .linearity import alike_trials, invariant_loop, linear_law, of_last_trial
@@ -74,7 +74,6 @@ __all__ = [
     "FrequencyTest",
     "Loop",
     "family_condition",
-    "filter_response",
     "grid",
     "law_response",
     "learning_condition",
@@ -305,9 +304,9 @@ def on_supremum(
     theorem: str,
     loops: list[Loop],
     task: Task,
-    premises: list[Premise],
-    of_whole: Callable[[], list[Premise]],
-    frequencies,
+    premises: Iterable[Premise],
+    of_whole: Callable[[], list[Premise]] = list,
+    frequencies=None,
 ) -> FrequencyTest:
     """The condition on the supremum of a function of the angle.
 
@@ -336,7 +335,7 @@ def enclosed(bounds: Callable, loops: list[Loop], task: Task, f) -> tuple[np.nda
     curve = magnitude(f)
     value, worst = float(np.max(curve)), float(f[np.argmax(curve)])
     if stable(radius):
-        found = supremum(bounds, 0.0, np.pi)
+        found = supremum(bounds)
         worst = found.angle / to_angle if found.value > value else worst
         value = max(found.bound, value)
     return curve, Largest(value, worst, _first_crossing(magnitude, f, curve, worst), radius)
@@ -392,9 +391,8 @@ def learning_condition(
     def of_whole():
         return of_trial(drawn_machines(machine, {}, {}), scheme, task, parts.causal)
 
-    theorem = CAUSAL if parts.causal else LEARNING
-    about = theorem, [parts.loop], task, [*parts.premises], of_whole, frequencies
-    return on_supremum(parts.bounds, *about)
+    theorem, loops = CAUSAL if parts.causal else LEARNING, [parts.loop]
+    return on_supremum(parts.bounds, theorem, loops, task, parts.premises, of_whole, frequencies)
 
 
 def norm_optimal_condition(

@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..filters.zero_phase import Filter
 from ..schemes import Scheme
 from ..schemes.scheme import Memory, with_all_parts
 from ..signals.task import Task
@@ -78,7 +77,7 @@ class Law(NamedTuple):
         u = random.standard_normal((task.N, _width(scheme, task)))
         e = random.standard_normal((task.N, task.outputs))
         expected = _convolved(self.keep, u) + _convolved(self.L, e, 1)
-        off = np.max(np.abs(np.asarray(_pushed(scheme, task, u, e)) - expected))
+        off = np.max(np.abs(np.asarray(pushed(scheme, task, u, e)) - expected))
         return bool(off <= ALIKE * np.max(np.abs(expected), initial=1e-300))
 
 
@@ -119,7 +118,7 @@ def _scheduled(scheme: Scheme, task: Task, taps: Taps, late: int) -> float:
     random = np.random.default_rng(7)
     seen = [np.zeros((task.N, _width(scheme, task))), np.zeros((task.N, task.outputs))]
     seen[late] = random.uniform(-1, 1, seen[late].shape)
-    off = np.abs(np.asarray(_pushed(scheme, task, *seen)) - _convolved(taps, seen[late], late))
+    off = np.abs(np.asarray(pushed(scheme, task, *seen)) - _convolved(taps, seen[late], late))
     sizes, reach = np.sum(np.abs(taps.taps), axis=(1, 2)), np.abs(taps.powers - late)
     within = np.cumsum(np.bincount(np.minimum(reach, task.N), sizes, task.N + 1))
     beyond, k = np.maximum(within[-1] - within, 0.0), np.arange(task.N)
@@ -187,17 +186,6 @@ def at_points(of: Taps, z) -> jax.Array:
     return jnp.tensordot(z[:, None] ** of.powers, jnp.asarray(of.taps, complex), axes=1)
 
 
-def filter_response(q: Filter, task: Task, frequencies) -> jax.Array:
-    """(F,) Q(z) of a filter at frequencies [Hz].
-
-    It is taken from the filter's answer to an impulse in the middle of a long trial.
-    """
-    N = max(LONG, task.N)
-    answer = np.asarray(_filtered(q, jnp.zeros((N, 1)).at[N // 2].set(1.0), task.dt))
-    taps = _trimmed(N // 2 - np.arange(N), answer[:, :, None])
-    return at_points(taps, on_circle(frequencies, task.dt))[:, 0, 0]
-
-
 # How it is done
 # --------------------------------------------------------------------------------------------------
 
@@ -247,7 +235,7 @@ def _matrices(scheme, task, memory):
 
 
 @jax.jit
-def _pushed(scheme, task, u, e):
+def pushed(scheme, task, u, e):
     """(N, n_w) what is learned from a change of what was played and of the error."""
     return _change(scheme, task)(u, e)
 
@@ -275,8 +263,3 @@ def _trimmed(powers, taps) -> Taps:
     nothing = NEGLIGIBLE * np.max(size, initial=0.0)
     kept = (np.cumsum(size) > nothing) & (np.cumsum(size[::-1])[::-1] > nothing)
     return Taps(np.asarray(powers)[kept], taps[kept])
-
-
-@jax.jit
-def _filtered(q, signal, dt):
-    return q(signal, dt)

@@ -30,7 +30,7 @@ from ..runtime.lanes import usual_lanes
 from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
 from ..signals.task import Limit, Task
-from .law import learning_law
+from .law import learning_law, pushed
 from .linearity import keeps_all, remembers
 from .spectrum import (
     drifting,
@@ -41,6 +41,7 @@ from .spectrum import (
     radius_with_doubt,
     reachable,
     reached,
+    singular_value,
     spectral_radius_of,
     triangular_radius,
 )
@@ -60,6 +61,7 @@ T = TypeVar("T")
 DENSE = 512  # rows up to which M is taken as a matrix
 STEPS = 300  # of the Lanczos process, at most
 FEW = 60  # Lanczos steps where a bound need not be sharp
+ROUNDS = 4  # of minimal residuals, to the limit of learning
 LARGEST = 1024  # rows up to which a matrix is made where it decides
 MOST = 4000  # trials over which a limit is looked for
 DRIFT = 1e-8  # share of what an error moves, above which a growth in each trial is no rounding
@@ -172,23 +174,12 @@ def _moves(scheme: Scheme, task: Task) -> np.ndarray:
     nothing does: how much an error moves depends on units. For a linear law one such look at each
     is enough.
     """
-    random = np.random.default_rng(7)
+    random, free = np.random.default_rng(7), scheme.unlimited()
     w = random.standard_normal(learned_shape(scheme, task))
     e = random.standard_normal((task.N, task.outputs))
-    both = (w, 0 * e), (0 * w, e)
-    forgotten, learned = (np.ravel(_moved(scheme.unlimited(), task, *of)) for of in both)
-    return (np.abs(forgotten) > 1e-14 * np.abs(w).max()) | (learned != 0)
-
-
-@jax.jit
-def _moved(scheme, task, w, e):
-    scheme = scheme.prepared(task)
-    memory = scheme.initial_memory(task)
-    return (
-        next_learned(scheme, task, memory, w, e)
-        - next_learned(scheme, task, memory, 0 * w, 0 * e)
-        - w
-    )
+    forgotten, learned = pushed(free, task, w, 0 * e) - w, pushed(free, task, 0 * w, e)
+    moves = (np.abs(forgotten) > 1e-14 * np.abs(w).max()) | (learned != 0)
+    return np.ravel(moves)
 
 
 def limit_names(machines: Machine, scheme: Scheme, task: Task) -> list[str]:
@@ -608,7 +599,8 @@ def _norm_of_power(found: Learning, power, *, steps: int):
     pull = jax.linear_transpose(push, found.start)
     forth = lambda v: lax.fori_loop(0, power, lambda _, v: push(v), v)  # noqa: E731
     back = lambda w: lax.fori_loop(0, power, lambda _, w: pull(w)[0], w)  # noqa: E731
-    return _value_and_bound(forth, back, found.start, steps)
+    norm = largest(forth, back, found.start, found.start.size, steps=steps, tolerance=0.0)
+    return norm.value, norm.bound
 
 
 def _of_random(found: Learning, power):
@@ -622,21 +614,16 @@ def _error_norm(found: Learning, about, *, steps: int, moving: tuple[int, ...]):
     free, at = scheme.unlimited().prepared(task), jnp.zeros((task.N, task.outputs))
     memory = free.initial_memory(task)
     learned = free.feedforward(memory, task)
-    _, of_error = jax.linearize(
-        lambda e: next_learned(free, task, memory, learned, e).ravel()[np.array(moving)], at
-    )
-    _, to_error = jax.linearize(found.error, found.start)
-    forth = lambda e: e + to_error(of_error(e.reshape(at.shape)))  # noqa: E731
-    back = jax.linear_transpose(forth, at.ravel())
-    return _value_and_bound(forth, lambda w: back(w)[0], at.ravel(), steps)
+
+    def following(e):
+        w = next_learned(free, task, memory, learned, e.reshape(at.shape)).ravel()
+        return e + found.error(w[np.array(moving)])
+
+    norm = singular_value(following, at.ravel(), steps=steps, tolerance=0.0)
+    return norm.value, norm.bound
 
 
-def _value_and_bound(forth, back, like, steps: int):
-    found = largest(forth, back, like, like.size, steps=steps, tolerance=0.0)
-    return found.value, found.bound
-
-
-def _limit(found: Learning, _, *, rounds: int = 4):
+def _limit(found: Learning, _):
     """Where the map goes: the residual over a Krylov space is minimised a few times in turn."""
     _, push = jax.linearize(found.following, found.start)
 
@@ -646,7 +633,7 @@ def _limit(found: Learning, _, *, rounds: int = 4):
         first = jnp.zeros(len(H)).at[0].set(jnp.linalg.norm(residual))
         return w + jnp.linalg.lstsq(H, first)[0] @ V[:-1]
 
-    w = lax.fori_loop(0, rounds, closer, found.start)
+    w = lax.fori_loop(0, ROUNDS, closer, found.start)
     left = jnp.linalg.norm(found.following(w) - w)
     return w, left, jnp.sqrt(jnp.mean(found.error(w) ** 2)), _gain(found.error, found.start)
 
@@ -683,6 +670,4 @@ def _first_met(found: Learning, _, reach, room):
 
 def _gain(f, w):
     """An upper bound of the norm of the derivative of f at w."""
-    here, push = jax.linearize(f, w)
-    pull = jax.linear_transpose(push, w)
-    return largest(push, lambda v: pull(v)[0], w, here.size, steps=FEW, tolerance=0.0).bound
+    return singular_value(f, w, steps=FEW, tolerance=0.0).bound

@@ -71,7 +71,8 @@ def linear_trial(
     free = None if scheme is None else scheme.unlimited()
     memory = memory if scheme is None or memory is not None else scheme.initial_memory(task)
     shape = learned_shape(scheme, task) or (task.N, task.inputs)
-    why = obstacle(_output_played, (machine.unlimited(), free, task, memory), jnp.zeros(shape))
+    fixed = machine.unlimited(), free, task, memory
+    why = obstacle(lambda fixed, w: played(*fixed, w).y, fixed, jnp.zeros(shape))
     if not why:
         return premise(LINEAR, True, "read off their programs")
     return premise(LINEAR, False, nonlinear_part(machine, scheme, task, memory) or why)
@@ -88,7 +89,7 @@ def nonlinear_part(
         return ""
     memory = scheme.initial_memory(task) if memory is None else memory
     fixed, y = (scheme.unlimited(), task, memory), jnp.zeros((task.N + 1, task.outputs))
-    why = obstacle(_input_replayed, fixed, y)
+    why = obstacle(lambda fixed, y: replay(*fixed, y)[0], fixed, y)
     return f"{type(scheme).__name__} acts within the trial by {why}" if why else ""
 
 
@@ -117,7 +118,7 @@ def learning_premises(machine: Machine, scheme: Scheme, task: Task) -> tuple[Pre
     if not alike.held:
         return found[0], premise(ONE_LAW, False, alike.detail)
     fixed = machine.unlimited(), scheme.unlimited().prepared(task), task
-    whole = obstacle(_step, fixed, scheme.initial_memory(task))
+    whole = obstacle(lambda fixed, memory: step(*fixed, memory), fixed, scheme.initial_memory(task))
     if whole and all(p.held for p in found):
         said = f"a trial and learning from it is no linear map, by {whole}"
         return found[0], premise(ONE_LAW, False, said)
@@ -235,20 +236,7 @@ def _after_no_error(scheme, task, w, e0):
     )
 
 
-def _output_played(fixed, learned):
-    return played(*fixed, learned).y
-
-
 def output_alone(fixed, u):
     """(N+1, n_y) the output of a machine without a scheme."""
     machine, task = fixed
     return played(machine, None, task, None, u).y
-
-
-def _input_replayed(fixed, y):
-    scheme, task, memory = fixed
-    return replay(scheme, task, memory, y)[0]
-
-
-def _step(fixed, memory):
-    return step(*fixed, memory)

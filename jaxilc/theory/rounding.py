@@ -39,7 +39,7 @@ from ..schemes.scheme import Memory, Schedule, State, Wrapper
 from ..signals.task import Limit, Sample, Task, Trial
 from .learning_map import View, alone, count_of, learning_of, slopes
 from .spectrum import reached
-from .trials import with_input, with_output, with_plant_within
+from .trials import disturbed, with_plant_within
 
 OF = {"sensor": "rounding", "converter": "rounding", "hysteresis": "hysteresis"}
 LARGEST = 1024  # inputs up to which rounding is followed
@@ -292,12 +292,12 @@ def _parts(common, machine, *, view: View, names: tuple[str, ...]) -> tuple:
             part = d[first : first + sizes[name]].reshape(-1, channels[name])
             first += sizes[name]
             if name == "sensor":
-                one = with_output(one, 0.5 * machine.sensor.resolution * part)
+                one = disturbed(one, "output", 0.5 * machine.sensor.resolution * part)
             elif name == "converter":
                 acting = _Adding(scheme, 0.5 * machine.actuator.resolution * part)
             else:
                 limit = machine.at_trial(task, None)[0].plant.hysteresis.limit
-                one = with_input(one, limit * part)
+                one = disturbed(one, "input", limit * part)
         found = learning_of(one, acting, task, view)
         limits = [jnp.zeros(1), *found.limits(w).values()]  # never empty, as `tiled` needs
         return found.following(w), found.error(w), jnp.concatenate(limits)

@@ -137,24 +137,13 @@ def shortened(task: Task, samples: int) -> Task:
     return dataclasses.replace(task, reference=r, settle=None)
 
 
-def with_output(machine: Machine, d) -> Machine:
-    """The machine with the repetitive disturbance d (N+1, n_y) of its output on top of its own."""
-    return _with(machine, "disturbance", "output", d)
+def disturbed(machine: Machine, name: str, d) -> Machine:
+    """The machine with d on top of its own repetitive disturbance of this name.
 
-
-def with_input(machine: Machine, d) -> Machine:
-    """The machine with the repetitive disturbance d (N, n_u) of its input on top of its own."""
-    return _with(machine, "disturbance", "input", d)
-
-
-def with_offset(machine: Machine, d) -> Machine:
-    """The machine whose trials start with its states d off, on top of its own offset."""
-    return _with(machine, "variation", "offset", d)
-
-
-def _with(machine: Machine, part: str, name: str, d) -> Machine:
-    found = getattr(machine, part)
-    found = {"disturbance": Disturbance, "variation": Variation}[part]() if found is None else found
+    name: "output", d (N+1, n_y); "input", (N, n_u); or "offset", of the states at the start
+    """
+    part, kind = ("variation", Variation) if name == "offset" else ("disturbance", Disturbance)
+    found = getattr(machine, part) or kind()
     own = getattr(found, name)
     changed = dataclasses.replace(found, **{name: d if own is None else own + d})
     return dataclasses.replace(machine, **{part: changed})

@@ -28,7 +28,6 @@ from jaxilc.schemes import (
 from jaxilc.signals import Task
 from jaxilc.theory import contraction, lifted
 from jaxilc.theory.spectrum import largest
-from jaxilc.uncertainty import Uniform, draw, drawn_machine
 
 MACHINE = Machine(PLANTS["arx"])
 SCHEMES = {
@@ -80,9 +79,8 @@ def test_singular_values_are_those_of_the_dense_matrix(name):
 def test_the_error_map_of_a_linear_law_is_the_lifted_one():
     """It is I - G L, also in a closed loop, and its powers are those over several trials."""
     for machine, scheme in (
-        (Machine(PLANTS["mimo"]), PIDType(gamma_p=(2.0, 1.0))),
-        (MACHINE, PIDType(gamma_p=0.5, gamma_d=0.3, lead=2)),
-        (MACHINE, WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.8, ki=20.0))),
+        (Machine(PLANTS["mimo"]), PIDType(gamma_p=(2.0, 1.0), lead=2)),
+        (MACHINE, WithFeedback(PIDType(gamma_p=0.5, gamma_d=0.3), PID(kp=0.8, ki=20.0))),
     ):
         task = task_for(machine.plant, 50)
         found = contraction.error_map(machine, scheme, task, trials=3)
@@ -92,8 +90,8 @@ def test_the_error_map_of_a_linear_law_is_the_lifted_one():
         )
         for j in range(3):
             np.testing.assert_allclose(J[j], np.linalg.matrix_power(M, j + 1), atol=1e-12)
-    growth = jax.jit(lambda at: contraction.error_growth(found.f, at, 3))(found.at).value
-    np.testing.assert_allclose(growth, lifted.transient_growth(M, 3), rtol=1e-6)
+    growth = contraction.singular_value(*found, row=2).value
+    np.testing.assert_allclose(growth, lifted.transient_growth(M, 3)[2], rtol=1e-6)
 
 
 @pytest.mark.thorough
@@ -273,7 +271,8 @@ def test_designed_to_contract_and_designed_to_diverge():
     of_input = {"leaves": ("u",), "weights": {"u": 1.0}}
     assert contraction.contracting(LAG, wild, task, **of_input).verdict == "fails"
     assert contraction.error_contracting(LAG, wild, task).verdict == "fails"
-    assert learn(LAG, wild, task, 30).rms[-1, 0] > 100 * learn(LAG, wild, task, 1).rms[0, 0]
+    errors = learn(LAG, wild, task, 30).rms[:, 0]
+    assert errors[-1] > 100 * errors[0]
 
 
 def test_away_from_its_fixed_point_an_adaptive_map_claims_nothing():
@@ -347,25 +346,6 @@ def test_the_map_of_gradient_learning_on_a_nonlinear_machine():
     assert np.max(np.abs(moved)) < 1e-9 * np.max(np.abs(found.at))
     np.testing.assert_allclose(J, by_hand, atol=1e-8)
     assert 0.5 < np.max(np.abs(np.linalg.eigvals(J))) < 0.99
-
-
-def test_over_plants_equals_one_by_one():
-    task, scheme = task_for(PLANTS["arx"], 30), SCHEMES["filtered"]
-    uncertainty = {"plant.b": Uniform(0.5, 1.5, relative=True), "plant.a[1]": Uniform(-0.7, -0.6)}
-    drawn = draw(MACHINE, uncertainty, 5)
-
-    def quantity(machine):
-        learning = contraction.learning_map(machine, scheme, task)
-        sigma = contraction.singular_value(*contraction.error_map(machine, scheme, task))
-        return sigma.value, contraction.spectral_radius_of(*learning, steps=40).value
-
-    together = contraction.over_plants(quantity, MACHINE, uncertainty, drawn)
-    alone = jax.jit(lambda values: quantity(drawn_machine(MACHINE, uncertainty, values)))
-    for i in range(5):
-        np.testing.assert_allclose(
-            [x[i] for x in together], alone({name: v[i] for name, v in drawn.items()}), rtol=1e-6
-        )
-    assert np.ptp(together[0]) > 0.05
 
 
 def test_a_value_above_1_that_is_no_eigenvalue_is_not_told_to_be_one():
