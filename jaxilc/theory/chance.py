@@ -788,18 +788,18 @@ def _parts(common, machine, *, view: View, noise: tuple[str, ...]) -> tuple:
 
     def at(w, d):
         one = _noisy(machine, unravel(d))
-        drawn = dataclasses.replace(one.variation or Variation(), shortest=None)
-        seen = learning_of(dataclasses.replace(one, variation=drawn), scheme, task, view)
-        of_one = learning_of(one, scheme, task, view)
-        limited = [jnp.zeros(1), *of_one.limits(w).values()]
-        return of_one.following(w), seen.output(w), jnp.concatenate(limited)
+        following, _, output, limits = learning_of(one, scheme, task, view).turn(w)
+        if one.variation is not None and one.variation.shortest is not None:
+            drawn = dataclasses.replace(one.variation, shortest=None)
+            whole = dataclasses.replace(one, variation=drawn)
+            output = learning_of(whole, scheme, task, view).turn(w).output
+        return following, output, jnp.concatenate([jnp.zeros(1), *limits.values()])
 
-    (c, y, t), (M, Y, T) = slopes(lambda w: at(w, still), start)
-    of_noise = [jnp.zeros((len(x), 1)) for x in (c, y, t)]
-    B, F, G = slopes(lambda d: at(start, d), still)[1] if noise else of_noise
+    (c, y, t), ((M, Y, T), of_noise) = slopes(at, start, still)
+    B, F, G = of_noise if noise else [jnp.zeros((len(x), 1)) for x in (c, y, t)]
     found = learning_of(machine, scheme, task, view)
     r = jnp.asarray(machine.sampled(task.dt).at_trial(task, None)[1].reference).ravel()
-    L = slopes(lambda e: found.from_record(start, e), jnp.zeros(y.size))[1]
+    _, (L,) = slopes(partial(found.from_record, start), jnp.zeros(y.size))
     return start, M, c - M @ start, L, Y, y - Y @ start, T, t - T @ start, B, F, G, r
 
 

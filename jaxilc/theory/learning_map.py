@@ -81,25 +81,42 @@ class View(NamedTuple):
     moving: tuple[int, ...]
 
 
+class Turn(NamedTuple):
+    """One trial that plays w, and learning from it.
+
+    following: (n,) F(w), the w of the next trial
+    error:     (N n_y,) the errors e[1..N]
+    output:    ((N+1) n_y,) the output
+    limits:    {name: what a limit acts on, in the trial and in learning from it}, in units of its
+               bound
+    """
+
+    following: jax.Array
+    error: jax.Array
+    output: jax.Array
+    limits: dict[str, jax.Array]
+
+
 class Learning(NamedTuple):
     """The learning map and what belongs to it, as functions of the flat vector w (n,).
 
     start:     (n,) the w of the first trial; where limits act, of the first after the last change
-    following: F, from w to the w of the next trial
-    error:     from w to (N n_y,), the errors e[1..N] of its trial
-    output:    from w to ((N+1) n_y,), the output of its trial
+    turn:      from w to its `Turn`
     from_record: from w and ((N+1) n_y,), the errors that the record shows, to the w of the next
                trial
-    limits:    from w to {name: what a limit acts on, in the trial of w and in learning from it}, in
-               units of its bound
     """
 
     start: jax.Array
-    following: Callable[[jax.Array], jax.Array]
-    error: Callable[[jax.Array], jax.Array]
-    output: Callable[[jax.Array], jax.Array]
+    turn: Callable[[jax.Array], Turn]
     from_record: Callable[[jax.Array, jax.Array], jax.Array]
-    limits: Callable[[jax.Array], dict[str, jax.Array]]
+
+    def following(self, w: jax.Array) -> jax.Array:
+        """F(w)."""
+        return self.turn(w).following
+
+    def error(self, w: jax.Array) -> jax.Array:
+        """(N n_y,) the errors of the trial of w."""
+        return self.turn(w).error
 
 
 def learning_of(
@@ -122,9 +139,14 @@ def learning_of(
             return known, trial_of(machine, scheme, task, known, key)
         return first, played(machine, scheme, task, first, known, key)
 
-    def following(w):
-        known = learned_from(machine, scheme, *trial(w), key)
-        return known_as(known, scheme, task, view)
+    def turn(w):
+        known, record = trial(w)
+        after = learned_from(machine, scheme, known, record, key)
+        found = bounded[0].limits(record) | bounded[1].limits(task, known, record)
+        limits = {name: (signal / bound).ravel() for name, (signal, bound) in found.items()}
+        return Turn(
+            known_as(after, scheme, task, view), record.e[1:].ravel(), record.y.ravel(), limits
+        )
 
     def from_record(w, e):
         known, record = trial(w)
@@ -132,19 +154,7 @@ def learning_of(
         shown = record._replace(y=record.r - e.reshape(record.r.shape))
         return known_as(scheme.learn(known, shown), scheme, task, view)
 
-    def limits(w):
-        known, record = trial(w)
-        found = bounded[0].limits(record) | bounded[1].limits(task, known, record)
-        return {name: (signal / bound).ravel() for name, (signal, bound) in found.items()}
-
-    return Learning(
-        start[moving],
-        following,
-        lambda w: trial(w)[1].e[1:].ravel(),
-        lambda w: trial(w)[1].y.ravel(),
-        from_record,
-        limits,
-    )
+    return Learning(start[moving], turn, from_record)
 
 
 def known_as(memory, scheme: Scheme, task: Task, view: View) -> jax.Array:
@@ -194,10 +204,13 @@ def _limits(machine: Machine, scheme: Scheme, task: Task) -> dict[str, Limit]:
     return machine.limits(trial) | scheme.limits(task, first, trial)
 
 
-def slopes(f: Callable[[jax.Array], T], x: jax.Array) -> tuple[T, T]:
-    """f at x (n,), and how each array (m,) of its result depends on x there, as (m, n)."""
-    here, push = jax.linearize(f, x)
-    return here, jax.vmap(push, out_axes=-1)(jnp.eye(x.size))
+def slopes(f: Callable[..., T], *at: jax.Array) -> tuple[T, list[T]]:
+    """f at vectors, and how each array (m,) of its result depends on each (n,) there, as (m, n)."""
+    whole, unravel = ravel_pytree(at)
+    here, push = jax.linearize(lambda x: f(*unravel(x)), whole)
+    steep, ends = jax.vmap(push, out_axes=-1)(jnp.eye(whole.size)), np.cumsum([x.size for x in at])
+    of_each = [slice(end - x.size, end) for end, x in zip(ends, at, strict=True)]
+    return here, [jax.tree.map(lambda part, i=i: part[:, i], steep) for i in of_each]
 
 
 # The maps of many machines
@@ -494,7 +507,12 @@ def _of_one(common, machine, *, view: View):
     scheme, task = common
     found = learning_of(machine, scheme, task, view)
     w = found.start
-    here, steep = slopes(lambda w: (found.following(w), found.error(w), found.limits(w)), w)
+
+    def asked(w):
+        following, error, _, limits = found.turn(w)
+        return following, error, limits
+
+    here, (steep,) = slopes(asked, w)
     offset = jax.tree.map(lambda value, slope: value - slope @ w, here, steep)
     (M, E, T), (c, e0, t) = steep, offset
     return w, M, c, E, e0, T, t
@@ -634,8 +652,9 @@ def _limit(found: Learning, _):
         return w + jnp.linalg.lstsq(H, first)[0] @ V[:-1]
 
     w = lax.fori_loop(0, ROUNDS, closer, found.start)
-    left = jnp.linalg.norm(found.following(w) - w)
-    return w, left, jnp.sqrt(jnp.mean(found.error(w) ** 2)), _gain(found.error, found.start)
+    following, error, *_ = found.turn(w)
+    left = jnp.linalg.norm(following - w)
+    return w, left, jnp.sqrt(jnp.mean(error**2)), _gain(found.error, found.start)
 
 
 def _radius(found: Learning, _):
@@ -645,14 +664,14 @@ def _radius(found: Learning, _):
 
 
 def _first_met(found: Learning, _, reach, room):
-    sizes = [signal.size for signal in jax.eval_shape(found.limits, found.start).values()]
-    acted = lambda w: jnp.concatenate([*found.limits(w).values()]) / room  # noqa: E731
-    gain = _gain(acted, found.start)
+    sizes = [x.size for x in jax.eval_shape(found.turn, found.start).limits.values()]
+    acted = lambda limits: jnp.concatenate([*limits.values()]) / room  # noqa: E731
+    gain = _gain(lambda w: acted(found.turn(w).limits), found.start)
 
     def look(now):
         j, w, met, _, _ = now
-        following = found.following(w)
-        of_each = jnp.split(jnp.abs(acted(w)), np.cumsum(sizes)[:-1])
+        following, _, _, limits = found.turn(w)
+        of_each = jnp.split(jnp.abs(acted(limits)), np.cumsum(sizes)[:-1])
         top = jnp.stack([jnp.max(one) for one in of_each])
         moved = jnp.linalg.norm(following - w)
         later = jnp.max(top) + gain * jnp.where(moved > 0, reach * moved, 0.0)

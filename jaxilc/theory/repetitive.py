@@ -50,8 +50,7 @@ from ..plants.position import Harmonics
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..schemes import OnOutputs, RepetitiveBasis, RepetitiveControl, Scheme, WithFeedback
-from ..schemes.repetitive import AROUND, delays, lagrange
-from ..schemes.repetitive import BEFORE
+from ..schemes.repetitive import AROUND, BEFORE, delays, lagrange
 from ..signals.task import Task
 from ..uncertainty import Population, drawn_machines
 from .condition import Condition, Premise, condition, premise

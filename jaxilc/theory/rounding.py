@@ -298,11 +298,10 @@ def _parts(common, machine, *, view: View, names: tuple[str, ...]) -> tuple:
             else:
                 limit = machine.at_trial(task, None)[0].plant.hysteresis.limit
                 one = disturbed(one, "input", limit * part)
-        found = learning_of(one, acting, task, view)
-        limits = [jnp.zeros(1), *found.limits(w).values()]  # never empty, as `tiled` needs
-        return found.following(w), found.error(w), jnp.concatenate(limits)
+        following, error, _, limits = learning_of(one, acting, task, view).turn(w)
+        limits = [jnp.zeros(1), *limits.values()]  # never empty, as `tiled` needs
+        return following, error, jnp.concatenate(limits)
 
     none = jnp.zeros(sum(sizes.values()))
-    (following, *_), (M, E, T) = slopes(lambda w: at(w, none), start)
-    _, (D, F, G) = slopes(lambda d: at(start, d), none)
+    (following, *_), ((M, E, T), (D, F, G)) = slopes(at, start, none)
     return following - start, M, D, E, F, T, G
