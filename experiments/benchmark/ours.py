@@ -14,6 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +24,7 @@ from operations import cost, of_a_trial
 from timing import OURS, Entry, Row, in_turns
 
 from jaxilc import scenarios
+from jaxilc.learning.divergence import CEILING
 from jaxilc.learning.known_metrics import bytes_of_metrics
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.metrics import Keep
@@ -40,9 +42,10 @@ from jaxilc.scenarios.xu_2024 import MODEL
 from jaxilc.schemes import NormOptimal, Scheme
 from jaxilc.signals.task import Task, Trial
 from jaxilc.sweeps.host import TRIALS_A_PASS
-from jaxilc.tuning import Tuning
 from jaxilc.tuning.descent import Evaluation, over_starts
 from jaxilc.tuning.objectives import Final, Objective
+from jaxilc.tuning.problem import Losses
+from jaxilc.tuning.risks import Mean
 from jaxilc.tuning.weights import Weights
 from jaxilc.uncertainty import Population, Uncertainty, Uniform
 
@@ -110,22 +113,21 @@ class Learning:
         Raises ValueError where the program does not fit into RAM, Unknown where none can be
         compiled.
         """
-        problem = Tuning(
-            self.population,
-            self.scheme,
-            self.task,
-            self.trials,
-            list(weights.start),
-            objective=self.objective,
-            mode="forward" if forward else "reverse",
-            quantities=self.quantities,
+        asked: Any = SimpleNamespace(  # what the losses read of a tuning
+            **vars(self),
+            machines=self.population.size,
             held_out=0,
+            risk=Mean(),
+            mode="forward" if forward else "reverse",
+            truncate=None,
+            ceiling=CEILING,
             clip=np.inf,
             steps=1,
+            starts=1,
         )
-        vars(problem)["population"] = self.population  # of the machines that opponents have
+        lanes = Losses(asked, weights, 1).fitting_lanes()
         with _wanted(native):
-            evaluate, compiled = problem.evaluation
+            evaluate, compiled = Losses(asked, weights, lanes).evaluation()
         if native and not compiled:
             raise Unknown("a gradient that XLA computes")
         return _built(over_starts(evaluate), weights.starts(1, 0.0, SEED))
