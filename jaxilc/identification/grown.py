@@ -28,7 +28,7 @@ from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from .estimation import Order, compare_orders, identify, information
-from .not_linear import Suspicion, suspicions
+from .not_linear import Answers, Suspicion, suspicions
 from .problem import (
     SAMPLES_PER_PARAMETER,
     checked_record,
@@ -503,6 +503,15 @@ def validated(signals: Signals, parts: Parts) -> float:
 # --------------------------------------------------------------------------------------------------
 
 
+def answers_of(signals: Signals, parts: Parts) -> Answers:
+    """What a model of one input and one output answers, without its bias."""
+    kick = np.zeros(signals.u.shape)
+    kick[..., 1] = 1.0  # the input comes one sample late
+    N = numerators(signals, parts)[0][1:]
+    both = (columns(one, parts)[0][:, 1:] @ N for one in (signals, signals._replace(u=kick)))
+    return Answers(parts.order, *((of * signals.scale)[:, 0] for of in both))
+
+
 def into_states(parts: Parts, dt: float) -> Numbers:
     """(c, c) the columns of one input, as those of `columns`, times this are the held states."""
     blocks = [np.eye(int(parts.direct))]
@@ -718,7 +727,9 @@ def grow(
     fixed = order
 
     def suspected(fits: Iterable[Fitted], *others: Plant) -> list[Suspicion]:
-        simple = [plant_of(whole, one.parts) for one in fits if one.parts.order <= SIMPLE]
+        if n_u * n_y * record.trials > 1:
+            return []
+        simple = [answers_of(whole, one.parts) for one in fits if one.parts.order <= SIMPLE]
         return suspicions(record, [*others, *simple])
 
     def imitates(fits: list[Fitted]) -> bool:

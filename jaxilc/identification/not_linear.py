@@ -22,16 +22,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 import scipy.linalg
-from scipy.signal import butter, filtfilt
+from scipy.signal import butter, fftconvolve, filtfilt
 
-from ..learning.machine import Machine
 from ..plants import Plant
 from ..pytree.in_short import in_short
+from ..pytree.named_paths import get_at
 from ..pytree.ranges import require
-from .records import Record, as_columns, output_from_rest, task_of
+from .problem import free_elements, simulated_output
+from .records import Record, as_columns, task_of
 from .verdict import Estimate, estimates, fit_of, inverse_of_normal, widened
 
 LEAST = 0.2  # share of the residual that a suspicion explains at least
@@ -78,10 +78,32 @@ class Suspicion(NamedTuple):
     __repr__ = in_short
 
 
+class Answers(NamedTuple):
+    """What a plant of one input and one output answers to the record, and to one sample of 1.
+
+    modelled, impulse: (N+1,) outputs, from rest
+    """
+
+    order: int
+    modelled: np.ndarray
+    impulse: np.ndarray
+
+    @classmethod
+    def of(cls, plant: Plant, record: Record) -> Answers:
+        """The answers of a plant, by the program that has fitted it."""
+        names, u = free_elements(plant, None), record.u
+        values = np.array([float(get_at(plant, name)) for name in names])
+        task, size = task_of(plant, u, record.dt), np.max(np.abs(u))
+        kick = np.zeros(np.shape(u))
+        kick[0] = size
+        both = [simulated_output(values, names, plant, task, one)[:, 0] for one in (u, kick)]
+        return cls(getattr(plant, "order", 4), np.asarray(both[0]), np.asarray(both[1]) / size)
+
+
 class Seen(NamedTuple):
     """One record, all of the same rows: u (N,), y (N,), e (N,), and the plant.
 
-    P: response (N, m) of the plant to inputs (N, m)
+    impulse: (N,) answer of the plant to one sample of 1
     up: 1, or -1 where a positive input moves the output down
     """
 
@@ -89,11 +111,15 @@ class Seen(NamedTuple):
     u: np.ndarray
     y: np.ndarray
     e: np.ndarray
-    P: Callable[[np.ndarray], np.ndarray]
+    impulse: np.ndarray
     up: float
 
+    def P(self, inputs: np.ndarray) -> np.ndarray:
+        """(N, m) the response of the linear plant to inputs (N, m)."""
+        return fftconvolve(inputs, self.impulse[:, None], axes=0)[: len(inputs)]
 
-def suspicions(record: Record, plants: Sequence[Plant]) -> list[Suspicion]:
+
+def suspicions(record: Record, plants: Sequence[Plant | Answers]) -> list[Suspicion]:
     """What explains the residuals of linear plants, least left first; empty where nothing does.
 
     A plant of high order imitates what is not linear, by poles that no machine has; so the plants
@@ -101,9 +127,14 @@ def suspicions(record: Record, plants: Sequence[Plant]) -> list[Suspicion]:
     more than the best, and of the suspicions those that leave hardly more than the first.
 
     record: one experiment with one input and one output; of others nothing is said
-    plants: fits to it, of one input and one output
+    plants: fits to it, of one input and one output, or what they answer
     """
-    seen = [one for one in (_seen(record, plant) for plant in plants) if one is not None]
+    u, y = as_columns("suspicions", "u", record.u), as_columns("suspicions", "y", record.y)
+    if record.trials != 1 or u.shape[1] != 1 or y.shape[1] != 1 or not np.ptp(u) > 0:
+        return []
+    record = record._replace(u=u, y=y)
+    answers = (one if isinstance(one, Answers) else Answers.of(one, record) for one in plants)
+    seen = [one for one in (_seen(record, of) for of in answers) if one is not None]
     told = [one for each in seen for one in _suspected(each)]
     if not told:
         return []
@@ -137,24 +168,15 @@ def _suspected(seen: Seen) -> list[Suspicion]:
     return [one for one in [*told, _rounding(seen)] if one is not None]
 
 
-def _seen(record: Record, plant: Plant) -> Seen | None:
-    u, y = as_columns("suspicions", "u", record.u), as_columns("suspicions", "y", record.y)
-    if record.trials != 1 or u.shape[1] != 1 or y.shape[1] != 1:
-        return None
-    n = min(len(u), MOST)
-    u, y, machine, task = u[:n, 0], y[:n, 0], Machine(plant), task_of(plant, u[:n], record.dt)
-
-    def P(inputs):
-        of_each = jax.vmap(lambda one: output_from_rest(machine, task, one[:, None])[:n, 0])
-        return np.asarray(of_each(np.transpose(inputs))).T
-
-    modelled = P(u[:, None])[:, 0]
+def _seen(record: Record, of: Answers) -> Seen | None:
+    n = min(len(record.u), MOST)
+    u, y, modelled = np.asarray(record.u)[:n, 0], np.asarray(record.y)[:n, 0], of.modelled[:n]
     e = y - modelled
     e = e - np.mean(e)
     if not np.ptp(u) > 0 or not np.std(e) > 0 or not np.all(np.isfinite(e)):
         return None
     up = -1.0 if u @ np.gradient(modelled) < 0 else 1.0  # what moves it does work on it
-    return Seen(getattr(plant, "order", 4), u, y, e, P, up)
+    return Seen(of.order, u, y, e, of.impulse[:n], up)
 
 
 def _linear(seen: Seen, lags: int) -> np.ndarray:

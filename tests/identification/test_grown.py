@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from jaxilc.identification import Record, excite, grow, grown, projection, read_record
+from jaxilc.identification.not_linear import Answers
 from jaxilc.learning import Machine, Sensor
 from jaxilc.plants import ModalModel, ProcessModel
 
@@ -68,6 +69,15 @@ def test_the_plant_answers_as_the_columns_do(channels):
     for half in range(2):
         found = excite(Machine(plant), u[100 * half : 100 * (half + 1)], DT).y
         np.testing.assert_allclose(found, want[101 * half : 101 * (half + 1)], rtol=1e-7, atol=1e-7)
+
+
+def test_what_is_not_linear_is_asked_of_what_the_plant_answers():
+    record = Record(U, RNG.normal(size=(901, 1)), DT)
+    of = grown.Signals.of(record, 700)
+    ours = grown.answers_of(of, PARTS)
+    simulated = Answers.of(grown.plant_of(of, PARTS), record)
+    for one, other in zip(ours, simulated, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-7)
 
 
 def test_order_delay_direct_term_and_integrator_are_found():
