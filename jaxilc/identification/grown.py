@@ -24,7 +24,7 @@ from scipy.signal import lfilter
 
 from ..plants import ModalModel, Plant, ProcessModel
 from ..plants.process_model import LONGEST_DELAY
-from ..pytree.aliases import Value
+from ..pytree.aliases import Numbers, Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from .estimation import Order, compare_orders, identify, information
@@ -37,10 +37,9 @@ from .problem import (
     unit_columns,
 )
 from .projection import projected, searched
-from .records import Record, as_columns
+from .records import Record, as_columns, delayed
 from .verdict import Identified, fit_of
 
-Numbers = np.ndarray
 LONGEST_LOOKED_FOR = 50  # samples, the default of the longest delay that is looked for
 BEYOND = 10  # lags beyond the longest delay, so that its answer is seen
 SIGNIFICANT = 4.0  # standard errors from which on an answer to the input is no chance
@@ -92,9 +91,9 @@ class Parts(NamedTuple):
         return np.concatenate([self.modes.ravel(), self.lags])
 
     @property
-    def kind(self) -> tuple[int, ...]:
+    def kind(self) -> tuple[int, int, int, bool, int]:
         """What is counted: modes, lags, integrators, direct term and delay."""
-        return len(self.modes), len(self.lags), self.integrators, int(self.direct), self.delay
+        return len(self.modes), len(self.lags), self.integrators, self.direct, self.delay
 
     def at(self, x: Numbers) -> Parts:
         q = len(self.modes)
@@ -159,20 +158,13 @@ def denominator(w: float, zeta: float, dt: float) -> Numbers:
     return np.array([1.0, -np.exp(-slow * dt) - np.exp(-fast * dt), np.exp(-(slow + fast) * dt)])
 
 
-def _later(signal: Numbers, by: int = 1) -> Numbers:
-    """The signal (..., n) later by some samples, from rest."""
-    moved = np.zeros_like(signal)
-    moved[..., by:] = signal[..., : signal.shape[-1] - by]
-    return moved
-
-
 def columns(signals: Signals, parts: Parts) -> tuple[Numbers, list[Numbers]]:
     """(rows, c) what the numerators multiply, and the denominators of modes and lags.
 
     For each input: the direct term, one or two integrators, two columns a mode, one a lag; a column
     of ones for the bias stands first.
     """
-    u = _later(signals.u, parts.delay) if parts.delay else signals.u
+    u = delayed(signals.u, parts.delay)
     rows, found = signals.y.shape[0], [u] * parts.direct
     summed = u
     for _ in range(parts.integrators):
@@ -182,7 +174,7 @@ def columns(signals: Signals, parts: Parts) -> tuple[Numbers, list[Numbers]]:
     dens += [np.array([1.0, -np.exp(-np.exp(lag) * signals.dt)]) for lag in parts.lags]
     for den in dens:
         filtered = lfilter([1.0], den, u)
-        found += [filtered, _later(filtered)][: len(den) - 1]
+        found += [filtered, delayed(filtered, 1)][: len(den) - 1]
     flat = [np.ones((1, rows)), *(one.reshape(len(u), -1)[:, :rows] for one in found)]
     return np.concatenate(flat).T, dens
 
@@ -205,7 +197,7 @@ def slopes(signals: Signals, parts: Parts, N: Numbers) -> Numbers:
         padded = np.zeros((T * n, own.shape[1]))
         padded[: len(own)] = own
         again = lfilter([1.0], den, padded.T.reshape(-1, T, n))
-        moved = [_later(again, k).reshape(len(again), -1)[:, : len(own)].T for k in (1, 2)]
+        moved = [delayed(again, k).reshape(len(again), -1)[:, : len(own)].T for k in (1, 2)]
         q = len(parts.modes)
         if i < q:
             for k in range(2):
@@ -268,7 +260,7 @@ def reduced_poles(signals: Signals, delay: int, clip: bool = True) -> Callable[[
     """
     n_u, T, n = signals.u.shape
     n_y = signals.y.shape[1]
-    u = _later(signals.u, delay) if delay else signals.u
+    u = delayed(signals.u, delay)
     m = int(min(LAGS, n // 4, signals.samples // (3 * (n_u + n_y))))
     rows, wanted = [], []
     for t in range(T):
@@ -493,10 +485,10 @@ def numerators(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
     return N / length[:, None], X / length @ N
 
 
-def validated(signals: Signals, parts: Parts) -> float:
-    """Sum of squares of the residual of the part that was not fitted."""
-    rest = slice(signals.samples, None)
-    return float(np.sum((signals.y[rest] - numerators(signals, parts)[1][rest]) ** 2))
+def foretold(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
+    """The output of the part that was not fitted, and its residual."""
+    y = signals.y[signals.samples :]
+    return y, y - numerators(signals, parts)[1][signals.samples :]
 
 
 # The plant
@@ -558,7 +550,6 @@ class WithZeros(NamedTuple):
     numerator: Numbers
     unit: float
     bic: float
-    parameters: int
 
     @property
     def zeros(self) -> Numbers:
@@ -566,8 +557,8 @@ class WithZeros(NamedTuple):
         return self.unit * np.polynomial.polynomial.polyroots(self.numerator)
 
 
-def with_zeros(signals: Signals, fitted: Fitted) -> list[WithZeros]:
-    """The fits of all degrees of the numerator below the order, of one input and one output."""
+def with_zeros(signals: Signals, fitted: Fitted) -> WithZeros:
+    """The best fit of all degrees of the numerator below the order, of one input and one output."""
     parts = fitted.parts
     rates = np.exp(np.concatenate([parts.modes[:, 0], parts.lags]))
     unit = float(np.exp(np.mean(np.log(rates))))
@@ -606,10 +597,10 @@ def with_zeros(signals: Signals, fitted: Fitted) -> list[WithZeros]:
         N, residual = solved(x, degree)
         count = len(x) + degree + 2 + (parts.delay > 0)
         bic = information(residual, count, SMALLEST)
-        found.append(WithZeros(parts.at(x), N[1:] * signals.scale[0], unit, bic, count))
+        found.append(WithZeros(parts.at(x), N[1:] * signals.scale[0], unit, bic))
         if bic > min(one.bic for one in found) + FAR:  # a coefficient that is needed is missing
             break
-    return found
+    return min(found, key=lambda one: one.bic)
 
 
 def with_real_zeros(signals: Signals, fitted: Fitted) -> ProcessModel | None:
@@ -619,7 +610,7 @@ def with_real_zeros(signals: Signals, fitted: Fitted) -> ProcessModel | None:
         return None
     if parts.direct or parts.integrators:
         return None
-    best = min(with_zeros(signals, fitted), key=lambda one: one.bic)
+    best = with_zeros(signals, fitted)
     zeros = best.zeros
     if best.bic > fitted.bic + EQUAL or np.any(np.abs(zeros.imag) > 1e-6 * np.abs(zeros)):
         return None
@@ -748,7 +739,7 @@ def grow(
     improve = partial(improved, signals, delays=delays, highest=highest, each=say)
     best, tried = improve(start, order=fixed)
     need_stable(whole, best)
-    kinds: dict[tuple[int, ...], Fitted] = {}
+    kinds: dict[tuple[int, int, int, bool, int], Fitted] = {}
     for one in (*steps.values(), *tried, best):
         kind = one.parts.kind
         kinds[kind] = min(kinds.get(kind, one), one, key=lambda one: one.bic)
@@ -771,9 +762,12 @@ def grow(
 def by_validation(whole: Signals, best: Fitted, others: list[Fitted]) -> Fitted:
     """The best fit, or one of lower order that is clearly better on the validation part."""
     lower = [one for one in others if one.parts.order < best.parts.order]
-    errors = [(validated(whole, one.parts), one) for one in lower]
-    error, other = min(errors, key=lambda pair: pair[0], default=(np.inf, best))
-    return other if error < CLEARLY * validated(whole, best.parts) else best
+
+    def left(one: Fitted) -> float:
+        return float(np.sum(foretold(whole, one.parts)[1] ** 2))
+
+    other = min(lower, key=left, default=best)
+    return other if left(other) < CLEARLY * left(best) else best
 
 
 def need_stable(whole: Signals, best: Fitted) -> None:
@@ -809,15 +803,10 @@ def _worth_telling(fits: Iterable[Fitted]) -> list[Fitted]:
 
 
 def _told(whole: Signals, one: Fitted) -> Tried:
-    parts, rest = one.parts, slice(whole.samples, None)
-    y, error = whole.y[rest], whole.y[rest] - numerators(whole, parts)[1][rest]
-    share = float(np.min(fit_of(y, error)))
-    n_y = whole.y.shape[1]
+    share, n_y = float(np.min(fit_of(*foretold(whole, one.parts)))), whole.y.shape[1]
     unit = float(whole.scale[0]) if n_y == 1 else 1.0
     rms = unit * float(np.sqrt(one.cost / (whole.samples * n_y)))
-    q, lags, integrators, direct, delay = parts.kind
-    counts = (parts.order, q, lags, integrators, bool(direct), delay)
-    return Tried(*counts, one.parameters, rms, one.bic, share)
+    return Tried(one.parts.order, *one.parts.kind, one.parameters, rms, one.bic, share)
 
 
 def orders_and_delays(

@@ -31,7 +31,7 @@ from ..pytree.in_short import in_short
 from ..pytree.named_paths import get_at
 from ..pytree.ranges import require
 from .problem import free_elements, simulated_output
-from .records import Record, as_columns, task_of
+from .records import Record, as_columns, delayed, task_of
 from .verdict import Estimate, estimates, fit_of, inverse_of_normal, widened
 
 LEAST = 0.2  # share of the residual that a suspicion explains at least
@@ -182,15 +182,11 @@ def _seen(record: Record, of: Answers) -> Seen | None:
 def _linear(seen: Seen, lags: int) -> np.ndarray:
     """An orthonormal basis of what filters of u with about the poles of P make."""
     modelled = seen.y - seen.e
-    late = [_later(x, k) for x in (seen.u, modelled) for k in range(lags)]
+    late = [delayed(x, k) for x in (seen.u, modelled) for k in range(lags)]
     X = np.column_stack([np.ones(len(seen.u)), *late])
     Q, R, _ = scipy.linalg.qr(X, mode="economic", pivoting=True)
     size = np.abs(np.diag(R))
     return Q[:, size > 1e-9 * size[0]]
-
-
-def _later(x: np.ndarray, k: int) -> np.ndarray:
-    return x if k == 0 else np.concatenate([np.zeros(k), x[:-k]])
 
 
 def _moving(x: np.ndarray, over: int = 1) -> np.ndarray:

@@ -93,3 +93,10 @@ def output_from_rest(machine: Machine, task: Task, u) -> jax.Array:
 def first_of(record: Record):
     """(N, n_u) the input of the first experiment of a record."""
     return record.u[: len(record.u) // record.trials]
+
+
+def delayed(signal: np.ndarray, by: int) -> np.ndarray:
+    """A signal (..., N), later by some samples, from rest."""
+    moved = np.zeros_like(signal)
+    moved[..., by:] = signal[..., : signal.shape[-1] - by]
+    return moved
