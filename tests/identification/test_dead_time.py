@@ -64,5 +64,5 @@ def test_the_delay_is_a_shift_of_the_input():
 
 def test_the_earlier_name_still_compares_structures():
     with pytest.warns(FutureWarning, match="orders_and_delays is now grow"):
-        found = orders_and_delays(record(3), structures=((1, 0, 0),), starts=16)
+        found = orders_and_delays(record(3), longest=5, structures=((1, 0, 0),), starts=16)
     assert [(one.poles, one.pairs, one.zeros, one.delay) for one in found] == [(1, 0, 0, 3)]

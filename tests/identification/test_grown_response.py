@@ -112,9 +112,9 @@ def test_the_order_of_a_simulated_machine_is_found_and_its_intervals_hold(seed, 
 
 def test_machines_drawn_as_if_independent_spread_as_far_as_the_lines_are_from_the_fit():
     """Here a mode is missing in the model, so that most of the error is its own."""
-    measured = flexible(1, 3, 2, 150, DT, 200, True)[-1]
-    models, _ = grow_response(measured, dt=DT, highest=6)
-    one = next(one for one in models if one.parts == Parts(0, 2, 2))
+    at, _, P, measured = flexible(1, 3, 2, 150, DT, 200, True)
+    growing = grown_response._Growing(measured, DT, None)
+    one = growing._refined(np.delete(at.theta, [2, 5]), Parts(0, 2, 2), (0.1, 1.0), P)
     found, rng = identified_response(measured, one, DT, None), np.random.default_rng(0)
     names = grown_response.names_of(one.parts)
     low, high = (
@@ -123,9 +123,10 @@ def test_machines_drawn_as_if_independent_spread_as_far_as_the_lines_are_from_th
     )
     low[-1] = high[-1] = found.plant.delay
     far = []
-    for _ in range(40):
-        plant = grown_response.model_of(rng.uniform(low, high), one.parts)
-        P = held(plant, measured.frequencies, DT)
+    for values in rng.uniform(low, high, (40, len(low))):
+        theta = np.append(np.log(values[:4]), values[-1])
+        N = values[4:-1] / grown_response._units(one.parts)
+        P = grown_response.columns(theta, one.parts, measured.frequencies, DT) @ N
         far.append(np.abs(P - found.simulated[:, 0]))
     error = np.abs(measured.response - found.simulated[:, 0])
     assert np.mean(error <= np.quantile(far, 0.95, axis=0)) > 0.8
@@ -133,8 +134,8 @@ def test_machines_drawn_as_if_independent_spread_as_far_as_the_lines_are_from_th
 
 
 def test_a_given_delay_is_kept():
-    measured = flexible(2, 3, 2, 150, None, 20, True)[-1]
-    _, chosen = grow_response(measured, delay=2.6e-3, highest=8)
+    measured = flexible(2, 1, 2, 60, None, 20, True)[-1]
+    _, chosen = grow_response(measured, delay=2.6e-3, highest=4)
     found = identified_response(measured, chosen, None, 2.6e-3)
     assert found.plant.delay == 2.6e-3
     assert "delay" not in found.parameters
