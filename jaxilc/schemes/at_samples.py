@@ -119,11 +119,10 @@ class AtSamples(Wrapper):
             raise ValueError("AtSamples: weight is zero at all samples from k = 1 on")
 
     def prepared(self, task: Task) -> AtSamples:
-        inner, seen, _ = self.parts(task, None)["scheme"]
-        return dataclasses.replace(self, scheme=inner.prepared(seen), solved=Ready(dt=task.dt))
+        return dataclasses.replace(super().prepared(task), solved=Ready(dt=task.dt))
 
     def record(self, learned: Array, e: Array, task: Task) -> Trial:
-        inner, seen, _ = self.parts(task, None)["scheme"]
+        inner, seen, _ = self._inner(task)
         wide = jnp.zeros((task.N + 1, seen.outputs))
         r = jnp.asarray(task.reference)
         return inner.record(learned, wide, seen)._replace(r=r, y=r - e)

@@ -284,8 +284,7 @@ class OnBasis(Guard):
         return OnBasisMemory(self.scheme.initial_memory(task), theta)
 
     def prepared(self, task: Task) -> OnBasis:
-        ready = Ready(dt=task.dt)
-        return dataclasses.replace(self, scheme=self.scheme.prepared(task), solved=ready)
+        return dataclasses.replace(super().prepared(task), solved=Ready(dt=task.dt))
 
     def learn(self, memory: OnBasisMemory, trial: Trial) -> OnBasisMemory:
         dt = trial.dt if self.solved is None else self.solved.dt
