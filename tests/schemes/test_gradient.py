@@ -10,7 +10,6 @@ from cases import ALGEBRA, DIFFERENCES, DT
 from dense import lifted
 
 from jaxilc import Machine, Task
-from jaxilc.learning.over_trials import measured_trial
 from jaxilc.plants import DifferenceEquation, StateSpace, TimeVaryingStateSpace
 from jaxilc.plants.from_python_control import NonlinearSystem
 from jaxilc.schemes import GradientILC
@@ -42,10 +41,11 @@ PENDULUM = NonlinearSystem({"gravity": 0.17}, (0.05, -0.1), _swung, _angle, n_in
 Q, S = np.array([[4.0, 0.5], [0.5, 3.0]]), np.array([0.1, 0.2, 0.3])
 
 
+@jax.jit
 def after(scheme, u, e):
     """Return the memory after a trial that played u (N, n_u) with the errors e (N, n_y)."""
     task = Task(np.zeros((N + 1, e.shape[1])), dt=DT, inputs=u.shape[1])
-    trial = measured_trial(task, np.r_[np.zeros((1, e.shape[1])), -e], u)
+    trial = scheme.record(u, jnp.concatenate([jnp.zeros_like(e[:1]), e]), task)
     return scheme.learn(scheme.initial_memory(task), trial)
 
 
