@@ -38,6 +38,13 @@ WIDE = StateSpace(
 MIMO = Task(RANDOM.standard_normal((N + 1, 3)), dt=DT, inputs=2)
 Q = np.diag([1.0, 2.0, 0.5]) + 0.1
 
+one_trial = jax.jit(run_trial)
+
+
+@jax.jit
+def learned(scheme, memory, trial):
+    return scheme.learn(memory, trial)
+
 
 @pytest.mark.thorough(but=["feedback1-mean"])
 @pytest.mark.parametrize("about", ["trial", "mean"])
@@ -92,20 +99,18 @@ def test_what_each_experiment_plays():
     scheme = ModelFreeGradient(0.5, 0.3, about="mean", limit=0.2, filter=ZeroPhaseFIR((0.6, 0.2)))
     memory, key = scheme.initial_memory(TASK), jax.random.key(0)
     memory = memory._replace(u=0.1 * jnp.sin(jnp.arange(1.0, N + 1))[:, None])
-    first = run_trial(MACHINE, scheme, TASK, memory, key)
-    memory = scheme.learn(memory, first)
+    first = one_trial(MACHINE, scheme, TASK, memory, key)
+    memory = learned(scheme, memory, first)
     mean, e = np.mean(first.u), np.asarray(first.e)[1:, 0]
     assert np.max(np.abs(mean + 0.3 * e)) > 0.2, "the limit should matter"
     np.testing.assert_allclose(memory.u[:, 0], np.clip(mean + 0.3 * e[::-1], -0.2, 0.2), **ALGEBRA)
-    second = run_trial(MACHINE, scheme, TASK, memory, key)
-    memory = scheme.learn(memory, second)
+    second = one_trial(MACHINE, scheme, TASK, memory, key)
+    memory = learned(scheme, memory, second)
     np.testing.assert_allclose(memory.u[:, 0], np.full(N, mean), **ALGEBRA)
-    third = run_trial(MACHINE, scheme, TASK, memory, key)
+    third = one_trial(MACHINE, scheme, TASK, memory, key)
     slope = (np.asarray(second.y) - np.asarray(third.y))[:0:-1, 0] / 0.3
-    learned = scheme.filter(np.asarray(first.u) + 0.5 * slope[:, None], DT)
-    np.testing.assert_allclose(
-        scheme.learn(memory, third).u, np.clip(learned, -0.2, 0.2), **ALGEBRA
-    )
+    new = scheme.filter(np.asarray(first.u) + 0.5 * slope[:, None], DT)
+    np.testing.assert_allclose(learned(scheme, memory, third).u, np.clip(new, -0.2, 0.2), **ALGEBRA)
 
 
 def test_repeated_experiments_are_averaged():
@@ -142,10 +147,10 @@ def test_a_machine_plays_the_experiments_and_their_errors_are_no_growth(tmp_path
     memory, found = scheme.initial_memory(TASK), []
     for trial in range(5):
         np.testing.assert_allclose(campaign.schedules()["u"], memory.u, **ALGEBRA)
-        record = run_trial(MACHINE, scheme, TASK, memory, jax.random.key(trial))
+        record = one_trial(MACHINE, scheme, TASK, memory, jax.random.key(trial))
         turn = campaign.turn(Measured(np.asarray(record.y), np.asarray(record.u), {}, (), "a file"))
         campaign.keep(turn)
-        memory = scheme.learn(memory, record)
+        memory = learned(scheme, memory, record)
         found.append(turn)
     errors = [turn.metrics["error"] for turn in found]
     assert errors[1] > 1.1 * errors[0], "an experiment should have the larger error"
