@@ -216,7 +216,8 @@ def variation_of(setting: Setting, task: Task, values: Value, where: str) -> Var
     change = table.take("change", functools.partial(_change, setting.plant), None)
     further = functools.partial(_further_references, setting, task)
     references = table.take("references", further, None)
-    table.take("averaged", flag, False)
+    if table.take("averaged", flag, False):
+        raise ValueError(f"{where}: averaged = true; allowed is false, for only theory averages")
     numbers_of = {key: value for key, value in table.values.items() if key not in _PARTS}
     made = built(numbers_of, where, cls=Variation)
     return dataclasses.replace(made, change=change, references=references)

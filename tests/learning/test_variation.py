@@ -496,6 +496,7 @@ def test_a_plant_file_says_how_trials_differ(tmp_path):
     for old, new, said in (
         ("scale = { B", "scale = { D", "'D' is not a parameter"),
         ("scatter = 0.01", "scater = 0.01", "scater"),
+        ("late = 1", "averaged = true", "averaged = true; allowed is false"),
         ("first = 4", "first = 0", r"first = 0 is outside"),
         ("0, frequency = 10.0, duration = 0.1", "0, frequency = 10.0, duration = 0.2", "one l"),
     ):  # fmt: skip
