@@ -2,7 +2,6 @@
 
 import base64
 import gc
-import itertools
 import os
 import threading
 from pathlib import Path
@@ -80,7 +79,6 @@ typer.main.get_command = get_command
 PIXEL = (
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII="
 )
-_modules = itertools.count(1)
 LISTS = ("quick", "shipped")  # of pyproject.toml, and the markers of what they list
 
 
@@ -126,14 +124,13 @@ def pytest_collection_modifyitems(config, items):
 
 @pytest.fixture(scope="module", autouse=True)
 def _forget_compiled_programs():
-    """Forget the compiled programs after every eighth module.
+    """Forget the compiled programs after each module.
 
-    The next modules use the small ones again, but all of them together take gigabytes.
+    The next module cannot use them, and all of them together take gigabytes.
     """
     yield
-    if next(_modules) % 8 == 0:
-        jax.clear_caches()
-        _contexts.clear()
+    jax.clear_caches()
+    _contexts.clear()
 
 
 @pytest.fixture(scope="module")
