@@ -204,6 +204,8 @@ def test_bounds_over_a_grid_have_a_map(jaxilc_command, tmp_path):
     assert code == 0
     assert "cfdl-mfailc at all points: the bound of Cao 2019" in " ".join(out.split())
     numbers = json.loads((tmp_path / "b.json").read_text())
+    best, last = (of["cfdl-mfailc"] for of in (numbers["grid"]["best"], numbers["schemes"]))
+    assert best["error"] == last["by_trial"]["3"]["high"]
     one, whole = (of["bounds"]["cfdl-mfailc"] for of in (numbers, numbers["grid"]))
     assert one["premises"]["lam > b^2 / 4"] == {"held": 2, "share_broken": 0.0}
     assert whole["premises"]["lam > b^2 / 4"] == {"held": 8, "share_broken": 0.0}
