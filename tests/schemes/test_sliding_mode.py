@@ -413,6 +413,14 @@ def test_the_conditions_tell_what_learning_does(gains):
     filtered = WithFeedback(Filtered(learning, ZeroPhaseFIR((0.9, 0.05))), feedback)
     printed = printed_condition(WithFeedback(learning, feedback), TASK, reaching=1500.0)
     sampled = sampled_condition(FREE, filtered, TASK)
+    grown = np.exp(5.0 * TASK.duration)
+    at_end = dataclasses.replace(learning, K_P=grown * K_P, K_D=grown * K_D, lam0=0.0)
+    steady = dataclasses.replace(
+        filtered, learning=dataclasses.replace(filtered.learning, scheme=at_end)
+    )
+    np.testing.assert_allclose(
+        sampled.curves[1], sampled_condition(FREE, steady, TASK).curves[0], rtol=1e-9
+    )
     rms = np.asarray(learn(FREE, filtered, TASK, 12).rms)[:, 0]
     slow = sampled.frequencies[(sampled.frequencies > 10) & (sampled.frequencies < 200)]
     there = printed_condition(
