@@ -145,7 +145,8 @@ def main() -> None:
     gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
     interrupts.heed()
     try:
-        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        words = sys.argv[1:] or ["--help"]
+        code = app(words, prog_name="jaxilc", standalone_mode=False)
         if code == interrupts.CODE:
             interrupts.leave()
         sys.exit(code or 0)

@@ -63,11 +63,7 @@ PLAIN = {
     for name, value in os.environ.items()
     if name not in ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "NO_COLOR")
 }
-PROGRAM = (
-    sys.executable,
-    "-c",
-    "import sys; from jaxilc.cli import main; sys.argv[0] = 'jaxilc'; main()",
-)
+PROGRAM = (sys.executable, "-m", "jaxilc")
 COLOUR = re.compile("\x1b\\[[0-9;]*3[0-7]")
 pytestmark = pytest.mark.usefixtures("compiled_once")
 
@@ -651,9 +647,8 @@ def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path):
 def test_colours_are_for_a_terminal_that_wants_them(environment, coloured):
     pty = pytest.importorskip("pty", reason="Windows has no pseudo-terminals")
     ours, theirs = pty.openpty()
-    program = "import sys; from jaxilc.cli import main; sys.argv = ['jaxilc', '--help']; main()"
     subprocess.run(
-        [sys.executable, "-c", program],
+        [*PROGRAM, "--help"],
         stdout=theirs,
         env=PLAIN | environment | {"TERM": "xterm-256color"},
         check=True,

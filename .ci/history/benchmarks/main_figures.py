@@ -72,13 +72,8 @@ class Starting:
 
     def time_help(self) -> None:
         """`jaxilc --help` in a process of its own."""
-        program = "from jaxilc.cli import main; main()"
-        subprocess.run(
-            [sys.executable, "-c", program, "--help"],
-            check=True,
-            capture_output=True,
-            env=OF_HERE,
-        )
+        program = [sys.executable, "-m", "jaxilc", "--help"]
+        subprocess.run(program, check=True, capture_output=True, env=OF_HERE)
 
     def time_import(self) -> None:
         """`import jaxilc` in a process of its own."""
