@@ -152,7 +152,7 @@ def read_terms():
 
     def read(term):
         whole = term.replace("0.5", "1")  # a number of a trial
-        return terms.objective_of(whole, "rms", 1.0).terms[0][1]
+        return terms.objective_of(whole, "rms", lambda _: 1.0).terms[0][1]
 
     return readable(read, terms.OBJECTIVES)
 

@@ -29,7 +29,7 @@ from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Ver
 from .repeating import Following, following, recurs, repeats_in, within_numbers, within_trial
 from .request import Request
 from .sweeping import live_store
-from .terms import objective_of, risk_of
+from .terms import objective_for, risk_of
 from .words import number, several
 
 Q = TypeVar("Q")
@@ -468,11 +468,10 @@ def learn_law(
     combined = risk_of(risk)
     chosen = request.machine_to_design()
     place = folder or Path("out") / f"learn-law-{chosen.name}"
-    scale = chosen.shown(chosen.judged_by)[0]
     question = asked_of(
         LearnedLaw, chosen, taps=taps, start=start,
         starts=_samples(segments, float(chosen.task.dt)), coupled=coupled, limit=limit,
-        objective=None if objective is None else objective_of(objective, chosen.judged_by, scale),
+        objective=None if objective is None else objective_for(chosen, objective),
         risk=combined, margin=margin, trained_on=trained_on, held_out=trained_on, machines=machines,
         steps=steps, seed=seed, quantities=chosen.functions,
     )  # fmt: skip

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from ..pytree.closest import closest
 
 if TYPE_CHECKING:
+    from ..scenarios import Scenario
     from ..tuning.objectives import Objective
     from ..tuning.problem import Tuning
     from ..tuning.risks import Risk
@@ -34,11 +35,16 @@ ROUNDING = 1e-9  # by which a limit may be exceeded, relatively
 RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 
 
-def objective_of(text: str, metric: str, scale: float) -> Objective:
+def objective_for(chosen: Scenario, text: str) -> Objective:
+    """The objective of a text; a term that names no metric has that which judges the scenario."""
+    return objective_of(text, chosen.judged_by, lambda metric: chosen.shown(metric)[0])
+
+
+def objective_of(text: str, metric: str, scale: Callable[[str], float]) -> Objective:
     """An objective from a text such as `final:20 + 0.3*final@max_error`.
 
     metric: metric of the terms that name none
-    scale: the tolerances in the text are `scale` times the metric
+    scale: by which factor a metric is shown; a tolerance in the text is of what is shown
     Raises ValueError naming what is allowed.
     """
     from ..tuning import objectives as o
@@ -47,7 +53,7 @@ def objective_of(text: str, metric: str, scale: float) -> Objective:
         "final": lambda m, x: o.Final(m, None if x is None else _whole("final", x)),
         "every-trial": lambda m, x: o.EveryTrial(m),
         "holding": lambda m, x: o.Holding(1 if x is None else _whole("holding", x), m),
-        "trials-to": lambda m, x: o.TrialsTo(_positive("trials-to", x) / scale, m),
+        "trials-to": lambda m, x: o.TrialsTo(_positive("trials-to", x) / scale(m), m),
         "growth": lambda m, x: o.Growth(m, 1 if x is None else _whole("growth", x)),
         "effort": lambda m, x: o.Effort(1.0 if x is None else _positive("effort", x)),
         "input-rate": lambda m, x: o.InputRate(1.0 if x is None else _positive("input-rate", x)),
@@ -79,7 +85,7 @@ def limits_not_met(problem: Tuning, tuned: Tuned, limits: Sequence[str]) -> list
     """A sentence for each limit that the nominal machine exceeds with the tuned weights."""
     said = []
     for name, largest in _limits(limits):
-        term = objective_of(f"{name}:{largest:.17g}", "rms", 1.0)
+        term = objective_of(f"{name}:{largest:.17g}", "rms", lambda _: 1.0)
         above = float(problem.loss_of(problem.population.machine, tuned.values, term))
         if above > ROUNDING:
             found = largest * math.exp(above)
@@ -166,7 +172,7 @@ def _number(name: str, text: str | None) -> float:
 
 def _positive(name: str, text: str | None) -> float:
     value = _number(name, text)
-    if not value > 0:
+    if not 0 < value < math.inf:
         raise ValueError(f"{name}: {value:g} is outside its allowed range (0, inf)")
     return value
 

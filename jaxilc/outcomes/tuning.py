@@ -24,7 +24,7 @@ from .case import Case
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, unless_there
 from .sweeping import live_store, sweep_numbers
-from .terms import limits_not_met, objective_of, risk_of, weights_of, with_limits
+from .terms import limits_not_met, objective_for, risk_of, weights_of, with_limits
 from .words import number
 
 if TYPE_CHECKING:
@@ -143,11 +143,6 @@ def tune(
 
 # What `tune` and `pareto` share
 # --------------------------------------------------------------------------------------------------
-
-
-def objective_for(chosen: Scenario, text: str) -> Objective:
-    """The objective of a text; a term that names no metric has that which judges the scenario."""
-    return objective_of(text, chosen.judged_by, chosen.shown(chosen.judged_by)[0])
 
 
 def problem_of(

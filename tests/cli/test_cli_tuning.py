@@ -293,6 +293,7 @@ def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path, unpainted):
         ("holding:5+every-trial@max_error",
          ((1.0, Holding(5, "rms")), (1.0, EveryTrial("max_error")))),
         ("trials-to:5", ((1.0, TrialsTo(0.005, "rms")),)),
+        ("trials-to:5@volts", ((1.0, TrialsTo(2.5, "volts")),)),
         ("growth:3+effort:2+input-rate",
          ((1.0, Growth("rms", 3)), (1.0, Effort(2.0)), (1.0, InputRate(1.0)))),
         ("0.1*contraction:0.9", ((0.1, Contraction(0.9)),)),
@@ -301,7 +302,7 @@ def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path, unpainted):
     ],
 )  # fmt: skip
 def test_objectives_are_what_they_say(text, terms):
-    assert objective_of(text, "rms", 1e3).terms == terms
+    assert objective_of(text, "rms", {"rms": 1e3, "volts": 2.0}.get).terms == terms
 
 
 def test_a_limit_that_the_tuned_weights_exceed_is_told():
@@ -336,6 +337,8 @@ tune --weights lam --objective final:100 => trial = 100 is outside its allowed r
 tune --weights lam --objective final@speed => metric = 'speed' is not one of max_error, rms, \
 settled_error
 tune --weights lam --objective '-1*final' => weight of final: -1 is outside its allowed range (0, \
+inf)
+tune --weights lam --objective inf*final => weight of final: inf is outside its allowed range (0, \
 inf)
 tune --weights lam --objective '2*finl:5' => --objective: 'finl' is unknown; did you mean \
 final[:trial]? Known: final[:trial],
