@@ -183,7 +183,7 @@ def check(machine: Tree, uncertainty: Uncertainty) -> None:
         if np.ndim(value) and not distribution.relative:
             raise ValueError(
                 f"uncertainty: {name} has shape {np.shape(value)}; an absolute distribution needs "
-                f"one element, say {name}[0]"
+                f"one element, say {name}{'[0]' * np.ndim(value)}"
             )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxilc import Actuator, LogUniform, Machine, Normal, Uniform
-from jaxilc.plants import voice_coil
+from jaxilc.plants import StateSpace, voice_coil
 from jaxilc.uncertainty import Population, draw, drawn_machine, with_spread
 
 MACHINE = Machine(voice_coil(), actuator=Actuator(limit=10.0))
@@ -152,6 +152,13 @@ BAD_OPTIONS = [
 def test_bad_input_is_named(given, message):
     with pytest.raises(ValueError, match=message):
         draw(MACHINE, **({"uncertainty": UNCERTAINTY, "machines": 50} | given))
+
+
+def test_an_element_of_a_matrix_is_named_by_both_places():
+    plant = StateSpace([[0.9]], [[0.1]], [[1.0]], dt=1e-3)
+    with pytest.raises(ValueError, match=r"A has shape \(1, 1\); .* say A\[0\]\[0\]"):
+        Population(plant, {"A": Uniform(0.8, 0.95)})
+    Population(plant, {"A[0][0]": Uniform(0.8, 0.95)})
 
 
 def test_a_grid_that_has_no_names_is_refused():
