@@ -299,7 +299,8 @@ def worst_machine(
     def of_machine(one: Machine) -> float:
         history = learn(one, scheme, task, trials, save=keep)
         values = history.saved[metric] if metric in history.saved else getattr(history, metric)
-        return scale * float(jnp.max(values[-1])) if not np.any(history.diverged) else float("inf")
+        size = scale * float(jnp.max(jnp.abs(values[-1])))
+        return size if not np.any(history.diverged) else float("inf")
 
     def of_losses(losses: np.ndarray) -> np.ndarray:
         """Metrics from losses."""

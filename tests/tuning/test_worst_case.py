@@ -195,6 +195,19 @@ def test_the_worst_machine_has_the_largest_error_of_outputs_of_different_peaks()
 
 
 @pytest.mark.thorough
+def test_a_quantity_counts_by_its_size_in_each_number():
+    """Of y1 = b u = 0.5 b, with the mean -0.5 b: the largest, at b = 1.5, is told as 0.75."""
+    found = worst_machine(
+        STATIC, PIDType(gamma_p=0.5), Task(np.ones(5), 1e-3), 2,
+        {"plant.B[0][0]": Uniform(0.5, 1.5)}, metric="mean", starts=1, steps=6,
+        quantities={"mean": lambda trial: -jnp.mean(trial.y[1:])},
+    )  # fmt: skip
+    climbed = found.searches["gradient"]
+    np.testing.assert_allclose(found.nominal, 0.5)
+    np.testing.assert_allclose([climbed.value, climbed.course[-1]], 0.75)
+
+
+@pytest.mark.thorough
 def test_a_machine_that_diverges_and_returns_has_diverged():
     # The error grows to 28,000 peaks of the reference, and is small in the last trial.
     machine = Machine(StateSpace([[0.99]], [[0.1]], [[1.0]], dt=1e-3))
