@@ -34,6 +34,10 @@ if TYPE_CHECKING:
 WHICH = ("given", "tuned")
 WORTHWHILE = 0.05  # a smaller share by which an error falls is told as none
 FEW = 6  # weights that the verdict names
+ENDED = {  # why a tuning ended before its last step, by its reason
+    "patience": ", where it stopped, as no later one was better",
+    "no machine has a finite loss": ", where it stopped, as no machine had a finite loss there",
+}
 
 
 T = TypeVar("T")
@@ -159,7 +163,7 @@ def problem_of(
 
 def in_words(losses: np.ndarray, best: float) -> str:
     """How far a tuning is: the least loss of this step, and the least on the machines held out."""
-    return f"loss {losses.min():.4g}, held out {best:.4g}"
+    return f"loss {np.nanmin(losses):.4g}, held out {best:.4g}"
 
 
 def parameter_file(
@@ -243,7 +247,7 @@ def tuning_lines(tuned: Tuned, numbers: Numbers) -> tuple[str, list[str]]:
     held = numbers["held_out"]
     result = (
         f"held-out loss {held['given']:.6g} -> {held['tuned']:.6g}, "
-        f"step {tuned.step} of {len(tuned.loss)}"
+        f"step {tuned.step} of {len(tuned.loss)}{ENDED.get(tuned.reason, '')}"
     )
     warnings = [
         f"{name} lay on an end of its range and started from {value:g}"
@@ -273,6 +277,8 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
     kept = (math.isclose(row["tuned"], row["given"]) for row in numbers["weights"].values())
     if held["step"] == 0 and all(kept):  # and not another start, which no step has bettered
         said = "No step was better than the weights as given on the machines held out."
+        if not held["steps"]:
+            said = "No machine has a finite loss with the weights as given: nothing was tuned."
         return Verdict((said,), "the worst machine", case.on("worst-case", scheme))
     changed = [
         f"{name} = {number(row['tuned'])} (was {number(row['given'])})"
@@ -296,7 +302,7 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
     if tuned["worst"] > given["worst"]:
         second.append("The worst machine has become worse: --risk worst or cvar tunes for it.")
     elif held["reason"] == "steps" and held["step"] == held["steps"]:
-        second.append("The last step was the best: more --steps may gain more.")
+        second.append("The last step was the best: more --steps, in another --out, may gain more.")
     of = case.request.without(scheme)
     command = "sweep" if case.uncertain else "run"
     what = "many machines" if case.uncertain else "the whole run"

@@ -2,6 +2,7 @@
 
 import math
 import shlex
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -18,7 +19,13 @@ from jaxilc.outcomes.request import REPEATED, Request
 from jaxilc.outcomes.running import run_verdict
 from jaxilc.outcomes.searching import worst_case_verdict
 from jaxilc.outcomes.sweeping import sweep_verdict
-from jaxilc.outcomes.tuning import budget_verdict, front_verdict, tune_verdict
+from jaxilc.outcomes.tuning import (
+    budget_verdict,
+    front_verdict,
+    in_words,
+    tune_verdict,
+    tuning_lines,
+)
 from jaxilc.outcomes.words import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
 from jaxilc.scenarios.published import NOTHING, Fit, Published
 from jaxilc.scenarios.reproduction import Row
@@ -338,7 +345,8 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     assert (name, options["params"], options["scheme"]) == ("sweep", params, ["c"])
     assert options["set_"] == ["plant=printed"], "the file of parameters holds those of the scheme"
     assert "become worse" in tune_verdict(OF_TUNING, tuned(4.0), params).said[1]
-    assert "more --steps" in tune_verdict(OF_TUNING, tuned(step=20), params).said[1]
+    last = tune_verdict(OF_TUNING, tuned(step=20), params).said[1]
+    assert last == "The last step was the best: more --steps, in another --out, may gain more."
     hardly = tuned(2.98)
     hardly["figures"]["settled_error"]["tuned"]["15"]["median"] = 1.19
     assert tune_verdict(OF_TUNING, hardly, params).said[1] == (
@@ -354,6 +362,24 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     nothing = tune_verdict(OF_TUNING, another_start, params)
     assert "No step was better" in nothing.said[0]
     assert parsed(nothing)[1]["params"].name == "old.json"
+    another_start["held_out"]["steps"] = 0
+    assert "No machine has a finite loss" in tune_verdict(OF_TUNING, another_start, params).said[0]
+
+
+@pytest.mark.parametrize(
+    ("reason", "said"),
+    [
+        ("steps", ""),
+        ("patience", ", where it stopped, as no later one was better"),
+        ("no machine has a finite loss",
+         ", where it stopped, as no machine had a finite loss there"),
+    ],
+)  # fmt: skip
+def test_a_tuning_that_ended_early_says_why(reason, said):
+    found = mock.Mock(step=1, loss=np.zeros((3, 2)), dropped=np.zeros(3), nudged={}, reason=reason)
+    line, warnings = tuning_lines(found, {"held_out": {"given": 2.0, "tuned": 1.0}})
+    assert (line, warnings) == (f"held-out loss 2 -> 1, step 1 of 3{said}", [])
+    assert in_words(np.array([np.nan, 3.0]), 2.0) == "loss 3, held out 2"
 
 
 def test_a_trade_off_names_one_of_its_points(tmp_path):
