@@ -424,9 +424,10 @@ class _Of(NamedTuple):
 def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str, str]) -> Outcome:
     """The front of two objectives; the first one is that of the problem."""
     problem, first = of.problem, of.problem.objective
-    points = of.solve(partial(trade_off.pareto, problem, first, second, shares))
-    losses = trade_off.held_out_losses(problem, first, second)(problem.start).tolist()
-    given = losses[0], losses[1]
+    losses = trade_off.held_out_losses(problem, first, second)  # compiled once for both
+    points = of.solve(partial(trade_off.pareto, problem, first, second, shares, losses=losses))
+    one, other = losses(problem.start).tolist()
+    given = one, other
     rows: Numbers = {"given": {"first": given[0], "second": given[1], "weights": problem.start}}
     rows |= {
         str(p.share): {"first": p.first, "second": p.second, "weights": p.tuned.values}
@@ -434,14 +435,15 @@ def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str
     }
     left = sorted(set(shares) - {p.share for p in points})
     numbers: Numbers = {"trials": problem.trials, "points": rows, "left_out": left}
-    one, other = (f"{name}, on held-out machines" for name in names)
+    first_name, second_name = (f"{name}, on held-out machines" for name in names)
     weights = {
         None if share == "given" else float(share): row["weights"] for share, row in rows.items()
     }
     case = Case.of(of.chosen, of.request)
     draw = partial(
-        figures.pareto_front, points, first=one, second=other, given=given, weights=weights
-    )
+        figures.pareto_front, points, first=first_name, second=second_name, given=given,
+        weights=weights,
+    )  # fmt: skip
     caption = "The trade-off: each point is a tuning, with the share of the first objective."
     return of.outcome(
         {f"params-share-{p.share}.json": (p.tuned, rows[str(p.share)]) for p in points},

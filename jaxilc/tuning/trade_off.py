@@ -43,6 +43,7 @@ def pareto(
     *,
     resume: bool = False,
     progress: Progress | None = None,
+    losses: Callable[[Mapping[str, float]], np.ndarray] | None = None,
 ) -> tuple[Point, ...]:
     """The points of a trade-off between two objectives, sorted by the first objective.
 
@@ -58,6 +59,7 @@ def pareto(
     shares: numbers in [0, 1], all different
     out: folder that gets a folder for the state of each tuning, None to keep them in the RAM only
     resume: continue from the states at `out`, where shares may be added
+    losses: the `held_out_losses` of both objectives, where they are compiled already
     Raises ValueError naming shares that are not allowed, and what `Tuning.run` raises.
     """
     shares = list(shares)
@@ -65,7 +67,7 @@ def pareto(
         raise ValueError(f"pareto: shares = {shares} are not different numbers in [0, 1]")
     if out is not None and not resume:
         need_free(out)
-    losses = held_out_losses(problem, first, second)
+    losses = losses or held_out_losses(problem, first, second)
     one, other = (
         scale if np.isfinite(scale) and scale > 0 else 1.0
         for scale in np.abs(losses(problem.start)).tolist()

@@ -20,7 +20,7 @@ from jaxilc.outcomes.words import number
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios.parameters import differing, with_parameters, write_parameters
 from jaxilc.schemes import CFDLMFAILC
-from jaxilc.tuning import Tuning, monte_carlo_search
+from jaxilc.tuning import Tuning, monte_carlo_search, trade_off
 from jaxilc.tuning import descent as of_tuning
 from jaxilc.tuning.objectives import (
     D2,
@@ -184,12 +184,19 @@ def axis(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_pareto_gives_the_losses_of_the_weights_that_it_writes(axis, tmp_path, unpainted):
+def test_pareto_gives_the_losses_of_the_weights_that_it_writes(
+    axis, tmp_path, unpainted, monkeypatch
+):
+    made = []
+    monkeypatch.setattr(
+        trade_off, "held_out_losses", lambda *of: made.append(of) or held_out_losses(*of)
+    )
     objectives = ("--objective", "final", "--objective", "effort", "--shares", "0.2,0.95")
     reports = ("--report", tmp_path / "numbers.json", "--report", tmp_path / "page.html")
     asked = (*PARETO, *objectives, "--trials", 3, "--out", tmp_path)
     code, out, err = call(*asked, *reports)
     assert code == 0, err
+    assert len(made) == 1, "they are compiled once"
     code, _, err = call(*asked)
     assert code == 2
     assert "add --resume" in err
