@@ -63,7 +63,7 @@ def objective_of(text: str, metric: str, scale: Callable[[str], float]) -> Objec
         "d2": lambda m, x: o.D2(1.0 if x is None else _positive("d2", x)),
     }
     total: o.Objective = o.Sum(())
-    for term in text.split("+"):
+    for term in re.split(r"(?<![\d.][eE])\+", text):  # a number may be 1e+3
         weight, star, rest = term.strip().rpartition("*")
         rest, _, named = rest.partition("@")
         name, _, number = rest.strip().partition(":")

@@ -300,6 +300,8 @@ def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path, unpainted):
         ("holding:5+every-trial@max_error",
          ((1.0, Holding(5, "rms")), (1.0, EveryTrial("max_error")))),
         ("trials-to:5", ((1.0, TrialsTo(0.005, "rms")),)),
+        ("2.e+1*trials-to:5E+0+final", ((20.0, TrialsTo(0.005, "rms")), (1.0, Final("rms")))),
+        (with_limits("final", ["d2=1e17"]), ((1.0, Final("rms")), (100.0, D2(1e17)))),
         ("trials-to:5@volts", ((1.0, TrialsTo(2.5, "volts")),)),
         ("growth:3+effort:2+input-rate",
          ((1.0, Growth("rms", 3)), (1.0, Effort(2.0)), (1.0, InputRate(1.0)))),
