@@ -20,6 +20,7 @@ from typing import ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ..learning.divergence import CEILING, peak
@@ -33,7 +34,7 @@ from ..pytree.fields import child, leaf, pytree
 from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.guards import Guard
-from ..schemes.scheme import Memory, State, need_second_derivatives
+from ..schemes.scheme import Memory, State, need_second_derivatives, trials_of_step
 from ..signals.task import Sample, Task, Trial
 
 
@@ -435,7 +436,8 @@ def levels(run: Run, metric: str, floor: Leaf, *, one_unit: bool = False) -> jax
 
     one_unit: whether all channels are relative to the largest of all peaks, so that the largest
         channel is that of the largest value
-    For a trial that exceeded the ceiling at any sample, it is l of max |e| if that is larger.
+    An experiment has the value of the trial before it that played what was learned. For a trial
+    that exceeded the ceiling at any sample, it is l of max |e| if that is larger.
     Otherwise an error that diverges at the start, outside the settled window, would not count, as
     the bound keeps it from spreading. Raises ValueError naming the metrics that exist.
     """
@@ -452,4 +454,6 @@ def levels(run: Run, metric: str, floor: Leaf, *, one_unit: bool = False) -> jax
     x = x / (peak(run.task) if each else largest(peak(run.task)))
     x = largest(jnp.abs(x.reshape(len(x), -1)), axis=1)
     x = jnp.where(anywhere <= run.ceiling, x, jnp.maximum(x, anywhere))
-    return 0.5 * jnp.log(x**2 + floor**2) - jnp.log(floor)
+    level = 0.5 * jnp.log(x**2 + floor**2) - jnp.log(floor)
+    every = trials_of_step(run.scheme, run.task)
+    return level if every == 1 else level[np.arange(len(level)) // every * every]

@@ -18,14 +18,15 @@ from cases import CASES
 from gain_case import PROBLEM, STATIC, Killed, assert_same_tuned, kill_after
 
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
-from jaxilc.learning import Sensor
+from jaxilc.learning import Machine, Sensor, learn
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import get_at
 from jaxilc.runtime.provenance import describe
-from jaxilc.schemes import Filtered, PIDType
+from jaxilc.schemes import Filtered, ModelFreeGradient, PIDType
+from jaxilc.signals import Task
 from jaxilc.tuning import Tuning
 from jaxilc.tuning.descent import Evaluation, by_gradient, by_least_squares, for_starts
-from jaxilc.tuning.objectives import Final, Growth, Holding, Objective
+from jaxilc.tuning.objectives import EveryTrial, Final, Growth, Holding, Objective, Run
 from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
 from jaxilc.tuning.weights import Bijection
 from jaxilc.uncertainty import Uniform
@@ -325,6 +326,19 @@ class Nominal(Final):
     """The same objective, evaluated on the nominal plant only."""
 
     nominal = True
+
+
+def test_an_experiment_counts_as_the_learned_trial_before_it():
+    """Those of trials 2, 4 and 6 err more, while what is learned errs less in each step."""
+    machine, law = Machine(StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3)), ModelFreeGradient(0.1)
+    task = Task(np.sin(np.linspace(0, 6, 15)), dt=1e-3)
+    history = learn(machine, law, task, 7)
+    rms = np.asarray(history.rms)[:, 0]
+    assert rms[1] > 2 * rms[0] > 2 * rms[2]
+    held = np.log(rms[[0, 0, 2, 2, 4, 4, 6]] / np.max(np.abs(task.reference)) / 1e-6)
+    terms = EveryTrial("rms"), Growth("rms"), Holding(4, "rms"), Final("rms", 2)
+    found = [term(Run(machine, law, task, history)) for term in terms]
+    np.testing.assert_allclose(found, [held.mean(), 0.0, held[3], held[1]], rtol=1e-9)
 
 
 def test_a_nominal_term_is_asked_once_and_counts():
