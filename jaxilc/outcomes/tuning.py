@@ -275,7 +275,8 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
     given, tuned = rows["given"][last], rows["tuned"][last]
     held, scheme = numbers["held_out"], numbers["scheme"]
     kept = (math.isclose(row["tuned"], row["given"]) for row in numbers["weights"].values())
-    if held["step"] == 0 and all(kept):  # and not another start, which no step has bettered
+    unmoved = held["step"] == 0 and all(kept)  # and not another start, which no step has bettered
+    if unmoved or not held["tuned"] < held["given"]:  # where the start was moved into its range
         said = "No step was better than the weights as given on the machines held out."
         if not held["steps"]:
             said = "No machine has a finite loss with the weights as given: nothing was tuned."

@@ -329,7 +329,7 @@ def tuned(tuned_worst=1.0, **held):
         "trials": 15,
         "samples": 257,
         "weights": {"lam": {"given": 1.0, "tuned": 0.5}},
-        "held_out": {"step": 7, "steps": 20, "reason": "steps"} | held,
+        "held_out": {"step": 7, "steps": 20, "reason": "steps", "given": 2.0, "tuned": 1.0} | held,
         "figures": {"settled_error": {which: {"15": row} for which, row in at.items()}},
     }
 
@@ -359,11 +359,12 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     another_start = tuned(step=0)
     assert tune_verdict(OF_TUNING, another_start, params).said == found.said
     another_start["weights"]["lam"]["tuned"] = 1.0
-    nothing = tune_verdict(OF_TUNING, another_start, params)
-    assert "No step was better" in nothing.said[0]
-    assert parsed(nothing)[1]["params"].name == "old.json"
-    another_start["held_out"]["steps"] = 0
-    assert "No machine has a finite loss" in tune_verdict(OF_TUNING, another_start, params).said[0]
+    for numbers in (another_start, tuned(tuned=2.0), tuned(tuned=2.1)):
+        nothing = tune_verdict(OF_TUNING, numbers, params)
+        assert "No step was better" in nothing.said[0]
+        assert parsed(nothing)[1]["params"].name == "old.json"
+    none = tuned(given=np.inf, tuned=np.inf, step=0, steps=0)
+    assert "No machine has a finite loss" in tune_verdict(OF_TUNING, none, params).said[0]
 
 
 @pytest.mark.parametrize(
