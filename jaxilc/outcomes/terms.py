@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from ..pytree.closest import closest
 
 if TYPE_CHECKING:
+    from ..pytree.aliases import Value
     from ..scenarios import Scenario
     from ..tuning.objectives import Objective
     from ..tuning.problem import Tuning
@@ -82,16 +83,24 @@ def with_limits(objective: str, limits: Sequence[str]) -> str:
 
 
 def limits_not_met(problem: Tuning, tuned: Tuned, limits: Sequence[str]) -> list[str]:
-    """A sentence for each limit that the nominal machine exceeds with the tuned weights."""
-    said = []
+    """A sentence for each limit that the tuned weights exceed on a machine that it is asked of."""
+    import jax
+
+    said, population = [], problem.population
     for name, largest in _limits(limits):
         term = objective_of(f"{name}:{largest:.17g}", "rms", lambda _: 1.0)
-        above = float(problem.loss_of(problem.population.machine, tuned.values, term))
+        who, machines = "one of the machines tuned on", population.batch()
+        if not population.uncertainty or all(one.nominal for _, one in term.terms):
+            who, machines = "the nominal machine", jax.tree.map(lambda x: x[:1], machines)
+
+        def above_of(drawn: Value, term: Objective = term) -> Value:
+            return problem.loss_of(population.one_of(drawn)[0], tuned.values, term)
+
+        above = float(jax.lax.map(above_of, machines).max())
         if above > ROUNDING:
             found = largest * math.exp(above)
             said.append(
-                f"the limit is not met: the nominal machine has {name} = {found:.6g}, and allowed "
-                f"was {largest:g}"
+                f"the limit is not met: {who} has {name} = {found:.6g}, and allowed was {largest:g}"
             )
     return said
 

@@ -3,6 +3,7 @@
 Parameter files, worst machines that are built again, and mistakes of users are tested here too.
 """
 
+import dataclasses
 import json
 import shlex
 from unittest import mock
@@ -35,7 +36,7 @@ from jaxilc.tuning.objectives import (
 )
 from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
 from jaxilc.tuning.trade_off import Point, held_out_losses
-from jaxilc.uncertainty import with_spread
+from jaxilc.uncertainty import Uniform, with_spread
 
 SHORT = ("--set", "frequency=50")  # 20 samples a trial
 TUNE = (
@@ -323,6 +324,10 @@ def test_a_limit_that_the_tuned_weights_exceed_is_told():
     (said,) = limits_not_met(problem, tuned, ["d2=0.5", "d2 = 0.80001"])
     assert "the nominal machine has d2 = 0.8, and allowed was 0.5" in said
     assert limits_not_met(problem, tuned, ()) == []
+    gain = {"plant.C": Uniform(0.5, 1.0, relative=True)}  # d2 = 1 - 1 / (lam + 1) for a gain of 1
+    several = dataclasses.replace(problem, uncertainty=gain, sampling="corners")
+    (said,) = limits_not_met(several, tuned, ["d2=0.85", "d2=0.9412"])
+    assert "one of the machines tuned on has d2 = 0.941176, and allowed was 0.85" in said
 
 
 def test_risks_are_what_they_say():
