@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..pytree.in_short import in_short
 
 HOLDS, FAILS, NOT_CLAIMED = "holds", "fails", "not claimed"
 ROUNDING = 1000.0  # in units of the last place
+ALIKE = 100.0  # likewise, of numbers that are the same but for rounding
 
 
 class Premise(NamedTuple):
@@ -82,7 +84,7 @@ def condition(
         value < limit                                       ->  'holds'
         otherwise                                           ->  'fails'
 
-    value:    () or (S,)
+    value:    () or (S,); computed with JAX, whose precision counts if `value` has a better one
     premises: their `held` is () or (S,)
 
     A value that lies below the limit by no more than rounding does not hold: a singular value that
@@ -90,12 +92,22 @@ def condition(
     """
     value, premises = np.asarray(value), tuple(premises)
     of_type = value.dtype if value.dtype.kind == "f" else float
-    rounding, value = ROUNDING * np.finfo(of_type).eps * abs(limit), value.astype(float)
+    unit = max(float(np.finfo(of_type).eps), _last_place())
+    rounding, value = ROUNDING * unit * abs(limit), value.astype(float)
     claimed = ~np.isnan(value)
     for p in premises:
         claimed = claimed & p.held
     verdict = np.where(claimed, np.where(value < limit - rounding, HOLDS, FAILS), NOT_CLAIMED)
     return Condition(_plain(value), _plain(limit - value), premises, theorem, _plain(verdict))
+
+
+def share_alike(share: float) -> float:
+    """A share of double precision that rounding explains, or that of the precision of JAX."""
+    return max(share, ALIKE * _last_place())
+
+
+def _last_place() -> float:
+    return float(jnp.finfo(jnp.result_type(float)).eps)
 
 
 def _plain(array):

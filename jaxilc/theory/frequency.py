@@ -49,7 +49,7 @@ from ..runtime.tiles import tiled_with
 from ..schemes import NormOptimal, Scheme, WithFeedback
 from ..signals.task import Task
 from ..uncertainty import Population, Uncertainty, drawn_machine, drawn_machines
-from .condition import Condition, Premise, condition, premise
+from .condition import Condition, Premise, condition, premise, share_alike
 from .enclosure import Arc, Disc, arc_of_loop, arc_of_taps, balanced, exactly, size, supremum
 from .law import Law, Taps, at_points, law_of, law_response, learning_law
 from .learning_map import limit_names
@@ -858,7 +858,7 @@ def bound_of_set(
         why = "the law has several channels"
     if not why:
         box = Boxes.of(machine, task, law, uncertainty)
-        if box.departure(tried) > SAME:
+        if box.departure(tried) > share_alike(SAME):
             why = "the loop is more than the plant and a delay of whole samples"
         else:
             return WholeSet(*box.bound(float(tried.values[tried.top])))

@@ -21,7 +21,7 @@ import numpy as np
 from ..schemes import Scheme
 from ..schemes.scheme import Memory, with_all_parts
 from ..signals.task import Task
-from .condition import Premise, premise
+from .condition import Premise, premise, share_alike
 from .loop import on_circle
 from .trials import learned_shape, next_learned, shortened
 
@@ -60,7 +60,7 @@ class Law(NamedTuple):
             f"taps differ by {self.departure:.1e} over the trial; {self.tail:.1e} of the largest "
             "is left after half of it"
         )
-        held = self.departure <= ALIKE and self.tail <= FORGOTTEN**0.5
+        held = self.departure <= share_alike(ALIKE) and self.tail <= FORGOTTEN**0.5
         return premise(INVARIANT_LAW, held, found)
 
     @property
@@ -78,7 +78,7 @@ class Law(NamedTuple):
         e = random.standard_normal((task.N, task.outputs))
         expected = _convolved(self.keep, u) + _convolved(self.L, e, 1)
         off = np.max(np.abs(np.asarray(pushed(scheme, task, u, e)) - expected))
-        return bool(off <= ALIKE * np.max(np.abs(expected), initial=1e-300))
+        return bool(off <= share_alike(ALIKE) * np.max(np.abs(expected), initial=1e-300))
 
 
 def law_of(scheme: Scheme, task: Task) -> Law:

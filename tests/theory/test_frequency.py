@@ -451,3 +451,19 @@ class Previewing(Scheme):
 def test_what_does_not_fit_is_named(message):
     with pytest.raises(ValueError, match=message):
         BAD[message]()
+
+
+def test_single_precision_claims_what_its_rounding_leaves_room_for():
+    task = Task(np.sin(np.linspace(0, 6, 41)), dt=DT)
+    A, B = np.array([[0.9, 0.07], [0.0, 0.3]]), np.array([[-0.31], [-0.77]])
+    x = np.linalg.solve(np.eye(2) - A, B)[:, 0]
+    blind = StateSpace(A, B, [[1.0, -x[0] / x[1]]], dt=DT)  # P = 0 at 0 Hz: 1 - L P is 1 there
+    found = []
+    with jax.enable_x64(False):
+        for plant, gain in ((StateSpace([[0.3]], [[1.0]], [[1.0]], dt=DT), 0.9), (blind, 0.21)):
+            test = frequency.learning_condition(Machine(plant), PIDType(gamma_p=gain), task)
+            found.append(test.condition)
+    assert found[0].holds
+    np.testing.assert_allclose(found[0].value, abs(1 - 0.9 / 1.3), rtol=1e-5)
+    assert abs(found[1].value - 1) < 1e-6
+    assert found[1].verdict == "fails"
