@@ -55,7 +55,7 @@ def error_by_trial(
     scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
     published: rows with scheme, trial (None for a scheme that does not learn, shown at trial 1),
         quantity, value [unit], at_most
-    tolerance: largest error that passes [unit], a dashed line
+    tolerance: largest error that passes [unit of the dataset], a dashed line
     Raises ValueError for a dataset of many machines, which `error_band` shows.
     """
     if dataset.sizes.get("sample", 1) > 1:
@@ -85,7 +85,7 @@ def error_by_trial(
                 )  # fmt: skip
     layers += sorted(printed, key=lambda of: of.name)
     if tolerance is not None:
-        layers.append(Rule(tolerance, dash="--"))
+        layers.append(Rule(scale * tolerance, dash="--"))
     panel = Panel(TRIAL, Axis(metric, unit, log=True), layers, f"{word} by trial, one machine")
     return Figure(
         [panel],

@@ -148,11 +148,7 @@ def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Interactive]:
     """The errors by trial, and a trial that a slider chooses."""
     from ..figures import browsers
 
-    scale, unit = chosen.shown(chosen.judged_by)
-    errors = figures.error_by_trial.described(
-        dataset, metric=chosen.judged_by, scale=scale, unit=unit, published=chosen.due,
-        tolerance=chosen.tolerance,
-    )  # fmt: skip
+    errors = figures.error_by_trial.described(dataset, published=chosen.due, **chosen.look)
     within = browsers.trials(dataset, scale=chosen.shown_scale, unit=chosen.shown_unit)
     return [errors, within]
 

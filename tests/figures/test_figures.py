@@ -112,6 +112,15 @@ def test_a_printed_bound_is_no_printed_number():
     assert said == ["a", "published", "published: less"]
 
 
+def test_figures_of_errors_take_a_tolerance_in_the_unit_of_the_dataset():
+    dataset, look = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0)]), {"metric": "rms"}
+    alone = figures.error_by_trial(dataset, **look, tolerance=3.0, scale=1e3, unit="µm")
+    many = sweep_of(np.ones((1, 2, 2)), ("a",))
+    (band, _) = figures.error_band(many, **look, tolerance=3.0, scale=1e3, unit="µm")
+    for ax in (alone, band):
+        assert any(np.array_equal(line.get_ydata(), [3e3, 3e3]) for line in ax.lines)
+
+
 # Numbers with prefixes, colours, formats
 # --------------------------------------------------------------------------------------------------
 
