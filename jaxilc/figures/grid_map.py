@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 
 WIDE = 20.0  # ratio of the ends of an axis from which on it is logarithmic
+EVEN, UNEVEN = 0.1, 0.5  # shares by which steps between values differ on one axis or the other
 MOST_PANELS = 5  # of a third axis
 MARKS = "oXsDP"
 QUANTILES = {"high": 0.95, "median": 0.5, "worst": 1.0}
@@ -99,7 +100,7 @@ def grid_map(
         )
         labels = [labels_for(dataset, axis, of.scheme) for axis in drawn]
         layers = layers_of(labels, here, members if of_error else None, gone, shown, i // columns)
-        if np.isfinite(of.error) and at.items() <= of.point.items():
+        if of.anywhere and at.items() <= of.point.items():
             best_at = dataset.coords.to_dataset().sel(of.point)
             point = {str(one.name): best_at[one.name].item() for one in labels}
             layers += marked("best", "*", labels, point, here)
@@ -233,7 +234,16 @@ def standing(labels: xr.DataArray) -> tuple[np.ndarray, bool]:
     values = labels.values
     if values.dtype.kind not in "fi":
         return np.arange(len(values)), False
-    return values, bool(values.min() > 0 and values.max() / values.min() > WIDE)
+    if values.min() <= 0:
+        return values, False
+    even = _unevenness(np.log(values)) <= EVEN and _unevenness(values) >= UNEVEN
+    return values, bool(even or values.max() / values.min() > WIDE)
+
+
+def _unevenness(values: np.ndarray) -> float:
+    """The share by which steps from value to value differ; infinite if there is one at most."""
+    steps = np.diff(np.sort(values))
+    return float(np.ptp(steps) / steps.max()) if len(steps) > 1 else np.inf
 
 
 def _place(labels: xr.DataArray, value: str | float) -> float:
@@ -529,7 +539,7 @@ def live_map(
         x = standing(labels[0])[0]
         for name, dash in (("median", "--"), ("worst", ":")):
             layers.append(Curve(x, curves[name], dash, name=name))
-    if np.isfinite(of.error):
+    if of.anywhere:
         layers += marked("best", "*", labels, values[best], high)
     made = panel_of(Panel(along, up, layers, legend="upper right"), width=560, height=height)
     cells = next(r for r in made.renderers if "t0" in r.data_source.data)

@@ -6,7 +6,6 @@ This module does not import NumPy or JAX, so that commands that need neither sta
 from __future__ import annotations
 
 import dataclasses
-import math
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -178,7 +177,7 @@ class Request:
         limit = bare.look["tolerance"]
         found = best_points(dataset.sel(scheme=schemes), limit, metric=bare.judged_by)
         best = min(found, key=lambda of: of.rank)
-        if not math.isfinite(best.error):
+        if not best.anywhere:
             raise ValueError(f"--params {folder}: {best.sentences[0]}")
         return point_of(dataset, best.point)
 

@@ -32,8 +32,9 @@ class BestPoint(NamedTuple):
     diverged: share of the points at which a machine diverges
     edges: for each axis the nearest value below, and above, at which a machine diverges, the other
         axes as at the best point; None where there is none
-    sentences: which point is best, how flat it is there, and where the edge to divergence runs, by
-        the names and values that an axis of several schemes has for this one
+    sentences: which point is best, how flat it is there, where the edge to divergence runs, and at
+        the end of which axes of the scheme it lies, by the names and values that an axis of several
+        schemes has for this one
     """
 
     scheme: str
@@ -53,6 +54,11 @@ class BestPoint(NamedTuple):
     def rank(self) -> tuple[float, float]:
         """Less for a better point."""
         return -float(np.nan_to_num(self.yield_share)), self.error
+
+    @property
+    def anywhere(self) -> bool:
+        """Whether a yield or a finite error makes this point the best one."""
+        return self.yield_share > 0 or bool(np.isfinite(self.error))
 
 
 def best_points(
@@ -144,16 +150,47 @@ def _best(
 
     shares = float(error[best]), float(near.mean()), float(lost.mean())
     point, along, edges = at([dataset[axis] for axis in axes])
-    told = _sentences(name, shares, *at([labels_for(dataset, axis, name) for axis in axes]))
-    return BestPoint(name, point, float(passed[best]), *shares[:2], along, shares[2], edges, told)
+    found = BestPoint(name, point, float(passed[best]), *shares[:2], along, shares[2], edges, ())
+    if not found.anywhere:
+        nowhere = f"{name}: more than 5 % of the machines diverge at every point."
+        return found._replace(sentences=(nowhere,))
+    labels = [labels_for(dataset, axis, name) for axis in axes]
+    least = bool(np.isfinite(found.error)) and found.error <= float(error.min())
+    at_end = []
+    for i, label in enumerate(labels):
+        line = (*best[:i], slice(None), *best[i + 1 :])
+        if str(label.name).startswith(f"{name}."):
+            at_end += _at_end(label, best[i], passed[line], error[line])
+    said = _sentences(name, least, shares, *at(labels))
+    return found._replace(sentences=(*said, *at_end))
+
+
+def _at_end(label: xr.DataArray, at: int, passed: np.ndarray, error: np.ndarray) -> list[str]:
+    """A sentence if the best point lies at an end of an axis, towards which it gets better.
+
+    passed, error: along the axis
+    """
+    values = label.values
+    if values.dtype.kind not in "fi" or len(values) < 2:
+        return []
+    order = np.argsort(values)
+    for end, near, word in ((order[0], order[1], "least"), (order[-1], order[-2], "largest")):
+        same = np.array_equal((passed[near], error[near]), (passed[at], error[at]), equal_nan=True)
+        if at == end and not same:
+            best = f"{label.name} = {value_text(values[at].item())}"
+            return [f"{best} is the {word} value that was tried: beyond it may be a better one."]
+    return []
 
 
 def _sentences(
-    name: str, shares: tuple[float, float, float], point: dict[str, Value], along: Ends, edges: Ends
+    name: str,
+    least: bool,
+    shares: tuple[float, float, float],
+    point: dict[str, Value],
+    along: Ends,
+    edges: Ends,
 ) -> tuple[str, ...]:
     error, near, lost = shares
-    if not np.isfinite(error):
-        return (f"{name}: more than 5 % of the machines diverge at every point.",)
     best = " and ".join(f"{axis} = {value_text(at)}" for axis, at in point.items())
     flat = f"The error is at most twice as large at {near:.1%} of the points"
     wide = " and ".join(
@@ -169,9 +206,12 @@ def _sentences(
     ]
     gone = f"A machine diverges at {lost:.1%} of the points"
     gone += f", seen from the best one from {' and from '.join(ends)}" if ends else ""
+    wide = f", along the axes for {wide}." if wide else "."
+    if not np.isfinite(error):
+        flat, wide = "More than 5 % of the machines diverge there", "."
     return (
-        f"{name} has its least error at {best}.",
-        flat + (f", along the axes for {wide}." if wide else "."),
+        f"{name} has its {'least error' if least else 'largest yield'} at {best}.",
+        flat + wide,
         f"{gone}." if lost else "No machine diverges at any point.",
     )
 

@@ -201,3 +201,21 @@ def test_a_map_of_contraction_needs_a_watch_and_two_axes():
     three = xr.concat([dataset, dataset], "c").assign_coords(c=[1.0, 2.0])
     with pytest.raises(ValueError, match=r"has the axes .*; allowed are two"):
         figures.contraction_map(three)
+
+
+@pytest.mark.parametrize(
+    ("values", "scale"),
+    [
+        ([0.5, 1.0, 2.0, 4.0], "log"),
+        ([0.3, 0.6, 1.2, 2.5], "log"),  # rounded
+        ([1.0, 2.0, 3.0, 4.0], "linear"),
+        ([0.999, 1.0, 1.001, 1.002], "linear"),  # nearly even either way
+        ([1.0, 2.0], "linear"),
+        ([1.0, 21.0], "log"),
+        ([-1.0, 0.0, 1.0, 2.0], "linear"),
+    ],
+)
+def test_an_axis_is_logarithmic_whose_values_are_even_on_it(values, scale):
+    errors = np.ones((1, len(values), 1, 1, 2))
+    (ax,) = figures.grid_map(sweep_of(errors, a=values, b=["p"]), metric="rms")
+    assert ax.get_xscale() == scale

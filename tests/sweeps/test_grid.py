@@ -260,6 +260,44 @@ def test_the_best_point_has_the_largest_yield_first():
     assert (best.point["b"], best.yield_share) == (2, 1.0)
 
 
+def test_the_sentences_name_what_makes_a_point_the_best_one():
+    """Of ten machines at each point one or none diverges, or one is far above the others."""
+    kinds = {"low": [4.0] * 10, "far": [1.0] * 9 + [6.0], "gone": [1.0] * 9 + [np.inf]}
+
+    def said(points, tolerance):
+        machines = zip(*(kinds[point] for point in points), strict=True)
+        each = [made_up([row] * 3, [np.isinf(row)] * 3) for row in machines]
+        (best,) = best_points(xr.concat(each, "sample"), tolerance)
+        return best.point["b"], best.sentences
+
+    b, told = said(["far", "far", "low", "far"], 5.0)
+    assert (b, told[0]) == (3, "law has its least error at a = 0.1 and b = 3.")
+    b, told = said(["low", "low", "gone", "low"], 2.0)  # 90 % end within it at b = 3, 0 elsewhere
+    assert (b, told[0]) == (3, "law has its largest yield at a = 0.1 and b = 3.")
+    assert told[1] == "More than 5 % of the machines diverge there."
+    b, told = said(["low", "low", "gone", "low"], None)
+    assert (b, told[0]) == (1, "law has its least error at a = 0.1 and b = 1.")
+    _, told = said(["gone"] * 4, None)
+    assert told == ("law: more than 5 % of the machines diverge at every point.",)
+
+
+@pytest.mark.parametrize(
+    ("errors", "end"),
+    [
+        ([1, 2, 3, 4], "law.lam = 10 is the least value that was tried"),
+        ([4, 3, 2, 1], "law.lam = 40 is the largest value that was tried"),
+        ([2, 1, 3, 4], ""),
+        ([1, 1, 3, 4], ""),
+    ],
+)
+def test_a_best_point_at_an_end_of_an_axis_is_told(errors, end):
+    dataset = made_up([errors] * 3, [[0] * 4] * 3).rename(b="law.lam", a="machine.gain")
+    dataset = dataset.assign_coords({"law.lam": [10, 20, 30, 40]})
+    for one in (dataset, dataset.isel({"law.lam": [1, 0, 3, 2]})):
+        (best,) = best_points(one)
+        assert best.sentences[3:] == ((f"{end}: beyond it may be a better one.",) if end else ())
+
+
 def test_anything_as_a_grid_is_run_or_refused():
     small = [x for x in HOSTILE if not (isinstance(x, int) and x > 1000)]
     known = ("learning.lam", "plant.gain", "learning.lead", "trials", "learning.lam/trials")
