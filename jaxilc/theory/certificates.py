@@ -541,7 +541,8 @@ def _claims(maps: LearningMaps, ahead: Outlook):
     scheme, task = maps.scheme, maps.task
     if keeps_all(scheme, task):
         of_errors = np.where(ends_at_zero(maps), maps.error_norm(), np.inf)
-    of_error = (of_errors < 1) & ahead.clear
+    surely = 1 - ROUNDING * np.finfo(of_errors.dtype).eps
+    of_error = (of_errors < surely) & ahead.clear
     monotone = of_error | (decay.monotone & ahead.clear)
     converges = decay.converges & ahead.clear & ~monotone
     diverges, drifts = np.zeros(size, bool), np.full(size, "", object)

@@ -65,7 +65,8 @@ ROUNDS = 4  # of minimal residuals, to the limit of learning
 LARGEST = 1024  # rows up to which a matrix is made where it decides
 MOST = 4000  # trials over which a limit is looked for
 DRIFT = 1e-8  # share of what an error moves, above which a growth in each trial is no rounding
-WIDE = 1e-12  # relative width that covers the rounding of a norm
+WIDE = 1e-12  # relative width that covers the rounding of a norm in double precision
+ROUNDING = 1e3  # in units of the last place, where these are more than that
 TILE = 2**28  # bytes of Lanczos vectors in a tile
 ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
 
@@ -393,6 +394,7 @@ class Matrices(LearningMaps):
         bases = [np.eye(self.M.shape[1]) if V is None else V for V in found]
         most = max(V.shape[1] for V in bases)
         basis = np.stack([np.pad(V, ((0, 0), (0, most - V.shape[1]))) for V in bases])
+        basis = basis.astype(self.M.dtype)
         back = basis.swapaxes(1, 2)
         return dataclasses.replace(
             self,
@@ -410,10 +412,10 @@ class Matrices(LearningMaps):
     def norm(self, power: int) -> np.ndarray:
         with np.errstate(over="ignore", invalid="ignore"):
             powers = np.linalg.matrix_power(self.M, power)
-        return _norms(powers) * (1 + WIDE)
+            return _norms(powers) * (1 + _wide(powers))
 
     def late(self, power: int) -> np.ndarray:
-        return self.norm(power) * (1 - 2 * WIDE)
+        return self.norm(power) * (1 - 2 * _wide(self.M))
 
     def leaves_nothing(self) -> np.ndarray:
         plain = self.basis is None and self.machines.variation is None
@@ -430,7 +432,7 @@ class Matrices(LearningMaps):
     def error_norm(self) -> np.ndarray:
         L = self._law()
         L = L if self.basis is None else self.basis.swapaxes(1, 2) @ L
-        return _norms(np.eye(self.E.shape[1]) + self.E @ L) * (1 + WIDE)
+        return _norms(np.eye(self.E.shape[1], dtype=L.dtype) + self.E @ L) * (1 + _wide(L))
 
     def limit(self):
         unit, limit = np.eye(self.M.shape[1]), np.zeros_like(self.c)
@@ -524,8 +526,12 @@ def _apply(matrices, vectors) -> np.ndarray:
 
 
 def _norms(matrices) -> np.ndarray:
-    """(S,) their norms; infinite where a matrix overflows."""
-    return np.array([norm_of(M) for M in matrices])
+    """(S,) their norms, of their precision; infinite where a matrix overflows."""
+    return np.array([norm_of(M) for M in matrices], matrices.dtype)
+
+
+def _wide(matrices) -> float:
+    return max(WIDE, ROUNDING * float(np.finfo(matrices.dtype).eps))
 
 
 # Without a matrix

@@ -484,3 +484,18 @@ def test_of_a_trial_of_more_than_512_samples_the_one_eigenvalue_decides(a, gain,
     found = long_run(drawn_machines(Machine(plant), {}, {}), PIDType(gamma_p=gain), task)
     assert found.claim[0].startswith(claim)
     assert (abs(1 - gain * 0.3) > 1) == (claim == "d")
+
+
+def test_in_single_precision_no_claim_rests_on_its_rounding():
+    """What lies across v is added to the input in each trial, and no input moves its error."""
+    random, machines = np.random.default_rng(0), []
+    for a in random.uniform(0, 0.25, 24):
+        v = random.standard_normal((2, 1))
+        v /= np.linalg.norm(v)
+        machines.append(Machine(StateSpace([[a]], v.T, v, dt=DT)))
+    task = Task(np.stack([np.sin(np.arange(8)), np.arange(8) / 7], axis=1), dt=DT, inputs=2)
+    with jax.enable_x64(False):
+        whole = jax.tree.map(lambda *leaves: np.stack(leaves), *machines)
+        found = long_run(whole, PIDType(gamma_p=0.7), task)
+    assert not {"monotone", "converges"} & {*found.claim}
+    assert np.all(found.sigma >= 1)
