@@ -30,7 +30,7 @@ from .repeating import Following, following, recurs, repeats_in, within_numbers,
 from .request import Request
 from .sweeping import live_store
 from .terms import objective_for, risk_of
-from .words import number, several
+from .words import FALLS, number, several, trend_of
 
 Q = TypeVar("Q")
 
@@ -317,8 +317,8 @@ def _table(chosen: Scenario, designed: Designed) -> Table:
     name = chosen.judged_by.replace("_", " ")
     table = Table(
         "law", "|Q (1 - L P)|", f"95 % [{unit}]" if unit else "95 %", "settled", "verdict",
-        title=f"{chosen.name}: {name} on {designed.machines} machines, trials {designed.trials} to "
-        f"{designed.long}",
+        title=f"{chosen.name}: {name} on {designed.machines} machines, "
+        f"{_trials_said(designed.trials, designed.long, 'trials')}",
     )  # fmt: skip
     best = None if designed.chosen is None else designed.chosen.verdict
     for one in (*((best,) if best else ()), *designed.others):
@@ -329,7 +329,7 @@ def _table(chosen: Scenario, designed: Designed) -> Table:
             one.candidate.name,
             f"{one.candidate.largest:.3f}",
             f"{one.error * scale:.4g}",
-            "still falls" if one.still_falls else f"trial {one.settled_at}",
+            "still falls" if _falls(one) else f"trial {one.settled_at}",
             verdict,
         )
     for one in designed.absent:
@@ -357,9 +357,9 @@ def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> lis
     said = [
         f"Take {one.candidate.name}: {_with_weights(one.candidate, chosen)}.",
         f"Of {designed.machines} machines that the design has not seen, 95 % are at or below a "
-        f"{chosen.judged_by.replace('_', ' ')} of {size(one.error)} in each trial from "
-        f"{designed.trials} to {designed.long}; half of them are at or below {size(one.median)}, "
-        f"all of them at or below {size(one.worst)}.",
+        f"{chosen.judged_by.replace('_', ' ')} of {size(one.error)} in "
+        f"{_trials_said(designed.trials, designed.long)}; half of them are at or below "
+        f"{size(one.median)}, all of them at or below {size(one.worst)}.",
         safety_said(best.proof),
     ]
     if chosen.tolerance is not None:
@@ -381,15 +381,37 @@ def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> lis
         )
     return [
         *said,
-        f"The error still falls after trial {one.settled_at}, by {one.gained_later:.0%} to trial "
-        f"{designed.long}: more trials than {designed.trials} leave less."
-        if one.still_falls
-        else f"Stop after trial {one.settled_at}: what later trials gain is less than 5 %.",
+        _stop_said(one, designed.trials, designed.long),
         f"Most of the error comes from {CAUSES[limits.largest]}: without noise and limits the "
         f"nominal machine reaches {size(limits.law)}, with the limits of the actuator "
         f"{size(limits.limits)}, with noise too {size(limits.noise)}, and 95 % of the uncertain "
         f"machines {size(limits.machines)}.",
     ]
+
+
+def _trials_said(first: int, last: int, several: str = "each trial from") -> str:
+    return f"trial {last}" if first == last else f"{several} {first} to {last}"
+
+
+def _falls(one: Judged) -> bool:
+    """Whether the error still falls, in the trials after those asked for or at the end of all."""
+    return one.still_falls or trend_of(one.summary.high.tolist()).kind == FALLS
+
+
+def _stop_said(one: Judged, trials: int, long: int) -> str:
+    """After which trial to stop, as far as the trials that were run tell.
+
+    trials, long: number of trials asked for, and run
+    """
+    if one.still_falls:
+        return (
+            f"The error still falls after trial {one.settled_at}, by {one.gained_later:.0%} to "
+            f"trial {long}: more trials than {trials} leave less."
+        )
+    if _falls(one):
+        return f"The error still falls in trial {long}: more trials leave less."
+    later = f" up to {long}" if 2 * one.settled_at > long else ""
+    return f"Stop after trial {one.settled_at}: what later trials{later} gain is less than 5 %."
 
 
 def _numbers(chosen: Scenario, designed: Designed) -> Numbers:
@@ -603,12 +625,13 @@ def _errors(one: Judged, trial: int) -> dict[str, float]:
 
 def _errors_said(chosen: Scenario, learned: Learned) -> str:
     one, size = learned.verdicts[LEARNED], partial(size_of, chosen)
-    errors = _errors(one, learned.trials)
+    errors, later = _errors(one, learned.trials), ""
+    if learned.long > learned.trials:
+        later = f"; in each trial to {learned.long} 95 % are at or below {size(one.error)}"
     return (
         f"Of {learned.machines} machines that it has not seen, half are at or below a "
         f"{chosen.judged_by.replace('_', ' ')} of {size(errors['median'])} in trial "
-        f"{learned.trials} and 95 % at or below {size(errors['error_95'])}; in each trial to "
-        f"{learned.long} 95 % are at or below {size(one.error)}."
+        f"{learned.trials} and 95 % at or below {size(errors['error_95'])}{later}."
     )
 
 

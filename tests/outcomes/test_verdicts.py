@@ -9,7 +9,8 @@ import pytest
 from typer.main import get_command
 
 from jaxilc.cli import app
-from jaxilc.outcomes import certifying
+from jaxilc.design.judging import judged_trials, verdict
+from jaxilc.outcomes import certifying, designing
 from jaxilc.outcomes.case import Case
 from jaxilc.outcomes.certifying import certify_verdict
 from jaxilc.outcomes.listing import list_verdict
@@ -29,6 +30,7 @@ from jaxilc.outcomes.tuning import (
 from jaxilc.outcomes.words import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
 from jaxilc.scenarios.published import NOTHING, Fit, Published
 from jaxilc.scenarios.reproduction import Row
+from jaxilc.sweeps.summary import SchemeSummary
 
 J = np.arange(1, 41)
 NOISE = np.random.default_rng(3)
@@ -123,6 +125,27 @@ def test_a_design_keeps_the_settings_of_machine_and_feedback():
     assert found.said == ("ilc diverges within 2 trials.",)
     name, params = parsed(found)
     assert (name, params["set_"]) == ("design", ["machine.plant.B=2", "ilc.feedback.kp=1"])
+
+
+@pytest.mark.parametrize(
+    ("trials", "factor", "left", "said"),
+    [
+        (20, 0.5, 0.01, "Stop after trial 12: what later trials gain is less than 5 %."),
+        (20, 0.99, 0.0, "still falls after trial 16, by 36% to trial 60: more trials than 20"),
+        (350, 0.5, 0.01, "Stop after trial 12: what later trials gain is less than 5 %."),
+        (350, 0.99, 0.0, "The error still falls in trial 350: more trials leave less."),
+        (350, 0.999, 0.0, "Stop after trial 302: what later trials up to 350 gain is less than"),
+    ],
+)
+def test_a_design_tells_to_stop_as_far_as_it_has_looked(trials, factor, left, said):
+    """From 200 trials on no more are run than were asked for."""
+    long = judged_trials(trials)
+    high = left + factor ** np.arange(long)
+    fields = dict.fromkeys(SchemeSummary._fields, 0.0)
+    one = verdict(
+        None, SchemeSummary(**fields | {"median": high, "high": high, "worst": high}), trials, None
+    )
+    assert said in designing._stop_said(one, trials, long)
 
 
 def test_run_compares_schemes_and_the_tolerance():
