@@ -74,6 +74,7 @@ from ..uncertainty import Uncertainty, draw, drawn_machines
 from .bounds import Checked, checked_machines
 from .chance import (
     EVERY,
+    MARGIN,
     SQUARE,
     STILL,
     SURELY,
@@ -384,7 +385,8 @@ def _of_runs(
     """The claims on single runs, where something is drawn, from those on the mean of all runs."""
     view, size = view_of(scheme, task), len(means.claim)
     # what is drawn before the last change is not followed, so it is not known where w begins
-    strays = machines.last_change > 1 and bool(limit_names(machines, scheme, task))
+    limited = bool(limit_names(machines, scheme, task))
+    strays = machines.last_change > 1 and limited
     alike, inputs = learned_alike(machines), len(view.moving)
     if inputs > LARGEST:
         if alike:
@@ -410,6 +412,8 @@ def _of_runs(
             reason[i] = f"but for what is drawn, {reason[i]}"
         if claim[i] != NOTHING and (strays or not one.clear):
             claim[i], reason[i] = NOTHING, "a limit may be met in a trial that is drawn"
+        elif claim[i] != NOTHING and limited:
+            reason[i] += f"; no limit is met within {MARGIN:g} standard deviations"
         if means.ball is None and claim[i] in (MONOTONE, CONVERGES) and np.isfinite(one.most):
             reason[i] += f"; {GAUSSIAN if one.certain else MARKOV}"
     rms = np.stack([one.rms for one in found])

@@ -58,7 +58,7 @@ from ..pytree.in_short import in_short
 from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
 from ..signals.task import Task
-from .learning_map import View, alone, count_of, first_of, learning_of, slopes
+from .learning_map import MOST, View, alone, count_of, first_of, learning_of, slopes
 from .spectrum import drifting, norm_of, reachable, triangular_radius
 from .trials import disturbed
 
@@ -282,7 +282,7 @@ KRYLOV = 400  # steps of GMRES after them, at most
 SOLVED = 1e-8  # relative residual up to which a stationary variance counts as found
 BLOCKS, LENGTHS = 32, (1, 4, 16, 64)  # drawn products, and their numbers of trials
 SURE = 1e-6  # chance with which the interval of an exponent may be wrong
-LOOKED_AT = 64  # trials at least, in which limits are looked at; then what is left
+LOOKED_AT = 64  # trials at least, in which limits are looked at; then with what noise leaves
 MARGIN = 5.0  # standard deviations, of a limit that counts as never met
 PRODUCTS = 256  # rows up to which products are drawn
 FEWER = "of so many inputs nothing is claimed but that a mean square falls at once, without limits"
@@ -626,7 +626,7 @@ class _Run(NamedTuple):
             return np.nan, np.nan, len(self.parts.t) == 1  # no limit but the one always there
         left = self._error(w, X)
         most = self._quantile(w, X) if self.moments.certain else left / np.sqrt(RARE)
-        return left, most, self._clear(w, X)
+        return left, most, self._clear(w, X) and self._clear_on_the_way(w, X)
 
     def added(self, w) -> np.ndarray:
         """C: what is added to the covariance of w in a trial that plays w in the mean."""
@@ -647,6 +647,22 @@ class _Run(NamedTuple):
         squares = np.sum((T @ X) * T, axis=1) + np.sum(parts.G**2, axis=1)
         far = np.abs(T @ w + parts.t) + MARGIN * np.sqrt(np.maximum(squares, 0.0))
         return bool(np.all(far <= 1))
+
+    def _clear_on_the_way(self, end, X) -> bool:
+        """The same of the trials that `course` need not look at, until the mean is at its end."""
+        parts = self.parts
+        if len(parts.t) == 1:
+            return True
+        squares = np.sum((parts.T @ X) * parts.T, axis=1) + np.sum(parts.G**2, axis=1)
+        room, w = 1 - MARGIN * np.sqrt(np.maximum(squares, 0.0)), parts.start
+        near = SOLVED * max(np.linalg.norm(end), np.linalg.norm(w))
+        for j in range(MOST):
+            if j >= LOOKED_AT and np.any(np.abs(parts.T @ w + parts.t) > room):
+                return False
+            if np.linalg.norm(w - end) <= near:
+                break
+            w = parts.M @ w + parts.c
+        return True
 
     def _error(self, w, X) -> float:
         parts = self.parts

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.stats
 
 from jaxilc.learning import Machine
@@ -18,7 +19,8 @@ from jaxilc.learning.machine import Actuator, Disturbance, Sensor
 from jaxilc.learning.variation import PlantChange, Variation, there_until
 from jaxilc.outcomes.certifying import certificate_numbers, left_words, senses_words
 from jaxilc.outcomes.words import number
-from jaxilc.plants import StateSpace
+from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.pytree import replaced
 from jaxilc.schemes import NormOptimal, PIDType
 from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Task, Trial
@@ -213,6 +215,24 @@ def test_of_a_law_that_is_another_for_each_record_and_of_carried_states_nothing_
     found = carried_radius(carried, PIDType(gamma_p=3.0, leak=0.01), TASK)
     assert found.claim == NOTHING
     assert "single runs" in found.reason
+
+
+def test_a_limit_that_noise_may_meet_late_in_a_transient_is_in_the_way():
+    """The mean of the input is largest in trial 130, and most runs of 1500 trials are beyond it."""
+    G = scipy.linalg.toeplitz((np.arange(10) + 1) * 0.9 ** np.arange(10), np.zeros(10))
+    task, gain, mean, most = Task(np.append(0.0, np.ones(10)), DT), 0.03, np.zeros(10), []
+    for _ in range(400):
+        most.append(np.max(np.abs(mean)))
+        mean = mean + gain * (1 - G @ mean)
+    assert np.argmax(most) + 1 == 130
+    plant = DifferenceEquation((1.8, -0.81), (1.0, 0.0), dt=DT)
+    limits = np.array([1.002, 1.2]) * max(most)
+    machine = Machine(plant, Actuator(limit=1.0), Sensor(noise=0.03))
+    whole = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), machine)
+    found = long_run(replaced(whole, {"actuator.limit": limits}), PIDType(gamma_p=gain), task)
+    assert found.claim.tolist() == [NOTHING, CONVERGES]
+    assert found.reason[0] == "a limit may be met in a trial that is drawn"
+    assert "; no limit is met within 5 standard deviations" in found.reason[1]
 
 
 @pytest.mark.thorough
