@@ -186,7 +186,8 @@ def outlook_of(maps: LearningMaps, astray: np.ndarray | None = None) -> Outlook:
     if astray is not None:
         met = np.zeros_like(met)  # the trial is that of the machine that does not go astray
     labels = np.array([names[i] for i in which] if names else [""] * len(left))
-    doubt = gain * radius / np.sqrt(maps.task.N * maps.task.outputs)
+    astir = np.where(gain > 0, radius, 0.0)  # an error that no input moves is known
+    doubt = gain * astir / np.sqrt(maps.task.N * maps.task.outputs)
     nothing = decay.converges & maps.leaves_nothing()
     floor, doubt = (np.where(nothing, 0.0, x) for x in (floor, doubt))
     return Outlook(decay, limit, radius, floor, doubt, met, clear, labels)

@@ -499,3 +499,10 @@ def test_in_single_precision_no_claim_rests_on_its_rounding():
         found = long_run(whole, PIDType(gamma_p=0.7), task)
     assert not {"monotone", "converges"} & {*found.claim}
     assert np.all(found.sigma >= 1)
+
+
+def test_of_a_plant_that_no_input_moves_the_error_is_known():
+    still = Machine(StateSpace([[0.5]], [[0.0]], [[1.0]], dt=DT))
+    found = long_run(drawn_machines(still, {}, {}), PIDType(gamma_p=0.5), TASK)
+    assert found.outlook.doubt[0] == 0
+    np.testing.assert_allclose(found.outlook.floor[0], np.sqrt(np.mean(TASK.reference[1:] ** 2)))
