@@ -25,7 +25,7 @@ from .condition import Premise, premise, share_alike
 from .loop import on_circle
 from .trials import learned_shape, next_learned, shortened
 
-LONG = 4096  # samples of the trial in which the taps are looked at
+LONG = (4096, 16384)  # samples of the trial in which the taps are looked at, and if that is short
 FORGOTTEN = 1e-12  # share of the largest tap that counts as nothing
 NEGLIGIBLE = 1e-13  # share of the largest tap that all taps left out at one end may add up to
 ALIKE = 1e-9  # relative difference between two places of the trial that rounding explains
@@ -86,9 +86,19 @@ def law_of(scheme: Scheme, task: Task) -> Law:
 
     Its taps are read in the middle of a long trial, and compared with those at another place there,
     and with all that the law does in the trial of the task. That shows a law that is scheduled, but
-    not a change so near an end that the taps beyond the end could explain it.
+    not a change so near an end that the taps beyond the end could explain it. Where they have not
+    died out, as those of a filter of a low cutoff, the trial is made longer.
     """
-    given, task = task, _long(scheme, task)
+    for samples in LONG:
+        law, longer = _law_in(scheme, task, samples)
+        if law.invariant.held or not law.tail > NEGLIGIBLE or samples > longer.N:
+            break
+    return law
+
+
+def _law_in(scheme: Scheme, given: Task, samples: int) -> tuple[Law, Task]:
+    """The law, with taps that are read in a trial of so many samples, if it admits that; and it."""
+    task = _long(scheme, given, samples)
     width, N = _width(scheme, task), task.N
     middle, beside = N // 2, N // 2 + max(N // 8, 1)
     at = [tuple(map(np.asarray, _impulses(scheme, task, place))) for place in (middle, beside)]
@@ -107,7 +117,7 @@ def law_of(scheme: Scheme, task: Task) -> Law:
         if _size(taps.taps) > (0.0 if late else FORGOTTEN)
     ]
     tail = max(_size(rows[[0, -1]]) for rows in (keep, L)) / size
-    return Law(of_keep, of_error, float(max(departures)), float(tail))
+    return Law(of_keep, of_error, float(max(departures)), float(tail)), task
 
 
 def _scheduled(scheme: Scheme, task: Task, taps: Taps, late: int) -> float:
@@ -197,11 +207,11 @@ def _width(scheme: Scheme, task: Task) -> int:
     return shape[1]
 
 
-def _long(scheme: Scheme, task: Task) -> Task:
-    """The task made long enough for the taps to die out, where the scheme admits another length."""
+def _long(scheme: Scheme, task: Task, samples: int) -> Task:
+    """The task made as long as that, if it is shorter and the scheme admits another length."""
     if any(part.scheme.of_one_length for part in with_all_parts(scheme, task)):
         return task
-    longer = shortened(task, max(LONG, task.N))
+    longer = shortened(task, max(samples, task.N))
     try:
         scheme.check(longer)
     except ValueError:

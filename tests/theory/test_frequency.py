@@ -33,6 +33,7 @@ from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task
 from jaxilc.theory import frequency, lifted
 from jaxilc.theory.certificates import printed_conditions
+from jaxilc.theory.law import law_of
 from jaxilc.uncertainty import Normal, Uniform
 
 ARX_MACHINE, TASK = Machine(PLANTS["arx"]), task_for(PLANTS["arx"], 200)
@@ -170,6 +171,16 @@ def test_laws_and_filters():
     for q in (ZeroPhaseButterworth(70.0, order=3), Own(ZeroPhaseButterworth(70.0, order=3))):
         found = law_response(Filtered(PIDType(), q), task, F).keep[:, 0, 0]
         np.testing.assert_allclose(found, butterworth(F, 70.0, 3), rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize("N", [40, 5000])
+def test_the_law_of_a_filter_with_a_low_cutoff_is_the_same_throughout(N):
+    """At 1 kHz the taps of 2 Hz take some 9000 samples to die out."""
+    scheme = Filtered(PIDType(gamma_p=0.5), ZeroPhaseButterworth(2.0, order=2))
+    law, f = law_of(scheme, Task(np.zeros(N + 1), dt=DT)), np.geomspace(0.1, 20, 20)
+    assert law.invariant.held, law.invariant.detail
+    found = np.exp(2j * np.pi * DT * np.outer(f, law.keep.powers)) @ law.keep.taps[:, 0, 0]
+    np.testing.assert_allclose(found, butterworth(f, 2.0), atol=1e-10)
 
 
 def test_a_scheme_on_one_of_two_outputs():
