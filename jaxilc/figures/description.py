@@ -197,6 +197,11 @@ class Panel:
     note: str = ""
     equal: bool = False
 
+    @property
+    def is_map(self) -> bool:
+        """Whether it has cells, whose edges are its ends."""
+        return any(isinstance(of, Cells) for of in self.layers)
+
     def heights(self) -> np.ndarray:
         """All values of y of its curves and bands."""
         held = {Curve: ("y",), Band: ("low", "high")}

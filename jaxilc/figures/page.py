@@ -140,8 +140,9 @@ def panel_of(panel: Panel, **options: int | str | Range) -> Plot:
     x, y = _shown_as(panel, "x"), _shown_as(panel, "y")
     options = ({"x_axis_type": "log"} if panel.x.log else {}) | options
     made = plot(panel.title, x.label, y.label, log=panel.y.log, **options)
+    held = limits_of(panel.heights()) if y.axis.log and not panel.is_map else None
     for range_, way in ((made.x_range, x), (made.y_range, y)):
-        ends = way.axis.ends or (limits_of(panel.heights()) if way is y and y.axis.log else None)
+        ends = way.axis.ends or (held if way is y else None)
         for name, end in zip(("start", "end"), ends or (), strict=False):
             if end is not None:
                 setattr(range_, name, way.factor * end)

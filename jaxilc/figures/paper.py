@@ -70,7 +70,7 @@ def draw(figure: Figure, ax: Drawing = None) -> Drawing:
     for one, panel in zip(flat, figure.panels, strict=True):
         one.set_xscale("log" if panel.x.log else "linear")
         one.set_yscale("log" if panel.y.log else "linear")
-        if panel.y.log:
+        if panel.y.log and not panel.is_map:
             one.set_ylim(*(limits_of(panel.heights()) or (0.1, 10.0)))
         for layer in panel.layers:
             DRAW[type(layer)](one, layer)

@@ -219,3 +219,13 @@ def test_an_axis_is_logarithmic_whose_values_are_even_on_it(values, scale):
     errors = np.ones((1, len(values), 1, 1, 2))
     (ax,) = figures.grid_map(sweep_of(errors, a=values, b=["p"]), metric="rms")
     assert ax.get_xscale() == scale
+
+
+def test_a_map_whose_axes_are_both_logarithmic_is_whole():
+    """Its marks stand at heights too, which are no limits of it."""
+    values = [0.1, 1.0, 10.0]
+    errors = np.arange(1.0, 19.0).reshape(1, 3, 3, 1, 2)
+    (ax,) = figures.grid_map(sweep_of(errors, a=values, b=values), metric="rms")
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    for ends in (ax.get_xlim(), ax.get_ylim()):
+        np.testing.assert_allclose(ends, np.array([0.1, 10.0]) * [10**-0.5, 10**0.5])

@@ -54,6 +54,14 @@ def test_each_cell_has_the_numbers_of_the_picture_and_lies_around_its_point():
     assert any(all(row in one for row in rows) for one in hovers)
 
 
+def test_the_marks_of_a_logarithmic_map_are_not_its_ends():
+    b = [0.5, 1.0, 2.0, 4.0]
+    _, live = live_of(dataset_of(np.arange(1.0, 13.0).reshape(3, 4), b))
+    assert type(live.figure.y_scale).__name__ == "LogScale"
+    ends = live.figure.y_range.start, live.figure.y_range.end
+    assert np.all(np.isnan(ends)), "they are not those of all cells, which the page finds itself"
+
+
 def test_a_click_shows_how_the_point_learns():
     """The curves of all points stand in one array, of which the page takes a part."""
     dataset = dataset_of([[8, 4], [2, 1], [np.inf, 4]], ["p", "q"])
