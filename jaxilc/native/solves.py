@@ -125,8 +125,8 @@ def written(name: str, params: Parameters, operands: Sequence[Shaped]) -> Closed
     """
     if name not in WRITTEN:
         return None
-    shape, kind = operands[0].shape, operands[0].dtype.kind
     if name in ("lu", "triangular_solve", "sort"):
+        shape, kind = operands[0].shape, operands[0].dtype.kind
         axes, kinds = (1, "iu") if name == "sort" else (2, "f")
         if len(shape) != axes or kind not in kinds or params.get("num_keys", 1) != 1:
             return None

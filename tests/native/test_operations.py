@@ -244,6 +244,14 @@ def test_few_whole_numbers_are_sorted_and_equal_ones_keep_their_order():
         np.testing.assert_array_equal(found, wanted)
 
 
+def test_keys_of_random_numbers_are_taken_apart_as_other_arrays_are():
+    """JAX 0.12 splits a key by an operation whose types have no `kind`."""
+    keys = jax.random.split(jax.random.key(0), 3)
+    found = solves.written("unstack", {"axis": 0}, [keys])
+    for one, key in zip(jax.core.eval_jaxpr(found.jaxpr, found.consts, keys), keys, strict=True):
+        assert one == key
+
+
 def test_every_operation_of_the_table_is_tried():
     tried = {*OF_ONE, *OF_TWO, *OF_WHOLE}
     made = {"integer_pow", "convert_element_type", "real", "add_any", "round_even", "copysign",
