@@ -289,10 +289,12 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
     median, worst = (
         f"{case.size(tuned[of])} in place of {case.size(given[of])}" for of in ("median", "worst")
     )
-    first = (
-        f"{', '.join(changed[:FEW])}{more}: of {numbers['samples']} machines not seen, the median "
-        f"{case.error} of trial {last} is {median}, the worst {worst}."
-    )
+    first = f"{', '.join(changed[:FEW])}{more}: "
+    if all(row["median"] == row["worst"] for row in (given, tuned)):  # nothing is drawn
+        first += f"the {case.error} of trial {last} is {median}."
+    else:
+        first += f"of {numbers['samples']} machines not seen, the median {case.error} of trial "
+        first += f"{last} is {median}, the worst {worst}."
     second = []
     gain = max(1 - tuned[of] / given[of] if given[of] else 0.0 for of in ("median", "worst"))
     if gain < WORTHWHILE:

@@ -337,7 +337,8 @@ def stored_configuration(path: Path) -> dict[str, Value]:
             return as_json(unsealed(read_json(path / name)["attributes"])["configuration"])
         except (OSError, ValueError, KeyError, TypeError):
             continue
-    raise ValueError(f"{path} is not a store that can be resumed; remove it and start again")
+    said = f"{path} is not a store that can be resumed"
+    raise ValueError(f"{said}; choose another folder, or remove it")
 
 
 def _check_marks(dataset: xr.Dataset, recipe: Mapping[str, Value], chunk: int) -> None:

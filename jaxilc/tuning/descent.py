@@ -433,8 +433,8 @@ class Folder:
             for name, state in list(self._whole.items())[:1]:
                 found = tree_of(str(state.get("configuration")), json.loads, self.path / name)
         if not isinstance(found, dict):
-            said = f"{self.path} is not a tuning that can be resumed; remove it and start again"
-            raise ValueError(said)
+            said = f"{self.path} is not a tuning that can be resumed"
+            raise ValueError(f"{said}; choose another folder, or remove it")
         log.warning("%s was missing or damaged, and is written again", file)
         write_json(file, sealed(found))
         return found

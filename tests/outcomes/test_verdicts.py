@@ -379,6 +379,12 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     assert tune_verdict(OF_TUNING, hardly, params).said[1] == (
         "That is 10 % more at least: the weights as given are better in this."
     )
+    alike = tuned(2.0)
+    for which, row in alike["figures"]["settled_error"].items():
+        row["15"] = dict.fromkeys(("median", "worst"), 3.0 if which == "given" else 2.0)
+    assert tune_verdict(OF_TUNING, alike, params).said[0] == (
+        "lam = 0.5 (was 1): the settled error of trial 15 is 2 µm in place of 3 µm."
+    )
     another_start = tuned(step=0)
     assert tune_verdict(OF_TUNING, another_start, params).said == found.said
     another_start["weights"]["lam"]["tuned"] = 1.0

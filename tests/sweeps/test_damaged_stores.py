@@ -176,9 +176,7 @@ def test_a_store_without_its_configuration_is_refused(swept, tmp_path):
     shutil.copytree(store, tmp_path / "store.zarr")
     for name in ("zarr.json", "chunk_done/zarr.json"):
         cut(tmp_path / "store.zarr" / name)
-    with pytest.raises(
-        ValueError, match="not a store that can be resumed; remove it and start again"
-    ):
+    with pytest.raises(ValueError, match="not a store that can be resumed; choose another folder"):
         plan.run(tmp_path / "store.zarr", resume=True)
 
 
