@@ -3,8 +3,9 @@
 Read are G0, G1, G2, G3, G4 (P in seconds), G17, G18, G19, G20, G21, G90, G91, and the words X, Y,
 Z, I, J, K, R, P and F (a minute). I, J and K are measured from the start of the arc. Comments,
 block numbers, and words that move no axis (M, S, T, and G codes that are off at the start of a
-program, such as G40) have no effect here, but M2 and M30 end the program. All else is refused with
-the number of its line, a call of another program (M97, M98, M99) too.
+program, such as G40) have no effect here, but M2 and M30 end the program, and after G80 the next
+move names its motion. All else is refused with the number of its line, a call of another program
+(M97, M98, M99) too.
 """
 
 from __future__ import annotations
@@ -86,6 +87,8 @@ class _Reader:
             return True
         codes, words = _words(block)
         dwell, ended = False, False
+        if ("G", 80.0) in codes:  # ends the motion of the lines before
+            self.motion = None
         for letter, value in codes:
             if letter == "M" and value in _CALLS:
                 raise ValueError(f"M{value:g} belongs to a call of another program; allowed is one")

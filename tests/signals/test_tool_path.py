@@ -161,6 +161,7 @@ REFUSED = {
     "line 1: X is given twice": "G1 X4 X5 F9",
     "line 1: I is no word of G1": "G1 X4 I5 F9",
     "line 1: X4 without G0": "X4",
+    "line 3: X8 without G0": "G80 G1 X4 F9\nG80 (which ends a motion)\nX8",
     "line 1: G0 and G1 in one line": "G0 G1 X4 F9",
     "line 2: M98 belongs to a call of another program": "G1 X4 F9\nM98 P100",
     "line 1: 'HELLO' is no word": "G1 X4 F9 hello",
