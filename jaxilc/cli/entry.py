@@ -18,7 +18,7 @@ from typer import Option
 from . import commands, interrupts
 from .console import ended, err, prefer, speak, tracebacks
 from .explore import explore
-from .hardware import Refused, next_, trials
+from .hardware import SETTINGS, Refused, next_, trials
 from .init import init
 from .options import DESIGN, MACHINE, PROVE, SIMULATE, Commands, add, figures_as, of_list
 
@@ -103,11 +103,14 @@ def options(
 
 
 class Command(typer.core.TyperCommand):
-    """A command whose help is shown as it is written: Rich would take `[s]` for one of its tags."""
+    """A command whose help is shown as it is written: Rich would take `[s]` for one of its tags.
+
+    The lines of a paragraph are joined, since Rich would break long ones and keep their ends too.
+    """
 
     def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
-        self.help = escape(self.help or "")
+        self.help = escape(re.sub(r"(?<!\n)\n(?!\n)", " ", self.help or ""))
         for one in self.params:
             if isinstance(one, typer.core.TyperOption | typer.core.TyperArgument):
                 one.help = escape(one.help or "")
@@ -134,6 +137,8 @@ for panel, of_panel in COMMANDS.items():
         add(app, function, panel)
 for registered in app.registered_commands:
     registered.cls = Command
+    if registered.name == "next":
+        registered.epilog = escape("\n\n".join(SETTINGS))
 
 
 def main() -> None:

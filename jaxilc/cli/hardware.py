@@ -497,6 +497,10 @@ OF_CAMPAIGN = {
     "columns": (str, "names of the columns of a file without a header: sample,u [V],y [mm]"),
     "number": (str, "numbers of a C header: double or float"),
 }
+SETTINGS = (  # paragraphs below the options of `jaxilc next --help`
+    "What --set campaign.NAME=VALUE sets:",
+    *(f"{name}: {meaning}" for name, (_, meaning) in OF_CAMPAIGN.items()),
+)
 
 
 class Refused(ValueError):

@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 import inspect
 import io
+import itertools
 import json
 import os
 import re
@@ -27,6 +28,7 @@ from typer.testing import CliRunner
 import jaxilc
 from jaxilc import figures, outcomes
 from jaxilc.cli import app, console, durations, progress
+from jaxilc.cli.hardware import OF_CAMPAIGN
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
 from jaxilc.figures import saving
 from jaxilc.outcomes import Request, running
@@ -528,6 +530,18 @@ def test_a_help_page_fits_80_columns(name):
     brackets = re.findall(r"\[[^\]]+\]", re.sub(r"[\\\s]", "", helps))
     together = re.sub(r"[│\s]", "", shown.stdout)
     assert [unit for unit in brackets if unit not in together] == [], "Rich has tags like [s]"
+
+
+def test_help_joins_the_lines_of_a_paragraph_and_explains_what_a_campaign_sets():
+    for name in get_command(app).commands:
+        shown = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "80"}).stdout
+        lines = [line.strip() for line in shown.partition("╭")[0].splitlines()]
+        for line, after in itertools.pairwise(lines):
+            early = line and after and len(f" {line} {after.split()[0]}") < 79
+            assert not early, f"{name}: {line!r} ends early"
+    explained = CliRunner().invoke(app, ["next", "--help"], env={"COLUMNS": "80"}).stdout
+    for name, (_, meaning) in OF_CAMPAIGN.items():
+        assert f" {name}: {meaning}" in explained
 
 
 def test_help_groups_every_command_by_what_one_wants():
