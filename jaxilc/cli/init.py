@@ -33,6 +33,7 @@ SET_POINT = {
     '"ilc.filter.cutoff"': '"ilc.scheme.filter.cutoff"',
     '"ilc.scheme.lead"': '"ilc.scheme.scheme.lead"',
 }
+AT_REST = 0.01  # of the stroke of a set-point, by which its first value may miss 0
 _OF_DRIVE = re.compile(r"(?<=\[plant\]\n)kind.*?\n(?=\n)", re.DOTALL)
 _REFERENCE = re.compile(r"(?<=\n)reference = .*")
 
@@ -88,6 +89,13 @@ def _of_record(content: str, record: Path, file: Path, names: tuple[str, str, st
 
     time, set_point, position = names
     read = read_record_file(record, time=time, input=set_point, output=position)
+    values = read.record.u[:, 0].tolist()
+    first = values[0]
+    if abs(first) > AT_REST * (max(values) - min(values)):
+        raise ValueError(
+            f"{record}: {set_point} begins at {first:.6g}, where the move must begin at 0, as the "
+            f"plant does; subtract {first:.6g} from {set_point} and {position}, in each trial, too"
+        )
     place, *called = (json.dumps(of) for of in (os.path.relpath(record, file.parent), *names))
     columns = zip(("time", "input", "output"), called, strict=True)
     plant = [f"{name} = {column}\n" for name, column in columns]

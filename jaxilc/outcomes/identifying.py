@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 ANY = "any"  # zeros, of a model that has as many as its poles allow
 SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
 AS_GOOD = 6.0  # of the criterion, by which it may be larger
+HALF = 0.5  # of the residual, which a plant that rests at the first input leaves at most
 RIGID = 90.0  # fit of mass and friction to a force [%], from which on they are told
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
 MOST_ORDERS = 12  # rows of a table of orders
@@ -103,7 +104,7 @@ def identify(
     found = fitted.found
     lines, has_law = sentences_on(found, fitted.dt) + closed, True
     said, suspected, of_friction = _not_linear(fitted)
-    lines += said
+    lines += said + _at_first_input(asked, fitted)
     figures_of = fitted.drawn()
     second: Numbers = {}
     if validate is not None:
@@ -167,6 +168,30 @@ def _not_linear(fitted: Fitted) -> tuple[list[str], Numbers, list[Table]]:
     )
     table = identification_table("mass and friction", rows)
     return lines, numbers | {"friction": {name: value for name, value, *_ in rows}}, [table]
+
+
+def _at_first_input(asked: Reading, fitted: Fitted) -> list[str]:
+    """That the machine rested at its first input, not at 0, where this explains the record."""
+    record, found = fitted.measured, fitted.found
+    if not isinstance(record, Record) or found.white or found.plant.n_u * found.plant.n_y > 1:
+        return []
+    first = float(np.ravel(record.u)[0])
+    if first == 0:
+        return []
+    structure: Numbers = {} if ANY in asked.structure.values() else dict(asked.structure)
+    moved = record._replace(u=record.u - first)
+    try:
+        again = identification.identify(moved, **structure, delay=asked.delay or 0)
+    except ValueError:  # a short record
+        return []
+    own, left = float(found.residual_std[0]), float(again.residual_std[0])
+    if not left < HALF * own:
+        return []
+    return [
+        f"The input begins at {first:.6g}, and the record looks as if the machine rested there: a "
+        f"plant that does leaves an rms of {left:.3g} in place of {own:.3g}. A plant here rests at "
+        f"an input of 0: subtract {first:.6g} from the input."
+    ]
 
 
 def _on_second(path: Path, asked: Reading, fitted: Fitted) -> tuple[list[str], Numbers, Figure]:
@@ -235,6 +260,10 @@ class Reading(NamedTuple):
 
     def of_record(self, path: Path) -> RecordFile:
         """A record, read as this says."""
+        if self.input == self.output:
+            raise ValueError(
+                f"--input and --output are both {self.input!r}; allowed is one column of each"
+            )
         return read_record_file(
             path, dt=self.dt, time=self.time, input=self.input, output=self.output,
             time_unit=self.time_unit, columns=self.columns, resample=self.resample,

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 import scipy.signal
-from command import call
+from command import call, write_columns
 from typer.main import get_command
 
 from jaxilc.cli import app
@@ -99,6 +99,10 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
         assert code == 2
         assert said in err
         assert not (tmp_path / "b.toml").exists()
+    write_columns("far.csv", "t,u,y", 0.002 * np.arange(len(r)), r + 100, y + 100)
+    code, out, err = call("init", "--set-point", "--record", "far.csv", "b.toml")
+    assert "far.csv: u begins at 100, where the move must begin at 0" in err
+    assert (code, (tmp_path / "b.toml").exists()) == (2, False)
 
 
 def test_the_file_runs_as_it_is_and_with_every_choice(tmp_path):

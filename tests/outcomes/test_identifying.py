@@ -37,9 +37,25 @@ def test_a_second_record_judges(tmp_path):
     assert differs["fit"][0] < 95
     assert "times the residual of the fit: the machine is not the same there" in doubted
     assert found.figures["second"].draw() is not None
+    with pytest.raises(ValueError, match="--input and --output are both 'u'"):
+        outcomes.identify(first, reading={"output": "u"})
     slow = write(tmp_path / "d.csv", 3, dt=0.02)
     with pytest.raises(ValueError, match=r"--dt 0.01 resamples both"):
         outcomes.identify(first, reading={"structure": STRUCTURE}, validate=slow)
+
+
+@pytest.mark.parametrize("rests_at", [0.0, 100.0])
+def test_a_machine_that_rests_at_its_first_input_is_told(rests_at, tmp_path):
+    """A plant here rests at an input of 0, so that a position of 100 mm looked like a step."""
+    rng, kept = np.random.default_rng(4), np.exp(-5.0 * DT)
+    moved = np.repeat([0.0, *rng.choice([-1.0, 1.0], N // 10)], 10)[: N + 1]
+    y = scipy.signal.lfilter([0, 1 - kept], [1, -kept], moved) + rests_at
+    y += 1e-3 * rng.standard_normal(len(y))
+    write_columns(tmp_path / "a.csv", "t,u,y", DT * np.arange(len(y)), moved + rests_at, y)
+    found = outcomes.identify(tmp_path / "a.csv", reading={"structure": STRUCTURE})
+    said = [line for line in found.verdict.said if "subtract 100 from the input" in line]
+    assert len(said) == (rests_at > 0)
+    assert bool(found.numbers["white"]) == (rests_at == 0)
 
 
 def test_mass_and_friction_of_a_record_of_force_are_told(tmp_path, monkeypatch):
