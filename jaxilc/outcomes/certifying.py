@@ -156,6 +156,7 @@ def certificate_numbers(of_scheme: OfScheme) -> Numbers:
     first, quantile: largest root mean square error of the first trial, where something is drawn or
         rounded, and that of the last one below which 95 % of the simulated runs end, where
         something is drawn; else None
+    ends: number of trials after which they end, not yet late perhaps; None where nothing is drawn
     since: number of the trial from which on nothing changes; all that is told here begins with it,
         courses with nothing learned
     expected, observed, confusion: course of the error in J trials, by theory and by simulation
@@ -189,6 +190,7 @@ def certificate_numbers(of_scheme: OfScheme) -> Numbers:
         "most": float(np.max(found.most[claimed])) if np.all(known) and np.any(claimed) else None,
         "first": None if last is None and not rounds else float(np.max(found.simulated[:, 0])),
         "quantile": None if last is None else float(np.max(last)),
+        "ends": None if last is None else found.simulated.shape[1],
         "expected": {course: int(np.sum(found.expected == course)) for course in COURSES},
         "observed": {course: int(np.sum(found.observed == course)) for course in COURSES},
         "confusion": found.confusion(),
@@ -343,7 +345,7 @@ def left_words(numbers: Numbers, scale: float, unit: str) -> str:
         most = f", and in 95 of 100 late trials of at most {number(scale * numbers['most'])} {unit}"
     return (
         f"an rms error of at most {size} over all that is drawn{most.rstrip()} "
-        f"(95 % of the simulated runs end below {last})"
+        f"(95 % of the simulated runs are below {last} after {numbers['ends']} trials)"
     )
 
 

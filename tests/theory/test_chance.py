@@ -298,9 +298,9 @@ def test_where_samples_are_lost_the_quantile_is_that_of_markov():
     np.testing.assert_allclose(found.most[0], found.left[0] / np.sqrt(0.05), rtol=1e-12)
     assert "Markov" in found.reason[0]
     words = certificate_numbers(OfScheme(found, None, 1.0))
-    assert f"in 95 of 100 late trials of at most {number(found.most[0])} mm" in left_words(
-        words, 1.0, "mm"
-    )
+    said = left_words(words, 1.0, "mm")
+    assert f"in 95 of 100 late trials of at most {number(found.most[0])} mm" in said
+    assert said.endswith(f" runs are below {number(words['quantile'])} mm after 40 trials)")
 
 
 def test_noise_that_may_meet_a_limit_and_noise_of_more_inputs_than_are_followed(monkeypatch):
