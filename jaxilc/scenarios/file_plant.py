@@ -173,7 +173,7 @@ def _axes(table: Table, cls: type[Axes], folder: Path, notes: list[str]) -> Plan
 
     def one(value: Value, where: str) -> Plant:
         if isinstance(value, Mapping) and "class" in value:
-            return built(value, where)
+            return built(value, where, hint=Plant)
         return plant_of(value, where, folder, notes)
 
     names = [field.name for field in dataclasses.fields(cls)]

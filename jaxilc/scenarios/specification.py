@@ -241,6 +241,7 @@ def built(
     where: str,
     *,
     cls: type[DataclassInstance] | None = None,
+    hint: object = None,
     plant: Plant | None = None,
     dt: float | None = None,
 ) -> Tree:
@@ -251,6 +252,7 @@ def built(
     that needs a linear model gets the linear plant at the task's sample time.
 
     cls: the class, where the table does not name it
+    hint: what the object must be, where a table names another class
     plant, dt: the plant of the file, and the task's sample time [s]
     Raises ValueError naming the key: for an unknown class or field, for a missing field, and for a
     value of another kind or outside its range.
@@ -258,7 +260,10 @@ def built(
     known = [field.name for field in dataclasses.fields(cls)] if cls else []
     table = Table(values, where, ", ".join(known), known)
     if cls is None:
-        cls = classes()[table.take("class", one_of(sorted(classes())))]
+        suited, named = _suited(hint), table.values.get("class")
+        if isinstance(named, str) and named in classes() and named not in suited:
+            raise ValueError(f"{where} is a {named}; {_kinds(hint, values, plant)}")
+        cls = classes()[table.take("class", one_of(suited))]
         table.known = [field.name for field in dataclasses.fields(cls)]
     hints, fields = typing.get_type_hints(cls), {}
     for field in dataclasses.fields(cls):
@@ -301,7 +306,7 @@ def _field(
     elif isinstance(value, Mapping) and "function" in value:
         value = _model(value, where, plant, dt)
     elif isinstance(value, Mapping):
-        value = built(value, where, plant=plant, dt=dt)
+        value = built(value, where, hint=hint, plant=plant, dt=dt)
     if isinstance(hint, type | UnionType) and not isinstance(value, hint):
         plain = isinstance(value, str | int | float | list)
         found = f" = {brief(value)}" if plain else f" is a {type(value).__name__}"
@@ -309,14 +314,24 @@ def _field(
     return value
 
 
+def _wanted(hint: object) -> tuple[type, ...]:
+    """The classes of a hint."""
+    parts = typing.get_args(hint) or (hint,)
+    return tuple(c for c in parts if isinstance(c, type) and c is not type(None))
+
+
+def _suited(hint: object) -> list[str]:
+    """The names of the classes that a hint allows; of all where it names none."""
+    wanted = _wanted(hint) or (object,)
+    return sorted(name for name, c in classes().items() if issubclass(c, wanted))
+
+
 def _kinds(hint: object, value: Value, plant: Plant | None = None) -> str:
     """What is allowed for a part, as text for a message on a value that is not.
 
     Text that is close to a class, or to "plant", is answered with it first.
     """
-    parts = typing.get_args(hint) or (hint,)
-    wanted = tuple(c for c in parts if isinstance(c, type) and c is not type(None))
-    named = sorted(name for name, c in classes().items() if issubclass(c, wanted))
+    wanted, named = _wanted(hint), _suited(hint)
     if not named:
         return f"allowed is {', '.join(c.__name__ for c in wanted)}"
     allowed = f"a table with class = {' | '.join(named)}"
@@ -370,10 +385,7 @@ def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateS
 
 def scheme(values: Value, where: str, plant: Plant, dt: float) -> Scheme:
     """The scheme with its parts that a table describes; raises ValueError as `built` does."""
-    made = built(values, where, plant=plant, dt=dt)
-    if not isinstance(made, Scheme):
-        raise ValueError(f"{where} is a {type(made).__name__}; {_kinds(Scheme, made)}")
-    return made
+    return built(values, where, hint=Scheme, plant=plant, dt=dt)
 
 
 def called(function: Callable[..., T], table: Table, units: str, **given: Value) -> T:

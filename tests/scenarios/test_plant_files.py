@@ -436,6 +436,10 @@ REFUSED = {
     # [schemes]
     "schemes.a.class = 'PIT' is unknown; did you mean PID. ": scheme("PIT"),
     "schemes.a is a StateSpace; allowed is": scheme("StateSpace", A=COLUMN, B=COLUMN, C=COLUMN),
+    "schemes.a is a FlexibleMode; allowed is a table with class = ASMC": scheme("FlexibleMode"),
+    "schemes.a.filter.class = 'Notch' is not one of StableInverse, SwitchableFilter": scheme(
+        "Filtered", scheme={"class": "PIDType"}, filter={"class": "Notch"}
+    ),
     "schemes.a.kq is not a key here; allowed are class, form, ka, kd, ki, kp, kv, limit, tau": (
         scheme("PID", kq=1.0)
     ),
