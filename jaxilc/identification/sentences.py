@@ -56,12 +56,13 @@ def verdict(found: Identified, dt: float | None) -> list[str]:
 
 
 def on_lines(
-    orders: Sequence[LineModel], chosen: LineModel, noise: float, known: bool
+    orders: Sequence[LineModel], chosen: LineModel, noise: float, known: bool, *, told: bool = True
 ) -> list[str]:
     """Why a grown model of a response has its order, how well it fits, and what is left.
 
     noise: share of the squared errors of a median line that the scatter of the lines explains
     known: whether that scatter is known, and not only its course over the lines
+    told: whether at least its course is
     """
     order = chosen.parts.order
     least = min(orders, key=lambda one: one.bic)
@@ -93,7 +94,12 @@ def on_lines(
             f"The scatter of the lines{averages} explains {100 * noise:.3g} % of the squared error "
             "of a median line"
         )
-    if noise < NOISY:
+    if not told:
+        lines.append(
+            f"What is left is {100 * chosen.floor:.3g} % of the response; how much of it is noise "
+            "the lines do not tell: a column of their coherence or std would"
+        )
+    elif noise < NOISY:
         lines.append(
             f"What is left is {100 * chosen.floor:.3g} % of the response, and no noise: parts that "
             "the order does not have, or a machine that is not linear (friction, backlash) or "

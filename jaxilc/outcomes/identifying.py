@@ -436,13 +436,14 @@ def _grown_response(
             if criterion(measured, chosen, P, best.parameters) <= chosen.bic + AS_GOOD:
                 return best.found, _structure(best), [orders_table(compared, best, dt)], ()
     noise = share_of_noise(measured, chosen, dt)
-    known = bool(np.any(measured.std)) and measured.averages_known
+    told = bool(np.any(measured.std))
+    known = told and measured.averages_known
     found = identified_response(measured, chosen, dt, delay)
     structure = {"order": chosen.parts.order, **chosen.parts._asdict()}
     structure |= {"floor": chosen.floor, "median_error": chosen.median}
     structure |= {"within_10_percent": chosen.within[0], "within_30_percent": chosen.within[1]}
     structure |= {"unweighted_fit": chosen.fit, "share_of_noise": noise}
-    return found, structure, tables, tuple(on_lines(orders, chosen, noise, known))
+    return found, structure, tables, tuple(on_lines(orders, chosen, noise, known, told=told))
 
 
 def _structure(best: Order) -> Numbers:

@@ -1,12 +1,19 @@
 """The sentences at the end of an identification say what was found."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from jaxilc.identification import Estimate, Identified
-from jaxilc.identification.sentences import NOT_CONVERGED, NOT_WHITE, described, verdict
+from jaxilc.identification.sentences import (
+    NOT_CONVERGED,
+    NOT_WHITE,
+    described,
+    on_lines,
+    verdict,
+)
 from jaxilc.plants import ProcessModel
 
 FOUND = Identified(
@@ -60,3 +67,13 @@ def test_what_is_wrong_is_said():
     assert "The residual is 3.2 times the standard deviation of the lines" in verdict(doubted, 1)[1]
     relative = doubted._replace(std_known=False)
     assert len(verdict(relative, 1)) == 1
+
+
+def test_what_is_left_of_lines_without_scatter_may_be_noise():
+    chosen = SimpleNamespace(
+        parts=SimpleNamespace(order=3), bic=0.0, held_out=0.0, within=(1.0, 1.0), median=0.008,
+        floor=0.0106, scale=0.0,
+    )  # fmt: skip
+    left = {told: on_lines([chosen], chosen, 0.0, False, told=told)[-1] for told in (True, False)}
+    assert left[True].startswith("What is left is 1.06 % of the response, and no noise: parts")
+    assert "how much of it is noise the lines do not tell" in left[False]
