@@ -61,7 +61,7 @@ def reproduce(
         },
         verdict=reproduce_verdict(rows, judged),
         folder=folder,
-        tables=[_by_paper(rows, judged)],
+        tables=_by_paper(rows, judged),
         lines=[
             *_not_met(numbers),
             *(_concluded(one, asked=False) for one in judged if not one.holds),
@@ -82,8 +82,11 @@ def reproduce(
 # --------------------------------------------------------------------------------------------------
 
 
-def _by_paper(rows: Sequence[Row], judged: Sequence[Judged]) -> Table:
-    """The counts of each scenario, of numbers that its paper prints first, and of all."""
+def _by_paper(rows: Sequence[Row], judged: Sequence[Judged]) -> list[Table]:
+    """The counts of each scenario, of numbers that its paper prints first, and of all.
+
+    None where all numbers are those of other software.
+    """
     title = "independent printed numbers that are met, and conclusions that hold"
     table = Table("", "reading", right=NUMBERS_IN_SUMMARY, title=title)
     names = dict.fromkeys(row.scenario for row in rows if row.published.agreement is None)
@@ -99,7 +102,7 @@ def _by_paper(rows: Sequence[Row], judged: Sequence[Judged]) -> Table:
             *(f"{sum(group[size] for group in count)}" for size in ("10 %", "3 %")),
             f"{sum(hold)} of {len(hold)}",
         )
-    return table
+    return [table] * bool(names)
 
 
 def _not_met(numbers: Sequence[Numbers]) -> list[str]:

@@ -15,7 +15,7 @@ from jaxilc.outcomes.case import Case
 from jaxilc.outcomes.certifying import certify_verdict
 from jaxilc.outcomes.listing import list_verdict
 from jaxilc.outcomes.outcome import Console, Verdict
-from jaxilc.outcomes.reproducing import reproduce_verdict
+from jaxilc.outcomes.reproducing import _by_paper, reproduce_verdict
 from jaxilc.outcomes.request import REPEATED, Request
 from jaxilc.outcomes.running import run_verdict
 from jaxilc.outcomes.searching import worst_case_verdict
@@ -509,5 +509,8 @@ def test_reproduce_leads_to_the_number_that_is_farthest():
         "The farthest one is that of dai-2014, pid: ours differs by 3e-07 of the 2 mm of other "
         "software.",
     )
+    assert _by_paper(close, []) == [], "a table without rows"
+    (table,) = _by_paper([*rows, *close], [])
+    assert table.row_count == 1
     both = reproduce_verdict([*rows, row("open", 1.02, agreement=1e-6)]).said[0]
     assert both.endswith("1 of 3 met. 0 of 1 numbers of other software agree, 1 open.")
