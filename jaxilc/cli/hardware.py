@@ -216,9 +216,11 @@ def _places(live: list[Manifest], prediction: Prediction) -> dict[int, Place]:
 
 def _log_table(title: str, rows: list[Manifest], places: Mapping[int, Place]) -> Table:
     """A row for each entry of the journal, with all channels, and predicted bands if any."""
-    marks = {"within": "", "slight": " (outside)", "clear": " (far outside)"}
+    marks = {"within": "", "slight": " ({}outside)", "clear": " ({}far outside)"}
+    which = {"RMS error": "", "largest error": "largest "}  # whose own band has no column
     predicted = {
-        serial: f"{place.rms[0]:.3g} to {place.rms[1]:.3g}{marks[place.level]}"
+        serial: f"{place.rms[0]:.3g} to {place.rms[1]:.3g}"
+        + marks[place.level].format(which[place.error])
         for serial, place in places.items()
         if place.rms[0] < place.rms[1]
     }

@@ -11,7 +11,9 @@ from command import write_columns
 from typer.testing import CliRunner
 
 from jaxilc.cli import app
+from jaxilc.cli.hardware import _log_table
 from jaxilc.hardware import Journal, campaign, prediction
+from jaxilc.hardware.prediction import Place
 from jaxilc.runtime.provenance import describe
 from jaxilc.scenarios import load_scenario
 
@@ -115,6 +117,16 @@ def test_a_trial_stands_beside_its_prediction(begun):
     assert "outside" not in "".join(texts)
     measured = f"--measured {folder / 'trial-3.csv'} --out {folder / 'next.csv'}"
     assert texts[2].rstrip().endswith(measured)
+
+
+def test_the_log_tells_which_error_is_outside():
+    """A largest error outside its band made an rms error within its own seem outside."""
+    row = {"serial": 2, "trial": 2, "event": "trial", "live": True, "learned": True}
+    row |= {"rms_error": 2.34, "max_error": 4.0, "source": "a.csv", "warnings": ""}
+    place = Place(2, (2.06, 3.35), (4.03, 6.83), -1.1, "largest error", "slight")
+    for error, mark in {"largest error": "largest outside", "RMS error": "outside"}.items():
+        table = _log_table("", [row], {2: place._replace(error=error)})
+        assert [*map(str, table.columns[4].cells)] == [f"2.06 to 3.35 ({mark})"]
 
 
 def test_another_machine_is_told_and_its_plant_is_found(copied, unpainted):
