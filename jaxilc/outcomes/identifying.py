@@ -50,7 +50,9 @@ if TYPE_CHECKING:
 ANY = "any"  # zeros, of a model that has as many as its poles allow
 SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
 AS_GOOD = 6.0  # of the criterion, by which it may be larger
-HALF = 0.5  # of the residual, which a plant that rests at the first input leaves at most
+# Of the first input, which the others keep at least, and of the residual, which a plant that rests
+# at this input leaves at most: what tells that the machine rested there.
+HALF = 0.5
 RIGID = 90.0  # fit of mass and friction to a force [%], from which on they are told
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
 MOST_ORDERS = 12  # rows of a table of orders
@@ -175,8 +177,9 @@ def _at_first_input(asked: Reading, fitted: Fitted) -> list[str]:
     record, found = fitted.measured, fitted.found
     if not isinstance(record, Record) or found.white or found.plant.n_u * found.plant.n_y > 1:
         return []
-    first = float(np.ravel(record.u)[0])
-    if first == 0:
+    u = np.ravel(record.u)
+    first = float(u[0])
+    if first == 0 or np.min(u * np.sign(first)) < HALF * abs(first):  # about 0 a drift looks alike
         return []
     structure: Numbers = {} if ANY in asked.structure.values() else dict(asked.structure)
     moved = record._replace(u=record.u - first)

@@ -58,6 +58,15 @@ def test_a_machine_that_rests_at_its_first_input_is_told(rests_at, tmp_path):
     assert bool(found.numbers["white"]) == (rests_at == 0)
 
 
+def test_a_drift_under_an_input_about_0_is_no_rest_at_the_first_input(tmp_path):
+    t, u = DT * np.arange(N + 1), np.repeat([-1.0, 1.0, 1.0, -1.0, 1.0, 1.0], 51)[: N + 1]
+    y = DT * np.cumsum(u) + 0.7 * t + 1e-3 * np.random.default_rng(5).standard_normal(N + 1)
+    write_columns(tmp_path / "a.csv", "t,u,y", t, u, y)
+    found = outcomes.identify(tmp_path / "a.csv", reading={"structure": STRUCTURE})
+    assert not found.numbers["white"]
+    assert not any("rested there" in line for line in found.verdict.said)
+
+
 def test_mass_and_friction_of_a_record_of_force_are_told(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     t = np.arange(4000) * 1e-3
