@@ -360,6 +360,7 @@ class Matrices(LearningMaps):
     basis: (S, n', n) where learning does not reach every input, see `reached`: the w above is then
            z of w_1 + basis z, for the w (n',) that is played; columns of zeros fill up; else None
     origin: (S, n') this w_1; else None
+    of_all: the maps of every input; else None
     """
 
     start: np.ndarray
@@ -371,6 +372,7 @@ class Matrices(LearningMaps):
     t: dict[str, np.ndarray]
     basis: np.ndarray | None = None
     origin: np.ndarray | None = None
+    of_all: Matrices | None = None
 
     @classmethod
     def of(cls, machines: Machine, scheme: Scheme, task: Task, view: View) -> Matrices:
@@ -407,6 +409,7 @@ class Matrices(LearningMaps):
             t={name: t + _apply(self.T[name], self.start) for name, t in self.t.items()},
             basis=basis,
             origin=self.start,
+            of_all=self,
         )
 
     def norm(self, power: int) -> np.ndarray:
@@ -449,11 +452,15 @@ class Matrices(LearningMaps):
         at = [reachable(M, moves) for M, moves in zip(self.M, moved, strict=True)]
         found = [radius_with_doubt(M[np.ix_(k, k)]) for M, k in zip(self.M, at, strict=True)]
         radius, doubt = np.array(found).T
+        if self.of_all is not None:  # a basis hides which entries are zero, and moves an eigenvalue
+            radius = np.fmin(radius, np.add(*self.of_all.radius()))
         return radius, doubt
 
     def drifts(self):
-        if self.view.whole or self.basis is not None:
+        if self.view.whole:
             return super().drifts()
+        if self.of_all is not None:
+            return self.of_all.drifts()
         L, found = self._law(), []
         r = np.linalg.norm(self.task.reference)
         moved = _apply(self.M, self.start) + self.c - self.start

@@ -197,6 +197,41 @@ def test_a_plant_with_dead_time_and_a_law_with_less_lead_are_claimed_to_diverge(
     assert all(f"larger by {2 - lead}, or a model" in said for said in found.reason)
 
 
+def test_inputs_that_grow_are_told_beside_an_axis_that_looks_ahead():
+    """Three random machines of two axes: the first has too little lead, the other one too much.
+
+    Learning does not reach every input, so that its map is looked at in a basis. Its largest
+    eigenvalue is 1, which rounding moves to 1.009 there. NumPy runs 1,000 trials.
+    """
+    rng, rows, gains = np.random.default_rng(24), 25, np.array([0.3, 0.5])
+    several, grown = [], []
+    for _ in range(3):
+        late, early = np.zeros((2, 6))
+        late[3:] = rng.uniform(0.3, 1.2), *rng.uniform(-0.3, 0.3, 2)
+        early[:4] = 0.02, rng.uniform(0.8, 1.0), *rng.uniform(-0.3, 0.3, 2)
+        taps = np.array([[late, 0 * late], [rng.uniform(-1, 1) * late, early]])
+        A, B = np.kron(np.eye(2), np.eye(6, k=-1)), np.kron(np.eye(2), np.eye(6)[:, :1])
+        own = 0.3 * rng.standard_normal((rows, 2))
+        plant = StateSpace(A, B, taps.reshape(2, 12), dt=DT)
+        several.append(Machine(plant, disturbance=Disturbance(output=-own)))
+        u, sizes = np.zeros((rows - 1, 2)), []
+        for _ in range(1000):
+            answers = [[np.convolve(taps[i, k], u[:, k]) for k in (0, 1)] for i in (0, 1)]
+            e = own[1:] - np.sum(answers, axis=1).T[: rows - 1]
+            sizes.append(np.linalg.norm(e))
+            u = u + gains * np.append(e[1:], [[0.0, 0.0]], axis=0)
+        grown.append(sizes[-1] / sizes[0])
+    machines = jax.tree.map(lambda *leaves: np.stack(leaves), *several)
+    law, task = PIDType(gamma_p=gains, lead=1), Task(np.zeros((rows, 2)), dt=DT)
+    found = long_run(machines, law, task)
+    assert np.min(grown) > 5
+    assert set(found.claim) == {"diverges"}
+    assert all("grows with the number of trials" in said for said in found.reason)
+    maps = learning_map.maps_of(machines, law, task)
+    assert maps.basis is not None
+    np.testing.assert_array_equal(maps.radius()[0], 1.0)
+
+
 def test_nothing_is_pushed_by_an_error_of_zero_or_beyond_a_limit():
     late = StateSpace([[0.5, 0.0], [1.0, 0.0]], [[0.5], [0.0]], [[0.0, 1.0]], dt=DT)
 
