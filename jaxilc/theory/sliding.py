@@ -291,7 +291,7 @@ def sliding(scheme: Scheme, trial: Trial) -> Sliding:
     trial: simulated, or measured with the signals `sigma` and `eta_hat` (of WithFeedback:
            `feedback`, `feedback.sigma`, `feedback.eta_hat`)
 
-    Raises ValueError for another scheme, or a trial without these signals.
+    Raises ValueError for another scheme, or a trial without these signals or of one sample.
     """
     law, signals, u, dt = sliding_mode_of("sliding", scheme), trial.signals, trial.u, trial.dt
     if isinstance(scheme, WithFeedback):
@@ -301,6 +301,8 @@ def sliding(scheme: Scheme, trial: Trial) -> Sliding:
         raise ValueError(
             f"sliding: the trial has no signal {' and '.join(map(repr, missing))} (N, n_u)"
         )
+    if len(trial.u) < 2:
+        raise ValueError("sliding: the trial has N = 1 sample; allowed are 2 or more")
     read = signals["sigma"], signals["eta_hat"], -trial.e
     sigma, eta_hat, e = (np.asarray(x, float) for x in read)
     layer = np.broadcast_to(getattr(law, "Delta", 0.0), sigma.shape[1:])

@@ -475,6 +475,7 @@ def test_total_variation_and_chattering():
     assert chattering(sharp)[0] > 2 * chattering(smooth)[0]
 
 
+ONE = {"sigma": np.zeros((1, 1)), "eta_hat": np.zeros((1, 1))}
 BAD = {
     "b = 0": lambda: SMC(A1, A2, 0.0),
     "ExponentialPD: b = 0": lambda: ExponentialPD(b=0.0),
@@ -485,6 +486,9 @@ BAD = {
     ),
     "no signal 'sigma'": lambda: sliding(
         SMC(**MODEL), measured_trial(TASK, bump(), force(), eta_hat=force())
+    ),
+    "sliding: the trial has N = 1 sample": lambda: sliding(
+        SMC(**MODEL), measured_trial(Task(bump()[:2], dt=DT), bump()[:2], force()[:1], **ONE)
     ),
     "sliding: PID": lambda: sliding(PID(), measured_trial(TASK, bump(), force())),
     "within_layer: PIDType": lambda: within_layer(PIDType()),
