@@ -6,7 +6,8 @@ What is understood, in this order:
     header      the first line that is no comment; where that line holds numbers only, the last
                 comment above it, if it has as many cells (so `numpy.savetxt` writes its header)
     units       a line below the header that holds units and no number, such as `s;V;mm`
-    separators  semicolon, tab or comma, whichever the header has first in this order, else blanks
+    separators  the one of a first line such as `sep=;`; else semicolon, tab or comma, whichever
+                the header has first in this order, else blanks
     decimals    a point; or a comma, where the separator is not a comma (German spreadsheets and
                 scopes). A file that has both is refused: a comma could also group thousands.
 """
@@ -36,6 +37,8 @@ _UNITS = (
 # Units that make a line below the header one of units. A unit in brackets does so too.
 KNOWN_UNITS = frozenset(_UNITS.split())
 _HEADING = re.compile(r"^([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?$")
+_IN_ROUND = re.compile(r"^(.+?)\s*\(([^()]*)\)$")
+_SEPARATOR = re.compile(r"^sep=(.)$", re.IGNORECASE)  # the first line that spreadsheets understand
 _DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(?:[eE][+-]?\d+)?$|^[+-]?\d+,(?:[eE][+-]?\d+)?$")
 _DECIMAL_POINT = re.compile(r"^[+-]?\d*\.\d*(?:[eE][+-]?\d+)?$")
 _BLANKS = re.compile(r"[^\s\[(]+(?:\s*\[[^\]]*\]|\s*\([^)]*\))?|\([^)]*\)|\[[^\]]*\]")
@@ -72,9 +75,12 @@ def is_number(cell: str) -> bool:
 def name_and_unit(heading: str) -> tuple[str, str | None]:
     """The name and the unit in the heading of a column, such as `y [mm]`.
 
+    Round brackets hold a unit where it is known, as in `y (mm)`, and are else part of the name.
     The unit is None where the heading has none, such as `y`. The name is empty where the heading
     has neither of these forms.
     """
+    if (found := _IN_ROUND.match(heading)) and found[2].strip() in KNOWN_UNITS:
+        return found[1], found[2].strip()
     found = _HEADING.match(heading)
     return (found[1], found[2]) if found else ("", None)
 
@@ -154,7 +160,11 @@ class _Lines:
 
     def first(self) -> str:
         """The first line that is neither blank nor a comment; it also sets the separator."""
-        line = next((line for line in self._plain() if line.strip()), "")
+        lines = (line for line in self._plain() if line.strip())
+        line = next(lines, "")
+        if said := _SEPARATOR.match(line.rstrip("\r\n")):
+            self.separator = said[1]
+            return next(lines, "")
         self.separator = next((d for d in SEPARATORS if d in line), None)
         return line
 

@@ -70,7 +70,7 @@ def read_text(path: str | Path, largest: int) -> str:
     except UnicodeDecodeError as error:
         raise ValueError(
             f"{path} is no text in UTF-8: {error.reason} {error.object[error.start]:#04x} "
-            f"at byte {error.start}"
+            f"at byte {error.start}; save it as UTF-8, from a spreadsheet as `CSV UTF-8`"
         ) from None
 
 

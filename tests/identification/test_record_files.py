@@ -33,6 +33,8 @@ TEXTS = {
     "tabs": "t [ms]\tu [V]\ty [mm]\n" + rows("\t", ","),
     "blanks": "t [ms]  u [V] y (mm)\n" + rows("   "),
     "numpy.savetxt": "# t [ms],u [V],y [mm]\n" + rows(),
+    "round brackets": "Time (ms);u (V);y (mm)\n" + rows(";"),
+    "first line of Excel": "\ufeffsep=|\r\nt [ms]|u [V]|y [mm]\r\n" + rows("|", ","),
     "comment within": "t [ms],u [V],y [mm]\n" + rows().replace("2,0.5", "# a pause\n2,0.5"),
 }
 
@@ -41,10 +43,19 @@ TEXTS = {
 def test_columns_are_understood(tmp_path, kind):
     path = tmp_path / "record.csv"
     path.write_text(TEXTS[kind])
-    found = read_record_file(path, output="y (mm)" if kind == "blanks" else "y")
-    check(found.record)
-    if kind != "blanks":
+    for output in ("y", "y (mm)") if kind in ("blanks", "round brackets") else ("y",):
+        found = read_record_file(path, output=output)
+        check(found.record)
         assert (found.input_units, found.output_units) == (("V",), ("mm",))
+
+
+def test_round_brackets_around_no_unit_are_part_of_a_name(tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text("t [ms],u [V],y (set),y (actual)\n0,1,2,3\n1,1,2,3\n")
+    with pytest.raises(ValueError, match=r"no column 'y'; present are .*y \(set\), y \(actual"):
+        read_record_file(path)
+    found = read_record_file(path, output="y (actual)")
+    assert (found.output_units, found.record.y[0, 0]) == (("",), 3.0)
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,8 @@ def test_a_text_of_another_kind_or_size_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "record.csv"
     path.write_bytes("t,u,y\n0,1,2\n1,1,ü\n".encode("latin-1"))
     with pytest.raises(
-        ValueError, match=r"record\.csv is no text in UTF-8: invalid .* 0xfc at byte 16"
+        ValueError,
+        match=r"record\.csv is no text in UTF-8: invalid .* 0xfc at byte 16; save it as UTF-8",
     ):
         read_record(path)
     path.write_text("t,u,y\n0,1,2\n1,1," + '"' + "2" * 200_000 + '"')
