@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import shlex
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -55,6 +56,7 @@ AS_GOOD = 6.0  # of the criterion, by which it may be larger
 HALF = 0.5
 RIGID = 90.0  # fit of mass and friction to a force [%], from which on they are told
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
+CHOSEN = "*"  # the mark of the chosen row of a table
 MOST_ORDERS = 12  # rows of a table of orders
 REFERENCE = "r"  # column of the reference of a closed loop
 UNKNOWN_REFERENCE = (
@@ -363,7 +365,13 @@ def _next(
     chosen = " ".join(f"--{name} {value}".strip() for name, value in options.items())
     sampled = " --dt DT" if found.of_response and asked.dt is None else ""
     what = "a plant file for all other commands"
-    return what, f"{again} {chosen}{sampled} --out axis.toml"
+    return what, f"{again} {chosen}{sampled} --out {_unused('axis')}"
+
+
+def _unused(name: str) -> str:
+    """A plant file that is not there yet, such as axis-2.toml, as `--out` replaces none."""
+    names = itertools.chain([name], (f"{name}-{i}" for i in itertools.count(2)))
+    return next(f"{one}.toml" for one in names if not Path(f"{one}.toml").exists())
 
 
 def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
@@ -470,19 +478,23 @@ def grown_response_table(orders: Sequence[LineModel], chosen: LineModel) -> Tabl
 
     The columns in % are the error that is the model's own, the median of the relative error, and
     the shares of lines within 10 and 30 %; held out is -2 log likelihood a line, above the chosen.
+    The mark stands in the first column, which every part of a folded table repeats.
     """
     counts = ("order", "lags", "modes", "integr.", "direct")
     errors = ("floor [%]", "median [%]", "<10 %", "<30 %", "fit [%]")
-    title = f"models by order; BIC above that of the chosen one ({chosen.bic:.1f})"
-    table = Table(right=(*counts, *errors, "BIC", "held out", ""), title=title)
+    title = (
+        f"models by order; BIC above that of the chosen one, {CHOSEN} ({chosen.bic:.1f}); the fit "
+        "here counts all lines alike, that of the chosen plant weighs each by its scatter"
+    )
+    table = Table(right=(*counts, *errors, "BIC", "held out"), title=title)
     for one in orders:
         of_error = (one.floor, one.median, *one.within, one.fit / 100)
         table.add_row(
-            *map(str, (one.parts.order, *(int(count) for count in one.parts))),
+            f"{CHOSEN} {one.parts.order}" if one is chosen else str(one.parts.order),
+            *(str(int(count)) for count in one.parts),
             *(f"{100 * share:.3g}" for share in of_error),
             f"{one.bic - chosen.bic:+.1f}",
             f"{one.held_out - chosen.held_out:+.3f}",
-            "chosen" if one is chosen else "",
         )
     return table
 
@@ -496,13 +508,14 @@ def grown_table(grown: Grown) -> Table:
     optional = ("integrators", "direct", "delay")
     there = [name for name in optional if any(getattr(one, name) for one in shown)]
     count = f"{len(shown)} of {len(grown.tried)}" if len(shown) < len(grown.tried) else "models"
-    columns = ("order", "lags", "modes", *there, "rms", "BIC", "valid. [%]", "")
-    title = f"{count} by BIC, above that of the chosen one ({least:.1f})"
+    columns = ("order", "lags", "modes", *there, "rms", "BIC", "valid. [%]")
+    title = f"{count} by BIC, above that of the chosen one, {CHOSEN} ({least:.1f})"
     table = Table(right=columns, title=title)
     for one in shown:
-        counts = (one.order, one.lags, one.modes, *(int(getattr(one, name)) for name in there))
+        order = f"{CHOSEN} {one.order}" if one == grown.chosen else str(one.order)
+        counts = (one.lags, one.modes, *(int(getattr(one, name)) for name in there))
         values = (f"{one.rms:.4g}", f"{one.bic - least:+.1f}", f"{one.validation_fit:.4g}")
-        table.add_row(*map(str, counts), *values, "chosen" if one == grown.chosen else "")
+        table.add_row(order, *map(str, counts), *values)
     return table
 
 

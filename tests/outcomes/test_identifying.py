@@ -83,3 +83,13 @@ def test_mass_and_friction_of_a_record_of_force_are_told(tmp_path, monkeypatch):
         "r.csv: identified, with 95 % intervals; zeros, poles, frequencies in rad/s",
         "mass and friction: identified, with 95 % intervals",
     ]
+
+
+def test_the_plant_file_of_the_next_command_is_not_there_yet(tmp_path, monkeypatch):
+    """--out replaces no plant file, so that a second record ended in an error."""
+    monkeypatch.chdir(tmp_path)
+    path = write(tmp_path / "a.csv", 0)
+    for name in ("axis", "axis-2", "axis-3"):
+        found = outcomes.identify(path, reading={"structure": STRUCTURE})
+        assert found.verdict.following.endswith(f" --out {name}.toml")
+        (tmp_path / f"{name}.toml").touch()

@@ -7,6 +7,10 @@ import re
 import pytest
 from rich.console import Console
 
+from jaxilc.identification import Grown
+from jaxilc.identification.grown import Tried
+from jaxilc.identification.grown_response import LineModel, Parts
+from jaxilc.outcomes.identifying import grown_response_table, grown_table
 from jaxilc.outcomes.outcome import Console as Plain
 from jaxilc.outcomes.outcome import Table
 from jaxilc.storage.reading import printable
@@ -108,3 +112,22 @@ def test_printable_keeps_what_can_be_printed():
     for text in ("Förderachse 3 µm/s² – “x”", "两轴", "a\nb", "1\u202f000\u00a0mm"):
         assert printable(text) == text
     assert printable("\t\r\x9b\x00") == "\\t\\r\\x9b\\x00"
+
+
+def test_the_chosen_order_is_marked_in_every_part_of_a_table():
+    """At 80 columns the mark was a column of its own, below the orders of which it is one."""
+    orders = [
+        LineModel(Parts(modes=q), None, 0.1, 1.0, -9.0 - q, 1.0, (0.5, 0.9), 0.1, 94.3)  # ty: ignore[invalid-argument-type]
+        for q in (1, 2)
+    ]
+    tried = [Tried(2 * q, 0, q, 2, True, 3, 9, 0.0123, -1e4 * q, 99.9) for q in (1, 2)]
+    grown = Grown(None, tuple(tried), tried[1], ())  # ty: ignore[invalid-argument-type]
+    for table in (grown_response_table(orders, orders[1]), grown_table(grown)):
+        shown = printed(table, 80)
+        rows = [line for line in shown.splitlines() if line.startswith("│")]
+        parts = shown.count("┏")
+        assert parts > 1
+        assert [row.startswith("│   * 4 │") for row in rows] == [False, True] * parts
+    assert "the fit here counts all lines alike" in str(
+        grown_response_table(orders, orders[1]).title
+    )
