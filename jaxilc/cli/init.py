@@ -67,6 +67,14 @@ def init(
         raise ValueError(f"{file} is not a name that ends with .toml")
     if file.exists() and not force:
         raise FileExistsError(f"{file} exists already; add --force to replace it")
+    columns = (
+        ("--time", time_name, "t"),
+        ("--input", input_name, "u"),
+        ("--output", output_name, "y"),
+    )
+    for option, name, usual in columns:
+        if record is None and name != usual:
+            raise ValueError(f"{option} {name} names a column of --record, which is not given")
     content = (resources.files("jaxilc.scenarios") / "axis.toml").read_text("utf-8")
     for part, other in (SET_POINT if set_point else {}).items():
         content = content.replace(part, other)

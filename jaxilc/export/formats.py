@@ -58,7 +58,7 @@ def _c(asked: Asked) -> Made:
 
 def _fmu(asked: Asked) -> Made:
     """FMUs of the law, and of the plant where it can be written in C."""
-    _need_double(asked, "FMU")
+    _need_double(asked, "an FMU, whose numbers are double")
     of_c, task, warnings = _c(asked), asked.law.task, []
     texts = {name: str(text) for name, text in of_c.files.items()}
     blocks = [fmu.law_block(task, texts, asked.about[0])]
@@ -79,7 +79,7 @@ def _fmu(asked: Asked) -> Made:
 
 
 def _hal(asked: Asked) -> Made:
-    _need_double(asked, "HAL component, whose pins are double")
+    _need_double(asked, "a HAL component, whose pins are double")
     of_c = _c(asked)
     texts = {name: str(text) for name, text in of_c.files.items()}
     component = hal.component(asked.law.task, texts, asked.about[0])
@@ -87,14 +87,14 @@ def _hal(asked: Asked) -> Made:
 
 
 def _st(asked: Asked) -> Made:
-    _need_double(asked, "function block, whose numbers are LREAL")
+    _need_double(asked, "a function block, whose numbers are LREAL")
     block = st.function_block(asked.law, asked.about, asked.digest)
     return Made({"law.st": block.text}, block.bytes)
 
 
 def _need_double(asked: Asked, kind: str) -> None:
     if asked.single:
-        raise Unknown(f"`float` in a {kind}")
+        raise Unknown(f"`--number float` in {kind}")
 
 
 FORMATS = {

@@ -108,7 +108,9 @@ class Journal:
         Raises FileNotFoundError where there are none, and ValueError where none can be read.
         """
         if not self.exists:
-            raise FileNotFoundError(f"{self.path} holds no campaign; start one without --measured")
+            raise FileNotFoundError(
+                f"{self.path} holds no campaign; `jaxilc next` without --measured starts one"
+            )
         manifests, _ = self._read()
         if all(m["event"] == DAMAGED for m in manifests):
             raise ValueError(

@@ -92,6 +92,10 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
     assert errors[-1] < 0.02 * errors[0]
     for wrong, said in (
         (("init", "--record", "move.csv", "b.toml"), "--record is for --set-point"),
+        (
+            ("init", "--set-point", "--input", "set", "b.toml"),
+            "--input set names a column of",
+        ),
         (("init", "--set-point", "--record", "move.csv", "b.toml"), "has no column 'u'; present"),
         (("init", "--set-point", "--record", "gone.csv", "b.toml"), "gone.csv"),
     ):

@@ -246,7 +246,7 @@ def test_single_precision_is_refused_by_name(exported):
     law, y, *_ = exported
     asked = Asked(law, None, ["A law."], "0" * 64, [y], single=True)
     for name in ("fmu", "hal", "st"):
-        with pytest.raises(Unknown, match="`float` in a"):
+        with pytest.raises(Unknown, match="`--number float` in a"):
             FORMATS[name].make(asked)
 
 

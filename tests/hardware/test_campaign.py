@@ -448,7 +448,8 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
         ((*new, out, "--scenario", "cao-2019"), "--scheme is missing; those that learn are cfdl"),
         ((*new, out, "--scenario", rig.file, "--measured", trial),
          "holds no campaign; start one without --measured"),
-        (("trials", "--state", folder / "new"), "holds no campaign"),
+        (("trials", "--state", folder / "new"),
+         "holds no campaign; `jaxilc next` without --measured starts one"),
     ):  # fmt: skip
         with pytest.raises((ValueError, FileExistsError, FileNotFoundError)) as error:
             call(*arguments)
