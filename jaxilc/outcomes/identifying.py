@@ -41,6 +41,7 @@ from ..scenarios import Scenario
 from ..scenarios.campaigns import Given, Opened, open_campaign
 from ..scenarios.file_plant import is_response
 from ..scenarios.identified_file import write_plant_file, write_refitted
+from ..storage.columns import plain_unit
 from ..theory.on_lines import MeasuredResponse
 from ..theory.q_filter import question
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
@@ -205,7 +206,14 @@ def _on_second(path: Path, asked: Reading, fitted: Fitted) -> tuple[list[str], N
         raise ValueError(
             f"--validate {path} must be a record in time; a plant of a response needs --dt for it"
         )
-    record = asked.of_record(path).record
+    read = asked.of_record(path)
+    record, theirs = read.record, (read.input_units[0], read.output_units[0])
+    for name, own_unit, unit in zip((asked.input, asked.output), fitted.units, theirs, strict=True):
+        if own_unit and unit and plain_unit(own_unit) != plain_unit(unit):
+            raise ValueError(
+                f"--validate {path}: {name} is in {unit!r}, in the record that was fitted in "
+                f"{own_unit!r}; allowed is one unit, and nothing is converted"
+            )
     if abs(record.dt / fitted.dt - 1) > STEP_TOLERANCE:
         raise ValueError(
             f"--validate {path} has the sample time {record.dt:g} s, the plant was fitted with "

@@ -42,6 +42,9 @@ def test_a_second_record_judges(tmp_path):
     slow = write(tmp_path / "d.csv", 3, dt=0.02)
     with pytest.raises(ValueError, match=r"--dt 0.01 resamples both"):
         outcomes.identify(first, reading={"structure": STRUCTURE}, validate=slow)
+    slow.write_text(other.read_text().replace("[mm]", "[µm]"))
+    with pytest.raises(ValueError, match=r"d.csv: y is in 'µm', in the record .* fitted in 'mm'"):
+        outcomes.identify(first, reading={"structure": STRUCTURE}, validate=slow)
 
 
 @pytest.mark.parametrize("rests_at", [0.0, 100.0])
