@@ -435,9 +435,9 @@ def seconds_in(path, heading: str, unit: str | None, times: np.ndarray) -> float
     if len(times) > 1 and step >= DOUBTFUL:
         raise ValueError(
             f"read_record: {path}: {heading} steps by {step:.6g} and has no unit; in seconds that "
-            f"would be {1 / step:.3g} samples a second, in milliseconds {1e3 / step:.3g}. Give "
-            f"--time-unit s, ms or us (time_unit), or write the unit into the heading: "
-            f"{heading} [ms]"
+            f"would be {1 / step:.3g} samples a second, in milliseconds {1e3 / step:.3g}. Write "
+            f"its unit into the heading, as `{heading} [ms]`, of a variable of MATLAB as "
+            f"{heading}_ms; in Python time_unit does it, too"
         )
     return 1.0
 

@@ -388,7 +388,11 @@ def test_the_time_is_converted_to_seconds(heading, step, unit, dt, tmp_path):
     ("heading", "unit", "message"),
     [
         ("t", None, r"t steps by 2 and has no unit; in seconds .* 0.5 samples a second, in milli"),
-        ("t", None, r"Give --time-unit s, ms or us"),
+        (
+            "t",
+            None,
+            r"Write its unit into the heading, as `t \[ms\]`, .* as t_ms; in Python time_unit",
+        ),
         ("t [ms]", "s", r"the heading 't \[ms\]' has another unit than --time-unit s"),
         ("t [furlong]", None, r"the unit 'furlong' of 't \[furlong\]' is not one of s, ms, us"),
         ("t", "h", r"time_unit = 'h' is not one of s, ms, us"),
