@@ -260,7 +260,7 @@ def _read_text(
             continue
         used.update(at)
         for i in at:
-            need_one(path, header, i)
+            need_one(path, names, i)
         if len({plain_unit(units[i] or "") for i in at}) > 1:
             several = ", ".join(str(units[i]) for i in at)
             raise ValueError(

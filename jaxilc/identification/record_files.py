@@ -286,7 +286,7 @@ def _place(path, name: str, header: list[str], option: str) -> int:
     """
     for headings in (header, [name_and_unit(heading)[0] for heading in header]):
         if name in headings:
-            need_one(path, header, headings.index(name))
+            need_one(path, headings, headings.index(name))
             return headings.index(name)
     raise ValueError("read_record: " + missing(path, name, header, f"--{option} ({option})"))
 

@@ -109,12 +109,12 @@ def missing(path: str | Path, name: str, present: Iterable[str], option: str = "
     return f"{path} has no column {brief(name)}; present are {quoted(path, listed(present))}{other}"
 
 
-def need_one(path: str | Path, header: Sequence[str], at: int) -> None:
-    """Raises ValueError where other columns have the heading of the column `at`, with its unit."""
-    count = sum(heading == header[at] for heading in header)
+def need_one(path: str | Path, headings: Sequence[str], at: int) -> None:
+    """Raises ValueError where other columns have the heading, or the name, of the column `at`."""
+    count = sum(heading == headings[at] for heading in headings)
     if count > 1:
         raise ValueError(
-            f"{path} has {count} columns {quoted(path, brief(header[at]))}; allowed is one of a "
+            f"{path} has {count} columns {quoted(path, brief(headings[at]))}; allowed is one of a "
             "signal: rename the others"
         )
 

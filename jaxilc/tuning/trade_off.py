@@ -62,7 +62,7 @@ def pareto(
     losses: the `held_out_losses` of both objectives, where they are compiled already
     Raises ValueError naming shares that are not allowed, and what `Tuning.run` raises.
     """
-    shares = list(shares)
+    shares = [float(share) for share in shares]  # which name the folders of states
     if not shares or len(set(shares)) < len(shares) or not all(0 <= share <= 1 for share in shares):
         raise ValueError(f"pareto: shares = {shares} are not different numbers in [0, 1]")
     if out is not None and not resume:

@@ -66,6 +66,7 @@ def test_round_brackets_around_no_unit_are_part_of_a_name(tmp_path):
          r"decimal commas \(line 2\) and decimal points \(line 3"),
         (rows(), r"no header: its line 1 holds 3 numbers. Name the columns .* --columns t,u,y"),
         ("t [ms],u,y,u\n0,1,2,3\n1,2,3,4\n", "has 2 columns 'u'; allowed is one of a signal"),
+        ("t [ms],u,y [mm],y (um)\n0,1,2,3\n1,2,3,4\n", "has 2 columns 'y'; allowed is one"),
         ("t [ms],u,y\nfoo,1,2\n" + rows(), "line 2: t = 'foo' is not a finite number"),
         ("t [ms],u,y\n" + rows(times=(0, 1, 2, 3.5)),
          r"line 5: t steps by 0.0015 s where .* dt = 0.001 s; .* or --dt 0.001"),
