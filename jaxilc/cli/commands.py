@@ -252,7 +252,7 @@ def tune(
     limit: Annotated[
         list[str] | None,
         Option(
-            metavar="NAME=NUMBER",
+            metavar="NAME=MOST",
             help="Largest d2 (Cao 2019, every machine) or contraction (nominal); repeatable.",
         ),
     ] = None,
@@ -275,7 +275,8 @@ def pareto(
     how: Tuned,
     written: Written,
     objective: Annotated[
-        list[str] | None, Option(help=f"Give two, or one and --budgets. {TERMS}")
+        list[str] | None,
+        Option(metavar="TERMS", help=f"Give two, or one and --budgets. {TERMS}"),
     ] = None,
     budgets: Annotated[
         str | None, Option(metavar="J,K,L", help="Numbers of trials to tune for.")
@@ -673,7 +674,11 @@ def design(
     written: LawWritten,
     law: Annotated[
         list[str] | None,
-        Option(help="Law to try; repeatable. All if not given.", autocompletion=of_list(*LAWS)),
+        Option(
+            metavar="LAW",
+            help="Law to try; repeatable. All if not given.",
+            autocompletion=of_list(*LAWS),
+        ),
     ] = None,
     steps: Annotated[int, Option(help="Steps of each tuning at most.")] = 30,
     record: Annotated[

@@ -102,10 +102,14 @@ def options(
     prefer(precision or "float64")
 
 
+OLD_NAME = "--samples"  # of --machines, which is still understood
+
+
 class Command(typer.core.TyperCommand):
     """A command whose help is shown as it is written: Rich would take `[s]` for one of its tags.
 
     The lines of a paragraph are joined, since Rich would break long ones and keep their ends too.
+    Without old names of options there is more room for what they mean.
     """
 
     def __init__(self, *args: Any, **kwargs: Any):
@@ -114,6 +118,14 @@ class Command(typer.core.TyperCommand):
         for one in self.params:
             if isinstance(one, typer.core.TyperOption | typer.core.TyperArgument):
                 one.help = escape(one.help or "")
+
+    def format_help(self, *args: Any, **kwargs: Any) -> None:
+        named = {one: one.opts for one in self.params}
+        for one in named:
+            one.opts = [name for name in one.opts if name != OLD_NAME]
+        super().format_help(*args, **kwargs)
+        for one, names in named.items():
+            one.opts = names
 
 
 # What one wants, and its commands, in the order of `--help`.
@@ -138,7 +150,7 @@ for panel, of_panel in COMMANDS.items():
 for registered in app.registered_commands:
     registered.cls = Command
     if registered.name == "next":
-        registered.epilog = escape("\n\n".join(SETTINGS))
+        registered.epilog = escape(SETTINGS)
 
 
 def main() -> None:

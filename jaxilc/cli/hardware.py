@@ -499,10 +499,9 @@ OF_CAMPAIGN = {
     "columns": (str, "names of the columns of a file without a header: sample,u [V],y [mm]"),
     "number": (str, "numbers of a C header: double or float"),
 }
-SETTINGS = (  # paragraphs below the options of `jaxilc next --help`
-    "What --set campaign.NAME=VALUE sets:",
-    *(f"{name}: {meaning}" for name, (_, meaning) in OF_CAMPAIGN.items()),
-)
+SETTINGS = "--set campaign.NAME=VALUE sets how a campaign is checked, by NAME: " + "; ".join(
+    f"{name}: {meaning}" for name, (_, meaning) in OF_CAMPAIGN.items()
+)  # below the options of `jaxilc next --help`
 
 
 class Refused(ValueError):
@@ -553,8 +552,7 @@ def next_(
     The first call, without --measured, starts the campaign; a later one without
     it writes the next input once more. What the machine plays: `u` is its whole
     input, `feedforward` is added to its feedback, `reference` takes the place of
-    the task's. `--set campaign.NAME=VALUE` sets how a campaign is checked, such as
-    campaign.limit, the largest input, and campaign.accept_saturation=true.
+    the task's.
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """

@@ -154,13 +154,16 @@ def at_least(low: int, **given: int | None) -> None:
 
 SCENARIO = Argument(
     metavar="SCENARIO",
-    help="Of `jaxilc list`, or your own, a TOML or JSON file.",
+    help="Of `jaxilc list`, or a TOML or JSON file.",
     autocompletion=scenarios_from,
 )
 Schemes = Annotated[
     list[str] | None,
     Option(
-        "--scheme", help="Scheme to use; repeatable. All if not given.", autocompletion=schemes_from
+        "--scheme",
+        metavar="NAME",
+        help="Scheme to use; repeatable. All if not given.",
+        autocompletion=schemes_from,
     ),
 ]
 Trials = Annotated[int | None, Option(help="Trials J; the scenario's own if not given.")]
@@ -169,7 +172,7 @@ Set = Annotated[
     Option(
         "--set",
         metavar="PATH=VALUE",
-        help="Set a leaf, a static field or an option of the scenario; repeatable.",
+        help="Set a leaf, a field or an option of the scenario; repeatable.",
     ),
 ]
 Params = Annotated[
@@ -177,15 +180,14 @@ Params = Annotated[
     Option(
         "--params",
         metavar="FILE",
-        help="Parameters that `tune` wrote, or the folder of a `sweep --grid` for its best point; "
-        "--set goes on top of them.",
+        help="Parameters that `tune` wrote, or the folder of a `sweep --grid` for its best point.",
     ),
 ]
 GridAxes = Annotated[
     list[str] | None,
     Option(
         "--grid",
-        metavar="PATH=VALUES",
+        metavar="PATH=...",
         help="An axis of a grid: LOW:HIGH:COUNT, LOW:HIGH:COUNTlog or values with commas, for what "
         "--set can set, or trials; PATH/PATH is one axis of two; repeatable.",
     ),
@@ -199,7 +201,7 @@ MetricName = Annotated[
         autocompletion=of_list(*TUNED),
     ),
 ]
-Seed = Annotated[int, Option(help="Seed of noise and of drawn machines.", callback=seed_in_range)]
+Seed = Annotated[int, Option(help="Seed of noise and machines.", callback=seed_in_range)]
 
 # Machines that are drawn
 # --------------------------------------------------------------------------------------------------
@@ -235,7 +237,7 @@ OutFolder = Annotated[
     Path | None,
     Option(
         "--out",
-        help="Folder for all results; out/COMMAND-SCENARIO if not given.",
+        help="Folder for results; out/COMMAND-SCENARIO if not given.",
         callback=folder_to_write,
     ),
 ]
@@ -358,8 +360,9 @@ class Pages:
         list[Path] | None,
         Option(
             "--report",
-            help="Write what was found to this file: .html is one self-contained page, .json has "
-            "every printed number; repeatable.",
+            metavar="FILE",
+            help="What was found, as one self-contained page (.html) or every printed number "
+            "(.json); repeatable.",
             callback=reports_to_write,
         ),
     ] = None
