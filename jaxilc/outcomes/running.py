@@ -119,13 +119,12 @@ def _store(dataset: xr.Dataset, made_with: Numbers, place: Path) -> None:
 
 def _figures(chosen: Scenario, dataset: xr.Dataset) -> dict[str, Figure]:
     """The figures of a run: the metric that judges it, and of each scheme what its trials are."""
-    scale, unit = chosen.shown(chosen.judged_by)
     in_unit = {"scale": chosen.shown_scale, "unit": chosen.shown_unit}
-    of_errors = {"metric": chosen.judged_by, "published": chosen.due, "scale": scale, "unit": unit}
     drawn = {
         "error-by-trial": Figure(
-            "The errors by trial, a curve for each scheme; circles are published.",
-            partial(figures.error_by_trial, dataset, **of_errors),
+            "The errors by trial, a curve for each scheme; circles are published, a dashed line is "
+            "the tolerance.",
+            partial(figures.error_by_trial, dataset, published=chosen.due, **chosen.look),
             live=True,
         )
     }
