@@ -50,7 +50,7 @@ def course(metrics: Metrics, task: Task, first: Tree = 1, every: int = 1) -> Cou
     """
     diverged = ~metrics.finite | jnp.any(metrics.max_error > CEILING * peak(task), axis=-1)
     errors = jnp.where(diverged, jnp.inf, jnp.max(metrics.rms, axis=-1))
-    since = grown_from(errors if every == 1 else _of_learned(errors, first, every))
+    since = grown_from(errors if every == 1 else of_learned(errors, first, every))
     return Course(
         diverged,
         jnp.where(jnp.any(diverged), jnp.argmax(diverged) + first, 0),
@@ -58,7 +58,7 @@ def course(metrics: Metrics, task: Task, first: Tree = 1, every: int = 1) -> Cou
     )
 
 
-def _of_learned(errors: Array, first: Array, every: int) -> Array:
+def of_learned(errors: Array, first: Tree, every: int) -> Array:
     """(J,) the error of the trial of each step that played what was learned; inf is kept.
 
     Before the first of these trials, the errors are those of that one.

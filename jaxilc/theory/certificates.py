@@ -84,7 +84,7 @@ from .chance import (
     learned_alike,
     under_chance,
 )
-from .condition import Condition
+from .condition import ROUNDING, Condition
 from .frequency import learning_condition
 from .learning_map import (
     DENSE,
@@ -110,7 +110,6 @@ from .trials import learned_from, trial_of
 CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
 COURSES = FALLS, NOT_ALWAYS, TURNS, GROWS = "falls", "falls, not always", "turns", "grows"
 RISE = 1e-9  # a relative rise of the error that rounding explains
-ROUNDING = 1e3  # in units of the last place
 AS_TOLD = 1e-6  # share of the largest error by which simulation may differ from theory
 EXACT = 1e-9  # share of the first error that counts as none left
 MACHINES = 64  # that are drawn where none were before

@@ -58,6 +58,7 @@ from ..pytree.in_short import in_short
 from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
 from ..signals.task import Task
+from .condition import ROUNDING
 from .learning_map import MOST, View, alone, count_of, first_of, learning_of, slopes
 from .spectrum import drifting, norm_of, reachable, triangular_radius
 from .trials import disturbed
@@ -273,7 +274,6 @@ SENSES = SURELY, STILL, EVERY, SQUARE, ALMOST, MEAN = (
     "almost surely",
     "in the mean",
 )
-ROUNDING = 1e3  # in units of the last place
 ALONE = 1 - 1e-9  # below which an exact square or exponent counts as contracting
 NOTHING = 1e-14  # share of the reference that counts as nothing
 ROOM = 2**24  # numbers that a solution may hold

@@ -30,6 +30,7 @@ from ..runtime.lanes import usual_lanes
 from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
 from ..signals.task import Limit, Task
+from .condition import ROUNDING
 from .law import learning_law, pushed
 from .linearity import keeps_all, remembers
 from .spectrum import (
@@ -65,8 +66,7 @@ ROUNDS = 4  # of minimal residuals, to the limit of learning
 LARGEST = 1024  # rows up to which a matrix is made where it decides
 MOST = 4000  # trials over which a limit is looked for
 DRIFT = 1e-8  # share of what an error moves, above which a growth in each trial is no rounding
-WIDE = 1e-12  # relative width that covers the rounding of a norm in double precision
-ROUNDING = 1e3  # in units of the last place, where these are more than that
+WIDE = 1e-12  # relative width that covers the rounding of a norm, where ROUNDING is less
 TILE = 2**28  # bytes of Lanczos vectors in a tile
 ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
 

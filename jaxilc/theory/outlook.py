@@ -29,12 +29,11 @@ from ..learning.machine import Machine
 from ..pytree.in_short import in_short
 from ..schemes import Scheme
 from ..signals.task import Task
-from .condition import Premise, premise
+from .condition import ROUNDING, Premise, premise
 from .learning_map import LearningMaps, in_groups, limit_names, maps_of
 from .spectrum import LONGEST
 
 POWERS = (1, 4, 16, 64)  # of M that are looked at, until one contracts
-ROUNDING = 1e3  # in units of the last place
 SURELY = 1 - 1e-6  # of eigenvalues on the diagonal of a triangular map, also in single precision
 NO_LIMIT = "no limit is met in any trial to come"
 WHOLE = "the whole trial converges, its ends included"

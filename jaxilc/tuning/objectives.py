@@ -20,10 +20,9 @@ from typing import ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
-from ..learning.divergence import CEILING, peak
+from ..learning.divergence import CEILING, of_learned, peak
 from ..learning.known_metrics import ERRORS, TUNED
 from ..learning.machine import Machine
 from ..learning.metrics import Keep, largest
@@ -456,4 +455,4 @@ def levels(run: Run, metric: str, floor: Leaf, *, one_unit: bool = False) -> jax
     x = jnp.where(anywhere <= run.ceiling, x, jnp.maximum(x, anywhere))
     level = 0.5 * jnp.log(x**2 + floor**2) - jnp.log(floor)
     every = trials_of_step(run.scheme, run.task)
-    return level if every == 1 else level[np.arange(len(level)) // every * every]
+    return level if every == 1 else of_learned(level, 1, every)
