@@ -256,7 +256,7 @@ def _beyond(proof: Proof) -> str:
     if proof.further > 0:
         said += (
             "; each stable response from what is learned to the output may differ from its model "
-            f"by {number(rounded(100 * proof.further))} % at any frequency"
+            f"by {number(rounded(100 * proof.further))} % at any frequency that was tried"
         )
     return said
 
