@@ -184,8 +184,8 @@ class Proof(NamedTuple):
     reasons: on what the claims rest, or why nothing is claimed
     scheduled: whether the law is; then the claims decide, since the test does not tell what the
              law does where one segment meets the next
-    further: largest |W| with which |keep - L P| + |L P W| <= 1 at each frequency of the grid on each
-             machine of the family: what each may differ by from its model, P (1 + W D) with
+    further: largest |W| with which |keep - L P| + |L P W| <= 1 at each frequency of the grid, on
+             each machine of the family: what each may differ by from its model, P (1 + W D) with
              |D| <= 1 (Bristow 2006), and still be safe
     whole:   the test over all machines between those of the family, where it can be proved; None
              where it was not asked for

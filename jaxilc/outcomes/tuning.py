@@ -231,7 +231,7 @@ def tuning_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
         what = labelled(metric, rows["unit"])
         table = Table(
             right=("trial", *WHICH, "ratio of medians", "ratio of worsts"),
-            title=f"{what} of {numbers['samples']} machines never seen: median (95 %, worst); "
+            title=f"{what} {_over(numbers['samples'], rows['given'], rows['tuned'])}; "
             "ratios are given / tuned",
         )
         for j in rows["given"]:
@@ -240,6 +240,17 @@ def tuning_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
             table.add_row(j, quantiles(given), quantiles(tuned), *ratios)
         found.append(table)
     return found
+
+
+def _over(machines: int, *rows: Numbers) -> str:
+    """The machines whose quantiles are in rows {name: {"median": .., "worst": ..}}, in words."""
+    of = f"{machines} machines never seen" if _drawn(*rows) else "the machine, nothing being drawn"
+    return f"of {of}: median (95 %, worst)"
+
+
+def _drawn(*rows: Numbers) -> bool:
+    """Whether some machine differs from another."""
+    return any(row["median"] != row["worst"] for of in rows for row in of.values())
 
 
 def tuning_lines(tuned: Tuned, numbers: Numbers) -> tuple[str, list[str]]:
@@ -290,7 +301,7 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
         f"{case.size(tuned[of])} in place of {case.size(given[of])}" for of in ("median", "worst")
     )
     first = f"{', '.join(changed[:FEW])}{more}: "
-    if all(row["median"] == row["worst"] for row in (given, tuned)):  # nothing is drawn
+    if not _drawn({"given": given, "tuned": tuned}):
         first += f"the {case.error} of trial {last} is {median}."
     else:
         first += f"of {numbers['samples']} machines not seen, the median {case.error} of trial "
@@ -526,7 +537,8 @@ def budget_table(scenario: Scenario, scheme: str, numbers: Numbers) -> Table:
     """The table for each number of trials: the metric as given and as tuned, and the weights."""
     rows = numbers["budgets"]
     metric = f"{labelled(numbers['figure'], numbers['unit'])} of trial J"
-    what = f"{metric} on {numbers['samples']} machines never seen: median (95 %, worst)"
+    errors = ({which: row[which] for which in WHICH} for row in rows.values())
+    what = f"{metric} {_over(numbers['samples'], *errors)}"
     columns = ("J", *WHICH, *next(iter(rows.values()))["weights"])
     title = f"{scenario.title}\n{scheme}, tuned for J trials: {what}"
     table = Table(right=columns, title=title)

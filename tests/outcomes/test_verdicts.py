@@ -21,6 +21,7 @@ from jaxilc.outcomes.running import run_verdict
 from jaxilc.outcomes.searching import worst_case_verdict
 from jaxilc.outcomes.sweeping import sweep_verdict
 from jaxilc.outcomes.tuning import (
+    _over,
     budget_verdict,
     front_verdict,
     in_words,
@@ -385,6 +386,10 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     assert tune_verdict(OF_TUNING, alike, params).said[0] == (
         "lam = 0.5 (was 1): the settled error of trial 15 is 2 µm in place of 3 µm."
     )
+    rows = (of["figures"]["settled_error"] for of in (alike, tuned()))
+    assert [_over(257, *of.values()).split(":")[0] for of in rows] == [
+        "of the machine, nothing being drawn", "of 257 machines never seen",
+    ]  # fmt: skip
     another_start = tuned(step=0)
     assert tune_verdict(OF_TUNING, another_start, params).said == found.said
     another_start["weights"]["lam"]["tuned"] = 1.0
