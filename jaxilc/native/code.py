@@ -21,6 +21,7 @@ from types import ModuleType
 
 import jax
 
+from ..storage.files import atomically
 from .llvm import ALIGNED
 from .program import Unknown
 
@@ -321,10 +322,8 @@ def _kept(place: Path) -> bytes | None:
 
 def _keep(place: Path, compiled: bytes) -> None:
     """Write machine code at once or not at all."""
-    beside = place.with_name(f"{place.name}.{os.getpid()}.{threading.get_ident()}")
     with suppress(OSError):
-        beside.write_bytes(_seal(place, compiled) + compiled)
-        beside.replace(place)
+        atomically(place, lambda file: file.write(_seal(place, compiled) + compiled))
 
 
 def _seal(place: Path, compiled: bytes) -> bytes:
