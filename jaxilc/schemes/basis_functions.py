@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.lax import linalg
 
 from ..plants import Plant
 from ..pytree.aliases import Array, Function, Leaf, Value
@@ -196,6 +197,9 @@ def fitted(
     for _ in range(1 if basis.linear else iterations):
         t, X = basis.regression(theta, u, lambda u: u, r, dt, inputs)
         G = jnp.einsum("kim,kin->mn", X, X)
+        if basis.linear:  # where columns make each other, what u does not tell is not to stay
+            told = (jnp.diag(G) > 0) & (basis.seen(r, dt, inputs) > 0)
+            theta = jnp.where(told, 0.0, theta)
         theta = theta + _told(basis, G, _seen(X, t) - G @ theta, r, dt, inputs)
     return theta
 
@@ -211,8 +215,13 @@ def _told(basis: Basis, G: Array, g: Array, r: Array, dt: float, inputs: int) ->
     scale = _scale(G)
     least = ROUNDING * len(g) * jnp.finfo(G.dtype).eps
     scaled = G * jnp.outer(scale, scale) + least * jnp.eye(len(g), dtype=G.dtype)
-    # The inverse of a known matrix is one that theory can see through; it is small, and scaled.
-    return scale * (jnp.linalg.inv(scaled) @ (scale * g))
+    # Where columns make others, the elements of an inverse are 1e12, and what is left of their sums
+    # is rounding: only substitution tells what all columns make together. Theory sees through it.
+    LU, _, order = linalg.lu(scaled)
+    below = linalg.triangular_solve(
+        LU, (scale * g)[order][:, None], left_side=True, lower=True, unit_diagonal=True
+    )
+    return scale * linalg.triangular_solve(LU, below, left_side=True)[:, 0]
 
 
 def need_parameters(owner: Scheme, name: str, theta: Leaf, basis: Basis, task: Task) -> None:
@@ -290,7 +299,8 @@ class OnBasis(Guard):
         dt = trial.dt if self.solved is None else self.solved.dt
         following = self.scheme.learn(memory.scheme, self.shown(trial)["scheme"])
         u = self.scheme.schedule(following, Task(trial.r, dt=dt, inputs=trial.u.shape[1])).u
-        theta = fitted(self.basis, u, trial.r, dt, theta=memory.theta, iterations=self.iterations)
+        start = memory.theta if self.basis.keeps or not self.basis.linear else None
+        theta = fitted(self.basis, u, trial.r, dt, theta=start, iterations=self.iterations)
         return OnBasisMemory(following, theta)
 
     def schedule(self, memory: OnBasisMemory, task: Task) -> Schedule:

@@ -30,6 +30,8 @@ from jaxilc.schemes import (
 )
 from jaxilc.schemes.bases import _path
 from jaxilc.schemes.scheme import with_all_parts
+from jaxilc.theory.outlook import outlooks
+from jaxilc.uncertainty import drawn_machines
 
 MODEL = StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
 STEP = Polynomial([0] * 5 + [126, -420, 540, -315, 70])  # from 0 to 1, four derivatives at rest
@@ -182,6 +184,33 @@ def test_the_limit_of_a_law_on_a_basis_is_also_that_of_what_the_functions_make()
     assert np.max(np.abs(limits["scheme.limit"].signal)) < 1.05 < np.max(np.abs(P @ np.sign(P[at])))
     found = limits["fitted.limit"].signal[:, 0]
     np.testing.assert_allclose(found, P @ np.sign(P[at]), rtol=1e-7)
+
+
+def test_columns_that_make_each_other_leave_no_rounding_in_what_is_fitted():
+    """Along a circle the velocity of an axis is the position of the other one."""
+    angle, random = 0.2 * np.arange(25), np.random.default_rng(3)
+    circle = np.stack([np.cos(angle) - 1, np.sin(angle)], axis=1)
+    basis = PolynomialBasis((0, 1), coupled=True)
+    X = np.asarray(basis.columns(circle, DT, 2)).reshape(48, 8)
+    X = X / np.linalg.norm(X, axis=0)
+    assert np.linalg.matrix_rank(X) == 6
+    u = random.standard_normal((24, 2))
+    theta = fitted(basis, u, circle, DT, theta=random.standard_normal(8))
+    expected = X @ np.linalg.lstsq(X, u.ravel(), rcond=1e-9)[0]
+    np.testing.assert_allclose(basis.signal(theta, circle, DT, 2).ravel(), expected, atol=1e-11)
+
+
+def test_a_certificate_of_a_law_on_a_basis_does_not_depend_on_the_units_of_its_parameters():
+    """Those of jerk and snap are so small that they counted as nothing beside the input."""
+    task, law = moved(16), OnBasis(PIDType(gamma_p=1.5), PolynomialBasis())
+    X = np.asarray(columns(law.basis, task.reference))[:, 0]
+    Q, _ = np.linalg.qr(X / np.linalg.norm(X, axis=0))
+    H, r, u = lifted(MODEL, 16), np.asarray(task.reference)[1:, 0], np.zeros(16)
+    for _ in range(2000):
+        u = Q @ (Q.T @ (u + 1.5 * (r - H @ u)))
+    found = outlooks(drawn_machines(Machine(MODEL), {}, {}), law, task)
+    rms = np.sqrt(np.mean((r - H @ u) ** 2))
+    np.testing.assert_allclose(found.floor, rms, rtol=1e-6)
 
 
 def test_what_was_learned_serves_a_reference_of_another_length_and_size():
