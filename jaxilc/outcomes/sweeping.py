@@ -92,6 +92,9 @@ def sweep(
         quantities=chosen.functions, grid=request.grid(grid, chosen),
         watch=BoundsWatch() if bounds else None,
     )  # fmt: skip
+    fewest = min(of.trials for of in plan.plan.variants.values())
+    if bounds and fewest < 2:
+        raise ValueError(f"--trials {fewest} is outside its allowed range [2, inf) with --bounds")
     place = folder or Path("out") / f"sweep-{chosen.name}"
     stores = [unless_there(place / "dataset.zarr", resume)]
     if bounds and any(axis.size > 1 for axis in plan.axes.axes):

@@ -223,6 +223,14 @@ def test_bounds_over_a_grid_have_a_map(jaxilc_command, tmp_path):
     assert again.numbers["grid"]["bounds"] == numbers["grid"]["bounds"]
 
 
+@pytest.mark.parametrize("trials", [("--trials", 1), ("--grid", "trials=3,1")])
+def test_bounds_need_a_second_trial(jaxilc_command, trials):
+    sweep = ("sweep", "cao-2019", "--scheme", "cfdl-mfailc", "--bounds", "--machines", 2)
+    code, _, err = jaxilc_command(*sweep, *trials)
+    assert code == 2
+    assert "--trials 1 is outside its allowed range [2, inf) with --bounds" in err
+
+
 def test_sweep_tells_the_bounds_beside_the_contraction(jaxilc_command, tmp_path):
     arguments = ["--scheme", "cfdl-mfailc", "--scheme", "ffdl-mfailc", "--set", "frequency=10"]
     sweep = ("sweep", "cao-2019", *arguments, "--trials", 3, "--machines", 4, "--report", "s.json")

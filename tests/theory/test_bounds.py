@@ -190,6 +190,19 @@ def test_what_no_paper_proves_is_not_a_number():
     np.testing.assert_allclose(wide.d1, 0.9, rtol=1e-12)
 
 
+def test_in_single_precision_a_small_reaction_to_earlier_inputs_leaves_nothing_claimed():
+    """The second output is 2000, of which the pole leaves 0.2 in a third that should be 0.001."""
+    with jax.enable_x64(False):
+        machine = Machine(StateSpace([[1e-4]], [[1.0]], [[1.0]], dt=DT))
+        task = Task(reference=np.float32([0.0, 2000.0, 0.001, 0.0]), dt=DT)
+        found = watched(machine, SCHEME, 2, task)
+        y, _ = signals(machine, SCHEME, 2, task)
+    e = np.abs(np.asarray(task.reference)[:, 0] - y)
+    assert e[1, 2] > 10 * e[0, 2]
+    assert found["claimed"] == 0.0
+    np.testing.assert_allclose(found["left_out"], (2 / 3) * 1e-8, rtol=1e-3)
+
+
 # The frozen law
 # --------------------------------------------------------------------------------------------------
 
