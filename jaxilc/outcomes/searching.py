@@ -23,7 +23,7 @@ from .request import Request
 from .words import number, several
 
 FEW = 6  # settings of the worst machine that the next command repeats
-ALIKE = 1e-3  # of the loss: two machines that differ by less are as bad
+ALIKE = 1e-3  # of the loss, or of the error: two machines that differ by less are as bad
 
 
 def worst_case(
@@ -150,7 +150,7 @@ def found_by(searches: Mapping[str, Numbers]) -> str:
 
 
 def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
-    """How much larger the error of the worst machine is, and which search found it."""
+    """How much larger the error of the worst machine is, if it is, and which search found it."""
     searches, nominal = numbers["searches"], numbers["nominal"]
     name = found_by(searches)
     worst, trial = searches[name], numbers["trial"]
@@ -164,7 +164,13 @@ def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
     )
     needed = several(worst["needed"], "simulation")
     first = f"{scheme}: the worst machine {ends}; found by {name}, in {needed}."
-    if len(worst["set"]) > FEW:
+    alike = math.isfinite(nominal) and worst["value"] <= (1 + ALIKE) * nominal
+    if alike:
+        first = (
+            f"{scheme}: of the machines that were tried none is worse by {100 * ALIKE:g} % than "
+            f"the nominal one, whose {case.error} in trial {trial} is {case.size(nominal)}."
+        )
+    if alike or len(worst["set"]) > FEW:
         what, following = "what theory claims", case.on("certify", scheme)
     else:
         settings = (*case.request.set, *worst["set"])

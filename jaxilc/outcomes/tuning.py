@@ -20,6 +20,7 @@ from ..scenarios.parameters import differing, write_parameters
 from ..sweeps.summary import summarise
 from ..tuning import Tuned, Tuning, trade_off
 from ..tuning.objectives import Objective
+from ..tuning.weights import Bijection
 from .case import Case
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, unless_there
@@ -315,6 +316,8 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
         second.append(said)
     if tuned["worst"] > given["worst"]:
         second.append("The worst machine has become worse: --risk worst or cvar tunes for it.")
+    elif ends := _at_ends(numbers["weights"]):
+        second.append(f"{ends}: beyond it may be a better value.")
     elif held["reason"] == "steps" and held["step"] == held["steps"]:
         second.append("The last step was the best: more --steps, in another --out, may gain more.")
     of = case.request.without(scheme)
@@ -322,6 +325,15 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
     what = "many machines" if case.uncertain else "the whole run"
     following = of.following(command, scheme=scheme, params=params)
     return Verdict((first, *second), what, following)
+
+
+def _at_ends(weights: Mapping[str, Numbers]) -> str:
+    """Which weight has come to an end of the range that was asked for; empty if none has."""
+    for name, row in weights.items():
+        low, high = row.get("range", (-math.inf, math.inf))
+        if (end := Bijection(low, high).end(row["tuned"])) is not None:
+            return f"{name} has come to the end {end:g} of its range, {low:g} to {high:g}"
+    return ""
 
 
 # `pareto`: two objectives, or the best result for each number of trials

@@ -27,6 +27,7 @@ FARTHEST = 12.0  # largest |z| for which room is checked: a factor e^12, or 6e-6
 MARGIN = 1e-6  # smallest distance of a value from an end of its range, on the unit interval
 FAR = 60.0  # largest |z| on the real line; beyond it exponentials are held constant
 NUDGE = 1e-3  # share of the range by which a start on its end is moved inside
+CLOSE = 0.02  # share of the range up to which a value has come to its end
 
 # Names of weights with their bounds, None for the range that the leaf allows.
 NamesOrBounds = Mapping[str, tuple[float, float] | None] | Sequence[str]
@@ -84,6 +85,13 @@ class Bijection:
         share = self._share(value)
         near = not 10 * MARGIN < share < 1.0 - 10 * MARGIN
         return float(self._at(NUDGE if share < 0.5 else 1.0 - NUDGE)) if near else value
+
+    def end(self, value: float) -> float | None:
+        """The end of a finite interval that the value has come to; None for one inside."""
+        if not np.isfinite([self.low, self.high]).all():
+            return None
+        share = self._share(value)
+        return self.low if share < CLOSE else self.high if share > 1.0 - CLOSE else None
 
     def _at(self, share):
         """The value at a share of the way from one finite end to the other."""

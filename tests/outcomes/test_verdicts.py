@@ -371,6 +371,16 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     assert "become worse" in tune_verdict(OF_TUNING, tuned(4.0), params).said[1]
     last = tune_verdict(OF_TUNING, tuned(step=20), params).said[1]
     assert last == "The last step was the best: more --steps, in another --out, may gain more."
+    bounded = tuned(step=20)
+    for end, low, high in ((0.49, 0.49, 2.0), (0.501, -1.0, 0.501), (50.0, 1e-4, 50.0)):
+        bounded["weights"]["lam"] = {"given": 1.0, "tuned": end, "range": [low, high]}
+        said = f"lam has come to the end {end:g} of its range, {low:g} to {high:g}"
+        bounded["weights"]["lam"]["tuned"] = end + 1e-4 * (1 if end == low else -1)
+        bounded_said = tune_verdict(OF_TUNING, bounded, params).said[1]
+        assert bounded_said == f"{said}: beyond it may be a better value."
+    for low, high in ((0.1, 2.0), (0.0, np.inf)):
+        bounded["weights"]["lam"] = {"given": 1.0, "tuned": 0.5, "range": [low, high]}
+        assert tune_verdict(OF_TUNING, bounded, params).said[1] == last
     hardly = tuned(2.98)
     hardly["figures"]["settled_error"]["tuned"]["15"]["median"] = 1.19
     assert tune_verdict(OF_TUNING, hardly, params).said[1] == (
@@ -479,6 +489,19 @@ def test_worst_case_leads_to_its_machine():
     assert said.endswith("found by chance, in 1 simulation.")
     numbers["searches"]["chance"] = sooner | {"loss": 0.99}
     assert "found by gradient" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
+
+
+def test_where_nothing_that_is_drawn_matters_no_machine_is_the_worst():
+    search = {"loss": 1.0, "value": 2.0005, "needed": 24, "set": ["x=1"]}
+    numbers = {"nominal": 2.0, "trial": 15, "searches": {"gradient": search}}
+    found = worst_case_verdict(OF_TUNING._replace(tolerance=5.0), "c", numbers)
+    assert found.said[0] == (
+        "c: of the machines that were tried none is worse by 0.1 % than the nominal one, whose "
+        "settled error in trial 15 is 2 µm."
+    )
+    assert parsed(found)[0] == "certify"
+    search["value"] = 2.003
+    assert "worst machine" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
 
 
 # reproduce
