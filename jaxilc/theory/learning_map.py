@@ -67,6 +67,7 @@ LARGEST = 1024  # rows up to which a matrix is made where it decides
 MOST = 4000  # trials over which a limit is looked for
 DRIFT = 1e-8  # share of what an error moves, above which a growth in each trial is no rounding
 WIDE = 1e-12  # relative width that covers the rounding of a norm, where ROUNDING is less
+SIGNS = 8  # random signals whose mean tells the length of a column
 TILE = 2**28  # bytes of Lanczos vectors in a tile
 ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
 
@@ -76,10 +77,24 @@ class View(NamedTuple):
 
     whole:  whether w is all that the scheme knows, in place of its feedforward
     moving: (n,) which entries of it learning ever changes; all, where it changes none
+    units:  (n,) powers of 1000 that w has over what the scheme knows, so that parameters count as
+            the input that they make; None for 1. A parameter of the snap may be 1e-9 of it, which
+            would be rounding beside it
     """
 
     whole: bool
     moving: tuple[int, ...]
+    units: tuple[float, ...] | None = None
+
+    def of(self, known: jax.Array) -> jax.Array:
+        """(n,) w of all that is known, as one vector."""
+        w = known[np.array(self.moving)]
+        return w if self.units is None else w * jnp.asarray(self.units, w.dtype)
+
+    def put(self, known: jax.Array, w: jax.Array) -> jax.Array:
+        """All that is known, with w in its places."""
+        w = w if self.units is None else w / jnp.asarray(self.units, w.dtype)
+        return known.at[np.array(self.moving)].set(w)
 
 
 class Turn(NamedTuple):
@@ -129,13 +144,13 @@ def learning_of(
     """
     bounded = machine, scheme
     machine, scheme = machine.unlimited(), scheme.unlimited().prepared(task)
-    first, moving = scheme.initial_memory(task), np.array(view.moving)
+    first = scheme.initial_memory(task)
     if machine.last_change > 1 and jax.eval_shape(_limits, *bounded, task):
         first = memory_at_last_change(bounded[0], bounded[1].prepared(task), task)
     start, unravel = ravel_pytree(first if view.whole else scheme.feedforward(first, task))
 
     def trial(w):
-        known = unravel(start.at[moving].set(w))
+        known = unravel(view.put(start, w))
         if view.whole:
             return known, trial_of(machine, scheme, task, known, key)
         return first, played(machine, scheme, task, first, known, key)
@@ -155,22 +170,34 @@ def learning_of(
         shown = record._replace(y=record.r - e.reshape(record.r.shape))
         return known_as(scheme.learn(known, shown), scheme, task, view)
 
-    return Learning(start[moving], turn, from_record)
+    return Learning(view.of(start), turn, from_record)
 
 
 def known_as(memory, scheme: Scheme, task: Task, view: View) -> jax.Array:
     """(n,) the vector w of a memory."""
     known = memory if view.whole else scheme.feedforward(memory, task)
-    return ravel_pytree(known)[0][np.array(view.moving)]
+    return view.of(ravel_pytree(known)[0])
 
 
 def view_of(scheme: Scheme, task: Task) -> View:
     """What w is for a linear law."""
     if remembers(scheme, task):
-        leaves = jax.tree.leaves(jax.eval_shape(lambda: scheme.initial_memory(task)))
-        return View(True, tuple(range(sum(leaf.size for leaf in leaves))))
+        reach = np.asarray(_reach(scheme, task), float)
+        powers = np.rint(np.log10(reach, where=reach > 0, out=np.zeros(len(reach))) / 3)
+        units = tuple((1e3**powers).tolist()) if np.any(powers) else None
+        return View(True, tuple(range(len(reach))), units)
     moves = _moves(scheme, task)
     return View(False, tuple(np.flatnonzero(moves if np.any(moves) else ~moves).tolist()))
+
+
+@jax.jit
+def _reach(scheme: Scheme, task: Task) -> jax.Array:
+    """(n,) about how much input each entry of what a scheme knows makes at once, rms over signs."""
+    free = scheme.unlimited().prepared(task)
+    known, unravel = ravel_pytree(free.initial_memory(task))
+    u, pull = jax.vjp(lambda known: free.feedforward(unravel(known), task), known)
+    signs = jnp.asarray(np.random.default_rng(9).choice([-1.0, 1.0], (SIGNS, *u.shape)), u.dtype)
+    return jnp.sqrt(jnp.mean(jax.vmap(pull)(signs)[0] ** 2, axis=0))
 
 
 def changes_nothing(scheme: Scheme, task: Task) -> bool:

@@ -12,15 +12,17 @@ from dense import lifted
 from numpy.polynomial import Polynomial
 
 from jaxilc import Machine, Task, learn
-from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.plants import DifferenceEquation, Splines, StateSpace
 from jaxilc.pytree import pytree
 from jaxilc.schemes import (
     Basis,
     BasisFunctions,
     GivenBasis,
+    JoinedBasis,
     OnBasis,
     PIDType,
     PolynomialBasis,
+    PositionBasis,
     RationalBasis,
     SelectedBasis,
     WarmStart,
@@ -200,9 +202,14 @@ def test_columns_that_make_each_other_leave_no_rounding_in_what_is_fitted():
     np.testing.assert_allclose(basis.signal(theta, circle, DT, 2).ravel(), expected, atol=1e-11)
 
 
-def test_a_certificate_of_a_law_on_a_basis_does_not_depend_on_the_units_of_its_parameters():
+@pytest.mark.parametrize("places", [0, 3])
+def test_a_certificate_of_a_law_on_a_basis_does_not_depend_on_the_units_of_its_parameters(places):
     """Those of jerk and snap are so small that they counted as nothing beside the input."""
-    task, law = moved(16), OnBasis(PIDType(gamma_p=1.5), PolynomialBasis())
+    basis = PolynomialBasis()
+    if places:  # which keep what was learned, so that the law remembers
+        map_ = PositionBasis(Splines(low=0.0, high=1.0, count=places, degree=1))
+        basis = JoinedBasis((basis, map_))
+    task, law = moved(16), OnBasis(PIDType(gamma_p=1.5), basis)
     X = np.asarray(columns(law.basis, task.reference))[:, 0]
     Q, _ = np.linalg.qr(X / np.linalg.norm(X, axis=0))
     H, r, u = lifted(MODEL, 16), np.asarray(task.reference)[1:, 0], np.zeros(16)
