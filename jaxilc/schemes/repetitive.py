@@ -300,9 +300,14 @@ class RepetitiveControl(Scheme):
 
 
 def need_angle(name: str, angle: int | None, task: Task) -> None:
-    """Raises ValueError unless an angle that is measured is one of the task's outputs."""
+    """Raises ValueError unless an angle that is measured is one of several outputs of the task."""
     if angle is not None and angle >= task.outputs:
         raise ValueError(f"{name} = {angle} is none of the task's outputs 0..{task.outputs - 1}")
+    if angle is not None and task.outputs == 1:
+        raise ValueError(
+            f"{name} = {angle} is the only output of the task; allowed is one beside an output "
+            "whose error is learned"
+        )
 
 
 def _through(taps: Array, seen: Array) -> Array:
@@ -424,7 +429,12 @@ class RepetitiveBasis(Scheme):
     angle: int | None = static(default=None, interval="[0, inf)", whole=True, optional=True)
 
     def check(self, task: Task) -> None:
-        m = len(self.functions.names)
+        m, functions = len(self.functions.names), self.functions
+        if isinstance(functions, Harmonics) and functions.pitch.ndim:
+            raise ValueError(
+                f"RepetitiveBasis: functions.pitch has shape {functions.pitch.shape}; allowed is "
+                "(), one period"
+            )
         for name in ("gain", "lead"):
             shape = getattr(self, name).shape
             if shape not in ((), (m,)):

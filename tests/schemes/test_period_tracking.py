@@ -213,6 +213,8 @@ def test_what_does_not_fit_is_said():
         RepetitiveControl(LAW, (0.05, 0.06), tracking=TRACKING).check(task)
     with pytest.raises(ValueError, match=r"tracking.angle = 1 is none of the task's outputs 0..0"):
         RepetitiveControl(LAW, PERIOD, tracking=PeriodTracking(angle=1)).check(task)
+    with pytest.raises(ValueError, match=r"tracking.angle = 0 is the only output of the task"):
+        RepetitiveControl(LAW, PERIOD, tracking=PeriodTracking(angle=0)).check(task)
     wide = PeriodTracking(within=0.3)
     with pytest.raises(ValueError, match=r"period = 0.05 s -\+ 30 % is outside .* 0.0625\]"):
         RepetitiveControl(LAW, PERIOD, tracking=wide).check(task)

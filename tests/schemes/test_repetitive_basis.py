@@ -132,6 +132,10 @@ def test_what_does_not_fit_is_said():
     task = Task(np.zeros(101), dt=DT)
     with pytest.raises(ValueError, match=r"angle = 1 is none of the task's outputs 0..0"):
         RepetitiveBasis(HARMONICS, gain=1.0, angle=1).check(task)
+    with pytest.raises(ValueError, match="angle = 0 is the only output of the task; allowed is"):
+        RepetitiveBasis(HARMONICS, gain=1.0, angle=0).check(task)
+    with pytest.raises(ValueError, match=r"functions.pitch has shape \(2,\); allowed is \(\), one"):
+        RepetitiveBasis(Harmonics((0.05, 0.06)), gain=1.0).check(task)
     with pytest.raises(ValueError, match="RepetitiveBasis works channel by channel"):
         RepetitiveBasis(HARMONICS, gain=1.0).check(Task(np.zeros((101, 2)), dt=DT, inputs=1))
 
