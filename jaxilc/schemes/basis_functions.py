@@ -214,14 +214,19 @@ def _told(basis: Basis, G: Array, g: Array, r: Array, dt: float, inputs: int) ->
     G, g = G * jnp.outer(told, told), g * told
     scale = _scale(G)
     least = ROUNDING * len(g) * jnp.finfo(G.dtype).eps
-    scaled = G * jnp.outer(scale, scale) + least * jnp.eye(len(g), dtype=G.dtype)
+    scaled, of_all = G * jnp.outer(scale, scale), scale * g
     # Where columns make others, the elements of an inverse are 1e12, and what is left of their sums
     # is rounding: only substitution tells what all columns make together. Theory sees through it.
-    LU, _, order = linalg.lu(scaled)
-    below = linalg.triangular_solve(
-        LU, (scale * g)[order][:, None], left_side=True, lower=True, unit_diagonal=True
-    )
-    return scale * linalg.triangular_solve(LU, below, left_side=True)[:, 0]
+    LU, _, order = linalg.lu(scaled + least * jnp.eye(len(g), dtype=G.dtype))
+
+    def solved(b: Array) -> Array:
+        below = linalg.triangular_solve(
+            LU, b[order][:, None], left_side=True, lower=True, unit_diagonal=True
+        )
+        return linalg.triangular_solve(LU, below, left_side=True)[:, 0]
+
+    found = solved(of_all)
+    return scale * (found + solved(of_all - scaled @ found))  # without what `least` kept back
 
 
 def need_parameters(owner: Scheme, name: str, theta: Leaf, basis: Basis, task: Task) -> None:
