@@ -16,6 +16,9 @@ from ..storage.sealed import Damaged, checksum, read_json, seal_of, sealed, unse
 
 CERTIFICATE = "certificate.json"
 DIGEST, FILES = "certificate", "files"
+WRITTEN = {"law.h", "law.c", "law_test.c", "law.comp", "law.st"} | {  # by exports of any format
+    f"{block}_fmi{version}.fmu" for block in ("law", "plant") for version in (2, 3)
+}
 CARRIED = re.compile(rb"""["']([0-9a-f]{64})["']""")
 
 
@@ -36,8 +39,9 @@ def certificate_of(
 def check(folder: str | Path) -> dict[str, Value]:
     """The claims of a folder whose files belong together.
 
-    Raises ValueError naming each file that is missing or was changed, also the plant file, where it
-    is still where it was; and FileNotFoundError where there is no certificate.
+    Raises ValueError naming each file that is missing, was changed or is of another export, also
+    the plant file, where it is still where it was; and FileNotFoundError where there is no
+    certificate.
     """
     folder = Path(folder)
     try:
@@ -62,6 +66,8 @@ def check(folder: str | Path) -> dict[str, Value]:
             wrong.append(f"{path} carries the certificate {sorted(carried)[0][:12]} of another law")
         elif checksum(found) != known:
             wrong.append(f"{path} was changed")
+    wrong += [f"{folder / name} is of another export, and the certificate does not speak of it"
+              for name in sorted(WRITTEN - {*hashes}) if (folder / name).exists()]  # fmt: skip
     plant = content.get("plant_file") or {}
     given = Path(str(plant.get("path", "")))
     there = plant.get("path") and given.is_file()

@@ -27,6 +27,7 @@ from ..learning.playback import unit_of
 from ..native.program import Program, Step, read
 from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.named_paths import named_leaves
+from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.scheme import with_all_parts
 from ..signals.task import Sample, Task, Trial
@@ -161,14 +162,16 @@ def law_of(
 ) -> Law:
     """The law of a scheme, fresh or in the state that a campaign has reached.
 
-    limit: () or (n_u,) largest |u| that is played [unit of u]
+    limit: () or (n_u,) largest |u| that is played, finite and above 0 [unit of u]
     correction: largest distance of a learned reference from the task's [unit of y]
     memory: what was learned; None: nothing yet
     trials: what the guard knows of the trials in which it was learned
-    Raises ValueError where scheme and task do not fit, and Unknown for what cannot be exported.
+    Raises ValueError where limit, scheme and task do not fit, and Unknown for what cannot be
+    exported.
     """
     check_length(task, scheme)
     scheme.check(task)
+    require("law_of", "limit", limit, "(0, inf)", many=True)
     limit = np.broadcast_to(np.asarray(limit, float), (task.inputs,))
     ready = scheme.prepared(task)
     tracer = _Tracer(ready, task, jnp.asarray(limit), actuator, correction, guarded)

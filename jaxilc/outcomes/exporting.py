@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..pytree.aliases import Tree
+from ..pytree.aliases import Tree, Value
 from ..pytree.named_paths import named_leaves
 from ..storage.files import atomically
 from ..storage.sealed import as_json, seal_of, write_json
@@ -64,10 +64,11 @@ def export(
     need_one_reference("an exported law", chosen.machine)
     scheme, actuator = chosen.schemes[name], chosen.machine.actuator
     largest = kept.get("limit", getattr(actuator, "limit", None)) if limit is None else limit
-    if largest is None or not np.all(np.asarray(largest) > 0):
+    if largest is None or not _positive(largest, number):
         raise ValueError(
-            f"--limit {limit} is no largest input; allowed are numbers above 0, which the law does "
-            "not exceed, or a limit of the actuator in the plant file"
+            f"--limit {limit} is no largest input; allowed are finite numbers above 0, in the type "
+            "of --number, which the law does not exceed, or a limit of the actuator in the plant "
+            "file"
         )
     progress("trace")
     try:
@@ -142,6 +143,13 @@ def check_export(folder: str | Path) -> Outcome:
     said = f"{folder}: code, vectors and certificate belong together."
     verdict = Verdict((said, *claims["verdict"]))
     return Outcome(command="export", numbers=claims, verdict=verdict)
+
+
+def _positive(limit: Value, number: str) -> bool:
+    """Whether all limits are above 0 and finite as the law holds them."""
+    with np.errstate(over="ignore"):
+        held = np.asarray(limit).astype("f4" if number == "float" else "f8")
+    return bool(np.all(np.isfinite(held) & np.greater(held, 0)))
 
 
 def trials_of_test(law: Law) -> list[np.ndarray]:

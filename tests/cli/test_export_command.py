@@ -38,6 +38,8 @@ def here(monkeypatch, tmp_path):
 axis.toml => --limit None is no largest input
 axis.toml --limit -1 => --limit -1.0 is no largest input
 axis.toml --limit nan => --limit nan is no largest input
+axis.toml --limit inf => --limit inf is no largest input
+axis.toml --limit 1e39 --number float => --limit 1e+39 is no largest input
 axis.toml --limit 1 --format ada => --format ada is not known
 axis.toml --limit 1 --number half => --number half is not known
 axis.toml --limit 1 --scheme pid => export takes one scheme that learns
@@ -72,6 +74,12 @@ def test_other_languages_carry_the_certificate_too(tmp_path, kind, files):
     text = path.read_text()
     assert digest in text
     assert call("export", "--check", "a law")[0] == 0
+    other = folder / {"hal": "law.st", "st": "law.c"}[kind]
+    other.write_text("of an export before")
+    code, _, err = call("export", "--check", "a law")
+    assert code == 2
+    assert f"{other.name} is of another export" in " ".join(err.split())
+    other.unlink()
     path.write_text(text.replace(digest, "f" * 64))
     code, _, err = call("export", "--check", "a law")
     assert code == 2

@@ -194,6 +194,9 @@ def test_the_guard_goes_back_to_the_last_good_input():
         u = played.trial(good[1])[0]
         assert not np.array_equal(first[1], played.known["memory.u"])
         assert np.array_equal(u, np.asarray(first[1]))
+    for limit in (np.inf, -1.0):
+        with pytest.raises(ValueError, match="law_of: limit = "):
+            law_of(SCHEMES["p_type"], task, limit)
     small = law_of(SCHEMES["p_type"], task, 0.1).played()
     assert CODES[small.trial(good[0])[1]] == "TOO_LARGE"
     assert np.max(np.abs(small.trial(good[0])[0])) <= 0.1
