@@ -556,6 +556,8 @@ def next_(
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
+    from ..hardware.campaign import refuse
+    from ..hardware.checks import beyond_limits
     from ..hardware.trial_files import OPTIONS, read_measured
     from ..scenarios.campaigns import Given, open_campaign
 
@@ -589,6 +591,10 @@ def next_(
     source = [*said, changed] if changed else said
     schedules = now.first_schedules() if new else now.schedules(undo)
     trial = 1 if new else (now.trials if undo is None else undo) + 1
+    if measured is None and not new:
+        refuse(beyond_limits(schedules, now.task, now.actuator, now.rules))
+        if undo is None:
+            _say_not_kept(opened)
     if undo is not None and not dry_run:
         now.undo(undo)
     turn, place, prediction, expected = None, None, None, None
@@ -683,6 +689,28 @@ def _say_source(recipe: Mapping[str, Value]) -> tuple[list[str], str]:
     if changed:
         warn(f"warning: {changed}")
     return said, changed
+
+
+def _say_not_kept(opened: Opened) -> None:
+    """Tell which options of a call without a trial are forgotten after it: it stores nothing."""
+    from ..runtime.provenance import differences
+
+    before, given = opened.campaign.journal.last_known()["recipe"], dict[str, None]()
+    for line in differences(before, opened.recipe):
+        name = line.partition(": ")[0]
+        owner, _, rest = name.partition(".")
+        if owner == "rules":
+            rest = "largest_correction" if rest == "correction" else rest
+            given[f"--set campaign.{rest}"] = None
+        elif owner in ("settings", "predict"):
+            given[f"--set {rest or 'campaign.predict'}"] = None
+        elif rest != "given":  # which only spells the path of one file
+            given["--scheme" if owner == "scheme" else "--scenario"] = None
+    if given:
+        warn(
+            f"warning: only a trial or --undo stores {', '.join(given)}, and this call has none: "
+            "give it again with --measured"
+        )
 
 
 def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | None:

@@ -48,12 +48,15 @@ def export(
     limit: largest |u| that the law plays; that of the campaign or of the actuator if not given
     number: of `NUMBERS`
     machines, seed: of the machines for which the law is certified, as for `Sweep`
-    Raises ValueError naming what is allowed, and what of a law cannot be exported.
+    Raises ValueError naming what is allowed, and what of a law cannot be exported, and for an input
+    to begin with that is beyond a limit.
     """
     from ..export import law_of
     from ..export.c_files import cost
     from ..export.certificate import CERTIFICATE, certificate_of
     from ..export.formats import FORMATS, Asked
+    from ..hardware.checks import Rules, beyond_limits
+    from ..learning.playback import schedules
     from ..native.program import Unknown
     from ..scenarios.campaigns import need_one_reference
 
@@ -70,6 +73,11 @@ def export(
             "of --number, which the law does not exceed, or a limit of the actuator in the plant "
             "file"
         )
+    begun = schedules(scheme, scheme.initial_memory(chosen.task) if memory is None else memory,
+                      chosen.task)  # fmt: skip
+    for _, text in beyond_limits(begun, chosen.task, None, Rules(largest, kept.get("correction"))):
+        told = text.replace("campaign.limit", "--limit")
+        raise ValueError(f"the law begins beyond a limit: {told}")
     progress("trace")
     try:
         law = law_of(scheme, chosen.task, largest, actuator=actuator, memory=memory,

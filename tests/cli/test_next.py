@@ -14,6 +14,7 @@ from jaxilc.cli import app
 from jaxilc.cli.hardware import _log_table
 from jaxilc.hardware import Journal, campaign, prediction
 from jaxilc.hardware.prediction import Place
+from jaxilc.outcomes import export
 from jaxilc.runtime.provenance import describe
 from jaxilc.scenarios import load_scenario
 
@@ -181,6 +182,23 @@ def test_a_changed_plant_file_is_told_with_what_it_means(copied):
     assert "the figure has no reference" in warned
     assert (folder / "t.png").stat().st_size > 10_000
     assert "verdict: trial 3" in out
+
+
+def test_a_limit_of_a_call_without_a_trial_holds_and_is_said_to_be_forgotten(copied):
+    """The input was written beyond the limit of the call, and the limit was forgotten."""
+    folder, go_on = copied
+    for undo in ((), ("--undo", 1)):
+        with pytest.raises(ValueError, match=r"next u is .* allowed are \+-0.1 V \(campaign.limit"):
+            go_on("--set", "campaign.limit=0.1", *undo)
+    _, warned = go_on("--set", "campaign.limit=9", "--set", "campaign.predict=false")
+    assert "only a trial or --undo stores --set campaign.predict, --set campaign.limit" in warned
+    shutil.copy(folder / "axis.toml", folder / "other.toml")
+    assert "--undo stores --scenario, and" in go_on("--scenario", folder / "other.toml")[1]
+    same = Journal(folder / "x").last_known()["recipe"]["scenario"]
+    assert go_on("--scenario", same)[1] == go_on()[1] == ""
+    assert go_on("--undo", 1, "--set", "campaign.limit=9")[1] == ""
+    with pytest.raises(ValueError, match=r"begins beyond a limit: the next u .* V \(--limit\)"):
+        export(state=folder / "x", folder=folder / "law", limit=0.1)
 
 
 def test_trials_are_numbers_and_a_figure(copied):
