@@ -243,7 +243,8 @@ def poles_of(plant: Plant, names, theta, covariance) -> tuple[PoleEstimate, ...]
     draws = np.zeros((DRAWS, len(which)))
     if known:
         std = np.sqrt(np.diag(covariance))
-        size, directions = np.linalg.eigh(covariance / np.outer(std, std))
+        unit = np.where(std > 0, std, 1.0)  # an exact fit has no spread
+        size, directions = np.linalg.eigh(covariance / np.outer(unit, unit))
         draws = (
             np.random.default_rng(0).normal(size=draws.shape)
             @ (directions * np.sqrt(np.maximum(size, 0.0))).T

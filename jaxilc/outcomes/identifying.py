@@ -33,7 +33,7 @@ from ..identification.not_linear import sentences as of_suspicions
 from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, RecordFile, read_record_file
 from ..identification.records import Record
 from ..identification.refitting import Refit, beyond_nyquist, held_out, refit
-from ..identification.sentences import NOT_WHITE, on_lines, sentence
+from ..identification.sentences import NOT_WHITE, at_first_input, on_lines, sentence
 from ..identification.sentences import verdict as sentences_on
 from ..plants import Plant, ProcessModel
 from ..pytree.aliases import Value
@@ -52,9 +52,6 @@ if TYPE_CHECKING:
 ANY = "any"  # zeros, of a model that has as many as its poles allow
 SIMPLE = 4  # order up to which a gain with real zeros and poles may explain a response as well
 AS_GOOD = 6.0  # of the criterion, by which it may be larger
-# Of the first input, which the others keep at least, and of the residual, which a plant that rests
-# at this input leaves at most: what tells that the machine rested there.
-HALF = 0.5
 RIGID = 90.0  # fit of mass and friction to a force [%], from which on they are told
 NOTHING = 1e-12  # of the interval of a quantity, below which it is shown as 0
 CHOSEN = "*"  # the mark of the chosen row of a table
@@ -109,7 +106,10 @@ def identify(
     found = fitted.found
     lines, has_law = sentences_on(found, fitted.dt) + closed, True
     said, suspected, of_friction = _not_linear(fitted)
-    lines += said + _at_first_input(asked, fitted)
+    structure: Numbers = {} if ANY in asked.structure.values() else dict(asked.structure)
+    lines += said
+    if isinstance(fitted.measured, Record):
+        lines += at_first_input(fitted.measured, found, structure, asked.delay or 0)
     figures_of = fitted.drawn()
     second: Numbers = {}
     if validate is not None:
@@ -173,31 +173,6 @@ def _not_linear(fitted: Fitted) -> tuple[list[str], Numbers, list[Table]]:
     )
     table = identification_table("mass and friction", rows)
     return lines, numbers | {"friction": {name: value for name, value, *_ in rows}}, [table]
-
-
-def _at_first_input(asked: Reading, fitted: Fitted) -> list[str]:
-    """That the machine rested at its first input, not at 0, where this explains the record."""
-    record, found = fitted.measured, fitted.found
-    if not isinstance(record, Record) or found.white or found.plant.n_u * found.plant.n_y > 1:
-        return []
-    u = np.ravel(record.u)
-    first = float(u[0])
-    if first == 0 or np.min(u * np.sign(first)) < HALF * abs(first):  # about 0 a drift looks alike
-        return []
-    structure: Numbers = {} if ANY in asked.structure.values() else dict(asked.structure)
-    moved = record._replace(u=record.u - first)
-    try:
-        again = identification.identify(moved, **structure, delay=asked.delay or 0)
-    except ValueError:  # a short record
-        return []
-    own, left = float(found.residual_std[0]), float(again.residual_std[0])
-    if not left < HALF * own:
-        return []
-    return [
-        f"The input begins at {first:.6g}, and the record looks as if the machine rested there: a "
-        f"plant that does leaves an rms of {left:.3g} in place of {own:.3g}. A plant here rests at "
-        f"an input of 0: subtract {first:.6g} from the input."
-    ]
 
 
 def _on_second(path: Path, asked: Reading, fitted: Fitted) -> tuple[list[str], Numbers, Figure]:

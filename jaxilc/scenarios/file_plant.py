@@ -17,6 +17,7 @@ import scipy
 from .. import identification, plants
 from ..identification.frequency_response import is_frequency_response
 from ..identification.record_files import is_twincat, read_record
+from ..identification.sentences import at_first_input
 from ..plants import Plant, ProcessModel, from_control
 from ..plants.cnc_axis import Axes
 from ..plants.from_python_control import Linear, canonical_form, from_linear
@@ -102,16 +103,18 @@ def _fitted(record: Path, options: Options) -> tuple[ProcessModel, str]:
             dt=dt,
             delay=None if options.delay is None else options.delay * dt,
         )
+        besides = []
     else:
-        found = identification.identify(
-            read_record(record, **options.reading), **options.structure, delay=options.delay or 0
-        )
+        read, delay = read_record(record, **options.reading), options.delay or 0
+        found = identification.identify(read, **options.structure, delay=delay)
+        besides = at_first_input(read, found, options.structure, delay)
     values = ", ".join(f"{name} = {one.value:.6g}" for name, one in found.parameters.items())
     plant = cast(ProcessModel, found.plant)
     if plant.delay and "delay" not in found.parameters:
         values += f", delay = {plant.delay:.6g}"
     fit = float(np.min(found.fit))
-    return plant, f"the plant was identified from {record.name}: {values}; fit {fit:.4g} %"
+    said = f"the plant was identified from {record.name}: {values}; fit {fit:.4g} %"
+    return plant, ". ".join([said, *besides])
 
 
 def is_response(record: Path, columns: Sequence[str]) -> bool:

@@ -8,7 +8,7 @@ from cases import ALGEBRA, SIGMAS
 
 from jaxilc import figures
 from jaxilc.identification import Record, excite, identify, read_record, write_record
-from jaxilc.identification.verdict import fit_of
+from jaxilc.identification.verdict import fit_of, poles_of
 from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace, VoiceCoil, voice_coil
 from jaxilc.pytree import get_at
@@ -547,3 +547,10 @@ def test_the_band_of_the_response_is_that_of_the_parameters():
     A, B, C = (np.asarray(getattr(sampled, n)) for n in "ABC")
     z = np.exp(2j * np.pi * f[200] * DT)
     assert size[200] == pytest.approx(abs((C @ np.linalg.solve(z * np.eye(len(A)) - A, B)).item()))
+
+
+def test_the_pole_of_an_exact_fit_has_no_spread():
+    """Its interval was not a number, with a warning of NumPy."""
+    lag = ProcessModel(gain=2.0, zeros=(), poles=(60.0,))
+    (pole,) = poles_of(lag, ("gain", "poles[0]"), np.array([2.0, 60.0, 0.0]), np.zeros((3, 3)))
+    assert pole.real == (-60.0, -60.0, -60.0)
