@@ -276,7 +276,8 @@ class Campaign:
         for entry in live[1:]:
             if self._is_measured(entry, record, error, with_input=measured.u is not None):
                 text = f"{measured.source} is trial {entry['trial']}, {_known_as(entry)}"
-                raise ValueError(f"{text} measure trial {number}")
+                again = "whose input a call without --measured writes once more"
+                raise ValueError(f"{text} measure trial {number}, {again}")
         findings += checks.saturation(u, self.actuator, self.rules)
         findings += checks.as_played(measured.others, played, self.actuator)
         if "feedback" not in measured.others:

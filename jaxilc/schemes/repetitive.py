@@ -150,7 +150,8 @@ class RepetitiveControl(Scheme):
     `theory.repetitive_condition` tells whether it converges, what is left at each frequency, and
     what a wrong period costs. Of several periods n_1 .. n_P each is learned as if it were alone: in
     place of the delay z^-n stands W = 1 - prod_i (1 - z^-n_i), such as z^-n_1 + z^-n_2 -
-    z^-(n_1 + n_2). That is larger than 1 between the harmonics, so it asks more of the law.
+    z^-(n_1 + n_2), each of these delays interpolated once. That is larger than 1 between the
+    harmonics, so it asks more of the law.
 
     law: taps L and keep, from `learning_filter` or given; one law in all samples
     period: () of what repeats [s], or (P,) of up to three at once; each at least what L and keep

@@ -8,13 +8,13 @@ the law u' = Q u + L e over a delay W of one period,
 |Q - L T| < 1 at all frequencies is the condition of the same law between trials, but what happens
 at the ends of a trial does not matter here. As |W| <= 1, it suffices for any period (small gain;
 Hara, Yamamoto, Omata, Nakano 1988). At the harmonics of the period, where W = 1, little is left
-where Q is near 1. Between them |S| exceeds 1: what does not
-repeat with the period becomes larger there, the more the wider Q is (the waterbed). For a period
-that is no whole number of samples W has the interpolation of `RepetitiveControl` in it. For P
-periods at once W is 1 - prod_i (1 - W_i), so |W| <= 2^P - 1, and |Q - L T| < 1 / (2^P - 1)
-suffices. That is P of them in series, with the internal models of all. P in parallel, each with
-the same law from the same error, v = sum_i v_i with v_i = W_i (Q v_i + L e), are one law Q and P L
-over the delay
+where Q is near 1. Between them |S| exceeds 1: what does not repeat with the period becomes larger
+there, the more the wider Q is (the waterbed). For a period that is no whole number of samples W has
+the interpolation of `RepetitiveControl` in it. For P periods at once W is 1 - prod_i (1 - W_i),
+with one interpolated delay of n_1 + n_2 for W_1 W_2, so |W| <= 2^P - 1, and it suffices that
+|Q - L T| < 1 / (2^P - 1). That is P of them in series, with the internal models of all. P in
+parallel, each with the same law from the same error, v = sum_i v_i with v_i = W_i (Q v_i + L e),
+are one law Q and P L over the delay
 
     W = N / (D + Q N),   N = sum_i W_i prod_{j != i} (1 - Q W_j) / P,   D = prod_i (1 - Q W_i).
 

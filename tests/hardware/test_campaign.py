@@ -431,7 +431,7 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
     here, new = ("next", "--state", state, "--out"), ("next", "--state", folder / "new", "--out")
     for arguments, message in (
         ((*here, out, "--measured", trial),
-         "is trial 20, which was learned from already; measure trial 21"),
+         "is trial 20, which was learned from already; measure trial 21, whose input a call "),
         ((*here, out, "--set", "ilc.feedback.kp=2"),
          "it differs in: scheme.feedback.kp: 1.0 there, 2.0 here"),
         ((*here[:3], "--measured", trial), "--out is missing"),

@@ -223,8 +223,11 @@ def test_a_wrong_period_costs_what_is_told():
 
 @pytest.mark.thorough
 def test_two_periods_at_once_are_each_learned_and_what_is_left_is_told():
-    """Against the sensitivity at each frequency, with a law that is good enough for both."""
-    pair, inverse = (0.05, 0.0633), np.array([-0.75, 2.5, 0.0])
+    """Against the sensitivity at each frequency, with a law that is good enough for both.
+
+    Neither period is a whole number of samples, nor is their sum.
+    """
+    pair, inverse = (0.0504, 0.0633), np.array([-0.75, 2.5, 0.0])
     law = LearningFilter(0.8 * inverse, keep=(0.0, 0.9, 0.0))
     plant = StateSpace([[0.3]], [[0.4]], [[1.0]], dt=DT)
     model = Machine(plant)
