@@ -188,6 +188,8 @@ def _learn(
 ) -> History:
     machine, scheme = machine.sampled(task.dt), scheme.prepared(task)
     known = {} if watch is None else watch.known(machine, scheme, task)
+    if memory is not None and watch is not None:
+        known = watch.continued(known, machine, scheme, task, memory)
     memory = scheme.initial_memory(task) if memory is None else memory
 
     if machine.carries and start is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-from ..pytree.aliases import Array
+from ..pytree.aliases import Array, Tree
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 
@@ -35,6 +35,18 @@ class Watch:
     def known(self, machine: Machine, scheme: Scheme, task: Task) -> Mapping[str, Array]:
         """Numbers () by name that are computed once, before the first trial."""
         raise NotImplementedError
+
+    def continued(
+        self,
+        known: Mapping[str, Array],
+        machine: Machine,
+        scheme: Scheme,
+        task: Task,
+        memory: Tree,
+    ) -> Mapping[str, Array]:
+        """What is known of a run that goes on from a memory, maybe of another machine."""
+        del machine, scheme, task, memory
+        return known
 
     def seen(
         self, known: Mapping[str, Array], scheme: Scheme, before: Trial, trial: Trial

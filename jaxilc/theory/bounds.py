@@ -27,11 +27,13 @@ from ..learning.machine import Machine
 from ..learning.metrics import largest
 from ..learning.over_trials import learn
 from ..learning.watch import Watch, Watched
+from ..learning.within_trial import run_trial
 from ..plants.structure import obstacle
-from ..pytree.aliases import Leaf, Value
+from ..pytree.aliases import Leaf, Tree, Value
 from ..pytree.in_short import in_short
 from ..runtime.tiles import tiled_with
 from ..schemes import CFDLMFAILC, CFDLMFAPC, FFDLMFAC, FFDLMFAILC, PFDLMFAILC, Scheme
+from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial
 from ..uncertainty import Uncertainty, drawn_machines
 from .chance import noise_of
@@ -335,6 +337,30 @@ class BoundsWatch(Watch):
         if self.sigma_steps:
             found["sigma_max"] = frozen_growth(machine, scheme, task, steps=self.sigma_steps).value
         return found
+
+    def continued(
+        self,
+        known: Mapping[str, jax.Array],
+        machine: Machine,
+        scheme: Scheme,
+        task: Task,
+        memory: Tree,
+    ) -> dict[str, jax.Array]:
+        """Nothing is claimed of a memory of another machine, which d2 knows nothing of.
+
+        Of this machine are y, which follows from u, and an estimate between the start and phi.
+        """
+        if not (isinstance(scheme, FFDLMFAILC) and compact(scheme)):
+            return dict(known)
+        y = run_trial(machine, Scheme(), task, Feedforward(memory.u), jax.random.key(0)).y
+        start, phi, low, high = scheme.phi0, memory.phi[0], known["ppd_low"], known["ppd_high"]
+        least, most = jnp.minimum(jnp.min(start), low), jnp.maximum(jnp.max(start), high)
+        rounding = ROUNDING * jnp.finfo(phi.dtype).eps
+        slack = rounding * jnp.maximum(jnp.abs(least), jnp.abs(most))
+        own = jnp.all((phi >= least - slack) & (phi <= most + slack))
+        own &= jnp.max(jnp.abs(memory.y - y)) <= rounding * jnp.max(jnp.abs(y))
+        own |= memory.seen == 0  # which holds no trial
+        return {**known, "claimed": jnp.where(own, known["claimed"], 0.0)}
 
     def seen(
         self, known: Mapping[str, jax.Array], scheme: Scheme, before: Trial, trial: Trial

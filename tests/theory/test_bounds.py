@@ -279,6 +279,20 @@ def test_the_bound_holds_at_every_sample_where_it_is_claimed():
     assert exact >= 5, "the bound is met where the start is the least effective estimate"
 
 
+def test_nothing_is_claimed_of_a_run_that_goes_on_from_the_memory_of_another_machine():
+    """The bound was claimed, and an estimate that was not of this machine broke it."""
+    scheme = CFDLMFAILC(phi0=0.5, lam=0.2, mu=0.1, epsilon=1e-6)
+    small = dataclasses.replace(scheme, phi0=0.05)
+    own, near = (jaxilc.learn(static_machine(g), scheme, TASK, 3).memory for g in (0.5, 0.45))
+    far = jaxilc.learn(static_machine(0.05), small, TASK, 3).memory
+    fresh = scheme.initial_memory(TASK)
+    for memory, claimed in ((fresh, 1), (own, 1), (near, 0), (far, 0)):
+        found = jaxilc.learn(static_machine(0.5), scheme, TASK, 3, memory=memory,
+                             watch=BoundsWatch()).watched  # fmt: skip
+        assert found["claimed"] == claimed
+    assert np.min(found["share_kept"][1:]) < 1
+
+
 def test_the_error_of_the_estimate_falls_by_d1_and_keeps_its_closed_bound():
     scheme, machine = dataclasses.replace(SCHEME, epsilon=0.02, phi0=0.9), static_machine(1.2)
     bounds, memory, errors, moved = bounds_of(machine, scheme, TASK), None, [], []
