@@ -14,7 +14,7 @@
 # # From a record to a verdict
 #
 # An engineer has an axis and wants an answer: which learning law, with which weights, is it safe,
-# what will it reach? Six commands lead there. The axis here is a program of its own, in SciPy; it
+# what will it reach? Five commands lead there. The axis here is a program of its own, in SciPy; it
 # knows nothing of `jaxilc`, and `jaxilc` knows it by its files alone.
 
 # %%

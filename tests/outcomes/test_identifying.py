@@ -88,6 +88,21 @@ def test_mass_and_friction_of_a_record_of_force_are_told(tmp_path, monkeypatch):
     ]
 
 
+def test_set_points_of_a_closed_drive_are_no_force_on_a_mass_with_friction(tmp_path):
+    """Of steps up and down the speed has the sign, to 94 %, although nothing rubs."""
+    rng, w = np.random.default_rng(7), 2 * np.pi * 25
+    b, a, _ = scipy.signal.cont2discrete(([w**2], [1, 1.4 * w, w**2]), 1e-3)
+    u = np.repeat(rng.choice([-0.5, 0.5], 60), 20)
+    y = scipy.signal.lfilter(b.ravel(), a, u) + 5e-4 * rng.standard_normal(len(u))
+    write_columns(tmp_path / "r.csv", "t [s],u [mm],y [mm]", 1e-3 * np.arange(len(u)), u, y)
+    found = outcomes.identify(
+        tmp_path / "r.csv", reading={"structure": {"poles": 0, "pairs": 1, "zeros": 0}}
+    )
+    assert found.numbers["white"]
+    assert "friction" not in found.numbers
+    assert not any("mass with friction" in line for line in found.verdict.lines)
+
+
 def test_the_plant_file_of_the_next_command_is_not_there_yet(tmp_path, monkeypatch):
     """--out replaces no plant file, so that a second record ended in an error."""
     monkeypatch.chdir(tmp_path)
