@@ -349,7 +349,10 @@ def _read_mat(
 
 def _check_unit(path, name: str, declared: str | None, wanted: str) -> None:
     if declared is None and wanted:
-        raise ValueError(f"{path}: {name} declares no unit; this task needs '{name} [{wanted}]'")
+        way = f", also as {OPTIONS[name]} 'NAME [{wanted}]'" if name in OPTIONS else ""
+        raise ValueError(
+            f"{path}: {name} declares no unit; this task needs '{name} [{wanted}]'{way}"
+        )
     need_unit(path, name, declared or "", wanted)
 
 
