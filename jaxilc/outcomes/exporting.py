@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 
 from ..pytree.aliases import Tree, Value
@@ -66,6 +67,12 @@ def export(
     chosen, name, memory, kept = _chosen(request, state)
     need_one_reference("an exported law", chosen.machine)
     scheme, actuator = chosen.schemes[name], chosen.machine.actuator
+    goes_on = scheme.initial_state(chosen.task), getattr(actuator, "rate", None)
+    if chosen.machine.carries and jax.tree.leaves(goes_on):
+        raise ValueError(
+            f"{name} cannot be exported: machine.variation.carried makes its feedback and the rate "
+            "of the actuator go on from trial to trial, and the code begins each at rest"
+        )
     largest = kept.get("limit", getattr(actuator, "limit", None)) if limit is None else limit
     if largest is None or not _positive(largest, number):
         raise ValueError(

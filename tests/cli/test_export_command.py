@@ -56,6 +56,18 @@ def test_a_mistake_is_one_line_and_nothing_is_written(tmp_path, words, message):
     assert not (tmp_path / "law").exists()
 
 
+def test_a_feedback_that_goes_on_from_trial_to_trial_is_not_exported(tmp_path):
+    """The code begins at rest, and the certificate was of another law."""
+    carried = AXIS.replace("[task]", "[machine.variation]\ncarried = 1.0\n[task]")
+    both = 'class = "WithFeedback"\nlearning = { class = "PIDType" }\n'
+    both += 'feedback = { class = "PID", kp = 0.5, ki = 9.0 }'
+    carried = carried.replace('class = "PIDType"\ngamma_p = 0.5', both)
+    (tmp_path / "carried.toml").write_text(carried)
+    code, _, err = call("export", "carried.toml", "--limit", "9", "--scheme", "ilc")
+    assert code == 2
+    assert "machine.variation.carried makes its feedback" in " ".join(err.split())
+
+
 @pytest.mark.parametrize(
     ("kind", "files"), [("hal", {"law.comp", "law.c", "law.h", "law_test.c"}), ("st", {"law.st"})]
 )
