@@ -125,5 +125,5 @@ np.testing.assert_allclose(float(again.settled_error[-1, 0]), float(last[worst])
 shutil.rmtree(folder)
 
 # %% [markdown]
-# On the command line: `jaxilc sweep cao-2019 --samples 4096 --spread 0.2 --out out/wide`, and
+# On the command line: `jaxilc sweep cao-2019 --machines 4096 --spread 0.2 --out out/wide`, and
 # `--resume` if the process was killed.

@@ -50,7 +50,7 @@ task = Task(1 - np.cos(2 * np.pi * np.arange(101) / 100), dt=0.01, unit="mm", in
 machine = Machine(StateSpace([[0.5]], [[1.0]], [[0.5]], dt=0.01))
 law = CFDLMFAILC(phi0=0.25, lam=1.0, mu=1.0, rho=1.0, eta=0.5, epsilon=1e-5)
 LAM, POLE = "cfdl.lam", "machine.plant.A[0][0]"
-poles = np.round(np.linspace(-0.9, 0.9, 13), 2)
+poles = np.round(np.linspace(-0.9, 0.9, 13), 2) + 0.0  # no -0
 
 
 def over_the_grid(machines, watch):

@@ -17,6 +17,7 @@ import pytest
 from cases import CASES
 
 import jaxilc
+from jaxilc.cli.entry import OLD_NAME
 from jaxilc.scenarios.from_file import load_scenario
 from jaxilc.scenarios.specification import HIDDEN, classes
 
@@ -99,6 +100,11 @@ def test_what_the_guide_changes_in_the_file_of_init_is_there():
     named = re.findall(r"--(?:vary|grid|set) '?([^\s=]+)=", lines)
     assert {re.sub(r"\[\d\]", "", path) for path in named} <= set(known)
     assert len(named) > 4
+
+
+def test_no_page_and_no_notebook_names_an_option_that_help_does_not():
+    for file in [ROOT / "README.md", *DOCS.glob("**/*.md"), *ROOT.glob("notebooks/*.py")]:
+        assert OLD_NAME not in file.read_text(encoding="utf-8"), file
 
 
 @pytest.fixture
