@@ -32,6 +32,7 @@ from jaxilc.schemes import (
 )
 from jaxilc.schemes.bases import _path
 from jaxilc.schemes.scheme import with_all_parts
+from jaxilc.theory.learning_map import view_of
 from jaxilc.theory.outlook import outlooks
 from jaxilc.uncertainty import drawn_machines
 
@@ -224,6 +225,9 @@ def test_a_certificate_of_a_law_on_a_basis_does_not_depend_on_the_units_of_its_p
     found = outlooks(drawn_machines(Machine(MODEL), {}, {}), law, task)
     rms = np.sqrt(np.mean((r - H @ u) ** 2))
     np.testing.assert_allclose(found.floor, rms, rtol=1e-6)
+    units = view_of(law, task).units
+    assert bool(places) == (units is not None)
+    assert view_of(SCHEMES["higher_order_leaky_limited"], task).units is None
 
 
 def test_what_was_learned_serves_a_reference_of_another_length_and_size():
