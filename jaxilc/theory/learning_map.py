@@ -67,7 +67,7 @@ LARGEST = 1024  # rows up to which a matrix is made where it decides
 MOST = 4000  # trials over which a limit is looked for
 DRIFT = 1e-8  # share of what an error moves, above which a growth in each trial is no rounding
 WIDE = 1e-12  # relative width that covers the rounding of a norm, where ROUNDING is less
-FARTHEST = 10  # powers of 1000 between an input and a parameter, also in single precision
+FARTHEST = 10  # powers of 1024 between an input and a parameter, also in single precision
 SIGNS = 8  # random signals whose mean tells the length of a column
 TILE = 2**28  # bytes of Lanczos vectors in a tile
 ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
@@ -78,9 +78,9 @@ class View(NamedTuple):
 
     whole:  whether w is all that the scheme knows, in place of its feedforward
     moving: (n,) which entries of it learning ever changes; all, where it changes none
-    units:  (n,) powers of 1000 that w has over what the scheme knows, so that parameters count as
-            the input that they make, where those of a leaf differ; None for 1. A parameter of the
-            snap may be 1e-9 of the input, which would be rounding beside it
+    units:  (n,) powers of 1024, which round nothing, that w has over what the scheme knows, so that
+            parameters count as the input that they make, where those of a leaf differ; None for 1.
+            A parameter of the snap may be 1e-9 of the input, which would be rounding beside it
     """
 
     whole: bool
@@ -186,12 +186,12 @@ def view_of(scheme: Scheme, task: Task) -> View:
         leaves = jax.tree.leaves(jax.eval_shape(lambda: scheme.initial_memory(task)))
         reach = np.asarray(_reach(scheme, task), float)
         told = (reach > 0) & np.isfinite(reach)
-        powers = np.log10(reach, where=told, out=np.zeros(len(reach))) / 3
+        powers = np.log2(reach, where=told, out=np.zeros(len(reach))) / 10
         powers = np.clip(np.rint(powers), -FARTHEST, FARTHEST)
         for part in np.split(np.arange(len(reach)), np.cumsum([x.size for x in leaves])[:-1]):
             if len({*powers[part][told[part]]}) < 2:  # of one unit, as samples of an input are
                 powers[part] = 0.0
-        units = tuple((1e3**powers).tolist()) if np.any(powers) else None
+        units = tuple((1024.0**powers).tolist()) if np.any(powers) else None
         return View(True, tuple(range(len(reach))), units)
     moves = _moves(scheme, task)
     return View(False, tuple(np.flatnonzero(moves if np.any(moves) else ~moves).tolist()))
