@@ -176,7 +176,7 @@ for reset in ("sign", "book", "smooth"):
 assert missed["sign"] < 1e-3 < missed["smooth"] < 0.01 < 0.05 < missed["book"]
 
 # %% [markdown]
-# With `book` the slope gives half of the change; `sign` resets nothing here and is exact.
+# With `book` the slope gives two fifths of the change; `sign` resets nothing here and is exact.
 # `reset="smooth"` blends the two branches over widths of `epsilon`, and its slope gives the whole
 # change. It is another scheme, though, and its slope is steeper for a narrower `epsilon`. So tune
 # with it, and then judge the weights with the reset that the machine will have.
