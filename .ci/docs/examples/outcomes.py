@@ -110,7 +110,7 @@ try:
     outcomes.identify_campaign(Path("no-campaign"), {"poles": 1})
 except FileNotFoundError as error:  # it takes the folder of a campaign with measured trials
     print(error)
-# no-campaign holds no campaign; start one without --measured
+# no-campaign holds no campaign; `jaxilc next` without --measured starts one
 
 # %% export, check_export (slow)
 Path("axis.toml").write_text(MACHINE)
