@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shlex
 from functools import partial
 from pathlib import Path
@@ -92,7 +93,7 @@ def export(
     except Unknown as error:
         raise ValueError(f"{name} cannot be exported: {error}") from None
     progress("certify")
-    claimed = _claimed(chosen, name, machines, seed)
+    claimed = _claimed(chosen, name, largest, machines, seed)
     source = kept["source"]
     claims = as_json(
         {
@@ -140,6 +141,7 @@ def export(
             *claimed["verdict"],
         ), "prove that the files belong together",
             shlex.join(["jaxilc", "export", "--check", str(folder)])),
+        lines=claimed["reasons"],
         warnings=made.warnings,
         folder=Path(folder),
         files={file: partial(_write, text) for file, text in made.files.items()}
@@ -219,14 +221,24 @@ def _seen(campaign: Campaign) -> Trials:
     return Trials(min(of, default=float("inf")), learned, largest)
 
 
-def _claimed(chosen: Scenario, name: str, machines: int, seed: int) -> Numbers:
-    """What theory claims of the law, on which machines, and with what margin."""
+def _claimed(chosen: Scenario, name: str, limit: Value, machines: int, seed: int) -> Numbers:
+    """What theory claims of the law, on which machines, and with what margin.
+
+    limit: largest |u| that the law plays, beyond which it does not learn: nothing is claimed of
+        machines that need more
+    """
+    from ..learning import Actuator
     from ..runtime.provenance import describe
     from ..theory.certificates import certify_schemes
     from ..uncertainty import draw
 
-    drawn = draw(chosen.machine, chosen.uncertainty, machines, seed=seed)
-    one = certify_schemes(chosen.machine, {name: chosen.schemes[name]}, chosen.task, chosen.trials,
+    actuator = chosen.machine.actuator or Actuator()
+    least = limit if actuator.limit is None else np.minimum(actuator.limit, limit)
+    machine = dataclasses.replace(
+        chosen.machine, actuator=dataclasses.replace(actuator, limit=least)
+    )
+    drawn = draw(machine, chosen.uncertainty, machines, seed=seed)
+    one = certify_schemes(machine, {name: chosen.schemes[name]}, chosen.task, chosen.trials,
                           chosen.uncertainty, drawn)[name]  # fmt: skip
     numbers = certificate_numbers(one) | {"printed": {}}
     sigma = np.asarray(one.certificate.sigma, float)

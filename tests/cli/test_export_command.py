@@ -97,3 +97,10 @@ def test_other_languages_carry_the_certificate_too(tmp_path, kind, files):
     assert code == 2
     assert "of another law" in " ".join(err.split())
     assert call(*given, "--number", "float")[0] == 2
+
+
+def test_nothing_is_claimed_of_a_law_that_needs_more_than_its_limit():
+    """Such a law does not learn from the trials that it cannot play, whatever theory says."""
+    code, out, err = call("export", "axis.toml", "--limit", "0.2", "--machines", "1", "--out", "l")
+    assert code == 0, err
+    assert "ilc, not claimed on 1: actuator.limit is met in trial 2." in " ".join(out.split())
