@@ -24,7 +24,7 @@ import numpy as np
 from .pytree.aliases import Tree, Value
 from .pytree.closest import not_one_of
 from .pytree.in_short import in_short
-from .pytree.named_paths import get_at, interval_at, kind_at, replaced
+from .pytree.named_paths import get_at, interval_at, kind_at, overlapping, replaced
 from .pytree.ranges import SEEDS, brief, require
 from .runtime.capacity import check_size
 
@@ -157,8 +157,8 @@ def with_spread(uncertainty: Uncertainty, half_width: float) -> dict[str, Distri
 def check(machine: Tree, uncertainty: Uncertainty) -> None:
     """Raises ValueError for an uncertainty that does not fit the machine.
 
-    The message names a leaf that does not exist, is None, or cannot take an absolute value, and a
-    value that is not a distribution.
+    The message names a leaf that does not exist, is None, or cannot take an absolute value, a value
+    that is not a distribution, and two names of one number, such as poles and poles[2].
     """
     if not isinstance(uncertainty, Mapping):
         raise ValueError(
@@ -166,7 +166,7 @@ def check(machine: Tree, uncertainty: Uncertainty) -> None:
             "allowed are names with distributions"
         )
     for name, distribution in uncertainty.items():
-        if not callable(getattr(distribution, "quantile", None)):
+        if isinstance(distribution, type) or not callable(getattr(distribution, "quantile", None)):
             raise ValueError(
                 f"uncertainty: {name} = {brief(distribution)} is no distribution; allowed are "
                 "Uniform, Normal and LogUniform, such as Uniform(0.9, 1.1, relative=True)"
@@ -185,6 +185,10 @@ def check(machine: Tree, uncertainty: Uncertainty) -> None:
                 f"uncertainty: {name} has shape {np.shape(value)}; an absolute distribution needs "
                 f"one element, say {name}{'[0]' * np.ndim(value)}"
             )
+    if twice := overlapping(uncertainty):
+        raise ValueError(
+            f"uncertainty: {twice[1]} is drawn by {twice[0]} already; allowed is each number once"
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -133,6 +133,14 @@ BAD_NAMES = [
     ({"plant.poles": Uniform(1, 2)}, r"plant.poles has shape \(3,\).*plant.poles\[0\]"),
     ({SLOW: Uniform(-1.0, 7.0)}, r"poles\[2\] was drawn between -.* allowed is \(0, inf\)"),
     ({GAIN: 0.1}, "plant.gain = 0.1 is no distribution; allowed are Uniform, Normal and LogUnif"),
+    ({GAIN: Uniform}, "plant.gain = <class 'jaxilc.uncertainty.Uniform'> is no distribution"),
+    ({3: Uniform(1, 2)}, "uncertainty: 3 is not a parameter name such as gain"),
+    # the draw of the element would be lost, or that of the array would not reach it
+    (
+        {SLOW: Uniform(5.0, 7.0), "plant.poles": Uniform(0.9, 1.1, relative=True)},
+        r"plant.poles\[2\] is drawn by plant.poles already; allowed is each number once",
+    ),
+    ({SLOW: Uniform(5.0, 6.0), "plant.poles[02]": Uniform(8.0, 9.0)}, r"poles\[02\] is drawn by"),
     ([GAIN], r"uncertainty = \['plant.gain'\] is a list; allowed are names with distributions"),
 ]
 RANGE = r"outside its allowed range"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import itertools
 import re
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -111,6 +112,12 @@ def replaced(tree: Tree, changes: Mapping[str, Value]) -> Value:
     for path in changes:
         get_at(tree, path)
     return _rebuilt(tree, {_keys(path): value for path, value in changes.items()})
+
+
+def overlapping(paths: Iterable[str]) -> tuple[str, str] | None:
+    """Two paths of which the first leads to all that the second does; None where there are none."""
+    pairs = itertools.permutations([(path, _keys(path)) for path in paths], 2)
+    return next(((one, two) for (one, a), (two, b) in pairs if b[: len(a)] == a), None)
 
 
 def owner_of(path: str, owners: Iterable[str]) -> tuple[str, str]:
@@ -288,6 +295,8 @@ def _like(old: Value, new: Value, name: str) -> Value:
 
 
 def _keys(path: str) -> tuple[Key, ...]:
+    if not isinstance(path, str):
+        raise KeyError(f"{path!r} is not a parameter name such as gain or poles[2]")
     return tuple(key for head in path.split(".") for key in _split_index(head))
 
 
