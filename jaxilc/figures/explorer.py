@@ -416,8 +416,8 @@ class Explorer:
         """The spread of the slider; None where it was not moved, or there is none."""
         if self.spread is None or self.of.spread is None:
             return None
-        asked = _held(float(self.spread.value), *SPREADS) / 100
-        return None if math.isclose(asked, self.of.spread, abs_tol=2e-3) else asked
+        asked, given = (_held(x, *SPREADS) for x in (self.spread.value, 100 * self.of.spread))
+        return None if math.isclose(asked, given, abs_tol=0.2) else asked / 100
 
     def layout(self) -> LayoutDOM:
         """All of the page."""

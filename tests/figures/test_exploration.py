@@ -346,3 +346,13 @@ def test_the_ends_of_a_slider_are_those_of_the_server(explored, tmp_path):
     page.spread.end = 1e6
     page.spread.value = 1e6
     assert page.spread_asked() == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("ends", [(0.2, 1.8), (0.5, 0.9)])
+def test_a_spread_that_no_slider_reaches_stays_until_its_slider_is_moved(ends, tmp_path):
+    wide = dataclasses.replace(axis(), uncertainty={"plant.B": Uniform(*ends, relative=True)})
+    page = Explorer(Exploration(wide, machines=4, source="axis.toml"), tmp_path)
+    assert page.spread_asked() is None
+    assert "--spread" not in page.line.text
+    page.spread.value = 20.0
+    assert page.spread_asked() == pytest.approx(0.2)
