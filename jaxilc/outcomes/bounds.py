@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -110,7 +111,9 @@ def contraction_table(numbers: dict[str, Numbers]) -> Table:
 
 
 def _of_all(share: float) -> str:
-    """A share in percent as text; a share above zero is never shown as zero."""
+    """A share in percent as text; one above zero is never shown as zero, one of none not at all."""
+    if math.isnan(share):
+        return ""
     return "nowhere" if share == 0 else "< 0.01 %" if share < 1e-4 else f"{100 * share:.2f} %"
 
 

@@ -10,6 +10,7 @@ from rich.console import Console
 from jaxilc.identification import Grown
 from jaxilc.identification.grown import Tried
 from jaxilc.identification.grown_response import LineModel, Parts
+from jaxilc.outcomes.bounds import _of_all
 from jaxilc.outcomes.identifying import grown_response_table, grown_table
 from jaxilc.outcomes.outcome import Console as Plain
 from jaxilc.outcomes.outcome import Table
@@ -131,3 +132,8 @@ def test_the_chosen_order_is_marked_in_every_part_of_a_table():
     assert "the fit here counts all lines alike" in str(
         grown_response_table(orders, orders[1]).title
     )
+
+
+def test_a_share_of_no_trials_is_left_blank():
+    shares = (float("nan"), 0.0, 5e-5, 0.25)
+    assert [_of_all(x) for x in shares] == ["", "nowhere", "< 0.01 %", "25.00 %"]
