@@ -111,11 +111,12 @@ def _law_in(scheme: Scheme, given: Task, samples: int) -> tuple[Law, Task]:
         _size(one[: N - shift] - other[shift:]) / size
         for one, other in zip(at[0], moved, strict=True)
     ]
-    departures += [
-        _scheduled(scheme, given, taps, late) / (_size(taps.taps) or 1.0)
-        for late, taps in enumerate((of_keep, of_error))
-        if _size(taps.taps) > (0.0 if late else FORGOTTEN)
-    ]
+    for late, taps in enumerate((of_keep, of_error)):
+        off, own = _scheduled(scheme, given, taps, late), _size(taps.taps)
+        if late and not own:  # of windows elsewhere: all of what is learned there is a departure
+            departures.append(float(off > 0))
+        else:
+            departures.append(off / (own if late or own > FORGOTTEN else 1.0))
     tail = max(_size(rows[[0, -1]]) for rows in (keep, L)) / size
     return Law(of_keep, of_error, float(max(departures)), float(tail)), task
 

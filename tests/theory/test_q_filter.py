@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from jaxilc import Machine, Task
+from jaxilc import Machine, Task, learn
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import ProcessModel, StateSpace
-from jaxilc.schemes import CFDLMFAILC, Filtered, HigherOrder, PIDType
+from jaxilc.schemes import CFDLMFAILC, AtSamples, Filtered, HigherOrder, PIDType
 from jaxilc.theory.enclosure import Disc
 from jaxilc.theory.frequency import bound_of_set, learning_condition, tried_plants
 from jaxilc.theory.law import law_of
@@ -207,3 +207,16 @@ def test_a_law_that_is_not_linear_is_named():
         question(Machine(PLANT), higher, TASK, {})
     test = learning_condition(Machine(PLANT), higher, TASK)
     assert test.condition.verdict == "not claimed"
+
+
+def test_a_law_of_windows_that_learns_nothing_in_the_middle_is_not_called_safe():
+    """There it is 0.8 by its leak, and in the window the error goes from 1 to 1e14."""
+    plant = Machine(StateSpace([[0.9]], [[0.1]], [[1.0]], dt=DT))
+    task = Task(np.sin(2 * np.pi * np.arange(201) / 200), dt=DT)
+    law = AtSamples(PIDType(gamma_p=30.0, leak=0.2), windows=((0.02, 0.03),))
+    with pytest.raises(ValueError, match="AtSamples: needed is a learning law the same throughout"):
+        question(plant, law, task, {})
+    test = learning_condition(plant, law, task)
+    assert "learning law the same throughout the trial" in [p.name for p in test.condition.broken]
+    errors = np.asarray(learn(plant, law, task, 21).max_error)[:, 0]
+    assert errors[-1] > 1e14 * errors[0]
