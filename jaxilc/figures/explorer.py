@@ -29,6 +29,7 @@ from ..pytree.ranges import require
 from ..runtime.tiles import tiled
 from ..theory.law import traced_response
 from ..theory.loop import linear_loop, response
+from ..theory.q_filter import need_linear
 from ..uncertainty import Population, with_spread
 from .grid_map import GridMap, in_order, live_map
 from .page import plot, shown_in, side_by_side, spoken
@@ -235,11 +236,15 @@ class Exploration:
 
     @functools.cache  # noqa: B019
     def _has_response(self) -> bool:
-        """Whether the law has a frequency response, on a machine of one output and one input."""
+        """Whether the law has a frequency response, on a machine of one output and one input.
+
+        A law has none that chooses, adapts, or differs along the trial, as `filter` says it.
+        """
         s = self.scenario
         if not (s.task.inputs == s.task.outputs == 1 and self.given.learns):
             return False
         try:
+            need_linear(s.machine, self.given, s.task)
             jax.eval_shape(
                 lambda one: _size(one, s.machine, s.task, jnp.asarray(self.f)), self.given
             )

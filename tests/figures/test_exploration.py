@@ -24,7 +24,7 @@ from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios import Scenario
 from jaxilc.scenarios.parameters import with_parameters
-from jaxilc.schemes import Filtered, PIDType
+from jaxilc.schemes import AtSamples, Filtered, Ladder, PIDType
 from jaxilc.uncertainty import Uniform, draw, drawn_machine
 
 DT, N, TRIALS = 1e-3, 60, 5
@@ -356,3 +356,17 @@ def test_a_spread_that_no_slider_reaches_stays_until_its_slider_is_moved(ends, t
     assert "--spread" not in page.line.text
     page.spread.value = 20.0
     assert page.spread_asked() == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        AtSamples(PIDType(gamma_p=30.0, leak=0.2), windows=((0.01, 0.02),)),
+        Ladder(PIDType(gamma_p=30.0), repeats=3),
+    ],
+)
+def test_a_law_without_a_frequency_response_has_none_on_the_page(law, tmp_path):
+    """The page told 0.8 and 0, below 1, of these, by the middle of the trial and by one trial."""
+    s = dataclasses.replace(axis(), schemes={"ilc": law}, uncertainty={}, trials=30)
+    page = Explorer(Exploration(s, machines=1), tmp_path)
+    assert page.told.text == "last trial: diverged"
