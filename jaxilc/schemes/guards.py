@@ -248,7 +248,8 @@ class KeepUnmeasured(Wrapper):
     the weight zero. A law that adds to its input then leaves it alone. A law that also compares
     trials, such as `CFDLMFAILC`, that forgets, or that filters, would still take the zero for
     data. Here each row of its memory that belongs to sample k of the input stays, unless y[k+1] was
-    measured; then increments are those from the last trial that was.
+    measured; then increments are those from the last trial that was. Of `StopWhen` and `Ladder`
+    these are the rows of their scheme.
 
     scheme: any scheme that learns from the error
     """
@@ -263,11 +264,20 @@ class KeepUnmeasured(Wrapper):
             return following
         there, N = jnp.any(trial.weight != 0, axis=(1, 2)), len(trial.u)
 
-        def kept(old: Value, new: Value) -> Array:
+        def kept(old: Value, new: Value) -> Value:
+            if _is_of_guard(new):  # whose other fields are no rows of a law
+                scheme = jax.tree.map(kept, old.scheme, new.scheme, is_leaf=_is_of_guard)
+                if isinstance(new, StopMemory):  # that of the best trial is kept as a whole
+                    scheme = _choose(new.frozen > 0, new.scheme, scheme)
+                return new._replace(scheme=scheme)
             rows = jnp.shape(new)[0] if jnp.ndim(new) else 0
             if rows not in (N, N + 1):
                 return new
             measured = there[1:] if rows == N else there
             return jnp.where(measured.reshape(-1, *(1,) * (jnp.ndim(new) - 1)), new, old)
 
-        return jax.tree.map(kept, memory, following)
+        return jax.tree.map(kept, memory, following, is_leaf=_is_of_guard)
+
+
+def _is_of_guard(memory: Value) -> bool:
+    return isinstance(memory, StopMemory | LadderMemory)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -36,8 +37,10 @@ from jaxilc.schemes import (
     PID,
     Filtered,
     KeepUnmeasured,
+    Ladder,
     NormOptimal,
     PIDType,
+    StopWhen,
     WithFeedback,
 )
 from jaxilc.schemes.weights import weighed
@@ -342,6 +345,21 @@ def test_laws_that_compare_trials_keep_what_was_not_measured():
     assert float(kept.rms[-1, 0]) < 1e-3
     whole, plain = (learn(Machine(PLANT), one, TASK, 8) for one in (KeepUnmeasured(law), law))
     np.testing.assert_array_equal(whole.rms, plain.rms)
+
+
+@pytest.mark.parametrize(
+    "guard", [partial(Ladder, repeats=3), partial(StopWhen, growth=0.02)], ids=["ladder", "stop"]
+)
+def test_what_was_not_measured_is_kept_of_a_law_and_not_of_the_guard_around_it(guard):
+    """The sums of a ladder had rows of earlier steps, and the error grew where it has to fall."""
+    machine, law = vary(dropped=0.3), PIDType(gamma_p=0.8, leak=0.01)
+    within, around = (
+        learn(machine, one, TASK, 30)
+        for one in (guard(KeepUnmeasured(law)), KeepUnmeasured(guard(law)))
+    )
+    np.testing.assert_allclose(around.rms, within.rms, rtol=1e-9)
+    jax.tree.map(np.testing.assert_allclose, around.memory, within.memory)
+    assert getattr(within.memory, "frozen", 1.0) == 1.0  # the guard has stopped
 
 
 @pytest.mark.thorough
