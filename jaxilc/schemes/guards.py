@@ -56,9 +56,9 @@ class StopWhen(Guard):
         RMS(e_j) > (1 + growth) min_{i<j} RMS(e_i)     return to the memory of the best trial
 
     The maximum and the RMS are over the samples k = 1..N. After that each trial plays back the same
-    schedule, and later errors are not examined any more. A sample that was not measured
-    counts with the error zero: a trial that ended early, or lost samples, may pass for a good one,
-    and with `growth` the whole ones after it for grown ones.
+    schedule, and later errors are not examined any more. A sample that was not measured counts with
+    the error zero: a trial that ended early, or lost samples, may pass for a good one, and with
+    `growth` the whole ones after it for grown ones.
 
     scheme: the scheme whose learning is stopped
     max_error: () or (n_y,) tolerance of the largest error [unit of y]; None: no such tolerance
