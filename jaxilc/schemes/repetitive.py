@@ -18,6 +18,7 @@ from ..plants.position import Harmonics, Splines
 from ..pytree.aliases import Array, Leaf, Value
 from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
+from ..runtime.capacity import check_size
 from ..signals.task import Sample, Task
 from .learning_filter import LearningFilter
 from .scheme import Scheme, limited, need_square
@@ -25,7 +26,7 @@ from .scheme import Scheme, limited, need_square
 AROUND = np.array([-1, 0, 1, 2])  # samples from which a value between two of them is interpolated
 ROOM = 1.25  # of the memory, over the period with which the scheme is made
 MOST = 3  # periods at once; there are 2^P - 1 places at which P of them look back
-LARGEST = 2**24  # samples that are remembered
+COPIES = 2  # of what is remembered: from sample to sample
 BEFORE = 1e-9  # of a period, by which rounding may put its end too early
 
 
@@ -184,11 +185,8 @@ class RepetitiveControl(Scheme):
         need_angle("RepetitiveControl: tracking.angle", self._angle, task)
         self.law.check(self._seen_by_law(task))
         longest = self._longest
-        if longest > LARGEST * task.dt:
-            raise ValueError(
-                f"RepetitiveControl: longest = {longest:g} s is outside its allowed range "
-                f"(0, {LARGEST * task.dt:g}]: up to {LARGEST} samples are remembered"
-            )
+        a_sample = COPIES * 8 * (task.inputs + self._seen_by_law(task).outputs)
+        check_size("RepetitiveControl", a_sample / task.dt, longest=longest)
         if self.tracking is not None and self.period.ndim:
             raise ValueError(
                 f"RepetitiveControl: period has shape {self.period.shape}; allowed is (), one "

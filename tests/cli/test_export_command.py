@@ -3,6 +3,7 @@
 import pytest
 from command import call, mistakes
 
+from jaxilc.export.certificate import WRITTEN
 from jaxilc.storage.sealed import read_json
 
 AXIS = """
@@ -78,6 +79,7 @@ def test_other_languages_carry_the_certificate_too(tmp_path, kind, files):
     assert out.endswith("jaxilc export --check 'a law'\n")
     folder = tmp_path / "a law"
     assert {path.name for path in folder.iterdir()} == files | {"certificate.json"}
+    assert files <= WRITTEN, "or the files of another export would pass for its own"
     certificate = read_json(folder / "certificate.json")
     digest = certificate["certificate"]
     assert certificate["claims"]["monotone"] + certificate["claims"]["converges"] == 1

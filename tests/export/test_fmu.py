@@ -15,6 +15,7 @@ from jax import numpy as jnp
 
 from jaxilc.export import law_of, program_of
 from jaxilc.export.c_files import files_of
+from jaxilc.export.certificate import WRITTEN
 from jaxilc.export.fmu import law_block, packed, plant_block
 from jaxilc.export.formats import FORMATS, Asked
 from jaxilc.export.law import Field, Function
@@ -261,4 +262,5 @@ def test_a_plant_that_has_no_fmu_is_told(exported, changes, said, monkeypatch):
     machine = dataclasses.replace(case("norm_optimal")[0], **changes)
     made = FORMATS["fmu"].make(Asked(law, machine, ["A law."], "0" * 64, [y], single=False))
     assert not [name for name in made.files if name.startswith("plant")]
+    assert {*made.files} <= WRITTEN
     assert made.warnings == (f"The plant has no FMU: {said} cannot be a part of one.",)

@@ -358,7 +358,7 @@ def test_a_traced_period_out_of_range_is_no_other_period():
         assert np.isfinite(largest(period)) == fits, period
     with pytest.raises(ValueError, match="longest = None, and period is traced"):
         jax.eval_shape(lambda p: RepetitiveControl(LAW, p).check(task), 0.05)
-    with pytest.raises(ValueError, match=r"longest = 1e\+12 s is outside its allowed range"):
+    with pytest.raises(ValueError, match=r"longest = 1000000000000 take .*longest = .* would fit"):
         RepetitiveControl(LAW, 0.05, longest=1e12).check(task)  # no such array has room
 
 
