@@ -22,19 +22,17 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-# Packages that a command needs when its sweep or tuning is computed.
 WORTH_KEEPING = 1.0  # seconds from which on the duration of a command is kept
+# Packages that a command needs when its sweep or tuning is computed.
 AFTERWARDS = ("xarray", "zarr", "matplotlib.figure", "matplotlib.backends.backend_agg")
 
 
 def progress_bar(
-    field: str,
-    *,
-    transient: bool = False,
-    expected: float | None = None,
-    usual: float | None = None,
+    *, transient: bool = False, expected: float | None = None, usual: float | None = None
 ):
-    """A progress bar that also shows a field of its tasks; nothing is shown without a terminal.
+    """A progress bar that shows the field `now` of its tasks; nothing is shown without a terminal.
+
+    A task takes one line; the bar is as long as the terminal leaves room for.
 
     expected, usual: seconds that all took the last time here, or takes elsewhere, for the time left
     """
@@ -46,6 +44,7 @@ def progress_bar(
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.table import Column
     from rich.text import Text
 
     class Left(TimeRemainingColumn):
@@ -55,18 +54,19 @@ def progress_bar(
             if task.finished or task.time_remaining is not None or not (expected or usual):
                 return super().render(task)
             left = (expected or 0.0) - (task.elapsed or 0.0)
-            told = f"about {left:.0f} s left" if left > 1.0 else "longer than the last time"
-            return Text(told if expected else f"often {usual:.0f} s", style="progress.remaining")
+            told = f"about {left:.0f} s left" if left > 1.0 else "longer than before"
+            told = told if expected else f"often {usual:.0f} s"
+            return Text(told, style="progress.remaining", no_wrap=True)
 
     columns = (
         TextColumn("{task.description}"),
-        BarColumn(),
+        BarColumn(bar_width=None, table_column=Column(ratio=1)),
         MofNCompleteColumn(),
-        TextColumn(f"{{task.fields[{field}]}}"),
+        TextColumn("{task.fields[now]}"),
     )
     return Progress(
-        *columns, TimeElapsedColumn(), Left(), transient=transient, console=console.err,
-        disable=console.out.quiet or not console.err.is_terminal,
+        *columns, TimeElapsedColumn(), Left(), expand=True, transient=transient,
+        console=console.err, disable=console.out.quiet or not console.err.is_terminal,
     )  # fmt: skip
 
 
@@ -82,7 +82,7 @@ def working(command: str) -> Generator[Callable[..., None]]:
     keys = [durations.key_of([command, *sys.argv[1:end]]) for end in (None, 3)]
     known = [seconds for seconds in map(durations.expected, keys) if seconds is not None]
     last, usual = next(iter(known), None), durations.USUAL.get(command)
-    with progress_bar("now", transient=True, expected=last, usual=usual) as bar:
+    with progress_bar(transient=True, expected=last, usual=usual) as bar:
         one = bar.add_task(command, total=None, now="starting")
 
         def told(now: str, done: float | None = None, total: float | None = None) -> None:
@@ -100,33 +100,33 @@ def run_sweep(
     store: Path,
     *,
     resume: bool,
-    progress: Callable[..., object] = lambda *_: None,
+    progress: Callable[..., str] = lambda *_: "",
+    results: Callable[..., object] | None = None,
     cluster: str | None,
 ) -> xr.Dataset:
     """Run a sweep, as `Sweep.run`, with a progress bar for each scheme.
 
-    Ctrl-C ends the command with exit code 130, and a chunk that no worker could compute ends it
-    with exit code 1.
+    It shows what `progress` returns, or the speed where that is empty. Ctrl-C ends the command with
+    exit code 130, and a chunk that no worker could compute ends it with exit code 1.
     """
     from ..sweeps.cluster import ChunkFailed
 
     console.stage_ends("start")
     start, counted = time.perf_counter(), 0
-    with progress_bar("rate") as bar:
+    with progress_bar() as bar:
         bars = {
-            name: bar.add_task(name, total=plan.population.size * plan.axes.size, rate="")
+            name: bar.add_task(name, total=plan.population.size * plan.axes.size, now="")
             for name in plan.schemes
         }
 
         def told(name: str, done: int, fresh: int) -> None:
             nonlocal counted
             counted += fresh * plan.trials * plan.task.N
-            rate = counted / (time.perf_counter() - start)
-            bar.update(bars[name], completed=done, rate=f"{rate:.2g} steps/s")
-            progress(name, done, fresh)
+            rate = f"{counted / (time.perf_counter() - start):.2g} steps/s"
+            bar.update(bars[name], completed=done, now=progress(name, done, fresh) or rate)
 
         try:
-            run = partial(plan.run, cluster=cluster)
+            run = partial(plan.run, results=results, cluster=cluster)
             dataset = run_search(run, store, resume=resume, progress=told)
         except ImportError as error:
             if cluster is None:

@@ -20,7 +20,7 @@ from ..scenarios import Scenario
 from ..scenarios.scenario import Look
 from ..sweeps.grid import values_at
 from ..sweeps.points import BestPoint, at_best, best_points, labels_of
-from ..sweeps.summary import SchemeSummary, axes_of, summarise
+from ..sweeps.summary import SchemeSummary, axes_of, last_errors, summarise
 from ..sweeps.sweep import Sweep
 from ..theory.bounds import BoundsWatch
 from .bounds import bounds_tables, watched_numbers
@@ -81,7 +81,7 @@ def sweep(
     bounds: whether d1, d2 and the premises of Cao 2019 are watched on each machine
     folder: for the results; out/sweep-NAME if not given
     resume: whether to go on with what is in the folder
-    run: how a plan is run, as `Sweep.run`
+    run: how a plan is run, as `Sweep.run`; its `progress` returns the median error until now
     Raises ValueError naming what is allowed, and FileExistsError for results without `resume`.
     """
     request = Request.of(request)
@@ -99,13 +99,25 @@ def sweep(
     stores = [unless_there(place / "dataset.zarr", resume)]
     if bounds and any(axis.size > 1 for axis in plan.axes.axes):
         stores.append(unless_there(place / NOMINAL, resume))
-    start, fresh = time.perf_counter(), []
-    dataset = run(
-        plan, stores[0], resume=resume, progress=lambda _, __, machines: fresh.append(machines)
-    )
+    start, fresh, errors = time.perf_counter(), [], {name: np.zeros(0) for name in plan.schemes}
+
+    def progress(name: str, _: int, machines: int) -> str:
+        fresh.append(machines)
+        return _median(errors[name], chosen) if plan.axes.size == 1 else ""
+
+    def results(name: str, values: Mapping[str, np.ndarray]) -> None:
+        errors[name] = np.append(errors[name], last_errors(values, chosen.judged_by))
+
+    dataset = run(plan, stores[0], resume=resume, progress=progress, results=results)
     steps, seconds = sum(fresh) * plan.trials * plan.task.N, time.perf_counter() - start
     nominal = run(_nominal(plan), stores[1], resume=resume) if stores[1:] else None
     return _told(_Found(chosen, request, dataset, nominal, stores, steps, seconds))
+
+
+def _median(errors: np.ndarray, chosen: Scenario) -> str:
+    """The median of the errors in the last trial, as a text; empty where there is none."""
+    scale, unit = chosen.shown(chosen.judged_by)
+    return f"median {scale * np.median(errors):.3g} {unit}".rstrip() if errors.size else ""
 
 
 class _Found(NamedTuple):

@@ -108,6 +108,12 @@ def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:
     return errors.where(sound).transpose(*order).fillna(np.inf)
 
 
+def last_errors(values: Mapping[str, np.ndarray], metric: str) -> np.ndarray:
+    """As `errors_of`, of the last trial: (machines,), from arrays over (machines, trials, ...)."""
+    errors = values[metric][:, -1].reshape(len(values[metric]), -1).max(axis=1)
+    return np.where(values["finite"][:, -1] & ~values["diverged"][:, -1], errors, np.inf)
+
+
 def axes_of(dataset: xr.Dataset) -> tuple[str, ...]:
     """The axes of the grid of a dataset; none for a sweep of one point."""
     dims = map(str, dataset["finite"].dims)

@@ -173,7 +173,8 @@ class Sweep:
         out: str | Path | None = None,
         *,
         resume: bool = False,
-        progress: Callable[[str, int, int], None] | None = None,
+        progress: Callable[[str, int, int], object] | None = None,
+        results: Callable[[str, Mapping[str, np.ndarray]], object] | None = None,
         cluster: str | Path | Client | None = None,
     ) -> xr.Dataset:
         """Compute what is not done yet and return the dataset.
@@ -186,6 +187,8 @@ class Sweep:
         out: path of a Zarr store for the dataset, None to keep it in the RAM only
         progress: function that is called after each chunk with the scheme's name, how many of its
             machines at all points are done so far, and how many of them this call computed
+        results: function that is called before `progress` with the scheme's name and what this call
+            computed of it: arrays by the name of their variable, the machines along the first axis
         cluster: a Dask scheduler whose workers compute the chunks, as its address, the file that it
             wrote, or a Client; see `cluster.workers`
         Raises FileExistsError for an `out` that exists without `resume`; ValueError for one that is
@@ -196,7 +199,9 @@ class Sweep:
         if resume and out is not None and Path(out).exists():
             begun = self._as_begun(stored_configuration(Path(out)))
             if begun is not None:
-                return begun.run(out, resume=True, progress=progress, cluster=cluster)
+                return begun.run(
+                    out, resume=True, progress=progress, results=results, cluster=cluster
+                )
         computing: AbstractContextManager[Host | Workers]
         if cluster is None:
             computing = nullcontext(self.host())
@@ -205,14 +210,15 @@ class Sweep:
 
             computing = workers(self.plan, cluster)
         with computing as hosts:
-            return self._run(hosts, out, resume, progress or (lambda name, done, fresh: None))
+            return self._run(hosts, out, resume, progress or _silent, results or _silent)
 
     def _run(
         self,
         hosts: Host | Workers,
         out: str | Path | None,
         resume: bool,
-        progress: Callable[[str, int, int], None],
+        progress: Callable[[str, int, int], object],
+        results: Callable[[str, Mapping[str, np.ndarray]], object],
     ) -> xr.Dataset:
         layout = Layout(
             self.plan.variables,
@@ -240,8 +246,9 @@ class Sweep:
                 progress(name, done[name], 0)
             for chunk, values in computed:
                 store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
-                del values  # the chunk after the next one is started now
                 name = scheme_of[chunk.name]
+                results(name, values)
+                del values  # the chunk after the next one is started now
                 done[name] += chunk.size
                 progress(name, done[name], chunk.size)
             return store.dataset()
@@ -284,6 +291,10 @@ class Sweep:
     def need_room(self, copies: int = 1) -> None:
         """Raises ValueError where `copies` of the dataset and its summary do not fit in RAM."""
         self.plan.need_room(copies)
+
+
+def _silent(*of: object) -> None:
+    """Nobody asked to be told."""
 
 
 def _chunk_of(plan: Plan) -> int:

@@ -16,12 +16,14 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
 import xarray as xr
 from command import call, mistakes, write_columns
 from rich.console import Console
+from rich.text import Text
 from typer.main import get_command
 from typer.testing import CliRunner
 
@@ -36,7 +38,7 @@ from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.identified_file import StartingLaw
-from jaxilc.sweeps import host
+from jaxilc.sweeps import Sweep, host
 from jaxilc.theory.bounds import frozen_growth
 
 PLANT = """
@@ -703,11 +705,39 @@ def test_progress_is_shown_on_a_terminal_alone(monkeypatch):
         text = io.StringIO()
         monkeypatch.setattr(console, "err", Console(file=text, force_terminal=terminal))
         monkeypatch.setattr(console.out, "quiet", quiet)
-        with progress.progress_bar("what") as bar:
-            bar.update(bar.add_task("trials", total=2, what="half"), completed=1)
+        with progress.progress_bar() as bar:
+            bar.update(bar.add_task("trials", total=2, now="half"), completed=1)
         shown[terminal, quiet] = text.getvalue()
     assert "half" in shown[True, False]
     assert (shown[True, True], shown[False, False]) == ("", "")
+
+
+def plain(text):
+    """Return what a terminal shows of a text, without its escapes."""
+    return Text.from_ansi(text.getvalue().replace("\r", "\n")).plain
+
+
+def test_a_sweep_shows_the_median_until_now_on_one_line_of_80_columns(monkeypatch, tmp_path):
+    errors = np.array([[9.0, 2e-3], [9.0, 3e-3], [9.0, 7e-3]])
+    values = {"settled_error": errors, "finite": errors < np.inf, "diverged": errors > 8.0}
+
+    def one_chunk(self, out, *, progress, results, **how):
+        results("cfdl-mfailc", values)
+        progress("cfdl-mfailc", 131072, 3)
+        raise RuntimeError("enough")
+
+    text = io.StringIO()
+    monkeypatch.setattr(console, "err", Console(file=text, force_terminal=True, width=80))
+    monkeypatch.setattr(Sweep, "run", one_chunk)
+    request, run = Request("cao-2019", trials=2), partial(progress.run_sweep, cluster=None)
+    with pytest.raises(RuntimeError, match="enough"):
+        outcomes.sweep(request, machines=262144, folder=tmp_path / "new", run=run)
+    lines = [line for line in plain(text).splitlines() if "131072/262144" in line]
+    assert lines
+    assert all(re.search("^cfdl-mfailc .* median 3 µm +0:00:0", line) for line in lines)
+    with progress.progress_bar(expected=0.1) as bar:
+        bar.add_task("worst-case", total=12, now="the largest error of cfdl")
+    assert plain(text).endswith("the largest error of cfdl 0:00:00 longer than before\n")
 
 
 def test_a_text_stands_above_the_bar_in_a_terminal_and_in_the_output_elsewhere(monkeypatch):
@@ -731,11 +761,11 @@ def test_the_time_left_is_known_from_the_last_time(monkeypatch, tmp_path):
     text = io.StringIO()
     monkeypatch.setattr(console, "err", Console(file=text, force_terminal=True, width=120))
     monkeypatch.setattr(console.out, "quiet", False)
-    with progress.progress_bar("now", expected=durations.expected(key)) as bar:
+    with progress.progress_bar(expected=durations.expected(key)) as bar:
         bar.add_task("run", total=None, now="starting")
     assert "about 40 s left" in text.getvalue()
-    for how, said in (({"usual": 90.0}, "often 90 s"), ({"expected": 0.5}, "longer than the last")):
-        with progress.progress_bar("now", **how) as bar:
+    for how, said in (({"usual": 90.0}, "often 90 s"), ({"expected": 0.5}, "longer than before")):
+        with progress.progress_bar(**how) as bar:
             bar.add_task("run", total=None, now="starting")
         assert said in text.getvalue()
     durations.file().write_text("[")

@@ -19,7 +19,7 @@ from jaxilc.runtime import capacity, tiled
 from jaxilc.runtime.earlier_names import takes_also
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType
 from jaxilc.sweeps import sweep as sweep_module
-from jaxilc.sweeps.summary import wilson_interval
+from jaxilc.sweeps.summary import errors_of, last_errors, wilson_interval
 from jaxilc.theory import BoundsWatch
 
 
@@ -107,6 +107,29 @@ def test_a_store_under_earlier_names_is_resumed_and_opened(tmp_path, dataset, mo
     assert whole.attrs["configuration"] == earlier_names(dataset.attrs["configuration"])
     xr.testing.assert_identical(whole.drop_attrs(deep=False), dataset.drop_attrs(deep=False))
     xr.testing.assert_identical(jaxilc.open_dataset(store), whole)
+
+
+def test_the_results_of_each_chunk_are_told_when_they_are_computed(dataset, tmp_path):
+    told = {name: [] for name in PLAN.schemes}
+
+    def results(name, values):
+        told[name].append(last_errors(values, "rms"))
+
+    PLAN.run(tmp_path / "store.zarr", results=results)
+    for name, chunks in told.items():
+        assert [len(of) for of in chunks] == [4, 4, 3]
+        whole = errors_of(dataset, "rms").sel(scheme=name).values
+        np.testing.assert_array_equal(np.concatenate(chunks), whole[:, -1])
+        chunks.clear()
+    PLAN.run(tmp_path / "store.zarr", resume=True, results=results)
+    assert not any(told.values()), "nothing was left to compute"
+
+
+def test_the_last_errors_are_the_largest_channel_and_infinite_where_a_machine_diverged():
+    values = {"rms": np.ones((3, 2, 2)) * [1.0, 3.0], "finite": np.ones((3, 2), bool)}
+    values["diverged"] = np.array([[False, False], [False, True], [False, False]])
+    values["finite"][2, 1] = False
+    np.testing.assert_array_equal(last_errors(values, "rms"), [3.0, np.inf, np.inf])
 
 
 def test_a_population_takes_the_place_of_the_machine():
