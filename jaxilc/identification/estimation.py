@@ -11,10 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
+from scipy.signal import lfilter
 
 from ..learning.machine import Machine
-from ..plants import Plant, ProcessModel
+from ..plants import ModalModel, Plant, ProcessModel
 from ..plants.process_model import LONGEST_DELAY
+from ..pytree.aliases import Numbers
 from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, require
 from ..runtime.capacity import check_size
@@ -30,9 +32,11 @@ from .problem import (
     problem_of,
 )
 from .records import Record, as_columns, output_from_rest
-from .verdict import Identified, fit_of, judged
+from .verdict import Identified, autoregression, fit_of, is_white, judged
 
 MOST = 50  # largest number of poles, pairs or zeros; a record can determine far fewer
+LITTLE = 0.02  # of what is left: a loop or a start that explains less is none
+MOVING = 50.0  # of the criterion, by which a start in motion must explain more than one at rest
 REWEIGHTINGS = 5  # iterations of the weights of several outputs
 
 
@@ -48,18 +52,20 @@ def identify(
     fit_share: float = 0.7,
     starts: int = 256,
     seed: int = 0,
+    from_rest: bool | None = None,
 ) -> Identified:
     """Fit a plant to a record by prediction-error least squares through the simulator.
 
         minimise over theta, bias:  sum_k |y[k] - bias - y_sim[k](theta)|^2
         covariance = sigma^2 (J^T J)^-1,  sigma^2: variance of the residual
 
-    The prediction is the output that the plant gives from rest under the recorded input (an
-    output-error model). With white Gaussian noise on the output, such as that of an encoder in
-    open loop, the estimate is that of maximum likelihood. J holds the exact derivatives of the
-    simulated output, by forward differentiation. Several outputs are weighted by the inverse of
-    their residual standard deviations, which are found by iteration; this is maximum likelihood
-    where the noises of the outputs are independent.
+    The prediction is the output that the plant gives under the recorded input (an output-error
+    model), from rest or, of a ProcessModel or a ModalModel, from a state that is fitted, too: what
+    it adds is a sum of the free motions of the poles. With white Gaussian noise on the output, such
+    as that of an encoder in open loop, the estimate is that of maximum likelihood. J holds the
+    exact derivatives of the simulated output, by forward differentiation. Several outputs are
+    weighted by the inverse of their residual standard deviations, which are found by iteration;
+    this is maximum likelihood where the noises of the outputs are independent.
 
     plant: the plant to start from; None for a ProcessModel with the given numbers of `poles`, of
         complex `pairs` of poles and of `zeros` (1, 1, 1 is Cao 2019, eq. 6), started automatically
@@ -70,6 +76,8 @@ def identify(
         simulated without a break
     starts: number of structures drawn, with rates log-uniform between 1 / duration and half the
         Nyquist frequency; the best are refined; take more for several lightly damped pairs
+    from_rest: whether the machine rests at an input of 0 when the record begins; None: unless the
+        record clearly shows the motion of another start. Several experiments begin at rest
 
     The confidence intervals are Student's t times the standard deviation on each side, to first
     order in the parameters. Needs float64.
@@ -101,9 +109,20 @@ def identify(
             "plant given has its own"
         )
     problem = problem_of(later(record, delay), plant, free_elements(plant, free), fit_share)
-    found = (
-        minimum(problem, problem.start(plant)) if given else from_many_starts(problem, starts, seed)
-    )
+    problem = problem._replace(from_rest=from_rest is not False, late=delay)
+    if not problem.from_rest and not has_start(problem):
+        raise ValueError(
+            "identify: from_rest = False is for one experiment, with a ProcessModel or a "
+            f"ModalModel; this is a {type(plant).__name__}, and there are {record.trials}"
+        )
+    search = functools.partial(from_many_starts, starts=starts, seed=seed)
+    found = minimum(problem, problem.start(plant)) if given else search(problem)
+    if from_rest is None and has_start(problem) and not is_white(problem, found.theta):
+        near = [found.theta]
+        if not given and np.any(record.u[0]):  # where a machine often rests
+            at_first = record._replace(u=record.u - record.u[0])
+            near.append(search(problem._replace(record=later(at_first, delay))).theta)
+        problem, found = better_of_starts(problem, found, near)
     for _ in range(REWEIGHTINGS if plant.n_y > 1 else 0):
         spread = np.std(problem.residual(found.theta)[: problem.samples], axis=0)
         problem = problem._replace(scale=np.maximum(spread, 1e-12 * problem.scale))
@@ -112,6 +131,45 @@ def identify(
     if not delay:
         return result
     return result._replace(plant=dataclasses.replace(result.plant, delay=delay * record.dt))
+
+
+def has_start(problem: Problem) -> bool:
+    """Whether the free motions of the plant of a record are known, and it is one experiment."""
+    return problem.record.trials == 1 and isinstance(problem.plant, ProcessModel | ModalModel)
+
+
+def better_of_starts(
+    problem: Problem, at_rest: Minimum, near: Sequence[Numbers]
+) -> tuple[Problem, Minimum]:
+    """The fit with a start in motion, if it explains clearly more, else the one from rest.
+
+    near: where the search for the former begins
+    """
+    free = problem._replace(from_rest=False)
+    found = [minimum(free, free.start(free.plant_at(theta))) for theta in near]
+    moving = min(found, key=lambda one: one.cost)
+    better = clearly_in_motion(problem.residual(at_rest.theta), free, moving.theta)
+    return (free, moving) if better else (problem, at_rest)
+
+
+def clearly_in_motion(residual: Numbers, free: Problem, theta: Numbers) -> bool:
+    """Whether free motions leave clearly less than a start at rest, by the criterion.
+
+    Slow noise looks like a slow motion, so both residuals are whitened, as that with free motions.
+
+    residual: of the start at rest;  free: the problem of the other one, at theta
+    """
+    left, from_rest = (of[: free.samples] / free.scale for of in (free.residual(theta), residual))
+    if np.sum(left**2) > (1 - LITTLE) * np.sum(from_rest**2):
+        return False
+    whitening = [np.append(1.0, -autoregression(one)[0]) for one in left.T]
+
+    def criterion(of: Numbers, parameters: int) -> float:
+        white = [lfilter(a, 1.0, e) for a, e in zip(whitening, of.T, strict=True)]
+        return information(np.transpose(white), parameters)
+
+    count = free.answers_to_start(theta).shape[1] * free.plant.n_y
+    return criterion(left, count) < criterion(from_rest, 0) - MOVING
 
 
 def with_as_many(function: str, poles: int, pairs: int, zeros: int) -> ProcessModel:
@@ -404,7 +462,7 @@ class Validation(NamedTuple):
 
 
 def validated(record: Record, plant: Plant, share: float = 0.0) -> Validation:
-    """How well a plant predicts a record that begins at rest, or the last part of it.
+    """How well a plant predicts a record, or the last part of it, from rest or from a motion.
 
     share: [0, 1), first part of the record, which is not judged; the bias is then that of it
     Raises ValueError for a record that does not fit the plant.
@@ -412,7 +470,9 @@ def validated(record: Record, plant: Plant, share: float = 0.0) -> Validation:
     record = checked_record(record)
     first = free_elements(plant, None)[:1]
     problem = problem_of(record, plant, first, share or 1.0)
-    residual = problem.residual(problem.start(plant))
+    residual, free = problem.residual(problem.start(plant)), problem._replace(from_rest=False)
+    if has_start(free) and clearly_in_motion(residual, free, free.start(plant)):
+        residual = free.residual(free.start(plant))
     late = slice(problem.samples if share else 0, None)
     fit = fit_of(record.y[late], residual[late])
     rms = np.sqrt(np.mean(residual[late] ** 2, axis=0))
@@ -429,14 +489,16 @@ SHARE = 0.1  # of the samples: length of F at most
 LONGEST = 400  # samples
 
 
-def feedback_seen(record: Record, residual) -> bool:
+def feedback_seen(record: Record, residual, *, late: int = 0) -> bool:
     """Whether the input answers the residual of a fit, so that a loop is closed (Granger's test).
 
-    The input is predicted from its own past, then from the residual too, that of the same sample
-    included. In an open loop the second prediction is no better, also where the model is not the
-    plant: what it misses is made of the past of the input.
+    The input is predicted from its own past, then from the residual too. In an open loop the second
+    prediction is hardly better, also where the model is not the plant: what it misses is made of
+    the past of the input. The residual of the same sample tells a loop that is closed without a
+    delay, but it is made of that input, too, where the output answers within the sample.
 
     residual: (N+1, 1) recorded output minus the simulated one; one input and one output
+    late: samples that pass at least until the input answers; 1 leaves out the same sample
     """
     u = as_columns("feedback_seen", "u", record.u)[:MOST_LOOKED_AT, 0]
     e = np.asarray(residual, float)[: len(u), 0]
@@ -446,10 +508,12 @@ def feedback_seen(record: Record, residual) -> bool:
         return False
     windows = np.lib.stride_tricks.sliding_window_view
     own = np.column_stack([np.ones(len(u) - OWN), windows(u[:-1], OWN)])
-    answered = windows(e[OWN - LAGS + 1 :], LAGS)
+    answered = windows(e[OWN - LAGS + 1 - late : len(e) - late], LAGS)
     left = [_left(past, u[OWN:]) for past in (own, np.column_stack([own, answered]))]
     if not left[1] > 1e-12 * np.sum((u - np.mean(u)) ** 2):
         return False  # an input that predicts itself, such as a sinusoid
+    if left[1] > (1 - LITTLE) * left[0]:
+        return False
     ratio = (left[0] - left[1]) / LAGS / (left[1] / freedom)
     return bool(scipy.stats.f.sf(ratio, LAGS, freedom) < CHANCE)
 

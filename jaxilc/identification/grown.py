@@ -22,12 +22,12 @@ import numpy as np
 import scipy
 from scipy.signal import lfilter
 
-from ..plants import ModalModel, Plant, ProcessModel
+from ..plants import ModalModel, ProcessModel
 from ..plants.process_model import LONGEST_DELAY
 from ..pytree.aliases import Numbers, Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
-from .estimation import Order, compare_orders, identify, information
+from .estimation import MOVING, Order, compare_orders, identify, information
 from .not_linear import Answers, Suspicion, suspicions
 from .problem import (
     SAMPLES_PER_PARAMETER,
@@ -105,6 +105,7 @@ class Signals(NamedTuple):
 
     u: (n_u, T, N+1) inputs of T experiments, one sample late and from rest
     y: (T (N+1), n_y) outputs divided by `scale`, the first `samples` rows of which are fitted
+    from_rest: whether the machine rests at the start; if not, each part has a free motion
     """
 
     u: Numbers
@@ -112,6 +113,7 @@ class Signals(NamedTuple):
     scale: Numbers
     samples: int
     dt: float
+    from_rest: bool = True
 
     @classmethod
     def of(cls, record: Record, samples: int) -> Signals:
@@ -162,7 +164,8 @@ def columns(signals: Signals, parts: Parts) -> tuple[Numbers, list[Numbers]]:
     """(rows, c) what the numerators multiply, and the denominators of modes and lags.
 
     For each input: the direct term, one or two integrators, two columns a mode, one a lag; a column
-    of ones for the bias stands first.
+    of ones for the bias stands first. Those of a start in motion are the last: two a mode, one a
+    lag, a ramp of two integrators, and one for each sample of the dead time.
     """
     u = delayed(signals.u, parts.delay)
     rows, found = signals.y.shape[0], [u] * parts.direct
@@ -176,7 +179,16 @@ def columns(signals: Signals, parts: Parts) -> tuple[Numbers, list[Numbers]]:
         filtered = lfilter([1.0], den, u)
         found += [filtered, delayed(filtered, 1)][: len(den) - 1]
     flat = [np.ones((1, rows)), *(one.reshape(len(u), -1)[:, :rows] for one in found)]
+    if not signals.from_rest:
+        free = [lfilter([1.0], den, np.eye(1, rows)) for den in dens]
+        flat += [delayed(one, k) for one, den in zip(free, dens, strict=True) for k in _each(den)]
+        flat += [np.arange(float(rows))[None]] * (parts.integrators > 1)
+        flat += [np.eye(parts.delay, rows)]  # they answer inputs before the record
     return np.concatenate(flat).T, dens
+
+
+def _each(den: Numbers) -> range:
+    return range(len(den) - 1)
 
 
 def slopes(signals: Signals, parts: Parts, N: Numbers) -> Numbers:
@@ -188,12 +200,15 @@ def slopes(signals: Signals, parts: Parts, N: Numbers) -> Numbers:
     """
     X, dens = columns(signals, parts)
     n_u, T, n = signals.u.shape
-    at = 1 + n_u * (parts.direct + parts.integrators)
+    at, free = 1 + n_u * (parts.direct + parts.integrators), 1 + n_u * (parts.direct + parts.order)
     J = np.zeros((*signals.y.shape, len(parts.x)))
     for i, den in enumerate(dens):
         width = n_u * (len(den) - 1)
         own = X[:, at : at + width] @ N[at : at + width]
         at += width
+        if not signals.from_rest:
+            own += X[:, free : free + len(den) - 1] @ N[free : free + len(den) - 1]
+            free += len(den) - 1
         padded = np.zeros((T * n, own.shape[1]))
         padded[: len(own)] = own
         again = lfilter([1.0], den, padded.T.reshape(-1, T, n))
@@ -230,8 +245,7 @@ def refined(signals: Signals, parts: Parts, steps: int) -> Fitted:
         lambda at: slopes(signals, parts.at(at.theta), at.N),
         parts.x, bounds(signals, parts), steps=steps, tolerance=GAINED, eased=EASED,
     )  # fmt: skip
-    linear = 1 + len(signals.u) * (parts.direct + parts.order)
-    count = signals.y.shape[1] * linear + len(parts.x) + (parts.delay > 0)
+    count = found.N.size + len(parts.x) + (parts.delay > 0)
     bic = information(found.left, count, SMALLEST)
     return Fitted(parts.at(found.theta), found.cost, bic, count)
 
@@ -370,7 +384,7 @@ def later(parts: Parts) -> Iterator[Parts]:
 
 
 def at_rest(parts: Parts, duration: float) -> Iterator[Parts]:
-    """Parts whose slowest real pole is an integrator, where the record cannot tell it from one."""
+    """Parts whose slowest poles are integrators, where the record cannot tell them from these."""
     slowest = np.log(INTEGRATES / duration)
     if parts.integrators < 2:
         for i, lag in enumerate(parts.lags):
@@ -383,6 +397,8 @@ def at_rest(parts: Parts, duration: float) -> Iterator[Parts]:
                 rest = parts._replace(modes=np.delete(parts.modes, i, axis=0))
                 lags = np.append(rest.lags, np.log(fast))
                 yield rest._replace(lags=lags, integrators=parts.integrators + 1)
+            elif w * duration < INTEGRATES and not parts.integrators:
+                yield parts._replace(modes=np.delete(parts.modes, i, axis=0), integrators=2)
     elif parts.integrators:
         lags = np.append(parts.lags, slowest)
         yield parts._replace(lags=lags, integrators=parts.integrators - 1)
@@ -390,6 +406,21 @@ def at_rest(parts: Parts, duration: float) -> Iterator[Parts]:
 
 # The search
 # --------------------------------------------------------------------------------------------------
+
+
+def in_motion(signals: Signals, delay: int) -> bool:
+    """Whether models of moderate order explain clearly more with free motions from the start.
+
+    Their poles are those of a difference equation, which holds wherever the machine begins.
+    """
+    if signals.u.shape[1] > 1:
+        return False
+    poles = reduced_poles(signals, delay)
+    rest, moving = (
+        min(refined(of, of_poles(poles(n), delay), SHORT).bic for n in MODERATE)
+        for of in (signals, signals._replace(from_rest=False))
+    )
+    return moving < rest - MOVING
 
 
 def first_delay(signals: Signals, longest: int) -> int:
@@ -500,7 +531,8 @@ def answers_of(signals: Signals, parts: Parts) -> Answers:
     kick = np.zeros(signals.u.shape)
     kick[..., 1] = 1.0  # the input comes one sample late
     N = numerators(signals, parts)[0][1:]
-    both = (columns(one, parts)[0][:, 1:] @ N for one in (signals, signals._replace(u=kick)))
+    kicked = columns(signals._replace(u=kick, from_rest=True), parts)[0][:, 1:]
+    both = (columns(signals, parts)[0][:, 1:] @ N, kicked @ N[: kicked.shape[1]])
     return Answers(parts.order, *((of * signals.scale)[:, 0] for of in both))
 
 
@@ -522,7 +554,7 @@ def plant_of(signals: Signals, parts: Parts) -> ModalModel:
     """The plant with these parts and the least squares of its numerators."""
     n_u, n_y = len(signals.u), signals.y.shape[1]
     M = into_states(parts, signals.dt)
-    N = numerators(signals, parts)[0][1:] * signals.scale
+    N = numerators(signals, parts)[0][1 : 1 + n_u * len(M)] * signals.scale
     N = np.linalg.solve(M, N.reshape(len(M), -1)).reshape(len(M), n_u, n_y)
     N = np.swapaxes(N, 1, 2) if n_u * n_y > 1 else N[:, 0, 0]
     q, m, d = len(parts.modes), parts.integrators, int(parts.direct)
@@ -565,7 +597,7 @@ def with_zeros(signals: Signals, fitted: Fitted) -> WithZeros:
     s = (0.3 + 1j) * np.geomspace(0.05 * rates.min(), 20 * rates.max(), 12 * parts.order)[:, None]
 
     def basis(parts: Parts, degree: int) -> Numbers:
-        """(rows, 2 + degree) ones, and the outputs of (s / unit)^k over the denominator."""
+        """(rows, c) ones, outputs of (s / unit)^k over the denominator, and those of a start."""
         w, zeta = np.exp(parts.modes).T
         second, first = 1 + 2 * zeta * s / w + (s / w) ** 2, 1 + s / np.exp(parts.lags)
         of_modes = np.stack([1 / second, s / w / second], axis=2).reshape(len(s), -1)
@@ -576,7 +608,8 @@ def with_zeros(signals: Signals, fitted: Fitted) -> WithZeros:
         of_states, wanted = (np.vstack([M.real, M.imag]) for M in (of_states / size, wanted / size))
         T = np.linalg.lstsq(of_states, wanted)[0]
         X = columns(signals, parts)[0]
-        return np.hstack([X[:, :1], X[:, 1:] @ into_states(parts, signals.dt) @ T])
+        states = X[:, 1 : 1 + parts.order] @ into_states(parts, signals.dt)
+        return np.hstack([X[:, :1], states @ T, X[:, 1 + parts.order :]])
 
     def solved(x: Numbers, degree: int) -> tuple[Numbers, Numbers]:
         X, length = unit_columns(basis(parts.at(x), degree))
@@ -595,9 +628,10 @@ def with_zeros(signals: Signals, fitted: Fitted) -> WithZeros:
             ftol=1e-7,
         ).x
         N, residual = solved(x, degree)
-        count = len(x) + degree + 2 + (parts.delay > 0)
+        count = len(x) + len(N) + (parts.delay > 0)
         bic = information(residual, count, SMALLEST)
-        found.append(WithZeros(parts.at(x), N[1:] * signals.scale[0], unit, bic))
+        numerator = N[1 : 2 + degree] * signals.scale[0]
+        found.append(WithZeros(parts.at(x), numerator, unit, bic))
         if bic > min(one.bic for one in found) + FAR:  # a coefficient that is needed is missing
             break
     return min(found, key=lambda one: one.bic)
@@ -666,6 +700,7 @@ def grow(
     delay: int | None = None,
     fit_share: float = 0.7,
     longest: int = LONGEST_LOOKED_FOR,
+    from_rest: bool | None = None,
     each: Callable[[str], object] = lambda said: None,
 ) -> Grown:
     """The plant of a record, of an order that is found, with complex zeros where they are there.
@@ -685,6 +720,7 @@ def grow(
     delay: dead time in samples, beyond the one of the hold; None where it is looked for
     fit_share: share of the record that is fitted; the rest validates
     longest: the longest delay that is looked for, in samples
+    from_rest: whether the machine rests at the start, as for `identify`
     each: called with a few words on what was found so far
 
     Raises ValueError as `identify` does, and where the record is that of an unstable plant.
@@ -701,23 +737,25 @@ def grow(
         most = min(LONGEST_DELAY, min(samples - 1, len(record.u) // record.trials) - 1)
         require("identify", "delay", delay, f"[0, {most}]", whole=True, note=" for this record")
     whole = Signals.of(record, samples)
-    signals = whole.first()
     affordable = (samples * n_y / SAMPLES_PER_PARAMETER - n_y) / (1 + n_u * n_y)
     highest = int(np.clip(affordable, 1, HIGHEST))
     require("grow", "longest", longest, f"[0, {LONGEST_DELAY}]", whole=True)
     longest = min(longest, len(record.u) // record.trials // 3)
     delays = (0, longest) if delay is None else (delay, delay)
-    began = (
-        first_delay(signals, min(longest, first_lag(record, longest))) if delay is None else delay
-    )
+    late = min(longest, first_lag(record, longest)) if delay is None else delay
+    if from_rest is False or (from_rest is None and in_motion(whole.first(), late)):
+        whole = whole._replace(from_rest=False)
+    signals = whole.first()
+    began = first_delay(signals, late) if delay is None else delay
 
     def say(one: Fitted) -> None:
         parts = one.parts
         each(f"order {parts.order}, delay {parts.delay}: {_percent(signals, one):.4g} % fit")
 
     fixed = order
+    judge = partial(identify, record, fit_share=fit_share, from_rest=whole.from_rest)
 
-    def suspected(fits: Iterable[Fitted], *others: Plant) -> list[Suspicion]:
+    def suspected(fits: Iterable[Fitted], *others: Identified) -> list[Suspicion]:
         if n_u * n_y * record.trials > 1:
             return []
         simple = [answers_of(whole, one.parts) for one in fits if one.parts.order <= SIMPLE]
@@ -745,14 +783,23 @@ def grow(
         kinds[kind] = min(kinds.get(kind, one), one, key=lambda one: one.bic)
     if fixed is None and fit_share < 1:
         best = by_validation(whole, best, list(kinds.values()))
+    if from_rest is None and not whole.from_rest:
+        rest = signals._replace(from_rest=True)
+        near = refined(rest, best.parts, SHORT)
+        near, _ = improved(rest, near, order=fixed, delays=delays, highest=highest, each=say)
+        if near.bic < best.bic + MOVING:
+            return grow(
+                record, order=order, delay=delay, fit_share=fit_share, longest=longest,
+                from_rest=True, each=each,
+            )  # fmt: skip
     plant = with_real_zeros(signals, best) or plant_of(whole, best.parts)
     each(f"order {best.parts.order}: intervals")
-    found = identify(record, plant, fit_share=fit_share)
+    found = judge(plant)
     lower = [] if found.white or fixed else steps.values()
-    told = suspected(lower, found.plant)
+    told = suspected(lower, found)
     if told and told[0].order < best.parts.order and told[0].rms < float(found.residual_std[0]):
         best, _ = improve(steps[told[0].order], order=told[0].order)
-        found = identify(record, plant_of(whole, best.parts), fit_share=fit_share)
+        found = judge(plant_of(whole, best.parts))
     kinds[best.parts.kind] = best
     others = [one for one in _worth_telling(kinds.values()) if one.parts.kind != best.parts.kind]
     rows = [_told(whole, one) for one in (best, *others)]

@@ -32,7 +32,7 @@ from ..pytree.named_paths import get_at
 from ..pytree.ranges import require
 from .problem import free_elements, simulated_output
 from .records import Record, as_columns, delayed, task_of
-from .verdict import Estimate, estimates, fit_of, inverse_of_normal, widened
+from .verdict import Estimate, Identified, estimates, fit_of, inverse_of_normal, widened
 
 LEAST = 0.2  # share of the residual that a suspicion explains at least
 SURE = 4.0  # standard deviations of r that it has at least
@@ -81,7 +81,8 @@ class Suspicion(NamedTuple):
 class Answers(NamedTuple):
     """What a plant of one input and one output answers to the record, and to one sample of 1.
 
-    modelled, impulse: (N+1,) outputs, from rest
+    modelled: (N+1,) output to the record, with what a start in motion adds
+    impulse: (N+1,) output to one sample of 1, from rest
     """
 
     order: int
@@ -89,15 +90,17 @@ class Answers(NamedTuple):
     impulse: np.ndarray
 
     @classmethod
-    def of(cls, plant: Plant, record: Record) -> Answers:
-        """The answers of a plant, by the program that has fitted it."""
+    def of(cls, fit: Plant | Identified, record: Record) -> Answers:
+        """The answers of a plant, from rest, or of a fit, by the program that has fitted it."""
+        plant = fit.plant if isinstance(fit, Identified) else fit
         names, u = free_elements(plant, None), record.u
         values = np.array([float(get_at(plant, name)) for name in names])
         task, size = task_of(plant, u, record.dt), np.max(np.abs(u))
         kick = np.zeros(np.shape(u))
         kick[0] = size
         both = [simulated_output(values, names, plant, task, one)[:, 0] for one in (u, kick)]
-        return cls(getattr(plant, "order", 4), np.asarray(both[0]), np.asarray(both[1]) / size)
+        modelled = fit.simulated[:, 0] if isinstance(fit, Identified) else np.asarray(both[0])
+        return cls(getattr(plant, "order", 4), modelled, np.asarray(both[1]) / size)
 
 
 class Seen(NamedTuple):
@@ -119,7 +122,7 @@ class Seen(NamedTuple):
         return fftconvolve(inputs, self.impulse[:, None], axes=0)[: len(inputs)]
 
 
-def suspicions(record: Record, plants: Sequence[Plant | Answers]) -> list[Suspicion]:
+def suspicions(record: Record, plants: Sequence[Plant | Identified | Answers]) -> list[Suspicion]:
     """What explains the residuals of linear plants, least left first; empty where nothing does.
 
     A plant of high order imitates what is not linear, by poles that no machine has; so the plants

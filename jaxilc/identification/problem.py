@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -33,6 +34,14 @@ def _output(values, names, plant, task, u):
 simulated_output = jax.jit(_output, static_argnames="names")
 # (N+1, n_y, P), exact
 sensitivity_of_output = jax.jit(jax.jacfwd(_output), static_argnames="names")
+
+
+@functools.partial(jax.jit, static_argnames="names")
+def poles_at(values, names, plant):
+    """(rows, poles) of the plant with its parameters `names` set to each row of values."""
+    return jax.vmap(lambda row: replaced(plant, dict(zip(names, row, strict=True))).all_poles)(
+        values
+    )
 
 
 class Coordinates(NamedTuple):
@@ -108,6 +117,9 @@ class Problem(NamedTuple):
     names: elements of the plant that are fitted
     samples: number of samples, from the first one on, that are fitted
     scale: (n_y,) numbers by which the residuals of each output are divided
+    from_rest: whether the machine rests at the start. If not, what its state there adds is found
+        with each theta, as the rest of the least squares is linear in it (variable projection)
+    late: samples of dead time that the plant does not know of
     """
 
     record: Record
@@ -117,20 +129,14 @@ class Problem(NamedTuple):
     coordinates: Coordinates
     samples: int
     scale: np.ndarray
-
-    def simulated(self, theta):
-        """(N+1, n_y) the plant's output with the biases."""
-        n = len(self.names)
-        return (
-            np.asarray(
-                simulated_output(theta[:n], self.names, self.plant, self.task, self.record.u)
-            )
-            + theta[n:]
-        )
+    from_rest: bool = True
+    late: int = 0
 
     def residual(self, theta):
-        """(N+1, n_y) the recorded output minus the simulated one."""
-        return self.record.y - self.simulated(theta)
+        """(N+1, n_y) the recorded output minus the simulated one, with its biases."""
+        n = len(self.names)
+        of_plant = simulated_output(theta[:n], self.names, self.plant, self.task, self.record.u)
+        return self._without_start(theta, self.record.y - np.asarray(of_plant) - theta[n:])
 
     def sensitivity(self, theta):
         """(samples, n_y, P) derivatives of the simulated output, exact."""
@@ -138,20 +144,50 @@ class Problem(NamedTuple):
         of_plant = np.asarray(
             sensitivity_of_output(theta[:n], self.names, self.plant, self.task, self.record.u)
         )[: self.samples]
-        return np.concatenate(
-            [of_plant, np.broadcast_to(np.eye(n_y), (self.samples, n_y, n_y))], axis=2
-        )
+        of_bias = np.broadcast_to(np.eye(n_y), (self.samples, n_y, n_y))
+        return self._without_start(theta, np.concatenate([of_plant, of_bias], axis=2))
+
+    def answers_to_start(self, theta):
+        """(N+1, c) what a state at the start may add: a part for each pole, and the dead time.
+
+        The outputs of the dead time answer inputs before the record.
+        """
+        t, plant = np.arange(len(self.record.y)) * self.record.dt, self.plant
+        poles = np.asarray(poles_at(theta[None, : len(self.names)], self.names, plant))[0]
+        # An integrator that rests is a bias; a step of the search may be far too long.
+        sound = np.isfinite(poles) & (poles.real <= 0) & (poles != 0)
+        moving = poles[sound & (poles.imag >= 0)]
+        modes = np.exp(np.outer(t, moving))
+        ramps = [t] if np.sum(poles == 0) > 1 else []
+        late = self.late + int(np.ceil(float(getattr(plant, "delay", 0.0)) / self.record.dt - 1e-6))
+        past = np.eye(len(t), late)
+        return np.column_stack([modes.real, modes.imag[:, moving.imag > 0], *ramps, past])
+
+    def _without_start(self, theta, of):
+        """What is left of the rows `of` without what the state at the start may add to the output.
+
+        of: (rows, ...) from the first sample on; the rows to fit decide
+        """
+        if self.from_rest or not np.all(np.isfinite(of)):
+            return of
+        X = unit_columns(self.answers_to_start(theta)[: len(of)])[0]
+        flat = of.reshape(len(of), -1)
+        N = np.linalg.lstsq(X[: self.samples], flat[: self.samples], rcond=1e-10)[0]
+        return (flat - X @ N).reshape(of.shape)
 
     def start(self, plant):
-        """The vector theta of a plant, with the biases that make the mean residual 0."""
-        values = [float(get_at(plant, name)) for name in self.names]
-        bias = np.mean(self.residual(np.array(values + [0.0] * plant.n_y))[: self.samples], axis=0)
+        """The vector theta of a plant, with the biases that leave the least squares."""
+        values = np.array([float(get_at(plant, name)) for name in self.names])
+        theta = np.append(values, np.zeros(plant.n_y))
+        left = self.residual(theta)[: self.samples]
+        ones = self._without_start(theta, np.ones((self.samples, 1)))
+        bias = np.sum(ones * left, axis=0) / np.sum(ones**2)
         if not np.all(np.isfinite(bias)):
             name = type(plant).__name__
             raise ValueError(
                 f"identify: the output of the given {name} does not stay finite over this record"
             )
-        return np.array([*values, *bias])
+        return np.append(values, bias)
 
     def plant_at(self, theta):
         return replaced(self.plant, dict(zip(self.names, map(float, theta), strict=False)))

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..plants import ModalModel, ProcessModel
-from ..pytree.aliases import Value
-from .estimation import identify, not_significant
-from .records import Record
+from .estimation import not_significant
 from .verdict import Identified
 
 if TYPE_CHECKING:
@@ -20,14 +18,15 @@ NOT_WHITE = (
     "The residual is not white: another structure may fit better. The intervals are widened to "
     "what its spectrum says."
 )
+IN_MOTION = (
+    "The record does not begin at rest at an input of 0: what its start adds to the output, free "
+    "motions of the poles, is fitted, too."
+)
 WIDENED = (
     "The residual is not white: neighbouring lines err alike, and the intervals are wider for it."
 )
 NOISY = 0.8  # share of the squared error from which on what is left is noise
 NOT_CONVERGED = "The fit did not meet its tolerances: the structure may be too large."
-# Of the first input, which the others keep at least, and of the residual, which a plant that rests
-# at this input leaves at most: what tells that the machine rested there.
-HALF = 0.5
 LEAST_DELAY = 1e-6  # samples, or ms where there are none, below which a delay is none
 MUCH = 1.5  # residual over std from which on the structure, or the std, is doubted
 
@@ -47,6 +46,8 @@ def verdict(found: Identified, dt: float | None) -> list[str]:
     if found.white and not doubted:
         said += ", and the residual is white"
     lines = [said + "."]
+    if not found.from_rest:
+        lines.append(IN_MOTION)
     if doubted:
         lines.append(
             f"The residual is {ratio:.3g} times the standard deviation of the lines: another "
@@ -58,33 +59,6 @@ def verdict(found: Identified, dt: float | None) -> list[str]:
     if not found.converged:
         lines.append(NOT_CONVERGED)
     return lines + [sentence(text) for text in not_significant(found)]
-
-
-def at_first_input(record: Record, found: Identified, structure: Mapping[str, Value],
-                   delay: int) -> list[str]:  # fmt: skip
-    """That the machine rested at its first input, not at 0, where this explains the record.
-
-    structure: poles, pairs, zeros of a plant that is fitted once more, from there
-    delay: of it [samples]
-    """
-    if found.white or found.plant.n_u * found.plant.n_y > 1:
-        return []
-    u = np.ravel(record.u)
-    first = float(u[0])
-    if first == 0 or np.min(u * np.sign(first)) < HALF * abs(first):  # about 0 a drift looks alike
-        return []
-    try:
-        again = identify(record._replace(u=record.u - first), **structure, delay=delay)
-    except ValueError:  # a short record
-        return []
-    own, left = float(found.residual_std[0]), float(again.residual_std[0])
-    if not left < HALF * own:
-        return []
-    return [
-        f"The input begins at {first:.6g}, and the record looks as if the machine rested there: a "
-        f"plant that does leaves an rms of {left:.3g} in place of {own:.3g}. A plant here rests at "
-        f"an input of 0: subtract {first:.6g} from the input."
-    ]
 
 
 def on_lines(

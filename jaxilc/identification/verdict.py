@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
-import jax
 import numpy as np
 import scipy
 
 from ..plants import ModalModel, Plant, ProcessModel
 from ..pytree.in_short import in_short
-from ..pytree.named_paths import replaced
-from .problem import Minimum, Problem, unit_columns
+from .problem import Minimum, Problem, poles_at, unit_columns
 
 CONFIDENCE = 0.95
 LAGS = 20  # lags of the residual's autocorrelation that are tested
@@ -71,6 +68,8 @@ class Identified(NamedTuple):
     apart: intervals for machines whose parameters are drawn as if they were independent; None where
         they are those of `parameters`. They spread the response of the machines as far as the fit
         is uncertain and the lines are from it
+    from_rest: whether the machine rested when the record began; if not, `simulated` holds what the
+        state at the start adds
     """
 
     plant: Plant
@@ -88,6 +87,7 @@ class Identified(NamedTuple):
     of_response: bool = False
     std_known: bool = False
     apart: dict[str, Estimate] | None = None
+    from_rest: bool = True
     __repr__ = in_short
 
     def summary(self) -> list[tuple[str, float, float, float]]:
@@ -120,7 +120,8 @@ def judged(problem: Problem, found: Minimum) -> Identified:
     """The result at the minimum, with its intervals, poles and tests of the residual."""
     theta, samples, y = found.theta, problem.samples, problem.record.y
     residual, J = problem.residual(theta), problem.sensitivity(theta) / problem.scale[:, None]
-    freedom = samples * problem.plant.n_y - len(theta)
+    of_start = 0 if problem.from_rest else problem.answers_to_start(theta).shape[1]
+    freedom = (samples - of_start) * problem.plant.n_y - len(theta)
     covariance = (
         np.sum((residual[:samples] / problem.scale) ** 2)
         / freedom
@@ -149,6 +150,7 @@ def judged(problem: Problem, found: Minimum) -> Identified:
         whiteness=whiteness,
         white=white,
         converged=found.converged,
+        from_rest=problem.from_rest,
     )
 
 
@@ -185,15 +187,11 @@ def widened(covariance, J, residual):
     inverse = np.where(np.outer(known, known), inverse, 0.0)
     middle, power = np.zeros((P, P)), 0.0
     for i in range(residual.shape[1]):
-        e = residual[:, i] - np.mean(residual[:, i])
-        lags = min(LAGS, len(e) // 4)
-        r = np.array([e[lag:] @ e[: len(e) - lag] for lag in range(lags + 1)]) / n
+        a, r = autoregression(residual[:, i])
         if not r[0] > 0:
             return covariance
-        r[0] *= 1 + 1e-9  # of a residual that an autoregression predicts without an error
-        a = scipy.linalg.solve_toeplitz(r[:-1], r[1:])
         lines = np.fft.rfftfreq(n)
-        whitening = 1 - np.exp(-2j * np.pi * np.outer(lines, np.arange(1, lags + 1))) @ a
+        whitening = 1 - np.exp(-2j * np.pi * np.outer(lines, np.arange(1, len(r)))) @ a
         S = max(r[0] - a @ r[1:], 0.0) / np.abs(whitening) ** 2
         J_f = np.fft.rfft(J[:, i], axis=0)
         twice = np.where((lines == 0) | (lines == 0.5), 1.0, 2.0) / n
@@ -205,6 +203,20 @@ def widened(covariance, J, residual):
     return covariance * np.outer(factor, factor)
 
 
+def autoregression(residual) -> tuple[np.ndarray, np.ndarray]:
+    """The numbers a_1, a_2, ... that predict a residual (n,) from its past, and its covariances.
+
+    r_i = sum_j a_j r_|i-j|,    i = 1 .. LAGS below n / 4    (Yule and Walker)
+    """
+    e = residual - np.mean(residual)
+    lags = min(LAGS, len(e) // 4)
+    r = np.array([e[lag:] @ e[: len(e) - lag] for lag in range(lags + 1)]) / len(e)
+    if not r[0] > 0:
+        return np.zeros(lags), r
+    r[0] *= 1 + 1e-9  # of a residual that an autoregression predicts without an error
+    return scipy.linalg.solve_toeplitz(r[:-1], r[1:]), r
+
+
 def fit_of(y, residual):
     """(n_y,) fit of each output, 100 (1 - |residual| / |y - mean y|) [%]; nan where it rests."""
     if len(y) < 2:
@@ -212,6 +224,12 @@ def fit_of(y, residual):
     about = np.linalg.norm(y - np.mean(y, axis=0), axis=0)
     about = np.where(np.ptp(y, axis=0) > 0, about, np.nan)
     return 100 * (1 - np.linalg.norm(residual, axis=0) / about)
+
+
+def is_white(problem: Problem, theta) -> bool:
+    """Whether the residual of the fitted part is white, of each output."""
+    residual = problem.residual(theta)[: problem.samples]
+    return all(_whiteness(one) >= WHITE for one in residual.T)
 
 
 def _whiteness(residual) -> float:
@@ -251,7 +269,7 @@ def poles_of(plant: Plant, names, theta, covariance) -> tuple[PoleEstimate, ...]
             * std
         )
     poles = np.asarray(
-        _poles_at(theta[which] + np.vstack([np.zeros(len(which)), draws]), names, plant)
+        poles_at(theta[which] + np.vstack([np.zeros(len(which)), draws]), names, plant)
     )
 
     def of_part(part):
@@ -264,12 +282,4 @@ def poles_of(plant: Plant, names, theta, covariance) -> tuple[PoleEstimate, ...]
     return tuple(
         PoleEstimate(*row)
         for row in zip(poles[0].tolist(), of_part(poles.real), of_part(poles.imag), strict=True)
-    )
-
-
-@functools.partial(jax.jit, static_argnames="names")
-def _poles_at(values, names, plant):
-    """(rows, poles) of the plant with its parameters `names` set to each row of values."""
-    return jax.vmap(lambda row: replaced(plant, dict(zip(names, row, strict=True))).all_poles)(
-        values
     )

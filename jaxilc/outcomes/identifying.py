@@ -33,7 +33,7 @@ from ..identification.not_linear import sentences as of_suspicions
 from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, RecordFile, read_record_file
 from ..identification.records import Record
 from ..identification.refitting import Refit, beyond_nyquist, held_out, refit
-from ..identification.sentences import NOT_WHITE, at_first_input, on_lines, sentence
+from ..identification.sentences import NOT_WHITE, on_lines, sentence
 from ..identification.sentences import verdict as sentences_on
 from ..plants import Plant, ProcessModel
 from ..pytree.aliases import Value
@@ -60,6 +60,12 @@ REFERENCE = "r"  # column of the reference of a closed loop
 UNKNOWN_REFERENCE = (
     "A loop was closed in this record: the input answers the noise of the output, so that the fit "
     "is biased where the noise is not white. Without bias: record the reference as a column r, too."
+)
+WITHIN_A_SAMPLE = (
+    "The input and the output of a sample belong together, more than the plant tells. Either a "
+    "loop was closed in this record, and the fit is biased: record the reference as a column r, "
+    "too. Or each row holds the output at the end of its sample: write the outputs one row later, "
+    "since here y[k+1] answers u[k]."
 )
 OF_REFERENCE = (
     "A loop was closed in this record: the plant is fitted from its reference, the column r, so "
@@ -106,10 +112,7 @@ def identify(
     found = fitted.found
     lines, has_law = sentences_on(found, fitted.dt) + closed, True
     said, suspected, of_friction = _not_linear(fitted)
-    structure: Numbers = {} if ANY in asked.structure.values() else dict(asked.structure)
     lines += said
-    if isinstance(fitted.measured, Record):
-        lines += at_first_input(fitted.measured, found, structure, asked.delay or 0)
     figures_of = fitted.drawn()
     second: Numbers = {}
     if validate is not None:
@@ -143,7 +146,8 @@ def _of_loop(path: Path, asked: Reading, fitted: Fitted) -> tuple[Fitted, list[s
     try:
         reference = asked._replace(input=REFERENCE).of_record(path).record.u
     except ValueError:
-        return fitted, [UNKNOWN_REFERENCE]
+        later = feedback_seen(record, y - found.simulated, late=1)
+        return fitted, [UNKNOWN_REFERENCE if later else WITHIN_A_SAMPLE]
     found = identification.identify(of_reference(record, reference), found.plant)
     return fitted._replace(found=found), [OF_REFERENCE]
 
@@ -154,7 +158,7 @@ def _not_linear(fitted: Fitted) -> tuple[list[str], Numbers, list[Table]]:
     if not isinstance(record, Record) or found.plant.n_u * found.plant.n_y > 1:
         return [], {}, []
     if fitted.grown is None:
-        told, alone = suspicions(record, [found.plant]), getattr(found.plant, "order", 0)
+        told, alone = suspicions(record, [found]), getattr(found.plant, "order", 0)
         rms = float(found.residual_std[0])
     else:
         told, best = fitted.grown.suspicions, min(fitted.grown.tried, key=lambda one: one.rms)

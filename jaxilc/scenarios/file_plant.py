@@ -17,7 +17,7 @@ import scipy
 from .. import identification, plants
 from ..identification.frequency_response import is_frequency_response
 from ..identification.record_files import is_twincat, read_record
-from ..identification.sentences import at_first_input
+from ..identification.sentences import IN_MOTION
 from ..plants import Plant, ProcessModel, from_control
 from ..plants.cnc_axis import Axes
 from ..plants.from_python_control import Linear, canonical_form, from_linear
@@ -45,7 +45,7 @@ from .specification import (
 # --------------------------------------------------------------------------------------------------
 
 
-FORMAT = 1  # of the file, and of the way in which a plant is fitted
+FORMAT = 2  # of the file, and of the way in which a plant is fitted
 LEAVES = tuple(field.name for field in dataclasses.fields(ProcessModel))
 
 
@@ -103,18 +103,16 @@ def _fitted(record: Path, options: Options) -> tuple[ProcessModel, str]:
             dt=dt,
             delay=None if options.delay is None else options.delay * dt,
         )
-        besides = []
     else:
         read, delay = read_record(record, **options.reading), options.delay or 0
         found = identification.identify(read, **options.structure, delay=delay)
-        besides = at_first_input(read, found, options.structure, delay)
     values = ", ".join(f"{name} = {one.value:.6g}" for name, one in found.parameters.items())
     plant = cast(ProcessModel, found.plant)
     if plant.delay and "delay" not in found.parameters:
         values += f", delay = {plant.delay:.6g}"
     fit = float(np.min(found.fit))
     said = f"the plant was identified from {record.name}: {values}; fit {fit:.4g} %"
-    return plant, ". ".join([said, *besides])
+    return plant, said if found.from_rest else f"{said}. {IN_MOTION}"
 
 
 def is_response(record: Path, columns: Sequence[str]) -> bool:

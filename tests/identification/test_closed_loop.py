@@ -62,8 +62,43 @@ def test_the_command_uses_the_reference_of_a_file_and_asks_for_it(tmp_path):
     assert "fitted from its reference" in " ".join(with_r.verdict.said)
     assert with_r.numbers["gain"]["low"] < GAIN < with_r.numbers["gain"]["high"]
     said = " ".join(without.verdict.said)
-    assert "A loop was closed in this record" in said
+    assert "a loop was closed in this record" in said
     assert "record the reference as a column r" in said
+
+
+def test_an_output_that_answers_within_its_sample_is_no_closed_loop(tmp_path):
+    """Rows of measured files may hold the output after the input of the same row has acted."""
+    rng, kept = np.random.default_rng(0), np.exp(-POLE * DT)
+    u = np.repeat(rng.standard_normal(N // 4), 4)
+    y = scipy.signal.lfilter([GAIN * (1 - kept)], [1, -kept], u) + 0.01 * rng.standard_normal(N)
+    said = []
+    for rows in (slice(None), slice(1, None)):
+        table = np.column_stack([np.arange(N)[rows] * DT, u[rows], y[: N - (rows.start or 0)]])
+        file = tmp_path / "a.csv"
+        np.savetxt(file, table, delimiter=",", header="t,u,y", comments="")
+        found = outcomes.identify(file, reading={"structure": STRUCTURE})
+        said.append(" ".join(found.verdict.said))
+    assert "write the outputs one row later" in said[0]
+    assert "A loop" not in said[0]
+    assert "loop" not in said[1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_not_linear_is_no_closed_loop(seed):
+    """Of a stiffness that hardens, a little of the residual predicts a periodic input, too."""
+    rng = np.random.default_rng(seed)
+    lines = np.zeros(N // 2 + 1, complex)
+    lines[1 : N // 5] = np.exp(2j * np.pi * rng.random(N // 5 - 1))
+    u = np.fft.irfft(lines) * N / 20
+    x, v, y = 0.0, 0.0, np.zeros(N)
+    for k in range(N):
+        y[k] = x
+        v += DT * (400.0 * (u[k] - x - 2.0 * x**3) - 3.0 * v)
+        x += DT * v
+    record = Record(u[:-1], y, DT)
+    found = identify(record, poles=0, pairs=1, zeros=1)
+    assert float(found.fit[0]) < 97.0
+    assert not feedback_seen(record, y[:, None] - found.simulated)
 
 
 def test_a_reference_that_rests_excites_nothing():
