@@ -53,7 +53,7 @@ def write(folder: Path) -> bool:
 def _draw(axes: Any, place: Path) -> None:
     import numpy as np
 
-    from jaxilc.figures.saving import darken
+    from jaxilc.figures.paper import darken
 
     figure = np.ravel(axes)[0].figure
     figure.savefig(f"{place}.png", dpi=90)

@@ -16,7 +16,7 @@ from PIL import Image
 
 import jaxilc
 from jaxilc import Sweep, figures, load_scenario, run_schemes, scenarios
-from jaxilc.figures.saving import darken
+from jaxilc.figures.paper import darken
 from jaxilc.figures.within_trial import signal_of
 
 FOLDER = Path(__file__).parents[2] / ".github" / "pictures"

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import gc
+import os
 import re
+import signal
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,7 +19,7 @@ import typer.core
 from rich.markup import escape
 from typer import Option
 
-from . import commands, interrupts
+from . import commands
 from .console import ended, err, prefer, speak, tracebacks
 from .explore import explore
 from .hardware import SETTINGS, Refused, next_, trials
@@ -160,12 +164,12 @@ def main() -> None:
     measured trial that is refused gives exit code 3.
     """
     gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
-    interrupts.heed()
+    heed()
     try:
         words = sys.argv[1:] or ["--help"]
         code = app(words, prog_name="jaxilc", standalone_mode=False)
-        if code == interrupts.CODE:
-            interrupts.leave()
+        if code == INTERRUPTED:
+            leave()
         sys.exit(code or 0)
     except Exception as error:
         usage = hasattr(error, "format_message")  # raised by Typer
@@ -204,6 +208,59 @@ def _short(said: str) -> str:
     """A message in one line, without the middle of long words."""
     said = LONG_WORD.sub(r"\1...\2", " ".join(said.split("\n")))
     return said if len(said) <= LONGEST else f"{said[: LONGEST - 4]} ..."
+
+
+# Ctrl-C
+# --------------------------------------------------------------------------------------------------
+
+# Python sees an interrupt between two of its own instructions only: not while a program is compiled
+# or runs, which may take a minute. And a process that ends waits for such threads, or fails in
+# them. So a thread watches for the signal itself. The command has a moment to say how to go on;
+# then the process ends. Files are whole at each moment, so that nothing is lost.
+MOMENT = 2.0  # [s] for the command to end by itself
+INTERRUPTED = 130  # exit code
+STOPPED = (
+    "stopped; files that were written are whole: the same command starts again, or with --resume "
+    "goes on (sweep, tune, pareto)"
+)
+_seen = threading.Event()
+_watching: list[threading.Thread] = []
+
+
+def heed() -> None:
+    """Watch for Ctrl-C from now on; only the main thread of a program can."""
+    if threading.current_thread() is not threading.main_thread() or os.name == "nt":
+        return
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return  # ignored, as by what a shell starts in the background, or a host's own
+    if _watching:
+        return
+    seen, told = os.pipe()
+    os.set_blocking(told, False)
+    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
+    _watching.append(threading.Thread(target=_watch, args=(seen,), daemon=True))
+    _watching[0].start()
+
+
+def leave() -> None:
+    """End the process now, where it was Ctrl-C that ended the command; else do nothing."""
+    if _seen.wait(0.1 if _watching else 0.0):
+        _end()
+
+
+def _watch(seen: int) -> None:
+    while os.read(seen, 1)[0] != signal.SIGINT:
+        pass
+    _seen.set()
+    time.sleep(MOMENT)
+    _end()
+
+
+def _end() -> None:
+    with suppress(Exception):
+        sys.stdout.flush()
+        print(STOPPED, file=sys.stderr, flush=True)
+    os._exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -166,7 +166,7 @@ def _figure(
     predicted: tuple[Prediction | None, Expected | None],
 ) -> Figure:
     """The errors of a campaign by trial, with the prediction, and what the next trial will have."""
-    from ..figures.campaign import bands_by_trial, campaign_figure
+    from ..figures.experiments import bands_by_trial, campaign_figure
     from ..hardware.journal import units
 
     (prediction, expected), (unit, input_unit) = predicted, units(journal)
@@ -178,7 +178,7 @@ def _figure(
 def _save(figure: Figure, path: Path, now: Campaign | None, live: list[Manifest]) -> Path:
     """Write that figure to a file, with the last trial in time where the campaign is known."""
     from .. import figures
-    from ..figures.campaign import LastTrial
+    from ..figures.experiments import LastTrial
     from ..hardware.campaign import TRIAL
 
     last = None

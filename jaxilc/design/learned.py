@@ -39,8 +39,7 @@ from .by_response import (
     sizes_of,
 )
 from .candidates import Candidate, penalty
-from .judging import Proof, Verdict, judged_trials, proof_of
-from .question import Question, Told
+from .judging import Proof, Question, Told, Verdict, judged_trials, proof_of
 from .responses import LINES, MACHINES, Family, designed_on, family_of, under
 from .window import Filters, ShapedFilter, Window, window_of
 

@@ -15,9 +15,18 @@ from ..schemes import Scheme, WithFeedback
 from ..uncertainty import takes_population
 from . import candidates
 from .candidates import Absent, Candidate, tuned
-from .judging import Limits, Proof, Verdict, judged_trials, limits_of, proof_of, ranked
+from .judging import (
+    Limits,
+    Proof,
+    Question,
+    Told,
+    Verdict,
+    judged_trials,
+    limits_of,
+    proof_of,
+    ranked,
+)
 from .learned import LEARNED, LearnedLaw
-from .question import Question, Told
 from .responses import Family
 
 LAWS = (*candidates.LAWS, LEARNED)  # that a design tries, from the simplest to the most complex

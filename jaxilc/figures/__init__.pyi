@@ -1,5 +1,4 @@
 from . import report
-from .band import error_band, given_and_tuned
 from .by_frequency import (
     frequency_tests,
     learned_law_figure,
@@ -7,9 +6,9 @@ from .by_frequency import (
     spectrum,
     time_frequency,
 )
-from .by_trial import certificate, error_by_trial
-from .campaign import campaign_figure
+from .by_trial import certificate, error_band, error_by_trial, given_and_tuned
 from .experiments import (
+    campaign_figure,
     potential_figure,
     record_figure,
     response_figure,
@@ -17,8 +16,8 @@ from .experiments import (
     validation_figure,
 )
 from .grid_map import contraction_map, contraction_of, grid_map
+from .paper import choose, save
 from .published import printed_and_ours, reproduction_figures
-from .saving import choose, save
 from .searches import final_error_by_trials, loss_by_step, pareto_front, worst_against_chance
 from .style import COLOURS, DASHES, MARKS
 from .within_trial import contour, tracking

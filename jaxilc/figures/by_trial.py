@@ -1,14 +1,15 @@
-"""Errors against the trial, with a logarithmic axis."""
+"""Errors against the trial, with a logarithmic axis: of one machine, and of many at a glance."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .description import TRIAL, Axis, Bars, Curve, Figure, Layer, Panel, Rule, tips_of
-from .paper import drawn
+from .description import TRIAL, Axis, Band, Bars, Curve, Figure, Layer, Panel, Rule, tips_of
+from .paper import draw, drawn
 from .style import (
     BLACK,
     BOUND,
@@ -19,13 +20,18 @@ from .style import (
     marks_of,
     names_of,
     numbers_of,
+    readable,
     style_of,
+    written,
 )
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
     from numpy.typing import ArrayLike
 
+    from ..sweeps.summary import SchemeSummary
     from ..theory import Certificate
 
 # Colours of what is claimed: monotone, converges, diverges, not claimed.
@@ -164,3 +170,261 @@ def certificate(
         "and its parameters.".removeprefix(": "),
         size=(7.2, 5.2), shares="", heights=(3.2, 1),
     )  # fmt: skip
+
+
+# A sweep: one panel a scheme, and the yield against the tolerance beside them
+# --------------------------------------------------------------------------------------------------
+
+
+GROWS = 10.0  # an error is shown up to so many times that of the first trial
+RATIOS = (0.1, 1e3)  # of given and tuned errors that are shown
+SAME = 1e-3  # relative difference of medians below which no trial is better than the others
+MANY = 4  # schemes from which on three panels stand side by side
+
+
+def error_band(
+    dataset: xr.Dataset,
+    *,
+    metric: str = "settled_error",
+    tolerance: float | None = None,
+    scale: float = 1.0,
+    unit: str = "",
+    summary: list[SchemeSummary] | None = None,
+) -> np.ndarray:
+    """A sweep: a panel for each scheme, and the share of machines within any tolerance; n+1 axes.
+
+    A panel shows the median, the band of 5 to 95 %, the worst machine, the tolerance, and the trial
+    of the least median. All panels have the same limits, which follow from the errors. What leaves
+    them at the top, such as a scheme that diverges, is cut off there and told in the panel. The
+    last axes show which share of the machines ends within a tolerance, against the tolerance.
+
+    dataset: over (scheme, sample, trial), one machine a sample
+    metric: name of a variable over these
+    tolerance: largest error that passes [unit of the dataset]
+    scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
+    summary: what `summarise` gives for this dataset and metric, None to have it computed
+    """
+    from ..sweeps.summary import errors_of, summarise
+
+    rows = summarise(dataset, tolerance, metric=metric) if summary is None else summary
+    limit = None if tolerance is None else scale * tolerance
+    limits = _limits(rows, scale, limit)
+    last = scale * errors_of(dataset, metric).isel(trial=-1).values
+    looks = numbers_of(row.scheme for row in rows)
+    panels = [
+        _panel(row, look, scale, limit, (metric, unit), limits)
+        for row, look in zip(rows, looks, strict=True)
+    ]
+    shares = _shares(names_of(dataset), last, (metric, unit, limit), limits)
+    axes = draw(Figure([*panels, shares], shares=""), _axes(len(rows)))
+    for i, (ax, row) in enumerate(zip(axes, rows, strict=False)):
+        colour = readable(colour_of(looks[i]))
+        ax.set_title(row.scheme, fontsize="small", loc="left", color=colour, fontweight="bold")
+        place, below = ax.get_subplotspec(), i + _columns(len(rows)) < len(rows)
+        ax.tick_params(labelleft=place.is_first_col(), labelbottom=not below)
+        ax.set_ylabel(ax.get_ylabel() if place.is_first_col() else "")
+        ax.set_xlabel("" if below else ax.get_xlabel())
+    axes[-1].set_title("yield against tolerance", fontsize="small", loc="left")
+    axes[-1].tick_params(axis="x", labelrotation=30)
+    figure, trials = axes[-1].figure, dataset.sizes["trial"]
+    _explain(figure, limit, unit)
+    figure.suptitle(f"{dataset.sizes['sample']} machines, {trials} trials", fontsize="medium")
+    return axes
+
+
+def band_together(
+    rows: Sequence[SchemeSummary],
+    *,
+    metric: str,
+    tolerance: float | None = None,
+    scale: float = 1.0,
+    unit: str = "",
+) -> Figure:
+    """The same in one panel, for a page, whose legend hides schemes."""
+    layers: list[Layer] = []
+    seen: list[float] = []
+    for i, row in zip(numbers_of(row.scheme for row in rows), rows, strict=True):
+        low, median, high, worst = _quantiles(row, scale)
+        top = top_of(median)
+        seen += [*np.minimum(high, top), *low]
+        clip = np.minimum(high, 1e3 * top if np.isfinite(top) else np.finfo(float).max / 1e9)
+        pale = 0.2 if np.all(high <= top) else 0.05  # a band without an end would tint all others
+        trials = np.arange(1, len(median) + 1)
+        name, hue = row.scheme, colour_of(i)
+        layers += [
+            Band(trials, low, clip, alpha=pale, name=name, colour=hue),
+            Curve(trials, median, mark="o", size=3, tips={"worst": worst}, name=name, colour=hue),
+            Curve(trials, worst, dash=":", name=name, colour=hue),
+        ]
+    if tolerance is not None:
+        layers.append(Rule(scale * tolerance, dash="--"))
+    word = metric.replace("_", " ")
+    return Figure(
+        [Panel(TRIAL, Axis(metric, unit, log=True, ends=limits_of(seen)), layers)],
+        f"The {word} by trial over all machines: the line is the median, the band holds 90 % of "
+        "them, the dots are the worst machine of each trial. A click on a name hides a scheme and "
+        "shows it again.",
+    )
+
+
+def _columns(count: int) -> int:
+    """How many panels stand side by side."""
+    return 3 if count > MANY else min(count, 2)
+
+
+def _axes(count: int) -> np.ndarray:
+    """The axes of the panels, which share both axes, and those of the shares beside them."""
+    from matplotlib.figure import Figure as Paper
+
+    columns = _columns(count)
+    rows = math.ceil(count / columns)
+    size = (3.4 + 2.4 * columns + 0.8 * (columns == 1), 1.3 + 2.1 * max(rows, 1.4))
+    paper = Paper(figsize=size, layout="constrained", dpi=150)
+    ratios = (*[1.0] * columns, 1.35 if columns > 1 else 1.0)
+    cells = paper.add_gridspec(rows, columns + 1, width_ratios=ratios)
+    made: list[Axes] = []
+    for i in range(count):
+        shared = made[0] if made else None
+        cell = cells[i // columns, i % columns]
+        made.append(paper.add_subplot(cell, sharex=shared, sharey=shared))
+    return np.array([*made, paper.add_subplot(cells[:, columns])])
+
+
+def _quantiles(row: SchemeSummary, scale: float) -> list[np.ndarray]:
+    """Low end, median, high end and worst machine by trial."""
+    return [scale * np.asarray(x, float) for x in (row.low, row.median, row.high, row.worst)]
+
+
+def _limits(rows, scale: float, limit: float | None) -> tuple[float, float]:
+    """Limits that hold what learns, and the tolerance; a scheme that grows counts up to GROWS."""
+    shown = [] if limit is None else [limit]
+    for row in rows:
+        low, median, high, _ = _quantiles(row, scale)
+        top = top_of(median)
+        for values in (low, median, high):
+            kept = values[np.isfinite(values) & (values > 0)]
+            shown += np.minimum(kept, top).tolist()
+    return limits_of(shown) or (0.1, 10.0)
+
+
+@drawn
+def given_and_tuned(
+    dataset: xr.Dataset, *, metric: str = "settled_error", scale: float = 1.0, unit: str = ""
+) -> Figure:
+    """A tuning judged: the errors by trial of both laws, and below them their ratio.
+
+    Each machine has its ratio, given over tuned; above 1 the tuned law is better on it. A machine
+    on which one law diverges has the ratio 0 or infinity, and where both do it has none.
+
+    dataset: over (scheme, sample, trial) with the schemes `given` and `tuned`
+    metric, scale, unit: as for `error_band`
+    """
+    from ..sweeps.summary import errors_of, summarise
+
+    rows = summarise(dataset, None, metric=metric)
+    above = band_together(rows, metric=metric, scale=scale, unit=unit)
+    errors = errors_of(dataset, metric)
+    tuned, given = (errors.sel(scheme=name).values for name in ("tuned", "given"))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where((tuned == 0) & (given == 0), 1.0, given / tuned)
+    ratio = ratio[~np.all(np.isnan(ratio), axis=1)]
+    parts = np.nanquantile(ratio, (0.0, 0.05, 0.5, 0.95), axis=0, method="inverted_cdf")
+    trials = np.arange(1, ratio.shape[1] + 1)
+    layers: list[Layer] = [
+        Band(trials, *np.minimum(parts[[1, 3]], RATIOS[1]), name="5 to 95 % of the machines"),
+        Curve(trials, parts[2], name="median machine"),
+        Curve(trials, parts[0], dash=":", name="least ratio"),
+        Rule(1.0, name="above 1: tuning gains"),
+    ]
+    ends = limits_of([*np.clip(parts[1:], *RATIOS).ravel(), 1.0], pad=1.2)
+    below = Panel(TRIAL, Axis("given / tuned", log=True, ends=ends), layers)
+    return Figure(
+        [*above.panels, below],
+        "Above, the errors by trial over machines that no step has seen: the line is the median, "
+        "the band holds 90 % of the machines, the dots are the worst one. Below, the error with "
+        "the given weights over that with the tuned ones, machine by machine.",
+    )
+
+
+def top_of(median) -> float:
+    """Up to where the errors are shown whose first median is positive; infinite for others."""
+    return GROWS * median[0] if 0 < median[0] < np.inf else np.inf
+
+
+def _panel(
+    row: SchemeSummary, i: int, scale: float, limit: float | None, shown: tuple[str, str], limits
+) -> Panel:
+    """Median, band, worst machine, tolerance and best trial of one scheme, within the limits.
+
+    shown: name of the metric, and its unit
+    """
+    hue, top = colour_of(i), limits[1]
+    low, median, high, worst = _quantiles(row, scale)
+    trial = np.arange(1, len(median) + 1)
+    inside = np.where(low < top, low, np.nan)  # where all machines are beyond the top
+    layers: list[Layer] = [
+        Band(trial, inside, np.minimum(high, top), alpha=0.22, colour=hue),
+        Curve(trial, np.where(worst <= top, worst, np.nan), dash=":", width=1, colour=hue),
+        Curve(trial, np.where(median <= top, median, np.nan), width=1.6, colour=hue),
+    ]
+    if limit is not None:
+        layers.append(Rule(limit, dash="--"))
+    known = median[np.isfinite(median) & (median > 0)]
+    if known.size and known.max() > (1 + SAME) * known.min():
+        best = int(np.argmin(np.where(np.isfinite(median) & (median > 0), median, np.inf)))
+        here = [trial[best]], [median[best]]
+        layers.append(Curve(*here, dash="", mark="o", filled=False, colour=hue))
+    along = TRIAL._replace(most=6, ends=(trial[0] - 0.5, trial[-1] + 0.5))
+    note = _said(row, high > top * 1.001, trial)
+    return Panel(along, Axis(shown[0], shown[1], log=True, ends=limits), layers, note=note)
+
+
+def _said(row, beyond, trial) -> str:
+    """What a panel tells in words: the yield, machines that diverged, a band that is cut off."""
+    lines = []
+    if np.isfinite(row.yield_share):
+        lines.append(f"{row.yield_share:.1%} within tolerance")
+    if row.diverged:
+        lines.append(f"{row.diverged:.1%} diverged")
+    if np.any(beyond):
+        since = trial[np.flatnonzero(beyond)[0]]
+        lines.append(f"band cut off at the top\nfrom trial {since} on")
+    return "\n".join(lines)
+
+
+def _shares(names, last: np.ndarray, shown: tuple, held: tuple[float, float]) -> Panel:
+    """The share of the machines whose last error is within a tolerance, against the tolerance.
+
+    last: (schemes, machines) errors of the last trial, inf where one diverged
+    shown: name of the metric, its unit, and the tolerance
+    held: ends of the axis of tolerances
+    """
+    metric, unit, limit = shown
+    layers: list[Layer] = []
+    for name, i, errors in zip(names, numbers_of(names), last, strict=True):
+        found = np.sort(errors[(errors > held[0]) & (errors <= held[1])])
+        zero = np.mean(errors <= held[0])
+        share = np.concatenate([[zero], zero + np.arange(1, len(found) + 1) / len(errors)])
+        at, share = [held[0], *found, held[1]], 100 * np.append(share, share[-1])
+        layers.append(Curve(at, share, steps=True, width=1.6, name=name, colour=colour_of(i)))
+    if limit is not None:
+        layers.append(Rule(limit, "x", dash="--"))
+    along = Axis(f"tolerance of the last {metric.replace('_', ' ')}", unit, log=True, ends=held)
+    return Panel(along, Axis("machines within [%]", ends=(-3, 103)), layers, legend="")
+
+
+def _explain(figure, limit: float | None, unit: str) -> None:
+    """One line below all panels that says what the lines are."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Artist] = [
+        Line2D([], [], color="0.3", linewidth=1.6, label="median"),
+        Patch(color="0.3", alpha=0.22, linewidth=0, label="5 to 95 %"),
+        Line2D([], [], color="0.3", linestyle=":", label="worst machine"),
+        Line2D([], [], color="0.3", marker="o", mfc="none", linestyle="", label="best trial"),
+    ]
+    if limit is not None:
+        said = f"tolerance {written(limit, unit)}"
+        handles.append(Line2D([], [], color="k", linestyle="--", linewidth=0.8, label=said))
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize="small")

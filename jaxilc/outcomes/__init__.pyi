@@ -10,9 +10,8 @@ from .repeating import potential
 from .reproducing import reproduce
 from .request import Request
 from .running import run
-from .searching import worst_case
 from .sweeping import sweep
-from .tuning import pareto, tune
+from .tuning import pareto, tune, worst_case
 
 __all__ = [
     "Outcome",

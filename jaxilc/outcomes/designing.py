@@ -13,10 +13,9 @@ from typing import TypeVar
 from .. import figures
 from ..design import Design, Designed, Learned, LearnedLaw, Recommended, feedback_among
 from ..design.candidates import Absent, Candidate
-from ..design.judging import LIKE, Proof
+from ..design.judging import LIKE, Proof, Told
 from ..design.judging import Verdict as Judged
 from ..design.learned import LEARNED, SAFE
-from ..design.question import Told
 from ..pytree.aliases import Value
 from ..pytree.named_paths import get_at
 from ..scenarios import Scenario

@@ -16,7 +16,7 @@ from .request import Request
 if TYPE_CHECKING:
     from ..pytree.aliases import Leaf
     from ..scenarios import Scenario
-    from .case import Case
+    from .words import Case
 
 
 def scenarios() -> Outcome:
@@ -32,7 +32,7 @@ def scenarios() -> Outcome:
 def settings(source: str) -> Outcome:
     """All that can be set in a scenario or a plant file, with values and allowed ranges."""
     from ..scenarios.from_file import load_scenario
-    from .case import Case
+    from .words import Case
 
     chosen = load_scenario(source)
     values = chosen.settable()

@@ -22,19 +22,27 @@ from ..scenarios.reproduction import met
 from ..storage.files import whole_folder
 from ..sweeps import runs
 from ..uncertainty import key_of
-from .case import (
-    HEADS,
-    OF_CONTOUR,
-    Case,
-    diverged,
-    experiment_lines,
-    output_names,
-    said,
-    shown_trials,
-)
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, settings_of
-from .words import DIVERGES, EXACT, FALLS, GROWS, SETTLED, Trend, number, several, trend_of
+from .words import (
+    DIVERGES,
+    EXACT,
+    FALLS,
+    GROWS,
+    HEADS,
+    OF_CONTOUR,
+    SETTLED,
+    Case,
+    Trend,
+    diverged,
+    experiment_lines,
+    number,
+    output_names,
+    said,
+    several,
+    shown_trials,
+    trend_of,
+)
 
 if TYPE_CHECKING:
     import xarray as xr

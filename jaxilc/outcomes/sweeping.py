@@ -23,19 +23,21 @@ from ..sweeps.points import BestPoint, at_best, best_points, labels_of
 from ..sweeps.summary import SchemeSummary, axes_of, last_errors, summarise
 from ..sweeps.sweep import Sweep
 from ..theory.bounds import BoundsWatch
-from .bounds import bounds_tables, watched_numbers
-from .case import (
+from .certifying import bounds_tables, watched_numbers
+from .outcome import Figure, Interactive, Numbers, Outcome, Table, Verdict
+from .request import Request, point_of, unless_there
+from .words import (
     OF_CONTOUR,
     WORDS,
     Case,
     experiment_lines,
+    number,
     output_names,
     said,
+    several,
     shown_trials,
+    trend_of,
 )
-from .outcome import Figure, Interactive, Numbers, Outcome, Table, Verdict
-from .request import Request, point_of, unless_there
-from .words import number, several, trend_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -201,7 +203,7 @@ def live_sweep(
 ) -> list[Interactive]:
     """The map of a grid with its best points, errors by trial, machines against parameters."""
     from ..figures import browsers
-    from ..figures.band import band_together
+    from ..figures.by_trial import band_together
     from ..figures.grid_map import live_grid
 
     parameters = {

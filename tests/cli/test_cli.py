@@ -32,7 +32,7 @@ from jaxilc import figures, outcomes
 from jaxilc.cli import app, console, durations, progress
 from jaxilc.cli.hardware import OF_CAMPAIGN
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
-from jaxilc.figures import saving
+from jaxilc.figures import paper
 from jaxilc.outcomes import Request, running
 from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
@@ -94,7 +94,7 @@ def test_list_names_scenarios_and_all_that_can_be_set(jaxilc_command):
 def test_run_prints_ours_beside_the_published_and_writes_everything(
     jaxilc_command, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(figures, "save", saving.save)  # painted
+    monkeypatch.setattr(figures, "save", paper.save)  # painted
     code, out, _ = jaxilc_command(
         "run", "cao-2019", "--trials", 40, "--scheme", "cfdl-mfailc", "--set", "plant=exact",
         "--out", "here", "--report", "here/run.json",

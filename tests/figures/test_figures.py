@@ -16,7 +16,7 @@ from matplotlib.colors import to_hex
 
 from jaxilc import figures
 from jaxilc.figures import browsers
-from jaxilc.figures.saving import LIGHTER
+from jaxilc.figures.paper import LIGHTER
 from jaxilc.figures.style import marks_of, numbers_of, style_of, written
 from jaxilc.figures.within_trial import _around_the_largest
 from jaxilc.learning import Machine

@@ -23,8 +23,7 @@ from rich.table import Table
 
 from jaxilc import learn, scenarios
 from jaxilc.figures import browsers
-from jaxilc.figures.band import band_together
-from jaxilc.figures.by_trial import error_by_trial
+from jaxilc.figures.by_trial import band_together, error_by_trial
 from jaxilc.figures.page import live as page_of
 from jaxilc.figures.report import LIVE_POLICY, POLICY, command_report, html_report, write_report
 from jaxilc.outcomes.outcome import Verdict

@@ -20,7 +20,7 @@ from cases import ALGEBRA, case
 from typer.testing import CliRunner
 
 from jaxilc.cli import app, console
-from jaxilc.figures.campaign import campaign_figure
+from jaxilc.figures.experiments import campaign_figure
 from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
 from jaxilc.hardware.checks import beyond_limits, larger
 from jaxilc.learning import Sensor, learn, run_trial

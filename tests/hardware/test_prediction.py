@@ -10,7 +10,7 @@ from fuzz import flipped, fuzz
 from gain_case import GAINS, STATIC, TASK
 
 from jaxilc.cli.hardware import new_plant_file, next_command, verdict
-from jaxilc.figures.campaign import bands_by_trial
+from jaxilc.figures.experiments import bands_by_trial
 from jaxilc.hardware import prediction as predictions
 from jaxilc.hardware.prediction import Subject, distance, place_of, prediction_of
 from jaxilc.schemes import PIDType

@@ -10,7 +10,7 @@ from rich.console import Console
 from jaxilc.identification import Grown
 from jaxilc.identification.grown import Tried
 from jaxilc.identification.grown_response import LineModel, Parts
-from jaxilc.outcomes.bounds import _of_all
+from jaxilc.outcomes.certifying import _of_all
 from jaxilc.outcomes.identifying import grown_response_table, grown_table
 from jaxilc.outcomes.outcome import Console as Plain
 from jaxilc.outcomes.outcome import Table

@@ -11,14 +11,12 @@ from typer.main import get_command
 from jaxilc.cli import app
 from jaxilc.design.judging import judged_trials, verdict
 from jaxilc.outcomes import certifying, designing
-from jaxilc.outcomes.case import Case
 from jaxilc.outcomes.certifying import certify_verdict
 from jaxilc.outcomes.listing import list_verdict
 from jaxilc.outcomes.outcome import Console, Verdict
 from jaxilc.outcomes.reproducing import _by_paper, reproduce_verdict
 from jaxilc.outcomes.request import REPEATED, Request
 from jaxilc.outcomes.running import run_verdict
-from jaxilc.outcomes.searching import worst_case_verdict
 from jaxilc.outcomes.sweeping import sweep_verdict
 from jaxilc.outcomes.tuning import (
     _over,
@@ -27,8 +25,9 @@ from jaxilc.outcomes.tuning import (
     in_words,
     tune_verdict,
     tuning_lines,
+    worst_case_verdict,
 )
-from jaxilc.outcomes.words import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, trend_of
+from jaxilc.outcomes.words import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, Case, trend_of
 from jaxilc.scenarios.published import NOTHING, Fit, Published
 from jaxilc.scenarios.reproduction import Row
 from jaxilc.sweeps.summary import SchemeSummary
