@@ -742,8 +742,8 @@ def _turn(
 ) -> tuple[Turn, Place | None]:
     """The turn that a measured trial makes, and where it lies on what was expected of it.
 
-    A trial that ended early lies nowhere on it, since its error is that of a part.
-    Its findings are printed. Raises Refused where the checks refuse the trial.
+    A trial that ended early lies nowhere on it, since its error is that of a part. The findings are
+    printed. Raises Refused where the checks refuse the trial.
     """
     from ..hardware.campaign import refuse
     from ..hardware.prediction import next_step

@@ -56,10 +56,8 @@ def by_response(
 ) -> tuple[Filters, float]:
     """The taps of least predicted error of a law that is not scheduled, and their loss.
 
-    start: from which the search begins
     trials: number of the trial whose error counts
-    below: bound on |keep - L P|
-    steps: of L-BFGS at most
+    below: bound on |keep - L P|;  steps: of L-BFGS at most
     risk: how the logarithms of the errors of all machines are combined
     """
     early = ((max(2, (trials + 1) // 2), EARLY),) if trials > 2 else ()
@@ -82,10 +80,7 @@ def by_response(
 
 
 def _lowest(numbers, z, steps: int) -> tuple[np.ndarray, float]:
-    """The lowest point that L-BFGS finds from z, and its value.
-
-    Where its line search fails at a kink of the loss, it begins anew from there.
-    """
+    """The lowest point that L-BFGS, begun anew at each kink, finds from z, and its value."""
     least, left = np.inf, steps
     while left > 0:
         options = {"maxiter": left, "maxfun": 2 * left, "maxcor": 30}
@@ -105,10 +100,7 @@ def moved(window: Window, start: Filters, z) -> Filters:
 
 
 def sizes_of(family: Family, window: Window, filters: Filters, dt: float) -> np.ndarray:
-    """(S, F) |keep - L P| of taps on the machines and lines of a family.
-
-    Of several channels it is the largest singular value, and of segments the largest of all.
-    """
+    """(S, F) |keep - L P| of taps on a family, the largest singular value, and of all segments."""
     of_L, of_keep = window.responses(family.frequencies, dt)
     L, keep = along(of_L, filters.L), along(of_keep, filters.keep)
     if window.starts:
@@ -240,9 +232,8 @@ ROUNDS, JOIN = 5, 16  # of the exchange, and machines that join in each
 
 
 class FirstTaps(NamedTuple):
-    """The taps with which a tuning begins.
+    """The taps with which a tuning begins, of a law that is the same in all samples.
 
-    filters: the taps of a law that is the same in all samples
     lead:    of the middle tap of L, see `Window`
     besides: {name: (S,)} numbers of the machines that joined the family
     """
@@ -263,11 +254,9 @@ def best_of_leads(
 ) -> tuple[int, Filters]:
     """The lead with the least loss of the taps that a brief search finds, and these taps.
 
-    They are those of a law that is the same in all samples.
-
     Taps with which the ends of the trial are safe too come first, see `radius_in_a_trial`.
 
-    window: of a lead
+    window: of a lead, for a law that is the same in all samples
     starts: laws that the taps are taken from; None is one that learns nothing
     """
     leads = leads_of(family, task)
@@ -299,7 +288,7 @@ def radius_in_a_trial(
 
     The test by frequency holds far from the ends of a trial. At its end L looks for errors that do
     not exist, and a law may diverge there that is safe elsewhere. Of a scheduled law it is that of
-    the last segment. Of several channels it is 0, as it is not computed.
+    the last segment; of several channels it is not computed, and 0.
     """
     reach = window.lead + len(window.of_L) + len(window.of_keep)
     N = min(task.N, max(SHORT, ENDS * reach))
@@ -332,12 +321,10 @@ def exchanged(
     """Taps by frequency response that keep a bound on the machines that watch, as far as possible.
 
     A law that keeps the bound on the machines of a family may break it on one between them, whose
-    resonance lies elsewhere. It is watched on others, and the worst of them join the family, until
+    resonance lies elsewhere. So it is watched on others, of which the worst join the family, until
     none of fresh ones breaks it. Those of the gate, which judges what is found, are others again.
 
-    joined: the family with machines of these numbers besides
-    watch: the machines that watch in a round, others in each
-    first: taps from which the search begins
+    joined: the family with machines of these numbers besides;  watch: those that watch in a round
     below: bound on |keep - L P| in the search;  most: on the machines that watch
     """
     found, _ = by_response(family, window, first, task, trials, below, risk=risk)

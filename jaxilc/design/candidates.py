@@ -57,7 +57,6 @@ Bounds: TypeAlias = dict[str, tuple[float, float]]
 class Candidate(NamedTuple):
     """A law with weights that are safe by its frequency response.
 
-    name:    such as p-type
     words:   what the law is, in a few words
     scheme:  with its feedback, if the machine has one
     bounds:  {name of a weight: (low, high)} within which it may be tuned
@@ -89,12 +88,7 @@ def candidates(
     margin: float,
     names: Sequence[str],
 ) -> Iterator[Candidate | Absent]:
-    """Each of the laws with its safe weights, or the reason why it has none.
-
-    trials: number of the trial whose error is predicted
-    margin: least distance of |Q (1 - L P)| from 1
-    names: of `LAWS`
-    """
+    """Each of the laws of these names with its safe weights, or the reason why it has none."""
     for name in names:
         found = LAWS[name](family, feedback, task, trials, margin)
         yield Absent(name, found) if isinstance(found, str) else found._replace(name=name)
@@ -339,9 +333,9 @@ def best_simulated(
 ) -> Found:
     """The law of least error where the ends of the trial count too: the best found, and around it.
 
-    What noise adds to each is that of the frequency response. From the best law found the search
-    goes on by steps of gain, cutoff and lead, alone and in pairs, that keep the margin and lower
-    the error; where none does, the steps become shorter.
+    What noise adds to each is that of the frequency response. The search goes on from the best one
+    by steps of gain, cutoff and lead, alone and in pairs, that keep the margin and lower the error;
+    where none does, they become shorter.
     """
     found = found[:SIMULATED]
     sizes = np.abs(family.P).sum(axis=1)
@@ -433,10 +427,8 @@ def rms_of(
     out. A lead beyond the delay of the plant leaves the last samples of a trial without an error to
     learn from, of which the frequency response knows nothing.
 
-    loops: of S machines
     error: (N+1,) of the first trial, in which nothing was learned
     laws: numbers gamma_p, gamma_d, lead and cutoff of each, and the edges low and high of F
-    order: of the filter, in one pass
     """
     error = np.asarray(error, float)
     N = len(error) - 1
@@ -533,10 +525,7 @@ def tuned(
     ones of the candidate, until the frequency test holds with its margin over the family.
 
     out: folder of the tuning's state;  resume: go on with what is there
-    machines, held_out, steps, quantities: as for `Tuning`; machines are drawn as those of the
-        family
-
-    A candidate without weights is returned as it is.
+    machines, held_out, steps, quantities: as for `Tuning`
     """
     if not candidate.bounds:
         return candidate
@@ -560,10 +549,7 @@ def tuned(
 
 
 def penalty(family: Family, below: float) -> Objective:
-    """The monotone condition as a term of a tuning.
-
-    It is what a law costs whose |keep - L P| is above a bound on a machine of the family.
-    """
+    """The monotone condition as a term of a tuning: what |keep - L P| above a bound costs."""
     return UNSAFE * OverFamily(family.frequencies, family.P, below, SHARPNESS)
 
 

@@ -108,10 +108,7 @@ def _stays_from(high: np.ndarray, tolerance: float | None) -> int:
 
 
 def ranked(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """The laws that hold: the simplest one whose error is near the least, then by their errors.
-
-    verdicts: from the simplest law to the most complex one
-    """
+    """The laws that hold, given from the simplest on: the first near the least, then by error."""
     sound = [one for one in verdicts if not one.lost]
     least = min((one.error for one in sound), default=np.inf)
     first = next((one for one in sound if one.error <= LIKE * least), None)
@@ -221,11 +218,7 @@ def limits_of(
     machines: float,
     quantities: Mapping[str, Callable[[Trial], jax.Array]],
 ) -> Limits:
-    """What limits the error of a scheme.
-
-    machines: the error of 95 % of the uncertain machines
-    quantities: further metrics of a trial, by name
-    """
+    """What limits the error of a scheme, which is `machines` on 95 % of the uncertain ones."""
     keep = Keep.of(quantities)
 
     def error(machine: Machine, scheme: Scheme) -> float:
@@ -297,10 +290,7 @@ class Proof(NamedTuple):
 
 
 def proof_of(family: Family, scheme: Scheme, task: Task, *, between: bool = False) -> Proof:
-    """The proof of a scheme over a family of machines.
-
-    between: whether the machines between those of the family are looked at too
-    """
+    """The proof of a scheme over a family, and of all machines between those if it is asked for."""
     segments = segments_of(scheme)
     laws = [law_of(one, task) for one in segments]
     sizes = np.array([family.sizes_of_law(law, task.dt) for law in laws])
@@ -343,9 +333,9 @@ def _further(family: Family, laws, sizes, dt: float) -> float:
 
 
 def _between(family: Family, sizes, which, found, scheme: Scheme, task: Task) -> WholeSet:
-    """What is proved of all machines between those of the family.
+    """What is proved of all machines between those of the family, by their sizes (S,) on the grid.
 
-    sizes: (S,) of each machine on the grid; of those in `which` the enclosed ones take their place
+    Of those in `which` the enclosed values take their place.
     """
     values = sizes.copy()
     for i, one in zip(which, found, strict=True):

@@ -60,9 +60,8 @@ STARTS = {
 
 
 class Passed(NamedTuple):
-    """Taps that pass.
+    """Taps that pass the gate.
 
-    filters: the taps
     way:     share of the way back on which they lie: 0 for those that were learned
     largest: |keep - L P| at its largest, on the machines and lines of the family
     """
@@ -76,7 +75,6 @@ class Taps(NamedTuple):
     """The taps that were learned.
 
     start:  the safe law that they were taken from, None for none
-    window: where they lie
     family: the dense family of the gate
     passed: what the gate let pass, or why nothing did
     """
@@ -239,10 +237,7 @@ class LearnedLaw(Question):
         self, *, after: int = 0, machines: int = MACHINES, points: int = LINES,
         besides: Mapping[str, np.ndarray] | None = None,
     ) -> Family:  # fmt: skip
-        """The family with lines that resolve the responses of its taps.
-
-        after: how far its seed is after that of the question;  points, besides: as for `family_of`
-        """
+        """The family with lines that resolve its taps, by a seed so far `after` the own one."""
         seed = self.seed + after
         population = designed_on(self.machine, self.uncertainty, machines=machines, seed=seed)
         return family_of(
@@ -253,12 +248,7 @@ class LearnedLaw(Question):
     def learned_taps(
         self, family: Family, safe: list[Candidate], out: Path, *, resume: bool, told: Told
     ) -> Taps:
-        """The taps that passed the gate, or why none did: steps 2 to 4.
-
-        family: that of `resolved`
-        safe: laws of a few weights, the best one first
-        out, resume, told: as for `run`
-        """
+        """The taps that passed the gate, or why none did: steps 2 to 4, from safe laws."""
         start, below = self._start_of(safe), 1 - self.margin - SPARE
         law = None if start is None else start.scheme
         laws = (law, None) if law is not None and self.start == "safe" else (law,)
@@ -366,7 +356,6 @@ def kept_or(
 ) -> FirstTaps:
     """The taps with which a tuning begins: those kept in its folder, or computed and kept there.
 
-    asked: the question that they answer, and all that their numbers depend on
     Raises FileExistsError for a folder with taps without `resume`, and ValueError for taps of
     another question, and for those of an earlier version that differ from segment to segment.
     """

@@ -107,10 +107,7 @@ class Family(NamedTuple):
         return np.max(np.abs(Q * (1 - L * self.P)), axis=(-2, -1))
 
     def rms(self, Q, L, trial: int, machines=slice(None)) -> np.ndarray:
-        """(..., S) root mean square error of a trial that is predicted for each machine.
-
-        machines: which of them
-        """
+        """(..., S) root mean square error of a trial, as predicted for each of these machines."""
         Q, L = (np.asarray(x)[..., None, :] for x in (Q, L))
         QLP = Q * L * self.P[machines]
         M = Q - QLP
@@ -142,11 +139,9 @@ def family_of(
 ) -> Family:
     """The responses of the machines of a population, and of those at its corners.
 
-    feedback: the feedback under which the machine learns, None for none
     points: number of frequencies, besides those near the poles
     several: whether the machine may have several inputs and outputs
-    besides: {name: (S,)} numbers of further machines
-    taps: of filters whose responses the frequencies must resolve
+    besides: {name: (S,)} numbers of further machines;  taps: that the frequencies must resolve
     Raises ValueError for a machine of more inputs or outputs than are allowed, one that is not
     stable, and one whose first trial has no error.
     """
@@ -223,9 +218,9 @@ _responses = jax.jit(lambda loops, f, dt: jax.vmap(lambda loop: response(loop, f
 def _lines(task: Task, loops: list[Loop], points: int, taps: int) -> np.ndarray:
     """(F,) frequencies: dense near the poles of the nominal machine, and at those of the others.
 
-    A lightly damped resonance is narrower than the distance of two lines elsewhere, and each
-    machine has it at another frequency. It is met at its peak and at both of its flanks. For taps
-    there are more lines on the flanks, and `RESOLVED` to a period of their response everywhere.
+    A lightly damped resonance is narrower than the distance of two lines elsewhere, so each
+    machine's is met at its peak and at both flanks. For taps there are more lines on the flanks,
+    and `RESOLVED` to a period of their response everywhere.
     """
     f = grid(task, points=points, near=np.linalg.eigvals(minimal(loops[0], task.N).A))
     poles = _pairs(np.stack([loop.A for loop in loops]))
@@ -284,10 +279,7 @@ def gathered(e, f, dt: float) -> np.ndarray:
 
 
 def _noise(machine: Machine, task: Task, f, P, least) -> np.ndarray:
-    """(F,) what sensor and disturbances add to each trial anew, white within a trial.
-
-    Of several channels (F, n_y), with P (F, n_y, n_u).
-    """
+    """(F,) or (F, n_y) what sensor and disturbances add to each trial anew, white within it."""
 
     def variance(part, name):
         value = None if part is None else getattr(part, name)

@@ -161,9 +161,9 @@ def window_of(
 ) -> Window:
     """The window of so many taps of L and of keep.
 
-    starts, limit: as in `LearningFilter`
     coupled: whether each input learns from all errors, or from that of its own channel only
     lead: of its middle tap of L, None for the mean delay of the machine, see `leads_of`
+    starts, limit: as in `LearningFilter`
     """
     P = family.P[0].reshape(len(family.frequencies), -1)  # each pair of channels by itself
     lead = leads_of(family, task)[0] if lead is None else lead

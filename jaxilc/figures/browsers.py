@@ -115,10 +115,7 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
 
 
 def measured_trials(task: Task, measured: Mapping[int, Mapping[str, np.ndarray]]) -> Live:
-    """Output, error and input of the measured trial that a slider chooses.
-
-    measured: `y` (N+1, n_y) and `u` (N, n_u) by the number of the trial
-    """
+    """The same of measured trials: y (N+1, n_y) and u (N, n_u) by the number of the trial."""
     import xarray as xr
 
     r = np.asarray(task.reference, float).reshape(len(np.asarray(task.time)), -1)
@@ -170,9 +167,8 @@ def machines(
 ) -> Live | None:
     """The last error of each machine against a parameter, and what each parameter explains.
 
-    drawn: (S,) values of the uncertain parameters, by path
+    drawn: (S,) values of the uncertain parameters, by path; None is returned where none varies
     tolerance: largest error that passes [unit of the dataset]
-    Returns None where no parameter varies.
     """
     from bokeh.layouts import column
     from bokeh.models import ColumnDataSource, CustomJS, Div, FactorRange, Select

@@ -198,10 +198,9 @@ def frequency_tests(tests: Mapping[str, FrequencyTest]) -> Figure:
 
 
 def _without_slow(e, samples: int):
-    """A signal less its mean under a moving Hann window of so many samples.
+    """A signal less its mean under a moving Hann window, zero for its lines 2, 3, 4 ...
 
-    This mean is zero for the lines 2, 3, 4 ... of the window, so that these do not change, and it
-    follows what is slower, which would otherwise leak into them.
+    The mean follows what is slower, which would otherwise leak into these lines.
     """
     from scipy.ndimage import convolve1d
     from scipy.signal import get_window
@@ -406,10 +405,7 @@ def _sizes(f, L, keep, P) -> list[Layer]:
 
 
 def _each(values, name: str) -> Iterator[tuple[str, float, str, np.ndarray]]:
-    """Colour, opacity, name and line of each segment and pair of channels of values (S, K, n, m).
-
-    The name tells the pair, in the first segment.
-    """
+    """Colour, opacity, name (in the first segment) and line of each pair of values (S, K, n, m)."""
     S, _, n, m = values.shape
     for s in range(S):
         for pair, (i, j) in enumerate(np.ndindex(n, m)):

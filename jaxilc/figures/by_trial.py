@@ -354,10 +354,7 @@ def top_of(median) -> float:
 def _panel(
     row: SchemeSummary, i: int, scale: float, limit: float | None, shown: tuple[str, str], limits
 ) -> Panel:
-    """Median, band, worst machine, tolerance and best trial of one scheme, within the limits.
-
-    shown: name of the metric, and its unit
-    """
+    """Median, band, worst machine, tolerance and best trial of one scheme; shown: metric, unit."""
     hue, top = colour_of(i), limits[1]
     low, median, high, worst = _quantiles(row, scale)
     trial = np.arange(1, len(median) + 1)
@@ -395,9 +392,8 @@ def _said(row, beyond, trial) -> str:
 def _shares(names, last: np.ndarray, shown: tuple, held: tuple[float, float]) -> Panel:
     """The share of the machines whose last error is within a tolerance, against the tolerance.
 
-    last: (schemes, machines) errors of the last trial, inf where one diverged
+    last: (schemes, machines) errors, inf where one diverged;  held: ends of the axis
     shown: name of the metric, its unit, and the tolerance
-    held: ends of the axis of tolerances
     """
     metric, unit, limit = shown
     layers: list[Layer] = []

@@ -100,10 +100,7 @@ class Band(Layer):
 
 @dataclass(frozen=True)
 class Rule(Layer):
-    """A line across the panel at a value of an axis.
-
-    across: "x" for a vertical line at a value of x, "y" for a horizontal one
-    """
+    """A line across the panel at a value of an axis, vertical at one of "x"."""
 
     at: float
     across: str = "y"
@@ -125,10 +122,7 @@ class Shade(Layer):
 
 @dataclass(frozen=True)
 class Bars(Layer):
-    """Horizontal bars with their numbers, at 0, 1, 2 ... of y.
-
-    values, colours: (n,)
-    """
+    """Horizontal bars with their numbers, at 0, 1, 2 ... of y; values, colours: (n,)."""
 
     values: Sequence[float]
     colours: Sequence[str]
@@ -169,7 +163,7 @@ class Cells(Layer):
 class Where(Layer):
     """The points of a map at which something holds: a line encloses them, a page has crosses.
 
-    x, y: (n,), (m,) centres of the cells;  holds: (n, m)
+    x, y, holds: (n,), (m,), (n, m), as of `Cells`
     """
 
     x: Points

@@ -224,11 +224,7 @@ AHEAD = 5  # trials after the last one whose prediction is shown
 
 
 class LastTrial(NamedTuple):
-    """A measured trial against time.
-
-    number: its number
-    time: (N+1,) [s];  r, y: (N+1, n_y);  u: (N, n_u)
-    """
+    """A measured trial: time (N+1,) [s], r and y (N+1, n_y), u (N, n_u)."""
 
     number: int
     time: np.ndarray
@@ -256,10 +252,10 @@ def bands_by_trial(
 ) -> Bands:
     """The prediction of each trial of a campaign, and of some trials after them.
 
-    A trial that was not learned from is followed by one with the same prediction.
+    A trial that was not learned from is followed by one with the same prediction. What the trials
+    so far expect of the next one stands in place of its prediction.
 
     live: manifests of the start and of the trials that count, see `Journal.live`
-    expected: what the trials so far expect of the next one, which stands in place of the prediction
     """
     from ..hardware.calibration import kept
     from ..hardware.prediction import next_step, steps

@@ -62,12 +62,9 @@ MACHINE = "machine."  # before a path of the machine
 
 
 class Control(NamedTuple):
-    """A number that can be moved.
+    """A number that can be moved, with the ends of its slider.
 
     path: of the scheme, or of the machine with `MACHINE` before it
-    value: as given
-    low, high: ends of the slider
-    log: whether the slider is logarithmic
     whole: whether it is a whole number, whose change compiles another program
     """
 
@@ -205,7 +202,6 @@ class Exploration:
         """What values by path lead to; a spread in place of that of the scenario.
 
         alone: the nominal machine alone, which takes a small part of the time
-        Raises ValueError naming what is allowed.
         """
         s = self.scenario
         own, moved = self._read(values)
@@ -236,10 +232,7 @@ class Exploration:
 
     @functools.cache  # noqa: B019
     def _has_response(self) -> bool:
-        """Whether the law has a frequency response, on a machine of one output and one input.
-
-        A law has none that chooses, adapts, or differs along the trial, as `filter` says it.
-        """
+        """Whether the law has a frequency response, as `filter` says, of one channel."""
         s = self.scenario
         if not (s.task.inputs == s.task.outputs == 1 and self.given.learns):
             return False
@@ -285,7 +278,7 @@ class Exploration:
 def _control(tree: Tree, path: str, dt: float) -> Control | None:
     """The control of a number at a path; None where there is no single finite number.
 
-    dt: sample time [s]; a cutoff stays below half of the sample rate
+    A cutoff stays below half of the sample rate.
     """
     value, kind = get_at(tree, path), kind_at(tree, path)[0]
     whole = kind == "static" and isinstance(value, int) and not isinstance(value, bool)
@@ -365,11 +358,7 @@ BESIDE = ThreadPoolExecutor(1, "explore")  # one computation at a time, of all r
 
 
 class Explorer:
-    """The widgets and figures of one reader, beside the computation that all readers share.
-
-    exploration: what is computed
-    folder: where `save` writes `params.json`
-    """
+    """The widgets and figures of one reader, beside the computation that all readers share."""
 
     def __init__(self, exploration: Exploration, folder: Path):
         from bokeh.models import Button, ColumnDataSource, Div, Slider
@@ -602,10 +591,8 @@ def explore(
     `bokeh.io.show(explore(scenario), notebook_url="localhost:8888")` show it, with the address of
     the notebook as the browser has it: a page of another address gets nothing.
 
-    scenario: what is simulated
-    scheme: name of the scheme; None for the first one that learns
     folder: where a parameter file is saved
-    options: further arguments of `Exploration`
+    scheme, options: as for `Exploration`
     Returns a function of a document of Bokeh, which `bokeh.io.show` and servers take.
     """
     shared = Exploration(scenario, scheme, **options)

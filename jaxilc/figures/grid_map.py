@@ -137,12 +137,11 @@ def layers_of(
     labels: list[xr.DataArray], here: np.ndarray, members: np.ndarray | None, lost: np.ndarray,
     shown: Colours, number: int, tips: Tips | None = None, mark: str = "", name: str = "",
 ) -> list[Layer]:  # fmt: skip
-    """The map of a number over two axes of a grid, or its line over one.
+    """The map of a number over two axes of a grid, or its line, named and marked, over one.
 
     here: what is shown at each point;  lost: whether a machine diverges there
     members: (points, sample) errors whose band is drawn beside a line, None for no band
-    number: of the scheme, for its colour;  tips: of the cells or of the line
-    mark, name: of the line
+    number: of the scheme, for its colour
     """
     places = [standing(one) for one in labels]
     if len(places) == 2:
@@ -380,10 +379,7 @@ def _only(array: xr.DataArray, drawn: list[str]) -> np.ndarray:
 
 
 def _bounds(ax: Axes, places, lines, held) -> list[Artist]:
-    """Add lines on which bounds are 1 and hatches where premises fail; what a legend names.
-
-    lines, held: (x, y) bounds and premises, by name
-    """
+    """Add lines on which bounds are 1, hatches where premises fail; what a legend names of them."""
     from matplotlib.colors import ListedColormap
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch

@@ -131,10 +131,7 @@ def side_by_side(*models: LayoutDOM) -> LayoutDOM:
 
 
 def panel_of(panel: Panel, **options: int | str | Range) -> Plot:
-    """One panel; under the pointer stand the coordinates and the tips of each named layer.
-
-    options: further arguments of `plot`
-    """
+    """One panel; under the pointer stand the coordinates and the tips of each named layer."""
     from bokeh.models import BasicTicker
 
     x, y = _shown_as(panel, "x"), _shown_as(panel, "y")
@@ -244,10 +241,7 @@ def at_texts(axis: AxisOfPage, names: Sequence[str]) -> None:
 
 
 def legend(made: Plot, place: str = "right") -> None:
-    """The legend; a click on a name hides its curves and shows them again.
-
-    place: right of the figure, above it, or in it; empty for none
-    """
+    """The legend right of the figure, above it or in it; a click on a name hides its curves."""
     if made.legend:
         if place in ("right", "above"):
             made.add_layout(made.legend[0], place)
@@ -285,10 +279,7 @@ def _literal(text: str) -> str:
 
 
 def thinned(values, points: int, *, times: bool = False) -> np.ndarray:
-    """(about `points`,) values of a signal: the least and the largest of each column of samples.
-
-    times: the values are times, which need no such pairs
-    """
+    """(about `points`,) values: the least and the largest of each column of samples, or times."""
     with np.errstate(over="ignore"):
         values = np.asarray(values, np.float32)
     values = np.where(np.isfinite(values), values, np.nan)

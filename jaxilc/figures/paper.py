@@ -43,7 +43,7 @@ class Drawn(Protocol[P]):
 
 
 def drawn(describe: Callable[P, Figure]) -> Drawn[P]:
-    """The function that draws a described figure and returns its axes, those given as `ax` or new.
+    """The function that draws a described figure, on axes `ax` or new ones, which it returns.
 
     The description itself is what its `described` returns, which a page takes.
     """
@@ -58,10 +58,7 @@ def drawn(describe: Callable[P, Figure]) -> Drawn[P]:
 
 
 def draw(figure: Figure, ax: Drawing = None) -> Drawing:
-    """The axes of a figure: one, or an array in rows and columns as in `pyplot.subplots`.
-
-    ax: axes to draw on; None for those of a new figure
-    """
+    """The axes of a figure, new ones without `ax`: one, or rows as in `pyplot.subplots`."""
     rows = math.ceil(len(figure.panels) / figure.columns)
     if ax is None:
         from matplotlib.figure import Figure as Paper

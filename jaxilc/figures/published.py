@@ -22,6 +22,10 @@ VERDICTS = {
     "shape": (COLOURS[5], "^"),
     "open": (COLOURS[1], "X"),
 }
+BESIDE = (
+    "the printed numbers and ours, and their ratios; the bands are those of a row that is met, and "
+    "of one in the printed order."
+)
 BEYOND = 10.0  # ratio beyond which a row is drawn at the border, likewise below 1 / BEYOND
 
 
@@ -30,14 +34,10 @@ def reproduction_figures(numbers: Sequence[Mapping[str, Value]]) -> list[tuple[s
 
     numbers: rows of `reproduction.reproduce`, as dictionaries
     """
-    found = []
-    for scenario, rows in groupby(numbers, key=lambda row: row["scenario"]):
-        caption = (
-            f"{scenario}: the printed numbers and ours, and their ratios; the bands are those of a "
-            "row that is met, and of one in the printed order."
-        )
-        found.append((caption, printed_and_ours(list(rows), title=str(scenario))))
-    return found
+    return [
+        (f"{scenario}: {BESIDE}", printed_and_ours(list(rows), title=str(scenario)))
+        for scenario, rows in groupby(numbers, key=lambda row: row["scenario"])
+    ]
 
 
 def printed_and_ours(

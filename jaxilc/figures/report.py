@@ -135,7 +135,7 @@ def _template(name: str) -> Template:
 def _scripts(live: Sequence[Live]) -> tuple[str, str, list[dict[str, str]], list[str]]:
     """The library, the figures that fit as a script, their places and captions, and what is left.
 
-    `]]>` would end a section of XML; a blank within makes no difference to a script.
+    `]]>`, which would end a section of XML, gets a blank within.
     """
     if not live:
         return "", "", [], []
@@ -198,10 +198,7 @@ def _caption_of(drawing: Picture) -> str:
 def write_report(
     path: str | Path, title: str, asked: Mapping[str, object], *parts, **named
 ) -> Path:
-    """Write the page of `html_report`, completely or not at all, and make its folder if needed.
-
-    parts, named: the further arguments of `html_report`
-    """
+    """Write the page of `html_report`, completely or not at all, and make its folder if needed."""
     page = html_report(title, asked, *parts, **named).encode()
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     atomically(path, lambda file: file.write(page))
@@ -223,13 +220,10 @@ def command_report(
 ) -> Path:
     """Write the page of a command of the command line, and return its path.
 
-    tables: tables that were printed
+    tables, lines: that were printed;  asked: further rows below the name of the command
     figures: pairs of a caption and axes or a file; a PDF is named on the page
-    verdict: what the command found
-    scenario: the scenario that was run, None for a command without one
+    scenario: that was run, None for a command without one
     configuration: all that determines the numbers, None for that of the scenario
-    lines: lines that were printed besides the tables
-    asked: further rows below the name of the command
     live: interactive figures, or descriptions of them; None for one that has nothing to show
     """
     from . import page
@@ -321,10 +315,7 @@ def _of_rows(caption: str, rows: Sequence[Mapping[str, object]]) -> dict[str, ob
 
 
 def _plain(cell: object) -> str:
-    """The text of a cell of a table of `rich`.
-
-    Brackets are units, not markup. Where they are escaped, the backslash is removed.
-    """
+    """The text of a cell of a table of `rich`, where a bracket that is escaped is a unit."""
     if isinstance(cell, str):
         return cell.replace("\\[", "[")
     return getattr(cell, "plain", "" if cell is None else str(cell))
@@ -335,10 +326,7 @@ def _is_number(value: object) -> bool:
 
 
 def _text_of(value: object) -> object:
-    """A value as text; a character that XML does not allow becomes a replacement character.
-
-    What is markup already stays as it is.
-    """
+    """A value as text without what XML does not allow; what is markup already stays as it is."""
     if hasattr(value, "__html__"):
         return value
     if _is_number(value) and not isinstance(value, int | np.integer):

@@ -102,11 +102,7 @@ def worst_against_chance(
 
 @drawn
 def worst_by_effort(searches: Mapping[str, Search], *, metric: str = "", unit: str = "") -> Figure:
-    """The largest error that each search has found, against the evaluations that it has spent.
-
-    searches: of a `WorstMachine`
-    metric, unit: name and unit of what is large
-    """
+    """The largest metric that each search of a `WorstMachine` has found, by its evaluations."""
     word = metric.replace("_", " ")
     layers: list[Layer] = []
     for i, (name, one) in enumerate(searches.items()):

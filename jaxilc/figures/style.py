@@ -90,8 +90,7 @@ def marks_of(i: int, points: int, marks: int = 8) -> Style:
 def shades_of(trials: Sequence[int]) -> list[str]:
     """A colour for each trial, from yellow over green to dark blue for the last one.
 
-    The colours differ in lightness too, so that they can be told apart in print and by readers who
-    are blind to some colours.
+    They differ in lightness too, for print and for readers who are blind to some colours.
     """
     from matplotlib import colormaps
     from matplotlib.colors import to_hex

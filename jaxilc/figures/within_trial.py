@@ -198,10 +198,7 @@ def contour(
 
 
 def _signal(time, values, *, colour: str, name: str, steps: bool, dash: Dash) -> list[Layer]:
-    """A signal; one of many samples that is mostly noise as its band and its mean in columns.
-
-    Drawn sample by sample, a signal that changes its sign all the time would be a filled bar.
-    """
+    """A signal; one of many samples that is mostly noise, a filled bar, as its band and mean."""
     if len(values) > DENSE and np.all(np.isfinite(values)):
         starts = np.linspace(0, len(values), COLUMNS + 1).astype(int)[:-1]
         low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)

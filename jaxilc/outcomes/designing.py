@@ -398,10 +398,7 @@ def _falls(one: Judged) -> bool:
 
 
 def _stop_said(one: Judged, trials: int, long: int) -> str:
-    """After which trial to stop, as far as the trials that were run tell.
-
-    trials, long: number of trials asked for, and run
-    """
+    """After which trial to stop; trials, long: number of trials asked for, and run."""
     if one.still_falls:
         return (
             f"The error still falls after trial {one.settled_at}, by {one.gained_later:.0%} to "

@@ -150,10 +150,7 @@ def export(
 
 
 def check_export(folder: str | Path) -> Outcome:
-    """What is claimed of an exported law whose files belong together.
-
-    Raises ValueError naming each file that was changed.
-    """
+    """What is claimed of an exported law; raises ValueError naming each file that was changed."""
     from ..export import check
 
     claims = check(folder)
@@ -222,11 +219,7 @@ def _seen(campaign: Campaign) -> Trials:
 
 
 def _claimed(chosen: Scenario, name: str, limit: Value, machines: int, seed: int) -> Numbers:
-    """What theory claims of the law, on which machines, and with what margin.
-
-    limit: largest |u| that the law plays, beyond which it does not learn: nothing is claimed of
-        machines that need more
-    """
+    """What theory claims of the law up to the largest |u| that it plays, and on which machines."""
     from ..learning import Actuator
     from ..runtime.provenance import describe
     from ..theory.certificates import certify_schemes

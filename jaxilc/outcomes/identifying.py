@@ -280,9 +280,8 @@ class Reading(NamedTuple):
 class Fitted(NamedTuple):
     """What was found.
 
-    dt: sample time [s], None where it is not known
-    structure: the structure that was fitted, with the delay where it is whole
-    tables: the structures that were compared;  units: of input and output
+    structure: that was fitted, with the delay where it is whole;  dt: [s], None if not known
+    tables: of the structures that were compared;  units: of input and output
     lines: sentences on how the file was read
     grown: what was grown, where the structure was looked for
     """
@@ -465,9 +464,9 @@ def identification_table(title: str, rows: Sequence[tuple[str, float, float, flo
 def grown_response_table(orders: Sequence[LineModel], chosen: LineModel) -> Table:
     """The table of the best model of each order of a response, of which the chosen one is marked.
 
-    The columns in % are the error that is the model's own, the median of the relative error, and
-    the shares of lines within 10 and 30 %; held out is -2 log likelihood a line, above the chosen.
-    The mark stands in the first column, which every part of a folded table repeats.
+    In % are the error that is the model's own, the median of the relative error, and the shares of
+    lines within 10 and 30 %; held out is -2 log likelihood a line, above the chosen. The mark is
+    in the first column, which every part of a folded table repeats.
     """
     counts = ("order", "lags", "modes", "integr.", "direct")
     errors = ("floor [%]", "median [%]", "<10 %", "<30 %", "fit [%]")
@@ -511,8 +510,8 @@ def grown_table(grown: Grown) -> Table:
 def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) -> Table:
     """The table of the structures with the smallest criterion, of which the best one is marked.
 
-    The column rms is that of the residual, in the unit of the output; of a frequency response,
-    divided by the standard deviation of each line. A delay is in samples of dt, or else in ms.
+    rms is that of the residual in the unit of the output; of a frequency response, divided by the
+    standard deviation of each line. A delay is in samples of dt, or else in ms.
     """
     of_response, delayed = (
         best.found.of_response,

@@ -142,9 +142,7 @@ class Table(rich.table.Table):
 
 
 def _shared(room: int, sizes: list[tuple[int, int]]) -> list[int]:
-    """Widths of columns that fit the room: the widest are reduced, each down to its least width.
-
-    Where even the least widths do not fit, the widest columns become narrower than that.
+    """Widths of columns that fit the room: the widest are reduced, first down to their least width.
 
     sizes: for each column its least width, at which no word is broken, and its width without a fold
     """
@@ -187,7 +185,7 @@ class Figure(NamedTuple):
     """A figure that is drawn when it is needed.
 
     caption: what it shows, in sentences
-    draw: a function that returns its axes: one of `figures`, with its arguments
+    draw: one of `figures`, with its arguments
     live: whether the interactive figures of a page show the same
     """
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from .. import figures
 from ..figures import browsers
-from ..figures.published import label_of
+from ..figures.published import BESIDE, label_of
 from ..scenarios import reproduction
 from ..scenarios.from_file import options
 from ..scenarios.published import COMPARED, NUMBER, Published
@@ -24,10 +24,6 @@ IN_NUMBERS = ("trial", "published", "ours", "ratio")  # columns of numbers
 NUMBERS_IN_SUMMARY = ("fitted", "predicted", "10 %", "3 %", "hold")
 DIGITS = 9  # of a number of other software, and of ours beside it
 NEAR = 1e-2  # difference below which the ratio to such a number is shown with eight digits
-BESIDE = (
-    "the printed numbers and ours, and their ratios; the bands are those of a row that is met, and "
-    "of one in the printed order."
-)
 
 
 def reproduce(
@@ -83,10 +79,7 @@ def reproduce(
 
 
 def _by_paper(rows: Sequence[Row], judged: Sequence[Judged]) -> list[Table]:
-    """The counts of each scenario, of numbers that its paper prints first, and of all.
-
-    None where all numbers are those of other software.
-    """
+    """The counts of each scenario, of numbers that its paper prints first, and of all, if any."""
     title = "independent printed numbers that are met, and conclusions that hold"
     table = Table("", "reading", right=NUMBERS_IN_SUMMARY, title=title)
     names = dict.fromkeys(row.scenario for row in rows if row.published.agreement is None)
@@ -132,11 +125,10 @@ def _concluded(one: Judged, *, asked: bool = True) -> str:
 
 
 def _tables(numbers: Sequence[Numbers]) -> list[Table | str]:
-    """A table of published numbers for each scenario, with lines below it.
+    """A table of published numbers for each scenario, with lines below it on how they were read.
 
-    The lines have the source of the rows, and how the paper was read; rows of a scheme with the
-    same text share a line. Where numbers of other software are all of one quantity, it stands in
-    the title with its unit, so that many digits fit beside each other.
+    Where numbers of other software are all of one quantity, it stands in the title with its unit,
+    so that many digits fit beside each other.
     """
     shown: list[Table | str] = []
     for scenario, group in groupby(numbers, key=lambda row: row["scenario"]):

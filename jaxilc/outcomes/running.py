@@ -364,7 +364,7 @@ def course_lines(numbers: Numbers) -> list[str]:
 def run_verdict(case: Case, numbers: Numbers, errors: Mapping[str, Sequence[float]]) -> Verdict:
     """Which scheme ends with the least error, how far it came, and where it goes.
 
-    errors: errors of the trials by scheme [unit of the case], infinite where a trial diverged
+    errors: of the trials by scheme [unit of the case], infinite where a trial diverged
     """
     trials, errors = numbers["trials"], case.of_learned(errors)
     best = min(errors, key=lambda name: (diverged(errors[name]), errors[name][-1]))

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -113,7 +113,7 @@ def sweep(
     dataset = run(plan, stores[0], resume=resume, progress=progress, results=results)
     steps, seconds = sum(fresh) * plan.trials * plan.task.N, time.perf_counter() - start
     nominal = run(_nominal(plan), stores[1], resume=resume) if stores[1:] else None
-    return _told(_Found(chosen, request, dataset, nominal, stores, steps, seconds))
+    return _told(chosen, request, dataset, nominal, stores, steps, seconds)
 
 
 def _median(errors: np.ndarray, chosen: Scenario) -> str:
@@ -122,34 +122,25 @@ def _median(errors: np.ndarray, chosen: Scenario) -> str:
     return f"median {scale * np.median(errors):.3g} {unit}".rstrip() if errors.size else ""
 
 
-class _Found(NamedTuple):
-    """What was swept.
+def _told(
+    chosen: Scenario, request: Request, whole: xr.Dataset, nominal: xr.Dataset | None,
+    stores: list[Path], steps: int, seconds: float,
+) -> Outcome:  # fmt: skip
+    """The outcome of a sweep: that of the best point, where it has a grid.
 
-    whole: the dataset;  nominal: the same grid of the nominal machine with its bounds, for a map
-    stores: of both;  steps, seconds: sample-steps that were computed, and the time with compilation
+    nominal: the same grid of the nominal machine with its bounds, for a map;  stores: of both
+    steps, seconds: sample-steps that were computed, and the time with compilation
     """
-
-    chosen: Scenario
-    request: Request
-    whole: xr.Dataset
-    nominal: xr.Dataset | None
-    stores: list[Path]
-    steps: int
-    seconds: float
-
-
-def _told(found: _Found) -> Outcome:
-    """The outcome of a sweep: that of the best point, where it has a grid."""
-    chosen, request, dataset, *_, steps, seconds = found
-    tolerance = chosen.look["tolerance"]
+    dataset, drawn, tolerance = whole, chosen.look, chosen.look["tolerance"]
     speed = f"{steps:.3g} sample-steps in {seconds:.1f} s, compilation included"
     sizes = {axis: dataset.sizes[axis] for axis in axes_of(dataset)}
     best = best_points(dataset, tolerance, metric=chosen.judged_by) if sizes else []
+    several = any(size > 1 for size in sizes.values())
+    maps = _maps(chosen, request, whole, nominal, best) if several else {}
     if best:
         request = _at(request, dataset, _first(best))
         dataset = at_best(dataset, best)
         chosen = dataclasses.replace(chosen, trials=dataset.sizes["trial"])
-    drawn = chosen.look
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])
     numbers |= axes_numbers(chosen, dataset, tolerance)
@@ -157,17 +148,17 @@ def _told(found: _Found) -> Outcome:
     if "contraction_norm" in dataset:
         numbers["bounds"] = watched_numbers(chosen, dataset)
         if sizes:
-            numbers["grid"]["bounds"] = watched_numbers(chosen, found.whole)
+            numbers["grid"]["bounds"] = watched_numbers(chosen, whole)
     highs = {row.scheme: (drawn["scale"] * row.high).tolist() for row in summary}
     verdict = sweep_verdict(Case.of(chosen, request), numbers, highs)
     if best:
         verdict = verdict._replace(said=(*_first(best).sentences, *verdict.said))
-    several = any(size > 1 for size in sizes.values())
+    band = partial(figures.error_band, dataset, summary=summary, **drawn)
     return Outcome(
         command="sweep",
         numbers=numbers | {"sample_steps": steps, "seconds": seconds},
         verdict=verdict,
-        folder=found.stores[0].parent,
+        folder=stores[0].parent,
         scenario=chosen,
         tables=[
             *([grid_table(numbers)] if sizes else []),
@@ -182,14 +173,9 @@ def _told(found: _Found) -> Outcome:
             *experiment_lines(chosen),
             *([f"{speed}: {steps / seconds:.3g} a second"] if steps else []),
         ],
-        figures={
-            **(_maps(found, best, drawn) if several else {}),
-            "error-band": Figure(
-                BAND, partial(figures.error_band, dataset, summary=summary, **drawn)
-            ),
-        },
-        kept=found.stores,
-        live=partial(live_sweep, dataset, summary, drawn, found.whole if several else None, best),
+        figures=maps | {"error-band": Figure(BAND, band)},
+        kept=stores,
+        live=partial(live_sweep, dataset, summary, drawn, whole if several else None, best),
         configuration=dataset.attrs["configuration"],
     )
 
@@ -338,10 +324,7 @@ def sweep_lines(numbers: Numbers) -> list[str]:
 
 
 def yield_table(numbers: Numbers) -> Table:
-    """The table of yields, where a tolerance is known, and of shares that have grown or diverged.
-
-    In brackets, `(from)`, is the earliest trial from which on one of these machines has.
-    """
+    """The table of yields, where a tolerance is known, and of shares that grew or diverged."""
     known = numbers["tolerance"] is not None
     within = f" within {numbers['tolerance']:g} {numbers['unit']}".rstrip() if known else ""
     what = f"{numbers['figure']} of trial {numbers['trials']}{within}"
@@ -489,22 +472,25 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def _maps(found: _Found, best: Sequence[BestPoint], drawn: Look) -> dict[str, Figure]:
+def _maps(
+    chosen: Scenario, request: Request, whole: xr.Dataset, nominal: xr.Dataset | None,
+    best: Sequence[BestPoint],
+) -> dict[str, Figure]:  # fmt: skip
     """The figures of a grid, with the scenario's own point, before and after what was asked."""
-    whole, axes = found.whole, labels_of(found.whole)
-    own = dataclasses.replace(found.request, set=(), params=None).scenario()
+    axes = labels_of(whole)
+    own = dataclasses.replace(request, set=(), params=None).scenario()
     marks = {own.name: values_at(axes, own)}
-    if (changed := values_at(axes, found.chosen)) != marks[own.name]:
+    if (changed := values_at(axes, chosen)) != marks[own.name]:
         marks["as asked"] = changed
     shows = {"grid": "high", "grid-best-trial": "best_trial"}
-    shows |= {"grid-yield": "yield"} if found.chosen.tolerance else {}
-    draw = partial(figures.grid_map, whole, best=[*best], marks=marks, **drawn)
+    shows |= {"grid-yield": "yield"} if chosen.tolerance else {}
+    draw = partial(figures.grid_map, whole, best=[*best], marks=marks, **chosen.look)
     maps = {name: Figure(MAPS[name], partial(draw, shows=of)) for name, of in shows.items()}
-    if found.nominal is not None:
+    if nominal is not None:
         at = _first(best).point
         longest = sorted(at, key=lambda axis: -whole.sizes[axis])
         others = {axis: [at[axis]] for axis in longest[2:]}
-        bounds = found.nominal.sel(others)
+        bounds = nominal.sel(others)
         by_trial = partial(figures.contraction_map, whole.sel(others), bounds=bounds, marks=marks)
         maps["contraction"] = Figure(MAPS["contraction"], by_trial)
     return maps
