@@ -33,7 +33,7 @@ from jaxilc.cli import app, console, durations, progress
 from jaxilc.cli.hardware import OF_CAMPAIGN
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
 from jaxilc.figures import paper
-from jaxilc.outcomes import Request, running
+from jaxilc.outcomes import Request, running, sweeping
 from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
 from jaxilc.scenarios.from_file import read_scenario
@@ -195,7 +195,8 @@ def test_a_grid_is_told_at_its_best_point(jaxilc_command, tmp_path):
     assert f"--set reading={best['point']['reading']}" in out
 
 
-def test_bounds_over_a_grid_have_a_map(jaxilc_command, tmp_path):
+def test_bounds_over_a_grid_have_a_map(jaxilc_command, tmp_path, monkeypatch):
+    monkeypatch.setattr(sweeping, "SIGMA_STEPS", 4)
     grid = ("cfdl-mfailc.lam=0.5,2", "cfdl-mfailc.mu=1,3")
     axes = [word for axis in grid for word in ("--grid", axis)]
     sweep = ("sweep", "cao-2019", "--scheme", "cfdl-mfailc", "--set", "frequency=50", *axes)
@@ -217,7 +218,7 @@ def test_bounds_over_a_grid_have_a_map(jaxilc_command, tmp_path):
     assert nominal.sizes["sample"] == 1
     of = jaxilc.scenarios.load("cao-2019", frequency=50)
     law = dataclasses.replace(of.schemes["cfdl-mfailc"], lam=0.5)
-    growth = frozen_growth(of.machine, law, of.task, steps=40).value
+    growth = frozen_growth(of.machine, law, of.task, steps=4).value
     np.testing.assert_allclose(nominal["sigma_max"].isel(scheme=0)[0], growth, rtol=1e-9)
     request = Request("cao-2019", ("cfdl-mfailc",), ("frequency=50",), trials=3)
     again = outcomes.sweep(request, machines=2, grid=grid, bounds=True, folder=folder, resume=True)
@@ -234,7 +235,7 @@ def test_bounds_need_a_second_trial(jaxilc_command, trials):
 
 
 def test_sweep_tells_the_bounds_beside_the_contraction(jaxilc_command, tmp_path):
-    arguments = ["--scheme", "cfdl-mfailc", "--scheme", "ffdl-mfailc", "--set", "frequency=10"]
+    arguments = ["--scheme", "cfdl-mfailc", "--scheme", "ffdl-mfailc", "--set", "frequency=50"]
     sweep = ("sweep", "cao-2019", *arguments, "--trials", 3, "--machines", 4, "--report", "s.json")
     code, out, _ = jaxilc_command(*sweep, "--bounds")
     assert code == 0
@@ -611,12 +612,12 @@ def started(*words, **environment):
     )
 
 
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", ["<&- 2>&-", "<&- >&- 2>&-"])
 def test_a_closed_stream_is_one_that_nobody_reads(closed):
     line = shlex.join([*PROGRAM, "--version"])
     done = subprocess.run([f"{line} {closed}"], shell=True, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-    assert bool(done.stdout) == (">&-" not in closed.replace("2>", ""))
+    assert bool(done.stdout) == (" >&-" not in closed)
 
 
 @pytest.mark.thorough(but=["--version >/dev/full"])
@@ -630,18 +631,19 @@ def test_a_full_disk_is_no_error_of_jaxilc(line):
     assert done.stderr in ("", "error: input or output: no space left on device\n")
 
 
-@pytest.mark.parametrize("words", [("--help",), ("sweep", "--help"), ("--version",), ("list",)])
-def test_what_needs_no_jax_does_not_wait_for_it(words):
-    program = (
-        "import sys, atexit; from jaxilc.cli import main\nsaid = lambda: [name in sys.modules for "
-        "name in ('jax', 'numpy')]\natexit.register(lambda: print(*said(), file=sys.stderr))\n"
-        "main()"
-    )
+def test_what_needs_no_jax_does_not_wait_for_it():
+    program = """import contextlib, sys
+from jaxilc.cli import main
+for line in ("--help", "sweep --help", "--version", "list"):
+    sys.argv = ["jaxilc", *line.split()]
+    with contextlib.suppress(SystemExit):
+        main()
+    print(*(name in sys.modules for name in ("jax", "numpy")), file=sys.stderr)"""
     done = subprocess.run(
-        [sys.executable, "-c", program, *words], capture_output=True, text=True, env=PLAIN
+        [sys.executable, "-c", program], capture_output=True, text=True, env=PLAIN
     )
-    assert (done.returncode, done.stderr.split()) == (0, ["False", "False"])
-    assert "130  stopped by Ctrl-C" in done.stdout or words != ("--help",)
+    assert (done.returncode, done.stderr.split()) == (0, ["False"] * 8)
+    assert "130  stopped by Ctrl-C" in done.stdout
 
 
 @pytest.mark.thorough

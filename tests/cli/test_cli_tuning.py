@@ -23,6 +23,7 @@ from jaxilc.scenarios.parameters import differing, with_parameters, write_parame
 from jaxilc.schemes import CFDLMFAILC
 from jaxilc.tuning import Tuning, monte_carlo_search, trade_off
 from jaxilc.tuning import descent as of_tuning
+from jaxilc.tuning import worst_case as of_worst
 from jaxilc.tuning.objectives import (
     D2,
     Contraction,
@@ -244,9 +245,15 @@ def test_budgets_of_trials_are_judged_at_their_own_trial(axis, tmp_path, unpaint
 
 def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path, unpainted):
     scenario = jaxilc.scenarios.load("cao-2019", frequency=50, reading="amplitude")
-    settings = (*SHORT[1:], "reading=amplitude")
+    settings, searched = (*SHORT[1:], "reading=amplitude"), []
+
+    def drawn(*given, **how):
+        searched.append(monte_carlo_search(*given, **how))
+        return searched[-1]
+
     request = Request("cao-2019", ("cfdl-mfailc",), set=settings, trials=4, spread=0.2)
-    found = outcomes.worst_case(request, draws=30, starts=2, evaluations=27, folder=tmp_path)
+    with mock.patch.object(of_worst, "monte_carlo_search", side_effect=drawn) as asked:
+        found = outcomes.worst_case(request, draws=30, starts=2, evaluations=27, folder=tmp_path)
     names = ("worst-case.png", "worst-case.json")
     assert found.save() == [tmp_path / name for name in names]
     numbers, out = json.loads((tmp_path / names[1]).read_text()), repr(found)
@@ -272,13 +279,8 @@ def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path, unpainted):
             assert 0.8 <= share <= 1.2
         assert row["value"] > numbers["nominal"]
         assert number(row["value"]) in out
-    chance = monte_carlo_search(
-        lambda machine: jaxilc.learn(machine, scheme, scenario.task, 4).settled_error[-1, 0],
-        scenario.machine,
-        with_spread(scenario.uncertainty, 0.2),
-        30,
-    )
-    row = numbers["searches"]["more chance"]
+    assert [call.args[3] for call in asked.call_args_list] == [24, 30]
+    row, chance = numbers["searches"]["more chance"], searched[1]
     np.testing.assert_allclose(
         list(row["numbers"].values()), list(chance.values.values()), rtol=1e-12
     )

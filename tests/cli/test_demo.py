@@ -1,8 +1,11 @@
 """`jaxilc demo` tells a story that its own numbers bear out."""
 
+import pytest
+
 from jaxilc.outcomes import demonstrating
 
 
+@pytest.mark.usefixtures("compiled_once")
 def test_the_law_that_looks_good_diverges_as_theory_knew_and_the_tuned_one_does_not(
     monkeypatch, tmp_path
 ):

@@ -25,7 +25,7 @@ from jaxilc.schemes import (
 from jaxilc.signals.task import Trial
 from jaxilc.theory.condition import HOLDS, NOT_CLAIMED
 
-t = 1e-3 * np.arange(3001)
+t = 2e-3 * np.arange(1501)
 BACK_AND_FORTH = 60 * np.sin(np.pi * t / 2.1) ** 2 + 4 * t  # [mm], at many speeds
 STEADY = 20 * t
 BUMP = np.exp(-(((t - 0.7) / 0.1) ** 2)) - np.exp(-(((t - 2.3) / 0.25) ** 2))
@@ -54,7 +54,7 @@ def test_what_the_error_repeats_in_is_told_with_the_law(tmp_path, position, of_t
     rng, files = np.random.default_rng(0), []
     for j in range(4):
         e = of_trial + 0.1 * rng.normal(size=len(t))
-        np.savez(file := tmp_path / f"trial-{j}.npz", t=t[::2], e=e[::2], r=position[::2])
+        np.savez(file := tmp_path / f"trial-{j}.npz", t=t, e=e, r=position)
         files.append(file)
     found = potential(files, unit="mm")
     line = found.lines[-1]
@@ -87,11 +87,11 @@ def test_one_trial_tells_less_than_two():
         (np.sin(2 * np.pi * t / 0.23), "a resonance that rings; a second one does"),
         (rng.normal(size=len(t)), "one trial does not tell whether it repeats"),
     ):
-        one = Repeats(e[None], 1e-3, "mm", ("a",), BACK_AND_FORTH)
+        one = Repeats(e[None], 2e-3, "mm", ("a",), BACK_AND_FORTH)
         assert said in recurs(within_trial(one), one)[0]
     for seed in (1, 41):  # of the latter some is taken as repeating, by chance
         e = np.random.default_rng(seed).normal(size=(3, len(t)))
-        noise = Repeats(e, 1e-3, "mm", ("a", "b", "c"), BACK_AND_FORTH)
+        noise = Repeats(e, 2e-3, "mm", ("a", "b", "c"), BACK_AND_FORTH)
         assert within_trial(noise) == {}
 
 
