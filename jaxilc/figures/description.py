@@ -19,6 +19,7 @@ from .style import BLACK, COLOURS, Dash
 Ends = tuple[float | None, float | None]
 Place: TypeAlias = Literal["", "beside", "above", "best", "lower left", "upper right"]
 Points: TypeAlias = Sequence[float] | np.ndarray
+MOST_TIPS = 12  # parameters that the pointer shows
 Tips: TypeAlias = Mapping[str, Sequence[object] | np.ndarray]
 
 
@@ -225,7 +226,7 @@ class Figure:
     below: bool = False
 
 
-def tips_of(drawn: Mapping[str, ArrayLike], most: int = 12) -> dict[str, np.ndarray]:
+def tips_of(drawn: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
     """(S,) values by the name of a parameter; of an array each element; the first ones of many."""
     found: dict[str, np.ndarray] = {}
     for name, values in drawn.items():
@@ -234,4 +235,4 @@ def tips_of(drawn: Mapping[str, ArrayLike], most: int = 12) -> dict[str, np.ndar
         several = {f"{name}[{i}]": flat[:, i] for i in range(flat.shape[1])}
         found |= {name: values} if values.ndim == 1 else several
     varying = {name: of for name, of in found.items() if np.ptp(of) > 0}
-    return dict([*varying.items()][:most])
+    return dict([*varying.items()][:MOST_TIPS])

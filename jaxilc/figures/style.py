@@ -33,6 +33,7 @@ LOOKS = {
     )
     for number, name in enumerate(names.split())
 }
+POINTS = 8  # of a curve that have a mark, about
 BOUND = 11  # the mark of a printed upper bound, a caret below it
 
 
@@ -77,12 +78,12 @@ def numbers_of(names: Iterable[str]) -> list[int]:
     return [found[name] if name in found else found.setdefault(name, next(free)) for name in names]
 
 
-def marks_of(i: int, points: int, marks: int = 8) -> Style:
+def marks_of(i: int, points: int) -> Style:
     """Open marks at some points of the i-th curve.
 
     Neighbouring curves have their marks at different points, so that curves that coincide are seen.
     """
-    every = max(points // marks, 1)
+    every = max(points // POINTS, 1)
     mark = MARKS[(i + i // len(MARKS)) % len(MARKS)]
     return {"mark": mark, "marked": (i % every, every), "size": 4, "filled": False}
 
