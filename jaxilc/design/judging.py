@@ -333,10 +333,7 @@ def _further(family: Family, laws, sizes, dt: float) -> float:
 
 
 def _between(family: Family, sizes, which, found, scheme: Scheme, task: Task) -> WholeSet:
-    """What is proved of all machines between those of the family, by their sizes (S,) on the grid.
-
-    Of those in `which` the enclosed values take their place.
-    """
+    """What is proved between the machines of a family, by their sizes (S,) and enclosed ones."""
     values = sizes.copy()
     for i, one in zip(which, found, strict=True):
         values[i] = one.value

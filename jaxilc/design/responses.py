@@ -183,10 +183,7 @@ def under(scheme: Scheme, feedback: Scheme | None) -> Scheme:
 
 
 def resonance_band(family: Family, dt: float) -> np.ndarray | None:
-    """(2,) lowest and highest frequency [Hz] of the resonance that is highest, over all machines.
-
-    None if no machine has a pair of poles of less damping than `LIGHT`.
-    """
+    """(2,) ends [Hz] of the highest resonance over all machines; None without one below `LIGHT`."""
     found: list[tuple[float, float]] = []
     for loop, P in zip(family.loops, np.abs(family.P), strict=True):
         s = np.log(_pairs(loop.A)) / dt

@@ -162,10 +162,7 @@ class Cells(Layer):
 
 @dataclass(frozen=True)
 class Where(Layer):
-    """The points of a map at which something holds: a line encloses them, a page has crosses.
-
-    x, y, holds: (n,), (m,), (n, m), as of `Cells`
-    """
+    """The points of a map, as `Cells`, at which something holds: a line, or on a page crosses."""
 
     x: Points
     y: Points

@@ -199,10 +199,7 @@ class Exploration:
     def outcome(
         self, values: Mapping[str, float], spread: float | None = None, *, alone: bool = False
     ) -> Outcome:
-        """What values by path lead to; a spread in place of that of the scenario.
-
-        alone: the nominal machine alone, which takes a small part of the time
-        """
+        """What values by path and a spread lead to; `alone`: the nominal machine, which is fast."""
         s = self.scenario
         own, moved = self._read(values)
         scheme = replaced(self.given, own)
@@ -276,10 +273,7 @@ class Exploration:
 
 
 def _control(tree: Tree, path: str, dt: float) -> Control | None:
-    """The control of a number at a path; None where there is no single finite number.
-
-    A cutoff stays below half of the sample rate.
-    """
+    """The control of a single number at a path, else None; a cutoff stays below Nyquist."""
     value, kind = get_at(tree, path), kind_at(tree, path)[0]
     whole = kind == "static" and isinstance(value, int) and not isinstance(value, bool)
     if not (whole or kind == "leaf") or value is None or np.size(value) != 1:

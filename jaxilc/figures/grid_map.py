@@ -163,7 +163,6 @@ def layers_of(
 def in_order(dataset: xr.Dataset) -> tuple[xr.Dataset, list[str], list[str]]:
     """The dataset with its numbers rising, its axes of several values by size, and those drawn.
 
-    The axes that are drawn are the two with most values, or a single one.
     Raises ValueError for a dataset without an axis of several values.
     """
     from ..sweeps.summary import axes_of
@@ -459,11 +458,7 @@ def live_grid(
     unit: str = "",
     best: list[BestPoint],
 ) -> Live:
-    """A map for each scheme with the numbers of a point on hover, and its learning on a click.
-
-    dataset, metric, tolerance, scale, unit, best: as for `grid_map`
-    Raises ValueError as `grid_map` does.
-    """
+    """A map for each scheme with the numbers of a point on hover, and its learning on a click."""
     from bokeh.models import TabPanel, Tabs
 
     made = partial(live_map, metric=metric, tolerance=tolerance, scale=scale, unit=unit)

@@ -132,16 +132,13 @@ def _template(name: str) -> Template:
 
 
 def _scripts(live: Sequence[Live]) -> tuple[str, str, list[dict[str, str]], list[str]]:
-    """The library, the figures that fit as a script, their places and captions, and what is left.
-
-    `]]>`, which would end a section of XML, gets a blank within.
-    """
+    """The library, the figures that fit as a script, their places with captions, and others."""
     if not live:
         return "", "", [], []
     from bokeh.resources import Resources
 
     resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
-    library = "\n".join(resources.js_raw).replace("]]>", "]] >")
+    library = "\n".join(resources.js_raw).replace("]]>", "]] >")  # which would end a section of XML
     room, kept = ROOM - len(library), [*live]
     script, places = _embedded(kept)
     if len(script) > room:

@@ -79,10 +79,7 @@ def numbers_of(names: Iterable[str]) -> list[int]:
 
 
 def marks_of(i: int, points: int) -> Style:
-    """Open marks at some points of the i-th curve.
-
-    Neighbouring curves have their marks at different points, so that curves that coincide are seen.
-    """
+    """Open marks of the i-th curve, at other points than its neighbours, so that all are seen."""
     every = max(points // POINTS, 1)
     mark = MARKS[(i + i // len(MARKS)) % len(MARKS)]
     return {"mark": mark, "marked": (i % every, every), "size": 4, "filled": False}

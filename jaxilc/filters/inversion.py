@@ -230,20 +230,14 @@ def _sections(zeros, poles):
 
 
 def _run_ahead(sections, signal, advance, extension):
-    """(N + extension, n) the sections' output `advance` samples later.
-
-    Beyond its ends the signal keeps its end values.
-    """
+    """(N + extension, n) the sections' output `advance` samples later; the ends are held."""
     before, start = max(-advance, 0), max(advance, 0)
     held = jnp.pad(signal, ((before, max(advance + extension, 0)), (0, 0)), mode="edge")
     return run_sections(sections, held)[start : start + signal.shape[0] + extension]
 
 
 def run_sections(sections, signal) -> jax.Array:
-    """A cascade of second-order sections over a (N, n) signal.
-
-    It starts in the steady state of the first sample.
-    """
+    """Second-order sections over a (N, n) signal, from the steady state of its first sample."""
     settled, level = [], signal[0]
     for b0, b1, b2, a1, a2 in sections:
         gain = (b0 + b1 + b2) / (1.0 + a1 + a2)

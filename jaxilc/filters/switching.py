@@ -236,10 +236,7 @@ def cutoffs_below(critical, *, shares=(0.2, 0.8)) -> tuple[float, float]:
 
 
 def _merged(starts, fast, shortest):
-    """Starts (S-1,) of the later segments and kind (S,) of each.
-
-    Segments below `shortest` samples have joined their neighbours.
-    """
+    """Starts (S-1,) of later segments, kinds (S,); those below `shortest` samples have joined."""
     bounds = np.concatenate([[0], starts, [len(fast)]])
     kinds = fast[bounds[:-1]]
     while len(kinds) > 1 and np.min(np.diff(bounds)) < shortest - 1e-9:

@@ -182,10 +182,7 @@ class Request:
         return point_of(dataset, best.point)
 
     def grid(self, axes: Sequence[str], chosen: Scenario) -> dict[str, Value]:
-        """The grid of the scenario with further axes, for `Sweep`.
-
-        axes: texts PATH=VALUES; an axis may be an option of the scenario
-        """
+        """The grid of the scenario, for `Sweep`, with axes PATH=VALUES, also of its options."""
         grid, read = dict(chosen.grid), set()
         for axis in axes:
             name, equals, values = (part.strip() for part in axis.partition("="))

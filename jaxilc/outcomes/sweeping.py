@@ -387,10 +387,7 @@ def band_table(numbers: Numbers) -> Table:
 
 
 def sweep_verdict(case: Case, numbers: Numbers, highs: Mapping[str, Sequence[float]]) -> Verdict:
-    """Which scheme has the largest yield, or the least error on 95 % of the machines.
-
-    highs: 95 % quantile of each trial by scheme [unit of the case]
-    """
+    """Which scheme has the largest yield, or the least 95 % quantile `highs` of the last trial."""
     rows, highs = numbers["schemes"], case.of_learned(highs)
     last = {name: math.inf if math.isnan(of[-1]) else of[-1] for name, of in highs.items()}
     best = min(rows, key=lambda name: (-(rows[name]["yield"] or 0.0), last[name]))
