@@ -35,7 +35,7 @@ TRIALS = 60  # of tables, in which some things happen late
 LONG, RECORD = "it takes minutes: tests/cli runs it smaller", "it needs a record of a real machine"
 NOT_RUN = {
     "README.md: pip": "it changes the environment",
-    "README.md: jaxilc demo": "half a minute: tests/cli/test_demo.py runs it smaller",
+    "README.md: jaxilc demo": "half a minute: tests/cli/test_cli.py runs it smaller",
     "README.md: jaxilc sweep cao-2019": LONG,
     "five_minutes.md: jaxilc design": LONG,
     "how_to.md: jaxilc sweep": "the sweep of five_minutes.md, with a page",

@@ -279,7 +279,7 @@ def test_worst_case_tells_machines_that_can_be_rebuilt(tmp_path, unpainted):
             assert 0.8 <= share <= 1.2
         assert row["value"] > numbers["nominal"]
         assert number(row["value"]) in out
-    assert [call.args[3] for call in asked.call_args_list] == [24, 30]
+    assert [(of.args[3], of.kwargs["seed"]) for of in asked.call_args_list] == [(24, 0), (30, 0)]
     row, chance = numbers["searches"]["more chance"], searched[1]
     np.testing.assert_allclose(
         list(row["numbers"].values()), list(chance.values.values()), rtol=1e-12
