@@ -45,7 +45,6 @@ lead = 3
 [uncertainty]
 "plant.gain" = {{ distribution = "uniform", low = 0.95, high = 1.05 }}
 """
-pytestmark = pytest.mark.usefixtures("compiled_once")
 PARAMS = {"scenario": "axis", "schemes": {"ilc": {"gamma_p": 1.2}}}
 
 
