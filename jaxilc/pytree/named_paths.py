@@ -291,7 +291,7 @@ def _like(old: Value, new: Value, name: str) -> Value:
         raise ValueError(f"{name} = {brief(new)} is not a number or an array of numbers")
     if np.shape(new) != np.shape(old):
         raise ValueError(f"{name} has shape {np.shape(new)}; allowed is {np.shape(old)}")
-    return jax.numpy.asarray(new, old.dtype)
+    return jax.numpy.asarray(new, jax.numpy.result_type(old))
 
 
 def _keys(path: str) -> tuple[Key, ...]:
@@ -329,7 +329,8 @@ def _are_all_elements(old: Value, changes: Value) -> bool:
 
 def _of_elements(old: Value, changes: Value) -> Value:
     """The array of these elements: one operation, where as many replacements compile for long."""
-    values = [jax.numpy.asarray(changes[index], old.dtype) for index in np.ndindex(np.shape(old))]
+    dtype = jax.numpy.result_type(old)  # that which JAX can have: float32 in single precision
+    values = [jax.numpy.asarray(changes[index], dtype) for index in np.ndindex(np.shape(old))]
     return jax.numpy.stack(values).reshape(np.shape(old))
 
 

@@ -212,6 +212,14 @@ def test_float32_leaves_stay_float32():
     assert PID(kp=jnp.float32(2)).kp.dtype == jnp.float32
 
 
+def test_double_leaves_are_replaced_in_single_precision_without_a_warning():
+    plant, foreign = VoiceCoil(poles=[474.0, 474.0, 6.0]), {"part": (np.zeros(2), "text")}
+    with jax.enable_x64(False):
+        elements = {f"poles[{i}]": jnp.asarray(1.0 + i) for i in range(3)}
+        assert replaced(plant, elements).poles.tolist() == [1.0, 2.0, 3.0]
+        assert replaced(foreign, {"part[0]": np.ones(2)})["part"][0].tolist() == [1.0, 1.0]
+
+
 @pytest.mark.parametrize(
     ("text", "inside", "outside"),
     [
