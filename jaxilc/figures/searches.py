@@ -62,8 +62,8 @@ def worst_against_chance(
     """A search for the worst machine: the metric of drawn machines and the result of each search.
 
     The curve shows which share of the drawn machines errs no more than so much; it ends below 100 %
-    where some are not finite. The nominal machine
-    is where the curve begins, or it is marked; each search is a line at the error that it found.
+    where some diverged. Each search is a line at the error that it found, and the nominal machine
+    has one, too.
 
     drawn: (S,) the metric of the machines drawn at random
     found: the largest value by the name of the search
@@ -107,8 +107,8 @@ def worst_by_effort(searches: Mapping[str, Search], *, metric: str = "", unit: s
     layers: list[Layer] = []
     for i, (name, one) in enumerate(searches.items()):
         course = np.asarray(one.course)
-        changed = np.flatnonzero(np.diff(course, prepend=-np.inf, append=np.nan))
-        at = np.unique([*changed[changed < len(course)], len(course) - 1])
+        changed = np.flatnonzero(course[1:] != course[:-1]) + 1
+        at = np.unique([0, *changed, len(course) - 1])
         spent = one.case.evaluations / len(course) * (at + 1)
         layers.append(
             Curve(spent, course[at], mark="o", size=4, steps=True, name=name, colour=colour_of(i),

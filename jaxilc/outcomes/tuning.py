@@ -778,6 +778,7 @@ def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
         f"has {case.an_error} of {case.size(worst['value'])} in trial {trial}{times}"
         if math.isfinite(worst["value"])
         else f"diverges within {several(trial, 'trial')}"
+        + (", as the nominal one does" if nominal == math.inf else "")
     )
     needed = several(worst["needed"], "simulation")
     first = f"{scheme}: the worst machine {ends}; found by {name}, in {needed}."

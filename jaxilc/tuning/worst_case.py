@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..learning.divergence import peak
-from ..learning.known_metrics import bytes_of_metrics
+from ..learning.divergence import CEILING, peak
+from ..learning.known_metrics import ERRORS, bytes_of_metrics
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
@@ -221,7 +221,8 @@ class Search(NamedTuple):
     needed: number of evaluations until this machine was found
     level_with_chance: number of evaluations until the loss reached that of the random search, None
         if it never did
-    course: (n,) the largest metric so far, at even steps up to all evaluations of the search
+    course: (n,) the largest metric so far, at even steps up to all evaluations of the search; inf
+        for an error that diverged
     """
 
     case: WorstCase
@@ -238,7 +239,8 @@ class WorstMachine(NamedTuple):
     nominal: metric of the nominal machine in the last trial, inf if any trial diverged
     searches: searches by name: `gradient`, `chance` with as many evaluations, and `more chance` if
         asked for
-    by_chance: (n,) metric of each machine of the largest random search
+    by_chance: (n,) metric of each machine of the largest random search; inf for an error that
+        diverged
     """
 
     nominal: float
@@ -303,9 +305,10 @@ def worst_machine(
         return size if not np.any(history.diverged) else float("inf")
 
     def of_losses(losses: np.ndarray) -> np.ndarray:
-        """Metrics from losses."""
-        unit = scale * float(jnp.max(peak(task))) * objective.floor
-        return unit * np.sqrt(np.maximum(np.exp(2.0 * losses) - 1.0, 0.0))
+        """Metrics from losses; an error beyond the ceiling is that of a trial that diverged."""
+        level = np.sqrt(np.maximum(np.exp(2.0 * losses) - 1.0, 0.0)) * objective.floor
+        diverged = (level > CEILING) & (metric in (m.name for m in ERRORS))
+        return np.where(diverged, np.inf, scale * float(jnp.max(peak(task))) * level)
 
     ascent = of_a_step * steps
     told = progress or (lambda done, whole, name: None)

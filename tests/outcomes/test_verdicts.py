@@ -479,6 +479,8 @@ def test_worst_case_leads_to_its_machine():
         "c: the worst machine diverges within 15 trials; found by gradient, in 24 simulations.",
     )
     assert parsed(found)[0] == "certify"
+    found = worst_case_verdict(OF_TUNING, "c", numbers | {"nominal": math.inf})
+    assert "diverges within 15 trials, as the nominal one does;" in found.said[0]
     sooner = search | {"loss": 0.9999, "value": 6.99, "needed": 5}
     numbers["searches"] |= {"gradient": search, "chance": sooner}
     said = worst_case_verdict(OF_TUNING, "c", numbers).said[0]

@@ -219,6 +219,17 @@ def test_a_machine_that_diverges_and_returns_has_diverged():
     assert [found.nominal, found.searches["gradient"].value] == [np.inf, np.inf]
 
 
+def test_drawn_machines_that_diverge_have_no_finite_error():
+    """The error of trial 8 is |1 - b|^7 sin; the limit is 1000 times the reference."""
+    box = {"plant.B": Uniform(0.5, 4.5, relative=True)}
+    of = {"metric": "max_error", "starts": 5, "steps": 1, "scale": 1e3}
+    found = worst_machine(STATIC, PIDType(gamma_p=1.0), TASK, 8, box, **of)
+    error = np.abs(np.random.default_rng(0).random(20) * 4.0 - 0.5) ** 7
+    expected = np.where(error > 1e3, np.inf, 1e3 * error)
+    assert 0 < np.sum(np.isinf(expected)) < 20
+    np.testing.assert_allclose(found.by_chance, expected, rtol=1e-6, atol=1e-6)
+
+
 def test_the_last_trial_must_not_be_an_experiment():
     """The error of an experiment says nothing of what was learned; no weight is chosen by it."""
     plant = StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3)
