@@ -358,7 +358,8 @@ def grid_table(numbers: Numbers) -> Table:
     table = Table("scheme", right=columns, title=title)
     for name, row in best.items():
         at = [value_text(x) for x in row["point"].values()]
-        shares = (f"{row['near']:.1%}", f"{row['diverged']:.1%}")
+        near = f"{row['near']:.1%}" if math.isfinite(row["error"]) else "–"
+        shares = (near, f"{row['diverged']:.1%}")
         table.add_row(name, *at, number(row["error"]), *shares)
     return table
 

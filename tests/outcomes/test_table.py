@@ -14,6 +14,7 @@ from jaxilc.outcomes.certifying import _of_all
 from jaxilc.outcomes.identifying import grown_response_table, grown_table
 from jaxilc.outcomes.outcome import Console as Plain
 from jaxilc.outcomes.outcome import Table
+from jaxilc.outcomes.sweeping import grid_table
 from jaxilc.storage.reading import printable
 
 TITLE = (
@@ -137,3 +138,10 @@ def test_the_chosen_order_is_marked_in_every_part_of_a_table():
 def test_a_share_of_no_trials_is_left_blank():
     shares = (float("nan"), 0.0, 5e-5, 0.25)
     assert [_of_all(x) for x in shares] == ["", "nowhere", "< 0.01 %", "25.00 %"]
+
+
+@pytest.mark.parametrize(("error", "near"), [(2.0, "100.0%"), (float("inf"), "–")])
+def test_no_point_is_within_twice_an_error_that_diverged(error, near):
+    row = {"point": {"a": 1.0}, "error": error, "near": 1.0, "diverged": 1.0}
+    numbers = {"figure": "rms", "unit": "", "grid": {"axes": {"a": 3}, "best": {"law": row}}}
+    assert re.search(rf" {near} +│ +100.0% ", printed(grid_table(numbers), 100))
