@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -179,6 +180,7 @@ def certificate(
 GROWS = 10.0  # an error is shown up to so many times that of the first trial
 RATIOS = (0.1, 1e3)  # of given and tuned errors that are shown
 SAME = 1e-3  # relative difference of medians below which no trial is better than the others
+TITLE = 26  # letters of a line of a title, which is no wider than its panel
 MANY = 4  # schemes from which on three panels stand side by side
 
 
@@ -219,7 +221,8 @@ def error_band(
     axes = draw(Figure([*panels, shares], shares=""), _axes(len(rows)))
     for i, (ax, row) in enumerate(zip(axes, rows, strict=False)):
         colour = readable(colour_of(looks[i]))
-        ax.set_title(row.scheme, fontsize="small", loc="left", color=colour, fontweight="bold")
+        title = "\n".join(wrap(row.scheme, TITLE))
+        ax.set_title(title, fontsize="small", loc="left", color=colour, fontweight="bold")
         place, below = ax.get_subplotspec(), i + _columns(len(rows)) < len(rows)
         ax.tick_params(labelleft=place.is_first_col(), labelbottom=not below)
         ax.set_ylabel(ax.get_ylabel() if place.is_first_col() else "")
@@ -327,8 +330,10 @@ def given_and_tuned(
     tuned, given = (errors.sel(scheme=name).values for name in ("tuned", "given"))
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.where((tuned == 0) & (given == 0), 1.0, given / tuned)
-    ratio = ratio[~np.all(np.isnan(ratio), axis=1)]
-    parts = np.nanquantile(ratio, (0.0, 0.05, 0.5, 0.95), axis=0, method="inverted_cdf")
+    parts = np.full((4, ratio.shape[1]), np.nan)  # as in a trial in which no machine has a ratio
+    has = ~np.all(np.isnan(ratio), axis=0)
+    quantiles = (0.0, 0.05, 0.5, 0.95)
+    parts[:, has] = np.nanquantile(ratio[:, has], quantiles, axis=0, method="inverted_cdf")
     trials = np.arange(1, ratio.shape[1] + 1)
     layers: list[Layer] = [
         Band(trials, *np.minimum(parts[[1, 3]], RATIOS[1]), name="5 to 95 % of the machines"),

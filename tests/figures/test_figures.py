@@ -14,6 +14,7 @@ import xarray as xr
 from made_datasets import run_of, sweep_of
 from matplotlib import image
 from matplotlib.colors import to_hex
+from matplotlib.text import Text
 
 from jaxilc import figures
 from jaxilc.design import Learned
@@ -80,6 +81,23 @@ def test_a_tuning_is_judged_by_the_ratio_of_each_machine():
     _, below = figures.given_and_tuned.described(dataset, metric="rms").panels
     band, median, least, one = below.layers
     assert (band.low[0], band.high[0], median.y[0], least.y[0], one.at) == (0, 4, 1, 0, 1)
+
+
+def test_a_trial_in_which_every_machine_diverges_has_no_ratio():
+    errors = np.full((2, 3, 2), [4.0, np.inf])
+    dataset = sweep_of(errors, ("given", "tuned"))
+    _, below = figures.given_and_tuned.described(dataset, metric="rms").panels
+    assert np.array_equal(below.layers[1].y, [1.0, np.nan], equal_nan=True)
+
+
+def test_names_of_schemes_stand_over_their_own_panels():
+    long = [f"a-very-long-name-of-a-learning-law-{i}" for i in range(2)]
+    axes = figures.error_band(sweep_of([[[1.0]]] * 5, [*long, *"abc"]), metric="rms")
+    axes[0].figure.draw_without_rendering()
+    texts = [{of.get_text(): of for of in ax.findobj(Text)} for ax in axes[:3]]
+    titles = [of[ax.get_title("left")] for of, ax in zip(texts, axes[:3], strict=True)]
+    left, right = np.transpose([title.get_window_extent().intervalx for title in titles])
+    assert np.all(right[:-1] < left[1:])
 
 
 def test_many_machines_are_for_the_band():
