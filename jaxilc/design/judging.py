@@ -13,7 +13,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
-from ..pytree.ranges import require
+from ..pytree.ranges import require, share_text
 from ..schemes import Scheme
 from ..schemes.learning_filter import segments_of
 from ..signals.task import Task, Trial
@@ -84,7 +84,8 @@ def verdict(
     last = trials - 1
     lost = ""
     if summary.diverged > 0:
-        lost = f"{summary.diverged:.1%} of the machines diverge, from trial {summary.diverged_at}"
+        lost = share_text(summary.diverged)
+        lost += f" of the machines diverge, from trial {summary.diverged_at}"
     elif summary.worst[-1] > GROWN * summary.worst[last]:
         factor = summary.worst[-1] / summary.worst[last]
         lost = f"the error grows {factor:.1f} times from trial {trials} to {len(summary.worst)}"

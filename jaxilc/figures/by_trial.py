@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..pytree.ranges import share_text
 from .description import TRIAL, Axis, Band, Bars, Curve, Figure, Layer, Panel, Rule, tips_of
 from .paper import draw, drawn
 from .style import (
@@ -385,9 +386,9 @@ def _said(row, beyond, trial) -> str:
     """What a panel tells in words: the yield, machines that diverged, a band that is cut off."""
     lines = []
     if np.isfinite(row.yield_share):
-        lines.append(f"{row.yield_share:.1%} within tolerance")
+        lines.append(f"{share_text(row.yield_share)} within tolerance")
     if row.diverged:
-        lines.append(f"{row.diverged:.1%} diverged")
+        lines.append(f"{share_text(row.diverged)} diverged")
     if np.any(beyond):
         since = trial[np.flatnonzero(beyond)[0]]
         lines.append(f"band cut off at the top\nfrom trial {since} on")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from ..pytree.aliases import Value
-from ..pytree.ranges import value_text
+from ..pytree.ranges import share_text, value_text
 from .description import Axis, Band, Cells, Colours, Curve, Figure, Layer, Panel, Rule, Shade, Where
 from .page import HEIGHT, Live, panel_of, plot, shown_in, side_by_side
 from .paper import draw, edges_on, named
@@ -602,5 +602,5 @@ def _told(value: float, name: str, unit: str) -> str:
     if not np.isfinite(value):
         return "diverged"
     if name in ("yield", "diverged"):
-        return f"{value:.1%}"
+        return share_text(value)
     return f"{value:.4g} {unit}".rstrip() if name in QUANTILES else f"{value:g}"

@@ -367,7 +367,7 @@ def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> lis
             + (
                 f"95 % of the machines are within it in each trial from {one.tolerated_from} on."
                 if one.tolerated_from
-                else f"{one.summary.yield_share:.0%} of the machines are within it at the end; "
+                else f"{one.summary.yield_share:.1%} of the machines are within it at the end; "
                 "95 % is not reached."
             )
         )

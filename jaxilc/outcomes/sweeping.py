@@ -15,7 +15,7 @@ import numpy as np
 from .. import figures
 from ..figures.style import labelled
 from ..learning.known_metrics import ERRORS
-from ..pytree.ranges import value_text
+from ..pytree.ranges import share_text, value_text
 from ..scenarios import Scenario
 from ..scenarios.scenario import Look
 from ..sweeps.grid import values_at
@@ -298,7 +298,7 @@ def swept_axes_table(numbers: Numbers) -> Table:
     table = Table("scheme", "axis", right=columns, title=title)
     for name, axes in numbers["axes"].items():
         for axis, at in axes.items():
-            share = [f"{at['yield']:.1%}"] if within else []
+            share = [share_text(at["yield"])] if within else []
             worst = f"{number(at['worst'])} ({at['worst_sample']})"
             table.add_row(name, axis, *share, number(at["median"]), number(at["high"]), worst)
     return table
@@ -310,13 +310,14 @@ def sweep_lines(numbers: Numbers) -> list[str]:
     for name, row in numbers["schemes"].items():
         if row["diverged"]:
             lines.append(
-                f"{name}: {row['diverged']:.1%} of the machines diverged, the first at trial "
-                f"{row['diverged_at']}"
+                f"{name}: {share_text(row['diverged'])} of the machines diverged, the first at "
+                f"trial {row['diverged_at']}"
             )
         if row["semi_converged"]:
             lines.append(
-                f"{name}: on {row['semi_converged']:.1%} of the machines the {numbers['figure']} "
-                f"has grown since its best trial, up to {number(row['grown_to'])} times"
+                f"{name}: on {share_text(row['semi_converged'])} of the machines the "
+                f"{numbers['figure']} has grown since its best trial, up to "
+                f"{number(row['grown_to'])} times"
             )
     if numbers["tolerance"] is None:
         lines.append("no yield: give --tolerance, or `tolerance` in the file")
@@ -337,7 +338,7 @@ def yield_table(numbers: Numbers) -> Table:
         low, high = row["yield_interval"] or (0.0, 0.0)
         table.add_row(
             name,
-            *([f"{row['yield']:.1%} ({low:.1%} – {high:.1%})"] if known else []),
+            *([f"{share_text(row['yield'])} ({low:.1%} – {high:.1%})"] if known else []),
             _share(row["semi_converged"], row["grown_from"]),
             _share(row["diverged"], row["diverged_at"]),
         )
@@ -346,7 +347,7 @@ def yield_table(numbers: Numbers) -> Table:
 
 def _share(share: float, trial: int) -> str:
     """A text `5.2% (43)`: the share of such machines, and the earliest trial of one of them."""
-    return f"{share:.1%}" + (f" ({trial})" if trial else "")
+    return share_text(share) + (f" ({trial})" if trial else "")
 
 
 def grid_table(numbers: Numbers) -> Table:
@@ -358,8 +359,8 @@ def grid_table(numbers: Numbers) -> Table:
     table = Table("scheme", right=columns, title=title)
     for name, row in best.items():
         at = [value_text(x) for x in row["point"].values()]
-        near = f"{row['near']:.1%}" if math.isfinite(row["error"]) else "–"
-        shares = (near, f"{row['diverged']:.1%}")
+        near = share_text(row["near"]) if math.isfinite(row["error"]) else "–"
+        shares = (near, share_text(row["diverged"]))
         table.add_row(name, *at, number(row["error"]), *shares)
     return table
 
@@ -410,8 +411,8 @@ def _yield(case: Case, numbers: Numbers, row: Numbers) -> str:
         ends = "ends" if row["yield"] else "does not end"
         return f"the only machine {ends} within {case.size(numbers['tolerance'])}; "
     which = (
-        f"{_percent(row['yield'])} of {machines} machines (95 % interval {_percent(low)} to "
-        f"{_percent(high)})"
+        f"{_percent(row['yield'])} of {machines} machines (95 % interval {100 * low:.1f} % to "
+        f"{100 * high:.1f} %)"
     )
     if row["yield"] == 1:
         which = f"all {machines} machines"
@@ -467,7 +468,7 @@ def _after_sweep(case: Case, best: str, sound: bool, enough: bool) -> tuple[str,
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
+    return share_text(share).replace("%", " %")
 
 
 def _maps(

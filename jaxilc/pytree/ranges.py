@@ -143,6 +143,14 @@ def value_text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
+def share_text(share: float) -> str:
+    """A share in percent, such as 99.98%; 0.0% and 100.0% are of none and of all alone."""
+    digits, ends = 1, (0.0, 1.0)
+    while 0 < share < 1 and f"{share:.{digits}%}" in [f"{end:.{digits}%}" for end in ends]:
+        digits += 1
+    return f"{share:.{digits}%}"
+
+
 # Types, as annotations name them
 # ---------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
-from ..pytree.ranges import value_text
+from ..pytree.ranges import share_text, value_text
 from .grid import TRIALS
 from .summary import QUANTILES, axes_of, errors_of
 
@@ -192,7 +192,7 @@ def _sentences(
 ) -> tuple[str, ...]:
     error, near, lost = shares
     best = " and ".join(f"{axis} = {value_text(at)}" for axis, at in point.items())
-    flat = f"The error is at most twice as large at {near:.1%} of the points"
+    flat = f"The error is at most twice as large at {share_text(near)} of the points"
     wide = " and ".join(
         f"{axis} = {value_text(low)} to {value_text(high)}"
         for axis, (low, high) in along.items()
@@ -204,7 +204,7 @@ def _sentences(
         for end, words in zip(of, ("down", "up"), strict=True)
         if end is not None
     ]
-    gone = f"A machine diverges at {lost:.1%} of the points"
+    gone = f"A machine diverges at {share_text(lost)} of the points"
     gone += f", seen from the best one from {' and from '.join(ends)}" if ends else ""
     wide = f", along the axes for {wide}." if wide else "."
     if not np.isfinite(error):

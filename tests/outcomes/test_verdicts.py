@@ -223,6 +223,9 @@ def test_sweep_says_yield_worst_machine_and_what_is_lost():
         "1.6 % of the machines diverge, the first in trial 9.",
     )
     assert parsed(found)[0] == "design"
+    found = swept(CASE, 4095 / 4096, high, np.inf, 4096, diverged=1 / 4096, diverged_at=9)
+    assert "ilc: 99.98 % of 4096 machines" in found.said[0]
+    assert found.said[1].startswith("0.02 % of the machines diverge")
     found = swept(CASE, None, [*high[:-1], math.inf], np.inf, semi_converged=0.5, grown_to=3.0)
     assert "fewer than 95 % of 64 machines end with an error that has not diverged" in found.said[0]
     grown = "On 50.0 % the settled error has grown up to 3 times since its best trial."

@@ -24,6 +24,7 @@ from jaxilc.pytree import (
     static,
 )
 from jaxilc.pytree.fields import Interval
+from jaxilc.pytree.ranges import share_text
 from jaxilc.schemes import (
     ASMC,
     CFDLMFAILC,
@@ -218,6 +219,12 @@ def test_double_leaves_are_replaced_in_single_precision_without_a_warning():
         elements = {f"poles[{i}]": jnp.asarray(1.0 + i) for i in range(3)}
         assert replaced(plant, elements).poles.tolist() == [1.0, 2.0, 3.0]
         assert replaced(foreign, {"part[0]": np.ones(2)})["part"][0].tolist() == [1.0, 1.0]
+
+
+def test_only_none_and_all_are_0_and_100_percent():
+    given = (0.0, 1e-6, 0.0004, 0.05, 0.9994, 4095 / 4096, 1 - 1e-6, 1.0, np.nan)
+    said = "0.0% 0.0001% 0.04% 5.0% 99.9% 99.98% 99.9999% 100.0% nan%"
+    assert " ".join(map(share_text, given)) == said
 
 
 @pytest.mark.parametrize(
