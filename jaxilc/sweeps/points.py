@@ -129,24 +129,27 @@ def _best(
     order = np.lexsort((error.ravel(), -passed.ravel()))
     best = np.unravel_index(order[0], error.shape)
     near = error <= NEAR * error[best]
-    ends = []
-    for i in range(len(axes)):
-        line = (*best[:i], slice(None), *best[i + 1 :])
-        below, above = _ends(~near[line], best[i])
-        ends.append(((below + 1, above - 1), _ends(lost[line], best[i])))
 
     def at(labels: list[xr.DataArray]) -> tuple[dict[str, Value], Ends, Ends]:
         """The point, what is near along its axes, and the edges, as values of these labels."""
-        values = {str(of.name): of.values.tolist() for of in labels}
-        places = list(zip(values.items(), best, ends, strict=True))
-        return (
-            {name: known[j] for (name, known), j, _ in places},
-            {name: (known[low], known[high]) for (name, known), _, ((low, high), _) in places},
-            {
-                name: (known[low] if low >= 0 else None, known[high] if high < len(known) else None)
-                for (name, known), _, (_, (low, high)) in places
-            },
-        )
+        point: dict[str, Value] = {}
+        along: Ends = {}
+        edges: Ends = {}
+        for i, label in enumerate(labels):
+            line, label_name = (*best[:i], slice(None), *best[i + 1 :]), str(label.name)
+            order = np.arange(label.size)
+            if label.values.dtype.kind in "fi":  # below and above are those of the values
+                order = np.argsort(label.values, kind="stable")
+            known, here = label.values[order].tolist(), int(np.flatnonzero(order == best[i])[0])
+            below, above = _ends(~near[line][order], here)
+            low, high = _ends(lost[line][order], here)
+            point[label_name] = known[here]
+            along[label_name] = known[below + 1], known[above - 1]
+            edges[label_name] = (
+                known[low] if low >= 0 else None,
+                known[high] if high < len(known) else None,
+            )
+        return point, along, edges
 
     shares = float(error[best]), float(near.mean()), float(lost.mean())
     point, along, edges = at([dataset[axis] for axis in axes])

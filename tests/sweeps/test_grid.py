@@ -242,6 +242,16 @@ def test_the_best_point_its_flatness_and_the_edge_to_divergence():
         summarise(dataset, None)
 
 
+def test_below_and_above_are_those_of_the_values_whatever_their_order():
+    errors = np.array([[9, 1.5, 1, 1.9], [9, 9, 9, 9], [9, 9, 9, 9]])
+    lost = np.array([[1, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
+    dataset = made_up(errors, lost)
+    (rising,), (falling,) = best_points(dataset), best_points(dataset.isel(b=[3, 0, 2, 1]))
+    assert rising.edges["b"] == (1, None)
+    for field in ("point", "along", "edges", "near", "sentences"):
+        assert getattr(falling, field) == getattr(rising, field)
+
+
 def test_the_sentences_on_a_shared_axis_have_the_names_and_values_of_their_scheme():
     dataset = made_up([[1.0, 3, 9, 9]] * 3, [[0, 0, 1, 1]] * 3).rename(b="other.gain")
     name = str(dataset["scheme"].values[0])
