@@ -73,7 +73,8 @@ def worst_against_chance(
     """
     count, drawn = np.size(drawn), np.sort(np.asarray(drawn)[np.isfinite(drawn)])
     share = 100 * np.arange(1, len(drawn) + 1) / max(count, 1)
-    name = f"{count} machines drawn: share that errs less"
+    diverged = f", {count - len(drawn)} diverged" if len(drawn) < count else ""
+    name = f"{count} machines drawn{diverged}: share that errs less"
     layers: list[Layer] = [
         Curve(drawn, share, steps=True, width=1.4, name=name, colour=GREY),
         Band(drawn, 0.0 * share, share, steps=True, colour=GREY, alpha=0.12),
