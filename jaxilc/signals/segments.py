@@ -93,7 +93,8 @@ def lengths_and_slopes(segments: Sequence[Segment]) -> tuple[np.ndarray, np.ndar
     ends = np.array([(segment.start, segment.end) for segment in segments])
     chords = ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(chords, axis=1)
-    slopes = np.repeat((chords / lengths[:, None])[:, None], 2, axis=1)
+    with np.errstate(invalid="ignore"):  # the chord of a full circle, whose slopes follow below
+        slopes = np.repeat((chords / lengths[:, None])[:, None], 2, axis=1)
     for i, segment in enumerate(segments):
         if isinstance(segment, Arc):
             lengths[i], slopes[i] = segment.length, segment.slopes

@@ -145,6 +145,16 @@ def test_planes_units_and_a_helix():
     assert_allclose([y, z], [2 - 2 * np.cos(np.pi * s), 8 + 2 * np.sin(np.pi * s)], atol=1e-9)
 
 
+def test_a_full_circle_is_one_turn_from_where_it_begins_to_there():
+    """No warning comes of its chord of length zero."""
+    made = follow(read_gcode("G1 X1 F1200\nG2 I-5", "xy"), corner=None, **LIMITS)
+    assert_allclose(made.length, 1 + 10 * np.pi)
+    y = made.reference[:, 1]
+    assert y[np.argmax(np.abs(y) > 1)] < 0  # clockwise
+    dense = np.concatenate([straight((0, 0), (1, 0)), arc((-4, 0), 5, 0, -360)])
+    assert farthest(made.reference, dense) < 0.005
+
+
 REFUSED = {
     "line 2: G1 needs a feed": "G21\nG1 X3",
     "line 1: G0 needs the key `rapid`": "G0 X3",
