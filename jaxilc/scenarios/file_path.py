@@ -155,8 +155,10 @@ def _points(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray,
     feed = table.take("feed", _number)
     corner = table.take("corner", _corner, None)
     table.done()
-    moves = [Move(Straight(a, b), feed) for a, b in itertools.pairwise(points)]
-    return _followed(moves, corner, setting, limits, table.where)
+    # Joints that are no corners are smoothed within 0.001, which of the unit m would be 1 mm.
+    scale = min(MILLIMETRE.get(setting.unit, 1.0), 1.0)
+    moves = [Move(Straight(a, b), feed / scale) for a, b in itertools.pairwise(points / scale)]
+    return _followed(moves, corner, setting, limits, table.where, scale)
 
 
 def _gcode(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:
@@ -177,27 +179,30 @@ def _gcode(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, 
         steps = read_gcode(program, setting.axes, rapid=None if rapid is None else rapid / scale)
     except ValueError as error:
         raise ValueError(f"{table.where}: {file}, {quoted(file, str(error))}") from None
-    in_mm = {name: np.asarray(limit) / scale for name, limit in limits.items()}
-    tolerance = None if corner is None else corner / scale
-    reference, said = _followed(steps, tolerance, setting, in_mm, f"{table.where}: {file}", scale)
-    return reference * scale, said
+    return _followed(steps, corner, setting, limits, f"{table.where}: {file}", scale)
 
 
 def _followed(
-    steps: Sequence[Move | Dwell], corner, setting: Setting, limits, where: str, scale: float = 1.0
+    steps: Sequence[Move | Dwell], corner, setting: Setting, limits, where: str, scale: float
 ) -> tuple[np.ndarray, str]:
-    """The reference along moves, and in words how corners are passed."""
+    """The reference along moves, and in words how corners are passed.
+
+    steps: with lengths in mm, or in the unit of the task if that is no length
+    corner, limits: in the unit of the task, of which a mm has `scale`
+    """
+    in_mm = {name: np.asarray(limit) / scale for name, limit in limits.items()}
+    tolerance = None if corner is None else corner / scale
     with at_place(where, owner="plan"):
-        made = follow(steps, corner=corner, dt=setting.dt, **limits)
+        made = follow(steps, corner=tolerance, dt=setting.dt, **in_mm)
     unit, stops = setting.unit, f"{made.stops} stop{'s' * (made.stops != 1)} on the way"
     rounded = (
         'none rounded (corner = "stop")'
         if corner is None
         else f"{made.rounded} corner{'s' * (made.rounded != 1)} rounded within "
-        f"{corner * scale:g} {unit}".rstrip()
+        f"{corner:g} {unit}".rstrip()
     )
     said = f"{made.length * scale:.6g} {unit}, {stops}, {rounded}".replace(" ,", ",")
-    return made.reference, said
+    return made.reference * scale, said
 
 
 def _spline(points: np.ndarray, file: Path) -> tuple:
