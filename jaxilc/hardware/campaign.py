@@ -514,6 +514,7 @@ _measured = jax.jit(measure)  # one program instead of one for each operation
 @jax.jit
 def learned(scheme: Scheme, task: Task, memory: Memory, trial: Trial):
     """The memory after a trial."""
+    trial = trial._replace(dt=task.dt)  # a number, by which a law may sample its model
     return scheme.prepared(task).learn(memory, trial)
 
 

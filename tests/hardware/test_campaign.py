@@ -22,6 +22,7 @@ from typer.testing import CliRunner
 from jaxilc.cli import app, console
 from jaxilc.figures.experiments import campaign_figure
 from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
+from jaxilc.hardware.campaign import learned
 from jaxilc.hardware.checks import beyond_limits, larger
 from jaxilc.learning import Sensor, learn, run_trial
 from jaxilc.plants import from_control
@@ -29,6 +30,7 @@ from jaxilc.scenarios import load_scenario
 from jaxilc.schemes import HigherOrder, Ladder, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
+from jaxilc.signals import Trial
 from jaxilc.storage import files
 
 TRIALS, KEY = 20, jax.random.key(3)
@@ -505,6 +507,15 @@ def test_what_a_scheme_learns_from_y_and_u_alone_is_what_it_learns_in_simulation
         jax.tree.leaves(campaign.memory()), jax.tree.leaves(expected), strict=True
     ):
         np.testing.assert_allclose(ours, theirs, **ALGEBRA)
+
+
+def test_a_law_may_sample_its_model_where_it_learns():
+    """The sample time of a record is a number there, not one that is known only when it runs."""
+    _, scheme, task = case("estimated_disturbance")
+    memory, r = scheme.initial_memory(task), task.reference
+    record = Trial(r, 0.9 * r, np.ones((task.N, task.inputs)), task.dt)
+    known = jax.eval_shape(learned, scheme, task, memory, record)
+    assert jax.tree.map(np.shape, known) == jax.tree.map(np.shape, memory)
 
 
 def test_a_learned_reference_is_held_to_its_largest_correction(tmp_path):
