@@ -456,9 +456,13 @@ def _with_number(path: Path, trial: int) -> Path:
 
 
 def _numbered_on(path: Path, trial: int) -> Path:
-    """The name of the file with the next input; its number goes on if it is that of the trial."""
+    """The name of the file with the next input; its number goes on if it is that of the trial.
+
+    A number that belongs to a word, as in axis1.csv, is none of a trial.
+    """
     found = _LAST_NUMBER.match(path.stem)
-    if found is None or int(found[2]) != trial:
+    apart = found is not None and found[1][-1:] in ("-", "_", "")
+    if found is None or not apart or int(found[2]) != trial:
         return path
     return path.with_name(f"{found[1]}{trial + 1}{found[3]}{path.suffix}")
 

@@ -154,6 +154,7 @@ def test_the_names_of_the_next_files_follow_those_of_this_call():
         ("trial-3.csv", "next.csv", "--measured trial-4.csv --out next.csv"),
         ("a b/t03.csv", "next-4.csv", "--measured 'a b/t4.csv' --out next-5.csv"),
         ("log.mat", "n.h", "--measured log-4.mat --out n.h"),
+        ("t.csv", "axis4.csv", "--measured t-4.csv --out axis4.csv"),
     ):
         assert found in next_command(Path("x"), 4, Path(measured), Path(out))
     assert "--measured trial-4.csv --out next.csv" in next_command(Path("x"), 4, None, None)
