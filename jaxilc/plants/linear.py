@@ -162,11 +162,13 @@ class TimeVaryingStateSpace(_Matrices):
 
     def step(self, x: Tree, u: Array, dt: float) -> Tree:
         k, state = x
-        return k + 1, product(self.A[k], state) + product(self.B[k], u)
+        A, B = jnp.asarray(self.A)[k], jnp.asarray(self.B)[k]  # of NumPy, no traced k is taken
+        return k + 1, product(A, state) + product(B, u)
 
     def output(self, x: Tree) -> Array:
         k, state = x
-        return jnp.where(k > 0, product(self.C[jnp.maximum(k - 1, 0)], state), 0.0)
+        C = jnp.asarray(self.C)[jnp.maximum(k - 1, 0)]
+        return jnp.where(k > 0, product(C, state), 0.0)
 
 
 @pytree

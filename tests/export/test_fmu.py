@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from cases import PLANTS, case
+from cases import PLANTS, case, task_for
 from jax import lax
 from jax import numpy as jnp
 
@@ -20,7 +20,7 @@ from jaxilc.export.fmu import law_block, packed, plant_block
 from jaxilc.export.formats import FORMATS, Asked
 from jaxilc.export.law import Field, Function
 from jaxilc.export.plant import Model, files_of_plant, model_of
-from jaxilc.learning import Disturbance, learn
+from jaxilc.learning import Disturbance, Machine, learn
 from jaxilc.native.program import Unknown
 from jaxilc.signals import Task
 
@@ -160,6 +160,17 @@ def test_a_plant_answers_in_an_fmu_as_it_answers_here(exported, version, tmp_pat
             assert fmu.step(model.task.dt) == 0
             fmu.set("rest", False)
             assert [fmu.get(f"y[{i + 1}]") for i in range(2)] == list(answer), trial
+
+
+def test_a_plant_that_varies_over_a_trial_steps_by_its_own_matrices():
+    plant = PLANTS["time_varying"]
+    u = np.random.default_rng(2).standard_normal((plant.N, 1))
+    found = model_of(Machine(plant), task_for(plant, plant.N)).response(u)
+    x, wanted = np.zeros(2), [np.zeros(1)]
+    for A, B, C, row in zip(plant.A, plant.B, plant.C, u, strict=True):
+        x = A @ x + B @ row
+        wanted.append(C @ x)
+    np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-12)
 
 
 def three_passes(x):
