@@ -117,7 +117,7 @@ class _Reader:
 
     def _dwell(self, words: dict[str, float]) -> None:
         seconds = words.pop("P", None)
-        if seconds is None or seconds < 0 or words:
+        if seconds is None or not 0 <= seconds < np.inf or words:
             raise ValueError("G4 needs its duration, P in seconds >= 0, and nothing else")
         self.steps.append(Dwell(seconds))
 
@@ -139,7 +139,8 @@ class _Reader:
             (self.relative * x + words[letter] * self.unit) if letter in words else x
             for letter, x in zip(self.letters, before, strict=True)
         ]
-        if not max(map(abs, there)) <= FARTHEST:
+        arcs = [words[letter] * self.unit for letter in "IJKR" if letter in words] if arc else []
+        if not max(map(abs, [*there, *arcs])) <= FARTHEST:
             raise ValueError(f"{_said(words)} leads beyond {FARTHEST:g} mm")
         feed = self.rapid if name == "G0" else self.feed
         if feed is None:

@@ -15,7 +15,7 @@ import numpy as np
 from ..pytree.aliases import Value
 from ..pytree.ranges import require
 from .paths import LONGEST, plan
-from .references import POSITIVE, SCurveMove, s_curve_moves
+from .references import NONNEGATIVE, POSITIVE, SCurveMove, s_curve_moves
 from .segments import Chain, Segment, Straight, lengths_and_slopes, turns
 
 SMOOTH = np.radians(1.0)  # a joint that turns by less is no corner, and is never a stop
@@ -96,6 +96,9 @@ def follow(
         if not 0 < move.feed < np.inf:
             where = f"{move.what}: feed" if move.what else "feed"
             require("", where, move.feed, POSITIVE, " mm/s")
+    for step in steps:
+        if isinstance(step, Dwell) and not 0 <= step.seconds < np.inf:
+            require("", "Dwell: seconds", step.seconds, NONNEGATIVE, " s")
     limits: dict[str, Value] = {"acceleration": acceleration, "jerk": jerk, "dt": dt}
     lengths, slopes = lengths_and_slopes([move.segment for move in moves])
     angles = turns(slopes)

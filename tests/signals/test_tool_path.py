@@ -176,7 +176,10 @@ REFUSED = {
     "line 2: M98 belongs to a call of another program": "G1 X4 F9\nM98 P100",
     "line 1: 'HELLO' is no word": "G1 X4 F9 hello",
     "line 2: G4 needs its duration": "G1 X4 F9\nG4",
+    "line 2: G4 needs its duration, P in seconds >= 0": "G1 X4 F9\nG4 P" + 400 * "9",
     "line 1: X1e.10 leads beyond": "G1 X10000000000 F9",
+    "line 2: X5 Rinf leads beyond": "G1 X4 F9\nG2 X5 R" + 400 * "9",
+    "line 2: X5 I1e.10 leads beyond": "G1 X4 F9\nG3 X5 I10000000000",
     "the program has no move": "(nothing)",
 }
 
@@ -185,6 +188,13 @@ REFUSED = {
 def test_what_is_no_program_is_refused_with_its_line(said):
     with pytest.raises(ValueError, match=said):
         read_gcode(REFUSED[said], ("x", "y"))
+
+
+@pytest.mark.parametrize("seconds", [-1.0, np.inf, np.nan])
+def test_a_rest_of_no_duration_is_refused(seconds):
+    steps = [Move(Straight(np.zeros(2), np.ones(2)), 20.0), Dwell(seconds)]
+    with pytest.raises(ValueError, match=f"Dwell: seconds = {seconds:g} s"):
+        follow(steps, corner=None, **LIMITS)
 
 
 def test_many_straight_moves_are_those_planned_one_by_one():
