@@ -751,8 +751,11 @@ def _turn(
     """
     from ..hardware.campaign import refuse
     from ..hardware.prediction import next_step
+    from ..scenarios.campaigns import need_recorded
 
     now = opened.campaign
+    if how.get("learn", True):
+        need_recorded(opened.scenario.machine, now, record)
     turn = now.turn(record, **how, expected=_expected(opened, prediction))
     place = None
     if prediction is not None and turn.record.weight is None:

@@ -9,10 +9,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
+
 from ..hardware.campaign import Campaign
 from ..hardware.checks import Rules
 from ..hardware.journal import Journal, Manifest
 from ..hardware.prediction import Subject
+from ..hardware.trial_files import Measured
 from ..learning.machine import Machine
 from ..pytree.closest import known_names
 from ..pytree.ranges import is_number
@@ -120,6 +123,22 @@ def need_one_reference(what: str, machine: Machine) -> None:
         raise ValueError(
             f"{what} follows the reference of the task in every trial, but machine.variation has "
             "references that change; leave them out, and take one for each reference"
+        )
+
+
+def need_recorded(machine: Machine, campaign: Campaign, record: Measured) -> None:
+    """Raises ValueError where what a feedback did in a trial would be computed from rest.
+
+    A feedback that goes on from trial to trial did not begin there.
+    """
+    scheme = campaign.scheme
+    state = scheme.initial_state(campaign.task)
+    lacking = {*scheme.signals(state)} - {*record.others} | ({"u"} if record.u is None else set())
+    if machine.carries and jax.tree.leaves(state) and lacking:
+        raise ValueError(
+            f"{record.source} has no {' and '.join(sorted(lacking))}: machine.variation.carried "
+            "makes the feedback go on from trial to trial, so what it did in one cannot be "
+            "computed from rest; record it, in a column of that name"
         )
 
 

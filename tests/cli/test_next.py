@@ -12,11 +12,17 @@ from typer.testing import CliRunner
 
 from jaxilc.cli import app
 from jaxilc.cli.hardware import _log_table
-from jaxilc.hardware import Journal, campaign, prediction
+from jaxilc.hardware import Campaign, Journal, Measured, campaign, prediction
 from jaxilc.hardware.prediction import Place
+from jaxilc.learning import Machine
+from jaxilc.learning.variation import Variation
 from jaxilc.outcomes import export
+from jaxilc.plants import StateSpace
 from jaxilc.runtime.provenance import describe
 from jaxilc.scenarios import load_scenario
+from jaxilc.scenarios.campaigns import need_recorded
+from jaxilc.schemes import PID, PIDType, WithFeedback
+from jaxilc.signals import Task
 
 N, DT, POLE = 40, 0.01, 20.0
 AXIS = f"""trials = 8
@@ -305,6 +311,21 @@ def test_a_trial_that_ended_early_is_learned_from_as_far_as_it_goes(copied):
     call("trials", "--state", folder / "x", "--report", folder / "t.json")
     placed = json.loads((folder / "t.json").read_text())["predicted"]["trials"]
     assert [one["serial"] for one in placed] == [1, 2], "the error of a part lies in no band"
+
+
+def test_a_feedback_that_goes_on_from_trial_to_trial_must_be_recorded(tmp_path):
+    """Computed from rest, it is another one."""
+    task = Task(np.linspace(0, 1, 5), dt=DT)
+    plant = StateSpace([[0.9]], [[0.1]], [[1.0]], dt=DT)
+    carried = Machine(plant, variation=Variation(carried=1.0))
+    law = PIDType(gamma_p=0.5)
+    of_both = Campaign.start(tmp_path / "x", WithFeedback(law, PID(kp=0.5, ki=5.0)), task)
+    bare = Measured(np.ones((5, 1)), np.ones((4, 1)), {}, (), "trial.csv")
+    with pytest.raises(ValueError, match=r"trial.csv has no feedback: machine.variation.carried"):
+        need_recorded(carried, of_both, bare)
+    need_recorded(carried, of_both, bare._replace(others={"feedback": np.ones((4, 1))}))
+    need_recorded(Machine(plant), of_both, bare)
+    need_recorded(carried, Campaign.start(tmp_path / "y", law, task), bare)
 
 
 def test_trials_without_learning_tell_when_to_stop(copied, unpainted):
