@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
 from cases import case
 
@@ -34,3 +35,67 @@ def test_halcompile_takes_it(text, tmp_path):
     (tmp_path / "law.comp").write_text(text)
     subprocess.run(["halcompile", "--preprocess", "law.comp"], cwd=tmp_path, check=True)
     assert "rtapi_app_main" in (tmp_path / "law.c").read_text()
+
+
+# What halcompile makes of pins: macros of what is seen through pointers.
+STUB = """#include <stdbool.h>
+#include <stdio.h>
+static struct { double measured, command; bool begin_trial, running; int trials, last_code; } pins;
+#define measured (0 + pins.measured)
+#define command pins.command
+#define begin_trial (0 + pins.begin_trial)
+#define running pins.running
+#define trials pins.trials
+#define last_code pins.last_code
+#define fperiod (period * 1e-9)
+#define FUNCTION(name) static void called(long period)
+"""
+SESSION = """
+#undef measured
+#undef begin_trial
+int main(void)
+{
+    long period;
+    int begin;
+    while (scanf("%ld %d %lf", &period, &begin, &pins.measured) == 3) {
+        pins.begin_trial = begin;
+        called(period);
+        printf("%a %d %d %d\\n", command, running, trials, last_code);
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_a_thread_plays_trial_after_trial(tmp_path):
+    """With rests of any length between trials, and calls of another period, which do nothing."""
+    _, scheme, task = case("cfdl_book")
+    law = law_of(scheme, task, 100.0)
+    code = component(task, files_of(law, [], "0" * 64, [task.reference]), "").partition(";;")[2]
+    code = code.replace("rtapi_math.h", "math.h")
+    (tmp_path / "law.c").write_text(STUB + code + SESSION)
+    made = ["cc", "-std=c99", "-ffp-contract=off", "-o", "law", "law.c", "-lm"]
+    subprocess.run(made, cwd=tmp_path, check=True)
+    rng, played, period = np.random.default_rng(0), law.played(), round(1e9 * task.dt)
+    rows, wanted, k, u, trials, told = [], [], None, 0.0, 0, 0
+    for _ in range(5 * task.N):
+        begin, right = rng.random() < 0.2, rng.random() < 0.98
+        y = 1e-3 * rng.standard_normal(1) + (0.0 if k is None else task.reference[k])
+        if not right:
+            told = -1
+        elif k is None and begin:
+            played.call("begin")
+            k = 0
+        if right and k == task.N:
+            told, trials = int(played.call("end", y=y)["code"]), trials + 1
+            k, u = None, 0.0
+        elif right and k is not None:
+            u, k = float(played.call("sample", k=np.int32(k), y=y)["u"][0]), k + 1
+        rows.append(f"{period if right else 2 * period} {begin:d} {float(y[0]).hex()}")
+        wanted.append((u, k is not None, trials, told))
+    found = subprocess.run(["./law"], cwd=tmp_path, input="\n".join(rows), capture_output=True,
+                           text=True, check=True).stdout.splitlines()  # fmt: skip
+    found = [(float.fromhex(one[0]), *map(int, one[1:])) for one in map(str.split, found)]
+    assert found == wanted
+    assert trials >= 3
