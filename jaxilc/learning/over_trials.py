@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Callable, Hashable
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -26,7 +27,7 @@ from ..signals.task import Task, Trial
 from .divergence import course
 from .known_metrics import Metrics, bytes_of_metrics
 from .machine import Machine
-from .rehearsal import need_double, need_pytrees, rehearse
+from .rehearsal import need_double, need_fitting_memory, need_pytrees, rehearse
 from .watch import Watch
 from .within_trial import first_start, run_and_measure
 
@@ -102,7 +103,8 @@ def learn(
     memories of all trials where they take up to 4 MiB (on a CPU). Beyond that, it stores those of
     B + J / B trials, where B is the largest divisor of J that is not larger than its square root
     (20 memories for J = 100; for a prime J about J), and runs all trials once more.
-    Raises ValueError, before anything is compiled, where machine, scheme and task do not fit.
+    Raises ValueError, before anything is compiled, where machine, scheme, task, memory and start do
+    not fit.
     """
     require("learn", "trials", trials, "[1, inf)", whole=True)
     require("learn", "trials_a_pass", trials_a_pass, "[1, inf)", whole=True)
@@ -114,6 +116,7 @@ def learn(
             "objects that can be hashed"
         )
     check(machine, scheme, task)
+    _check_what_goes_on(machine, scheme, task, key, memory, start)
     trials, size = int(trials), bytes_of_metrics(task)
     if trials * size > LITTLE:
         check_size("learn", 2 * size, trials=trials)
@@ -148,6 +151,23 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
     except TypeError as error:
         need_double(scheme, error)
         raise
+
+
+def _check_what_goes_on(
+    machine: Machine, scheme: Scheme, task: Task, key: Tree, memory: Tree, start: Tree
+) -> None:
+    """Raises ValueError for a key, a memory or a start that `learn` cannot begin with."""
+    if isinstance(key, numbers.Number):
+        raise ValueError(f"learn: key = {key} is no random key; write jax.random.key({key})")
+    if isinstance(memory, History):
+        raise ValueError("learn: memory is a History; allowed is the memory in it, history.memory")
+    if memory is not None:
+        need_fitting_memory(scheme, task, memory)
+    if start is not None and not machine.carries:
+        raise ValueError(
+            f"learn: start = {brief(start)} is for a machine that carries its state; this one "
+            "rests before each trial, so allowed is None"
+        )
 
 
 @lru_cache(maxsize=PROGRAMS)
@@ -194,6 +214,7 @@ def _learn(
 
     if machine.carries and start is None:
         start = first_start(machine, scheme, task, jax.random.fold_in(key, first))
+    memory, start = jax.tree.map(jnp.asarray, (memory, start))  # users' numbers are arrays, too
 
     @jax.checkpoint
     def trial_and_learning(memory: Tree, start: Tree, j: Array) -> Tree:

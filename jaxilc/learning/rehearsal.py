@@ -27,19 +27,30 @@ def need_pytrees(*trees: Tree) -> None:
 
     An example is an object whose class lacks `@pytree`.
     """
-    for leaf in jax.tree.leaves(trees):
-        if not hasattr(leaf, "dtype") and not isinstance(leaf, numbers.Number):
-            name = type(leaf).__name__
-            raise ValueError(
-                f"{brief(leaf)} is no pytree; write @pytree (from jaxilc.pytree) above `class "
-                f"{name}`, or register the class with JAX"
-            )
+    for tree in trees:
+        for path, leaf in named_leaves(tree).items():
+            if isinstance(leaf, str):
+                raise ValueError(
+                    f"{type(tree).__name__}: {path} = {brief(leaf)} is text, which is no number; "
+                    "declare its field with static() (from jaxilc.pytree)"
+                )
+            if not hasattr(leaf, "dtype") and not isinstance(leaf, numbers.Number):
+                name = type(leaf).__name__
+                raise ValueError(
+                    f"{brief(leaf)} is no pytree; write @pytree (from jaxilc.pytree) above `class "
+                    f"{name}`, or register the class with JAX"
+                )
 
 
 def rehearse(machine: Machine, scheme: Scheme, task: Task) -> None:
     """Raises ValueError where a method of the plant or of the scheme returns a wrong shape."""
-    _rehearse_plant(as_computed(machine.plant), task.dt)
+    _step.eval_shape(as_computed(machine.plant), task.dt)
     _turn.eval_shape(scheme, task, actuated=machine.actuator is not None)
+
+
+def need_fitting_memory(scheme: Scheme, task: Task, memory: Tree) -> None:
+    """Raises ValueError for a memory to continue from that is not one of this scheme and task."""
+    _continued.eval_shape(scheme, task, memory)
 
 
 def need_double(scheme: Scheme, error: TypeError) -> None:
@@ -52,28 +63,24 @@ def need_double(scheme: Scheme, error: TypeError) -> None:
         ) from error
 
 
-def _rehearse_plant(plant: Plant, dt: float) -> None:
-    before, after, y = _step.eval_shape(plant, dt)
-    name = type(plant).__name__
-    was, now = (jax.tree.map(lambda x: x.shape, state) for state in (before, after))
+@partial(jax.jit, static_argnames="dt")
+def _step(plant: Plant, dt: float) -> None:
+    """The state at rest, the state after one step, and the output."""
+    plant, name = plant.sampled(dt), type(plant).__name__
+    before = plant.initial_state()
+    after, y = plant.step(before, jnp.zeros(plant.n_u), dt), plant.output(before)
+    was, now = (jax.tree.map(jnp.shape, state) for state in (before, after))
     if was != now:
         raise ValueError(
             f"{name}: a step makes a state of {brief(now)} of one of {brief(was)}; "
             "allowed is the same again"
         )
+    _need_alike(f"{name}: a step", "state", before, after, "initial_state gives")
     if getattr(y, "shape", None) != (plant.n_y,):
         shape = getattr(y, "shape", type(y).__name__)
         raise ValueError(
             f"{name}: the output has shape {shape}; allowed is (n_y,) = ({plant.n_y},)"
         )
-
-
-@partial(jax.jit, static_argnames="dt")
-def _step(plant: Plant, dt: float) -> Tree:
-    """The state at rest, the state after one step, and the output."""
-    plant = plant.sampled(dt)
-    x = plant.initial_state()
-    return x, plant.step(x, jnp.zeros(plant.n_u), dt), plant.output(x)
 
 
 @partial(jax.jit, static_argnames="actuated")
@@ -86,11 +93,14 @@ def _turn(scheme: Scheme, task: Task, *, actuated: bool) -> None:
     rest, seen = jnp.zeros(task.inputs), jnp.zeros((scheme.preview, task.outputs))
     before = scheme.initial_state(task)
     sample = Sample(seen[0], seen, seen[0], row, task.dt, rest if actuated else None)
-    after, u = scheme.act(before, sample)
-    if jnp.shape(u) != (task.inputs,):
+    acted = scheme.act(before, sample)
+    if not isinstance(acted, tuple | list) or len(acted) != 2:
+        raise ValueError(f"{name}: act gives {_in_words(acted)}; allowed is a pair (state, u)")
+    after, u = acted
+    if getattr(u, "shape", None) != (task.inputs,):
+        shape = getattr(u, "shape", type(u).__name__)
         raise ValueError(
-            f"{name}: act gives an input of shape {jnp.shape(u)}; allowed is (n_u,) = "
-            f"({task.inputs},)"
+            f"{name}: act gives an input of shape {shape}; allowed is (n_u,) = ({task.inputs},)"
         )
     _need_alike(f"{name}: act", "state", before, after, "initial_state gives")
     signals = {
@@ -100,6 +110,20 @@ def _turn(scheme: Scheme, task: Task, *, actuated: bool) -> None:
     r = jnp.asarray(task.reference)
     trial = Trial(r, jnp.zeros_like(r), jnp.zeros((task.N, task.inputs)), task.dt, signals)
     _need_learned_alike(scheme, task, memory, scheme.learn(memory, trial))
+    if not actuated and u.dtype != rest.dtype:
+        raise ValueError(f"{name}: act gives an input of {u.dtype}; allowed is {rest.dtype}")
+
+
+@jax.jit
+def _continued(scheme: Scheme, task: Task, memory: Tree) -> None:
+    """The memory to continue from, beside the one before the first trial."""
+    clash = _clash("memory", memory, scheme.prepared(task).initial_memory(task))
+    if clash is not None:
+        where, needed, given = clash
+        where = f"memory.{where}" if where not in ("memory", "a memory") else "memory"
+        raise ValueError(
+            f"learn: {where} is {given}; {type(scheme).__name__} and this task need {needed}"
+        )
 
 
 def _need_rows(scheme: Scheme, task: Task, memory: Tree) -> None:
@@ -141,22 +165,27 @@ def _need_learned_alike(scheme: Scheme, task: Task, before: Tree, after: Tree) -
 
 def _need_alike(who: str, what: str, before: Tree, after: Tree, allowed: str) -> None:
     """Raises ValueError unless two pytrees agree in structure, and in shape and type of leaves."""
+    clash = _clash(what, before, after)
+    if clash is not None:
+        where, found, known = clash
+        raise ValueError(f"{who} makes {where} {found} of {known}; allowed is what {allowed}")
+
+
+def _clash(what: str, before: Tree, after: Tree) -> tuple[str, str, str] | None:
+    """Where two pytrees differ in structure, or in shape or type of a leaf; after, and before."""
     if jax.tree.structure(before) != jax.tree.structure(after):  # type: ignore[operator]  # of JAX
-        raise ValueError(
-            f"{who} makes a {what} {_in_words(after)} of {_in_words(before)}; allowed is what "
-            f"{allowed}"
-        )
+        return f"a {what}", _in_words(after), _in_words(before)
     for (path, was), now in zip(named_leaves(before).items(), jax.tree.leaves(after), strict=True):
         known, found = jnp.shape(was), jnp.shape(now)
         types = jnp.result_type(was), jnp.result_type(now)
         weak = getattr(jax.typeof(was), "weak_type", False)  # such as 0.0, which adapts its type
         if known != found or (types[0] != types[1] and not weak):
-            raise ValueError(
-                f"{who} makes {path or what} {types[1]}{list(found)} of {types[0]}{list(known)}; "
-                f"allowed is what {allowed}"
-            )
+            return path or what, f"{types[1]}{list(found)}", f"{types[0]}{list(known)}"
+    return None
 
 
 def _in_words(tree: Tree) -> str:
+    if hasattr(tree, "dtype"):
+        return f"array {tree.dtype}{list(tree.shape)}"
     names = ", ".join(name for name in named_leaves(tree) if name)
     return type(tree).__name__ + (f" ({names})" if names else "")

@@ -114,6 +114,24 @@ class ActsForgets(Own):
         return jnp.zeros(1)
 
 
+@pytree
+class ActsWithoutState(Own):
+    def act(self, state, sample):
+        return sample.row.u
+
+
+@pytree
+class ActsInLists(Own):
+    def act(self, state, sample):
+        return state, [sample.row.u[0]]
+
+
+@pytree
+class ActsByWhole(Own):
+    def act(self, state, sample):
+        return state, jnp.sign(sample.row.u).astype(int)
+
+
 SHAPE = r"the u of its memory or schedule has shape {}; allowed is \(N, n_u\) = \(12, 1\)"
 MISTAKES = {
     "fields": (FieldsExchanged, "FieldsExchanged: " + SHAPE.format(r"\(\)")),
@@ -150,6 +168,19 @@ def test_a_scheme_of_a_wrong_shape(scheme, message):
             message = message.removeprefix("ActsForgets: ")  # what acts is the whole scheme
         with pytest.raises(ValueError, match=message):
             learn(MACHINE, one, TASK, 3)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "message"),
+    [
+        (ActsWithoutState, r"act gives array float64\[1\]; allowed is a pair \(state, u\)"),
+        (ActsInLists, r"act gives an input of shape list; allowed is \(n_u,\) = \(1,\)"),
+        (ActsByWhole, r"act gives an input of int64; allowed is float64"),
+    ],
+)
+def test_an_input_of_a_wrong_kind(scheme, message):
+    with pytest.raises(ValueError, match=f"{scheme.__name__}: {message}"):
+        learn(MACHINE, scheme(), TASK, 3)
 
 
 def test_the_schedule_is_the_feedforward_alone_where_the_memory_has_one():
@@ -193,6 +224,12 @@ class Growing(Gain):
         return jnp.concatenate([x, u])
 
 
+@pytree
+class BeginsWhole(Gain):
+    def initial_state(self):
+        return jnp.zeros(1, int)
+
+
 @pytest.mark.parametrize(
     ("plant", "message"),
     [
@@ -202,6 +239,10 @@ class Growing(Gain):
         ),
         (TwoOutputs, r"TwoOutputs: the output has shape \(2,\)"),
         (Growing, r"Growing: a step makes a state of \(2,\) of one of \(1,\)"),
+        (
+            BeginsWhole,
+            r"a step makes state float64\[1\] of int64\[1\]; .* what initial_state gives",
+        ),
     ],
 )
 def test_a_plant_of_a_wrong_shape(plant, message):
@@ -241,6 +282,29 @@ def test_a_dataclass_that_is_no_pytree():
     for scheme in (Plain(), Around(Plain())):
         with pytest.raises(ValueError, match=r"write @pytree .* above `class Plain`"):
             learn(MACHINE, scheme, TASK, 3)
+
+
+def test_a_text_that_is_not_static():
+    @pytree
+    class Mode(Own):
+        mode: str = "fast"
+
+    with pytest.raises(ValueError, match=r"Mode: mode = 'fast' is text.* with static\(\)"):
+        learn(MACHINE, Mode(), TASK, 3)
+
+
+def test_what_learning_cannot_go_on_from():
+    longer = Own().initial_memory(Task(np.zeros(N + 3), dt=DT))
+    history = over_trials.History(*[None] * 7)
+    for named, value, message in (
+        ("memory", longer, r"memory.u is float64\[14, 1\]; Own and .* need float64\[12, 1\]"),
+        ("memory", np.zeros((N, 1)), r"memory is array float64\[12, 1\]; .* need M \(u, n\)"),
+        ("memory", history, r"memory is a History; allowed is .* history.memory"),
+        ("start", np.zeros(1), r"start = .* rests before each trial, so allowed is None"),
+        ("key", 3, r"key = 3 is no random key; write jax.random.key\(3\)"),
+    ):
+        with pytest.raises(ValueError, match=rf"learn: {message}"):
+            learn(MACHINE, Own(), TASK, 3, **{named: value})
 
 
 def test_a_plant_in_place_of_a_machine():

@@ -118,6 +118,25 @@ class Beside(Scheme):
         return Both(self.first.learn(memory.first, trial._replace(u=own)), memory.second)
 
 
+class Counted(NamedTuple):
+    u: jax.Array
+    trials: int
+
+
+@pytree
+class Slowing(Scheme):
+    """The law learns less in each trial; what it keeps begins as a number of Python."""
+
+    gain: jax.Array = leaf(default=0.5)
+
+    def initial_memory(self, task):
+        return Counted(jnp.zeros((task.N, task.inputs)), 0)
+
+    def learn(self, memory, trial):
+        step = self.gain * trial.e[1:] / (1 + memory.trials)
+        return Counted(trial.u + step, memory.trials + 1)
+
+
 class Case(NamedTuple):
     own: Scheme  # the user's scheme
     theirs: Scheme  # the scheme of the package that must be equal
@@ -153,6 +172,21 @@ def test_they_learn(case):
     assert theirs.rms[-1, 0] < 0.8 * theirs.rms[0, 0]
     np.testing.assert_allclose(ours.final.u, theirs.final.u, **ALGEBRA)
     np.testing.assert_allclose(ours.rms, theirs.rms, **ALGEBRA)
+
+
+def test_a_memory_may_begin_with_numbers_of_python():
+    at_once = learn(MACHINE, Slowing(), TASK, 4)
+    u = np.zeros((N, 1))
+    for j in range(4):
+        y = np.zeros((N + 1, 1))
+        for k in range(N):
+            y[k + 1] = 0.7 * y[k] + 0.3 * u[k]
+        e = TASK.reference - y
+        np.testing.assert_allclose(at_once.rms[j], np.sqrt(np.mean(e[1:] ** 2)), **ALGEBRA)
+        u = u + 0.5 * e[1:] / (1 + j)
+    known = learn(MACHINE, Slowing(), TASK, 2).memory
+    on = learn(MACHINE, Slowing(), TASK, 2, memory=known._replace(trials=2), first=3)
+    np.testing.assert_array_equal(on.rms, at_once.rms[2:])
 
 
 @both
