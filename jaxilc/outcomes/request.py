@@ -6,6 +6,7 @@ This module does not import NumPy or JAX, so that commands that need neither sta
 from __future__ import annotations
 
 import dataclasses
+import numbers
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -40,6 +41,8 @@ NAMES_ITS_FILE = {"next": "--scenario"}  # commands that take the scenario by an
 class Request:
     """What is asked of a scenario, and what the next command repeats; None or () if not given.
 
+    In place of several texts there may be one.
+
     source: name of a scenario, or a plant file
     schemes: names of schemes
     set: texts of `--set`
@@ -55,6 +58,11 @@ class Request:
     spread: float | None = None
     metric: str | None = None
     tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("schemes", "set"):
+            if isinstance(getattr(self, name), str):
+                object.__setattr__(self, name, (getattr(self, name),))
 
     @classmethod
     def of(cls, asked: Request | str | Path) -> Request:
@@ -131,8 +139,10 @@ class Request:
     def _with_trials(self, chosen: Scenario) -> Scenario:
         if self.trials is None:
             return chosen
-        if self.trials < 1:
-            raise ValueError(f"--trials {self.trials} is outside its allowed range [1, inf)")
+        if not isinstance(self.trials, numbers.Integral) or self.trials < 1:
+            raise ValueError(
+                f"--trials {self.trials} is outside its allowed range [1, inf) of whole numbers"
+            )
         return dataclasses.replace(chosen, trials=self.trials)
 
     def expanded(self) -> Request:

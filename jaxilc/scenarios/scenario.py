@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypedDict
 
 import jax
@@ -167,13 +167,16 @@ class Scenario:
             if p.of_one_run and all(k == "plant" or self.options.get(k) == v for k, v in p.options)
         )
 
-    def select(self, names: tuple[str, ...]) -> Scenario:
+    def select(self, names: Sequence[str]) -> Scenario:
         """The scenario with the named schemes only, or with all if `names` is empty.
+
+        A text is the name of one scheme.
 
         Axes of the grid that belong to the other schemes are left out.
 
         Raises ValueError naming the allowed schemes.
         """
+        names = (names,) if isinstance(names, str) else names
         for name in names:
             if name not in self.schemes:
                 raise ValueError(not_one_of(f"scheme = {name!r}", name, self.schemes))

@@ -39,6 +39,19 @@ def test_every_view_has_the_verdict_and_the_cells_of_all_tables(outcome, tmp_pat
     assert shown.count("<figure><img") == len(outcome.figures)
 
 
+def test_one_text_is_one_scheme_and_one_setting():
+    one = Request("cao-2019", "pid", "pid.kp=-9", trials=2).scenario()
+    assert one.schemes.keys() == {"pid"}
+    assert one.schemes["pid"].kp == -9
+    assert one.select("pid").schemes.keys() == {"pid"}
+
+
+@pytest.mark.parametrize("trials", [2.0, "2", float("nan")])
+def test_a_number_of_trials_is_a_whole_one(trials):
+    with pytest.raises(ValueError, match=rf"--trials {trials} is outside .* of whole numbers"):
+        Request("cao-2019", "pid", trials=trials).scenario()
+
+
 def test_every_view_says_what_failed(outcome, tmp_path):
     lost = dataclasses.replace(outcome, failed="no law was found", figures={}, live=tuple)
     page = lost.page(tmp_path / "page.html").read_text("utf-8")
