@@ -58,7 +58,7 @@ def certify(
     machines: int = 64,
     seed: int = 0,
     sampling: str = "monte-carlo",
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     progress: Progress = silent,
 ) -> Outcome:
     """Theory beside simulation: claims for the long run, and predictions of J trials.
@@ -120,7 +120,7 @@ def certify(
         command="certify",
         numbers=of_all | {"schemes": numbers} | ({"periods": periods} if periods else {}),
         verdict=verdict,
-        folder=folder or Path("out") / f"certify-{chosen.name}",
+        folder=Path(folder or f"out/certify-{chosen.name}"),
         scenario=chosen,
         tables=tables,
         lines=lines,

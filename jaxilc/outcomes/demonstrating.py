@@ -39,7 +39,7 @@ def task() -> Task:
     return Task(10 * np.sin(np.pi * t) ** 2, dt=1e-3, unit="mm", input_unit="mm")
 
 
-def demo(folder: Path | None = None, *, progress: Progress = silent) -> Outcome:
+def demo(folder: str | Path | None = None, *, progress: Progress = silent) -> Outcome:
     """What this package is for, in half a minute: the story in sentences, numbers and a figure.
 
     folder: for the figure; out/demo if not given
@@ -97,7 +97,7 @@ def demo(folder: Path | None = None, *, progress: Progress = silent) -> Outcome:
             "the same for a machine of your own",
             "jaxilc init axis.toml",
         ),
-        folder=folder or Path("out") / "demo",
+        folder=Path(folder or "out/demo"),
         tables=[Table(right=columns, title=title, rows=cells)],
         figures={
             "demo": Figure(

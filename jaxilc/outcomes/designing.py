@@ -54,11 +54,11 @@ def design(
     machines: int = 257,
     steps: int = 30,
     seed: int = 0,
-    record: Sequence[str | Path] = (),
+    record: str | Path | Sequence[str | Path] = (),
     out: str | Path | None = None,
     force: bool = False,
     resume: bool = False,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     progress: Progress = silent,
     say: Progress = silent,
 ) -> Outcome:
@@ -89,7 +89,7 @@ def design(
         within = within_trial(repeats)
         lines = recurs(within, repeats) or [NOTHING_RECURS]
         say(lines[0])
-    place = folder or Path("out") / f"design-{chosen.name}"
+    place = Path(folder or f"out/design-{chosen.name}")
     question = asked_of(
         Design, chosen, laws=tuple(laws), tolerance=chosen.look["tolerance"], margin=margin,
         machines=machines, steps=steps, seed=seed, quantities=chosen.functions,
@@ -463,7 +463,7 @@ def learn_law(
     out: str | Path | None = None,
     force: bool = False,
     resume: bool = False,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     progress: Progress = silent,
     say: Progress = silent,
 ) -> Outcome:
@@ -485,7 +485,7 @@ def learn_law(
     target = target_of(request, out, "learned", replace=force or resume)
     combined = risk_of(risk)
     chosen = request.machine_to_design()
-    place = folder or Path("out") / f"learn-law-{chosen.name}"
+    place = Path(folder or f"out/learn-law-{chosen.name}")
     question = asked_of(
         LearnedLaw, chosen, taps=taps, start=start,
         starts=_samples(segments, float(chosen.task.dt)), coupled=coupled, limit=limit,

@@ -54,7 +54,7 @@ def filter_(
     sampling: str = "latin-hypercube",
     taps: int | None = None,
     band: float | None = None,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     progress: Progress = silent,
 ) -> Outcome:
     """Whether the filters of a scenario are safe on all machines, and how far they may go.
@@ -74,7 +74,7 @@ def filter_(
     request = Request.of(request)
     _check(margin, taps, machines)
     chosen, beside = _varied(request, vary)
-    place = folder or Path("out") / f"filter-{chosen.name}"
+    place = Path(folder or f"out/filter-{chosen.name}")
     ask = partial(
         q_filter.question, chosen.machine, task=chosen.task, uncertainty=chosen.uncertainty,
         machines=machines, sampling=sampling, seed=seed,
@@ -114,7 +114,7 @@ def filter_(
 
 
 def filter_measured(
-    records: Sequence[str | Path],
+    records: str | Path | Sequence[str | Path],
     *,
     gain: float,
     cutoff: float,
@@ -126,7 +126,7 @@ def filter_measured(
     margin: float = 0.1,
     taps: int | None = None,
     band: float | None = None,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     progress: Progress = silent,
 ) -> Outcome:
     """Whether a P-type law with a Q-filter is safe on measured frequency responses.
@@ -139,6 +139,7 @@ def filter_measured(
     Raises ValueError for a number out of its range, and as `measured_question`.
     """
     _check(margin, taps)
+    records = [records] if isinstance(records, str | Path) else records
     law = PLaw(gain, lead, cutoff, order, dt)
     law.check()
     read = [read_frequency_response(one, averages=averages) for one in records]
@@ -153,7 +154,7 @@ def filter_measured(
     names, files = [Path(one).name for one in records], [str(one) for one in records]
     names = names if len({*names}) == len(names) else files  # of several folders
     of_each = dict(zip(names, answered.tests, strict=True))
-    place = folder or Path("out") / f"filter-{Path(records[0]).stem}"
+    place = Path(folder or f"out/filter-{Path(records[0]).stem}")
     said = [_records_verdict(names, answered, sigmas), _between(answered)]
     numbers, kept = _law_numbers(answered, answered.offers), []
     numbers["records"] = {

@@ -86,7 +86,7 @@ def identify(
     reading: Reading | Mapping[str, Value] | None = None,
     validate: Path | None = None,
     plant_file: Path | None = None,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     progress: Progress = silent,
 ) -> Outcome:
     """A plant from a recorded experiment or a measured frequency response, with its reliability.
@@ -126,7 +126,7 @@ def identify(
     return Outcome(
         command="identify", numbers=numbers_of(found) | sound | suspected | second,
         verdict=Verdict(tuple(lines), *_next(record, asked, fitted, plant_file, has_law)),
-        folder=folder or Path("out") / "identify",
+        folder=Path(folder or "out/identify"),
         tables=[*fitted.tables, identification_table(str(record), found.summary()), *of_friction],
         lines=fitted.lines, figures=figures_of, kept=[plant_file] if plant_file is not None else [],
         live=fitted.live,
@@ -560,7 +560,7 @@ def identify_campaign(
     delay: int | None = None,
     auto: bool = False,
     plant_file: Path | None = None,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     progress: Progress = silent,
 ) -> Outcome:
     """A plant from the trials of a campaign, and the campaign's plant file with it.
@@ -617,7 +617,7 @@ def identify_campaign(
         command="identify",
         numbers=numbers_of(found) | sound | used | judged | {"margin": margins},
         verdict=Verdict(tuple(lines)),
-        folder=folder or Path("out") / "identify",
+        folder=Path(folder or "out/identify"),
         tables=tables,
         warnings=warnings,
         figures={"validation": Figure(CAPTIONS["validation"], draw, live=True)},

@@ -63,7 +63,7 @@ def potential(
     records: str | Path | Sequence[str | Path],
     *,
     into: str | Path | None = None,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     unit: str = "",
     progress: Progress = silent,
     **reading: Value,
@@ -90,7 +90,7 @@ def potential(
         command="potential",
         numbers=_numbers(repeats, found) | within_numbers(within),
         verdict=Verdict(_said(repeats, found), *following),
-        folder=folder or Path("out") / "potential",
+        folder=Path(folder or "out/potential"),
         tables=[_table(repeats, found)],
         lines=[*_lines(repeats, found), *recurs(within, repeats)],
         figures={"potential": Figure(OF_DENSITY, shown, live=True)},
@@ -216,9 +216,9 @@ def _numbers(repeats: Repeats, found: Potential) -> Numbers:
 Within = Mapping[str, Recurrence | None]
 
 
-def repeats_in(paths: Sequence[str | Path], **reading: Value) -> Repeats:
+def repeats_in(paths: str | Path | Sequence[str | Path], **reading: Value) -> Repeats:
     """The trials of files, or of the folder of a campaign; raises as `read_repeats` does."""
-    found = [Path(one) for one in paths]
+    found = [Path(one) for one in ([paths] if isinstance(paths, str | Path) else paths)]
     folder = next((path for path in found if path.is_dir()), None)
     if folder is None:
         return read_repeats(found, **reading)

@@ -30,7 +30,7 @@ def reproduce(
     scenarios: Sequence[str] = (),
     *,
     reading: str | None = None,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     progress: Progress = silent,
 ) -> Outcome:
     """Every published number and conclusion beside ours, with verdicts and how papers were read.
@@ -56,7 +56,7 @@ def reproduce(
             "counted": reproduction.counted(rows),
         },
         verdict=reproduce_verdict(rows, judged),
-        folder=folder,
+        folder=None if folder is None else Path(folder),
         tables=_by_paper(rows, judged),
         lines=[
             *_not_met(numbers),

@@ -191,10 +191,10 @@ class Request:
             raise ValueError(f"--params {folder}: {best.sentences[0]}")
         return point_of(dataset, best.point)
 
-    def grid(self, axes: Sequence[str], chosen: Scenario) -> dict[str, Value]:
+    def grid(self, axes: str | Sequence[str], chosen: Scenario) -> dict[str, Value]:
         """The grid of the scenario, for `Sweep`, with axes PATH=VALUES, also of its options."""
         grid, read = dict(chosen.grid), set()
-        for axis in axes:
+        for axis in [axes] if isinstance(axes, str) else axes:
             name, equals, values = (part.strip() for part in axis.partition("="))
             if not equals:
                 raise ValueError(f"--grid {axis!r} is not PATH=VALUES")

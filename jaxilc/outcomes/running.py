@@ -66,7 +66,7 @@ def run(
     request: Request | str,
     *,
     seed: int = 0,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     replace: bool = False,
     progress: Progress = silent,
 ) -> Outcome:
@@ -160,7 +160,7 @@ def _live(chosen: Scenario, dataset: xr.Dataset) -> list[Interactive]:
     return [errors, within]
 
 
-def _folder(asked: Path | None, name: str, made_with: Numbers, *, replace: bool) -> Path:
+def _folder(asked: str | Path | None, name: str, made_with: Numbers, *, replace: bool) -> Path:
     """The folder for the results of a run, in which no run of other settings is."""
 
     def differing(folder: Path) -> list[str]:
@@ -173,6 +173,7 @@ def _folder(asked: Path | None, name: str, made_with: Numbers, *, replace: bool)
         first = Path("out") / f"run-{name}"
         counted = (first.with_name(f"{first.name}-{i}") for i in itertools.count(2))
         return next(folder for folder in itertools.chain([first], counted) if not differing(folder))
+    asked = Path(asked)
     found = differing(asked)
     if found:
         more = f" and {len(found) - 1} more" if found[1:] else ""

@@ -68,10 +68,10 @@ def sweep(
     machines: int = 1024,
     seed: int = 0,
     sampling: str = "monte-carlo",
-    grid: Sequence[str] = (),
+    grid: str | Sequence[str] = (),
     keep: Sequence[str] = (),
     bounds: bool = False,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     resume: bool = False,
     run: Callable[..., xr.Dataset] = Sweep.run,
 ) -> Outcome:
@@ -97,7 +97,7 @@ def sweep(
     fewest = min(of.trials for of in plan.plan.variants.values())
     if bounds and fewest < 2:
         raise ValueError(f"--trials {fewest} is outside its allowed range [2, inf) with --bounds")
-    place = folder or Path("out") / f"sweep-{chosen.name}"
+    place = Path(folder or f"out/sweep-{chosen.name}")
     stores = [unless_there(place / "dataset.zarr", resume)]
     if bounds and any(axis.size > 1 for axis in plan.axes.axes):
         stores.append(unless_there(place / NOMINAL, resume))

@@ -75,7 +75,7 @@ def tune(
     risk: str = "mean",
     unseen: int = 257,
     compare_trials: int | None = None,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     resume: bool = False,
     run: Run = run_search,
     progress: Progress = silent,
@@ -99,7 +99,7 @@ def tune(
     request = Request.of(request).expanded()
     chosen, scheme = request.of_one_scheme()
     problem = problem_of(chosen, weights, objective_for(chosen, objective), risk, **settings)
-    place = folder or Path("out") / f"tune-{chosen.name}"
+    place = Path(folder or f"out/tune-{chosen.name}")
     comparison = problem.comparison(trials=compare_trials, machines=unseen)  # may raise
     progress("compiling", 0, problem.steps)
     tuned = run(
@@ -356,7 +356,7 @@ def pareto(
     budgets: Sequence[int] = (),
     risk: str = "mean",
     unseen: int = 257,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     resume: bool = False,
     run: Run = run_search,
     progress: Progress = silent,
@@ -383,7 +383,7 @@ def pareto(
     chosen, scheme = longest.of_one_scheme()
     first, *others = (objective_for(chosen, text) for text in objectives)
     problem = problem_of(chosen, weights, first, risk, **settings)
-    place = folder or Path("out") / f"pareto-{chosen.name}"
+    place = Path(folder or f"out/pareto-{chosen.name}")
     count = len(budgets or shares or trade_off.SHARES)
     begun: dict[str, int] = {}
 
@@ -651,7 +651,7 @@ def worst_case(
     evaluations: int | None = None,
     draws: int | None = None,
     seed: int = 0,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     progress: Progress = silent,
 ) -> Outcome:
     """The worst machine by climbing the gradient of its error, against machines drawn by chance.
@@ -713,7 +713,7 @@ def worst_case(
         command="worst-case",
         numbers=numbers,
         verdict=verdict,
-        folder=folder or Path("out") / f"worst-case-{chosen.name}",
+        folder=Path(folder or f"out/worst-case-{chosen.name}"),
         scenario=chosen,
         tables=worst_case_tables(chosen, numbers),
         figures={"worst-case": figure},

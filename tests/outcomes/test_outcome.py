@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from functools import partial
 
 import pytest
 from typer.main import get_command
@@ -12,6 +13,7 @@ from jaxilc.cli import app
 from jaxilc.cli.options import RENAMED, now_named
 from jaxilc.outcomes import Request
 from jaxilc.outcomes.outcome import Table
+from jaxilc.outcomes.repeating import repeats_in
 
 EVERY, SCREEN = 80, 50  # options of all commands, and lines of a help of 100 columns
 PID = Request("cao-2019", ("pid",), trials=2)
@@ -19,7 +21,7 @@ PID = Request("cao-2019", ("pid",), trials=2)
 
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
-    return outcomes.run(PID, folder=tmp_path_factory.mktemp("run"))
+    return outcomes.run(PID, folder=str(tmp_path_factory.mktemp("run")))
 
 
 def test_every_view_has_the_verdict_and_the_cells_of_all_tables(outcome, tmp_path):
@@ -44,6 +46,15 @@ def test_one_text_is_one_scheme_and_one_setting():
     assert one.schemes.keys() == {"pid"}
     assert one.schemes["pid"].kp == -9
     assert one.select("pid").schemes.keys() == {"pid"}
+
+
+def test_one_text_is_one_folder_one_axis_and_one_record(outcome):
+    assert (outcome.folder / "dataset.zarr").parent.is_dir()  # of a folder given as a text
+    assert PID.grid("pid.kp=-9,-11", outcome.scenario) == {"pid.kp": "-9,-11"}
+    measured = partial(outcomes.filter_measured, gain=1.0, cutoff=50.0, dt=1e-3)
+    for find in (measured, repeats_in):
+        with pytest.raises(FileNotFoundError, match=r"nowhere\.csv"):
+            find("nowhere.csv")
 
 
 @pytest.mark.parametrize("trials", [2.0, "2", float("nan")])
