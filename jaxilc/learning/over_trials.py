@@ -158,7 +158,7 @@ def _check_what_goes_on(
 ) -> None:
     """Raises ValueError for a key, a memory or a start that `learn` cannot begin with."""
     if isinstance(key, numbers.Number):
-        raise ValueError(f"learn: key = {key} is no random key; write jax.random.key({key})")
+        raise ValueError(f"learn: key = {key} is no random key, as jax.random.key(0) is")
     if isinstance(memory, History):
         raise ValueError("learn: memory is a History; allowed is the memory in it, history.memory")
     if memory is not None:
@@ -322,7 +322,7 @@ def measured_trial(task: Task, y: Value, u: Value, **signals: Value) -> Trial:
     measured = {}
     for name, values in {"y": y, "u": u, **signals}.items():
         shape = shapes[name]
-        values = np.asarray(values, dtype=float)
+        values = np.ma.filled(np.ma.asarray(values, dtype=float), np.nan)
         values = values[:, None] if values.ndim == 1 else values
         if values.shape != shape:
             raise ValueError(

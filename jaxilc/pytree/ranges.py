@@ -84,8 +84,10 @@ def require(
 def as_numbers(value: Value) -> np.ndarray | None:
     """The value as an array of floats, or None if it does not consist of real numbers.
 
-    An array of half to double precision keeps its precision.
+    An array of half to double precision keeps its precision. What is masked is no number.
     """
+    if np.ma.is_masked(value):
+        return None
     try:
         array = np.asarray(value)
         # integers that are too large for an integer type of NumPy

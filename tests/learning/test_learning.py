@@ -347,6 +347,7 @@ MEASURED = [
     ({"u": np.zeros(61)}, r"u has shape \(61, 1\); this task needs \(60, 1\)"),
     ({"y": np.zeros((61, 2))}, r"y has shape \(61, 2\); this task needs \(61, 1\)"),
     ({"y": np.where(np.arange(61) == 7, np.nan, 0.0)}, "y is not finite at sample 7"),
+    ({"y": np.ma.masked_equal(np.arange(61.0), 7)}, "y is not finite at sample 7"),
     ({"u": np.where(np.arange(60) >= 9, np.inf, 0.0)}, "u is not finite at sample 9"),
 ]
 

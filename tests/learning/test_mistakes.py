@@ -301,7 +301,7 @@ def test_what_learning_cannot_go_on_from():
         ("memory", np.zeros((N, 1)), r"memory is array float64\[12, 1\]; .* need M \(u, n\)"),
         ("memory", history, r"memory is a History; allowed is .* history.memory"),
         ("start", np.zeros(1), r"start = .* rests before each trial, so allowed is None"),
-        ("key", 3, r"key = 3 is no random key; write jax.random.key\(3\)"),
+        ("key", 3, r"key = 3 is no random key, as jax.random.key\(0\) is"),
     ):
         with pytest.raises(ValueError, match=rf"learn: {message}"):
             learn(MACHINE, Own(), TASK, 3, **{named: value})

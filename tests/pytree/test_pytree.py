@@ -82,6 +82,8 @@ NOT_ALLOWED = [
     (PID, "kp", None, "= (None|nan) is"),
     (PID, "kp", 10**400, "= 1000.* is not a number"),
     (PID, "kp", jax.random.key(0), "= .* is not a number"),
+    (PID, "kp", np.ma.masked, "= masked is not a number"),
+    (Task, "reference", np.ma.masked_equal([0.0, 1.0, 2.0], 1.0), "= masked_array.* is not a num"),
     (PID, "form", "velocity", "= 'velocity' is not one of 'position', 'increment'"),
     (CFDLMFAILC, "reset", "always", "= 'always' is not one of 'book', 'sign', 'none'"),
     (PIDType, "lead", "two", "= 'two' is outside its allowed range"),
@@ -97,7 +99,7 @@ NOT_ALLOWED = [
 )
 def test_a_value_that_is_not_allowed_is_named_with_what_is(cls, name, value, said):
     with pytest.raises(ValueError, match=f"{cls.__name__}: {name} {said}"):
-        cls(**{name: value})
+        cls(**{name: value, **({"dt": DT} if cls is Task else {})})
 
 
 REFUSED = {
