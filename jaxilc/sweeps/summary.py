@@ -67,7 +67,7 @@ def summarise(
     metric: str = "settled_error",
     growth: float = GROWTH,
 ) -> list[SchemeSummary]:
-    """The summary of each scheme.
+    """The summary of each scheme, also of a selection: one scheme, or some machines or trials.
 
     tolerance: the largest value of the metric that passes, in its unit; None if none is known
     metric: name of a variable over (scheme, sample, trial); with several channels the largest
@@ -83,16 +83,23 @@ def summarise(
         )
     if tolerance is not None:
         require("summarise", "tolerance", tolerance, "(0, inf)")
-    if metric not in dataset or not {"scheme", "sample", "trial"} <= set(dataset[metric].dims):
-        names = [
-            n for n, v in dataset.data_vars.items() if {"scheme", "sample", "trial"} <= set(v.dims)
-        ]
+    over = ("scheme", "sample", "trial")
+    # where a selection has left a single label
+    dataset = dataset.expand_dims(
+        [d for d in over if d in dataset.coords and d not in dataset.dims]
+    )
+    if metric not in dataset or not {*over} <= {*dataset[metric].dims}:
+        names = [n for n, v in dataset.data_vars.items() if {*over} <= {*v.dims}]
         raise ValueError(
             f"summarise: metric = {metric!r} is not one of {', '.join(sorted(map(str, names)))}"
         )
     errors = errors_of(dataset, metric)
+    machines, trials = (
+        dataset[d].values if d in dataset.coords else first + np.arange(dataset.sizes[d])
+        for d, first in (("sample", 0), ("trial", 1))
+    )
     return [
-        _one_scheme(str(name), errors.sel(scheme=name).values, tolerance, growth)
+        _one_scheme(str(name), errors.sel(scheme=name).values, machines, trials, tolerance, growth)
         for name in dataset["scheme"].values
     ]
 
@@ -121,8 +128,14 @@ def axes_of(dataset: xr.Dataset) -> tuple[str, ...]:
 
 
 def _one_scheme(
-    name: str, errors: np.ndarray, tolerance: float | None, growth: float
+    name: str,
+    errors: np.ndarray,
+    machines: np.ndarray,
+    trials: np.ndarray,
+    tolerance: float | None,
+    growth: float,
 ) -> SchemeSummary:
+    """machines, trials: their numbers"""
     share, interval = math.nan, (math.nan, math.nan)
     if tolerance is not None:
         passed = int(np.sum(errors[:, -1] <= tolerance))
@@ -144,12 +157,12 @@ def _one_scheme(
         low=low,
         high=high,
         worst=errors.max(axis=0),
-        worst_machine=errors.argmax(axis=0),
+        worst_machine=machines[errors.argmax(axis=0)],
         semi_converged=float(np.mean(since > 0)),
-        grown_from=int(min(since[since > 0], default=0)),
+        grown_from=int(trials[min(since[since > 0]) - 1]) if np.any(since > 0) else 0,
         grown_to=float(max(times, default=1.0)),
         diverged=float(np.mean(lost.any(axis=1))),
-        diverged_at=1 + int(lost.any(axis=0).argmax()) if lost.any() else 0,
+        diverged_at=int(trials[lost.any(axis=0).argmax()]) if lost.any() else 0,
     )
 
 

@@ -284,6 +284,24 @@ def test_the_interval_of_a_share_is_wilsons():
         np.testing.assert_allclose(wilson_interval(k, n), wanted, rtol=1e-12)
 
 
+def test_the_summary_of_a_selection_keeps_the_numbers_of_machines_and_trials():
+    rng = np.random.default_rng(5)
+    many = made_up(np.exp(rng.normal(size=(9, 7))) + np.where(np.arange(7) == 4, np.inf, 0.0))
+    many = many.assign_coords(sample=np.arange(9), trial=1 + np.arange(7))
+    (whole,) = summarise(many, 1.0)
+    (one,) = summarise(many.sel(scheme="s"), 1.0)
+    np.testing.assert_array_equal(one.worst, whole.worst)
+    assert (one.yield_share, one.diverged_at) == (whole.yield_share, 5)
+    (some,) = summarise(many.isel(sample=[2, 5, 8], trial=slice(2, 7)), 1.0)
+    worst = many["settled_error"].values[0, [2, 5, 8], 6].argmax()
+    assert (some.worst_machine[-1], some.diverged_at) == ([2, 5, 8][worst], 5)
+    (alone,) = summarise(many.sel(sample=5, trial=[7]), None)
+    assert alone.worst_machine == [5]
+    (grown,) = summarise(many.isel(trial=slice(0, 4)).drop_vars("trial"), None)
+    (later,) = summarise(many.isel(trial=slice(0, 4)).assign_coords(trial=11 + np.arange(4)), None)
+    assert later.grown_from == grown.grown_from + 10 > 10
+
+
 def test_summary_of_one_trial():
     (row,) = summarise(made_up([[2.0], [9.0], [4.0]]), tolerance=3.0)
     assert (row.median[0], row.worst[0], row.worst_machine[0]) == (4.0, 9.0, 1)
