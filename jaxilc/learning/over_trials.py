@@ -345,8 +345,9 @@ def next_memory(
     """The memory of the scheme after a measured trial: one step of learning on a real machine.
 
     `feedforward` then gives the next input. The arguments are those of `measured_trial`, which also
-    says what is raised.
+    says what is raised. A memory of None is that before the first trial.
     """
+    memory = scheme.initial_memory(task) if memory is None else memory
     return scheme.learn(memory, measured_trial(task, y, u, **signals))
 
 
@@ -354,6 +355,8 @@ def feedforward(scheme: Scheme, task: Task, memory: Tree) -> Array:
     """The input (N, n_u) that the scheme will play back in the next trial.
 
     Feedback within the trial is added to it. For `OnReference` it is the correction of the
-    reference. Raises ValueError for a scheme that learns no feedforward.
+    reference. A memory of None is that before the first trial. Raises ValueError for a scheme that
+    learns no feedforward.
     """
+    memory = scheme.initial_memory(task) if memory is None else memory
     return scheme.feedforward(memory, task)

@@ -29,12 +29,13 @@ def run_trial(
 ) -> Trial:
     """The record of one trial of the machine under the scheme, from rest.
 
-    memory: memory of the scheme, which is `scheme.initial_memory(task)` before the first trial
+    memory: memory of the scheme; None: that before the first trial, `scheme.initial_memory(task)`
     key: random key of the noise of this trial
     number: j, of a machine whose trials differ; None is a trial of the long run
     The function is pure and can be called inside `jit`. Fields of the returned `Trial` have N or
     N+1 rows.
     """
+    memory = scheme.initial_memory(task) if memory is None else memory
     return run_and_measure(machine, scheme, task, memory, key, number, measured=False)[0]
 
 

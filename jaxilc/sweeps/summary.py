@@ -76,6 +76,11 @@ def summarise(
     Raises ValueError for a tolerance that is not positive and finite, a metric that is not there,
     and for a grid.
     """
+    if not hasattr(dataset, "data_vars"):
+        raise ValueError(
+            f"summarise: dataset is a {type(dataset).__name__}; allowed is a dataset of results, "
+            "as Sweep.run or run_schemes gives it"
+        )
     if axes_of(dataset):
         raise ValueError(
             f"summarise: the dataset has a grid over {', '.join(axes_of(dataset))}; allowed is one "

@@ -56,6 +56,7 @@ from ..learning.over_trials import check, learn
 from ..learning.within_trial import first_start, run_and_measure
 from ..plants.structure import obstacle
 from ..pytree.in_short import in_short
+from ..pytree.ranges import require
 from ..runtime.capacity import check_size
 from ..runtime.tiles import tiled_with
 from ..schemes import (
@@ -269,6 +270,7 @@ def certify(
     drawn: numbers of `uncertainty.draw`; without them 64 machines are drawn
     """
     check(machine, scheme, task)
+    require("certify", "trials", trials, "[1, inf)", whole=True)
     uncertainty = uncertainty or {}
     if drawn is None:
         drawn = draw(machine, uncertainty, MACHINES)
@@ -290,6 +292,7 @@ def certify_each(
     fit into memory.
     """
     check(first_of(machines), scheme, task)
+    require("certify", "trials", trials, "[1, inf)", whole=True)
     check_size("certify", COPIES, machines=count_of(machines), trials=trials)
     certified = partial(_certified, given=task, trials=trials, steps=steps)
     return in_groups(lambda some, task: certified(some, scheme, task), machines, task)

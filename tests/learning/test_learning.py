@@ -371,6 +371,21 @@ def test_trials_must_be_a_positive_number(trials, machine, task):
         learn(machine, SCHEMES["p_type"], task, 1, first=trials)
 
 
+def test_no_memory_is_that_before_the_first_trial(machine, task):
+    scheme = SCHEMES["cfdl_sign"]
+    begun = scheme.initial_memory(task)
+    np.testing.assert_array_equal(feedforward(scheme, task, None), np.zeros((task.N, 1)))
+    y, u = np.sin(np.arange(task.N + 1.0)), np.cos(np.arange(float(task.N)))
+    for one, other in zip(
+        jax.tree.leaves(next_memory(scheme, task, None, y, u)),
+        jax.tree.leaves(next_memory(scheme, task, begun, y, u)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(one, other)
+    of_both = (run_trial(machine, scheme, task, x, jax.random.key(1)).y for x in (None, begun))
+    np.testing.assert_array_equal(*of_both)
+
+
 @pytest.mark.parametrize("name", ["machine", "scheme", "task"])
 def test_what_is_to_learn_is_what_it_is_called(name, machine, task):
     asked = {"machine": machine, "scheme": SCHEMES["p_type"], "task": task} | {name: -np.inf}

@@ -310,6 +310,8 @@ def test_summary_of_one_trial():
 def test_summary_names_what_is_wrong():
     with pytest.raises(ValueError, match=r"tolerance = 0 is outside"):
         summarise(made_up([[1.0]]), 0.0)
+    with pytest.raises(ValueError, match=r"dataset is a dict; allowed is a dataset of results"):
+        summarise({}, 1.0)
     with pytest.raises(ValueError, match=r"metric = 'rms' is not one of finite, settled_error"):
         summarise(made_up([[1.0]]), 1.0, metric="rms")
 

@@ -541,3 +541,9 @@ def test_of_a_plant_that_no_input_moves_the_error_is_known():
     found = long_run(drawn_machines(still, {}, {}), PIDType(gamma_p=0.5), TASK)
     assert found.outlook.doubt[0] == 0
     np.testing.assert_allclose(found.outlook.floor[0], np.sqrt(np.mean(TASK.reference[1:] ** 2)))
+
+
+@pytest.mark.parametrize("trials", [0, -1, 2.0, "3", None])
+def test_certificates_need_a_number_of_trials(trials):
+    with pytest.raises(ValueError, match="certify: trials = "):
+        certify(FIRST_ORDER, PIDType(gamma_p=1.0), TASK, trials)
