@@ -20,7 +20,7 @@ import numpy as np
 from ..identification import Record, Repeats
 from ..learning.machine import Actuator, Machine
 from ..learning.metrics import measure
-from ..learning.over_trials import check_length, measured_trial
+from ..learning.over_trials import check_length, measured_trial, need_kinds
 from ..learning.playback import replay, schedules
 from ..learning.within_trial import run_trial
 from ..pytree.aliases import Json, Leaf, Value
@@ -111,6 +111,7 @@ class Campaign:
         Raises FileExistsError if the folder is not empty, and ValueError where scheme and task do
         not fit, and for a first schedule beyond a limit.
         """
+        need_kinds(scheme=scheme, task=task)
         check_length(task, scheme)
         scheme.check(task)
         campaign = cls(
@@ -141,6 +142,7 @@ class Campaign:
         recipe: new recipe, None to keep the stored one
         Raises ValueError if it was started with another configuration, naming what differs.
         """
+        need_kinds(scheme=scheme, task=task)
         journal = Journal(Path(path))
         last = journal.last_known()
         campaign = cls(

@@ -131,17 +131,7 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
 
     The message names the parameter.
     """
-    for name, given, wanted in (
-        ("machine", machine, Machine),
-        ("scheme", scheme, Scheme),
-        ("task", task, Task),
-    ):
-        if not isinstance(given, wanted):
-            hint = ": write Machine(plant)" if isinstance(given, Plant) else ""
-            raise ValueError(
-                f"{name} = {brief(given)} is a {type(given).__name__}; "
-                f"allowed is a {wanted.__name__}{hint}"
-            )
+    need_kinds(machine=machine, scheme=scheme, task=task)
     need_pytrees(machine, scheme)
     check_length(task, scheme)
     machine.check(task)
@@ -151,6 +141,18 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
     except TypeError as error:
         need_double(scheme, error)
         raise
+
+
+def need_kinds(**given: Value) -> None:
+    """Raises ValueError, with the name, unless each is what it is called: machine, scheme, task."""
+    kinds = {"machine": Machine, "scheme": Scheme, "task": Task}
+    for name, value in given.items():
+        if not isinstance(value, kinds[name]):
+            hint = ": write Machine(plant)" if isinstance(value, Plant) else ""
+            raise ValueError(
+                f"{name} = {brief(value)} is a {type(value).__name__}; "
+                f"allowed is a {kinds[name].__name__}{hint}"
+            )
 
 
 def _check_what_goes_on(

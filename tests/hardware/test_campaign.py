@@ -30,7 +30,7 @@ from jaxilc.scenarios import load_scenario
 from jaxilc.schemes import HigherOrder, Ladder, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
-from jaxilc.signals import Trial
+from jaxilc.signals import Task, Trial
 from jaxilc.storage import files
 
 TRIALS, KEY = 20, jax.random.key(3)
@@ -458,6 +458,18 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
         assert message in str(error.value)
     assert not out.exists()
     assert not (folder / "new").exists()
+
+
+@pytest.mark.parametrize("begin", [Campaign.start, Campaign.open])
+def test_scheme_and_task_are_what_they_are_called(tmp_path, begin):
+    task = Task(np.zeros(9), dt=1e-3)
+    for scheme, of, said in (
+        (PIDType, task, "scheme = .* is a type; allowed is a Scheme"),
+        (PIDType(), PIDType(), "task = .* is a PIDType; allowed is a Task"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            begin(tmp_path / "state", scheme, of)
+    assert not (tmp_path / "state").exists()
 
 
 def test_a_damaged_entry_is_named_and_can_be_left_behind(copied):
