@@ -20,8 +20,19 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
-from ..native.program import Const, Known, Program, Step, Unknown, Value, lowered, without_dead
-from ..native.solves import Parameters, lu, triangular_solve
+from ..native.program import (
+    Const,
+    Known,
+    Parameters,
+    Program,
+    Step,
+    Unknown,
+    Value,
+    lowered,
+    lu,
+    triangular_solve,
+    without_dead,
+)
 from ..pytree.aliases import Array, Function, Tree
 from .interpreter import carried_out, known
 

@@ -40,11 +40,6 @@ WIDTH = '"min-legal-vector-width"="512" "prefer-vector-width"="512"'
 TYPES = {"float64": "double", "float32": "float", "bool": "i1"}
 
 
-def bytes_of(dtype: np.dtype) -> int:
-    """The bytes of a number in RAM; a truth value takes one."""
-    return np.dtype(dtype).itemsize
-
-
 class Text:
     """The text of the program of a plan.
 
@@ -96,7 +91,7 @@ class Text:
 
     def stored_type(self, dtype: np.dtype, *, alike: bool = False) -> str:
         """The type of numbers as they are in RAM."""
-        scalar = "i8" if np.dtype(dtype).kind == "b" else _scalar(dtype)
+        scalar = "i8" if dtype.kind == "b" else _scalar(dtype)
         return scalar if alike else f"<{self.lanes} x {scalar}>"
 
     def const(self, value: Number, dtype: np.dtype) -> str:
@@ -134,19 +129,19 @@ class Text:
         """The numbers at a place of an array in RAM."""
         kind = self.stored_type(dtype, alike=alike)
         place = self.add(f"getelementptr {kind}, ptr {base}, i64 {index}")
-        found = self.add(f"load {kind}, ptr {place}, align {bytes_of(dtype)}")
+        found = self.add(f"load {kind}, ptr {place}, align {dtype.itemsize}")
         if alike:
             found = self.splat(found, kind)
-        if np.dtype(dtype).kind == "b":
+        if dtype.kind == "b":
             found = self.add(f"icmp ne <{self.lanes} x i8> {found}, zeroinitializer")
         return found
 
     def store(self, value: str, base: str, index: str, dtype: np.dtype) -> None:
         kind = self.stored_type(dtype)
-        if np.dtype(dtype).kind == "b":
+        if dtype.kind == "b":
             value = self.add(f"zext {self.type_of(dtype)} {value} to {kind}")
         place = self.add(f"getelementptr {kind}, ptr {base}, i64 {index}")
-        self.do(f"store {kind} {value}, ptr {place}, align {bytes_of(dtype)}")
+        self.do(f"store {kind} {value}, ptr {place}, align {dtype.itemsize}")
 
     # Nodes
     # ----------------------------------------------------------------------------------------------
@@ -192,7 +187,7 @@ class Text:
             case Sample(sign, c):
                 index = self._index(k, sign, c, 1, 0)
                 wide = self.splat(index, "i64")
-                if bytes_of(node.dtype) == 8:
+                if node.dtype.itemsize == 8:
                     return wide
                 return self.add(f"trunc <{self.lanes} x i64> {wide} to {kind}")
             case AtIndex() as where:
@@ -247,8 +242,8 @@ class Text:
         return self.add(f"call {kind} {name}({given})")
 
     def _suffix(self, dtype: np.dtype) -> str:
-        letter = "f" if np.dtype(dtype).kind == "f" else "i"
-        return f"v{self.lanes}{letter}{8 * bytes_of(dtype)}"
+        letter = "f" if dtype.kind == "f" else "i"
+        return f"v{self.lanes}{letter}{8 * dtype.itemsize}"
 
     def _for_each(self, name: str, dtype: np.dtype, args: list[str]) -> str:
         """The results of a function of the C library, in vectors where it has them."""
@@ -272,7 +267,7 @@ class Text:
         source = node.args[0].dtype
         of, to = self.type_of(source), self.type_of(node.dtype)
         if source.kind in "iu" and node.dtype.kind in "iu":
-            here, there = bytes_of(source), bytes_of(node.dtype)
+            here, there = source.itemsize, node.dtype.itemsize
             if here == there:
                 return x
             longer = "sext" if source.kind == "i" else "zext"
@@ -313,7 +308,7 @@ class Text:
                 at = self.add(f"add i64 {at}, {lane}")
             one = self.stored_type(buffer.dtype, alike=True)
             place = self.add(f"getelementptr {one}, ptr {base}, i64 {at}")
-            value = self.add(f"load {one}, ptr {place}, align {bytes_of(buffer.dtype)}")
+            value = self.add(f"load {one}, ptr {place}, align {buffer.dtype.itemsize}")
             if one == "i8":
                 value = self.add(f"trunc i8 {value} to i1")
             vector = self.type_of(buffer.dtype)
@@ -348,7 +343,7 @@ class Text:
     def _room(self, buffer: Buffer) -> int:
         """The place in the working memory for a buffer."""
         place = self.work
-        size = buffer.length * buffer.width * bytes_of(buffer.dtype) * self.lanes
+        size = buffer.length * buffer.width * buffer.dtype.itemsize * self.lanes
         self.work += -(-size // ALIGNED) * ALIGNED
         return place
 
@@ -603,11 +598,10 @@ def _doubled(plan: Trials) -> list[Buffer]:
 
 
 def _scalar(dtype: np.dtype) -> str:
-    dtype = np.dtype(dtype)
     return TYPES.get(dtype.name, f"i{8 * dtype.itemsize}")
 
 
 def _number(value: Number, dtype: np.dtype) -> str:
-    if np.dtype(dtype).kind == "f":
+    if dtype.kind == "f":
         return f"0x{np.float64(value).view(np.uint64):016X}"
-    return ("true" if value else "false") if np.dtype(dtype).kind == "b" else str(int(value))
+    return ("true" if value else "false") if dtype.kind == "b" else str(int(value))

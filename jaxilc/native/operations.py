@@ -20,8 +20,7 @@ import numpy as np
 from jax import lax
 from numpy.typing import ArrayLike, DTypeLike
 
-from .program import UNROLLED, Step, Unknown
-from .solves import Parameters
+from .program import UNROLLED, Parameters, Step, Unknown
 
 Array: TypeAlias = np.ndarray  # of nodes
 Number: TypeAlias = np.bool | np.integer | np.floating
@@ -152,10 +151,6 @@ def _compared(of_floats: str, of_ints: str, exact: Callable[..., Number]) -> Ins
     return Instruction(texts | {"b": f"icmp {unsigned}"}, exact, tests=True)
 
 
-def _of_library(name: str) -> Instruction:
-    return Instruction({"f": f"@{name}"})
-
-
 INSTRUCTIONS = {
     "add": Instruction({"f": "fadd", "iu": "add"}, np.add),
     "sub": Instruction({"f": "fsub", "iu": "sub"}, np.subtract),
@@ -182,22 +177,16 @@ INSTRUCTIONS = {
     "and": Instruction({"biu": "and"}, np.bitwise_and),
     "or": Instruction({"biu": "or"}, np.bitwise_or),
     "xor": Instruction({"biu": "xor"}, np.bitwise_xor),
-    "eq": _compared("oeq", "eq", np.equal),
-    "ne": _compared("une", "ne", np.not_equal),
-    "lt": _compared("olt", "lt", np.less),
-    "le": _compared("ole", "le", np.less_equal),
-    "gt": _compared("ogt", "gt", np.greater),
-    "ge": _compared("oge", "ge", np.greater_equal),
-    "exp": _of_library("exp"),
-    "expm1": _of_library("expm1"),
-    "log": _of_library("log"),
-    "log1p": _of_library("log1p"),
-    "sin": _of_library("sin"),
-    "cos": _of_library("cos"),
-    "tan": _of_library("tan"),
-    "tanh": _of_library("tanh"),
-    "pow": _of_library("pow"),
-}
+} | {
+    name: _compared(of_floats, name, exact)
+    for name, of_floats, exact in (
+        ("eq", "oeq", np.equal), ("ne", "une", np.not_equal), ("lt", "olt", np.less),
+        ("le", "ole", np.less_equal), ("gt", "ogt", np.greater), ("ge", "oge", np.greater_equal),
+    )
+} | {
+    name: Instruction({"f": f"@{name}"})
+    for name in ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh", "pow")
+}  # fmt: skip
 # conversions, by the kinds from and to
 CONVERSIONS = {
     "ff": "", "bf": "uitofp", "if": "sitofp", "uf": "uitofp",
@@ -398,30 +387,18 @@ def _filled(shape: Sequence[int], items: Sequence[Node] | Array) -> Array:
 # --------------------------------------------------------------------------------------------------
 
 
-def _sign(n: Numbers, x: Node) -> Node:
+def _sign(n: Numbers, _: Parameters, x: Node) -> Node:
     if x.dtype.kind != "f":
         raise Unknown(f"sign of {x.dtype}")
     one = n.of("copysign", n.const(1, x.dtype), x)
     return n.of("select", n.of("gt", n.of("abs", x), n.const(0, x.dtype)), x, one)  # 0, NaN: x
 
 
-def _not(n: Numbers, x: Node) -> Node:
-    return n.of("xor", x, n.const(True if x.dtype == BOOL else -1, x.dtype))
-
-
-def _integer_neg(n: Numbers, x: Node) -> Node:
+def _negative(n: Numbers, x: Node) -> Node:
     return n.of("neg", x) if x.dtype.kind == "f" else n.of("sub", n.const(0, x.dtype), x)
 
 
-def _abs(n: Numbers, x: Node) -> Node:
-    return n.of("abs", x) if x.dtype.kind == "f" else n.of("max", x, _integer_neg(n, x))
-
-
-def _is_finite(n: Numbers, x: Node) -> Node:
-    return n.of("lt", n.of("abs", x), n.const(np.inf, x.dtype))
-
-
-def _power(n: Numbers, x: Node, *, y: int) -> Node:
+def _power(n: Numbers, x: Node, y: int) -> Node:
     """x to the power of a whole number, by squaring; a negative one is that of its reciprocal.
 
     The slope of a quotient a/x has 1/x^2 beside 1/x, and so no further division.
@@ -439,40 +416,24 @@ def _power(n: Numbers, x: Node, *, y: int) -> Node:
     return found
 
 
-def _logistic(n: Numbers, x: Node) -> Node:
+def _logistic(n: Numbers, _: Parameters, x: Node) -> Node:
     one = n.const(1, x.dtype)
     return n.of("div", one, n.of("add", one, n.of("exp", n.of("neg", x))))
 
 
-def _one_minus_square(n: Numbers, x: Node) -> Node:
+def _one_minus_square(n: Numbers, _: Parameters, x: Node) -> Node:
     """The slope of a hyperbolic tangent x, a primitive of its own in JAX 0.12."""
     one = n.const(1, x.dtype)
     return n.of("mul", n.of("add", one, x), n.of("sub", one, x))  # as JAX does, for x near 1
 
 
-def _select(n: Numbers, which: Node, *cases: Node) -> Node:
+def _select(n: Numbers, _: Parameters, which: Node, *cases: Node) -> Node:
     if which.dtype == BOOL:
         return n.of("select", which, *cases)
     found = cases[-1]
     for i, case in reversed(list(enumerate(cases[:-1]))):
         found = n.of("select", n.of("le", which, n.const(i, which.dtype)), found, case)
     return found
-
-
-def _clamp(n: Numbers, low: Node, x: Node, high: Node) -> Node:
-    return n.of("min", n.of("max", low, x), high)
-
-
-def _round(n: Numbers, x: Node, *, rounding_method: lax.RoundingMethod) -> Node:
-    return n.of("round_even" if int(rounding_method) == 1 else "round_away", x)
-
-
-def _convert(n: Numbers, x: Node, *, new_dtype: np.dtype) -> Node:
-    return n.of("convert", x, dtype=new_dtype)
-
-
-def _reciprocal_root(n: Numbers, x: Node) -> Node:
-    return n.of("div", n.const(1, x.dtype), n.of("sqrt", x))
 
 
 def _ends(dtype: np.dtype) -> tuple[int, int]:
@@ -492,26 +453,29 @@ def _less_in_order(n: Numbers, x: Node, y: Node) -> Node:
     return n.of("lt", place(x), place(y))
 
 
-# primitives of JAX by name; the parameters that are named after it change the result
-COMPOSED: dict[str, tuple[Callable[..., Node], tuple[str, ...]]] = {
-    "sign": (_sign, ()),
-    "not": (_not, ()),
-    "neg": (_integer_neg, ()),
-    "abs": (_abs, ()),
-    "is_finite": (_is_finite, ()),
-    "integer_pow": (_power, ("y",)),
-    "square": (partial(_power, y=2), ()),
-    "logistic": (_logistic, ()),
-    "one_minus_square": (_one_minus_square, ()),
-    "select_n": (_select, ()),
-    "clamp": (_clamp, ()),
-    "round": (_round, ("rounding_method",)),
-    "convert_element_type": (_convert, ("new_dtype",)),
-    "add_any": (lambda n, x, y: n.of("add", x, y), ()),
-    "rsqrt": (_reciprocal_root, ()),
-    "lt_to": (_less_in_order, ()),
-    "le_to": (lambda n, x, y: _not(n, _less_in_order(n, y, x)), ()),
-    "real": (lambda n, x: x, ()),
+ROUNDED = ("round_away", "round_even")  # by the number of a method in JAX
+# primitives of JAX by name, as functions of the nodes, of the parameters and of the operands
+COMPOSED: dict[str, Callable[..., Node]] = {
+    "sign": _sign,
+    "not": lambda n, _, x: n.of("xor", x, n.const(True if x.dtype == BOOL else -1, x.dtype)),
+    "neg": lambda n, _, x: _negative(n, x),
+    "abs": lambda n, _, x: (
+        n.of("abs", x) if x.dtype.kind == "f" else n.of("max", x, _negative(n, x))
+    ),
+    "is_finite": lambda n, _, x: n.of("lt", n.of("abs", x), n.const(np.inf, x.dtype)),
+    "integer_pow": lambda n, params, x: _power(n, x, params["y"]),
+    "square": lambda n, _, x: _power(n, x, 2),
+    "rsqrt": lambda n, _, x: n.of("div", n.const(1, x.dtype), n.of("sqrt", x)),
+    "logistic": _logistic,
+    "one_minus_square": _one_minus_square,
+    "select_n": _select,
+    "clamp": lambda n, _, low, x, high: n.of("min", n.of("max", low, x), high),
+    "round": lambda n, params, x: n.of(ROUNDED[int(params["rounding_method"])], x),
+    "convert_element_type": lambda n, params, x: n.of("convert", x, dtype=params["new_dtype"]),
+    "add_any": lambda n, _, x, y: n.of("add", x, y),
+    "lt_to": lambda n, _, x, y: _less_in_order(n, x, y),
+    "le_to": lambda n, _, x, y: n.of("xor", _less_in_order(n, y, x), n.const(True, BOOL)),
+    "real": lambda n, _, x: x,
 }
 # by which operation the elements along an axis are put together
 GATHERED = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min",
@@ -553,8 +517,7 @@ def elementwise(name: str) -> bool:
 def one_by_one(n: Numbers, step: Step) -> Callable[..., Node]:
     """The function of the elements that an elementwise step computes."""
     if step.name in COMPOSED:
-        function, names = COMPOSED[step.name]
-        return partial(function, n, **{name: step.params[name] for name in names})
+        return partial(COMPOSED[step.name], n, step.params)
     return partial(n.of, step.name)
 
 

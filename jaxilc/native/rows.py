@@ -437,12 +437,10 @@ class Trials:
                 if to == axis and operands[0].shape[i] != 1:
                     raise Unknown("broadcast_in_dim to samples")
             return _same(out.shape, axis, out.dtype, applied(self.n, step, operands, shape))
-        if step.name == "concatenate" and step.params["dimension"] == axis:
-            parts = [(x.shape[axis], x) for x in operands]
-            return _joined(out.shape, axis, out.dtype, parts)
-        if step.name == "pad":
-            return _joined_small(step, operands, out, axis)
-        raise Unknown(f"{step.name} that makes samples")
+        found = HANDLED[step.name](self, step, [*operands]) if step.name in MADE else None
+        if found is None:
+            raise Unknown(f"{step.name} that makes samples")
+        return found
 
     def whole_numbers(self, x: Item) -> np.ndarray | None:
         """The whole numbers of an array or of rows; None where they are not known beforehand."""
@@ -584,35 +582,27 @@ def _concatenate(of: Trials, step: Step, operands: list[Item]) -> Item | None:
 
 
 def _pad(of: Trials, step: Step, operands: list[Item]) -> Item | None:
-    row, value = rows_of(operands[0]), small(operands[1])
-    out, config = step.outs[0], [tuple(map(int, c)) for c in step.params["padding_config"]]
-    low, high, between = config[row.axis]
+    """Rows, or a small array that becomes rows, with the same number before and behind them."""
+    x, value, out = operands[0], small(operands[1]), step.outs[0]
+    axis = x.axis if isinstance(x, Row) else of.axis_of(out.shape)
+    config = [tuple(map(int, c)) for c in step.params["padding_config"]]
+    assert axis is not None
+    low, high, between = config[axis]
     if between:
         raise Unknown("pad between samples")
-    if any(c != (0, 0, 0) for i, c in enumerate(config) if i != row.axis):
+    if any(c != (0, 0, 0) for i, c in enumerate(config) if i != axis):
         if (low, high) == (0, 0):
             return None
         raise Unknown("pad of samples and channels")
-    first, last = max(0, -low), row.length - max(0, -high)
-    if last - first < of.shortest or of.axis_of(out.shape) is None:
-        raise Unknown("pad of a few samples")
-    inner = row if (first, last) == (0, row.length) else Shifted(row, first, last - first)
-    filled = np.full(row.of_one, value[()], object)
-    parts: list[tuple[int, Item]] = [(low, filled), (inner.length, inner), (high, filled)]
-    return _joined(out.shape, row.axis, out.dtype, parts)
-
-
-def _joined_small(step: Step, operands: list[Array], out: Value, axis: int) -> Item:
-    """A small array that is padded to the length of a trial."""
-    x, value = operands
-    config = [tuple(map(int, c)) for c in step.params["padding_config"]]
-    low, high, between = config[axis]
-    if between or min(low, high) < 0 or any(
-        c != (0, 0, 0) for i, c in enumerate(config) if i != axis
-    ):  # fmt: skip
-        raise Unknown("pad to samples")
+    first, last = max(0, -low), x.shape[axis] - max(0, -high)
+    if isinstance(x, Row):
+        if last - first < of.shortest or of.axis_of(out.shape) is None:
+            raise Unknown("pad of a few samples")
+        x = x if (first, last) == (0, x.length) else Shifted(x, first, last - first)
+    else:
+        x = x.take(range(first, last), axis)
     filled = np.full(_with(out.shape, axis, 1), value[()], object)
-    parts = [(low, filled), (x.shape[axis], x), (high, filled)]
+    parts = [(low, filled), (last - first, x), (high, filled)]
     return _joined(out.shape, axis, out.dtype, parts)
 
 
@@ -881,6 +871,7 @@ def _convolved(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     return _by_jax(of, summed, row, kernel)
 
 
+MADE = ("concatenate", "pad")  # of which small arrays make rows, too
 HANDLED: dict[str, Callable[[Trials, Step, list[Item]], Item | None]] = {
     "slice": _slice,
     "concatenate": _concatenate,

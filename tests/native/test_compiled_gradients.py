@@ -156,8 +156,8 @@ def test_memories_that_the_ram_cannot_hold_are_in_blocks_and_it_is_told(monkeypa
 def test_a_wrong_slope_is_refused(monkeypatch, caplog):
     """Of an operation that only the way back has."""
     common = arguments("p_type")
-    wrong = lambda n, x, y: n.of("sub", x, y)  # noqa: E731
-    monkeypatch.setitem(operations.COMPOSED, "add_any", (wrong, ()))
+    wrong = lambda n, _, x, y: n.of("sub", x, y)  # noqa: E731
+    monkeypatch.setitem(operations.COMPOSED, "add_any", wrong)
     native = Native(by_all_leaves)
     assert "another result than that of XLA" in native.why_not(common, GAINS)
     assert "XLA computes instead" in caplog.text

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxilc.native import operations, solves
+from jaxilc.native import operations, program
 from jaxilc.native.run import Compiled
 
 EDGES = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 1.5, 3e-310, -3e-310, 1e300, -1e300, np.inf,
@@ -221,7 +221,7 @@ def test_numbers_move_from_and_to_places_that_are_found_while_it_runs():
 def test_a_small_elimination_is_that_of_lapack(shape):
     a = np.round(np.random.default_rng(0).normal(size=shape), 1)  # with equal pivots, too
     for x in (a, np.zeros(shape)):
-        for found, wanted in zip(solves.lu(x), jax.lax.linalg.lu(x), strict=True):
+        for found, wanted in zip(program.lu(x), jax.lax.linalg.lu(x), strict=True):
             np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-14)
 
 
@@ -232,7 +232,7 @@ def test_a_small_triangular_solve_is_that_of_lapack(flags):
     left, lower = flags
     for transposed, unit in ((False, False), (True, True)):
         how = {"lower": lower, "transpose_a": transposed, "unit_diagonal": unit}
-        (found,) = solves.triangular_solve(a, b, left_side=left, **how)
+        (found,) = program.triangular_solve(a, b, left_side=left, **how)
         wanted = jax.lax.linalg.triangular_solve(a, b, left_side=left, **how)
         np.testing.assert_allclose(found, wanted, rtol=1e-12)
 
@@ -240,14 +240,14 @@ def test_a_small_triangular_solve_is_that_of_lapack(flags):
 def test_few_whole_numbers_are_sorted_and_equal_ones_keep_their_order():
     keys = np.array([3, -1, 3, 0, -1, 2])
     sorted_by_jax = jax.lax.sort((keys, np.arange(6)), num_keys=1)
-    for found, wanted in zip(solves._sort(keys, np.arange(6)), sorted_by_jax, strict=True):
+    for found, wanted in zip(program._sort(keys, np.arange(6)), sorted_by_jax, strict=True):
         np.testing.assert_array_equal(found, wanted)
 
 
 def test_keys_of_random_numbers_are_taken_apart_as_other_arrays_are():
     """JAX 0.12 splits a key by an operation whose types have no `kind`."""
     keys = jax.random.split(jax.random.key(0), 3)
-    found = solves.written("unstack", {"axis": 0}, [keys])
+    found = program.written("unstack", {"axis": 0}, [keys])
     for one, key in zip(jax.core.eval_jaxpr(found.jaxpr, found.consts, keys), keys, strict=True):
         assert one == key
 
