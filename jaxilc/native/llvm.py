@@ -521,14 +521,11 @@ class Text:
     def _loop(self, loop: Loop) -> None:
         for scan in loop.scans:
             for i, cells in enumerate(scan.cells):
-                self._set(cells, scan.begin(i))
+                begin = scan.begin(i).flat
+                for cell, value in zip(cells.flat, self.values(begin), strict=True):
+                    self._put(cell, value)
         for segment in loop.segments:
             self._segment(segment, loop.direction)
-
-    def _set(self, cells: Array, begin: Array) -> None:
-        values = self.values(begin.flat)
-        for cell, value in zip(cells.flat, values, strict=True):
-            self._put(cell, value)
 
     def _segment(self, of: Segment, direction: int) -> None:
         stores = list(of.stores)

@@ -244,7 +244,11 @@ class Numbers:
         kind = args[0].dtype.kind
         if instruction(name, kind) is None or any(x.dtype != args[0].dtype for x in args):
             raise Unknown(f"{name} of {' and '.join(str(x.dtype) for x in args)}")
-        if name in ("div", "rem") and kind != "f" and not _is_positive(args[1]):
+        if (
+            name in ("div", "rem")
+            and kind != "f"
+            and (args[1].name != "const" or args[1].value <= 0)
+        ):
             raise Unknown(f"{name} of {args[0].dtype} by what is no positive constant")
         self._equates |= name in ("eq", "ne") and kind == "f"
         known = INSTRUCTIONS[name]
@@ -354,10 +358,6 @@ class Numbers:
         return _filled(
             arrays[0].shape, [function(*x) for x in zip(*(a.flat for a in arrays), strict=True)]
         )
-
-
-def _is_positive(x: Node) -> bool:
-    return x.name == "const" and bool(x.value > 0)
 
 
 def _has_reciprocal(x: Number) -> bool:

@@ -269,11 +269,15 @@ def loops(program: Program) -> Iterator[Step]:
     return (step for step in program.steps if step.name == "scan")
 
 
-def with_loops_from(program: Program, shortest: int) -> Program:
-    """The program with every shorter loop and every loop within a loop written out.
+def _with_long_loops(body: Program) -> Program:
+    """A trial in which every loop within a loop is written out, or much shorter than the longest.
 
     Raises Unknown for a loop of more than UNROLLED passes that would have to be written out.
     """
+    lengths = [of.params["length"] for of in loops(body)]
+    if not lengths:
+        raise Unknown("there is no loop over samples in a loop over trials")
+    shortest = min(n for n in lengths if 2 * n > max(lengths))
 
     def opened(program: Program, shortest: float) -> Program:
         steps: list[Step] = []
@@ -300,7 +304,7 @@ def with_loops_from(program: Program, shortest: int) -> Program:
                 new |= zip(step.outs, outs, strict=True)
         return Program(program.ins, steps, [new.get(x, x) for x in program.outs])
 
-    return opened(program, shortest)
+    return opened(body, -(-3 * shortest // 4))
 
 
 # Primitives that are written by others: each with their operands, parameters and results
@@ -370,10 +374,6 @@ def _sort(keys: jax.Array, *others: jax.Array, **_: object) -> tuple[jax.Array, 
     return (*(jnp.stack(x) for x in columns),)
 
 
-def _by_columns(matrix: jax.Array, vector: jax.Array, **_: object) -> list[jax.Array]:
-    return [jnp.matmul(matrix, vector[..., None])[..., 0]]
-
-
 def _split(x: jax.Array, *, sizes: Sequence[int], axis: int, **_: object) -> list[jax.Array]:
     ends = np.cumsum(sizes)
     return [lax.slice_in_dim(x, int(end) - size, int(end), axis=axis)
@@ -389,9 +389,14 @@ def _unstack(x: jax.Array, *, axis: int, **_: object) -> list[jax.Array]:
 
 
 WRITTEN: dict[str, Callable[..., Sequence[jax.Array]]] = {
-    "lu": lu, "triangular_solve": triangular_solve, "sort": _sort,
-    "by_columns": _by_columns, "split": _split, "stack": _stack, "unstack": _unstack,
-}  # fmt: skip
+    "lu": lu,
+    "triangular_solve": triangular_solve,
+    "sort": _sort,
+    "by_columns": lambda matrix, vector, **_: [jnp.matmul(matrix, vector[..., None])[..., 0]],
+    "split": _split,
+    "stack": _stack,
+    "unstack": _unstack,
+}
 
 
 def written(name: str, params: Parameters, operands: Sequence[Value]) -> ClosedJaxpr | None:
@@ -504,15 +509,6 @@ def of_trials(
         found[i] = steps, without_dead_of_loop(loop, [x in read_later for x in loop.outs])
         read_later |= {x for step in (*steps, found[i][1]) for x in step.ins}
     return found, before
-
-
-def _with_long_loops(body: Program) -> Program:
-    """A trial in which every loop is written out that is much shorter than the longest."""
-    lengths = [of.params["length"] for of in loops(body)]
-    if not lengths:
-        raise Unknown("there is no loop over samples in a loop over trials")
-    shortest = min(n for n in lengths if 2 * n > max(lengths))
-    return with_loops_from(body, -(-3 * shortest // 4))
 
 
 def in_order(step: Step) -> bool:

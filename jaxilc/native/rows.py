@@ -418,7 +418,8 @@ class Trials:
         if not _keeps_axis(step, operands, axis):
             raise Unknown(f"{step.name} that moves the axis of samples")
         if step.name == "gather":
-            step = _gather_of_row(step, row)
+            sizes = {"slice_sizes": _with(step.params["slice_sizes"], row.axis, 1)}
+            step = Step("gather", step.params | sizes, step.ins, step.outs, lax.gather_p)
         shape = (*out.shape[:axis], 1, *out.shape[axis + 1 :])
         return Computed(out.shape, axis, out.dtype,
                         lambda *arrays: applied(self.n, step, arrays, shape), operands)  # fmt: skip
@@ -454,10 +455,6 @@ class Trials:
             found.append(one)
         return np.concatenate(found, x.axis)
 
-    def pick(self, row: Row, i: int) -> Array:
-        """The elements of a row at a sample that is known beforehand."""
-        return _Picked(self).row(row, 0, i)
-
     def picked(self, buffer: Buffer, row: Row, i: int, loop: int) -> Array:
         nodes = np.empty(row.of_one, object)
         for m, at in enumerate(np.ndindex(*row.of_one)):
@@ -481,7 +478,8 @@ class Trials:
             if isinstance(x, Row):
                 if i >= consts:
                     raise Unknown("rows that are carried from sample to sample")
-                operands[i] = self._table(x)
+                stored = isinstance(x, Stored) and x.axis == 0
+                operands[i] = x if stored else self.table_of(x)
         number = max([0, *map(loop_of, operands)])
         if not either:
             direction = -1 if step.params["reverse"] else 1
@@ -516,11 +514,6 @@ class Trials:
                 self._tables[key] = Stored(array.shape, 0, buffer)
         return self._tables.get(key, array)
 
-    def _table(self, row: Row) -> Row:
-        """The rows in a buffer, which a scan reads at samples that are found while it runs."""
-        stored = isinstance(row, Stored) and row.axis == 0
-        return row if stored else self.table_of(row)
-
     def table_of(self, row: Row) -> Stored:
         """The rows in a buffer of their own, for the loops after the one that computes them."""
         buffer = self._buffer("kept", row.shape, row.axis, row.dtype)
@@ -548,7 +541,7 @@ def _slice(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         zip(params["start_indices"], params["limit_indices"], row.shape, strict=True))
         if i != row.axis]  # fmt: skip
     if last - first < of.shortest:
-        picked = np.concatenate([of.pick(row, i) for i in range(first, last)], row.axis)
+        picked = np.concatenate([_Picked(of).row(row, 0, i) for i in range(first, last)], row.axis)
         return applied(of.n, Step("slice", rest, [], step.outs), [picked])
     moved = Shifted(row, first, last - first)
     return moved if all(whole) else of._result(Step("slice", rest, [], step.outs), [moved],
@@ -702,7 +695,7 @@ def _gather_rows(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     batch = [i for i in range(len(out.shape)) if i not in kept.offset_dims]
     if axis is None:
         count = math.prod(step.ins[1].shape[:-1])
-        picked = [of.pick(row, int(i)) for i in at.ravel()] if at is not None else (
+        picked = [_Picked(of).row(row, 0, int(i)) for i in at.ravel()] if at is not None else (
             _rows_at(of, step, row)(small(index)))  # fmt: skip
         _inside(at, row.length)
         new = np.arange(count, dtype=step.ins[1].dtype).reshape(step.ins[1].shape)
@@ -942,11 +935,6 @@ def _axis_of_product(numbers: lax.DotDimensionNumbers, operands: list[Item]) -> 
                 return None
         before += len(free)
     return places.pop() if len(places) == 1 else None
-
-
-def _gather_of_row(step: Step, row: Row) -> Step:
-    sizes = _with(step.params["slice_sizes"], row.axis, 1)
-    return Step("gather", step.params | {"slice_sizes": sizes}, step.ins, step.outs, lax.gather_p)
 
 
 # The segments of a loop
