@@ -1,9 +1,9 @@
 """Models of flexible machines from records: their order is grown, part by part.
 
 The output is a sum of filtered inputs (`plants.ModalModel`), so only the poles are searched for:
-the numerators are linear (`projection`). A search costs milliseconds an order, since a part with
-poles exp(l dt) filters the input by a polynomial of z of degree 1 or 2, whose numerator spans that
-of the part held exactly.
+the numerators are linear (`problem.projected`). A search costs milliseconds an order, since a part
+with poles exp(l dt) filters the input by a polynomial of z of degree 1 or 2, whose numerator spans
+that of the part held exactly.
 
 Each order begins from several places: from the poles of a reduced high-order difference equation
 (Juang, Pappa 1985), from the order below and one part more, chosen from a grid by what it explains
@@ -34,9 +34,10 @@ from .problem import (
     checked_record,
     need_excitation,
     need_samples,
+    projected,
+    searched,
     unit_columns,
 )
-from .projection import projected, searched
 from .records import Record, as_columns, delayed
 from .verdict import Identified, fit_of
 

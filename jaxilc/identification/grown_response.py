@@ -30,8 +30,7 @@ from ..pytree.aliases import Numbers
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..theory.on_lines import MeasuredResponse
-from .problem import unit_columns
-from .projection import Projected, projected, searched
+from .problem import Projected, projected, searched, unit_columns
 from .response_estimation import (
     checked_lines,
     enough_lines,

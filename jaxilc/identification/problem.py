@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -13,6 +13,7 @@ import scipy
 
 from ..learning.machine import Machine
 from ..plants import Plant, ProcessModel
+from ..pytree.aliases import Numbers
 from ..pytree.closest import known_names
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from ..pytree.ranges import Interval, require, shown
@@ -317,3 +318,81 @@ def free_elements(plant: Plant, free: Sequence[str] | None) -> tuple[str, ...]:
     if not names:
         raise ValueError(f"identify: free = {free!r} leaves nothing to fit")
     return tuple(dict.fromkeys(names))
+
+
+# Least squares that are linear in some of their unknowns: only the others are searched for
+# --------------------------------------------------------------------------------------------------
+
+
+class Projected(NamedTuple):
+    """A place of the search.
+
+    theta: what is searched for;  N: (c,) or (c, n_y) the best linear unknowns there
+    Q: (rows, c) orthonormal basis of the columns
+    left: (rows,) or (rows, n_y) residual;  cost: its sum of squares
+    """
+
+    theta: Numbers
+    Q: Numbers
+    N: Numbers
+    left: Numbers
+    cost: float
+
+
+def projected(theta: Numbers, X: Numbers, y: Numbers) -> Projected:
+    """The best N of the columns X (rows, c), and what it leaves of y (rows,) or (rows, n_y).
+
+    That is variable projection (Golub, Pereyra 1973) of y = X(theta) N.
+    """
+    scaled, length = unit_columns(X)
+    Q, R = np.linalg.qr(scaled)
+    b = Q.T @ y
+    N = (np.linalg.lstsq(R, b, rcond=1e-13)[0].T / length).T
+    left = y - Q @ b
+    return Projected(theta, Q, N, left, float(np.vdot(left, left)))
+
+
+def searched(
+    at: Callable[[Numbers], Projected],
+    slopes: Callable[[Projected], Numbers],
+    theta: Numbers,
+    bounds: tuple[Numbers, Numbers],
+    *,
+    steps: int,
+    tolerance: float,
+    eased: float,
+    furthest: float | Numbers = 1.0,
+) -> tuple[Projected, bool]:
+    """The minimum near theta by Levenberg-Marquardt steps within bounds, and whether it is one.
+
+    The Jacobian is that of Kaufman (1975): `slopes` without what the columns of X span.
+
+    slopes: (rows, [n_y,] theta) derivatives of the residual at constant N
+    tolerance: relative decrease of the cost below which a step ends the search
+    eased: what the damping is divided by after a step; it is multiplied by 6 where one fails
+    furthest: by which an element moves at a step, at most
+    """
+    low, high = bounds
+    now, damping = at(np.clip(theta, low, high)), 1e-3
+    for _ in range(steps if len(theta) else 0):
+        J = slopes(now)
+        J = J - np.tensordot(now.Q, np.tensordot(now.Q.T, J, 1), 1)
+        J, size = unit_columns(J.reshape(-1, len(theta)))
+        g, H = J.T @ now.left.ravel(), J.T @ J
+        at_bound = ((now.theta <= low) & (g > 0)) | ((now.theta >= high) & (g < 0))
+        free = np.flatnonzero(~at_bound)
+        for _ in range(8):
+            step = np.zeros(len(g))
+            damped = H[np.ix_(free, free)] + damping * np.eye(len(free))
+            step[free] = -np.linalg.solve(damped, g[free])
+            new = at(np.clip(now.theta + np.clip(step / size, -furthest, furthest), low, high))
+            if new.cost < now.cost:
+                break
+            damping *= 6
+        else:
+            return now, True
+        gained = (now.cost - new.cost) / now.cost
+        now, damping = new, max(damping / eased, 1e-9)
+        if gained < tolerance:
+            return now, True
+    return now, False

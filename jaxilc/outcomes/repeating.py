@@ -18,8 +18,8 @@ import numpy as np
 
 from .. import figures
 from ..hardware.campaign import repeats_of
+from ..identification.pitch import Recurrence, recurrence_of
 from ..identification.potential import LEVEL, Potential, potential_of
-from ..identification.recurrence import Recurrence, recurrence_of
 from ..identification.repeats import Repeats, read_repeats
 from ..plants import Harmonics, StateSpace
 from ..pytree.aliases import Value

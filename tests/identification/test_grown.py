@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxilc.identification import Record, excite, grow, grown, projection, read_record
+from jaxilc.identification import Record, excite, grow, grown, problem, read_record
 from jaxilc.identification.not_linear import Answers
 from jaxilc.learning import Machine, Sensor
 from jaxilc.plants import ModalModel, ProcessModel
@@ -41,7 +41,7 @@ def test_the_slopes_of_the_residual_are_those_of_differences(inputs, outputs):
     of = of._replace(y=X @ RNG.normal(size=(X.shape[1], outputs)))
 
     def at(x):
-        return projection.projected(x, grown.columns(of, PARTS.at(x))[0], of.y)
+        return problem.projected(x, grown.columns(of, PARTS.at(x))[0], of.y)
 
     here = at(PARTS.x)
     assert np.max(np.abs(here.left)) < 1e-9

@@ -13,7 +13,7 @@ from jaxilc.identification import (
     read_frequency_response,
 )
 from jaxilc.identification.grown_response import Parts
-from jaxilc.identification.projection import Projected
+from jaxilc.identification.problem import Projected
 from jaxilc.outcomes import identify
 from jaxilc.theory.on_lines import MeasuredResponse
 

@@ -7,7 +7,7 @@ import pytest
 
 from jaxilc import Task, learn
 from jaxilc.filters import ZeroPhaseButterworth
-from jaxilc.identification.recurrence import Recurrence, recurrence_of
+from jaxilc.identification.pitch import Recurrence, recurrence_of
 from jaxilc.identification.repeats import Repeats
 from jaxilc.outcomes import potential, repeating
 from jaxilc.outcomes.outcome import silent
