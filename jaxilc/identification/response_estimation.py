@@ -407,6 +407,7 @@ Lines: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 STEP = 1e-30
 FIELDS = ("gain", "zeros", "poles", "frequencies", "dampings", "delay")
 LINES, LOWEST = 400, 1e-4  # frequencies, and the lowest one as a share of the sample rate
+LATER = 1e-4  # samples, by which a delay is changed for its derivative
 MOST_SPREAD = 5.0  # standard deviation of log |P| that is told at most
 
 
@@ -522,12 +523,16 @@ def response_band(identified: Identified, dt: float) -> ResponseBand:
 
 def _of_modes(identified: Identified, plant: ModalModel, dt: float, f: np.ndarray) -> Lines:
     """(F,) P, (F, n) derivatives of log P by the fitted numbers, and (n, n) their covariance."""
-    names = tuple(name for name in identified.parameters if not name.startswith("bias"))
-    values = np.array([identified.parameters[name].value for name in names])
-    (real, imag), (by_real, by_imag) = _sampled_response(values, names, plant, dt, f)
-    P = np.asarray(real) + 1j * np.asarray(imag)
-    g = (np.asarray(by_real) + 1j * np.asarray(by_imag)) / P[:, None]
-    return P, g, np.asarray(identified.covariance)[: len(names), : len(names)]
+    values = {n: of.value for n, of in identified.parameters.items() if not n.startswith("bias")}
+    count, delay = len(values), values.pop("delay", None)
+    at = np.array([*values.values()]), tuple(values)
+    P, slopes = map(np.asarray, _sampled_response(*at, plant, dt, f))
+    if delay is not None:  # the last one, of which no compiled program can be a function
+        ends = delay + LATER * dt, max(delay - LATER * dt, 0.0)
+        late = (dataclasses.replace(plant, delay=end) for end in ends)
+        ahead, behind = (np.asarray(_sampled_response(*at, one, dt, f)[0]) for one in late)
+        slopes = np.column_stack([slopes, (ahead - behind) / (ends[0] - ends[1])])
+    return P, slopes / P[:, None], np.asarray(identified.covariance)[:count, :count]
 
 
 @functools.partial(jax.jit, static_argnames=("names", "dt"))
@@ -536,7 +541,7 @@ def _sampled_response(values, names, plant, dt, f):
         system = replaced(plant, dict(zip(names, values, strict=True))).sampled(dt)
         z = jnp.exp(2j * jnp.pi * f * dt)[:, None, None]
         P = system.C @ jnp.linalg.solve(z * jnp.eye(len(system.A)) - system.A, system.B + 0j)
-        return P[:, 0, 0].real, P[:, 0, 0].imag
+        return P[:, 0, 0]
 
     return at(values), jax.jacfwd(at)(values)
 

@@ -14,7 +14,9 @@ from jaxilc.identification import (
 )
 from jaxilc.identification.grown_response import Parts
 from jaxilc.identification.problem import Projected
+from jaxilc.identification.response_estimation import response_band
 from jaxilc.outcomes import identify
+from jaxilc.pytree.named_paths import replaced
 from jaxilc.theory.on_lines import MeasuredResponse
 
 DT = 1e-3
@@ -139,6 +141,21 @@ def test_a_given_delay_is_kept():
     found = identified_response(measured, chosen, None, 2.6e-3)
     assert found.plant.delay == 2.6e-3
     assert "delay" not in found.parameters
+
+
+def test_the_band_of_the_response_knows_a_delay_that_was_fitted():
+    """It was refused, as no number; the phase has that of the delay and of all numbers together."""
+    measured = flexible(2, 1, 2, 60, DT, 20, True)[-1]
+    found = identified_response(measured, grow_response(measured, dt=DT, highest=4)[1], DT, None)
+    band = response_band(found, DT)
+    slopes = []
+    for name, of in found.parameters.items():
+        ends = (replaced(found.plant, {name: of.value * by}) for by in (1 + 1e-6, 1 - 1e-6))
+        ahead, behind = (held(end, band.f, DT) for end in ends)
+        slopes.append((ahead - behind) / (2e-6 * of.value) / band.P)
+    late = np.array(slopes).imag
+    wanted = np.sqrt(np.einsum("if,ij,jf->f", late, found.covariance, late))
+    np.testing.assert_allclose(band.half, np.rad2deg(1.96 * np.minimum(wanted, np.pi)), rtol=1e-4)
 
 
 def test_a_search_moves_a_long_delay_as_far_as_a_short_one():
