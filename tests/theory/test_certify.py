@@ -5,6 +5,7 @@ its trial.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import cases
 import jax
@@ -468,11 +469,13 @@ def test_the_prediction_is_the_simulation_where_all_is_linear(scheme):
 def test_machines_in_parts_are_certified_as_all_at_once(monkeypatch):
     """It is needed where the dense matrices of all do not fit into RAM."""
     machines = random_limited(np.random.default_rng(3), 4)
-    for scheme in (PIDType(gamma_p=0.3), CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign")):
-        whole = certify_each(machines, scheme, TASK, 6)
+    certified = partial(certify_each, trials=6)
+    adapts = CFDLMFAILC(lam=1.0, phi0=0.3, reset="sign")  # of which nothing is an array of all
+    for of, scheme in ((certified, PIDType(gamma_p=0.3)), (long_run, adapts)):
+        whole = of(machines, scheme, TASK)
         with monkeypatch.context() as few:
             few.setattr(learning_map, "ROOM", 2 * 8 * N**2)
-            parts = certify_each(machines, scheme, TASK, 6)
+            parts = of(machines, scheme, TASK)
         assert jax.tree.structure(parts) == jax.tree.structure(whole)
         for one, other in zip(jax.tree.leaves(parts), jax.tree.leaves(whole), strict=True):
             if np.issubdtype(np.asarray(other).dtype, np.floating):

@@ -166,7 +166,8 @@ def test_hysteresis_at_the_input_holds_learning_within_a_ball():
 
 def test_hysteresis_that_is_integrated_in_steps_is_named():
     plant = InputHysteresis(lag(0.5), BoucWen(0.5, 4.0, 1.0, 2))
-    found = certify(Machine(plant), PIDType(gamma_p=0.5), task(np.ones(N + 1)), 3, {}, {})
+    machines = drawn_machines(Machine(plant), {}, {})
+    found = long_run(machines, PIDType(gamma_p=0.5), task(np.ones(N + 1)))
     assert found.claim[0] == "not claimed"
     assert "InputHysteresis" in found.reason[0]
 
@@ -175,7 +176,8 @@ def test_noise_that_is_rounded_adds_up_with_the_ball():
     fine = Machine(lag(0.3), sensor=Sensor(noise=0.05))
     rounds = dataclasses.replace(fine, sensor=Sensor(noise=0.05, resolution=0.02))
     law, r = PIDType(gamma_p=0.6, leak=0.1), np.sin(np.pi * np.arange(N + 1) / N)
-    one, other = (certify(machine, law, task(r), 30, {}, {}) for machine in (fine, rounds))
+    one = long_run(drawn_machines(fine, {}, {}), law, task(r))
+    other = certify(rounds, law, task(r), 30, {}, {})
     ball = other.ball.error[0]
     np.testing.assert_allclose(other.left[0], one.left[0] + ball, rtol=1e-9)
     np.testing.assert_allclose(other.most[0], one.most[0] + ball, rtol=1e-9)
