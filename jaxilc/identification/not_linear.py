@@ -192,9 +192,9 @@ def _linear(seen: Seen, lags: int) -> np.ndarray:
     return Q[:, size > 1e-9 * size[0]]
 
 
-def _moving(x: np.ndarray, over: int = 1) -> np.ndarray:
+def _moving(x: np.ndarray) -> np.ndarray:
     """-1, 0, 1: the direction of a signal, 0 where it hardly moves."""
-    v = np.convolve(np.gradient(x), np.ones(over) / over, "same")
+    v = np.gradient(x)
     return np.sign(v) * (np.abs(v) > SLOW * np.max(np.abs(v)))
 
 

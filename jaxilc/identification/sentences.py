@@ -124,13 +124,6 @@ def described(found: Identified, dt: float | None) -> str:
     plant = found.plant
     if not isinstance(plant, ProcessModel | ModalModel):
         return type(plant).__name__
-    late = float(plant.delay) / (dt or 1e-3) > LEAST_DELAY
-    return f"Order {plant.order}" + (f" with a delay of {delay_in(plant, dt)}" * late)
-
-
-def delay_in(plant: ProcessModel | ModalModel, dt: float | None) -> str:
-    """The delay of a plant in samples, or in ms without a sample time."""
-    if dt is None:
-        return f"{1e3 * plant.delay:.4g} ms"
-    samples = plant.delay / dt
-    return f"{samples:.4g} sample" + "s" * (round(samples, 9) != 1)
+    delay = float(plant.delay) / (dt or 1e-3)
+    unit = "ms" if dt is None else "sample" + "s" * (round(delay, 9) != 1)
+    return f"Order {plant.order}" + f" with a delay of {delay:.4g} {unit}" * (delay > LEAST_DELAY)

@@ -46,22 +46,6 @@ def test_decimal_commas_comments_and_the_line_at_zero(tmp_path):
     np.testing.assert_array_equal(found.response, [0.25 - 1j, 0.1 + 0.5j])
 
 
-def test_the_scatter_of_a_line():
-    """The coherence of averaged periodograms tells the scatter of the response over many runs."""
-    rng, runs, averages = np.random.default_rng(5), 2000, 64
-    u = rng.normal(size=(2, runs, averages))
-    u = u[0] + 1j * u[1]
-    noise = rng.normal(size=(2, runs, averages))
-    y = 3.0 * u + 2.0 * (noise[0] + 1j * noise[1])
-    cross, own, other = (np.sum(a, axis=1) for a in (y * u.conj(), abs(u) ** 2, abs(y) ** 2))
-    measured, coherence = cross / own, abs(cross) ** 2 / (own * other)
-    assert len(measured) == runs
-    true = np.sqrt(np.mean(abs(measured - 3.0) ** 2))
-    said = np.median(abs(measured) * np.sqrt((1 - coherence) / (coherence * averages)))
-    # two effects of 1 / (2 averages) each, and 2.5 % of chance at two standard errors
-    assert said == pytest.approx(true, rel=0.045)
-
-
 def test_std_variance_and_coherence(tmp_path):
     def std(heading, values, averages=None):
         header = f"f [Hz],re,im,{heading}"
