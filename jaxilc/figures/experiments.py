@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ..hardware.prediction import Prediction
     from ..identification import Identified, Record
     from ..identification.potential import Potential
-    from ..identification.repeats import Repeats
+    from ..identification.record_files import Repeats
     from ..theory.on_lines import MeasuredResponse
 
 

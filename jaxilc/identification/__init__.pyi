@@ -6,9 +6,8 @@ from .grown_response import grow_response, identified_response
 from .not_linear import FrictionModel, Suspicion, friction_of, suspicions
 from .pitch import Pitch, pitch_of
 from .potential import Potential, potential_of
-from .record_files import read_record, write_record
+from .record_files import Repeats, read_record, read_repeats, write_record
 from .records import Record, excite
-from .repeats import Repeats, read_repeats
 from .response_estimation import compare_response_orders, identify_response
 from .verdict import Estimate, Identified, PoleEstimate
 

@@ -20,7 +20,7 @@ from .. import figures
 from ..hardware.campaign import repeats_of
 from ..identification.pitch import Recurrence, recurrence_of
 from ..identification.potential import LEVEL, Potential, potential_of
-from ..identification.repeats import Repeats, read_repeats
+from ..identification.record_files import Repeats, read_repeats
 from ..plants import Harmonics, StateSpace
 from ..pytree.aliases import Value
 from ..scenarios import Scenario

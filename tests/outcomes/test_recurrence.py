@@ -8,7 +8,7 @@ import pytest
 from jaxilc import Task, learn
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.identification.pitch import Recurrence, recurrence_of
-from jaxilc.identification.repeats import Repeats
+from jaxilc.identification.record_files import Repeats
 from jaxilc.outcomes import potential, repeating
 from jaxilc.outcomes.outcome import silent
 from jaxilc.outcomes.repeating import following, recurs, within_trial
