@@ -588,9 +588,10 @@ def _pad(of: Trials, step: Step, operands: list[Item]) -> Item | None:
             return None
         raise Unknown("pad of samples and channels")
     first, last = max(0, -low), x.shape[axis] - max(0, -high)
+    least = of.shortest if isinstance(x, Row) else 0
+    if last - first < least or of.axis_of(out.shape) is None:
+        raise Unknown("pad of a few samples")
     if isinstance(x, Row):
-        if last - first < of.shortest or of.axis_of(out.shape) is None:
-            raise Unknown("pad of a few samples")
         x = x if (first, last) == (0, x.length) else Shifted(x, first, last - first)
     else:
         x = x.take(range(first, last), axis)

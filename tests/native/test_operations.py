@@ -159,6 +159,16 @@ def test_what_puts_numbers_together_is_that_of_jax(axis):
             np.testing.assert_allclose(found, wanted, rtol=1e-11, atol=1e-12, err_msg=name)
 
 
+def test_a_few_numbers_become_rows_where_they_are_padded_or_joined():
+    functions = {
+        "padded": lambda x: x * jnp.pad(x[2:6], (3, len(x) - 7)),
+        "cut": lambda x: x * jax.lax.pad(x[2:6], 1.0, [(-3, len(x) - 1, 0)]),
+        "joined": lambda x: x * jnp.concatenate([x[2:6], jnp.ones(len(x) - 4)]),
+    }
+    for name, found, wanted in applied(functions, np.linspace(-1.0, 2.0, 32)):
+        np.testing.assert_allclose(found, wanted, rtol=1e-14, err_msg=name)
+
+
 def test_a_sample_reads_a_table_and_runs_short_loops_either_way():
     """At its own sample, beyond both ends, and at another one in each machine."""
     N, few = 40, jnp.array([0.5, -0.2, 0.3])
