@@ -31,7 +31,7 @@ from .operations import (
     Sample,
     instruction,
 )
-from .rows import Handed, Loop, Row, Segment, Stored, Trials, handed_on, small
+from .rows import Handed, Loop, Row, Segment, Stored, Trials, handed_on, in_turn, small
 
 ALIGNED = 64  # bytes
 FLUSH = 0x8040  # of the register MXCSR: results and operands too small to be normal are zero
@@ -152,18 +152,10 @@ class Text:
         k: the counter of the loop, within one
         """
         nodes = list(nodes)
-        todo = nodes[::-1]
-        while todo:
-            node = todo[-1]
-            known = self.inside if node.varies else self.straight
-            missing = [x for x in node.args if x not in self._known(x)]
-            if node in known:
-                todo.pop()
-            elif missing:
-                todo += missing
-            else:
-                known[node] = self._printed(node, [self._known(x)[x] for x in node.args], k)
-                todo.pop()
+        for node in in_turn(nodes[::-1], lambda x: x in self._known(x)):
+            if node not in self._known(node):  # as a reciprocal is that another node has printed
+                args = [self._known(x)[x] for x in node.args]
+                self._known(node)[node] = self._printed(node, args, k)
         return [self._known(x)[x] for x in nodes]
 
     def _known(self, node: Node) -> dict[Node, str]:
@@ -342,8 +334,7 @@ class Text:
 
     def _room(self, buffer: Buffer) -> int:
         """The place in the working memory for a buffer."""
-        place = self.work
-        size = buffer.length * buffer.width * buffer.dtype.itemsize * self.lanes
+        place, size = self.work, buffer.size * buffer.dtype.itemsize * self.lanes
         self.work += -(-size // ALIGNED) * ALIGNED
         return place
 
@@ -423,20 +414,21 @@ class Text:
             number = plan.consts + i
             alike = plan.alike[number]
             if isinstance(x, Stored):
-                buffer = x.buffer
-                size = buffer.length * buffer.width
-                if size:
-                    k, end = self.loop("0", str(size))
-                    value = self.load(f"%g{number}", k, buffer.dtype, alike=alike)
-                    self.store(value, f"%room{number}", k, buffer.dtype)
-                    self.lines += end
-                if buffer in self.doubled:
+                if x.buffer.size:
+                    self._copy(x.buffer, f"%g{number}", f"%room{number}", alike=alike)
+                if x.buffer in self.doubled:
                     self.do(f"store ptr %room{number}, ptr %a{number}")
                     self.do(f"store ptr %other{number}, ptr %b{number}")
             else:
                 for m, cell in enumerate(x.flat):
                     value = self.load(f"%g{number}", str(m), cell.dtype, alike=alike)
                     self._put(cell, value)
+
+    def _copy(self, buffer: Buffer, source: str, target: str, *, alike: bool = False) -> None:
+        """Copy the rows of a buffer, which have one number for all machines if they are alike."""
+        k, end = self.loop("0", str(buffer.size))
+        self.store(self.load(source, k, buffer.dtype, alike=alike), target, k, buffer.dtype)
+        self.lines += end
 
     def _trials(self, group: str) -> None:
         plan = self.plan
@@ -456,11 +448,8 @@ class Text:
             elif buffer.kind in ("carried", "kept"):
                 self.do(f"%{buffer.kind}{n} = getelementptr i8, ptr %room{n}, i64 0")
             elif buffer.by_trial:
-                size, kind = (
-                    buffer.length * buffer.width,
-                    self.stored_type(buffer.dtype, alike=buffer.alike),
-                )
-                at = self.add(f"mul i64 {j if buffer.kind == 'given' else trial}, {size}")
+                kind = self.stored_type(buffer.dtype, alike=buffer.alike)
+                at = self.add(f"mul i64 {j if buffer.kind == 'given' else trial}, {buffer.size}")
                 name, base = ("t", f"%g{n}") if buffer.kind == "given" else ("out", f"%o{n}")
                 self.do(f"%{name}{n} = getelementptr {kind}, ptr {base}, i64 {at}")
         for number in range(len(plan.loops) + 1):
@@ -497,17 +486,13 @@ class Text:
             if not self.wanted[i]:
                 continue
             if isinstance(x, Stored):
-                buffer = x.buffer
-                size = buffer.length * buffer.width
-                at = self.add(f"mul i64 {group}, {size}")
-                kind = self.stored_type(buffer.dtype)
+                buffer, kind = x.buffer, self.stored_type(x.dtype)
+                at = self.add(f"mul i64 {group}, {buffer.size}")
                 out = self.add(f"getelementptr {kind}, ptr %o{i}, i64 {at}")
                 source = f"%room{buffer.number}"
                 if buffer in self.doubled:
                     source = self.add(f"load ptr, ptr %a{buffer.number}")
-                k, end = self.loop("0", str(size))
-                self.store(self.load(source, k, buffer.dtype, alike=False), out, k, buffer.dtype)
-                self.lines += end
+                self._copy(buffer, source, out)
             else:
                 at = self.add(f"mul i64 {group}, {x.size}")
                 for m, cell in enumerate(x.flat):

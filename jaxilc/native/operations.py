@@ -48,6 +48,10 @@ class Buffer(NamedTuple):
     alike: bool = False
     by_trial: bool = False
 
+    @property
+    def size(self) -> int:
+        return self.length * self.width
+
 
 class Cell(NamedTuple):
     """A number that is carried from sample to sample, or from trial to trial."""

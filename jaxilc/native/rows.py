@@ -1253,7 +1253,7 @@ def handed_on(of: Trials, segment: Segment, wanted: Sequence[Node], d: int) -> l
     """
     n, new = of.n, {cell.what: x for cell, x in segment.cells}
     moved: dict[Node, Node | None] = {}  # each node, as the sample before calls it
-    for node in _in_turn(wanted):
+    for node in in_turn(wanted):
         if not node.varies:
             moved[node] = node
         elif isinstance(node.what, At):
@@ -1283,13 +1283,15 @@ def handed_on(of: Trials, segment: Segment, wanted: Sequence[Node], d: int) -> l
     return [*found.values()]
 
 
-def _in_turn(nodes: Iterable[Node]) -> list[Node]:
-    """Nodes and all that they are computed from, operands first."""
+def in_turn(
+    nodes: Iterable[Node], known: Callable[[Node], bool] = lambda node: False
+) -> list[Node]:
+    """Nodes and all that they are computed from, operands first, but for those that are known."""
     found: dict[Node, None] = {}
-    todo = list(nodes)
+    todo = [node for node in nodes if not known(node)]
     while todo:
         node = todo[-1]
-        missing = [x for x in node.args if x not in found]
+        missing = [x for x in node.args if x not in found and not known(x)]
         if missing and node not in found:
             todo += missing
         else:
