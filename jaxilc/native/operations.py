@@ -387,6 +387,11 @@ def _filled(shape: Sequence[int], items: Sequence[Node] | Array) -> Array:
     return out.reshape(shape)
 
 
+def numbered(shape: Sequence[int], node: Callable[[int], Node]) -> Array:
+    """An array of nodes by their numbers, in row-major order."""
+    return _filled(shape, [node(m) for m in range(math.prod(shape))])
+
+
 # What is made from them
 # --------------------------------------------------------------------------------------------------
 

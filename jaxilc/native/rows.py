@@ -38,6 +38,7 @@ from .operations import (
     elementwise,
     known,
     neutral,
+    numbered,
 )
 from .program import Const, Program, Step, Unknown, Value, loops, lowered
 
@@ -265,7 +266,7 @@ class Trials:
         self.given: list[np.ndarray] = []  # constants with rows, further operands of the program
         self.buffers: list[Buffer] = []
         self.reads: list[tuple[Buffer, int, int, int]] = []  # with loop, sign and offset
-        self._cells = 0
+        self._cells = itertools.count(1)
         self._known: dict[Value, Item] = {}
         self._tables: dict[tuple[Node, ...], Row] = {}
         self._plan()
@@ -291,11 +292,8 @@ class Trials:
 
     def new_cells(self, shape: Sequence[int], dtype: np.dtype, *, loop: int) -> Array:
         """An array of new cells, which are known before a loop."""
-        cells = np.empty(shape, object)
-        for i in np.ndindex(*shape):
-            self._cells += 1
-            cells[i] = self.n.place("cell", dtype, Cell(self._cells), loop=loop, alike=False)
-        return cells
+        return numbered(shape, lambda _: self.n.place("cell", dtype, Cell(next(self._cells)),
+                                                      loop=loop, alike=False))  # fmt: skip
 
     def value(self, x: Value) -> Item:
         """The rows or the small array of a value."""
@@ -342,11 +340,8 @@ class Trials:
             return self.n.array(fixed)
         if math.prod(x.shape) > 4096:
             raise Unknown(f"an operand of the shape {x.shape}")
-        nodes = np.empty(x.shape, object)
-        kind = "by_trial" if by_trial else "input"
-        for m, at in enumerate(np.ndindex(*x.shape)):
-            nodes[at] = self.n.place(kind, x.dtype, Given(i, m), alike=self.alike[i])
-        return nodes
+        kind, alike = "by_trial" if by_trial else "input", self.alike[i]
+        return numbered(x.shape, lambda m: self.n.place(kind, x.dtype, Given(i, m), alike=alike))
 
     def moved(self, i: int, *, out: bool = False) -> tuple[int, int]:
         """From which axis that of the samples of an operand, or of a result, moves where in RAM."""
@@ -456,13 +451,11 @@ class Trials:
         return np.concatenate(found, x.axis)
 
     def picked(self, buffer: Buffer, row: Row, i: int, loop: int) -> Array:
-        nodes = np.empty(row.of_one, object)
-        for m, at in enumerate(np.ndindex(*row.of_one)):
-            node = self.n.place("pick", buffer.dtype, At(buffer, 0, i, m), loop=loop,
-                                alike=buffer.alike)  # fmt: skip
-            nodes[at] = node
-            if node not in self.picks.setdefault(loop, []):
-                self.picks[loop].append(node)
+        nodes = numbered(row.of_one, lambda m: self.n.place(
+            "pick", buffer.dtype, At(buffer, 0, i, m), loop=loop, alike=buffer.alike
+        ))  # fmt: skip
+        picks = self.picks.setdefault(loop, [])
+        picks += [node for node in nodes.flat if node not in picks]
         return nodes
 
     def kept(self, row: Result) -> Buffer:
@@ -722,13 +715,15 @@ def _rows_at(of: Trials, step: Step, row: Row) -> Callable[[Array], list[Array]]
 
     def at(place: Node) -> Array:
         low, high = n.const(0, place.dtype), n.const(row.length - 1, place.dtype)
-        inside, found = n.of("min", n.of("max", place, low), high), np.empty(row.of_one, object)
-        for m, i in enumerate(np.ndindex(*row.of_one)):
+        inside = n.of("min", n.of("max", place, low), high)
+
+        def number(m: int) -> Node:
             x = n.row(inside, row.dtype, AtIndex(table.buffer, m, table.loop))
-            if beyond:
-                x = n.of("select", n.of("eq", inside, place), n.const(np.nan, row.dtype), x)
-            found[i] = x
-        return found
+            if not beyond:
+                return x
+            return n.of("select", n.of("eq", inside, place), n.const(np.nan, row.dtype), x)
+
+        return numbered(row.of_one, number)
 
     return lambda places: [at(place) for place in places.flat]
 
@@ -1168,11 +1163,9 @@ class _At(_Rows):
 
     def _load(self, buffer: Buffer, row: Row, sign: int, c: int) -> Array:
         self.of.of.reads.append((buffer, self.of.number, sign, c))
-        out = np.empty(row.of_one, object)
-        for m, i in enumerate(np.ndindex(*row.of_one)):
-            place = At(buffer, sign, c, m)
-            out[i] = self.n.place("load", buffer.dtype, place, varies=True, alike=buffer.alike)
-        return out
+        return numbered(row.of_one, lambda m: self.n.place(
+            "load", buffer.dtype, At(buffer, sign, c, m), varies=True, alike=buffer.alike
+        ))  # fmt: skip
 
     def run(self, scan: Scan) -> list[Array]:
         """The results of one sample of a scan."""
@@ -1216,10 +1209,8 @@ class _At(_Rows):
         index, n = small(operands[1]).item(), self.n
         last = n.const(shape[0] - sizes[0], index.dtype)
         index = n.of("min", n.of("max", index, n.const(0, index.dtype)), last)
-        out = np.empty(sizes, object)
-        for m, i in enumerate(np.ndindex(*sizes)):
-            out[i] = n.row(index, table.dtype, AtIndex(table.buffer, m, table.loop))
-        return out
+        of_row = lambda m: n.row(index, table.dtype, AtIndex(table.buffer, m, table.loop))  # noqa: E731
+        return numbered(sizes, of_row)
 
 
 # What a sample hands on
