@@ -176,11 +176,8 @@ class Memories(NamedTuple):
 
         None where there are none.
         """
-        for there, (_, loop) in enumerate(parts):
-            found = None if loop.params["reverse"] else cls._of(there, loop, parts, rest, outs)
-            if found is not None:
-                return found
-        return None
+        ways = ((i, loop) for i, (_, loop) in enumerate(parts) if not loop.params["reverse"])
+        return next(filter(None, (cls._of(*way, parts, rest, outs) for way in ways)), None)
 
     @classmethod
     def _of(cls, there: int, loop: Step, parts: list[tuple[list[Step], Step]], rest: list[Step],
@@ -188,7 +185,7 @@ class Memories(NamedTuple):
         origin = {x: x for x in loop.outs[loop.params["carry"] :]}
         shaping: dict[Step, Value] = {}
         read: dict[Value, set[tuple[int, int]]] = {x: set() for x in origin}
-        elsewhere = {origin[x] for x in outs if x in origin}
+        elsewhere = set[Value]()
         later = [*parts[there + 1 :], (rest, None)]
         for number, (before, way) in enumerate(later, there + 1):
             for step in before:
