@@ -7,7 +7,8 @@ the arm; the first 70 % are fitted, and the rest judges. The peer shares no code
     y = B(z) / F(z) u + constant,    F stable, both of the same degree, from many starts
 
 The peer lets an output answer the input of its own sample, as an acceleration does. A plant of the
-package answers one sample later, after the hold, so it needs two poles more for the same fit.
+package answers one sample later, after the hold, so it needs a pole or two more. It also fits the
+motion in which the record begins, the end of a periodic sweep; the peer begins at rest.
 """
 
 import time

@@ -22,6 +22,7 @@ from .records import Record, as_columns, first_of, output_from_rest, task_of
 
 # With fewer samples for each parameter, the intervals would be wrong: they hold for long records.
 SAMPLES_PER_PARAMETER = 5
+SAME = 1e-12  # of a bias: what is left of it, below which a slow free motion is the same
 LARGEST = 1e100  # of a signal or a response, whose square must be a number
 LEAST_POSITIVE = 1e-100  # a positive number may shrink to, before it would round to 0
 
@@ -182,7 +183,9 @@ class Problem(NamedTuple):
         theta = np.append(values, np.zeros(plant.n_y))
         left = self.residual(theta)[: self.samples]
         ones = self._without_start(theta, np.ones((self.samples, 1)))
-        bias = np.sum(ones * left, axis=0) / np.sum(ones**2)
+        size = np.sum(ones**2)
+        size = size if size > SAME * self.samples else np.inf  # a free motion as slow as a bias
+        bias = np.sum(ones * left, axis=0) / size
         if not np.all(np.isfinite(bias)):
             name = type(plant).__name__
             raise ValueError(

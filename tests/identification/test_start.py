@@ -100,6 +100,14 @@ def test_a_second_record_may_begin_in_motion(tmp_path):
     assert any("The record does not begin at rest" in line for line in said)
 
 
+def test_a_free_motion_as_slow_as_a_bias_takes_its_place():
+    record, slow = played(2), ProcessModel(GAIN, [], [1e-12], [FREQUENCY], [DAMPING])
+    found = identify(record, slow, free=["gain"], from_rest=False)
+    assert np.all(np.isfinite(found.simulated))
+    assert abs(found.parameters["bias"].value) < 10.0  # nothing tells it
+    assert found.parameters["bias"].high > 1e6
+
+
 def test_a_start_can_be_told():
     record = played(7)
     assert identify(record, **MODE, from_rest=True).from_rest
