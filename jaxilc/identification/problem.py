@@ -46,6 +46,12 @@ def poles_at(values, names, plant):
     )
 
 
+@functools.partial(jax.jit, static_argnames="names")
+def slopes_of_poles(values, names, plant):
+    """(poles, P) derivatives of the poles of the plant by its parameters `names`."""
+    return jax.jacfwd(lambda row: poles_at(row[None], names, plant)[0])(values)
+
+
 class Coordinates(NamedTuple):
     """The coordinates in which the optimiser works, one for each of P parameters.
 
@@ -141,11 +147,16 @@ class Problem(NamedTuple):
         return self._without_start(theta, self.record.y - np.asarray(of_plant) - theta[n:])
 
     def sensitivity(self, theta):
-        """(samples, n_y, P) derivatives of the simulated output, exact."""
+        """(samples, n_y, P) derivatives of the simulated output, exact.
+
+        Without those along what the start may add, which the residual is orthogonal to.
+        """
         n, n_y = len(self.names), self.plant.n_y
         of_plant = np.asarray(
             sensitivity_of_output(theta[:n], self.names, self.plant, self.task, self.record.u)
         )[: self.samples]
+        if not self.from_rest:
+            of_plant = of_plant + self._slopes_of_start(theta)
         of_bias = np.broadcast_to(np.eye(n_y), (self.samples, n_y, n_y))
         return self._without_start(theta, np.concatenate([of_plant, of_bias], axis=2))
 
@@ -155,15 +166,36 @@ class Problem(NamedTuple):
         The outputs of the dead time answer inputs before the record.
         """
         t, plant = np.arange(len(self.record.y)) * self.record.dt, self.plant
-        poles = np.asarray(poles_at(theta[None, : len(self.names)], self.names, plant))[0]
-        # An integrator that rests is a bias; a step of the search may be far too long.
-        sound = np.isfinite(poles) & (poles.real <= 0) & (poles != 0)
-        moving = poles[sound & (poles.imag >= 0)]
+        poles, moves = self._poles(theta)
+        moving = poles[moves]
         modes = np.exp(np.outer(t, moving))
         ramps = [t] if np.sum(poles == 0) > 1 else []
         late = self.late + int(np.ceil(float(getattr(plant, "delay", 0.0)) / self.record.dt - 1e-6))
         past = np.eye(len(t), late)
         return np.column_stack([modes.real, modes.imag[:, moving.imag > 0], *ramps, past])
+
+    def _poles(self, theta):
+        """(poles,) the poles of the plant, and which of them have free motions to fit."""
+        poles = np.asarray(poles_at(theta[None, : len(self.names)], self.names, self.plant))[0]
+        # An integrator that rests is a bias; a step of the search may be far too long.
+        sound = np.isfinite(poles) & (poles.real <= 0) & (poles != 0)
+        return poles, sound & (poles.imag >= 0)
+
+    def _slopes_of_start(self, theta):
+        """(samples, n_y, P) derivatives of what the start adds, whose sizes do not move."""
+        n, (poles, moves) = len(self.names), self._poles(theta)
+        X, length = unit_columns(self.answers_to_start(theta)[: self.samples])
+        of_plant = simulated_output(theta[:n], self.names, self.plant, self.task, self.record.u)
+        left = (self.record.y - np.asarray(of_plant) - theta[n:])[: self.samples]
+        N = np.linalg.lstsq(X, left, rcond=1e-10)[0] / length[:, None]
+        t, moving = np.arange(self.samples) * self.record.dt, poles[moves]
+        turning = moving.imag > 0
+        sizes = N[: len(moving)].astype(complex)
+        sizes[turning] -= 1j * N[len(moving) : len(moving) + np.sum(turning)]
+        dp = np.asarray(slopes_of_poles(theta[:n], self.names, self.plant))[moves]
+        dp[~np.isfinite(dp)] = 0.0  # of two poles that are just equal
+        later = t[:, None] * np.exp(np.outer(t, moving))
+        return np.real(np.einsum("tp,py,pn->tyn", later, sizes, dp, optimize=True))
 
     def _without_start(self, theta, of):
         """What is left of the rows `of` without what the state at the start may add to the output.

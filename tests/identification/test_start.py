@@ -7,6 +7,7 @@ import scipy.signal
 from jaxilc import outcomes
 from jaxilc.identification import Record, grow, identify
 from jaxilc.identification.estimation import validated
+from jaxilc.identification.problem import checked_record, free_elements, problem_of
 from jaxilc.plants import Pendulum, ProcessModel
 
 DT, N = 1e-3, 1500
@@ -64,6 +65,29 @@ def test_the_intervals_hold_the_machine_as_often_as_they_say():
         held.append(of.low < FREQUENCY < of.high)
         assert not found.from_rest
     assert np.mean(held) >= 0.85  # 0.95 is expected; fewer by chance once in 100 times
+
+
+def test_the_free_motions_of_a_pole_move_with_it():
+    """Without their derivatives the search ended beside the minimum, and intervals were too narrow.
+
+    The gradient of the cost is compared with its differences.
+    """
+    record = checked_record(played(8, about=0.0))
+    plant = ProcessModel(1.9, [], [200.0], [49.0], [0.06])
+    problem = problem_of(record, plant, free_elements(plant, None), 0.7)._replace(from_rest=False)
+    theta = problem.start(plant)
+
+    def left(theta):
+        return problem.residual(theta)[: problem.samples]
+
+    gradient = -np.einsum("tyn,ty->n", problem.sensitivity(theta), left(theta))
+    steps = 1e-5 * np.diag(np.maximum(np.abs(theta), 1e-3))
+    costs = [[np.sum(left(theta + s * step) ** 2) / 2 for s in (1, -1)] for step in steps]
+    differences = [
+        (more - less) / (2 * np.sum(h)) for (more, less), h in zip(costs, steps, strict=True)
+    ]
+    scale = np.linalg.norm(problem.sensitivity(theta), axis=(0, 1)) * np.linalg.norm(left(theta))
+    np.testing.assert_allclose(gradient / scale, differences / scale, atol=1e-6)
 
 
 def test_slow_noise_and_a_wrong_model_are_no_motion():
