@@ -110,14 +110,17 @@ def identify(
         )
     problem = problem_of(later(record, delay), plant, free_elements(plant, free), fit_share)
     problem = problem._replace(from_rest=from_rest is not False, late=delay)
-    if not problem.from_rest and not has_start(problem):
-        raise ValueError(
-            "identify: from_rest = False is for one experiment, with a ProcessModel or a "
-            f"ModalModel; this is a {type(plant).__name__}, and there are {record.trials}"
-        )
+    if not problem.from_rest:
+        if not has_start(problem):
+            raise ValueError(
+                "identify: from_rest = False is for one experiment, with a ProcessModel or a "
+                f"ModalModel; this is a {type(plant).__name__}, and there are {record.trials}"
+            )
+        need_samples(*beyond_start(problem))
     search = functools.partial(from_many_starts, starts=starts, seed=seed)
     found = minimum(problem, problem.start(plant)) if given else search(problem)
-    if from_rest is None and has_start(problem) and not is_white(problem, found.theta):
+    may_move = from_rest is None and long_enough_to_move(problem)
+    if may_move and not is_white(problem, found.theta):
         near = [found.theta]
         if not given and np.any(record.u[0]):  # where a machine often rests
             at_first = record._replace(u=record.u - record.u[0])
@@ -136,6 +139,20 @@ def identify(
 def has_start(problem: Problem) -> bool:
     """Whether the free motions of the plant of a record are known, and it is one experiment."""
     return problem.record.trials == 1 and isinstance(problem.plant, ProcessModel | ModalModel)
+
+
+def beyond_start(problem: Problem) -> tuple[int, int]:
+    """The samples after the dead time, and the parameters with what a start in motion adds."""
+    order, n_y = cast(ProcessModel, problem.plant).order, problem.plant.n_y
+    return (problem.samples - problem.past) * n_y, len(problem.names) + (1 + order) * n_y
+
+
+def long_enough_to_move(problem: Problem) -> bool:
+    """Whether a start in motion is known of a plant, and its record is long enough to tell one."""
+    if not has_start(problem):
+        return False
+    samples, parameters = beyond_start(problem)
+    return samples >= SAMPLES_PER_PARAMETER * parameters
 
 
 def better_of_starts(
@@ -168,8 +185,7 @@ def clearly_in_motion(residual: Numbers, free: Problem, theta: Numbers) -> bool:
         white = [lfilter(a, 1.0, e) for a, e in zip(whitening, of.T, strict=True)]
         return information(np.transpose(white), parameters)
 
-    count = free.answers_to_start(theta).shape[1] * free.plant.n_y
-    return criterion(left, count) < criterion(from_rest, 0) - MOVING
+    return criterion(left, free.parameters_of_start(theta)) < criterion(from_rest, 0) - MOVING
 
 
 def with_as_many(function: str, poles: int, pairs: int, zeros: int) -> ProcessModel:
@@ -471,7 +487,7 @@ def validated(record: Record, plant: Plant, share: float = 0.0) -> Validation:
     first = free_elements(plant, None)[:1]
     problem = problem_of(record, plant, first, share or 1.0)
     residual, free = problem.residual(problem.start(plant)), problem._replace(from_rest=False)
-    if has_start(free) and clearly_in_motion(residual, free, free.start(plant)):
+    if long_enough_to_move(free) and clearly_in_motion(residual, free, free.start(plant)):
         residual = free.residual(free.start(plant))
     late = slice(problem.samples if share else 0, None)
     fit = fit_of(record.y[late], residual[late])

@@ -409,6 +409,16 @@ def at_rest(parts: Parts, duration: float) -> Iterator[Parts]:
 # --------------------------------------------------------------------------------------------------
 
 
+def long_enough(signals: Signals, parts: Parts) -> bool:
+    """Whether the samples that are fitted are enough for all numbers of these parts."""
+    n_u, n_y, order = len(signals.u), signals.y.shape[1], parts.order
+    count = n_y + (order - parts.integrators) + n_u * n_y * (order + parts.direct)
+    samples = signals.samples
+    if not signals.from_rest:
+        count, samples = count + order * n_y, samples - parts.delay
+    return samples * n_y >= SAMPLES_PER_PARAMETER * count
+
+
 def in_motion(signals: Signals, delay: int) -> bool:
     """Whether models of moderate order explain clearly more with free motions from the start.
 
@@ -497,6 +507,7 @@ def improved(
             for p in changed
             if p.kind != parts.kind
             and delays[0] <= p.delay <= delays[1]
+            and long_enough(signals, p)
             and (p.order == order if order else 0 < p.order <= highest)
         ]
         short = sorted((refined(signals, p, SHORT) for p in allowed), key=lambda one: one.bic)
@@ -738,8 +749,6 @@ def grow(
         most = min(LONGEST_DELAY, min(samples - 1, len(record.u) // record.trials) - 1)
         require("identify", "delay", delay, f"[0, {most}]", whole=True, note=" for this record")
     whole = Signals.of(record, samples)
-    affordable = (samples * n_y / SAMPLES_PER_PARAMETER - n_y) / (1 + n_u * n_y)
-    highest = int(np.clip(affordable, 1, HIGHEST))
     require("grow", "longest", longest, f"[0, {LONGEST_DELAY}]", whole=True)
     longest = min(longest, len(record.u) // record.trials // 3)
     delays = (0, longest) if delay is None else (delay, delay)
@@ -747,6 +756,9 @@ def grow(
     if from_rest is False or (from_rest is None and in_motion(whole.first(), late)):
         whole = whole._replace(from_rest=False)
     signals = whole.first()
+    each_takes = 1 + n_u * n_y + (0 if whole.from_rest else n_y)
+    affordable = (samples * n_y / SAMPLES_PER_PARAMETER - n_y) / each_takes
+    highest = int(np.clip(affordable, 1, HIGHEST))
     began = first_delay(signals, late) if delay is None else delay
 
     def say(one: Fitted) -> None:
@@ -788,7 +800,7 @@ def grow(
         rest = signals._replace(from_rest=True)
         near = refined(rest, best.parts, SHORT)
         near, _ = improved(rest, near, order=fixed, delays=delays, highest=highest, each=say)
-        if near.bic < best.bic + MOVING:
+        if near.bic < best.bic + MOVING or not long_enough(signals, best.parts):
             return grow(
                 record, order=order, delay=delay, fit_share=fit_share, longest=longest,
                 from_rest=True, each=each,

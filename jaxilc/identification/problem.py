@@ -161,18 +161,24 @@ class Problem(NamedTuple):
         return self._without_start(theta, np.concatenate([of_plant, of_bias], axis=2))
 
     def answers_to_start(self, theta):
-        """(N+1, c) what a state at the start may add: a part for each pole, and the dead time.
-
-        The outputs of the dead time answer inputs before the record.
-        """
-        t, plant = np.arange(len(self.record.y)) * self.record.dt, self.plant
-        poles, moves = self._poles(theta)
+        """(N+1, c) what a state at the start may add: a part for each pole, after the dead time."""
+        t, (poles, moves) = np.arange(len(self.record.y)) * self.record.dt, self._poles(theta)
         moving = poles[moves]
         modes = np.exp(np.outer(t, moving))
         ramps = [t] if np.sum(poles == 0) > 1 else []
-        late = self.late + int(np.ceil(float(getattr(plant, "delay", 0.0)) / self.record.dt - 1e-6))
-        past = np.eye(len(t), late)
-        return np.column_stack([modes.real, modes.imag[:, moving.imag > 0], *ramps, past])
+        found = np.column_stack([modes.real, modes.imag[:, moving.imag > 0], *ramps])
+        found[: self.past] = 0.0
+        return found
+
+    @property
+    def past(self):
+        """Number of samples of dead time, which answer inputs before the record if it moves."""
+        delay = float(getattr(self.plant, "delay", 0.0)) / self.record.dt
+        return self.late + int(np.ceil(delay - 1e-6))
+
+    def parameters_of_start(self, theta):
+        """How many numbers are fitted, besides theta, where the machine does not rest."""
+        return (self.answers_to_start(theta).shape[1] + self.past) * self.plant.n_y
 
     def _poles(self, theta):
         """(poles,) the poles of the plant, and which of them have free motions to fit."""
@@ -187,6 +193,7 @@ class Problem(NamedTuple):
         X, length = unit_columns(self.answers_to_start(theta)[: self.samples])
         of_plant = simulated_output(theta[:n], self.names, self.plant, self.task, self.record.u)
         left = (self.record.y - np.asarray(of_plant) - theta[n:])[: self.samples]
+        left[: self.past] = 0.0
         N = np.linalg.lstsq(X, left, rcond=1e-10)[0] / length[:, None]
         t, moving = np.arange(self.samples) * self.record.dt, poles[moves]
         turning = moving.imag > 0
@@ -205,7 +212,8 @@ class Problem(NamedTuple):
         if self.from_rest or not np.all(np.isfinite(of)):
             return of
         X = unit_columns(self.answers_to_start(theta)[: len(of)])[0]
-        flat = of.reshape(len(of), -1)
+        flat = of.reshape(len(of), -1).copy()
+        flat[: self.past] = 0.0
         N = np.linalg.lstsq(X[: self.samples], flat[: self.samples], rcond=1e-10)[0]
         return (flat - X @ N).reshape(of.shape)
 

@@ -120,8 +120,8 @@ def judged(problem: Problem, found: Minimum) -> Identified:
     """The result at the minimum, with its intervals, poles and tests of the residual."""
     theta, samples, y = found.theta, problem.samples, problem.record.y
     residual, J = problem.residual(theta), problem.sensitivity(theta) / problem.scale[:, None]
-    of_start = 0 if problem.from_rest else problem.answers_to_start(theta).shape[1]
-    freedom = (samples - of_start) * problem.plant.n_y - len(theta)
+    of_start = 0 if problem.from_rest else problem.parameters_of_start(theta)
+    freedom = samples * problem.plant.n_y - of_start - len(theta)
     covariance = (
         np.sum((residual[:samples] / problem.scale) ** 2)
         / freedom

@@ -144,3 +144,31 @@ def test_a_start_can_be_told():
     for one, plant in ((several, None), (record, Pendulum())):
         with pytest.raises(ValueError, match="from_rest = False is for one experiment"):
             identify(one, plant, from_rest=False)
+
+
+def of_lag(seed, n, *, late=0, noise=0.5):
+    """Return the record of a lag that begins at rest, under slow noise."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.normal(size=n // 3 + 1), 3)[:n]
+    y = np.zeros(n + 1)
+    y[1 + late :] = scipy.signal.lfilter([0.1], [1, -0.9], u[: n - late])
+    slow = scipy.signal.lfilter([1], [1, -0.9], rng.normal(size=n + 1))
+    return Record(u[:, None], (y + noise * y.std() * slow / slow.std())[:, None], DT)
+
+
+@pytest.mark.parametrize(("n", "late"), [(30, 20), (60, 30)])
+def test_a_record_too_short_to_tell_a_motion_begins_at_rest(n, late):
+    """With free motions as many as samples it was fitted to 100 %, with intervals of NaN."""
+    record, lag = of_lag(0, n, late=late), {"poles": 1, "pairs": 0, "zeros": 0}
+    found = identify(record, **lag, delay=late, starts=32)
+    assert found.from_rest
+    assert np.isfinite(found.residual_std).all()
+    with pytest.raises(ValueError, match="the record is too short"):
+        identify(record, **lag, delay=late, from_rest=False)
+
+
+def test_growing_takes_no_direct_term_that_a_short_record_cannot_tell():
+    """The last fit refused what growing had chosen: 29 samples to fit 6 parameters."""
+    for seed in range(6):
+        grown = grow(of_lag(seed, 40, noise=0.1), delay=0)
+        assert len(grown.found.parameters) <= round(0.7 * 41) // 5
