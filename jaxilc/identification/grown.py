@@ -64,6 +64,7 @@ EQUAL = 1.0  # of the criterion, within which two models explain a record as wel
 FAR = 50.0  # of the criterion, beyond which no smaller model is looked for
 CLEARLY = 0.98  # of the squared error of the validation part, below which a lower order is better
 EXPLAINED, GROWS = 95.0, 10.0  # fit [%] below which a pole that grows as exp(10) is looked for
+FORESEEN = 0.25  # of what a simulation leaves, above which no unstable plant explains it
 INTEGRATES = 1.0  # rate times duration, below which a lag may be an integrator
 
 
@@ -267,11 +268,10 @@ def of_poles(s: Numbers, delay: int) -> Parts:
     return Parts(np.reshape(modes, (-1, 2)), np.log(real), delay=delay)
 
 
-def reduced_poles(signals: Signals, delay: int, clip: bool = True) -> Callable[[int], Numbers]:
-    """The poles [rad/s] of any order, from a difference equation of high order that is reduced.
+def difference_equation(signals: Signals, delay: int) -> tuple[Numbers, Numbers, float]:
+    """Numbers a (n_y, m, n_y) and b (n_u, m, n_y) of an equation of high order, and what it leaves.
 
-    Its answers to impulses make a Hankel matrix, whose singular vectors span the states of a model
-    of any order (the eigensystem realisation algorithm). Unless `clip` is false, they are stable.
+    The latter is the mean square of the prediction by one sample, with its degrees of freedom.
     """
     n_u, T, n = signals.u.shape
     n_y = signals.y.shape[1]
@@ -290,8 +290,19 @@ def reduced_poles(signals: Signals, delay: int, clip: bool = True) -> Callable[[
     X, length = unit_columns(np.hstack([X, np.ones((len(X), 1))]))
     gram = X.T @ X
     theta = np.linalg.solve(gram + 1e-12 * np.eye(len(gram)), X.T @ Y) / length[:, None]
+    left = np.sum((Y - X @ (theta * length[:, None])) ** 2) / max(1, len(X) - len(theta)) / n_y
     a = theta[: n_y * m].reshape(n_y, m, n_y)
-    b = theta[n_y * m : -1].reshape(n_u, m, n_y)
+    return a, theta[n_y * m : -1].reshape(n_u, m, n_y), float(left)
+
+
+def reduced_poles(signals: Signals, delay: int, clip: bool = True) -> Callable[[int], Numbers]:
+    """The poles [rad/s] of any order, from a difference equation of high order that is reduced.
+
+    Its answers to impulses make a Hankel matrix, whose singular vectors span the states of a model
+    of any order (the eigensystem realisation algorithm). Unless `clip` is false, they are stable.
+    """
+    a, b, _ = difference_equation(signals, delay)
+    n_u, m, n_y = b.shape
     L = 2 * m
     h = np.zeros((2 * L + 1, n_y, n_u))
     for k in range(2 * L + 1):
@@ -835,10 +846,14 @@ def need_stable(whole: Signals, best: Fitted) -> None:
 
     A difference equation predicts each sample from those before it, so it may have a pole that
     grows; a simulation may not. It has no delay, since a too long one would show as such a pole.
+    Where neither explains what is left, such as answers within a sample, its poles are chance.
     """
     signals = whole.first()
     ahead = _told(whole, best).validation_fit
     if _percent(signals, best) > EXPLAINED and not ahead < EXPLAINED:
+        return
+    simulated = np.mean((whole.y - numerators(whole, best.parts)[1]) ** 2)
+    if difference_equation(signals, 0)[2] > FORESEEN * simulated:
         return
     growth = np.max(reduced_poles(signals, 0, clip=False)(MODERATE[0]).real)
     if growth * signals.duration > GROWS:

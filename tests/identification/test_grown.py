@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from jaxilc.identification import Record, excite, grow, grown, problem, read_record
 from jaxilc.identification.not_linear import Answers
@@ -158,6 +159,16 @@ def test_an_order_that_is_asked_for_is_fitted():
 
 
 @pytest.mark.thorough
+def test_an_output_that_answers_within_its_sample_is_not_called_unstable():
+    """Nothing can explain it here, so the poles of a difference equation were those of chance."""
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        u, y = rng.normal(size=200), 0.02 * rng.normal(size=201)
+        y[:200] += lfilter([0.5, 0.3], [1, -1.2, 0.5], u)
+        found = grow(Record(u[:, None], y[:, None], 1e-3), delay=0).found
+        assert found.fit[0] < 80
+
+
 def test_an_order_beyond_what_is_needed_is_reached_and_one_below_is_not_called_unstable():
     simple = excite(Machine(ProcessModel(3.0, (), (80.0, 20.0))), U[:300], DT)
     assert grow(simple, order=10, delay=0).chosen.order == 10
