@@ -42,6 +42,7 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 # The scripts of the figures stand in the page; they may not load or send anything.
 LIVE_POLICY = f"{POLICY}; script-src 'unsafe-inline' 'unsafe-eval'"
 
+Rows = tuple[str, Sequence[Mapping[str, object]]]
 Picture: TypeAlias = "str | Path | Drawing"
 
 
@@ -59,8 +60,8 @@ class Said(Protocol):
 def html_report(
     title: str,
     asked: Mapping[str, object],
-    tables: Sequence[Table] = (),
-    figures: Sequence[tuple[str, Picture]] = (),
+    tables: Sequence[Table | Rows] = (),
+    figures: Sequence[Picture | tuple[str, Picture]] = (),
     configuration: Mapping[str, object] | None = None,
     notes: Mapping[str, Sequence[str]] | None = None,
     *,
@@ -70,8 +71,8 @@ def html_report(
     """The page as text.
 
     asked: arguments of the command or call, by name
-    tables: whose texts are taken as they are
-    figures: pairs of a caption and a PNG or SVG file or axes
+    tables: tables of `rich`, whose texts are taken as they are, or pairs (caption, rows by column)
+    figures: PNG or SVG files or axes, or pairs (caption, one of these)
     configuration: all that determines the numbers
     notes: paragraphs by heading
     verdict: what was found; it stands first
@@ -93,7 +94,7 @@ def html_report(
         live=places,
         figures=pictures,
         left_out=", ".join([*left_out, *others]),
-        tables=[*map(_of_rich, tables)],
+        tables=[_of_rich(t) if isinstance(t, Table) else _of_rows(*t) for t in tables],
         notes=notes or {},
         versions=_versions(),
         settings=dict(_flat(configuration or {})),
@@ -110,7 +111,7 @@ def fragment(
     """Verdict, tables, lines and figures as a part of a page, for a notebook."""
     return _template("fragment").render(
         verdict=verdict,
-        tables=[*map(_of_rich, tables)],
+        tables=[_of_rich(table) for table in tables],
         lines=lines,
         figures=_pictures(figures, math.inf)[0],
     )
@@ -167,12 +168,13 @@ def _embedded(live: Sequence[Live]) -> tuple[str, Sequence[str]]:
 
 
 def _pictures(
-    figures: Sequence[tuple[str, Picture]], room: float
+    figures: Sequence[Picture | tuple[str, Picture]], room: float
 ) -> tuple[list[dict[str, str]], list[str]]:
     """The pictures with their captions, as long as they fit, and the captions of the others."""
     found: list[dict[str, str]] = []
     left_out: list[str] = []
-    for caption, drawing in figures:
+    for one in figures:
+        caption, drawing = one if isinstance(one, tuple) else (_caption_of(one), one)
         kind, data = _picture(drawing)
         source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
         room -= len(source)
@@ -181,6 +183,13 @@ def _pictures(
         else:
             found.append({"source": source, "caption": caption})
     return found, left_out
+
+
+def _caption_of(drawing: Picture) -> str:
+    """The caption of a drawing without one: the name of its file in words, or the axes' title."""
+    if isinstance(drawing, str | Path):
+        return Path(drawing).stem.replace("-", " ")
+    return np.ravel(drawing)[0].get_title()
 
 
 def write_report(
@@ -292,6 +301,16 @@ def _of_rich(table: Table) -> dict[str, object]:
     }
 
 
+def _of_rows(caption: str, rows: Sequence[Mapping[str, object]]) -> dict[str, object]:
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return {
+        "caption": caption,
+        "headers": names,
+        "numeric": [any(_is_number(row.get(name)) for row in rows) for name in names],
+        "rows": [[row.get(name) for name in names] for row in rows],
+    }
+
+
 def _plain(cell: object) -> str:
     """The text of a cell of a table of `rich`, where a bracket that is escaped is a unit."""
     if isinstance(cell, str):
@@ -299,10 +318,14 @@ def _plain(cell: object) -> str:
     return getattr(cell, "plain", "" if cell is None else str(cell))
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
 def _text_of(value: object) -> object:
     """A value as text without what XML does not allow; what is markup already stays as it is."""
     if hasattr(value, "__html__"):
         return value
-    if isinstance(value, float | np.floating):
+    if _is_number(value) and not isinstance(value, int | np.integer):
         return f"{value:.6g}"
     return "" if value is None else NOT_IN_XML.sub("\ufffd", str(value))

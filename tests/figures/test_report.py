@@ -20,7 +20,6 @@ from browser import needs_chromium, opened, photographed
 from made_datasets import run_of, sweep_of
 from matplotlib.figure import Figure
 from rich.table import Table
-from rich.text import Text
 
 from jaxilc import learn, scenarios
 from jaxilc.figures import browsers
@@ -99,9 +98,7 @@ def table_of(tree, caption):
 
 
 def test_page_is_well_formed_and_escaped():
-    rows = Table(title=Text(NASTY))
-    rows.add_column(Text(NASTY))
-    rows.add_row(Text(NASTY))
+    rows = (NASTY, [{NASTY: NASTY, "value": 1.5}])
     configuration, notes = {NASTY: [NASTY, 1.5]}, {NASTY: [NASTY]}
     tree = parsed(
         html_report(NASTY, {NASTY: NASTY}, [rows], [(NASTY, drawn_axes())], configuration, notes)
@@ -113,6 +110,24 @@ def test_page_is_well_formed_and_escaped():
     assert tree.findtext(".//figcaption") == tree.findtext(".//li") == shown
     settings = {row[0].text: row[1].text for row in tree.find(".//details").iter("tr")}
     assert settings == {shown: f"{shown}, 1.5"}
+
+
+def test_rows_hold_the_numbers():
+    rows = [
+        {"name": "a", "x": 1.25e-7, "n": 3},
+        {"name": "b", "x": float("nan"), "n": np.int64(-4), "late": np.float64(1 / 3)},
+    ]
+    tree = parsed(html_report("t", {}, [("numbers", rows)]))
+    table = table_of(tree, "numbers")
+    head, body = cells(table)
+    assert head == ["name", "x", "n", "late"]
+    assert [row[0] for row in body] == ["a", "b"]
+    assert float(body[0][1]) == 1.25e-7
+    assert np.isnan(float(body[1][1]))
+    assert [int(row[2]) for row in body] == [3, -4]
+    assert body[0][3] == ""
+    assert abs(float(body[1][3]) - 1 / 3) < 1e-6
+    assert [c.get("class") for c in table.find("thead/tr")] == [None, "n", "n", "n"]
 
 
 def test_brackets_of_a_rich_table_are_units_not_markup():
@@ -128,8 +143,7 @@ def test_every_figure_is_embedded(tmp_path):
     ax.figure.savefig(tmp_path / "error-band.png")
     ax.figure.savefig(tmp_path / "second.svg")
     pair = Figure().subplots(2, 1)
-    drawn = (tmp_path / "error-band.png", str(tmp_path / "second.svg"), ax, pair)
-    figures = [*zip("abcd", drawn, strict=True)]
+    figures = [tmp_path / "error-band.png", ("a caption", str(tmp_path / "second.svg")), ax, pair]
     tree = parsed(html_report("t", {}, figures=figures))
     pictures = [picture(image) for image in tree.iter("img")]
     assert [kind for kind, _ in pictures] == [
@@ -139,14 +153,16 @@ def test_every_figure_is_embedded(tmp_path):
     assert pictures[1][1] == (tmp_path / "second.svg").read_bytes()
     # The header of a PNG file holds its size: 2 in by 1 in at 120 dots per inch.
     assert struct.unpack(">II", pictures[2][1][16:24]) == (240, 120)
-    assert [f.text for f in tree.iter("figcaption")] == [*"abcd"]
+    assert [f.text for f in tree.iter("figcaption")] == [
+        "error band", "a caption", "error by trial", None,
+    ]  # fmt: skip
 
 
 def test_figures_that_cannot_be_embedded_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"figure .*a\.pdf is not one of \.png, \.svg"):
-        html_report("t", {}, figures=[("a", tmp_path / "a.pdf")])
+        html_report("t", {}, figures=[tmp_path / "a.pdf"])
     with pytest.raises(FileNotFoundError):
-        html_report("t", {}, figures=[("a", tmp_path / "a.png")])
+        html_report("t", {}, figures=[tmp_path / "a.png"])
 
 
 def test_versions_are_those_installed():
@@ -198,7 +214,7 @@ def test_writing_is_all_or_nothing(tmp_path):
     path = write_report(tmp_path / "report.html", "first", {"a": 1})
     before = path.read_text(encoding="utf-8")
     with pytest.raises(FileNotFoundError):
-        write_report(path, "second", {}, figures=[("a", tmp_path / "missing.png")])
+        write_report(path, "second", {}, figures=[tmp_path / "missing.png"])
     assert path.read_text(encoding="utf-8") == before
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     assert ET.parse(io.StringIO(before)).findtext("body/h1") == "first"
@@ -337,8 +353,7 @@ def test_a_browser_shows_every_figure_and_asks_nobody(tmp_path, server):
     ]
     for kind, ax in zip(("a.png", "b.svg"), axes, strict=True):
         ax.figure.savefig(tmp_path / kind)
-    figures = [(kind, tmp_path / kind) for kind in ("a.png", "b.svg")]
-    text = html_report("t", {"a": 1}, figures=figures)
+    text = html_report("t", {"a": 1}, figures=[tmp_path / "a.png", tmp_path / "b.svg"])
     foreign = (
         f'<img src="{address}/picture"/><script src="{address}/script"></script>'
         f'<link rel="stylesheet" href="{address}/style"/></body>'
