@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from scipy.signal import lfilter
 
 from ..learning.machine import Machine
 from ..plants import ModalModel, Plant, ProcessModel
@@ -182,7 +181,7 @@ def clearly_in_motion(residual: Numbers, free: Problem, theta: Numbers) -> bool:
     whitening = [np.append(1.0, -autoregression(one)[0]) for one in left.T]
 
     def criterion(of: Numbers, parameters: int) -> float:
-        white = [lfilter(a, 1.0, e) for a, e in zip(whitening, of.T, strict=True)]
+        white = [scipy.signal.lfilter(a, 1.0, e) for a, e in zip(whitening, of.T, strict=True)]
         return information(np.transpose(white), parameters)
 
     return criterion(left, free.parameters_of_start(theta)) < criterion(from_rest, 0) - MOVING

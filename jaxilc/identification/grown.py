@@ -107,7 +107,8 @@ class Signals(NamedTuple):
 
     u: (n_u, T, N+1) inputs of T experiments, one sample late and from rest
     y: (T (N+1), n_y) outputs divided by `scale`, the first `samples` rows of which are fitted
-    from_rest: whether the machine rests at the start; if not, each part has a free motion
+    from_rest: whether the machine rests at the start; if not, each part has a free motion, and
+        the samples of the dead time, which answer inputs before the record, are left out
     """
 
     u: Numbers
@@ -128,6 +129,16 @@ class Signals(NamedTuple):
     @property
     def duration(self) -> float:
         return self.u.shape[2] * self.dt
+
+    def left_out(self, parts: Parts) -> int:
+        """The number of first samples that tell nothing of these parts."""
+        return 0 if self.from_rest else parts.delay
+
+    def wanted(self, parts: Parts) -> Numbers:
+        """`y`, with zeros in the samples that are left out."""
+        y = self.y.copy()
+        y[: self.left_out(parts)] = 0.0
+        return y
 
     def first(self) -> Signals:
         """The part that is fitted."""
@@ -167,7 +178,7 @@ def columns(signals: Signals, parts: Parts) -> tuple[Numbers, list[Numbers]]:
 
     For each input: the direct term, one or two integrators, two columns a mode, one a lag; a column
     of ones for the bias stands first. Those of a start in motion are the last: two a mode, one a
-    lag, a ramp of two integrators, and one for each sample of the dead time.
+    lag, and a ramp of two integrators.
     """
     u = delayed(signals.u, parts.delay)
     rows, found = signals.y.shape[0], [u] * parts.direct
@@ -182,15 +193,13 @@ def columns(signals: Signals, parts: Parts) -> tuple[Numbers, list[Numbers]]:
         found += [filtered, delayed(filtered, 1)][: len(den) - 1]
     flat = [np.ones((1, rows)), *(one.reshape(len(u), -1)[:, :rows] for one in found)]
     if not signals.from_rest:
-        free = [lfilter([1.0], den, np.eye(1, rows)) for den in dens]
-        flat += [delayed(one, k) for one, den in zip(free, dens, strict=True) for k in _each(den)]
+        for den in dens:
+            free = lfilter([1.0], den, np.eye(1, rows, parts.delay))
+            flat += [free, delayed(free, 1)][: len(den) - 1]
         flat += [np.arange(float(rows))[None]] * (parts.integrators > 1)
-        flat += [np.eye(parts.delay, rows)]  # they answer inputs before the record
-    return np.concatenate(flat).T, dens
-
-
-def _each(den: Numbers) -> range:
-    return range(len(den) - 1)
+    X = np.concatenate(flat).T
+    X[: signals.left_out(parts)] = 0.0
+    return X, dens
 
 
 def slopes(signals: Signals, parts: Parts, N: Numbers) -> Numbers:
@@ -242,12 +251,13 @@ def bounds(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
 
 def refined(signals: Signals, parts: Parts, steps: int) -> Fitted:
     """The parts after some steps of the search for their poles; a delay counts as a parameter."""
+    y = signals.wanted(parts)
     found, _ = searched(
-        lambda x: projected(x, columns(signals, parts.at(x))[0], signals.y),
+        lambda x: projected(x, columns(signals, parts.at(x))[0], y),
         lambda at: slopes(signals, parts.at(at.theta), at.N),
         parts.x, bounds(signals, parts), steps=steps, tolerance=GAINED, eased=EASED,
     )  # fmt: skip
-    count = found.N.size + len(parts.x) + (parts.delay > 0)
+    count = found.N.size + signals.left_out(parts) * y.shape[1] + len(parts.x) + (parts.delay > 0)
     bic = information(found.left, count, SMALLEST)
     return Fitted(parts.at(found.theta), found.cost, bic, count)
 
@@ -335,8 +345,8 @@ def larger(signals: Signals, parts: Parts) -> tuple[list[Parts], list[Parts]]:
     """
     some = slice(None, None, max(1, signals.samples // SAMPLED))
     X, _ = unit_columns(columns(signals, parts)[0])
-    N = np.linalg.lstsq(X, signals.y)[0]
-    residual = (signals.y - X @ N)[some]
+    y = signals.wanted(parts)
+    residual = (y - X @ np.linalg.lstsq(X, y)[0])[some]
     Q = np.linalg.qr(X[some])[0]
     none = Parts(np.zeros((0, 2)), np.zeros(0), 0, False, parts.delay)
     rates = np.log(np.geomspace(1 / signals.duration, np.pi / signals.dt, GRID))
@@ -535,8 +545,9 @@ def numerators(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
     """(c, n_y) what the columns are multiplied by, and (T (N+1), n_y) the output, of all rows."""
     X = columns(signals, parts)[0]
     fitted, length = unit_columns(X[: signals.samples])
-    N = np.linalg.lstsq(fitted, signals.y[: signals.samples])[0]
-    return N / length[:, None], X / length @ N
+    y, late = signals.wanted(parts)[: signals.samples], signals.left_out(parts)
+    N = np.linalg.lstsq(fitted, y)[0]
+    return N / length[:, None], np.concatenate([signals.y[:late], (X / length @ N)[late:]])
 
 
 def foretold(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
@@ -553,9 +564,9 @@ def answers_of(signals: Signals, parts: Parts) -> Answers:
     """What a model of one input and one output answers, without its bias."""
     kick = np.zeros(signals.u.shape)
     kick[..., 1] = 1.0  # the input comes one sample late
-    N = numerators(signals, parts)[0][1:]
+    N, modelled = numerators(signals, parts)
     kicked = columns(signals._replace(u=kick, from_rest=True), parts)[0][:, 1:]
-    both = (columns(signals, parts)[0][:, 1:] @ N, kicked @ N[: kicked.shape[1]])
+    both = (modelled - N[0], kicked @ N[1 : 1 + kicked.shape[1]])
     return Answers(parts.order, *((of * signals.scale)[:, 0] for of in both))
 
 
@@ -614,7 +625,7 @@ class WithZeros(NamedTuple):
 
 def with_zeros(signals: Signals, fitted: Fitted) -> WithZeros:
     """The best fit of all degrees of the numerator below the order, of one input and one output."""
-    parts = fitted.parts
+    parts, y = fitted.parts, signals.wanted(fitted.parts)[:, 0]
     rates = np.exp(np.concatenate([parts.modes[:, 0], parts.lags]))
     unit = float(np.exp(np.mean(np.log(rates))))
     s = (0.3 + 1j) * np.geomspace(0.05 * rates.min(), 20 * rates.max(), 12 * parts.order)[:, None]
@@ -636,8 +647,8 @@ def with_zeros(signals: Signals, fitted: Fitted) -> WithZeros:
 
     def solved(x: Numbers, degree: int) -> tuple[Numbers, Numbers]:
         X, length = unit_columns(basis(parts.at(x), degree))
-        N = np.linalg.lstsq(X, signals.y[:, 0])[0]
-        return N / length, X @ N - signals.y[:, 0]
+        N = np.linalg.lstsq(X, y)[0]
+        return N / length, X @ N - y
 
     low, high = bounds(signals, parts)
     found: list[WithZeros] = []
@@ -651,7 +662,7 @@ def with_zeros(signals: Signals, fitted: Fitted) -> WithZeros:
             ftol=1e-7,
         ).x
         N, residual = solved(x, degree)
-        count = len(x) + len(N) + (parts.delay > 0)
+        count = len(x) + len(N) + signals.left_out(parts) + (parts.delay > 0)
         bic = information(residual, count, SMALLEST)
         numerator = N[1 : 2 + degree] * signals.scale[0]
         found.append(WithZeros(parts.at(x), numerator, unit, bic))
@@ -767,9 +778,8 @@ def grow(
     if from_rest is False or (from_rest is None and in_motion(whole.first(), late)):
         whole = whole._replace(from_rest=False)
     signals = whole.first()
-    each_takes = 1 + n_u * n_y + (0 if whole.from_rest else n_y)
-    affordable = (samples * n_y / SAMPLES_PER_PARAMETER - n_y) / each_takes
-    highest = int(np.clip(affordable, 1, HIGHEST))
+    lags = (of_poles(-np.ones(n), 0) for n in range(2, HIGHEST + 1))
+    highest = 1 + sum(long_enough(signals, parts) for parts in lags)
     began = first_delay(signals, late) if delay is None else delay
 
     def say(one: Fitted) -> None:

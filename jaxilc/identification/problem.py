@@ -142,9 +142,13 @@ class Problem(NamedTuple):
 
     def residual(self, theta):
         """(N+1, n_y) the recorded output minus the simulated one, with its biases."""
+        return self._without_start(theta, self._beyond_rest(theta))
+
+    def _beyond_rest(self, theta):
+        """(N+1, n_y) the recorded output minus the one from rest, with its biases."""
         n = len(self.names)
         of_plant = simulated_output(theta[:n], self.names, self.plant, self.task, self.record.u)
-        return self._without_start(theta, self.record.y - np.asarray(of_plant) - theta[n:])
+        return self.record.y - np.asarray(of_plant) - theta[n:]
 
     def sensitivity(self, theta):
         """(samples, n_y, P) derivatives of the simulated output, exact.
@@ -191,8 +195,7 @@ class Problem(NamedTuple):
         """(samples, n_y, P) derivatives of what the start adds, whose sizes do not move."""
         n, (poles, moves) = len(self.names), self._poles(theta)
         X, length = unit_columns(self.answers_to_start(theta)[: self.samples])
-        of_plant = simulated_output(theta[:n], self.names, self.plant, self.task, self.record.u)
-        left = (self.record.y - np.asarray(of_plant) - theta[n:])[: self.samples]
+        left = self._beyond_rest(theta)[: self.samples]
         left[: self.past] = 0.0
         N = np.linalg.lstsq(X, left, rcond=1e-10)[0] / length[:, None]
         t, moving = np.arange(self.samples) * self.record.dt, poles[moves]
