@@ -204,9 +204,11 @@ def widened(covariance, J, residual):
 
 
 def autoregression(residual) -> tuple[np.ndarray, np.ndarray]:
-    """The numbers a_1, a_2, ... that predict a residual (n,) from its past, and its covariances.
+    """The numbers a_j that predict a residual from its past, and its covariances r_i.
 
-    r_i = sum_j a_j r_|i-j|,    i = 1 .. LAGS below n / 4    (Yule and Walker)
+        r_i = sum_j a_j r_|i-j|,    i = 1 .. LAGS below n / 4    (Yule and Walker)
+
+    residual: (n,), of any mean
     """
     e = residual - np.mean(residual)
     lags = min(LAGS, len(e) // 4)
