@@ -85,7 +85,6 @@ def test_transfer_functions_respond_as_python_control_s(tmp_path):
     )
 
 
-@pytest.mark.thorough
 def test_a_command_starts_without_packages_that_it_does_not_need(tmp_path):
     file = write(tmp_path)
     slow = ("control", "matplotlib", "scipy.signal", "scipy.stats", "xarray", "zarr")
