@@ -122,7 +122,7 @@ def run_sweep(
         def told(name: str, done: int, fresh: int) -> None:
             nonlocal counted
             counted += fresh * plan.trials * plan.task.N
-            rate = f"{counted / (time.perf_counter() - start):.2g} steps/s"
+            rate = f"{counted / (time.perf_counter() - start):.2g} steps/s" if counted else ""
             bar.update(bars[name], completed=done, now=progress(name, done, fresh) or rate)
 
         try:

@@ -188,7 +188,9 @@ class Sweep:
         progress: function that is called after each chunk with the scheme's name, how many of its
             machines at all points are done so far, and how many of them this call computed
         results: function that is called before `progress` with the scheme's name and what this call
-            computed of it: arrays by the name of their variable, the machines along the first axis
+            computed of it: arrays by the name of their variable, the machines along the first axis.
+            Of several schemes the first chunk is told before the others are compiled and anything
+            is stored; `progress` is then called with 0 machines
         cluster: a Dask scheduler whose workers compute the chunks, as its address, the file that it
             wrote, or a Client; see `cluster.workers`
         Raises FileExistsError for an `out` that exists without `resume`; ValueError for one that is
@@ -220,26 +222,33 @@ class Sweep:
         progress: Callable[[str, int, int], object],
         results: Callable[[str, Mapping[str, np.ndarray]], object],
     ) -> xr.Dataset:
+        found = out if out is not None and Path(out).exists() else None
+        if out is not None and not resume:
+            need_free(out)
+        chunks, copies = self.plan.chunks(), 2 if out is None else 1
+        scheme_of = {name: variant.name for name, variant in self.plan.variants.items()}
+        told = None  # the chunk whose results were told before the others were compiled
+        if found is None and isinstance(hosts, Host) and len(self.plan.variants) > 1:
+            first = hosts.first(chunks[0], copies * self.plan.bytes_stored())
+            if first:
+                told, name = chunks[0], scheme_of[chunks[0].name]
+                results(name, first)
+                progress(name, 0, 0)
+            del first
         layout = Layout(
             self.plan.variables,
             self.plan.coordinates(),
             int(self.plan.chunk),
             self.configuration(hosts.environment),
         )
-        found = out if out is not None and Path(out).exists() else None
-        if out is not None and not resume:
-            need_free(out)
-        chunks = self.plan.chunks()
         with ExitStack() as opened:
             store = None if found is None else opened.enter_context(Store.resume(found, layout))
             pending = [c for c in chunks if store is None or not store.is_done(c.scheme, c.number)]
-            copies = 2 if out is None else 1
             names = tuple(dict.fromkeys(c.name for c in pending))
             stored = need_memory(self.plan, hosts, names, copies=copies)
             computed = opened.enter_context(hosts.computing(pending, stored))
             store = opened.enter_context(Store.create(out, layout)) if store is None else store
             done = Counter[str]()
-            scheme_of = {name: variant.name for name, variant in self.plan.variants.items()}
             for chunk in sorted(set(chunks) - set(pending)):
                 name = scheme_of[chunk.name]
                 done[name] += chunk.size
@@ -247,7 +256,8 @@ class Sweep:
             for chunk, values in computed:
                 store.write(chunk.scheme, chunk.number, slice(chunk.start, chunk.stop), values)
                 name = scheme_of[chunk.name]
-                results(name, values)
+                if chunk != told:
+                    results(name, values)
                 del values  # the chunk after the next one is started now
                 done[name] += chunk.size
                 progress(name, done[name], chunk.size)

@@ -47,6 +47,15 @@ def test_the_next_chunks_are_computed_while_one_is_used(host):
     assert used(host) == f"{start}, use 0, start 4, use 1, start 5, use 2, use 3, use 4, use 5"
 
 
+def test_a_first_chunk_is_computed_once_and_not_at_all_where_it_does_not_fit(host, monkeypatch):
+    monkeypatch.setattr(host, "bytes_of", lambda name, size: 600)
+    monkeypatch.setattr(host, "room", lambda stored: (700 - stored, ""))
+    assert host.first(CHUNKS[0], 200) == {}
+    assert (host.first(CHUNKS[0], 100)["rms"] == 0).all()
+    assert host.noted == ["start 0"]
+    assert used(host, CHUNKS[:3]) == "start 0, start 1, start 2, use 0, use 1, use 2"
+
+
 @pytest.mark.parametrize(
     ("room", "order"),
     [

@@ -125,6 +125,26 @@ def test_the_results_of_each_chunk_are_told_when_they_are_computed(dataset, tmp_
     assert not any(told.values()), "nothing was left to compute"
 
 
+def test_the_first_of_several_schemes_is_told_before_the_others_are_compiled(dataset, tmp_path):
+    store, first = tmp_path / "store.zarr", []
+
+    def results(name, values):
+        first.append((name, last_errors(values, "rms"), store.exists()))
+
+    def stop(*told):
+        assert told == (first[0][0], 0, 0), "nothing is stored yet, so nothing is done"
+        raise KeyboardInterrupt
+
+    plan = dataclasses.replace(PLAN)
+    with pytest.raises(KeyboardInterrupt):
+        plan.run(store, results=results, progress=stop)
+    ((name, errors, stored),) = first
+    assert not stored
+    whole = errors_of(dataset, "rms").sel(scheme=name).values
+    np.testing.assert_array_equal(errors, whole[:4, -1])
+    xr.testing.assert_identical(plan.run(store), dataset)
+
+
 def test_the_last_errors_are_the_largest_channel_and_infinite_where_a_machine_diverged():
     values = {"rms": np.ones((3, 2, 2)) * [1.0, 3.0], "finite": np.ones((3, 2), bool)}
     values["diverged"] = np.array([[False, False], [False, True], [False, False]])
