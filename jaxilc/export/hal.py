@@ -19,7 +19,7 @@ def component(task: Task, files: Mapping[str, str], about: str) -> str:
     """The text of `law.comp`.
 
     files: the texts of `law.h` and `law.c`
-    about: what the law is, in one sentence
+    about: what the law is, in one sentence, which is put on one line
     LinuxCNC loads only components with a licence that is compatible with its own; the component is
     yours, and the file says "GPL", which you may change to another such licence.
     """
@@ -31,7 +31,8 @@ def component(task: Task, files: Mapping[str, str], about: str) -> str:
     inlined = inlined.replace("#include <math.h>", "#include <rtapi_math.h>")
     unit = {name: f" [{text}]" if text else "" for name, text in
             (("y", task.unit), ("u", task.input_unit))}  # fmt: skip
-    return f'''component law "{about.replace('"', "'")}";
+    about = " ".join(about.replace('"', "'").split())
+    return f'''component law "{about}";
 description """
 A law that learns from trial to trial. It begins a trial when begin-trial is true and none is
 running, reads measured and sets command at each of its {task.N} samples, and learns at the sample

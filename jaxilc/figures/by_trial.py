@@ -201,14 +201,15 @@ def error_band(
     them at the top, such as a scheme that diverges, is cut off there and told in the panel. The
     last axes show which share of the machines ends within a tolerance, against the tolerance.
 
-    dataset: over (scheme, sample, trial), one machine a sample
+    dataset: over (scheme, sample, trial), one machine a sample, or a selection
     metric: name of a variable over these
     tolerance: largest error that passes [unit of the dataset]
     scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
     summary: what `summarise` gives for this dataset and metric, None to have it computed
     """
-    from ..sweeps.summary import errors_of, summarise
+    from ..sweeps.summary import errors_of, over_all, summarise
 
+    dataset = over_all(dataset)
     rows = summarise(dataset, tolerance, metric=metric) if summary is None else summary
     limit = None if tolerance is None else scale * tolerance
     limits = _limits(rows, scale, limit)

@@ -270,13 +270,15 @@ def open_dataset(path: str | Path) -> xr.Dataset:
 
     Values that were not computed are NaN, -1 or False.
 
-    Raises FileNotFoundError, and ValueError naming what is damaged.
+    Raises FileNotFoundError where there is none, and ValueError naming what is damaged.
     """
     import xarray as xr
 
     path = Path(path)
-    if not path.is_dir():
-        raise FileNotFoundError(f"{path} is not a dataset of results")
+    if not ((path / METADATA).exists() or (path / DONE / METADATA).exists()):
+        raise FileNotFoundError(
+            f"{path} is not a dataset of results; in the folder of a command it is dataset.zarr"
+        )
     try:
         for _, why in _harmful(path):
             raise Damaged(why)

@@ -88,11 +88,7 @@ def summarise(
         )
     if tolerance is not None:
         require("summarise", "tolerance", tolerance, "(0, inf)")
-    over = ("scheme", "sample", "trial")
-    # where a selection has left a single label
-    dataset = dataset.expand_dims(
-        [d for d in over if d in dataset.coords and d not in dataset.dims]
-    )
+    over, dataset = ("scheme", "sample", "trial"), over_all(dataset)
     if metric not in dataset or not {*over} <= {*dataset[metric].dims}:
         names = [n for n, v in dataset.data_vars.items() if {*over} <= {*v.dims}]
         raise ValueError(
@@ -107,6 +103,12 @@ def summarise(
         _one_scheme(str(name), errors.sel(scheme=name).values, machines, trials, tolerance, growth)
         for name in dataset["scheme"].values
     ]
+
+
+def over_all(dataset: xr.Dataset) -> xr.Dataset:
+    """The dataset over scheme, sample and trial again, where a selection has left one label."""
+    over = ("scheme", "sample", "trial")
+    return dataset.expand_dims([d for d in over if d in dataset.coords and d not in dataset.dims])
 
 
 def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:

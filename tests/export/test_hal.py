@@ -20,6 +20,12 @@ def text(request):
     return component(task, files, "A law.")
 
 
+def test_a_description_of_several_lines_is_put_on_one():
+    _, _, task = case("cfdl_book")
+    text = component(task, {"law.h": "", "law.c": ""}, 'A "law"\nof two\tlines.')
+    assert text.splitlines()[0] == """component law "A 'law' of two lines.";"""
+
+
 def test_the_pins_are_those_of_the_task_and_no_name_of_the_law(text):
     head, _, code = text.partition(";;")
     pins = re.findall(r"pin (?:in|out) \w+ ([\w-]+)(?:-#\[(\d+)\])?", head)

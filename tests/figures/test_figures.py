@@ -204,6 +204,16 @@ def test_a_format_is_chosen_for_all_files(tmp_path):
 # --------------------------------------------------------------------------------------------------
 
 
+def test_a_band_of_a_selected_scheme_is_that_of_it_alone():
+    both = sweep_of([[[3.0, 1.0], [4.0, 2.0]], [[5.0, 6.0], [7.0, 8.0]]], ("one", "other"))
+    panel, share = figures.error_band(both.sel(scheme="other"), metric="rms")
+    (wanted, _) = figures.error_band(both.sel(scheme=["other"]), metric="rms")
+    assert panel.get_title(loc="left") == "other"
+    for line, of in zip(panel.lines, wanted.lines, strict=True):
+        np.testing.assert_array_equal(line.get_xydata(), of.get_xydata())
+    assert len(share.lines) == 1
+
+
 def test_an_unstable_scheme_does_not_hide_the_others():
     """One scheme grows without bound; the limits are those of the one that learns.
 

@@ -72,6 +72,13 @@ def test_a_pipe_or_a_bomb_in_a_store_takes_neither_time_nor_memory(tmp_path, pla
     xr.testing.assert_identical(open_dataset(tmp_path / "store.zarr"), whole)
 
 
+@pytest.mark.parametrize("folder", ["", "results", "nothing"])
+def test_a_folder_around_or_without_a_dataset_is_not_called_damaged(tmp_path, folder):
+    filled(tmp_path / "results" / "dataset.zarr")
+    with pytest.raises(FileNotFoundError, match=r"in the folder of a command it is dataset\.zarr"):
+        open_dataset(tmp_path / folder)
+
+
 def test_a_chunk_in_the_place_of_another_is_computed_again(tmp_path):
     """Its numbers and its mark are whole, but of another scheme or of other machines."""
     names = {"scheme": (("scheme",), np.array(["one", "two"]))}
