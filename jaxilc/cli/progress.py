@@ -101,13 +101,14 @@ def run_sweep(
     *,
     resume: bool,
     progress: Callable[..., str] = lambda *_: "",
-    results: Callable[..., object] | None = None,
+    results: Callable[..., object] = lambda *_: None,
     cluster: str | None,
 ) -> xr.Dataset:
     """Run a sweep, as `Sweep.run`, with a progress bar for each scheme.
 
-    It shows what `progress` returns, or the speed where that is empty. Ctrl-C ends the command with
-    exit code 130, and a chunk that no worker could compute ends it with exit code 1.
+    It shows what `progress` returns when a chunk is computed and again when it is stored, or then
+    the speed where that is empty. Ctrl-C ends the command with exit code 130, and a chunk that no
+    worker could compute ends it with exit code 1.
     """
     from ..sweeps.cluster import ChunkFailed
 
@@ -122,11 +123,15 @@ def run_sweep(
         def told(name: str, done: int, fresh: int) -> None:
             nonlocal counted
             counted += fresh * plan.trials * plan.task.N
-            rate = f"{counted / (time.perf_counter() - start):.2g} steps/s" if counted else ""
+            rate = f"{counted / (time.perf_counter() - start):.2g} steps/s"
             bar.update(bars[name], completed=done, now=progress(name, done, fresh) or rate)
 
+        def computed(name: str, values: object) -> None:
+            results(name, values)
+            bar.update(bars[name], now=progress(name, 0, 0))
+
         try:
-            run = partial(plan.run, results=results, cluster=cluster)
+            run = partial(plan.run, results=computed, cluster=cluster)
             dataset = run_search(run, store, resume=resume, progress=told)
         except ImportError as error:
             if cluster is None:

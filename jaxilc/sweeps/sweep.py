@@ -188,9 +188,8 @@ class Sweep:
         progress: function that is called after each chunk with the scheme's name, how many of its
             machines at all points are done so far, and how many of them this call computed
         results: function that is called before `progress` with the scheme's name and what this call
-            computed of it: arrays by the name of their variable, the machines along the first axis.
-            Of several schemes the first chunk is told before the others are compiled and anything
-            is stored; `progress` is then called with 0 machines
+            computed of it: arrays by the name of their variable, the machines along the first axis;
+            with the first chunk already before other schemes are compiled and anything is stored
         cluster: a Dask scheduler whose workers compute the chunks, as its address, the file that it
             wrote, or a Client; see `cluster.workers`
         Raises FileExistsError for an `out` that exists without `resume`; ValueError for one that is
@@ -227,13 +226,12 @@ class Sweep:
             need_free(out)
         chunks, copies = self.plan.chunks(), 2 if out is None else 1
         scheme_of = {name: variant.name for name, variant in self.plan.variants.items()}
-        told = None  # the chunk whose results were told before the others were compiled
-        if found is None and isinstance(hosts, Host) and len(self.plan.variants) > 1:
+        told = None  # the chunk whose results are told before the other variants are compiled
+        if found is None and isinstance(hosts, Host):
             first = hosts.first(chunks[0], copies * self.plan.bytes_stored())
             if first:
-                told, name = chunks[0], scheme_of[chunks[0].name]
-                results(name, first)
-                progress(name, 0, 0)
+                told = chunks[0]
+                results(scheme_of[told.name], first)
             del first
         layout = Layout(
             self.plan.variables,
