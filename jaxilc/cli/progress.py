@@ -128,7 +128,8 @@ def run_sweep(
 
         def computed(name: str, values: object) -> None:
             results(name, values)
-            bar.update(bars[name], now=progress(name, 0, 0))
+            if now := progress(name, 0, 0):
+                bar.update(bars[name], now=now)
 
         try:
             run = partial(plan.run, results=computed, cluster=cluster)
@@ -168,7 +169,9 @@ def run_search(
 
     def told(*step: object) -> None:
         progress(*step)
-        if later.ident is None:  # from now on the devices compute
+        # From now on the devices compute; and what stores results is imported, which ends in an
+        # error where two threads import it at once.
+        if later.ident is None:
             later.start()
 
     try:

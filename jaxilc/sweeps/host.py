@@ -59,7 +59,7 @@ class Host:
         self.plan = plan
         self._needed = 0  # bytes of the largest chunk that was compiled
         self._finished_at = 0.0  # the time at which the last chunk was finished
-        self._first: dict[Chunk, dict[str, np.ndarray]] = {}
+        self._first: dict[Chunk, dict[str, np.ndarray]] = {}  # computed before all is compiled
         drawn = tuple(
             (n, Drawn(bool(of.relative))) for n, of in plan.population.uncertainty.items()
         )
@@ -134,6 +134,8 @@ class Host:
         The bytes are None if unknown; the place is given as text.
         """
         host, device = capacity.host_bytes(), capacity.device_bytes()
+        # a chunk that is computed already becomes a part of the dataset
+        stored -= sum(x.nbytes for of in self._first.values() for x in of.values())
         return (device if device is not None else None if host is None else host - stored), ""
 
     def bytes_of(self, name: str, size: int) -> int:
@@ -167,7 +169,8 @@ class Host:
         room, _ = self.room(stored)
         if room is not None and self.bytes_of(chunk.name, self.plan.chunk) > room:
             return {}
-        return self._first.setdefault(chunk, self.compute(chunk))
+        self._first[chunk] = self.compute(chunk)
+        return self._first[chunk]
 
     @contextmanager
     def computing(

@@ -16,6 +16,7 @@ from ..pytree.ranges import require
 if TYPE_CHECKING:
     import xarray as xr
 
+OVER = ("scheme", "sample", "trial")  # the dimensions of a metric of one number a trial
 QUANTILES = (0.05, 0.5, 0.95)
 CONFIDENCE = 0.95  # of the interval of the yield
 FEWEST = 12  # machines whose spread is explained
@@ -88,9 +89,9 @@ def summarise(
         )
     if tolerance is not None:
         require("summarise", "tolerance", tolerance, "(0, inf)")
-    over, dataset = ("scheme", "sample", "trial"), over_all(dataset)
-    if metric not in dataset or not {*over} <= {*dataset[metric].dims}:
-        names = [n for n, v in dataset.data_vars.items() if {*over} <= {*v.dims}]
+    dataset = over_all(dataset)
+    if metric not in dataset or not {*OVER} <= {*dataset[metric].dims}:
+        names = [n for n, v in dataset.data_vars.items() if {*OVER} <= {*v.dims}]
         raise ValueError(
             f"summarise: metric = {metric!r} is not one of {', '.join(sorted(map(str, names)))}"
         )
@@ -107,8 +108,7 @@ def summarise(
 
 def over_all(dataset: xr.Dataset) -> xr.Dataset:
     """The dataset over scheme, sample and trial again, where a selection has left one label."""
-    over = ("scheme", "sample", "trial")
-    return dataset.expand_dims([d for d in over if d in dataset.coords and d not in dataset.dims])
+    return dataset.expand_dims([d for d in OVER if d in dataset.coords and d not in dataset.dims])
 
 
 def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:
@@ -131,7 +131,7 @@ def last_errors(values: Mapping[str, np.ndarray], metric: str) -> np.ndarray:
 def axes_of(dataset: xr.Dataset) -> tuple[str, ...]:
     """The axes of the grid of a dataset; none for a sweep of one point."""
     dims = map(str, dataset["finite"].dims)
-    return tuple(dim for dim in dims if dim not in ("scheme", "sample", "trial"))
+    return tuple(dim for dim in dims if dim not in OVER)
 
 
 def _one_scheme(

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -733,24 +734,31 @@ def plain(text):
     return Text.from_ansi(text.getvalue().replace("\r", "\n")).plain
 
 
-def test_a_sweep_shows_the_median_until_now_on_one_line_of_80_columns(monkeypatch, tmp_path):
+@pytest.mark.parametrize("stored", [0, 131072])
+def test_a_sweep_shows_the_median_until_now_on_one_line(monkeypatch, tmp_path, stored):
+    """It has 80 columns. What comes afterwards is imported when the first results are stored."""
     errors = np.array([[9.0, 2e-3], [9.0, 3e-3], [9.0, 7e-3]])
     values = {"settled_error": errors, "finite": errors < np.inf, "diverged": errors > 8.0}
 
     def one_chunk(self, out, *, progress, results, **how):
         results("cfdl-mfailc", values)
-        progress("cfdl-mfailc", 131072, 3)
+        assert not imported
+        if stored:
+            progress("cfdl-mfailc", stored, 3)
         raise RuntimeError("enough")
 
-    text = io.StringIO()
+    text, imported = io.StringIO(), []
+    monkeypatch.setattr(progress, "importlib", SimpleNamespace(import_module=imported.append))
     monkeypatch.setattr(console, "err", Console(file=text, force_terminal=True, width=80))
     monkeypatch.setattr(Sweep, "run", one_chunk)
     request, run = Request("cao-2019", trials=2), partial(progress.run_sweep, cluster=None)
     with pytest.raises(RuntimeError, match="enough"):
         outcomes.sweep(request, machines=262144, folder=tmp_path / "new", run=run)
-    lines = [line for line in plain(text).splitlines() if "131072/262144" in line]
-    assert lines
-    assert all(re.search("^cfdl-mfailc .* median 3 µm +0:00:0", line) for line in lines)
+    lines = [line for line in plain(text).splitlines() if f" {stored}/262144" in line]
+    shown = "^cfdl-mfailc .* median 3 µm +0:00:0"
+    assert any(re.search(shown, line) for line in lines)
+    assert all(re.search(shown, line) or not stored for line in lines)
+    assert stored or not imported
     with progress.progress_bar(expected=0.1) as bar:
         bar.add_task("worst-case", total=12, now="the largest error of cfdl")
     assert plain(text).endswith("the largest error of cfdl 0:00:00 longer than before\n")

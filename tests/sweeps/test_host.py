@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import pytest
 from sweep_case import PLAN
 
+from jaxilc.runtime import capacity
 from jaxilc.sweeps.host import Host
 
 CHUNKS = dataclasses.replace(PLAN, machines=24).plan.chunks()[:6]
@@ -54,6 +55,15 @@ def test_a_first_chunk_is_computed_once_and_not_at_all_where_it_does_not_fit(hos
     assert (host.first(CHUNKS[0], 100)["rms"] == 0).all()
     assert host.noted == ["start 0"]
     assert used(host, CHUNKS[:3]) == "start 0, start 1, start 2, use 0, use 1, use 2"
+
+
+def test_a_first_chunk_leaves_as_much_room_as_before_it_was_computed(host, monkeypatch):
+    free = 1000
+    monkeypatch.setattr(capacity, "host_bytes", lambda: free)
+    monkeypatch.setattr(host, "bytes_of", lambda name, size: 600)
+    room = host.room(200)
+    free -= host.first(CHUNKS[0], 200)["rms"].nbytes
+    assert host.room(200) == room == (800, "")
 
 
 @pytest.mark.parametrize(
