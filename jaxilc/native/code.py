@@ -38,7 +38,8 @@ _targets: dict[str, Code] = {}
 _lock = threading.Lock()
 
 PART = """
-%task = type {{ i64, i64, i64, ptr, ptr, ptr }} ; next group, next thread, groups, given, out, work
+; next group, next thread, groups, given, out, work, and the cores that may be used
+%task = type {{ i64, i64, i64, ptr, ptr, ptr, [16 x i64] }}
 declare i32 @pthread_create(ptr, ptr, ptr, ptr)
 declare i32 @pthread_join(i64, ptr)
 declare i32 @madvise(ptr, i64, i32)
@@ -67,8 +68,11 @@ end:
   ret ptr null
 }}
 
+{apart}
+
 define ptr @handler(ptr %frame) {{
   %task = alloca %task
+  %last = alloca i32
   %given = alloca ptr, i64 {operands}
   %out = alloca ptr, i64 {results}
 {told}
@@ -83,7 +87,7 @@ create:
   br i1 %all, label %own, label %one
 one:
   %id = getelementptr i64, ptr %ids, i64 %i
-  %failed = call i32 @pthread_create(ptr %id, ptr null, ptr @part, ptr %task)
+  %failed = call i32 @create(ptr %id, ptr %task, ptr %last)
   %ready = icmp eq i32 %failed, 0
   br i1 %ready, label %created, label %own
 created:
@@ -105,6 +109,70 @@ joined:
 end:
   ret ptr null
 }}
+"""
+
+# On Linux, each further thread begins on the next core that this process may use, and may be moved
+# later. Else it often waits on the core of the thread that creates it while another core has no
+# work, and is moved there only after milliseconds, in which a group of machines could be done.
+APART = """
+declare i32 @sched_getcpu()
+declare i32 @sched_getaffinity(i32, i64, ptr)
+declare i32 @sched_setaffinity(i32, i64, ptr)
+declare i32 @pthread_attr_init(ptr)
+declare i32 @pthread_attr_setaffinity_np(ptr, i64, ptr)
+declare i32 @pthread_attr_destroy(ptr)
+
+define ptr @moved(ptr %pointer) {
+  %every = getelementptr i64, ptr %pointer, i64 6
+  %free = call i32 @sched_setaffinity(i32 0, i64 128, ptr %every)
+  %end = call ptr @part(ptr %pointer)
+  ret ptr null
+}
+
+define i32 @create(ptr %id, ptr %pointer, ptr %last) {
+entry:
+  %attributes = alloca [16 x i64]
+  %own = alloca [16 x i64]
+  store [16 x i64] zeroinitializer, ptr %own
+  %every = getelementptr i64, ptr %pointer, i64 6
+  %before = load i32, ptr %last
+  %told = icmp sge i32 %before, 0
+  br i1 %told, label %choose, label %plain
+choose:
+  %core = phi i32 [ %before, %entry ], [ %next, %choose ]
+  %after = add i32 %core, 1
+  %next = and i32 %after, 1023
+  %number = zext i32 %next to i64
+  %at = lshr i64 %number, 6
+  %word = getelementptr i64, ptr %every, i64 %at
+  %allowed = load i64, ptr %word
+  %place = and i64 %number, 63
+  %bit = shl i64 1, %place
+  %both = and i64 %allowed, %bit
+  %none = icmp eq i64 %both, 0
+  br i1 %none, label %choose, label %found
+found:
+  store i32 %next, ptr %last
+  %its = getelementptr i64, ptr %own, i64 %at
+  store i64 %bit, ptr %its
+  %begun = call i32 @pthread_attr_init(ptr %attributes)
+  %set = call i32 @pthread_attr_setaffinity_np(ptr %attributes, i64 128, ptr %own)
+  %refused = call i32 @pthread_create(ptr %id, ptr %attributes, ptr @moved, ptr %pointer)
+  %destroyed = call i32 @pthread_attr_destroy(ptr %attributes)
+  %created = icmp eq i32 %refused, 0
+  br i1 %created, label %end, label %plain
+plain:
+  %failed = call i32 @pthread_create(ptr %id, ptr null, ptr @part, ptr %pointer)
+  ret i32 %failed
+end:
+  ret i32 0
+}
+"""
+ELSEWHERE = """
+define i32 @create(ptr %id, ptr %pointer, ptr %last) {
+  %failed = call i32 @pthread_create(ptr %id, ptr null, ptr @part, ptr %pointer)
+  ret i32 %failed
+}
 """
 
 
@@ -171,14 +239,22 @@ def callable_by_xla(
     room = add(f"inttoptr i64 {first} to ptr")
     threads = field(field(buffer, SIZES), 0, "i64")
     huge(room, add(f"mul i64 {threads}, {_whole(work)}"), work)
+    linux = sys.platform == "linux"
     task = ("i64 0", "i64 0", f"i64 {groups}", "ptr %given", "ptr %out", f"ptr {room}")
     for i, value in enumerate(task):
         do(f"store {value}, ptr {place('%task', 8 * i)}")
+    if linux:
+        every = place("%task", 8 * len(task))
+        do(f"store [16 x i64] zeroinitializer, ptr {every}")
+        failed = add(f"call i32 @sched_getaffinity(i32 0, i64 128, ptr {every})")
+        known, core = add(f"icmp eq i32 {failed}, 0"), add("call i32 @sched_getcpu()")
+        do(f"store i32 {add(f'select i1 {known}, i32 {core}, i32 -1')}, ptr %last")
     do(f"%groups = add i64 {groups}, 0")
     do(f"%cores = add i64 {threads}, 0")
     return text + PART.format(
         operands=max(operands, 1), results=max(len(results), 1), work=_whole(work), trials=trials,
-        told="\n".join(told), begun="\n".join(filter(None, lines)),
+        apart=APART if linux else ELSEWHERE, told="\n".join(told),
+        begun="\n".join(filter(None, lines)),
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ work: room for what one group carries and keeps
 
 from __future__ import annotations
 
+import itertools
 import math
 import platform
 from collections.abc import Callable, Iterable, Sequence
@@ -31,7 +32,18 @@ from .operations import (
     Sample,
     instruction,
 )
-from .rows import Handed, Loop, Row, Segment, Stored, Trials, handed_on, in_turn, small
+from .rows import (
+    Handed,
+    Loop,
+    Row,
+    Segment,
+    Stored,
+    Trials,
+    handed_on,
+    in_turn,
+    small,
+    without_choices,
+)
 
 ALIGNED = 64  # bytes
 FLUSH = 0x8040  # of the register MXCSR: results and operands too small to be normal are zero
@@ -67,7 +79,8 @@ class Text:
         self.straight: dict[Node, str] = {}
         self.inside: dict[Node, str] = {}
         self.count, self.work = 0, 0
-        self.doubled = _doubled(plan)
+        self.taped = _taped(plan)
+        self.doubled = [x for x in _doubled(plan) if x not in self.taped]
         self.function = self._printed_function(name)
 
     # Lines
@@ -330,7 +343,8 @@ class Text:
 
     def _target(self, buffer: Buffer) -> str:
         """The pointer to the rows of a buffer that are written."""
-        return f"%next{buffer.number}" if buffer in self.doubled else self._base(buffer)
+        moves = buffer in self.doubled or buffer in self.taped
+        return f"%next{buffer.number}" if moves else self._base(buffer)
 
     def _room(self, buffer: Buffer) -> int:
         """The place in the working memory for a buffer."""
@@ -397,7 +411,7 @@ class Text:
             self.do(f"%g{i} = getelementptr {self.stored_type(x.dtype)}, ptr %in{i}, i64 {at}")
         for i in range(len(body.ins), len(body.ins) + len(plan.given)):
             self.do(f"%g{i} = getelementptr i8, ptr %in{i}, i64 0")
-        self._begin()
+        self._begin(group)
         self._trials(group)
         self._end(group)
         self.lines += end
@@ -407,7 +421,7 @@ class Text:
         ins = self.plan.ins[self.plan.consts : self.plan.consts + self.plan.carry]
         return ((i, x) for i, x in enumerate(ins) if isinstance(x, Stored | Array))
 
-    def _begin(self) -> None:
+    def _begin(self, group: str) -> None:
         """What is carried into the first trial."""
         plan = self.plan
         for i, x in self._carried():
@@ -415,7 +429,11 @@ class Text:
             alike = plan.alike[number]
             if isinstance(x, Stored):
                 if x.buffer.size:
-                    self._copy(x.buffer, f"%g{number}", f"%room{number}", alike=alike)
+                    target = f"%room{number}"
+                    if x.buffer in self.taped:
+                        at = self.add(f"mul i64 {group}, {plan.trials}")
+                        target = self._of_trial(x.buffer, self.add(f"add i64 {at}, %begin"))
+                    self._copy(x.buffer, f"%g{number}", target, alike=alike)
                 if x.buffer in self.doubled:
                     self.do(f"store ptr %room{number}, ptr %a{number}")
                     self.do(f"store ptr %other{number}, ptr %b{number}")
@@ -423,6 +441,12 @@ class Text:
                 for m, cell in enumerate(x.flat):
                     value = self.load(f"%g{number}", str(m), cell.dtype, alike=alike)
                     self._put(cell, value)
+
+    def _of_trial(self, carried: Buffer, trial: str) -> str:
+        """The place among the results for what is carried into a trial."""
+        at = self.add(f"mul i64 {trial}, {carried.size}")
+        kind = self.stored_type(carried.dtype)
+        return self.add(f"getelementptr {kind}, ptr %o{self.taped[carried].number}, i64 {at}")
 
     def _copy(self, buffer: Buffer, source: str, target: str, *, alike: bool = False) -> None:
         """Copy the rows of a buffer, which have one number for all machines if they are alike."""
@@ -445,6 +469,12 @@ class Text:
             if buffer in self.doubled:
                 self.do(f"%carried{n} = load ptr, ptr %a{n}")
                 self.do(f"%next{n} = load ptr, ptr %b{n}")
+            elif buffer in self.taped:
+                last = self.add(f"icmp eq i64 {self.add('sub i64 %end, 1')}, {j}")
+                after = self._of_trial(buffer, self.add(f"add i64 {trial}, 1"))
+                self.do(f"%carried{n} = getelementptr i8, ptr {self._of_trial(buffer, trial)}, "
+                        "i64 0")  # fmt: skip
+                self.do(f"%next{n} = select i1 {last}, ptr %room{n}, ptr {after}")
             elif buffer.kind in ("carried", "kept"):
                 self.do(f"%{buffer.kind}{n} = getelementptr i8, ptr %room{n}, i64 0")
             elif buffer.by_trial:
@@ -513,6 +543,31 @@ class Text:
             self._segment(segment, loop.direction)
 
     def _segment(self, of: Segment, direction: int) -> None:
+        """The samples of a segment, which are printed once more without what is rarely chosen."""
+        rarely, rest = without_choices(self.plan, of)
+        if not rarely:
+            return self._samples(of, direction)
+        holds = self.values(rarely)
+        kind = f"<{self.lanes} x i1>"
+        some = holds[0]
+        for other in holds[1:]:
+            some = self.add(f"or {kind} {some}, {other}")
+        name = f"@llvm.vector.reduce.or.v{self.lanes}i1"
+        self.declared.add(f"declare i1 {name}({kind})")
+        chosen = self.add(f"call i1 {name}({kind} {some})")
+        known = dict(self.straight)
+        labels = self.label(), self.label(), self.label()
+        self.do(f"br i1 {chosen}, label %{labels[0]}, label %{labels[1]}")
+        for label, segment in zip(labels, (of, rest), strict=False):
+            self.lines.append(f"{label}:")
+            self.straight = dict(known)
+            self._samples(segment, direction)
+            self.do(f"br label %{labels[2]}")
+        self.lines.append(f"{labels[2]}:")
+        self.straight = known
+        return None
+
+    def _samples(self, of: Segment, direction: int) -> None:
         stores = list(of.stores)
         stores += [(r.kept, offset, x) for r, offset, x in of.results if r.kept is not None]
         nodes = [node for _, _, array in stores for node in array.flat]
@@ -535,6 +590,8 @@ class Text:
         self.values([*nodes, *(x.ahead for x in handed)], k)
         for buffer, offset, array in stores:
             for m, node in enumerate(array.flat):
+                if isinstance(node.what, At) and self.taped.get(node.what.buffer) == buffer:
+                    continue  # it is there
                 index = self._index(k, 1, offset, buffer.width, m)
                 self.store(self._known(node)[node], self._target(buffer), index, buffer.dtype)
         for cell, new in (*of.cells, *((x.cell, x.ahead) for x in handed)):
@@ -577,6 +634,81 @@ def _doubled(plan: Trials) -> list[Buffer]:
             ):  # fmt: skip
                 found.append(buffer)
     return found
+
+
+def _taped(plan: Trials) -> dict[Buffer, Buffer]:
+    """The carried rows that are kept for each trial, as a gradient does, with the results they are.
+
+    A trial writes what it carries to where the results of the next one are. Where something else is
+    chosen for a whole trial, see `without_choices`, it is written in its place.
+    """
+    found: dict[Buffer, Buffer] = {}
+    written = {sink.buffer for loop in plan.loops for sink in loop.sinks}
+    kept: dict[Buffer, list[tuple[int, Node, At]]] = {}
+    for number, loop in enumerate(plan.loops if not plan.reverse else []):
+        for segment in loop.segments:
+            for buffer, offset, array in segment.stores:
+                places = (At(buffer, 1, offset, m) for m in range(array.size))
+                of = kept.setdefault(buffer, []) if buffer.kind == "out" else []
+                of += zip(itertools.repeat(number), array.flat, places)
+    for out, stores in kept.items():
+        begun = {_begun_with(node, at) for _, node, at in stores}
+        carried = begun.pop()
+        if begun or carried is None or carried in found or carried not in written:
+            continue
+        alike = (carried.length, carried.width, carried.dtype) == (out.length, out.width, out.dtype)
+        if alike and (
+            all(not node.args for _, node, _ in stores) or _replaced(plan, carried, stores)
+        ):
+            found[carried] = out
+    return found
+
+
+def _begun_with(node: Node, at: At) -> Buffer | None:
+    """The carried rows that a result at a place is, where nothing else is chosen for the trial."""
+    if node.name == "select" and not node.args[0].varies:
+        node = node.args[1]
+    what = node.what
+    there = isinstance(what, At) and what == at._replace(buffer=what.buffer)
+    return what.buffer if there and what.buffer.kind == "carried" else None
+
+
+def _replaced(plan: Trials, carried: Buffer, stores: list[tuple[int, Node, At]]) -> bool:
+    """Whether nobody reads what carried rows were once another choice is written in their place.
+
+    Who reads them then chooses the same once more.
+
+    stores: the numbers of the loops in which the choices are stored, the choices, and their places
+    """
+    if len({(number, *node.args[:1]) for number, node, _ in stores}) > 1:
+        return False
+    number, condition = stores[0][0], stores[0][1].args[0]
+    choices = {at.number: (node.args[2], at.first) for _, node, at in stores}
+
+    def harmless(reader: Node | None, node: Node, loop: int, d: int) -> bool:
+        what = node.what
+        if not isinstance(what, At) or what.buffer != carried or loop < number:
+            return True
+        other, first = choices[what.number]
+        if loop == number and what.sign == 1 and d * what.first >= d * first:
+            return True
+        if reader is None or reader.name != "select" or reader.args[:2] != (condition, node):
+            return False
+        by, chosen = what.first - first, reader.args[2]
+        if not isinstance(other.what, At) or not isinstance(chosen.what, At):
+            return chosen is other and not other.varies
+        return chosen.what == other.what._replace(first=other.what.first + by)
+
+    for i, loop in enumerate(plan.loops):
+        for segment in loop.segments:
+            wanted = [x for *_, array in (*segment.stores, *segment.results) for x in array.flat]
+            wanted += [x for _, x in segment.cells]
+            read = [(None, x) for x in wanted]
+            read += [(x, y) for x in in_turn(wanted) for y in x.args]
+            if not all(harmless(reader, node, i, loop.direction) for reader, node in read):
+                return False
+    picks = (x for i, nodes in plan.picks.items() if i > number for x in nodes)
+    return all(x.what.buffer != carried for x in picks)
 
 
 def _scalar(dtype: np.dtype) -> str:

@@ -441,7 +441,7 @@ def _fixed(before: Sequence[Step], step: Step) -> list[np.ndarray | None]:
         known: dict[Value, Known] = {}
         by_jax(before, known)
         found = [x.array if isinstance(x, Const) else known.get(x) for x in step.ins]
-        few = (x is not None and (x.size <= FEW or x.dtype.kind in "iu") for x in found)
+        few = (x is not None and (x.size <= FEW or x.dtype.kind in "biu") for x in found)
         return [x if b else None for x, b in zip(found, few, strict=True)]
 
     return [x if x is None else np.asarray(x) for x in jax.jit(values)()]

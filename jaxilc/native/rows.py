@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import itertools
 import math
+import operator
 from collections.abc import Callable, Iterable, Sequence
-from functools import reduce
+from functools import partial, reduce
 from typing import NamedTuple, TypeAlias
 
 import jax
@@ -44,6 +45,8 @@ from .program import Const, Program, Step, Unknown, Value, loops, lowered
 
 MOST_NODES = 60_000  # of all loops; a compiler takes seconds for so many
 LATELY = 3  # samples back to which what a scan found stays in registers
+FEW_RUNS = 4  # of a constant condition, at whose ends a loop over samples is divided
+FEW_SAMPLES = 100  # for which a loop over samples is not printed in two forms
 RUNS = 18  # into which samples that are gathered may fall apart
 
 
@@ -308,10 +311,13 @@ class Trials:
         return self._known[x]
 
     def _constant_rows(self, array: np.ndarray, axis: int) -> Row:
-        first = array.take([0], axis)
-        if np.array_equal(array, np.broadcast_to(first, array.shape)):
-            return _same(array.shape, axis, array.dtype, self.n.array(first))
-        return self._given(array, axis)
+        """The rows of an array of constants; where it has few runs of equal rows, those."""
+        rows = np.moveaxis(array, axis, 0).reshape(array.shape[axis], -1)
+        ends = [0, *(np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1), len(rows)]
+        if len(ends) - 1 > (FEW_RUNS if array.dtype.kind == "b" else 1):
+            return self._given(array, axis)
+        parts = [(b - a, self.n.array(array.take([a], axis))) for a, b in itertools.pairwise(ends)]
+        return rows_of(_joined(array.shape, axis, array.dtype, parts))
 
     def _given(self, array: np.ndarray, axis: int) -> Row:
         """The rows of an array of constants, which becomes a further operand of the program."""
@@ -328,7 +334,7 @@ class Trials:
         fixed = self.fixed[i]
         by_trial = i >= self.consts + self.carry
         if axis is not None:
-            if fixed is not None and not (carried or by_trial) and x.dtype.kind in "iu":
+            if fixed is not None and not (carried or by_trial) and x.dtype.kind in "biu":
                 return self._constant_rows(fixed, axis)
             kind = "carried" if carried else "given"
             alike = self.alike[i] and not carried
@@ -1272,6 +1278,42 @@ def handed_on(of: Trials, segment: Segment, wanted: Sequence[Node], d: int) -> l
         else:
             todo += node.args
     return [*found.values()]
+
+
+def without_choices(of: Trials, segment: Segment) -> tuple[list[Node], Segment]:
+    """The conditions of choices that are the same at each sample, and the segment without them.
+
+    Where no machine of a group meets any of them, as none has passed a level yet, the rest computes
+    the same with fewer operations. Only numbers that are read are put in the place of a choice: a
+    product would become a part of a sum that is rounded once, and a machine would have other
+    digits beside some machines than beside others.
+    """
+    n, conditions = of.n, dict[Node, None]()
+    new: dict[Node, Node] = {}
+
+    def put(node: Node) -> Node:
+        args = [new[x] for x in node.args]
+        if node.name == "select" and not node.args[0].varies and isinstance(args[1].what, At):
+            conditions[node.args[0]] = None
+            return args[1]
+        if all(map(operator.is_, args, node.args)):
+            return node
+        if isinstance(node.what, AtIndex):
+            return n.row(args[0], node.dtype, node.what)
+        return n.of(node.name, *args, dtype=node.dtype)
+
+    if segment.last - segment.first < FEW_SAMPLES:
+        return [], segment
+    arrays = [x for *_, x in (*segment.stores, *segment.results)]
+    wanted = [*(x for array in arrays for x in array.flat), *(x for _, x in segment.cells)]
+    for node in in_turn(wanted):
+        new[node] = put(node)
+    putting = partial(n.each, new.__getitem__)
+    return [*conditions], segment._replace(
+        stores=[(buffer, offset, putting(x)) for buffer, offset, x in segment.stores],
+        results=[(result, offset, putting(x)) for result, offset, x in segment.results],
+        cells=[(cell, new[x]) for cell, x in segment.cells],
+    )
 
 
 def in_turn(

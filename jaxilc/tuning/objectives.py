@@ -114,13 +114,14 @@ class Bounded(Guard):
         return memory._replace(scheme=_restarted(memory.passed, self.fresh, memory.scheme))
 
     def _seen(self, y: jax.Array, r: jax.Array) -> jax.Array:
-        """The output with an error within the level.
+        """The output with an error within the level; r - level where it is not a number.
 
-        The slope of `jnp.clip` takes more operations, since it divides where y is at the limit.
+        A processor has one instruction for each of the two choices. `jnp.clip` hands on what is
+        not a number, and its slope divides where y is at the limit.
         """
-        e = r - y
-        nearest = r - jnp.where(e > 0, self.level, -self.level)
-        return jnp.where(jnp.abs(e) <= self.level, y, nearest)
+        low, high = r - self.level, r + self.level
+        y = jnp.where(y > low, y, low)
+        return jnp.where(y < high, y, high)
 
 
 def up_to_level(history: History) -> History:

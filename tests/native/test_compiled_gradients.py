@@ -9,9 +9,10 @@ import pytest
 from cases import SCHEMES, case
 
 from jaxilc.learning import Disturbance, learn
-from jaxilc.native import operations, run
+from jaxilc.native import operations, rows, run
 from jaxilc.native.run import Compiled, Native, differs
 from jaxilc.tuning import Tuning, worst_case_search
+from jaxilc.tuning.objectives import Final, judge
 from jaxilc.uncertainty import Uniform
 
 TRIALS = 5
@@ -72,6 +73,27 @@ def test_slopes_are_the_same_in_tiles_under_jit_and_beside_others(monkeypatch):
     for x, y in zip(jax.tree.leaves(twice), whole, strict=True):
         np.testing.assert_array_equal(x[0], y)
         np.testing.assert_array_equal(x[1], y[::-1])
+
+
+def test_a_machine_has_the_same_slopes_beside_machines_that_pass_the_level(monkeypatch):
+    """To the last bit. A group of which no machine has passed it computes none of the choices."""
+    monkeypatch.setattr(rows, "FEW_SAMPLES", 1)
+    machine, scheme, task = case("p_type")
+
+    def slope(machine, gain):
+        def loss(gain):
+            moved = dataclasses.replace(scheme, gamma_p=-gain)
+            return judge(machine, moved, task, 9, Final("rms"), ceiling=1.5)
+
+        return jax.value_and_grad(loss)(gain)
+
+    gains, beside = np.array([0.3, 0.25, 0.2, 0.1]), np.array([0.3, 40.0, 0.2, -3.0])
+    program = Compiled(slope, machine, 1.0, lanes=4)
+    whole, mixed = program(machine, gains), program(machine, beside)
+    assert differs(mixed, jax.jit(jax.vmap(slope, (None, 0)))(machine, beside)) is None
+    assert mixed[0][1] > np.log(1.5 / 1e-6) > mixed[0][0]
+    for x, y in zip(whole, mixed, strict=True):
+        np.testing.assert_array_equal(x[::2], y[::2])
 
 
 def test_a_loop_keeps_no_rows_that_only_dead_steps_read():
