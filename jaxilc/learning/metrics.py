@@ -150,7 +150,7 @@ def _slopes(x: Array, dx: Array, counted: list[np.ndarray], largest: list[bool])
     def slopes_of_row(places: list[Array], now: Tree, dx: Array) -> list[Array]:
         (k, counts), x = now
         slopes = [
-            jnp.where(k == at, jnp.sign(x), 0.0) if is_largest else 2.0 * x
+            jnp.where(k == at, jnp.where(x < 0, -1.0, 1.0), 0.0) if is_largest else 2.0 * x
             for at, is_largest in zip(places, largest, strict=True)
         ]
         return [jnp.where(c, slope, 0.0) * dx for slope, c in zip(slopes, counts, strict=True)]
@@ -159,7 +159,8 @@ def _slopes(x: Array, dx: Array, counted: list[np.ndarray], largest: list[bool])
         return jax.tree.map(jnp.add, sums, slopes_of_row(places, *now)), None
 
     first = [(zero, zero.astype(int))] * len(largest)
-    places = [at for _, at in over_samples(place, first, (rows, x))[0]]
+    found = over_samples(place, first, (rows, x))[0]
+    places = [jnp.where(size > 0, at, -1) for size, at in found]  # none where all are zero
     return over_samples(tick, [zero] * len(largest), ((rows, x), dx))[0]
 
 

@@ -687,7 +687,7 @@ def _replaced(plan: Trials, carried: Buffer, stores: list[tuple[int, Node, At]])
 
     def harmless(reader: Node | None, node: Node, loop: int, d: int) -> bool:
         what = node.what
-        if not isinstance(what, At) or what.buffer != carried or loop < number:
+        if not isinstance(what, At) or what.buffer != carried or loop < number or not node.varies:
             return True
         other, first = choices[what.number]
         if loop == number and what.sign == 1 and d * what.first >= d * first:
@@ -707,8 +707,7 @@ def _replaced(plan: Trials, carried: Buffer, stores: list[tuple[int, Node, At]])
             read += [(x, y) for x in in_turn(wanted) for y in x.args]
             if not all(harmless(reader, node, i, loop.direction) for reader, node in read):
                 return False
-    picks = (x for i, nodes in plan.picks.items() if i > number for x in nodes)
-    return all(x.what.buffer != carried for x in picks)
+    return True
 
 
 def _scalar(dtype: np.dtype) -> str:

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import SCHEMES, case
+from jax import lax
 
 from jaxilc.learning import Disturbance, learn
-from jaxilc.native import operations, rows, run
+from jaxilc.native import llvm, operations, rows, run
 from jaxilc.native.run import Compiled, Native, differs
 from jaxilc.tuning import Tuning, worst_case_search
 from jaxilc.tuning.objectives import Final, judge
@@ -94,6 +95,60 @@ def test_a_machine_has_the_same_slopes_beside_machines_that_pass_the_level(monke
     assert mixed[0][1] > np.log(1.5 / 1e-6) > mixed[0][0]
     for x, y in zip(whole, mixed, strict=True):
         np.testing.assert_array_equal(x[::2], y[::2])
+
+
+@pytest.mark.parametrize("share", [None, 0.9])
+def test_numbers_are_rounded_alike_with_and_without_a_choice(monkeypatch, share):
+    """A quotient as a product with a reciprocal that a later loop computes, a product by itself."""
+    monkeypatch.setattr(rows, "FEW_SAMPLES", 1)
+    fresh = jnp.linspace(0.1, 1.0, 40)
+
+    def learning(_, gain):
+        def trial(carry, j):
+            before, passed = carry
+            begun = jnp.where(passed, fresh, before if share is None else share * before)
+            total, after = lax.scan(lambda s, b: (s + gain / (b + j), gain / (b + j)), 0.0, begun)
+            other, _ = lax.scan(lambda s, b: (s + 1.0 / (b + j), None), total, begun)
+            return (after, passed | (gain > 5.0)), other
+
+        return lax.scan(trial, (0.3 * fresh, gain > 8.0), jnp.arange(2.0, 6.0))
+
+    program = Compiled(learning, 0.0, 1.0, lanes=4)
+    gains, beside = np.array([1.3, 2.0, 3.1, 2.0]), np.array([1.3, 9.0, 3.1, 9.0])
+    whole, mixed = program(0.0, gains), program(0.0, beside)
+    assert differs(mixed, jax.vmap(learning, (None, 0))(0.0, beside)) is None
+    for x, y in zip(jax.tree.leaves(whole), jax.tree.leaves(mixed), strict=True):
+        np.testing.assert_array_equal(x[::2], y[::2])
+
+
+@pytest.mark.parametrize(
+    ("read", "once"),
+    [("what begins", 1), ("what was before", 0), ("another choice", 0), ("without a choice", 1)],
+)
+def test_what_a_trial_begins_with_is_stored_once_unless_it_is_read_later(monkeypatch, read, once):
+    """Where another choice takes its place, and a later sample reads what was there."""
+    found, taped = [], llvm._taped
+    monkeypatch.setattr(llvm, "_taped", lambda plan: found.append(taped(plan)) or found[-1])
+    fresh = jnp.linspace(0.1, 1.0, 40)
+
+    def learning(_, gain):
+        def trial(carry, j):
+            before, passed = carry
+            begun = before if read == "without a choice" else jnp.where(passed, fresh, before)
+            late = {"what was before": before, "another choice": jnp.where(passed, 2.0, before)}
+            late = late.get(read, begun)
+            late = jnp.concatenate([late[:1], late[:-1]])
+            total, after = lax.scan(
+                lambda s, b: (s + b[1], 0.9 * b[0] - 0.3 * b[1] + 1e-3 * s), 0.0, (begun, late)
+            )
+            return (after, passed | (gain * total > 60.0)), (total, begun)
+
+        return lax.scan(trial, (gain * fresh, gain > 8.0), jnp.arange(6.0))
+
+    gains = np.array([1.3, 2.0, 2.2, 2.5, 3.0, 9.0, 1.0])
+    program = Compiled(learning, 0.0, 1.0, lanes=4)
+    assert differs(program(0.0, gains), jax.vmap(learning, (None, 0))(0.0, gains)) is None
+    assert [len(of) for of in found] == [once]
 
 
 def test_a_loop_keeps_no_rows_that_only_dead_steps_read():
