@@ -12,10 +12,10 @@ work: room for what one group carries and keeps
 
 from __future__ import annotations
 
-import itertools
 import math
 import platform
 from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -636,6 +636,14 @@ def _doubled(plan: Trials) -> list[Buffer]:
     return found
 
 
+class Kept(NamedTuple):
+    """A number of a result that each trial gives: the number of the loop, the node, its place."""
+
+    loop: int
+    node: Node
+    at: At
+
+
 def _taped(plan: Trials) -> dict[Buffer, Buffer]:
     """The carried rows that are kept for each trial, as a gradient does, with the results they are.
 
@@ -644,68 +652,60 @@ def _taped(plan: Trials) -> dict[Buffer, Buffer]:
     """
     found: dict[Buffer, Buffer] = {}
     written = {sink.buffer for loop in plan.loops for sink in loop.sinks}
-    kept: dict[Buffer, list[tuple[int, Node, At]]] = {}
+    kept: dict[Buffer, list[Kept]] = {}
     for number, loop in enumerate(plan.loops if not plan.reverse else []):
         for segment in loop.segments:
             for buffer, offset, array in segment.stores:
-                places = (At(buffer, 1, offset, m) for m in range(array.size))
-                of = kept.setdefault(buffer, []) if buffer.kind == "out" else []
-                of += zip(itertools.repeat(number), array.flat, places)
+                if buffer.kind == "out":
+                    kept.setdefault(buffer, []).extend(
+                        Kept(number, node, At(buffer, 1, offset, m))
+                        for m, node in enumerate(array.flat)
+                    )
     for out, stores in kept.items():
-        begun = {_begun_with(node, at) for _, node, at in stores}
+        begun = {*map(_begun_with, stores)}
         carried = begun.pop()
         if begun or carried is None or carried in found or carried not in written:
             continue
         alike = (carried.length, carried.width, carried.dtype) == (out.length, out.width, out.dtype)
-        if alike and (
-            all(not node.args for _, node, _ in stores) or _replaced(plan, carried, stores)
-        ):
+        as_it_is = all(not of.node.args for of in stores)
+        if alike and (as_it_is or _replaced(plan, carried, stores)):
             found[carried] = out
     return found
 
 
-def _begun_with(node: Node, at: At) -> Buffer | None:
-    """The carried rows that a result at a place is, where nothing else is chosen for the trial."""
-    if node.name == "select" and not node.args[0].varies:
-        node = node.args[1]
-    what = node.what
-    there = isinstance(what, At) and what == at._replace(buffer=what.buffer)
-    return what.buffer if there and what.buffer.kind == "carried" else None
+def _begun_with(of: Kept) -> Buffer | None:
+    """The carried rows that a result is, where nothing else is chosen for the trial."""
+    chosen = of.node.name == "select" and not of.node.args[0].varies
+    what = of.node.args[1].what if chosen else of.node.what
+    if not isinstance(what, At) or what.buffer.kind != "carried":
+        return None
+    return what.buffer if what == of.at._replace(buffer=what.buffer) else None
 
 
-def _replaced(plan: Trials, carried: Buffer, stores: list[tuple[int, Node, At]]) -> bool:
-    """Whether nobody reads what carried rows were once another choice is written in their place.
+def _replaced(plan: Trials, carried: Buffer, stores: list[Kept]) -> bool:
+    """Whether nobody misses what carried rows were once another choice is written in their place.
 
-    Who reads them then chooses the same once more.
-
-    stores: the numbers of the loops in which the choices are stored, the choices, and their places
+    Who reads them later chooses by the same condition between them and something else.
     """
-    if len({(number, *node.args[:1]) for number, node, _ in stores}) > 1:
+    if len({(of.loop, *of.node.args[:1]) for of in stores}) > 1:
         return False
-    number, condition = stores[0][0], stores[0][1].args[0]
-    choices = {at.number: (node.args[2], at.first) for _, node, at in stores}
+    number, (condition, *_), first = stores[0].loop, stores[0].node.args, stores[0].at.first
 
-    def harmless(reader: Node | None, node: Node, loop: int, d: int) -> bool:
+    def later(node: Node, loop: int, d: int) -> bool:
         what = node.what
-        if not isinstance(what, At) or what.buffer != carried or loop < number or not node.varies:
-            return True
-        other, first = choices[what.number]
-        if loop == number and what.sign == 1 and d * what.first >= d * first:
-            return True
-        if reader is None or reader.name != "select" or reader.args[:2] != (condition, node):
+        if not isinstance(what, At) or what.buffer != carried or not node.varies:
             return False
-        by, chosen = what.first - first, reader.args[2]
-        if not isinstance(other.what, At) or not isinstance(chosen.what, At):
-            return chosen is other and not other.varies
-        return chosen.what == other.what._replace(first=other.what.first + by)
+        ahead = loop == number and what.sign == 1 and d * what.first >= d * first
+        return loop >= number and not ahead
 
     for i, loop in enumerate(plan.loops):
         for segment in loop.segments:
             wanted = [x for *_, array in (*segment.stores, *segment.results) for x in array.flat]
             wanted += [x for _, x in segment.cells]
-            read = [(None, x) for x in wanted]
-            read += [(x, y) for x in in_turn(wanted) for y in x.args]
-            if not all(harmless(reader, node, i, loop.direction) for reader, node in read):
+            read = [(reader, x) for reader in in_turn(wanted) for x in reader.args]
+            chosen = (reader.args[:2] == (condition, x) and reader.name == "select"
+                      for reader, x in read if later(x, i, loop.direction))  # fmt: skip
+            if not all(chosen) or any(later(x, i, loop.direction) for x in wanted):
                 return False
     return True
 

@@ -123,8 +123,9 @@ def test_numbers_are_rounded_alike_with_and_without_a_choice(monkeypatch, share)
 
 @pytest.mark.parametrize(
     ("read", "once"),
-    [("what begins", 1), ("what was before", 0), ("another choice", 0), ("without a choice", 1)],
-)
+    [("what begins", 1), ("what was before", 0), ("another choice", 1), ("without a choice", 1),
+     ("a result", 0)],
+)  # fmt: skip
 def test_what_a_trial_begins_with_is_stored_once_unless_it_is_read_later(monkeypatch, read, once):
     """Where another choice takes its place, and a later sample reads what was there."""
     found, taped = [], llvm._taped
@@ -136,12 +137,14 @@ def test_what_a_trial_begins_with_is_stored_once_unless_it_is_read_later(monkeyp
             before, passed = carry
             begun = before if read == "without a choice" else jnp.where(passed, fresh, before)
             late = {"what was before": before, "another choice": jnp.where(passed, 2.0, before)}
-            late = late.get(read, begun)
-            late = jnp.concatenate([late[:1], late[:-1]])
+            late, told = (
+                jnp.concatenate([x[:1], x[:-1]])
+                for x in (late.get(read, begun), before if read == "a result" else begun)
+            )
             total, after = lax.scan(
                 lambda s, b: (s + b[1], 0.9 * b[0] - 0.3 * b[1] + 1e-3 * s), 0.0, (begun, late)
             )
-            return (after, passed | (gain * total > 60.0)), (total, begun)
+            return (after, passed | (gain * total > 60.0)), (total, begun, told)
 
         return lax.scan(trial, (gain * fresh, gain > 8.0), jnp.arange(6.0))
 
