@@ -114,6 +114,7 @@ end:
 # On Linux, each further thread begins on the next core that this process may use, and may be moved
 # later. Else it often waits on the core of the thread that creates it while another core has no
 # work, and is moved there only after milliseconds, in which a group of machines could be done.
+# `last` is the core of the thread before, or -1 where the system does not tell the cores.
 APART = """
 declare i32 @sched_getcpu()
 declare i32 @sched_getaffinity(i32, i64, ptr)
