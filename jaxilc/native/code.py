@@ -87,7 +87,7 @@ create:
   br i1 %all, label %own, label %one
 one:
   %id = getelementptr i64, ptr %ids, i64 %i
-  %failed = call i32 @create(ptr %id, ptr %task, ptr %last)
+  %failed = call i32 {create}
   %ready = icmp eq i32 %failed, 0
   br i1 %ready, label %created, label %own
 created:
@@ -169,12 +169,6 @@ end:
   ret i32 0
 }
 """
-ELSEWHERE = """
-define i32 @create(ptr %id, ptr %pointer, ptr %last) {
-  %failed = call i32 @pthread_create(ptr %id, ptr null, ptr @part, ptr %pointer)
-  ret i32 %failed
-}
-"""
 
 
 def callable_by_xla(
@@ -254,7 +248,9 @@ def callable_by_xla(
     do(f"%cores = add i64 {threads}, 0")
     return text + PART.format(
         operands=max(operands, 1), results=max(len(results), 1), work=_whole(work), trials=trials,
-        apart=APART if linux else ELSEWHERE, told="\n".join(told),
+        create="@create(ptr %id, ptr %task, ptr %last)" if linux else
+            "@pthread_create(ptr %id, ptr null, ptr @part, ptr %task)",
+        apart=APART if linux else "", told="\n".join(told),
         begun="\n".join(filter(None, lines)),
     )  # fmt: skip
 

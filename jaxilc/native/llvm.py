@@ -700,12 +700,10 @@ def _replaced(plan: Trials, carried: Buffer, stores: list[Kept]) -> bool:
 
     for i, loop in enumerate(plan.loops):
         for segment in loop.segments:
-            wanted = [x for *_, array in (*segment.stores, *segment.results) for x in array.flat]
-            wanted += [x for _, x in segment.cells]
-            read = [(reader, x) for reader in in_turn(wanted) for x in reader.args]
+            read = [(reader, x) for reader in in_turn(segment.wanted) for x in reader.args]
             chosen = (reader.args[:2] == (condition, x) and reader.name == "select"
                       for reader, x in read if later(x, i, loop.direction))  # fmt: skip
-            if not all(chosen) or any(later(x, i, loop.direction) for x in wanted):
+            if not all(chosen) or any(later(x, i, loop.direction) for x in segment.wanted):
                 return False
     return True
 

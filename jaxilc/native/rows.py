@@ -225,6 +225,12 @@ class Segment(NamedTuple):
     cells: list[tuple[Node, Node]]
     results: list[tuple[Result, int, Array]]
 
+    @property
+    def wanted(self) -> list[Node]:
+        """The nodes that it stores, carries, or has as results."""
+        arrays = (x for *_, x in (*self.stores, *self.results))
+        return [*(x for array in arrays for x in array.flat), *(x for _, x in self.cells)]
+
 
 class Loop:
     """A loop over samples.
@@ -1306,9 +1312,7 @@ def without_choices(of: Trials, segment: Segment) -> tuple[list[Node], Segment]:
 
     if segment.last - segment.first < FEW_SAMPLES:
         return [], segment
-    arrays = [x for *_, x in (*segment.stores, *segment.results)]
-    wanted = [*(x for array in arrays for x in array.flat), *(x for _, x in segment.cells)]
-    for node in in_turn(wanted):
+    for node in in_turn(segment.wanted):
         new[node] = put(node)
     putting = partial(n.each, new.__getitem__)
     return [*conditions], segment._replace(

@@ -69,7 +69,7 @@ def _restarted_jvp(primals, tangents):
 class Bounded(Guard):
     """A scheme that sees no error beyond a level, and learns until a trial passes it.
 
-        y seen = y if |e| <= level, else r - level or r + level
+        y seen = min(max(y, r - level), r + level)
         memory = initial memory after a trial in which max |e| > level
 
     As long as no error exceeds the level, all numbers are those of the scheme itself. After a trial

@@ -22,11 +22,12 @@ from gain_case import PROBLEM, STATIC, TASK, N
 from jaxilc import schemes
 from jaxilc.learning import Machine, learn
 from jaxilc.learning.known_metrics import GATHERED
-from jaxilc.learning.metrics import Keep
+from jaxilc.learning.metrics import Keep, measure
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType
 from jaxilc.schemes.mfac import reset_estimate
 from jaxilc.signals import Task
+from jaxilc.signals.task import Trial
 from jaxilc.tuning import objectives
 from jaxilc.tuning.descent import Evaluation, by_gradient, for_starts, repaired
 from jaxilc.tuning.objectives import (
@@ -367,6 +368,28 @@ def test_a_scheme_within_bounds_is_the_scheme():
             learn(machine, s, task, TRIALS) for s in (scheme, Bounded.around(scheme, task))
         )
         np.testing.assert_array_equal(bare.rms, bounded.rms)
+
+
+def test_what_a_scheme_sees_is_within_the_level_and_finite():
+    bounded, r = Bounded(PIDType(), level=jnp.array([2.0])), jnp.array([1.0])
+    y = jnp.array([np.nan, np.inf, -np.inf, 0.5, 9.0, -1.0 - 1e-9])[:, None]
+    seen, slope = jax.jvp(
+        lambda y: jax.vmap(bounded._seen, (0, None))(y, r), (y,), (jnp.ones_like(y),)
+    )
+    np.testing.assert_array_equal(seen[:, 0], [-1.0, 3.0, -1.0, 0.5, 3.0, -1.0])
+    np.testing.assert_array_equal(slope[:, 0], [0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+
+
+def test_the_largest_of_errors_that_are_all_zero_has_no_slope():
+    r, v, u = jnp.ones((5, 1)), jnp.array([7.0, 1.0, -3.0, 2.0, -3.0])[:, None], jnp.zeros((4, 1))
+    task = Task(r, dt=1e-3, settle=(0.0, 4e-3))
+
+    def sizes(z):
+        found = measure(Trial(r, r + z * v, u, task.dt, {}, None), task)
+        return jnp.concatenate([found.max_error, found.settled_error])  # from sample 1 and 0 on
+
+    slopes = [jax.jacrev(sizes)(z).tolist() for z in (0.0, 1.0, -2.0)]
+    assert slopes == [[0.0, 0.0], [3.0, 7.0], [-3.0, -7.0]]
 
 
 def test_divergence_has_the_loss_of_the_trial_that_passed_the_ceiling_and_its_slope():

@@ -11,7 +11,7 @@ import pytest
 from cases import CASES, SCHEMES, case, few
 
 from jaxilc.learning import Disturbance, Sensor, learn
-from jaxilc.native import code, llvm, loops, operations, run, why_not
+from jaxilc.native import code, llvm, loops, operations, rows, run, why_not
 from jaxilc.native.program import Unknown
 from jaxilc.native.run import Compiled, Native, differs
 
@@ -72,6 +72,19 @@ def test_every_case_learns_as_by_xla_or_is_refused_by_name(name):
     found = Compiled(of_machine, common, 1.0)(common, GAINS)
     wanted = jax.jit(jax.vmap(of_machine, (None, 0)))(common, GAINS)
     assert differs(found, wanted) is None
+
+
+def test_a_window_of_samples_divides_a_loop_and_is_not_read_in_each_sample(monkeypatch):
+    common, found, masks = arguments("p_type"), [], []
+    for runs in (rows.FEW_RUNS, 0):
+        monkeypatch.setattr(rows, "FEW_RUNS", runs)
+        program = Compiled(of_machine, common, 1.0)
+        found.append(jax.tree.leaves(program(common, GAINS)))
+        buffers = [x for loop in program._loops for x in loop._function.plan.buffers]
+        masks.append(sum(x.kind == "given" and x.dtype == bool for x in buffers))
+    assert masks[0] == 0 < masks[1]
+    for x, y in zip(*found, strict=True):
+        np.testing.assert_array_equal(x, y)
 
 
 def test_what_the_sample_before_has_computed_is_not_computed_again(monkeypatch):
