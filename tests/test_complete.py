@@ -329,7 +329,7 @@ SECOND_LISTS = {  # modules that list names again, with what compares them, or w
     "jaxilc/scenarios/file_task.py": "references that a file may name; a place above",
     "jaxilc/signals/references.py": "the references themselves",
     "jaxilc/scenarios/from_file.py": "the list of scenarios, and those with several readings",
-    "jaxilc/cli/durations.py": "how long a command often takes; none is needed",
+    "jaxilc/cli/progress.py": "how long a command often takes; none is needed",
 }
 
 

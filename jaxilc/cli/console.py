@@ -14,7 +14,6 @@ from collections import defaultdict
 from pathlib import Path
 
 from ..outcomes.outcome import Console
-from ..runtime.events import COMPILING, COMPUTING
 
 PIPED_WIDTH = 160  # columns of output that does not go to a terminal
 WORTH_A_LINE = 0.05  # seconds of compiling or loading a program from which on it is logged
@@ -102,7 +101,7 @@ def stage_ends(stage: str) -> None:
 def ended() -> None:
     """Log the time that the command took, and how much of it was compiling and computing."""
     if log.isEnabledFor(logging.INFO):
-        if counted[COMPUTING] and counted["run"]:
+        if counted["computing"] and counted["run"]:
             log.info("%s", _shares(time.perf_counter()))
         took = time.perf_counter() - counted["started"]
         log.info(
@@ -116,7 +115,7 @@ def ended() -> None:
 
 def _shares(now: float) -> str:
     """The time of a sweep in compiled code, and the rest of its time by what it was."""
-    computing, compiling = counted[COMPUTING], counted[COMPILING]
+    computing, compiling = counted["computing"], counted["compiling"]
     rest = {
         "start": counted["start"] - counted["started"],
         "compiling": compiling,
@@ -133,9 +132,13 @@ def _follow() -> None:
     """Count programs and log slow ones; cached, since listeners stay for the whole process."""
     from jax import monitoring
 
+    from ..runtime.start import COMPILING, COMPUTING
+
+    of_sweeps = {COMPILING: "compiling", COMPUTING: "computing"}
+
     def compiled(event: str, duration_secs: float, **about: object) -> None:
-        if event in (COMPILING, COMPUTING):
-            counted[event] += duration_secs
+        if event in of_sweeps:
+            counted[of_sweeps[event]] += duration_secs
         if event == COMPILED:
             counted["programs"] += 1
             counted["s"] += duration_secs

@@ -23,7 +23,6 @@ from . import commands
 from .console import ended, err, prefer, speak, tracebacks
 from .explore import explore
 from .hardware import SETTINGS, Refused, next_, trials
-from .init import init
 from .options import DESIGN, MACHINE, PROVE, SIMULATE, Commands, add, figures_as, of_list
 
 LONGEST = 2000  # characters of the message of an error
@@ -134,7 +133,7 @@ class Command(typer.core.TyperCommand):
 
 # What one wants, and its commands, in the order of `--help`.
 COMMANDS: dict[str, list[Callable[..., None]]] = {
-    SIMULATE: [commands.demo, init, commands.list_, commands.run, commands.sweep, explore],
+    SIMULATE: [commands.demo, commands.init, commands.list_, commands.run, commands.sweep, explore],
     DESIGN: [
         commands.potential,
         commands.identify,

@@ -656,7 +656,7 @@ def _starts(
     dry_run: bool,
 ) -> bool:
     """Whether the call starts a campaign; raises what is wrong with the options together."""
-    from ..hardware.input_files import check_format
+    from ..hardware.controller_files import check_format
     from ..hardware.journal import Journal
 
     if out_file is not None:
@@ -785,7 +785,7 @@ def _played(path: Path | None, schedules, task, trial: int, number: str) -> None
     """Print the next schedules of the machine, and write them to the path, if it is not None."""
     import numpy as np
 
-    from ..hardware.input_files import write_schedules
+    from ..hardware.controller_files import write_schedules
     from ..learning.playback import unit_of
 
     peaks = ", ".join(

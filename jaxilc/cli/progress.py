@@ -1,8 +1,15 @@
-"""Progress bars, which are shown in terminals only, and stopping a long computation."""
+"""Progress bars, which are shown in terminals only, and stopping a long computation.
+
+How long commands took on this computer is kept, so that the time left is known before a part is
+done.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import json
+import os
 import sys
 import threading
 import time
@@ -12,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from . import console, durations
+from . import console
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -21,7 +28,12 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-
+WRITTEN = ("--out", "--json", "--report", "--figures", "--seed")  # take no time of their own
+KEPT = 200  # commands
+# Seconds of a command the first time, measured on an axis as `init` writes it (`identify`: 5000
+# samples): two cores, nothing compiled.
+USUAL = {"run": 6.0, "certify": 16.0, "identify": 6.0, "filter": 11.0, "export": 28.0,
+         "worst-case": 7.0, "tune": 8.0, "design": 62.0, "learn-law": 66.0}  # fmt: skip
 WORTH_KEEPING = 1.0  # seconds from which on the duration of a command is kept
 # Packages that a command needs when its sweep or tuning is computed.
 AFTERWARDS = ("xarray", "zarr", "matplotlib.figure", "matplotlib.backends.backend_agg")
@@ -79,9 +91,9 @@ def working(command: str) -> Generator[Callable[..., None]]:
     from these, and before that from the same command, or that command on the same scenario.
     """
     start = time.perf_counter()
-    keys = [durations.key_of([command, *sys.argv[1:end]]) for end in (None, 3)]
-    known = [seconds for seconds in map(durations.expected, keys) if seconds is not None]
-    last, usual = next(iter(known), None), durations.USUAL.get(command)
+    keys = [key_of([command, *sys.argv[1:end]]) for end in (None, 3)]
+    known = [seconds for seconds in map(taken, keys) if seconds is not None]
+    last, usual = next(iter(known), None), USUAL.get(command)
     with progress_bar(transient=True, expected=last, usual=usual) as bar:
         one = bar.add_task(command, total=None, now="starting")
 
@@ -92,7 +104,7 @@ def working(command: str) -> Generator[Callable[..., None]]:
     seconds = time.perf_counter() - start
     if seconds > WORTH_KEEPING:
         for key in keys:
-            durations.remember(key, seconds)
+            remember(key, seconds)
 
 
 def run_sweep(
@@ -182,3 +194,56 @@ def run_search(
         console.warn(f"stopped; {state} holds what is done: the same command with --resume goes on")
         sys.exit(130)
     return found
+
+
+def durations_file() -> Path | None:
+    """The file of durations, in the user's cache or JAXILC_CACHE; None where that is `off`."""
+    chosen = os.environ.get("JAXILC_CACHE", "")
+    if chosen == "off":
+        return None
+    with suppress(RuntimeError):  # a user without a home folder
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxilc"
+        return Path(chosen or cache) / "durations.json"
+    return None
+
+
+def key_of(arguments: Sequence[str]) -> str:
+    """A short name for what a command computes, whatever files it writes."""
+    words, skipped = [], False
+    for word in arguments:
+        if skipped or word.partition("=")[0] in WRITTEN:
+            skipped = not skipped and "=" not in word
+        else:
+            words.append(word)
+    return hashlib.sha256(json.dumps(words).encode()).hexdigest()[:16]
+
+
+def taken(key: str) -> float | None:
+    """The seconds that it took the last time; None if it was never run, or nothing is kept."""
+    return _known().get(key)
+
+
+def remember(key: str, seconds: float) -> None:
+    """Keep the seconds that it took; where no file can be written, nothing is kept."""
+    from ..storage.sealed import write_json
+
+    path, known = durations_file(), _known()
+    if path is None:
+        return
+    known.pop(key, None)
+    known[key] = round(seconds, 2)
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, dict(list(known.items())[-KEPT:]))
+
+
+def _known() -> dict[str, float]:
+    """All durations; none where the file is missing or is not what was written."""
+    path = durations_file()
+    if path is None:
+        return {}
+    try:
+        found = json.loads(path.read_bytes())
+        return {str(key): float(seconds) for key, seconds in found.items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}

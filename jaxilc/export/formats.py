@@ -9,8 +9,8 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..native.program import Unknown
-from . import fmu, hal, st
-from .c_files import bytes_of, files_of
+from . import fmu, st
+from .c_files import bytes_of, files_of, hal_component
 from .law import Law
 from .plant import files_of_plant, model_of
 
@@ -82,7 +82,7 @@ def _hal(asked: Asked) -> Made:
     _need_double(asked, "a HAL component, whose pins are double")
     of_c = _c(asked)
     texts = {name: str(text) for name, text in of_c.files.items()}
-    component = hal.component(asked.law.task, texts, asked.about[0])
+    component = hal_component(asked.law.task, texts, asked.about[0])
     return Made({"law.comp": component, **texts}, of_c.bytes)
 
 

@@ -1,8 +1,7 @@
 from .campaign import Campaign, Turn
 from .checks import Finding, Rules
-from .input_files import write_schedules
+from .controller_files import MapTable, read_map, write_map, write_schedules
 from .journal import Journal
-from .map_files import MapTable, read_map, write_map
 from .trial_files import Measured, read_measured
 
 __all__ = [

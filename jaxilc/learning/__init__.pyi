@@ -3,6 +3,8 @@ from .machine import Actuator, Disturbance, Machine, Sensor
 from .metrics import (
     Keep,
     Repeatability,
+    Watch,
+    Watched,
     best_trial,
     chattering,
     measure,
@@ -13,7 +15,6 @@ from .metrics import (
 from .over_trials import History, check, feedforward, learn, measured_trial, next_memory, truncated
 from .playback import replay
 from .variation import PlantChange, References, Variation
-from .watch import Watch, Watched
 from .within_trial import run_trial
 
 __all__ = [

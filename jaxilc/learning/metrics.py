@@ -1,13 +1,14 @@
 """The metrics of a trial, computed while it runs or from its record, and further quantities.
 
-The metrics are declared in `known_metrics`.
+The metrics are declared in `known_metrics`. A metric knows one trial; a `Watch` looks at each trial
+beside the trial before it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +18,13 @@ from jax import lax
 from ..pytree.aliases import Array, Tree
 from ..runtime.jax_internals import with_slope
 from ..runtime.lanes import over_samples
+from ..schemes import Scheme
 from ..signals.rows import for_scan
 from ..signals.task import Task, Trial
 from .known_metrics import GATHERED, METRICS, Gathering, Metrics
+
+if TYPE_CHECKING:
+    from .machine import Machine
 
 
 class Tally(NamedTuple):
@@ -298,3 +303,48 @@ def root_mean_square(signal: Array) -> Array:
 
 def _root(mean: Array) -> Array:
     return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), 0.0 * mean)
+
+
+class Watched(NamedTuple):
+    """A variable that a watch finds: whether there is one for each trial, its unit, its meaning."""
+
+    of_trials: bool
+    unit: str
+    text: str
+
+
+class Watch:
+    """What looks at each trial beside the one before it, and keeps numbers but no signals.
+
+    A metric knows one trial; how much smaller the error of a sample has become is seen in two. A
+    subclass is a frozen dataclass: equal ones share a compiled program.
+    """
+
+    def variables(self, task: Task) -> dict[str, Watched]:
+        """What is found, by name."""
+        raise NotImplementedError
+
+    def known(self, machine: Machine, scheme: Scheme, task: Task) -> Mapping[str, Array]:
+        """Numbers () by name that are computed once, before the first trial."""
+        raise NotImplementedError
+
+    def continued(
+        self,
+        known: Mapping[str, Array],
+        machine: Machine,
+        scheme: Scheme,
+        task: Task,
+        memory: Tree,
+    ) -> Mapping[str, Array]:
+        """What is known of a run that goes on from a memory, maybe of another machine."""
+        del machine, scheme, task, memory
+        return known
+
+    def seen(
+        self, known: Mapping[str, Array], scheme: Scheme, before: Trial, trial: Trial
+    ) -> Mapping[str, Array]:
+        """Numbers () by name of a trial and the one before it.
+
+        The first trial that `learn` runs has none before it; there `learn` keeps NaN.
+        """
+        raise NotImplementedError

@@ -27,8 +27,8 @@ from ..signals.task import Task, Trial
 from .divergence import course
 from .known_metrics import Metrics, bytes_of_metrics
 from .machine import Machine
+from .metrics import Watch
 from .rehearsal import need_double, need_fitting_memory, need_pytrees, rehearse
-from .watch import Watch
 from .within_trial import first_start, run_and_measure
 
 LITTLE = 2**24  # bytes, below which the size is not checked

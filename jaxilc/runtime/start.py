@@ -19,6 +19,9 @@ from .xla_options import chosen
 
 NATIVE = "JAXILC_NATIVE"
 SETTINGS = ("auto", "on", "off")
+# Events that a sweep records with `jax.monitoring`, each with its seconds, for `--verbose`.
+COMPILING = "/jaxilc/sweep/compiling"  # the programs were compiled, or loaded
+COMPUTING = "/jaxilc/sweep/computing"  # the devices computed a chunk
 WORTH = 5e7  # sample-steps that take XLA about as long as to compile them here, once for all
 
 

@@ -15,7 +15,6 @@ from .bases import (
 from .basis_functions import BasisFunctions, OnBasis, WarmStart, fitted, started
 from .compose import ErrorFiltered, Filtered, MultivariableILC, OnOutputs, OnReference, WithFeedback
 from .constrained_norm_optimal import ConstrainedNormOptimal
-from .cross_coupled import CrossCoupled
 from .estimated_disturbance import EstimatedDisturbance
 from .gradient import GradientILC, ModelFreeGradient
 from .guards import KeepUnmeasured, Ladder, StopWhen
@@ -28,6 +27,7 @@ from .repetitive import PeriodTracking, RepetitiveBasis, RepetitiveControl, harm
 from .scheme import Feedforward, Scheme
 from .sliding_mode import ASMC, SMC
 from .two_step import TwoStep
+from .weights import CrossCoupled
 
 __all__ = [
     "ASMC",

@@ -22,16 +22,14 @@ import numpy as np
 
 from ..learning.divergence import Course
 from ..learning.known_metrics import METRICS
-from ..learning.metrics import Keep
+from ..learning.metrics import Keep, Watch
 from ..learning.over_trials import learn
-from ..learning.watch import Watch
 from ..native.run import Compiled, Native
 from ..pytree.aliases import Tree
 from ..pytree.named_paths import replaced
 from ..runtime import capacity, provenance
-from ..runtime.events import COMPILING, COMPUTING
 from ..runtime.lanes import fitting_lanes
-from ..runtime.start import native_unwanted
+from ..runtime.start import COMPILING, COMPUTING, native_unwanted
 from ..runtime.tiles import tiled
 from ..uncertainty import Drawn, drawn_machine, key_of
 from .plan import Chunk, Plan

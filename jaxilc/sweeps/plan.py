@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from ..learning.known_metrics import METRICS
-from ..learning.watch import Watch
+from ..learning.metrics import Watch
 from ..pytree.aliases import Value
 from ..runtime import capacity
 from ..runtime.tiles import OPEN

@@ -14,9 +14,8 @@ import jax
 import numpy as np
 
 from ..learning.machine import Machine
-from ..learning.metrics import Keep
+from ..learning.metrics import Keep, Watch
 from ..learning.over_trials import check
-from ..learning.watch import Watch
 from ..learning.within_trial import bytes_of_trial
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short

@@ -24,9 +24,8 @@ import numpy as np
 from jax import lax
 
 from ..learning.machine import Machine
-from ..learning.metrics import largest
+from ..learning.metrics import Watch, Watched, largest
 from ..learning.over_trials import learn
-from ..learning.watch import Watch, Watched
 from ..learning.within_trial import run_trial
 from ..plants.structure import obstacle
 from ..pytree.aliases import Leaf, Tree, Value

@@ -30,7 +30,7 @@ from typer.testing import CliRunner
 
 import jaxilc
 from jaxilc import outcomes
-from jaxilc.cli import app, console, durations, progress
+from jaxilc.cli import app, console, progress
 from jaxilc.cli.hardware import OF_CAMPAIGN
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
 from jaxilc.outcomes import Request, demonstrating, running, sweeping
@@ -777,28 +777,28 @@ def test_a_text_stands_above_the_bar_in_a_terminal_and_in_the_output_elsewhere(m
 def test_the_time_left_is_known_from_the_last_time(monkeypatch, tmp_path):
     """A command that took 40 s has about 40 s left when it begins again, whatever its files."""
     monkeypatch.setenv("JAXILC_CACHE", str(tmp_path / "cache"))
-    key = durations.key_of(["run", "a.toml", "--out", "x", "--trials", "5", "--json=y"])
-    assert key == durations.key_of(["run", "a.toml", "--trials", "5"])
-    assert key != durations.key_of(["run", "a.toml", "--trials", "6"])
-    assert durations.expected(key) is None
-    durations.remember(key, 40.0)
+    key = progress.key_of(["run", "a.toml", "--out", "x", "--trials", "5", "--json=y"])
+    assert key == progress.key_of(["run", "a.toml", "--trials", "5"])
+    assert key != progress.key_of(["run", "a.toml", "--trials", "6"])
+    assert progress.taken(key) is None
+    progress.remember(key, 40.0)
     text = io.StringIO()
     monkeypatch.setattr(console, "err", Console(file=text, force_terminal=True, width=120))
     monkeypatch.setattr(console.out, "quiet", False)
-    with progress.progress_bar(expected=durations.expected(key)) as bar:
+    with progress.progress_bar(expected=progress.taken(key)) as bar:
         bar.add_task("run", total=None, now="starting")
     assert "about 40 s left" in text.getvalue()
     for how, said in (({"usual": 90.0}, "often 90 s"), ({"expected": 0.5}, "longer than before")):
         with progress.progress_bar(**how) as bar:
             bar.add_task("run", total=None, now="starting")
         assert said in text.getvalue()
-    durations.file().write_text("[")
-    assert durations.expected(key) is None
-    durations.remember(key, 2.0)
-    assert durations.expected(key) == 2.0
+    progress.durations_file().write_text("[")
+    assert progress.taken(key) is None
+    progress.remember(key, 2.0)
+    assert progress.taken(key) == 2.0
     monkeypatch.setenv("JAXILC_CACHE", "off")
-    durations.remember(key, 3.0)
-    assert durations.expected(key) is None
+    progress.remember(key, 3.0)
+    assert progress.taken(key) is None
 
 
 def test_quiet_and_verbose(jaxilc_command, tmp_path):

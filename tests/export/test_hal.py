@@ -9,20 +9,19 @@ import pytest
 from cases import case
 
 from jaxilc.export import law_of
-from jaxilc.export.c_files import files_of
-from jaxilc.export.hal import component
+from jaxilc.export.c_files import files_of, hal_component
 
 
 @pytest.fixture(scope="module", params=["cfdl_book", "norm_optimal"])
 def text(request):
     _, scheme, task = case(request.param)
     files = files_of(law_of(scheme, task, 100.0), ["A law."], "0" * 64, [task.reference])
-    return component(task, files, "A law.")
+    return hal_component(task, files, "A law.")
 
 
 def test_a_description_of_several_lines_is_put_on_one():
     _, _, task = case("cfdl_book")
-    text = component(task, {"law.h": "", "law.c": ""}, 'A "law"\nof two\tlines.')
+    text = hal_component(task, {"law.h": "", "law.c": ""}, 'A "law"\nof two\tlines.')
     assert text.splitlines()[0] == """component law "A 'law' of two lines.";"""
 
 
@@ -78,7 +77,7 @@ def test_a_thread_plays_trial_after_trial(tmp_path):
     """With rests of any length between trials, and calls of another period, which do nothing."""
     _, scheme, task = case("cfdl_book")
     law = law_of(scheme, task, 100.0)
-    code = component(task, files_of(law, [], "0" * 64, [task.reference]), "").partition(";;")[2]
+    code = hal_component(task, files_of(law, [], "0" * 64, [task.reference]), "").partition(";;")[2]
     code = code.replace("rtapi_math.h", "math.h")
     (tmp_path / "law.c").write_text(STUB + code + SESSION)
     made = ["cc", "-std=c99", "-ffp-contract=off", "-o", "law", "law.c", "-lm"]

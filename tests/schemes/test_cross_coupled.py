@@ -12,7 +12,7 @@ from jaxilc.learning import Machine, learn
 from jaxilc.learning.quantities import contour_metrics
 from jaxilc.plants import DifferenceEquation, StateSpace, TwoAxes
 from jaxilc.schemes import FFDLMFAILC, CrossCoupled, ModelFreeGradient, NormOptimal, PIDType
-from jaxilc.schemes.cross_coupled import across, tangents
+from jaxilc.schemes.weights import across, tangents
 from jaxilc.signals import Task
 from jaxilc.theory import certify
 
