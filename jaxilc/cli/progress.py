@@ -32,7 +32,7 @@ WRITTEN = ("--out", "--json", "--report", "--figures", "--seed")  # take no time
 KEPT = 200  # commands
 # Seconds of a command the first time, measured on an axis as `init` writes it (`identify`: 5000
 # samples): two cores, nothing compiled.
-USUAL = {"run": 6.0, "certify": 16.0, "identify": 6.0, "filter": 11.0, "export": 28.0,
+USUAL = {"run": 4.0, "certify": 10.0, "identify": 6.0, "filter": 10.0, "export": 12.0,
          "worst-case": 7.0, "tune": 8.0, "design": 62.0, "learn-law": 66.0}  # fmt: skip
 WORTH_KEEPING = 1.0  # seconds from which on the duration of a command is kept
 # Packages that a command needs when its sweep or tuning is computed.

@@ -17,6 +17,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Callable
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -34,6 +35,7 @@ from .condition import ROUNDING
 from .law import learning_law, pushed
 from .linearity import keeps_all, remembers
 from .spectrum import (
+    APART,
     drifting,
     growth_about,
     krylov,
@@ -424,7 +426,8 @@ class Matrices(LearningMaps):
     def _reached(self) -> Matrices:
         """These maps of the inputs that learning reaches, if some machine does not reach all."""
         moved = _apply(self.M, self.start) + self.c - self.start
-        found = [reached(M, d) for M, d in zip(self.M, moved, strict=True)]
+        of_each = zip(self.M, moved, self._contracts(), strict=True)
+        found = [None if contracts else reached(M, d) for M, d, contracts in of_each]
         if all(V is None for V in found):
             return self
         bases = [np.eye(self.M.shape[1]) if V is None else V for V in found]
@@ -447,9 +450,20 @@ class Matrices(LearningMaps):
         )
 
     def norm(self, power: int) -> np.ndarray:
+        return self._norm if power == 1 else self._norm_of(power)
+
+    @cached_property
+    def _norm(self) -> np.ndarray:
+        return self._norm_of(1)
+
+    def _norm_of(self, power: int) -> np.ndarray:
         with np.errstate(over="ignore", invalid="ignore"):
             powers = np.linalg.matrix_power(self.M, power)
             return _norms(powers) * (1 + _wide(powers))
+
+    def _contracts(self) -> np.ndarray:
+        """(S,) whether ||M|| < 1: I - M is then regular, as |(I - M) w| >= (1 - ||M||) |w|."""
+        return self.norm(1) < 1 - 2 * APART * np.finfo(self.M.dtype).eps
 
     def late(self, power: int) -> np.ndarray:
         return self.norm(power) * (1 - 2 * _wide(self.M))
@@ -472,9 +486,10 @@ class Matrices(LearningMaps):
         return _norms(np.eye(self.E.shape[1], dtype=L.dtype) + self.E @ L) * (1 + _wide(L))
 
     def limit(self):
-        unit, limit = np.eye(self.M.shape[1]), np.zeros_like(self.c)
-        for i, (M, c) in enumerate(zip(self.M, self.c, strict=True)):
-            limit[i] = np.linalg.lstsq(unit - M, c)[0]
+        held, limit, regular = np.eye(self.M.shape[1]) - self.M, self.c.copy(), self._contracts()
+        limit[regular] = np.linalg.solve(held[regular], self.c[regular, :, None])[..., 0]
+        for i in np.flatnonzero(~regular):
+            limit[i] = np.linalg.lstsq(held[i], self.c[i])[0]
         left = np.linalg.norm(_apply(self.M, limit) + self.c - limit, axis=1)
         error = np.sqrt(np.mean((_apply(self.E, limit) + self.e0) ** 2, axis=1))
         if self.basis is not None:

