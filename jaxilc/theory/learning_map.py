@@ -486,10 +486,11 @@ class Matrices(LearningMaps):
         return _norms(np.eye(self.E.shape[1], dtype=L.dtype) + self.E @ L) * (1 + _wide(L))
 
     def limit(self):
-        held, limit, regular = np.eye(self.M.shape[1]) - self.M, self.c.copy(), self._contracts()
-        limit[regular] = np.linalg.solve(held[regular], self.c[regular, :, None])[..., 0]
-        for i in np.flatnonzero(~regular):
-            limit[i] = np.linalg.lstsq(held[i], self.c[i])[0]
+        unit, limit = np.eye(self.M.shape[1]), np.zeros_like(self.c)
+        of_each = zip(self.M, self.c, self._contracts(), strict=True)
+        for i, (M, c, regular) in enumerate(of_each):
+            held = unit - M
+            limit[i] = np.linalg.solve(held, c) if regular else np.linalg.lstsq(held, c)[0]
         left = np.linalg.norm(_apply(self.M, limit) + self.c - limit, axis=1)
         error = np.sqrt(np.mean((_apply(self.E, limit) + self.e0) ** 2, axis=1))
         if self.basis is not None:
