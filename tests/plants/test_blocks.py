@@ -191,7 +191,7 @@ def test_a_plant_that_overflows_diverges_where_its_steps_do():
 
 def test_single_precision_stays_single_and_close():
     with jax.enable_x64(False):
-        plant = PLANTS["voice_coil_printed"]
+        plant = jax.tree.map(np.array, PLANTS["voice_coil_printed"])  # nobody else's arrays
         single = [
             learn(Machine(p), PIDType(gamma_p=-1.0), TASK, 3).final.y
             for p in (plant, InBlocks(plant, 8))
