@@ -19,8 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxilc.export import law_of
-from jaxilc.export.c_files import files_of
-from jaxilc.export.hal import component
+from jaxilc.export.c_files import files_of, hal_component
 from jaxilc.runtime import setup
 from jaxilc.schemes import PIDType
 from jaxilc.signals import Task, references
@@ -68,8 +67,8 @@ def main() -> None:
     played = law.played()
     wanted = [np.append(played.trial(one)[0], 0.0) for one in y]  # 0 where the law learns
     with tempfile.TemporaryDirectory() as folder:
-        recorded = in_hal(Path(folder), component(task, files_of(law, ["A law."], "0" * 64, y),
-                                                  "A law."), np.concatenate(y))  # fmt: skip
+        text = hal_component(task, files_of(law, ["A law."], "0" * 64, y), "A law.")
+        recorded = in_hal(Path(folder), text, np.concatenate(y))
     off = np.abs(recorded[:, 0] - np.concatenate(wanted)).max()
     print(f"{len(recorded)} samples of {TRIALS} trials: the inputs differ by {off:.1e} at most")
     print(f"trials that have ended: {recorded[-1, 2]:.0f}; code of the last: {recorded[-1, 3]:.0f}")

@@ -82,6 +82,23 @@ def test_the_public_names_are_those_of_the_list():
     assert folders <= listed.keys()
 
 
+def test_experiments_and_notebooks_import_what_is_there():
+    """Few of them run as a test."""
+    files = [file for folder in ("experiments", "notebooks") for file in
+             (ROOT.parent / folder).rglob("*.py")]  # fmt: skip
+    asked = {
+        (node.module, name.name)
+        for file in files
+        for node in imports_in(file)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "jaxilc"
+        for name in node.names
+    }
+    assert len(asked) > 200
+    for module, name in sorted(asked):
+        found = importlib.import_module(module)
+        assert hasattr(found, name) or importlib.import_module(f"{module}.{name}"), (module, name)
+
+
 def test_no_circle_within_a_family():
     """There is no circle of imports within a family.
 

@@ -196,6 +196,10 @@ def run_search(
     return found
 
 
+# How long commands took on this computer
+# --------------------------------------------------------------------------------------------------
+
+
 def durations_file() -> Path | None:
     """The file of durations, in the user's cache or JAXILC_CACHE; None where that is `off`."""
     chosen = os.environ.get("JAXILC_CACHE", "")

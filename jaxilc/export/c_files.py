@@ -296,6 +296,10 @@ def _numbers(values: np.ndarray, single: bool) -> list[str]:
     return [number(x, float, single) for x in values]
 
 
+# A component of LinuxCNC's HAL, which holds them
+# --------------------------------------------------------------------------------------------------
+
+
 def hal_component(task: Task, files: Mapping[str, str], about: str) -> str:
     """The text of `law.comp`.
 

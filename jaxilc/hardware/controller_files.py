@@ -141,6 +141,10 @@ MOST = 256  # lines that LinuxCNC keeps
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 
 
+# A map over the position
+# --------------------------------------------------------------------------------------------------
+
+
 class MapTable(NamedTuple):
     """A map as a table: each (n,), positions in rising order."""
 

@@ -18,12 +18,12 @@ from jax import lax
 from ..pytree.aliases import Array, Tree
 from ..runtime.jax_internals import with_slope
 from ..runtime.lanes import over_samples
-from ..schemes import Scheme
 from ..signals.rows import for_scan
 from ..signals.task import Task, Trial
 from .known_metrics import GATHERED, METRICS, Gathering, Metrics
 
 if TYPE_CHECKING:
+    from ..schemes import Scheme
     from .machine import Machine
 
 
@@ -303,6 +303,10 @@ def root_mean_square(signal: Array) -> Array:
 
 def _root(mean: Array) -> Array:
     return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), 0.0 * mean)
+
+
+# What looks at each trial beside the one before it
+# --------------------------------------------------------------------------------------------------
 
 
 class Watched(NamedTuple):

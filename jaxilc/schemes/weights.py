@@ -97,6 +97,10 @@ class WeighedOutput(Around):
 RESTS = 1e-6  # share of the largest step of a reference, up to which it counts as rest
 
 
+# Learning from the contour error
+# --------------------------------------------------------------------------------------------------
+
+
 @pytree
 class CrossCoupled(Wrapper):
     """Cross-coupled learning: a scheme learns from the contour error too (Barton, Alleyne 2008).
