@@ -162,6 +162,7 @@ def test_the_adjoint_in_c_is_the_gradient(name):
             )
 
 
+@pytest.mark.thorough
 @WITHOUT_C
 @pytest.mark.parametrize("name", TRIALS)
 def test_the_adjoint_in_c_goes_through_the_branch_that_the_reset_took(name):
@@ -279,6 +280,7 @@ def of_no_size(monkeypatch):
     monkeypatch.setattr(contests, "cost_by_size", measured)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("of_no_size")
 def test_the_command(tmp_path, capsys):
     file = tmp_path / "bench.json"

@@ -81,6 +81,7 @@ def test_what_is_not_linear_is_asked_of_what_the_plant_answers():
         np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.thorough
 def test_order_delay_direct_term_and_integrator_are_found():
     u = RNG.choice([-1.0, 1.0], size=(1000, 1))
     record = excite(Machine(PLANT, sensor=Sensor(noise=2e-3)), u, DT)
@@ -112,6 +113,7 @@ def test_one_lag_is_a_gain_and_a_pole_also_in_few_samples():
     assert (type(found), found.order) == (ProcessModel, 1)
 
 
+@pytest.mark.thorough
 def test_a_dipole_is_kept_or_dropped_by_its_joint_test():
     """A zero beside a pole: their intervals overlap, yet both are needed at little noise."""
     poles, zeros = (40.0, 300.0), (-44.0,)

@@ -179,6 +179,7 @@ def test_poles_have_intervals_even_where_they_meet(identified):
     assert width(identified.poles[1].real) > 5 * width(identified.parameters["frequencies[0]"])
 
 
+@pytest.mark.thorough
 def test_figures_of_merit_are_those_of_the_simulated_output(record, identified):
     y, n = np.asarray(record.y)[:, 0], identified.samples
     bias = identified.parameters["bias"].value

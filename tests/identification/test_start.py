@@ -46,6 +46,7 @@ def test_a_machine_in_motion_is_found_as_one_at_rest(late):
             assert one.high - one.low < 2e-3 * value, name
 
 
+@pytest.mark.thorough
 def test_its_order_and_delay_are_found_too():
     for late in (0, 4):
         grown = grow(played(1, late=late, kept=0.2))
@@ -57,6 +58,7 @@ def test_its_order_and_delay_are_found_too():
         assert not grown.suspicions
 
 
+@pytest.mark.thorough
 def test_the_intervals_hold_the_machine_as_often_as_they_say():
     held = []
     for seed in range(40):

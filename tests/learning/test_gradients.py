@@ -96,6 +96,7 @@ ROBUST = {
 }
 
 
+@pytest.mark.thorough(but=["cvar"])
 @pytest.mark.parametrize("name", ROBUST)
 def test_the_loss_of_a_robust_tuning_has_the_slope_of_its_differences(name):
     """The gradient of the loss of a robust tuning is that of finite differences.

@@ -96,6 +96,7 @@ def test_a_measured_machine_learns_as_the_simulated_one(name, machine, task):
     assert np.max(np.abs(u)) > 1
 
 
+@pytest.mark.thorough(but=["model_free"])
 @pytest.mark.parametrize("name", ["p_type", "model_free"])
 def test_truncated_learning_is_learning_from_any_first_trial(name):
     """The second part has the noise of its trials, and experiments are judged as such."""

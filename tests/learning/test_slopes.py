@@ -188,6 +188,7 @@ def test_every_objective_is_among_them():
     }
 
 
+@pytest.mark.thorough
 def test_contraction_needs_second_derivatives():
     machine, scheme, task = case("constrained")
     with pytest.raises(ValueError, match="ConstrainedNormOptimal has first ones only"):

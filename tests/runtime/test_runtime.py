@@ -84,6 +84,7 @@ def test_wide_registers_are_asked_for_where_nobody_else_did(flags):
     assert (asked.count("prefer_vector_width"), "=128" in asked) == (1, True)
 
 
+@pytest.mark.thorough
 def test_a_later_version_is_given_the_options_that_it_knows(flags):
     """An option that XLA or LLVM does not know ends a process, which is another one here."""
     assert flags["later"] == flags["wide"]

@@ -123,6 +123,7 @@ def slacks(scheme, u, alpha, model):
     }
 
 
+@pytest.mark.thorough
 def test_the_input_is_that_of_another_solver_within_all_bounds(solved):
     problems, memory = solved
     active = set()

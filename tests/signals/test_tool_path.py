@@ -197,6 +197,7 @@ def test_a_rest_of_no_duration_is_refused(seconds):
         follow(steps, corner=None, **LIMITS)
 
 
+@pytest.mark.thorough
 def test_many_straight_moves_are_those_planned_one_by_one():
     """They are planned at once: 20,000 moves took a minute, one by one."""
     rng = np.random.default_rng(7)

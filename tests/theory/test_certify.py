@@ -466,6 +466,7 @@ def test_the_prediction_is_the_simulation_where_all_is_linear(scheme):
     assert not len(found.broken_promises())
 
 
+@pytest.mark.thorough
 def test_machines_in_parts_are_certified_as_all_at_once(monkeypatch):
     """It is needed where the dense matrices of all do not fit into RAM."""
     machines = random_limited(np.random.default_rng(3), 4)

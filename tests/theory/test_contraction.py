@@ -76,6 +76,7 @@ def test_singular_values_are_those_of_the_dense_matrix(name):
         np.testing.assert_allclose(np.linalg.norm(found.direction), 1.0, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_the_error_map_of_a_linear_law_is_the_lifted_one():
     """It is I - G L, also in a closed loop, and its powers are those over several trials."""
     for machine, scheme in (

@@ -219,6 +219,7 @@ def test_a_machine_that_diverges_and_returns_has_diverged():
     assert [found.nominal, found.searches["gradient"].value] == [np.inf, np.inf]
 
 
+@pytest.mark.thorough
 def test_drawn_machines_that_diverge_have_no_finite_error():
     """The error of trial 8 is |1 - b|^7 sin; the limit is 1000 times the reference."""
     box = {"plant.B": Uniform(0.5, 4.5, relative=True)}
