@@ -64,7 +64,9 @@ def scripts(tmp_path_factory) -> list[Path]:
     names = [*(Path(file).stem for file in WITH_PYTHON), "shortest"]
     settings = tomllib.loads((ROOT / CONFIG).read_text(encoding="utf-8"))["tool"]["mypy"]
     del settings["files"]
-    settings["overrides"].append({"module": names} | {f"disallow_{x}": False for x in PACKAGE_ALONE})
+    settings["overrides"].append(
+        {"module": names} | {f"disallow_{x}": False for x in PACKAGE_ALONE}
+    )
     (folder / CONFIG).write_text(tomlkit.dumps({"tool": {"mypy": settings}}))
     for name, text in zip(names, [*texts, SHORTEST], strict=True):
         (folder / f"{name}.py").write_text(text)

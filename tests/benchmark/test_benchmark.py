@@ -341,6 +341,7 @@ def test_a_gradient_is_by_numbers_and_vectors_inside_their_ranges():
     assert set(ours.tunable(CFDLMFAILC())) == {"lam", "eta", "mu", "phi0", "epsilon"}  # rho is 1
 
 
+@pytest.mark.thorough
 def test_the_command_times_the_schemes_of_a_file_that_learn(tmp_path, capsys):
     file, json_file = tmp_path / "axis.toml", tmp_path / "bench.json"
     file.write_text(FILE)

@@ -81,6 +81,7 @@ def test_the_predicted_error_is_that_of_the_recursion(family, window):
     np.testing.assert_allclose(square, expected, rtol=1e-8)
 
 
+@pytest.mark.thorough
 def test_full_matrices_learn_what_crosses_over_and_those_of_each_channel_do_not(
     family, window, found
 ):

@@ -46,6 +46,7 @@ def explored() -> Exploration:
     return Exploration(axis(), machines=4, source="axis.toml")
 
 
+@pytest.mark.thorough
 def test_a_slider_gives_what_learning_gives(explored):
     """The errors of each machine are those of `learn` on this machine alone."""
     found = explored.outcome({"scheme.gamma_p": 0.5}, 0.2)

@@ -171,6 +171,7 @@ def test_an_output_that_answers_within_its_sample_is_not_called_unstable():
         assert found.fit[0] < 80
 
 
+@pytest.mark.thorough
 def test_an_order_beyond_what_is_needed_is_reached_and_one_below_is_not_called_unstable():
     simple = excite(Machine(ProcessModel(3.0, (), (80.0, 20.0))), U[:300], DT)
     assert grow(simple, order=10, delay=0).chosen.order == 10

@@ -68,6 +68,7 @@ def test_of_a_linear_drive_and_of_several_channels_nothing_is_suspected():
     assert suspicions(twice, [found.plant]) == []
 
 
+@pytest.mark.thorough
 def test_more_poles_do_not_imitate_what_is_not_linear():
     """Poles grew to 24 in 40 s, 20 of them undamped at the lines of the multisine."""
     grown = grow(moved("gain by position", seed=1), longest=5)

@@ -35,6 +35,7 @@ def record_of(gain, pole, friction, seed=0):
     return Record(np.concatenate(u), np.concatenate(y), DT, TRIALS)
 
 
+@pytest.mark.thorough
 def test_what_slow_trials_do_not_excite_keeps_its_value_and_interval():
     again = refit(record_of(1.07, 57.0, 0.02), KNOWN, UNCERTAINTY)
     assert again.better

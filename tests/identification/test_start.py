@@ -30,6 +30,7 @@ def played(seed, *, before=400, late=0, kept=0.95, about=0.3):
     return Record(u[before:, None], y[before:, None], DT)
 
 
+@pytest.mark.thorough(but=["4"])
 @pytest.mark.parametrize("late", [0, 4])
 def test_a_machine_in_motion_is_found_as_one_at_rest(late):
     """Without its start the fit was 67 %, with poles that no machine has."""

@@ -76,6 +76,7 @@ def test_slopes_are_the_same_in_tiles_under_jit_and_beside_others(monkeypatch):
         np.testing.assert_array_equal(x[1], y[::-1])
 
 
+@pytest.mark.thorough
 def test_a_machine_has_the_same_slopes_beside_machines_that_pass_the_level(monkeypatch):
     """To the last bit. A group of which no machine has passed it computes none of the choices."""
     monkeypatch.setattr(rows, "FEW_SAMPLES", 1)

@@ -80,6 +80,7 @@ def test_mass_and_friction_of_a_record_of_force_are_told(tmp_path, monkeypatch):
     ]
 
 
+@pytest.mark.thorough
 def test_set_points_of_a_closed_drive_are_no_force_on_a_mass_with_friction(tmp_path):
     """Of steps up and down the speed has the sign, to 94 %, although nothing rubs."""
     rng, w = np.random.default_rng(7), 2 * np.pi * 25

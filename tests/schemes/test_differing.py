@@ -80,6 +80,7 @@ def turn(scheme, task):
     return memory, scheme.learn(memory, trial)
 
 
+@pytest.mark.thorough(but=["points", "a basis"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_law_runs_on_each_kind_or_says_why_not(kind):
     refused = REFUSED.get(kind, {})

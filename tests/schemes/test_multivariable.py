@@ -390,6 +390,7 @@ def test_theorem_2_claims_by_the_weights_alone(w_s):
     assert [p.name for p in lifted.weights_condition(still).broken] == ["W_s is positive definite"]
 
 
+@pytest.mark.thorough
 def test_a_model_of_the_wrong_sign_doubles_the_error_every_trial():
     """M = (H' W_q H + W_s + W_r)^-1 (2 H' W_q H + W_r) is close to 2 where w_q is large."""
     model = direct_model(GAIN, MODEL)

@@ -402,6 +402,7 @@ def test_the_printed_condition_is_its_inequality():
 GAINS = {"good": (6e5, 1.5e3), "too_much": (2e6, 3e4)}
 
 
+@pytest.mark.thorough(but=["too_much"])
 @pytest.mark.parametrize("gains", GAINS)
 def test_the_conditions_tell_what_learning_does(gains):
     """On a linear loop, with the reaching rate: eq. 36, the sampled condition, and simulation."""

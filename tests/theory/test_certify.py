@@ -266,6 +266,7 @@ def test_what_adapts_or_stops_is_never_claimed(scheme):
     assert type(scheme).__name__ in found.reason[0]
 
 
+@pytest.mark.thorough(but=["scheme0"])
 @pytest.mark.parametrize("scheme", [PIDType(), NormOptimal(SERVO.plant, w_q=0.0, w_r=1.0)])
 def test_of_a_law_that_changes_nothing_nothing_is_claimed(scheme):
     machines, short = drawn_machines(SERVO, {}, {}), Task(np.sin(np.arange(13.0)), dt=DT)
