@@ -63,7 +63,6 @@ def learned():
     return jax.tree.leaves((every.metrics, every.final, slope))
 
 
-@pytest.mark.thorough
 def test_without_them_the_numbers_are_the_same(fresh, monkeypatch):
     """The version of JAX here needs no fallback: it is one that the package knows well enough."""
     with_them = learned()

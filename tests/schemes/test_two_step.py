@@ -166,7 +166,6 @@ def test_a_member_that_cannot_be_solved_is_flagged_and_spoils_no_other(solved):
         np.testing.assert_allclose(ours[0], theirs[1], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.thorough
 def test_the_optimum_has_the_derivative_of_its_differences():
     """The derivative in all numbers of a problem, where bounds are active, in one direction."""
     scheme, (r, _, u), _ = problem(2)

@@ -365,7 +365,6 @@ def test_two_axes_that_are_alike_leave_what_one_does():
     assert two.most[0] < 0.999 * one.most[0]  # Gaussian, and of twice as many samples
 
 
-@pytest.mark.thorough
 def test_of_many_inputs_the_errors_are_bounded_in_norm(monkeypatch):
     """The bounds are above what is exact for few inputs, and not so far that they say nothing."""
     machine = Machine(

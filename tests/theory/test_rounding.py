@@ -185,7 +185,6 @@ def test_noise_that_is_rounded_adds_up_with_the_ball():
     assert other.reason[0].endswith("by Chernoff's bound")
 
 
-@pytest.mark.thorough
 def test_the_file_of_init_with_an_encoder(tmp_path):
     """The line that `jaxilc init` offers, a step of the encoder, silences neither command."""
     text = (resources.files("jaxilc.scenarios") / "axis.toml").read_text()
