@@ -99,6 +99,15 @@ def test_what_is_free_is_not_learned_from(name):
     np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.thorough(but=["estimated"])
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "p_type"])
+def test_where_all_counts_alike_the_law_is_as_without_a_weight(name):
+    of = (LAWS[name], AtSamples(LAWS[name], weight=np.ones(N + 1)))
+    one, other = (learn(Machine(REAL), scheme, TASK, 3).final.u for scheme in of)
+    assert np.max(np.abs(one)) > 0.1
+    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.thorough(but=["gradient"])
 @pytest.mark.parametrize("name", ["gradient", "constrained", "two_step", "estimated"])
 def test_every_law_with_a_model_comes_to_the_points(name):
