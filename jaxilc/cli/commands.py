@@ -8,7 +8,8 @@ import dataclasses
 import json
 import os
 import re
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from importlib import resources
@@ -103,7 +104,8 @@ def init(
 ) -> None:
     """Write a plant file with comments: a machine, its task, schemes and uncertainty.
 
-    With --set-point and --record the machine is fitted to the record, whose set-point is the task.
+    With --set-point and --record the machine is fitted to the record, whose set-point is the task,
+    and the law is one that learns on it.
 
     Example: jaxilc init axis.toml
     """
@@ -122,23 +124,25 @@ def init(
         if record is None and name != usual:
             raise ValueError(f"{option} {name} names a column of --record, which is not given")
     content = (resources.files("jaxilc.scenarios") / "axis.toml").read_text("utf-8")
-    for part, other in (SET_POINT if set_point else {}).items():
-        content = content.replace(part, other)
+    content = _replaced(content, SET_POINT if set_point else {})
+    own, of_law = "plant, task and uncertainty", list[str]()
     if record is not None:
         if not set_point:
             raise ValueError("--record is for --set-point; otherwise: jaxilc identify RECORD")
-        content = _of_record(content, record, file, (time_name, input_name, output_name))
+        content, *of_law = _of_record(content, record, file, (time_name, input_name, output_name))
+        own = "uncertainty"
     file.parent.mkdir(parents=True, exist_ok=True)
     atomically(file, lambda opened: opened.write(content.encode()))
-    own = "uncertainty" if record is not None else "plant, task and uncertainty"
     said = f"{file} runs as it is; put your own {own} into it."
     following = Request(str(file)).following("run")
-    verdict = Verdict((said,), "its first trials", following)
+    verdict = Verdict((said, *of_law), "its first trials", following)
     present(Outcome(command="init", numbers={}, verdict=verdict, kept=[file]), Pages())
 
 
-def _of_record(content: str, record: Path, file: Path, names: tuple[str, str, str]) -> str:
-    """The file for a drive of which a move was recorded, in columns of these names."""
+def _of_record(
+    content: str, record: Path, file: Path, names: tuple[str, str, str]
+) -> tuple[str, str]:
+    """The file for a drive of which a move was recorded, in columns of these names, and its law."""
     from ..identification.record_files import read_record_file
 
     time, set_point, position = names
@@ -161,11 +165,53 @@ def _of_record(content: str, record: Path, file: Path, names: tuple[str, str, st
         'input_unit = "mm"': f"input_unit = {unit}",
         '"plant.B"': '"plant.gain"',
     }
-    for part, other in parts.items():
-        content = content.replace(part, other)
+    content = _replaced(content, parts)
     content = _OF_DRIVE.sub(lambda _: f"{fitted}{''.join(plant)}poles = 2\n", content)
     moved = f"reference = {{ csv = {place}, column = {called[1]} }}"
-    return _REFERENCE.sub(lambda _: moved, content)
+    return _with_law(_REFERENCE.sub(lambda _: moved, content), file, len(values))
+
+
+def _with_law(content: str, file: Path, samples: int) -> tuple[str, str]:
+    """The text of a file with a law that learns on its drive, and what that is.
+
+    samples: length of the record
+    """
+    from ..plants import ProcessModel
+    from ..scenarios.file_plant import plant_of
+    from ..scenarios.file_task import uncertainty_of
+    from ..scenarios.identified_file import starting_law
+
+    begin()
+    made = tomllib.loads(content)
+    file.parent.mkdir(parents=True, exist_ok=True)  # from there the record is named
+    plant = plant_of(made["plant"], f"{file}: plant", file.parent, [])
+    uncertainty = uncertainty_of(made["uncertainty"], f"{file}: uncertainty")
+    assert isinstance(plant, ProcessModel)
+    law = starting_law(plant, uncertainty, made["task"]["dt"], samples)
+    if law is None:
+        raise ValueError(
+            f"{made['plant']['record']}: no filtered P-type law learns on the drive that was "
+            "fitted; `jaxilc identify` tells how well the plant fits"
+        )
+    gain, lead, cutoff = f"{law.gamma_p:g}", str(law.lead), f"{law.cutoff:g}"
+    parts = {
+        "0.8 of the error, 15 samples": f"{gain} of the error, {lead} samples",
+        "gamma_p = 0.8, lead = 15": f"gamma_p = {gain}, lead = {lead}",
+        "cutoff = 50.0": f"cutoff = {cutoff}",
+        "20:80:4": f"{0.4 * law.cutoff:g}:{law.cutoff:g}:4",
+        "[5, 15]": f"[{law.lead // 3}, {lead}]",
+    }
+    return _replaced(content, parts), (
+        f"Its law was chosen for the fitted drive: gamma_p = {gain}, lead = {lead} and a cutoff of "
+        f"{cutoff} Hz; sup |Q (1 - L P)| = {law.worst:.3f} at worst of {law.machines} machines."
+    )
+
+
+def _replaced(content: str, parts: Mapping[str, str]) -> str:
+    """The text with other words in place of some; those that it has not are left."""
+    for part, other in parts.items():
+        content = content.replace(part, other)
+    return content
 
 
 def demo(written: Written) -> None:

@@ -55,10 +55,13 @@ def test_a_set_point_is_corrected_from_the_error_of_the_drive_on(tmp_path):
     assert made.task.input_unit == "mm"
 
 
-def recorded(folder):
-    """Write a move of a drive of 12 Hz that SciPy simulates; return its set-point and position."""
-    drive = scipy.signal.tf2ss([5685.0], [1.0, 90.0, 5685.0])
-    A, B, C, *_ = scipy.signal.cont2discrete(drive, 0.002)
+def recorded(folder, w=5685.0**0.5, dt=0.002):
+    """Write a move of a drive that SciPy simulates; return its set-point and position.
+
+    w: square root of its stiffness per mass [rad/s];  dt: sample time [s]
+    """
+    drive = scipy.signal.tf2ss([w * w], [1.0, 1.2 * w, w * w])
+    A, B, C, *_ = scipy.signal.cont2discrete(drive, dt)
     s = np.clip(np.arange(401) / 200, 0, 1)
     r = 5 * (10 * s**3 - 15 * s**4 + 6 * s**5)
     x, y = np.zeros((2, 1)), [0.0]
@@ -66,7 +69,7 @@ def recorded(folder):
         x = A @ x + B * held
         y.append((C @ x).item())
     rows = [
-        f"{2 * k};{a:.9g};{b:.9g}".replace(".", ",")
+        f"{1e3 * dt * k:g};{a:.9g};{b:.9g}".replace(".", ",")
         for k, (a, b) in enumerate(zip(r, y, strict=True))
     ]
     (folder / "move.csv").write_text("time [ms];set [mm];pos_act [mm]\n" + "\n".join(rows))
@@ -107,6 +110,20 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
     code, out, err = call("init", "--set-point", "--record", "far.csv", "b.toml")
     assert "far.csv: u begins at 100, where the move must begin at 0" in err
     assert (code, (tmp_path / "b.toml").exists()) == (2, False)
+
+
+@pytest.mark.parametrize(("hertz", "dt"), [(2, 0.01), (60, 0.001)])
+def test_the_law_of_a_recorded_drive_is_one_that_learns_on_it(tmp_path, hertz, dt):
+    """That of the file without a record has a cutoff at Nyquist here, or makes the error grow."""
+    recorded(tmp_path, 2 * np.pi * hertz, dt)
+    columns = ("--time", "time", "--input", "set", "--output", "pos_act")
+    code, out, err = call("init", "--set-point", "--record", "move.csv", *columns, "a.toml")
+    assert (code, err) == (0, "")
+    made = read_scenario(tmp_path / "a.toml")
+    learning = made.schemes["ilc"].scheme.scheme
+    assert f"gamma_p = {float(learning.gamma_p):g}, lead = {learning.lead} and" in out
+    errors = np.asarray(learn(made.machine, made.schemes["ilc"], made.task, 15).metrics.rms)[:, 0]
+    assert errors[-1] < 0.002 * errors[0]
 
 
 def test_the_file_runs_as_it_is_and_with_every_choice(tmp_path):
