@@ -417,10 +417,10 @@ class Matrices(LearningMaps):
         start, M, c, E, e0, T, t = jax.tree.map(np.asarray, found)
         both = zip(M, E, strict=True)
         usable = np.array([np.isfinite(M).all() and np.isfinite(E).all() for M, E in both])
-        # nothing can be claimed of a machine whose numbers overflow
-        huge = np.sqrt(np.finfo(M.dtype).max)
-        M = np.where(usable[:, None, None], M, huge)
-        E, c = np.where(usable[:, None, None], E, 0.0), np.nan_to_num(c)
+        if not usable.all():  # nothing can be claimed of a machine whose numbers overflow
+            M = np.where(usable[:, None, None], M, np.sqrt(np.finfo(M.dtype).max))
+            E = np.where(usable[:, None, None], E, 0.0)
+        c = np.nan_to_num(c)
         return cls(machines, scheme, task, view, start, M, c, E, e0, T, t)._reached()
 
     def _reached(self) -> Matrices:
