@@ -44,7 +44,10 @@ learn(Machine(p), PIDType(gamma_p=np.array(0.5)), Task(list(r), dt), trials=2)
 PACKAGE_ALONE = ("untyped_defs", "incomplete_defs", "untyped_calls", "any_generics")
 CONFIG = "pyproject.toml"
 CHECKERS = {  # the words before the scripts on the command line
-    "mypy": ["--config-file", CONFIG, "--cache-dir", str(ROOT / ".mypy_cache")],
+    "mypy": [
+        *("--config-file", CONFIG, "--cache-dir", str(ROOT / ".mypy_cache")),
+        *("--python-executable", sys.executable),
+    ],
     "pyright": ["--pythonpath", sys.executable],
     "ty": ["check", "--quiet", "--python", sys.prefix, "--extra-search-path", str(ROOT)],
 }
