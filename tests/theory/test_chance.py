@@ -21,7 +21,7 @@ from jaxilc.outcomes.certifying import certificate_numbers, left_words, senses_w
 from jaxilc.outcomes.words import number
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree import replaced
-from jaxilc.schemes import NormOptimal, PIDType
+from jaxilc.schemes import NormOptimal, PIDType, PolynomialBasis, WarmStart
 from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Task, Trial
 from jaxilc.theory import carried_radius, certificates, certify
@@ -245,6 +245,17 @@ def test_a_limit_that_noise_may_meet_late_in_a_transient_is_in_the_way():
     whole = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), machine)
     found = long_run(replaced(whole, {"actuator.limit": limits}), PIDType(gamma_p=gain), task)
     assert found.claim.tolist() == [NOTHING, CONVERGES]
+    assert found.reason[0] == "a limit may be met in a trial that is drawn"
+    assert "; no limit is met within 5 standard deviations" in found.reason[1]
+
+
+def test_a_limit_that_noise_may_meet_in_an_early_trial_is_in_the_way():
+    """The mean begins 2 % below it, where nothing was drawn yet, and moves away from there on."""
+    law = WarmStart(PIDType(gamma_p=0.1), PolynomialBasis((0,)), theta=[1.96])
+    machine, task = Machine(AT_ONCE, Actuator(limit=1.0), Sensor()), Task(np.full(N + 1, 0.5), DT)
+    whole = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), machine)
+    found = long_run(replaced(whole, {"sensor.noise": np.array([0.3, 0.05])}), law, task)
+    assert list(found.claim) == [NOTHING, MONOTONE]
     assert found.reason[0] == "a limit may be met in a trial that is drawn"
     assert "; no limit is met within 5 standard deviations" in found.reason[1]
 
