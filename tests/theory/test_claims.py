@@ -159,6 +159,15 @@ def test_the_plant_within_another_one_may_change(around):
     np.testing.assert_allclose(loop.B, frequency.linear_loop(Machine(after), None, TASK).B)
 
 
+def test_what_was_learned_before_the_last_change_is_that_of_all_trials_before_it():
+    before, after = (StateSpace([[0.3]], [[b]], [[1.0]], dt=DT) for b in (0.3, 0.6))
+    drifts = Variation(change=PlantChange(after, first=3, over=2))
+    machine, law = Machine(before, variation=drifts), PIDType(gamma_p=0.8)
+    assert machine.last_change == 4
+    found = trials.memory_at_last_change(machine, law.prepared(TASK), TASK)
+    np.testing.assert_allclose(found.u, learn(machine, law, TASK, 3).memory.u, rtol=1e-12)
+
+
 @pytest.mark.parametrize(("limit", "claim"), [(3.0, "not claimed"), (1e3, "monotone")])
 def test_limits_are_met_from_what_was_learned_before_the_last_change(limit, claim):
     """That the distance falls to 0.6 of itself in every trial was said; the error stood at 3.59."""
