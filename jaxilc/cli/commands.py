@@ -199,12 +199,9 @@ def _with_law(content: str, file: Path, samples: int) -> tuple[str, str]:
         "gamma_p = 0.8, lead = 15": f"gamma_p = {gain}, lead = {lead}",
         "cutoff = 50.0": f"cutoff = {cutoff}",
         "20:80:4": f"{0.4 * law.cutoff:g}:{law.cutoff:g}:4",
-        "[5, 15]": f"[{law.lead // 3}, {lead}]",
+        "[5, 15]": f"{sorted({law.lead // 3, law.lead})}",
     }
-    return _replaced(content, parts), (
-        f"Its law was chosen for the fitted drive: gamma_p = {gain}, lead = {lead} and a cutoff of "
-        f"{cutoff} Hz; sup |Q (1 - L P)| = {law.worst:.3f} at worst of {law.machines} machines."
-    )
+    return _replaced(content, parts), f"Chosen for the fitted drive: {law.told}."
 
 
 def _replaced(content: str, parts: Mapping[str, str]) -> str:

@@ -329,12 +329,7 @@ def _plant_file(path: Path, fitted: Fitted, source: str) -> tuple[str, bool]:
     )  # fmt: skip
     if law is None:
         return NO_LAW, False
-    return (
-        f"{path}: P-type learning with gamma_p = {law.gamma_p:g}, lead = {law.lead} and a cutoff "
-        f"of {law.cutoff:g} Hz; sup |Q (1 - L P)| = {law.worst:.3f} at worst of {law.machines} "
-        f"machines. `jaxilc run {path}` simulates it.",
-        True,
-    )
+    return f"{path}: {law.told}. `jaxilc run {path}` simulates it.", True
 
 
 def _next(

@@ -74,6 +74,15 @@ class StartingLaw(NamedTuple):
         learning = PIDType(gamma_p=self.gamma_p, lead=self.lead)
         return Filtered(learning, ZeroPhaseButterworth(cutoff=self.cutoff, order=ORDER))
 
+    @property
+    def told(self) -> str:
+        """The law and what the theory says about it, in words."""
+        return (
+            f"P-type learning with gamma_p = {self.gamma_p:g}, lead = {self.lead} and a cutoff of "
+            f"{self.cutoff:g} Hz; sup |Q (1 - L P)| = {self.worst:.3f} at worst of {self.machines} "
+            "machines"
+        )
+
 
 class StartingTask(NamedTuple):
     """A sinusoid from rest to 2 amplitude and back, which the law learns.

@@ -1,7 +1,9 @@
 """`jaxilc init` writes a plant file that loads as it is, and with every choice in its comments."""
 
+import json
 import re
 
+import jax
 import numpy as np
 import pytest
 import scipy.signal
@@ -11,6 +13,7 @@ from typer.main import get_command
 from jaxilc.cli import app
 from jaxilc.learning import learn
 from jaxilc.learning.playback import schedules
+from jaxilc.pytree import replaced
 from jaxilc.scenarios.from_file import read_scenario
 
 PLANTS = {  # other plants that the comments speak of, with what the file's plant has
@@ -121,9 +124,20 @@ def test_the_law_of_a_recorded_drive_is_one_that_learns_on_it(tmp_path, hertz, d
     assert (code, err) == (0, "")
     made = read_scenario(tmp_path / "a.toml")
     learning = made.schemes["ilc"].scheme.scheme
-    assert f"gamma_p = {float(learning.gamma_p):g}, lead = {learning.lead} and" in out
-    errors = np.asarray(learn(made.machine, made.schemes["ilc"], made.task, 15).metrics.rms)[:, 0]
-    assert errors[-1] < 0.002 * errors[0]
+    assert f"gamma_p = {float(learning.gamma_p):g}, lead = {learning.lead} and" in " ".join(
+        out.split()
+    )
+
+    def errors(gain):
+        machine = replaced(made.machine, {"plant.gain": gain})
+        return learn(machine, made.schemes["ilc"], made.task, 15).metrics.rms[:, 0]
+
+    gain = float(made.machine.plant.gain)
+    low, fitted, high = np.asarray(jax.vmap(errors)(gain * np.array([0.9, 1.0, 1.1])))
+    assert fitted[-1] < 0.002 * fitted[0]
+    assert max(low[-1] / low[0], high[-1] / high[0]) < 0.05
+    grid = re.search(r'^#"ilc.scheme.scheme.lead" = (.*)$', (tmp_path / "a.toml").read_text(), re.M)
+    assert json.loads(grid[1])[-1] == learning.lead
 
 
 def test_the_file_runs_as_it_is_and_with_every_choice(tmp_path):
