@@ -32,6 +32,7 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 import typer.main  # noqa: E402
 from cases import PLANTS, task_for  # noqa: E402
+from jax._src import compiler  # noqa: E402
 from jax._src.interpreters import mlir  # noqa: E402
 from jax.experimental.compilation_cache import compilation_cache  # noqa: E402
 from turns import drawn  # noqa: E402
@@ -64,6 +65,24 @@ def context_of_module():
 
 if _make_context is not None:
     mlir.make_ir_context = context_of_module
+
+_compile, _programs = getattr(compiler, "backend_compile_and_load", None), {}
+SMALL = 20_000  # characters of a program of an operation or two, as a line of NumPy's kind makes it
+
+
+def compile_once(backend, program, devices, options, callbacks):
+    """Compile a small program once: each module that calls `jnp.zeros` would compile it again."""
+    text = str(program)
+    if callbacks or len(text) > SMALL or "custom_call" in text:
+        return _compile(backend, program, devices, options, callbacks)
+    key = text, str(devices), options.SerializeAsString()
+    if key not in _programs:
+        _programs[key] = _compile(backend, program, devices, options, callbacks)
+    return _programs[key]
+
+
+if _compile is not None:
+    compiler.backend_compile_and_load = compile_once
 
 _make, _made = typer.main.get_command, {}
 
