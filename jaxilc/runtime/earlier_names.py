@@ -20,6 +20,7 @@ ADDED: dict[str, dict[str, Json]] = {
     "ProcessModel": {"delay": 0.0},
     "Machine": {"variation": None},
     "Variation": {"delayed": None, "delay": 1},
+    "PlantChange": {"course": None},
 }
 
 T = TypeVar("T")

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import inspect
+import json
+import sys
 from collections.abc import Mapping
 from functools import partial
 from importlib.metadata import version
@@ -18,9 +21,11 @@ import jax
 import numpy as np
 
 from ..pytree.aliases import Json, Value
+from ..pytree.closest import listed
 from .earlier_names import in_todays_names
 
 LONG = 120  # characters of a value in a difference that is told
+ORDERED = ("schemes", "uncertainty", "weights")  # mappings whose order the numbers depend on
 
 
 class Environment(TypedDict):
@@ -68,11 +73,17 @@ def need_same(
 
 def _differences(found: object, wanted: object, name: str) -> list[str]:
     if isinstance(found, dict) and isinstance(wanted, dict):
-        return [
+        names = found.keys() | wanted.keys()
+        if "code" not in found:  # earlier versions did not store it
+            names = names - {"code"}
+        lines = [
             line
-            for n in sorted(found.keys() | wanted.keys())
+            for n in sorted(names)
             for line in _differences(found.get(n), wanted.get(n), f"{name}.{n}" if name else n)
         ]
+        if name in ORDERED and not lines and [*found] != [*wanted]:
+            return [f"{name}: in the order {listed(found)} there, {listed(wanted)} here"]
+        return lines
     if isinstance(found, list) and isinstance(wanted, list) and len(found) == len(wanted):
         pairs = [*zip(found, wanted, strict=True)]
         if all(isinstance(one, dict) for pair in pairs for one in pair):
@@ -86,7 +97,8 @@ def _differences(found: object, wanted: object, name: str) -> list[str]:
 def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
     """A description of a value, as JSON, that changes whenever the numbers of the value change.
 
-    A class is described by its fields, and a long array by its shape and hash. A function, and an
+    A class is described by its fields, and one of a user also by the code of its methods; a long
+    array is described by its shape and hash. A function, and an
     object made of functions such as an optax transformation, is described by its name, its code and
     the values in its closure. So two functions of the same name differ if their settings differ.
     Their position in a file is not included. The description does not contain what a function reads
@@ -107,7 +119,9 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
     if isinstance(value, list | tuple):
         return [again(of) for of in value]
     if dataclasses.is_dataclass(value):
-        return {"class": type(value).__name__} | {
+        methods = {} if isinstance(value, type) else _own_methods(type(value))
+        code = {"code": _hash(json.dumps(again(methods)))} if methods else {}
+        return {"class": type(value).__name__, **code} | {
             f.name: again(getattr(value, f.name)) for f in dataclasses.fields(value)
         }
     if isinstance(value, partial):
@@ -118,12 +132,36 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
         return {"name": _name(value), "attributes": again(getattr(value, "__dict__", {}))}
     return {
         "name": _name(value),
-        "body": hashlib.sha256(repr(_body(value.__code__)).encode()).hexdigest(),
+        "body": _hash(repr(_body(value.__code__))),
         "settings": again(
             (value.__defaults__, value.__kwdefaults__, getattr(value, "__self__", None))
         ),
         "closes over": [again(cell.cell_contents) for cell in value.__closure__ or ()],
     }
+
+
+def _own_methods(cls: type) -> dict[str, Value]:
+    """The methods that a class and those above it have from a user, by name.
+
+    Those that a dataclass and this package write, such as `__init__`, are left out.
+    """
+    known = {__name__.partition(".")[0], *sys.stdlib_module_names}
+    methods: dict[str, Value] = {}
+    for of in reversed(cls.__mro__):
+        if of.__module__.partition(".")[0] in known:
+            continue
+        for name, value in vars(of).items():
+            inner = (getattr(value, at, None) for at in ("fget", "func", "__func__"))
+            function = inspect.unwrap(next((f for f in inner if callable(f)), value))
+            code = getattr(function, "__code__", None)
+            made = name.startswith("__") and code and code.co_filename == "<string>"
+            if code and not made and function.__module__.partition(".")[0] not in known:
+                methods[name] = function
+    return methods
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _of_array(array: np.ndarray) -> Json:

@@ -75,7 +75,7 @@ def summarise(
         counts
     growth: relative rise above the best trial from which on the error counts as grown
     Raises ValueError for a tolerance that is not positive and finite, a metric that is not there,
-    and for a grid.
+    a grid, and a dataset of a sweep that is not complete.
     """
     if not hasattr(dataset, "data_vars"):
         raise ValueError(
@@ -94,6 +94,12 @@ def summarise(
         names = [n for n, v in dataset.data_vars.items() if {*OVER} <= {*v.dims}]
         raise ValueError(
             f"summarise: metric = {metric!r} is not one of {', '.join(sorted(map(str, names)))}"
+        )
+    if "diverged_at" in dataset and (left := int((dataset["diverged_at"] < 0).sum())):
+        raise ValueError(
+            f"summarise: {left} of {dataset['diverged_at'].size} results of the dataset are not "
+            "computed; resume the sweep, or select the machines of which all are: "
+            "dataset.sel(sample=(dataset.diverged_at >= 0).all('scheme'))"
         )
     errors = errors_of(dataset, metric)
     machines, trials = (

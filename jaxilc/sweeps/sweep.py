@@ -32,7 +32,7 @@ from ..uncertainty import Population, Uncertainty, takes_population
 from .grid import Grid, grid_of
 from .host import Host
 from .plan import SIGNALS, Plan
-from .store import Layout, Store, stored_configuration
+from .store import DONE, Layout, Store, stored_configuration
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -104,7 +104,12 @@ class Sweep:
         if not self.schemes:
             raise ValueError("Sweep: schemes is empty; at least one is needed")
         Keep.of(self.quantities)
-        for scheme in self.schemes.values():
+        for name, scheme in self.schemes.items():
+            if name in ("machine", "task"):
+                raise ValueError(
+                    f"Sweep: schemes has a scheme {name!r}, with which a grid names other parts; "
+                    "allowed is another name"
+                )
             check(cast("Machine", self.machine), scheme, self.task)
         _ = self.plan  # which cannot be made of a machine, a draw or a grid that does not fit
 
@@ -126,10 +131,17 @@ class Sweep:
         plan.need_room()
         axes.check(population, plan.parts)
         _ = population.drawn
-        for name in {*self.quantities} & {*plan.coordinates()} if self.quantities else ():
-            raise ValueError(
-                f"quantity = {name!r} is a coordinate of the dataset; choose another name"
-            )
+        known = plan.coordinates() if self.quantities else {}
+        for name in self.quantities:
+            if name in known:
+                raise ValueError(
+                    f"quantity = {name!r} is a coordinate of the dataset; choose another name"
+                )
+            if name in ("", DONE) or "/" in name:
+                raise ValueError(
+                    f"quantity = {name!r} cannot name a variable of a store; allowed is another "
+                    "name without '/'"
+                )
         if plan.lanes is None:
             most = max(bytes_of_trial(of.scheme, of.task) for of in plan.variants.values())
             lanes = usual_lanes(most) or Host(plan).fitting_lanes()

@@ -15,9 +15,11 @@ from sweep_case import PLAN, TASK
 import jaxilc
 from jaxilc import Machine, Sweep, Task, Uniform, summarise
 from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.pytree import Leaf, leaf, pytree
 from jaxilc.runtime import capacity, tiled
 from jaxilc.runtime.earlier_names import takes_also
-from jaxilc.schemes import CFDLMFAILC, PID, PIDType
+from jaxilc.runtime.provenance import describe, differences
+from jaxilc.schemes import CFDLMFAILC, PID, Feedforward, PIDType, Scheme
 from jaxilc.sweeps import sweep as sweep_module
 from jaxilc.sweeps.host import Host
 from jaxilc.sweeps.summary import errors_of, last_errors, wilson_interval
@@ -79,6 +81,10 @@ def test_a_store_of_another_configuration_is_refused(tmp_path):
     longer = Task(reference=np.r_[TASK.reference, [[0.5]]], dt=1e-3)
     with pytest.raises(ValueError, match=r"task.reference.shape"):
         dataclasses.replace(PLAN, task=longer).run(store, resume=True)
+    for name in ("schemes", "uncertainty"):  # machines are drawn, and stored, in this order
+        turned = dict(reversed(getattr(PLAN, name).items()))
+        with pytest.raises(ValueError, match=rf"{name}: in the order .* there, .* here"):
+            dataclasses.replace(PLAN, **{name: turned}).run(store, resume=True)
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="not a store that can be resumed"):
         PLAN.run(tmp_path / "empty", resume=True)
@@ -234,6 +240,52 @@ def test_a_store_knows_its_quantities_by_what_they_do(tmp_path):
             other.run(store, resume=True)
 
 
+def own_law(power):
+    """Return a user's law, whose code is another for another power of the error."""
+
+    class Own(Scheme):
+        gain: Leaf = leaf(default=0.5)
+
+        if power == 1:
+
+            def learn(self, memory, trial):
+                return Feedforward(trial.u + self.gain * trial.e[1:])
+
+        else:
+
+            def learn(self, memory, trial):
+                return Feedforward(trial.u + self.gain * trial.e[1:] ** 3)
+
+    return pytree(Own)()
+
+
+def test_a_user_s_law_is_known_by_its_code():
+    once, again, other = (describe(own_law(power)) for power in (1, 1, 3))
+    assert once == again
+    (line,) = differences({"law": once}, {"law": other})
+    assert line.startswith("law.code: ")
+    earlier = {name: value for name, value in once.items() if name != "code"}
+    assert differences(earlier, other) == []
+    assert "code" not in describe(PID())
+
+
+def test_a_sweep_of_which_a_part_is_computed_has_no_summary(tmp_path):
+    store = tmp_path / "store.zarr"
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        PLAN.run(store, progress=stop)
+    part = jaxilc.open_dataset(store)
+    with pytest.raises(ValueError, match="18 of 22 results of the dataset are not computed"):
+        summarise(part, 1.0)
+    done = part.sel(scheme=["learning"])
+    done = done.sel(sample=(done.diverged_at >= 0).all("scheme"))
+    (row,) = summarise(done, 1.0)
+    assert row.diverged == 0
+
+
 def test_several_channels_stay_apart():
     two = StateSpace(np.diag([0.9, 0.8]), np.eye(2), np.eye(2), dt=1e-3)
     task = Task(reference=np.ones((31, 2)), dt=1e-3)
@@ -255,6 +307,8 @@ def test_several_channels_stay_apart():
         ({"schemes": {}}, "schemes is empty"),
         ({"uncertainty": {"plant.mass": Uniform(1, 2)}}, "plant.mass.*Known"),
         ({"quantities": {"sample": np.sum}}, "quantity = 'sample' is a coordinate of the dataset"),
+        ({"quantities": {"N/mm": np.sum}}, "quantity = 'N/mm' cannot name a variable of a store"),
+        ({"schemes": {"task": PID()}}, "schemes has a scheme 'task', with which a grid names"),
     ],
 )
 def test_bad_input_is_named_before_anything_runs(change, message):
