@@ -261,6 +261,7 @@ class Population:
         for name, d in self.uncertainty.items():  # the nominal machine is not changed by its number
             first = 1.0 if d.relative else float(get_at(self.machine, name))
             drawn[name] = np.concatenate([[first], values[name]])
+            drawn[name].flags.writeable = False
         need_ranges(self.machine, self.uncertainty, drawn)
         return drawn
 

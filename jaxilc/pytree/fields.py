@@ -247,4 +247,7 @@ def _as_float(owner: str, name: str, value: Value) -> Value:
     found = None if isinstance(value, jax.Array) else as_numbers(value)
     if found is None:
         raise ValueError(f"{owner}: {name} = {brief(value)} is not a number or an array of numbers")
+    if found.flags.writeable or not found.flags.owndata:
+        found = np.array(found)  # the caller may write into his own
+        found.flags.writeable = False
     return found

@@ -208,6 +208,21 @@ def test_a_leaf_is_a_strongly_typed_float_whatever_it_was_given(value):
     assert float(gain) == 2.0
 
 
+def test_an_object_has_its_own_numbers_that_nothing_changes_later():
+    """One buffer that a loop fills again and again makes tasks of their own."""
+    r, tasks = np.zeros(11), []
+    for size in (1.0, 2.0):
+        r[:] = size
+        tasks.append(Task(r, dt=DT))
+    assert [float(task.reference[0, 0]) for task in tasks] == [1.0, 2.0]
+    of_view = np.asfortranarray(np.ones((2, 11)))
+    task = Task(of_view[0], dt=DT)
+    of_view[:] = np.nan
+    assert np.all(task.reference == 1)
+    with pytest.raises(ValueError, match="read-only"):
+        task.reference[0] = 5.0
+
+
 def test_float32_leaves_stay_float32():
     plant = VoiceCoil(poles=np.float32([474, 474, 6]))
     assert plant.poles.dtype == np.float32
