@@ -33,22 +33,41 @@ class PlantChange:
 
         plant_j = plant + s_j (after - before),    s_j = clip((j - first + 1) / over, 0, 1)
 
-    With `before`, a machine that differs from it keeps its difference after the change.
+    The sum is that of the parameters, such as frequencies and masses. With `before`, a machine that
+    differs from it keeps its difference after the change.
 
     after: the plant after the change, of the same class and shapes, swept by its own names
     first: number of the first trial that differs
     over: number of trials until the change is complete; 1 is a jump
     before: plant from which `after` differs; None: that of the machine itself
+    course: leave None; the plants of trials first, .., first + over - 1, sampled, as one plant
+        whose leaves have an axis of trials in front
     """
 
     after: Plant = child()
     first: int = static(interval="[1, inf)", whole=True)
     over: int = static(default=1, interval="[1, inf)", whole=True)
     before: Plant | None = child(default=None)
+    course: Plant | None = child(default=None)
+
+    def sampled(self, plant: Plant, dt: float) -> PlantChange:
+        """This change of a plant that is not sampled yet, with the plants of its trials."""
+        if self.course is not None:
+            return self
+        shares = (1 + jnp.arange(self.over)) / self.over
+        course = jax.vmap(lambda share: self._mixed(plant, share).sampled(dt))(shares)
+        return dataclasses.replace(self, course=course)
 
     def plant_at(self, plant: Plant, j: Array) -> Plant:
-        """The plant of trial j, None for the long run."""
-        share = 1.0 if j is None else jnp.clip((j - self.first + 1) / self.over, 0.0, 1.0)
+        """The plant of trial j, None for the long run: sampled, if plant and change are."""
+        if self.course is None:
+            since = self.over if j is None else j - self.first + 1
+            return self._mixed(plant, jnp.clip(since / self.over, 0.0, 1.0))
+        at = -1 if j is None or self.over == 1 else jnp.clip(j - self.first, 0, self.over - 1)
+        changed = True if j is None else jnp.asarray(j) >= self.first
+        return jax.tree.map(lambda p, x: jnp.where(changed, x[at], p), plant, self.course)
+
+    def _mixed(self, plant: Plant, share: Array) -> Plant:
         before = plant if self.before is None else self.before
         return jax.tree.map(lambda p, a, b: p + share * (b - a), plant, before, self.after)
 
@@ -126,7 +145,8 @@ class Variation:
 
     Samples that are not measured have the error zero in the record, and the weight zero, so that
     nothing is learned from them. A delayed sample has the weight of any other, since a law without
-    time stamps does not know better. The state has the order of the plant's leaves, flattened.
+    time stamps does not know better. The state has the order of the plant's leaves, flattened;
+    whole numbers in it, such as the number of the sample, start as they are.
     Offset, scatter, carried, the plant and the references have a gradient. The chances shortest,
     dropped and delayed have none, and differentiating by them raises ValueError.
     """
@@ -175,7 +195,8 @@ class Variation:
         plants = plant, self.change.after, self.change.before or plant
         shapes = []
         for one in plants:
-            leaves, structure = jax.tree.flatten(jax.eval_shape(lambda p: p.sampled(task.dt), one))
+            both = jax.eval_shape(lambda p: (p, p.sampled(task.dt)), one)
+            leaves, structure = jax.tree.flatten(both)
             shapes.append((structure, [np.shape(leaf) for leaf in leaves]))
         if any(of != shapes[0] for of in shapes):
             raise ValueError(
@@ -183,14 +204,11 @@ class Variation:
                 f"plant, a {type(plant).__name__}; allowed is one of the same class and shapes"
             )
 
-    def sampled(self, dt: float) -> Variation:
-        """This variation with all of its plant that depends on dt computed before the scans."""
+    def sampled(self, plant: Plant, dt: float) -> Variation:
+        """This variation of a plant with all that depends on dt computed before the scans."""
         if self.change is None:
             return self
-        after, before = self.change.after.sampled(dt), self.change.before
-        before = None if before is None else before.sampled(dt)
-        change = dataclasses.replace(self.change, after=after, before=before)
-        return dataclasses.replace(self, change=change)
+        return dataclasses.replace(self, change=self.change.sampled(plant, dt))
 
     @property
     def alike(self) -> bool:
@@ -235,7 +253,7 @@ class Variation:
         if self.scatter is not None:
             drawn = jax.random.normal(jax.random.fold_in(key, SALT), flat.shape, flat.dtype)
             flat = flat + self.scatter * drawn
-        return unravel(flat)
+        return jax.tree.map(lambda at, x: x if _real(at) else at, rest, unravel(flat))
 
     def following(self, start: Start, end: Start) -> Start:
         """The start of the next trial: the share `carried` of the way from a start to an end."""
@@ -243,8 +261,7 @@ class Variation:
         share: Leaf = self.carried
 
         def between(a: Array, b: Array) -> Array:
-            floating = jnp.issubdtype(jnp.result_type(a), jnp.floating)
-            return a + share * (b - a) if floating else a
+            return a + share * (b - a) if _real(a) else a
 
         return jax.tree.map(between, start, end)
 
@@ -354,3 +371,7 @@ def without_slope(chance: Array) -> Array:
         "gradient; allowed are gradients by all other parameters. Sweep a chance, or take "
         "differences of the mean over many machines with the same keys",
     )
+
+
+def _real(x: Array) -> bool:
+    return bool(jnp.issubdtype(jnp.result_type(x), jnp.floating))

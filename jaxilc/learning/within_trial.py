@@ -16,7 +16,7 @@ from ..signals.rows import for_scan
 from ..signals.task import Sample, Task, Trial
 from .machine import Machine
 from .metrics import Tally, measure
-from .variation import Start
+from .variation import SALT, Start
 
 
 def run_trial(
@@ -109,7 +109,7 @@ def run_and_measure(
     metrics = carry[-1].metrics(trial, task) if measured else None
     if not machine.carries:
         return trial, metrics, None
-    rest = first_start(machine, scheme, task, key)
+    rest = first_start(machine, scheme, task, jax.random.fold_in(key, SALT))
     assert machine.variation is not None
     return trial, metrics, machine.variation.following(rest, Start(*carry[:4]))
 

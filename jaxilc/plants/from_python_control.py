@@ -225,6 +225,11 @@ class TimedState(NamedTuple):
     t: Array
     x: Array
 
+    @property
+    def time(self) -> Array:
+        """() t, which is 0 at the start of each trial, whatever state that starts with [s]."""
+        return jnp.where(self.k > 0, self.t, jnp.zeros_like(self.t))
+
 
 @pytree
 class NonlinearSystem(Plant):
@@ -274,11 +279,11 @@ class NonlinearSystem(Plant):
     def step(self, x: Tree, u: Array, dt: float) -> Tree:
         if self.timed:
             k = x.k + 1
-            return TimedState(k, (k * dt).astype(x.t.dtype), self._next(x.t, x.x, u, dt))
+            return TimedState(k, (k * dt).astype(x.t.dtype), self._next(x.time, x.x, u, dt))
         return self._next(jnp.zeros((), x.dtype), x, u, dt)
 
     def output(self, x: Tree) -> Array:
-        t, x = (x.t, x.x) if self.timed else (jnp.zeros((), x.dtype), x)
+        t, x = (x.time, x.x) if self.timed else (jnp.zeros((), x.dtype), x)
         return _vector(self.read(t, x, self.parameters), x.dtype)
 
     def _next(self, t: Array, x: Tree, u: Array, dt: float) -> Array:

@@ -124,7 +124,7 @@ def with_plant_within(machine: Machine) -> Machine:
     own: Tree = machine.plant
     variation = machine.variation
     if variation is not None and (change := variation.change) is not None:
-        plants = {"after": change.after, "before": change.before}
+        plants = {name: getattr(change, name) for name in ("after", "before", "course")}
         inner = {name: getattr(of, "plant", None) for name, of in plants.items()}
         variation = dataclasses.replace(variation, change=dataclasses.replace(change, **inner))
     return dataclasses.replace(machine, plant=own.plant, variation=variation)

@@ -4,11 +4,14 @@ import dataclasses
 import itertools
 from functools import partial
 
+import control
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.signal
 from cases import ALGEBRA, DT, case
+from scipy.integrate import solve_ivp
 
 from jaxilc import (
     Machine,
@@ -28,18 +31,26 @@ from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.learning import run_trial
 from jaxilc.learning.over_trials import truncated
 from jaxilc.learning.variation import newest
-from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.plants import (
+    DifferenceEquation,
+    ProcessModel,
+    StateSpace,
+    TimeVaryingStateSpace,
+    from_control,
+)
 from jaxilc.pytree import replaced
 from jaxilc.scenarios.campaigns import Given, open_campaign
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import (
     CFDLMFAILC,
     PID,
+    Feedforward,
     Filtered,
     KeepUnmeasured,
     Ladder,
     NormOptimal,
     PIDType,
+    Scheme,
     StopWhen,
     WithFeedback,
 )
@@ -87,6 +98,69 @@ def test_an_offset_is_the_same_and_scatter_another_in_each_trial():
     assert abs(np.std(firsts) / 0.1 - 1) < 6 / np.sqrt(2 * 400)
     again = learn(scattered, LAW, TASK, 3, key=key, first=5, save=lambda trial: trial.y[0, 0]).saved
     np.testing.assert_allclose(again, firsts[4:7], **ALGEBRA)
+
+
+def test_what_is_drawn_of_the_state_is_new_in_each_trial_where_the_state_is_carried_too():
+    """With nothing carried, x[0] of trials 1 and 2 are two draws: their correlation is none."""
+    machine = vary(scatter=0.1, carried=0.0)
+
+    def firsts(key):
+        return learn(machine, LAW, TASK, 3, key=key, save=lambda trial: trial.y[0, 0]).saved
+
+    drawn = np.asarray(jax.vmap(firsts)(jax.random.split(jax.random.key(5), 1000)))
+    apart = np.corrcoef(drawn.T)[np.triu_indices(3, 1)]
+    assert np.max(np.abs(apart)) < 5 / np.sqrt(1000)
+    assert np.max(np.abs(np.std(drawn, axis=0) / 0.1 - 1)) < 6 / np.sqrt(2000)
+
+
+def test_a_plant_that_counts_its_samples_starts_at_the_first_whatever_is_added_to_its_state():
+    """Its matrices are those of the trial's own samples, as with a state given by its parts."""
+    B_of = 0.1 * (1 + np.arange(N) / 5)
+    matrices = (np.full((N, 1, 1), A), B_of[:, None, None], np.ones((N, 1, 1)))
+    machine = Machine(TimeVaryingStateSpace(*matrices, dt=DT), variation=Variation(offset=3.0))
+    u = np.random.default_rng(2).standard_normal((N, 1))
+    y = run_trial(machine, Scheme(), TASK, Feedforward(u), jax.random.key(0)).y
+    x, wanted = 3.0, []
+    for k in range(N):
+        x = A * x + B_of[k] * u[k, 0]
+        wanted.append(x)
+    np.testing.assert_allclose(y[1:, 0], wanted, **ALGEBRA)
+
+
+def test_the_time_of_a_system_is_that_of_the_trial_whatever_is_added_to_its_state():
+    def update(t, x, u, _):
+        return -5 * x + (1 + jnp.sin(20 * t)) * u
+
+    system = control.NonlinearIOSystem(update, lambda t, x, u, _: x, inputs=1, outputs=1, states=1)
+    plant = from_control(system, substep=1e-3)
+    machine, task = (
+        Machine(plant, variation=Variation(offset=1.0)),
+        Task(np.zeros(101), dt=0.01),
+    )
+    y = run_trial(machine, Scheme(), task, Feedforward(np.ones((100, 1))), jax.random.key(0)).y
+    exact = solve_ivp(
+        lambda t, x: -5 * x + 1 + np.sin(20 * t), (0, 1), [1.0], t_eval=0.01 * np.arange(101),
+        rtol=1e-10, atol=1e-12,
+    )  # fmt: skip
+    np.testing.assert_allclose(y[:, 0], exact.y[0], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("over", [1, 3])
+def test_it_is_the_parameters_of_a_plant_that_change(over):
+    """A drive of 33 Hz, where 30 Hz become 20 Hz, ends with 23 Hz; the drive is SciPy's."""
+
+    def drive(hertz):
+        return ProcessModel(gain=1.0, frequencies=[2 * np.pi * hertz], dampings=[0.02])
+
+    change = PlantChange(drive(20.0), first=2, over=over, before=drive(30.0))
+    machine, task = Machine(drive(33.0), variation=Variation(change=change)), Task(np.ones(41), DT)
+    u = np.random.default_rng(4).standard_normal((40, 1))
+    for j in (1, 2, 3, 4, 9):
+        y = run_trial(machine, Scheme(), task, Feedforward(u), jax.random.key(0), j).y
+        w = 2 * np.pi * (33 - 10 * np.clip((j - 1) / over, 0, 1))
+        sampled = scipy.signal.cont2discrete(([w * w], [1, 0.04 * w, w * w]), DT)
+        wanted = scipy.signal.lfilter(sampled[0].ravel(), sampled[1], np.r_[u[:, 0], 0])
+        np.testing.assert_allclose(y[:, 0], wanted, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("over", [1, 4])
