@@ -85,7 +85,13 @@ def design(
     within, lines = None, []
     if record:
         repeats = repeats_in(record, without=float(chosen.task.dt))
-        repeats = repeats._replace(unit=repeats.unit or chosen.task.unit)
+        own = chosen.task.unit
+        repeats = repeats._replace(unit=repeats.unit or own)
+        if own and repeats.unit != own:
+            raise ValueError(
+                f"record has the unit {repeats.unit!r}, the task has {own!r}; allowed is one, in "
+                "which the law by position is written"
+            )
         within = within_trial(repeats)
         lines = recurs(within, repeats) or [NOTHING_RECURS]
         say(lines[0])

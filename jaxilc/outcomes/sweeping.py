@@ -221,7 +221,9 @@ def sweep_numbers(
     schemes = {
         row.scheme: {
             "yield": None if tolerance is None else row.yield_share,
-            "yield_interval": None if tolerance is None else [row.yield_low, row.yield_high],
+            "yield_interval": None
+            if math.isnan(row.yield_low)
+            else [row.yield_low, row.yield_high],
             "semi_converged": row.semi_converged,
             "grown_from": row.grown_from,
             "grown_to": row.grown_to,
@@ -329,16 +331,17 @@ def yield_table(numbers: Numbers) -> Table:
     known = numbers["tolerance"] is not None
     within = f" within {numbers['tolerance']:g} {numbers['unit']}".rstrip() if known else ""
     what = f"{numbers['figure']} of trial {numbers['trials']}{within}"
-    yields = ("yield (95 % interval)",) if known else ()
+    claimed = any(row["yield_interval"] for row in numbers["schemes"].values())
+    yields = ("yield" + " (95 % interval)" * claimed,) if known else ()
     columns = (*yields, "grown (from)", "diverged (from)")
     table = Table(
         "scheme", right=columns, title=f"{several(numbers['samples'], 'machine')}, {what}"
     )
     for name, row in numbers["schemes"].items():
-        low, high = row["yield_interval"] or (0.0, 0.0)
+        within = " ({:.1%} – {:.1%})".format(*row["yield_interval"]) if claimed else ""
         table.add_row(
             name,
-            *([f"{share_text(row['yield'])} ({low:.1%} – {high:.1%})"] if known else []),
+            *([share_text(row["yield"]) + within] if known else []),
             _share(row["semi_converged"], row["grown_from"]),
             _share(row["diverged"], row["diverged_at"]),
         )
@@ -406,14 +409,14 @@ def _yield(case: Case, numbers: Numbers, row: Numbers) -> str:
     """How many machines end within the tolerance; empty if none is known."""
     if row["yield"] is None:
         return ""
-    machines, (low, high) = numbers["samples"], row["yield_interval"]
+    machines = numbers["samples"]
     if machines == 1:
         ends = "ends" if row["yield"] else "does not end"
         return f"the only machine {ends} within {case.size(numbers['tolerance'])}; "
-    which = (
-        f"{_percent(row['yield'])} of {machines} machines (95 % interval {100 * low:.1f} % to "
-        f"{100 * high:.1f} %)"
-    )
+    which = f"{_percent(row['yield'])} of {machines} machines"
+    if row["yield_interval"]:
+        low, high = row["yield_interval"]
+        which += f" (95 % interval {100 * low:.1f} % to {100 * high:.1f} %)"
     if row["yield"] == 1:
         which = f"all {machines} machines"
     return f"{which} end within {case.size(numbers['tolerance'])}; "

@@ -29,7 +29,8 @@ class SchemeSummary(NamedTuple):
     `learning.divergence`).
 
     yield_share: share of machines within the tolerance at the last trial; NaN without a tolerance
-    yield_low, yield_high: ends of the 95 % Wilson interval of this share
+    yield_low, yield_high: ends of the 95 % Wilson interval of this share, by the machines that were
+        drawn: machine 0 is always the nominal one. NaN where none was drawn, as with corners
     median, low, high: (J,) quantiles of 50, 5 and 95 % for each trial
     worst, worst_machine: (J,) largest value for each trial, and the number of its machine
     semi_converged: share of machines whose error has grown: at the last trial it is above
@@ -106,8 +107,13 @@ def summarise(
         dataset[d].values if d in dataset.coords else first + np.arange(dataset.sizes[d])
         for d, first in (("sample", 0), ("trial", 1))
     )
+    made_with = dataset.attrs.get("configuration", {})
+    corners = isinstance(made_with, Mapping) and made_with.get("sampling") == "corners"
+    drawn = (machines != 0) & (not corners)
     return [
-        _one_scheme(str(name), errors.sel(scheme=name).values, machines, trials, tolerance, growth)
+        _one_scheme(
+            str(name), errors.sel(scheme=name).values, machines, drawn, trials, tolerance, growth
+        )
         for name in dataset["scheme"].values
     ]
 
@@ -144,15 +150,18 @@ def _one_scheme(
     name: str,
     errors: np.ndarray,
     machines: np.ndarray,
+    drawn: np.ndarray,
     trials: np.ndarray,
     tolerance: float | None,
     growth: float,
 ) -> SchemeSummary:
-    """machines, trials: their numbers"""
+    """machines, trials: their numbers;  drawn: which of the machines were drawn"""
     share, interval = math.nan, (math.nan, math.nan)
     if tolerance is not None:
-        passed = int(np.sum(errors[:, -1] <= tolerance))
-        share, interval = passed / len(errors), wilson_interval(passed, len(errors))
+        passed = errors[:, -1] <= tolerance
+        share = float(np.mean(passed))
+        if drawn.any():
+            interval = wilson_interval(int(np.sum(passed & drawn)), int(np.sum(drawn)))
     of_a_trial = errors.T.copy()  # quantiles of adjacent numbers take less time
     low, median, high = np.quantile(
         of_a_trial, QUANTILES, axis=1, method="inverted_cdf", overwrite_input=True

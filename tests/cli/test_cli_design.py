@@ -95,6 +95,9 @@ def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, monk
     assert float(law.scheme.gamma_p) == numbers["chosen"]["weights"]["scheme.gamma_p"]
     code, _, err = call("design", file.name, *asked)
     assert (code, "add --force" in err) == (2, True)
+    write_columns("other.csv", "t [s],r [cm],y [cm]", t, t, t - 0.1 * e)
+    code, _, err = call("design", file.name, *asked, "--force", "--record", "other.csv")
+    assert (code, "record has the unit 'cm', the task has 'mm'" in err) == (2, True)
 
 
 def test_a_law_that_is_as_good_as_the_simpler_one_has_no_larger_error():

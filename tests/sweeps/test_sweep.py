@@ -349,10 +349,23 @@ def test_summary_counts_yield_growth_and_divergence():
     assert row.worst[-1] == np.inf
     assert row.worst_machine[-1] == 3
     assert row.median[0] == 9
-    # Wilson's interval for 2 of 4 has a closed form, with z = 1.96.
-    z, n, p = 1.959964, 4, 0.5
-    half = z * np.sqrt(p * (1 - p) / n + z**2 / 4 / n**2) / (1 + z**2 / n)
-    np.testing.assert_allclose([row.yield_low, row.yield_high], [0.5 - half, 0.5 + half], rtol=1e-5)
+    # of machine 0, the nominal one, it says nothing: of the three others one passes
+    wanted = binomtest(1, 3).proportion_ci(method="wilson")
+    np.testing.assert_allclose([row.yield_low, row.yield_high], wanted, rtol=1e-12)
+
+
+def test_the_interval_of_the_yield_is_claimed_of_drawn_machines_only():
+    """A nominal machine that always passes would have it miss a yield of 5 % in 3 cases of 10."""
+    rng, held = np.random.default_rng(3), 0
+    for _ in range(200):
+        passes = np.r_[True, rng.random(7) < 0.05]
+        (row,) = summarise(made_up(np.where(passes, 0.5, 2.0)[:, None]), tolerance=1.0)
+        held += row.yield_low <= 0.05 <= row.yield_high
+    assert held >= 180
+    corners = made_up([[0.5], [0.5], [2.0]]).assign_attrs(configuration={"sampling": "corners"})
+    (row,) = summarise(corners, tolerance=1.0)
+    assert row.yield_share == 2 / 3
+    assert np.isnan([row.yield_low, row.yield_high]).all()
 
 
 def test_the_interval_of_a_share_is_wilsons():
