@@ -6,6 +6,7 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -202,14 +203,13 @@ def _browser(now: Campaign | None, live: list[Manifest]) -> list[Interactive]:
 def _places(live: list[Manifest], prediction: Prediction) -> dict[int, Place]:
     """Where each whole trial that counts lies on what was expected, by its serial."""
     from ..hardware.calibration import kept
-    from ..hardware.journal import METRICS
+    from ..hardware.journal import METRICS, is_part
     from ..hardware.prediction import steps
-    from ..hardware.trial_files import ENDED
 
     places = {
         manifest["serial"]: _place(prediction, step, manifest[METRICS], kept(manifest))
         for manifest, step in zip(live[1:], steps(live), strict=True)
-        if not any(text.startswith(ENDED) for _, text in manifest["findings"])
+        if not is_part(manifest)
     }
     return {serial: place for serial, place in places.items() if place}
 
@@ -358,7 +358,7 @@ def coming(
     (prediction, expected), step = predicted, next_step(live) if live else 1
     if expected is not None:
         band = _band(expected, 0, unit)
-    elif prediction is None or prediction.certain or step > prediction.trials:
+    elif prediction is None or prediction.certain or not 1 <= step <= prediction.trials:
         return ""
     else:
         band = _band(prediction, step - 1, unit)
@@ -385,25 +385,34 @@ def verdict(
     experiments: see `checks.experiment_numbers`
     stop: RMS error below which nothing shows that there is more to learn; None: it is not known
     """
-    from ..hardware.journal import METRICS
+    from ..hardware.journal import METRICS, is_part
 
-    errors = [(m["trial"], m[METRICS]["error"]) for m in live[1:]]
-    if turn is not None and (not errors or errors[-1][0] < turn.trial):
-        errors.append((turn.trial, turn.metrics["error"]))
-    if not errors:
+    trials = live[1:]
+    if turn is not None and (not trials or trials[-1]["trial"] < turn.trial):
+        trials.append({**turn._asdict(), METRICS: turn.metrics})
+    if not trials:
         if prediction is None or prediction.certain:
             return ["no trial is measured yet"]
         of_last = f"{_band(prediction, -1, unit)} for trial {prediction.trials}"
         return [f"no trial is measured yet; the plant file predicts {of_last}"]
-    numbers, last = list(experiments)[: len(errors)] or [0] * len(errors), errors[-1][0]
-    errors = [one for one, number in zip(errors, numbers, strict=True) if not number]
+    numbers, last = list(experiments)[: len(trials)] or [0] * len(trials), trials[-1]["trial"]
+    learned = accumulate((bool(m["learned"]) for m in trials), initial=0)
+    errors, of_inputs = [], dict[int, float]()  # the first error with each input that was learned
+    for m, number, taught in zip(trials, numbers, learned, strict=False):
+        if not number and not is_part(m):
+            errors.append((m["trial"], m[METRICS]["error"]))
+            of_inputs.setdefault(taught, errors[-1][1])
+    if not errors:
+        return [f"verdict: trial {last} ended early; no whole trial is measured yet"]
     (first, begun), (trial, error) = errors[0], errors[-1]
-    if numbers[-1]:
-        said = (
-            f"verdict: trial {last} is experiment {numbers[-1]} between two learning steps, whose "
-            f"error says nothing of them; trial {trial} had an RMS error of {error:.4g} {unit}"
-        )
-        return [said.rstrip()]
+    if trial != last:
+        said = f"verdict: trial {last} ended early, so its error is that of a part"
+        if numbers[-1]:
+            said = (
+                f"verdict: trial {last} is experiment {numbers[-1]} between two learning steps, "
+                "whose error says nothing of them"
+            )
+        return [f"{said}; trial {trial} had an RMS error of {error:.4g} {unit}".rstrip()]
     best, least = min(errors, key=lambda one: one[1])
     said = f"verdict: trial {trial} has an RMS error of {error:.4g} {unit}".rstrip()
     if len(errors) > 1:
@@ -416,8 +425,8 @@ def verdict(
         ]
     if error > (1 + growth) * least:
         return [f"{said}; the best was trial {best} with {least:.4g} {unit}".rstrip()]
-    before = [value for _, value in errors[:-PATIENCE]]
-    if before and least > (1 - LITTLE) * min(before):
+    before = [*of_inputs.values()][:-PATIENCE]
+    if before and min(of_inputs.values()) > (1 - LITTLE) * min(before):
         return [
             f"{said}; it has not fallen by {LITTLE:.0%} in the last {PATIENCE} trials: learning "
             f"has ended, and the input of trial {best} may be played from now on"

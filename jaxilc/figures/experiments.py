@@ -253,7 +253,8 @@ def bands_by_trial(
     """The prediction of each trial of a campaign, and of some trials after them.
 
     A trial that was not learned from is followed by one with the same prediction. What the trials
-    so far expect of the next one stands in place of its prediction.
+    so far expect of the next one stands in place of its prediction. A trial that has neither is
+    left out.
 
     live: manifests of the start and of the trials that count, see `Journal.live`
     """
@@ -263,19 +264,18 @@ def bands_by_trial(
     last, step = live[-1]["trial"], next_step(live)
     # fewer than the trials so far, so that these are not pressed together
     ahead = max(1, min(AHEAD, len(live)))
-    found = np.array([*steps(live), *range(step, step + ahead)])
-    number = np.array([m["trial"] for m in live[1:]] + [last + 1 + i for i in range(ahead)])
-    known = found <= prediction.trials
-    low, median, high = (end[found[known] - 1] for end in prediction.rms)
-    if prediction.certain:
-        low, high = median, median
-    bands = Bands(number[known], *(end.copy() for end in (low, median, high)))
+    found = [*steps(live), *(step and step + i for i in range(ahead))]
+    number = [m["trial"] for m in live[1:]] + [last + 1 + i for i in range(ahead)]
     own = {m["trial"]: kept(m) for m in live[1:]} | {last + 1: expected}
-    for i, trial in enumerate(bands.trial):
-        own_band = own.get(int(trial))
+    rows = []
+    for trial, at in zip(number, found, strict=True):
+        own_band = own.get(trial)
         if own_band is not None:
-            bands.low[i], bands.median[i], bands.high[i] = (end[0] for end in own_band.rms)
-    return bands
+            rows.append((trial, *(end[0] for end in own_band.rms)))
+        elif 1 <= at <= prediction.trials:
+            low, median, high = (end[at - 1] for end in prediction.rms)
+            rows.append((trial, *([median] * 3 if prediction.certain else (low, median, high))))
+    return Bands(*np.array(rows, float).reshape(-1, 4).T)
 
 
 @drawn

@@ -42,7 +42,7 @@ _END, _MODEL = 0.35 * np.exp(0.7 * _NORMAL), 0.1 * np.exp(_NORMAL)  # a and b, l
 class Expected(NamedTuple):
     """The errors that a campaign expects of its next trial.
 
-    step: number of the predicted trial: 1 + the trials that were learned from before
+    step: number of the predicted trial, see `prediction.steps`
     rms, largest: bands of the RMS error and of the largest error, each of one row [unit of y]
     far: (2, 2) ends beyond which RMS error and largest error are those of another machine
     output: (N+1, n_y) what the machine is expected to do [unit of y]

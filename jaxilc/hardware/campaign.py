@@ -9,7 +9,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,7 +34,7 @@ from ..storage.sealed import as_json
 from . import calibration, checks
 from .calibration import Expected
 from .checks import Finding, Rules
-from .journal import BACK, METRICS, Journal, Manifest
+from .journal import BACK, METRICS, Journal, Manifest, is_part, whole_trials
 from .prediction import next_step
 from .trial_files import Measured, completed, ended, stored
 
@@ -280,7 +280,7 @@ class Campaign:
                 text = f"{measured.source} is trial {entry['trial']}, {_known_as(entry)}"
                 again = "whose input a call without --measured writes once more"
                 raise ValueError(f"{text} measure trial {number}, {again}")
-        findings += checks.saturation(u, self.actuator, self.rules)
+        findings += checks.saturation(u[: measured.samples], self.actuator, self.rules)
         findings += checks.as_played(measured.others, played, self.actuator)
         if "feedback" not in measured.others:
             findings += checks.as_commanded(u, commanded, self.actuator, task)
@@ -290,9 +290,9 @@ class Campaign:
         findings += _of_the_next(following, following_schedules, task, self.actuator, self.rules)
         peaks = {name: float(checks.peak(name, of, task)) for name, of in played.items()}
         if measured.u is not None:
-            findings += self._as_the_machine_can(record, commanded, played, live)
+            findings += self._as_the_machine_can(record, commanded, played, live, measured.samples)
         if learn:
-            findings += self._no_larger(following_schedules, peaks, record, live)
+            findings += self._no_larger(following_schedules, peaks, live)
         return Turn(
             number,
             record,
@@ -314,19 +314,29 @@ class Campaign:
         commanded: np.ndarray,
         played: dict[str, np.ndarray],
         live: list[Manifest],
+        samples: int | None,
     ) -> list[Finding]:
         """Whether the channels of a trial move, as a machine can, and belong to this trial.
 
         commanded: (N, n_u) input of the scheme over the measured output
+        samples: number of samples of a trial that ended early, after which y was not measured
         """
         accept, r = self.rules.accept, np.asarray(record.r)
-        y, u = np.asarray(record.y), np.asarray(record.u)
-        last = self.journal.arrays(live[-1], TRIAL) if len(live) > 1 else None
-        moved = last is not None and bool(np.any(np.ptp(last["y"], axis=0) > 0))
-        expected, still = (last["y"], checks.STILL) if moved else (r, checks.DEAD)
-        findings = checks.frozen("y", y[1:], expected[1:], u, accept, still=still)
+        y, u = (
+            np.asarray(record.y)[: None if samples is None else samples + 1],
+            np.asarray(record.u),
+        )
+        whole, findings = whole_trials(live), list[Finding]()
+        last = self.journal.arrays(whole[-1], TRIAL)["y"] if whole else None
+        moved = last is not None and bool(np.any(np.ptp(last, axis=0) > 0))
+        expected, still = (last, checks.STILL) if moved else (r, checks.DEAD)
+        # What the part of a trial has taught may move the machine little, and steps at its end.
+        by_part = any(m["learned"] for m in takewhile(is_part, reversed(live[1:])))
+        if whole or not by_part or set(played) != {"u"}:
+            findings += checks.frozen("y", y[1:], expected[1:], u, accept, still=still)
         findings += checks.frozen("u", u, commanded, commanded, accept)
-        findings += checks.jumped(y, r, last and last["y"], accept, self.task.unit)
+        if not by_part:
+            findings += checks.jumped(y, r, last, accept, self.task.unit)
         if set(played) == {"u"} and not findings:  # else the input depends on y
             others = {
                 m["trial"]: self.journal.arrays(m, TRIAL)["u"] for m in live[-PAST:] if m["trial"]
@@ -338,33 +348,32 @@ class Campaign:
         self,
         following: dict[str, np.ndarray],
         peaks: dict[str, float],
-        record: Trial,
         live: list[Manifest],
     ) -> list[Finding]:
         """Whether the next schedules are no larger than learning would make them.
 
         peaks: the largest value of each schedule that this trial played
         """
-        learned = 1 + sum(bool(m["learned"]) for m in live[1:])
-        largest = {
-            name: max([of, *(m.get("peaks", {}).get(name, 0.0) for m in live[1:])])
-            for name, of in peaks.items()
-        }
+        learned, largest = checks.learned_so_far(live, peaks)
         grows = growth_of(self.scheme, self.task)
-        return checks.larger(following, largest, learned, self.task, self.rules.accept, grows)
+        return checks.larger(following, largest, 1 + learned, self.task, self.rules.accept, grows)
 
     def _against_those_before(
         self, record: Trial, error: float, played: str, expected: Expected | None
     ) -> list[Finding]:
         """Compare a trial with the last one, if both played one schedule, and with all errors.
 
+        A trial that ended early, whose error is that of a part, is compared with none.
+
         error: RMS error over all outputs [unit of y]
         played: hash of the schedule
         """
+        if record.weight is not None:
+            return []
         findings, unit, live = [], self.task.unit, self.journal.live()
-        whole = record.weight is None
-        if whole and len(live) > 1 and live[-1]["hashes"].get("played") == played:
-            last_y = self.journal.arrays(live[-1], TRIAL)["y"]
+        whole = whole_trials(live)
+        if whole and whole[-1]["hashes"].get("played") == played:
+            last_y = self.journal.arrays(whole[-1], TRIAL)["y"]
             findings += checks.repeated(record, last_y, self.rules, unit)
         errors = checks.comparable(self.scheme, self.task, live)
         return findings + (
@@ -393,9 +402,9 @@ class Campaign:
         return checks.grown_beyond(error, best, changed, self.rules.accept, task.unit)
 
     def what_changed(self, record: Trial, expected: Expected | None) -> checks.Change:
-        """What explains a trial after the first that is not as expected, or not as the last one."""
-        last = self.journal.arrays(self.journal.live()[-1], TRIAL)["y"]
-        output = last if expected is None else expected.output
+        """What explains a whole trial that is not as expected, or not as the last whole one."""
+        last = whole_trials(self.journal.live())[-1]
+        output = self.journal.arrays(last, TRIAL)["y"] if expected is None else expected.output
         return checks.what_changed(np.asarray(record.y), output, self.task.dt)
 
     def keep(self, turn: Turn) -> None:

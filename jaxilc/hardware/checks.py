@@ -19,7 +19,7 @@ from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.scheme import trials_of_step
 from ..signals.task import Task, Trial
-from .journal import METRICS, Manifest
+from .journal import METRICS, Manifest, is_part
 
 AT_LIMIT = 1e-3  # share of the limit; an input that is this close to it counts as saturated
 AS_PLAYED = 1e-4  # share of a schedule's peak by which the machine's record of it may differ
@@ -182,7 +182,7 @@ def comparable(scheme: Scheme, task: Task, live: list[Manifest]) -> list[tuple[i
     """The numbers and errors of the trials before with which the error of this one is compared.
 
     Of a scheme that makes experiments these are the trials that played what it had learned; an
-    experiment itself is compared with none.
+    experiment itself is compared with none. A trial that ended early has the error of a part.
 
     live: manifests of the start and of the trials before
     """
@@ -190,8 +190,25 @@ def comparable(scheme: Scheme, task: Task, live: list[Manifest]) -> list[tuple[i
     return [
         (m["trial"], m[METRICS]["error"])
         for m, experiment in zip(live[1:], before, strict=True)
-        if not experiment and not now
+        if not experiment and not now and not is_part(m)
     ]
+
+
+def learned_so_far(live: list[Manifest], *now: Mapping[str, float]) -> tuple[int, dict[str, float]]:
+    """The number of whole trials that were learned from, and the largest value of each schedule.
+
+    What the part of a trial teaches is no measure of what a whole one does: before a whole one was
+    learned from, the largest values are those of the first trial.
+
+    live: manifests of the start and of the trials
+    now: largest values of the schedules of a trial that is not among them
+    """
+    learned = sum(bool(m["learned"]) and not is_part(m) for m in live[1:])
+    peaks = [*(m.get("peaks", {}) for m in live[1:]), *now]
+    largest: dict[str, float] = {}
+    for of in peaks if learned else peaks[:1]:
+        largest |= {name: max(x, largest.get(name, 0.0)) for name, x in of.items()}
+    return learned, largest
 
 
 def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: str) -> list[Finding]:
@@ -328,15 +345,17 @@ def frozen(
 ) -> list[Finding]:
     """Channels that stand still while they ought to move.
 
-    signal, expected: (rows, n) the signal and what it is compared with, in one unit
-    moved: (rows, n) what makes the signal move; where it stands still too, nothing is said
+    signal: (rows, n) the signal; of a trial that ended early as far as it was measured
+    expected: (N, n) what it is compared with, in its unit; nothing is said of less than a quarter
+        of its range
+    moved: (N, n) what makes the signal move; where it stands still too, nothing is said
     still: share of the expected range below which a channel counts as constant
     """
     found = []
     for i, (s, x) in enumerate(zip(np.transpose(signal), np.transpose(expected), strict=True)):
         called = name if np.shape(signal)[1] == 1 else f"{name}{i}"
-        span = np.ptp(x)
-        if span == 0 or not np.any(np.ptp(moved, axis=0) > 0):
+        span, x = np.ptp(x), x[: len(s)]
+        if np.ptp(x) <= TRAVEL * span or not np.any(np.ptp(moved, axis=0) > 0):
             continue
         if np.ptp(s) < still * span:
             seen = f"{called} is constant up to {np.ptp(s):.3g}, where a range of {span:.3g}"
@@ -364,7 +383,8 @@ def _longest_run(s) -> tuple[int, int]:
 def jumped(y, r, last_y, accept: tuple[str, ...], unit: str) -> list[Finding]:
     """A step of an output that the motion cannot make.
 
-    last_y: (N+1, n_y) output of the trial before, None without one
+    y: (rows, n_y) output, as far as it was measured
+    last_y: (N+1, n_y) output of the last whole trial, None without one
     """
     found, unit = [], spaced(unit)
     for i in range(np.shape(y)[1]):

@@ -57,6 +57,7 @@ BACK = "--undo goes back to an earlier trial"
 MISSING = 1000  # entries, from which on the last folder is none
 _ENTRY = re.compile(r"^\d{6}$")
 MOST = 10**6  # entries that a head may name
+ENDED = "the trial ended"  # so begins the note on a trial that ended early
 METRICS = "figures"  # key of a trial's metrics, as in the first campaigns
 Manifest: TypeAlias = dict[str, Value]  # of an entry, as JSON
 _NEEDED = {"trial": int, "recipe": dict, "configuration": dict}
@@ -357,6 +358,16 @@ def _led_to(manifests: Sequence[Manifest], last: Manifest) -> list[Manifest]:
         wrong = chain[0].get("wrong", f"entry {chain[0]['serial']} is no trial to go on from")
         raise Damaged(f"{wrong}; {BACK}")
     return chain
+
+
+def is_part(manifest: Manifest) -> bool:
+    """Whether a trial ended early, so that its error is that of a part."""
+    return any(text.startswith(ENDED) for _, text in manifest.get("findings", ()))
+
+
+def whole_trials(live: Sequence[Manifest]) -> list[Manifest]:
+    """The manifests of the trials that did not end early; the first of `live` is the start."""
+    return [m for m in live[1:] if not is_part(m)]
 
 
 def _is_whole(manifests: Sequence[Manifest], last: Manifest) -> bool:

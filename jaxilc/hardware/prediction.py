@@ -15,6 +15,7 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Sequence
+from functools import reduce
 from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -32,7 +33,7 @@ from ..storage.sealed import Damaged, read_json, sealed, unsealed, write_json
 from ..sweeps.host import Host
 from ..sweeps.plan import Chunk, Plan
 from ..uncertainty import Population, Uncertainty
-from .journal import Manifest
+from .journal import Manifest, is_part
 
 FILE, FORMAT = "prediction.json", 1
 MACHINES, SEED = 256, 20250  # drawn machines, and the seed of their draw and of their noise
@@ -124,7 +125,8 @@ def as_lists(rms: Band, largest: Band) -> dict[str, dict[str, list[float]]]:
 class Place(NamedTuple):
     """Where a measured trial lies on its prediction.
 
-    step: number of the predicted trial: 1 + the trials that were learned from before
+    step: number of the predicted trial: 1 + the trials that were learned from before, 0 if one of
+        these ended early
     rms, largest: (low, high) of the two bands [unit of y]
     distance: `distance` of the error that lies further out; its sign is that of the side
     error: the error that lies further out, `RMS error` or `largest error`
@@ -227,19 +229,26 @@ def distance(band: Band, values: np.ndarray, smallest: float = 0.0) -> np.ndarra
 
 
 def steps(live: list[Manifest]) -> list[int]:
-    """The predicted trial that each measured trial is compared with.
+    """The predicted trial that each measured trial is compared with; 0 where there is none.
 
     A trial that was not learned from leaves the memory as it is, so the next one repeats its step.
+    What the part of a trial teaches is not predicted: after it there is none.
 
     live: manifests of the start and of the measured trials, see `Journal.live`
     """
-    learned = accumulate((bool(manifest["learned"]) for manifest in live[1:-1]), initial=0)
-    return [1 + count for count in learned][: len(live) - 1]
+    return [*accumulate(live[1:], _step_after, initial=1)][:-1]
 
 
 def next_step(live: list[Manifest]) -> int:
-    """The predicted trial that the next measured one is compared with."""
-    return 1 + sum(bool(manifest["learned"]) for manifest in live[1:])
+    """The predicted trial that the next measured one is compared with, as `steps`."""
+    return reduce(_step_after, live[1:], 1)
+
+
+def _step_after(step: int, manifest: Manifest) -> int:
+    """The predicted trial after one that is compared with `step`."""
+    if not manifest["learned"]:
+        return step
+    return 0 if is_part(manifest) or not step else step + 1
 
 
 def place_of(prediction: Prediction, step: int, error: float, largest: float) -> Place | None:

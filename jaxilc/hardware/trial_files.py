@@ -50,12 +50,12 @@ from ..storage.columns import (
 )
 from ..storage.mat_files import ROOM, Other, read_mat
 from .checks import Finding, spaced
+from .journal import ENDED
 
 STEP_TOLERANCE = 0.01  # share of the sample time by which a single step may differ
 RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may differ
 # Options of the command line that name columns, as `names` does.
 OPTIONS = {"t": "--time", "u": "--input", "y": "--output", "r": "--set campaign.reference"}
-ENDED = "the trial ended"  # so begins the note on one that ended early
 REFERENCE_TOLERANCE = 1e-4  # share of the reference's range by which r may differ
 
 

@@ -207,15 +207,11 @@ def _chosen(
 def _seen(campaign: Campaign) -> Trials:
     """What the guard of the law knows of the trials of a campaign."""
     from ..export.guard import Trials
-    from ..hardware.checks import comparable
+    from ..hardware.checks import comparable, learned_so_far
 
     live = campaign.journal.live()
     of = [e for _, e in comparable(campaign.scheme, campaign.task, live)]
-    largest: dict[str, float] = {}
-    for peaks in (entry.get("peaks", {}) for entry in live[1:]):
-        largest |= {name: max(x, largest.get(name, 0.0)) for name, x in peaks.items()}
-    learned = sum(bool(entry["learned"]) for entry in live[1:])
-    return Trials(min(of, default=float("inf")), learned, largest)
+    return Trials(min(of, default=float("inf")), *learned_so_far(live))
 
 
 def _claimed(chosen: Scenario, name: str, limit: Value, machines: int, seed: int) -> Numbers:

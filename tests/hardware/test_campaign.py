@@ -16,6 +16,7 @@ import control
 import jax
 import numpy as np
 import pytest
+import scipy.signal
 from cases import ALGEBRA, case
 from typer.testing import CliRunner
 
@@ -568,6 +569,64 @@ def test_a_trial_that_ended_early_is_no_part_of_a_step_of_several(tmp_path):
     with pytest.raises(ValueError, match=r"trial 1 ended after .* learns from 2 trials at a time"):
         campaign.turn(short, replay_input=True)
     assert not campaign.turn(short, replay_input=True, learn=False).learned
+
+
+@pytest.fixture
+def rests(tmp_path):
+    """Return a campaign whose motion rests at both ends, and a function that measures a trial."""
+    r = np.interp(np.arange(101), [20, 50], [0, 1])[:, None]
+    task, rng = Task(r, dt=0.01), np.random.default_rng(0)
+    campaign = Campaign.start(tmp_path / "state", PIDType(gamma_p=1.0), task)
+
+    def measured(samples=None):
+        """Play u on y[k+1] = 0.5 y[k] + 0.45 u[k], with noise; the rest is not measured."""
+        u = np.array(campaign.schedules()["u"])
+        y = scipy.signal.lfilter([0, 0.45], [1, -0.5], np.vstack([u, [[0]]]), axis=0)
+        y += 1e-5 * rng.standard_normal(y.shape)
+        if samples is not None:  # as `read_measured` tells of a trial that ended early
+            y[samples + 1 :], u[samples:] = r[samples + 1 :], np.nan
+        return Measured(y, u, {}, (), "a trial", samples)
+
+    return campaign, measured
+
+
+def warned(turn):
+    return [text for kind, text in turn.findings if kind != "note"]
+
+
+@pytest.mark.parametrize("samples", [10, 40])  # at rest, and in the motion
+@pytest.mark.parametrize("first", [1, 2, 3])
+def test_a_trial_that_ended_early_is_no_alarm_and_the_next_one_is_none(rests, first, samples):
+    campaign, measured = rests
+    for j in range(1, first + 3):
+        turn = campaign.turn(measured(samples if j == first else None))
+        assert warned(turn) == []
+        campaign.keep(turn)
+
+
+def test_what_was_not_measured_is_not_checked_and_what_was_measured_is(rests):
+    campaign, measured = rests
+    for _ in range(2):
+        campaign.keep(campaign.turn(measured()))
+    peak = float(np.max(campaign.schedules()["u"]))  # at the end, where the motion rests
+    limited = dataclasses.replace(campaign, rules=Rules(limit=peak, saturation=0.0))
+    part, whole = measured(40), measured()
+    assert not [text for text in limited.turn(part, learn=False).refusals if "is at its" in text]
+    assert "is at its limit" in limited.turn(whole, learn=False).refusals[0]
+    dead = part.y * (np.arange(101) > 40)[:, None]
+    (said,) = campaign.turn(part._replace(y=dead), learn=False).refusals
+    assert "y is constant up to 0" in said
+    lost = part.y + 0.3 * ((np.arange(101) > 30) & (np.arange(101) <= 40))[:, None]
+    (said,) = campaign.turn(part._replace(y=lost), learn=False).refusals
+    assert "at sample 31" in said
+    campaign.keep(campaign.turn(part, learn=False))
+    again = campaign.turn(measured(), learn=False)
+    assert not [text for _, text in again.findings if "the same schedule" in text]
+    campaign.keep(again)
+    campaign.keep(campaign.turn(measured(40), learn=False))
+    said = [text for _, text in campaign.turn(measured(), learn=False).findings]
+    (said,) = [text for text in said if "the same schedule" in text]
+    assert "RMS difference of the outputs 1.4" in said, "of the last whole trial: sqrt(2) 1e-5"
 
 
 def test_every_table_is_looked_at_before_it_is_played():

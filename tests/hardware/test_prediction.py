@@ -9,11 +9,14 @@ from cases import ALGEBRA
 from fuzz import flipped, fuzz
 from gain_case import GAINS, STATIC, TASK
 
-from jaxilc.cli.hardware import new_plant_file, next_command, verdict
+from jaxilc.cli.hardware import coming, new_plant_file, next_command, verdict
 from jaxilc.figures.experiments import bands_by_trial
+from jaxilc.hardware import checks
 from jaxilc.hardware import prediction as predictions
-from jaxilc.hardware.prediction import Subject, distance, place_of, prediction_of
+from jaxilc.hardware.calibration import Expected
+from jaxilc.hardware.prediction import Band, Subject, distance, place_of, prediction_of
 from jaxilc.schemes import PIDType
+from jaxilc.signals import Task
 from jaxilc.storage.sealed import sealed
 from jaxilc.uncertainty import draw
 
@@ -93,9 +96,15 @@ def test_machines_that_diverge_are_beyond_every_end():
     assert not np.any(np.isnan(distance(prediction.rms, errors)))
 
 
-def journal_of(*learned):
-    start = {"trial": 0, "serial": 0}
-    return [start, *({"trial": j, "serial": j, "learned": x} for j, x in enumerate(learned, 1))]
+def journal_of(*learned, errors=(), parts=()):
+    """Return manifests of trials that were learned from or not, some of which ended early."""
+    live = [{"trial": 0, "serial": 0}]
+    for j, x in enumerate(learned, 1):
+        note = [["note", "the trial ended after 3 of 9 samples"]] if j in parts else []
+        live.append({"trial": j, "serial": j, "learned": x, "findings": note, "peaks": {"u": j}})
+    for manifest, error in zip(live[1:], errors, strict=False):
+        manifest["figures"] = {"error": error}
+    return live
 
 
 def test_a_trial_that_was_only_looked_at_repeats_its_step(predicted):
@@ -105,6 +114,36 @@ def test_a_trial_that_was_only_looked_at_repeats_its_step(predicted):
     bands = bands_by_trial(live, predicted)
     assert list(bands.trial) == [1, 2, 3, 4, 5, 6, 7, 8]  # steps 3 to 6 are ahead
     np.testing.assert_array_equal(bands.high, predicted.rms.high[[0, 1, 1, 1, 2, 3, 4, 5]])
+
+
+def test_what_a_part_of_a_trial_teaches_is_not_predicted(predicted):
+    live = journal_of(True, True, False, True, parts=(2,))
+    assert (predictions.steps(live), predictions.next_step(live)) == ([1, 2, 0, 0], 0)
+    assert predictions.next_step(journal_of(True, False, parts=(2,))) == 2
+    assert coming(live, (predicted, None), 5, "mm") == ""
+    assert list(bands_by_trial(live, predicted).trial) == [1, 2]
+    own = Expected(
+        0, *(Band(*np.full((3, 1), x)) for x in (1.0, 2.0)), np.ones((2, 2)), np.zeros(0)
+    )
+    bands = bands_by_trial(live, predicted, own)
+    assert (list(bands.trial), bands.high[-1]) == ([1, 2, 5], 1.0)
+
+
+def test_the_error_of_a_part_is_not_that_of_a_trial():
+    live = journal_of(True, True, True, errors=(2.0, 1e-5, 1.0), parts=(2,))
+    law, task = PIDType(gamma_p=1.0), Task(np.linspace(0, 1, 5), dt=0.1)
+    assert checks.comparable(law, task, live) == [(1, 2.0), (3, 1.0)]
+    assert verdict(live, None, None, "mm", 0.02, stop=1e-3) == [
+        "verdict: trial 3 has an RMS error of 1 mm, 50.00% of that of trial 1"
+    ]
+    (said,) = verdict(live[:3], None, None, "mm", 0.02, stop=1e-3)
+    assert "trial 2 ended early" in said
+    assert said.endswith("trial 1 had an RMS error of 2 mm")
+    first = journal_of(True, errors=(1e-5,), parts=(1,))
+    assert "no whole trial is measured yet" in verdict(first, None, None, "mm", 0.02, stop=1e-3)[0]
+    # of each trial u is as large as its number; what a part has taught bounds nothing
+    assert checks.learned_so_far(live) == (2, {"u": 3})
+    assert checks.learned_so_far(journal_of(True, True, parts=(1, 2)), {"u": 3}) == (0, {"u": 1})
 
 
 def test_the_file_is_computed_once_and_again_where_it_is_damaged(tmp_path, predicted, monkeypatch):
@@ -168,10 +207,9 @@ def test_the_names_of_the_next_files_follow_those_of_this_call():
 
 
 def test_a_verdict_says_whether_learning_goes_on():
-    def said(*errors, experiments=()):
-        live = journal_of(*[True] * len(errors))
-        for manifest, error in zip(live[1:], errors, strict=True):
-            manifest["figures"] = {"error": error}
+    def said(*errors, experiments=(), looked_at=()):
+        learned = [j not in looked_at for j in range(1, 1 + len(errors))]
+        live = journal_of(*learned, errors=errors)
         return verdict(live, None, None, "mm", 0.02, experiments)[0]
 
     assert said() == "no trial is measured yet"
@@ -179,6 +217,10 @@ def test_a_verdict_says_whether_learning_goes_on():
     assert "the best was trial 2 with 1 mm" in said(2.0, 1.0, 1.5)
     assert "learning has ended" in said(2.0, 1.0, 1.0, 0.995, 0.99)
     assert "has ended" not in said(2.0, 1.0, 0.99, 0.98, 0.97)
+    assert "has ended" not in said(2.0, 2.0, 2.0, 2.0, looked_at=(1, 2, 3, 4)), "nothing is learned"
+    repeats = (2.0, 1.0, 1.0, 1.0, 1.0)  # trials 2 to 5 played one input
+    assert "has ended" not in said(*repeats, 1.0, 1.0, looked_at=(2, 3, 4))
+    assert "has ended" in said(*repeats, 1.0, 1.0, 1.0, looked_at=(2, 3, 4))
     found = said(2.0, 3.0, experiments=(0, 1, 0))
     assert "trial 2 is experiment 1 between" in found
     assert "trial 1 had an RMS error of 2 mm" in found

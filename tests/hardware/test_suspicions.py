@@ -31,6 +31,16 @@ def test_a_channel_that_stands_still_is_seen_and_one_that_rests_is_not():
     assert checks.frozen("y", dead, R[:, None], 0 * U, (), still=checks.DEAD) == []
 
 
+def test_of_a_trial_that_ended_early_only_what_was_measured_stands_still():
+    share = LAST[:, 0] / LAST.max()
+    k = np.argmax(share > 0.9) + 1  # it ended while the machine moved
+    assert checks.frozen("y", LAST[:k], LAST, U, ()) == []
+    (found,) = said(checks.frozen("y", 0 * LAST[:k], LAST, U, ()))
+    assert found.startswith("refusal: y is constant up to 0")
+    rest = np.argmax(share > 0.1)  # it ended before the machine had to move
+    assert checks.frozen("y", 0 * LAST[:rest], LAST, U, ()) == []
+
+
 def test_lost_counts_and_another_unit_are_steps_that_no_motion_makes():
     y = LAST.copy()
     assert checks.jumped(y, R[:, None], None, (), "mm") == []
