@@ -279,6 +279,11 @@ class Campaign:
             if self._is_measured(entry, record, error, with_input=measured.u is not None):
                 text = f"{measured.source} is trial {entry['trial']}, {_known_as(entry)}"
                 again = "whose input a call without --measured writes once more"
+                if not entry["learned"]:
+                    again += (
+                        "; leave out a new trial that is the same up to the resolution of the "
+                        "encoder: it tells nothing more"
+                    )
                 raise ValueError(f"{text} measure trial {number}, {again}")
         findings += checks.saturation(u[: measured.samples], self.actuator, self.rules)
         findings += checks.as_played(measured.others, played, self.actuator)

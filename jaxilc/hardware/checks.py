@@ -280,7 +280,8 @@ def _resolution(actuator: Actuator | None):
 def same(one, other) -> bool:
     """Whether two records of a signal come from one measurement.
 
-    They do if they agree to eight digits; two different trials of a machine never agree so well.
+    They do if they agree to eight digits. Two trials of a machine agree so well only where what
+    differs between them is below the resolution of the encoder.
     """
     return np.shape(one) == np.shape(other) and bool(
         np.max(np.abs(np.asarray(one) - other)) <= same_up_to(one)

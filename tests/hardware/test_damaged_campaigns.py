@@ -260,6 +260,8 @@ def test_one_measured_trial_is_one_trial(copied):
                 ValueError, match="which was looked at already; --undo 3 forgets it"
             ):
                 opened(folder).turn(again, learn=learn)
+    with pytest.raises(ValueError, match="leave out a new trial that is the same up to the resol"):
+        opened(folder).turn(TRIALS[3]._replace(source="of a coarse encoder"), learn=False)
     # On a real machine two trials of the same table differ by more.
     other = TRIALS[3]._replace(y=TRIALS[3].y * (1 + 1e-6))
     assert opened(folder).turn(other).trial == 5
