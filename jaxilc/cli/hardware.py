@@ -316,7 +316,9 @@ def _unexpected(now: Campaign, turn: Turn, place: Place, fit: str) -> Finding:
     side = _side(turn, place)
     text = f"trial {turn.trial}: the {place.error} is {side} the band of the trials so far"
     if place.level == "slight":
-        return Finding("note", f"{text}, as it is in one trial of ten; look at the next trials")
+        return Finding(
+            "note", f"{text}, as one of the two is in one trial of ten; look at the next trials"
+        )
     changed = now.what_changed(turn.record, turn.expected)
     text += f"; suspected is {changed.text or 'a changed machine'}"
     then = (changed.then or "look for the cause, or identify the plant again").capitalize()

@@ -28,7 +28,7 @@ from . import prediction
 from .journal import Manifest
 from .prediction import Band, Place, as_lists, band_of
 
-SHARE = 0.9  # of the trials that lie within the band
+SHARE = 0.9  # of the trials, at least, of which both errors lie within their bands
 ALARM = 0.001  # chance of a trial so far outside that the machine must be another
 FORGOTTEN = 0.1  # share by which the evidence of a trial counts less in the next one
 LEAST = 1e-100  # an error below it counts as this; its square is a number
@@ -149,7 +149,7 @@ class _Level:
     def ends(self, told: np.ndarray) -> list[float]:
         """Far end, lower end, median, upper end and far end of the next error."""
         weights, mean, spread = (np.broadcast_to(x, self.log.shape).ravel() for x in self._at(told))
-        tail = (1 - SHARE) / 2
+        tail = (1 - SHARE) / 4  # one of two sides of two bands
         found = []
         for share in (ALARM / 2, tail, 0.5, 1 - tail, 1 - ALARM / 2):
             low, high = (mean + k * spread for k in (ndtri(ALARM / 20), -ndtri(ALARM / 20)))
