@@ -90,8 +90,8 @@ def plan(
     feed:         largest path speed [mm/s]
     acceleration: () largest length of the acceleration vector, centripetal part included, or (d,)
                   of each axis [mm/s^2]
-    jerk:         () or (d,) likewise [mm/s^3]; where both are (), they also limit the derivatives
-                  of the path speed
+    jerk:         () or (d,) likewise [mm/s^3]; where it is (), it also limits the second
+                  derivative of the path speed
     dt:           sample time [s]
     points:       of the table of the curve, spaced evenly in its parameter; splines of fifth order
                   run through them
@@ -109,7 +109,7 @@ def plan(
     limits = f"feed = {feed:g} mm/s, acceleration = {acceleration} mm/s^2, jerk = {jerk} mm/s^3"
     feed = np.minimum(feed, BEYOND * arc[-1] / dt)
     acceleration = np.minimum(acceleration, BEYOND * feed / dt)
-    jerk = np.minimum(jerk, BEYOND * acceleration / dt)
+    jerk = np.minimum(jerk, BEYOND * np.max(acceleration) / dt)  # keeps its shape
     groups = _groups(q.shape[1], acceleration, jerk)
     ramp, T, arc_at = _look_ahead(arc, q, feed, np.min(acceleration), np.min(jerk))
     if not T / dt <= LONGEST:
@@ -202,10 +202,14 @@ def _require_limits(d: int, feed: float, acceleration: Limits, jerk: Limits, dt:
 
 def _groups(d: int, acceleration: Limits, jerk: Limits) -> Groups:
     """(axes, acceleration, jerk) for each vector that is limited; axis d is the arc length."""
-    if np.ndim(acceleration) == 0 and np.ndim(jerk) == 0:
-        return [(np.arange(d), acceleration, jerk), (np.array([d]), acceleration, jerk)]
-    accelerations, jerks = np.broadcast_to(acceleration, d), np.broadcast_to(jerk, d)
-    return [(np.array([i]), accelerations[i], jerks[i]) for i in range(d)]
+    none = np.full(d, np.inf)
+    (a, each_a), (j, each_j) = (
+        (limit, none) if np.ndim(limit) == 0 else (np.inf, np.asarray(limit))
+        for limit in (acceleration, jerk)
+    )
+    groups: Groups = [(np.arange(d), a, j), (np.array([d]), a, j)]
+    groups += [(np.array([i]), each_a[i], each_j[i]) for i in range(d)]
+    return [group for group in groups if min(group[1:]) < np.inf]
 
 
 def _look_ahead(

@@ -51,6 +51,8 @@ PLANS = {
     "coarse": (ellipse, (0, 2 * np.pi), LIMITS, 2e-2),
     "helix": (helix, (0, 5), LIMITS, 1e-3),
     "axes": (ellipse, (0, 2 * np.pi), LIMITS_OF_AXES, 1e-3),
+    "jerk of axes": (circle(5.0), (0, 5), LIMITS | {"jerk": (2e5, 9e4)}, 2e-3),
+    "acceleration of axes": (ellipse, (0, 5), LIMITS | {"acceleration": (900.0, 500.0)}, 2e-3),
 }
 
 
