@@ -13,8 +13,9 @@ the unit of the task, times in s. A path is measured from its start, since a pla
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -137,7 +138,7 @@ def _curve(
     """The reference along a curve of `signals.paths`."""
     feed = table.take("feed", _number)
     table.done()
-    with at_place(table.where, owner="plan"):
+    with at_place(table.where, owner="plan"), _lengths_in(setting.unit or "mm"):
         curve, interval = make()
         made = paths.plan(curve, interval, feed=feed, dt=setting.dt, **limits)
     return made.reference, (
@@ -155,8 +156,8 @@ def _points(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray,
     feed = table.take("feed", _number)
     corner = table.take("corner", _corner, None)
     table.done()
-    # Joints that are no corners are smoothed within 0.001, which of the unit m would be 1 mm.
-    scale = min(MILLIMETRE.get(setting.unit, 1.0), 1.0)
+    # Joints that are no corners are smoothed within 0.001 mm.
+    scale = MILLIMETRE.get(setting.unit, 1.0)
     moves = [Move(Straight(a, b), feed / scale) for a, b in itertools.pairwise(points / scale)]
     return _followed(moves, corner, setting, limits, table.where, scale)
 
@@ -192,9 +193,10 @@ def _followed(
     """
     in_mm = {name: np.asarray(limit) / scale for name, limit in limits.items()}
     tolerance = None if corner is None else corner / scale
-    with at_place(where, owner="plan"):
+    unit = setting.unit
+    with at_place(where, owner="plan"), _lengths_in("mm" if unit in MILLIMETRE else unit):
         made = follow(steps, corner=tolerance, dt=setting.dt, **in_mm)
-    unit, stops = setting.unit, f"{made.stops} stop{'s' * (made.stops != 1)} on the way"
+    stops = f"{made.stops} stop{'s' * (made.stops != 1)} on the way"
     rounded = (
         'none rounded (corner = "stop")'
         if corner is None
@@ -203,6 +205,15 @@ def _followed(
     )
     said = f"{made.length * scale:.6g} {unit}, {stops}, {rounded}".replace(" ,", ",")
     return made.reference * scale, said
+
+
+@contextlib.contextmanager
+def _lengths_in(unit: str) -> Generator[None]:
+    """A ValueError of a plan from within, which takes lengths for mm, names the unit they have."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(str(error).replace(" mm", f" {unit}")) from None
 
 
 def _spline(points: np.ndarray, file: Path) -> tuple:

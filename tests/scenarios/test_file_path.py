@@ -99,18 +99,27 @@ def test_a_path_is_a_reference_from_its_start(kind, tmp_path):
         assert "1 stop on the way, none rounded" in note
 
 
-def test_points_in_metres_are_followed_as_those_in_millimetres(tmp_path):
-    """A joint that is no corner is smoothed within 0.001 mm, not within 0.001 m."""
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1e-3), ("um", 1e3)])
+def test_points_in_another_unit_are_followed_as_those_in_millimetres(unit, scale, tmp_path):
+    """A joint that is no corner is smoothed within 0.001 mm, not within 0.001 m or 0.001 um."""
     angle = np.linspace(0, 2 * np.pi, 721)
     circle = 50 * np.stack([np.cos(angle) - 1, np.sin(angle)], axis=1)
     made = []
-    for unit, scale in (("mm", 1.0), ("m", 1e-3)):
-        limits = {name: value * scale for name, value in LIMITS.items()}
-        file = write(tmp_path, {"path": "points", "file": "p.csv"} | limits, task={"unit": unit})
-        np.savetxt(tmp_path / "p.csv", circle * scale, delimiter=",", header="x,y")
-        made.append(np.asarray(read_scenario(file).task.reference) / scale)
+    for of, factor in (("mm", 1.0), (unit, scale)):
+        limits = {name: value * factor for name, value in LIMITS.items()}
+        file = write(tmp_path, {"path": "points", "file": "p.csv"} | limits, task={"unit": of})
+        np.savetxt(tmp_path / "p.csv", circle * factor, delimiter=",", header="x,y")
+        made.append(np.asarray(read_scenario(file).task.reference) / factor)
     assert_allclose(made[1], made[0], atol=1e-6)
     assert np.max(np.abs(np.hypot(*(made[1] + [50, 0]).T) - 50)) < 0.0015
+
+
+@pytest.mark.parametrize("kind", ["circle", "lines"])
+def test_what_cannot_be_planned_is_told_in_the_unit_of_the_task(kind, tmp_path):
+    file = write(tmp_path, KINDS[kind] | {"jerk": 1e-12}, task={"unit": "rad"})
+    (tmp_path / "p.csv").write_text("x,y\n0,0\n3,0\n")
+    with pytest.raises(ValueError, match=r"jerk = 1e-12 rad/s\^3 need"):
+        read_scenario(file)
 
 
 def test_a_path_is_run_and_swept_with_the_names_of_its_axes(tmp_path):
