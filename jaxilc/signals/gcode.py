@@ -2,10 +2,10 @@
 
 Read are G0, G1, G2, G3, G4 (P in seconds), G17, G18, G19, G20, G21, G90, G91, and the words X, Y,
 Z, I, J, K, R, P and F (a minute). I, J and K are measured from the start of the arc. Comments,
-block numbers, and words that move no axis (M, S, T, and G codes that are off at the start of a
-program, such as G40) have no effect here, but M2 and M30 end the program, and after G80 the next
-move names its motion. All else is refused with the number of its line, a call of another program
-(M97, M98, M99) too.
+block numbers, and words that move no axis (M, S, T, G64 with its P and Q, and G codes that are off
+at the start of a program, such as G40) have no effect here, but M2 and M30 end the program, and
+after G80 the next move names its motion. All else is refused with the number of its line, a call of
+another program (M97, M98, M99) too.
 """
 
 from __future__ import annotations
@@ -86,6 +86,8 @@ class _Reader:
         if not block or block == "%":
             return True
         codes, words = _words(block)
+        if ("G", 64.0) in codes:  # its tolerances
+            words = {letter: value for letter, value in words.items() if letter not in "PQ"}
         dwell, ended = False, False
         if ("G", 80.0) in codes:  # ends the motion of the lines before
             self.motion = None
@@ -225,7 +227,7 @@ def _words(block: str) -> tuple[list[tuple[str, float]], dict[str, float]]:
             codes.append((letter, value))
         elif letter in words:
             raise ValueError(f"{letter} is given twice")
-        elif letter in "XYZIJKRPF":
+        elif letter in "XYZIJKRPQF":
             words[letter] = value
         elif letter not in "NOST":
             raise ValueError(f"{letter} is not supported; allowed are X, Y, Z, I, J, K, R, P, F")

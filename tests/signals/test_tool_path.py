@@ -145,6 +145,12 @@ def test_planes_units_and_a_helix():
     assert_allclose([y, z], [2 - 2 * np.cos(np.pi * s), 8 + 2 * np.sin(np.pi * s)], atol=1e-9)
 
 
+@pytest.mark.parametrize("preamble", ["G21 G90 G64 P0.01 Q0.02 G1", "G1 G64 P0.01\nG64 Q1"])
+def test_the_tolerances_of_g64_have_no_effect(preamble):
+    (move,) = read_gcode(f"{preamble}\nX3 F60", "xy")
+    assert_allclose(move.segment.end, [3, 0])
+
+
 def test_a_full_circle_is_one_turn_from_where_it_begins_to_there():
     """No warning comes of its chord of length zero."""
     made = follow(read_gcode("G1 X1 F1200\nG2 I-5", "xy"), corner=None, **LIMITS)
@@ -170,6 +176,8 @@ REFUSED = {
     "line 1: A is not supported": "G1 X4 A2 F9",
     "line 1: X is given twice": "G1 X4 X5 F9",
     "line 1: I is no word of G1": "G1 X4 I5 F9",
+    "line 2: P is no word of G1": "G64 P1\nG1 X4 P5 F9",
+    "line 1: Q is no word of G1": "G1 X4 Q5 F9",
     "line 1: X4 without G0": "X4",
     "line 3: X8 without G0": "G80 G1 X4 F9\nG80 (which ends a motion)\nX8",
     "line 1: G0 and G1 in one line": "G0 G1 X4 F9",
