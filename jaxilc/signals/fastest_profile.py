@@ -15,7 +15,7 @@ Share: TypeAlias = float | Numbers  # of an interval
 _GAUSS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2, np.polynomial.legendre.leggauss(4)[1] / 2
 
 
-def fastest(path: Spline, h: float, G: int, feed: float, groups: Groups, gap: float) -> Numbers:
+def fastest(path: Spline, h: float, G: int, feed: Share, groups: Groups, gap: float) -> Numbers:
     """(G+2,) coefficients of the quadratic B-spline beta that minimises the time.
 
     It is found to a relative gap, by a barrier method: for each of a row of weights of the time,
@@ -78,7 +78,7 @@ class _Barrier:
     limits: number of inequalities
     """
 
-    def __init__(self, path: Spline, h: float, G: int, feed: float, groups: Groups) -> None:
+    def __init__(self, path: Spline, h: float, G: int, feed: Share, groups: Groups) -> None:
         x = np.add.outer([0, 1], np.arange(G)) * h
         p1, p2, p3 = (np.moveaxis(path.derivative(i)(x), -1, 0).copy()[:, None] for i in (1, 2, 3))
         self.E, E1, E2 = _stencil(h, G)

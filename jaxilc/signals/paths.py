@@ -20,8 +20,11 @@ from .references import POSITIVE
 __all__ = ["Plan", "butterfly", "circle", "line", "nurbs", "plan"]
 
 Curve: TypeAlias = Callable[[np.ndarray], np.ndarray]
+Cap: TypeAlias = tuple[Numbers, Numbers]  # arc lengths, rising, and the largest speed at each
 Limits: TypeAlias = float | Numbers  # of the length of a vector, or of each axis
 LONGEST = 1_000_000  # samples of a plan
+ROUNDS = 5  # of planning, at most, each with more places that are made slower
+LEFT = 0.01  # of the time, which is stretched instead
 BEYOND = 1e4  # times what samples can show, at which a limit is none; larger numbers cost digits
 
 
@@ -96,9 +99,10 @@ def plan(
     points:       of the table of the curve, spaced evenly in its parameter; splines of fifth order
                   run through them
 
-    A jump of the curvature, as between line and arc, counts as a rise over one step h of the
-    planning grid (2000 to 20000 steps): it is passed at about (jerk h / jump)^(1/2), so blend such
-    paths where time matters.
+    A jump of the curvature, as between line and arc, counts as a rise over a step h of the planning
+    grid (2000 to 20000 steps), or over a sample where that is shorter: it is passed at about (jerk
+    h / jump)^(1/2), so blend such paths where time matters. Up to four further plans are slower
+    where the samples of the one before exceed a limit, and the shortest is taken.
 
     Raises ValueError for a value outside its range, for a curve that is not finite, stands still,
     has a corner or cusp (there the tool would have to stop: split the path, plan the parts) or
@@ -126,15 +130,29 @@ def plan(
         return np.column_stack([curve(parameter), s]), parameter
 
     # The first solution becomes the time base of the second: then the grid is fine where the motion
-    # turned out to be slow.
-    for gap in (1e-1, 1e-2, 3e-4):
+    # turned out to be slow. Where samples show more than the grid, as at a jump of the curvature,
+    # further solutions are slower, with less jerk beside that of the jump.
+    caps, shortest = list[Cap](), np.inf
+    for gap in (1e-1, 1e-2, *[3e-4] * ROUNDS):
         x, path = _over_time(on_curve, arc_at, arc[-1], T, np.clip(dt, ramp / 100, ramp / 8))
-        profile = Profile(fastest(path, x[1], len(x) - 1, feed, groups, gap), x[1])
+        speeds = _allowed(path(x)[:, -1], feed, caps)
+        share = np.where(speeds < feed, 0.5, 1.0)
+        local = [(axes, a, share * j) for axes, a, j in groups]
+        profile = Profile(fastest(path, x[1], len(x) - 1, speeds, local, gap), x[1])
         T, arc_at = (
             profile.times[-1],
             lambda t, path=path, profile=profile: path(profile.at(t))[:, -1],
         )
-    return _sampled(on_curve, path, profile, arc[-1], dt, feed, groups)
+        if gap > 3e-4:
+            continue
+        s = _in_samples(path, profile, arc[-1], int(np.ceil(T / dt - 1e-9)))[1]
+        excess = _excess(on_curve(s)[0], dt, feed, groups)
+        if T * np.max(excess) < shortest:
+            shortest, chosen = T * np.max(excess), (path, profile)
+        if np.max(excess) <= 1 + LEFT:
+            break
+        caps.append(_cap(s, excess, dt, int(np.ceil(x[1] / dt))))
+    return _sampled(on_curve, *chosen, arc[-1], dt, feed, groups)
 
 
 def _over_time(
@@ -172,11 +190,9 @@ def _sampled(
     while True:
         N = int(np.ceil(T * stretch / dt - 1e-9))
         stretch = N * dt / T
-        x = profile.at(np.arange(N + 1) / N * T)
-        s = np.clip(path(x)[:, -1], 0.0, length)
-        s[0], s[-1] = 0.0, length
+        x, s = _in_samples(path, profile, length, N)
         reference, parameter = on_curve(s)
-        excess = _excess(reference, dt, feed, groups)
+        excess = np.max(_excess(reference, dt, feed, groups))
         if excess <= 1.0:
             break
         stretch *= max(excess, 1.0 + dt / T)
@@ -188,6 +204,43 @@ def _sampled(
         np.sqrt(beta) * (s3 * beta + 1.5 * s2 * slope + s1 * bend / 2) / stretch**3,
     )
     return Plan(reference[:, :-1], parameter, s, *motion, float(dt))
+
+
+def _in_samples(path: Spline, profile: Profile, length: float, N: int) -> tuple[Numbers, Numbers]:
+    """(N+1,) times of the grid of a profile, and arc lengths, at N equal steps of its time."""
+    x = profile.at(np.arange(N + 1) / N * profile.times[-1])
+    s = np.clip(path(x)[:, -1], 0.0, length)
+    s[0], s[-1] = 0.0, length
+    return x, s
+
+
+def _cap(s: Numbers, excess: Numbers, dt: float, reach: int) -> Cap:
+    """(N+1,) arc lengths of samples, and the path speeds there at which they keep the limits.
+
+    excess: (N+4,) of the differences of the samples
+    reach: the number of samples beside those of a difference that are slower, too
+    """
+    # The jerk grows with the square of the speed where the curvature jumps, and depends by a third
+    # on where the samples lie beside the jump.
+    excess = _widest(excess, 4, reach)
+    speed = _widest(np.diff(s, append=s[-1]) / dt, 1, reach + 3)
+    return s, np.where(excess > 1 + LEFT, 0.9 * speed / excess ** (3 / 2), np.inf)
+
+
+def _widest(values: Numbers, width: int, reach: int) -> Numbers:
+    """The largest of each `width` neighbouring values and of as many as `reach` on both sides."""
+    padded = np.pad(values, reach, mode="edge")
+    return np.max(np.lib.stride_tricks.sliding_window_view(padded, width + 2 * reach), axis=1)
+
+
+def _allowed(s: Numbers, feed: float, caps: list[Cap]) -> Numbers:
+    """(G,) largest path speeds on the intervals between (G+1,) arc lengths."""
+    speeds = np.full(len(s) - 1, float(feed))
+    for places, cap in caps:
+        first = np.clip(np.searchsorted(places, s, side="right") - 1, 0, len(places) - 1)
+        within = np.minimum.reduceat(cap, first)[:-1]
+        speeds = np.minimum(speeds, np.minimum(within, cap[first[1:]]))
+    return speeds
 
 
 def _require_limits(d: int, feed: float, acceleration: Limits, jerk: Limits, dt: float) -> None:
@@ -249,23 +302,25 @@ def _look_ahead(
     return ramp, T, lambda x: (integral_at(x) - integral_at(x - ramp)) / ramp
 
 
-def _excess(reference: Numbers, dt: float, feed: float, groups: Groups) -> float:
-    """The factor by which time must be stretched for the sampled reference to keep every limit.
+def _excess(reference: Numbers, dt: float, feed: float, groups: Groups) -> Numbers:
+    """(N+4,) factors by which time must be stretched for the sampled reference to keep its limits.
 
-    It is its differences that must keep them.
+    It is its differences that must keep them; number i is that of the samples i - 3 to i.
     """
     held = np.pad(reference, ((3, 3), (0, 0)), mode="edge")
     # Positions are rounded, and at a short dt their differences are mostly that, which no
     # stretching would cure.
     rounding = 32 * np.finfo(float).eps * np.max(np.abs(reference))
     v, a, j = (
-        np.maximum(np.abs(np.diff(held, i, axis=0)) - rounding, 0.0) / dt**i for i in (1, 2, 3)
+        np.maximum(np.abs(np.diff(held, i, axis=0)) - rounding, 0.0)[: len(held) - 3] / dt**i
+        for i in (1, 2, 3)
     )
-    excess = [np.max(v[:, -1]) / feed]
+    excess = v[:, -1] / feed
     for axes, acceleration, jerk in groups:
-        excess += [np.max(np.linalg.norm(a[:, axes], axis=1) / acceleration) ** (1 / 2)]
-        excess += [np.max(np.linalg.norm(j[:, axes], axis=1) / jerk) ** (1 / 3)]
-    return max(excess)
+        of_a = np.linalg.norm(a[:, axes], axis=1) / acceleration
+        of_j = np.linalg.norm(j[:, axes], axis=1) / jerk
+        excess = np.maximum(excess, np.maximum(np.sqrt(of_a), np.cbrt(of_j)))
+    return excess
 
 
 # Curves
