@@ -223,7 +223,8 @@ def _cap(s: Numbers, excess: Numbers, dt: float, reach: int) -> Cap:
     # The jerk grows with the square of the speed where the curvature jumps, and depends by a third
     # on where the samples lie beside the jump.
     excess = _widest(excess, 4, reach)
-    speed = _widest(np.diff(s, append=s[-1]) / dt, 1, reach + 3)
+    speed = np.diff(s, append=s[-1]) / dt
+    speed = np.maximum(_widest(speed, 1, reach + 3), 1e-3 * np.max(speed))  # 0 would be a stop
     return s, np.where(excess > 1 + LEFT, 0.9 * speed / excess ** (3 / 2), np.inf)
 
 
