@@ -462,7 +462,7 @@ def read_mat_signals(
     """The signals of these names in a .mat file of version 5 to 7; a name may be a path, `log.u`.
 
     arrays              variables t, u and y, as vectors of one length
-    a structure         fields t, u and y of one structure
+    a structure         fields u and y of one structure, and t there or beside it
     times of its own    a structure u with the fields Time and Data, as of a timeseries; or time and
                         signals.values, Simulink's "structure with time" of one signal
 
@@ -506,6 +506,8 @@ def _mat_signal(
     else:
         values = _vector(path, name, value)
         spellings = (time, "time", "Time", "tout") if time == "t" else (time,)
+        if dt is None and not any(k in level for k in spellings):
+            level = level | content  # the times of the file
         key = next((k for k in spellings if k in level), None)
         if key is None and dt is None:
             raise ValueError(

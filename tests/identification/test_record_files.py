@@ -183,6 +183,8 @@ SECONDS = 1e-3 * T[:, None]
 MATS = {
     "arrays": {"t": SECONDS, "u": U, "y": Y[:, None]},
     "a structure": {"log": {"Time": SECONDS, "u": U, "y": Y}},
+    "times beside it": {"tout": SECONDS, "log": {"u": U, "y": Y}},
+    "times of its own": {"t": 2 * SECONDS, "log": {"Time": SECONDS, "u": U, "y": Y}},
     "Time and Data": {n: {"Time": SECONDS, "Data": v} for n, v in (("u", U), ("y", Y))},
     "page": {"u": {"Time": SECONDS, "Data": U.reshape(1, 1, 4)}, "y": {"Time": SECONDS, "Data": Y}},
     "with time": {
