@@ -23,7 +23,7 @@ REVERSAL = np.radians(150.0)  # a corner that turns by more is always a stop
 JOINT = 1e-3  # the tolerance within which a joint that is no corner is smoothed [mm]
 # Each part without a stop takes about 0.2 s to plan, and 1 ms for each of its moves.
 MOST_PIECES, MOST_MOVES = 300, 50_000
-_POINTS = 12.0  # points of the table of a curve within half the width of a rounding
+_POINTS = 12.0  # points of the table of a curve within half the width of a rounding, at least
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,16 +179,35 @@ def _planned(piece: list[Move], tolerance: float, limits: Mapping[str, Value]) -
     segments, feed = [move.segment for move in piece], piece[0].feed
     try:
         chain = Chain(segments, tolerance)
-        points = int(max(20001, np.ceil(_POINTS * chain.length / chain.finest)))
-        if points > LONGEST:
-            raise ValueError(
-                f"a path of {chain.length:g} mm without a stop has details of {chain.finest:g} mm, "
-                "its smallest radius or rounding; raise `corner`, or divide the path"
-            )
-        return plan(chain, (0.0, chain.length), feed=feed, points=points, **limits).reference
+        points, interval = _points(chain), (0.0, chain.length)
+        return plan(chain, interval, feed=feed, points=points, **limits).reference
     except ValueError as error:
         said = str(error).removeprefix("plan: ")
         raise ValueError(f"{piece[0].what}: {said}" if piece[0].what else said) from None
+
+
+def _points(chain: Chain) -> int:
+    """The number of points of a table of the chain.
+
+    Where a rounded corner nearly reverses, the position moves less than the parameter, and turns as
+    much faster.
+
+    Raises ValueError for more points than a table may have.
+    """
+    finest, points, needed = chain.finest, 0, 20001.0
+    while needed > 1.2 * points:
+        points = int(max(20001, np.ceil(_POINTS * chain.length / finest)))
+        if points > LONGEST:
+            raise ValueError(
+                f"a path of {chain.length:g} mm without a stop has details of {finest:.3g} mm, its "
+                "smallest radius or rounding; stop at that place (G4 P0 in a program, or corner = "
+                '"stop"), or divide the path'
+            )
+        s = np.linspace(0.0, chain.length, points)
+        slowest = np.min(np.linalg.norm(np.diff(chain(s), axis=0), axis=1)) / s[1]
+        finest = chain.finest * np.clip(2 * slowest, 1e-9, 1.0)
+        needed = _POINTS * chain.length / finest
+    return points
 
 
 def _straights(

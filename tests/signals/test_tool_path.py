@@ -103,6 +103,33 @@ def test_a_rounded_polygon_is_its_average_and_uses_its_tolerance(polygon):
     assert_allclose(chain(np.array([0.0, chain.length])), np.array(corners)[[0, -1]], atol=1e-12)
 
 
+TURN = 100 + 100 * np.exp(1j * np.radians(149.0))
+NEARLY_REVERSED = {
+    "a corner of 149 degrees": ([(100, 0), (TURN.real, TURN.imag)], 1),
+    "a narrow slot": ([(20, 0), (20, 0.005), (0, 0.005)], 2),
+}
+
+
+@pytest.mark.parametrize("name", NEARLY_REVERSED)
+def test_a_rounding_that_nearly_reverses_is_followed_within_its_tolerance(name):
+    corners, rounded = NEARLY_REVERSED[name]
+    places = [np.zeros(2), *map(np.array, corners)]
+    moves = [Move(Straight(a, b), 100.0) for a, b in itertools.pairwise(places)]
+    made = follow(moves, corner=0.02, **LIMITS)
+    assert (made.stops, made.rounded) == (0, rounded)
+    assert max(used(made.reference)[1:]) < 1 + SLACK
+    near = made.reference[np.linalg.norm(made.reference - corners[0], axis=1) < 1.0]
+    dense = np.concatenate([straight(a, b) for a, b in itertools.pairwise(places)])
+    dense = dense[np.linalg.norm(dense - corners[0], axis=1) < 1.1]
+    assert farthest(near, dense) < np.hypot(0.02, 0.0125)  # dense points are 0.025 apart
+
+
+def test_a_radius_too_small_for_the_length_of_its_path_is_refused_with_what_helps():
+    moves = read_gcode("G1 X200 F1800\nG3 Y0.002 R0.001\nG1 X0", "xy")
+    with pytest.raises(ValueError, match=r"details of 0\.001 mm, .* stop at that place \(G4 P0 in"):
+        follow(moves, corner=0.02, **LIMITS)
+
+
 def test_stops_dwells_and_reversals():
     there = np.array([5.0, 0])
     go, turn_back = Straight(np.zeros(2), there), Straight(there, np.zeros(2))
