@@ -143,10 +143,10 @@ def _said(repeats: Repeats, found: Potential) -> tuple[str, ...]:
             "Learning has nothing to gain: at no frequency does more of the error repeat than is "
             f"new in each trial, {sized(new.value, unit)} ({_range(new, unit)}).",
         )
+    start = float(np.sqrt(np.mean(repeats.e[-found.alike :] ** 2)))
     return (
-        f"Learning can bring the error from {sized(found.repeatable.value, unit)} to "
-        f"{sized(found.left, unit)} rms, a factor of "
-        f"{number(found.repeatable.value / found.left)}, by what lies below "
+        f"Learning can bring the error from {sized(start, unit)} to {sized(found.left, unit)} rms, "
+        f"a factor of {number(start / found.left)}, by what lies below "
         f"{number(found.cutoff.value)} Hz; no law leaves less than what is new in each trial, "
         f"{sized(new.value, unit)} ({_range(new, unit)}).",
     )

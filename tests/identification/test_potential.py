@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 from pathlib import Path
 
@@ -38,6 +39,19 @@ def test_what_is_new_is_unbiased_and_its_interval_holds():
     for values, true in ((squares, 1.0), (parts, 30**2 / 2 + 3**2 / 2)):
         assert abs(np.mean(values) - true) < 6 * np.std(values) / np.sqrt(200)
     assert 0.88 <= inside / 200 <= 0.99
+
+
+@pytest.mark.parametrize("drift", [0.0, 20.0])
+def test_the_error_that_learning_begins_from_is_that_of_a_trial(tmp_path, drift):
+    rng, t = np.random.default_rng(9), np.arange(N) * DT
+    e = np.sqrt(2) * np.sin(4 * np.pi * t) + 2 * rng.standard_normal((4, N))
+    e += drift * np.arange(4)[:, None] * np.sin(np.pi * t)
+    np.savez(tmp_path / "e.npz", e=e, t=t)
+    said = jaxilc.potential(tmp_path / "e.npz", unit="mm")
+    start, left = np.sqrt(np.mean(e**2)), said.numbers["left"]
+    numbers = [float(of) for of in re.findall(r"\d+\.\d+", said.verdict.lines[0])[:3]]
+    np.testing.assert_allclose(numbers, [start, left, start / left], rtol=6e-3)
+    assert numbers[2] > 1
 
 
 def test_the_cutoff_lies_above_what_repeats_and_nothing_is_gained_from_noise():
