@@ -15,8 +15,9 @@ estimates here are unbiased. What is not m and not new either is told apart firs
 
 Tests and intervals are those of F and chi-square with equivalent degrees of freedom (Welch and
 Satterthwaite): nu = 2 T (sum S df)^2 / sum S^2 df of a trial of length T, fewer where the new part
-is strong during a part of the trial only. Spectra are means over sine tapers (Riedel and Sidorenko
-1995) and over bands.
+is strong during a part of the trial only. The interval of the rms of m has the variance of the mean
+of 2 m d + d^2 over trial and trials, with S at the frequencies and times of m. Spectra are means
+over sine tapers (Riedel and Sidorenko 1995) and over bands.
 """
 
 from __future__ import annotations
@@ -121,7 +122,8 @@ def potential_of(e, dt: float) -> Potential:
     low, high = (chi2.ppf(p, nu * free) / (nu * free) for p in TAILS)
     sigma = Estimate(np.sqrt(power), np.sqrt(power / low), np.sqrt(power / high))
     repeats = max(float(np.mean(mean**2)) - power / n, 0.0)
-    unsure = 1.96 * np.sqrt(4 * repeats * power / (n * nu) + 2 * (power / n) ** 2 / nu)
+    met = _met(spectrum, mean, new, N * dt)
+    unsure = 1.96 * np.sqrt(4 * repeats * met / n + 2 * (power / n) ** 2 * (1 + 1 / free) / nu)
     slope = 0.0
     if along is not None:
         slope = max(float(np.mean(along**2)) - power / (_steps(n) @ _steps(n)), 0.0)
@@ -234,6 +236,20 @@ def _freedom(spectrum: Spectrum, new: np.ndarray, free: int) -> float:
     by_chance = 1 + 2 * SEGMENTS / (spectrum.even * free)
     uneven = np.mean(parts**2) / np.mean(parts) ** 2 / by_chance
     return float(np.clip(spectrum.even / max(uneven, 1.0), 1.0, new.shape[1]))
+
+
+def _met(spectrum: Spectrum, mean: np.ndarray, new: np.ndarray, duration: float) -> float:
+    """The variance of the mean of m d over a trial, of an m of rms 1, at the lines and times of m.
+
+    duration: T of a trial [s], over which m at a frequency meets the power S / (2 T)
+    """
+    of = np.clip(spectrum.repeatable, 0.0, None) * spectrum.widths
+    if not of.any():
+        return 0.0
+    parts = [np.array_split(np.mean(x**2, axis=0), SEGMENTS) for x in (mean[None], new)]
+    sizes = np.array([[np.mean(part) for part in one] for one in parts])
+    uneven = np.mean(sizes[0] * sizes[1]) / np.prod(np.mean(sizes, axis=1))
+    return float(of @ spectrum.new / of.sum() / (2 * duration) * uneven)
 
 
 def _cutoff(spectrum: Spectrum, repeatable: np.ndarray) -> float:

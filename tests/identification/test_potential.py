@@ -30,14 +30,28 @@ def repeats(rng, trials, pole=0.9, size=1.0):
 
 
 def test_what_is_new_is_unbiased_and_its_interval_holds():
-    rng, squares, parts, inside = np.random.default_rng(1), [], [], 0
+    rng, squares, parts, inside, within = np.random.default_rng(1), [], [], 0, 0
+    repeated = 30**2 / 2 + 3**2 / 2
     for _ in range(200):
         found = potential_of(repeats(rng, 3), DT)
         squares.append(found.new.value**2)
         parts.append(found.repeatable.value**2)
         inside += found.new.low < 1 < found.new.high
-    for values, true in ((squares, 1.0), (parts, 30**2 / 2 + 3**2 / 2)):
+        within += found.repeatable.low**2 < repeated < found.repeatable.high**2
+    for values, true in ((squares, 1.0), (parts, repeated)):
         assert abs(np.mean(values) - true) < 6 * np.std(values) / np.sqrt(200)
+    assert 0.88 <= inside / 200 <= 0.99
+    assert 0.90 <= within / 200 <= 0.99
+
+
+def test_the_interval_of_what_repeats_knows_that_the_noise_is_strong_where_it_is():
+    rng, t, inside = np.random.default_rng(8), np.arange(1000) * DT, 0
+    pulse = np.exp(-(((t - 0.3) / 0.07) ** 2)) - np.exp(-(((t - 0.7) / 0.07) ** 2))
+    size = 0.1 + np.abs(pulse)
+    for _ in range(200):
+        noise = lfilter([1.0], [1.0, -0.5], rng.standard_normal((4, 1000)), axis=1)
+        found = potential_of(9 * pulse + size * noise, DT)
+        inside += found.repeatable.low**2 < np.mean((9 * pulse) ** 2) < found.repeatable.high**2
     assert 0.88 <= inside / 200 <= 0.99
 
 
