@@ -649,7 +649,7 @@ def identify(
         if auto and value is not None:
             raise ValueError(f"--{name} {value} is not allowed with --auto, which chooses it")
     at_least(0, delay=delay)
-    at_least(1, averages=averages)
+    at_least(2, averages=averages)
     plant_file = out_dir if _is_plant_file(out_dir) else None
     if plant_file is not None and plant_file.exists() and not force:
         raise FileExistsError(f"{plant_file} exists already; add --force to replace it")

@@ -75,14 +75,15 @@ def read_frequency_response(path: str | Path, *, averages: int | None = None) ->
 
     The standard deviation of a line follows from its coherence c over n averages as
 
-        std = |G| sqrt((1 - c) / (c n))        (Bendat, Piersol 2010, section 9.2)
+        std = |G| sqrt((1 - c) / (c (n - 1)))        (Bendat, Piersol 2010, section 9.2)
 
     where G is the response from cross and input spectra, and c is the squared one, between 0 and
-    1. It is that of the complex number, sqrt(2) times that of its magnitude. A line at 0 Hz is left
-    out. A column `std` goes before `variance`, and this before `coherence`; re and im go before
-    magnitude and phase, and these before complex text.
+    1. Of n averages n - 1 are left beside G, so that the mean of std^2 is right for few, too. It is
+    that of the complex number, sqrt(2) times that of its magnitude. A line at 0 Hz is left out. A
+    column `std` goes before `variance`, and this before `coherence`; re and im go before magnitude
+    and phase, and these before complex text.
 
-    averages: number n of independent averages; without it, std is known up to a factor
+    averages: number n >= 2 of independent averages; without it, std is known up to a factor
     Raises ValueError naming file, line and column: for a column that is missing or there twice, a
     unit that is missing or not known, a value that is not a finite number or outside its range,
     frequencies that do not increase, and fewer than 2 lines.
@@ -109,7 +110,8 @@ def read_frequency_response(path: str | Path, *, averages: int | None = None) ->
         )
     known = coherence is None or averages is not None
     of_lines = None if coherence is None else coherence[above]
-    return MeasuredResponse(f[above], response[above], std[above], of_lines, known)
+    n = np.inf if coherence is None or averages is None else averages
+    return MeasuredResponse(f[above], response[above], std[above], of_lines, known, n)
 
 
 # How it is done
@@ -219,7 +221,7 @@ def _std(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """(rows,) the standard deviation of each line, 0 where the file does not tell it; coherence."""
     if averages is not None:
-        require("read_frequency_response", "averages", averages, "[1, inf)", whole=True)
+        require("read_frequency_response", "averages", averages, "[2, inf)", whole=True)
     for kind in ("std", "variance"):
         if kind in columns:
             column = columns[kind]
@@ -238,7 +240,7 @@ def _std(
     c = read.numbers(column)
     for k in np.flatnonzero((c <= 0) | (c > 1)):
         read.refuse(k, column, "outside (0, 1]; leave the line out, and take the squared coherence")
-    return np.abs(response) * np.sqrt((1 - c) / (c * (averages or 1))), c
+    return np.abs(response) * np.sqrt((1 - c) / (c * ((averages or 2) - 1))), c
 
 
 def _complex(cell: list[str]) -> complex:

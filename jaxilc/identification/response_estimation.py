@@ -41,6 +41,7 @@ from .verdict import (
     poles_of,
 )
 
+ROUNDS, SETTLED = 50, 1e-5  # of model and scatter in turn; relative change that ends them
 IN_DISC = 1.7308  # sqrt(-ln 0.05): |r| <= this / sqrt(F) in 95 % of cases, r complex and normal
 
 
@@ -66,6 +67,13 @@ def identify_response(
     no standard deviation is known, the relative error is minimised (std_k = |G_k| times a factor
     that follows from the residual). A line without one among others has the smallest of the others.
 
+    Of a std that n averages tell, a line that scatters little by chance would count too much. Their
+    maximum likelihood is that of the scatter about the model, found in turn with it:
+
+        minimise over theta:  sum_k n log(1 + |G_k - P_k|^2 / ((n - 1) std_k^2))
+        std_k^2 becomes       std_k^2 + |G_k - P_k|^2 / (n - 1)
+        covariance = n / (n - 1) (J^T J)^-1
+
     poles, pairs, zeros, starts, seed: as for `identify`
     dt: sample time [s]; P(z) then leads from the samples of u, held over each sample, to those of
         y, as a controller measures them, and is the response of `plant.sampled(dt)`. None: G(s)
@@ -84,7 +92,7 @@ def identify_response(
     checked_lines(measured, dt, delay)
     need_lines(measured, 1 + zeros + plant.order + (delay is None))
     problem = response_problem(measured, plant, dt, delay)
-    return _judged(problem, best_of_many_starts(problem, starts, seed))
+    return _judged(*_with_scatter(problem, best_of_many_starts(problem, starts, seed)))
 
 
 def compare_response_orders(
@@ -101,9 +109,10 @@ def compare_response_orders(
 
         BIC = chi^2 + p ln(2 F),    chi^2 = sum_k 2 |G_k - P_k|^2 / std_k^2
 
-    for F lines of known standard deviation, else the criterion of `information`. The delay of each
-    structure is fitted, or that given [s]. Structures of too many parameters are left out, except
-    the first one. `rms` is the root mean square of |G - P| / std.
+    for F lines of known standard deviation, or twice the sum of `identify_response` where averages
+    tell it, else the criterion of `information`. The delay of each structure is fitted, or that
+    given [s]. Structures of too many parameters are left out, except the first one. `rms` is the
+    root mean square of |G - P| / std.
     """
     found = []
     given = {"dt": dt, "delay": delay, "starts": starts, "seed": seed}
@@ -113,12 +122,32 @@ def compare_response_orders(
         problem = response_problem(measured, cast(ProcessModel, fit.plant), dt, delay)
         error = problem.weights * (measured.response - fit.simulated[:, 0])
         parts, number = np.concatenate([error.real, error.imag]), len(fit.parameters)
-        bic = float(parts @ parts + number * np.log(len(parts)))
+        bic = float(_chi_squared(error, measured.averages) + number * np.log(len(parts)))
         if not (np.any(measured.std) and measured.averages_known):
             bic = information(parts, number, 1e-9)
         rms = float(np.sqrt(np.mean(parts**2)))
         found.append(Order(*structure, number, rms, bic, np.nan, fit))
     return found
+
+
+def _chi_squared(error: np.ndarray, averages: float) -> float:
+    """-2 log likelihood of complex errors (F,) that are divided by std / sqrt(2)."""
+    size = np.abs(error) ** 2
+    if np.isfinite(averages):
+        size = 2 * averages * np.log1p(size / (2 * averages - 2))
+    return float(np.sum(size))
+
+
+def _with_scatter(problem: ResponseProblem, found: Minimum) -> tuple[ResponseProblem, Minimum]:
+    """The minimum with the scatter about the model, where averages tell it, and its problem."""
+    given, of = 2 / problem.weights**2, problem.measured.averages - 1
+    for _ in range(ROUNDS if np.isfinite(of) and np.any(problem.measured.std) else 0):
+        error = np.abs(problem.measured.response - problem.response(found.theta)) ** 2
+        problem = problem._replace(weights=np.sqrt(2 / (given + error / of)))
+        before, found = found, minimum(problem, found.theta)
+        if np.allclose(found.theta, before.theta, rtol=SETTLED, atol=0.0):
+            break
+    return problem, found
 
 
 def checked_lines(measured: MeasuredResponse, dt: float | None, delay: float | None) -> None:
@@ -181,8 +210,10 @@ def _judged(problem: ResponseProblem, found: Minimum) -> Identified:
     known = bool(np.any(measured.std)) and measured.averages_known
     residual = problem.residual(theta)[:, 0]
     freedom = max(len(residual) - len(theta), 1)
-    ratio = float(np.sqrt(residual @ residual / freedom))
-    covariance = inverse_of_normal(problem.sensitivity(theta)[:, 0]) * (1.0 if known else ratio**2)
+    n = measured.averages
+    told = n / (n - 1) if np.isfinite(n) else 1.0
+    ratio = float(np.sqrt(told * (residual @ residual) / freedom))
+    covariance = inverse_of_normal(problem.sensitivity(theta)[:, 0]) * (told if known else ratio**2)
     tail = 0.5 + CONFIDENCE / 2
     width = scipy.special.ndtri(tail) if known else scipy.special.stdtrit(freedom, tail)
     weighted = problem.weights * measured.response

@@ -155,7 +155,7 @@ def filter_measured(
     names = names if len({*names}) == len(names) else files  # of several folders
     of_each = dict(zip(names, answered.tests, strict=True))
     place = Path(folder or f"out/filter-{Path(records[0]).stem}")
-    said = [_records_verdict(names, answered, sigmas), _between(answered)]
+    said = [_records_verdict(names, answered, sigmas, averages), _between(answered)]
     numbers, kept = _law_numbers(answered, answered.offers), []
     numbers["records"] = {
         name: {
@@ -470,10 +470,13 @@ def _record_rows(test: RecordTest) -> list[tuple[str, str]]:
     return rows
 
 
-def _records_verdict(names: list[str], answered: MeasuredQuestion, sigmas: float) -> str:
+def _records_verdict(
+    names: list[str], answered: MeasuredQuestion, sigmas: float, averages: int | None
+) -> str:
     test = answered.tests[answered.top]
     where = f"at {number(test.worst)} Hz" + (f" in {names[answered.top]}" if len(names) > 1 else "")
     law = f"with {sigmas:g} standard deviations of scatter"
+    law += f" and the doubt of {averages} averages" if averages else ""
     if answered.peak < 1:
         return (
             f"Safe on every line {law}: |Q (1 - L P)| + |Q L| s is at most "

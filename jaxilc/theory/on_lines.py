@@ -23,6 +23,7 @@ LARGEST_SHARE = 0.98  # of the Nyquist frequency, beyond which no cutoff is look
 FINENESS = 1e-4  # relative, of the largest gain
 SCAN = 0.8  # factor from gain to gain, in the search for one that is allowed
 SCANNED = 60
+MOST_EXPONENT = 100.0  # of a quantile, beyond which a line tells nothing
 
 
 class MeasuredResponse(NamedTuple):
@@ -34,6 +35,7 @@ class MeasuredResponse(NamedTuple):
     coherence:   (F,) squared coherence from which std follows; None where there is none
     averages_known: whether the number of averages of the coherence is known; if not, std is that of
         one average, and only its course over the lines is known
+    averages: number n >= 2 of averages from whose scatter std is estimated; inf: std is exact
     """
 
     frequencies: np.ndarray
@@ -41,6 +43,17 @@ class MeasuredResponse(NamedTuple):
     std: np.ndarray
     coherence: np.ndarray | None = None
     averages_known: bool = True
+    averages: float = np.inf
+
+    def scatter(self, sigmas: float) -> np.ndarray:
+        """(F,) distance from the true response that a line exceeds with probability exp(-sigmas^2).
+
+        It is sigmas std where std is exact. Where n averages tell it, |measured - true|^2 / std^2
+        has the F distribution with 2 and 2 n - 2 degrees of freedom (Pintelon, Schoukens 2012).
+        """
+        of = self.averages - 1
+        exponent = min(sigmas**2 / of, MOST_EXPONENT)
+        return self.std * (np.sqrt(of * np.expm1(exponent)) if np.isfinite(of) else sigmas)
 
 
 class Lines(NamedTuple):

@@ -511,8 +511,8 @@ def measured_question(
 ) -> MeasuredQuestion:
     """The test of a law on records, and how far it may go with a margin on every line.
 
-    sigmas: s_k in units of the standard deviation of a line. For a complex normal scatter a line
-            lies further away with the probability exp(-sigmas^2)
+    sigmas: s_k in units of the standard deviation of a line, where it is exact. A line lies further
+            away with the probability exp(-sigmas^2), if its scatter is complex normal
 
     Raises ValueError for a number outside its range, a line above the Nyquist frequency, and a
     record that starts above the cutoff or has fewer than 3 lines below it.
@@ -522,7 +522,9 @@ def measured_question(
     for i, record in enumerate(records):
         need_lines(record, law, f"record {i + 1}" if len(records) > 1 else "the record")
     inner = [lines_of(record, law, sigmas) for record in records]
-    tests = [_tested(lines, law, record) for lines, record in zip(inner, records, strict=True)]
+    tests = [
+        _tested(lines, law, record, sigmas) for lines, record in zip(inner, records, strict=True)
+    ]
     now = Change(1.0, 0, law.cutoff, law.order)
     lowest = max(float(record.frequencies[0]) for record in records)
     offers = []
@@ -555,15 +557,21 @@ def lines_of(record: MeasuredResponse, law: PLaw, sigmas: float) -> Lines:
     """The lines of a record with the law without its filter."""
     f = np.asarray(record.frequencies, float)
     L = law.gain * np.exp(2j * np.pi * f * law.dt * (1 + law.lead))
-    P, scatter = np.asarray(record.response)[None], sigmas * np.asarray(record.std)[None]
+    P, scatter = np.asarray(record.response)[None], np.asarray(record.scatter(sigmas))[None]
     return Lines(f, P, scatter, np.ones(len(f), complex), L, law.dt)
 
 
-def spacings(record: MeasuredResponse) -> list[Spacing]:
-    """The resonances of a record, by peaks of |P| that stand out by 3 dB, with their widths."""
+def spacings(record: MeasuredResponse, sigmas: float = 3.0) -> list[Spacing]:
+    """The resonances of a record, by peaks of |P| that stand out by 3 dB, with their widths.
+
+    sigmas: scatter that does not lift a peak above the lines around it, as for `measured_question`
+    """
     f, size = record.frequencies, np.abs(record.response)
     level = 20 * np.log10(np.maximum(size, 1e-300))
-    peaks, _ = find_peaks(level, prominence=HEIGHT)
+    peaks, around = find_peaks(level, prominence=HEIGHT)
+    scatter = record.scatter(sigmas)
+    least = np.maximum(*((size + scatter)[around[f"{side}_bases"]] for side in ("left", "right")))
+    peaks = peaks[(size - scatter)[peaks] > least]
     ends = np.zeros_like(peaks), np.full_like(peaks, len(f) - 1)
     half_power = peak_widths(size**2, peaks, prominence_data=(size[peaks] ** 2, *ends))
     at = np.arange(len(f))
@@ -573,14 +581,14 @@ def spacings(record: MeasuredResponse) -> list[Spacing]:
     ]
 
 
-def _tested(inner: Lines, law: PLaw, record: MeasuredResponse) -> RecordTest:
+def _tested(inner: Lines, law: PLaw, record: MeasuredResponse, sigmas: float) -> RecordTest:
     Q = low_pass(inner.f, law.cutoff, law.dt, law.order)
     curves = curves_of(inner._replace(keep=Q * inner.keep, L=Q * inner.L))
     top = int(np.argmax(curves.high))
     ends = float(inner.f[0]), float(inner.f[-1])
     unseen = float(Q[-1]) if ends[1] < 0.499 / law.dt else 0.0
     return RecordTest(
-        curves, float(curves.high[top]), float(inner.f[top]), spacings(record), ends, unseen
+        curves, float(curves.high[top]), float(inner.f[top]), spacings(record, sigmas), ends, unseen
     )
 
 
@@ -588,7 +596,7 @@ def _offer_on_records(what, change: Change, law: PLaw, records, sigmas: float) -
     made = law._replace(
         gain=law.gain * change.gain, lead=law.lead + change.lead, cutoff=change.cutoff
     )
-    tests = [_tested(lines_of(record, made, sigmas), made, record) for record in records]
+    tests = [_tested(lines_of(record, made, sigmas), made, record, sigmas) for record in records]
     now, then = law._asdict(), made._asdict()
     settings = {name: then[name] for name in ("gain", "lead", "cutoff") if then[name] != now[name]}
     reach = min(test.curves.learned_up_to for test in tests)

@@ -351,7 +351,7 @@ def _on_lines(
     """|Q - L T| with the doubt of each line; nothing is claimed of what lines do not tell."""
     f, P, std = measured.frequencies, measured.response, measured.std
     Q, L = (np.asarray(part)[:, 0, 0] for part in law_response(law, task, f))
-    C, off = _feedback_of(law, task)(f), sigmas * std
+    C, off = _feedback_of(law, task)(f), measured.scatter(sigmas)
     loop = np.abs(1 + C * P)
     surely = loop - np.abs(C) * off
     with np.errstate(divide="ignore"):

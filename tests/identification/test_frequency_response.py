@@ -55,13 +55,13 @@ def test_std_variance_and_coherence(tmp_path):
     np.testing.assert_allclose(std("std", [1, 2, 3]), [1, 2, 3])
     np.testing.assert_allclose(std("Variance", [1, 4, 9]), [1, 2, 3])
     c = np.array([0.5, 0.9, 1.0])
-    expected = abs(G) * np.sqrt((1 - c) / (10 * c))
+    expected = abs(G) * np.sqrt((1 - c) / (9 * c))
     np.testing.assert_allclose(std("coherence", c, 10), expected, rtol=1e-12)
-    np.testing.assert_allclose(std("coherence", c), std("coherence", c, 1), rtol=1e-12)
+    np.testing.assert_allclose(std("coherence", c), std("coherence", c, 2), rtol=1e-12)
     with pytest.raises(ValueError, match=r"line 4: coh = '0' is outside \(0, 1\]"):
         std("coh", ["0.5", "1", "0"], 10)
-    with pytest.raises(ValueError, match="averages = 0 is outside"):
-        std("coherence", c, 0)
+    with pytest.raises(ValueError, match="averages = 1 is outside"):
+        std("coherence", c, 1)
     with pytest.raises(ValueError, match=r"'std \[dB\]' is in db"):
         std("std [dB]", [1, 2, 3])
 

@@ -93,6 +93,25 @@ def test_the_intervals_are_those_of_the_fisher_information(sampled):
     np.testing.assert_allclose(found, half, rtol=1e-4)
 
 
+def test_the_intervals_of_few_averages_hold():
+    """Squared errors by the covariance are chi-square: their mean is 1 within 4 sqrt(2 / 50)."""
+    rng, true, n, found, ratios = np.random.default_rng(5), np.array([2.0, 300.0]), 4, [], []
+    P = true[0] / (1 + 2j * np.pi * F / true[1])
+    for _ in range(25):
+        u, noise = (of[0] + 1j * of[1] for of in rng.normal(size=(2, 2, n, len(F))))
+        y = P * u + 0.3 * noise
+        S, S_u, S_y = ((a.conj() * b).sum(0) for a, b in ((u, y), (u, u), (y, y)))
+        c = np.abs(S) ** 2 / (S_u * S_y).real
+        std = np.abs(S / S_u) * np.sqrt((1 - c) / c / (n - 1))
+        of = MeasuredResponse(F, S / S_u, std, c, averages=n)
+        one = identify_response(of, poles=1, pairs=0, zeros=0, delay=0.0, starts=2)
+        error = np.array([one.parameters[name].value for name in ("gain", "poles[0]")]) - true
+        found.append(error @ np.linalg.solve(one.covariance, error) / 2)
+        ratios.append(one.residual_std[0])
+    assert np.mean(found) == pytest.approx(1.0, abs=0.8)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
+
+
 def test_without_a_scatter_the_relative_error_is_fitted():
     lines = measured(None, share=0.02, floor=0.0)
     found = identify_response(lines._replace(std=0 * lines.std), starts=32)

@@ -60,6 +60,25 @@ def test_the_width_of_a_resonance_and_its_lines():
     assert spacings(record(zeta=0.9)) == []
 
 
+@pytest.mark.parametrize("averages", [4, 16])
+def test_a_peak_of_noise_is_no_resonance_and_a_line_lies_beyond_its_scatter_as_often_as_said(
+    averages,
+):
+    rng, shape, beyond = np.random.default_rng(3), (averages, len(F)), []
+    for zeta in (0.9,) * 20 + (0.03,):
+        P = plant(F, zeta=zeta)
+        u, noise = (of[0] + 1j * of[1] for of in rng.normal(size=(2, 2, *shape)))
+        y = P * u + 0.03 * noise
+        S, S_u, S_y = ((a.conj() * b).sum(0) for a, b in ((u, y), (u, u), (y, y)))
+        c = np.abs(S) ** 2 / (S_u * S_y).real
+        std = np.abs(S / S_u) * np.sqrt((1 - c) / c / (averages - 1))
+        one = MeasuredResponse(F, S / S_u, std, c, averages=averages)
+        found = [of.frequency for of in spacings(one)]
+        assert found == ([] if zeta == 0.9 else [pytest.approx(60, abs=1)])
+        beyond.append(np.abs(one.response - P) > one.scatter(1.5))
+    assert np.mean(beyond) == pytest.approx(np.exp(-(1.5**2)), rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("law", "one", "said"),
     [
