@@ -303,7 +303,7 @@ def factors(system, dt: float | None = None) -> Factors:
         )
         return Factors(np.roots(above), np.roots(below), float(above[0] / below[0]), dt)
     A, B, C, D = _sampled(system, own, dt)
-    zeros, gain = _zeros_and_gain(A, B, C, D[0, 0])
+    zeros, gain = zeros_and_gain(A, B, C, D[0, 0])
     return Factors(zeros, np.linalg.eigvals(A), gain, dt)
 
 
@@ -332,7 +332,7 @@ def output_ratio(system, dt: float | None = None, *, above: int = 1, below: int 
             f"output_ratio: above = {above!r}, below = {below!r} are not both among the outputs "
             f"0..{len(C) - 1}"
         )
-    (zeros, gain), (poles, scale) = (_zeros_and_gain(A, B, C[[i]], D[i, 0]) for i in (above, below))
+    (zeros, gain), (poles, scale) = (zeros_and_gain(A, B, C[[i]], D[i, 0]) for i in (above, below))
     return Factors(zeros, poles, gain / scale, dt)
 
 
@@ -378,7 +378,7 @@ def _sample_time(system, dt) -> tuple[float, float]:
     return float(own), float(own or dt)
 
 
-def _zeros_and_gain(A, B, C, D):
+def zeros_and_gain(A, B, C, D):
     """Zeros of one output, and its first Markov parameter that is not zero, C A^(d-1) B, or D.
 
     The zeros are the eigenvalues of A - B (C A^(d-1) B)^-1 C A^d on the states of C x = ... = C

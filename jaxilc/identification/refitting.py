@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..plants import Plant
+from ..filters.inversion import zeros_and_gain
+from ..plants import Plant, ProcessModel
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import get_at
 from ..uncertainty import Normal, Uncertainty
@@ -27,6 +28,7 @@ from .verdict import Estimate, Identified, inverse_of_normal, widened
 
 UNKNOWN = 0.5  # half-width of a number without an interval, as a share of it
 FITTED = 0.7  # share of the record
+ROUNDED = 1e-6  # share up to which the imaginary part of a zero, or a zero, is rounding
 WIDE = 1.96  # standard deviations of the ends of an interval
 _OF_POLES = ("poles", "frequencies")
 
@@ -90,6 +92,30 @@ def known_intervals(plant: Plant, uncertainty: Uncertainty) -> dict[str, Estimat
         low, high = sorted((low * value, high * value)) if given.relative else (low, high)
         intervals[name] = Estimate(value, float(low), float(high))
     return intervals
+
+
+def process_model_of(plant: Plant) -> ProcessModel | None:
+    """The transfer function of a plant as a ProcessModel, None where it has not that form.
+
+    It has that form with one input and one output, stable poles, and real zeros that are not 0.
+    """
+    system = plant if isinstance(plant, ProcessModel) else plant.continuous()
+    if system is None or isinstance(system, ProcessModel):
+        return system
+    A, B, C = (np.asarray(getattr(system, name), float) for name in "ABC")
+    if B.shape[1] != 1 or len(C) != 1:
+        return None
+    poles, gain = np.linalg.eigvals(A), -(C @ np.linalg.pinv(A) @ B).item()
+    if np.any(poles.real >= 0):
+        return None
+    zeros, _ = zeros_and_gain(A, B, C, 0.0)
+    least = ROUNDED * np.max(np.abs(poles))
+    if np.any((np.abs(zeros.imag) > ROUNDED * np.abs(zeros)) | (np.abs(zeros) < least)):
+        return None
+    pairs = poles[poles.imag > 0]
+    single = -poles[poles.imag == 0].real
+    size = np.abs(pairs)
+    return ProcessModel(gain, np.sort(zeros.real), np.sort(single), size, -pairs.real / size)
 
 
 def beyond_nyquist(found: Identified, dt: float) -> set[str]:

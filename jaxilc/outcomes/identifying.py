@@ -32,7 +32,13 @@ from ..identification.not_linear import friction_of, suspicions
 from ..identification.not_linear import sentences as of_suspicions
 from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, RecordFile, read_record_file
 from ..identification.records import Record
-from ..identification.refitting import Refit, beyond_nyquist, held_out, refit
+from ..identification.refitting import (
+    Refit,
+    beyond_nyquist,
+    held_out,
+    process_model_of,
+    refit,
+)
 from ..identification.sentences import NOT_WHITE, on_lines, sentence
 from ..identification.sentences import verdict as sentences_on
 from ..plants import Plant, ProcessModel
@@ -545,6 +551,10 @@ CLOSED = (
     "note: a loop was closed in these trials, so that the noise of the output is in the input; the "
     "intervals hold only if this noise is white"
 )
+OTHER_STRUCTURE = (
+    "The campaign's plant, {kind}, has not the form that is fitted, stable poles and real zeros: 1 "
+    "pole, 1 pair and 1 zero are. Another structure: --auto, or --poles, --pairs and --zeros."
+)
 ENOUGH = 90.0  # [%] of the output that a fit explains, from which on no other start is tried
 
 
@@ -561,7 +571,8 @@ def identify_campaign(
     """A plant from the trials of a campaign, and the campaign's plant file with it.
 
     state: folder of the campaign
-    counts: numbers of poles, pairs and zeros; without any, those of the campaign's own plant
+    counts: numbers of poles, pairs and zeros; without any, those of the campaign's own plant, or 1
+        of each where it is not linear with stable poles and real zeros
     delay: dead time in samples; None: that of the campaign's own plant
     auto: whether the structure is chosen by a table
     plant_file: plant file to write
@@ -573,7 +584,7 @@ def identify_campaign(
     numbers = ", ".join(map(str, measured.trials))
     source = f"{len(measured.trials)} of {measured.measured} trials of {state}: {numbers}"
     progress("fitting")
-    tables = []
+    tables, said = [], []
     if auto:
         late = round(_delay(known) / record.dt) if delay is None else delay
         orders = identification.compare_orders(record, delay=late)
@@ -582,9 +593,11 @@ def identify_campaign(
         tables.append(orders_table(orders, best, record.dt))
     else:
         again = _fitted(record, opened.scenario, counts, delay)
+        if _own(counts, delay) and process_model_of(known) is None:
+            said.append(OTHER_STRUCTURE.format(kind=type(known).__name__))
     found, unit = again.found, opened.campaign.task.unit
     tables.append(identification_table(source, found.summary()))
-    lines = [] if found.white else [NOT_WHITE]
+    lines = said + ([] if found.white else [NOT_WHITE])
     lines += map(sentence, identification.not_significant(found))
     lines += [f"{name} keeps its value and its interval: {why}" for name, why in again.kept.items()]
     lines += [CLOSED] * measured.closed
@@ -648,21 +661,26 @@ def _judged(record: Record, known: Plant, found: Identified) -> Refit:
     return Refit(found, {}, held_out(record, known), held_out(record, found.plant))
 
 
+def _own(counts: Mapping[str, int | None], delay: int | None) -> bool:
+    """Whether no other structure than that of the campaign's own plant is asked for."""
+    return delay is None and all(value is None for value in counts.values())
+
+
 def _fitted(
     record: Record, scenario: Scenario, counts: Mapping[str, int | None], delay: int | None
 ) -> Refit:
     """The fit of the structure asked for, or of the campaign's own, from its values if good."""
     plant = scenario.machine.plant
     structure: Numbers = {name: 1 if value is None else value for name, value in counts.items()}
-    own = delay is None and all(value is None for value in counts.values())
-    if isinstance(plant, ProcessModel) and own:
-        again = refit(record, plant, scenario.uncertainty)
+    known = process_model_of(plant) if _own(counts, delay) else None
+    if known is not None:
+        again = refit(record, known, scenario.uncertainty)
         if np.min(again.found.fit) >= ENOUGH:
-            return again
+            return again._replace(before=held_out(record, plant))
         structure = {
-            "poles": len(plant.poles),
-            "pairs": len(plant.frequencies),
-            "zeros": len(plant.zeros),
+            "poles": len(known.poles),
+            "pairs": len(known.frequencies),
+            "zeros": len(known.zeros),
         }
     late = round(_delay(plant) / record.dt) if delay is None else delay
     return _judged(record, plant, identification.identify(record, **structure, delay=late))

@@ -5,9 +5,9 @@ import pytest
 import scipy.signal
 
 from jaxilc.identification import Record
-from jaxilc.identification.refitting import refit
+from jaxilc.identification.refitting import process_model_of, refit
 from jaxilc.identification.verdict import inverse_of_normal, widened
-from jaxilc.plants import ProcessModel
+from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.uncertainty import Normal, Uniform
 
 DT, N, TRIALS = 1e-3, 400, 3
@@ -45,6 +45,34 @@ def test_what_slow_trials_do_not_excite_keeps_its_value_and_interval():
     assert float(again.found.plant.dampings[0]) == 0.05
     assert 320 < float(again.found.plant.frequencies[0]) < 360
     assert again.found.parameters["gain"].value == pytest.approx(1.07, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("num", "den", "counts"),
+    [
+        ([4000.0], [1, 80, 4000.0], (0, 1, 0)),
+        ([2.0, 30.0], np.polymul([1, 5], [1, 3, 90]), (1, 1, 1)),
+        ([2.0, -30.0], np.poly([-3, -4, -50]), (3, 0, 1)),
+        ([1.0], np.poly([-3, -3]), None),
+        ([1.0, 0.0, 4.0], np.poly([-1, -2, -3]), "none"),
+        ([1.0, 0.0], np.poly([-1, -2, -3]), "none"),
+        ([1.0], np.poly([0, -2]), "none"),
+    ],
+)
+def test_a_transfer_function_is_that_of_its_process_model(num, den, counts):
+    A, B, C, _ = scipy.signal.tf2ss(num, den)
+    found = process_model_of(StateSpace(A, B, C))
+    if counts == "none":
+        assert found is None
+        return
+    if counts:
+        assert (len(found.poles), len(found.frequencies), len(found.zeros)) == counts
+    s = 2j * np.pi * np.array([0.1, 1.0, 10.0])
+    G = float(found.gain) * np.prod([1 - s / z for z in np.asarray(found.zeros)], axis=0)
+    for pole in np.asarray(found.all_poles):
+        G = G / (1 - s / pole)
+    np.testing.assert_allclose(G, np.polyval(num, s) / np.polyval(den, s), rtol=1e-6)
+    assert process_model_of(StateSpace(A, B, C, dt=0.1)) is None
 
 
 def test_the_known_plant_stays_where_it_predicts_as_well():

@@ -1,11 +1,16 @@
 """`identify`: a second record judges the plant; mass and friction are told of a force."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.signal
 from command import write_columns
 
-from jaxilc import outcomes
+from jaxilc import Machine, outcomes
+from jaxilc.identification import Record
+from jaxilc.outcomes.identifying import _fitted
+from jaxilc.plants import StateSpace
 
 DT, N = 0.01, 300
 STRUCTURE = {"poles": 1, "pairs": 0, "zeros": 0}
@@ -45,6 +50,22 @@ def test_a_second_record_judges(tmp_path):
     slow.write_text(other.read_text().replace("[mm]", "[µm]"))
     with pytest.raises(ValueError, match=r"d.csv: y is in 'µm', in the record .* fitted in 'mm'"):
         outcomes.identify(first, reading={"structure": STRUCTURE}, validate=slow)
+
+
+def test_a_campaign_whose_plant_is_a_transfer_function_is_fitted_in_its_structure():
+    """SciPy's plant of a gain 5 % lower; no pole and zero that cancel are added to its pair."""
+    A, B, C, _ = scipy.signal.tf2ss([4000.0], [1.0, 80.0, 4000.0])
+    b, a, _ = scipy.signal.cont2discrete(([3800.0], [1.0, 80.0, 4000.0]), 2e-3)
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 1.0], 51), 10)[:501]
+    y = scipy.signal.lfilter(np.ravel(b), a, u) + 1e-4 * rng.standard_normal(501)
+    known = SimpleNamespace(machine=Machine(StateSpace(A, B, C)), uncertainty={})
+    again = _fitted(Record(u[:-1], y, 2e-3), known, dict.fromkeys(STRUCTURE), None)
+    fitted = again.found.parameters
+    assert {*fitted} == {"gain", "frequencies[0]", "dampings[0]", "bias"}
+    assert fitted["gain"].low < 0.95 < fitted["gain"].high
+    assert fitted["gain"].high - fitted["gain"].low < 1e-3
+    assert again.after < 0.1 * again.before
 
 
 @pytest.mark.parametrize("rests_at", [0.0, 100.0])
