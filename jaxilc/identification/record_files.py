@@ -45,18 +45,21 @@ from .records import Record, as_columns
 Named: TypeAlias = tuple[str, MatValue]
 SAMPLE = "sample"  # name of a column of numbers of samples
 LOST = "overrun"  # line of halsampler
+MOST_ROUNDED = 1.45  # longest step over the shortest one, where the times may be rounded ones
 
 
 class RecordFile(NamedTuple):
     """The record of a file, and the units of inputs and outputs, "" where it tells none.
 
     resampled: new sample time [s]; None where the record is taken as it is
+    own: sample time of the record [s] where the new one is another by more than 1 %
     """
 
     record: Record
     input_units: tuple[str, ...]
     output_units: tuple[str, ...]
     resampled: float | None = None
+    own: float | None = None
 
 
 def read_record(
@@ -135,6 +138,8 @@ def read_record_file(
     if resample is None and dt is not None and timed and not _has_step(signals, dt):
         resample = dt
     of_inputs, of_outputs = signals[: len(inputs)], signals[len(inputs) :]
+    own = [_own_step(one.times) for one in signals if resample is not None]
+    others = [step for step in own if abs(step / (resample or step) - 1) > STEP_TOLERANCE]
     if resample is None:
         record = _as_it_is(path, time, of_inputs, of_outputs)
     else:
@@ -144,6 +149,7 @@ def read_record_file(
         tuple(one.unit for one in of_inputs),
         tuple(one.unit for one in of_outputs),
         resample,
+        max(others, default=None),
     )
 
 
@@ -196,6 +202,19 @@ def _check_increasing(path, time: str, one: Signal) -> None:
         )
 
 
+def _own_step(times: np.ndarray) -> float:
+    """The median step, or the mean one where the steps are its rounding to few digits.
+
+    Times that are rounded stay within one unit of the grid; those that wander or have gaps do not,
+    and their mean is no sample time.
+    """
+    steps, at, k = np.diff(times), times - times[0], np.arange(len(times))
+    mean, middle = float(np.polyfit(k, at, 1)[0]), float(np.median(steps))
+    away = at - mean * k
+    even = np.max(steps) < MOST_ROUNDED * np.min(steps) and np.ptp(away) < 1.01 * np.ptp(steps)
+    return mean if even and abs(mean / middle - 1) > STEP_TOLERANCE else middle
+
+
 def _has_step(signals: Sequence[Signal], dt: float) -> bool:
     """Whether all signals have the same times, with this step."""
     first = signals[0].times
@@ -213,18 +232,18 @@ def _as_it_is(path, time: str, inputs: list[Signal], outputs: list[Signal]) -> R
     middle = float(np.median(steps))
     for one in signals:
         if np.any(np.abs(one.times[:rows] - first.times[:rows]) > STEP_TOLERANCE * middle):
-            step = max(float(np.median(np.diff(of.times))) for of in signals)
+            step = max(_own_step(of.times) for of in signals)
             raise ValueError(
                 f"read_record: {path}: its signals have different times; export them with one "
                 f"sample time, or add --dt {step:.6g} (dt)"
             )
     uneven = np.abs(steps / middle - 1) > STEP_TOLERANCE
     if np.any(uneven):
-        k = int(np.argmax(uneven))
+        k, dt = int(np.argmax(uneven)), _own_step(first.times)
         raise ValueError(
             f"read_record: {path}, {first.places[k + 1]}: {time} steps by {steps[k]:.6g} s "
-            f"where the sample time is dt = {middle:.6g} s; allowed is a deviation of "
-            f"{STEP_TOLERANCE:.0%}, or --dt {middle:.6g} (dt)"
+            f"where the sample time is dt = {dt:.6g} s; allowed is a deviation of "
+            f"{STEP_TOLERANCE:.0%}, or --dt {dt:.6g} (dt)"
         )
     u, y = (np.stack([one.values[:rows] for one in of], axis=1) for of in (inputs, outputs))
     return Record(u[:-1], y, float(f"{np.mean(steps[: rows - 1]):.12g}"))

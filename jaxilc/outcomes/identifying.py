@@ -73,6 +73,11 @@ WITHIN_A_SAMPLE = (
     "too. Or each row holds the output at the end of its sample: write the outputs one row later, "
     "since here y[k+1] answers u[k]."
 )
+OTHER_RATE = (
+    "The record's own sample time is {own:.6g} s. At another one the fit is biased where the input "
+    "changes within a new sample or the output is read between its own, and no feedback is looked "
+    "for. --dt {own:.6g} has neither."
+)
 OF_REFERENCE = (
     "A loop was closed in this record: the plant is fitted from its reference, the column r, so "
     "that the noise in the input adds no bias; the residual holds what the feedback did about it."
@@ -145,6 +150,8 @@ def _of_loop(path: Path, asked: Reading, fitted: Fitted) -> tuple[Fitted, list[s
     record, found = fitted.measured, fitted.found
     if not isinstance(record, Record):
         return fitted, []
+    if fitted.own is not None:
+        return fitted, [OTHER_RATE.format(own=fitted.own)]
     y = np.reshape(record.y, (len(record.y), -1))
     one = y.shape[1] == np.ndim(np.atleast_1d(record.u[0])) == 1
     if not one or not feedback_seen(record, y - found.simulated):
@@ -290,6 +297,7 @@ class Fitted(NamedTuple):
     tables: of the structures that were compared;  units: of input and output
     lines: sentences on how the file was read
     grown: what was grown, where the structure was looked for
+    own: sample time of a record [s] that was resampled to another one
     """
 
     measured: Record | MeasuredResponse
@@ -300,6 +308,7 @@ class Fitted(NamedTuple):
     units: tuple[str, str] = ("", "")
     lines: tuple[str, ...] = ()
     grown: Grown | None = None
+    own: float | None = None
 
     def drawn(self) -> dict[str, Figure]:
         """The figures of a record, its model and the Bode diagram, or of both responses."""
@@ -382,7 +391,7 @@ def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
         found = identification.identify(record, **structure, delay=asked.delay or 0)
         structure |= {"delay": asked.delay} if asked.delay else {}
     units = read.input_units[0], read.output_units[0]
-    return Fitted(record, found, record.dt, structure, tables, units, lines, grown)
+    return Fitted(record, found, record.dt, structure, tables, units, lines, grown, read.own)
 
 
 def _grown_structure(grown: Grown) -> Numbers:

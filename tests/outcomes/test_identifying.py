@@ -52,6 +52,25 @@ def test_a_second_record_judges(tmp_path):
         outcomes.identify(first, reading={"structure": STRUCTURE}, validate=slow)
 
 
+def test_no_loop_is_told_of_a_record_at_another_rate_than_its_own(tmp_path):
+    """A pair of 60 Hz in an open loop, by SciPy, at 1 kHz; times of 4 decimals at 3 kHz."""
+    for rate, digits, other in ((1000, 9, 8e-4), (3000, 4, 3e-4)):
+        rng, pair = np.random.default_rng(1), [1.0, 0.2 * 377, 377.0**2]
+        b, a, _ = scipy.signal.cont2discrete(([377.0**2], pair), 1 / rate)
+        u = np.repeat(rng.choice([-1.0, 1.0], 200), 10)
+        y = scipy.signal.lfilter(np.ravel(b), a, u) + 5e-3 * rng.standard_normal(2000)
+        file = tmp_path / f"{rate}.csv"
+        write_columns(file, "t [s],u,y", np.round(np.arange(2000) / rate, digits), u, y)
+        asked = {"structure": {"poles": 0, "pairs": 1, "zeros": 0}}
+        if digits == 4:
+            with pytest.raises(ValueError, match=r"dt = 0.00033333. s; .* or --dt 0.00033333"):
+                outcomes.identify(file, reading=asked)
+        for step, told in ((other, True), (float(f"{1 / rate:.6g}"), False)):
+            said = " ".join(outcomes.identify(file, reading=asked | {"dt": step}).verdict.said)
+            assert "A loop was closed" not in said
+            assert (f"own sample time is {1 / rate:.5g}" in said) == told
+
+
 def test_a_campaign_whose_plant_is_a_transfer_function_is_fitted_in_its_structure():
     """SciPy's plant of a gain 5 % lower; no pole and zero that cancel are added to its pair."""
     A, B, C, _ = scipy.signal.tf2ss([4000.0], [1.0, 80.0, 4000.0])
