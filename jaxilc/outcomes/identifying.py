@@ -561,8 +561,8 @@ CLOSED = (
     "intervals hold only if this noise is white"
 )
 OTHER_STRUCTURE = (
-    "The campaign's plant, {kind}, has not the form that is fitted, stable poles and real zeros: 1 "
-    "pole, 1 pair and 1 zero are. Another structure: --auto, or --poles, --pairs and --zeros."
+    "The campaign's plant, {kind}, is none in continuous time with stable poles and real zeros: "
+    "one pole, one pair and one zero are fitted. Others: --auto, or --poles, --pairs and --zeros."
 )
 ENOUGH = 90.0  # [%] of the output that a fit explains, from which on no other start is tried
 
@@ -581,7 +581,7 @@ def identify_campaign(
 
     state: folder of the campaign
     counts: numbers of poles, pairs and zeros; without any, those of the campaign's own plant, or 1
-        of each where it is not linear with stable poles and real zeros
+        of each where it is none in continuous time with stable poles and real zeros
     delay: dead time in samples; None: that of the campaign's own plant
     auto: whether the structure is chosen by a table
     plant_file: plant file to write
