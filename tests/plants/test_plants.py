@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
+import scipy.signal
 from cases import ALGEBRA, ARX, DT, PLANTS, task_for
 
 from jaxilc.learning import Machine, learn
@@ -34,6 +36,7 @@ from jaxilc.plants import (
     voice_coil,
     voice_coil_motor,
 )
+from jaxilc.plants.linear import exponential
 from jaxilc.schemes import PID, PIDType
 from jaxilc.signals import Task
 
@@ -109,6 +112,54 @@ def test_voice_coil_is_the_zero_order_hold_of_its_transfer_function(weights, dt)
     )
     y = control.forced_response(discrete, np.arange(N + 1) * dt, np.append(U, 0.0)).outputs
     np.testing.assert_allclose(response(plant, U, dt)[:, 0], y, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 30.0, 1e3])
+def test_the_matrix_exponential_is_scipy_s(size):
+    rng = np.random.default_rng(6)
+    for n in (1, 2, 5):
+        Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+        M = size * (-Q * rng.uniform(0, 1, n) @ Q.T + 0.3 * np.triu(rng.normal(size=(n, n)), 1))
+        np.testing.assert_allclose(exponential(M), scipy.linalg.expm(M), rtol=1e-11, atol=1e-12)
+    assert np.all(np.isfinite(exponential(np.array([[-1e9, 1.0], [0.0, -1.0]]))))
+
+
+def test_single_precision_samples_a_companion_form_to_its_digits():
+    system = scipy.signal.tf2ss([1.0], np.poly(-2 * np.pi * np.array([20.0, 30.0, 40.0, 50.0])))[:3]
+    single, double = (
+        StateSpace(*(np.asarray(M, kind) for M in system)).sampled(1e-3)
+        for kind in (np.float32, np.float64)
+    )
+    assert single.A.dtype == single.B.dtype == np.float32
+    impulses = []
+    for plant in (single, double):
+        A, x, C = (np.asarray(M, float) for M in (plant.A, plant.B, plant.C))
+        impulses.append([(C @ np.linalg.matrix_power(A, k) @ x).item() for k in range(40)])
+    np.testing.assert_allclose(*impulses, rtol=0, atol=1e-5 * np.max(np.abs(impulses[1])))
+
+
+@pytest.mark.parametrize("hertz", [5.0, 500.0])
+def test_a_companion_form_is_sampled_to_all_digits(hertz):
+    """Its numbers are powers of the frequencies: 1e14 for a fourth order at 500 Hz.
+
+    By partial fractions the same plant is four scalar ones, whose exponentials are numbers.
+    """
+    w, dt = 2 * np.pi * hertz, 0.2 / hertz
+    poles = w * np.array([-0.1 + 0.995j, -0.1 - 0.995j, -0.7 + 0.71j, -0.7 - 0.71j])
+    plant = StateSpace(*scipy.signal.tf2ss([w**4], np.poly(poles).real)[:3])
+    residues = [w**4 / np.prod(p - np.delete(poles, i)) for i, p in enumerate(poles)]
+    x, y = np.zeros(4, complex), []
+    for u in U:
+        x = np.exp(poles * dt) * x + (np.exp(poles * dt) - 1) / poles * u
+        y.append((residues @ x).real)
+    found = response(plant, U, dt)[1:, 0]
+    np.testing.assert_allclose(found, y, rtol=0, atol=1e-11 * np.max(np.abs(y)))
+
+    def last(scale):
+        return jnp.sum(dataclasses.replace(plant, A=scale * plant.A).sampled(dt).A[0])
+
+    slope = (last(1 + 1e-6) - last(1 - 1e-6)) / 2e-6
+    np.testing.assert_allclose(jax.grad(last)(1.0), slope, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
