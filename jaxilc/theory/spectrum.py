@@ -146,20 +146,22 @@ def radius_with_doubt(M) -> tuple[float, float]:
     The doubt is 10 eps ||M|| over the cosine between left and right eigenvector. Both are taken
     over the irreducible diagonal blocks. For a triangular matrix far from normal, such as I - gamma
     G, the QR algorithm finds eigenvalues that are wrong in the first digit, while the true ones are
-    simply the diagonal.
+    simply the diagonal, of which each number is rounded as 1 - gamma g is.
     """
     if not np.all(np.isfinite(M)):
         return np.nan, np.nan
     blocks, block_of = scipy.sparse.csgraph.connected_components(M != 0, connection="strong")
     singles = np.bincount(block_of, minlength=blocks)[block_of] == 1
-    found = [(np.max(np.abs(np.diag(M)[singles]), initial=0.0), 0.0)]
+    eps, single = np.finfo(M.dtype).eps, np.diag(M)[singles]
+    sizes, moved = np.abs(single), MARGIN * eps * np.abs(1 - single)
+    found = [(0.0, 0.0), *zip(sizes, moved, strict=True)]
     for i in np.unique(block_of[~singles]):
         block = M[np.ix_(block_of == i, block_of == i)]
         values, left, right = scipy.linalg.eig(block, left=True)
         top = np.argmax(np.abs(values))
         cosine = np.abs(np.vdot(left[:, top], right[:, top]))  # LAPACK gives unit vectors
-        moved = MARGIN * np.finfo(M.dtype).eps * np.linalg.norm(block)
-        found.append((np.abs(values[top]), moved / max(cosine, 1e-300)))
+        doubt = MARGIN * eps * np.linalg.norm(block) / max(cosine, 1e-300)
+        found.append((np.abs(values[top]), doubt))
     radius, doubt = max(found)
     return radius, max(doubt, max(sum(one) for one in found) - radius)
 

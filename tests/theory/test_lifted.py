@@ -1,5 +1,7 @@
 """The lifted form equals matrices written by hand, and its predictions equal simulation."""
 
+from fractions import Fraction
+
 import jax
 import numpy as np
 import pytest
@@ -228,6 +230,17 @@ def test_convergent_in_the_end_but_not_before():
     assert size[12] > 100 * size[0]
     assert lifted.transient(M, 12).verdict == "fails"
     assert lifted.transient(M, 12, allowed=2 * growth[-1]).verdict == "holds"
+
+
+def test_a_number_on_the_diagonal_is_known_up_to_its_rounding():
+    """1 - gamma C B by fractions, for a gamma with which it is -1 to within rounding."""
+    rng = np.random.default_rng(11)
+    for _ in range(100):
+        B, C = rng.uniform(0.5, 1.0, (2, 4))
+        C /= C @ B
+        exact = 1 - 2 * sum(Fraction(b) * Fraction(c) for b, c in zip(B, C, strict=True))
+        value, doubt = radius_with_doubt(np.diag([0.5, 1 - 2 * (C @ B)]))
+        assert abs(Fraction(value) - abs(exact)) <= Fraction(doubt) < Fraction(1, 10**13)
 
 
 def test_spectral_radius_of_triangular_and_permuted_matrices_is_exact():
