@@ -24,7 +24,7 @@ from ..sweeps.summary import summarise
 from ..tuning import Tuned, Tuning, trade_off
 from ..tuning.objectives import Objective
 from ..tuning.weights import Bijection
-from ..tuning.worst_case import GRADIENT_COST, worst_machine
+from ..tuning.worst_case import DRAWS, ENOUGH, GRADIENT_COST, worst_machine
 from ..uncertainty import Uncertainty
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, unless_there
@@ -676,6 +676,7 @@ def worst_case(
     searches = {
         name: {
             "value": search.value,
+            "over_noise": search.over_noise,
             "loss": search.case.loss,
             "evaluations": search.case.evaluations,
             "needed": search.needed,
@@ -794,5 +795,13 @@ def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
         settings = (*case.request.set, *worst["set"])
         what = "that machine"
         following = case.request.following("run", scheme=scheme, set=settings)
-    beside = case.beside_tolerance(worst["value"])
-    return Verdict((first, beside) if beside else (first,), what, following)
+    said, judged = [first], worst["value"]
+    if (over_noise := worst["over_noise"]) is not None and math.isfinite(judged):
+        judged = over_noise
+        said.append(
+            f"That is with one draw of its noise: with {DRAWS} others, the error that {ENOUGH:.0%} "
+            f"of them do not exceed is {case.size(judged)}."
+        )
+    if beside := case.beside_tolerance(judged):
+        said.append(beside)
+    return Verdict(tuple(said), what, following)

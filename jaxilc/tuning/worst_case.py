@@ -30,12 +30,14 @@ from ..runtime.capacity import check_program, check_size
 from ..schemes import Scheme
 from ..schemes.scheme import need_learned_at_last
 from ..signals.task import Task, Trial
+from ..theory.chance import draws as draws_noise
 from ..uncertainty import LogUniform, Population, Uncertainty, drawn_machine
 from .objectives import Final, judge, levels
 
 GRADIENT_COST = 3  # cost of a gradient beyond that of its loss, in evaluations of the loss
 T = TypeVar("T")
 COPIES = 8  # in the RAM, of the points of all climbs or draws, and of their losses
+DRAWS, ENOUGH = 100, 0.95  # of the noise of a machine that was found, and the quantile told
 GROW, SHRINK, FIRST, SMALLEST = 1.5, 0.4, 0.1, 1e-6  # Riedmiller 1993 has 1.2 and 0.5
 
 
@@ -223,6 +225,8 @@ class Search(NamedTuple):
         if it never did
     course: (n,) the largest metric so far, at even steps up to all evaluations of the search; inf
         for an error that diverged
+    over_noise: the metric that a share ENOUGH of DRAWS further draws of the noise do not exceed,
+        inf for one that diverged; None for a machine without noise
     """
 
     case: WorstCase
@@ -230,6 +234,7 @@ class Search(NamedTuple):
     needed: int
     level_with_chance: int | None
     course: np.ndarray
+    over_noise: float | None = None
     __repr__ = in_short
 
 
@@ -268,12 +273,16 @@ def worst_machine(
 ) -> WorstMachine:
     """Search for the machine whose metric of the last trial is largest.
 
+    All machines of the search have the same draw of the noise, so that their metrics differ by the
+    machine alone. Each machine that was found is simulated with further draws.
+
     machine, uncertainty: or a `Population`; of its distributions only the corners count
     metric: name of a field of `Metrics`, or of one of the `quantities`
     scale: factor by which metrics are multiplied
     starts, steps: numbers of starts and of steps of the ascent
     evaluations: number of evaluations to spend on the ascent, in place of `steps`
     draws: number of draws of a further, larger random search
+    seed: of the starts, of the drawn machines and of the noise
     progress: called before each search with the evaluations done, those of all, and its name
     Raises ValueError as `worst_case_search` does, and, before the ascent, for what the RAM cannot
     hold, and where the last trial is an experiment.
@@ -295,14 +304,23 @@ def worst_machine(
             check_size("worst-case", each, **{name: count})
     objective, keep = _Largest(metric), Keep.of(quantities or {})
 
-    def loss(one: Machine) -> jax.Array:
-        return judge(one, scheme, task, trials, objective, save=keep)
+    key = jax.random.key(seed)
 
-    def of_machine(one: Machine) -> float:
-        history = learn(one, scheme, task, trials, save=keep)
+    def loss(one: Machine) -> jax.Array:
+        return judge(one, scheme, task, trials, objective, key=key, save=keep)
+
+    def of_machine(one: Machine, key: jax.Array = key) -> jax.Array:
+        history = learn(one, scheme, task, trials, key=key, save=keep)
         values = history.saved[metric] if metric in history.saved else getattr(history, metric)
-        size = scale * float(jnp.max(jnp.abs(values[-1])))
-        return size if not np.any(history.diverged) else float("inf")
+        return jnp.where(jnp.any(history.diverged), jnp.inf, scale * jnp.max(jnp.abs(values[-1])))
+
+    of_draws = jax.jit(lambda one, keys: jax.lax.map(lambda of: of_machine(one, of), keys))
+
+    def over_noise(one: Machine) -> float | None:
+        if not draws_noise(one):
+            return None
+        values = of_draws(one, jax.random.split(key, DRAWS))
+        return float(np.quantile(values, ENOUGH, method="higher"))
 
     def of_losses(losses: np.ndarray) -> np.ndarray:
         """Metrics from losses; an error beyond the ceiling is that of a trial that diverged."""
@@ -323,13 +341,13 @@ def worst_machine(
         told(ascent * len(found), whole, name)
         found[name] = monte_carlo_search(loss, population, None, count, seed=seed)
     told(whole, whole, "judging the worst")
-    nominal = of_machine(population.machine)
+    nominal = float(of_machine(population.machine))
     searches, chance = {}, found["chance"].loss
     for name, case in found.items():
         each = of_a_step if case is climbed else 1  # evaluations between two entries of its best
         needed, level = (each * (1 + int(x.argmax())) for x in (case.best, case.best >= chance))
         searches[name] = Search(
-            case, of_machine(case.subject), needed, level if case.loss >= chance else None,
-            of_losses(case.best),
+            case, float(of_machine(case.subject)), needed, level if case.loss >= chance else None,
+            of_losses(case.best), over_noise(case.subject),
         )  # fmt: skip
     return WorstMachine(nominal, searches, of_losses(list(found.values())[-1].found))

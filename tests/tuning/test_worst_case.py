@@ -3,10 +3,13 @@
 The worst case is at the end or in the middle of a range. The search never leaves the given set.
 """
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import ALGEBRA
+from scipy.stats import norm
 
 from jaxilc.learning import Disturbance, Machine, learn
 from jaxilc.plants import StateSpace
@@ -185,6 +188,7 @@ def test_the_worst_machine_has_the_largest_error_of_outputs_of_different_peaks()
     box = {f"plant.B[{i}][{i}]": Uniform(0.5, 1.4) for i in (0, 1)}
     found = worst_machine(machine, law, task, 2, box, metric="max_error", starts=2, steps=8)
     climbed, chance = (found.searches[name] for name in ("gradient", "chance"))
+    assert climbed.over_noise is None, "nothing is drawn"
     np.testing.assert_allclose([climbed.value, climbed.course[-1]], 1 - 0.5 * 0.5)
     np.testing.assert_allclose(max(found.by_chance), chance.value)
     each = 2 * (1 + GRADIENT_COST)  # evaluations of a step of both starts
@@ -229,6 +233,25 @@ def test_drawn_machines_that_diverge_have_no_finite_error():
     expected = np.where(error > 1e3, np.inf, 1e3 * error)
     assert 0 < np.sum(np.isinf(expected)) < 20
     np.testing.assert_allclose(found.by_chance, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_noise_is_drawn_anew_for_what_was_found_and_by_the_seed():
+    """In trial 1 nothing is played: e is the noise, and its largest of 40 samples is judged."""
+    noisy = dataclasses.replace(STATIC, disturbance=Disturbance(output_noise=0.1))
+    given = (
+        PIDType(gamma_p=0.5),
+        Task(np.zeros(N + 1), dt=1e-3),
+        1,
+        {"plant.B[0][0]": Uniform(0.5, 1.5)},
+    )
+    one, other = (
+        worst_machine(noisy, *given, metric="max_error", starts=1, steps=1, seed=seed)
+        for seed in (0, 1)
+    )
+    assert one.nominal != other.nominal
+    few = norm.ppf((1 + 0.95 ** (1 / N)) / 2)  # P(largest < few) = 0.95
+    for found in (one, other):
+        np.testing.assert_allclose(found.searches["gradient"].over_noise, 0.1 * few, rtol=0.1)
 
 
 def test_the_last_trial_must_not_be_an_experiment():
