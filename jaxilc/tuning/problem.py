@@ -286,6 +286,8 @@ class Tuning:
     ) -> Tuned:
         """Tune, and return the iterate with the least loss on the held-out machines.
 
+        Where no iterate has less than the weights as given, these are returned.
+
         A run that was killed at any moment and resumed ends with the numbers of an uninterrupted
         one, bit for bit. Where the newest state is damaged, it continues from the one before.
 

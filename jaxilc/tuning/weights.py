@@ -179,13 +179,14 @@ class Weights:
 class Tuned:
     """The result of a tuning.
 
-    values: weights by name, of the iterate with the least held-out loss
+    values: weights by name, of the iterate with the least held-out loss, or `start`
     loss: (steps, K) training loss of each step and start
     slope: (steps, K) length of the gradient
     dropped: (steps, K) how many machines had no finite gradient
     weights: (steps, K) values by name at which the loss was computed
     held_out: (steps + 1, K) held-out loss, NaN where it was not computed
     before, after: held-out loss with `start` and with `values`
+    step: after which the iterate was reached, 0 for `start`
     nudged: new values by name, of weights that were moved away from an end of their range
     """
 
@@ -215,8 +216,10 @@ class Tuned:
         reason: str,
     ) -> Tuned:
         """The result of the descent that ended in `state`, for the weights of a scheme."""
-        done = int(state.step)
+        done, best = int(state.step), int(state.best_step)
         values = {name: float(value) for name, value in weights.at(state.best_z).items()}
+        if after >= before:  # also where the start was moved into its range
+            values, after, best = dict(weights.start), before, 0
         return cls(
             values=values,
             scheme=replaced(scheme, values),
@@ -230,7 +233,7 @@ class Tuned:
             held_out=state.held_out[: done + 1],
             before=before,
             after=after,
-            step=int(state.best_step),
+            step=best,
             nudged={
                 name: value
                 for name, value in weights.inside.items()

@@ -388,6 +388,15 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
     )
 
 
+def test_weights_that_no_step_has_bettered_stay_as_given():
+    """A forgetting of 0 is best and lies on an end: the tuning starts, and stays, beside it."""
+    scheme = PIDType(gamma_p=0.9, leak=0.0)
+    tuned = dataclasses.replace(PROBLEM, scheme=scheme, steps=2, weights=["leak"]).run()
+    assert np.nanmin(tuned.held_out) > tuned.before
+    assert (tuned.values, tuned.after, tuned.step) == ({"leak": 0.0}, tuned.before, 0)
+    assert float(tuned.scheme.leak) == 0.0
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
