@@ -22,7 +22,7 @@ from ..scenarios.parameters import differing, write_parameters
 from ..storage.sealed import write_json
 from ..sweeps.summary import summarise
 from ..tuning import Tuned, Tuning, trade_off
-from ..tuning.objectives import Objective
+from ..tuning.objectives import Final, Objective
 from ..tuning.weights import Bijection
 from ..tuning.worst_case import DRAWS, ENOUGH, GRADIENT_COST, worst_machine
 from ..uncertainty import Uncertainty
@@ -117,6 +117,7 @@ def tune(
             if of is not None and name in (weight, weight.partition("[")[0]):
                 row["range"] = [*map(float, of)]
     result, warnings = tuning_lines(tuned, numbers)
+    by_last = is_error_of(problem, chosen.judged_by, numbers["trials"])
     scale, unit = chosen.shown(chosen.judged_by)
     band = {"metric": chosen.judged_by, "scale": scale, "unit": unit}
     configuration = problem.configuration()
@@ -124,7 +125,9 @@ def tune(
     return Outcome(
         command="tune",
         numbers=numbers,
-        verdict=tune_verdict(Case.of(chosen, request), numbers, place / "params.json"),
+        verdict=tune_verdict(
+            Case.of(chosen, request), numbers, place / "params.json", by_last=by_last
+        ),
         folder=place,
         scenario=chosen,
         tables=tuning_tables(chosen, numbers),
@@ -164,6 +167,14 @@ def problem_of(
         uncertainty=chosen.uncertainty, objective=objective, risk=risk_of(risk),
         quantities=chosen.functions, **settings,
     )  # fmt: skip
+
+
+def is_error_of(problem: Tuning, metric: str, trial: int) -> bool:
+    """Whether a tuning is for the metric of this trial, and for nothing else."""
+    return all(
+        isinstance(term, Final) and (term.metric, term.trial or problem.trials) == (metric, trial)
+        for _, term in problem.objective.terms
+    )
 
 
 def in_words(losses: np.ndarray, best: float) -> str:
@@ -284,8 +295,12 @@ def _ratio(one: float, other: float) -> str:
     return number(one / other) if other else "–"
 
 
-def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
-    """What the tuning gained on machines not seen."""
+def tune_verdict(case: Case, numbers: Numbers, params: Path, *, by_last: bool = True) -> Verdict:
+    """What the tuning gained on machines not seen.
+
+    by_last: whether the objective is the error of the last trial alone, so that this error tells
+        which weights are better
+    """
     metric = case.metric.replace(" ", "_")
     rows, last = numbers["figures"][metric], str(numbers["trials"])
     given, tuned = rows["given"][last], rows["tuned"][last]
@@ -313,12 +328,17 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path) -> Verdict:
         first += f"{last} is {median}, the worst {worst}."
     second = []
     gain = max(1 - tuned[of] / given[of] if given[of] else 0.0 for of in ("median", "worst"))
-    if gain < WORTHWHILE:
+    if not by_last:
+        second.append(
+            "The objective is another than this error: on the machines held out its loss is "
+            f"{held['tuned']:.4g} in place of {held['given']:.4g}."
+        )
+    elif gain < WORTHWHILE:
         change = "more at least" if gain < 0 else "less at best"
         good = "about as good" if gain > -WORTHWHILE else "better in this"
         said = f"That is {abs(100 * gain):.2g} % {change}: the weights as given are {good}."
         second.append(said)
-    if tuned["worst"] > given["worst"]:
+    if by_last and tuned["worst"] > given["worst"]:
         second.append("The worst machine has become worse: --risk worst or cvar tunes for it.")
     elif ends := _at_ends(numbers["weights"]):
         second.append(f"{ends}: beyond it may be a better value.")

@@ -18,11 +18,13 @@ from jaxilc.outcomes.reproducing import _by_paper, reproduce_verdict
 from jaxilc.outcomes.request import REPEATED, Request
 from jaxilc.outcomes.running import run_verdict
 from jaxilc.outcomes.sweeping import sweep_verdict
+from jaxilc.outcomes.terms import objective_of
 from jaxilc.outcomes.tuning import (
     _over,
     budget_verdict,
     front_verdict,
     in_words,
+    is_error_of,
     tune_verdict,
     tuning_lines,
     worst_case_verdict,
@@ -392,6 +394,11 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     assert tune_verdict(OF_TUNING, hardly, params).said[1] == (
         "That is 10 % more at least: the weights as given are better in this."
     )
+    other = tune_verdict(OF_TUNING, hardly, params, by_last=False).said[1:]
+    assert other == (
+        "The objective is another than this error: on the machines held out its loss is 1 in "
+        "place of 2.",
+    ), "a larger error of the last trial does not tell that the weights as given are better"
     alike = tuned(2.0)
     for which, row in alike["figures"]["settled_error"].items():
         row["15"] = dict.fromkeys(("median", "worst"), 3.0 if which == "given" else 2.0)
@@ -411,6 +418,21 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
         assert parsed(nothing)[1]["params"].name == "old.json"
     none = tuned(given=np.inf, tuned=np.inf, step=0, steps=0)
     assert "No machine has a finite loss" in tune_verdict(OF_TUNING, none, params).said[0]
+
+
+def test_a_tuning_is_for_the_error_of_the_last_trial_or_for_more():
+    """A tuning of 15 trials, which is compared at its last trial, or at another one."""
+
+    def judged(text, trial=15):
+        objective = objective_of(text, "settled_error", lambda metric: 1.0)
+        return is_error_of(mock.Mock(objective=objective, trials=15), "settled_error", trial)
+
+    assert judged("final")
+    assert judged("final:15")
+    assert judged("final:20", 20)
+    for other in ("trials-to:50", "final@rms", "final:14", "every-trial", "final+0.1*effort"):
+        assert not judged(other)
+    assert not judged("final", 20)
 
 
 @pytest.mark.parametrize(
