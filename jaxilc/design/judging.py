@@ -54,6 +54,8 @@ class Verdict(NamedTuple):
         there is none
     lost: why the law is out of question, empty if it is not
     summary: of the sweep
+    gained_later: the share by which the 95 % error falls in the trials from the last one asked for
+        on, from the mean of their first quarter to that of their last one
     """
 
     candidate: Candidate
@@ -64,16 +66,11 @@ class Verdict(NamedTuple):
     tolerated_from: int
     lost: str
     summary: SchemeSummary
-
-    @property
-    def gained_later(self) -> float:
-        """The share by which the 95 % error falls from that trial to the last one of the sweep."""
-        settled, last = self.summary.high[[self.settled_at - 1, -1]]
-        return float(1 - last / settled) if settled > 0 else 0.0
+    gained_later: float = 0.0
 
     @property
     def still_falls(self) -> bool:
-        """Whether trials after `settled_at` gain more than what counts as settled."""
+        """Whether trials after those asked for gain more than what counts as settled."""
         return self.gained_later > 1 - 1 / SETTLED
 
 
@@ -97,7 +94,15 @@ def verdict(
         worst=float(np.max(summary.worst[last:])),
         settled_at=1 + int(np.argmax(high <= SETTLED * error)),
         tolerated_from=_stays_from(high, tolerance), lost=lost, summary=summary,
+        gained_later=_gain(high[last:]),
     )  # fmt: skip
+
+
+def _gain(errors: np.ndarray) -> float:
+    """The share by which errors fall, by the means of their first and their last quarter."""
+    quarter = -(-len(errors) // 4)
+    first, last = np.mean(errors[:quarter]), np.mean(errors[-quarter:])
+    return float(1 - last / first) if 0 < first < np.inf else 0.0
 
 
 def _stays_from(high: np.ndarray, tolerance: float | None) -> int:

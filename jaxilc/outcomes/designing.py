@@ -407,7 +407,7 @@ def _stop_said(one: Judged, trials: int, long: int) -> str:
     """After which trial to stop; trials, long: number of trials asked for, and run."""
     if one.still_falls:
         return (
-            f"The error still falls after trial {one.settled_at}, by {one.gained_later:.0%} to "
+            f"The error still falls after trial {trials}, by {one.gained_later:.0%} to "
             f"trial {long}: more trials than {trials} leave less."
         )
     if _falls(one):
