@@ -20,6 +20,7 @@ from ..signals.task import Task, Trial
 from ..sweeps import Sweep
 from ..sweeps.summary import SchemeSummary, summarise
 from ..theory.certificates import DIVERGES, NOTHING, long_run
+from ..theory.chance import draws
 from ..theory.frequency import Tried, WholeSet, bound_of_set, largest_of
 from ..theory.law import law_of
 from ..theory.loop import minimal, radius_of
@@ -195,11 +196,13 @@ class Question:
 
 
 class Limits(NamedTuple):
-    """The error of the last trial as one cause after the other is added [unit of the metric].
+    """The error as one cause after the other is added [unit of the metric].
+
+    Each is the largest in the trials from the last one asked for on, as `Verdict.error` is.
 
     law:     of the nominal machine without noise and limits: what filter and trials leave
     limits:  with the limits of actuator and scheme
-    noise:   with noise, disturbances and resolution too
+    noise:   with noise too, of which 95 % of the draws leave no more
     machines: of 95 % of the uncertain machines
     """
 
@@ -215,29 +218,35 @@ class Limits(NamedTuple):
         return self._fields[int(np.argmax(steps))]
 
 
-def limits_of(
-    scheme: Scheme,
-    machine: Machine,
-    task: Task,
-    trials: int,
-    metric: str,
-    machines: float,
-    quantities: Mapping[str, Callable[[Trial], jax.Array]],
-) -> Limits:
-    """What limits the error of a scheme, which is `machines` on 95 % of the uncertain ones."""
-    keep = Keep.of(quantities)
+def limits_of(asked: Question, population: Population, scheme: Scheme, error: float) -> Limits:
+    """What limits the error of a scheme, which 95 % of the machines of `Question.swept` have.
 
-    def error(machine: Machine, scheme: Scheme) -> float:
-        history = learn(machine, scheme, task, trials, key=jax.random.key(0), save=keep)
+    population: the machines of the question
+    """
+    machine, keep, first = population.machine, Keep.of(asked.quantities), asked.trials - 1
+    long, quiet = judged_trials(asked.trials), machine.noiseless()
+
+    def of_one(machine: Machine, scheme: Scheme) -> float:
+        history = learn(machine, scheme, asked.task, long, save=keep)
         found = history.metrics._asdict() | history.saved
-        return float(np.max(np.asarray(found[metric])[-1]))
+        return float(np.max(np.asarray(found[asked.metric])[first:]))
 
-    quiet = machine.noiseless()
+    def of_draws() -> float:
+        """The error of the nominal machine, with the noise of the machines that judge."""
+        swept = Sweep(
+            machine, {"law": scheme}, asked.task, long, {}, machines=asked.machines,
+            seed=asked.seed + 2, quantities=asked.quantities,
+        ).run()  # fmt: skip
+        return float(np.max(summarise(swept, None, metric=asked.metric)[0].high[first:]))
+
+    noise = error
+    if population.uncertainty:
+        noise = of_draws() if draws(machine) else of_one(machine, scheme)
     return Limits(
-        law=error(quiet.unlimited(), scheme.unlimited()),
-        limits=error(quiet, scheme),
-        noise=error(machine, scheme),
-        machines=machines,
+        law=of_one(quiet.unlimited(), scheme.unlimited()),
+        limits=of_one(quiet, scheme),
+        noise=noise,
+        machines=error,
     )
 
 

@@ -197,10 +197,7 @@ class Design(Question):
             proof = proof_of(family, scheme, self.task)
             at = others.index(one)
             if not proof.refuted:
-                limits = limits_of(
-                    scheme, family.population.machine, self.task, self.trials, self.metric,
-                    one.error, self.quantities,
-                )  # fmt: skip
+                limits = limits_of(self, family.population, scheme, one.error)
                 chosen = Recommended(one, proof, limits)
                 del others[at]
                 break

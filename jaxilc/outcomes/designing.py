@@ -13,7 +13,7 @@ from typing import TypeVar
 from .. import figures
 from ..design import Design, Designed, Learned, LearnedLaw, Recommended, feedback_among
 from ..design.candidates import Absent, Candidate
-from ..design.judging import LIKE, Proof, Told
+from ..design.judging import LIKE, Limits, Proof, Told
 from ..design.judging import Verdict as Judged
 from ..design.learned import LEARNED, SAFE
 from ..pytree.aliases import Value
@@ -358,7 +358,7 @@ def _sentences(chosen: Scenario, designed: Designed) -> tuple[str, ...]:
 
 
 def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> list[str]:
-    one, limits, size = best.verdict, best.limits, partial(size_of, chosen)
+    one, size = best.verdict, partial(size_of, chosen)
     said = [
         f"Take {one.candidate.name}: {_with_weights(one.candidate, chosen)}.",
         f"Of {designed.machines} machines that the design has not seen, 95 % are at or below a "
@@ -387,11 +387,20 @@ def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> lis
     return [
         *said,
         _stop_said(one, designed.trials, designed.long),
+        _limits_said(best.limits, size, uncertain=bool(chosen.uncertainty)),
+    ]
+
+
+def _limits_said(limits: Limits, size: Callable[[float], str], *, uncertain: bool) -> str:
+    """From which cause most of the error comes, and the error as each is added."""
+    said = (
         f"Most of the error comes from {CAUSES[limits.largest]}: without noise and limits the "
         f"nominal machine reaches {size(limits.law)}, with the limits of the actuator "
-        f"{size(limits.limits)}, with noise too {size(limits.noise)}, and 95 % of the uncertain "
-        f"machines {size(limits.machines)}.",
-    ]
+        f"{size(limits.limits)}, with noise too {size(limits.noise)}"
+    )
+    if uncertain:
+        said += f", and 95 % of the uncertain machines {size(limits.machines)}"
+    return f"{said}."
 
 
 def _trials_said(first: int, last: int, several: str = "each trial from") -> str:

@@ -2,6 +2,7 @@
 
 import math
 import shlex
+from functools import partial
 from unittest import mock
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from typer.main import get_command
 
 from jaxilc.cli import app
-from jaxilc.design.judging import judged_trials, verdict
+from jaxilc.design.judging import Limits, judged_trials, verdict
 from jaxilc.outcomes import certifying, designing
 from jaxilc.outcomes.certifying import certify_verdict
 from jaxilc.outcomes.listing import list_verdict
@@ -148,6 +149,16 @@ def test_a_design_tells_to_stop_as_far_as_it_has_looked(trials, factor, left, sa
         None, SchemeSummary(**fields | {"median": high, "high": high, "worst": high}), trials, None
     )
     assert said in designing._stop_said(one, trials, long)
+
+
+def test_a_design_tells_of_uncertain_machines_where_there_are_some():
+    said = partial(designing._limits_said, Limits(1.0, 2.0, 5.0, 5.5), "{:g} mm".format)
+    both = (
+        "Most of the error comes from noise: without noise and limits the nominal machine reaches "
+        "1 mm, with the limits of the actuator 2 mm, with noise too 5 mm"
+    )
+    assert said(uncertain=False) == f"{both}."
+    assert said(uncertain=True) == f"{both}, and 95 % of the uncertain machines 5.5 mm."
 
 
 def test_run_compares_schemes_and_the_tolerance():
