@@ -136,7 +136,7 @@ def weights_of(text: str) -> dict[str, tuple[float, float] | None]:
     """The weights from a text such as `lam=0.01:10,phi0[0]`, with their bounds.
 
     A weight without bounds has None, which stands for the range that the leaf allows.
-    Raises ValueError for bounds that are not NAME=LOW:HIGH.
+    Raises ValueError for bounds that are not NAME=LOW:HIGH, and for a weight that is given twice.
     """
     weights: dict[str, tuple[float, float] | None] = {}
     for one in text.split(","):
@@ -144,6 +144,8 @@ def weights_of(text: str) -> dict[str, tuple[float, float] | None]:
         low, colon, high = ends.partition(":")
         if equals and not (name and colon):
             raise ValueError(f"--weights {one.strip()!r} is not NAME=LOW:HIGH")
+        if name in weights:
+            raise ValueError(f"--weights: {name} is given more than once")
         if name:
             weights[name] = (_number(name, low), _number(name, high)) if equals else None
     return weights

@@ -342,6 +342,7 @@ def test_risks_are_what_they_say():
     mistakes("""
 tune --weights gain => weights: 'gain' is not a parameter here; known: lam
 tune --weights eta,lam=1 => --weights 'lam=1' is not NAME=LOW:HIGH
+tune --weights lam,eta,lam=0.1:10 => --weights: lam is given more than once
 tune --weights lam --limit d2 => --limit 'd2' is not NAME=NUMBER
 tune --weights lam --limit d3=1 => --limit: 'd3' is not one of d2, contraction
 tune --weights lam --limit d2=-1 => d2: -1 is outside its allowed range (0, inf)
