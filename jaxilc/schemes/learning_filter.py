@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from ..filters import Filter, Inverse, SwitchableFilter, ZeroPhaseFIR
 from ..filters.inversion import CIRCLE, Factors, factors
@@ -303,10 +304,10 @@ class LearningFilter(Scheme):
 
     def _through(self, name: str, signal: Array) -> Array:
         """(N, n_u) the signal through the taps of each segment."""
-        taps = getattr(self, name)
+        taps = jnp.asarray(getattr(self, name))
         if not self._scheduled(name):
             return correlated(taps, signal)
-        each = jax.vmap(correlated, (0, None))(taps, signal)
+        each = lax.map(lambda one: correlated(one, signal), taps)
         return jnp.einsum("sk,skn->kn", in_segments(self.starts, each.shape[1]), each)
 
 

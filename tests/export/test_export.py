@@ -20,7 +20,15 @@ from jaxilc.export.guard import CODES, Trials
 from jaxilc.export.steps import dft
 from jaxilc.native.program import Unknown
 from jaxilc.outcomes.exporting import trials_of_test
-from jaxilc.schemes import PID, Feedforward, HigherOrder, MultivariableILC, PIDType, WithFeedback
+from jaxilc.schemes import (
+    PID,
+    Feedforward,
+    HigherOrder,
+    LearningFilter,
+    MultivariableILC,
+    PIDType,
+    WithFeedback,
+)
 from jaxilc.signals import Task, Trial
 from jaxilc.storage.sealed import read_json, seal_of, write_json
 
@@ -178,6 +186,17 @@ def test_what_cannot_be_exported_is_refused_by_name():
         program_of(jnp.sort, jnp.arange(3.0))
     with pytest.raises(Unknown, match="nobody knows how long"):
         program_of(lambda x: jax.lax.while_loop(lambda y: y > 1, lambda y: y / 3, x), 9.0)
+
+
+def test_a_learning_filter_with_segments_is_exported():
+    """With y = 0 it learns L r, by the taps of the segment of each sample."""
+    r, taps = np.sin(np.arange(FEW + 1) / 3.0), np.array([[0.1, 0.8, 0.2], [0.0, 0.5, 0.3]])
+    played = law_of(LearningFilter(taps, starts=(5,)), Task(r, 1e-3), 1e3, guarded=False).played()
+    played.trial(np.zeros((FEW + 1, 1)))
+    u, _ = played.trial(np.zeros((FEW + 1, 1)))
+    after = np.append(r, 0.0)
+    expected = [taps[int(k >= 5)] @ after[k : k + 3] for k in range(FEW)]
+    np.testing.assert_allclose(u[:, 0], expected, rtol=1e-12, atol=1e-13)
 
 
 def test_the_guard_goes_back_to_the_last_good_input():

@@ -65,6 +65,15 @@ def test_it_is_the_sum_over_its_taps(law):
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)
 
 
+def test_a_program_may_hold_a_law_that_is_scheduled():
+    """Its taps are then constants of the program, as in an exported law."""
+    task = Task(RANDOM.standard_normal((N + 1, 2)), dt=1e-3, inputs=3)
+    u, y = RANDOM.standard_normal((N, 3)), RANDOM.standard_normal((N + 1, 2))
+    memory, trial = SCHEDULED.initial_memory(task), measured_trial(task, y, u)
+    held = jax.jit(lambda trial: SCHEDULED.learn(memory, trial).u)(trial)
+    np.testing.assert_allclose(held, SCHEDULED.learn(memory, trial).u, rtol=1e-12, atol=1e-13)
+
+
 @pytest.mark.thorough
 def test_derivatives_are_those_of_the_sum():
     random = np.random.default_rng(5)
