@@ -14,7 +14,7 @@ from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import known, need_numbers
 from ..signals.task import Task, Trial, samples_within
 from .gradient import Ready
-from .scheme import Part, Scheme, Wrapper, need_no_comparing, with_all_parts
+from .scheme import Part, Scheme, Wrapper, need_no_comparing, need_no_experiments, with_all_parts
 from .weights import weighed
 
 BOUNDS = ("y_low", "y_high", "tube", "contour")  # of outputs, which need all of an output
@@ -43,8 +43,8 @@ class AtSamples(Wrapper):
         which the motion should change its direction. None: the jerk does not count
     solved: leave None
     `check` raises ValueError unless either windows or weight are given and lie within the task, and
-    for bounds of the output, which need all of the motion. It raises, too, for a scheme that
-    compares outputs within the trial (FFDL-MFAILC).
+    for bounds of the output, which need all of the motion. It raises, too, for a scheme that makes
+    experiments (`ModelFreeGradient`) or compares outputs within the trial (FFDL-MFAILC).
     """
 
     scheme: Scheme = child()
@@ -102,6 +102,7 @@ class AtSamples(Wrapper):
                 f"{type(self.scheme).__name__}, which acts within the trial"
             )
         super().check(task)
+        need_no_experiments(self, task, "whose answers are needed at all samples")
         need_no_comparing(self, task)
 
     def _check_samples(self, task: Task) -> None:
