@@ -169,6 +169,10 @@ class Ladder(Guard):
     scheme is shown, y' = r - gain (r - y). To an adaptive law this looks like a different plant,
     and the law adapts to it as well.
 
+    A sample that was not measured has the error zero in the mean: where m of the R repeats lost it,
+    it is learned from with (R - m) / R of the gain. A law with a model is shown the weight that the
+    samples of the last repeat have.
+
     scheme: the scheme that learns from the mean trial
     repeats: R, number of trials for each learning step
     growth_of_gain: () >= 1, factor by which the gain is increased

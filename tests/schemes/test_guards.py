@@ -20,7 +20,8 @@ from jaxilc.schemes import (
     StopWhen,
     WithFeedback,
 )
-from jaxilc.signals import Task
+from jaxilc.schemes.weights import weighed
+from jaxilc.signals import Task, Trial
 
 N = 40
 R = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N) + 0.05 * np.sin(1.3 * np.arange(N + 1))
@@ -252,6 +253,18 @@ def test_ladder_by_hand_needs_the_signals_of_what_it_is_around():
     np.testing.assert_allclose(
         scheme.feedforward(memory, TASK)[:, 0], 0.5 * (R[1:] - 2.0), **ALGEBRA
     )
+
+
+def test_a_sample_that_repeats_lost_is_learned_from_with_a_smaller_gain():
+    ladder, lost = Ladder(PIDType(gamma_p=0.6), 3), np.ones((N + 1, 1))
+    lost[7] = 0.0
+    trial = Trial(jnp.asarray(TASK.reference), jnp.zeros((N + 1, 1)), jnp.zeros((N, 1)), DT)
+    whole, other = (weighed(trial, jnp.asarray(W)) for W in (np.ones_like(lost), lost))
+    memory = ladder.initial_memory(TASK)
+    for one in (whole, other, whole):
+        memory = ladder.learn(memory, one)
+    share = np.where(np.arange(1, N + 1) == 7, 2 / 3, 1.0)
+    np.testing.assert_allclose(memory.scheme.u[:, 0], 0.6 * share * R[1:], **ALGEBRA)
 
 
 def test_repeatability():
