@@ -15,7 +15,7 @@ from ..pytree.needs import known, need_numbers
 from ..signals.task import Task, Trial, samples_within
 from .gradient import Ready
 from .scheme import Part, Scheme, Wrapper, need_no_comparing, need_no_experiments, with_all_parts
-from .weights import weighed
+from .weights import need_no_jerk, weighed
 
 BOUNDS = ("y_low", "y_high", "tube", "contour")  # of outputs, which need all of an output
 
@@ -36,6 +36,9 @@ class AtSamples(Wrapper):
 
         + |jerk_time^3 d^3 y / dt^3|^2_Wq    in the cost of a law with the model `with_jerk(model)`
 
+    Where y[k] or one of the three samples before it was not measured, the jerk at k is unknown; its
+    change counts in its place, so that a law leaves it as it is.
+
     scheme: any scheme that learns from the error
     windows: pairs (start, stop) of times at which errors count [s]; a point has stop = start
     weight: (N+1,) or (N+1, n_y) weights in place of windows, which may be batched
@@ -44,7 +47,8 @@ class AtSamples(Wrapper):
     solved: leave None
     `check` raises ValueError unless either windows or weight are given and lie within the task, and
     for bounds of the output, which need all of the motion. It raises, too, for a scheme that makes
-    experiments (`ModelFreeGradient`) or compares outputs within the trial (FFDL-MFAILC).
+    experiments (`ModelFreeGradient`) or compares outputs within the trial (FFDL-MFAILC), and for
+    `jerk_time` of a scheme within, which is shown other outputs than the machine has.
     """
 
     scheme: Scheme = child()
@@ -75,6 +79,8 @@ class AtSamples(Wrapper):
         if self.jerk_time is None:
             return {"scheme": weighed(trial, Phi)}
         jerk = _jerk(trial.y, dt)
+        if trial.weight is not None:  # laws then leave the jerk of samples that were lost as it is
+            jerk = jerk * _all_measured(trial.weight)
         both = trial._replace(
             r=jnp.concatenate([trial.r, jnp.zeros_like(jerk)], axis=1),
             y=jnp.concatenate([trial.y, jerk], axis=1),
@@ -101,6 +107,7 @@ class AtSamples(Wrapper):
                 f"AtSamples: jerk_time needs a law that plays back its input, not "
                 f"{type(self.scheme).__name__}, which acts within the trial"
             )
+        need_no_jerk(self, self.scheme, task)
         super().check(task)
         need_no_experiments(self, task, "whose answers are needed at all samples")
         need_no_comparing(self, task)
@@ -191,10 +198,17 @@ def _jerk(y: Array, dt: float) -> Array:
     return (held[3:] - 3 * held[2:-1] + 3 * held[1:-2] - held[:-3]) / dt**3
 
 
+def _all_measured(W: Array) -> Array:
+    """(N+1, n_y) 1 where each sample that the jerk is made of was measured, else 0."""
+    there = jnp.where(jnp.any(W != 0, axis=2), 1.0, 0.0)
+    held = jnp.pad(there, ((3, 0), (0, 0)), mode="edge")
+    return held[3:] * held[2:-1] * held[1:-2] * held[:-3]
+
+
 def _beside(W: Array) -> Array:
-    """The weight of the outputs, and of their jerks: those of samples that count at all."""
+    """The weight of the outputs, and beside it that of their jerks, which all count."""
     m = W.shape[1]
-    there = jnp.where(jnp.any(W != 0, axis=2), 1.0, 0.0)[:, :, None] * jnp.eye(m)
+    jerk = jnp.broadcast_to(jnp.eye(m), W.shape)
     return jnp.concatenate(
-        [jnp.pad(W, ((0, 0), (0, 0), (0, m))), jnp.pad(there, ((0, 0), (0, 0), (m, 0)))], axis=1
+        [jnp.pad(W, ((0, 0), (0, 0), (0, m))), jnp.pad(jerk, ((0, 0), (0, 0), (m, 0)))], axis=1
     )

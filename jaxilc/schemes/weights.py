@@ -21,7 +21,7 @@ from ..pytree.aliases import Array, Function, Leaf, Tree
 from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_numbers
 from ..signals.task import Task, Trial
-from .scheme import Scheme, Wrapper, need_no_comparing, need_no_experiments
+from .scheme import Scheme, Wrapper, need_no_comparing, need_no_experiments, with_all_parts
 
 
 def weighed(trial: Trial, W: Array) -> Trial:
@@ -71,6 +71,17 @@ def counts_at_all(trial: Trial) -> Array | float:
     if trial.weight is None:
         return 1.0
     return jnp.where(jnp.any(trial.weight[1:] != 0, axis=2), 1.0, 0.0)
+
+
+def need_no_jerk(wrapper: Scheme, inner: Scheme, task: Task) -> None:
+    """Raises ValueError where a part of the inner scheme takes the jerk of outputs it is shown."""
+    for part, _, _ in with_all_parts(inner, task):
+        if getattr(part, "jerk_time", None) is not None:
+            raise ValueError(
+                f"{type(wrapper).__name__}: jerk_time = {part.jerk_time} of {type(part).__name__} "
+                "weighs the jerk of the outputs, which it would be shown as their errors count; "
+                "allowed is jerk_time = None"
+            )
 
 
 @pytree
@@ -129,8 +140,8 @@ class CrossCoupled(Wrapper):
     k, not of the nearest point of the path: a lag of s along a path of radius R adds s^2 / (2 R).
     The metrics `contour_max` and `contour_rms` look for the nearest point.
 
-    `check` raises ValueError for a task of one output, and for a scheme that makes experiments or
-    compares outputs within the trial (FFDL-MFAILC).
+    `check` raises ValueError for a task of one output, and for a scheme that makes experiments,
+    compares outputs within the trial (FFDL-MFAILC) or weighs their jerk (`jerk_time`).
     """
 
     scheme: Scheme = child()
@@ -144,6 +155,7 @@ class CrossCoupled(Wrapper):
                 f"CrossCoupled: the task has {task.outputs} outputs; allowed are the 2 or 3 axes "
                 "of a path"
             )
+        need_no_jerk(self, self.scheme, task)
         super().check(task)
         need_no_experiments(self, task, "whose errors are not those of the path")
         need_no_comparing(self, task)

@@ -17,6 +17,7 @@ from jaxilc.schemes import (
     AtSamples,
     BasisFunctions,
     ConstrainedNormOptimal,
+    CrossCoupled,
     EstimatedDisturbance,
     GradientILC,
     NormOptimal,
@@ -25,6 +26,7 @@ from jaxilc.schemes import (
     TwoStep,
     with_jerk,
 )
+from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Trial
 from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, certify
 
@@ -66,6 +68,28 @@ def test_the_jerk_of_the_motion_is_part_of_the_cost():
     )
 
 
+def test_a_sample_that_was_lost_is_no_jump_of_the_motion():
+    """Of its jerk and those of the three samples after it the change counts, from what it is."""
+    times, w_s = 2e-3, 1e-5
+    scheme = AtSamples(NormOptimal(with_jerk(MODEL), w_s=w_s), weight=WEIGHT, jerk_time=times)
+    r, lost, u = 1 + np.arange(N + 1) / N, (5, 15, 16), np.linspace(1, -1, N)
+    measured = np.where(np.isin(np.arange(N + 1), lost), 0.0, 1.0)
+    H = lifted(MODEL, N)
+    y = np.append(0.0, H @ u)
+    trial = Trial(*(jnp.asarray(x)[:, None] for x in (r, y, u)), DT)
+    task = Task(r, DT)
+    memory = scheme.initial_memory(task)._replace(u=trial.u)
+    found = scheme.learn(memory, weighed(trial, jnp.asarray(measured)[:, None])).u[:, 0]
+    P = np.diag((WEIGHT * measured)[1:])
+    third = np.eye(N) - 3 * np.eye(N, k=-1) + 3 * np.eye(N, k=-2) - np.eye(N, k=-3)
+    J = (times / DT) ** 3 * third @ H
+    kept = J @ u * [bool(set(range(k - 3, k + 1)) & set(lost)) for k in range(1, N + 1)]
+    cost = H.T @ P @ H + J.T @ J + w_s * np.eye(N)
+    expected = np.linalg.solve(cost, H.T @ P @ r[1:] + J.T @ kept)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
+
+
+SMOOTH = AtSamples(NormOptimal(with_jerk(MODEL), w_s=1e-5), weight=WEIGHT, jerk_time=2e-3)
 LAWS = {
     "norm_optimal": NormOptimal(MODEL, w_r=0.01),
     "gradient": GradientILC(MODEL),
@@ -171,6 +195,14 @@ def test_windows_are_the_weights_of_their_samples():
         (
             lambda: AtSamples(PIDType(), weight=WEIGHT, jerk_time=1e-3).check(TASK),
             "as many inputs as outputs",
+        ),
+        (
+            lambda: AtSamples(SMOOTH, windows=(0.01,)).check(TASK),
+            "AtSamples: jerk_time = 0.002 of AtSamples weighs the jerk",
+        ),
+        (
+            lambda: CrossCoupled(SMOOTH).check(Task(np.tile(TASK.reference, 2), DT)),
+            "CrossCoupled: jerk_time = 0.002 of AtSamples weighs the jerk",
         ),
     ],
 )
