@@ -38,9 +38,10 @@ class BoucWen:
     gamma:    () [z/x / z^n], bends the loop
     exponent: () n >= 1, how abruptly z saturates; None is n = 1, where `over` is exact and needs no
               power function
-    substeps: Runge-Kutta steps of `over` where n is given. A travel of more than 1.5 substeps
-              characteristic lengths is cut to that length, after which z has reached z_max within 2
-              %; so the steps are stable for any jump
+    substeps: steps of `over` where n is given: of Runge-Kutta over at most 1.5 substeps
+              characteristic lengths, and as many along lines over what is left of the travel, which
+              are stable for any jump and end at z_max. With 4 substeps and gamma >= -0.85 beta the
+              error of z is within 4 % of z_max for n <= 2.5, and within 12 % for n <= 8
 
     Raises ValueError for gamma beyond -beta < gamma <= beta, where z is unbounded or the loop
     yields energy.
@@ -78,31 +79,43 @@ class BoucWen:
         s = _direction(dx)
         w, way = s * z, s * dx  # mirrored, so that the way leads up
         return s * (
-            self._exactly(w, way)
+            self._by_rates(w, way, self.beta - self.gamma, self.beta + self.gamma)
             if self.exponent is None
             else self._numerically(w, way, self.exponent)
         )
 
-    def _exactly(self, w: Array, way: Array) -> Array:
-        """The case n = 1, in which dw/dx is linear on either side of w = 0.
+    def _by_rates(self, w: Array, way: Array, below: Array, above: Array) -> Array:
+        """w after a travel on which dw/dx falls at one rate below w = 0 and at another above.
 
-        Its rate is beta - gamma below 0 and beta + gamma above.
+        For n = 1 they are beta - gamma and beta + gamma, and this is exact.
         """
-        A, below, above = self.initial_slope, self.beta - self.gamma, self.beta + self.gamma
+        A = self.initial_slope
         depth = jnp.where(w < 0, -w, 0.0)
         to_zero = depth / A * _log1p_ratio(below * depth / A)
         ends_below = way < to_zero
         rate = jnp.where(ends_below, below, above)
         way = jnp.where(ends_below, way, way - to_zero)
         w = jnp.where(ends_below, w, w + depth)
-        return w + (A - rate * w) * way * _decay_ratio(rate * way)
+        return w + self.slope(w, 1.0) * way * _decay_ratio(rate * way)
 
-    def _numerically(self, w: Array, way: Array, n: int) -> Array:
+    def _numerically(self, w: Array, way: Array, n: Array) -> Array:
         stiffest = n * (self.beta + jnp.abs(self.gamma)) * self.limit ** (n - 1)
         h = jnp.minimum(way / self.substeps, 1.5 / stiffest)
-        return lax.fori_loop(
+        w = lax.fori_loop(
             0, self.substeps, lambda _, w: runge_kutta(lambda w: self.slope(w, 1.0), w, h), w
         )
+        return lax.fori_loop(
+            0, self.substeps, lambda _, w: self._along_chords(w, way / self.substeps - h, n), w
+        )
+
+    def _along_chords(self, w: Array, way: Array, n: Array) -> Array:
+        """A step of any length: dw/dx on a line from w to 0, and on one from there to z_max."""
+        below = (self.beta - self.gamma) * _power(jnp.where(w < 0, -w, 0.0), n - 1)
+        start, limit = jnp.where(w < 0, 0.0, w), self.limit
+        near = jnp.abs(limit - start) < 1e-6 * limit
+        chord = self.slope(start, 1.0) / jnp.where(near, 1.0, limit - start)
+        above = jnp.where(near, n * self.initial_slope / limit, chord)
+        return self._by_rates(w, way, below, above)
 
 
 @pytree

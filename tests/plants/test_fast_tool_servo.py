@@ -382,6 +382,23 @@ def test_hysteresis_is_rate_independent(h):
     assert abs(fast[-1]) > 0.05 * h.limit  # it has a memory, since x is back at 0
 
 
+@pytest.mark.parametrize(("n", "error"), [(1.0, 0.02), (2.5, 0.04), (8.0, 0.12)])
+@pytest.mark.parametrize("gamma", [0.7, -0.6])
+def test_few_substeps_go_along_travels_of_any_length(n, error, gamma):
+    """From one bound to the other, against solve_ivp; gamma makes the way into a stiff one."""
+    h = BoucWen(0.5, 0.7, gamma, exponent=n)
+    limit = float(h.limit)
+    x = np.geomspace(0.02, 40.0, 30) * limit / 0.5
+    found = jax.jit(jax.vmap(h.over, (None, 0)))(-limit, np.append(x, 1e6 * limit)) / limit
+
+    def slope(_, z):
+        return 0.5 - 0.7 * z * abs(z) ** (n - 1) - gamma * abs(z) ** n
+
+    exact = solve_ivp(slope, (0, x[-1]), [-limit], t_eval=x, method="LSODA", rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(found[:-1], exact.y[0] / limit, rtol=0, atol=error)
+    np.testing.assert_allclose(found[-1], 1.0, rtol=1e-12)
+
+
 def test_width_of_the_loop_in_closed_form():
     """Without gamma, z settles to a loop with z(x_max) = A/beta tanh(beta x_max), whose width is
 
@@ -396,7 +413,7 @@ def test_width_of_the_loop_in_closed_form():
     "h", [*BOUC_WEN.values(), BoucWen(0.5, 0.4, 0.1, exponent=3.0), *DAHL.values()]
 )
 def test_hysteresis_stays_within_its_bound(h):
-    """At a huge jump, few substeps end up to 2 % beside |z| = (A / (beta + gamma))^(1/n)."""
+    """Huge jumps end at |z| = (A / (beta + gamma))^(1/n), and none beyond."""
     x = np.random.default_rng(3).normal(size=200) * 10.0 ** np.random.default_rng(4).uniform(
         -2, 3, 200
     )
