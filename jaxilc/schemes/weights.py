@@ -76,9 +76,10 @@ def counts_at_all(trial: Trial) -> Array | float:
 def need_no_jerk(wrapper: Scheme, inner: Scheme, task: Task) -> None:
     """Raises ValueError where a part of the inner scheme takes the jerk of outputs it is shown."""
     for part, _, _ in with_all_parts(inner, task):
-        if getattr(part, "jerk_time", None) is not None:
+        found = getattr(part, "jerk_time", None)
+        if found is not None:
             raise ValueError(
-                f"{type(wrapper).__name__}: jerk_time = {part.jerk_time} of {type(part).__name__} "
+                f"{type(wrapper).__name__}: jerk_time = {found} of {type(part).__name__} "
                 "weighs the jerk of the outputs, which it would be shown as their errors count; "
                 "allowed is jerk_time = None"
             )
