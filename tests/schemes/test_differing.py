@@ -25,13 +25,16 @@ KINDS = {
 }
 NOTHING_LEARNED = "learns no feedforward signal u"
 COMPARES = "FFDLMFAILC, which compares outputs within the trial"
+JERK = "of AtSamples weighs the jerk"
 ONE_AXIS = "the model has 1 inputs but the task 2"
 # which schemes of cases.py refuse, and what they say; all other pairs run
 REFUSED = {
     "points": {
+        "model_free": "ModelFreeGradient makes experiments between its steps",
         "ffdl_book": COMPARES,
         "ffdl_fir": COMPARES,
         "constrained": "ConstrainedNormOptimal bounds the output by y_low",
+        "at_samples": JERK,
     },
     "a contour": {
         "ffdl_book": COMPARES,
@@ -40,7 +43,7 @@ REFUSED = {
         "gradient": ONE_AXIS,
         "constrained": ONE_AXIS,
         "two_step": ONE_AXIS,
-        "at_samples": ONE_AXIS,
+        "at_samples": JERK,
         "warm_start": r"theta has shape \(2,\); allowed is \(4,\)",
         "on_basis": r"functions has shape \(12, 1, 3\); this task needs \(12, 2, m\)",
     },
