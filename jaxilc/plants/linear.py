@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -21,6 +22,7 @@ MOST_TERMS = 500  # of a difference equation; compiling takes time in their squa
 Sampled = TypeVar("Sampled", bound=Value)  # a plant with its own sample time `dt`
 
 
+@jax.jit
 def zoh(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     """Exact zero-order hold: exp([[A, B], [0, 0]] dt) = [[A_d, B_d], [0, I]].
 
