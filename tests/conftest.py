@@ -70,14 +70,17 @@ _compile, _programs = getattr(compiler, "backend_compile_and_load", None), {}
 SMALL = 20_000  # characters of a program of an operation or two, as a line of NumPy's kind makes it
 
 
-def compile_once(backend, program, devices, options, callbacks):
-    """Compile a small program once: each module that calls `jnp.zeros` would compile it again."""
+def compile_once(backend, program, *how, **named):
+    """Compile a small program once: each module that calls `jnp.zeros` would compile it again.
+
+    how: devices, options and callbacks; where a version of JAX has others, nothing is kept
+    """
     text = str(program)
-    if callbacks or len(text) > SMALL or "custom_call" in text:
-        return _compile(backend, program, devices, options, callbacks)
-    key = text, str(devices), options.SerializeAsString()
+    if named or len(how) != 3 or how[2] or len(text) > SMALL or "custom_call" in text:
+        return _compile(backend, program, *how, **named)
+    key = text, str(how[0]), how[1].SerializeAsString()
     if key not in _programs:
-        _programs[key] = _compile(backend, program, devices, options, callbacks)
+        _programs[key] = _compile(backend, program, *how)
     return _programs[key]
 
 
