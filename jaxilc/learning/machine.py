@@ -181,7 +181,8 @@ class Machine:
         """
         wide = as_computed(self)
         plant, variation = wide.plant.sampled(dt), wide.variation
-        variation = None if variation is None else variation.sampled(wide.plant, dt)
+        if variation is not None and plant is not wide.plant:
+            variation = variation.sampled(wide.plant, dt)
         return dataclasses.replace(wide, plant=plant, variation=variation)
 
     def at_trial(self, task: Task, j: Tree) -> tuple[Machine, Task]:

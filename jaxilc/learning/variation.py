@@ -41,7 +41,7 @@ class PlantChange:
     over: number of trials until the change is complete; 1 is a jump
     before: plant from which `after` differs; None: that of the machine itself
     course: leave None; the plants of trials first, .., first + over - 1, sampled, as one plant
-        whose leaves have an axis of trials in front
+        whose leaves have an axis of trials in front. A plant that is sampled as it is has none
     """
 
     after: Plant = child()

@@ -338,10 +338,10 @@ def yield_table(numbers: Numbers) -> Table:
         "scheme", right=columns, title=f"{several(numbers['samples'], 'machine')}, {what}"
     )
     for name, row in numbers["schemes"].items():
-        within = " ({:.1%} – {:.1%})".format(*row["yield_interval"]) if claimed else ""
+        interval = " ({:.1%} – {:.1%})".format(*row["yield_interval"]) if claimed else ""
         table.add_row(
             name,
-            *([share_text(row["yield"]) + within] if known else []),
+            *([share_text(row["yield"]) + interval] if known else []),
             _share(row["semi_converged"], row["grown_from"]),
             _share(row["diverged"], row["diverged_at"]),
         )

@@ -17,6 +17,7 @@ from .plant import Plant
 
 LARGEST_ORDER = 1000  # of a transfer function; its matrices have as many rows
 MOST_SQUARED = 40  # times, of a matrix exponential
+BALANCED = 100  # steps at most, which scale the states of a plant
 MOST_TERMS = 500  # of a difference equation; compiling takes time in their square
 
 Sampled = TypeVar("Sampled", bound=Value)  # a plant with its own sample time `dt`
@@ -47,7 +48,7 @@ def exponential(M: Array) -> Array:
 
     s is the least number for which the 1-norm of M 2^-s is 1 or less; the result is NaN where it is
     above 40. `jax.scipy.linalg.expm` takes two to three times as long to compile, backward too, and
-    is NaN for s > 18.
+    is NaN for a norm of 7e5.
     """
     norm = jnp.max(jnp.sum(jnp.abs(lax.stop_gradient(M)), axis=0))
     s = jnp.maximum(jnp.ceil(jnp.log2(norm)), 0.0)
@@ -65,8 +66,7 @@ def exponential(M: Array) -> Array:
         R = R @ fourth + part(k)
 
     def squared(i: Array, R: Array) -> Array:
-        x = jnp.where(i < s, R, 0.0)
-        return jnp.where(i < s, x @ x, R)
+        return lax.cond(i < s, lambda x: x @ x, lambda x: x, R)
 
     return jnp.where(s > MOST_SQUARED, jnp.nan, lax.fori_loop(0, MOST_SQUARED, squared, R))
 
@@ -85,7 +85,7 @@ def _balancing(A: Array) -> Array:
         ratio = jnp.sum(scaled, axis=1) / jnp.sum(scaled, axis=0)
         return d + jnp.where(jnp.isfinite(ratio) & (ratio > 0), jnp.log2(ratio), 0.0) / 4
 
-    return _power_of_two(lax.fori_loop(0, 8 * n, nearer, jnp.zeros(n, size.dtype)))
+    return _power_of_two(lax.fori_loop(0, min(8 * n, BALANCED), nearer, jnp.zeros(n, size.dtype)))
 
 
 def _power_of_two(exponent: Array) -> Array:

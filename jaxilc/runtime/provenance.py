@@ -25,6 +25,7 @@ from ..pytree.closest import listed
 from .earlier_names import in_todays_names
 
 LONG = 120  # characters of a value in a difference that is told
+CODE = "its code"  # of a user's class, in a description; no field has such a name
 ORDERED = ("schemes", "uncertainty", "weights")  # mappings whose order the numbers depend on
 
 
@@ -66,7 +67,7 @@ def need_same(
     path: object, found: object, wanted: object, made: str = "made with another configuration"
 ) -> None:
     """Raises ValueError, naming what differs, for a path made with another configuration."""
-    differing = differences(found, wanted)
+    differing = differences(found, wanted) or _reordered(found, wanted)
     if differing:
         raise ValueError(f"{path} was {made}; it differs in: {'; '.join(differing)}")
 
@@ -74,16 +75,13 @@ def need_same(
 def _differences(found: object, wanted: object, name: str) -> list[str]:
     if isinstance(found, dict) and isinstance(wanted, dict):
         names = found.keys() | wanted.keys()
-        if "code" not in found:  # earlier versions did not store it
-            names = names - {"code"}
-        lines = [
+        if CODE not in found:  # earlier versions did not store it
+            names = names - {CODE}
+        return [
             line
             for n in sorted(names)
             for line in _differences(found.get(n), wanted.get(n), f"{name}.{n}" if name else n)
         ]
-        if name in ORDERED and not lines and [*found] != [*wanted]:
-            return [f"{name}: in the order {listed(found)} there, {listed(wanted)} here"]
-        return lines
     if isinstance(found, list) and isinstance(wanted, list) and len(found) == len(wanted):
         pairs = [*zip(found, wanted, strict=True)]
         if all(isinstance(one, dict) for pair in pairs for one in pair):
@@ -94,16 +92,28 @@ def _differences(found: object, wanted: object, name: str) -> list[str]:
     return [] if found == wanted else [f"{name}: {there} there, {here} here"]
 
 
+def _reordered(found: object, wanted: object) -> list[str]:
+    """The mappings named in `ORDERED` whose names are in another order, a line each."""
+    if not isinstance(found, dict) or not isinstance(wanted, dict):
+        return []
+    lines = [line for n in found for line in _reordered(found[n], wanted.get(n))]
+    for name in ORDERED:
+        there, here = found.get(name), wanted.get(name)
+        if isinstance(there, dict) and isinstance(here, dict) and [*there] != [*here]:
+            lines.append(f"{name}: in the order {listed(there)} there, {listed(here)} here")
+    return lines
+
+
 def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
     """A description of a value, as JSON, that changes whenever the numbers of the value change.
 
     A class is described by its fields, and one of a user also by the code of its methods; a long
-    array is described by its shape and hash. A function, and an
-    object made of functions such as an optax transformation, is described by its name, its code and
-    the values in its closure. So two functions of the same name differ if their settings differ.
-    Their position in a file is not included. The description does not contain what a function reads
-    from its module, the code that it calls there, or an object that has no attributes. The code of
-    a function differs between versions of Python.
+    array is described by its shape and hash. A function, and an object made of functions such as an
+    optax transformation, is described by its name, its code and the values in its closure. So two
+    functions of the same name differ if their settings differ. Their position in a file is not
+    included. The description does not contain what a function reads from its module, the code that
+    it calls there, or an object that has no attributes. The code of a function differs between
+    versions of Python.
 
     within: identities of the values that contain this one, for a value that refers to itself
     """
@@ -120,7 +130,7 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
         return [again(of) for of in value]
     if dataclasses.is_dataclass(value):
         methods = {} if isinstance(value, type) else _own_methods(type(value))
-        code = {"code": _hash(json.dumps(again(methods)))} if methods else {}
+        code = {CODE: _hash(json.dumps(again(methods)))} if methods else {}
         return {"class": type(value).__name__, **code} | {
             f.name: again(getattr(value, f.name)) for f in dataclasses.fields(value)
         }

@@ -99,8 +99,8 @@ def summarise(
     if "diverged_at" in dataset and (left := int((dataset["diverged_at"] < 0).sum())):
         raise ValueError(
             f"summarise: {left} of {dataset['diverged_at'].size} results of the dataset are not "
-            "computed; resume the sweep, or select the machines of which all are: "
-            "dataset.sel(sample=(dataset.diverged_at >= 0).all('scheme'))"
+            "computed; resume the sweep, or select schemes and machines of which all are, where "
+            "dataset.diverged_at is not -1"
         )
     errors = errors_of(dataset, metric)
     machines, trials = (

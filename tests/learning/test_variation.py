@@ -163,6 +163,15 @@ def test_it_is_the_parameters_of_a_plant_that_change(over):
         np.testing.assert_allclose(y[:, 0], wanted, rtol=0, atol=1e-10)
 
 
+def test_the_plants_of_a_drift_are_kept_only_where_they_are_sampled_anew():
+    sampled = vary(change=PlantChange(PLANT, first=2, over=50)).sampled(DT)
+    assert sampled.variation.change.course is None
+    rising = ProcessModel(gain=1.0, frequencies=[200.0], dampings=[0.02])
+    change = PlantChange(rising, first=2, over=50)
+    course = Machine(rising, variation=Variation(change=change)).sampled(DT).variation.change.course
+    assert {x.shape[0] for x in jax.tree.leaves(course)} == {50}
+
+
 @pytest.mark.parametrize("over", [1, 4])
 def test_a_plant_jumps_or_drifts_from_a_trial_on(over):
     after = dataclasses.replace(PLANT, B=[[0.5]])

@@ -18,7 +18,7 @@ from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree import Leaf, leaf, pytree
 from jaxilc.runtime import capacity, tiled
 from jaxilc.runtime.earlier_names import takes_also
-from jaxilc.runtime.provenance import describe, differences
+from jaxilc.runtime.provenance import CODE, describe, differences
 from jaxilc.schemes import CFDLMFAILC, PID, Feedforward, PIDType, Scheme
 from jaxilc.sweeps import sweep as sweep_module
 from jaxilc.sweeps.host import Host
@@ -263,10 +263,10 @@ def test_a_user_s_law_is_known_by_its_code():
     once, again, other = (describe(own_law(power)) for power in (1, 1, 3))
     assert once == again
     (line,) = differences({"law": once}, {"law": other})
-    assert line.startswith("law.code: ")
-    earlier = {name: value for name, value in once.items() if name != "code"}
+    assert line.startswith(f"law.{CODE}: ")
+    earlier = {name: value for name, value in once.items() if name != CODE}
     assert differences(earlier, other) == []
-    assert "code" not in describe(PID())
+    assert CODE not in describe(PID())
 
 
 def test_a_sweep_of_which_a_part_is_computed_has_no_summary(tmp_path):
