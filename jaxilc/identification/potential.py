@@ -12,6 +12,8 @@ estimates here are unbiased. What is not m and not new either is told apart firs
             one ended; its difference to their mean is tested against their scatter
     drift   a straight line along the trials at each sample, such as of a machine that warms up; it
             is no part of what is new, since a law follows it
+    settling  the first of the others differs from those after it by more than they scatter, though
+            not by enough to be set apart; it counts as new, which is then overstated
 
 Tests and intervals are those of F and chi-square with equivalent degrees of freedom (Welch and
 Satterthwaite): nu = 2 T (sum S df)^2 / sum S^2 df of a trial of length T, fewer where the new part
@@ -39,6 +41,7 @@ WIDER = 0.12  # width of a band against its frequency
 SEGMENTS = 16  # of a trial, over which the new part may change its strength
 SHORTEST = 30  # samples
 UNLIKE, TIMES = 1e-3, 10.0  # a first trial set apart: chance at most, and ratio of variances
+SETTLES = 1e-6  # chance at most, with which it is said that trials settle
 DRIFTS = 0.01  # chance at most, with which a drift is said
 CLOSE = 1.05  # of the least error: near enough, where trials are averaged
 
@@ -72,6 +75,8 @@ class Potential(NamedTuple):
     new: rms of what is new in each trial, the least error that any law can leave
     start: rms by which the first trial differs from the others; 0 where it is like them
     drift: rms of the change from trial to trial; 0 where none is seen
+    settling: rms by which the first alike trial differs from those after it; 0 where it is like
+        them, or a drift is seen
     freedom: equivalent degrees of freedom of one trial
     cutoff: up to which learning pays [Hz], 0 where it does nowhere
     left: rms error that a law with this cutoff leaves: what is new, what repeats above it, and the
@@ -86,6 +91,7 @@ class Potential(NamedTuple):
     new: Estimate
     start: float
     drift: float
+    settling: float
     freedom: float
     cutoff: Estimate
     left: float
@@ -111,9 +117,12 @@ def potential_of(e, dt: float) -> Potential:
     """
     require("potential", "dt", dt, "(0, inf)")
     e = _checked(e)
-    apart = len(e) > 2 and _first_is_unlike(e, dt)
+    apart = len(e) > 2 and _unlike(e, dt, UNLIKE) > TIMES
     alike = e[1:] if apart else e
     mean, along, new = _parted(alike, dt)
+    settling = 0.0
+    if len(alike) > 2 and along is None and _unlike(alike, dt, SETTLES):
+        settling = float(np.sqrt(np.mean((alike[0] - alike[1:].mean(axis=0)) ** 2)))
     free = len(alike) - 1 - (along is not None)  # contrasts that hold what is new alone
     n, N = alike.shape
     power = float(np.sum(new**2)) / (free * N)
@@ -141,8 +150,8 @@ def potential_of(e, dt: float) -> Potential:
     return Potential(
         len(e), n,
         Estimate(*(float(np.sqrt(max(repeats + d, 0.0))) for d in (0.0, -unsure, unsure))),
-        Estimate(*map(float, sigma)), float(np.sqrt(max(start, 0.0))), float(np.sqrt(slope)), nu,
-        cutoff, float(np.sqrt(least)), averages,
+        Estimate(*map(float, sigma)), float(np.sqrt(max(start, 0.0))), float(np.sqrt(slope)), settling,
+        nu, cutoff, float(np.sqrt(least)), averages,
         float(np.sqrt(least + within / averages + power * unlucky)), spectrum,
     )  # fmt: skip
 
@@ -171,14 +180,17 @@ def _checked(e) -> np.ndarray:
     return e
 
 
-def _first_is_unlike(e: np.ndarray, dt: float) -> bool:
-    """Whether the first trial differs from the mean of the others by more than they scatter."""
+def _unlike(e: np.ndarray, dt: float, chance: float) -> float:
+    """By how much the first trial differs from the mean of the others, against their scatter.
+
+    A ratio of variances, and 0 where it comes by chance more often than `chance`.
+    """
     mean, rest = e[1:].mean(axis=0), e[1:] - e[1:].mean(axis=0)
     n, free = len(rest), len(rest) - 1
     power = np.sum(rest**2) / (free * e.shape[1])
     nu = _freedom(_spectrum(mean, rest, free, n, dt), rest, free)
     ratio = np.mean((e[0] - mean) ** 2) / (1 + 1 / n) / power
-    return bool(ratio > TIMES and ratio_of_variances.sf(ratio, nu, nu * free) < UNLIKE)
+    return float(ratio) if ratio_of_variances.sf(ratio, nu, nu * free) < chance else 0.0
 
 
 def _parted(e: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:

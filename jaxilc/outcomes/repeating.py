@@ -165,6 +165,12 @@ def _lines(repeats: Repeats, found: Potential) -> list[str]:
             f"The trials drift, by {sized(found.drift, unit)} rms from one to the next: it is not "
             "counted as new, since a law that goes on learning follows it."
         )
+    if found.settling:
+        lines.append(
+            "The trials settle: the first that is counted differs from those after it by "
+            f"{sized(found.settling, unit)} rms, more than they do from one another. What is new "
+            "is less than told here; let the machine make the motion more often before the series."
+        )
     if found.trials < FEW:
         lines.append(
             f"With {found.trials} trials "

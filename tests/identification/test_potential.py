@@ -91,6 +91,17 @@ def test_a_first_trial_that_began_elsewhere_is_no_noise():
     assert potential_of(e[1:], DT).start == 0
 
 
+def test_trials_that_settle_are_said_to():
+    """The start swings out: what it leaves in the second trial is not new in each trial."""
+    rng = np.random.default_rng(5)
+    left = 8 * rng.standard_normal(N) * (-0.35) ** np.arange(4)[:, None]
+    found = potential_of(repeats(rng, 4, pole=0.5) + left, DT)
+    assert found.alike == 3
+    assert found.settling == pytest.approx(np.hypot(8 * (0.35 + 0.0398), np.sqrt(1.5)), rel=0.1)
+    for pole in (0.5, 0.98):
+        assert not any(potential_of(repeats(rng, 4, pole), DT).settling for _ in range(50))
+
+
 @pytest.mark.skipif(
     "JAXILC_MEASURED" not in os.environ, reason="JAXILC_MEASURED names no folder of records"
 )
