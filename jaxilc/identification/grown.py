@@ -64,6 +64,7 @@ EQUAL = 1.0  # of the criterion, within which two models explain a record as wel
 FAR = 50.0  # of the criterion, beyond which no smaller model is looked for
 CLEARLY = 0.98  # of the squared error of the validation part, below which a lower order is better
 EXPLAINED, GROWS = 95.0, 10.0  # fit [%] below which a pole that grows as exp(10) is looked for
+MOVES = 1.3  # times, with the order, that a pole of chance does
 FORESEEN = 0.25  # of what a simulation leaves, above which no unstable plant explains it
 INTEGRATES = 1.0  # rate times duration, below which a lag may be an integrator
 
@@ -856,7 +857,9 @@ def need_stable(whole: Signals, best: Fitted) -> None:
 
     A difference equation predicts each sample from those before it, so it may have a pole that
     grows; a simulation may not. It has no delay, since a too long one would show as such a pole.
-    Where neither explains what is left, such as answers within a sample, its poles are chance.
+    Where neither explains what is left, such as answers within a sample, its poles are chance. One
+    that moves with the order to which the equation is reduced is chance, too: an axis with friction
+    seems to have one at few orders, since the equation sees the answers of `LAGS` samples alone.
     """
     signals = whole.first()
     ahead = _told(whole, best).validation_fit
@@ -865,8 +868,9 @@ def need_stable(whole: Signals, best: Fitted) -> None:
     simulated = np.mean((whole.y - numerators(whole, best.parts)[1]) ** 2)
     if difference_equation(signals, 0)[2] > FORESEEN * simulated:
         return
-    growth = np.max(reduced_poles(signals, 0, clip=False)(MODERATE[0]).real)
-    if growth * signals.duration > GROWS:
+    poles = reduced_poles(signals, 0, clip=False)
+    growth, above = sorted(np.max(poles(n).real) for n in (MODERATE[0], HIGHEST))
+    if growth * signals.duration > GROWS and above < MOVES * growth:
         raise ValueError(
             f"identify: the plant seems to be unstable, with a pole near +{growth:.3g} rad/s; keep "
             "it under its feedback, and identify from the reference to the output"

@@ -150,8 +150,8 @@ def potential_of(e, dt: float) -> Potential:
     return Potential(
         len(e), n,
         Estimate(*(float(np.sqrt(max(repeats + d, 0.0))) for d in (0.0, -unsure, unsure))),
-        Estimate(*map(float, sigma)), float(np.sqrt(max(start, 0.0))), float(np.sqrt(slope)), settling,
-        nu, cutoff, float(np.sqrt(least)), averages,
+        Estimate(*map(float, sigma)), float(np.sqrt(max(start, 0.0))), float(np.sqrt(slope)),
+        settling, nu, cutoff, float(np.sqrt(least)), averages,
         float(np.sqrt(least + within / averages + power * unlucky)), spectrum,
     )  # fmt: skip
 

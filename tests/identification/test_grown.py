@@ -179,6 +179,24 @@ def test_an_order_beyond_what_is_needed_is_reached_and_one_below_is_not_called_u
     assert grow(Record(one.u[:, None], one.y[:, None], one.dt), order=2).chosen.order == 2
 
 
+def test_an_axis_with_friction_is_not_called_unstable():
+    """A mass of 0.8 kg with friction and cogging, in its position loop, read to a micrometre."""
+    k, x, v = np.arange(4000), 0.0, 0.0
+    r = 0.05 * (1 - np.cos(np.pi * k * DT)) + 0.02 * np.sin(1.8 * np.pi * k * DT)
+    u, y = np.zeros((4000, 1)), 1e-6 * np.random.default_rng(1).standard_normal((4001, 1))
+    for i, rate in enumerate(np.gradient(r, DT)):
+        y[i] += x
+        u[i] = 4000 * (r[i] - y[i]) + 60 * (rate - v)
+        lost = 0.5 * v + 0.2 * np.tanh(100 * v) + 0.3 * np.sin(2 * np.pi * x / 0.024)
+        v += (u[i, 0] - lost) / 0.8 * DT
+        x += v * DT
+    y[-1] += x
+    whole = grown.Signals.of(Record(u, y, DT), 2800)
+    poor = grown.refined(whole.first(), grown.of_poles(np.array([-2000.0]), 0), 1)
+    assert np.max(grown.reduced_poles(whole.first(), 0, clip=False)(4).real) > 10
+    grown.need_stable(whole, poor)
+
+
 def test_what_cannot_be_fitted_is_said():
     record = excite(Machine(PLANT), U, DT)
     with pytest.raises(ValueError, match=r"record is too short: 28 samples to fit 41 .* at least"):
