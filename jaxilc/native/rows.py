@@ -87,23 +87,17 @@ class Count(Row):
     """The number of the sample."""
 
 
-class Shifted(Row):
-    """Some rows of others: row k is row k + by of those."""
+class Taken(Row):
+    """Some rows of others: row k is row sign k + first of those.
 
-    def __init__(self, row: Row, by: int, length: int):
-        shape = list(row.shape)
-        shape[row.axis] = length
-        super().__init__(shape, row.axis, row.dtype, row)
-        self.row, self.by = row, by
+    In the reverse order, with sign -1, those of a scan are there when its loop has ended.
+    """
 
-
-class Flipped(Row):
-    """The rows in the reverse order; those of a scan are there when its loop has ended."""
-
-    def __init__(self, row: Row):
-        super().__init__(row.shape, row.axis, row.dtype, row)
-        self.row = row
-        self.loop = max(self.loop, row.fresh + 1)
+    def __init__(self, row: Row, first: int, length: int, sign: int = 1):
+        super().__init__(_with(row.shape, row.axis, length), row.axis, row.dtype, row)
+        self.row, self.first, self.sign = row, first, sign
+        if sign < 0:
+            self.loop = max(self.loop, row.fresh + 1)
 
 
 class Part(NamedTuple):
@@ -539,22 +533,26 @@ def _slice(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         raise Unknown("slice of every other sample")
     if (first, last) == (0, row.length):
         return None
-    rest = dict(params)
-    rest["start_indices"] = _with(params["start_indices"], row.axis, 0)
-    rest["limit_indices"] = _with(params["limit_indices"], row.axis, last - first)
-    whole = [a == 0 and b == n for i, (a, b, n) in enumerate(
-        zip(params["start_indices"], params["limit_indices"], row.shape, strict=True))
-        if i != row.axis]  # fmt: skip
+    rest = params | {
+        "start_indices": _with(params["start_indices"], row.axis, 0),
+        "limit_indices": _with(params["limit_indices"], row.axis, last - first),
+    }
+    of_channels = Step("slice", rest, [], step.outs)
     if last - first < of.shortest:
         picked = np.concatenate([_Picked(of).row(row, 0, i) for i in range(first, last)], row.axis)
-        return applied(of.n, Step("slice", rest, [], step.outs), [picked])
-    moved = Shifted(row, first, last - first)
-    return moved if all(whole) else of._result(Step("slice", rest, [], step.outs), [moved],
-                                               step.outs[0])  # fmt: skip
+        return applied(of.n, of_channels, [picked])
+    return of._result(of_channels, [_some(row, row.axis, first, last)], step.outs[0])
 
 
 def _with(values: Sequence[int], at: int, value: int) -> tuple[int, ...]:
     return (*values[:at], value, *values[at + 1 :])
+
+
+def _some(x: Item, axis: int, first: int, last: int) -> Item:
+    """The samples from `first` to before `last`."""
+    if not isinstance(x, Row):
+        return x.take(range(first, last), axis)
+    return x if (first, last) == (0, x.length) else Taken(x, first, last - first)
 
 
 def _joined(shape: Sequence[int], axis: int, dtype: np.dtype,
@@ -596,12 +594,8 @@ def _pad(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     least = of.shortest if isinstance(x, Row) else 0
     if last - first < least or of.axis_of(out.shape) is None:
         raise Unknown("pad of a few samples")
-    if isinstance(x, Row):
-        x = x if (first, last) == (0, x.length) else Shifted(x, first, last - first)
-    else:
-        x = x.take(range(first, last), axis)
     filled = np.full(_with(out.shape, axis, 1), value[()], object)
-    parts = [(low, filled), (last - first, x), (high, filled)]
+    parts = [(low, filled), (last - first, _some(x, axis, first, last)), (high, filled)]
     return _joined(out.shape, axis, out.dtype, parts)
 
 
@@ -653,17 +647,11 @@ def _scatter(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     if not isinstance(new, Row):
         new = new.reshape(shape)
     runs = _runs(at.ravel(), out.shape[axis])
-
-    def some(first: int, length: int) -> Item:
-        if isinstance(new, Row):
-            return Shifted(new, first, length)
-        return new.take(range(first, first + length), axis)
-
     if step.name == "scatter-add":
         zero = np.full(_with(shape, axis, 1), of.n.const(0, out.dtype), object)
         added = [
             _joined(out.shape, axis, out.dtype, [
-                (first + by, zero), (length, some(first, length)),
+                (first + by, zero), (length, _some(new, axis, first, first + length)),
                 (out.shape[axis] - first - by - length, zero),
             ]) for first, length, by in runs
         ]  # fmt: skip
@@ -674,10 +662,10 @@ def _scatter(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     for first, length, by in runs:
         if first + by < end:
             raise Unknown("scatter of samples that are not in order")
-        parts += [(first + by - end, Shifted(row, end, first + by - end)),
-                  (length, some(first, length))]  # fmt: skip
+        parts += [(first + by - end, _some(row, axis, end, first + by)),
+                  (length, _some(new, axis, first, first + length))]  # fmt: skip
         end = first + by + length
-    parts.append((row.length - end, Shifted(row, end, row.length - end)))
+    parts.append((row.length - end, _some(row, axis, end, row.length)))
     return _joined(row.shape, axis, row.dtype, parts)
 
 
@@ -714,7 +702,8 @@ def _gather_rows(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         found.loop = max(found.loop, row.loop + 1)
         return found
     runs = _runs(at.ravel(), row.length)
-    parts = [(length, Shifted(row, first + by, length)) for first, length, by in runs]
+    parts = [(length, _some(row, row.axis, first + by, first + by + length))
+             for first, length, by in runs]  # fmt: skip
     return _joined(out.shape, axis, out.dtype, parts)
 
 
@@ -746,7 +735,7 @@ def _rev(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         return None
     if tuple(turned) != (row.axis,):
         raise Unknown("rev of samples and channels")
-    return Flipped(row)
+    return Taken(row, row.length - 1, row.length, -1)
 
 
 def _gather(of: Trials, step: Step, operands: list[Item]) -> Item | None:
@@ -1001,7 +990,7 @@ class _Build:
         """How far a row reads ahead of itself in the results of each scan of this loop."""
         if row not in self.reached:
             found: dict[Scan, int] = {}
-            for inner, by in _inner(row):
+            for inner, _, by in _inner(row):
                 if isinstance(inner, Result):
                     here = inner.scan.loop == self.number
                     pairs: Iterable[tuple[Scan, int]] = [(inner.scan, 0)] if here else []
@@ -1012,7 +1001,7 @@ class _Build:
                     found[scan] = max(found.get(scan, ahead), ahead)
             if isinstance(row, Result) and row.scan.loop == self.number:
                 found[row.scan] = 0
-            if found and isinstance(row, Flipped):
+            if found and isinstance(row, Taken) and row.sign < 0:
                 raise Unknown("a scan that is read in both directions at once")
             self.reached[row] = found
         return self.reached[row]
@@ -1023,16 +1012,13 @@ class _Build:
         if (row, sign, c) in seen:
             return
         seen.add((row, sign, c))
-        if isinstance(row, Flipped):
-            self._cuts(row.row, -sign, row.length - 1 - c, cuts, seen)
-            return
         if isinstance(row, Joined):
             for first, length, part in row.parts:
                 each = range(first, first + length + 1) if not isinstance(part, Row) else (
                     first, first + length)  # fmt: skip
                 cuts.update(p - c if sign > 0 else c - p + 1 for p in each)
-        for inner, by in _inner(row):
-            self._cuts(inner, sign, c + by, cuts, seen)
+        for inner, turned, by in _inner(row):
+            self._cuts(inner, sign * turned, c * turned + by, cuts, seen)
 
     def _segment(self, first: int, last: int) -> Segment:
         stores: list[tuple[Buffer, int, Array]] = []
@@ -1055,16 +1041,14 @@ class _Build:
         return Segment(first, last, stores, cells, results)
 
 
-def _inner(row: Row) -> list[tuple[Row, int]]:
-    """The rows that a row reads, each with the difference of the sample."""
-    if isinstance(row, Shifted):
-        return [(row.row, row.by)]
-    if isinstance(row, Flipped):
-        return [(row.row, 0)]
+def _inner(row: Row) -> list[tuple[Row, int, int]]:
+    """The rows that a row reads, each with a sign and a number: row sign k + number at sample k."""
+    if isinstance(row, Taken):
+        return [(row.row, row.sign, row.first)]
     if isinstance(row, Joined):
-        return [(part, -first) for first, _, part in row.parts if isinstance(part, Row)]
+        return [(part, 1, -first) for first, _, part in row.parts if isinstance(part, Row)]
     if isinstance(row, Computed):
-        return [(x, 0) for x in row.operands if isinstance(x, Row)]
+        return [(x, 1, 0) for x in row.operands if isinstance(x, Row)]
     return []
 
 
@@ -1083,10 +1067,8 @@ class _Rows:
         return self.rows[key]
 
     def _row(self, row: Row, sign: int, c: int) -> Array:
-        if isinstance(row, Shifted):
-            return self.row(row.row, sign, c + row.by)
-        if isinstance(row, Flipped):
-            return self.row(row.row, -sign, row.length - 1 - c)
+        if isinstance(row, Taken):
+            return self.row(row.row, sign * row.sign, c * row.sign + row.first)
         if isinstance(row, Joined):
             lowest = min(sign * self.first + c, sign * (self.last - 1) + c)
             highest = max(sign * self.first + c, sign * (self.last - 1) + c)
