@@ -23,6 +23,7 @@ from jax import lax
 
 from .operations import (
     GATHERED,
+    MOVES,
     RUNNING,
     Array,
     At,
@@ -36,6 +37,7 @@ from .operations import (
     applied,
     clamped,
     constants,
+    counted,
     elementwise,
     known,
     neutral,
@@ -888,15 +890,11 @@ def _keeps_axis(step: Step, operands: list[Item], axis: int) -> bool:
         return all(x.axis == axis for x in rows) and all(
             isinstance(x, Row) or not x.ndim or x.shape[axis] == 1 for x in operands
         )
-    if name in ("reshape", "squeeze", "expand_dims"):
-        before = math.prod(rows[0].shape[: rows[0].axis])
-        return before == math.prod(out.shape[:axis])
-    if name == "broadcast_in_dim":
-        return params["broadcast_dimensions"][rows[0].axis] == axis
-    if name == "transpose":
-        return params["permutation"][axis] == rows[0].axis
-    if name == "concatenate":
-        return params["dimension"] != axis and all(x.axis == axis for x in rows)
+    if name in MOVES:  # the numbers of the samples, and -1 for what is no sample
+        numbers = [counted({"dimension": x.axis}, x.shape) if isinstance(x, Row)
+                   else np.full(x.shape, -1) for x in operands]  # fmt: skip
+        found = np.moveaxis(MOVES[name](params, numbers, out.shape), axis, -1)
+        return bool(np.all((found < 0) | (found == np.arange(out.shape[axis]))))
     if name == "dot_general":
         return _axis_of_product(params["dimension_numbers"], operands) == axis
     if name.startswith("reduce_"):
@@ -913,7 +911,7 @@ def _keeps_axis(step: Step, operands: list[Item], axis: int) -> bool:
             *kept.start_index_map,
             *kept.collapsed_slice_dims,
         )
-    return name in ("slice", "pad", "rev", *RUNNING) and rows[0].axis == axis
+    return name in RUNNING and rows[0].axis == axis
 
 
 def _axis_of_product(numbers: lax.DotDimensionNumbers, operands: list[Item]) -> int | None:
