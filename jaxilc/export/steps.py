@@ -67,7 +67,7 @@ def program_of(function: Function, *operands: Tree) -> Program:
     traced = jax.make_jaxpr(function)(*operands)
     if any(map(_is_key, traced.consts)):
         raise Unknown(REASONS["random_bits"])
-    return without_dead(_written(lowered(traced.jaxpr, traced.consts)))
+    return without_dead(_written(lowered(traced)))
 
 
 def _written(program: Program) -> Program:
@@ -147,8 +147,7 @@ class _Writer:
             )
 
         shapes = [jax.ShapeDtypeStruct(ins[i].shape, ins[i].dtype) for i in free]
-        jaxpr = jax.make_jaxpr(of_free)(*shapes)
-        inner = lowered(jaxpr.jaxpr, jaxpr.consts)
+        inner = lowered(jax.make_jaxpr(of_free)(*shapes))
         self.now.update(zip(inner.ins, [ins[i] for i in free], strict=True))
         return self.all(inner)
 
@@ -201,8 +200,7 @@ class _Writer:
         params = step.params
         n, m = params["cond_nconsts"], params["body_nconsts"]
         condition, body = (
-            without_dead(_written(lowered(params[key].jaxpr, params[key].consts)))
-            for key in ("cond_jaxpr", "body_jaxpr")
+            without_dead(_written(lowered(params[key]))) for key in ("cond_jaxpr", "body_jaxpr")
         )
         bound = _bound(condition, body, ins[n + m :], n, m)
         of = {"condition": condition, "body": body, "bound": bound, "of_condition": n}

@@ -104,19 +104,17 @@ class Program:
 
 def flat(closed: ClosedJaxpr) -> Program:
     """The program of a closed jaxpr with calls written out and loops as they are."""
-    return _inlined(closed.jaxpr, closed.consts, whole=False)
+    return _Lowering(None).program(closed)
 
 
-def lowered(jaxpr: Jaxpr, consts: Sequence[Known] = ()) -> Program:
-    """The program of a jaxpr with everything written out that is not a loop over samples."""
-    return _inlined(jaxpr, consts, whole=True)
+def lowered(closed: ClosedJaxpr, least: float = 0) -> Program:
+    """The program of a closed jaxpr with everything written out that is not a loop over samples.
 
-
-def _inlined(jaxpr: Jaxpr, consts: Sequence[Known], *, whole: bool) -> Program:
-    ins = [_value(v) for v in jaxpr.invars]
-    steps: list[Step] = []
-    outs = _inline(jaxpr, consts, ins, steps, whole)
-    return Program(ins, steps, outs)
+    least: passes of such a loop; where it is not zero, loops of fewer passes are written out, too,
+        and all that are within another
+    Raises Unknown for a loop of more than UNROLLED passes that would have to be written out.
+    """
+    return _Lowering(least).program(closed)
 
 
 def _value(v: Var | Literal) -> Value:
@@ -125,73 +123,110 @@ def _value(v: Var | Literal) -> Value:
     return Value(v.aval.shape, v.aval.dtype)
 
 
-def _inline(jaxpr: Jaxpr, consts: Sequence[Known], ins: list[Value], steps: list[Step],
-            whole: bool) -> list[Value]:  # fmt: skip
-    """The results of a jaxpr for these operands; its steps are added."""
-    known: dict[Var, Value] = {}
+class _Lowering:
+    """What adds the steps of jaxprs to those of a program.
 
-    def read(v: Var | Literal) -> Value:
-        if hasattr(v, "val"):  # a number in place of a variable
-            return Const(np.asarray(v.val, _value(v).dtype))
-        return known[v]
+    least: as for `lowered`; None: only calls are written out
+    """
 
-    known.update(zip(jaxpr.constvars, (Const(c) for c in consts), strict=True))
-    known.update(zip(jaxpr.invars, ins, strict=True))
-    for eqn in jaxpr.eqns:
-        operands = [read(v) for v in eqn.invars]
-        outs = _eqn(eqn, operands, steps, whole)
-        known.update(zip(eqn.outvars, outs, strict=True))
-    return [read(v) for v in jaxpr.outvars]
+    def __init__(self, least: float | None):
+        self._least = least
+        self._steps: list[Step] = []
+        self._add = partial(_added, self._steps)
 
+    def program(self, closed: ClosedJaxpr) -> Program:
+        ins = [_value(v) for v in closed.jaxpr.invars]
+        outs = self._inlined(closed, ins)
+        return Program(ins, self._steps, outs)
 
-def _eqn(eqn: JaxprEqn, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
-    name, params = eqn.primitive.name, eqn.params
-    if name in CALLS:
-        names = ("jaxpr", "call_jaxpr", "fun_jaxpr", "call")
-        inner = next(params[name] for name in names if params.get(name))
-        return _inline(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), ins, steps,
-                       whole)  # fmt: skip
-    if name in SAME:
-        return ins
-    if name == "custom_linear_solve":
-        return _solved(params, ins, steps, whole)
-    if name == "platform_index":
-        of = params["platforms"]
-        here = next(i for i, names in enumerate(of) if names is None or "cpu" in names)
-        return [Const(np.asarray(here, _value(eqn.outvars[0]).dtype))]
-    if name == OBJECT:
-        traced = _expanded(eqn)
-        return _inline(traced.jaxpr, traced.consts, ins, steps, whole)
-    if name == "ruled":
-        traced = jax.make_jaxpr(params["value"])([jax.ShapeDtypeStruct(x.shape, x.dtype)
-                                                  for x in ins])  # fmt: skip
-        return _inline(traced.jaxpr, traced.consts, ins, steps, whole)
-    if name == "scan" and params["length"] == 1:
-        return _unrolled(params, ins, steps, whole)
-    if name == "scan" and whole:
-        body = lowered(params["jaxpr"].jaxpr, params["jaxpr"].consts)
-        given: Parameters = {
-            "length": params["length"],
-            "reverse": params["reverse"],
-            "body": body,
-        }
-        given |= dict(zip(("consts", "carry"), _counts(params), strict=True))
-        params = given | {"jaxpr": params["jaxpr"]}
-    if name == "cond" and whole:
-        return _both(params["branches"], ins, steps)
-    if whole and (simple := written(name, params, ins)) is not None:
-        return _inline(simple.jaxpr, simple.consts, ins, steps, whole)
-    outs = [_value(v) for v in eqn.outvars]
-    steps.append(Step(name, params, ins, outs, eqn.primitive))
-    return outs
+    def _inlined(self, of: Jaxpr | ClosedJaxpr, ins: Sequence[Value]) -> list[Value]:
+        """The results of a jaxpr for these operands; its steps are added."""
+        jaxpr = getattr(of, "jaxpr", of)
+        known: dict[Var, Value] = {}
 
+        def read(v: Var | Literal) -> Value:
+            if hasattr(v, "val"):  # a number in place of a variable
+                return Const(np.asarray(v.val, _value(v).dtype))
+            return known[v]
 
-def _solved(params: Parameters, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
-    """The results of what solves a linear equation, of whose functions it needs one."""
-    counts, solve = params["const_lengths"], params["jaxprs"].solve
-    first, last = counts.matvec + counts.vecmat, sum(counts)
-    own = ins[first : first + counts.solve]
-    return _inline(solve.jaxpr, solve.consts, [*own, *ins[last:]], steps, whole)
+        known.update(zip(jaxpr.constvars, map(Const, getattr(of, "consts", ())), strict=True))
+        known.update(zip(jaxpr.invars, ins, strict=True))
+        for eqn in jaxpr.eqns:
+            outs = self._eqn(eqn, [read(v) for v in eqn.invars])
+            known.update(zip(eqn.outvars, outs, strict=True))
+        return [read(v) for v in jaxpr.outvars]
+
+    def _eqn(self, eqn: JaxprEqn, ins: list[Value]) -> list[Value]:
+        name, params = eqn.primitive.name, eqn.params
+        primitive: Primitive | None = eqn.primitive
+        if name in CALLS:
+            names = ("jaxpr", "call_jaxpr", "fun_jaxpr", "call")
+            return self._inlined(next(params[name] for name in names if params.get(name)), ins)
+        if name in SAME:
+            return ins
+        if name == "custom_linear_solve":  # of whose functions it needs one
+            counts = params["const_lengths"]
+            first, last = counts.matvec + counts.vecmat, sum(counts)
+            own = ins[first : first + counts.solve]
+            return self._inlined(params["jaxprs"].solve, [*own, *ins[last:]])
+        if name == "platform_index":
+            of = params["platforms"]
+            here = next(i for i, names in enumerate(of) if names is None or "cpu" in names)
+            return [Const(np.asarray(here, _value(eqn.outvars[0]).dtype))]
+        if name == OBJECT:
+            return self._inlined(_expanded(eqn), ins)
+        if name == "ruled":
+            like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in ins]
+            return self._inlined(jax.make_jaxpr(params["value"])(like), ins)
+        if name == "scan" and (params["length"] == 1 or params["length"] < (self._least or 0)):
+            return self._passes(params, ins)
+        if self._least is not None and name == "scan":
+            body = lowered(params["jaxpr"], math.inf if self._least else 0)
+            of = {key: params[key] for key in ("length", "reverse", "jaxpr")}
+            params = of | _counts(params) | {"body": body}
+            primitive = None
+        elif self._least is not None:
+            if name == "cond":
+                return self._both(params["branches"], ins)
+            if (simple := written(name, params, ins)) is not None:
+                return self._inlined(simple, ins)
+        outs = [_value(v) for v in eqn.outvars]
+        self._steps.append(Step(name, params, ins, outs, primitive))
+        return outs
+
+    def _passes(self, params: Parameters, ins: list[Value]) -> list[Value]:
+        """The results of a scan whose passes are written one after another."""
+        length, (consts, carry) = params["length"], _counts(params).values()
+        if length > UNROLLED:
+            raise Unknown(f"a loop of {length} passes within another")
+        state, rows = ins[consts : consts + carry], ins[consts + carry :]
+        kept: list[list[Value]] = []
+        for i in range(length)[:: -1 if params["reverse"] else 1]:
+            now = [_row(self._add, x, i) for x in rows]
+            found = self._inlined(params["jaxpr"], [*ins[:consts], *state, *now])
+            state = found[:carry]
+            kept.append(found[carry:])
+        kept = kept[::-1] if params["reverse"] else kept
+        stacked = [
+            self._add("concatenate", [_reshaped(self._add, x, (1, *x.shape)) for x in column],
+                      (length, *column[0].shape), dimension=0)
+            for column in zip(*kept, strict=True)
+        ]  # fmt: skip
+        return [*state, *stacked]
+
+    def _both(self, branches: Sequence[ClosedJaxpr], ins: list[Value]) -> list[Value]:
+        """The results of a choice, of which all branches are computed, for they have no effects."""
+        index, operands = ins[0], ins[1:]
+        found = [self._inlined(of, operands) for of in branches]
+        if isinstance(index, Const):
+            return found[int(np.clip(index.array, 0, len(branches) - 1))]
+        outs = found[-1]
+        for i, of in reversed(list(enumerate(found[:-1]))):
+            at = Const(np.asarray(i, index.dtype))
+            here = self._add("le", [index, at], (), np.dtype(bool))
+            outs = [self._add("select_n", [here, x, y], x.shape, x.dtype)
+                    for x, y in zip(outs, of, strict=True)]  # fmt: skip
+        return outs
 
 
 def _expanded(eqn: JaxprEqn) -> ClosedJaxpr:
@@ -201,12 +236,12 @@ def _expanded(eqn: JaxprEqn) -> ClosedJaxpr:
     return jax.make_jaxpr(lambda *x: jax.tree.leaves(of.expand(*of.in_tree.unflatten(x))))(*like)
 
 
-def _counts(params: Parameters) -> tuple[int, int]:
+def _counts(params: Parameters) -> dict[str, int]:
     """The numbers of operands that each pass of a scan reads whole, and of those it carries."""
     if "num_consts" in params:
-        return params["num_consts"], params["num_carry"]
+        return {"consts": params["num_consts"], "carry": params["num_carry"]}
     consts, carry, _ = params["ft_in"].unpack()  # JAX 0.12
-    return len(consts), len(carry)
+    return {"consts": len(consts), "carry": len(carry)}
 
 
 def _added(steps: list[Step], name: str, ins: list[Value], shape: Sequence[int],
@@ -215,26 +250,6 @@ def _added(steps: list[Step], name: str, ins: list[Value], shape: Sequence[int],
     out = Value(shape, ins[0].dtype if dtype is None else dtype)
     steps.append(Step(name, params, ins, [out], getattr(lax, f"{name}_p")))
     return out
-
-
-def _unrolled(params: Parameters, ins: list[Value], steps: list[Step], whole: bool) -> list[Value]:
-    """The results of a scan whose passes are written one after another."""
-    length, (consts, carry) = params["length"], _counts(params)
-    add, inner = partial(_added, steps), params["jaxpr"]
-    state, rows = ins[consts : consts + carry], ins[consts + carry :]
-    kept: list[list[Value]] = []
-    for i in range(length)[:: -1 if params["reverse"] else 1]:
-        now = [_row(add, x, i) for x in rows]
-        found = _inline(inner.jaxpr, inner.consts, [*ins[:consts], *state, *now], steps, whole)
-        state = found[:carry]
-        kept.append(found[carry:])
-    kept = kept[::-1] if params["reverse"] else kept
-    stacked = [
-        add("concatenate", [_reshaped(add, x, (1, *x.shape)) for x in column],
-            (length, *column[0].shape), dimension=0)
-        for column in zip(*kept, strict=True)
-    ]  # fmt: skip
-    return [*state, *stacked]
 
 
 def _row(add: Callable[..., Value], x: Value, i: int) -> Value:
@@ -248,63 +263,21 @@ def _reshaped(add: Callable[..., Value], x: Value, shape: Sequence[int]) -> Valu
     return add("reshape", [x], shape, new_sizes=tuple(shape), dimensions=None, sharding=None)
 
 
-def _both(branches: Sequence[ClosedJaxpr], ins: list[Value], steps: list[Step]) -> list[Value]:
-    """The results of a choice, of which all branches are computed, for they have no effects."""
-    index, operands = ins[0], ins[1:]
-    found = [_inline(b.jaxpr, b.consts, operands, steps, True) for b in branches]
-    if isinstance(index, Const):
-        return found[int(np.clip(index.array, 0, len(branches) - 1))]
-    add = partial(_added, steps)
-    outs = found[-1]
-    for i, of in reversed(list(enumerate(found[:-1]))):
-        at = Const(np.asarray(i, index.dtype))
-        here = add("le", [index, at], (), np.dtype(bool))
-        outs = [add("select_n", [here, x, y], x.shape, x.dtype)
-                for x, y in zip(outs, of, strict=True)]  # fmt: skip
-    return outs
-
-
 def loops(program: Program) -> Iterator[Step]:
     """The loops among the steps of a program, without those within them."""
     return (step for step in program.steps if step.name == "scan")
 
 
-def _with_long_loops(body: Program) -> Program:
+def _of_trial(closed: ClosedJaxpr) -> Program:
     """A trial in which every loop within a loop is written out, or much shorter than the longest.
 
     Raises Unknown for a loop of more than UNROLLED passes that would have to be written out.
     """
-    lengths = [of.params["length"] for of in loops(body)]
+    lengths = [of.params["length"] for of in loops(lowered(closed))]
     if not lengths:
         raise Unknown("there is no loop over samples in a loop over trials")
     shortest = min(n for n in lengths if 2 * n > max(lengths))
-
-    def opened(program: Program, shortest: float) -> Program:
-        steps: list[Step] = []
-        new: dict[Value, Value] = {}
-        for step in program.steps:
-            ins = [new.get(x, x) for x in step.ins]
-            if step.name != "scan":
-                steps.append(Step(step.name, step.params, ins, step.outs, step.primitive))
-            elif step.params["length"] >= shortest:
-                body = opened(step.params["body"], float("inf"))
-                steps.append(Step("scan", step.params | {"body": body}, ins, step.outs))
-            else:
-                length = step.params["length"]
-                if length > UNROLLED:
-                    raise Unknown(f"a loop of {length} passes within another")
-                of = step.params | {
-                    "num_consts": step.params["consts"], "num_carry": step.params["carry"]
-                }  # fmt: skip
-                passes: list[Step] = []
-                outs = _unrolled(of, ins, passes, True)
-                inner = opened(Program([], passes, outs), float("inf"))
-                steps += inner.steps
-                outs = inner.outs
-                new |= zip(step.outs, outs, strict=True)
-        return Program(program.ins, steps, [new.get(x, x) for x in program.outs])
-
-    return opened(body, -(-3 * shortest // 4))
+    return lowered(closed, -(-3 * shortest // 4))
 
 
 # Primitives that are written by others: each with their operands, parameters and results
@@ -495,10 +468,8 @@ def of_trials(
         shaped = [one for one in shaped if one.outs[0] in read_later]
         read_later |= {one.ins[0] for one in shaped}
         params = whole.params
-        inner = params["jaxpr"]
         of = {"length": params["length"], "reverse": params["reverse"]}
-        of |= dict(zip(("consts", "carry"), _counts(params), strict=True))
-        of |= {"body": _with_long_loops(lowered(inner.jaxpr, inner.consts))}
+        of |= _counts(params) | {"body": _of_trial(params["jaxpr"])}
         ahead, loop = computed_ahead(Step("scan", of, whole.ins, whole.outs), foreign)
         found.append(([*before, *ahead], loop))
         before = shaped
@@ -546,11 +517,11 @@ def _as_one(step: Step, add: Callable[..., Value]) -> tuple[Step, list[Step]] | 
     added before it.
     """
     body = without_dead(flat(step.params["jaxpr"]))
-    consts, carry = _counts(step.params)
+    consts, carry = _counts(step.params).values()
     if len(body.steps) != 1 or body.steps[0].name != "scan" or step.params["reverse"]:
         return None
     inner = body.steps[0]
-    within, of_inner = _counts(inner.params)
+    within, of_inner = _counts(inner.params).values()
     if of_inner != carry or inner.params["reverse"]:
         return None
     if body.outs != inner.outs or not _has_loop(inner):

@@ -769,8 +769,7 @@ def _by_jax(of: Trials, function: Callable[..., jax.Array], *operands: Item) -> 
     """The result of a function of JAX on rows and small arrays."""
     like = [jax.ShapeDtypeStruct(x.shape, x.dtype if isinstance(x, Row) else x.flat[0].dtype)
             for x in operands]  # fmt: skip
-    closed = jax.make_jaxpr(function)(*like)
-    program = lowered(closed.jaxpr, closed.consts)
+    program = lowered(jax.make_jaxpr(function)(*like))
     of._known |= zip(program.ins, operands, strict=True)
     for step in program.steps:
         of._step(step)
