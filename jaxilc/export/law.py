@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from itertools import compress
 from typing import NamedTuple
 
 import jax
@@ -24,7 +25,7 @@ from jax.typing import ArrayLike, DTypeLike
 from ..learning.machine import Actuator
 from ..learning.over_trials import check_length
 from ..learning.playback import unit_of
-from ..native.program import Program, Step, read
+from ..native.program import Program, Step, read, without_dead
 from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.named_paths import named_leaves
 from ..pytree.ranges import require
@@ -204,19 +205,12 @@ def _function(
     ins = [*named_leaves(known), *given]
     result = jax.eval_shape(function, known, *given.values())
     outs = [*named_leaves(result[0]), *result[1]]
-    same = [x in program.ins and ins[program.ins.index(x)] == to
-            for x, to in zip(program.outs, outs, strict=True)]  # fmt: skip
-    changed = [not one for one in same]
-    kept = Program(program.ins, program.steps,
-                   [x for x, c in zip(program.outs, changed, strict=True) if c])  # fmt: skip
+    at_first = dict(zip(program.ins, ins, strict=True))
+    changed = [at_first.get(x) != to for x, to in zip(program.outs, outs, strict=True)]
+    kept = without_dead(program, changed)
     live = read(kept)
-    kept = Program([x for x, r in zip(kept.ins, live, strict=True) if r], kept.steps, kept.outs)
-    return Function(
-        name,
-        kept,
-        tuple(x for x, r in zip(ins, live, strict=True) if r),
-        tuple(x for x, c in zip(outs, changed, strict=True) if c),
-    )
+    kept = Program([*compress(kept.ins, live)], kept.steps, kept.outs)
+    return Function(name, kept, (*compress(ins, live),), (*compress(outs, changed),))
 
 
 class _Tracer(NamedTuple):
@@ -316,8 +310,7 @@ def _signals_that_are_read(tracer: _Tracer, known: Known) -> dict[str, Array]:
     program = program_of(lambda record: tracer.end(known._replace(record=record),
                                                    known.within.y), known.record)  # fmt: skip
     live = dict(zip(named_leaves(known.record), read(program), strict=True))
-    kept = {name: x for name, x in known.record.signals.items() if live[f"signals.{name}"]}
-    return kept
+    return {name: x for name, x in known.record.signals.items() if live[f"signals.{name}"]}
 
 
 def _unit(name: str, task: Task) -> str:

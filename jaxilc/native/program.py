@@ -7,9 +7,10 @@ algebra and parts of arrays. `without_dead` drops the steps that nobody reads.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
+from itertools import compress
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import jax
 import jax.core
@@ -20,7 +21,6 @@ from jax import lax
 if TYPE_CHECKING:
     from ..runtime.jax_internals import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
-T = TypeVar("T")
 Known: TypeAlias = jax.Array | np.ndarray | np.generic
 Parameters: TypeAlias = dict[str, Any]  # of a primitive of JAX; each has a type of its own
 
@@ -397,7 +397,7 @@ def written(name: str, params: Parameters, operands: Sequence[Value]) -> ClosedJ
 
 def without_dead(program: Program, wanted: Sequence[bool] | None = None) -> Program:
     """The program of the wanted results, with all its operands; of loops too, only what is read."""
-    outs = [x for i, x in enumerate(program.outs) if wanted is None or wanted[i]]
+    outs = program.outs if wanted is None else [*compress(program.outs, wanted)]
     live, kept = {x for x in outs if not isinstance(x, Const)}, []
     for step in reversed(program.steps):
         of = [x in live for x in step.outs]
@@ -415,6 +415,15 @@ def read(program: Program) -> list[bool]:
     return [x in live for x in program.ins]
 
 
+def made_from(values: Iterable[Value], steps: Sequence[Step]) -> set[Value]:
+    """The values, and all that steps make of them."""
+    found = {*values}
+    for step in steps:
+        if not found.isdisjoint(step.ins):
+            found.update(step.outs)
+    return found
+
+
 def without_dead_of_loop(step: Step, wanted: Sequence[bool]) -> Step:
     """A loop with only those results, and what they need from pass to pass."""
     params, wanted = step.params, list(wanted)
@@ -427,13 +436,9 @@ def without_dead_of_loop(step: Step, wanted: Sequence[bool]) -> Step:
             break
         wanted = more
     stay = [*live[:consts], *wanted[:carry], *live[consts + carry :]]
-
-    def some(of: Sequence[T], keep: Sequence[bool]) -> list[T]:
-        return [x for x, k in zip(of, keep, strict=True) if k]
-
-    body = Program(some(body.ins, stay), body.steps, body.outs)
+    body = Program([*compress(body.ins, stay)], body.steps, body.outs)
     of = {"body": body, "consts": sum(live[:consts]), "carry": sum(wanted[:carry])}
-    return Step("scan", params | of, some(step.ins, stay), some(step.outs, wanted))
+    return Step("scan", params | of, [*compress(step.ins, stay)], [*compress(step.outs, wanted)])
 
 
 # The loops over trials
@@ -588,13 +593,9 @@ def computed_ahead(step: Step, foreign: Callable[[Step], bool]) -> tuple[list[St
     params, body = step.params, step.params["body"]
     consts, carry = params["consts"], params["carry"]
     ins, inner = [*step.ins], [*body.ins]
-    learned, varying = {*inner[consts : consts + carry]}, {*inner[consts + carry :]}
-    source: dict[Value, Step] = {}
-    for one in body.steps:
-        source |= dict.fromkeys(one.outs, one)
-        for kind in (learned, varying):
-            if any(x in kind for x in one.ins):
-                kind.update(one.outs)
+    learned = made_from(inner[consts : consts + carry], body.steps)
+    varying = made_from(inner[consts + carry :], body.steps)
+    source = {x: one for one in body.steps for x in one.outs}
     moved: set[Step] = set()
     for one in body.steps:
         chain, todo = {one}, [one] if foreign(one) else []

@@ -38,6 +38,8 @@ from .program import (
     flat,
     in_order,
     jaxprs_within,
+    loops,
+    made_from,
     of_trials,
 )
 
@@ -114,7 +116,7 @@ class Compiled(Generic[Common, One, Found]):
         steps: list[Step] = []
         for number, (before, step) in enumerate(self._parts):
             steps = steps + before
-            self._spread(before)
+            self._varying = made_from(self._varying, before)
             read = set().union(*self._read[number + 1 :])
             try:
                 self._loops.append(Whole(steps, step, self._varying, read, self.lanes))
@@ -125,7 +127,7 @@ class Compiled(Generic[Common, One, Found]):
                 left.append(next(itertools.islice(numbers, number, None)))
                 return False
             self._varying.update(step.outs)
-        self._spread(self._after)
+        self._varying = made_from(self._varying, self._after)
         return True
 
     def _by_stretch(self) -> list[set[Value]]:
@@ -161,11 +163,6 @@ class Compiled(Generic[Common, One, Found]):
         taken = shown(sum(map(size_of, first.kept)) + last.work / self.lanes)
         return (f"a gradient runs the trials once more, in {blocks.count} blocks of {blocks.each}, "
                 f"and stores {taken} a machine in place of {stored}")  # fmt: skip
-
-    def _spread(self, steps: Sequence[Step]) -> None:
-        """Add to the values that differ from machine to machine those that steps make of them."""
-        for of in steps:
-            self._varying.update(of.outs if not self._varying.isdisjoint(of.ins) else ())
 
     @property
     def _held(self) -> int:
@@ -438,10 +435,5 @@ def _awaited(parts: list[tuple[list[Step], Step]]) -> set[Value]:
 def _learns(step: Step) -> bool:
     """Whether a loop over samples depends on the trials before, or on the number of the trial."""
     body = step.params["body"]
-    moving = set(body.ins[step.params["consts"] :])
-    for one in body.steps:
-        if any(x in moving for x in one.ins):
-            if one.name == "scan":
-                return True
-            moving.update(one.outs)
-    return False
+    moving = made_from(body.ins[step.params["consts"] :], body.steps)
+    return any(not moving.isdisjoint(of.ins) for of in loops(body))
