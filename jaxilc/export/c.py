@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jax.typing import DTypeLike
 
-from ..native.operations import Node, Number
+from ..native.operations import LIBRARY, Node, Number
 from ..native.program import Unknown
 from .law import Field, Function
 from .printer import Body, View, closed, filled, row_major
@@ -27,8 +27,8 @@ INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "eq": "==", "ne": "!=",
          "le": "<=", "gt": ">", "ge": ">="}  # fmt: skip
 OF_BITS = {"and": ("&&", "&"), "or": ("||", "|"), "xor": ("!=", "^")}
 OF_LIBRARY = {"abs": "fabs", "round_even": "rint", "round_away": "round"} | {
-    name: name for name in ("sqrt", "floor", "ceil", "copysign", "exp", "expm1", "log", "log1p",
-                            "sin", "cos", "tan", "tanh", "pow")}  # fmt: skip
+    name: name for name in ("sqrt", "floor", "ceil", "copysign", *LIBRARY)
+}
 
 
 def type_of(dtype: DTypeLike) -> str:

@@ -10,26 +10,22 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 from jax.typing import DTypeLike
 
 from ..native.code import address_of
 from ..native.operations import (
-    GATHERED,
     INSTRUCTIONS,
-    MOVES,
-    RUNNING,
+    LIBRARY,
     Node,
     clamped,
     counted,
     elementwise,
     formula,
-    gathered,
-    neutral,
-    product,
-    running,
+    on_arrays,
+    rearranged,
     updated,
 )
 from ..native.program import Const, Program, Step, Unknown, Value
@@ -49,7 +45,7 @@ def interpret(
 
 def known(name: str) -> bool:
     """Whether a step of this name has a meaning here, and so can be exported."""
-    return name in ARRAYS or name in ("scan", "while") or elementwise(name)
+    return name in ARRAYS or name in ("scan", "while") or elementwise(name) or on_arrays(name)
 
 
 def carried_out(step: Step, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -83,7 +79,11 @@ def _step(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]
     if elementwise(step.name):
         found = _node(formula(step), ins, real, {})
         return [np.broadcast_to(found, step.outs[0].shape)]
-    return [_as(ARRAYS[step.name](step, ins), step.outs[0].dtype, real).reshape(step.outs[0].shape)]
+    if on_arrays(step.name):
+        found = rearranged(step, ins, step.outs[0].shape, SINGLE.__getitem__, lambda number: number)
+    else:
+        found = ARRAYS[step.name](step, ins)
+    return [_as(found, step.outs[0].dtype, real).reshape(step.outs[0].shape)]
 
 
 def _scan(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]:
@@ -172,8 +172,7 @@ def _of_float(name: str) -> Callable[..., float] | None:
 
 SINGLE: dict[str, Function] = {
     **{name: of.exact for name, of in INSTRUCTIONS.items() if of.exact is not None},
-    **{name: _library(name) for name in
-       ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh", "pow")},
+    **{name: _library(name) for name in LIBRARY},
     "max": lambda a, b: np.where((a != a) | (a > b), a, b),
     "min": lambda a, b: np.where((a != a) | (a < b), a, b),
     "round_away": lambda x: np.copysign(
@@ -187,32 +186,7 @@ SINGLE: dict[str, Function] = {
 # --------------------------------------------------------------------------------------------------
 
 
-def _moved(move: Function, step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    return move(step.params, ins, step.outs[0].shape)
-
-
-def _gathered(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    """0 + x[0] + x[1] + ...; a maximum begins with -infinity, and is NaN if one is NaN."""
-    how, x = GATHERED[step.name], ins[0]
-    return gathered(SINGLE[how], x, step.params["axes"], neutral(how, x.dtype))
-
-
-def _running(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    """x[0], x[0] + x[1], ...; from the end with `reverse`."""
-    return running(SINGLE[RUNNING[step.name]], ins[0], step.params["axis"], step.params["reverse"])
-
-
-def _dot(step: Step, ins: list[np.ndarray]) -> np.ndarray:
-    """0 + a[0] b[0] + a[1] b[1] + ..., over the contracted axes."""
-    (a, b), zero = ins, neutral("add", ins[0].dtype)
-    return product(step.params["dimension_numbers"], a, b, SINGLE["mul"], SINGLE["add"], zero)
-
-
 ARRAYS: dict[str, Callable[[Step, list[np.ndarray]], np.ndarray]] = {
-    **{name: partial(_moved, move) for name, move in MOVES.items()},
-    **dict.fromkeys(GATHERED, _gathered),
-    **dict.fromkeys(RUNNING, _running),
-    "dot_general": _dot,
     "iota": lambda step, ins: counted(step.params, step.outs[0].shape),
     "take": lambda step, ins: ins[0].ravel()[step.params["table"]],
     "dynamic_slice": lambda step, ins: ins[0][clamped(ins[0].shape, step.outs[0].shape, ins[1:])],

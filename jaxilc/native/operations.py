@@ -155,6 +155,8 @@ def _compared(of_floats: str, of_ints: str, exact: Callable[..., Number]) -> Ins
     return Instruction(texts | {"b": f"icmp {unsigned}"}, exact, tests=True)
 
 
+# functions of the C library
+LIBRARY = ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh", "pow")
 INSTRUCTIONS = {
     "add": Instruction({"f": "fadd", "iu": "add"}, np.add),
     "sub": Instruction({"f": "fsub", "iu": "sub"}, np.subtract),
@@ -187,10 +189,7 @@ INSTRUCTIONS = {
         ("eq", "oeq", np.equal), ("ne", "une", np.not_equal), ("lt", "olt", np.less),
         ("le", "ole", np.less_equal), ("gt", "ogt", np.greater), ("ge", "oge", np.greater_equal),
     )
-} | {
-    name: Instruction({"f": f"@{name}"})
-    for name in ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh", "pow")
-}  # fmt: skip
+} | {name: Instruction({"f": f"@{name}"}) for name in LIBRARY}  # fmt: skip
 # conversions, by the kinds from and to
 CONVERSIONS = {
     "ff": "", "bf": "uitofp", "if": "sitofp", "uf": "uitofp",
@@ -506,8 +505,7 @@ def neutral(name: str, dtype: np.dtype) -> Number:
 
 def known(name: str) -> bool:
     """Whether `applied` knows steps of this name."""
-    moved = name in MOVES or name in TO_PLACES or name in ("dot_general", "iota")
-    return moved or elementwise(name) or name in TOGETHER
+    return elementwise(name) or on_arrays(name) or name in TO_PLACES or name == "iota"
 
 
 def foreign(step: Step) -> bool:
@@ -557,19 +555,11 @@ def applied(n: Numbers, step: Step, arrays: Sequence[Array],
         raise Unknown(f"{name} with a result of {math.prod(shape)} numbers that are no rows")
     if elementwise(name):
         return n.each(one_by_one(n, step), *arrays)
-    if name in GATHERED:
-        how, begin = GATHERED[name], n.const(neutral(GATHERED[name], out.dtype), out.dtype)
-        return gathered(n.elements(how), arrays[0], params["axes"], begin).reshape(shape)
-    if name in RUNNING:
-        return running(n.elements(RUNNING[name]), arrays[0], params["axis"], params["reverse"])
-    if name == "dot_general":
-        cast = partial(n.of, "convert", dtype=out.dtype)
-        a, b = (n.each(cast, x) for x in arrays)
-        zero = n.const(0, out.dtype)
-        return product(params["dimension_numbers"], a, b, n.elements("mul"), n.elements("add"),
-                       zero).reshape(shape)  # fmt: skip
-    if name in MOVES:
-        return MOVES[name](params, arrays, shape)
+    if on_arrays(name):
+        if name == "dot_general":
+            arrays = [n.each(partial(n.of, "convert", dtype=out.dtype), x) for x in arrays]
+        number = partial(n.const, dtype=out.dtype)
+        return rearranged(step, arrays, shape, n.elements, number).reshape(shape)
     if name in TO_PLACES:
         return _to_places(n, step, arrays, shape)
     if name == "iota":
@@ -581,15 +571,44 @@ def applied(n: Numbers, step: Step, arrays: Sequence[Array],
 # --------------------------------------------------------------------------------------------------
 
 
-def gathered(together: Callable[..., Array], x: Array, axes: Sequence[int],
+def on_arrays(name: str) -> bool:
+    """Whether `rearranged` knows steps of this name."""
+    return name in MOVES or name in TOGETHER or name == "dot_general"
+
+
+def rearranged(step: Step, arrays: Sequence[Array], shape: Sequence[int],
+               elements: Callable[[str], Callable[..., Array]],
+               number: Callable[[Number], Node | Number]) -> Array:  # fmt: skip
+    """The elements of arrays moved, or put together, up to the shape of the result.
+
+    shape: of the result
+    elements: gives the function of arrays for an operation on their elements, by its name
+    number: gives the element that is a number
+    """
+    name, params, dtype = step.name, step.params, step.outs[0].dtype
+    if name in MOVES:
+        return MOVES[name](params, arrays, shape)
+    if name in RUNNING:
+        return _running(elements(RUNNING[name]), arrays[0], params["axis"], params["reverse"])
+    begin = number(neutral(GATHERED.get(name, "add"), dtype))
+    if name in GATHERED:
+        return _gathered(elements(GATHERED[name]), arrays[0], params["axes"], begin)
+    a, b = arrays
+    return _product(params["dimension_numbers"], a, b, elements("mul"), elements("add"), begin)
+
+
+def _gathered(together: Callable[..., Array], x: Array, axes: Sequence[int],
              begin: Node | Number) -> Array:  # fmt: skip
-    """The elements along axes put together, in row-major order."""
+    """The elements along axes put together, in row-major order: 0 + x[0] + x[1] + ...
+
+    A maximum begins with -infinity, and is NaN if one is NaN.
+    """
     front = np.moveaxis(x, sorted(axes), range(len(axes)))
     count, rest = math.prod(front.shape[: len(axes)]), front.shape[len(axes) :]
     return reduce(together, front.reshape(count, *rest), np.full(rest, begin, x.dtype))
 
 
-def running(together: Callable[..., Array], x: Array, axis: int, back: bool) -> Array:
+def _running(together: Callable[..., Array], x: Array, axis: int, back: bool) -> Array:
     """The elements up to each one along an axis put together; or those from it on."""
     found = np.array(np.moveaxis(x, axis, 0))
     rows = found[::-1] if back else found
@@ -598,9 +617,9 @@ def running(together: Callable[..., Array], x: Array, axis: int, back: bool) -> 
     return np.moveaxis(found, 0, axis)
 
 
-def product(numbers: lax.DotDimensionNumbers, a: Array, b: Array, multiply: Callable[..., Array],
+def _product(numbers: lax.DotDimensionNumbers, a: Array, b: Array, multiply: Callable[..., Array],
             add: Callable[..., Array], zero: Node | Number) -> Array:  # fmt: skip
-    """(batch, free of a, free of b) the product of arrays, summed over the contracted axes."""
+    """(batch, free of a, free of b) 0 + a[0] b[0] + a[1] b[1] + ..., over the contracted axes."""
     (of_a, of_b), (batch_a, batch_b) = numbers
     free_a = [i for i in range(a.ndim) if i not in (*of_a, *batch_a)]
     free_b = [i for i in range(b.ndim) if i not in (*of_b, *batch_b)]
