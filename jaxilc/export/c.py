@@ -5,7 +5,6 @@ Arrays between loops lie in a work space, each where another has ended.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
@@ -103,9 +102,7 @@ class _InC(Body):
             return View(f"{name}[{{}}]", shape, row_major(shape))
         if name in ("k", "code"):
             return View(name, shape)
-        base = f"l->{field_name(name)}"
-        return View(base, shape) if math.prod(shape) == 1 else View(f"{base}[{{}}]", shape,
-                                                                    row_major(shape))  # fmt: skip
+        return View.of(f"l->{field_name(name)}", shape)
 
     def room(self, name: str, kind: str, size: int) -> None:
         if size == 1:

@@ -13,7 +13,7 @@ import math
 import re
 import textwrap
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
@@ -32,6 +32,7 @@ from ..native.operations import (
     elementwise,
     formula,
     neutral,
+    padded,
 )
 from ..native.program import Const, Program, Step, Unknown, Value
 from .law import Field, Function
@@ -59,6 +60,13 @@ class View(NamedTuple):
     shape: tuple[int, ...]
     strides: tuple[int, ...] = ()
     start: tuple[int, tuple[str, ...]] = (0, ())
+
+    @classmethod
+    def of(cls, name: str, shape: Sequence[int]) -> View:
+        """All of an array by its name, in row-major order; a number alone is a variable."""
+        one = math.prod(shape) == 1
+        form, strides = (name, ()) if one else (f"{name}[{{}}]", row_major(shape))
+        return cls(form, tuple(shape), strides)
 
     def at(self, index: Sequence[str]) -> str:
         """An element; the index has an entry for each axis that is longer than one."""
@@ -204,11 +212,9 @@ class Body(ABC):
 
     def array(self, shape: Sequence[int], dtype: DTypeLike) -> View:
         """Room for an array; a number alone is a variable."""
-        name, size = self.name("a"), math.prod(shape)
-        self.room(name, self.type_of(dtype), size)
-        if size == 1:
-            return View(name, tuple(shape))
-        return View(f"{name}[{{}}]", tuple(shape), row_major(shape))
+        name = self.name("a")
+        self.room(name, self.type_of(dtype), math.prod(shape))
+        return View.of(name, shape)
 
     # Values
     # ----------------------------------------------------------------------------------------------
@@ -229,7 +235,7 @@ class Body(ABC):
         key = (kind, np.ascontiguousarray(array).tobytes())
         if key not in self.tables:
             self.tables[key] = self.table(kind, [self.number(x, dtype) for x in flat])
-        return View(f"{self.tables[key]}[{{}}]", array.shape, row_major(array.shape))
+        return View.of(self.tables[key], array.shape)
 
     def copied(self, x: View, dtype: DTypeLike) -> View:
         """The elements one after another, in room of their own."""
@@ -403,15 +409,8 @@ class Body(ABC):
         return x._replace(shape=shape, strides=row_major(shape))
 
     def of_moved(self, step: Step, ins: list[View]) -> View:
-        """The same numbers at other places, which NumPy tells of an array that nobody reads."""
-        x, shape = ins[0], step.outs[0].shape
-        if x.single:
-            return x._replace(shape=shape)
-        before = as_strided(np.empty(1, np.int8), x.shape, x.strides)
-        after = MOVES[step.name](step.params, [before], shape)
-        first, last = (of.__array_interface__["data"][0] for of in (before, after))
-        number, terms = x.start
-        return x._replace(shape=shape, strides=after.strides, start=(number + last - first, terms))
+        shape = step.outs[0].shape
+        return _moved(ins[0], lambda x: MOVES[step.name](step.params, [x], shape))
 
     def of_dynamic_slice(self, step: Step, ins: list[View]) -> View:
         return self.part(ins[0], step.outs[0].shape, ins[1:])
@@ -446,22 +445,10 @@ class Body(ABC):
         (x, value), shape = ins, step.outs[0].shape
         out = self.array(shape, step.outs[0].dtype)
         self.put(out, View(value.at(()), shape))
-        if math.prod(x.shape) == 0:
-            return out
-        to, of, inner_shape = 0, 0, []
-        by = [1 + inner for *_, inner in step.params["padding_config"]]
-        strides, own = (view.strides or (0,) * len(shape) for view in (x, out))
-        for (low, _, _), b, n, m, s, t in zip(step.params["padding_config"], by, x.shape, shape,
-                                              strides, own, strict=True):  # fmt: skip
-            inside = [i for i in range(n) if 0 <= low + b * i < m]
-            if not inside:
-                return out
-            inner_shape.append(len(inside))
-            of, to = of + s * inside[0], to + t * (low + b * inside[0])
-        part = tuple(inner_shape)
-        taken = x._replace(shape=part, start=(x.start[0] + of, x.start[1]))
-        placed = tuple(b * t for b, t in zip(by, own, strict=True))
-        self.put(out._replace(shape=part, strides=placed, start=(to, ())), taken)
+        to, of = padded(step.params, x.shape, shape)
+        part = _moved(x, lambda numbers: numbers[of])
+        if math.prod(part.shape):
+            self.put(_moved(out, lambda numbers: numbers[to]), part)
         return out
 
     def of_take(self, step: Step, ins: list[View]) -> View:
@@ -622,6 +609,19 @@ class Body(ABC):
     def carry_on(self, state: Sequence[View], found: Sequence[View], outs: Sequence[Value]) -> None:
         """Put what a pass has found in place of what it began with."""
         self.put_all((to, x, out.dtype) for to, x, out in zip(state, found, outs, strict=False))
+
+
+def _moved(x: View, move: Callable[[np.ndarray], np.ndarray]) -> View:
+    """The same numbers at other places, which NumPy tells of an array that nobody reads."""
+    before = as_strided(np.empty(1, np.int8), x.shape, x.strides or (0,) * len(x.shape))
+    after = move(before)
+    if x.single:
+        return x._replace(shape=after.shape)
+    first, last = (of.__array_interface__["data"][0] for of in (before, after))
+    number, terms = x.start
+    return x._replace(
+        shape=after.shape, strides=after.strides, start=(number + last - first, terms)
+    )
 
 
 def _at(view: View, places: Mapping[int, str]) -> str:

@@ -7,7 +7,6 @@ behind it.
 from __future__ import annotations
 
 import itertools
-import math
 import re
 import textwrap
 from collections.abc import Sequence
@@ -20,7 +19,7 @@ from ..native.operations import Node, Number
 from ..native.program import Unknown
 from . import guard
 from .law import Law
-from .printer import Body, View, closed, filled, opened, row_major
+from .printer import Body, View, closed, filled, opened
 
 BYTES = {"LREAL": 8, "LINT": 8, "DINT": 4, "UDINT": 4, "BOOL": 1}
 TYPES = {"f": "LREAL", "b": "BOOL", "int32": "DINT", "int64": "LINT", "uint32": "UDINT"}
@@ -202,9 +201,7 @@ class _InText(Body):
         return f"({text})" if np.signbit(value) else text
 
     def place(self, name: str, shape: tuple[int, ...]) -> View:
-        known = GIVEN.get(name) or self.declared.names[name]
-        one = math.prod(shape) == 1
-        return View(known, shape) if one else View(f"{known}[{{}}]", shape, row_major(shape))
+        return View.of(GIVEN.get(name) or self.declared.names[name], shape)
 
     def room(self, name: str, kind: str, size: int) -> None:
         self.declared.variables[name] = kind, size

@@ -657,6 +657,19 @@ def updated(x: Array, new: Array, starts: Sequence[np.ndarray]) -> Array:
     return found
 
 
+def padded(
+    params: Parameters, of: Sequence[int], to: Sequence[int]
+) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Which part of the result is an array that is padded, and which part of the array that is."""
+    found = []
+    for (low, _, between), n, m in zip(params["padding_config"], of, to, strict=True):
+        by = 1 + between
+        first, last = max(0, -(low // by)), max(0, min(n, 1 + (m - 1 - low) // by))
+        found.append((slice(low + by * first, max(0, low + by * last), by), slice(first, last)))
+    into, taken = zip(*found, strict=True) if found else ((), ())
+    return into, taken
+
+
 def _broadcast(params: Parameters, arrays: Sequence[Array], shape: Sequence[int]) -> Array:
     wide = [1] * len(shape)
     for axis, to in enumerate(params["broadcast_dimensions"]):
@@ -671,14 +684,10 @@ def _slice(params: Parameters, arrays: Sequence[Array], shape: Sequence[int]) ->
 
 
 def _pad(params: Parameters, arrays: Sequence[Array], shape: Sequence[int]) -> Array:
-    (x, value), to, of = arrays, [], []
+    x, value = arrays
     out = np.full(shape, value, x.dtype)
-    for (low, _, inner), n, m in zip(params["padding_config"], x.shape, shape, strict=True):
-        places = low + (1 + inner) * np.arange(n)
-        inside = (places >= 0) & (places < m)
-        to.append(places[inside])
-        of.append(np.flatnonzero(inside))
-    out[np.ix_(*to)] = x[np.ix_(*of)]
+    to, of = padded(params, x.shape, shape)
+    out[to] = x[of]
     return out
 
 
