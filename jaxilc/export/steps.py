@@ -20,7 +20,9 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
+from ..native.operations import MOVES, places_of
 from ..native.program import (
+    WRITTEN,
     Const,
     Known,
     Parameters,
@@ -29,8 +31,6 @@ from ..native.program import (
     Unknown,
     Value,
     lowered,
-    lu,
-    triangular_solve,
     without_dead,
 )
 from ..pytree.aliases import Array, Function, Tree
@@ -44,14 +44,6 @@ REASONS = {
     "sort": "the law sorts its samples, which takes a time that is not known beforehand",
     "eigh": "the law needs eigenvalues of a matrix that is known only while it runs",
 }
-
-
-class Key(Const):
-    """A random key that is known beforehand."""
-
-    def __init__(self, array: Known):
-        self.array = array
-        Value.__init__(self, array.shape, array.dtype)
 
 
 class Pair(Value):
@@ -113,8 +105,10 @@ class _Writer:
             return COMPLEX[name](self, step, ins)
         if name == "select_n" and isinstance(ins[0], Const) and uniform(ins[0].array):
             return [ins[1 + int(np.ravel(ins[0].array)[0])]]
-        if name in REWRITTEN:
-            return self.traced(partial(REWRITTEN[name], step), ins)
+        if name == "conv_general_dilated":
+            return self.traced(partial(_convolved, step), ins)
+        if name in ("lu", "triangular_solve"):  # of more rows than `lowered` writes
+            return self.traced(partial(WRITTEN[name], **step.params), ins)
         if name in ("gather", "scatter", "scatter-add"):
             return self.moved(step, ins)
         if name == "scan":
@@ -161,38 +155,31 @@ class _Writer:
         if step.name == "scan":
             return [Const(np.asarray(x)) for x in _scanned(step, arrays)]
         found = step.bound(*arrays)
-        return [Key(x) if _is_key(x) else Const(np.asarray(x)) for x in found]
+        return [Const(x if _is_key(x) else np.asarray(x)) for x in found]
 
     def moved(self, step: Step, ins: list[Value]) -> list[Value]:
         """A step that moves numbers to places: a table where these are known, else one row."""
         places = ins[1]
         if not isinstance(places, Const):
             return self.traced(partial(_at_place, step), ins)
-        table = np.arange(math.prod(ins[0].shape)).reshape(ins[0].shape)
-        where, params = jnp.asarray(places.array), dict(step.params)
+        shape, dtype = ins[0].shape, ins[0].dtype
+        found = places_of(step, shape, places.array, ins[-1].shape)
         if step.name == "gather":
-            found = np.asarray(step.bound(table, where, fill_value=-1)[0])
-            if found.size and found.min() < 0:
-                raise Unknown("gather beyond the end")
             return self.added("take", {"table": found}, [ins[0]], step.outs)
-        count = math.prod(ins[2].shape)
-        of_updates = jnp.arange(table.size, table.size + count).reshape(ins[2].shape)
-        put = dict(params) | {"update_jaxpr": None, "update_consts": ()}
-        found = np.asarray(lax.scatter_p.bind(jnp.asarray(table), where, of_updates, **put))
-        if np.setdiff1d(np.asarray(of_updates), found).size:
+        if len({*found.flat} - {-1}) < found.size:
             raise Unknown(f"{step.name} to one place more than once")
-        dtype = ins[0].dtype
+        table = np.arange(math.prod(shape))
+        table[found.ravel()] = table.size + np.arange(found.size)
+        table = table.reshape(shape)
 
         def flat(*arrays: Array) -> Array:
             return jnp.concatenate([jnp.ravel(x) for x in arrays])
 
         if step.name == "scatter":
             joined = self.traced(flat, [ins[0], ins[2]])
-            return self.added("take", {"table": found}, joined, step.outs)
-        zeros = Const(np.zeros(table.size, dtype))
-        joined = self.traced(flat, [zeros, ins[2]])
-        there = Value(table.shape, dtype)
-        (more,) = self.added("take", {"table": found}, joined, [there])
+            return self.added("take", {"table": table}, joined, step.outs)
+        joined = self.traced(flat, [Const(np.zeros(table.size, dtype)), ins[2]])
+        (more,) = self.added("take", {"table": table}, joined, [Value(shape, dtype)])
         return self.traced(jnp.add, [ins[0], more])
 
     def loop(self, step: Step, ins: list[Value]) -> list[Value]:
@@ -325,13 +312,6 @@ def _at_place(step: Step, *given: Array) -> Array:
     raise Unknown(f"{step.name} at several places that are found while it runs")
 
 
-REWRITTEN: dict[str, Function] = {
-    "conv_general_dilated": _convolved,
-    "triangular_solve": lambda step, a, b: triangular_solve(a, b, **step.params),
-    "lu": lambda step, a: lu(a),
-}
-
-
 # Complex numbers
 # --------------------------------------------------------------------------------------------------
 
@@ -456,9 +436,5 @@ COMPLEX: dict[str, Callable[[_Writer, Step, list[Value]], list[Value]]] = {
     "complex": _of_pairs(lambda a, b, c, d: (a, c)),
     "convert_element_type": _of_pairs(lambda a, b: (a * 1.0, b * 1.0)),
     "abs": _of_pairs(lambda a, b: (jnp.sqrt(a * a + b * b),)),
-    **dict.fromkeys(
-        ("transpose", "reshape", "squeeze", "expand_dims", "slice", "pad", "rev", "concatenate",
-         "broadcast_in_dim"),
-        _by_parts,
-    ),
-}  # fmt: skip
+    **dict.fromkeys(MOVES, _by_parts),
+}

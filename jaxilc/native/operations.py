@@ -20,7 +20,7 @@ import numpy as np
 from jax import lax
 from numpy.typing import ArrayLike, DTypeLike
 
-from .program import UNROLLED, Parameters, Step, Unknown
+from .program import UNROLLED, Known, Parameters, Step, Unknown
 
 Array: TypeAlias = np.ndarray  # of nodes
 Number: TypeAlias = np.bool | np.integer | np.floating
@@ -732,13 +732,14 @@ def _to_places(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[
         return arrays[0][clamped(arrays[0].shape, shape, places)]
     if name == "dynamic_update_slice":
         return updated(arrays[0], arrays[1], places)
-    if name != "gather":
-        return _scattered(n, step, arrays, jnp.asarray(places[0]))
-    numbered = jnp.arange(arrays[0].size).reshape(arrays[0].shape)
-    found = np.asarray(step.bound(numbered, *places, fill_value=-1)[0])
-    if found.size and found.min() < 0:
-        raise Unknown(f"{name} beyond the end")
-    return _filled(shape, arrays[0].ravel()[found.ravel()])
+    found = places_of(step, arrays[0].shape, places[0], arrays[-1].shape).ravel()
+    if name == "gather":
+        return _filled(shape, arrays[0].ravel()[found])
+    out = arrays[0].copy()
+    for place, x in zip(found, arrays[2].flat, strict=True):
+        if place >= 0:
+            out.flat[place] = n.of("add", out.flat[place], x) if "add" in name else x
+    return out
 
 
 def _window(step: Step, axes: int, new: Sequence[int]) -> list[int]:
@@ -749,27 +750,31 @@ def _window(step: Step, axes: int, new: Sequence[int]) -> list[int]:
     return [1 if i in left_out else next(sizes) for i in range(axes)]
 
 
-def _scattered(n: Numbers, step: Step, arrays: Sequence[Array], index: jax.Array) -> Array:
-    """Numbers of which some are replaced, or to which some are added.
+def places_of(step: Step, shape: Sequence[int], index: Known, new: Sequence[int]) -> np.ndarray:
+    """The numbers of the elements that a gather reads, or in whose place a scatter writes.
 
-    They are at the places from which a gather of the same windows would read.
+    Those of a scatter are -1 beyond the end. Raises Unknown for a gather from there.
+
+    shape: of the array
+    index: the places
+    new: the shape of what a scatter writes
     """
-    (old, _, new), of = arrays, step.params["dimension_numbers"]
+    numbered, index = jnp.arange(math.prod(shape)).reshape(shape), jnp.asarray(index)
+    if step.name == "gather":
+        found = np.asarray(step.bound(numbered, index, fill_value=-1)[0])
+        if found.size and found.min() < 0:
+            raise Unknown("gather beyond the end")
+        return found
+    of = step.params["dimension_numbers"]
     clip, fill = lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP
     numbers = lax.GatherDimensionNumbers(
         of.update_window_dims, of.inserted_window_dims, of.scatter_dims_to_operand_dims,
         of.operand_batching_dims, of.scatter_indices_batching_dims,
     )  # fmt: skip
-    places = lax.gather(
-        jnp.arange(old.size).reshape(old.shape), index, numbers,
-        _window(step, old.ndim, new.shape), fill_value=-1,
+    return np.asarray(lax.gather(
+        numbered, index, numbers, _window(step, len(shape), new), fill_value=-1,
         mode=clip if step.params["mode"] == clip else fill,
-    )  # fmt: skip
-    out = old.copy()
-    for place, x in zip(np.asarray(places).flat, new.flat, strict=True):
-        if place >= 0:
-            out.flat[place] = n.of("add", out.flat[place], x) if "add" in step.name else x
-    return out
+    ))  # fmt: skip
 
 
 def _anywhere(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[int],
