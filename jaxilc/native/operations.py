@@ -262,6 +262,11 @@ class Numbers:
         found = self._same(name, args) or (self._of_negative(name, args) if kind == "f" else None)
         return found or self._node(name, args, dtype, None, None)
 
+    def clipped(self, place: Node, last: int) -> Node:
+        """The nearest place from 0 to the last one."""
+        low, high = self.const(0, place.dtype), self.const(last, place.dtype)
+        return self.of("min", self.of("max", place, low), high)
+
     def _of_negative(self, name: str, args: tuple[Node, ...]) -> Node | None:
         """An operation on negatives as one that a sum takes for nothing, to the last bit."""
         plain = [x.args[0] if x.name == "neg" else x for x in args]
@@ -809,12 +814,11 @@ def _anywhere(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[i
     clipped = name.startswith("dynamic") or params["mode"] == lax.GatherScatterMode.CLIP
     promised = name == "gather" and params["mode"] == lax.GatherScatterMode.PROMISE_IN_BOUNDS
     if clipped or promised:
-        low, high = n.const(0, dtype), n.const(last, dtype)
-        place = n.each(lambda p: n.of("min", n.of("max", p, low), high), place)
+        place = n.each(lambda p: n.clipped(p, last), place)
 
-    def at(i: int, **changed: Array) -> Array:
+    def at(i: int, *arrays: Array) -> Array:
         """The result for all machines at place i."""
-        given = [changed.get(f"_{k}", a) for k, a in enumerate(arrays)]
+        given = [*arrays]
         given[unknown[0]] = n.array(np.full(index.shape, i, dtype))
         return _to_places(n, step, given, shape)
 
@@ -826,14 +830,14 @@ def _anywhere(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[i
         found, new = x, arrays[2]
         nothing = n.array(np.zeros(new.shape, new.flat[0].dtype))
         for i in range(last + 1):
-            found = at(i, _0=found, _2=here(i, nothing, new))
+            found = at(i, found, index, here(i, nothing, new))
         return found
-    found = at(last)
+    found = at(last, *arrays)
     if not (clipped or promised):
         found = np.full(shape, _beyond(n, params["fill_value"], found.flat[0].dtype), object)
         last += 1
     for i in reversed(range(last)):
-        found = here(i, found, at(i))
+        found = here(i, found, at(i, *arrays))
     return found
 
 

@@ -717,8 +717,7 @@ def _rows_at(of: Trials, step: Step, row: Row) -> Callable[[Array], list[Array]]
         raise Unknown("gather beyond the end")
 
     def at(place: Node) -> Array:
-        low, high = n.const(0, place.dtype), n.const(row.length - 1, place.dtype)
-        inside = n.of("min", n.of("max", place, low), high)
+        inside = n.clipped(place, row.length - 1)
 
         def number(m: int) -> Node:
             x = n.row(inside, row.dtype, AtIndex(table.buffer, m, table.loop))
@@ -1197,11 +1196,10 @@ class _At(_Rows):
         if tuple(sizes[1:]) != tuple(shape[1:]):
             raise Unknown("dynamic_slice of some channels")
         self.of.of.reads.append((table.buffer, self.of.number, 0, 0))
-        index, n = small(operands[1]).item(), self.n
-        last = n.const(shape[0] - sizes[0], index.dtype)
-        index = n.of("min", n.of("max", index, n.const(0, index.dtype)), last)
-        of_row = lambda m: n.row(index, table.dtype, AtIndex(table.buffer, m, table.loop))  # noqa: E731
-        return numbered(sizes, of_row)
+        index = self.n.clipped(small(operands[1]).item(), shape[0] - sizes[0])
+        return numbered(sizes, lambda m: self.n.row(
+            index, table.dtype, AtIndex(table.buffer, m, table.loop)
+        ))  # fmt: skip
 
 
 # What a sample hands on
