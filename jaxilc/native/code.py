@@ -21,8 +21,9 @@ from types import ModuleType
 
 import jax
 
+from ..runtime.jax_internals import seal
 from ..storage.files import atomically
-from .llvm import ALIGNED
+from .llvm import ALIGNED, Lines, aligned
 from .program import Unknown
 
 WIDEST = {"avx512f": 64, "avx": 32, "neon": 16}  # bytes of a register, by a feature
@@ -75,7 +76,6 @@ define ptr @handler(ptr %frame) {{
   %last = alloca i32
   %given = alloca ptr, i64 {operands}
   %out = alloca ptr, i64 {results}
-{told}
 {begun}
   %fewer = icmp slt i64 %groups, %cores
   %wanted = select i1 %fewer, i64 %groups, i64 %cores
@@ -184,28 +184,20 @@ def callable_by_xla(
     Further buffers of results are those that are read, with the groups as their first axis, and the
     room for the work of all threads, see `room`.
     """
-    lines: list[str] = []
+    begun = Lines("x")
+    add, do, place, field = begun.add, begun.do, begun.place, begun.field
 
-    def add(text: str) -> str:
-        lines.append(f"  %x{len(lines)} = {text}")
-        return f"%x{len(lines) - 1}"
-
-    def do(text: str) -> None:
-        lines.append(f"  {text}")
-
-    def place(base: str, offset: int | str) -> str:
-        return add(f"getelementptr i8, ptr {base}, i64 {offset}")
-
-    def field(base: str, offset: int, kind: str = "ptr") -> str:
-        return add(f"load {kind}, ptr {place(base, offset)}")
+    def up(pointer: str, size: int) -> str:
+        """The next place behind a pointer that is a multiple of a size."""
+        number = add(f"ptrtoint ptr {pointer} to i64")
+        number = add(f"and i64 {add(f'add i64 {number}, {size - 1}')}, -{size}")
+        return add(f"inttoptr i64 {number} to ptr")
 
     def huge(data: str, size: str, of_group: int) -> None:
         """Advise huge pages for a buffer, which is not in the RAM yet."""
         if of_group < LARGE or sys.platform != "linux":
             return
-        first = add(f"ptrtoint ptr {data} to i64")
-        first = add(f"and i64 {add(f'add i64 {first}, {PAGE - 1}')}, -{PAGE}")
-        first = add(f"inttoptr i64 {first} to ptr")
+        first = up(data, PAGE)
         add(f"call i32 @madvise(ptr {first}, i64 {add(f'sub i64 {size}, {PAGE}')}, i32 {HUGE})")
 
     extension = field("%frame", EXTENSION)
@@ -215,7 +207,6 @@ def callable_by_xla(
     for value, offset in (("0", MAJOR), (minor, MINOR), ("0", TRAITS)):
         do(f"store i32 {value}, ptr {place(metadata, offset)}")
     do("ret ptr null")
-    told, lines = lines, [""] * len(lines)  # whose names are not given again
     do("begin:")
     given, found = field("%frame", OPERANDS), field("%frame", RESULTS)
     number = 0
@@ -229,11 +220,9 @@ def callable_by_xla(
         if size is not None:
             huge(data, add(f"mul i64 {groups}, {size}"), size)
     buffer = field(found, 8 * number)
-    first = add(f"ptrtoint ptr {field(buffer, DATA)} to i64")
-    first = add(f"and i64 {add(f'add i64 {first}, {ALIGNED - 1}')}, -{ALIGNED}")
-    room = add(f"inttoptr i64 {first} to ptr")
+    room = up(field(buffer, DATA), ALIGNED)
     threads = field(field(buffer, SIZES), 0, "i64")
-    huge(room, add(f"mul i64 {threads}, {_whole(work)}"), work)
+    huge(room, add(f"mul i64 {threads}, {aligned(work)}"), work)
     linux = sys.platform == "linux"
     task = ("i64 0", "i64 0", f"i64 {groups}", "ptr %given", "ptr %out", f"ptr {room}")
     for i, value in enumerate(task):
@@ -247,22 +236,16 @@ def callable_by_xla(
     do(f"%groups = add i64 {groups}, 0")
     do(f"%cores = add i64 {threads}, 0")
     return text + PART.format(
-        operands=max(operands, 1), results=max(len(results), 1), work=_whole(work), trials=trials,
+        operands=max(operands, 1), results=max(len(results), 1), work=aligned(work), trials=trials,
         create="@create(ptr %id, ptr %task, ptr %last)" if linux else
             "@pthread_create(ptr %id, ptr null, ptr @part, ptr %task)",
-        apart=APART if linux else "", told="\n".join(told),
-        begun="\n".join(filter(None, lines)),
+        apart=APART if linux else "", begun="\n".join(begun.lines),
     )  # fmt: skip
-
-
-def _whole(work: int) -> int:
-    """The bytes of so many of which the next are aligned."""
-    return -(-work // ALIGNED) * ALIGNED
 
 
 def room(work: int) -> tuple[int, int]:
     """The shape of the room for the work of all threads, in bytes."""
-    return cores(), _whole(work) + ALIGNED
+    return cores(), aligned(work) + ALIGNED
 
 
 def target(text: str) -> str:
@@ -390,17 +373,13 @@ def _kept(place: Path) -> bytes | None:
         found = place.read_bytes()
     except OSError:
         return None
-    return found[32:] if found[:32] == _seal(place, found[32:]) else None
+    return found[32:] if found[:32] == seal(place.name, found[32:]) else None
 
 
 def _keep(place: Path, compiled: bytes) -> None:
     """Write machine code at once or not at all."""
     with suppress(OSError):
-        atomically(place, lambda file: file.write(_seal(place, compiled) + compiled))
-
-
-def _seal(place: Path, compiled: bytes) -> bytes:
-    return hashlib.sha256(place.name.encode() + b"\0" + compiled).digest()
+        atomically(place, lambda file: file.write(seal(place.name, compiled) + compiled))
 
 
 def in_vectors(lanes: int, size: int, name: str, operands: int) -> str | None:

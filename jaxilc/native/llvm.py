@@ -52,7 +52,36 @@ WIDTH = '"min-legal-vector-width"="512" "prefer-vector-width"="512"'
 TYPES = {"float64": "double", "float32": "float", "bool": "i1"}
 
 
-class Text:
+class Lines:
+    """Lines of a function.
+
+    letter: with which the names of its values begin
+    """
+
+    def __init__(self, letter: str):
+        self.letter, self.count = letter, 0
+        self.lines: list[str] = []
+
+    def add(self, text: str) -> str:
+        """A line whose result has a new name, which is returned."""
+        self.count += 1
+        name = f"%{self.letter}{self.count}"
+        self.do(f"{name} = {text}")
+        return name
+
+    def do(self, text: str) -> None:
+        self.lines.append(f"  {text}")
+
+    def place(self, base: str, offset: int | str) -> str:
+        """The pointer to what is so many bytes behind another."""
+        return self.add(f"getelementptr i8, ptr {base}, i64 {offset}")
+
+    def field(self, base: str, offset: int, kind: str = "ptr") -> str:
+        """What is there."""
+        return self.add(f"load {kind}, ptr {self.place(base, offset)}")
+
+
+class Text(Lines):
     """The text of the program of a plan.
 
     lanes: number of machines in a group
@@ -73,27 +102,18 @@ class Text:
         name: str = "run",
     ):
         assert all(wanted[plan.carry :])  # there is no room for others
+        super().__init__("v")
         self.plan, self.lanes, self.wanted, self.in_vectors = plan, lanes, wanted, in_vectors
-        self.lines: list[str] = []
         self.declared: set[str] = set()
         self.straight: dict[Node, str] = {}
         self.inside: dict[Node, str] = {}
-        self.count, self.work = 0, 0
+        self.work = 0
         self.taped = _taped(plan)
         self.doubled = [x for x in _doubled(plan) if x not in self.taped]
         self.function = self._printed_function(name)
 
     # Lines
     # ----------------------------------------------------------------------------------------------
-
-    def add(self, text: str) -> str:
-        """A line whose result has a new name, which is returned."""
-        self.count += 1
-        self.lines.append(f"  %v{self.count} = {text}")
-        return f"%v{self.count}"
-
-    def do(self, text: str) -> None:
-        self.lines.append(f"  {text}")
 
     def label(self) -> str:
         self.count += 1
@@ -348,8 +368,8 @@ class Text:
 
     def _room(self, buffer: Buffer) -> int:
         """The place in the working memory for a buffer."""
-        place, size = self.work, buffer.size * buffer.dtype.itemsize * self.lanes
-        self.work += -(-size // ALIGNED) * ALIGNED
+        place = self.work
+        self.work += aligned(buffer.size * buffer.dtype.itemsize * self.lanes)
         return place
 
     # The function
@@ -504,11 +524,15 @@ class Text:
                 cells = small(plan.ins[plan.consts + i])
                 new += zip(cells.flat, values, strict=True)
                 continue
-            at = self.add(f"mul i64 {trial}, {x.size}")
-            for m, (node, value) in enumerate(zip(x.flat, values, strict=True)):
-                self.store(value, f"%o{i}", self.add(f"add i64 {at}, {m}"), node.dtype)
+            self._give(i, trial, x, values)
         for cell, value in new:
             self._put(cell, value)
+
+    def _give(self, i: int, number: str, x: Array, values: Iterable[str]) -> None:
+        """Store single numbers in their place among those of all groups, or trials, of a result."""
+        at = self.add(f"mul i64 {number}, {x.size}")
+        for m, (node, value) in enumerate(zip(x.flat, values, strict=True)):
+            self.store(value, f"%o{i}", self.add(f"add i64 {at}, {m}"), node.dtype)
 
     def _end(self, group: str) -> None:
         """What is carried out of the last trial."""
@@ -524,11 +548,7 @@ class Text:
                     source = self.add(f"load ptr, ptr %a{buffer.number}")
                 self._copy(buffer, source, out)
             else:
-                at = self.add(f"mul i64 {group}, {x.size}")
-                for m, cell in enumerate(x.flat):
-                    name = self._cell(cell)
-                    value = self.add(f"load {self.type_of(cell.dtype)}, ptr {name}")
-                    self.store(value, f"%o{i}", self.add(f"add i64 {at}, {m}"), cell.dtype)
+                self._give(i, group, x, (self._printed(cell, [], None) for cell in x.flat))
 
     # A loop over samples
     # ----------------------------------------------------------------------------------------------
@@ -598,6 +618,11 @@ class Text:
             self._put(cell, self._known(new)[new])
         self.lines += end
         self.inside = {}
+
+
+def aligned(size: int) -> int:
+    """The bytes of so many of which the next are aligned."""
+    return -(-size // ALIGNED) * ALIGNED
 
 
 def module(functions: Sequence[Text]) -> str:

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .code import callable_by_xla, in_vectors, room, target
-from .llvm import ALIGNED, OPERANDS, Text, module
+from .llvm import OPERANDS, Lines, Text, aligned, module
 from .program import Const, Known, Step, Value, by_jax, in_order, without_dead_of_loop
 from .rows import Trials
 
@@ -261,7 +261,6 @@ class There(Loop):
         text = _Driver(blocks)
         given, out = text.pointers("%given", operands), text.pointers("%out", results)
         text.begin()
-        given, out = list(given), list(out)
         for i in range(self._carry):
             n = self.step.params["consts"] + i
             given[n], out[i] = text.carried(given[n], out[i], of.bytes_of(i))
@@ -304,7 +303,7 @@ class Back(Loop):
         self._places, place = {}, 0  # of what is on the tape, in the room for work
         for x in again.outs[carry:]:
             self._places[x] = place
-            place += -(-self._of_trial(x) * blocks.each // ALIGNED) * ALIGNED
+            place += aligned(self._of_trial(x) * blocks.each)
         self._beside = place
         self.work = place + max(self._again.text.work, self._back.text.work)
         self.each = [*self._again.each(), *self._back.each(tape), *kept]
@@ -326,7 +325,7 @@ class Back(Loop):
         ways = ["null" if i in self._tape else next(every) for i in range(len(back.step.ins))]
         ways = [*ways, *every]
         out = text.pointers("%out", len(back.step.outs))
-        work = text.place("%work", str(self._beside))
+        work = text.place("%work", self._beside)
         text.begin()
         there, carry = self._carry
         for i in range(there):
@@ -355,35 +354,26 @@ class Back(Loop):
         return {x: of.turned_back(i, found[i]) for i, x in enumerate(self.shown)}
 
 
-class _Driver:
+class _Driver(Lines):
     """The text of the function that calls others for each block of trials of a group.
 
     reverse: whether it begins with the last block
     """
 
     def __init__(self, blocks: Blocks, *, reverse: bool = False):
+        super().__init__("d")
         self._blocks, self._reverse = blocks, reverse
-        self._lines = [f"define void @run({OPERANDS}) #0 {{", "entry:"]
-        self._count, self._most = 0, 0
-
-    def _add(self, text: str) -> str:
-        self._count += 1
-        self._lines.append(f"  %d{self._count} = {text}")
-        return f"%d{self._count}"
-
-    def place(self, base: str, offset: str) -> str:
-        return self._add(f"getelementptr i8, ptr {base}, i64 {offset}")
+        self.lines = [f"define void @run({OPERANDS}) #0 {{", "entry:"]
 
     def pointers(self, base: str, count: int) -> list[str]:
         """The first pointers at a place."""
-        self._most = max(self._most, count)
-        return [self._add(f"load ptr, ptr {self.place(base, str(8 * i))}") for i in range(count)]
+        return [self.field(base, 8 * i) for i in range(count)]
 
     def begin(self) -> None:
         """Begin the loop over the blocks."""
         count, each, trials = self._blocks.count, self._blocks.each, self._blocks.trials
         first = count - 1 if self._reverse else 0
-        self._lines += [
+        self.lines += [
             "  br label %block", "block:", f"  %b = phi i64 [{first}, %entry], [%next, %block]",
             f"  %begins = mul i64 %b, {each}", f"  %sum = add i64 %begins, {each}",
             f"  %more = icmp slt i64 %sum, {trials}",
@@ -399,32 +389,31 @@ class _Driver:
 
         given: before the first block;  out: after all blocks (groups, blocks);  size: bytes
         """
-        before, now = (self._add(f"mul i64 %{x}, {size}") for x in ("before", "now"))
+        before, now = (self.add(f"mul i64 %{x}, {size}") for x in ("before", "now"))
         before = self.place(out, before)
-        return self._add(f"select i1 %iszero, ptr {given}, ptr {before}"), self.place(out, now)
+        return self.add(f"select i1 %iszero, ptr {given}, ptr {before}"), self.place(out, now)
 
     def first(self, given: str, out: str) -> str:
         """What is carried into a block where the same place holds it between all blocks."""
-        return self._add(f"select i1 %isfirst, ptr {given}, ptr {out}")
+        return self.add(f"select i1 %isfirst, ptr {given}, ptr {out}")
 
     def rows(self, base: str, offset: int, size: int) -> str:
         """Rows of a block, by the number of the trial among those of all groups."""
-        before = self._add(f"sub i64 {offset}, {self._add(f'mul i64 %trial, {size}')}")
+        before = self.add(f"sub i64 {offset}, {self.add(f'mul i64 %trial, {size}')}")
         return self.place(base, before)
 
     def call(self, name: str, given: Sequence[str], out: Sequence[str], work: str) -> None:
         for kind, values in (("given", given), ("out", out)):
             for i, x in enumerate(values):
-                place = self.place(f"%{name}{kind}", str(8 * i))
-                self._lines.append(f"  store ptr {x}, ptr {place}")
-            self._lines.insert(2, f"  %{name}{kind} = alloca ptr, i64 {max(1, len(values))}")
-        self._lines.append(f"  call void @{name}(i64 %first, i64 %last, ptr %{name}given, "
-                           f"ptr %{name}out, ptr {work}, i64 %begins, i64 %ends)")  # fmt: skip
+                self.do(f"store ptr {x}, ptr {self.place(f'%{name}{kind}', 8 * i)}")
+            self.lines.insert(2, f"  %{name}{kind} = alloca ptr, i64 {max(1, len(values))}")
+        self.do(f"call void @{name}(i64 %first, i64 %last, ptr %{name}given, "
+                f"ptr %{name}out, ptr {work}, i64 %begins, i64 %ends)")  # fmt: skip
 
     def ended(self) -> str:
         last = 0 if self._reverse else self._blocks.count - 1
         return "\n".join([
-            *self._lines, f"  %next = add i64 %b, {-1 if self._reverse else 1}",
+            *self.lines, f"  %next = add i64 %b, {-1 if self._reverse else 1}",
             f"  %all = icmp eq i64 %b, {last}", "  br i1 %all, label %over, label %block",
             "over:", "  ret void", "}",
         ])  # fmt: skip

@@ -151,7 +151,7 @@ def sealed_programs() -> None:
     class Sealed(LRUCache):
         def get(self, key: str) -> bytes | None:
             found = super().get(key)
-            if found is None or found[:32] == _seal(key, found[32:]):
+            if found is None or found[:32] == seal(key, found[32:]):
                 return found and found[32:]
             with suppress(OSError):
                 (self.path / f"{key}-cache").unlink()
@@ -159,7 +159,7 @@ def sealed_programs() -> None:
 
         def put(self, key: str, value: bytes) -> None:
             with suppress(OSError):
-                super().put(key, _seal(key, value) + value)
+                super().put(key, seal(key, value) + value)
 
     def opened(path: str) -> tuple[Sealed, str]:
         return Sealed(path, max_size=jax.config.jax_compilation_cache_max_size), path
@@ -167,7 +167,8 @@ def sealed_programs() -> None:
     compilation_cache.get_file_cache = opened  # ty: ignore[invalid-assignment]
 
 
-def _seal(key: str, value: bytes) -> bytes:
+def seal(key: str, value: bytes) -> bytes:
+    """The 32 bytes before what is kept under a key."""
     return hashlib.sha256(key.encode() + b"\0" + value).digest()
 
 
