@@ -1,9 +1,9 @@
 """From a function to the steps that every printer knows: the intermediate form of the export.
 
-A function is traced with fixed sizes and lowered by `native.program`. What remains is written by
-the operations of `interpreter`: steps on constants are carried out, complex numbers become pairs of
-real ones, and transforms, solutions of linear equations and convolutions become loops of sums.
-What cannot be written so is refused by name.
+A function is traced with fixed sizes and lowered as by `native.program`. Each step is written by
+the operations of `interpreter` as it comes: steps on constants are carried out, complex numbers
+become pairs of real ones, and transforms, solutions of linear equations and convolutions become
+loops of sums. What cannot be written so is refused by name.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
+from typing import TYPE_CHECKING
 
 import jax
 import jax.core
@@ -25,16 +26,19 @@ from ..native.program import (
     WRITTEN,
     Const,
     Known,
+    Lowering,
     Parameters,
     Program,
     Step,
     Unknown,
     Value,
-    lowered,
     without_dead,
 )
 from ..pytree.aliases import Array, Function, Tree
 from .interpreter import carried_out, known
+
+if TYPE_CHECKING:
+    from ..runtime.jax_internals import ClosedJaxpr, Jaxpr
 
 MOST = 64  # rows that are picked one by one
 LARGEST_DENSE = 16  # prime factor of the length of a transform up to which its matrix is stored
@@ -59,37 +63,21 @@ def program_of(function: Function, *operands: Tree) -> Program:
     traced = jax.make_jaxpr(function)(*operands)
     if any(map(_is_key, traced.consts)):
         raise Unknown(REASONS["random_bits"])
-    return without_dead(_written(lowered(traced)))
+    return without_dead(_written(traced))
 
 
-def _written(program: Program) -> Program:
-    writer = _Writer()
-    outs = writer.all(program)
-    return Program(program.ins, writer.steps, outs)
+def _written(closed: ClosedJaxpr) -> Program:
+    return _Writer(0).program(closed)
 
 
-class _Writer:
-    """Steps as they are written by known operations; `now` is what stands for a value."""
+class _Writer(Lowering):
+    """What adds the steps of jaxprs as they are written by known operations."""
 
-    def __init__(self) -> None:
-        self.steps: list[Step] = []
-        self.now: dict[Value, Value] = {}
+    def inlined(self, of: Jaxpr | ClosedJaxpr, ins: Sequence[Value]) -> list[Value]:
+        return [*map(_in_parts, super().inlined(of, ins))]
 
-    def all(self, program: Program) -> list[Value]:
-        for step in program.steps:
-            ins = [self.value(x) for x in step.ins]
-            self.now.update(zip(step.outs, self.one(step, ins), strict=True))
-        return [self.value(x) for x in program.outs]
-
-    def value(self, x: Value) -> Value:
-        now = self.now.get(x, x)
-        if isinstance(now, Const) and _complex(now):
-            return Pair(Const(np.real(now.array)), Const(np.imag(now.array)))
-        return now
-
-    def one(self, step: Step, ins: list[Value]) -> Sequence[Value]:
-        """What stands for the results of a step on these operands."""
-        name = step.name
+    def one(self, step: Step) -> Sequence[Value]:
+        name, ins = step.name, [*map(_in_parts, step.ins)]
         if name == "scan" and not step.params["length"]:  # no language has arrays without elements
             n, m = step.params["consts"], step.params["carry"]
             return [*ins[n : n + m], *(Const(np.zeros(x.shape, x.dtype)) for x in step.outs[m:])]
@@ -112,7 +100,7 @@ class _Writer:
         if name in ("gather", "scatter", "scatter-add"):
             return self.moved(step, ins)
         if name == "scan":
-            params = step.params | {"body": _written(step.params["body"])}
+            params = step.params | {"body": _written(step.params["jaxpr"])}
             if all_known:
                 return self.constant(Step("scan", params, ins, step.outs), ins, arrays)
             return self.added("scan", params, ins, step.outs)
@@ -126,9 +114,8 @@ class _Writer:
     def added(
         self, name: str, params: Parameters, ins: list[Value], outs: Sequence[Value]
     ) -> list[Value]:
-        new = [Value(x.shape, x.dtype) for x in outs]
-        self.steps.append(Step(name, params, ins, new))
-        return new
+        self.steps.append(Step(name, params, ins, [*outs]))
+        return [*outs]
 
     def traced(self, function: Function, ins: Sequence[Value]) -> list[Value]:
         """What stands for the results of a function of JAX on these operands; constants stay so."""
@@ -141,9 +128,7 @@ class _Writer:
             )
 
         shapes = [jax.ShapeDtypeStruct(ins[i].shape, ins[i].dtype) for i in free]
-        inner = lowered(jax.make_jaxpr(of_free)(*shapes))
-        self.now.update(zip(inner.ins, [ins[i] for i in free], strict=True))
-        return self.all(inner)
+        return self.inlined(jax.make_jaxpr(of_free)(*shapes), [ins[i] for i in free])
 
     def constant(self, step: Step, ins: list[Value], arrays: list[Known]) -> list[Value]:
         """The results of a step on operands that are these arrays, by JAX if need be."""
@@ -187,7 +172,7 @@ class _Writer:
         params = step.params
         n, m = params["cond_nconsts"], params["body_nconsts"]
         condition, body = (
-            without_dead(_written(lowered(params[key]))) for key in ("cond_jaxpr", "body_jaxpr")
+            without_dead(_written(params[key])) for key in ("cond_jaxpr", "body_jaxpr")
         )
         bound = _bound(condition, body, ins[n + m :], n, m)
         of = {"condition": condition, "body": body, "bound": bound, "of_condition": n}
@@ -221,6 +206,13 @@ def _known(x: Value) -> Known | None:
         re, im = map(_known, x.parts)
         return None if re is None or im is None else np.asarray(re) + 1j * np.asarray(im)
     return x.array if isinstance(x, Const) else None
+
+
+def _in_parts(x: Value) -> Value:
+    """A complex constant as two real ones; others as they are."""
+    if not isinstance(x, Const) or not _complex(x):
+        return x
+    return Pair(Const(np.real(x.array)), Const(np.imag(x.array)))
 
 
 def _complex(x: Value) -> bool:

@@ -104,7 +104,7 @@ class Program:
 
 def flat(closed: ClosedJaxpr) -> Program:
     """The program of a closed jaxpr with calls written out and loops as they are."""
-    return _Lowering(None).program(closed)
+    return Lowering(None).program(closed)
 
 
 def lowered(closed: ClosedJaxpr, least: float = 0) -> Program:
@@ -114,7 +114,7 @@ def lowered(closed: ClosedJaxpr, least: float = 0) -> Program:
         and all that are within another
     Raises Unknown for a loop of more than UNROLLED passes that would have to be written out.
     """
-    return _Lowering(least).program(closed)
+    return Lowering(least).program(closed)
 
 
 def _value(v: Var | Literal) -> Value:
@@ -123,7 +123,7 @@ def _value(v: Var | Literal) -> Value:
     return Value(v.aval.shape, v.aval.dtype)
 
 
-class _Lowering:
+class Lowering:
     """What adds the steps of jaxprs to those of a program.
 
     least: as for `lowered`; None: only calls are written out
@@ -131,15 +131,22 @@ class _Lowering:
 
     def __init__(self, least: float | None):
         self._least = least
-        self._steps: list[Step] = []
-        self._add = partial(_added, self._steps)
+        self.steps: list[Step] = []
 
     def program(self, closed: ClosedJaxpr) -> Program:
         ins = [_value(v) for v in closed.jaxpr.invars]
-        outs = self._inlined(closed, ins)
-        return Program(ins, self._steps, outs)
+        outs = self.inlined(closed, ins)
+        return Program(ins, self.steps, outs)
 
-    def _inlined(self, of: Jaxpr | ClosedJaxpr, ins: Sequence[Value]) -> list[Value]:
+    def one(self, step: Step) -> Sequence[Value]:
+        """What stands for the results of a step, which is added."""
+        if step.name == "scan" and self._least is not None:
+            body = lowered(step.params["jaxpr"], math.inf if self._least else 0)
+            step.params = step.params | {"body": body}
+        self.steps.append(step)
+        return step.outs
+
+    def inlined(self, of: Jaxpr | ClosedJaxpr, ins: Sequence[Value]) -> list[Value]:
         """The results of a jaxpr for these operands; its steps are added."""
         jaxpr = getattr(of, "jaxpr", of)
         known: dict[Var, Value] = {}
@@ -156,43 +163,39 @@ class _Lowering:
             known.update(zip(eqn.outvars, outs, strict=True))
         return [read(v) for v in jaxpr.outvars]
 
-    def _eqn(self, eqn: JaxprEqn, ins: list[Value]) -> list[Value]:
+    def _eqn(self, eqn: JaxprEqn, ins: list[Value]) -> Sequence[Value]:
         name, params = eqn.primitive.name, eqn.params
         primitive: Primitive | None = eqn.primitive
         if name in CALLS:
             names = ("jaxpr", "call_jaxpr", "fun_jaxpr", "call")
-            return self._inlined(next(params[name] for name in names if params.get(name)), ins)
+            return self.inlined(next(params[name] for name in names if params.get(name)), ins)
         if name in SAME:
             return ins
         if name == "custom_linear_solve":  # of whose functions it needs one
             counts = params["const_lengths"]
             first, last = counts.matvec + counts.vecmat, sum(counts)
             own = ins[first : first + counts.solve]
-            return self._inlined(params["jaxprs"].solve, [*own, *ins[last:]])
+            return self.inlined(params["jaxprs"].solve, [*own, *ins[last:]])
         if name == "platform_index":
             of = params["platforms"]
             here = next(i for i, names in enumerate(of) if names is None or "cpu" in names)
             return [Const(np.asarray(here, _value(eqn.outvars[0]).dtype))]
         if name == OBJECT:
-            return self._inlined(_expanded(eqn), ins)
+            return self.inlined(_expanded(eqn), ins)
         if name == "ruled":
             like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in ins]
-            return self._inlined(jax.make_jaxpr(params["value"])(like), ins)
+            return self.inlined(jax.make_jaxpr(params["value"])(like), ins)
         if name == "scan" and (params["length"] == 1 or params["length"] < (self._least or 0)):
             return self._passes(params, ins)
-        if self._least is not None and name == "scan":
-            body = lowered(params["jaxpr"], math.inf if self._least else 0)
-            of = {key: params[key] for key in ("length", "reverse", "jaxpr")}
-            params = of | _counts(params) | {"body": body}
-            primitive = None
-        elif self._least is not None:
+        if self._least is not None:
             if name == "cond":
                 return self._both(params["branches"], ins)
             if (simple := written(name, params, ins)) is not None:
-                return self._inlined(simple, ins)
-        outs = [_value(v) for v in eqn.outvars]
-        self._steps.append(Step(name, params, ins, outs, primitive))
-        return outs
+                return self.inlined(simple, ins)
+            if name == "scan":
+                of = {key: params[key] for key in ("length", "reverse", "jaxpr")}
+                params, primitive = of | _counts(params), None
+        return self.one(Step(name, params, ins, [*map(_value, eqn.outvars)], primitive))
 
     def _passes(self, params: Parameters, ins: list[Value]) -> list[Value]:
         """The results of a scan whose passes are written one after another."""
@@ -202,22 +205,38 @@ class _Lowering:
         state, rows = ins[consts : consts + carry], ins[consts + carry :]
         kept: list[list[Value]] = []
         for i in range(length)[:: -1 if params["reverse"] else 1]:
-            now = [_row(self._add, x, i) for x in rows]
-            found = self._inlined(params["jaxpr"], [*ins[:consts], *state, *now])
+            now = [self._row(x, i) for x in rows]
+            found = self.inlined(params["jaxpr"], [*ins[:consts], *state, *now])
             state = found[:carry]
             kept.append(found[carry:])
         kept = kept[::-1] if params["reverse"] else kept
         stacked = [
-            self._add("concatenate", [_reshaped(self._add, x, (1, *x.shape)) for x in column],
+            self._add("concatenate", [self.reshaped(x, (1, *x.shape)) for x in column],
                       (length, *column[0].shape), dimension=0)
             for column in zip(*kept, strict=True)
         ]  # fmt: skip
         return [*state, *stacked]
 
+    def _row(self, x: Value, i: int) -> Value:
+        start, limit = (i, *(0 for _ in x.shape[1:])), (i + 1, *x.shape[1:])
+        part = self._add("slice", [x], (1, *x.shape[1:]), start_indices=start, limit_indices=limit,
+                         strides=None)  # fmt: skip
+        return self.reshaped(part, x.shape[1:])
+
+    def reshaped(self, x: Value, shape: Sequence[int]) -> Value:
+        return self._add("reshape", [x], shape, new_sizes=tuple(shape), dimensions=None,
+                         sharding=None)  # fmt: skip
+
+    def _add(self, name: str, ins: list[Value], shape: Sequence[int],
+             dtype: np.dtype | None = None, **params: object) -> Value:  # fmt: skip
+        """The result of a step that is added; its primitive is that of `jax.lax`."""
+        out = Value(shape, ins[0].dtype if dtype is None else dtype)
+        return self.one(Step(name, params, ins, [out], getattr(lax, f"{name}_p")))[0]
+
     def _both(self, branches: Sequence[ClosedJaxpr], ins: list[Value]) -> list[Value]:
         """The results of a choice, of which all branches are computed, for they have no effects."""
         index, operands = ins[0], ins[1:]
-        found = [self._inlined(of, operands) for of in branches]
+        found = [self.inlined(of, operands) for of in branches]
         if isinstance(index, Const):
             return found[int(np.clip(index.array, 0, len(branches) - 1))]
         outs = found[-1]
@@ -242,25 +261,6 @@ def _counts(params: Parameters) -> dict[str, int]:
         return {"consts": params["num_consts"], "carry": params["num_carry"]}
     consts, carry, _ = params["ft_in"].unpack()  # JAX 0.12
     return {"consts": len(consts), "carry": len(carry)}
-
-
-def _added(steps: list[Step], name: str, ins: list[Value], shape: Sequence[int],
-           dtype: np.dtype | None = None, **params: object) -> Value:  # fmt: skip
-    """The result of a step that is added; its primitive is that of `jax.lax`."""
-    out = Value(shape, ins[0].dtype if dtype is None else dtype)
-    steps.append(Step(name, params, ins, [out], getattr(lax, f"{name}_p")))
-    return out
-
-
-def _row(add: Callable[..., Value], x: Value, i: int) -> Value:
-    start, limit = (i, *(0 for _ in x.shape[1:])), (i + 1, *x.shape[1:])
-    part = add("slice", [x], (1, *x.shape[1:]), start_indices=start, limit_indices=limit,
-               strides=None)  # fmt: skip
-    return _reshaped(add, part, x.shape[1:])
-
-
-def _reshaped(add: Callable[..., Value], x: Value, shape: Sequence[int]) -> Value:
-    return add("reshape", [x], shape, new_sizes=tuple(shape), dimensions=None, sharding=None)
 
 
 def loops(program: Program) -> Iterator[Step]:
@@ -462,14 +462,14 @@ def of_trials(
     found: list[tuple[list[Step], Step]] = []
     before: list[Step] = []
     steps = without_dead(program).steps
-    nested = [step for step in steps if step.name == "scan" and _has_loop(step)]
+    nested = [step for step in steps if step.name == "scan" and _has_loop(step.params["jaxpr"])]
     kept = [step for number, step in enumerate(nested) if number not in left]
     for at, step in enumerate(steps):
         if step not in kept:
             before.append(step)
             continue
         read_later = {x for later in steps[at + 1 :] for x in later.ins} | {*program.outs}
-        whole, shaped = _as_one(step, partial(_added, before)) or (step, [])
+        whole, shaped = _as_one(step, before) or (step, [])
         shaped = [one for one in shaped if one.outs[0] in read_later]
         read_later |= {one.ins[0] for one in shaped}
         params = whole.params
@@ -496,14 +496,11 @@ def in_order(step: Step) -> bool:
                          "concatenate")  # fmt: skip
 
 
-def _has_loop(step: Step) -> bool:
-    def within(jaxpr: Jaxpr | ClosedJaxpr) -> bool:
-        return any(
-            eqn.primitive.name == "scan" or any(map(within, jaxprs_within(eqn)))
-            for eqn in jaxpr.eqns
-        )
-
-    return within(step.params["jaxpr"])
+def _has_loop(jaxpr: Jaxpr | ClosedJaxpr) -> bool:
+    return any(
+        eqn.primitive.name == "scan" or any(map(_has_loop, jaxprs_within(eqn)))
+        for eqn in jaxpr.eqns
+    )
 
 
 def jaxprs_within(eqn: JaxprEqn) -> Iterator[Jaxpr | ClosedJaxpr]:
@@ -515,7 +512,7 @@ def jaxprs_within(eqn: JaxprEqn) -> Iterator[Jaxpr | ClosedJaxpr]:
                 yield one
 
 
-def _as_one(step: Step, add: Callable[..., Value]) -> tuple[Step, list[Step]] | None:
+def _as_one(step: Step, before: list[Step]) -> tuple[Step, list[Step]] | None:
     """A loop over blocks as one over all trials, and the steps that shape its results.
 
     None for a loop that does more than to run an inner one. The steps that shape its operands are
@@ -529,7 +526,7 @@ def _as_one(step: Step, add: Callable[..., Value]) -> tuple[Step, list[Step]] | 
     within, of_inner = _counts(inner.params).values()
     if of_inner != carry or inner.params["reverse"]:
         return None
-    if body.outs != inner.outs or not _has_loop(inner):
+    if body.outs != inner.outs or not _has_loop(inner.params["jaxpr"]):
         return None
     place = {x: i for i, x in enumerate(body.ins)}
     source = [x if isinstance(x, Const) else place[x] for x in inner.ins]
@@ -542,9 +539,11 @@ def _as_one(step: Step, add: Callable[..., Value]) -> tuple[Step, list[Step]] | 
         return None
     trials = step.params["length"] * inner.params["length"]
     ins = [i if isinstance(i, Const) else step.ins[i] for i in source[: within + carry]]
+    shaping = Lowering(None)
     for i in rows:
         x = step.ins[i]
-        ins.append(_reshaped(add, x, (trials, *x.shape[2:])))
+        ins.append(shaping.reshaped(x, (trials, *x.shape[2:])))
+    before += shaping.steps
     shaped: list[Step] = []
     outs = list(step.outs[:carry])
     for x in step.outs[carry:]:
