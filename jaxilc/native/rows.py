@@ -74,7 +74,7 @@ class Row:
     @property
     def of_one(self) -> tuple[int, ...]:
         """The shape of one row."""
-        return (*self.shape[: self.axis], 1, *self.shape[self.axis + 1 :])
+        return _with(self.shape, self.axis, 1)
 
 
 class Stored(Row):
@@ -401,16 +401,16 @@ class Trials:
             return self._scan(step, [self.value(x) for x in step.ins])
         if len(step.outs) != 1:
             raise Unknown(step.name)
-        operands, out = [self.value(x) for x in step.ins], step.outs[0]
-        self._known[out] = self._result(step, operands, out)
+        self._known[step.outs[0]] = self._result(step, [self.value(x) for x in step.ins])
         return None
 
-    def _result(self, step: Step, operands: list[Item], out: Value) -> Item:
-        axis, rows = self.axis_of(out.shape), [x for x in operands if isinstance(x, Row)]
+    def _result(self, step: Step, operands: list[Item]) -> Item:
+        out, rows = step.outs[0], [x for x in operands if isinstance(x, Row)]
+        axis = self.axis_of(out.shape)
         if not math.prod(out.shape) and axis is None:
             return np.empty(out.shape, object)
         if not rows:
-            return self._from_small(step, [*map(small, operands)], out, axis)
+            return self._from_small(step, [*map(small, operands)], axis)
         row = rows[0]
         if step.name not in HANDLED and not known(step.name):
             raise Unknown(step.name)
@@ -423,15 +423,15 @@ class Trials:
         if step.name == "gather":
             sizes = {"slice_sizes": _with(step.params["slice_sizes"], row.axis, 1)}
             step = Step("gather", step.params | sizes, step.ins, step.outs, lax.gather_p)
-        shape = (*out.shape[:axis], 1, *out.shape[axis + 1 :])
+        shape = _with(out.shape, axis, 1)
         return Computed(out.shape, axis, out.dtype,
                         lambda *arrays: applied(self.n, step, arrays, shape), operands)  # fmt: skip
 
-    def _from_small(self, step: Step, operands: list[Array], out: Value,
-                    axis: int | None) -> Item:  # fmt: skip
+    def _from_small(self, step: Step, operands: list[Array], axis: int | None) -> Item:
         if axis is None:
             return applied(self.n, step, operands)
-        shape = (*out.shape[:axis], 1, *out.shape[axis + 1 :])
+        out = step.outs[0]
+        shape = _with(out.shape, axis, 1)
         if step.name == "iota":
             if step.params["dimension"] == axis:
                 return Count(out.shape, axis, out.dtype)
@@ -543,7 +543,7 @@ def _slice(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     if last - first < of.shortest:
         picked = np.concatenate([_Picked(of).row(row, 0, i) for i in range(first, last)], row.axis)
         return applied(of.n, of_channels, [picked])
-    return of._result(of_channels, [_some(row, row.axis, first, last)], step.outs[0])
+    return of._result(of_channels, [_some(row, row.axis, first, last)])
 
 
 def _with(values: Sequence[int], at: int, value: int) -> tuple[int, ...]:
@@ -741,20 +741,17 @@ def _rev(of: Trials, step: Step, operands: list[Item]) -> Item | None:
 
 def _gather(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     """Rows put together to one, where the samples are among the axes of a reduction."""
-    row = rows_of(operands[0])
-    if row.axis not in step.params["axes"]:
-        return None
-    out = step.outs[0]
-    return _gathered(of, GATHERED[step.name], row, out,
-                     lambda x: applied(of.n, step, [x], out.shape), [row])  # fmt: skip
+    inside = rows_of(operands[0]).axis in step.params["axes"]
+    return _gathered(of, step, GATHERED[step.name], operands) if inside else None
 
 
-def _gathered(of: Trials, name: str, row: Row, out: Value, function: Callable[..., Array],
-              operands: Sequence[Item]) -> Array:  # fmt: skip
+def _gathered(of: Trials, step: Step, name: str, operands: list[Item]) -> Array:
+    """The results of a step for each sample, put together by an operation."""
+    row, out = next(x for x in operands if isinstance(x, Row)), step.outs[0]
+
     def of_row(*arrays: Array) -> Array:
-        return function(*arrays).reshape(shape)
+        return applied(of.n, step, arrays, out.shape).reshape(1, *out.shape)
 
-    shape = (1, *out.shape)
     one = Computed((row.length, *out.shape), 0, out.dtype, of_row, operands)
     begin = np.full(out.shape, of.n.const(neutral(name, out.dtype), out.dtype), object)
     sum_, x, more = (Value(out.shape, out.dtype) for _ in range(3))
@@ -829,11 +826,9 @@ def _dot(of: Trials, step: Step, operands: list[Item]) -> Item | None:
         contracted[0].index(rows[0][0].axis) != contracted[1].index(rows[1][0].axis)
     ):  # fmt: skip
         raise Unknown("dot_general of samples and something else")
-    out = step.outs[0]
-    if of.axis_of(out.shape) is not None:
+    if of.axis_of(step.outs[0].shape) is not None:
         raise Unknown("dot_general over samples, for each sample")
-    return _gathered(of, "add", rows[0][0], out,
-                     lambda *x: applied(of.n, step, x, out.shape), operands)  # fmt: skip
+    return _gathered(of, step, "add", operands)
 
 
 def _convolved(of: Trials, step: Step, operands: list[Item]) -> Item | None:
