@@ -299,8 +299,8 @@ class Code:
             raise Unknown(f"LLVM refuses the program: {error}".replace("\n", " ")) from error
         module.triple, module.data_layout = machine.triple, str(machine.target_data)
         module.verify()
-        place = _place(key_of(text))
-        known = None if place is None else _kept(place)
+        key = key_of(text)
+        known = _kept(key)
         if known is None:
             options = llvm.create_pipeline_tuning_options(speed_level=2)
             options.loop_vectorization = options.slp_vectorization = False
@@ -310,10 +310,7 @@ class Code:
             if function.is_declaration and not function.name.startswith("llvm."):
                 llvm.add_symbol(function.name, address_of(function.name))
         self._engine = llvm.create_mcjit_compiler(module, machine)
-        if place is not None:
-            self._engine.set_object_cache(
-                lambda _, compiled: _keep(place, compiled), lambda _: known
-            )
+        self._engine.set_object_cache(lambda _, compiled: _keep(key, compiled), lambda _: known)
         self._engine.finalize_object()
 
     def register(self, name: str) -> None:
@@ -347,15 +344,12 @@ def of_compiler() -> str:
 
 def agreed(key: str) -> bool:
     """Whether a process noted that the program of this key agrees with XLA."""
-    place = _place(key)
-    return place is not None and _kept(place) == AGREED
+    return _kept(key) == AGREED
 
 
 def agree(key: str) -> None:
     """Note that the program of this key agrees with XLA, where JAX keeps its programs on disk."""
-    place = _place(key)
-    if place is not None:
-        _keep(place, AGREED)
+    _keep(key, AGREED)
 
 
 def _folder() -> str | None:
@@ -364,11 +358,14 @@ def _folder() -> str | None:
     return jax.config.jax_compilation_cache_dir if kept else None
 
 
-def _kept(place: Path) -> bytes | None:
-    """The machine code of a file; None where there is none, or not what was written under its name.
+def _kept(key: str) -> bytes | None:
+    """What is kept under a key; None where nothing is, or not what was written under its name.
 
     Machine code that was damaged, or exchanged for another, would do anything.
     """
+    place = _place(key)
+    if place is None:
+        return None
     try:
         found = place.read_bytes()
     except OSError:
@@ -376,10 +373,12 @@ def _kept(place: Path) -> bytes | None:
     return found[32:] if found[:32] == seal(place.name, found[32:]) else None
 
 
-def _keep(place: Path, compiled: bytes) -> None:
+def _keep(key: str, compiled: bytes) -> None:
     """Write machine code at once or not at all."""
+    place = _place(key)
     with suppress(OSError):
-        atomically(place, lambda file: file.write(seal(place.name, compiled) + compiled))
+        if place is not None:
+            atomically(place, lambda file: file.write(seal(place.name, compiled) + compiled))
 
 
 def in_vectors(lanes: int, size: int, name: str, operands: int) -> str | None:

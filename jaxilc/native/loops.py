@@ -186,20 +186,20 @@ class Memories(NamedTuple):
         shaping: dict[Step, Value] = {}
         read: dict[Value, set[tuple[int, int]]] = {x: set() for x in origin}
         elsewhere = set[Value]()
-        later = [*parts[there + 1 :], (rest, None)]
+        end = Step("end", {"consts": len(outs), "carry": 0}, [*outs], [])
+        later = [*parts[there + 1 :], (rest, end)]
         for number, (before, way) in enumerate(later, there + 1):
             for step in before:
                 if in_order(step) and step.ins[0] in origin:
                     shaping[step] = origin[step.outs[0]] = origin[step.ins[0]]
                 else:
                     elsewhere |= {origin[x] for x in step.ins if x in origin}
-            rows = 0 if way is None else way.params["consts"] + way.params["carry"]
-            for i, x in enumerate(() if way is None else way.ins):
+            rows = way.params["consts"] + way.params["carry"]
+            for i, x in enumerate(way.ins):
                 if x in origin and i >= rows and x.shape == origin[x].shape:
                     read[origin[x]].add((number, i))
                 elif x in origin:
                     elsewhere.add(origin[x])
-        elsewhere |= {origin[x] for x in outs if x in origin}
         backs = {number for x, of in read.items() if x not in elsewhere for number, _ in of}
         for back in sorted(backs):
             way = parts[back][1]

@@ -790,12 +790,9 @@ def _anywhere(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[i
     """
     x, index, name, params = arrays[0], arrays[unknown[0]], step.name, step.params
     refused = f"{name} at places that are found while it runs"
-    if name == "dynamic_slice" and len(unknown) == 1:
-        axes, windows, wide = (unknown[0] - 1,), range(x.ndim), shape
-        sizes = params["slice_sizes"]
-    elif name == "dynamic_update_slice" and len(unknown) == 1:
-        axes, windows, wide = (unknown[0] - 2,), range(x.ndim), shape
-        sizes = arrays[1].shape
+    if name.startswith("dynamic") and len(unknown) == 1:
+        axes, windows, wide = (unknown[0] - len(arrays) + x.ndim,), range(x.ndim), shape
+        sizes = params["slice_sizes"] if name == "dynamic_slice" else arrays[1].shape
     elif name == "gather" and not (of := params["dimension_numbers"]).operand_batching_dims:
         axes, windows, wide = of.start_index_map, of.offset_dims, shape
         sizes = params["slice_sizes"]
