@@ -2,6 +2,7 @@
 
 import base64
 import gc
+import logging
 import os
 import threading
 from pathlib import Path
@@ -39,6 +40,7 @@ from turns import drawn  # noqa: E402
 
 from jaxilc import figures  # noqa: E402
 from jaxilc.learning import Machine  # noqa: E402
+from jaxilc.storage import files  # noqa: E402
 from jaxilc.sweeps import host  # noqa: E402
 from jaxilc.tuning import Tuning  # noqa: E402
 
@@ -173,6 +175,13 @@ def compiled_once(tmp_path_factory):
     for name, value in before.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
+
+
+@pytest.fixture
+def quickly_and_quietly(monkeypatch, caplog):
+    """Wait for no disk, since only a power failure loses written data; show errors alone."""
+    monkeypatch.setattr(files.os, "fsync", lambda _: None)
+    caplog.set_level(logging.ERROR, "jaxilc")
 
 
 @pytest.fixture

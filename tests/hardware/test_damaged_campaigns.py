@@ -6,7 +6,6 @@ A trial that was measured once is also counted once.
 import contextlib
 import functools
 import json
-import logging
 import shutil
 import sys
 from pathlib import Path
@@ -21,16 +20,9 @@ from fuzz import damaged, dumped, flipped, fuzz, pick, refusal
 from jaxilc.hardware import Campaign, Journal, Measured, Rules
 from jaxilc.hardware import campaign as of_campaign
 from jaxilc.hardware.checks import ACCEPTED
-from jaxilc.storage import files
 from jaxilc.storage.sealed import archive, json_text, read_arrays, sealed
 
-
-@pytest.fixture(autouse=True)
-def quickly_and_quietly(monkeypatch, caplog):
-    # Only a power failure loses written data, so a test of kills need not wait for the disk.
-    monkeypatch.setattr(files.os, "fsync", lambda _: None)
-    caplog.set_level(logging.ERROR, "jaxilc")
-
+pytestmark = pytest.mark.usefixtures("quickly_and_quietly")
 
 _, SCHEME, TASK = case("p_type")
 RULES = Rules(accept=ACCEPTED)  # the trials below are no machine's

@@ -9,13 +9,12 @@ import pytest
 import xarray as xr
 from cases import case
 from crash_points import recorded
-from gain_case import PROBLEM
+from gain_case import PROBLEM, assert_same_tuned
 from store_case import filled
 from sweep_case import PLAN
 
 from jaxilc.hardware import Campaign, Measured, Rules
 from jaxilc.hardware.checks import ACCEPTED
-from jaxilc.storage import files
 from jaxilc.storage.files import UNFINISHED
 from jaxilc.sweeps import Sweep, open_dataset
 from jaxilc.tuning import Tuning, trade_off
@@ -23,12 +22,6 @@ from jaxilc.tuning import Tuning, trade_off
 
 def nothing_left_over(folder):
     return not list(folder.rglob(f"*{UNFINISHED}*"))
-
-
-@pytest.fixture
-def without_waiting(monkeypatch):
-    """Let nothing wait for the disk: only a power failure loses written data."""
-    monkeypatch.setattr(files.os, "fsync", lambda _: None)
 
 
 def test_a_state_is_of_one_moment(tmp_path, monkeypatch):
@@ -53,7 +46,7 @@ def test_a_state_is_of_one_moment(tmp_path, monkeypatch):
 
 
 @pytest.mark.thorough
-def test_a_store_is_filled_from_every_state_of_its_folder(tmp_path, without_waiting):
+def test_a_store_is_filled_from_every_state_of_its_folder(tmp_path, quickly_and_quietly):
     with recorded(tmp_path / "out", tmp_path) as states:
         whole, written = filled(tmp_path / "out" / "store.zarr")
     assert written == [0, 1]
@@ -70,7 +63,7 @@ def test_a_store_is_filled_from_every_state_of_its_folder(tmp_path, without_wait
 
 
 @pytest.mark.thorough
-def test_a_sweep_resumes_from_states_of_its_folder(tmp_path, without_waiting, monkeypatch):
+def test_a_sweep_resumes_from_states_of_its_folder(tmp_path, quickly_and_quietly, monkeypatch):
     small = dataclasses.replace(
         PLAN, schemes={"feedback": PLAN.schemes["feedback"]}, machines=5, chunk=3, keep=(), trials=2
     )
@@ -83,14 +76,6 @@ def test_a_sweep_resumes_from_states_of_its_folder(tmp_path, without_waiting, mo
         assert nothing_left_over(state)
 
 
-def assert_equal(one, other):
-    for field in dataclasses.fields(one):
-        if field.name != "scheme":
-            jax.tree.map(
-                np.testing.assert_array_equal, getattr(one, field.name), getattr(other, field.name)
-            )
-
-
 @pytest.mark.thorough
 def test_a_tuning_resumes_from_every_state_of_its_folder(tmp_path):
     problem = dataclasses.replace(PROBLEM, steps=3)
@@ -98,7 +83,7 @@ def test_a_tuning_resumes_from_every_state_of_its_folder(tmp_path):
         whole = problem.run(tmp_path / "out" / "state")
     assert len(states) > 20
     for state in states:
-        assert_equal(problem.run(state / "state", resume=True), whole)
+        assert_same_tuned(problem.run(state / "state", resume=True), whole)
         assert nothing_left_over(state)
 
 
@@ -115,11 +100,11 @@ def test_a_trade_off_resumes_from_every_state_of_its_folder(tmp_path, monkeypatc
     for state in states:
         resumed = trade_off.by_trials(problem, (2, 3), state / "state", resume=True)
         for J in (2, 3):
-            assert_equal(resumed[J], whole[J])
+            assert_same_tuned(resumed[J], whole[J])
 
 
 @pytest.mark.thorough
-def test_a_campaign_goes_on_from_every_state_of_its_folder(tmp_path, without_waiting):
+def test_a_campaign_goes_on_from_every_state_of_its_folder(tmp_path, quickly_and_quietly):
     _, scheme, task = case("p_type")
     measured = [
         Measured(

@@ -5,7 +5,6 @@ Whatever bit is changed, and whatever is cut off or missing, no number changes w
 
 import dataclasses
 import itertools
-import logging
 import os
 import shutil
 
@@ -24,12 +23,7 @@ from jaxilc.storage import files
 from jaxilc.sweeps import Sweep
 from jaxilc.sweeps.store import DONE, Store
 
-
-@pytest.fixture(autouse=True)
-def quickly_and_quietly(monkeypatch, caplog):
-    # Only a power failure loses written data, so a test of kills need not wait for the disk.
-    monkeypatch.setattr(files.os, "fsync", lambda _: None)
-    caplog.set_level(logging.ERROR, "jaxilc")
+pytestmark = pytest.mark.usefixtures("quickly_and_quietly")
 
 
 def test_a_flipped_bit_in_a_store_is_refused_or_computed_again(tmp_path):

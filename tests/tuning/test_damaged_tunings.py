@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import logging
 import shutil
 
 import numpy as np
@@ -10,16 +9,10 @@ import pytest
 from fuzz import damaged, dumped, files_of, flipped, fuzz, pick
 from gain_case import PROBLEM, Killed, assert_same_tuned, kill_after
 
-from jaxilc.storage import files
 from jaxilc.storage.sealed import archive, read_arrays
 from jaxilc.tuning.descent import Folder
 
-
-@pytest.fixture(autouse=True)
-def quickly_and_quietly(monkeypatch, caplog):
-    # Only a power failure loses written data, so a test of kills need not wait for the disk.
-    monkeypatch.setattr(files.os, "fsync", lambda _: None)
-    caplog.set_level(logging.ERROR, "jaxilc")
+pytestmark = pytest.mark.usefixtures("quickly_and_quietly")
 
 
 @pytest.fixture(scope="module")
