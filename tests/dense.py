@@ -1,6 +1,8 @@
-"""The lifted matrix of a linear model, against which recursions are tested."""
+"""The lifted matrices of linear models, against which recursions are tested."""
 
 import numpy as np
+import scipy.linalg
+import scipy.signal
 
 
 def lifted(model, N, C=None):
@@ -18,3 +20,14 @@ def lifted(model, N, C=None):
             X = A[i] @ X if i > k else X
             H[i, :, k] = C[i] @ X
     return H.reshape(N * C.shape[1], -1)
+
+
+def lifted_difference(a, b, N):
+    """Return the matrix (N, N) from u to y[1..N], by SciPy's filter of a difference equation."""
+    h = scipy.signal.lfilter(b, [1.0, *np.negative(a)], np.eye(N)[0])
+    return scipy.linalg.toeplitz(h, np.zeros(N))
+
+
+def relative(found, expected):
+    """Return the largest difference as a share of the largest number that is expected."""
+    return np.max(np.abs(np.asarray(found) - expected)) / np.max(np.abs(expected))

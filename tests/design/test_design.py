@@ -5,8 +5,8 @@ import json
 
 import numpy as np
 import pytest
-import scipy.linalg
 import scipy.signal
+from dense import lifted
 
 from jaxilc import Machine, Task, Uniform
 from jaxilc.design import Design, feedback_among
@@ -18,7 +18,6 @@ from jaxilc.design.candidates import (
     best_simulated,
     candidates,
     contraction,
-    impulse_response,
     rms_of,
 )
 from jaxilc.design.judging import Question, judged_trials, limits_of, ranked, verdict
@@ -166,7 +165,7 @@ def test_the_model_inverse_also_learns_at_the_end_of_the_trial(family, safe):
     """With the inverse cut off at the end before Q smooths it, eigenvalues above 1.3 arise."""
     law = learning_law(safe["model-inverse"].scheme, TASK)
     for loop in (family.loops[0], family.loops[-1]):
-        G = scipy.linalg.toeplitz(impulse_response(loop, N), np.zeros(N))
+        G = lifted(loop, N)
         assert np.max(np.abs(np.linalg.eigvals(law.keep - law.L @ G))) < 0.99
 
 

@@ -14,9 +14,8 @@ import numpy as np
 import optax
 import pytest
 import scipy.integrate
-import scipy.linalg
-import scipy.optimize
-from cases import DIFFERENCES, SCHEMES, case
+from cases import DIFFERENCES, PLANTS, SCHEMES, case
+from dense import lifted
 from gain_case import PROBLEM, STATIC, TASK, N
 
 from jaxilc import schemes
@@ -296,15 +295,11 @@ def test_forward_slopes_of_a_batch_are_those_of_its_members():
 
 @pytest.mark.thorough
 def test_contraction_and_its_slope_equal_those_of_the_dense_matrix():
-    A, B, C = np.array([[0.9, 0.1], [-0.2, 0.8]]), np.array([[0.01], [0.1]]), np.array([[1.0, 0.5]])
-    machine = Machine(StateSpace(A, B, C, dt=1e-3))
-    markov = [(C @ np.linalg.matrix_power(A, k) @ B)[0, 0] for k in range(N)]
+    machine = Machine(PLANTS["discrete"])
+    G = lifted(machine.plant, N)
 
     def dense(gamma):
-        return np.log(
-            np.linalg.svd(np.eye(N) - gamma * scipy.linalg.toeplitz(markov, np.zeros(N)))[1][0]
-            / 0.5
-        )
+        return np.log(np.linalg.norm(np.eye(N) - gamma * G, 2) / 0.5)
 
     def margin(gamma):
         return judge(machine, PIDType(gamma_p=gamma), TASK, 1, Contraction(below=0.5, steps=N))

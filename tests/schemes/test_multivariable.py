@@ -15,6 +15,7 @@ import pytest
 import scipy.linalg
 import scipy.signal
 from cases import ALGEBRA, DRIVE, DT
+from dense import relative
 
 from jaxilc.filters import inverse, output_ratio
 from jaxilc.learning import Actuator, Keep, Machine, learn, measured_trial
@@ -226,10 +227,6 @@ def direct(model=MODEL, **weights):
 def multivariable(model=MODEL, **weights):
     learning = NormOptimal(multivariable_model(GAIN, model), **WEIGHTS | weights)
     return MultivariableILC(learning, PID(kp=GAIN), prefilter=INVERSE)
-
-
-def relative(found, expected):
-    return np.max(np.abs(np.asarray(found) - expected)) / np.max(np.abs(expected))
 
 
 class Played(NamedTuple):

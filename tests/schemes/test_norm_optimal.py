@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 from cases import DT, PLANTS
-from dense import lifted
+from dense import lifted, relative
 
 from jaxilc.learning import Machine, learn
 from jaxilc.plants import StateSpace, TimeVaryingStateSpace
@@ -68,10 +68,6 @@ def next_input(scheme, H, e, u):
 
 def signals(trial):
     return trial.e[1:], trial.u
-
-
-def relative(found, expected):
-    return np.max(np.abs(np.asarray(found) - expected)) / np.max(np.abs(expected))
 
 
 @pytest.mark.thorough

@@ -9,8 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.linalg
-import scipy.signal
+from dense import lifted, lifted_difference
 
 import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Sensor, Task
@@ -53,12 +52,6 @@ def dynamic_machine(a=ARX[0], b=ARX[1]):
     return Machine(DifferenceEquation(jnp.stack(a), jnp.stack(b), dt=DT))
 
 
-def trial_matrix(a, b):
-    """Return G of y[1..N] = G u, by scipy's filter of the difference equation."""
-    h = scipy.signal.lfilter(b, [1.0, *np.negative(a)], np.eye(N)[0])
-    return scipy.linalg.toeplitz(h, np.zeros(N))
-
-
 def window_rows(G, k, L_y, L_u):
     """Return the rows that make D H(k) of D u: past outputs, then inputs from u(k) on."""
     rows = [G[k - 1 - i] if k - 1 - i >= 0 else np.zeros(len(G)) for i in range(L_y)]
@@ -88,7 +81,7 @@ def signals(machine, scheme, trials, task=TASK):
 @pytest.mark.parametrize(("L_y", "L_u"), [(0, 1), (0, 3), (1, 1), (2, 2), (3, 1)])
 def test_the_pseudo_gradient_is_the_best_fit_to_the_rows_of_the_trial_map(L_y, L_u):
     found = pseudo_gradient_of(dynamic_machine(), TASK, L_y=L_y, L_u=L_u)
-    G = trial_matrix(*ARX)
+    G = lifted_difference(*ARX, N)
     np.testing.assert_allclose(found.total, np.sum(G**2, axis=1), rtol=1e-10)
     for k in (0, 1, 3, 20, N - 1):
         W = window_rows(G, k, L_y, L_u)
@@ -212,7 +205,7 @@ def test_in_single_precision_a_small_reaction_to_earlier_inputs_leaves_nothing_c
 def test_d2_is_the_spectral_radius_of_the_frozen_law_and_sigma_its_growth(a, b):
     scheme = dataclasses.replace(SCHEME, phi0=0.5 * b[0])
     phi0 = float(scheme.phi0)
-    E = np.eye(N) - trial_matrix(a, b) * (0.8 * phi0 / (0.5 + phi0**2))
+    E = np.eye(N) - lifted_difference(a, b, N) * (0.8 * phi0 / (0.5 + phi0**2))
     machine = dynamic_machine(a, b)
     bounds = bounds_of(machine, scheme, TASK)
     np.testing.assert_allclose(bounds.radius, np.max(np.abs(np.diag(E))), rtol=1e-12)
@@ -377,13 +370,12 @@ def test_a_gain_that_varies_along_the_trial_has_an_interval_and_its_bound_holds(
 
 
 def test_the_rows_of_a_plant_that_varies_are_those_of_its_trial_map():
-    gains, G = 1.0 + 0.4 * np.sin(np.arange(N) / 5.0), np.zeros((N, N))
-    for i in range(N):
-        G[i:, i] = gains[i] * 0.6 ** np.arange(N - i)
-    found = pseudo_gradient_of(varying(gains, 0.6), TASK)
+    gains = 1.0 + 0.4 * np.sin(np.arange(N) / 5.0)
+    machine = varying(gains, 0.6)
+    found, G = pseudo_gradient_of(machine, TASK), lifted(machine.plant, N)
     np.testing.assert_allclose(found.Phi[:, 0], gains, rtol=1e-12)
     np.testing.assert_allclose(found.rest, np.sum(np.tril(G, -1) ** 2, axis=1), rtol=1e-10)
-    one = pseudo_gradient_of(varying(gains, 0.6), TASK, L_y=1)
+    one = pseudo_gradient_of(machine, TASK, L_y=1)
     assert np.max(np.asarray(one.rest)) < 1e-10, "y(k+1) = 0.6 y(k) + gain u(k)"
 
 

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 import pytest
 import scipy.linalg
+from dense import lifted_difference
 
 import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Task, Uniform
@@ -52,22 +53,14 @@ def sentence(found, trials=10):
     return certificate_sentence("scheme", trials, numbers, 1.0, "mm")
 
 
-def dense_error_map(machine, gain):
-    """Return I - gain G, with G the Toeplitz matrix of the impulse response."""
-    a, b = float(machine.plant.a[0]), float(machine.plant.b[0])
-    g = b * a ** np.arange(N)
-    return np.eye(N) - gain * scipy.linalg.toeplitz(g, np.zeros(N))
-
-
 def test_a_monotone_claim_has_the_dense_singular_value_and_is_kept():
     found = certified(FIRST_ORDER, PIDType(gamma_p=0.8), 15, B)
     assert set(found.claim) == {"monotone"}
     assert np.all(found.of_error)
     assert set(found.observed) == set(found.expected) == {"falls"}
     assert not len(found.broken_promises())
-    np.testing.assert_allclose(
-        found.sigma[0], np.linalg.norm(dense_error_map(FIRST_ORDER, 0.8), 2), rtol=1e-9
-    )
+    error_map = np.eye(N) - 0.8 * lifted_difference((0.7,), (0.3,), N)
+    np.testing.assert_allclose(found.sigma[0], np.linalg.norm(error_map, 2), rtol=1e-9)
     assert np.all(found.simulated[:, 1:] <= found.sigma[:, None] * found.simulated[:, :-1])
     np.testing.assert_allclose(found.predicted, found.simulated, rtol=1e-9)
     np.testing.assert_array_equal(found.floor, 0.0)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.stats
+from dense import lifted
 
 from jaxilc.learning import Machine
 from jaxilc.learning.machine import Actuator, Disturbance, Sensor
@@ -302,7 +303,7 @@ def test_five_in_a_hundred_late_trials_have_more_error_than_is_told(kind):
     )
     found = long_run(drawn_machines(machine, {}, {}), PIDType(gamma_p=gain, leak=leak), TASK)
     rng, r = np.random.default_rng(8), np.asarray(TASK.reference)[1:, 0]
-    G = np.array([[0.5 ** (i - k + 1) * (i >= k) for k in range(N)] for i in range(N)])
+    G = lifted(LAGS, N)
     acts = 0.5 ** np.arange(1, N + 1)[:, None] if scatters else G
     u = np.zeros((seeds, N))
     for _ in range(60):

@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 import scipy.linalg
-import scipy.signal
 from cases import ARX, DT, PLANTS, task_for
+from dense import lifted_difference
 
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Actuator, Disturbance, Machine, Sensor, learn
@@ -22,12 +22,6 @@ from jaxilc.theory.trials import played
 N = 40
 ARX_MACHINE, TASK = Machine(PLANTS["arx"]), task_for(PLANTS["arx"], N)
 LOOP = PID(kp=0.8, ki=20.0, kd=2e-4, tau=1e-3)
-
-
-def difference_matrix(a, b):
-    """Return the matrix of y[1..N] = G u, by scipy's filter of the difference equation."""
-    h = scipy.signal.lfilter(b, [1.0, *np.negative(a)], np.eye(N)[0])
-    return scipy.linalg.toeplitz(h, np.zeros(N))
 
 
 def errors(trial):
@@ -52,7 +46,7 @@ def run(machine, scheme, task, trials):
 
 def test_open_loop_matrix_is_the_toeplitz_matrix_of_the_impulse_response():
     G = lifted.lifted_plant(ARX_MACHINE, None, TASK)
-    np.testing.assert_allclose(G, difference_matrix(*ARX), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(G, lifted_difference(*ARX, N), rtol=1e-12, atol=1e-15)
     by_columns = lifted.lifted_plant(ARX_MACHINE, None, TASK, time_invariant=False)
     np.testing.assert_allclose(by_columns, G, rtol=1e-12, atol=1e-15)
 
@@ -62,7 +56,7 @@ def test_closed_loop_matrix_is_P_over_1_plus_C_P():
 
     So G = (I + P C S)^-1 P, with S the delay of one sample.
     """
-    P, delay = difference_matrix(*ARX), np.eye(N, k=-1)
+    P, delay = lifted_difference(*ARX, N), np.eye(N, k=-1)
     # the derivative s[k] = (tau s[k-1] + e[k] - e[k-1]) / (tau + dt), in powers of the delay
     slope = np.linalg.solve((LOOP.tau + DT) * np.eye(N) - LOOP.tau * delay, np.eye(N) - delay)
     C = LOOP.kp * np.eye(N) + LOOP.ki * DT * np.tri(N) + LOOP.kd * slope

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import scipy.linalg
+from dense import lifted
 
 from jaxilc import Machine, Task, learn
 from jaxilc.filters import ZeroPhaseButterworth
@@ -104,9 +104,7 @@ def test_offers_keep_the_margin_between_the_lines_and_go_no_further(answer):
 def test_the_floor_is_that_of_the_limit_of_learning(answer):
     found, _ = answer
     keep, L = law_matrices()
-    A, B, C = map(np.asarray, linear_loop(Machine(PLANT), None, TASK))
-    impulse = [(C @ np.linalg.matrix_power(A, k) @ B).item() for k in range(TASK.N)]
-    G = scipy.linalg.toeplitz(impulse, np.zeros(TASK.N))
+    G = lifted(linear_loop(Machine(PLANT), None, TASK), TASK.N)
     r = np.asarray(TASK.reference)[1:, 0]
     u = np.linalg.solve(np.eye(TASK.N) - keep + L @ G, L @ r)
     assert found.now.floor == pytest.approx(np.sqrt(np.mean((r - G @ u) ** 2)), rel=2e-3)

@@ -6,6 +6,7 @@ from importlib import resources
 import jax
 import numpy as np
 import pytest
+from dense import lifted
 
 from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.learning.variation import Variation
@@ -33,18 +34,13 @@ def machines(*several):
     return jax.tree.map(lambda *leaves: np.stack(leaves), *made)
 
 
-def of_lag(a):
-    """The matrix of its trial."""
-    return np.array([[(1 - a) * a ** max(i - k, 0) * (i >= k) for k in range(N)] for i in range(N)])
-
-
 def learned(r, a, of_y, of_u, gain, leak, limit=np.inf):
     """(TRIALS, N) errors and inputs learned, of a machine that rounds if it has steps."""
 
     def rounded(x, step):
         return np.round(x / step) * step if step else x
 
-    G = of_lag(a)
+    G = lifted(lag(a), N)
     w, errors, inputs = np.zeros(N), [], []
     for _ in range(TRIALS):
         u = np.clip(rounded(np.clip(w, -limit, limit), of_u), -limit, limit)
@@ -150,7 +146,7 @@ def test_hysteresis_at_the_input_holds_learning_within_a_ball():
         assert found.claim[0] == "monotone"
         assert "within which hysteresis holds it" in found.reason[0]
         assert not len(found.broken_promises())
-        G = of_lag(a)
+        G = lifted(lag(a), N)
         w, still, apart = np.zeros(N), np.zeros(N), []
         for trial in range(60):
             z, u, drive = 0.0, 0.0, []
