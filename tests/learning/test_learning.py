@@ -298,21 +298,22 @@ def test_memory_of_a_gradient_grows_like_the_root_of_the_trials():
     np.testing.assert_allclose(long(64)(0.5), long(61, 3)(0.5), rtol=1e-9)
 
 
-@pytest.mark.parametrize("figure", ["effort", "rms", "max_error", "settled_error"])
-def test_gradient_of_a_figure_that_is_zero_is_finite(figure):
+def test_gradient_of_a_figure_that_is_zero_is_finite():
     """In the first trial u is 0, and so is the effort.
 
     A machine whose reference is 0 has no error. Tuning must work in both cases.
     """
-    machine, r = Machine(PLANTS["arx"]), np.zeros(11)
-    r[5:] = figure == "effort"
+    machine = Machine(PLANTS["arx"])
 
-    def total(lam):
-        return jnp.sum(
-            getattr(learn(machine, CFDLMFAILC(phi0=0.3, lam=lam), Task(r, dt=DT), 3), figure)
-        )
+    @jax.jit
+    @jax.jacrev
+    def totals(lam, r):
+        history = learn(machine, CFDLMFAILC(phi0=0.3, lam=lam), Task(r, dt=DT), 3)
+        figures = history.effort, history.rms, history.max_error, history.settled_error
+        return jnp.stack([jnp.sum(figure) for figure in figures])
 
-    assert np.isfinite(jax.grad(total)(0.5))
+    for r in (np.zeros(11), np.append(np.zeros(5), np.ones(6))):
+        assert np.all(np.isfinite(totals(0.5, r)))
 
 
 @pytree
