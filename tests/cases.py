@@ -520,15 +520,41 @@ def case(name):
     return Machine(plant), scheme, task_for(plant, FEW if name in _FEW else SAMPLES)
 
 
-# Of plant files: a plant that takes little time, and the beginning of its task.
-FIRST_ORDER = """[plant]
+# Parts of plant files
+# --------------------------------------------------------------------------------------------------
+
+
+def first_order(pole=0.9, gain=0.1):
+    """Return a plant that takes little time, and the beginning of its task."""
+    return f"""[plant]
 kind = "state_space"
-A = [[0.9]]
-B = [[0.1]]
+A = [[{pole}]]
+B = [[{gain}]]
 C = [[1.0]]
 dt = 0.001
 [task]
 dt = 0.001
+"""
+
+
+def follows(hertz, seconds):
+    """Return what a task follows."""
+    given = f"amplitude = 1.0, frequency = {hertz}, duration = {seconds}"
+    return f'reference = {{ function = "sinusoid", {given} }}\n'
+
+
+def p_type(gain):
+    """Return a scheme, ilc."""
+    return f'[schemes.ilc]\nclass = "PIDType"\ngamma_p = {gain}\n'
+
+
+def known_to(share):
+    """Return that the gain of the plant is known to a share of it."""
+    return f"""[uncertainty."plant.B"]
+distribution = "uniform"
+low = {1 - share}
+high = {1 + share}
+relative = true
 """
 
 

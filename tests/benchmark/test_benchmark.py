@@ -18,7 +18,7 @@ import ours
 import peers
 import pytest
 import timing
-from cases import ALGEBRA, FIRST_ORDER
+from cases import ALGEBRA, first_order, follows, known_to, p_type
 from gradients import WEIGHTS, Slope
 from jax import lax
 from ours import GRADIENT
@@ -315,23 +315,8 @@ def test_bad_input_is_named(arguments, message):
         compare.main([*SMALL, *arguments])
 
 
-FILE = (
-    "trials = 3\n"
-    + FIRST_ORDER
-    + """reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
-[schemes.ilc]
-class = "PIDType"
-gamma_p = 5.0
-[schemes.pid]
-class = "PID"
-kp = 1.0
-[uncertainty."plant.B"]
-distribution = "uniform"
-low = 0.9
-high = 1.1
-relative = true
-"""
-)
+PID_ALONE = '[schemes.pid]\nclass = "PID"\nkp = 1.0\n'
+FILE = f"trials = 3\n{first_order()}{follows(50.0, 0.02)}{p_type(5.0)}{PID_ALONE}{known_to(0.1)}"
 
 
 def test_a_gradient_is_by_numbers_and_vectors_inside_their_ranges():

@@ -22,6 +22,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from cases import follows, known_to, p_type
 from command import call, mistakes, write_columns
 from rich.console import Console
 from rich.text import Text
@@ -41,27 +42,14 @@ from jaxilc.scenarios.identified_file import StartingLaw
 from jaxilc.sweeps import Sweep, host
 from jaxilc.theory.bounds import frozen_growth
 
-PLANT = """
-[plant]
+PLANT = f"""[plant]
 kind = "transfer_function"
 num = [3.0]
 den = [1.0, 30.0]
 [task]
 dt = 0.001
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 10.0, duration = 0.1 }
-"""
-LEARNER = """
-[schemes.ilc]
-class = "PIDType"
-gamma_p = 0.5
-"""
-UNCERTAIN = """
-[uncertainty."plant.B"]
-distribution = "uniform"
-low = 0.8
-high = 1.2
-relative = true
-"""
+{follows(10.0, 0.1)}"""
+LEARNER = p_type(0.5)
 PLAIN = {
     name: value
     for name, value in os.environ.items()
@@ -347,7 +335,7 @@ main()
 @pytest.mark.slow
 def test_a_killed_sweep_resumes_bit_for_bit(jaxilc_command, tmp_path):
     """It is killed after its first chunk, and interrupted after another one."""
-    (tmp_path / "mine.toml").write_text(PLANT + LEARNER + UNCERTAIN)
+    (tmp_path / "mine.toml").write_text(PLANT + LEARNER + known_to(0.2))
     killed = "--machines 3000 --out killed"  # 12 chunks
     done, before = tmp_path / "killed/dataset.zarr/chunk_done/c/0", 0
     for how, more in ((signal.SIGKILL, ""), (signal.SIGINT, " --resume")):

@@ -10,7 +10,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from cases import FIRST_ORDER
+from cases import first_order, follows, known_to, p_type
 from command import call, mistakes
 
 import jaxilc
@@ -50,19 +50,9 @@ PARETO = (
     *("--set", "ilc.lead=1", "--machines", 3, "--held-out", 2, "--steps", 2, "--seed", 1),
 )
 AXIS = (
-    'judged_by = "settled_error"\n'
-    + FIRST_ORDER
-    + """unit = "mm"
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
-[schemes.ilc]
-class = "PIDType"
-gamma_p = 1.0
-[uncertainty."plant.B"]
-distribution = "uniform"
-low = 0.8
-high = 1.2
-relative = true
-"""
+    f'judged_by = "settled_error"\n{first_order()}unit = "mm"\n{follows(50.0, 0.02)}'
+    + p_type(1.0)
+    + known_to(0.2)
 )
 
 

@@ -14,6 +14,7 @@ import jax
 import numpy as np
 import pytest
 import typer
+from cases import first_order, follows, known_to, p_type
 from command import write_columns
 from fuzz import LONGEST, fuzz, pick
 
@@ -28,28 +29,10 @@ from jaxilc.sweeps import Sweep
 from jaxilc.theory import certificates, q_filter
 from jaxilc.tuning import Tuning, worst_case
 
-PLANT = """
-trials = 3
-[plant]
-kind = "state_space"
-A = [[0.5]]
-B = [[1.0]]
-C = [[1.0]]
-dt = 0.001
-[task]
-dt = 0.001
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
-[schemes.ilc]
-class = "PIDType"
-gamma_p = 0.3
-[schemes.mf]
+PLANT = f"""trials = 3
+{first_order(0.5, 1.0)}{follows(50.0, 0.02)}{p_type(0.3)}[schemes.mf]
 class = "CFDLMFAILC"
-[uncertainty."plant.B"]
-distribution = "uniform"
-low = 0.98
-high = 1.02
-relative = true
-"""
+{known_to(0.02)}"""
 TUNED = "--scheme ilc --weights gamma_p --machines 4 --held-out 3 --unseen 4 --steps 2"
 COMMANDS = [
     shlex.split(line)

@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 import pytest
-from cases import FIRST_ORDER
+from cases import first_order, follows, known_to, p_type
 
 from jaxilc import figures
 
@@ -49,23 +49,11 @@ for line in sys.argv[1].split("\\n"):
 moved = Exploration(load_scenario("peak_input.toml"), machines=2).outcome({})
 print("moved", moved.errors.shape)
 '''
-PLANT = (
-    "trials = 4\n"
-    + FIRST_ORDER
-    + """unit = "mm"
+PLANT = f"""trials = 4
+{first_order()}unit = "mm"
 input_unit = "V"
 settle = [0.01, 0.03]
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.03 }
-[schemes.ilc]
-class = "PIDType"
-gamma_p = 2.0
-[uncertainty."plant.B"]
-distribution = "uniform"
-low = 0.9
-high = 1.1
-relative = true
-"""
-)
+{follows(50.0, 0.03)}{p_type(2.0)}{known_to(0.1)}"""
 FEW = "--weights gamma_p --machines 3 --held-out 2 --unseen 2 --steps 1"
 LINES = f"""run peak_input.toml --metric late_rms --json late.json
 run late_rms.toml --metric peak_input --json peak.json

@@ -14,7 +14,7 @@ import campaigns_with_faults as faults
 import jax
 import numpy as np
 import pytest
-from cases import case
+from cases import case, first_order, follows, p_type
 from fuzz import damaged, dumped, flipped, fuzz, pick, refusal
 
 from jaxilc.hardware import Campaign, Journal, Measured, Rules
@@ -275,21 +275,6 @@ def test_what_would_not_be_a_number_is_not_learned(copied, monkeypatch):
         opened(folder).keep(turn)
 
 
-PLANT = """
-[plant]
-kind = "state_space"
-A = [[0.5]]
-B = [[0.5]]
-C = [[1.0]]
-dt = 0.001
-[task]
-dt = 0.001
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
-[schemes.ilc]
-class = "PIDType"
-"""
-
-
 def command(*arguments):
     """Return the exit code of a command."""
     return faults.call(*arguments)[0]
@@ -299,7 +284,7 @@ def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypa
     """It has a correct checksum, or is in the first format, without one."""
     monkeypatch.setattr(sys, "argv", [])
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "axis.toml").write_text(PLANT)
+    (tmp_path / "axis.toml").write_text(first_order(0.5, 0.5) + follows(50.0, 0.02) + p_type(0.0))
     (tmp_path / "trial.csv").write_text(
         "t [s],y,u\n" + "".join(f"{k * 0.001},{0.1 * k},{0.2 * k}\n" for k in range(21))
     )

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from cases import FIRST_ORDER, case
+from cases import case, first_order
 from gain_case import GAINS, PROBLEM, STATIC
 from sweep_case import PLAN
 
@@ -196,7 +196,7 @@ worst-case cao-2019 --scheme cfdl-mfailc --evaluations 1000000000
 next --state campaign --scenario long.toml --out next.csv
 """
 PLANT = (
-    FIRST_ORDER
+    first_order()
     + """[task.reference]
 function = "sinusoid"
 amplitude = 1.0

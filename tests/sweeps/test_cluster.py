@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 import sweep_case
 import xarray as xr
-from cases import FIRST_ORDER
+from cases import first_order, follows, known_to
 
 import jaxilc
 from jaxilc import Machine, Uniform, cli
@@ -278,19 +278,8 @@ def test_without_distributed_the_extra_is_named(monkeypatch):
         PLAN.run(cluster="tcp://127.0.0.1:9")
 
 
-AXIS = (
-    FIRST_ORDER
-    + """reference = { function = "sinusoid", amplitude = 1.0, frequency = 50.0, duration = 0.02 }
-[schemes.pid]
-class = "PID"
-kp = 0.5
-[uncertainty."plant.B"]
-distribution = "uniform"
-low = 0.9
-high = 1.1
-relative = true
-"""
-)
+PID_ALONE = '[schemes.pid]\nclass = "PID"\nkp = 0.5\n'
+AXIS = first_order() + follows(50.0, 0.02) + PID_ALONE + known_to(0.1)
 
 
 def sweep_command(monkeypatch, *arguments):
