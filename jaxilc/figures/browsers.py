@@ -57,7 +57,7 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     from bokeh.models import ColumnDataSource, CustomJS, CustomJSTickFormatter, Div, Select, Slider
 
     schemes, count = names_of(dataset), dataset.sizes["trial"]
-    outputs = outputs_of(dataset, dataset.sizes["channel"])
+    outputs = outputs_of(dataset)
     chosen, of_a_trial = np.arange(count), len(schemes) * (2 * len(outputs) + 1)
     of_a_trial += len(outputs) * (dataset["r"].ndim > 2)
     most = int(np.clip(ROOM // (FEWEST * of_a_trial), 1, TRIALS))

@@ -70,7 +70,7 @@ def spectrum(
     time, layers = dataset["time"].values, []
     for trial, shade in zip(trials, shades_of(trials), strict=True):
         e = scale * signal_of(dataset, "e", scheme, trial)[1:]
-        names = outputs_of(dataset, e.shape[1])
+        names = outputs_of(dataset)
         e = np.where(np.isfinite(e), e, np.nan)
         _, size = np.frexp(np.nanmax(np.abs(e), initial=0.0))  # whose square may be too large
         f = np.fft.rfftfreq(len(e), time[1] - time[0])

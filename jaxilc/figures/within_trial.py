@@ -48,10 +48,10 @@ def signal_of(dataset: xr.Dataset, name: str, scheme: str, trial: int) -> np.nda
     return values.reshape(len(values), -1)
 
 
-def outputs_of(dataset: xr.Dataset, channels: int) -> list[str]:
+def outputs_of(dataset: xr.Dataset) -> list[str]:
     """What each output is called: by its name, or `output 1`, counted from 0."""
-    labels = dataset["channel"].values if "channel" in dataset.coords else range(channels)
-    found = np.atleast_1d(labels).tolist()
+    numbers = np.arange(dataset.sizes.get("channel", 1))
+    found = np.atleast_1d(dataset.coords.get("channel", numbers)).tolist()
     return [one if isinstance(one, str) else f"output {one}" for one in found]
 
 
@@ -89,7 +89,7 @@ def tracking(
     found = [_reference(dataset, j, *s[:2]).T for s, j in zip(signals, trials, strict=True)]
     references = list({r.tobytes(): r for r in found}.values()) if "r" in dataset else found[:1]
     channels = signals[0][1].shape[1]
-    names = outputs_of(dataset, channels)
+    names = outputs_of(dataset)
     called = names if len(names) > 1 and not names[0].startswith("output ") else None
     of_error = ["error" + f" of {name}" * (channels > 1) for name in names]
     of_y, of_u = (dataset[name].attrs.get("units", "") for name in ("y", "u"))
@@ -183,7 +183,7 @@ def contour(
         distances.append(Curve(arc, scale * error, width=0.8, colour=shade, name=f"trial {j}"))
     for r in {r.tobytes(): r for r in references}.values():
         paths.append(Curve(r[:, 0], r[:, 1], width=0.8, colour=BLACK, name="path"))
-    length, (of_x, of_y) = dataset["y"].attrs.get("units", ""), outputs_of(dataset, 2)
+    length, (of_x, of_y) = dataset["y"].attrs.get("units", ""), outputs_of(dataset)
     if of_x.startswith("output "):
         of_x, of_y = "x", "y"
     title = f"{scheme}: contour error drawn {m:g} times"

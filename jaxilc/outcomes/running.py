@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import figures
 from ..figures.style import labelled
+from ..figures.within_trial import outputs_of
 from ..learning.divergence import CEILING, GROWTH
 from ..learning.known_metrics import ERRORS, OF_TRIALS
 from ..runtime.provenance import differences
@@ -37,7 +38,6 @@ from .words import (
     diverged,
     experiment_lines,
     number,
-    output_names,
     said,
     several,
     shown_trials,
@@ -240,7 +240,7 @@ def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> Numbers:
             metric: {str(j): float(errors.sel(trial=j)[i]) for j in shown_trials(scenario)}
             for metric, errors in shown.items()
         }
-        for i, called in enumerate(output_names(scenario))
+        for i, called in enumerate(outputs_of(chosen))
     }
     return {"axes": axes}
 

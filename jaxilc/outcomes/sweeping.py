@@ -14,6 +14,7 @@ import numpy as np
 
 from .. import figures
 from ..figures.style import labelled
+from ..figures.within_trial import outputs_of
 from ..learning.known_metrics import ERRORS
 from ..pytree.ranges import share_text, value_text
 from ..scenarios import Scenario
@@ -32,7 +33,6 @@ from .words import (
     Case,
     experiment_lines,
     number,
-    output_names,
     said,
     several,
     shown_trials,
@@ -265,7 +265,7 @@ def axes_numbers(scenario: Scenario, dataset: xr.Dataset, tolerance: float | Non
     metric = known.get(scenario.judged_by, "max_error")
     tolerance = tolerance if scenario.judged_by in known else None
     errors = {
-        called: dataset[metric].isel(channel=i) for i, called in enumerate(output_names(scenario))
+        called: dataset[metric].isel(channel=i) for i, called in enumerate(outputs_of(dataset))
     }
     if (contour := OF_CONTOUR.get(metric)) in scenario.quantities:
         errors["contour"] = dataset[contour]

@@ -128,12 +128,6 @@ def shown_trials(scenario: Scenario) -> list[int]:
     return sorted({j for j in named if j <= scenario.trials} | {scenario.trials})
 
 
-def output_names(scenario: Scenario) -> list[str]:
-    """What the outputs are called: their names, or `output 0`, `output 1`, ..."""
-    labels = scenario.task.labels
-    return [one if isinstance(one, str) else f"output {one}" for one in labels]
-
-
 def experiment_lines(scenario: Scenario) -> list[str]:
     """A line for each scheme that makes experiments, with the trials that are none."""
     lines = []
