@@ -81,15 +81,12 @@ class Request:
         The metric and the tolerance judge it, and the spread widens its uncertainty.
         Raises ValueError naming what is allowed.
         """
-        from ..scenarios.from_file import load_scenario
+        from ..scenarios.from_file import with_options
         from ..scenarios.parameters import with_parameters
         from ..scenarios.scenario import judged
 
         here = self.expanded()
-        values, known = settings_of(here.set), here._options()
-        of_paper = {path: value for path, value in values.items() if path in known}
-        rest = {path: value for path, value in values.items() if path not in known}
-        chosen = load_scenario(here.source, of_paper)
+        chosen, rest = with_options(here.source, settings_of(here.set))
         if not chosen.schemes:
             raise ValueError(
                 f"{self.source} has no scheme; needed is a table [schemes.NAME] at least"
@@ -130,12 +127,6 @@ class Request:
             )
         return dataclasses.replace(chosen, uncertainty=wide)
 
-    def _options(self) -> Mapping[str, Value]:
-        """The options of the scenario of a paper, with what they usually are."""
-        from .. import scenarios
-
-        return scenarios.options(self.source) if self.source in scenarios.SCENARIOS else {}
-
     def _with_trials(self, chosen: Scenario) -> Scenario:
         if self.trials is None:
             return chosen
@@ -153,12 +144,14 @@ class Request:
         Raises ValueError as `open_grid` does, for a sweep of another scenario or one of which more
         than 5 % of the machines diverge at every point, and for an axis that no option can set.
         """
+        from ..scenarios.from_file import SCENARIOS, options
+
         if self.params is None or not Path(self.params).is_dir():
             return self
         point = self._best_point(Path(self.params))
-        known = {*self._options(), "trials"}
+        of_paper = options(self.source) if self.source in SCENARIOS else {}
         for axis in point:
-            if axis.startswith("task.") or ("." not in axis and axis not in known):
+            if axis.startswith("task.") or ("." not in axis and axis not in (*of_paper, "trials")):
                 raise ValueError(
                     f"--params {self.params}: the axis {axis} is not one that --set can set"
                 )

@@ -22,7 +22,7 @@ from ..pytree.ranges import is_number
 from ..runtime.provenance import differences
 from ..storage.sealed import as_json
 from .campaign_source import digest_of, said_of_change
-from .from_file import SCENARIOS, load_scenario, options
+from .from_file import SCENARIOS, with_options
 from .parameters import differing, with_parameters
 from .scenario import Scenario
 
@@ -91,16 +91,14 @@ def open_campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False
         stop_on_growth=given.stop_on_growth,
         accept=given.accept,
     )
-    known = options(recipe["scenario"]) if recipe["scenario"] in SCENARIOS else {}
-    settings = recipe["settings"]
-    bare = load_scenario(recipe["scenario"], {p: v for p, v in settings.items() if p in known})
+    bare, settings = with_options(recipe["scenario"], recipe["settings"])
     name = recipe["scheme"] = _learning_scheme(bare, recipe["scheme"])
     if given.params is not None:
         found = _parameters(bare, name, given.params)
         recipe["parameters"] = found if new else _as_begun(state, before, found)
     values = recipe.get("parameters", {}).get("values", {})
     chosen = bare.with_values({f"{name}.{path}": value for path, value in values.items()})
-    chosen = chosen.with_values({p: v for p, v in settings.items() if p not in known})
+    chosen = chosen.with_values(settings)
     need_one_reference("a campaign", chosen.machine)
     subject = (state, chosen.schemes[name], chosen.task)
     actuator = chosen.machine.actuator

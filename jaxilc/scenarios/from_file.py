@@ -134,18 +134,25 @@ def load_scenario(name: str | Path, settings: Mapping[str, object] | None = None
     Raises ValueError naming the known scenarios, what can be set, or the wrong key of the file and
     what is allowed.
     """
-    settings = dict(settings or {})
+    chosen, values = with_options(name, settings or {})
+    return chosen.with_values(values)
+
+
+def with_options(
+    name: str | Path, settings: Mapping[str, object]
+) -> tuple[Scenario, dict[str, object]]:
+    """A scenario with its options among the settings, and the values by path that are left.
+
+    Raises ValueError as `load_scenario`.
+    """
+    rest = dict(settings)
     if str(name) in SCENARIOS:
-        known = options(str(name))
-        chosen = load(
-            str(name), **{path: settings.pop(path) for path in list(settings) if path in known}
-        )
-    elif Path(name).suffix in PARSERS:
-        chosen = read_scenario(name)
-    else:
-        said = not_one_of(f"scenario = {brief(str(name))}", str(name), SCENARIOS)
-        raise ValueError(f"{said}; a file {' or '.join(PARSERS)} may stand in its place")
-    return chosen.with_values(settings)
+        own = {path: rest.pop(path) for path in settings if path in options(str(name))}
+        return load(str(name), **own), rest
+    if Path(name).suffix in PARSERS:
+        return read_scenario(name), rest
+    said = not_one_of(f"scenario = {brief(str(name))}", str(name), SCENARIOS)
+    raise ValueError(f"{said}; a file {' or '.join(PARSERS)} may stand in its place")
 
 
 def read_scenario(path: str | Path) -> Scenario:
