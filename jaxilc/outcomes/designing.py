@@ -29,7 +29,7 @@ from .repeating import Following, following, recurs, repeats_in, within_numbers,
 from .request import Request
 from .sweeping import live_store
 from .terms import objective_for, risk_of
-from .words import FALLS, number, several, trend_of
+from .words import FALLS, number, several, size_of, trend_of
 
 Q = TypeVar("Q")
 
@@ -209,12 +209,6 @@ def of_judged(
     caption = f"{what} over machines that no step has seen."
     draw = partial(figures.error_band, judged, **chosen.look)
     return {name: Figure(caption, draw)}, partial(live_store, chosen, judged)
-
-
-def size_of(chosen: Scenario, value: float) -> str:
-    """A value of the metric in the unit in which it is shown."""
-    scale, unit = chosen.shown(chosen.judged_by)
-    return f"{value * scale:.3g} {unit}".rstrip()
 
 
 def on_the_machine(said: Sequence[str], target: Path) -> Verdict:

@@ -36,6 +36,7 @@ from .words import (
     said,
     several,
     shown_trials,
+    size_of,
     trend_of,
 )
 
@@ -105,7 +106,8 @@ def sweep(
 
     def progress(name: str, _: int, machines: int) -> str:
         fresh.append(machines)
-        return _median(errors[name], chosen) if plan.axes.size == 1 else ""
+        told = errors[name].size and plan.axes.size == 1
+        return f"median {size_of(chosen, np.median(errors[name]))}" if told else ""
 
     def results(name: str, values: Mapping[str, np.ndarray]) -> None:
         errors[name] = np.append(errors[name], last_errors(values, chosen.judged_by))
@@ -114,12 +116,6 @@ def sweep(
     steps, seconds = sum(fresh) * plan.trials * plan.task.N, time.perf_counter() - start
     nominal = run(_nominal(plan), stores[1], resume=resume) if stores[1:] else None
     return _told(chosen, request, dataset, nominal, stores, steps, seconds)
-
-
-def _median(errors: np.ndarray, chosen: Scenario) -> str:
-    """The median of the errors in the last trial, as a text; empty where there is none."""
-    scale, unit = chosen.shown(chosen.judged_by)
-    return f"median {scale * np.median(errors):.3g} {unit}".rstrip() if errors.size else ""
 
 
 def _told(

@@ -128,6 +128,12 @@ def shown_trials(scenario: Scenario) -> list[int]:
     return sorted({j for j in named if j <= scenario.trials} | {scenario.trials})
 
 
+def size_of(scenario: Scenario, value: float) -> str:
+    """A value of the metric that judges, in the unit in which it is shown."""
+    scale, unit = scenario.shown(scenario.judged_by)
+    return f"{value * scale:.3g} {unit}".rstrip()
+
+
 def experiment_lines(scenario: Scenario) -> list[str]:
     """A line for each scheme that makes experiments, with the trials that are none."""
     lines = []
