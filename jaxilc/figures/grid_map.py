@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from itertools import cycle, product
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -449,20 +448,14 @@ class GridMap(NamedTuple):
         return {str(name): x.item() for name, x in here.coords.items() if x.ndim == 0}
 
 
-def live_grid(
-    dataset: xr.Dataset,
-    *,
-    metric: str,
-    tolerance: float | None = None,
-    scale: float = 1.0,
-    unit: str = "",
-    best: list[BestPoint],
-) -> Live:
-    """A map for each scheme with the numbers of a point on hover, and its learning on a click."""
+def live_grid(dataset: xr.Dataset, *, best: list[BestPoint], metric: str, **look: Value) -> Live:
+    """A map for each scheme with the numbers of a point on hover, and its learning on a click.
+
+    metric, look: as for `live_map`
+    """
     from bokeh.models import TabPanel, Tabs
 
-    made = partial(live_map, metric=metric, tolerance=tolerance, scale=scale, unit=unit)
-    parts = [_with_learning(made(dataset, of), metric) for of in best]
+    parts = [_with_learning(live_map(dataset, of, metric=metric, **look), metric) for of in best]
     tabs = [TabPanel(child=part, title=of.scheme) for part, of in zip(parts, best, strict=True)]
     return Live(
         "Each cell, or dot along a single axis, is a point of the grid, and its colour or height "
