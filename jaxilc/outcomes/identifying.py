@@ -397,12 +397,15 @@ def _of_record(path: Path, asked: Reading, progress: Progress) -> Fitted:
 def _grown_structure(grown: Grown) -> Numbers:
     """The options that fit the plant again: counts of a ProcessModel, else those of its parts."""
     plant, chosen = grown.found.plant, grown.chosen
-    lags, pairs = chosen.lags + chosen.integrators, chosen.modes
-    zeros: int | str = ANY
-    if isinstance(plant, ProcessModel):
-        lags, pairs, zeros = (len(x) for x in (plant.poles, plant.frequencies, plant.zeros))
     late = {"delay": chosen.delay} if chosen.delay else {}
-    return {"poles": lags, "pairs": pairs, "zeros": zeros, **late}
+    if isinstance(plant, ProcessModel):
+        return _counts(plant) | late
+    lags = chosen.lags + chosen.integrators
+    return {"poles": lags, "pairs": chosen.modes, "zeros": ANY, **late}
+
+
+def _counts(plant: ProcessModel) -> Numbers:
+    return {"poles": len(plant.poles), "pairs": len(plant.frequencies), "zeros": len(plant.zeros)}
 
 
 def _of_response(path: Path, asked: Reading, progress: Progress) -> Fitted:
@@ -686,11 +689,7 @@ def _fitted(
         again = refit(record, known, scenario.uncertainty)
         if np.min(again.found.fit) >= ENOUGH:
             return again._replace(before=held_out(record, plant))
-        structure = {
-            "poles": len(known.poles),
-            "pairs": len(known.frequencies),
-            "zeros": len(known.zeros),
-        }
+        structure = _counts(known)
     late = round(_delay(plant) / record.dt) if delay is None else delay
     return _judged(record, plant, identification.identify(record, **structure, delay=late))
 
