@@ -511,24 +511,20 @@ def live_map(
         tips[name] = [f"{x:.4g}" for x in bound.values.ravel()]
     nearest = [some[i].tolist().index(j) for i, j in enumerate(at)]
     best = int(np.ravel_multi_index(nearest, shape))
-    low, top = limits_of(curves["high"], pad=1.0) or (1.0, 10.0)
+    high = curves["high"]
+    low, top = limits_of(high, pad=1.0) or (1.0, 10.0)
     called = SHOWN["high"].format(metric).replace("_", " ")
     shown = Colours(called, unit, (low, max(top, 1.001 * low)))
     along, up = axes_of_map(labels, shown)
-    high = curves["high"]
-    if len(labels) == 1:
-        up = Axis(labelled(up.name, unit), log=True)
     layers = layers_of(labels, high, None, lost, shown, 0, tips, "o", "95 %")
     if len(labels) == 1:
-        x = standing(labels[0])[0]
+        up, x = Axis(labelled(up.name, unit), log=True), standing(labels[0])[0]
         for name, dash in (("median", "--"), ("worst", ":")):
             layers.append(Curve(x, curves[name], dash, name=name))
     if of.anywhere:
         layers += marked("best", "*", labels, values[best], high)
     made = panel_of(Panel(along, up, layers, legend="upper right"), width=560, height=height)
-    cells = next(r for r in made.renderers if "t0" in r.data_source.data)
-    if len(labels) == 1:
-        cells = [r for r in made.renderers if r.data_source is cells.data_source][-1]
+    *_, cells = (r for r in made.renderers if "t0" in r.data_source.data)  # of a line its marks
     cells.data_source.selected.indices = [best]
     made.add_tools(TapTool(renderers=[cells], mode="replace"))
     return GridMap(made, cells.data_source, values, dataset, scale * factor, unit)
