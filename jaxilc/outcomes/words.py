@@ -69,7 +69,7 @@ WINDOW = 3  # trials
 
 
 class Trend(NamedTuple):
-    """The course of an error over the trials, and the number of the best one.
+    """The course of an error over the trials.
 
     kind: `diverges`, `grows`, `falls`, `settled`, or `single` for one trial
     words: the end of a sentence whose subject is the error, empty for one trial
@@ -77,34 +77,28 @@ class Trend(NamedTuple):
 
     kind: str
     words: str
-    best: int
 
 
 def trend_of(errors: Sequence[float]) -> Trend:
     """The trend of the errors of J trials, infinite where a trial diverged."""
     first, J = errors[0], len(errors)
-    if not all(math.isfinite(error) for error in errors):
-        return Trend(DIVERGES, "diverges", _best(errors))
+    if diverged(errors):
+        return Trend(DIVERGES, "diverges")
     if J == 1:
-        return Trend(SINGLE, "", 1)
+        return Trend(SINGLE, "")
     level = [max(error, EXACT * first) for error in errors]
-    best = _best(level)
+    best = 1 + level.index(min(level))
     if level[-1] > (1 + GROWTH) * level[best - 1]:
         times = f" {number(level[-1] / level[best - 1])} times" if level[best - 1] > 0 else ""
-        return Trend(GROWS, f"has grown{times} since trial {best}", best)
+        return Trend(GROWS, f"has grown{times} since trial {best}")
     window = min(max(WINDOW, J // 10), J - 1)
     last = median(level[-window:])
     if last < (1 - CHANGE) * min(level[:-window]):
-        return Trend(FALLS, "is still falling", best)
+        return Trend(FALLS, "is still falling")
     since = 1 + next(i for i, error in enumerate(level) if error <= last / (1 - CHANGE))
     if since == 1:
-        return Trend(SETTLED, f"has not fallen by {CHANGE:.0%} since trial 1", best)
-    return Trend(SETTLED, f"has settled since trial {since}", best)
-
-
-def _best(errors: Sequence[float]) -> int:
-    """The number of the first trial with the least error; 1 if none is finite."""
-    return 1 + min(range(len(errors)), key=lambda i: (not math.isfinite(errors[i]), errors[i]))
+        return Trend(SETTLED, f"has not fallen by {CHANGE:.0%} since trial 1")
+    return Trend(SETTLED, f"has settled since trial {since}")
 
 
 # What a run and a sweep show of a scenario
