@@ -229,7 +229,7 @@ def _claimed(chosen: Scenario, name: str, limit: Value, machines: int, seed: int
     drawn = draw(machine, chosen.uncertainty, machines, seed=seed)
     one = certify_schemes(machine, {name: chosen.schemes[name]}, chosen.task, chosen.trials,
                           chosen.uncertainty, drawn)[name]  # fmt: skip
-    numbers = certificate_numbers(one) | {"printed": {}}
+    numbers = certificate_numbers(one)
     sigma = np.asarray(one.certificate.sigma, float)
     said = certificate_sentence(name, chosen.trials, numbers, chosen.shown_scale, chosen.shown_unit)
     return {
