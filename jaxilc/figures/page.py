@@ -261,7 +261,6 @@ def hover(
     """
     from bokeh.models import HoverTool
 
-    columns = {name for _, value in rows for name in re.findall(r"(@\w+)\{g\}", value)}
     parts = [(name.replace("_", " "), *value.partition(" ")) for name, value in rows]
     lines = f"<div><b>{head}</b></div>" * bool(head) + "".join(
         f'<div><span style="color: #555">{_literal(name)}:</span> '
@@ -269,7 +268,7 @@ def hover(
         for name, value, blank, unit in parts
     )
     shown = f'<div style="max-width: 28em; white-space: normal">{lines}</div>'
-    told = dict.fromkeys(columns, "printf")
+    told = {name: "printf" for _, value in rows for name in re.findall(r"(@\w+)\{g\}", value)}
     made.add_tools(HoverTool(renderers=renderers, tooltips=shown, formatters=told))
 
 
