@@ -143,7 +143,7 @@ def _figures(chosen: Scenario, dataset: xr.Dataset) -> dict[str, Figure]:
         if chosen.task.outputs == 2 and "contour_max" in chosen.quantities:
             kinds.append("contour")
         for kind in kinds:
-            drawn[f"{kind.replace('_', '-')}-{name}"] = Figure(
+            drawn[f"{kind}-{name}"] = Figure(
                 f"{name}: {OF_A_SCHEME[kind]}",
                 partial(getattr(figures, kind), dataset, name, trials, **in_unit),
                 live=kind == "tracking",
