@@ -611,8 +611,7 @@ def tried_plants(
         first = np.argsort(-numbers[0])[:climbers]
         f = np.unique(np.concatenate([lines(task, frequencies, []), numbers[1][first]]))
         taps = tuple(Taps(*map(jnp.asarray, part)) for part in (law.keep, law.L))
-        ends = (jnp.asarray(end) for end in _box(uncertainty))
-        fixed = (*common, jnp.asarray(f), taps, *ends)
+        fixed = (*common, jnp.asarray(f), taps, *map(jnp.asarray, _box(uncertainty)))
         climb = tiled_with(_climb, names=names, steps=steps)
         climbed = np.asarray(climb(fixed, jnp.asarray(points[first])))
         further, loops_there = tried(climbed)
@@ -725,22 +724,25 @@ def _positive(M) -> bool:
 # --------------------------------------------------------------------------------------------------
 
 
-def _box(uncertainty: Uncertainty) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest number by each distribution."""
-    corners = [d.corners() for d in uncertainty.values()]
-    return np.array([min(ends) for ends in corners]), np.array([max(ends) for ends in corners])
+def _box(uncertainty: Uncertainty) -> np.ndarray:
+    """(2, names) the least and the largest number by each distribution."""
+    return np.sort([d.corners() for d in uncertainty.values()]).T
+
+
+def _corners(uncertainty: Uncertainty) -> np.ndarray:
+    """(2^names, names) the corners of the box; the last number changes first."""
+    return np.array(list(itertools.product(*_box(uncertainty).T)))
 
 
 def _points(population: Population) -> np.ndarray:
     """(S, names) the plants drawn, moved into the box, and its corners."""
     if not population.uncertainty:
         return np.zeros((1, 0))
-    low, high = _box(population.uncertainty)
-    points = np.clip(np.stack([*population.drawn.values()], axis=1), low, high)
+    points = np.stack([*population.drawn.values()], axis=1)
+    points = np.clip(points, *_box(population.uncertainty))
     if len(population.uncertainty) > CORNERS:
         return points
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
-    return np.concatenate([points, corners])
+    return np.concatenate([points, _corners(population.uncertainty)])
 
 
 def _loop_of(common, point, *, names):
@@ -846,8 +848,7 @@ def bound_of_set(
     if not uncertainty:
         return WholeSet(float(tried.values[tried.top]), "there is one plant only")
     curved = _curved(machine, scheme, task, uncertainty)
-    ends = np.array([of.corners() for of in uncertainty.values()]).T
-    at_end = np.isclose(tried.points[:, None], ends, rtol=1e-12, atol=0)
+    at_end = np.isclose(tried.points[:, None], _box(uncertainty), rtol=1e-12, atol=0)
     corners = np.unique(np.argmax(at_end, 1)[np.all(np.any(at_end, 1), 1)], axis=0)
     if not curved and len(corners) == 2 ** len(uncertainty):
         how = "P is affine in each uncertain number, so the worst plant is a corner of the box"
@@ -891,26 +892,20 @@ def _curved(machine, scheme, task, uncertainty: Uncertainty) -> list[str]:
         machine = drawn_machine(common[0], uncertainty, values | {name: value})
         return linear_loop(machine, *common[1:])
 
-    curved = [
-        name
-        for name in names
-        if max(_orders(partial(loop, name=name), (*fixed, middle), middle[name])) > AFFINE
-    ]
+    def curves(name):
+        parts = dependence(partial(loop, name=name), (*fixed, middle), middle[name])
+        return max(part.order for part in parts) > AFFINE
+
+    curved = [name for name in names if curves(name)]
     if curved or n > CORNERS:
         return curved
-    corners = np.array(list(itertools.product(*(uncertainty[name].corners() for name in names))))
-    loops = loops_at(machine, scheme, task, uncertainty, corners)
+    loops = loops_at(machine, scheme, task, uncertainty, _corners(uncertainty))
     at = [np.stack(one).reshape((2,) * n + (-1,)) for one in zip(*loops, strict=True)]
     for i, name in enumerate(names):
         A, B, C = (bool(np.any(np.diff(part, axis=i))) for part in at)
         if A or (B and C):
             curved.append(name)
     return curved
-
-
-def _orders(f, fixed, varying) -> list[int]:
-    """How A, B and C depend on what varies: CONSTANT, AFFINE or OTHERWISE."""
-    return [dependence(lambda a, b, i=i: f(a, b)[i], fixed, varying).order for i in range(3)]
 
 
 def _not_a_process_model(machine, scheme, uncertainty: Uncertainty) -> str:
