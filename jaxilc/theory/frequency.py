@@ -66,7 +66,7 @@ from .loop import (
     responses,
     stable,
 )
-from .outlook import NO_LIMIT, WHOLE, decays, outlooks
+from .outlook import WHOLE, decays, outlooks
 from .trials import shortened
 
 __all__ = [
@@ -106,6 +106,7 @@ ROBUST = (
     "from the ends of a long trial each frequency comes nearer to its limit by this factor or "
     "more in every trial (Bristow 2006); the whole trial as its premise says"
 )
+CAUSAL_WHOLE = premise(WHOLE, True, "law and loop are causal")
 TRIED = (
     "sup |Q (keep - L P)| < 1 for each of the plants that were tried: samples of the box, its "
     "corners, and where gradient ascent from the "
@@ -227,18 +228,10 @@ def of_trial(machines: Machine, scheme: Scheme, task: Task, causal: bool) -> lis
     """
     limited = bool(limit_names(machines, scheme, task))
     if causal and not limited:
-        return [_causal_premise()]
+        return [CAUSAL_WHOLE]
     ahead = outlooks(machines, scheme, task) if limited else None
     decay = decays(machines, scheme, task) if ahead is None else ahead.decay
-    told = decay.told(int(np.argmax(decay.factor)))
-    found = [premise(WHOLE, causal | (decay.trials > 0), told)]
-    if ahead is not None:
-        found.append(premise(NO_LIMIT, ahead.clear, ahead.told(int(np.argmin(ahead.clear)))))
-    return found
-
-
-def _causal_premise() -> Premise:
-    return premise(WHOLE, True, "law and loop are causal")
+    return [decay.of_whole(causal), *([ahead.of_limits] if ahead is not None else [])]
 
 
 # A curve over frequency
@@ -454,8 +447,7 @@ def _of_norm_optimal(
         return premise(WHOLE, False, str(error))
     feedback = getattr(feedback, "feedback", feedback)
     scheme = learning if feedback is None else WithFeedback(learning, feedback)
-    decay = decays(drawn_machines(machine, {}, {}), scheme, task)
-    return premise(WHOLE, decay.trials[0] > 0, decay.told(0))
+    return decays(drawn_machines(machine, {}, {}), scheme, task).of_whole()
 
 
 def robust_condition(
@@ -490,7 +482,7 @@ def robust_condition(
 
     def of_whole():
         if parts.causal:
-            return [_causal_premise()]
+            return [CAUSAL_WHOLE]
         return [_whole_trial(machine, scheme, task, parts, weights)]
 
     return on_supremum(bounds, ROBUST, [parts.loop], task, premises, of_whole, frequencies)

@@ -187,7 +187,7 @@ def learning_conditions(
     if premises[1].held:  # one that adapts remembers anyway
         premises.append(of_last_trial(scheme, task))
     if limit_names(one, scheme, task):
-        premises.append(outlooks(one, scheme, task).of_limits(0))
+        premises.append(outlooks(one, scheme, task).of_limits)
     M = input_map(G, law.L, keep=law.keep)
     found = {
         "monotone": monotone(M, premises=premises),

@@ -77,6 +77,10 @@ class Decay(NamedTuple):
         """(S,) whether the distance from the limit falls in every trial."""
         return self.trials == 1
 
+    def of_whole(self, known: bool = False) -> Premise:
+        """The premise that the whole trial converges on each machine, as where it is known to."""
+        return premise(WHOLE, known | (self.trials > 0), self.told(int(np.argmax(self.factor))))
+
     def told(self, machine: int) -> str:
         """The decay of one machine in a sentence."""
         k, growth = int(self.trials[machine]), float(self.growth[machine])
@@ -141,9 +145,10 @@ class Outlook(NamedTuple):
     which: np.ndarray
     __repr__ = in_short
 
-    def of_limits(self, machine: int) -> Premise:
-        """The premise that the limits change nothing, so that all stays linear."""
-        return premise(NO_LIMIT, self.clear[machine], self.told(machine))
+    @property
+    def of_limits(self) -> Premise:
+        """The premise that the limits change nothing, so that all stays linear on each machine."""
+        return premise(NO_LIMIT, self.clear, self.told(int(np.argmin(self.clear))))
 
     def told(self, machine: int) -> str:
         """Which limit a machine meets, and when."""

@@ -214,9 +214,7 @@ def sampled_condition(
         }
     decay = decays(drawn_machines(machine, {}, {}), linear, task)
     fails = max(test.condition.value for test in tests) >= 1
-    growing = premise(
-        f"{WHOLE}, with a gain that grows along it", fails or decay.trials[0] > 0, decay.told(0)
-    )
+    growing = decay.of_whole(fails)._replace(name=f"{WHOLE}, with a gain that grows along it")
     first, last = tests
     worse = last if last.condition.value > first.condition.value else first
     premises = *found.values(), growing, *premises
