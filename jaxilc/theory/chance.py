@@ -108,9 +108,7 @@ class RecordMoments(NamedTuple):
             stays = np.where(k == 0, 1.0, 1.0 - float(variation.dropped))
             both = both * np.where(np.eye(rows, dtype=bool), stays, np.outer(stays, stays))
             kept = kept * stays
-        held = np.mean(
-            [_selects(np.maximum(k - d, 0)).toarray() for d in range(variation.late + 1)], axis=0
-        )
+        held = np.mean([S.toarray() for S in _shifts(rows, variation.late)], axis=0)
         delays = None
         if variation.delayed is not None:
             delays = _of_delays(float(variation.delayed), variation.delay, rows)
@@ -641,20 +639,22 @@ class _Run(NamedTuple):
             found = self.moments.covariance(np.outer(y, y) + noise, parts.r, y)
         return C + parts.L @ found @ parts.L.T
 
+    def _astray(self, X) -> np.ndarray:
+        """(m,) `MARGIN` standard deviations of what limits act on."""
+        T, G = self.parts.T, self.parts.G
+        squares = np.sum((T @ X) * T, axis=1) + np.sum(G**2, axis=1)
+        return MARGIN * np.sqrt(np.maximum(squares, 0.0))
+
     def _clear(self, w, X) -> bool:
         """Whether no limit is met within `MARGIN` standard deviations."""
-        T, parts = self.parts.T, self.parts
-        squares = np.sum((T @ X) * T, axis=1) + np.sum(parts.G**2, axis=1)
-        far = np.abs(T @ w + parts.t) + MARGIN * np.sqrt(np.maximum(squares, 0.0))
-        return bool(np.all(far <= 1))
+        return bool(np.all(np.abs(self.parts.T @ w + self.parts.t) + self._astray(X) <= 1))
 
     def _clear_on_the_way(self, end, X) -> bool:
         """The same of the trials that `course` need not look at, until the mean is at its end."""
         parts = self.parts
         if len(parts.t) == 1:
             return True
-        squares = np.sum((parts.T @ X) * parts.T, axis=1) + np.sum(parts.G**2, axis=1)
-        room, w = 1 - MARGIN * np.sqrt(np.maximum(squares, 0.0)), parts.start
+        room, w = 1 - self._astray(X), parts.start
         near = SOLVED * max(np.linalg.norm(end), np.linalg.norm(w))
         for j in range(MOST):
             if j >= LOOKED_AT and np.any(np.abs(parts.T @ w + parts.t) > room):
