@@ -118,6 +118,11 @@ def obstacle(f: Function, fixed: Tree, varying: Tree) -> str:
     return ""
 
 
+def depends(f: Function, fixed: Tree, varying: Tree) -> bool:
+    """Whether some output of f(fixed, varying) may depend on `varying`."""
+    return any(one.order > CONSTANT for one in _of_each(f, fixed, varying))
+
+
 def blind(f: Function, fixed: Tree, varying: Tree) -> bool:
     """Whether the derivative of f by `varying` misses a part, such as rounding."""
     return any(one.blind for one in _of_each(f, fixed, varying))

@@ -20,8 +20,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.playback import replay
 from ..learning.variation import Variation
-from ..plants.structure import CONSTANT, Dependence, dependence, obstacle
-from ..pytree.aliases import Function, Tree
+from ..plants.structure import depends, obstacle
 from ..schemes import Scheme, WithFeedback
 from ..schemes.scheme import UNASKED, Memory, trials_of_step, with_all_parts
 from ..signals.task import Task, Trial
@@ -169,7 +168,7 @@ def _learned_from_too(scheme: Scheme, task: Task) -> str:
         following = scheme.learn(memory, _recorded(scheme, task))
         return scheme.feedforward(following, task), scheme.play(still, memory, task)
 
-    if _depends(learned, (free, task), free.initial_memory(task)):
+    if depends(learned, (free, task), free.initial_memory(task)):
         return "earlier trials"
 
     def seeing(fixed, beside):
@@ -181,7 +180,7 @@ def _learned_from_too(scheme: Scheme, task: Task) -> str:
     for part, seen, _ in with_all_parts(free, task):
         if isinstance(part, WithFeedback):
             own = part.parts(seen, UNASKED)["learning"]
-            if _depends(seeing, (own.scheme, own.task), jnp.zeros((seen.N, seen.inputs))):
+            if depends(seeing, (own.scheme, own.task), jnp.zeros((seen.N, seen.inputs))):
                 return "what the feedback does"
     return ""
 
@@ -191,13 +190,6 @@ def _recorded(scheme: Scheme, task: Task) -> Trial:
     shape = learned_shape(scheme, task) or (task.N, task.inputs)
     trial = scheme.record(jnp.zeros(shape), jnp.zeros((task.N + 1, task.outputs)), task)
     return trial._replace(r=jnp.asarray(task.reference))
-
-
-def _depends(f: Function, fixed: Tree, varying: Tree) -> bool:
-    found = jax.tree.leaves(
-        dependence(f, fixed, varying), is_leaf=lambda one: isinstance(one, Dependence)
-    )
-    return any(one.order != CONSTANT for one in found)
 
 
 def of_last_trial(scheme: Scheme, task: Task) -> Premise:
