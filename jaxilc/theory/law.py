@@ -175,6 +175,12 @@ def law_response(scheme: Scheme, task: Task, frequencies) -> LawResponse:
     return LawResponse(*(at_points(part, z) for part in (law.keep, law.L)))
 
 
+def law_on(scheme: Scheme, task: Task, frequencies) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) keep and L of a law with one channel, at frequencies (F,) [Hz]. Raises as `law_of`."""
+    keep, L = (np.asarray(part)[:, 0, 0] for part in law_response(scheme, task, frequencies))
+    return keep, L
+
+
 def traced_response(scheme: Scheme, task: Task, frequencies) -> LawResponse:
     """keep and L at frequencies (F,) [Hz], as a pure function of the scheme that has derivatives.
 

@@ -27,7 +27,7 @@ from ..schemes import Filtered, LearningFilter, PIDType, Scheme
 from ..signals.task import Task
 from ..uncertainty import Population, Uncertainty, drawn_machines
 from .frequency import Tried, WholeSet, bound_of_set, grid, largest_of, tried_plants
-from .law import law_of, law_response
+from .law import law_of, law_on
 from .learning_map import maps_of, view_of
 from .linearity import invariant_loop, linear_law, of_last_trial
 from .loop import Loop, responses, stable
@@ -331,12 +331,6 @@ def need_linear(machine: Machine, scheme: Scheme, task: Task) -> None:
         )
     if not law.invariant.held:
         raise ValueError(f"{name}: needed is a {law.invariant.name}: {law.invariant.detail}")
-
-
-def law_on(scheme: Scheme, task: Task, f) -> tuple[np.ndarray, np.ndarray]:
-    """(F,) keep and L of a law with one channel, at frequencies f (F,) [Hz]."""
-    keep, L = (np.asarray(part)[:, 0, 0] for part in law_response(scheme, task, f))
-    return keep, L
 
 
 # How far a law may go with a margin

@@ -56,7 +56,7 @@ from ..uncertainty import Population, drawn_machines
 from .condition import Condition, Premise, condition, premise
 from .enclosure import arc_of_taps, supremum
 from .frequency import FrequencyTest, Parts, of_poles, on_supremum, parts_of, reduced
-from .law import Law, at_points, law_of, law_response
+from .law import Law, at_points, law_of, law_on
 from .learning_map import limit_names
 from .linearity import invariant_loop
 from .loop import Loop, linear_loop, on_circle, response
@@ -350,7 +350,7 @@ def _on_lines(
 ) -> FrequencyTest:
     """|Q - L T| with the doubt of each line; nothing is claimed of what lines do not tell."""
     f, P, std = measured.frequencies, measured.response, measured.std
-    Q, L = (np.asarray(part)[:, 0, 0] for part in law_response(law, task, f))
+    Q, L = law_on(law, task, f)
     C, off = _feedback_of(law, task)(f), measured.scatter(sigmas)
     loop = np.abs(1 + C * P)
     surely = loop - np.abs(C) * off
