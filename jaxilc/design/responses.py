@@ -31,7 +31,7 @@ from ..schemes import PIDType, Scheme, WithFeedback
 from ..signals.task import Task
 from ..theory.frequency import grid, linear_loop, response
 from ..theory.law import Law, Taps
-from ..theory.loop import Loop, minimal, pole_radius, radius_of
+from ..theory.loop import Loop, minimal, pole_radius, radius_of, stable
 from ..uncertainty import Population, Uncertainty, drawn_machines
 
 CORNERS = 5  # uncertain numbers up to which all corners of their intervals are taken
@@ -240,8 +240,8 @@ def _need_stable(loops: list[Loop], task: Task) -> None:
     radius = 0.0
     for loop in loops:
         own = radius_of(loop)
-        radius = max(radius, own if own < 1 - 1e-9 else pole_radius(loop, task.N))
-    if not radius < 1 - 1e-9:
+        radius = max(radius, own if stable(own) else pole_radius(loop, task.N))
+    if not stable(radius):
         raise ValueError(
             f"design: the machine has a pole of size {radius:.6g}, so it does not come to rest "
             "after a trial; give a scheme with class = WithFeedback whose feedback makes it "
