@@ -13,6 +13,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
+from ..pytree.aliases import Value
 from ..pytree.ranges import require, share_text
 from ..schemes import Scheme
 from ..schemes.learning_filter import segments_of
@@ -26,7 +27,7 @@ from ..theory.law import law_of
 from ..theory.loop import minimal, radius_of
 from ..uncertainty import Population, Uncertainty, drawn_machines
 from .candidates import Absent, Candidate, candidates
-from .responses import Family, designed_on, family_of
+from .responses import MACHINES, Family, designed_on, family_of
 
 Told = Callable[[str, object], object]
 
@@ -155,10 +156,14 @@ class Question:
         for name in ("trials", "machines"):
             require(owner, name, getattr(self, name), "[2, inf)", whole=True)
 
-    def family(self) -> Family:
-        """The responses of machines drawn with the seed; see `family_of`."""
-        population = designed_on(self.machine, self.uncertainty, seed=self.seed)
-        family = family_of(population, self.feedback, self.task)
+    def family(self, *, after: int = 0, machines: int = MACHINES, **how: Value) -> Family:
+        """The responses of machines drawn with a seed so far `after` the own one; see `family_of`.
+
+        how: as for `family_of`
+        """
+        seed = self.seed + after
+        population = designed_on(self.machine, self.uncertainty, machines=machines, seed=seed)
+        family = family_of(population, self.feedback, self.task, **how)
         return family._replace(highest=self.highest)
 
     def safe(

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from ..pytree.aliases import Leaf
+from ..pytree.aliases import Leaf, Value
 from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
@@ -40,7 +40,7 @@ from .by_response import (
 )
 from .candidates import Candidate, penalty
 from .judging import Proof, Question, Told, Verdict, judged_trials, proof_of
-from .responses import LINES, MACHINES, Family, designed_on, family_of, under
+from .responses import Family, under
 from .window import Filters, ShapedFilter, Window, window_of
 
 SPARE = 0.02  # beyond the margin, kept in the search for machines that it has not seen
@@ -233,17 +233,9 @@ class LearnedLaw(Question):
             passed=taps.passed,
         )
 
-    def resolved(
-        self, *, after: int = 0, machines: int = MACHINES, points: int = LINES,
-        besides: Mapping[str, np.ndarray] | None = None,
-    ) -> Family:  # fmt: skip
-        """The family with lines that resolve its taps, by a seed so far `after` the own one."""
-        seed = self.seed + after
-        population = designed_on(self.machine, self.uncertainty, machines=machines, seed=seed)
-        return family_of(
-            population, self.feedback, self.task,
-            points=points, several=True, besides=besides, taps=max(self.taps),
-        )._replace(highest=self.highest)  # fmt: skip
+    def resolved(self, **how: Value) -> Family:
+        """The `family`, of any number of channels, with lines that resolve its taps."""
+        return self.family(several=True, taps=max(self.taps), **how)
 
     def learned_taps(
         self, family: Family, safe: list[Candidate], out: Path, *, resume: bool, told: Told
