@@ -72,6 +72,7 @@ from ..schemes import (
 from ..schemes.scheme import trials_of_step
 from ..signals.task import Task
 from ..uncertainty import Uncertainty, draw, drawn_machines
+from . import condition
 from .bounds import Checked, checked_machines
 from .chance import (
     EVERY,
@@ -108,7 +109,7 @@ from .sliding import printed_condition
 from .spectrum import radius_with_doubt
 from .trials import learned_from, trial_of
 
-CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = "monotone", "converges", "diverges", "not claimed"
+CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOTHING = condition.CLAIMS
 COURSES = FALLS, NOT_ALWAYS, TURNS, GROWS = "falls", "falls, not always", "turns", "grows"
 RISE = 1e-9  # a relative rise of the error that rounding explains
 AS_TOLD = 1e-6  # share of the largest error by which simulation may differ from theory
@@ -462,12 +463,11 @@ def _within(found: LongRun, ball: Ball) -> LongRun:
 
 def _claim_on_runs(one: UnderChance, of_mean: str) -> tuple[str, str, str]:
     """Claim, reason and sense; of_mean: the claim on the mean of all runs."""
-    claims = ((one.monotone, MONOTONE), (one.converges, CONVERGES), (one.diverges, DIVERGES))
-    claim = next((claim for holds, claim in claims if holds), NOTHING)
-    if claim == NOTHING and of_mean == DIVERGES:
+    if one.claim == NOTHING and of_mean == DIVERGES:
         said = "the mean of all runs grows without bound, and their mean square at least as fast"
         return DIVERGES, f"{SQUARE}, {said}", SQUARE
-    return claim, one.reason if claim == NOTHING else f"{one.sense}, {one.reason}", one.sense
+    reason = one.reason if one.claim == NOTHING else f"{one.sense}, {one.reason}"
+    return one.claim, reason, one.sense
 
 
 def course(errors) -> str:

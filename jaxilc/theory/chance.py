@@ -58,7 +58,7 @@ from ..pytree.in_short import in_short
 from ..runtime.tiles import tiled_with
 from ..schemes import Scheme
 from ..signals.task import Task
-from .condition import ROUNDING
+from .condition import CONVERGES, DIVERGES, MONOTONE, NOT_CLAIMED, ROUNDING
 from .learning_map import MOST, View, alone, count_of, first_of, learning_of, slopes
 from .spectrum import drifting, norm_of, reachable, triangular_radius
 from .trials import disturbed
@@ -352,7 +352,7 @@ class UnderChance(NamedTuple):
         differ; then claims on the mean are claims on the distance of two runs for every draw
     clear: whether no limit is met within `MARGIN` standard deviations
     sense: one of `SENSES`
-    monotone, converges, diverges: what is claimed in this sense
+    claim: what is claimed in this sense, of `condition.CLAIMS`
     reason: on what it rests
     left: root mean square error, over all that is drawn, that learning leaves in the long run;
         infinite where its square has no mean, NaN where it is not known
@@ -363,9 +363,7 @@ class UnderChance(NamedTuple):
     certain: bool
     clear: bool
     sense: str
-    monotone: bool
-    converges: bool
-    diverges: bool
+    claim: str
     reason: str
     left: float
     most: float
@@ -440,8 +438,8 @@ def _judged(
         left, rms = run.bounds(factor, trials) if known else (np.inf, np.full(trials, np.nan))
         said = f"{two} to {factor**0.5:.6g} of itself in every trial, or below" if known else FEWER
         quantile = left / np.sqrt(RARE)
-        sense = SQUARE if known else MEAN
-        return UnderChance(False, True, sense, known, known, False, said, left, quantile, rms)
+        sense, claim = (SQUARE, MONOTONE) if known else (MEAN, NOT_CLAIMED)
+        return UnderChance(False, True, sense, claim, said, left, quantile, rms)
     with np.errstate(over="ignore", invalid="ignore"):
         rms, clear = run.course(max(trials, LOOKED_AT if len(parts.t) > 1 else 1))
         rms, worst, at_once, factor, growth = rms[:trials], 0.0, True, 0.0, 1.0
@@ -450,30 +448,30 @@ def _judged(
         left, most, calm = run.left() if factor < 1 else (np.inf, np.inf, True)
 
     def found(sense, claim, said):
-        claims = [claim >= least for least in (2, 1)] + [claim < 0]
-        known = (left, most) if claim > 0 and sense != ALMOST else (np.inf, np.inf)
-        return UnderChance(moments.certain, clear and calm, sense, *claims, said, *known, rms)
+        known = claim in (MONOTONE, CONVERGES) and sense != ALMOST
+        of_error = (left, most) if known else (np.inf, np.inf)
+        return UnderChance(moments.certain, clear and calm, sense, claim, said, *of_error, rms)
 
     if worst < 1:
-        return found(EVERY, 2, f"{two} to {worst:.6g} of itself in every trial, or below")
+        return found(EVERY, MONOTONE, f"{two} to {worst:.6g} of itself in every trial, or below")
     if at_once:
-        return found(SQUARE, 2, f"{two} to {factor**0.5:.6g} of itself in every trial, or below")
+        said = f"{two} to {factor**0.5:.6g} of itself in every trial, or below"
+        return found(SQUARE, MONOTONE, said)
     if factor < 1:
-        return found(
-            SQUARE, 1, f"{two} in the end; it grows at most {growth**0.5:.3g} times before"
-        )
+        said = f"{two} in the end; it grows at most {growth**0.5:.3g} times before"
+        return found(SQUARE, CONVERGES, said)
     if whole.exponent > -np.log(ALONE) and len(parts.t) == 1:  # no limit would hold it
         said = f"a run grows by {np.exp(whole.exponent):.4g} in a trial, in the long run"
-        return found(ALMOST, -1, said)
+        return found(ALMOST, DIVERGES, said)
     if drifts:
-        return found(ALMOST, -1, drifts)
+        return found(ALMOST, DIVERGES, drifts)
     exponent = drawn()
     if exponent < np.log(ALONE):
         by = f"to {np.exp(exponent):.4g} of itself in a trial, or below, in the long run"
-        return found(ALMOST, 1, f"{two} {by}; single trials may stray far")
+        return found(ALMOST, CONVERGES, f"{two} {by}; single trials may stray far")
     grows = "can grow far before it falls" if whole.square < ALONE else "is not seen to fall"
     said = "what holds for the mean of all runs does not hold for single ones: their mean square "
-    return found(MEAN, 0, said + grows)
+    return found(MEAN, NOT_CLAIMED, said + grows)
 
 
 class _Run(NamedTuple):

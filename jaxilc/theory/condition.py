@@ -15,7 +15,9 @@ import numpy as np
 
 from ..pytree.in_short import in_short
 
-HOLDS, FAILS, NOT_CLAIMED = "holds", "fails", "not claimed"
+MONOTONE, CONVERGES, DIVERGES, NOT_CLAIMED = "monotone", "converges", "diverges", "not claimed"
+CLAIMS = MONOTONE, CONVERGES, DIVERGES, NOT_CLAIMED
+HOLDS, FAILS = "holds", "fails"
 ROUNDING = 1000.0  # in units of the last place
 ALIKE = 100.0  # likewise, of numbers that are the same but for rounding
 
