@@ -26,6 +26,7 @@ import numpy as np
 from ..identification.record_files import (
     SAMPLE,
     SECONDS,
+    STEP_TOLERANCE,
     is_twincat,
     name_and_unit_of_time,
     place_of_time,
@@ -52,7 +53,6 @@ from ..storage.mat_files import ROOM, Other, read_mat
 from .checks import Finding, spaced
 from .journal import ENDED
 
-STEP_TOLERANCE = 0.01  # share of the sample time by which a single step may differ
 RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may differ
 # Options of the command line that name columns, as `names` does.
 OPTIONS = {"t": "--time", "u": "--input", "y": "--output", "r": "--set campaign.reference"}
