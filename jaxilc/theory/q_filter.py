@@ -140,11 +140,6 @@ def without_low_pass(scheme: Scheme) -> Scheme:
     return _changed(scheme, _is_low_pass, lambda filtered: child_of(filtered, "scheme")) or scheme
 
 
-def with_low_pass(scheme: Scheme, q: ZeroPhaseButterworth) -> Scheme | None:
-    """The scheme with a filter around its learning part; None where it has no part known here."""
-    return _changed(scheme, _is_known, lambda law: Filtered(law, q))
-
-
 def with_law(scheme: Scheme, law: Scheme) -> Scheme:
     """The scheme with another learning law in place of its own and the filter around that.
 
@@ -173,7 +168,8 @@ def scheme_of(scheme: Scheme, places: Places, change: Change) -> Scheme:
     made = replaced(scheme, places.of(scheme, change))
     if places.cutoff or not np.isfinite(change.cutoff):
         return made
-    return with_low_pass(made, ZeroPhaseButterworth(change.cutoff, order=change.order)) or made
+    q = ZeroPhaseButterworth(change.cutoff, order=change.order)
+    return _changed(made, _is_known, lambda law: Filtered(law, q)) or made
 
 
 def _is_low_pass(scheme) -> bool:
