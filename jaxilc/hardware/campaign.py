@@ -23,7 +23,7 @@ from ..learning.metrics import measure
 from ..learning.over_trials import check_length, measured_trial, need_kinds
 from ..learning.playback import replay, schedules
 from ..learning.within_trial import run_trial
-from ..pytree.aliases import Json, Leaf, Value
+from ..pytree.aliases import Leaf, Value
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, environment, need_same
@@ -292,18 +292,26 @@ class Campaign:
         findings += self._against_those_before(record, error, hashes["played"], expected)
         following = learned(scheme, task, memory, record) if learn else memory
         following_schedules = schedules(scheme, following, task)
-        findings += _of_the_next(following, following_schedules, task, self.actuator, self.rules)
+        if wrong := _not_a_number(_arrays_of(following)):
+            text = f"what would be learned is not a number in {wrong}"
+            findings.append(Finding("refusal", text))
+        findings += checks.beyond_limits(following_schedules, task, self.actuator, self.rules)
         peaks = {name: float(checks.peak(name, of, task)) for name, of in played.items()}
         if measured.u is not None:
             findings += self._as_the_machine_can(record, commanded, played, live, measured.samples)
         if learn:
-            findings += self._no_larger(following_schedules, peaks, live)
+            times, largest = checks.learned_so_far(live, peaks)
+            accept, grows = self.rules.accept, growth_of(scheme, task)
+            findings += checks.larger(following_schedules, largest, 1 + times, task, accept, grows)
+        metrics = {
+            name: np.asarray(of).tolist() for name, of in _measured(record, task)._asdict().items()
+        }
         return Turn(
             number,
             record,
             following,
             following_schedules,
-            _metrics_of(record, task, error),
+            {"error": error, **metrics},
             hashes,
             findings,
             learn,
@@ -348,20 +356,6 @@ class Campaign:
             }
             findings += checks.misplayed(u, commanded, others, accept)
         return findings
-
-    def _no_larger(
-        self,
-        following: dict[str, np.ndarray],
-        peaks: dict[str, float],
-        live: list[Manifest],
-    ) -> list[Finding]:
-        """Whether the next schedules are no larger than learning would make them.
-
-        peaks: the largest value of each schedule that this trial played
-        """
-        learned, largest = checks.learned_so_far(live, peaks)
-        grows = growth_of(self.scheme, self.task)
-        return checks.larger(following, largest, 1 + learned, self.task, self.rules.accept, grows)
 
     def _against_those_before(
         self, record: Trial, error: float, played: str, expected: Expected | None
@@ -499,29 +493,6 @@ def _hash_of(*arrays) -> str:
     return hashlib.sha256(
         b"".join(np.ascontiguousarray(a, dtype=float).tobytes() for a in arrays)
     ).hexdigest()
-
-
-def _of_the_next(
-    memory: Memory,
-    schedules: dict[str, np.ndarray],
-    task: Task,
-    actuator: Actuator | None,
-    rules: Rules,
-) -> list[Finding]:
-    """The findings on the memory after a trial, and on the schedules of the next one."""
-    wrong = _not_a_number(_arrays_of(memory))
-    text = f"what would be learned is not a number in {wrong}"
-    findings = [Finding("refusal", text)] if wrong else []
-    return findings + checks.beyond_limits(schedules, task, actuator, rules)
-
-
-def _metrics_of(record: Trial, task: Task, error: float) -> dict[str, Json]:
-    """The metrics of a trial as the journal stores them.
-
-    error: RMS error over all outputs [unit of y]
-    """
-    metrics = _measured(record, task)._asdict()
-    return {"error": error} | {name: np.asarray(v).tolist() for name, v in metrics.items()}
 
 
 _measured = jax.jit(measure)  # one program instead of one for each operation

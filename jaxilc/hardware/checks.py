@@ -330,15 +330,11 @@ SAME_UNIT = 0.02  # share by which a factor between units may differ
 UNITS = (10.0, 25.4, 180 / np.pi, 1e3, 1e6)  # what one unit is of another, mostly
 
 
-def accepting(name: str) -> str:
-    """How a refusal ends: the option that accepts what was seen."""
-    return f"--set campaign.accept={name} accepts it"
-
-
 def _refused(name: str, text: str, accept: tuple[str, ...]) -> Finding:
+    """The refusal, with the option that accepts what was seen; a warning where it is accepted."""
     if name in accept:
         return Finding("warning", f"{text} (accepted)")
-    return Finding("refusal", f"{text}; {accepting(name)}")
+    return Finding("refusal", f"{text}; --set campaign.accept={name} accepts it")
 
 
 def frozen(
