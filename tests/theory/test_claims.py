@@ -50,7 +50,7 @@ from jaxilc.schemes import (
 from jaxilc.signals import Task
 from jaxilc.theory import contraction, frequency, lifted, sliding, trials
 from jaxilc.theory.certificates import OfScheme, certify, printed_conditions
-from jaxilc.theory.enclosure import arc_of_loop, size, supremum
+from jaxilc.theory.enclosure import arc_of_loop, supremum
 from jaxilc.theory.learning_map import Matrices
 from jaxilc.theory.loop import Loop
 from jaxilc.theory.outlook import decays
@@ -287,12 +287,7 @@ def random_loop(rng) -> Loop:
 def test_no_peak_lies_above_its_enclosure(seed):
     """By the Hamiltonian test a bound is above it where a pencil has no unit eigenvalue."""
     loop = random_loop(np.random.default_rng(seed))
-
-    def bounds(centre, h):
-        arc = arc_of_loop(loop, centre, h)
-        return size(arc.value), np.max(arc.ends(h), axis=0) + h**2 * arc.curve
-
-    found = supremum(bounds)
+    found = supremum(lambda centre, h: arc_of_loop(loop, centre, h).bounds(h))
 
     def above(b):
         n, (A, B, C) = len(loop.A), loop
