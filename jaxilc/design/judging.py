@@ -338,10 +338,10 @@ def proof_of(family: Family, scheme: Scheme, task: Task, *, between: bool = Fals
 
 
 def _corners(family: Family) -> list[int]:
-    """The machines of which each uncertain number is at an end of what was drawn."""
-    drawn = [np.asarray(of) for of in family.drawn.values()]
-    at_end = [(of == of.min()) | (of == of.max()) for of in drawn]
-    return np.flatnonzero(np.all(at_end, axis=0)).tolist() if drawn else []
+    """The machines of which each uncertain number is at an end of its distribution."""
+    ends = {name: one.corners() for name, one in family.population.uncertainty.items()}
+    at_end = [np.isin(family.drawn[name], of) for name, of in ends.items()]
+    return np.flatnonzero(np.all(at_end, axis=0)).tolist() if ends else []
 
 
 def _further(family: Family, laws, sizes, dt: float) -> float:

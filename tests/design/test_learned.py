@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxilc import Machine, Sensor, Task, Uniform
+from jaxilc import Machine, Normal, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw, judging
 from jaxilc.design.by_response import FirstTaps, by_response, moved, sizes_of
 from jaxilc.design.candidates import UNSAFE, Candidate, candidates, contraction, penalty
@@ -163,6 +163,14 @@ def test_the_proof_of_a_whole_set_encloses_its_corners(monkeypatch):
     dense = family_of(drawn, None, TASK, points=4000)
     z = np.exp(2j * np.pi * DT * dense.frequencies)
     assert whole.bound >= np.abs(1 - 0.3 * z * dense.P).max() - 1e-9
+
+
+def test_the_corners_of_a_normal_distribution_are_found_though_drawn_numbers_lie_beyond():
+    normal = {"plant.gain": Normal(1.0, 0.05, relative=True)}
+    family = family_of(designed_on(MACHINE, normal, machines=200), None, TASK, points=4)
+    gains = family.drawn["plant.gain"][judging._corners(family)]
+    np.testing.assert_allclose(gains, [0.9, 1.1])
+    assert np.ptp(family.drawn["plant.gain"]) > 0.2
 
 
 def test_shaped_is_a_learning_filter(window, found):
