@@ -45,12 +45,14 @@ class Seen(NamedTuple):
     best: smallest rms error of a trial so far, infinite before the first one [unit of y]
     learned: number of trials that were learned from
     largest: largest value of each learned schedule that was played [its unit]
+    begun: that until the first trial that was learned from
     fine: whether every output and input of the present trial was finite
     """
 
     best: Array
     learned: Array
     largest: dict[str, Array]
+    begun: dict[str, Array]
     fine: Array
 
 
@@ -60,11 +62,13 @@ class Trials(NamedTuple):
     best: smallest rms error of them, infinite without one [unit of y]
     learned: number of trials that were learned from
     largest: largest value of each schedule that was played, by name
+    begun: that until the first trial that was learned from
     """
 
     best: float
     learned: int
     largest: dict[str, float]
+    begun: dict[str, float]
 
 
 def begun_by(trials: Trials, nothing: Seen) -> Seen:
@@ -72,15 +76,18 @@ def begun_by(trials: Trials, nothing: Seen) -> Seen:
 
     nothing: what it knows before the first trial
     """
-    largest = {name: jnp.asarray(trials.largest.get(name, 0.0), float) for name in nothing.largest}
+    largest, begun = (
+        {name: jnp.asarray(of.get(name, 0.0), float) for name in nothing.largest}
+        for of in (trials.largest, trials.begun)
+    )
     best, learned = jnp.asarray(trials.best, float), jnp.asarray(trials.learned, float)
-    return nothing._replace(best=best, learned=learned, largest=largest)
+    return Seen(best, learned, largest, begun, nothing.fine)
 
 
 def nothing_seen(scheme: Scheme, task: Task, schedule: Tree) -> Seen:
     """What the guard knows before the first trial."""
     largest = dict.fromkeys(_learned(scheme, task, schedule), jnp.zeros(()))
-    return Seen(jnp.asarray(jnp.inf), jnp.zeros(()), largest, jnp.asarray(True))
+    return Seen(jnp.asarray(jnp.inf), jnp.zeros(()), largest, largest, jnp.asarray(True))
 
 
 def output(y: Array, last: Array) -> tuple[Array, Array]:
@@ -114,14 +121,16 @@ def of_trial(scheme: Scheme, task: Task, seen: Seen, schedule: Tree,
     played = _learned(scheme, task, schedule)
     largest = {name: jnp.maximum(seen.largest[name], peak(name, of, task))
                for name, of in played.items()}  # fmt: skip
-    return code, Seen(best, seen.learned, largest, seen.fine)
+    begun = {name: jnp.where(seen.learned == 0, of, seen.begun[name])
+             for name, of in largest.items()}  # fmt: skip
+    return code, Seen(best, seen.learned, largest, begun, seen.fine)
 
 
 def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree, limit: Array,
             correction: float | None) -> Array:  # fmt: skip
     """Whether what was learned is played: a number, within its limit, and no larger than learned.
 
-    peak <= 1.1 g j / (j - 1) largest,    as in `hardware.checks.larger`
+    peak <= 1.1 g (largest + (largest + |u_1|) / j),    as in `hardware.checks.larger`
     """
     good = [jnp.all(~jnp.isnan(x)) for x in jax.tree.leaves(memory)]
     for name, of in scheme.played(schedule, task).items():
@@ -131,10 +140,11 @@ def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree
         if kind(name) == "reference" and correction is not None:
             away = jnp.min(jnp.max(jnp.abs(from_references(of, task)), axis=0), axis=-1)
             good.append(jnp.all(away <= correction))
-    allowed = LARGER * growth_of(scheme, task) * (1 + 1 / jnp.maximum(1.0, seen.learned))
+    free, j = seen.learned == 0, jnp.maximum(1.0, seen.learned)
     for name, of in _learned(scheme, task, schedule).items():
         largest = seen.largest[name]
-        good.append((largest == 0) | (peak(name, of, task) <= allowed * largest))
+        allowed = LARGER * growth_of(scheme, task) * (largest + (largest + seen.begun[name]) / j)
+        good.append(free | (largest == 0) | (peak(name, of, task) <= allowed))
     return jnp.all(jnp.stack(good)) if good else jnp.asarray(True)
 
 

@@ -300,9 +300,8 @@ class Campaign:
         if measured.u is not None:
             findings += self._as_the_machine_can(record, commanded, played, live, measured.samples)
         if learn:
-            times, largest = checks.learned_so_far(live, peaks)
-            accept, grows = self.rules.accept, growth_of(scheme, task)
-            findings += checks.larger(following_schedules, largest, 1 + times, task, accept, grows)
+            known, grows = checks.learned_so_far(live, peaks), growth_of(scheme, task)
+            findings += checks.larger(following_schedules, *known, task, self.rules.accept, grows)
         metrics = {
             name: np.asarray(of).tolist() for name, of in _measured(record, task)._asdict().items()
         }

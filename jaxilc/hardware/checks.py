@@ -194,21 +194,25 @@ def comparable(scheme: Scheme, task: Task, live: list[Manifest]) -> list[tuple[i
     ]
 
 
-def learned_so_far(live: list[Manifest], *now: Mapping[str, float]) -> tuple[int, dict[str, float]]:
+def learned_so_far(
+    live: list[Manifest], *now: Mapping[str, float]
+) -> tuple[int, dict[str, float], dict[str, float]]:
     """The number of whole trials that were learned from, and the largest value of each schedule.
 
-    What the part of a trial teaches is no measure of what a whole one does: before a whole one was
-    learned from, the largest values are those of the first trial.
+    The last are the largest values until the first whole trial that was learned from: what the law
+    began with, or the part of a trial has taught, is no measure of what a whole one teaches.
 
     live: manifests of the start and of the trials
     now: largest values of the schedules of a trial that is not among them
     """
-    learned = sum(bool(m["learned"]) and not is_part(m) for m in live[1:])
+    learned = [bool(m["learned"]) and not is_part(m) for m in live[1:]]
     peaks = [*(m.get("peaks", {}) for m in live[1:]), *now]
-    largest: dict[str, float] = {}
-    for of in peaks if learned else peaks[:1]:
-        largest |= {name: max(x, largest.get(name, 0.0)) for name, x in of.items()}
-    return learned, largest
+    begun = peaks[: learned.index(True) + 1] if any(learned) else peaks
+    return sum(learned), _largest(peaks), _largest(begun)
+
+
+def _largest(peaks: list[Mapping[str, float]]) -> dict[str, float]:
+    return {name: max(of.get(name, 0.0) for of in peaks) for of in peaks for name in of}
 
 
 def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: str) -> list[Finding]:
@@ -458,29 +462,29 @@ def peak(name: str, schedule, task: Task):
 
 def larger(
     schedules: Mapping[str, np.ndarray],
-    played: Mapping[str, float],
     learned: int,
+    played: Mapping[str, float],
+    begun: Mapping[str, float],
     task: Task,
     accept: tuple[str, ...],
     grows: float = 1.0,
 ) -> list[Finding]:
     """A next schedule that is larger than learning from a constant error would make it.
 
-        peak <= 1.1 g j / (j - 1) largest,    j > 1: number of trials that are learned from
+        peak <= 1.1 g (largest + (largest + |u_1|) / j),    j > 0: number of trials learned from
 
-    From u_1 = 0 a constant error makes u_{j+1} = j / (j - 1) u_j; one that falls makes less. Only a
-    law of higher order makes more: g times as much. After the first trial twice what it played is
-    allowed; where it played nothing, nothing is a bound.
+    A constant error adds the same in each trial: u_{j+2} - u_1 = (j + 1) / j (u_{j+1} - u_1); one
+    that falls adds less. Only a law of higher order makes more: g times as much. What the first
+    trial teaches has no bound, since u_1 was not learned, nor has anything where all was zero.
 
-    played: the largest value of each schedule in the trials so far
-    learned: j
+    learned, played, begun: j, the largest values so far and those of u_1, see `learned_so_far`
     grows: g, of `schemes.scheme.growth_of`
     """
     found = []
     for name in (name for name in schedules if kind(name) in LEARNED):
         largest, reached = played.get(name, 0.0), peak(name, schedules[name], task)
-        allowed = LARGER * grows * (1 + 1 / max(1, learned - 1)) * largest
-        if largest and reached > allowed:
+        allowed = LARGER * grows * (largest + (largest + begun.get(name, 0.0)) / max(1, learned))
+        if learned and largest and reached > allowed:
             unit = spaced(unit_of(name, task))
             text = (
                 f"the next {name} would reach {reached:.6g}{unit}, where {largest:.6g}{unit} is "

@@ -20,13 +20,17 @@ from jaxilc.export.guard import CODES, Trials
 from jaxilc.export.steps import dft
 from jaxilc.native.program import Unknown
 from jaxilc.outcomes.exporting import trials_of_test
+from jaxilc.plants import StateSpace
 from jaxilc.schemes import (
     PID,
+    BasisFunctions,
     Feedforward,
     HigherOrder,
     LearningFilter,
     MultivariableILC,
     PIDType,
+    PolynomialBasis,
+    WarmStart,
     WithFeedback,
 )
 from jaxilc.signals import Task, Trial
@@ -234,6 +238,33 @@ def test_the_guard_lets_a_law_of_higher_order_learn_from_an_error_that_stays():
     assert [CODES[played.trial(y)[1]] for _ in range(3)] == ["LEARNED"] * 3
 
 
+@pytest.mark.parametrize("law", [
+    WarmStart(PIDType(gamma_p=0.5), PolynomialBasis((0,)), theta=[0.1]),
+    BasisFunctions(PolynomialBasis((0,)), StateSpace([[0.0]], [[0.5]], [[1.0]], dt=1e-3),
+                   start=[0.1]),
+])  # fmt: skip
+def test_the_guard_lets_a_law_learn_that_does_not_begin_with_zero(law):
+    """On the plant y[k+1] = u[k] / 2 both have to play far more than they begin with."""
+    r = np.sin(np.arange(FEW + 1) / 3)[:, None]
+    played, y, rms = law_of(law, Task(r, 1e-3), 1e3).played(), np.zeros(r.shape), []
+    for _ in range(6):
+        y[1:] = played.known["schedule.u"] / 2
+        rms.append(np.sqrt(np.mean(np.square(r - y))))
+        assert CODES[played.trial(y)[1]] == "LEARNED"
+    assert rms[-1] < 0.4 * rms[0]
+
+
+def test_the_guard_bounds_what_is_learned_beside_what_the_law_began_with():
+    """A constant error of -4 moves u from 1 to -1, -3 and -5; then +-1.1 (5 + (5 + 1) / 3)."""
+    law = WarmStart(PIDType(gamma_p=0.5), PolynomialBasis((0,)), theta=[1.0])
+    r = np.ones((FEW + 1, 1))
+    for last, code in ((-5.0, "LEARNED"), (-6.0, "TOO_LARGE")):
+        played = law_of(law, Task(r, 1e-3), 1e3).played()
+        assert [CODES[played.trial(r - e)[1]] for e in (-4.0,) * 3] == ["LEARNED"] * 3
+        assert np.array_equal(played.known["schedule.u"].ravel(), np.full(FEW, -5.0))
+        assert CODES[played.trial(r - last)[1]] == code
+
+
 def test_the_guard_compares_a_learned_reference_with_the_nearest_output():
     scheme, r = MultivariableILC(PIDType(gamma_p=1e-3), PID(kp=0.01)), task_of("p_type").reference
     task = Task(np.hstack([r + 1, r]), 1e-3, inputs=1)
@@ -245,13 +276,11 @@ def test_the_guard_compares_a_learned_reference_with_the_nearest_output():
 def test_a_law_starts_with_what_a_campaign_has_learned():
     task, scheme = task_of("p_type"), SCHEMES["p_type"]
     memory = Feedforward(jnp.arange(FEW, dtype=float)[:, None] / FEW)
-    of_guard = Trials(best=0.25, learned=3, largest={"u": 1.5})
+    of_guard = Trials(best=0.25, learned=3, largest={"u": 1.5}, begun={"u": 0.5})
     played = law_of(scheme, task, 9.0, memory=memory, trials=of_guard).played()
-    assert [played.known[f"seen.{name}"] for name in ("best", "learned", "largest.u")] == [
-        0.25,
-        3,
-        1.5,
-    ]
+    assert [
+        played.known[f"seen.{name}"] for name in ("best", "learned", "largest.u", "begun.u")
+    ] == [0.25, 3, 1.5, 0.5]
     assert np.array_equal(played.trial(np.asarray(task.reference))[0], memory.u)
 
 

@@ -28,7 +28,15 @@ from jaxilc.hardware.checks import beyond_limits, larger
 from jaxilc.learning import Sensor, learn, run_trial
 from jaxilc.plants import from_control
 from jaxilc.scenarios import load_scenario
-from jaxilc.schemes import HigherOrder, Ladder, PIDType, Scheme, WithFeedback
+from jaxilc.schemes import (
+    HigherOrder,
+    Ladder,
+    PIDType,
+    PolynomialBasis,
+    Scheme,
+    WarmStart,
+    WithFeedback,
+)
 from jaxilc.schemes.compose import Pair
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task, Trial
@@ -650,8 +658,25 @@ def test_every_table_is_looked_at_before_it_is_played():
     found = beyond_limits(of_parts, task, None, Rules(limit=0.4, correction=0.1))
     assert "the next feedback.reference is 0.2 away from the task's" in found[0].text
     assert "the next feedback.feedforward" in found[1].text
-    grown = larger(of_parts, {"feedback.feedforward": 0.1}, 2, task, ())
+    grown = larger(of_parts, 1, {"feedback.feedforward": 0.1}, {}, task, ())
     assert ["feedback.feedforward would reach" in one.text for one in grown] == [True]
+
+
+def test_a_law_that_does_not_begin_with_zero_is_bound_from_there(tmp_path):
+    """A constant error of -4 moves u by -2 a trial, from +-1 to -6 +- 1; then to -10.6."""
+    law = WarmStart(PIDType(gamma_p=0.5), PolynomialBasis((0,)), theta=[1.0])
+    r = np.sin(np.arange(31.0) / 5)[:, None]
+    campaign = Campaign.start(tmp_path / "state", law, Task(r, dt=0.1))
+    u = np.asarray(campaign.schedules()["u"])
+    for _ in range(3):
+        turn = campaign.turn(Measured(r + 4, np.asarray(campaign.schedules()["u"]), {}, (), "y"))
+        assert turn.refusals == []
+        campaign.keep(turn)
+    now = np.asarray(campaign.schedules()["u"])
+    np.testing.assert_allclose(now, u - 6)
+    assert campaign.turn(Measured(r + 7, now, {}, (), "y")).refusals == []
+    (said,) = campaign.turn(Measured(r + 9, now, {}, (), "y")).refusals
+    assert "the next u would reach" in said
 
 
 def test_a_table_that_was_not_the_one_to_play_is_refused(tmp_path):
