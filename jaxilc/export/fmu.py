@@ -78,7 +78,8 @@ class Block(NamedTuple):
     name: law or plant
     about: one sentence
     variables: in the order of their references within their kind, inputs first
-    files: the texts of its C files by their names; `block.c` has block_start and block_step
+    files: the texts of its C files by their names; `block.c` has block_start, block_begin, for the
+        begin of a communication step, and block_step, for a sample
     """
 
     name: str
@@ -108,6 +109,8 @@ void block_start(block *b)
     memset(b, 0, sizeof *b);
     law_start(&b->inner);
 }
+
+void block_begin(block *b) { (void) b; }
 
 /* A trial takes LAW_SAMPLES steps, and one more, with whose output the law learns. */
 void block_step(block *b)
@@ -155,14 +158,14 @@ void block_start(block *b)
     plant_start(&b->inner, b->real + PLANT_INPUTS);
 }
 
-void block_step(block *b)
+void block_begin(block *b)
 {
-    double *u = b->real, *y = b->real + PLANT_INPUTS;
     if (b->truth[0]) {
-        plant_start(&b->inner, y);
+        plant_start(&b->inner, b->real + PLANT_INPUTS);
     }
-    plant_step(&b->inner, u, y);
 }
+
+void block_step(block *b) { plant_step(&b->inner, b->real, b->real + PLANT_INPUTS); }
 """
     return Block("plant", about, task, variables, {**files, "block.c": _HEAD + body})
 
@@ -248,6 +251,7 @@ typedef struct {{
 }} block;
 
 void block_start(block *b);
+void block_begin(block *b);
 void block_step(block *b);
 
 /* Whether a value reference is one of a number of them. */
@@ -264,6 +268,7 @@ static inline bool block_steps(block *b, double step)
         || fabs(step - samples * BLOCK_SAMPLE_TIME) > 1e-6 * BLOCK_SAMPLE_TIME) {{
         return false;
     }}
+    block_begin(b);
     for (int i = 0; i < (int) samples; ++i) {{
         block_step(b);
     }}

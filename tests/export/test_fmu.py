@@ -22,6 +22,7 @@ from jaxilc.export.law import Field, Function
 from jaxilc.export.plant import Model, files_of_plant, model_of
 from jaxilc.learning import Disturbance, Machine, learn
 from jaxilc.native.program import Unknown
+from jaxilc.plants import StateSpace
 from jaxilc.signals import Task
 
 compiled = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler, as `cc`")
@@ -143,6 +144,23 @@ def test_a_law_plays_in_an_fmu_what_it_plays_here(exported, version, tmp_path):
     assert fmu.call("Reset") == 0
     assert fmu.get("trial") == 0
     fmu.call("FreeInstance")
+
+
+@compiled
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_step_of_several_samples_begins_from_rest_once(version, tmp_path):
+    plant, x = StateSpace([[0.5]], [[0.5]], [[1.0]], dt=1e-3), 0.0
+    model = model_of(Machine(plant), Task(np.zeros(4), dt=1e-3))
+    fmu = Instance(packed(block_of(model), version=version), tmp_path)
+    fmu.set("u", 3.0)
+    assert fmu.step(1e-3) == 0
+    fmu.set("rest", True)
+    fmu.set("u", 1.0)
+    for _ in range(3):
+        x = 0.5 * x + 0.5
+    for _ in range(2):
+        assert fmu.step(3e-3) == 0
+        assert fmu.get("y") == x
 
 
 @compiled
