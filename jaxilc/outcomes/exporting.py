@@ -74,6 +74,14 @@ def export(
             f"{name} cannot be exported: machine.variation.carried makes its feedback and the rate "
             "of the actuator go on from trial to trial, and the code begins each at rest"
         )
+    for option in ("dropped", "shortest"):
+        chance = getattr(chosen.machine.variation, option, None)
+        if chance is not None:
+            raise ValueError(
+                f"{name} cannot be exported: machine.variation.{option} = {float(chance):g}, and "
+                "the code learns from a trial only where each of its samples was measured; leave "
+                "it out where the controller measures them all"
+            )
     largest = kept.get("limit", getattr(actuator, "limit", None)) if limit is None else limit
     if largest is None or not _positive(largest, number):
         raise ValueError(

@@ -69,6 +69,15 @@ def test_a_feedback_that_goes_on_from_trial_to_trial_is_not_exported(tmp_path):
     assert "machine.variation.carried makes its feedback" in " ".join(err.split())
 
 
+@pytest.mark.parametrize("option", ["dropped = 0.05", "shortest = 0.5"])
+def test_a_law_is_not_certified_on_trials_that_its_code_refuses(tmp_path, option):
+    lossy = AXIS.replace("[task]", f"[machine.variation]\n{option}\n[task]")
+    (tmp_path / "lossy.toml").write_text(lossy)
+    code, _, err = call("export", "lossy.toml", "--limit", "9", "--scheme", "ilc")
+    assert code == 2
+    assert f"machine.variation.{option}, and the code learns" in " ".join(err.split())
+
+
 @pytest.mark.parametrize(
     ("kind", "files"), [("hal", {"law.comp", "law.c", "law.h", "law_test.c"}), ("st", {"law.st"})]
 )
