@@ -172,7 +172,7 @@ def members_of(fields: Mapping[str, Field], work: Mapping[str, int]) -> list[str
     for name, of in fields.items():
         size = "" if of.first.size == 1 else f"[{of.first.size}]"
         said = [str(of.first.shape)] if of.first.size > 1 else []
-        said += [f"[{of.unit}]"] if of.unit else []
+        said += [f"[{_plain(of.unit)}]"] if of.unit else []
         told = f"  /* {' '.join(said)} */" if said else ""
         members.append(f"    {type_of(of.first.dtype)} {field_name(name)}{size};{told}")
     return members + [f"    {kind} work_{kind}[{room}];" for kind, room in work.items()]

@@ -18,6 +18,7 @@ from jax.typing import DTypeLike
 from ..native.operations import Node, Number
 from ..native.program import Unknown
 from . import guard
+from .c import field_name
 from .law import Law
 from .printer import Body, View, closed, filled, opened
 
@@ -161,7 +162,7 @@ class _Declared:
         self.constants: dict[str, tuple[str, Sequence[str]]] = {}
         self.names: dict[str, str] = {}
         for name in law.fields:
-            short = re.sub(r"_+", "_", re.sub(r"\W", "_", name)).strip("_")
+            short = re.sub(r"_+", "_", field_name(name))
             taken = {one.lower() for one in self.names.values()}
             while short.lower() in taken:
                 short += "x"
@@ -270,7 +271,7 @@ def function_block(law: Law, about: Sequence[str], digest: str) -> FunctionBlock
     kinds = {name: (first.type_of(of.first.dtype), of.first.size) for name, of in fields.items()}
     kept = [
         f"    {declared.names[name]} : {_many(*kinds[name])};"
-        + (f"  (* [{of.unit}] *)" if of.unit else "")
+        + (f"  (* [{_plain(of.unit)}] *)" if of.unit else "")
         for name, of in fields.items()
     ]
     variables = [f"    {name} : {_many(*of)};" for name, of in declared.variables.items()]
@@ -286,17 +287,18 @@ def function_block(law: Law, about: Sequence[str], digest: str) -> FunctionBlock
         )
     )
     codes = "".join(f"   {i} {meaning}\n" for i, meaning in enumerate(guard.MEANINGS))
+    of_y, of_u = (_plain(unit) or "1" for unit in (task.unit, task.input_unit))
     join = "\n".join
     text = f"""(*
 {said}   The codes of a trial:
 {codes}*)
 FUNCTION_BLOCK FB_Law
 VAR_INPUT
-    measured : {_many("LREAL", task.outputs)}; (* measured output [{task.unit or "1"}] *)
+    measured : {_many("LREAL", task.outputs)}; (* measured output [{of_y}] *)
     begin_trial : BOOL; (* a trial begins where none is running *)
 END_VAR
 VAR_OUTPUT
-    command : {_many("LREAL", task.inputs)}; (* input of the plant [{task.input_unit or "1"}] *)
+    command : {_many("LREAL", task.inputs)}; (* input of the plant [{of_u}] *)
     running : BOOL; (* a trial is running *)
     trials : DINT; (* trials that have ended *)
     code : DINT; (* what the last trial ended with *)
@@ -357,6 +359,10 @@ def _many(kind: str, count: int) -> str:
     return kind if count == 1 else f"ARRAY[0..{count - 1}] OF {kind}"
 
 
+def _plain(text: str) -> str:
+    """A text that neither ends a comment nor begins another."""
+    return text.replace("*)", "* )").replace("(*", "( *")
+
+
 def _wrapped(lines: Sequence[str]) -> list[str]:
-    plain = [line.replace("*)", "* )").replace("(*", "( *") for line in lines]
-    return [part for line in plain for part in textwrap.wrap(line, 94) or [""]]
+    return [part for line in lines for part in textwrap.wrap(_plain(line), 94) or [""]]

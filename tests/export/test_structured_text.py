@@ -1,5 +1,10 @@
 """Laws in Structured Text, played by a reader of the language that knows nothing of the printer."""
 
+import re
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import case
@@ -7,6 +12,10 @@ from structured_text import Block
 
 from jaxilc.export import law_of
 from jaxilc.export.st import function_block
+from jaxilc.pytree import pytree
+from jaxilc.schemes import Scheme
+from jaxilc.schemes.scheme import Feedforward
+from jaxilc.signals import Task
 
 SCHEMES = ["ffdl_book", "p_type_iir", "norm_optimal", "p_type_stop"]
 
@@ -28,6 +37,54 @@ def test_a_block_plays_what_the_law_plays_to_the_last_bit(name):
         assert found[1] == wanted[1]
     assert block.known["trials"] == 3
     assert wanted[1] == 1  # a sensor that fails is told
+
+
+class Learned(NamedTuple):
+    """What `Own` has learned, one part under a name that is not ASCII."""
+
+    u: jax.Array
+    φ: jax.Array
+
+
+@pytree
+class Own(Scheme):
+    """A law of a user, which adds the tangent of the error and counts in a field of any name."""
+
+    def initial_memory(self, task):
+        return Learned(jnp.zeros((task.N, 1)), jnp.zeros(3))
+
+    def schedule(self, memory, task):
+        return Feedforward(memory.u)
+
+    def initial_state(self, task):
+        return ()
+
+    def act(self, state, sample):
+        return state, sample.row.u
+
+    def learn(self, memory, trial):
+        return Learned(memory.u + jnp.tanh(trial.e[1:]), memory.φ + jnp.sum(trial.e))
+
+
+@pytest.fixture(scope="module")
+def own():
+    """A law of a user, in units that end a comment, and its block."""
+    task = Task(np.sin(np.arange(9.0)), dt=1e-3, unit="mm (*) 1", input_unit="*) V")
+    law = law_of(Own(), task, 10.0)
+    return law, function_block(law, ["A law (*)."], "0" * 64).text
+
+
+def test_no_unit_and_no_name_of_a_field_leaves_its_place(own):
+    law, text = own
+    code = re.sub(r"\(\*.*?\*\)", "", text, flags=re.S)
+    assert code.isascii()
+    assert "*)" not in code
+    block, played = Block(text), law.played()
+    for j in range(2):
+        y = (1 + j) * np.asarray(law.task.reference) / 4
+        found, wanted = block.trial(y), played.trial(y)
+        np.testing.assert_allclose(found[0], wanted[0], rtol=1e-14)
+        assert found[1] == wanted[1] == 0
 
 
 def test_a_block_is_what_the_grammar_of_twincat_takes(tmp_path):
