@@ -106,11 +106,23 @@ END_VAR
 LAW_COPYSIGN := SEL(b < 0.0 OR b = 0.0 AND 1.0 / b < 0.0, ABS(a), -ABS(a));
 END_FUNCTION
 
+(* By EXP(z) - 1 for z = -2 |x|, whose rounding the quotient by LN takes out (W. Kahan). *)
 FUNCTION LAW_TANH : LREAL
 VAR_INPUT
     x : LREAL;
 END_VAR
-LAW_TANH := 1.0 - 2.0 / (EXP(2.0 * x) + 1.0);
+VAR
+    z, power, less : LREAL;
+END_VAR
+z := -2.0 * ABS(x);
+power := EXP(z);
+less := z;
+IF z < -40.0 THEN
+    less := -1.0;
+ELSIF power <> 1.0 THEN
+    less := (power - 1.0) * (z / LN(power));
+END_IF
+LAW_TANH := LAW_COPYSIGN(less / (less + 2.0), x);
 END_FUNCTION
 
 (* The whole part of a number, held within the range of the integer; 0 for what is not a number. *)

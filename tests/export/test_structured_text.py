@@ -1,5 +1,6 @@
 """Laws in Structured Text, played by a reader of the language that knows nothing of the printer."""
 
+import math
 import re
 from typing import NamedTuple
 
@@ -85,6 +86,16 @@ def test_no_unit_and_no_name_of_a_field_leaves_its_place(own):
         found, wanted = block.trial(y), played.trial(y)
         np.testing.assert_allclose(found[0], wanted[0], rtol=1e-14)
         assert found[1] == wanted[1] == 0
+
+
+def test_the_tangent_of_a_block_is_exact_to_a_few_last_bits(own):
+    found = Block(own[1]).known["LAW_TANH"]
+    sizes = np.concatenate([[0.0, 5e-324, 20.0, 400.0, 1e308, np.inf], np.logspace(-300, 2, 500)])
+    with np.errstate(all="ignore"):
+        for x in (*sizes, *-sizes):
+            assert abs(found(x) - math.tanh(x)) <= 6e-16 * abs(math.tanh(x)), x
+        assert math.copysign(1, found(np.float64(-0.0))) == -1
+        assert math.isnan(found(np.float64("nan")))
 
 
 def test_a_block_is_what_the_grammar_of_twincat_takes(tmp_path):
