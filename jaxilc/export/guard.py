@@ -140,11 +140,12 @@ def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree
         if kind(name) == "reference" and correction is not None:
             away = jnp.min(jnp.max(jnp.abs(from_references(of, task)), axis=0), axis=-1)
             good.append(jnp.all(away <= correction))
-    free, j = seen.learned == 0, jnp.maximum(1.0, seen.learned)
+    steps = jnp.floor(seen.learned / scheme.trials_a_step)
+    most, j = LARGER * growth_of(scheme, task), jnp.maximum(1.0, steps)
     for name, of in _learned(scheme, task, schedule).items():
         largest = seen.largest[name]
-        allowed = LARGER * growth_of(scheme, task) * (largest + (largest + seen.begun[name]) / j)
-        good.append(free | (largest == 0) | (peak(name, of, task) <= allowed))
+        allowed = most * (largest + (largest + seen.begun[name]) / j)
+        good.append((steps == 0) | (largest == 0) | (peak(name, of, task) <= allowed))
     return jnp.all(jnp.stack(good)) if good else jnp.asarray(True)
 
 

@@ -300,8 +300,11 @@ class Campaign:
         if measured.u is not None:
             findings += self._as_the_machine_can(record, commanded, played, live, measured.samples)
         if learn:
-            known, grows = checks.learned_so_far(live, peaks), growth_of(scheme, task)
-            findings += checks.larger(following_schedules, *known, task, self.rules.accept, grows)
+            learned, largest, begun = checks.learned_so_far(live, peaks)
+            findings += checks.larger(
+                following_schedules, learned // scheme.trials_a_step, largest, begun, task,
+                self.rules.accept, growth_of(scheme, task),
+            )  # fmt: skip
         metrics = {
             name: np.asarray(of).tolist() for name, of in _measured(record, task)._asdict().items()
         }

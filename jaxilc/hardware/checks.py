@@ -462,7 +462,7 @@ def peak(name: str, schedule, task: Task):
 
 def larger(
     schedules: Mapping[str, np.ndarray],
-    learned: int,
+    steps: int,
     played: Mapping[str, float],
     begun: Mapping[str, float],
     task: Task,
@@ -471,20 +471,21 @@ def larger(
 ) -> list[Finding]:
     """A next schedule that is larger than learning from a constant error would make it.
 
-        peak <= 1.1 g (largest + (largest + |u_1|) / j),    j > 0: number of trials learned from
+        peak <= 1.1 g (largest + (largest + |u_1|) / j),    j > 0: learning steps so far
 
-    A constant error adds the same in each trial: u_{j+2} - u_1 = (j + 1) / j (u_{j+1} - u_1); one
+    A constant error adds the same in each step: u_{j+2} - u_1 = (j + 1) / j (u_{j+1} - u_1); one
     that falls adds less. Only a law of higher order makes more: g times as much. What the first
-    trial teaches has no bound, since u_1 was not learned, nor has anything where all was zero.
+    step teaches has no bound, since u_1 was not learned, nor has anything where all was zero.
 
-    learned, played, begun: j, the largest values so far and those of u_1, see `learned_so_far`
+    steps: j, as many as trials that were learned from, but for a law that takes several at a time
+    played, begun: the largest values so far, and those of u_1, see `learned_so_far`
     grows: g, of `schemes.scheme.growth_of`
     """
     found = []
     for name in (name for name in schedules if kind(name) in LEARNED):
         largest, reached = played.get(name, 0.0), peak(name, schedules[name], task)
-        allowed = LARGER * grows * (largest + (largest + begun.get(name, 0.0)) / max(1, learned))
-        if learned and largest and reached > allowed:
+        allowed = LARGER * grows * (largest + (largest + begun.get(name, 0.0)) / max(1, steps))
+        if steps and largest and reached > allowed:
             unit = spaced(unit_of(name, task))
             text = (
                 f"the next {name} would reach {reached:.6g}{unit}, where {largest:.6g}{unit} is "

@@ -26,6 +26,7 @@ from jaxilc.schemes import (
     BasisFunctions,
     Feedforward,
     HigherOrder,
+    Ladder,
     LearningFilter,
     MultivariableILC,
     PIDType,
@@ -263,6 +264,16 @@ def test_the_guard_bounds_what_is_learned_beside_what_the_law_began_with():
         assert [CODES[played.trial(r - e)[1]] for e in (-4.0,) * 3] == ["LEARNED"] * 3
         assert np.array_equal(played.known["schedule.u"].ravel(), np.full(FEW, -5.0))
         assert CODES[played.trial(r - last)[1]] == code
+
+
+def test_the_guard_counts_the_steps_of_a_law_that_repeats_its_trials():
+    """An error that stays at 1 moves u by 0.5 in every third trial, to 1.5; then to 2.2 at most."""
+    r = np.ones((FEW + 1, 1))
+    for last, code in ((1.3, "LEARNED"), (1.5, "TOO_LARGE")):
+        played = law_of(Ladder(PIDType(gamma_p=0.5), repeats=3), Task(r, 1e-3), 1e3).played()
+        assert {CODES[played.trial(r - 1)[1]] for _ in range(9)} == {"LEARNED"}
+        assert np.array_equal(played.known["schedule.u"].ravel(), np.full(FEW, 1.5))
+        assert CODES[[played.trial(r - last)[1] for _ in range(3)][-1]] == code
 
 
 def test_the_guard_compares_a_learned_reference_with_the_nearest_output():

@@ -679,6 +679,21 @@ def test_a_law_that_does_not_begin_with_zero_is_bound_from_there(tmp_path):
     assert "the next u would reach" in said
 
 
+def test_the_steps_of_a_law_that_repeats_its_trials_bound_its_input(tmp_path):
+    """An error that stays at 1 moves u by 0.5 in every third trial, to 1; then to 1.65 at most."""
+    r, draw = np.sin(np.arange(31.0) / 5)[:, None], np.random.default_rng(0)
+    law = Ladder(PIDType(gamma_p=0.5), repeats=3)
+    campaign = Campaign.start(tmp_path / "state", law, Task(r, dt=0.1))
+    for error, trials in ((1.0, 6), (2.0, 3)):
+        for _ in range(trials):
+            y = r - error + 1e-4 * draw.normal(size=r.shape)
+            turn = campaign.turn(Measured(y, np.asarray(campaign.schedules()["u"]), {}, (), "y"))
+            if not turn.refusals:
+                campaign.keep(turn)
+    np.testing.assert_allclose(campaign.schedules()["u"], 1.0, atol=1e-3)
+    assert ["the next u would reach" in one for one in turn.refusals] == [True]
+
+
 def test_a_table_that_was_not_the_one_to_play_is_refused(tmp_path):
     machine, scheme, task = case("p_type_on_reference")
     campaign = Campaign.start(tmp_path / "state", scheme, task)
