@@ -40,7 +40,10 @@ LINES_A_TAP = 4  # of the grid on which filters are synthesised
 UNSEEN = 0.05  # |Q| beyond the last line that is worth a warning
 PASSED = 0.1  # |Q| from which on a resonance lies inside the band
 _answers = partial(Table, "", "", show_header=False)  # of a title, and rows of two texts
-ON_LINES = ": |Q (1 - L P)| + |Q L| s on its lines"
+NO_SCATTER = (
+    "{}: no scatter of its lines is told, so that none is allowed for, and a machine whose response "
+    "lies off them may be unsafe; add a column std, variance or coherence."
+)
 CAPTION = "Whether the Q-filter is safe: |Q (1 - L P)| must stay below 1."
 
 
@@ -155,7 +158,10 @@ def filter_measured(
     names = names if len({*names}) == len(names) else files  # of several folders
     of_each = dict(zip(names, answered.tests, strict=True))
     place = Path(folder or f"out/filter-{Path(records[0]).stem}")
-    said = [_records_verdict(names, answered, sigmas, averages), _between(answered)]
+    told = [bool(np.any(one.std)) for one in read]
+    untold = ", ".join(name for name, of in zip(names, told, strict=True) if not of)
+    said = [_records_verdict(names, answered, told, sigmas, averages)]
+    said += [NO_SCATTER.format(untold)] * bool(untold) + [_between(answered)]
     numbers, kept = _law_numbers(answered, answered.offers), []
     numbers["records"] = {
         name: {
@@ -184,8 +190,8 @@ def filter_measured(
         folder=place,
         tables=[
             *(
-                _answers(title=f"{name}{ON_LINES}", rows=_record_rows(test))
-                for name, test in zip(names, answered.tests, strict=True)
+                _answers(title=f"{name}: {_size(of)} on its lines", rows=_record_rows(test, of))
+                for name, test, of in zip(names, answered.tests, told, strict=True)
             ),
             _offers_table(answered.now, answered.offers, margin),
         ],
@@ -450,7 +456,13 @@ def _lead_of(inner, best) -> float:
 # --------------------------------------------------------------------------------------------------
 
 
-def _record_rows(test: RecordTest) -> list[tuple[str, str]]:
+def _size(told: bool) -> str:
+    """What must stay below 1 on a line, whose scatter s is told or not."""
+    return "|Q (1 - L P)|" + " + |Q L| s" * told
+
+
+def _record_rows(test: RecordTest, told: bool) -> list[tuple[str, str]]:
+    largest = f"{number(test.peak)} at {number(test.worst)} Hz" + ", scatter included" * told
     resonances = [
         f"{number(one.frequency)} Hz: {one.lines:.1f} lines in its width of {number(one.width)} Hz"
         + ("" if one.fine else ", too few")
@@ -458,7 +470,7 @@ def _record_rows(test: RecordTest) -> list[tuple[str, str]]:
     ]
     rows = [
         ("lines", f"{len(test.curves.f)}, {number(test.ends[0])} to {number(test.ends[1])} Hz"),
-        ("largest", f"{number(test.peak)} at {number(test.worst)} Hz, scatter included"),
+        ("largest", largest),
         ("margin", number(1 - test.peak)),
         ("|1 - L P| above 1 without Q", _first_above(test.curves)),
         ("resonances", "; ".join(resonances) or "none stands out by 3 dB"),
@@ -471,19 +483,23 @@ def _record_rows(test: RecordTest) -> list[tuple[str, str]]:
 
 
 def _records_verdict(
-    names: list[str], answered: MeasuredQuestion, sigmas: float, averages: int | None
+    names: list[str],
+    answered: MeasuredQuestion,
+    told: Sequence[bool],
+    sigmas: float,
+    averages: int | None,
 ) -> str:
-    test = answered.tests[answered.top]
+    test, size = answered.tests[answered.top], _size(told[answered.top])
     where = f"at {number(test.worst)} Hz" + (f" in {names[answered.top]}" if len(names) > 1 else "")
-    law = f"with {sigmas:g} standard deviations of scatter"
+    law = f" with {sigmas:g} standard deviations of scatter" * any(told)
+    law += " where it is told" * (any(told) and not all(told))
     law += f" and the doubt of {averages} averages" if averages else ""
     if answered.peak < 1:
         return (
-            f"Safe on every line {law}: |Q (1 - L P)| + |Q L| s is at most "
-            f"{number(answered.peak)}, a margin of {number(1 - answered.peak)}; it is largest "
-            f"{where}."
+            f"Safe on every line{law}: {size} is at most {number(answered.peak)}, a margin of "
+            f"{number(1 - answered.peak)}; it is largest {where}."
         )
-    return f"Not safe {law}: |Q (1 - L P)| + |Q L| s reaches {number(answered.peak)} {where}."
+    return f"Not safe{law}: {size} reaches {number(answered.peak)} {where}."
 
 
 def _between(answered: MeasuredQuestion) -> str:

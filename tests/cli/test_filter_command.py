@@ -118,6 +118,23 @@ def test_the_answer_for_a_record(here):
     assert "Next: jaxilc filter a.csv --gain 0.5" in said
 
 
+def test_a_record_without_scatter_is_not_said_to_be_safe_with_it(here):
+    """Lines of re and im alone were "safe with 3 standard deviations", "scatter included"."""
+    f = np.arange(1.0, 200.0)
+    for name, std in (("bare.csv", ""), ("zero.csv", ",std")):
+        P = 1 / (1 + 2j * np.pi * f / 80)
+        write_columns(name, f"f [Hz],re,im{std}", f, P.real, P.imag, *[0 * f] * bool(std))
+        _, out, _ = call("filter", name, *LAW)
+        said = " ".join(out.split())
+        assert "Safe on every line: |Q (1 - L P)| is at most" in said
+        assert f"{name}: no scatter of its lines is told, so that none is allowed for" in said
+        assert not any(text in said for text in ("deviations", "included", "|Q L| s"))
+    both = filter_measured(["a.csv", "bare.csv"], gain=0.5, cutoff=30.0, dt=1e-3, lead=2)
+    first, second, *_ = both.verdict.said
+    assert "with 3 standard deviations of scatter where it is told: |Q (1 - L P)| + |Q L|" in first
+    assert second.startswith("bare.csv: no scatter")
+
+
 def test_taps_of_one_by_one_matrices_are_written_as_they_are_set(here, monkeypatch):
     """They ended in a TypeError, and those of one axis were rounded beyond the margin."""
     taps = {"L": np.array([[[0.123456]], [[0.5]]])}
