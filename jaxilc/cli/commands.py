@@ -557,6 +557,11 @@ def _place_to_write(param: typer.CallbackParam, path: Path | None) -> Path | Non
     return (file_to_write if _is_plant_file(path) else folder_to_write)(param, path)
 
 
+Averages = Annotated[
+    int | None, left("--averages", "the heading `coherence [N averages]` of the file does it")
+]
+
+
 def _is_plant_file(path: Path | None) -> bool:
     return path is not None and path.suffix == ".toml"
 
@@ -620,10 +625,7 @@ def identify(
         Option(metavar="FILE", help="A second record, of the same columns, which judges."),
     ] = None,
     resample: Annotated[float | None, left("--resample", "--dt DT does it")] = None,
-    averages: Annotated[
-        int | None,
-        left("--averages", "reading={'averages': N} in Python, of jaxilc.outcomes, does it"),
-    ] = None,
+    averages: Averages = None,
     out_dir: Annotated[
         Path | None,
         Option(
@@ -728,7 +730,7 @@ def filter_(
     sampling: Annotated[str | None, left("--sampling", FILTER_DOES.format(""))] = None,
     order: Annotated[int | None, left("--order", MEASURED)] = None,
     sigmas: Annotated[float | None, left("--sigmas", MEASURED)] = None,
-    averages: Annotated[int | None, left("--averages", MEASURED)] = None,
+    averages: Averages = None,
     synthesise: Annotated[bool, left("--synthesise", "--taps N does it")] = False,
     band: Annotated[float | None, left("--band", FILTER_DOES.format(""))] = None,
 ) -> None:

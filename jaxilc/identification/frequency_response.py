@@ -7,7 +7,8 @@ the header.
     frequency    f, freq, frequency, w, omega; in Hz, kHz or rad/s
     response     re and im; or magnitude (mag, gain, amplitude, abs) and phase (angle, arg);
                  or one column of complex text (response, frf, G, H, P), such as 1.2+0.3j
-    scatter      std, variance or coherence (coh, mscohere); none is allowed
+    scatter      std, variance or coherence (coh, mscohere), with the number of averages behind it
+                 in brackets, as `coherence [16 averages]`; none is allowed
 
 A magnitude needs its unit, `abs` (or any unit of output per input) or `dB`, and so do a phase,
 `deg` or `rad`, and a frequency: each of them is used both ways, and a mistake would not be seen.
@@ -15,6 +16,7 @@ A magnitude needs its unit, `abs` (or any unit of output per input) or `dB`, and
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,6 +46,7 @@ RADIANS = {"deg": np.pi / 180, "°": np.pi / 180, "degree": np.pi / 180, "degree
 RADIANS["rad"] = 1.0
 NOT_LINEAR = ("db", "%", *RADIANS)
 FEWEST = 2  # lines
+OF_AVERAGES = re.compile(r"(\d{1,9}) averages")
 SUFFIXES = ("hz", "khz", "db", "abs", "deg", "rad")
 
 
@@ -83,7 +86,8 @@ def read_frequency_response(path: str | Path, *, averages: int | None = None) ->
     column `std` goes before `variance`, and this before `coherence`; re and im go before magnitude
     and phase, and these before complex text.
 
-    averages: number n >= 2 of independent averages; without it, std is known up to a factor
+    averages: number n >= 2 of independent averages; None for the one in the heading of the
+        coherence. Without either, std is known up to a factor
     Raises ValueError naming file, line and column: for a column that is missing or there twice, a
     unit that is missing or not known, a value that is not a finite number or outside its range,
     frequencies that do not increase, and fewer than 2 lines.
@@ -93,6 +97,7 @@ def read_frequency_response(path: str | Path, *, averages: int | None = None) ->
     read = _Reader(path, list(rows))
     f = read.numbers(columns["frequency"]) * _factor(path, columns["frequency"], HERTZ, "f [Hz]")
     response = _response(read, columns)
+    averages = _averages(path, columns.get("coherence"), averages)
     std, coherence = _std(read, columns, response, averages)
     if np.any(f < 0):
         read.refuse(int(np.argmin(f)), columns["frequency"], "a negative frequency")
@@ -214,6 +219,18 @@ def _response(read: _Reader, columns: dict[str, _Column]) -> np.ndarray:
     elif np.any(size < 0):
         read.refuse(int(np.argmin(size)), magnitude, "negative; is it in dB? Write `[dB]`")
     return size * np.exp(1j * radians * read.numbers(phase))
+
+
+def _averages(path, coherence: _Column | None, given: int | None) -> int | None:
+    """The number of averages that is given, or else that of the heading of a coherence."""
+    found = OF_AVERAGES.fullmatch((coherence and coherence.unit) or "")
+    own = int(found[1]) if found else None
+    if coherence and given is not None and own not in (None, given):
+        raise ValueError(
+            f"{path}: averages = {given} is not that of the heading {coherence.heading!r}; allowed "
+            "is one number"
+        )
+    return own if given is None else given
 
 
 def _std(

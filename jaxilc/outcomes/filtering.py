@@ -41,8 +41,8 @@ UNSEEN = 0.05  # |Q| beyond the last line that is worth a warning
 PASSED = 0.1  # |Q| from which on a resonance lies inside the band
 _answers = partial(Table, "", "", show_header=False)  # of a title, and rows of two texts
 NO_SCATTER = (
-    "{}: no scatter of its lines is told, so that none is allowed for, and a machine whose response "
-    "lies off them may be unsafe; add a column std, variance or coherence."
+    "{}: no scatter of its lines is told, so that none is allowed for, and the law may be unsafe "
+    "on a machine off them; add a column std, variance or coherence."
 )
 CAPTION = "Whether the Q-filter is safe: |Q (1 - L P)| must stay below 1."
 
@@ -137,7 +137,7 @@ def filter_measured(
     records: files of frequency responses of one machine or of a family
     gain, cutoff, dt, lead, order: of the law, see `PLaw`
     sigmas: scatter allowed for [standard deviations of a line]
-    averages: behind the coherence of a record
+    averages: behind the coherence of a record; None for those in its heading
     margin, taps, band, folder: as for `filter_`
     Raises ValueError for a number out of its range, and as `measured_question`.
     """
@@ -150,7 +150,7 @@ def filter_measured(
         if not one.averages_known:
             raise ValueError(
                 f"{path}: the coherence gives a standard deviation together with the number of "
-                "averages only; give --averages N (averages)"
+                "averages only; write it into the heading, as `coherence [16 averages]`"
             )
     progress("on the lines of the records")
     answered = q_filter.measured_question(read, law, sigmas=sigmas, margin=margin)
@@ -160,7 +160,7 @@ def filter_measured(
     place = Path(folder or f"out/filter-{Path(records[0]).stem}")
     told = [bool(np.any(one.std)) for one in read]
     untold = ", ".join(name for name, of in zip(names, told, strict=True) if not of)
-    said = [_records_verdict(names, answered, told, sigmas, averages)]
+    said = [_records_verdict(names, answered, told, sigmas, read[answered.top].averages)]
     said += [NO_SCATTER.format(untold)] * bool(untold) + [_between(answered)]
     numbers, kept = _law_numbers(answered, answered.offers), []
     numbers["records"] = {
@@ -487,13 +487,13 @@ def _records_verdict(
     answered: MeasuredQuestion,
     told: Sequence[bool],
     sigmas: float,
-    averages: int | None,
+    averages: float,
 ) -> str:
     test, size = answered.tests[answered.top], _size(told[answered.top])
     where = f"at {number(test.worst)} Hz" + (f" in {names[answered.top]}" if len(names) > 1 else "")
     law = f" with {sigmas:g} standard deviations of scatter" * any(told)
     law += " where it is told" * (any(told) and not all(told))
-    law += f" and the doubt of {averages} averages" if averages else ""
+    law += f" and the doubt of {averages:g} averages" if np.isfinite(averages) else ""
     if answered.peak < 1:
         return (
             f"Safe on every line{law}: {size} is at most {number(answered.peak)}, a margin of "

@@ -158,6 +158,28 @@ def test_the_next_command_for_a_record_asks_the_same(here):
     assert peak == pytest.approx(max(one["peak"] for one in found.numbers["offers"]), rel=1e-9)
 
 
+def test_the_file_tells_the_averages_behind_its_coherence(here):
+    """They were asked for by an option that no help shows, and that warned when it was given."""
+    f, c = np.arange(1.0, 200.0), np.full(199, 0.99)
+    P = 1 / (1 + 2j * np.pi * f / 80)
+    for heading in ("coherence", "coherence [20 averages]"):
+        write_columns("c.csv", f"f [Hz],re,im,{heading}", f, P.real, P.imag, c)
+        code, out, err = call("filter", "c.csv", *LAW, "--report", "o.json")
+        if heading == "coherence":
+            assert (code, out) == (2, "")
+            assert "write it into the heading, as `coherence [16 averages]`" in err
+    assert (code, err) == (0, "")
+    assert "scatter and the doubt of 20 averages: |Q" in " ".join(out.split())
+    assert "--averages" not in out
+    peak = json.loads((here / "o.json").read_text())["peak"]
+    Q = 1 / (1 + (np.tan(np.pi * f * 1e-3) / np.tan(np.pi * 0.03)) ** 4)
+    L = 0.5 * np.exp(2j * np.pi * f * 3e-3)
+    # the F distribution with 2 and 38 degrees of freedom exceeds x with (1 + x / 19)^-19
+    std = np.abs(P) * np.sqrt(0.01 / 0.99 / 19)
+    s = std * np.sqrt(19 * (np.exp(9 / 19) - 1))
+    assert peak == pytest.approx(np.max(Q * (np.abs(1 - L * P) + 0.5 * s)), rel=1e-9)
+
+
 def test_records_of_one_name_in_several_folders_are_told_apart(here):
     (here / "b").mkdir()
     (here / "b/a.csv").write_bytes((here / "a.csv").read_bytes())

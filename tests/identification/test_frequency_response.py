@@ -57,7 +57,10 @@ def test_std_variance_and_coherence(tmp_path):
     c = np.array([0.5, 0.9, 1.0])
     expected = abs(G) * np.sqrt((1 - c) / (9 * c))
     np.testing.assert_allclose(std("coherence", c, 10), expected, rtol=1e-12)
+    np.testing.assert_allclose(std("Coherence [10 averages]", c), expected, rtol=1e-12)
     np.testing.assert_allclose(std("coherence", c), std("coherence", c, 2), rtol=1e-12)
+    with pytest.raises(ValueError, match=r"averages = 9 is not that of the heading 'coh \(10 av"):
+        std("coh (10 averages)", c, 9)
     with pytest.raises(ValueError, match=r"line 4: coh = '0' is outside \(0, 1\]"):
         std("coh", ["0.5", "1", "0"], 10)
     with pytest.raises(ValueError, match="averages = 1 is outside"):
