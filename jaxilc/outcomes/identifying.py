@@ -84,6 +84,12 @@ OF_REFERENCE = (
 )
 SECOND = "A record that was not fitted, and the output that the plant predicts."
 NO_LAW = "No filtered P-type law was found that learns on the fitted plant: the file has no scheme."
+FEEDBACK_FIRST = (
+    " The plant does not come to rest after a trial, so a feedback comes first. Add to {} that of "
+    'the machine, as [schemes.loop] with class = "WithFeedback", feedback = {{ class = "PID", '
+    'kp = KP, kd = KD }} and learning = {{ class = "PIDType", gamma_p = 1.0 }}; or record the '
+    "axis with its position loop closed."
+)
 CAPTIONS = {
     "record": "The recorded experiment: what was put in, and what was measured.",
     "validation": "The measured and the simulated output, and their difference.",
@@ -342,9 +348,13 @@ def _plant_file(path: Path, fitted: Fitted, source: str) -> tuple[str, bool]:
         path, fitted.found, fitted.measured, dt=fitted.dt, source=source, units=fitted.units,
         force=True,
     )  # fmt: skip
-    if law is None:
-        return NO_LAW, False
-    return f"{path}: {law.told}. `jaxilc run {path}` simulates it.", True
+    said = NO_LAW if law is None else f"{path}: {law.told}. `jaxilc run {path}` simulates it."
+    return said + FEEDBACK_FIRST.format(path) * (not _rests(fitted)), law is not None
+
+
+def _rests(fitted: Fitted) -> bool:
+    """Whether the plant comes to rest after a trial, without which `design` takes no law."""
+    return bool(np.all(np.real(np.asarray(fitted.found.plant.all_poles)) < 0))
 
 
 def _next(
@@ -353,6 +363,7 @@ def _next(
     """What to do next, in words, and the command."""
     if plant_file is not None:
         what = "a law that is tuned and judged" if has_law else "a law for it"
+        what = what if _rests(fitted) else "with this feedback in the file, a law for it"
         return what, f"jaxilc design {shlex.quote(str(plant_file))}"
     found = fitted.found
     again = f"jaxilc identify {shlex.quote(str(record))}{asked.options()}"

@@ -1,5 +1,6 @@
 """`identify`: a second record judges the plant; mass and friction are told of a force."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,9 +9,12 @@ import scipy.signal
 from command import write_columns
 
 from jaxilc import Machine, outcomes
-from jaxilc.identification import Record
+from jaxilc.design import feedback_among
+from jaxilc.identification import Identified, Record
+from jaxilc.outcomes import identifying
 from jaxilc.outcomes.identifying import _fitted
-from jaxilc.plants import StateSpace
+from jaxilc.plants import ModalModel, StateSpace
+from jaxilc.scenarios.from_file import read_scenario
 
 DT, N = 0.01, 300
 STRUCTURE = {"poles": 1, "pairs": 0, "zeros": 0}
@@ -134,6 +138,33 @@ def test_set_points_of_a_closed_drive_are_no_force_on_a_mass_with_friction(tmp_p
     assert found.numbers["white"]
     assert "friction" not in found.numbers
     assert not any("mass with friction" in line for line in found.verdict.lines)
+
+
+def test_a_plant_that_integrates_is_told_to_get_a_feedback_first(tmp_path, monkeypatch):
+    """`jaxilc design` was the next command, which refused the file at once."""
+    path = tmp_path / "axis.toml"
+    monkeypatch.setattr(identifying, "write_plant_file", lambda *_, **__: None)
+    empty = {"poles": [], "pole_gains": [], "frequencies": [], "dampings": [], "mode_gains": []}
+    for parts, rests in (
+        ({"double_integrator": 50.0}, False),
+        ({"poles": [3.0], "pole_gains": [2.0]}, True),
+    ):
+        plant = ModalModel(**(empty | parts))
+        found = Identified(plant, *[None] * (len(Identified._fields) - 1))
+        fitted = identifying.Fitted(None, found, 1e-3, {}, [])
+        said, has_law = identifying._plant_file(path, fitted, "r.csv")
+        what, _ = identifying._next(path, identifying.Reading(), fitted, path, has_law)
+        assert ("a feedback comes first" in said) == ("feedback" in what) == (not rests)
+        if rests:
+            continue
+        told = re.search(r"(\[schemes.loop\]) with (class .*), (feedback .*) and (learn.*);", said)
+        scheme = "\n".join(told.groups()).replace("KP", "20.0").replace("KD", "0.5")
+        gains = "\n".join(f"{name} = {value}" for name, value in (empty | parts).items())
+        shape = "function = 'sinusoid', amplitude = 1.0, frequency = 2.0, duration = 1.0"
+        task = f"[task]\ndt = 1e-3\nreference = {{ {shape} }}"
+        path.write_text(f'[plant]\nkind = "ModalModel"\n{gains}\n{task}\n{scheme}')
+        feedback = feedback_among(read_scenario(path).schemes)
+        assert (float(feedback.kp), float(feedback.kd)) == (20.0, 0.5)
 
 
 def test_the_plant_file_of_the_next_command_is_not_there_yet(tmp_path, monkeypatch):
