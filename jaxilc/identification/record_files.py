@@ -747,6 +747,7 @@ class Repeats(NamedTuple):
     unit: of the error, "" where no file tells one
     names: of the trials
     position: (N,) where the first one was: its output, or else its reference; None if not read
+    place: unit of the position, "" where its file tells none; None: that of the error
     """
 
     e: np.ndarray
@@ -754,6 +755,7 @@ class Repeats(NamedTuple):
     unit: str
     names: tuple[str, ...]
     position: np.ndarray | None = None
+    place: str | None = None
     __repr__ = in_short
 
 
@@ -781,7 +783,8 @@ def read_repeats(
     for name, value in (("dt", dt), ("without", without)):
         if value is not None:
             require("read_repeats", name, value, "(0, inf)")
-    trials, units, steps, names, places = [], [], [], [], []
+    trials, units, steps, names = [], [], [], []
+    positions: list[tuple[np.ndarray, str | None]] = []
     for path in map(Path, paths):
         signals = _signals_of(path, time, columns, dt, (error, output, reference))
         e = signals.errors(error, output, reference)
@@ -790,9 +793,13 @@ def read_repeats(
             raise ValueError(f"{path} has no times {time!r}; name them with --time, or give --dt")
         trials += list(e)
         names += [path.stem if len(e) == 1 else f"{path.stem} {j + 1}" for j in range(len(e))]
-        units.append(signals.unit)
+        own = signals.unit_of(*([error] if error in signals.found else [output, reference]))
+        units.append(own)
         _one_unit(path, units)
-        places += [x[0] for x in map(signals.of, (output, reference)) if x is not None]
+        for name in (output, reference):
+            if (x := signals.of(name)) is not None:
+                place = signals.units.get(name, [""])[0] or "" if error in signals.found else None
+                positions.append((x[0], place))
         steps.append(step)
     if not trials:
         raise ValueError("no record is given; needed are M >= 2 repeats of one motion")
@@ -808,8 +815,10 @@ def read_repeats(
             "the same length: give those of one motion, cut alike"
         )
     e = np.stack([one[: min(lengths)] for one in trials])
-    position = places[0][: e.shape[1]] if places and len(places[0]) >= e.shape[1] else None
-    return Repeats(e, steps[0], next(filter(None, units), ""), tuple(names), position)
+    unit, (position, place) = next(filter(None, units), ""), (positions or [(None, None)])[0]
+    if position is None or len(position) < e.shape[1]:
+        return Repeats(e, steps[0], unit, tuple(names))
+    return Repeats(e, steps[0], unit, tuple(names), position[: e.shape[1]], place)
 
 
 class _Signals(NamedTuple):
@@ -817,13 +826,17 @@ class _Signals(NamedTuple):
 
     found: arrays by name, (N,) or of several trials
     dt: sample time [s], None where the file tells none
-    unit: of the error, "" where the file tells none
+    units: of the columns of each name; no name where the file tells none
     """
 
     path: Path
     found: Mapping[str, MatValue]
     dt: float | None
-    unit: str = ""
+    units: Mapping[str, Sequence[str | None]] = {}
+
+    def unit_of(self, *names: str) -> str:
+        """The one unit of some signals, "" where none is told; raises ValueError for several."""
+        return _one_unit(self.path, [unit for name in names for unit in self.units.get(name, ())])
 
     def of(self, name: str) -> np.ndarray | None:
         """(trials, N) a signal, None where the file does not have it.
@@ -865,7 +878,7 @@ def _signals_of(
 ) -> _Signals:
     """The signals of a file of any kind; names: of error, output and reference."""
     if path.suffix.lower() not in (".npz", ".mat"):
-        return _columns_of(path, time, columns, dt, names)
+        return _columns_of(path, time, columns, dt)
     found: Mapping[str, MatValue]
     if path.suffix.lower() == ".mat":
         found = read_mat(path, LARGEST)
@@ -899,9 +912,7 @@ def _one_unit(path: Path, units: Iterable[str | None]) -> str:
     return next(iter(told.values()), "")
 
 
-def _columns_of(
-    path: Path, time: str, columns: Sequence[str], dt: float | None, names: tuple[str, str, str]
-) -> _Signals:
+def _columns_of(path: Path, time: str, columns: Sequence[str], dt: float | None) -> _Signals:
     """The signals of a text file; the columns e_0, e_1 ... are trials of e."""
     header, rows = read_columns(path, list(columns))
     table = [numbers_in(row, range(len(header))) for _, row in rows]
@@ -915,7 +926,5 @@ def _columns_of(
     if at is not None and dt is None and len(values) > 1:
         times = values[:, at]
         dt = _step(path, times * seconds_in(path, header[at], None, times))
-    error, *others = names
-    used = found.get(error) or [i for name in others for i in found.get(name, ())]
-    unit = _one_unit(path, (name_and_unit(header[i])[1] for i in used))
-    return _Signals(path, {name: values[:, i].T for name, i in found.items()}, dt, unit)
+    units = {name: [name_and_unit(header[i])[1] for i in of] for name, of in found.items()}
+    return _Signals(path, {name: values[:, of].T for name, of in found.items()}, dt, units)

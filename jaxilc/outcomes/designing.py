@@ -21,6 +21,7 @@ from ..pytree.named_paths import get_at
 from ..scenarios import Scenario
 from ..scenarios.design_file import design_path, need_same_folder, write_design
 from ..schemes import Scheme
+from ..storage.columns import plain_unit
 from ..storage.files import need_unused
 from ..sweeps.store import open_dataset
 from ..theory.q_filter import rounded
@@ -86,12 +87,13 @@ def design(
     if record:
         repeats = repeats_in(record, without=float(chosen.task.dt))
         own = chosen.task.unit
-        repeats = repeats._replace(unit=repeats.unit or own)
-        if own and repeats.unit != own:
-            raise ValueError(
-                f"record has the unit {repeats.unit!r}, the task has {own!r}; allowed is one, in "
-                "which the law by position is written"
-            )
+        repeats = repeats._replace(unit=repeats.unit or own, place=repeats.place or None)
+        for what, unit in (("unit", repeats.unit), ("unit of its position", repeats.place)):
+            if unit and own and plain_unit(unit) != plain_unit(own):
+                raise ValueError(
+                    f"record has the {what} {unit!r}, the task has {own!r}; allowed is one, in "
+                    "which the law by position is written, and nothing is converted"
+                )
         within = within_trial(repeats)
         lines = recurs(within, repeats) or [NOTHING_RECURS]
         say(lines[0])

@@ -256,8 +256,8 @@ def recurs(within: Within, repeats: Repeats) -> list[str]:
     told = {name: one for name, one in within.items() if one}
     if not told:
         return []
-    said = []
-    for name, what in (("time", "s"), ("position", repeats.unit)):
+    said, place = [], repeats.unit if repeats.place is None else repeats.place
+    for name, what in (("time", "s"), ("position", place)):
         if one := told.get(name):
             said.append(
                 f"a period of {sized(one.period, what)} in the {name} foretells "

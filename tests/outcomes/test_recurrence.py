@@ -4,12 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from command import write_columns
 
 from jaxilc import Task, learn
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.identification.pitch import Recurrence, recurrence_of
 from jaxilc.identification.record_files import Repeats
-from jaxilc.outcomes import potential, repeating
+from jaxilc.outcomes import design, potential, repeating
 from jaxilc.outcomes.outcome import silent
 from jaxilc.outcomes.repeating import following, recurs, within_trial
 from jaxilc.plants import ByPosition, Harmonics, PositionMap, StateSpace
@@ -30,6 +31,20 @@ BACK_AND_FORTH = 60 * np.sin(np.pi * t / 2.1) ** 2 + 4 * t  # [mm], at many spee
 STEADY = 20 * t
 BUMP = np.exp(-(((t - 0.7) / 0.1) ** 2)) - np.exp(-(((t - 2.3) / 0.25) ** 2))
 BY_PLACE = np.sin(2 * np.pi * BACK_AND_FORTH / 7.3) + 0.4 * np.cos(4 * np.pi * BACK_AND_FORTH / 7.3)
+
+
+AXIS = """
+[plant]
+kind = "ProcessModel"
+gain = 2.0
+poles = [150.0]
+[task]
+dt = 0.001
+unit = "mm"
+reference = { function = "sinusoid", amplitude = 20.0, frequency = 1.0, duration = 1.0 }
+[uncertainty]
+"plant.gain" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
+"""
 
 
 @pytest.mark.thorough(but=["position0-of_trial0-repeats in a period, so Rep-period0"])
@@ -62,6 +77,21 @@ def test_what_the_error_repeats_in_is_told_with_the_law(tmp_path, position, of_t
     if period:
         name, size = period
         assert found.numbers["within"][name]["period"] == pytest.approx(size, rel=0.02)
+
+
+def test_the_pitch_is_told_in_the_unit_of_the_position(tmp_path):
+    """A pitch of 16 mm, of y in m, was told as 16 µm and written where the error was in mm."""
+    rng, files = np.random.default_rng(2), []
+    y = 1e-3 * BACK_AND_FORTH
+    for j in range(3):
+        e = 0.05 * np.sin(2 * np.pi * y / 0.016) + 1e-3 * rng.standard_normal(len(t))
+        write_columns(path := tmp_path / f"{j}.csv", "t [s],e [mm],y [m]", t, e, y)
+        files.append(path)
+    found = potential(files)
+    assert "a period of 16 mm in the position foretells" in found.lines[-1]
+    (axis := tmp_path / "axis.toml").write_text(AXIS)
+    with pytest.raises(ValueError, match="record has the unit of its position 'm', the task has"):
+        design(axis, record=files)
 
 
 @pytest.mark.parametrize("count", [60, 90, 150, 200])
@@ -98,20 +128,7 @@ def test_one_trial_tells_less_than_two():
 @pytest.fixture
 def axis(tmp_path, monkeypatch):
     monkeypatch.setattr(repeating, "MACHINES", 3)
-    (path := tmp_path / "axis.toml").write_text(
-        """
-[plant]
-kind = "ProcessModel"
-gain = 2.0
-poles = [150.0]
-[task]
-dt = 0.001
-unit = "mm"
-reference = { function = "sinusoid", amplitude = 20.0, frequency = 1.0, duration = 1.0 }
-[uncertainty]
-"plant.gain" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
-"""
-    )
+    (path := tmp_path / "axis.toml").write_text(AXIS)
     return read_scenario(path)
 
 
