@@ -123,7 +123,7 @@ def read_record_file(
     )
     names, timed = [*inputs, *outputs], False
     if Path(path).suffix.lower() == ".mat":
-        signals = read_mat_signals(path, time, names, time_unit, dt)
+        signals, timed = read_mat_signals(path, time, names, time_unit, dt)
     elif not columns and is_twincat(path):
         signals, timed = read_twincat(path, names), True
     else:
@@ -463,7 +463,7 @@ def seconds_in(path, heading: str, unit: str | None, times: np.ndarray) -> float
             f"read_record: {path}: {heading} steps by {step:.6g} and has no unit; in seconds that "
             f"would be {1 / step:.3g} samples a second, in milliseconds {1e3 / step:.3g}. Write "
             f"its unit into the heading, as `{heading} [ms]`, of a variable of MATLAB as "
-            f"{heading}_ms; in Python time_unit does it, too"
+            f"{heading}_ms; read_record takes a time_unit, too"
         )
     return 1.0
 
@@ -477,8 +477,10 @@ EXPORT = "{0} = struct('Time', {0}.Time, 'Data', {0}.Data); save('record.mat', '
 
 def read_mat_signals(
     path: str | Path, time: str, names: list[str], unit: str | None, dt: float | None
-) -> list[Signal]:
-    """The signals of these names in a .mat file of version 5 to 7; a name may be a path, `log.u`.
+) -> tuple[list[Signal], bool]:
+    """The signals of these names in a .mat file of version 5 to 7, and whether any has times.
+
+    A name may be a path, `log.u`.
 
     arrays              variables t, u and y, as vectors of one length
     a structure         fields u and y of one structure, and t there or beside it
@@ -502,7 +504,8 @@ def read_mat_signals(
             f"read_record: {path} is a MATLAB file of version 7.3 (HDF5), which is not read; save "
             f"it again: save('record.mat', {', '.join(map(repr, names))}, '-v7')"
         ) from None
-    return [_mat_signal(path, content, time, name, unit, dt) for name in names]
+    found = [_mat_signal(path, content, time, name, unit, dt) for name in names]
+    return [signal for signal, _ in found], any(timed for _, timed in found)
 
 
 def _mat_signal(
@@ -512,9 +515,11 @@ def _mat_signal(
     name: str,
     unit: str | None,
     dt: float | None,
-) -> Signal:
+) -> tuple[Signal, bool]:
+    """One signal, and whether it has times of its own."""
     level, value = _found(path, content, name)
     own = _own_times(value) if isinstance(value, dict) else None
+    timed = True
     if isinstance(value, dict):
         if own is None:
             raise ValueError(
@@ -525,7 +530,7 @@ def _mat_signal(
     else:
         values = _vector(path, name, value)
         spellings = (time, "time", "Time", "tout") if time == "t" else (time,)
-        if dt is None and not any(k in level for k in spellings):
+        if not any(k in level for k in spellings):
             level = level | content  # the times of the file
         key = next((k for k in spellings if k in level), None)
         if key is None and dt is None:
@@ -533,6 +538,7 @@ def _mat_signal(
                 f"read_record: {path} has no times {time!r} beside {name}; present are "
                 f"{listed(level)}. Name them with --time, or give --dt (dt)"
             )
+        timed = key is not None
         times = np.arange(len(values)) * (dt or 0.0)
         if key is not None:
             times = _vector(path, key, level[key])
@@ -544,8 +550,8 @@ def _mat_signal(
         if not np.all(np.isfinite(of)):
             k = int(np.argmin(np.isfinite(of)))
             raise ValueError(f"read_record: {path}, row {k + 1}: {what} is not a finite number")
-    scale = 1.0 if dt is not None and own is None else seconds_in(path, time, unit, times)
-    return Signal(times * scale, values, [f"row {k + 1}" for k in range(len(values))])
+    scale = seconds_in(path, time, unit, times) if timed else 1.0
+    return Signal(times * scale, values, [f"row {k + 1}" for k in range(len(values))]), timed
 
 
 def _found(
@@ -775,7 +781,7 @@ def read_repeats(
     error: name of the error; where a file has none, it is reference - output
     time: name of the times; a file without them needs `dt`
     columns: names of the columns of text without a header
-    dt: sample time [s] of all files, whatever times they have
+    dt: sample time [s] of all files; of one that has times it must be theirs, to 1 %
     without: sample time [s] of files without times
     Raises ValueError naming the file for what is missing or no number, for units or sample times
     that differ, and for trials whose lengths differ by more than 1 %.
@@ -887,15 +893,29 @@ def _signals_of(
             found = read_arrays(path, checked=False)
         except Damaged as damage:
             raise ValueError(str(damage)) from None
-    if dt is None and time in found:
-        dt = _step(path, np.ravel(np.asarray(found[time])).astype(float))
+    at = place_of_time(time, [*found])
+    if at is not None:
+        heading = [*found][at]
+        dt = _step(path, heading, _vector(path, heading, found[heading]), dt)
     return _Signals(path, found, dt)
 
 
-def _step(path: Path, times: np.ndarray) -> float:
-    """The sample time of uniform times; raises ValueError where they are not."""
+def _step(path: Path, heading: str, times: np.ndarray, given: float | None) -> float:
+    """The sample time that is given, if it is that of the times, or else that of uniform times.
+
+    Raises ValueError where it is not, or they are not, and as `seconds_in`.
+    """
+    times = times * seconds_in(path, heading, None, times)
     steps = np.diff(times)
     middle = float(np.median(steps)) if len(steps) else 0.0
+    if given is not None and middle > 0:
+        own = _own_step(times)
+        if not abs(own / given - 1) <= STEP_TOLERANCE:
+            raise ValueError(
+                f"{path}: its times {heading} step by {own:.6g} s, and --dt (dt) is {given:.6g} s; "
+                f"allowed is a deviation of {STEP_TOLERANCE:.0%}, or a file without times"
+            )
+        return given
     if not middle > 0 or np.any(np.abs(steps / middle - 1) > STEP_TOLERANCE):
         raise ValueError(f"{path}: its times are not uniform (to {STEP_TOLERANCE:.0%})")
     return float(f"{np.mean(steps):.12g}")
@@ -923,8 +943,7 @@ def _columns_of(path: Path, time: str, columns: Sequence[str], dt: float | None)
         for one in {name, re.sub(r"_\d+$", "", name)}:
             found.setdefault(one, []).append(i)
     at = place_of_time(time, header)
-    if at is not None and dt is None and len(values) > 1:
-        times = values[:, at]
-        dt = _step(path, times * seconds_in(path, header[at], None, times))
+    if at is not None and len(values) > 1:
+        dt = _step(path, header[at], values[:, at], dt)
     units = {name: [name_and_unit(header[i])[1] for i in of] for name, of in found.items()}
     return _Signals(path, {name: values[:, of].T for name, of in found.items()}, dt, units)

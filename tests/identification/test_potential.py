@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import write_columns
 from scipy.io import savemat
 from scipy.signal import lfilter
 from typer.testing import CliRunner
@@ -146,6 +147,30 @@ def test_files_of_every_kind_hold_the_same_trials(tmp_path):
     assert read_repeats([tmp_path / "c.csv"]).unit == "mm"
 
 
+@pytest.mark.parametrize("kind", ["npz", "mat", "csv"])
+def test_times_are_those_of_the_file_in_its_unit(tmp_path, kind):
+    """Milliseconds of .npz and .mat were seconds, and any --dt went before the times of a file."""
+    e, k, path = repeats(np.random.default_rng(5), 2), np.arange(N), tmp_path / f"a.{kind}"
+
+    def read(name, times, dt=None):
+        if kind == "csv":
+            write_columns(path, f"{name},e_0,e_1", times, *e)
+        elif kind == "mat":
+            savemat(path, {name: times, "e": e})
+        else:
+            np.savez(path, **{name: times, "e": e})
+        return read_repeats([path], dt=dt).dt
+
+    with pytest.raises(ValueError, match=r"t steps by 1 and has no unit; .* as `t \[ms\]`"):
+        read("t", 1.0 * k)
+    assert read("t_ms", 1.0 * k) == pytest.approx(1e-3)
+    for name, unit in (("t_ms", 1.0), ("t", 1e-3)):
+        with pytest.raises(ValueError, match=f"{name} step by 0.001 s, and --dt .* is 0.01 s"):
+            read(name, unit * k, 0.01)
+        assert read(name, unit * k, 1.001e-3) == 1.001e-3
+    assert read("other", 1.0 * k, 0.01) == 0.01
+
+
 def test_errors_of_several_units_are_refused(tmp_path):
     t, columns = np.arange(N) * DT, {"delimiter": ",", "comments": ""}
     for name, head in (
@@ -170,7 +195,7 @@ def test_errors_of_several_units_are_refused(tmp_path):
         ({"e": np.ones((2, N))}, "--dt"),
         ({"e": np.full((2, N), np.nan), "t": np.arange(N) * DT}, "finite"),
         ({"y": np.ones((2, N)), "r": np.ones((2, 9)), "t": np.arange(N) * DT}, "one reference"),
-        ({"e": np.ones((2, N)), "t": np.arange(N) ** 2 * DT}, "uniform"),
+        ({"e": np.ones((2, N)), "t": np.arange(N) ** 2 * 1e-6}, "uniform"),
     ],
 )
 def test_what_are_no_repeats_is_refused_in_one_line(tmp_path, given, said):

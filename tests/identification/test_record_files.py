@@ -208,6 +208,24 @@ def test_the_last_row_of_a_matlab_file_needs_a_time_and_an_output(tmp_path):
             read_record(tmp_path / "r.mat")
 
 
+def test_a_sample_time_does_not_hide_the_times_of_a_matlab_file(tmp_path):
+    """With dt = 0.001 milliseconds were seconds, and another dt than theirs was ignored."""
+    k, path = np.arange(40.0), tmp_path / "r.mat"
+    for content in (
+        {"t": 1e-3 * k, "u": np.ones(40), "y": k},
+        {"t": 1e-3 * k, "log": {"u": np.ones(40), "y": k}},
+    ):
+        scipy.io.savemat(path, content)
+        found = read_record_file(path, dt=2e-3)
+        assert (found.record.dt, found.resampled) == (2e-3, 2e-3)
+        assert found.own == pytest.approx(1e-3)
+        np.testing.assert_allclose(found.record.y[:, 0], np.arange(0, 40, 2), atol=1e-9)
+        scipy.io.savemat(path, content | {"t": k})
+        with pytest.raises(ValueError, match="t steps by 1 and has no unit; in seconds that"):
+            read_record(path, dt=1e-3)
+        assert read_record(path, dt=1e-3, time_unit="ms").dt == pytest.approx(1e-3)
+
+
 def test_what_matlab_must_export_differently_is_said(tmp_path, monkeypatch):
     path = tmp_path / "r.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF")
