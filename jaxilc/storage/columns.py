@@ -5,7 +5,8 @@ What is understood, in this order:
     comments    lines that begin with `#` or `%` anywhere, and with `;` above the header
     header      the first line that is no comment; where that line holds numbers only, the last
                 comment above it, if it has as many cells (so `numpy.savetxt` writes its header)
-    units       a line below the header that holds units and no number, such as `s;V;mm`
+    units       a line below the header that holds units and no number, such as `s;V;mm`, or
+                their names, such as `second,Volt,Volt`
     separators  the one of a first line such as `sep=;`; else semicolon, tab or comma, whichever
                 the header has first in this order, else blanks
     decimals    a point; or a comma, where the separator is not a comma (German spreadsheets and
@@ -36,6 +37,15 @@ _UNITS = (
 )
 # Units that make a line below the header one of units. A unit in brackets does so too.
 KNOWN_UNITS = frozenset(_UNITS.split())
+# Names of units, as oscilloscopes write them below their header.
+NAMED_UNITS = {
+    f"{name}{plural}": unit
+    for name, unit in (
+        *(("second", "s"), ("sec", "s"), ("millisecond", "ms"), ("microsecond", "us")),
+        *(("volt", "V"), ("millivolt", "mV"), ("ampere", "A"), ("amp", "A"), ("hertz", "Hz")),
+    )
+    for plural in ("", "s")
+}
 _HEADING = re.compile(r"^([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?$")
 _IN_ROUND = re.compile(r"^(.+?)\s*\(([^()]*)\)$")
 _SEPARATOR = re.compile(r"^sep=(.)$", re.IGNORECASE)  # the first line that spreadsheets understand
@@ -212,6 +222,7 @@ def _header(
     if second is None or not _are_units(second[1]):
         return cells, [second] if second else []
     units = [cell.strip().strip("[]()") for cell in second[1]]
+    units = [NAMED_UNITS.get(unit.lower(), unit) for unit in units]
     units += [""] * (len(cells) - len(units))
     return [
         heading if name_and_unit(heading)[1] is not None or not unit else f"{heading} [{unit}]"
@@ -224,7 +235,10 @@ def _are_units(row: list[str]) -> bool:
     cells = [cell.strip() for cell in row if cell.strip()]
     if any(map(is_number, cells)):
         return False
-    return any(cell in KNOWN_UNITS or cell[:1] + cell[-1:] in ("[]", "()") for cell in cells)
+    known = {*KNOWN_UNITS, *NAMED_UNITS}
+    return any(
+        known & {cell, cell.lower()} or cell[:1] + cell[-1:] in ("[]", "()") for cell in cells
+    )
 
 
 def _checked_rows(
