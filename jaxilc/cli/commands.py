@@ -581,7 +581,7 @@ def identify(
         Path | None,
         Argument(
             metavar="RECORD",
-            help="Columns of time, input, output; or of a frequency response; or a .mat file.",
+            help="Columns of time, input, output; or of a frequency response; or .npz, .mat.",
         ),
     ] = None,
     state: Annotated[

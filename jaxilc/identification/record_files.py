@@ -6,11 +6,12 @@ halsampler      LinuxCNC's sampler writes columns without a header and without a
                 by blanks; with its option -t the number of the sample comes first. Names and
                 sample time are given: columns = ["sample", "u", "y"], dt = 0.001. A line
                 `overrun` says that samples were lost there
-MATLAB          .mat files, see `read_mat_signals`
+arrays          .mat files, see `read_mat_signals`, and .npz files with arrays of these names
 
 Of repeats of a motion the error of each trial is read (`read_repeats`). A file has one or several:
 
 text            a column e, or e_0, e_1 ... for several trials; or y and r, whose difference it is
+TwinCAT Scope   a channel e; or y and r
 .npz, .mat      an array e with a row, or a column, for each trial; or y and r
 """
 
@@ -97,7 +98,7 @@ def read_record_file(
     dt: float | None = None,
     resample: float | None = None,
 ) -> RecordFile:
-    """A record from a text file of columns, an export of TwinCAT Scope, or a .mat file.
+    """A record from a text file of columns, an export of TwinCAT Scope, a .mat or .npz file.
 
     A heading is a name, or a name with a unit such as `y [mm]`. The time is converted to seconds
     from the unit in its heading (`t [ms]`, `time (ms)`, `t_ms`) or from `time_unit`; nothing else
@@ -122,7 +123,7 @@ def read_record_file(
         [names] if isinstance(names, str) else list(names) for names in (input, output)
     )
     names, timed = [*inputs, *outputs], False
-    if Path(path).suffix.lower() == ".mat":
+    if is_arrays(path):
         signals, timed = read_mat_signals(path, time, names, time_unit, dt)
     elif not columns and is_twincat(path):
         signals, timed = read_twincat(path, names), True
@@ -468,7 +469,7 @@ def seconds_in(path, heading: str, unit: str | None, times: np.ndarray) -> float
     return 1.0
 
 
-# Files of MATLAB
+# Files of arrays
 # --------------------------------------------------------------------------------------------------
 
 LARGEST = 256_000_000  # bytes of a file, packed or unpacked
@@ -478,9 +479,9 @@ EXPORT = "{0} = struct('Time', {0}.Time, 'Data', {0}.Data); save('record.mat', '
 def read_mat_signals(
     path: str | Path, time: str, names: list[str], unit: str | None, dt: float | None
 ) -> tuple[list[Signal], bool]:
-    """The signals of these names in a .mat file of version 5 to 7, and whether any has times.
+    """The signals of these names in a .npz or .mat file, and whether any has times.
 
-    A name may be a path, `log.u`.
+    A .mat file is of version 5 to 7; a name may be a path in it, `log.u`.
 
     arrays              variables t, u and y, as vectors of one length
     a structure         fields u and y of one structure, and t there or beside it
@@ -495,17 +496,32 @@ def read_mat_signals(
     Raises ValueError naming file and signal for what is missing or cannot be read; where it is an
     object or a file of version 7.3, with the line of MATLAB that exports it.
     """
+    content = _arrays(path, [time, *names])
+    found = [_mat_signal(path, content, time, name, unit, dt) for name in names]
+    return [signal for signal, _ in found], any(timed for _, timed in found)
+
+
+def is_arrays(path: str | Path) -> bool:
+    """Whether a file is one of arrays by name, which its ending tells."""
+    return Path(path).suffix.lower() in (".npz", ".mat")
+
+
+def _arrays(path: str | Path, names: Sequence[str]) -> dict[str, MatValue]:
+    """The content of a .npz or .mat file by name; names: for the message of what to save again."""
     try:
-        content = read_mat(path, LARGEST)
+        if Path(path).suffix.lower() == ".mat":
+            return read_mat(path, LARGEST)
+        return dict(read_arrays(path, checked=False))
+    except Damaged as damage:
+        raise ValueError(str(damage)) from None
     except ValueError as error:
         if "version 7.3" not in str(error):
             raise
+        again = ", ".join(map(repr, dict.fromkeys(name.partition(".")[0] for name in names)))
         raise ValueError(
             f"read_record: {path} is a MATLAB file of version 7.3 (HDF5), which is not read; save "
-            f"it again: save('record.mat', {', '.join(map(repr, names))}, '-v7')"
+            f"it again with those of its variables that count: save('record.mat', {again}, '-v7')"
         ) from None
-    found = [_mat_signal(path, content, time, name, unit, dt) for name in names]
-    return [signal for signal, _ in found], any(timed for _, timed in found)
 
 
 def _mat_signal(
@@ -594,7 +610,7 @@ def _vector(path: str | Path, name: str, value: MatValue) -> np.ndarray:
         if "object" in said:
             said = f"an object of MATLAB, which is not read; in MATLAB: {EXPORT.format(name)}"
         raise ValueError(f"read_record: {path}: {name} is {said}")
-    if not isinstance(value, np.ndarray):
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
         raise ValueError(f"read_record: {path}: {name} is no array of numbers")
     plain = np.squeeze(np.asarray(value, float))
     if plain.ndim != 1:
@@ -883,21 +899,38 @@ def _signals_of(
     path: Path, time: str, columns: Sequence[str], dt: float | None, names: tuple[str, str, str]
 ) -> _Signals:
     """The signals of a file of any kind; names: of error, output and reference."""
-    if path.suffix.lower() not in (".npz", ".mat"):
-        return _columns_of(path, time, columns, dt)
-    found: Mapping[str, MatValue]
-    if path.suffix.lower() == ".mat":
-        found = read_mat(path, LARGEST)
-    else:
-        try:
-            found = read_arrays(path, checked=False)
-        except Damaged as damage:
-            raise ValueError(str(damage)) from None
+    if not is_arrays(path):
+        of_scope = not columns and is_twincat(path)
+        return _of_scope(path, dt, names) if of_scope else _columns_of(path, time, columns, dt)
+    found = _arrays(path, [time, *names])
     at = place_of_time(time, [*found])
     if at is not None:
         heading = [*found][at]
         dt = _step(path, heading, _vector(path, heading, found[heading]), dt)
     return _Signals(path, found, dt)
+
+
+def _of_scope(path: Path, dt: float | None, names: Sequence[str]) -> _Signals:
+    """The signals of an export of TwinCAT Scope; raises ValueError where their times differ."""
+    export = _export(path)
+    keys = ("Name", "SymbolName")
+    channels = [
+        name for row in keys for name in export.channels.get(row, []) if name not in ("", *keys)
+    ]
+    signals = {name: _channel(path, export, name) for name in names if name in channels}
+    found = dict.fromkeys(channels, np.zeros(0))
+    steps = [_step(path, "t [s]", one.times, dt) for one in signals.values()]
+    count = min((len(one.times) for one in signals.values()), default=0)
+    for name, one in signals.items():
+        away = one.times[:count] - next(iter(signals.values())).times[:count]
+        if np.any(np.abs(away) > STEP_TOLERANCE * steps[0]):
+            raise ValueError(
+                f"{path}: {', '.join(signals)} have different times; export them with one sample "
+                "time"
+            )
+        found[name] = one.values[:count]
+    units = {name: [one.unit] for name, one in signals.items()}
+    return _Signals(path, found, steps[0] if steps else dt, units)
 
 
 def _step(path: Path, heading: str, times: np.ndarray, given: float | None) -> float:

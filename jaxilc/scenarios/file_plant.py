@@ -16,7 +16,7 @@ import scipy
 
 from .. import identification, plants
 from ..identification.frequency_response import is_frequency_response
-from ..identification.record_files import is_twincat, read_record
+from ..identification.record_files import is_arrays, is_twincat, read_record
 from ..identification.sentences import IN_MOTION
 from ..plants import Plant, ProcessModel, from_control
 from ..plants.cnc_axis import Axes
@@ -120,7 +120,7 @@ def is_response(record: Path, columns: Sequence[str]) -> bool:
 
     columns: names of the columns of a file without a header
     """
-    if record.suffix.lower() == ".mat" or columns or is_twincat(record):
+    if is_arrays(record) or columns or is_twincat(record):
         return False
     return is_frequency_response(record)
 

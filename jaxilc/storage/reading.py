@@ -65,8 +65,14 @@ def read_text(path: str | Path, largest: int) -> str:
 
     Raises as `read_bytes`, and ValueError for a file that is not text.
     """
+    found = read_bytes(path, largest)
+    if found.startswith(b"\x93NUMPY"):
+        raise ValueError(
+            f"{path} is an array of NumPy, whose columns have no names; allowed is text, or, where "
+            "a command reads them, .npz: np.savez('record.npz', t=t, u=u, y=y)"
+        )
     try:
-        return read_bytes(path, largest).decode("utf-8-sig")
+        return found.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(
             f"{path} is no text in UTF-8: {error.reason} {error.object[error.start]:#04x} "

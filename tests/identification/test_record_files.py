@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import scipy.io
 
-from jaxilc.identification import read_record
+from jaxilc.identification import read_record, read_repeats
 from jaxilc.identification.record_files import Signal, read_record_file, resampled
+from jaxilc.scenarios.file_plant import is_response
 from jaxilc.storage.mat_files import Other
 
 U, Y = np.array([1.0, -2.0, 0.5, 4.0]), np.array([0.0, 0.25, -1.5, 2.0])
@@ -159,6 +160,23 @@ def test_a_scope_of_twincat_is_read(tmp_path):
     check(read_record(path, input="torque", output="position"))
 
 
+def test_a_scope_of_twincat_holds_a_trial(tmp_path):
+    """`potential` told of 4 cells where the header has 2, of an export that `identify` reads."""
+    path = tmp_path / "scope.csv"
+    path.write_text(scope(*zip(T, U, T, Y, strict=True)))
+    found = read_repeats([path], error="torque", output="MAIN.y")
+    np.testing.assert_array_equal(found.e, [U])
+    np.testing.assert_array_equal(found.position, Y)
+    assert (found.dt, found.unit, found.place) == (1e-3, "", "mm")
+    with pytest.raises(ValueError, match=r"--dt .dt. is 0.002 s"):
+        read_repeats([path], error="torque", dt=2e-3)
+    with pytest.raises(ValueError, match=r"has neither 'e' nor .* present are .*torque"):
+        read_repeats([path])
+    path.write_text(scope(*zip(T, U, T + 0.5, Y, strict=True)))
+    with pytest.raises(ValueError, match="torque, position have different times; export them"):
+        read_repeats([path], error="torque", output="position")
+
+
 def test_channels_of_different_times_are_named(tmp_path):
     path = tmp_path / "scope.csv"
     names = {"input": "torque", "output": "position"}
@@ -201,6 +219,25 @@ def test_matlab_files_are_read(tmp_path, kind):
     check(read_record(tmp_path / "r.mat"))
 
 
+def test_arrays_of_numpy_are_read_as_those_of_matlab(tmp_path):
+    """`identify` asked to save a .npz file, which `potential` reads, as a text in UTF-8."""
+    path = tmp_path / "r.npz"
+    np.savez(path, t_ms=T, u=U, y=Y)
+    assert not is_response(path, ())
+    check(read_record(path, time="t_ms"))
+    np.savez(path, t=1e-3 * T, u=U, y=np.array(["a"] * 4))
+    with pytest.raises(ValueError, match=r"r.npz: y is no array of numbers"):
+        read_record(path)
+    np.save(path.with_suffix(".npy"), T)
+    for read in (
+        read_record,
+        lambda path: read_repeats([path]),
+        lambda path: is_response(path, ()),
+    ):
+        with pytest.raises(ValueError, match="is an array of NumPy, whose columns have no names"):
+            read(path.with_suffix(".npy"))
+
+
 def test_the_last_row_of_a_matlab_file_needs_a_time_and_an_output(tmp_path):
     for name, said in (("t", "the time is"), ("y", "y is")):
         signals = {"t": SECONDS.ravel(), "u": U, "y": 1.0 * Y}
@@ -231,8 +268,12 @@ def test_a_sample_time_does_not_hide_the_times_of_a_matlab_file(tmp_path):
 def test_what_matlab_must_export_differently_is_said(tmp_path, monkeypatch):
     path = tmp_path / "r.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF")
-    with pytest.raises(ValueError, match=r"version 7.3 .*save\('record.mat', 'u', 'y', '-v7'"):
+    with pytest.raises(ValueError, match=r"version 7.3 .*save\('record.mat', 't', 'u', 'y', '-v7'"):
         read_record(path)
+    with pytest.raises(ValueError, match=r"save\('record.mat', 'tout', 'log', '-v7'"):
+        read_record(path, time="tout", input="log.u", output="log.y")
+    with pytest.raises(ValueError, match=r"save\('record.mat', 't', 'e', 'y', 'r', '-v7'"):
+        read_repeats([path])
     scipy.io.savemat(path, {"u": U})
     with pytest.raises(ValueError, match=r"no times 't' beside u; .* or give --dt"):
         read_record(path, output="u")
