@@ -122,13 +122,13 @@ def read_record_file(
     inputs, outputs = (
         [names] if isinstance(names, str) else list(names) for names in (input, output)
     )
-    names, timed = [*inputs, *outputs], False
+    names = [*inputs, *outputs]
     if is_arrays(path):
-        signals, timed = read_mat_signals(path, time, names, time_unit, dt)
+        signals = read_mat_signals(path, time, names, time_unit, dt)
     elif not columns and is_twincat(path):
-        signals, timed = read_twincat(path, names), True
+        signals = read_twincat(path, names)
     else:
-        signals, timed = _text_signals(path, time, inputs, outputs, time_unit, list(columns), dt)
+        signals = _text_signals(path, time, inputs, outputs, time_unit, list(columns), dt)
     for one in signals:
         _check_increasing(path, time, one)
     for name, one in zip(outputs, signals[len(inputs) :], strict=True):
@@ -136,6 +136,7 @@ def read_record_file(
             raise ValueError(
                 f"read_record: {path}, {one.places[-1]}: {name} is not a finite number"
             )
+    timed = any(one.timed for one in signals)
     if resample is None and dt is not None and timed and not _has_step(signals, dt):
         resample = dt
     of_inputs, of_outputs = signals[: len(inputs)], signals[len(inputs) :]
@@ -250,8 +251,8 @@ def _as_it_is(path, time: str, inputs: list[Signal], outputs: list[Signal]) -> R
     return Record(u[:-1], y, float(f"{np.mean(steps[: rows - 1]):.12g}"))
 
 
-def _text_signals(path, time, inputs, outputs, unit, columns, dt) -> tuple[list[Signal], bool]:
-    """The signals of a text file of columns, and whether it has times of its own."""
+def _text_signals(path, time, inputs, outputs, unit, columns, dt) -> list[Signal]:
+    """The signals of a text file of columns."""
     header, rows = read_columns(path, columns)
     names = [time, *inputs, *outputs]
     place = place_of_time(time, header)
@@ -269,11 +270,11 @@ def _text_signals(path, time, inputs, outputs, unit, columns, dt) -> tuple[list[
     elif len(values) > 1 and place is not None:
         values[:, 0] *= seconds_in(path, header[place], unit, values[:, 0])
     places = [f"line {line}" for line in lines]
-    signals = [
-        Signal(values[:, 0], values[:, i], places, name_and_unit(header[at[i]])[1] or "")
+    units = [name_and_unit(header[i])[1] or "" for i in at]
+    return [
+        Signal(values[:, 0], values[:, i], places, units[i], not counted)
         for i in range(1, len(names))
     ]
-    return signals, not counted
 
 
 def _numbers(path, names, at: list[int], rows, inputs: int) -> tuple[np.ndarray, list[int]]:
@@ -337,12 +338,14 @@ class Signal(NamedTuple):
     values: (rows,) values; of an input the last one may be NaN
     places: place of each row in the file, for messages
     unit: unit, "" where the file has none
+    timed: whether the file has the times
     """
 
     times: np.ndarray
     values: np.ndarray
     places: list[str]
     unit: str = ""
+    timed: bool = True
 
 
 def resampled(
@@ -478,8 +481,8 @@ EXPORT = "{0} = struct('Time', {0}.Time, 'Data', {0}.Data); save('record.mat', '
 
 def read_mat_signals(
     path: str | Path, time: str, names: list[str], unit: str | None, dt: float | None
-) -> tuple[list[Signal], bool]:
-    """The signals of these names in a .npz or .mat file, and whether any has times.
+) -> list[Signal]:
+    """The signals of these names in a .npz or .mat file.
 
     A .mat file is of version 5 to 7; a name may be a path in it, `log.u`.
 
@@ -497,8 +500,7 @@ def read_mat_signals(
     object or a file of version 7.3, with the line of MATLAB that exports it.
     """
     content = _arrays(path, [time, *names])
-    found = [_mat_signal(path, content, time, name, unit, dt) for name in names]
-    return [signal for signal, _ in found], any(timed for _, timed in found)
+    return [_mat_signal(path, content, time, name, unit, dt) for name in names]
 
 
 def is_arrays(path: str | Path) -> bool:
@@ -531,8 +533,7 @@ def _mat_signal(
     name: str,
     unit: str | None,
     dt: float | None,
-) -> tuple[Signal, bool]:
-    """One signal, and whether it has times of its own."""
+) -> Signal:
     level, value = _found(path, content, name)
     own = _own_times(value) if isinstance(value, dict) else None
     timed = True
@@ -567,7 +568,8 @@ def _mat_signal(
             k = int(np.argmin(np.isfinite(of)))
             raise ValueError(f"read_record: {path}, row {k + 1}: {what} is not a finite number")
     scale = seconds_in(path, time, unit, times) if timed else 1.0
-    return Signal(times * scale, values, [f"row {k + 1}" for k in range(len(values))]), timed
+    places = [f"row {k + 1}" for k in range(len(values))]
+    return Signal(times * scale, values, places, timed=timed)
 
 
 def _found(

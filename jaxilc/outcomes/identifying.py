@@ -354,7 +354,8 @@ def _plant_file(path: Path, fitted: Fitted, source: str) -> tuple[str, bool]:
 
 def _rests(fitted: Fitted) -> bool:
     """Whether the plant comes to rest after a trial, without which `design` takes no law."""
-    return bool(np.all(np.real(np.asarray(fitted.found.plant.all_poles)) < 0))
+    poles = getattr(fitted.found.plant, "all_poles", ())
+    return bool(np.all(np.real(np.asarray(poles)) < 0))
 
 
 def _next(
