@@ -558,7 +558,7 @@ def _place_to_write(param: typer.CallbackParam, path: Path | None) -> Path | Non
 
 
 Averages = Annotated[
-    int | None, left("--averages", "the heading `coherence [N averages]` of the file does it")
+    int | None, left("--averages", "the heading `coherence (N averages)` of the file does it")
 ]
 
 

@@ -300,9 +300,9 @@ class Campaign:
         if measured.u is not None:
             findings += self._as_the_machine_can(record, commanded, played, live, measured.samples)
         if learn:
-            learned, largest, begun = checks.learned_so_far(live, peaks)
+            trials, largest, begun = checks.learned_so_far(live, peaks)
             findings += checks.larger(
-                following_schedules, learned // scheme.trials_a_step, largest, begun, task,
+                following_schedules, trials // scheme.trials_a_step, largest, begun, task,
                 self.rules.accept, growth_of(scheme, task),
             )  # fmt: skip
         metrics = {
