@@ -53,7 +53,7 @@ class Window(NamedTuple):
     of_keep: (p', m) directions of keep
     unit:    (n_u, n_y) factor of a step of each pair of channels, 0 where a pair is not learned;
              None of one channel
-    starts, limit: as in `LearningFilter`
+    starts, limit, dt: as in `LearningFilter`
     """
 
     lead: int
@@ -62,6 +62,7 @@ class Window(NamedTuple):
     unit: np.ndarray | None = None
     starts: tuple[int, ...] = ()
     limit: Leaf | None = None
+    dt: float | None = None
 
     def holding(self, law: Law) -> Filters:
         """The taps of a law of one channel, in each segment; keep is made flat at rest."""
@@ -114,7 +115,7 @@ class Window(NamedTuple):
     def of(self, filters: Filters) -> LearningFilter:
         """The scheme with these taps."""
         return LearningFilter(
-            filters.L, keep=filters.keep, lead=self.lead, starts=self.starts, limit=self.limit
+            filters.L, filters.keep, self.limit, lead=self.lead, starts=self.starts, dt=self.dt
         )
 
     def responses(self, frequencies, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -183,7 +184,8 @@ def window_of(
     even = of_keep[:, [0, *range(1, taps[1], 2)]]  # without the sines
     flat = _flat(taps[1])
     even = even - np.linalg.pinv(flat) @ (flat @ even)
-    return Window(min(max(lead, 0), farthest), of_L, even, unit, starts, limit)
+    lead = min(max(lead, 0), farthest)
+    return Window(lead, of_L, even, unit, starts, limit, float(task.dt))
 
 
 def leads_of(family: Family, task: Task) -> list[int]:

@@ -92,7 +92,7 @@ def synthesised(
         if not any(missed):
             break
         chosen = [sorted({*i, *more}) for i, more in zip(chosen, missed, strict=True)]
-    scheme = LearningFilter(m, keep=np.r_[q[:0:-1], q], lead=lead)
+    scheme = LearningFilter(m, keep=np.r_[q[:0:-1], q], lead=lead, dt=dt)
     of_lines = [_sizes(one, q, m, lead) for one in several]
     peak = max(float(np.max(size)) for _, size in of_lines)
     Q, f = of_lines[0][0], several[0].f

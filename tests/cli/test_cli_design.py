@@ -171,6 +171,7 @@ def test_a_law_that_is_learned_is_told_in_sentences_and_written_for_other_comman
     assert isinstance(scheme, LearningFilter)
     assert np.array_equal(scheme.L, numbers["L"])
     assert np.array_equal(scheme.keep, numbers["Q"])
+    assert scheme.dt == 1e-3  # what the file says is proved at no other
     assert numbers["proof"]["margin"] >= 0.05 - 2e-3
     assert numbers["proof"]["whole"]["bound"] < 1  # P is affine in its gain
     assert numbers["proof"]["further"] > 0

@@ -214,6 +214,13 @@ def test_the_gate_takes_an_unsafe_law_back_and_refuses_what_stays_unsafe(family,
     assert isinstance(gate(family, window, nan, (nan,), DT, most), str)
 
 
+def test_a_law_is_refused_in_a_task_of_another_sample_time(window, found):
+    law = window.of(found)
+    law.check(TASK)
+    with pytest.raises(ValueError, match=f"dt = {DT:g} s is not that of the task, {DT / 2:g} s"):
+        law.check(Task(np.zeros(121), dt=DT / 2))
+
+
 class Enough(Exception):
     """Raised where a test has seen what it wants."""
 

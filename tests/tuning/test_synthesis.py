@@ -42,6 +42,7 @@ def test_the_margin_is_kept_on_every_line_by_every_plant():
     assert np.max(np.abs(Q.imag)) < 1e-12
     assert response(found.scheme, np.array([0.0]))[0] == pytest.approx(1.0, abs=1e-6)
     assert np.mean(np.abs(1 - Q[F <= 40])) == pytest.approx(found.loss, abs=1e-9)
+    assert found.scheme.dt == DT
 
 
 def test_a_narrower_margin_loses_less_of_the_band():
