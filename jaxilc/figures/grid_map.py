@@ -69,8 +69,8 @@ def grid_map(
     marks: named points beside the star, each as values of axes by name, in the panel that is
         nearest in the third axis; a point without a value of a drawn axis is left out
     Returns the panels, scheme by scheme.
-    Raises ValueError for a dataset without an axis of several values, for a number that is not
-    known, and for a yield without a tolerance.
+    Raises ValueError for a dataset without an axis of several values or of a sweep that is not
+    complete, for a number that is not known, and for a yield without a tolerance.
     """
     from ..sweeps.points import best_points, labels_for, last_errors
 

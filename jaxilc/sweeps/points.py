@@ -67,6 +67,7 @@ def best_points(
     """The best point of each scheme of a sweep over a grid.
 
     tolerance, metric: as for `summarise`
+    Raises ValueError for a dataset of a sweep that is not complete.
     """
     axes = axes_of(dataset)
     last = last_errors(dataset, metric).values

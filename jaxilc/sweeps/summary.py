@@ -96,12 +96,6 @@ def summarise(
         raise ValueError(
             f"summarise: metric = {metric!r} is not one of {', '.join(sorted(map(str, names)))}"
         )
-    if "diverged_at" in dataset and (left := int((dataset["diverged_at"] < 0).sum())):
-        raise ValueError(
-            f"summarise: {left} of {dataset['diverged_at'].size} results of the dataset are not "
-            "computed; resume the sweep, or select schemes and machines of which all are, where "
-            "dataset.diverged_at is not -1"
-        )
     errors = errors_of(dataset, metric)
     machines, trials = (
         dataset[d].values if d in dataset.coords else first + np.arange(dataset.sizes[d])
@@ -127,7 +121,14 @@ def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:
     """The metric over (scheme, sample, trial): the largest channel, infinite where one diverged.
 
     The axes of a grid, if there is one, are between scheme and sample.
+    Raises ValueError for a dataset of a sweep that is not complete.
     """
+    if "diverged_at" in dataset and (left := int((dataset["diverged_at"] < 0).sum())):
+        raise ValueError(
+            f"{left} of {dataset['diverged_at'].size} results of the dataset are not computed; "
+            "resume the sweep, or select schemes, points and machines of which all are, where "
+            "dataset.diverged_at is not -1"
+        )
     errors, order = dataset[metric], ("scheme", *axes_of(dataset), "sample", "trial")
     errors = errors.max([d for d in errors.dims if d not in order], skipna=False)
     sound = dataset["finite"] & ~dataset["diverged"] if "diverged" in dataset else dataset["finite"]

@@ -6,7 +6,8 @@ import xarray as xr
 from made_datasets import sweep_of
 
 from jaxilc import figures
-from jaxilc.figures.grid_map import PREMISES
+from jaxilc.figures.grid_map import PREMISES, live_map
+from jaxilc.sweeps import best_points
 
 
 def dataset_of(errors, b):
@@ -113,6 +114,22 @@ def test_what_has_no_axis_is_refused():
         figures.grid_map(grid, shows="yield", metric="rms")
     with pytest.raises(ValueError, match=r"has a grid over a, b; allowed is one point"):
         figures.error_band(dataset_of([[1.0, 2.0]], ["p", "q"]), metric="rms")
+
+
+def test_a_sweep_of_which_a_part_is_computed_has_no_map_and_no_best_point():
+    whole = dataset_of([[1.0, 2.0], [3.0, 4.0]], ["p", "q"])
+    (best,) = best_points(whole, metric="rms")
+    gone = whole["diverged_at"].copy()
+    gone[0, 1, 1, 2] = -1  # what the store of a sweep has for a machine that is not computed
+    part = whole.assign(diverged_at=gone)
+    for refuses in (
+        lambda: best_points(part, metric="rms"),
+        lambda: figures.grid_map(part, metric="rms", shows="yield", tolerance=5.0, best=[best]),
+        lambda: live_map(part, best, metric="rms"),
+    ):
+        with pytest.raises(ValueError, match="1 of 12 results of the dataset are not computed"):
+            refuses()
+    figures.grid_map(part.isel(a=[0]), metric="rms")
 
 
 # The map of contraction
