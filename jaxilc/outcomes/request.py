@@ -162,7 +162,7 @@ class Request:
 
     def _best_point(self, folder: Path) -> dict[str, Value]:
         """The values of all axes at the best point of a stored grid, by name."""
-        from ..sweeps.points import best_points, labels_of
+        from ..sweeps.points import best_points, labels_of, point_of
 
         dataset, settings = open_grid(folder), settings_of(self.set)
         axes = {*labels_of(dataset)}
@@ -286,18 +286,6 @@ def open_grid(folder: Path) -> xr.Dataset:
             "missing; the same sweep with --resume goes on"
         )
     return dataset
-
-
-def point_of(dataset: xr.Dataset, point: Mapping[str, Value]) -> dict[str, Value]:
-    """The values of a point by all names of its axes; those of an array are text for `--set`."""
-    from ..sweeps.points import labels_of
-
-    here = dataset.coords.to_dataset().sel(point)
-    found = {name: here[name].item() for name in labels_of(dataset)}
-    return {
-        name: x.replace(" ", ",") if isinstance(x, str) and "." in name else x
-        for name, x in found.items()
-    }
 
 
 def _need_same(folder, stored: Numbers, bare: Scenario, schemes, settings) -> None:

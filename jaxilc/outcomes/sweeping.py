@@ -20,13 +20,13 @@ from ..pytree.ranges import share_text, value_text
 from ..scenarios import Scenario
 from ..scenarios.scenario import Look
 from ..sweeps.grid import values_at
-from ..sweeps.points import BestPoint, at_best, best_points, labels_of
+from ..sweeps.points import BestPoint, at_best, best_points, labels_of, point_of
 from ..sweeps.summary import SchemeSummary, axes_of, last_errors, summarise
 from ..sweeps.sweep import Sweep
 from ..theory.bounds import BoundsWatch
 from .certifying import bounds_tables, watched_numbers
 from .outcome import Figure, Interactive, Numbers, Outcome, Table, Verdict
-from .request import Request, point_of, unless_there
+from .request import Request, unless_there
 from .words import (
     OF_CONTOUR,
     WORDS,

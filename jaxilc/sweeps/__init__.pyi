@@ -1,5 +1,5 @@
 from .cluster import ChunkFailed, UnlikeWorkers
-from .points import BestPoint, at_best, best_points
+from .points import BestPoint, at_best, best_points, point_of
 from .runs import history_dataset, run_schemes
 from .store import open_dataset
 from .summary import SchemeSummary, summarise
@@ -15,6 +15,7 @@ __all__ = [
     "best_points",
     "history_dataset",
     "open_dataset",
+    "point_of",
     "run_schemes",
     "summarise",
 ]

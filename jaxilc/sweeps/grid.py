@@ -135,7 +135,7 @@ class Axis:
     @cached_property
     def labels(self) -> dict[str, np.ndarray]:
         """The values by name as a coordinate has them: numbers, or text for all others."""
-        return {name: _labels(of) for name, of in self.values.items()}
+        return {name: labels_along(of) for name, of in self.values.items()}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -322,7 +322,7 @@ def values_at(names: Collection[str], of: HasParts) -> dict[str, Value]:
         with suppress(KeyError, ValueError):
             at = _canonical(name, objects)
             value = of.trials if at == TRIALS else get_at(*_in(at, objects))
-            found[name] = _labels([np.asarray(value).tolist()]).tolist()[0]
+            found[name] = labels_along([np.asarray(value).tolist()]).tolist()[0]
     return found
 
 
@@ -393,7 +393,7 @@ def _axis(key: Value, given: Value, objects: Mapping[str, Tree]) -> Axis:
     )
     if not static:
         values = {name: _leaf(name, of, objects) for name, of in values.items()}
-    labels, times = np.unique(_labels(values[names[0]]), return_counts=True)
+    labels, times = np.unique(labels_along(values[names[0]]), return_counts=True)
     if times.max() > 1:
         said = f"{labels[times.argmax()]} {times.max()} times"
         raise ValueError(f"grid: {names[0]} has {said}; allowed are different values")
@@ -519,7 +519,7 @@ def _leaf(name: str, values: Values, objects: Mapping[str, Tree]) -> np.ndarray:
     return found
 
 
-def _labels(values: Values) -> np.ndarray:
+def labels_along(values: Values) -> np.ndarray:
     """The values of an axis as a coordinate: numbers, whole numbers, truths, or text for others."""
     plain = isinstance(values, np.ndarray) and values.ndim == 1
     if plain or any(all(type(v) is kind for v in values) for kind in (int, float, bool)):

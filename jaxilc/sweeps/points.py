@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import share_text, value_text
-from .grid import TRIALS
+from .grid import TRIALS, labels_along
 from .summary import QUANTILES, axes_of, errors_of
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ class BestPoint(NamedTuple):
     The error of a point is the 95 % quantile over its machines, at the last trial, in the unit of
     the dataset; infinite where more machines diverge.
 
+    point: its values by the first name of each axis; `point_of` has those of all names
     yield_share: share of its machines within the tolerance; NaN without a tolerance
     near: share of the points whose error is at most `NEAR` times as large
     along: for each axis the first and the last value next to it, without a gap, that are near, the
@@ -79,6 +81,27 @@ def best_points(
         _best(str(name), dataset, passed[i], error[i], lost[i])
         for i, name in enumerate(dataset["scheme"].values)
     ]
+
+
+def point_of(dataset: xr.Dataset, point: Mapping[str, Value]) -> dict[str, Value]:
+    """The values of a point by all names of its axes, as `Scenario.with_values` takes them.
+
+    point: a value of each axis by its first name, as a `BestPoint` has it
+    Those of an array are text with commas; of an axis with more than 16 numbers in all it has the
+    digits of the labels.
+    """
+    here = dataset.coords.to_dataset().sel(point)
+    found = {name: here[name].item() for name in labels_of(dataset)}
+    grid = dataset.attrs.get("configuration", {}).get("grid", {"axes": []})
+    known = {name: values for axis in grid["axes"] for name, values in axis["values"].items()}
+    for name, label in found.items():
+        if isinstance(label, str) and "." in name:
+            of = known.get(name)
+            of = of if isinstance(of, list) else []
+            value = dict(zip(labels_along(of).tolist(), of, strict=True)).get(label, label.split())
+            if isinstance(value, list):
+                found[name] = ",".join(map(str, np.ravel(value).tolist()))
+    return found
 
 
 def at_best(dataset: xr.Dataset, best: list[BestPoint]) -> xr.Dataset:

@@ -7,7 +7,7 @@ import pytest
 
 from jaxilc import Sweep, outcomes
 from jaxilc.outcomes import Request
-from jaxilc.sweeps import best_points, open_dataset
+from jaxilc.sweeps import best_points, open_dataset, point_of
 from jaxilc.tuning import Tuned
 
 pytestmark = pytest.mark.usefixtures("compiled_once")
@@ -55,6 +55,17 @@ def test_the_scenario_is_that_of_the_best_point(grid):
     assert " ".join(f"{x:g}" for x in np.asarray(law.phi0)) == best[f"{NAME}.phi0"]
     assert float(found.machine.plant.gain) == best["machine.plant.gain"]
     assert (found.trials, found.options["reading"]) == (best["trials"], best["reading"])
+
+
+def test_a_point_of_shared_axes_and_of_arrays_is_whole(tmp_path):
+    lam, mu, phi0 = [0.3, 1 / 3], [0.5, 2 / 3], [(1 / 3, 0, -0.06, 0), (0.25, 0.125, -1 / 30, 0.01)]
+    shared = {f"{NAME}.lam/{NAME}.mu": [lam, mu], f"{NAME}.phi0": phi0}
+    dataset = open_dataset(stored(tmp_path, shared) / "dataset.zarr")
+    for i, label in enumerate(dataset[f"{NAME}.phi0"].values):
+        point = point_of(dataset, {f"{NAME}.lam": lam[i], f"{NAME}.phi0": label})
+        law = asked(None).with_values(point).schemes[NAME]
+        assert (float(law.lam), float(law.mu)) == (lam[i], mu[i])
+        assert np.asarray(law.phi0).tolist() == list(phi0[i])
 
 
 @pytest.mark.thorough

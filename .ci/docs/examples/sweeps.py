@@ -30,14 +30,14 @@ sweep.run("kept.zarr")
 print(float(abs(open_dataset("kept.zarr").rms - dataset.rms).max()))
 # 0.0
 
-# %% best_points, BestPoint, at_best
+# %% best_points, BestPoint, at_best, point_of
 grid = {"p.gamma_p": "0.5:4:8"}
 over = Sweep(machine, schemes, task, 6, uncertainty=gain, machines=8, grid=grid).run()
 best = best_points(over, tolerance=0.02)
 print(isinstance(best[0], BestPoint), best[0].point)
-print(dict(at_best(over, best).rms.sizes))
+print(dict(at_best(over, best).rms.sizes), point_of(over, best[0].point))
 # True {'p.gamma_p': 1.0}
-# {'scheme': 1, 'sample': 8, 'trial': 6}
+# {'scheme': 1, 'sample': 8, 'trial': 6} {'p.gamma_p': 1.0}
 
 # %% run_schemes, history_dataset
 one, histories = run_schemes(machine, schemes, task, trials=6)
