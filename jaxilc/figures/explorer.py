@@ -27,6 +27,7 @@ from ..pytree.aliases import Tree, Value
 from ..pytree.named_paths import get_at, interval_at, kind_at, replaced, settable
 from ..pytree.ranges import require
 from ..runtime.tiles import tiled
+from ..theory.chance import draws
 from ..theory.law import traced_response
 from ..theory.loop import linear_loop, response
 from ..theory.q_filter import need_linear
@@ -99,7 +100,8 @@ class Exploration:
 
     scenario: what is simulated
     scheme: its name; None for the first one that learns
-    machines: number of machines, the nominal one included
+    machines: number of machines, the nominal one included, each with the noise that it has in a
+        `Sweep`; one where nothing tells them apart
     source, repeated: name or file of the scenario, and the options that lead to it from there, for
         the command line
     grid: axes of a map, as for `Sweep`, which is run on these machines; or the dataset of such a
@@ -127,7 +129,8 @@ class Exploration:
         self.repeated = tuple(repeated)
         self.name, self.given = name, self.scenario.schemes[name]
         check(scenario.machine, self.given, scenario.task)
-        self.machines = machines
+        self.draws = draws(scenario.machine)
+        self.machines = machines if scenario.uncertainty or self.draws else 1
         self.spread = _spread_of(scenario)
         dt, N = float(scenario.task.dt), scenario.task.N
         found = (_control(self.given, path, dt) for path in settable(self.given))
@@ -204,11 +207,11 @@ class Exploration:
         own, moved = self._read(values)
         scheme = replaced(self.given, own)
         spread = self.spread if spread is None else float(spread)
-        machines = self._drawn(tuple(moved.items()), spread)
+        drawn = self._drawn(tuple(moved.items()), spread)
         if alone:
-            machines = jax.tree.map(lambda x: x[:1], machines)
+            drawn = jax.tree.map(lambda x: x[:1], drawn)
         errors, signals, size = _computed(
-            scheme, machines, s.task, self.f,
+            scheme, drawn, s.task, self.f,
             trials=s.trials, metric=s.judged_by, keep=self.keep, frequency=self._has_response(),
         )  # fmt: skip
         scale = s.shown(s.judged_by)[0]
@@ -218,14 +221,17 @@ class Exploration:
         return Outcome(errors, r, y, s.shown_scale * (r - y), u, self.f[: found.shape[1]], found)
 
     @functools.lru_cache(KEPT)  # noqa: B019  (an exploration lives as long as its page)
-    def _drawn(self, moved: tuple[tuple[str, float], ...], spread: float | None) -> Machine:
-        """The machines of a spread, with values of the nominal one by path."""
+    def _drawn(
+        self, moved: tuple[tuple[str, float], ...], spread: float | None
+    ) -> tuple[Machine, jax.Array]:
+        """The machines of a spread, with values of the nominal one by path, and their keys."""
         s = self.scenario
         wide = s.uncertainty
         if spread is not None and spread != self.spread:
             wide = with_spread(wide, spread)
         nominal = replaced(s.machine, dict(moved))
-        return Population(nominal, wide, count=self.machines, sampling="sobol").machines
+        population = Population(nominal, wide, count=self.machines, sampling="sobol")
+        return jax.vmap(population.one_of)(population.batch())
 
     @functools.cache  # noqa: B019
     def _has_response(self) -> bool:
@@ -252,7 +258,10 @@ class Exploration:
         }
 
     def command(self, values: Mapping[str, float], spread: float | None = None) -> str:
-        """The command line that simulates the same on one machine, or on many with a spread."""
+        """The command line that simulates the same on one machine, or on many with a spread.
+
+        Of a machine that draws noise, `run` has another draw than the nominal machine here.
+        """
         words = ["jaxilc", "run" if spread is None else "sweep", self.source, "--scheme", self.name]
         words += self.repeated
         for path, value in self.changed(values).items():
@@ -314,21 +323,21 @@ def _size(scheme, machine, task, f) -> jax.Array:
 
 
 @functools.partial(jax.jit, static_argnames=("trials", "metric", "keep", "frequency"))
-def _computed(scheme, machines, task, f, *, trials, metric, keep, frequency):
+def _computed(scheme, drawn, task, f, *, trials, metric, keep, frequency):
     """Errors of all machines, r, y and u of the nominal one's last trial, and |Q - L P|."""
 
-    def of(common, machine):
-        scheme, task = common
-        history = learn(machine, scheme, task, trials, save=keep)
+    def of(common, one):
+        (scheme, task), (machine, key) = common, one
+        history = learn(machine, scheme, task, trials, key=key, save=keep)
         values = history.saved[metric] if keep.quantities else getattr(history, metric)
         values = jnp.max(values.reshape(trials, -1), axis=1)
         return jnp.where(history.diverged, jnp.inf, values), history.final[:3]
 
-    errors, signals = tiled(of)((scheme, task), machines)
+    errors, signals = tiled(of)((scheme, task), drawn)
     first = jax.tree.map(lambda x: x[0], signals)
     if not frequency:
         return errors, first, jnp.zeros((len(errors), 0))
-    return errors, first, jax.vmap(lambda one: _size(scheme, one, task, f))(machines)
+    return errors, first, jax.vmap(lambda one: _size(scheme, one, task, f))(drawn[0])
 
 
 # The page
@@ -531,6 +540,8 @@ class Explorer:
             said.append(
                 f"largest |Q (1 − L P)|{among} at {len(found.f)} frequencies: {largest:.4g}, {safe}"
             )
+        if self.of.draws:
+            said.append("the noise of each machine is that of a sweep; run draws another")
         self.told.text = "<br/>".join(map(escape, said))
         words = escape(self.of.command(self.values(), self.spread_asked())).split(" ")
         whole = (f'<span style="white-space: nowrap">{word}</span>' for word in words)

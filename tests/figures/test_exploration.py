@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from browser import looking_at, needs_chromium
 
-from jaxilc import Machine, Sweep, Task, learn
+from jaxilc import Machine, Sensor, Sweep, Task, learn
 from jaxilc.cli.explore import LOOPBACK, _place, server_of
 from jaxilc.figures.explorer import Exploration, Explorer, _computed
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
@@ -146,6 +146,25 @@ def test_a_click_on_the_map_moves_the_sliders_there_and_the_error_is_that_of_the
         "jaxilc run axis.toml --scheme ilc --trials 5 --set ilc.scheme.gamma_p=0.01 --set "
         "'machine.plant.A[0][0]=0.95'"
     )
+
+
+def test_noise_differs_from_machine_to_machine_and_is_that_of_the_map(tmp_path):
+    """`Sweep` computes the map: at its points the sliders have the error of each machine."""
+    machine = dataclasses.replace(axis().machine, sensor=Sensor(noise=0.05))
+    s = dataclasses.replace(axis(), machine=machine, uncertainty={})
+    explored = Exploration(s, machines=6, grid={"ilc.scheme.gamma_p": [0.2, 0.6]})
+    for gain in (0.2, 0.6):
+        found = explored.outcome({"scheme.gamma_p": gain}).errors
+        at = explored.map[0].sel({"scheme": "ilc", "ilc.scheme.gamma_p": gain})
+        np.testing.assert_allclose(found, 1e3 * at.rms.values, rtol=1e-6)
+        assert len(np.unique(found[:, -1])) == 6
+    page = Explorer(explored, tmp_path)
+    assert [len(of) for of in page.errors.data.values()] == [TRIALS] * 5
+    assert np.all(page.errors.data["high"] > page.errors.data["low"])
+    assert "that of a sweep; run draws another" in page.told.text
+    quiet = Explorer(Exploration(dataclasses.replace(axis(), uncertainty={})), tmp_path)
+    assert [len(of) for of in quiet.errors.data.values()] == [TRIALS] * 5
+    assert "run draws" not in quiet.told.text
 
 
 def test_an_axis_that_no_slider_moves_is_refused_before_the_sweep():
