@@ -38,7 +38,7 @@ def explore(
     """A page with sliders for weights, lead, cutoff and spread; the errors follow at once.
 
     They are those of the first scheme that learns. It runs on this computer only, until Ctrl-C.
-    What was found is saved as a file for --params. With --grid, or the folder of a grid for
+    The weights found are saved as a file for --params. With --grid, or the folder of a grid for
     --params, it has a map; a click moves the sliders.
 
     Example: jaxilc explore cao-2019 --scheme ffdl-mfailc

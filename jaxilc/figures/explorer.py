@@ -263,16 +263,18 @@ class Exploration:
         Of a machine that draws noise, `run` has another draw than the nominal machine here.
         """
         words = ["jaxilc", "run" if spread is None else "sweep", self.source, "--scheme", self.name]
-        words += self.repeated
+        return shlex.join([*words, *self.repeated, *self.settings(values, spread)])
+
+    def settings(self, values: Mapping[str, float], spread: float | None) -> list[str]:
+        """The options of what differs from the values and the spread that were given."""
+        words = []
         for path, value in self.changed(values).items():
             whole = path if path.startswith(MACHINE) else f"{self.name}.{path}"
             words += ["--set", f"{whole}={value:.6g}"]
-        if spread is not None:
-            words += ["--spread", f"{spread:.4g}"]
-        return shlex.join(words)
+        return words if spread is None else [*words, "--spread", f"{spread:.4g}"]
 
     def save(self, values: Mapping[str, float], path: str | Path) -> Path:
-        """Write the values as a parameter file, for `--params`."""
+        """Write the values of the scheme as a parameter file, for `--params`."""
         from ..scenarios.parameters import differing, write_parameters
 
         Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -495,8 +497,12 @@ class Explorer:
         return show.func == self._show
 
     def _save(self) -> None:
-        path = self.of.save(self.values(), self.folder / "params.json")
-        self.told.text = f"written: {escape(str(path))}, for --params"
+        values = self.values()
+        told = f"written: {self.of.save(values, self.folder / 'params.json')}, for --params"
+        of_machine = {path: x for path, x in values.items() if path.startswith(MACHINE)}
+        if besides := self.of.settings(of_machine, self.spread_asked()):
+            told += f"; beside it {shlex.join(besides)}, which it does not hold"
+        self.told.text = escape(told)
 
     def _show(self, found: Outcome) -> None:
         """Give the figures their data, and the text its numbers."""

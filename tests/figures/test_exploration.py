@@ -2,10 +2,12 @@
 
 import asyncio
 import dataclasses
+import html
 import http.server
 import json
 import queue
 import re
+import shlex
 import socket
 import threading
 import time
@@ -203,6 +205,24 @@ def test_what_was_found_can_be_shared(explored, tmp_path):
     path = explored.save(values, tmp_path / "new" / "params.json")
     law = with_parameters(explored.scenario, path).schemes["ilc"]
     assert jax.tree.all(jax.tree.map(np.array_equal, law, explored.scheme_with(values)))
+
+
+def test_what_the_parameter_file_leaves_out_is_told_beside_it(tmp_path):
+    s, moved = axis(), "machine.plant.B[0][0]"
+    page = Explorer(Exploration(s, machines=2, grid={"plant.B[0][0]": [0.1, 0.2]}), tmp_path)
+    page._save()
+    assert page.told.text == f"written: {tmp_path / 'params.json'}, for --params"
+    slider = page.sliders[moved]
+    slider.value = np.log10(0.2) if slider.start < 0 else 0.2
+    page.spread.value = 20.0
+    page._save()
+    said = html.unescape(page.told.text).partition("; beside it ")[2].partition(", which")[0]
+    of_file = with_parameters(s, tmp_path / "params.json")
+    assert np.asarray(of_file.machine.plant.B).item() == 0.1
+    words = shlex.split(said)
+    assert words == ["--set", f"{moved}=0.2", "--spread", "0.2"]
+    path, _, value = words[1].partition("=")
+    assert np.asarray(of_file.with_values({path: value}).machine.plant.B).item() == 0.2
 
 
 @pytest.fixture
