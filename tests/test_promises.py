@@ -256,7 +256,7 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
             f"{DESIGN}.search.TUNED_ON"
         ),
         r"From the best of them a law of (\d+) and (\d+) taps": lambda: of(f"{DESIGN}.search.TAPS"),
-        r"run on (\d+) machines that no step has seen, for at least (\d+) trials": lambda: (
+        r"run on (\d+) machines, the nominal .* has seen, for at least (\d+) trials": lambda: (
             default("design", "machines"),
             of(f"{DESIGN}.judging.judged_trials")(1),
         ),

@@ -187,7 +187,7 @@ class Question:
         resume: bool,
         tolerance: float | None = None,
     ) -> list[Verdict]:
-        """The verdicts on laws by a sweep over machines that nothing else has seen."""
+        """The verdicts on laws by a sweep over the nominal machine and others not seen before."""
         schemes = {law.name: law.scheme for law in laws}
         dataset = Sweep(
             self.machine, schemes, self.task, judged_trials(self.trials), self.uncertainty,

@@ -91,8 +91,8 @@ class Learned(NamedTuple):
     law:      with its taps, None if it was refused
     refused:  why, empty if it was not
     start:    the safe law that the taps were taken from, None for none
-    verdicts: on machines that no step has seen, of `learned` and of `safe`, the best safe law of a
-              few weights; empty where the gate refused
+    verdicts: on the nominal machine and others that no step has seen, of `learned` and of `safe`,
+              the best safe law of a few weights; empty where the gate refused
     proof:    of the learned law, over the dense family
     passed:   what the gate let pass
     window, family: where the taps lie, and the dense family
@@ -129,7 +129,8 @@ class LearnedLaw(Question):
        the ends of a trial on the nominal and the worst one. Taps that fail are taken back towards
        the start as far as needed; if nothing on the way passes, or the proof over all frequencies
        fails, the law is refused.
-    5. A sweep over machines that no step has seen, beside the best safe law of a few weights.
+    5. A sweep over the nominal machine and others that no step has seen, beside the best safe law
+       of a few weights.
 
     machine, task, trials, uncertainty, feedback, metric, margin, machines, seed, quantities:
         see `Question`.

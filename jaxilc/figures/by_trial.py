@@ -347,9 +347,9 @@ def given_and_tuned(
     below = Panel(TRIAL, Axis("given / tuned", log=True, ends=ends), layers)
     return Figure(
         [*above.panels, below],
-        "Above, the errors by trial over machines that no step has seen: the line is the median, "
-        "the band holds 90 % of the machines, the dots are the worst one. Below, the error with "
-        "the given weights over that with the tuned ones, machine by machine.",
+        "Above, the errors by trial over the nominal machine and others that no step has seen: the "
+        "line is the median, the band holds 90 % of the machines, the dots are the worst one. "
+        "Below, the error with the given weights over that with the tuned ones, of each machine.",
     )
 
 

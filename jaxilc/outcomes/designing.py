@@ -208,7 +208,7 @@ def of_judged(
     if not (store := state / "sweep.zarr").exists():
         return {}, tuple  # where nothing was judged
     judged = open_dataset(store)
-    caption = f"{what} over machines that no step has seen."
+    caption = f"{what} over the nominal machine and others that no step has seen."
     draw = partial(figures.error_band, judged, **chosen.look)
     return {name: Figure(caption, draw)}, partial(live_store, chosen, judged)
 
@@ -357,10 +357,10 @@ def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> lis
     one, size = best.verdict, partial(size_of, chosen)
     said = [
         f"Take {one.candidate.name}: {_with_weights(one.candidate, chosen)}.",
-        f"Of {designed.machines} machines that the design has not seen, 95 % are at or below a "
-        f"{chosen.judged_by.replace('_', ' ')} of {size(one.error)} in "
-        f"{_trials_said(designed.trials, designed.long)}; half of them are at or below "
-        f"{size(one.median)}, all of them at or below {size(one.worst)}.",
+        f"Of {designed.machines} machines, the nominal one and {designed.machines - 1} that the "
+        f"design has not seen, 95 % are at or below a {chosen.judged_by.replace('_', ' ')} of "
+        f"{size(one.error)} in {_trials_said(designed.trials, designed.long)}; half of "
+        f"them are at or below {size(one.median)}, all of them at or below {size(one.worst)}.",
         safety_said(best.proof),
     ]
     if chosen.tolerance is not None:
@@ -636,7 +636,8 @@ def _errors_said(chosen: Scenario, learned: Learned) -> str:
     if learned.long > learned.trials:
         later = f"; in each trial to {learned.long} 95 % are at or below {size(one.error)}"
     return (
-        f"Of {learned.machines} machines that it has not seen, half are at or below a "
+        f"Of {learned.machines} machines, the nominal one and {learned.machines - 1} that it has "
+        "not seen, half are at or below a "
         f"{chosen.judged_by.replace('_', ' ')} of {size(errors['median'])} in trial "
         f"{learned.trials} and 95 % at or below {size(errors['error_95'])}{later}."
     )

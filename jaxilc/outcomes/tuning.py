@@ -141,8 +141,8 @@ def tune(
                 ),
             ),
             "learning": Figure(
-                "The errors by trial over machines that no step has seen, for each law, and their "
-                "ratio.",
+                "The errors by trial over the nominal machine and others that no step has seen, "
+                "for each law, and their ratio.",
                 partial(figures.given_and_tuned, dataset, **band),
             ),
         },
@@ -324,8 +324,9 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path, *, by_last: bool = 
     if not _drawn({"given": given, "tuned": tuned}):
         first += f"the {case.error} of trial {last} is {median}."
     else:
-        first += f"of {numbers['samples']} machines not seen, the median {case.error} of trial "
-        first += f"{last} is {median}, the worst {worst}."
+        machines = numbers["samples"]
+        first += f"of {machines} machines, the nominal one and {machines - 1} not seen, the median "
+        first += f"{case.error} of trial {last} is {median}, the worst {worst}."
     second = []
     gain = max(1 - tuned[of] / given[of] if given[of] else 0.0 for of in ("median", "worst"))
     if not by_last:

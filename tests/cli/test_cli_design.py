@@ -160,7 +160,7 @@ def test_a_law_that_is_learned_is_told_in_sentences_and_written_for_other_comman
     for part in (
         "The taps by frequency response are found.",
         ": u' = Q u + L e by learned filters, L of 9 taps and Q of 5",
-        "Of 3 machines that it has not seen, half are at or below a settled error of",
+        "Of 3 machines, the nominal one and 2 that it has not seen, half are at or below a settled",
         "the best safe law of a few weights",
         "so the margin is 0.",
     ):

@@ -377,8 +377,8 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     params = tmp_path / "params.json"
     found = tune_verdict(OF_TUNING, tuned(), params)
     assert found.said == (
-        "lam = 0.5 (was 1): of 257 machines not seen, the median settled error of trial 15 is 0.4 "
-        "µm in place of 1.2 µm, the worst 1 µm in place of 3 µm.",
+        "lam = 0.5 (was 1): of 257 machines, the nominal one and 256 not seen, the median settled "
+        "error of trial 15 is 0.4 µm in place of 1.2 µm, the worst 1 µm in place of 3 µm.",
     )
     name, options = parsed(found)
     assert (name, options["params"], options["scheme"]) == ("sweep", params, ["c"])
