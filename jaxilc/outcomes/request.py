@@ -157,7 +157,7 @@ class Request:
                 )
         of_point = point.pop("trials", None)
         trials = of_point if self.trials is None else self.trials
-        texts = (*(f"{axis}={x}" for axis, x in point.items()), *self.set)
+        texts = (*(f"{axis}={as_text(x)}" for axis, x in point.items()), *self.set)
         return dataclasses.replace(self, trials=trials, set=texts, params=None)
 
     def _best_point(self, folder: Path) -> dict[str, Value]:
@@ -286,6 +286,11 @@ def open_grid(folder: Path) -> xr.Dataset:
             "missing; the same sweep with --resume goes on"
         )
     return dataset
+
+
+def as_text(value: Value) -> str:
+    """A value of `point_of`, as `--set` takes it."""
+    return ",".join(map(str, value)) if isinstance(value, tuple) else f"{value}"
 
 
 def _need_same(folder, stored: Numbers, bare: Scenario, schemes, settings) -> None:

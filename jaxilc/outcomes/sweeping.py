@@ -26,7 +26,7 @@ from ..sweeps.sweep import Sweep
 from ..theory.bounds import BoundsWatch
 from .certifying import bounds_tables, watched_numbers
 from .outcome import Figure, Interactive, Numbers, Outcome, Table, Verdict
-from .request import Request, unless_there
+from .request import Request, as_text, unless_there
 from .words import (
     OF_CONTOUR,
     WORDS,
@@ -503,7 +503,7 @@ def _at(request: Request, dataset: xr.Dataset, best: BestPoint) -> Request:
     """The request at one point, as far as `--set` and `--trials` can say it."""
     here = point_of(dataset, best.point)
     trials = here.pop("trials", request.trials)
-    shown = {n: f"{x:.6g}" if isinstance(x, float) else f"{x}" for n, x in here.items()}
+    shown = {n: f"{x:.6g}" if isinstance(x, float) else as_text(x) for n, x in here.items()}
     point = (f"{n}={x}" for n, x in shown.items() if not n.startswith("task."))
     kept = (one for one in request.set if one.partition("=")[0].strip() not in here)
     return dataclasses.replace(request, set=(*kept, *point), trials=trials)

@@ -87,8 +87,8 @@ def point_of(dataset: xr.Dataset, point: Mapping[str, Value]) -> dict[str, Value
     """The values of a point by all names of its axes, as `Scenario.with_values` takes them.
 
     point: a value of each axis by its first name, as a `BestPoint` has it
-    Those of an array are text with commas; of an axis with more than 16 numbers in all it has the
-    digits of the labels.
+    Those of an array are tuples; of an axis with more than 16 numbers in all they are text with the
+    digits of its labels.
     """
     here = dataset.coords.to_dataset().sel(point)
     found = {name: here[name].item() for name in labels_of(dataset)}
@@ -98,9 +98,11 @@ def point_of(dataset: xr.Dataset, point: Mapping[str, Value]) -> dict[str, Value
         if isinstance(label, str) and "." in name:
             of = known.get(name)
             of = of if isinstance(of, list) else []
-            value = dict(zip(labels_along(of).tolist(), of, strict=True)).get(label, label.split())
-            if isinstance(value, list):
-                found[name] = ",".join(map(str, np.ravel(value).tolist()))
+            exact = dict(zip(labels_along(of).tolist(), of, strict=True)).get(label)
+            if isinstance(exact, list):
+                found[name] = tuple(exact)
+            elif not of:
+                found[name] = label.replace(" ", ",")
     return found
 
 

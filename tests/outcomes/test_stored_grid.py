@@ -5,8 +5,11 @@ import shutil
 import numpy as np
 import pytest
 
-from jaxilc import Sweep, outcomes
+from jaxilc import Machine, Sweep, Task, outcomes
 from jaxilc.outcomes import Request
+from jaxilc.plants import StateSpace
+from jaxilc.scenarios import Scenario
+from jaxilc.schemes import PIDType
 from jaxilc.sweeps import best_points, open_dataset, point_of
 from jaxilc.tuning import Tuned
 
@@ -66,6 +69,17 @@ def test_a_point_of_shared_axes_and_of_arrays_is_whole(tmp_path):
         law = asked(None).with_values(point).schemes[NAME]
         assert (float(law.lam), float(law.mu)) == (lam[i], mu[i])
         assert np.asarray(law.phi0).tolist() == list(phi0[i])
+
+
+def test_a_point_of_matrices_has_their_shape_and_their_digits():
+    plant = StateSpace([[0.5, 0.1], [0.0, 0.4]], [[1.0], [0.0]], [[1.0, 0.0]], dt=1e-3)
+    B = "plant.B"
+    task, grid = Task(np.ones(5), dt=1e-3), {B: [[[1.0], [0.0]], [[1.23456789], [0.0]]]}
+    s = Scenario("two", "two", Machine(plant), task, {"p": PIDType(gamma_p=0.1)}, 2, {})
+    dataset = Sweep(s.machine, s.schemes, task, 2, {}, machines=1, grid=grid).run()
+    for label, value in zip(dataset[f"machine.{B}"].values, grid[B], strict=True):
+        found = s.with_values(point_of(dataset, {f"machine.{B}": label}))
+        assert np.asarray(found.machine.plant.B).tolist() == value
 
 
 @pytest.mark.thorough
