@@ -146,7 +146,9 @@ class Variation:
     Samples that are not measured have the error zero in the record, and the weight zero, so that
     nothing is learned from them. A delayed sample has the weight of any other, since a law without
     time stamps does not know better. The state has the order of the plant's leaves, flattened;
-    whole numbers in it, such as the number of the sample, start as they are.
+    whole numbers in it, such as the number of the sample of a plant, start as they are. What has no
+    value before the first sample, and is infinite there, goes on as it ends where carried > 0, as
+    no share of it means anything: the clock of `RepetitiveBasis`, the angles of `PeriodTracking`.
     Offset, scatter, carried, the plant and the references have a gradient. The chances shortest,
     dropped and delayed have none, and differentiating by them raises ValueError.
     """
@@ -261,7 +263,12 @@ class Variation:
         share: Leaf = self.carried
 
         def between(a: Array, b: Array) -> Array:
-            return a + share * (b - a) if _real(a) else a
+            if not _real(a):
+                return a
+            known = jnp.isfinite(a)
+            rest, last = (jnp.where(known, x, 0.0) for x in (a, b))
+            mixed = (1 - share) * rest + share * last  # exact for a share of 0 or 1
+            return jnp.where(known, mixed, jnp.where(share > 0, b, a))
 
         return jax.tree.map(between, start, end)
 

@@ -389,7 +389,8 @@ class Learned(NamedTuple):
     """What `RepetitiveBasis` knows within a trial.
 
     w: (m, n_u) weights;  waiting: (m, n_u) what they change by at the end of the period
-    k: () number of the sample;  turn: () number of the period
+    k: () number of the sample, -inf before the first
+    turn: () number of the period, inf before the first
     """
 
     w: Array
@@ -453,11 +454,12 @@ class RepetitiveBasis(Scheme):
 
     def initial_state(self, task: Task) -> Learned:
         zero = jnp.zeros((len(self.functions.names), task.inputs))
-        return Learned(zero, zero, jnp.zeros(()), jnp.full((), jnp.inf))
+        return Learned(zero, zero, jnp.full((), -jnp.inf), jnp.full((), jnp.inf))
 
     def act(self, state: Learned, sample: Sample) -> tuple[Learned, Array]:
         e, w, waiting = sample.r - sample.y, state.w, state.waiting
-        t = state.k * sample.dt
+        k = jnp.maximum(state.k, 0.0)
+        t = k * sample.dt
         if self.angle is not None:
             t, e = sample.y[self.angle], jnp.delete(e, self.angle)
         turn = jnp.floor(self._turns(t) + BEFORE)
@@ -473,7 +475,7 @@ class RepetitiveBasis(Scheme):
             waiting = waiting + change
         else:
             w = self.keep * w + change
-        return Learned(w, waiting, state.k + 1, turn), u
+        return Learned(w, waiting, k + 1, turn), u
 
     def signals(self, state: Learned) -> dict[str, Array]:
         return {"weights": state.w.ravel()}

@@ -33,6 +33,7 @@ from jaxilc.learning.over_trials import truncated
 from jaxilc.learning.variation import newest
 from jaxilc.plants import (
     DifferenceEquation,
+    Harmonics,
     ProcessModel,
     StateSpace,
     TimeVaryingStateSpace,
@@ -48,8 +49,12 @@ from jaxilc.schemes import (
     Filtered,
     KeepUnmeasured,
     Ladder,
+    LearningFilter,
     NormOptimal,
+    PeriodTracking,
     PIDType,
+    RepetitiveBasis,
+    RepetitiveControl,
     Scheme,
     StopWhen,
     WithFeedback,
@@ -349,6 +354,60 @@ def test_a_carried_state_is_that_of_plant_feedback_and_actuator():
     np.testing.assert_allclose(rest.rms[-1], history.rms[-1], rtol=1e-9)
     cut = truncated(vary(carried=1.0), loop, TASK, 3, 1)
     np.testing.assert_allclose(cut.rms, history.rms, rtol=1e-9)
+
+
+def basis_by_hand(share, by_period, trials):
+    """(J, N+1) outputs under weights of a wave of 8 samples, whose clock goes on over trials."""
+    x, clock, w, waiting, rows = 0.0, 0, np.zeros(2), np.zeros(2), []
+    for _ in range(trials):
+        y = [x]
+        for k in range(N):
+            if by_period and clock and clock % 8 == 0:
+                w, waiting = w + waiting, np.zeros(2)
+            wave = np.array([np.cos(np.pi * clock / 4), np.sin(np.pi * clock / 4)])
+            y.append(A * y[-1] + B * wave @ w)
+            change = 0.3 * wave * (R[k] - y[k])
+            w, waiting = (w, waiting + change) if by_period else (w + change, waiting)
+            clock += 1
+        rows.append(y)
+        x, w, waiting = share * y[-1], share * w, share * waiting
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("by_period", [False, True])
+def test_the_clock_of_a_law_goes_on_where_the_state_is_carried(by_period):
+    law = RepetitiveBasis(Harmonics(8 * DT, (1,)), gain=0.3, by_period=by_period)
+
+    @jax.jit
+    def outputs(share):
+        return learn(vary(carried=share), law, TASK, 4, save=lambda trial: trial.y[:, 0]).saved
+
+    for share in (1.0, 0.6, 0.0):
+        y = outputs(share)
+        np.testing.assert_allclose(y[0], basis_by_hand(share, by_period, 1)[0], **ALGEBRA)
+        if share:
+            np.testing.assert_allclose(y, basis_by_hand(share, by_period, 4), **ALGEBRA)
+        else:  # each trial starts at rest, and so does the clock
+            np.testing.assert_array_equal(y, np.broadcast_to(y[0], y.shape))
+    _, slope = jax.jvp(outputs, (0.6,), (1.0,))
+    ends = [basis_by_hand(0.6 + by, by_period, 4) for by in (-1e-6, 1e-6)]
+    np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-6, rtol=1e-6, atol=1e-7)
+
+
+def test_a_period_that_is_longer_than_a_trial_is_found_where_the_state_is_carried():
+    """An output grows by one turn in 20.6 samples, of which no trial sees a whole one."""
+    turning = StateSpace(
+        [[0.5, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]], [[0.5], [0.0], [0.0]],
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dt=DT, x0=[0.0, 0.0, 1 / 20.6],
+    )  # fmt: skip
+    law = RepetitiveControl(
+        LearningFilter([0.5], [0.25, 0.5, 0.25]),
+        period=20 * DT,
+        tracking=PeriodTracking(angle=1, fastest=0.05),
+    )
+    machine = Machine(turning, variation=Variation(carried=1.0))
+    found = learn(machine, law, Task(np.zeros((N + 1, 2)), dt=DT, inputs=1), 40).final
+    np.testing.assert_allclose(found.signals["period"][-1] / DT, 20.6, rtol=1e-4)
 
 
 @pytest.mark.parametrize("gain", [0.8, 3.0, 9.0])
