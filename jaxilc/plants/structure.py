@@ -140,6 +140,24 @@ def followers(f: Function, fixed: Tree, varying: Tree) -> list[list[bool]]:
     return found
 
 
+def acting(f: Function, fixed: Tree, state: Tree) -> list[bool]:
+    """Of each leaf of a state, whether what is seen may depend on it, now or later.
+
+    f(fixed, state) -> (state, *seen). What only tells of the past, such as a counter, does not act.
+    """
+    found = followers(f, fixed, state)
+    leaves = len(found)
+    acts = [any(of_leaf[leaves:]) for of_leaf in found]
+    while True:
+        grown = [
+            one or any(follows and acts[i] for i, follows in enumerate(of_leaf[:leaves]))
+            for one, of_leaf in zip(acts, found, strict=True)
+        ]
+        if grown == acts:
+            return acts
+        acts = grown
+
+
 # How it is done
 # --------------------------------------------------------------------------------------------------
 

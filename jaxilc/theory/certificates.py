@@ -39,6 +39,7 @@ trial. That is a prediction, and the confusion table says how good it is:
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -54,7 +55,7 @@ from ..learning.divergence import GROWTH
 from ..learning.machine import Machine
 from ..learning.over_trials import check, learn
 from ..learning.within_trial import first_start, run_and_measure
-from ..plants.structure import obstacle
+from ..plants.structure import acting, obstacle
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..runtime.capacity import check_size
@@ -814,7 +815,8 @@ def carried_radius(machine: Machine, scheme: Scheme, task: Task) -> CarriedRadiu
 
         (w_{j+1}, x_{j+1}[0]) = F(w_j, x_j[0])
 
-    w is all that the scheme knows and x the state of plant, feedback and actuator. Without noise
+    w is all that the scheme knows and x the state of plant, feedback and actuator, but what only
+    tells of the past, such as a counter, on which no trial to come depends. Without noise
     and limits F is affine, if machine and law are, and then it converges if and only if its
     spectral radius is below 1. For `carried` = 1 that is the stability of repetitive control in
     blocks of one trial. Nothing is said of what happens before: the error may grow at first. Where
@@ -843,7 +845,16 @@ def carried_radius(machine: Machine, scheme: Scheme, task: Task) -> CarriedRadiu
         memory = law.initial_memory(task)
         return memory, first_start(free.sampled(task.dt), law, task, key)
 
-    flat, unravel = ravel_pytree(begun(free, law, task))
+    def turn(fixed, known):
+        free, law, task = fixed
+        memory, start = known
+        trial, _, end = run_and_measure(free, law, task, memory, key, None, start)
+        return (law.learn(memory, free.shown(trial, key)), end), trial.y, trial.u
+
+    fixed = free, law, task
+    whole, shape = jax.tree.flatten(begun(*fixed))
+    acts = acting(turn, fixed, shape.unflatten(whole))
+    flat, unravel = ravel_pytree([*itertools.compress(whole, acts)])
     if flat.size > MOST:
         raise ValueError(
             f"carried_radius: memory and state have {flat.size} numbers; allowed are {MOST}: take "
@@ -851,12 +862,11 @@ def carried_radius(machine: Machine, scheme: Scheme, task: Task) -> CarriedRadiu
         )
 
     def following(fixed, z):
-        free, law, task = fixed
-        memory, start = unravel(z)
-        trial, _, end = run_and_measure(free, law, task, memory, key, None, start)
-        return ravel_pytree((law.learn(memory, free.shown(trial, key)), end))[0]
+        moved = iter(unravel(z))
+        known = [next(moved) if one else x for x, one in zip(whole, acts, strict=True)]
+        after = jax.tree.leaves(turn(fixed, shape.unflatten(known))[0])
+        return ravel_pytree([*itertools.compress(after, acts)])[0]
 
-    fixed = free, law, task
     why = obstacle(following, fixed, flat)
     if why:
         said = f"a trial and learning from it is no linear map, by {why}"

@@ -26,7 +26,7 @@ from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
-from ..plants.structure import blind, followers, obstacle
+from ..plants.structure import acting, blind, obstacle
 from ..pytree.named_paths import named_leaves
 from ..schemes import Scheme
 from ..schemes.scheme import Memory
@@ -118,11 +118,19 @@ def learning_map(
         if not any(_names(name, of) for of in names):
             known = ", ".join(names) or "nothing"
             raise ValueError(f"learning_map: {name!r} is not in this memory; known: {known}")
+
+    def turn(fixed, memory):
+        machine, scheme, task = fixed
+        trial = trial_of(machine, scheme, task, memory)
+        return scheme.learn(memory, trial), trial.y, trial.u
+
     if leaves is not None:
         varies = [any(_names(name, of) for name in leaves) for of in names]
     else:
-        acting = zip(names, _acting(machine, scheme, task, memory), strict=True)
-        varies = [acts and of.split(".")[-1] not in FLAGS for of, acts in acting]
+        acts = acting(turn, (machine, scheme, task), memory)
+        varies = [
+            one and of.split(".")[-1] not in FLAGS for of, one in zip(names, acts, strict=True)
+        ]
     floating = [jnp.issubdtype(value.dtype, jnp.floating) for value in values]
     varies = [v and floats for v, floats in zip(varies, floating, strict=True)]
     if not any(varies):
@@ -178,27 +186,6 @@ def error_map(
         return lax.scan(following, known, length=trials)[1]
 
     return Map(f, first.e[1:].ravel())
-
-
-def _acting(machine: Machine, scheme: Scheme, task: Task, memory) -> list[bool]:
-    """Of each leaf of a memory, whether a trial to come may depend on it, as the program tells."""
-
-    def turn(fixed, memory):
-        machine, scheme, task = fixed
-        trial = trial_of(machine, scheme, task, memory)
-        return scheme.learn(memory, trial), trial.y, trial.u
-
-    found = followers(turn, (machine, scheme, task), memory)
-    leaves = len(found)
-    acting = [any(of_leaf[leaves:]) for of_leaf in found]
-    while True:
-        grown = [
-            acts or any(follows and acting[i] for i, follows in enumerate(of_leaf[:leaves]))
-            for acts, of_leaf in zip(acting, found, strict=True)
-        ]
-        if grown == acting:
-            return acting
-        acting = grown
 
 
 def _names(name: str, leaf: str) -> bool:

@@ -45,8 +45,10 @@ from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import (
     CFDLMFAILC,
     PID,
+    ConstrainedNormOptimal,
     Feedforward,
     Filtered,
+    GradientILC,
     KeepUnmeasured,
     Ladder,
     LearningFilter,
@@ -429,6 +431,21 @@ def test_repetitive_control_is_certified_by_its_whole_map(gain):
     certificate = certify(machine, law, TASK, 3, {}, {})
     assert certificate.claim[0] == NOTHING
     assert "carried_radius" in certificate.reason[0]
+
+
+@pytest.mark.parametrize(
+    ("law", "w"),
+    [(GradientILC(PLANT, step=1.0), None), (ConstrainedNormOptimal(PLANT, w_r=0.2), 0.2)],
+)
+def test_a_counter_of_a_law_is_no_eigenvalue_where_the_state_is_carried(law, w):
+    """Both count trials, `beyond` and `unsolved`, which no trial to come depends on."""
+    G = np.array([response(one)[1:] for one in np.eye(N)]).T
+    gain = G.T if w is None else np.linalg.solve(G.T @ G + w * np.eye(N), G.T)
+    x0 = response(np.zeros(N), 1.0)[1:, None]
+    M = np.block([[np.eye(N) - gain @ G, -gain @ x0], [0.7 * G[-1:], 0.7 * x0[-1:]]])
+    found = carried_radius(vary(carried=0.7), law, TASK)
+    assert found.claim == CONVERGES
+    np.testing.assert_allclose(found.radius, np.max(np.abs(np.linalg.eigvals(M))), rtol=1e-9)
 
 
 @pytest.mark.thorough(but=["how0"])
