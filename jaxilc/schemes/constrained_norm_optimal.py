@@ -63,8 +63,11 @@ class ConstrainedNormOptimal(Scheme):
     An interior point with Riccati steps solves it in time and memory linear in N; see
     `interior_point` for its accuracy. Where the bounds cannot be met together, or the tolerances
     are not, the input of the trial before stays, and the memory says so: `converged` of the last
-    trial, `unsolved` for all. Nothing is clipped. A filter around this scheme knows no bounds but
-    `limit`, to which it clips. The result may be differentiated once, in weights, bounds and model.
+    trial, `unsolved` for all. Where the bounds could be met, its `violation` is within 1e-8: then
+    rounding kept the optimum away, as it may where more bounds are active than there are inputs and
+    weights are small; a larger `w_r` helps. Nothing is clipped. A filter around this scheme knows
+    no bounds but `limit`, to which it clips. The result may be differentiated once, in weights,
+    bounds and model.
 
     As long as no bound matters, the law is that of `NormOptimal`, and certificates claim the same
     of it. In a trial in which a bound matters, the law is another one, which depends on the bounds

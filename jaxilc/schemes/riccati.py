@@ -122,16 +122,24 @@ def times(X: Array, Y: Array) -> Array:
 
 
 def cholesky(M: Array) -> Array:
-    """L with L L' = M, for a small symmetric positive definite M."""
+    """L with L L' = M, for a small symmetric positive definite M.
+
+    A pivot that rounding has taken all digits of, beside the weights of active bounds, is what
+    rounding leaves of its diagonal: the solution stays finite. Others are not touched.
+    """
     size = len(M)
     if size > UNROLLED:
         return jnp.linalg.cholesky(M)
-    zero = jnp.zeros_like(M[0, 0])
+    zero, eps = jnp.zeros_like(M[0, 0]), float(jnp.finfo(M.dtype).eps)
     L: list[list[Array]] = [[zero] * size for _ in range(size)]
     for i in range(size):
         for j in range(i + 1):
             rest = M[i, j] - sum(L[i][k] * L[j][k] for k in range(j))
-            L[i][j] = jnp.sqrt(rest) if i == j else rest / L[j][j]
+            if i == j:
+                lost = (rest < eps * M[i, i]) & (rest > -(eps**0.5) * M[i, i])
+                L[i][j] = jnp.sqrt(jnp.where(lost, eps * M[i, i], rest))
+            else:
+                L[i][j] = rest / L[j][j]
     return jnp.stack([jnp.stack(row) for row in L])
 
 

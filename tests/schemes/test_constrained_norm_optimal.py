@@ -186,6 +186,45 @@ def test_what_cannot_be_met_is_flagged_and_spoils_no_other():
     assert np.all(np.asarray(slope)[others] != 0.0)
 
 
+@jax.jit
+@jax.vmap
+def few_against_many(model, r, y, u):
+    """Five samples of three inputs and two outputs, of which several bounds are active at once."""
+    law = ConstrainedNormOptimal(model, w_r=1e-4, rate=0.3 / DT, contour=0.8, y_low=-0.8)
+    memory = law.initial_memory(Task(r, dt=DT, inputs=3))
+    return law.learn(memory, Trial(r, y, u, DT, {}))
+
+
+def test_an_optimum_that_rounding_keeps_away_is_told_from_bounds_that_cannot_be_met():
+    """`violation` is zero where SciPy's linear programme finds an input within all bounds."""
+    rng, count = np.random.default_rng(0), 30
+    A, B = 0.2 * rng.normal(size=(count, 2, 2)), 3 * rng.normal(size=(count, 2, 3))
+    r, y = rng.normal(size=(2, count, 6, 2)) * [[[[1.0]]], [[[0.3]]]]
+    r[:, 0] = y[:, 0] = 0
+    u, C = 0.1 * rng.normal(size=(count, 5, 3)), rng.normal(size=(count, 2, 2))
+    models = [StateSpace(*of, dt=DT) for of in zip(A, B, C, strict=True)]
+    found, met = few_against_many(stacked(models), r, y, u), []
+    for i, model in enumerate(models):
+        H, D = lifted(model, 5), np.kron(np.eye(5) - np.eye(5, k=-1), np.eye(3))
+        across = np.gradient(r[i], axis=0)[1:, ::-1] * [-1, 1]
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        across = scipy.linalg.block_diag(*across[:, None])
+        rows = np.vstack([D, -D, across @ H, -across @ H, -H])
+        step, off = D @ u[i].ravel(), across @ (y - r)[i, 1:].ravel()
+        room = np.concatenate(
+            [0.3 - step, 0.3 + step, 0.8 - off, 0.8 + off, 0.8 + y[i, 1:].ravel()]
+        )
+        least = scipy.optimize.linprog(
+            np.eye(16)[-1], np.hstack([rows, -np.ones((len(rows), 1))]), room,
+            bounds=[(None, None)] * 15 + [(-1, None)],
+        )  # fmt: skip
+        met.append(least.fun < 0)
+        assert np.all(rows @ (found.u - u)[i].ravel() <= room + 1e-7) or not found.converged[i]
+    assert np.all(np.isfinite(found.gap))
+    np.testing.assert_array_equal(found.violation < 1e-8, met)
+    assert np.mean(found.converged[np.array(met)]) > 0.9
+
+
 def test_derivatives_forwards_and_backwards_equal_differences():
     scheme, trial = problem(1, 4, 2)
     memory = scheme.initial_memory(Task(trial[0], dt=DT))
