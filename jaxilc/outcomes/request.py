@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import numbers
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
