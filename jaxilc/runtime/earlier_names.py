@@ -21,6 +21,7 @@ ADDED: dict[str, dict[str, Json]] = {
     "Machine": {"variation": None},
     "Variation": {"delayed": None, "delay": 1},
     "PlantChange": {"course": None},
+    "BallScrewDrive": {"substeps": 1},
 }
 
 T = TypeVar("T")

@@ -16,6 +16,7 @@ from jaxilc.plants import BallScrewDrive, FrictionTable, LeadError, StribeckFric
 from jaxilc.plants.ball_screw import DriveState
 from jaxilc.pytree import replaced
 from jaxilc.schemes import PID, OnOutputs
+from jaxilc.signals import Task
 
 N = 100
 LINEAR = BallScrewDrive(**DRIVE)
@@ -243,6 +244,20 @@ def test_the_real_drive_is_its_differential_equation_under_a_sampled_speed_loop(
         assert np.max(np.abs(other - found)) > 5e-3 * np.max(np.abs(expected)), (
             f"{changes} should matter"
         )
+
+
+def test_a_stiff_drive_with_a_lead_error_takes_several_steps_a_sample():
+    """A resonance of 390 Hz at 1 ms: with one step the lead error made the positions wrong."""
+    stiff = dataclasses.replace(REAL, stiffness=4e6, lead_error=LeadError(5e-6, 1e-2, phase=0.3))
+    fine, u = dataclasses.replace(stiff, substeps=3), COMMAND[:40]
+    expected = sampled_loop(stiff, u)[0]
+    assert_close(np.asarray(simulate(fine, u)[0]), expected, 1e-5)
+    error = np.max(np.abs(np.asarray(simulate(stiff, u)[0]) - expected))
+    assert error > 1e-4 * np.max(np.abs(expected))
+    task = Task(np.zeros((41, 2)), DT)
+    fine.check(task)
+    with pytest.raises(ValueError, match=r"substeps = 1 of dt = 0.001 s .* 389.8 Hz, .* 3 or more"):
+        stiff.check(task)
 
 
 def energy(drive, x):
