@@ -38,8 +38,8 @@ class TwoStepMemory(NamedTuple):
     unsolved: () number of trials after which a step was not solved
     estimation_steps, control_steps: () iterations of the two steps after the last trial
     moved: () the last iteration, as a share of the root of the cost; the larger of the two steps
-    violation: () largest distance of the next trial beyond a bound, by the corrected model, in
-        units of the largest bound of its kind
+    violation: () largest distance of what was found last beyond a bound, by the corrected model, in
+        units of the largest bound of its kind; u is not that where a step was not solved
     """
 
     u: Array
