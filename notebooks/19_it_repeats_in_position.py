@@ -39,7 +39,7 @@ STAGE = Machine(ByPosition(SERVO, force=COGGING))
 
 
 def across(speed, stroke=48.0):
-    """There and back, at up to about this speed [mm/s]."""
+    """There and back, at this speed [mm/s] in the mean and pi / 2 of it in the middle."""
     s = np.clip(1e-3 * np.arange(4001) * speed / stroke, 0, 2)
     return Task(stroke / 2 * (1 - np.cos(np.pi * s)), dt=1e-3, unit="mm")
 
