@@ -141,8 +141,11 @@ def init(
 
 def _of_record(
     content: str, record: Path, file: Path, names: tuple[str, str, str]
-) -> tuple[str, str]:
-    """The file for a drive of which a move was recorded, in columns of these names, and its law."""
+) -> tuple[str, ...]:
+    """The file for a drive of which a move was recorded, in columns of these names, and its law.
+
+    A further text tells of a unit that is assumed.
+    """
     from ..identification.record_files import read_record_file
 
     time, set_point, position = names
@@ -158,7 +161,8 @@ def _of_record(
     columns = zip(("time", "input", "output"), called, strict=True)
     plant = [f"{name} = {column}\n" for name, column in columns]
     fitted = f'kind = "identified"            # fitted once, to the record\nrecord = {place}\n'
-    unit = json.dumps((read.output_units or ("",))[0] or "mm")
+    told = (read.output_units or ("",))[0]
+    unit = json.dumps(told or "mm")
     parts = {
         "dt = 0.001\n": f"dt = {read.record.dt!r}\n",
         '\nunit = "mm"': f"\nunit = {unit}",
@@ -168,7 +172,9 @@ def _of_record(
     content = _replaced(content, parts)
     content = _OF_DRIVE.sub(lambda _: f"{fitted}{''.join(plant)}poles = 2\n", content)
     moved = f"reference = {{ csv = {place}, column = {called[1]} }}"
-    return _with_law(_REFERENCE.sub(lambda _: moved, content), file, len(values))
+    made = _with_law(_REFERENCE.sub(lambda _: moved, content), file, len(values))
+    assumed = f"{record} gives no unit of {position}; mm is assumed, which each trial must say."
+    return made if told else (*made, assumed)
 
 
 def _with_law(content: str, file: Path, samples: int) -> tuple[str, str]:

@@ -120,16 +120,17 @@ def read_measured(
     another reference.
     """
     shapes = _shapes(task, others)
-    found = _read(path, shapes, names or {}, columns, task.dt)
+    names = names or {}
+    found = _read(path, shapes, names, columns, task.dt)
     last = len(found.columns["t"][0]) - 1
     if not short or last >= task.N:
-        return _checked(path, task, shapes, found)
+        return _checked(path, task, shapes, found, names)
     if last < 1:
         raise ValueError(f"{path} has {last + 1} samples; a trial that ended early needs two")
     left = task.N - last
     part = dataclasses.replace(task, reference=task.reference[: last + 1], settle=None)
     shapes = {name: (rows - left, n) for name, (rows, n) in shapes.items()}
-    measured = _checked(path, part, shapes, found)
+    measured = _checked(path, part, shapes, found, names)
 
     def filled(values):
         return np.pad(values, ((0, left), (0, 0)), constant_values=np.nan)
@@ -142,11 +143,13 @@ def read_measured(
     )
 
 
-def _checked(path: str | Path, task: Task, shapes: Shapes, found: _File) -> Measured:
+def _checked(
+    path: str | Path, task: Task, shapes: Shapes, found: _File, names: Mapping[str, str]
+) -> Measured:
     """The trial that a file holds; raises ValueError as `read_measured`."""
     N = task.N
     for name, (values, unit) in found.columns.items():
-        _check_unit(path, name, unit, unit_of(name, task))
+        _check_unit(path, name, names.get(name, name), unit, unit_of(name, task))
         short = shapes[name][0] == N
         bad = ~np.isfinite(
             values[:-1] if short and len(values) == len(found.places) else values
@@ -347,12 +350,11 @@ def _read_mat(
     return _File(columns, [f"sample {k}" for k in range(len(columns["t"][0]))], ignored)
 
 
-def _check_unit(path, name: str, declared: str | None, wanted: str) -> None:
+def _check_unit(path, name: str, called: str, declared: str | None, wanted: str) -> None:
     if declared is None and wanted:
-        way = f", also as {OPTIONS[name]} 'NAME [{wanted}]'" if name in OPTIONS else ""
-        raise ValueError(
-            f"{path}: {name} declares no unit; this task needs '{name} [{wanted}]'{way}"
-        )
+        needed = f"'{called} [{wanted}]'"
+        way = f" in the file, or {OPTIONS[name]} {needed}" if name in OPTIONS else ""
+        raise ValueError(f"{path}: {called} declares no unit; this task needs {needed}{way}")
     need_unit(path, name, declared or "", wanted)
 
 

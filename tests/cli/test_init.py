@@ -90,6 +90,7 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
     code, out, err = call(*way)
     assert (code, err) == (0, "")
     assert "runs as it is; put your own uncertainty" in " ".join(out.split())
+    assert "is assumed" not in out
     made = read_scenario(tmp_path / "plants" / "drive.toml")
     assert (made.task.dt, made.task.unit, made.task.input_unit) == (0.002, "mm", "mm")
     np.testing.assert_allclose(np.asarray(made.task.reference)[:, 0], r, atol=1e-8)
@@ -119,9 +120,12 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
 def test_the_law_of_a_recorded_drive_is_one_that_learns_on_it(tmp_path, hertz, dt):
     """That of the file without a record has a cutoff at Nyquist here, or makes the error grow."""
     recorded(tmp_path, 2 * np.pi * hertz, dt)
+    move = tmp_path / "move.csv"
+    move.write_text(move.read_text(encoding="utf-8").replace(" [mm]", ""), encoding="utf-8")
     columns = ("--time", "time", "--input", "set", "--output", "pos_act")
     code, out, err = call("init", "--set-point", "--record", "move.csv", *columns, "a.toml")
     assert (code, err) == (0, "")
+    assert "move.csv gives no unit of pos_act; mm is assumed" in " ".join(out.split())
     made = read_scenario(tmp_path / "a.toml")
     learning = made.schemes["ilc"].scheme.scheme
     assert f"gamma_p = {float(learning.gamma_p):g}, lead = {learning.lead} and" in " ".join(

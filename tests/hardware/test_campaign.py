@@ -398,7 +398,7 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
         (lambda rows: [*rows[:9], rows[8], *rows[9:]],
          r"line 10: t = 0.007 s does not increase from 0.007 s"),
         (lambda rows: [rows[0].replace("y [mm]", "y"), *rows[1:]],
-         r"y declares no unit; this task needs 'y \[mm\]', also as --output 'NAME \[mm\]'"),
+         r"y declares no unit; this task needs 'y \[mm\]' in the file, or --output 'y \[mm\]'"),
         (lambda rows: [rows[0].replace("y [mm]", "y [µm]"), *rows[1:]],
          r"y is in 'µm'; this task needs 'mm', and nothing is converted"),
         (lambda rows: [rows[0].replace("y [mm]", "x [mm]"), *rows[1:]],

@@ -122,7 +122,7 @@ def test_a_lost_sample_and_a_missing_unit_are_seen_in_other_formats_too(tmp_path
     scope(tmp_path / "scope.csv")
     with pytest.raises(ValueError, match="has no channel 'z'; present are pos_act, set"):
         read_measured(tmp_path / "scope.csv", ONE, names={"y": "z"})
-    with pytest.raises(ValueError, match="u declares no unit"):
+    with pytest.raises(ValueError, match=r"set declares no unit; .* --input 'set \[V\]'"):
         read_measured(tmp_path / "scope.csv", ONE, names={"y": "pos_act", "u": "set"})
 
 
