@@ -22,7 +22,7 @@
 # | `ILCProblem(r, Gr, Gu)` | `Task(r, dt)` and a `Machine` |
 # | `actual` of `ilc`, the plant in Simulink, `plant.py` of gILC | the machine |
 # | `Gu` of the problem, the model of the block, `f` and `h` of gILC | `model` of the scheme |
-# | `HeuristicILC(Q, L, :input)` | `Filtered(learning_filter(L), Q)` |
+# | `HeuristicILC(Q, L, :input)` | `Filtered(learning_filter(L), ZeroPhaseIIR(b, a))`, Q = b / a |
 # | `HeuristicILC(Q, L, :ref)` | the same in `OnReference`, or on a model of the closed loop |
 # | `OptimizationILC(ρ, λ)`, norm-optimal in Simulink | `NormOptimal(model, w_s=ρ, w_r=λ)` |
 # | `ConstrainedILC(Q, R, A, Y, α)` | `ConstrainedNormOptimal`, `step` = α / 2 |

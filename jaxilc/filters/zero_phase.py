@@ -27,6 +27,8 @@ class Filter:
     It works channel by channel, and without phase shift.
     """
 
+    in_words = "Filter (ZeroPhaseIIR(b, a) or another of jaxilc.filters)"
+
     def __call__(self, signal, dt):
         raise NotImplementedError
 

@@ -215,4 +215,5 @@ def named(kind: Value) -> str:
         bool: "True or False",
         type(None): "None",
     }
-    return words.get(kind) or str(getattr(kind, "__name__", kind))
+    own = getattr(kind, "__dict__", {}).get("in_words")  # a class that says where more of it are
+    return words.get(kind) or own or str(getattr(kind, "__name__", kind))

@@ -117,7 +117,7 @@ REFUSED = {
     ),
     "part_missing": (
         lambda: Filtered(PIDType(), None),
-        "Filtered: filter = None is a NoneType; allowed is Filter",
+        r"Filtered: filter = None is a NoneType; allowed is Filter \(ZeroPhaseIIR\(b, a\) or",
     ),
     "part_or_none": (
         lambda: Machine(voice_coil(), 3.0),
