@@ -5,6 +5,7 @@ Their Python code passes type checkers as a user's script.
 
 import dataclasses
 import importlib
+import inspect
 import os
 import re
 import shutil
@@ -19,6 +20,7 @@ from cases import CASES
 
 import jaxilc
 from jaxilc.cli.entry import OLD_NAME
+from jaxilc.scenarios import file_plant, file_task, from_file
 from jaxilc.scenarios.from_file import load_scenario
 from jaxilc.scenarios.specification import HIDDEN, classes
 
@@ -190,6 +192,19 @@ def test_the_page_of_plant_files_has_every_class_and_field(monkeypatch, tmp_path
     for name, cls in classes().items():
         fields = {field.name for field in dataclasses.fields(cls) if field.init}
         assert rows[name] == fields - set(HIDDEN), name
+
+
+READERS = (from_file.read_scenario, file_plant.plant_of, file_task.machine_of, file_task.task_of)
+
+
+def test_the_page_of_plant_files_has_every_key():
+    text = (DOCS / "guide" / "plant_file.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]*)`", text))))
+    sources = "".join(map(inspect.getsource, (*READERS, file_task._reference)))
+    keys = {*re.findall(r'take\(\s*"(\w+)"', sources)}
+    keys |= {*re.findall(r'"(\w\w+)"', inspect.getsource(file_plant._identified))}
+    assert {"windows", "csv", "averages", "allow_unstable", "variation"} < keys
+    assert keys <= named, keys - named
 
 
 def test_every_public_name_is_there():
