@@ -18,7 +18,7 @@ import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Task, Uniform
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.outcomes.certifying import certificate_numbers, certificate_sentence
-from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.plants import DifferenceEquation, ProcessModel, StateSpace
 from jaxilc.schemes import (
     CFDLMFAILC,
     PID,
@@ -189,6 +189,27 @@ def test_a_plant_with_dead_time_and_a_law_with_less_lead_are_claimed_to_diverge(
     assert set(found.claim) == {"diverges"}
     assert np.all(grown > 10)
     assert all(f"larger by {2 - lead}, or a model" in said for said in found.reason)
+
+
+@pytest.mark.thorough
+def test_a_filter_makes_learning_converge_where_dead_time_alone_makes_it_grow():
+    """A lag with five samples of dead time, and no lead; NumPy has the matrix Q (I - L G)."""
+    n, pole = 60, np.exp(-60 * DT)
+    taps = np.concatenate([np.zeros(5), (1 - pole) * pole ** np.arange(n - 5)])
+    G = scipy.linalg.toeplitz(taps, np.zeros(n))
+    ratio = np.tan(np.pi * np.fft.rfftfreq(2 * n)[:-1]) / np.tan(np.pi * 30 * DT)
+    low = np.append(1 / (1 + ratio**4), 0.0)
+    both = np.concatenate([np.eye(n), np.eye(n)[::-1]])
+    Q = np.fft.irfft(low[:, None] * np.fft.rfft(both, axis=0), axis=0)[:n]
+    machine, task = (
+        Machine(ProcessModel(1.0, poles=(60.0,), delay=5 * DT)),
+        Task(TASK.reference[: n + 1], dt=DT),
+    )
+    law = Filtered(PIDType(gamma_p=0.5), ZeroPhaseButterworth(30.0))
+    found = certify(machine, law, task, 20)
+    assert found.claim[0] == "monotone"
+    largest = np.linalg.norm(Q @ (np.eye(n) - 0.5 * G), 2)
+    np.testing.assert_allclose(found.sigma[0], largest, rtol=1e-6)
 
 
 def test_inputs_that_grow_are_told_beside_an_axis_that_looks_ahead():
