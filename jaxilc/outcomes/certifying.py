@@ -39,6 +39,7 @@ from ..theory.repetitive import (
     repetitive_condition,
     side_by_side,
 )
+from ..theory.rounding import LARGEST
 from ..uncertainty import Population
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
@@ -343,8 +344,11 @@ def left_words(numbers: Numbers, scale: float, unit: str) -> str:
     if floor != floor:
         return "an error whose size is not known"
     size = f"{number(floor)} {unit}".rstrip() + rounding_words(numbers, scale, unit)
-    if not numbers["senses"] or STILL in numbers["senses"]:
+    if not numbers["senses"]:
         return f"an rms error of at most {size}"
+    if STILL in numbers["senses"]:
+        noise = f"its noise, which is followed for up to {LARGEST} inputs only"
+        return f"without {noise}, an rms error of at most {size}"
     last = f"{number(scale * numbers['quantile'])} {unit}".rstrip()
     most = ""
     if numbers["most"] is not None:
@@ -428,7 +432,8 @@ def _how(row: Numbers) -> str:
 def _after_certify(
     case: Case, numbers: Mapping[str, Numbers], certified: Sequence[str]
 ) -> tuple[str, str]:
-    fit = [name for name in certified if not numbers[name]["transient"]["machines"]]
+    known = [name for name in certified if STILL not in numbers[name]["senses"]]
+    fit = [name for name in known if not numbers[name]["transient"]["machines"]]
     if fit:
         best = min(fit, key=lambda name: numbers[name]["floor"])
         if case.request.of_file:
@@ -441,7 +446,7 @@ def _after_certify(
         if case.designable:
             return case.remedy(lost[0])
         return "the worst machine", case.on("worst-case", lost[0])
-    return "many machines by simulation", case.on("sweep", next(iter(numbers)))
+    return "many machines by simulation", case.on("sweep", next(iter(certified or numbers)))
 
 
 def _ends_badly(row: Numbers) -> bool:

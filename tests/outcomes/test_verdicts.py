@@ -322,6 +322,21 @@ def test_certify_says_what_is_certified_what_not_and_why():
     assert parsed(certify_verdict(published, {"a": turns}, 1.0))[0] == "worst-case"
 
 
+def test_certify_sends_no_law_to_the_machine_whose_noise_is_not_followed():
+    still = certificate({"monotone": {"x": 1}}, 0.0) | {"senses": {"but for noise": 1}}
+    found = certify_verdict(CASE._replace(learns={"a": 1, "b": 1}), {"b": still}, 1.0)
+    assert found.said == (
+        "b is certified on the nominal machine: learning is monotone, but for noise, and leaves "
+        "without its noise, which is followed for up to 1024 inputs only, an rms error of at most "
+        "0 mm.",
+    )
+    name, params = parsed(found)
+    assert (name, list(params["scheme"])) == ("sweep", ["b"])
+    worse = certificate({"monotone": {"x": 1}}, 0.004)
+    both = certify_verdict(CASE._replace(learns={"a": 1, "b": 1}), {"b": still, "a": worse}, 1.0)
+    assert (parsed(both)[0], parsed(both)[1]["scheme"]) == ("next", "a")
+
+
 def test_certify_tells_a_growth_before_the_fall_and_does_not_send_it_to_the_machine():
     lies = certificate({"converges": {"x": 1}}, 1e-9, grows=(1.207e11, 14, 4.6e11, 1))
     found = certify_verdict(CASE, {"ilc": lies}, 1.0)

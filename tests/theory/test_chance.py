@@ -343,7 +343,10 @@ def test_noise_that_may_meet_a_limit_and_noise_of_more_inputs_than_are_followed(
     assert "not for 40" in found.reason[0]
     words = certificate_numbers(OfScheme(found, None, 1.0))
     assert senses_words(words) == ", but for noise,"
-    assert left_words(words, 1.0, "mm") == f"an rms error of at most {number(words['floor'])} mm"
+    said = (
+        "without its noise, which is followed for up to 1024 inputs only, an rms error of at most"
+    )
+    assert left_words(words, 1.0, "mm") == f"{said} {number(words['floor'])} mm"
 
 
 @pytest.mark.thorough
