@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import NamedTuple, cast
 
 import numpy as np
-import scipy
 
 from .. import identification, plants
 from ..identification.frequency_response import is_frequency_response
@@ -224,8 +223,11 @@ def _transfer_function(table: Table):
         raise ValueError(f"{table.where}: num and den do not fit: {error}") from None
 
 
+ALIKE = 1e-13  # share of a root, by which it may differ from a real one or its conjugate
+
+
 def _zeros_poles_gain(table: Table):
-    """A plant gain prod (s - zeros) / prod (s - poles), as a chain of second-order sections.
+    """A plant gain prod (s - zeros) / prod (s - poles), as a chain of sections of low order.
 
     Complex zeros and poles are given as [re, im], together with their conjugates. Sections are used
     because the coefficients of a single polynomial lose digits of poles that are close together.
@@ -244,14 +246,60 @@ def _zeros_poles_gain(table: Table):
             f"{table.where}: {len(zeros)} zeros over {len(poles)} poles; "
             "allowed are fewer zeros than poles"
         )
-    with at_place(table.where):
-        # `analog` also works for poles in z, since it does not use the meaning of the variable.
-        sections = scipy.signal.zpk2sos(zeros, poles, gain, analog=True)
+    sections = _sections(_parted(zeros, table.at("zeros")), _parted(poles, table.at("poles")))
+    gains = [gain, *[1.0] * (len(sections) - 1)]
     chain = [
-        control.ss(control.tf(np.trim_zeros(row[:3], "f"), np.trim_zeros(row[3:], "f"), dt))
-        for row in sections
+        control.ss(control.tf(one * np.poly(over).real, np.poly(under).real, dt))
+        for one, (over, under) in zip(gains, sections, strict=True)
     ]
     return functools.reduce(lambda system, section: section * system, chain)
+
+
+def _parted(roots: Sequence[complex], where: str) -> tuple[list[complex], list[float]]:
+    """One root of each complex pair, and the real ones."""
+    upper, lower = ([z for z in roots if i * z.imag > ALIKE * abs(z)] for i in (1, -1))
+    for z in upper:
+        match = min(lower, key=lambda other: abs(other.conjugate() - z), default=0.0)
+        if abs(match.conjugate() - z) > ALIKE * abs(z):
+            lower = [z]
+            break
+        lower.remove(match)
+    if lower:
+        raise ValueError(
+            f"{where} has [{lower[0].real:g}, {lower[0].imag:g}] without its conjugate; allowed "
+            "are real numbers, and pairs of complex ones"
+        )
+    return upper, [z.real for z in roots if abs(z.imag) <= ALIKE * abs(z)]
+
+
+def _sections(
+    zeros: tuple[list[complex], list[float]], poles: tuple[list[complex], list[float]]
+) -> list[tuple[list[complex], list[complex]]]:
+    """The zeros and poles of sections of first and second order, none with more zeros than poles.
+
+    A pair of zeros is over the nearest pair of poles that is free, or else over two real poles, and
+    a real zero over the nearest poles that are left. There are enough, since there are fewer zeros.
+
+    zeros, poles: as `_parted` has them
+    """
+    single = list(poles[1])
+    sections: list[tuple[list[complex], list[complex]]]
+    sections = [([], [p, p.conjugate()]) for p in poles[0]]
+    for z in zeros[0]:
+        free = [one for one in sections if not one[0]]
+        if free:
+            over = min(free, key=lambda one: abs(one[1][0] - z))[0]
+        else:
+            single.sort(key=lambda p: abs(p - z))
+            over = []
+            sections.append((over, list(single[:2])))
+            del single[:2]
+        over += [z, z.conjugate()]
+    sections += [([], [p]) for p in single]
+    for z in zeros[1]:
+        free = [one for one in sections if len(one[0]) < len(one[1])]
+        min(free, key=lambda one: min(abs(p - z) for p in one[1]))[0].append(z)
+    return sections
 
 
 def _sample_time(value: Value, where: str) -> float:

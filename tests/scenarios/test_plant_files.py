@@ -18,7 +18,7 @@ from jaxilc import plants, scenarios
 from jaxilc.cli import app
 from jaxilc.identification import excite, write_record
 from jaxilc.learning import Machine, learn
-from jaxilc.scenarios import load_scenario
+from jaxilc.scenarios import file_plant, load_scenario
 from jaxilc.scenarios.file_task import task_of
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.specification import classes
@@ -131,6 +131,32 @@ def test_zeros_poles_and_gain_keep_the_digits_of_poles_that_lie_close_together(t
     )
     at_rest = plant.C @ np.linalg.solve(np.eye(6) - plant.A, plant.B)
     np.testing.assert_allclose(at_rest, [[1e-9 * np.prod(1 - np.array(zeros)) / below]], rtol=1e-6)
+
+
+def test_zeros_and_poles_of_any_kinds_are_the_plant_that_they_say(tmp_path):
+    rng, tried, s = np.random.default_rng(5), 0, 1j * np.array([0.0, 1.0, 30.0, 200.0, 900.0])
+
+    def roots(real, pairs):
+        size, angle = rng.uniform(20, 400, pairs), rng.uniform(0.02, 0.9, pairs)
+        upper = size * (1j * np.sqrt(1 - angle**2) - angle)
+        return rng.permutation([*-rng.uniform(5, 300, real), *upper, *upper.conj()]).astype(complex)
+
+    while tried < 200:
+        poles, zeros = roots(*rng.integers(0, (4, 3))), roots(*rng.integers(0, (3, 3)))
+        if len(zeros) >= len(poles):
+            continue
+        tried += 1
+        table = {
+            name: [[z.real, z.imag] if z.imag else z.real for z in of]
+            for name, of in (("zeros", zeros), ("poles", poles))
+        }
+        table |= {"kind": "zeros_poles_gain", "gain": 2.0}
+        plant = file_plant.plant_of(table, "plant", tmp_path, [])
+        A, B, C = (np.asarray(M) for M in (plant.A, plant.B, plant.C))
+        found = [(C @ np.linalg.solve(z * np.eye(len(A)) - A, B))[0, 0] for z in s]
+        factors = [np.prod(s[:, None] - of, axis=1) for of in (zeros, poles)]
+        np.testing.assert_allclose(found, 2.0 * factors[0] / factors[1], rtol=1e-8)
+        assert len(A) == len(poles)
 
 
 def test_state_space_and_any_class_by_its_name(tmp_path):
@@ -391,7 +417,10 @@ REFUSED = {
     "plant: den has 1002 coefficients, of order 1001; allowed is an order of at most 1000": plant(
         den=[1.0] * 1002
     ),
-    "plant: ": roots(poles=[[-1.0, 2.0]]),
+    r"plant.poles has \[-1, 2\] without its conjugate; allowed are": roots(poles=[[-1.0, 2.0]]),
+    r"plant.zeros has \[-1, 2\] without its conj": roots(
+        zeros=[[-1.0, 2.0], [-1.0, -3.0]], poles=[-1.0, -2.0, -3.0]
+    ),
     "plant.poles has 1001 numbers; allowed are at most 1000": roots(poles=[-1.0] * 1001),
     "1 zeros over 1 poles; allowed are": roots(zeros=[-1.0], poles=[-2.0]),
     r"plant.zeros\[0\] = nan is not finite": roots(zeros=[float("nan")], poles=[-1, -2]),
