@@ -255,6 +255,11 @@ def beyond_limits(
         elif limits is not None and np.any(np.abs(departure) > limits):
             k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), schedule.shape)
             option = "campaign.largest_correction" if of_reference else "campaign.limit"
+            if not of_reference and rules.limit is None:
+                option = (
+                    "machine.actuator.limit of the plant; --set campaign.limit=LARGER lets the "
+                    "machine clip it, or begin a campaign with a `limit` of the law, if it has one"
+                )
             away = " away from the task's" if of_reference else ""
             unit = spaced(unit)
             text = (

@@ -25,7 +25,7 @@ from jaxilc.figures.experiments import campaign_figure
 from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
 from jaxilc.hardware.campaign import learned
 from jaxilc.hardware.checks import beyond_limits, larger
-from jaxilc.learning import Sensor, learn, run_trial
+from jaxilc.learning import Actuator, Sensor, learn, run_trial
 from jaxilc.plants import from_control
 from jaxilc.scenarios import load_scenario
 from jaxilc.schemes import (
@@ -654,6 +654,10 @@ def test_every_table_is_looked_at_before_it_is_played():
     assert "0.2 away from the task's" in found[0].text
     assert "the next table.u is -0.5 at sample 0; allowed are +-0.4" in found[1].text
     assert found[2].text == "the next table.weights[0] is not finite at sample 3"
+    (found,) = beyond_limits({"table.u": rows["table.u"]}, task, Actuator(limit=0.3), Rules())
+    assert "allowed are +-0.3 (machine.actuator.limit of the plant; --set campaign" in found.text
+    clips = Rules(limit=0.6)
+    assert beyond_limits({"table.u": rows["table.u"]}, task, Actuator(limit=0.3), clips) == []
     of_parts = {"feedback.reference": np.hstack([r, r[:, :1] + 0.2]), "feedback.feedforward": r}
     found = beyond_limits(of_parts, task, None, Rules(limit=0.4, correction=0.1))
     assert "the next feedback.reference is 0.2 away from the task's" in found[0].text
