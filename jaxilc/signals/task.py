@@ -31,8 +31,8 @@ class Task:
 
     reference: (N+1, n_y) desired output `r`; a flat (N+1,) array means one output
     dt:        sample time [s], from a picosecond to decades
-    settle:    (start, stop) [s], the part of the trial that counts as settled; None is its second
-               half
+    settle:    (start, stop) [s], the part of the trial that counts as settled, to the end of the
+               trial where that is before stop; None is its second half
     inputs:    number of inputs n_u; None means as many as outputs
     unit, input_unit: of y and of u, for labels only
     names:     names of the outputs, such as ("x", "y"), for labels only; () where they have numbers
@@ -70,8 +70,8 @@ class Task:
             start, stop = self.settle
             if not 0 <= start < stop < float("inf") or start > self.duration:
                 raise ValueError(
-                    f"Task: settle = {self.settle} s is not a window within [0, {self.duration:g}] "
-                    "s"
+                    f"Task: settle = {self.settle} s is not a window that begins within [0, "
+                    f"{self.duration:g}] s with a later, finite stop, which may be beyond the trial"
                 )
             object.__setattr__(self, "settle", (float(start), float(stop)))
 
