@@ -142,7 +142,7 @@ class BallScrewDrive(Plant):
     substeps:       equal steps of the integrator in a sample, where there is friction or a lead
                   error. A lead error acts through the spring, whose resonance a step then has to
                   follow: more than 1 rad of it in a step is refused. With friction, too, a motion
-                  of 60 um was right to 1e-3 at 0.9 rad, and longer ones to 1e-4
+                  of 60 um was right to 1.3e-3 at 0.9 rad, and one of 0.75 mm to 1e-4
     linear_part, dt: of the mechanics once sampled, see `sampled`; until then None and 0
 
     None leaves a part out. Raises ValueError, where the values are known, for friction that an
