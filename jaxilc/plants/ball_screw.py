@@ -197,7 +197,8 @@ class BallScrewDrive(Plant):
     def check(self, task: Task) -> None:
         if self.lead_error is None or not known(self):
             return
-        angle = float(np.max(2 * np.pi * self.resonance)) * task.dt
+        m_M, m_T, k = map(np.asarray, (self.motor_mass, self.table_mass, self.stiffness))
+        angle = float(np.max(np.sqrt(k * (m_T + m_M) / (m_M * m_T)))) * task.dt
         if angle > self.substeps:
             raise ValueError(
                 f"BallScrewDrive: substeps = {self.substeps} of dt = {task.dt:g} s cannot follow "
