@@ -23,7 +23,8 @@ from jaxilc.design import Design, LearnedLaw
 from jaxilc.figures import explorer
 from jaxilc.identification import estimation
 from jaxilc.learning import over_trials
-from jaxilc.outcomes import demonstrating
+from jaxilc.outcomes import certifying, demonstrating, exporting, filtering, identifying
+from jaxilc.outcomes import tuning as of_tuning
 from jaxilc.scenarios import reproduction
 from jaxilc.sweeps import Sweep
 from jaxilc.theory import certificates, q_filter
@@ -33,6 +34,8 @@ PLANT = f"""trials = 3
 {first_order(0.5, 1.0)}{follows(50.0, 0.02)}{p_type(0.3)}[schemes.mf]
 class = "CFDLMFAILC"
 {known_to(0.02)}"""
+# Modules that are loaded while a function is replaced would keep what stands for it.
+LOADED = certifying, exporting, filtering, identifying, of_tuning
 TUNED = "--scheme ilc --weights gamma_p --machines 4 --held-out 3 --unseen 4 --steps 2"
 COMMANDS = [
     shlex.split(line)
