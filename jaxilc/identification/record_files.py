@@ -771,7 +771,8 @@ class Repeats(NamedTuple):
     unit: of the error, "" where no file tells one
     names: of the trials
     position: (N,) where the first one was: its output, or else its reference; None if not read
-    place: unit of the position, "" where its file tells none; None: that of the error
+    place: unit of the position, "" where its file tells that of the error alone; None: that of the
+        error
     """
 
     e: np.ndarray
@@ -822,8 +823,9 @@ def read_repeats(
         _one_unit(path, units)
         for name in (output, reference):
             if (x := signals.of(name)) is not None:
-                place = signals.units.get(name, [""])[0] or "" if error in signals.found else None
-                positions.append((x[0], place))
+                place = signals.units.get(name, [""])[0] or ""
+                apart = error in signals.found and bool(own or place)
+                positions.append((x[0], place if apart else None))
         steps.append(step)
     if not trials:
         raise ValueError("no record is given; needed are M >= 2 repeats of one motion")

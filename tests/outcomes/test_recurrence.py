@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from cases import follows, known_to, lag
 from command import write_columns
 
 from jaxilc import Task, learn
@@ -33,18 +34,7 @@ BUMP = np.exp(-(((t - 0.7) / 0.1) ** 2)) - np.exp(-(((t - 2.3) / 0.25) ** 2))
 BY_PLACE = np.sin(2 * np.pi * BACK_AND_FORTH / 7.3) + 0.4 * np.cos(4 * np.pi * BACK_AND_FORTH / 7.3)
 
 
-AXIS = """
-[plant]
-kind = "ProcessModel"
-gain = 2.0
-poles = [150.0]
-[task]
-dt = 0.001
-unit = "mm"
-reference = { function = "sinusoid", amplitude = 20.0, frequency = 1.0, duration = 1.0 }
-[uncertainty]
-"plant.gain" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
-"""
+AXIS = lag() + follows(1.0, 1.0, amplitude=20.0) + known_to(0.1, "plant.gain")
 
 
 @pytest.mark.thorough(but=["position0-of_trial0-repeats in a period, so Rep-period0"])
@@ -88,6 +78,9 @@ def test_the_pitch_is_told_in_the_unit_of_the_position(tmp_path):
         write_columns(path := tmp_path / f"{j}.csv", "t [s],e [mm],y [m]", t, e, y)
         files.append(path)
     found = potential(files)
+    assert "a period of 16 mm in the position foretells" in found.lines[-1]
+    np.savez(tmp_path / "all.npz", e=[e, 1.001 * e], y=[y, y])  # whose one unit is given
+    found = potential(tmp_path / "all.npz", dt=2e-3, unit="m")
     assert "a period of 16 mm in the position foretells" in found.lines[-1]
     (axis := tmp_path / "axis.toml").write_text(AXIS)
     with pytest.raises(ValueError, match="record has the unit of its position 'm', the task has"):
