@@ -537,9 +537,21 @@ dt = 0.001
 """
 
 
-def follows(hertz, seconds):
+def lag(pole=150.0, dt=0.001):
+    """Return a plant with a lag in continuous time, and the beginning of its task."""
+    return f"""[plant]
+kind = "ProcessModel"
+gain = 2.0
+poles = [{pole}]
+[task]
+dt = {dt}
+unit = "mm"
+"""
+
+
+def follows(hertz, seconds, amplitude=1.0):
     """Return what a task follows."""
-    given = f"amplitude = 1.0, frequency = {hertz}, duration = {seconds}"
+    given = f"amplitude = {amplitude}, frequency = {hertz}, duration = {seconds}"
     return f'reference = {{ function = "sinusoid", {given} }}\n'
 
 
@@ -548,9 +560,9 @@ def p_type(gain):
     return f'[schemes.ilc]\nclass = "PIDType"\ngamma_p = {gain}\n'
 
 
-def known_to(share):
+def known_to(share, gain="plant.B"):
     """Return that the gain of the plant is known to a share of it."""
-    return f"""[uncertainty."plant.B"]
+    return f"""[uncertainty."{gain}"]
 distribution = "uniform"
 low = {1 - share}
 high = {1 + share}

@@ -31,6 +31,7 @@ from ..theory.certificates import (
 )
 from ..theory.chance import STILL, SURELY
 from ..theory.condition import HOLDS, NOT_CLAIMED, Condition
+from ..theory.learning_map import LARGEST
 from ..theory.repetitive import (
     POINTS,
     basis_condition,
@@ -39,7 +40,6 @@ from ..theory.repetitive import (
     repetitive_condition,
     side_by_side,
 )
-from ..theory.rounding import LARGEST
 from ..uncertainty import Population
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request

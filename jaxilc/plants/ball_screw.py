@@ -197,13 +197,14 @@ class BallScrewDrive(Plant):
     def check(self, task: Task) -> None:
         if self.lead_error is None or not known(self):
             return
-        m_M, m_T, k = map(np.asarray, (self.motor_mass, self.table_mass, self.stiffness))
-        angle = float(np.max(np.sqrt(k * (m_T + m_M) / (m_M * m_T)))) * task.dt
+        with jax.ensure_compile_time_eval():  # the check may be made inside `jit`
+            resonance = float(jnp.max(self.resonance))
+        angle = 2 * math.pi * resonance * task.dt
         if angle > self.substeps:
             raise ValueError(
                 f"BallScrewDrive: substeps = {self.substeps} of dt = {task.dt:g} s cannot follow "
-                f"the resonance of {angle / task.dt / 2 / np.pi:.4g} Hz, by which the lead error "
-                f"acts; allowed are {math.ceil(angle)} or more"
+                f"the resonance of {resonance:.4g} Hz, by which the lead error acts; allowed are "
+                f"{math.ceil(angle)} or more"
             )
 
     @property

@@ -7,6 +7,7 @@ from unittest import mock
 import jax
 import numpy as np
 import pytest
+from cases import follows, known_to, lag
 from command import call, mistakes, write_columns
 
 from jaxilc.cli import commands
@@ -18,21 +19,10 @@ from jaxilc.outcomes.designing import _table, _with_weights, state_of
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import LearningFilter, PIDType
 
-FILE = """
-tolerance = 0.9
+FILE = f"""tolerance = 0.9
 trials = 4
-[plant]
-kind = "ProcessModel"
-gain = 2.0
-poles = [150.0]
-[task]
-dt = 0.001
-unit = "mm"
-input_unit = "V"
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 20.0, duration = 0.05 }
-[uncertainty]
-"plant.gain" = { distribution = "uniform", low = 0.9, high = 1.1, relative = true }
-"""
+{lag()}input_unit = "V"
+{follows(20.0, 0.05)}{known_to(0.1, "plant.gain")}"""
 
 pytestmark = pytest.mark.usefixtures("compiled_once")
 

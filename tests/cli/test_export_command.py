@@ -1,24 +1,13 @@
 """`jaxilc export`: the files of a law, the proof that they belong together, and refusals."""
 
 import pytest
+from cases import follows, lag, p_type
 from command import call, mistakes
 
 from jaxilc.export.certificate import WRITTEN
 from jaxilc.storage.sealed import read_json
 
-AXIS = """
-[plant]
-kind = "ProcessModel"
-gain = 2.0
-poles = [60.0]
-[task]
-dt = 0.002
-unit = "mm"
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 5.0, duration = 0.1 }
-[schemes.ilc]
-class = "PIDType"
-gamma_p = 0.5
-[schemes.pid]
+AXIS = f"""{lag(60.0, 0.002)}{follows(5.0, 0.1)}{p_type(0.5)}[schemes.pid]
 class = "PID"
 kp = 1.0
 """
