@@ -1,26 +1,17 @@
-"""`jaxilc init`, and the commands that are one call of the library: each reads its options and
-presents an outcome.
-"""
+"""The commands that are one call of the library: each reads its options and presents an outcome."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
-import os
-import re
-import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
-from ..outcomes.outcome import Outcome, Verdict
-from ..outcomes.request import Request
 from ..outcomes.terms import OBJECTIVES, numbers_of
 from .console import begin, between, prefer
 from .options import (
@@ -63,27 +54,6 @@ from .progress import run_search, run_sweep
 if TYPE_CHECKING:
     from ..pytree.aliases import Value
 
-# What `--set-point` puts in place of parts of the file: its scheme then learns from u = r on.
-SET_POINT = {
-    'class = "Filtered"\n': (
-        'class = "WarmStart"             # the first trial plays the reference: u = 1.0 r\n'
-        "theta = [1.0]\n"
-        'basis = { class = "PolynomialBasis", orders = [0] }\n'
-        '[schemes.ilc.scheme]\nclass = "Filtered"\n'
-    ),
-    "[plant]\n": (
-        "# Here u is the set-point of a closed drive; `jaxilc init --set-point --record FILE.csv`\n"
-        "# writes this file for a drive of which one move was recorded.\n"
-        "[plant]\n"
-    ),
-    '#input_unit = "mm"': 'input_unit = "mm"',
-    '"ilc.filter.cutoff"': '"ilc.scheme.filter.cutoff"',
-    '"ilc.scheme.lead"': '"ilc.scheme.scheme.lead"',
-}
-AT_REST = 0.01  # of the stroke of a set-point, by which its first value may miss 0
-_OF_DRIVE = re.compile(r"(?<=\[plant\]\n)kind.*?\n(?=\n)", re.DOTALL)
-_REFERENCE = re.compile(r"(?<=\n)reference = .*")
-
 
 def init(
     file: Annotated[
@@ -109,112 +79,13 @@ def init(
 
     Example: jaxilc init axis.toml
     """
-    from ..storage.files import atomically
+    from ..outcomes import beginning
 
-    if file.suffix != ".toml":
-        raise ValueError(f"{file} is not a name that ends with .toml")
-    if file.exists() and not force:
-        raise FileExistsError(f"{file} exists already; add --force to replace it")
-    columns = (
-        ("--time", time_name, "t"),
-        ("--input", input_name, "u"),
-        ("--output", output_name, "y"),
-    )
-    for option, name, usual in columns:
-        if record is None and name != usual:
-            raise ValueError(f"{option} {name} names a column of --record, which is not given")
-    content = (resources.files("jaxilc.scenarios") / "axis.toml").read_text("utf-8")
-    content = _replaced(content, SET_POINT if set_point else {})
-    own, of_law = "plant, task and uncertainty", list[str]()
     if record is not None:
-        if not set_point:
-            raise ValueError("--record is for --set-point; otherwise: jaxilc identify RECORD")
-        content, *of_law = _of_record(content, record, file, (time_name, input_name, output_name))
-        own = "uncertainty"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    atomically(file, lambda opened: opened.write(content.encode()))
-    said = f"{file} runs as it is; put your own {own} into it."
-    following = Request(str(file)).following("run")
-    verdict = Verdict((said, *of_law), "its first trials", following)
-    present(Outcome(command="init", numbers={}, verdict=verdict, kept=[file]), Pages())
-
-
-def _of_record(
-    content: str, record: Path, file: Path, names: tuple[str, str, str]
-) -> tuple[str, ...]:
-    """The file for a drive of which a move was recorded, in columns of these names, and its law.
-
-    A further text tells of a unit that is assumed.
-    """
-    from ..identification.record_files import read_record_file
-
-    time, set_point, position = names
-    read = read_record_file(record, time=time, input=set_point, output=position)
-    values = read.record.u[:, 0].tolist()
-    first = values[0]
-    if abs(first) > AT_REST * (max(values) - min(values)):
-        raise ValueError(
-            f"{record}: {set_point} begins at {first:.6g}, where the move must begin at 0, as the "
-            f"plant does; subtract {first:.6g} from {set_point} and {position}, in each trial, too"
-        )
-    place, *called = (json.dumps(of) for of in (os.path.relpath(record, file.parent), *names))
-    columns = zip(("time", "input", "output"), called, strict=True)
-    plant = [f"{name} = {column}\n" for name, column in columns]
-    fitted = f'kind = "identified"            # fitted once, to the record\nrecord = {place}\n'
-    told = (read.output_units or ("",))[0]
-    unit = json.dumps(told or "mm")
-    parts = {
-        "dt = 0.001\n": f"dt = {read.record.dt!r}\n",
-        '\nunit = "mm"': f"\nunit = {unit}",
-        'input_unit = "mm"': f"input_unit = {unit}",
-        '"plant.B"': '"plant.gain"',
-    }
-    content = _replaced(content, parts)
-    content = _OF_DRIVE.sub(lambda _: f"{fitted}{''.join(plant)}poles = 2\n", content)
-    moved = f"reference = {{ csv = {place}, column = {called[1]} }}"
-    made = _with_law(_REFERENCE.sub(lambda _: moved, content), file, len(values))
-    assumed = f"{record} gives no unit of {position}; mm is assumed, which each trial must say."
-    return made if told else (*made, assumed)
-
-
-def _with_law(content: str, file: Path, samples: int) -> tuple[str, str]:
-    """The text of a file with a law that learns on its drive, and what that is.
-
-    samples: length of the record
-    """
-    from ..plants import ProcessModel
-    from ..scenarios.file_plant import plant_of
-    from ..scenarios.file_task import uncertainty_of
-    from ..scenarios.identified_file import starting_law
-
-    begin()
-    made = tomllib.loads(content)
-    file.parent.mkdir(parents=True, exist_ok=True)  # from there the record is named
-    plant = plant_of(made["plant"], f"{file}: plant", file.parent, [])
-    uncertainty = uncertainty_of(made["uncertainty"], f"{file}: uncertainty")
-    assert isinstance(plant, ProcessModel)
-    law = starting_law(plant, uncertainty, made["task"]["dt"], samples)
-    if law is None:
-        raise ValueError(
-            f"{made['plant']['record']}: no filtered P-type law learns on the drive that was "
-            "fitted; `jaxilc identify` tells how well the plant fits"
-        )
-    gain, lead, cutoff = f"{law.gamma_p:g}", str(law.lead), f"{law.cutoff:g}"
-    parts = {
-        "0.8 of the error, 15 samples": f"{gain} of the error, {lead} samples",
-        "gamma_p = 0.8, lead = 15": f"gamma_p = {gain}, lead = {lead}",
-        "cutoff = 50.0": f"cutoff = {cutoff}",
-        "20:80:4": f"{0.4 * law.cutoff:g}:{law.cutoff:g}:4",
-        "[5, 15]": f"{sorted({law.lead // 3, law.lead})}",
-    }
-    return _replaced(content, parts), f"Chosen for the fitted drive: {law.told}."
-
-
-def _replaced(content: str, parts: Mapping[str, str]) -> str:
-    """The text with other words in place of some; those that it has not are left."""
-    for part, other in parts.items():
-        content = content.replace(part, other)
-    return content
+        begin()
+    columns = {"time": time_name, "input": input_name, "output": output_name}
+    made = beginning.init(file, set_point=set_point, record=record, force=force, **columns)
+    present(made, Pages())
 
 
 def demo(written: Written) -> None:
@@ -240,11 +111,11 @@ def list_(
 
     Example: jaxilc list cao-2019
     """
-    from ..outcomes import listing
+    from ..outcomes import beginning
 
     if scenario is not None:
         begin()
-    present(listing.scenarios() if scenario is None else listing.settings(scenario), Pages())
+    present(beginning.scenarios() if scenario is None else beginning.settings(scenario), Pages())
 
 
 def run(

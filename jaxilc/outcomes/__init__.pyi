@@ -1,10 +1,10 @@
+from .beginning import init, scenarios, settings
 from .certifying import certify
 from .demonstrating import demo
 from .designing import design, learn_law
 from .exporting import check_export, export
 from .filtering import filter_, filter_measured
 from .identifying import Reading, identify, identify_campaign
-from .listing import scenarios, settings
 from .outcome import Outcome, Verdict
 from .repeating import potential
 from .reproducing import reproduce
@@ -27,6 +27,7 @@ __all__ = [
     "filter_measured",
     "identify",
     "identify_campaign",
+    "init",
     "learn_law",
     "pareto",
     "potential",

@@ -12,8 +12,8 @@ from typer.main import get_command
 from jaxilc.cli import app
 from jaxilc.design.judging import Limits, judged_trials, verdict
 from jaxilc.outcomes import certifying, designing
+from jaxilc.outcomes.beginning import list_verdict
 from jaxilc.outcomes.certifying import certify_verdict
-from jaxilc.outcomes.listing import list_verdict
 from jaxilc.outcomes.outcome import Console, Verdict
 from jaxilc.outcomes.reproducing import _by_paper, reproduce_verdict
 from jaxilc.outcomes.request import REPEATED, Request

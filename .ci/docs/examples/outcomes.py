@@ -92,8 +92,8 @@ lines = [f"{f},{(G := 1 / (1 + 1j * f / 10)).real:.9g},{G.imag:.9g}" for f in ra
 Path("response.csv").write_text("frequency [Hz],re,im\n" + "\n".join(lines))
 found = outcomes.filter_measured(["response.csv"], gain=0.5, cutoff=20.0, dt=1e-3)
 say(found)
-# Safe on every line with 3 standard deviations of scatter: |Q (1 - L P)| + |Q L| s is at
-# most 0.726, a margin of 0.274; it is largest at 10 Hz.
+# Safe on every line: |Q (1 - L P)| is at most 0.726, a margin of 0.274; it is largest at 10
+# Hz.
 
 # %% design (slow)
 say(outcomes.design("axis.toml", laws=("p-type",), machines=8, steps=2))
@@ -104,6 +104,10 @@ say(outcomes.design("axis.toml", laws=("p-type",), machines=8, steps=2))
 learned = outcomes.learn_law("axis.toml", taps=(21, 11), trained_on=2, machines=8, steps=1)
 print(learned.verdict.said[0].split(". ")[0])
 # Safe, but not the best: u' = Q u + L e by learned filters, L of 21 taps and Q of 11
+
+# %% init
+say(outcomes.init("drive.toml", set_point=True))
+# drive.toml runs as it is; put your own plant, task and uncertainty into it.
 
 # %% identify_campaign
 try:

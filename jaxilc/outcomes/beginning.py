@@ -1,0 +1,247 @@
+"""What one begins with: `list`, the scenarios or all that can be set in one; `init`, a plant file.
+
+JAX is imported for the settings of a scenario and for a recorded drive alone; the rest is there at
+once.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..scenarios.catalogue import LISTED
+from ..storage.files import atomically
+from .outcome import Outcome, Table, Verdict
+from .request import Request
+
+if TYPE_CHECKING:
+    from ..pytree.aliases import Leaf
+    from ..scenarios import Scenario
+    from .words import Case
+
+# What `--set-point` puts in place of parts of the file: its scheme then learns from u = r on.
+SET_POINT = {
+    'class = "Filtered"\n': (
+        'class = "WarmStart"             # the first trial plays the reference: u = 1.0 r\n'
+        "theta = [1.0]\n"
+        'basis = { class = "PolynomialBasis", orders = [0] }\n'
+        '[schemes.ilc.scheme]\nclass = "Filtered"\n'
+    ),
+    "[plant]\n": (
+        "# Here u is the set-point of a closed drive; `jaxilc init --set-point --record FILE.csv`\n"
+        "# writes this file for a drive of which one move was recorded.\n"
+        "[plant]\n"
+    ),
+    '#input_unit = "mm"': 'input_unit = "mm"',
+    '"ilc.filter.cutoff"': '"ilc.scheme.filter.cutoff"',
+    '"ilc.scheme.lead"': '"ilc.scheme.scheme.lead"',
+}
+AT_REST = 0.01  # of the stroke of a set-point, by which its first value may miss 0
+_OF_DRIVE = re.compile(r"(?<=\[plant\]\n)kind.*?\n(?=\n)", re.DOTALL)
+_REFERENCE = re.compile(r"(?<=\n)reference = .*")
+
+
+def scenarios() -> Outcome:
+    """The scenarios of papers and of other software."""
+    table = Table("scenario", "title", "schemes", "trials", "samples N")
+    for name, (title, schemes, trials, samples) in LISTED.items():
+        table.add_row(name, title, ", ".join(schemes), str(trials), str(samples))
+    said = f"{len(LISTED)} scenarios of papers and other software; a plant file has your machine."
+    verdict = Verdict((said,), "a plant file", "jaxilc init axis.toml")
+    return Outcome(command="list", numbers={}, verdict=verdict, tables=[table])
+
+
+def settings(source: str) -> Outcome:
+    """All that can be set in a scenario or a plant file, with values and allowed ranges."""
+    from ..scenarios.from_file import load_scenario
+    from .words import Case
+
+    chosen = load_scenario(source)
+    values = chosen.settable()
+    return Outcome(
+        command="list",
+        numbers={},
+        verdict=list_verdict(
+            Case.of(chosen, Request(source)),
+            values,
+            [*chosen.options],
+            lambda settings: chosen.with_values(settings).check(),
+        ),
+        scenario=chosen,
+        tables=[settable_table(chosen)],
+    )
+
+
+def settable_table(scenario: Scenario) -> Table:
+    """The table of all that `--set` can set in a scenario, with values and allowed ranges."""
+    table = Table(title=scenario.title)
+    table.add_column("--set", whole=True)
+    table.add_column("value")
+    table.add_column("allowed")
+    for option, default in scenario.options.items():
+        table.add_row(option, str(default), "option of the scenario")
+    for path, value in scenario.settable().items():
+        table.add_row(path, _brief(value), scenario.allowed(path))
+    return table
+
+
+def _brief(value: object) -> str:
+    import numpy as np
+
+    if value is None or isinstance(value, str | int | tuple):
+        return str(value)
+    return np.array2string(np.asarray(value), precision=6, threshold=6)
+
+
+def list_verdict(
+    case: Case,
+    values: Mapping[str, Leaf],
+    options: Sequence[str],
+    tried: Callable[[dict[str, object]], object],
+) -> Verdict:
+    """How much can be set, and a run with half of a value that is `tried` without a ValueError."""
+    import numpy as np
+
+    said = (f"{len(values) + len(options)} values can be set in {case.request.source}.",)
+    if not case.learns:
+        return Verdict(said, *(case.remedy("") if case.designable else ()))
+    heads = [f"{name}." for name in sorted(case.learns, key=lambda name: not case.learns[name])]
+    single = [path for path, value in values.items() if np.asarray(value).shape == ()]
+    floats = [path for path in single if np.asarray(values[path]).dtype.kind == "f"]
+    floats.sort(key=lambda path: ".model." in path)  # weights first
+    for path in (p for head in heads for p in floats if p.startswith(head)):
+        half = f"{0.5 * float(values[path]):.6g}"
+        with suppress(ValueError):
+            if 0 < abs(float(half)) < np.inf:
+                tried({path: half})
+                changed = case.request.following("run", set=(f"{path}={half}",))
+                return Verdict(said, f"with half of {path.rpartition('.')[2]}", changed)
+    return Verdict(said, "as it stands", case.request.following("run"))
+
+
+def init(
+    file: str | Path = "axis.toml",
+    *,
+    set_point: bool = False,
+    record: str | Path | None = None,
+    time: str = "t",
+    input: str = "u",
+    output: str = "y",
+    force: bool = False,
+) -> Outcome:
+    """Write a plant file with comments: a machine, its task, schemes and uncertainty.
+
+    set_point: the input is the set-point of a closed drive, which plays the reference in trial 1
+    record: with `set_point`: file of a recorded move of the drive, to which the machine is fitted;
+        its set-point is the task, and the law is one that learns on the drive
+    time, input, output: columns of the record
+    force: whether a file that exists is replaced
+    Raises ValueError or FileExistsError, naming what is allowed, before anything is written.
+    """
+    file, record = Path(file), None if record is None else Path(record)
+    if file.suffix != ".toml":
+        raise ValueError(f"{file} is not a name that ends with .toml")
+    if file.exists() and not force:
+        raise FileExistsError(f"{file} exists already; add --force to replace it")
+    columns = (("--time", time, "t"), ("--input", input, "u"), ("--output", output, "y"))
+    for option, name, usual in columns:
+        if record is None and name != usual:
+            raise ValueError(f"{option} {name} names a column of --record, which is not given")
+    content = (resources.files("jaxilc.scenarios") / "axis.toml").read_text("utf-8")
+    content = _replaced(content, SET_POINT if set_point else {})
+    own, of_law = "plant, task and uncertainty", list[str]()
+    if record is not None:
+        if not set_point:
+            raise ValueError("--record is for --set-point; otherwise: jaxilc identify RECORD")
+        content, *of_law = _of_record(content, record, file, (time, input, output))
+        own = "uncertainty"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    atomically(file, lambda opened: opened.write(content.encode()))
+    said = f"{file} runs as it is; put your own {own} into it."
+    following = Request(str(file)).following("run")
+    verdict = Verdict((said, *of_law), "its first trials", following)
+    return Outcome(command="init", numbers={}, verdict=verdict, kept=[file])
+
+
+def _of_record(
+    content: str, record: Path, file: Path, names: tuple[str, str, str]
+) -> tuple[str, ...]:
+    """The file for a drive of which a move was recorded, in columns of these names, and its law.
+
+    A further text tells of a unit that is assumed.
+    """
+    from ..identification.record_files import read_record_file
+
+    time, set_point, position = names
+    read = read_record_file(record, time=time, input=set_point, output=position)
+    values = read.record.u[:, 0].tolist()
+    first = values[0]
+    if abs(first) > AT_REST * (max(values) - min(values)):
+        raise ValueError(
+            f"{record}: {set_point} begins at {first:.6g}, where the move must begin at 0, as the "
+            f"plant does; subtract {first:.6g} from {set_point} and {position}, in each trial, too"
+        )
+    place, *called = (json.dumps(of) for of in (os.path.relpath(record, file.parent), *names))
+    columns = zip(("time", "input", "output"), called, strict=True)
+    plant = [f"{name} = {column}\n" for name, column in columns]
+    fitted = f'kind = "identified"            # fitted once, to the record\nrecord = {place}\n'
+    told = (read.output_units or ("",))[0]
+    unit = json.dumps(told or "mm")
+    parts = {
+        "dt = 0.001\n": f"dt = {read.record.dt!r}\n",
+        '\nunit = "mm"': f"\nunit = {unit}",
+        'input_unit = "mm"': f"input_unit = {unit}",
+        '"plant.B"': '"plant.gain"',
+    }
+    content = _replaced(content, parts)
+    content = _OF_DRIVE.sub(lambda _: f"{fitted}{''.join(plant)}poles = 2\n", content)
+    moved = f"reference = {{ csv = {place}, column = {called[1]} }}"
+    made = _with_law(_REFERENCE.sub(lambda _: moved, content), file, len(values))
+    assumed = f"{record} gives no unit of {position}; mm is assumed, which each trial must say."
+    return made if told else (*made, assumed)
+
+
+def _with_law(content: str, file: Path, samples: int) -> tuple[str, str]:
+    """The text of a file with a law that learns on its drive, and what that is.
+
+    samples: length of the record
+    """
+    from ..plants import ProcessModel
+    from ..scenarios.file_plant import plant_of
+    from ..scenarios.file_task import uncertainty_of
+    from ..scenarios.identified_file import starting_law
+
+    made = tomllib.loads(content)
+    file.parent.mkdir(parents=True, exist_ok=True)  # from there the record is named
+    plant = plant_of(made["plant"], f"{file}: plant", file.parent, [])
+    uncertainty = uncertainty_of(made["uncertainty"], f"{file}: uncertainty")
+    assert isinstance(plant, ProcessModel)
+    law = starting_law(plant, uncertainty, made["task"]["dt"], samples)
+    if law is None:
+        raise ValueError(
+            f"{made['plant']['record']}: no filtered P-type law learns on the drive that was "
+            "fitted; `jaxilc identify` tells how well the plant fits"
+        )
+    gain, lead, cutoff = f"{law.gamma_p:g}", str(law.lead), f"{law.cutoff:g}"
+    parts = {
+        "0.8 of the error, 15 samples": f"{gain} of the error, {lead} samples",
+        "gamma_p = 0.8, lead = 15": f"gamma_p = {gain}, lead = {lead}",
+        "cutoff = 50.0": f"cutoff = {cutoff}",
+        "20:80:4": f"{0.4 * law.cutoff:g}:{law.cutoff:g}:4",
+        "[5, 15]": f"{sorted({law.lead // 3, law.lead})}",
+    }
+    return _replaced(content, parts), f"Chosen for the fitted drive: {law.told}."
+
+
+def _replaced(content: str, parts: Mapping[str, str]) -> str:
+    """The text with other words in place of some; those that it has not are left."""
+    for part, other in parts.items():
+        content = content.replace(part, other)
+    return content
