@@ -2,6 +2,7 @@
 
 import base64
 import gc
+import itertools
 import logging
 import os
 import threading
@@ -69,7 +70,14 @@ if _make_context is not None:
     mlir.make_ir_context = context_of_module
 
 _compile, _programs = getattr(compiler, "backend_compile_and_load", None), {}
-SMALL = 20_000  # characters of a program of an operation or two, as a line of NumPy's kind makes it
+SMALL = 40  # operations of a program that stands for a line of NumPy's kind
+
+
+def is_small(program):
+    """Return whether a program has few operations; to write a large one takes milliseconds."""
+    blocks = (block for function in program.body for part in function.regions for block in part)
+    operations = (operation for block in blocks for operation in block)
+    return len([*itertools.islice(operations, SMALL + 1)]) <= SMALL
 
 
 def compile_once(backend, program, *how, **named):
@@ -77,8 +85,10 @@ def compile_once(backend, program, *how, **named):
 
     how: devices, options and callbacks; where a version of JAX has others, nothing is kept
     """
+    if named or len(how) != 3 or how[2] or not is_small(program):
+        return _compile(backend, program, *how, **named)
     text = str(program)
-    if named or len(how) != 3 or how[2] or len(text) > SMALL or "custom_call" in text:
+    if "custom_call" in text:
         return _compile(backend, program, *how, **named)
     key = text, str(how[0]), how[1].SerializeAsString()
     if key not in _programs:

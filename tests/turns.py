@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 COMMITS = 5  # a file that one of these changed is executed
-SHARE = 8  # of the `thorough` tests, one in so many is run
+SHARE = 16  # of the `thorough` tests, one in so many is run
 
 
 def git(*words: str) -> str:
