@@ -11,22 +11,31 @@ is found to be
 An operation that is not known to keep a value affine counts as one that does not. So the answer
 "affine" is a proof, for plants and schemes of the package as for a user's own. The answer
 "otherwise" is not: x * x - x * x is not seen to be 0.
+
+The matrices of an affine map are taken from its derivative, which a program may set to another one
+than that of its values: `stop_gradient` leaves a part of it out, and a function may have a rule of
+its own (`jax.custom_jvp`). Such a rule is compared with the derivative of the program that it
+stands for, at random numbers; where they differ, the map counts as not affine.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
 import jax
+import jax.core
 import jax.numpy as jnp
+import numpy as np
 
 from ..pytree.aliases import Function, Tree, Value
 
 CONSTANT, AFFINE, OTHERWISE = 0, 1, 2
-
+MADE_UP = "a part whose derivative is made up, as by stop_gradient"
 
 Step: TypeAlias = Value  # a `jax.core.JaxprEqn`
+Ruled: TypeAlias = tuple[Step, tuple[bool, ...]]  # and which of its operands depend on the inputs
 
 
 class Dependence(NamedTuple):
@@ -34,13 +43,13 @@ class Dependence(NamedTuple):
 
     order: CONSTANT, AFFINE or OTHERWISE
     why:   the operation that made it OTHERWISE, in words
-    blind: whether a derivative misses a part of it, because of `stop_gradient` (as in a quantiser
-           with a straight-through gradient)
+    ruled: the operations through which its derivative may be another than that of its values, as
+           in a quantiser with a straight-through gradient
     """
 
     order: int = CONSTANT
     why: str = ""
-    blind: bool = False
+    ruled: frozenset[Ruled] = frozenset()
 
 
 # linear in all operands together
@@ -68,6 +77,7 @@ DECISIONS = frozenset((
     "reduce_and", "reduce_or", "argmax", "argmin",
 ))
 # fmt: on
+RULED = ("custom_jvp_call", "custom_vjp_call")  # functions with a rule for their derivative
 WORDS = {
     "mul": "a product of two signals",
     "dot_general": "a product of two signals",
@@ -84,7 +94,6 @@ WORDS = {
     "dynamic_slice": "a table that is looked up by a signal",
     "cond": "a choice that depends on a signal",
     "while": "a loop that depends on a signal",
-    "stop_gradient": "rounding",
     "ruled": "a search for a minimum",
 }
 
@@ -108,13 +117,15 @@ def _of_each(f: Function, fixed: Tree, varying: Tree) -> list[Dependence]:
 def obstacle(f: Function, fixed: Tree, varying: Tree) -> str:
     """What keeps f(fixed, varying) from being affine in `varying`, in words; empty if it is.
 
-    Whole numbers and flags must be constant.
+    Whole numbers and flags must be constant, and the derivative that of the values.
     """
     shapes = jax.tree.leaves(jax.eval_shape(f, fixed, varying))
     for one, shape in zip(_of_each(f, fixed, varying), shapes, strict=True):
         allowed = AFFINE if jnp.issubdtype(shape.dtype, jnp.inexact) else CONSTANT
         if one.order > allowed:
             return one.why or "a whole number that depends on a signal"
+        if any(_made_up(*rule) for rule in one.ruled):
+            return MADE_UP
     return ""
 
 
@@ -124,8 +135,8 @@ def depends(f: Function, fixed: Tree, varying: Tree) -> bool:
 
 
 def blind(f: Function, fixed: Tree, varying: Tree) -> bool:
-    """Whether the derivative of f by `varying` misses a part, such as rounding."""
-    return any(one.blind for one in _of_each(f, fixed, varying))
+    """Whether the derivative of f by `varying` is made up, as that of rounding is."""
+    return any(_made_up(*rule) for one in _of_each(f, fixed, varying) for rule in one.ruled)
 
 
 def followers(f: Function, fixed: Tree, varying: Tree) -> list[list[bool]]:
@@ -184,14 +195,17 @@ def _after(step: Step, operands: list[Dependence]) -> list[Dependence]:
         return [Dependence()] * results
     if name in LOOPS_AND_CALLS:
         return LOOPS_AND_CALLS[name](step, operands)
-    inner = _called(step)
+    inner, together = _called(step), _joined(operands)
+    ruled = frozenset({(step, tuple(one.order > CONSTANT for one in operands))})
+    if name == "stop_gradient":
+        return [together._replace(ruled=ruled)] * results
     if inner is not None:
-        return _through(inner, operands)
-    together = _joined(operands)
+        found = _through(inner, operands)
+        if name not in RULED:
+            return found
+        return [one._replace(ruled=one.ruled | ruled) if one.order else one for one in found]
     if name == "optimization_barrier":
         return operands
-    if name == "stop_gradient":
-        return [together._replace(blind=True)] * results
     keeps = (
         name in LINEAR or _to_float(step) or (name == "select_n" and operands[0].order == CONSTANT)
     )
@@ -203,19 +217,63 @@ def _after(step: Step, operands: list[Dependence]) -> list[Dependence]:
         )
     if not keeps and together.order == AFFINE:
         why = WORDS["cond"] if name in DECISIONS else WORDS.get(name, f"{name} of a signal")
-        together = Dependence(OTHERWISE, why, together.blind)
+        together = together._replace(order=OTHERWISE, why=why)
     if name in DECISIONS:
         # what only decides has the derivative zero, which is correct
-        together = together._replace(blind=False)
+        together = together._replace(ruled=frozenset())
     if name == "select_n":
-        together = together._replace(blind=any(one.blind for one in operands[1:]))
+        together = together._replace(ruled=_joined(operands[1:]).ruled)
     return [together] * results
 
 
 def _joined(several: Sequence[Dependence]) -> Dependence:
     """The dependence of what is made of several values at once."""
     worst = max(several, key=lambda one: one.order)
-    return worst._replace(blind=any(one.blind for one in several))
+    return worst._replace(ruled=frozenset().union(*(one.ruled for one in several)))
+
+
+@lru_cache(maxsize=64)
+def _made_up(step: Step, moving: tuple[bool, ...]) -> bool:
+    """Whether the derivative of an operation by some of its operands is not that of its values.
+
+    Of a function with a rule for it, that is seen where the rule and the program that it stands for
+    differ, at numbers of all sizes. Where nothing can be compared, the rule counts as made up.
+    """
+    if step.primitive.name != "custom_jvp_call":
+        return True
+    inner, random = step.params["call_jaxpr"], np.random.default_rng(8)
+    operands = {v: m for v, m in zip(step.invars, moving, strict=True) if not hasattr(v, "val")}
+    call = inner.jaxpr.replace(constvars=[], invars=[*operands], outvars=step.outvars, eqns=[step])
+
+    def ruled(*x: Value) -> list[Value]:
+        return jax.core.eval_jaxpr(call, [], *x)
+
+    def plain(*x: Value) -> list[Value]:
+        known = dict(zip(operands, x, strict=True))
+        given = [v.val if hasattr(v, "val") else known[v] for v in step.invars]
+        return jax.core.eval_jaxpr(inner.jaxpr, inner.consts, *given)
+
+    def drawn(draw: Value, v: Value) -> np.ndarray:
+        return np.asarray(draw(v.aval.shape), v.aval.dtype)
+
+    at = [drawn(random.standard_cauchy, v) for v in operands]
+    by = [moves * drawn(random.standard_normal, v) for v, moves in operands.items()]
+    slopes = jax.jit(
+        lambda *x: [jax.jvp(f, *x)[1] for f in (ruled, plain)],
+        compiler_options={"xla_backend_optimization_level": "0"},  # half the time to compile
+    )
+    try:
+        with jax.ensure_compile_time_eval():
+            pairs = zip(*map(jax.device_get, slopes(at, by)), strict=True)
+        return not all(_alike(x, y) for x, y in pairs)
+    except Exception:  # as of a rule that holds a number of another trace, or of whole numbers
+        return True
+
+
+def _alike(x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether numbers are the same up to rounding, and not all of them unknown."""
+    near = np.finfo(y.dtype).eps ** 0.5 * np.max(np.abs(y), where=np.isfinite(y), initial=0)
+    return bool(np.isfinite(y).any() and np.allclose(x, y, rtol=0, atol=near, equal_nan=True))
 
 
 def _to_float(step: Step) -> bool:
@@ -259,7 +317,7 @@ def _while(step: Step, operands: list[Dependence]) -> list[Dependence]:
     found = _through(step.params["cond_jaxpr"], [*operands[:of_condition], *following])
     if found[0].order == CONSTANT:
         return following
-    return [Dependence(OTHERWISE, WORDS["while"])] * len(following)
+    return [Dependence(OTHERWISE, WORDS["while"], one.ruled) for one in following]
 
 
 def _repeated(
@@ -283,7 +341,7 @@ def _cond(step: Step, operands: list[Dependence]) -> list[Dependence]:
     joined = [_joined(several) for several in zip(*branches, strict=True)]
     if decides.order == CONSTANT:
         return joined
-    return [Dependence(OTHERWISE, WORDS["cond"], one.blind) for one in joined]
+    return [Dependence(OTHERWISE, WORDS["cond"], one.ruled) for one in joined]
 
 
 LOOPS_AND_CALLS = {"scan": _scan, "while": _while, "cond": _cond}

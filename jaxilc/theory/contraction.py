@@ -344,7 +344,7 @@ def _like_learned(machine, scheme, task) -> Memory:
 
 
 def _differentiable(smooth: bool) -> Premise:
-    found = "read off its program" if smooth else "something is rounded, and its derivative made up"
+    found = "read off its program" if smooth else "that of a part is made up, as of rounding"
     return premise(DIFFERENTIABLE, smooth, found)
 
 

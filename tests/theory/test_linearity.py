@@ -15,7 +15,7 @@ from jax.lax import scan, while_loop
 
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Actuator, Machine, Sensor
-from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.plants import DifferenceEquation, Plant, StateSpace
 from jaxilc.plants.structure import AFFINE, OTHERWISE, blind, dependence, obstacle
 from jaxilc.pytree import child, leaf, pytree
 from jaxilc.schemes import (
@@ -24,6 +24,7 @@ from jaxilc.schemes import (
     PID,
     ErrorFiltered,
     ExponentialPD,
+    Feedforward,
     Filtered,
     HigherOrder,
     Ladder,
@@ -345,3 +346,68 @@ def test_a_derivative_that_misses_rounding_is_known_to():
     memory = PIDType().initial_memory(TASK)
     output = lambda machine, w: trial_of(machine, PIDType(), TASK, memory._replace(u=w)).y  # noqa: E731
     assert blind(output, machine, jnp.zeros((40, 1)))
+
+
+def ruled(function, slope):
+    """Return the function with a slope of its own."""
+    made = jax.custom_jvp(function)
+    made.defjvp(lambda at, by: (made(*at), slope(*by)))
+    return made
+
+
+BY_RULE = ruled(lambda x: 8.0 * x, lambda d: d)
+WITHIN = ruled(lambda a, x: a * x, lambda _, d: 0.5 * d)  # the slope by x alone, and for a = 0.5
+MADE_UP = {
+    "left out": lambda _, x: x + 7.0 * jax.lax.stop_gradient(x),
+    "left out in a scan": lambda _, x: scan(
+        lambda c, v: (0.1 * jax.lax.stop_gradient(c) + v, c), 0.0, x
+    )[1],
+    "by a rule": lambda _, x: BY_RULE(x),
+    "by a rule in a program in a scan": lambda _, x: scan(
+        lambda c, v: (c, jax.jit(BY_RULE)(v)), 0.0, x
+    )[1],
+    "by a rule for another number": lambda _, x: WITHIN(4.0, x),
+}
+TRUE = {
+    "of the fixed": lambda a, x: jax.lax.stop_gradient(a) * x + BY_RULE(a),
+    "by a true rule": lambda _, x: ruled(lambda x: 8.0 * x, lambda d: 8.0 * d)(x),
+    "by a rule that leaves out the fixed": lambda _, x: WITHIN(0.5, x),
+}
+
+
+@pytest.mark.parametrize("name", MADE_UP | TRUE)
+def test_a_map_whose_derivative_is_made_up_is_not_taken_for_its_matrix(name):
+    f, a, x = (MADE_UP | TRUE)[name], jnp.ones(4), np.random.default_rng(3).normal(size=4)
+    there, slope = jax.jvp(lambda x: f(a, x), (x,), (x,))
+    # f(x) - f(0) of an affine map is what its matrix makes of x
+    right = np.allclose(there - f(a, 0 * x), slope)
+    assert right == (name in TRUE)
+    assert (obstacle(f, a, x) == "") == right
+    assert blind(f, a, x) != right
+
+
+@pytest.mark.parametrize("name", ["law", "plant"])
+def test_nothing_is_claimed_by_a_derivative_that_is_made_up(name):
+    """A monotone error was claimed of a law under which it grew to 1e17 times in 30 trials."""
+
+    @pytree
+    class Law(Scheme):
+        def learn(self, memory, trial):
+            e = trial.e[1:]
+            return Feedforward(trial.u + e + 7.0 * jax.lax.stop_gradient(e))
+
+    @pytree
+    class Slow(Plant):
+        def initial_state(self):
+            return jnp.zeros(1)
+
+        def step(self, x, u, dt):
+            return jax.lax.stop_gradient(0.9 * x) + 0.3 * u
+
+        def output(self, x):
+            return x
+
+    machine, law = (MACHINE, Law()) if name == "law" else (Machine(Slow()), PIDType(gamma_p=1.0))
+    premises = linearity.learning_premises(machine, law, TASK)
+    assert [p.held for p in premises] == [name == "law", name == "plant"]
+    assert "a part whose derivative is made up" in next(p.detail for p in premises if not p.held)
