@@ -186,9 +186,8 @@ class Text(Lines):
         """
         nodes = list(nodes)
         for node in in_turn(nodes[::-1], lambda x: x in self._known(x)):
-            if node not in self._known(node):  # as a reciprocal is that another node has printed
-                args = [self._known(x)[x] for x in node.args]
-                self._known(node)[node] = self._printed(node, args, k)
+            args = [self._known(x)[x] for x in node.args]
+            self._known(node)[node] = self._printed(node, args, k)
         return [self._known(x)[x] for x in nodes]
 
     def _known(self, node: Node) -> dict[Node, str]:
@@ -231,9 +230,6 @@ class Text(Lines):
             for i in (0, 1):
                 if node.args[i].name == "mul":
                     return self._fused(node, i, args[1 - i])
-        inverse = self.plan.n.inverse(node) if node.name == "div" else None
-        if inverse is not None and inverse is not node:
-            return self.add(f"fmul {kind} {args[0]}, {self.values([inverse], k)[0]}")
         text = instruction(node.name, node.args[0].dtype.kind)
         assert text is not None, node.name
         of = self.type_of(node.args[0].dtype)

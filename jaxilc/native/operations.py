@@ -213,7 +213,6 @@ class Numbers:
     def __init__(self, real: DTypeLike):
         self.real = np.dtype(real)
         self._known: dict[Hashable, Node] = {}
-        self._equates = False  # whether real numbers are compared for equality
         self._dtypes = {t for t in TYPES if t.kind != "f" or t == self.real}
 
     def const(self, value: Number | float, dtype: np.dtype) -> Node:
@@ -253,7 +252,6 @@ class Numbers:
             and (args[1].name != "const" or args[1].value <= 0)
         ):
             raise Unknown(f"{name} of {args[0].dtype} by what is no positive constant")
-        self._equates |= name in ("eq", "ne") and kind == "f"
         known = INSTRUCTIONS[name]
         dtype = BOOL if known.tests else args[0].dtype
         if known.exact is not None and all(x.name == "const" for x in args):
@@ -310,16 +308,6 @@ class Numbers:
     ) -> Node | None:
         """The node of the same operation on other operands, or place, if the program has it."""
         return self._known.get((like.name, tuple(map(id, args)), like.dtype, what))
-
-    def inverse(self, quotient: Node) -> Node | None:
-        """The node 1/x of a quotient a/x, if the program has it, for a product in its place.
-
-        It has none where real numbers are compared for equality. There, as in the slope of a
-        maximum, a number that two loops compute must be the same, to the last bit. Where |x| is
-        above 1 / tiny, 4.5e307, the product is zero.
-        """
-        x = quotient.args[1]
-        return None if self._equates else self.known(quotient, (self.const(1, x.dtype), x), None)
 
     def _converted(self, x: Node, dtype: np.dtype) -> Node:
         if x.dtype == dtype:
@@ -412,21 +400,15 @@ def _negative(n: Numbers, x: Node) -> Node:
 
 
 def _power(n: Numbers, x: Node, y: int) -> Node:
-    """x to the power of a whole number, by squaring; a negative one is that of its reciprocal.
-
-    The slope of a quotient a/x has 1/x^2 beside 1/x, and so no further division.
-    """
-    one = n.const(1, x.dtype)
-    if y == 0:
-        return one
-    found, square, left = None, x if y > 0 else n.of("div", one, x), abs(y)
+    """x to the power of a whole number, by squaring, as JAX does; a negative one divides 1."""
+    found, square, left = None, x, abs(y)
     while left:
         if left % 2:
             found = square if found is None else n.of("mul", found, square)
         left //= 2
         square = n.of("mul", square, square) if left else square
-    assert found is not None
-    return found
+    found = n.const(1, x.dtype) if found is None else found
+    return n.of("div", n.const(1, x.dtype), found) if y < 0 else found
 
 
 def _logistic(n: Numbers, _: Parameters, x: Node) -> Node:

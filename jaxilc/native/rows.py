@@ -1278,8 +1278,6 @@ def without_choices(of: Trials, segment: Segment) -> tuple[list[Node], Segment]:
             return node
         if isinstance(node.what, AtIndex):
             return n.row(args[0], node.dtype, node.what)
-        if node.name == "div" and n.inverse(node) is not None:
-            n.of("div", n.const(1, node.dtype), args[1])  # of which the quotient is a product, too
         return n.of(node.name, *args, dtype=node.dtype)
 
     if segment.last - segment.first < FEW_SAMPLES:

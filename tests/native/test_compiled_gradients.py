@@ -100,7 +100,7 @@ def test_a_machine_has_the_same_slopes_beside_machines_that_pass_the_level(monke
 
 @pytest.mark.parametrize("share", [None, 0.9])
 def test_numbers_are_rounded_alike_with_and_without_a_choice(monkeypatch, share):
-    """A quotient as a product with a reciprocal that a later loop computes, a product by itself."""
+    """A quotient beside a reciprocal that a later loop computes, and a product by itself."""
     monkeypatch.setattr(rows, "FEW_SAMPLES", 1)
     fresh = jnp.linspace(0.1, 1.0, 40)
 

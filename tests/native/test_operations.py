@@ -114,9 +114,21 @@ def test_an_operation_on_real_numbers_is_that_of_jax(functions):
     compared(functions, *(X, Y)[: 1 if functions is OF_ONE else 2], near=1e-14)
 
 
-def test_quotients_by_the_same_number_share_its_reciprocal():
-    functions = {"x / y": jnp.divide, "1 / y^2": lambda x, y: y**-2, "1 / y": lambda x, y: 1 / y}
-    compared(functions, X, Y, near=1e-15)
+def test_quotients_are_rounded_once_beside_reciprocals_of_the_same_number():
+    """49 times 1/49 is below 1, so that a product in place of the quotient had 0 whole turns."""
+    functions = {
+        "div": jnp.divide, "floor": lambda x, y: jnp.floor(x / y),
+        "whole": lambda x, y: (x / y).astype(int), "reached": lambda x, y: x / y >= 1,
+        "inverse": lambda x, y: 1 / y, "inverse square": lambda x, y: y**-2,
+    }  # fmt: skip
+    x, y = (a.ravel().astype(float) for a in np.indices((130, 65)))
+    y += 1
+    wanted = {
+        "div": x / y, "floor": x // y, "whole": x // y, "reached": x >= y,
+        "inverse": 1 / y, "inverse square": 1 / (y * y),
+    }  # fmt: skip
+    for name, found, _ in applied(functions, x, y):
+        np.testing.assert_array_equal(found[0], wanted[name], err_msg=name)
 
 
 def test_an_operation_in_single_precision_is_that_of_jax(single):
