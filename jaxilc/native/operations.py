@@ -452,7 +452,7 @@ ROUNDED = ("round_away", "round_even")  # by the number of a method in JAX
 # primitives of JAX by name, as functions of the nodes, of the parameters and of the operands
 COMPOSED: dict[str, Callable[..., Node]] = {
     "sign": _sign,
-    "not": lambda n, _, x: n.of("xor", x, n.const(True if x.dtype == BOOL else -1, x.dtype)),
+    "not": lambda n, _, x: n.of("xor", x, n.const(neutral("and", x.dtype), x.dtype)),
     "neg": lambda n, _, x: _negative(n, x),
     "abs": lambda n, _, x: (
         n.of("abs", x) if x.dtype.kind == "f" else n.of("max", x, _negative(n, x))

@@ -895,15 +895,15 @@ def _keeps_axis(step: Step, operands: list[Item], axis: int) -> bool:
     if name in ("scatter", "scatter-add"):
         kept = params["dimension_numbers"]
         left = [i for i in range(len(out.shape)) if i not in kept.inserted_window_dims]
-        return len(rows) == 2 and rows == [operands[0], operands[2]] and axis in left and (
-            rows[1].axis == kept.update_window_dims[left.index(axis)]
+        found, _, new = operands
+        return isinstance(found, Row) and isinstance(new, Row) and len(rows) == 2 and (
+            axis in left and new.axis == kept.update_window_dims[left.index(axis)]
         )  # fmt: skip
     if name == "gather":
         kept = params["dimension_numbers"]
-        return rows == operands[:1] and rows[0].axis not in (
-            *kept.start_index_map,
-            *kept.collapsed_slice_dims,
-        )
+        return len(rows) == 1 and isinstance(operands[0], Row) and operands[0].axis not in (
+            *kept.start_index_map, *kept.collapsed_slice_dims
+        )  # fmt: skip
     return name in RUNNING and rows[0].axis == axis
 
 

@@ -299,11 +299,8 @@ class Native(Generic[Common, One, Found]):
                 return ONCE
             if program.memories:
                 log.info("native: %s", program.memories)
-        except Unknown as unknown:
-            return str(unknown)
-        except Exception as error:  # of ours, which is no reason not to learn
-            log.warning("native: %s: %s; XLA computes instead", type(error).__name__, error)
-            return f"an error of the compiler, {type(error).__name__}: {error}"
+        except Exception as error:
+            return _reason(error)
         key = program.key
         if agreed(key):
             return program
@@ -376,10 +373,20 @@ def why_not(machine: Machine, scheme: Scheme, task: Task, trials: int = 2) -> st
         machine, scheme, task = common
         return learn(machine, scheme, task, trials, key=jax.random.key(one)).metrics
 
+    arguments = (machine, scheme, task), np.uint32(0)
+    jax.eval_shape(metrics, *arguments)  # raises what `learn` raises
     try:
-        return None if Compiled(metrics, (machine, scheme, task), np.uint32(0)).learns else ONCE
-    except Unknown as unknown:
-        return str(unknown)
+        return None if Compiled(metrics, *arguments).learns else ONCE
+    except Exception as error:
+        return _reason(error)
+
+
+def _reason(error: Exception) -> str:
+    """What keeps a function from being compiled; errors of ours are no reason not to learn."""
+    if isinstance(error, Unknown):
+        return str(error)
+    log.warning("native: %s: %s; XLA computes instead", type(error).__name__, error)
+    return f"an error of the compiler, {type(error).__name__}: {error}"
 
 
 def _key(common: Common, batch: One) -> Hashable:

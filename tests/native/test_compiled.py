@@ -14,6 +14,8 @@ from jaxilc.learning import Disturbance, Sensor, learn
 from jaxilc.native import code, llvm, loops, operations, rows, run, why_not
 from jaxilc.native.program import Unknown
 from jaxilc.native.run import Compiled, Native, differs
+from jaxilc.pytree import pytree
+from jaxilc.schemes import Feedforward, PIDType
 
 TRIALS = 5
 # what a program would need that the compiler does not know, by case
@@ -229,6 +231,32 @@ def test_why_not_names_the_reason():
     assert why_not(machine, scheme, task) is None
     assert "all alike" in why_not(machine, SCHEMES["pid_position"], task)
     assert "complex128" in why_not(machine, SCHEMES["p_type_butterworth"], task)
+
+    @pytree
+    class ByTable(PIDType):
+        """What is learned is few numbers, each of which is played for several samples."""
+
+        def initial_memory(self, task):
+            return jnp.zeros((4, 1))
+
+        def schedule(self, memory, task):
+            return Feedforward(memory[np.arange(task.N) * 4 // task.N])
+
+        def learn(self, memory, trial):
+            return memory + 0.1 * jnp.mean(trial.e)
+
+    assert why_not(machine, ByTable(), task) == "gather that moves the axis of samples"
+
+
+def test_an_error_of_the_compiler_is_a_reason_and_one_of_learning_is_raised(monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError("of ours")
+
+    machine, scheme, task = case("p_type")
+    with pytest.raises(ValueError, match="2 outputs"):
+        why_not(machine, scheme, dataclasses.replace(task, reference=np.zeros((41, 2))))
+    monkeypatch.setattr(run, "Compiled", broken)
+    assert "ZeroDivisionError: of ours" in why_not(machine, scheme, task)
 
 
 def test_without_llvmlite_the_reason_is_told(monkeypatch):

@@ -51,6 +51,7 @@ OF_WHOLE = {
     "unsigned rem": lambda i, k: jax.lax.rem(i.astype(jnp.uint32), jnp.uint32(3)),
     "to real": lambda i, k: i.astype(float), "to small": lambda i, k: i.astype(jnp.int32),
     "to unsigned": lambda i, k: i.astype(jnp.uint32),
+    "unsigned not": lambda i, k: ~i.astype(jnp.uint32),
     "unsigned to whole": lambda i, k: i.astype(jnp.uint32).astype(int),
     "from unsigned": lambda i, k: i.astype(jnp.uint32).astype(float),
     "truths": lambda i, k: (i > k) ^ ((i > 0) & ~(k < 2) | (i == k)),
