@@ -213,12 +213,13 @@ def error_band(
     rows = summarise(dataset, tolerance, metric=metric) if summary is None else summary
     limit = None if tolerance is None else scale * tolerance
     limits = _limits(rows, scale, limit)
-    last = scale * errors_of(dataset, metric).isel(trial=-1).values
+    errors = scale * errors_of(dataset, metric)
     looks = numbers_of(row.scheme for row in rows)
     panels = [
         _panel(row, look, scale, limit, (metric, unit), limits)
         for row, look in zip(rows, looks, strict=True)
     ]
+    last = errors.isel(trial=-1).values
     shares = _shares(names_of(dataset), last, (metric, unit, limit), limits)
     axes = draw(Figure([*panels, shares], shares=""), _axes(len(rows)))
     for i, (ax, row) in enumerate(zip(axes, rows, strict=False)):
@@ -231,7 +232,7 @@ def error_band(
         ax.set_xlabel("" if below else ax.get_xlabel())
     axes[-1].set_title("yield against tolerance", fontsize="small", loc="left")
     axes[-1].tick_params(axis="x", labelrotation=30)
-    figure, trials = axes[-1].figure, dataset.sizes["trial"]
+    figure, trials = axes[-1].figure, errors.sizes["trial"]
     _explain(figure, limit, unit)
     figure.suptitle(f"{dataset.sizes['sample']} machines, {trials} trials", fontsize="medium")
     return axes

@@ -36,7 +36,8 @@ def signal_of(dataset: xr.Dataset, name: str, scheme: str, trial: int) -> np.nda
         raise ValueError(
             f"scheme = {scheme!r} is not one of {', '.join(map(str, dataset['scheme'].values))}"
         )
-    found, last = dataset[name].sel(scheme=scheme), int(dataset["trial"][-1])
+    found = dataset[name].sel(scheme=scheme)
+    last = int(dataset.coords.get("trials", dataset["trial"][-1]))  # one point has its own
     if "sample" in found.dims:
         raise ValueError(
             f"{name} has {found.sizes['sample']} machines; choose one, as in dataset.sel(sample=0)"

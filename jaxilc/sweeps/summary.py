@@ -11,7 +11,7 @@ import numpy as np
 
 from ..learning.divergence import GROWTH, grown_from
 from ..pytree.in_short import in_short
-from ..pytree.ranges import require
+from ..pytree.ranges import brief, require
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -98,7 +98,7 @@ def summarise(
         )
     errors = errors_of(dataset, metric)
     machines, trials = (
-        dataset[d].values if d in dataset.coords else first + np.arange(dataset.sizes[d])
+        errors[d].values if d in errors.coords else first + np.arange(errors.sizes[d])
         for d, first in (("sample", 0), ("trial", 1))
     )
     made_with = dataset.attrs.get("configuration", {})
@@ -120,8 +120,9 @@ def over_all(dataset: xr.Dataset) -> xr.Dataset:
 def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:
     """The metric over (scheme, sample, trial): the largest channel, infinite where one diverged.
 
-    The axes of a grid, if there is one, are between scheme and sample.
-    Raises ValueError for a dataset of a sweep that is not complete.
+    The axes of a grid, if there is one, are between scheme and sample. One point of an axis of
+    trials has its own trials alone.
+    Raises ValueError for a dataset of a sweep that is not complete, and for one without a trial.
     """
     if "diverged_at" in dataset and (left := int((dataset["diverged_at"] < 0).sum())):
         raise ValueError(
@@ -132,7 +133,16 @@ def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:
     errors, order = dataset[metric], ("scheme", *axes_of(dataset), "sample", "trial")
     errors = errors.max([d for d in errors.dims if d not in order], skipna=False)
     sound = dataset["finite"] & ~dataset["diverged"] if "diverged" in dataset else dataset["finite"]
-    return errors.where(sound).transpose(*order).fillna(np.inf)
+    errors = errors.where(sound).transpose(*order).fillna(np.inf)
+    last = dataset.coords.get("trials")
+    if last is None or last.ndim:
+        return errors
+    if not np.any(run := errors["trial"].values <= int(last)):
+        raise ValueError(
+            f"trial = {brief(errors['trial'].values.tolist())} of the dataset is none of its "
+            f"point, whose last trial is {int(last)}"
+        )
+    return errors.isel(trial=run)
 
 
 def last_errors(values: Mapping[str, np.ndarray], metric: str) -> np.ndarray:

@@ -10,6 +10,8 @@ from sweep_case import PLAN, TASK
 
 import jaxilc
 from jaxilc import Sweep
+from jaxilc.figures import error_band
+from jaxilc.figures.within_trial import signal_of
 from jaxilc.runtime import capacity
 from jaxilc.schemes import FFDLMFAILC, PID
 from jaxilc.sweeps import at_best, best_points, summarise
@@ -141,6 +143,27 @@ def test_trials_that_change_with_a_weight_are_those_of_each_point():
     assert best.near == np.mean(np.array(last) <= 2 * min(last))
     shorter = at_best(dataset, [best._replace(point={"learning.lam": 1.0})])
     assert shorter.sizes["trial"] == 2
+
+
+def test_one_point_of_an_axis_of_trials_has_its_own_trials_alone():
+    """Of the third trial of two, which is not there, nothing counts as diverged."""
+    trial, least = np.arange(1, 4), np.arange(1.0, 6.0)
+    errors = least[:, None] / trial * np.where(trial > 2, np.nan, 1.0)
+    dims = ("scheme", "sample", "trial")
+    point = xr.Dataset(
+        {"rms": (dims, errors[None]), "finite": (dims, np.isfinite(errors)[None]),
+         "e": (("scheme", "sample", "time"), np.zeros((1, 5, 4)))},
+        {"scheme": ["law"], "trial": trial, "sample": np.arange(5), "trials": 2},
+    )  # fmt: skip
+    (row,) = summarise(point, 1.5, metric="rms")
+    assert row.worst.tolist() == [5.0, 2.5]
+    assert (row.yield_share, row.diverged, row.diverged_at) == (3 / 5, 0.0, 0)
+    (later,) = summarise(point.isel(trial=[2, 1]), 1.5, metric="rms")
+    assert later.worst.tolist() == [2.5]
+    assert error_band(point, metric="rms")[-1].figure.get_suptitle() == "5 machines, 2 trials"
+    assert signal_of(point.sel(sample=0), "e", "law", 2).shape == (4, 1)
+    with pytest.raises(ValueError, match=r"trial = \[3\] .* whose last trial is 2"):
+        summarise(point.isel(trial=[2]), 1.5, metric="rms")
 
 
 def test_long_values_are_told_in_short_and_alike_ones_are_told_apart():
