@@ -25,7 +25,8 @@ from ..pytree.closest import listed
 from .earlier_names import in_todays_names
 
 LONG = 120  # characters of a value in a difference that is told
-CODE = "its code"  # of a user's class, in a description; no field has such a name
+# Of a user's class, in a description; no field has such a name.
+CODE, CONSTANTS = "its code", "its constants"
 ORDERED = ("schemes", "uncertainty", "weights")  # mappings whose order the numbers depend on
 
 
@@ -75,8 +76,7 @@ def need_same(
 def _differences(found: object, wanted: object, name: str) -> list[str]:
     if isinstance(found, dict) and isinstance(wanted, dict):
         names = found.keys() | wanted.keys()
-        if CODE not in found:  # earlier versions did not store it
-            names = names - {CODE}
+        names -= {CODE, CONSTANTS} - found.keys()  # earlier versions did not store them
         return [
             line
             for n in sorted(names)
@@ -107,13 +107,13 @@ def _reordered(found: object, wanted: object) -> list[str]:
 def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
     """A description of a value, as JSON, that changes whenever the numbers of the value change.
 
-    A class is described by its fields, and one of a user also by the code of its methods; a long
-    array is described by its shape and hash. A function, and an object made of functions such as an
-    optax transformation, is described by its name, its code and the values in its closure. So two
-    functions of the same name differ if their settings differ. Their position in a file is not
-    included. The description does not contain what a function reads from its module, the code that
-    it calls there, or an object that has no attributes. The code of a function differs between
-    versions of Python.
+    A class is described by its fields, and one of a user also by the code of its methods and by the
+    other attributes of the class; a long array is described by its shape and hash. A function, and
+    an object made of functions such as an optax transformation, is described by its name, its code
+    and the values in its closure. So two functions of the same name differ if their settings
+    differ. Their position in a file is not included. The description does not contain what a
+    function reads from its module, the code that it calls there, or an object that has no
+    attributes. The code of a function differs between versions of Python.
 
     within: identities of the values that contain this one, for a value that refers to itself
     """
@@ -129,11 +129,11 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
     if isinstance(value, list | tuple):
         return [again(of) for of in value]
     if dataclasses.is_dataclass(value):
-        methods = {} if isinstance(value, type) else _own_methods(type(value))
-        code = {CODE: _hash(json.dumps(again(methods)))} if methods else {}
-        return {"class": type(value).__name__, **code} | {
-            f.name: again(getattr(value, f.name)) for f in dataclasses.fields(value)
-        }
+        fields = {f.name: again(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        own = {name: again(of) for name, of in _own_attributes(type(value)).items()}
+        if own:
+            own[CODE] = _hash(json.dumps(own[CODE]))
+        return {"class": type(value).__name__, **own, **fields}
     if isinstance(value, partial):
         return {"partial": again([value.func, value.args, value.keywords])}
     if _name(value).startswith("jax."):
@@ -150,24 +150,34 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
     }
 
 
-def _own_methods(cls: type) -> dict[str, Value]:
-    """The methods that a class and those above it have from a user, by name.
-
-    Those that a dataclass and this package write, such as `__init__`, are left out.
-    """
+def _is_of_a_user(cls: Value) -> bool:
+    """Whether a class or a function is neither of this package nor of Python."""
     known = {__name__.partition(".")[0], *sys.stdlib_module_names}
+    return cls.__module__.partition(".")[0] not in known
+
+
+def _own_attributes(cls: Value) -> dict[str, dict[str, Value]]:
+    """The methods, and all else but the fields, that a class and those above it have from a user.
+
+    It is empty for a class of this package. What a dataclass and this package write, such as
+    `__init__`, is left out.
+    """
+    of_a_user = [of for of in reversed(cls.__mro__) if _is_of_a_user(of)]
     methods: dict[str, Value] = {}
-    for of in reversed(cls.__mro__):
-        if of.__module__.partition(".")[0] in known:
-            continue
+    constants: dict[str, Value] = {}
+    left_out = {"_made_by_pytree", *(f.name for f in dataclasses.fields(cls))}
+    for of in of_a_user:
         for name, value in vars(of).items():
             inner = (getattr(value, at, None) for at in ("fget", "func", "__func__"))
             function = inspect.unwrap(next((f for f in inner if callable(f)), value))
             code = getattr(function, "__code__", None)
             made = name.startswith("__") and code and code.co_filename == "<string>"
-            if code and not made and function.__module__.partition(".")[0] not in known:
+            if code and not made and _is_of_a_user(function):
                 methods[name] = function
-    return methods
+            is_data = not code or isinstance(value, partial)
+            if is_data and name not in left_out and not name.startswith("__"):
+                constants[name] = value
+    return {CODE: methods, CONSTANTS: constants} if of_a_user else {}
 
 
 def _hash(text: str) -> str:

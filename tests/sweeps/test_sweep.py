@@ -4,6 +4,7 @@ Their summary is tested too.
 """
 
 import dataclasses
+from functools import partial
 
 import jax
 import numpy as np
@@ -14,11 +15,11 @@ from sweep_case import PLAN, TASK
 
 import jaxilc
 from jaxilc import Machine, Sweep, Task, Uniform, summarise
-from jaxilc.plants import DifferenceEquation, StateSpace
+from jaxilc.plants import DifferenceEquation, Plant, StateSpace
 from jaxilc.pytree import Leaf, leaf, pytree
 from jaxilc.runtime import capacity, tiled
 from jaxilc.runtime.earlier_names import takes_also
-from jaxilc.runtime.provenance import CODE, describe, differences
+from jaxilc.runtime.provenance import CODE, CONSTANTS, describe, differences
 from jaxilc.schemes import CFDLMFAILC, PID, Feedforward, PIDType, Scheme
 from jaxilc.sweeps import sweep as sweep_module
 from jaxilc.sweeps.host import Host
@@ -264,9 +265,29 @@ def test_a_user_s_law_is_known_by_its_code():
     assert once == again
     (line,) = differences({"law": once}, {"law": other})
     assert line.startswith(f"law.{CODE}: ")
-    earlier = {name: value for name, value in once.items() if name != CODE}
+    earlier = {name: value for name, value in once.items() if name not in (CODE, CONSTANTS)}
     assert differences(earlier, other) == []
-    assert CODE not in describe(PID())
+    assert not {CODE, CONSTANTS} & {*describe(PID())}
+
+
+def own_plant(**constants):
+    """Return a user's plant, of one code whatever its constants are."""
+    step = {"step": lambda self, x, u, dt: self._pole * x + u, "output": lambda self, x: x}
+    return pytree(type("Own", (Plant,), {**step, **constants}))()
+
+
+def test_a_user_s_plant_is_known_by_the_constants_of_its_class():
+    """Also where the class had none, or where a constant is a function with other arguments."""
+    first = describe(own_plant(_pole=0.8))
+    assert differences(first, describe(own_plant(_pole=0.8))) == []
+    (line,) = differences({"plant": first}, {"plant": describe(own_plant(_pole=0.5))})
+    assert line == f"plant.{CONSTANTS}._pole: 0.8 there, 0.5 here"
+    for constants in ({"preview": 2}, {"clips": True}, {"law": partial(np.power, 2)}):
+        assert len(differences(describe(own_plant()), describe(own_plant(**constants)))) == 1
+    one, other = (describe(own_plant(law=partial(own_law, power))) for power in (1, 3))
+    assert len(differences(one, other)) == 1
+    earlier = {name: value for name, value in first.items() if name != CONSTANTS}
+    assert differences(earlier, describe(own_plant(_pole=0.5))) == []
 
 
 def test_a_sweep_of_which_a_part_is_computed_has_no_summary(tmp_path):
