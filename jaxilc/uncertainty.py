@@ -324,14 +324,15 @@ def takes_population(known: Known) -> Known:
     are not given besides.
     """
     of: Value = known
-    make, fields = of.__init__, {f.name for f in dataclasses.fields(of)}
+    make, fields = of.__init__, [f.name for f in dataclasses.fields(of)]
 
     @wraps(make)
     def made(self: Value, machine: Value, *arguments: Value, **options: Value) -> None:
         if isinstance(machine, Population):
             found = {f.name: getattr(machine, f.name) for f in dataclasses.fields(machine)}
             machine, found["machines"] = found.pop("machine"), found.pop("count")
-            options = {name: value for name, value in found.items() if name in fields} | options
+            named = fields[1 + len(arguments) :]
+            options = {name: value for name, value in found.items() if name in named} | options
         make(self, machine, *arguments, **options)
 
     of.__init__ = made

@@ -7,8 +7,9 @@ import jax
 import numpy as np
 import pytest
 
-from jaxilc import Actuator, LogUniform, Machine, Normal, Uniform
+from jaxilc import Actuator, LogUniform, Machine, Normal, Sweep, Task, Tuning, Uniform
 from jaxilc.plants import StateSpace, voice_coil
+from jaxilc.schemes import PIDType
 from jaxilc.uncertainty import Population, draw, drawn_machine, with_spread
 
 MACHINE = Machine(voice_coil(), actuator=Actuator(limit=10.0))
@@ -18,6 +19,8 @@ UNCERTAINTY = {
     SLOW: Normal(6.4, 0.2),
     "actuator.limit": LogUniform(5.0, 20.0),
 }
+PLANT = Machine(StateSpace([[0.9]], [[0.1]], [[1.0]], dt=1e-3))
+OF_B = {"plant.B": Uniform(0.9, 1.1, relative=True)}
 
 
 @pytest.mark.parametrize("sampling", ["monte-carlo", "latin-hypercube", "sobol"])
@@ -118,6 +121,15 @@ def test_a_population_keeps_what_it_has_and_takes_what_is_given_besides():
         Population(MACHINE, count=0)
     with pytest.raises(ValueError, match=r"plant.mass.*Known: plant.gain"):
         Population(MACHINE, {"plant.mass": Uniform(1, 2)})
+
+
+def test_what_is_given_by_place_beside_a_population_comes_before_its_own():
+    given = Population(PLANT, OF_B, count=6, seed=2, sampling="sobol")
+    task, law = Task(np.ones(9), dt=1e-3), PIDType(gamma_p=1.0)
+    sweep = Sweep(given, {"law": law}, task, 3, {}, 4)
+    assert (sweep.uncertainty, sweep.machines, sweep.seed, sweep.sampling) == ({}, 4, 2, "sobol")
+    tuning = Tuning(given, law, task, 3, ["gamma_p"], OF_B)
+    assert (tuning.uncertainty, tuning.machines, tuning.seed) == (OF_B, 6, 2)
 
 
 def test_spread_widens_the_relative_ones_only():
