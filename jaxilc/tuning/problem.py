@@ -188,8 +188,8 @@ class Tuning:
                 raise ValueError(f"Tuning: {name} = {brief(value)}; {allowed_kind(kind)}")
         for name, choices in CHOICES.items():
             value = getattr(self, name)
-            if isinstance(value, str) and value not in choices:
-                raise ValueError(not_one_of(f"Tuning: {name} = {value!r}", value, choices))
+            if value not in choices if isinstance(value, str) else name not in KINDS:
+                raise ValueError(not_one_of(f"Tuning: {name} = {brief(value)}", value, choices))
         need_learned_at_last("Tuning", self.scheme, self.task, self.trials)
 
     def _need_room(self) -> None:

@@ -426,6 +426,7 @@ def test_weights_that_no_step_has_bettered_stay_as_given():
         ),
         ({"optimiser": "newton"}, "optimiser = 'newton' is not one of adam, lbfgs, least-squares"),
         ({"mode": "sideways"}, "mode = 'sideways' is not one of auto, forward, reverse"),
+        ({"mode": None}, "mode = None is not one of auto, forward, reverse"),
         ({"steps": 0}, r"steps = 0 is outside its allowed range \[1, inf\)"),
         ({"truncate": 0}, r"truncate = 0 is outside its allowed range \[1, inf\)"),
         ({"clip": 0.0}, r"clip = 0 is outside its allowed range \(0, inf\]"),
