@@ -281,9 +281,7 @@ class Population:
 
     def machine_of(self, number: int) -> Tree:
         """One of the machines; raises ValueError for a number that none of them has."""
-        if not 0 <= number < self.size:
-            allowed = f"allowed is one of 0 to {self.size - 1}"
-            raise ValueError(f"machine_of: number = {number} is no machine of the set; {allowed}")
+        require("machine_of", "number", number, f"[0, {self.size - 1}]", whole=True)
         return self.with_numbers({name: values[number] for name, values in self.drawn.items()})
 
     def key_of(self, number: int | jax.Array) -> jax.Array:

@@ -100,8 +100,8 @@ def test_a_population_draws_its_machines_and_gives_them_one_by_one_and_together(
         np.testing.assert_array_equal(given.drawn[name], of)
         np.testing.assert_array_equal(values[name], of[1:])
     one = given.machine_of(2)
-    for none in (-1, given.size):
-        with pytest.raises(ValueError, match=f"number = {none} is no machine of the set; allowed"):
+    for none in (-1, given.size, 1.5, None):
+        with pytest.raises(ValueError, match=f"machine_of: number = {none} is"):
             given.machine_of(none)
     jax.tree.map(np.testing.assert_array_equal, one, jax.tree.map(lambda x: x[2], given.machines))
     same, key = given.one_of(jax.tree.map(lambda x: x[1], given.batch(1)))

@@ -7,7 +7,7 @@ beside the trial before it.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
@@ -16,6 +16,7 @@ import numpy as np
 from jax import lax
 
 from ..pytree.aliases import Array, Tree
+from ..pytree.ranges import brief
 from ..runtime.jax_internals import with_slope
 from ..runtime.lanes import over_samples
 from ..signals.rows import for_scan
@@ -206,9 +207,20 @@ class Keep:
     def of(cls, quantities: Mapping[str, Callable[[Trial], Array]], *signals: str) -> Keep:
         """The `Keep` of these quantities and signals.
 
-        Raises ValueError for a quantity with the name of a metric or of a signal.
+        Raises ValueError for what is no function by a name, and for the name of a metric or of a
+        signal.
         """
-        for name in quantities:
+        if not isinstance(quantities, Mapping):
+            raise ValueError(
+                f"quantities = {brief(quantities)} is a {type(quantities).__name__}; allowed are "
+                "functions of a trial by name, such as {'name': function}"
+            )
+        for name, of in quantities.items():
+            if not (isinstance(name, str) and callable(of) and isinstance(of, Hashable)):
+                raise ValueError(
+                    f"quantity = {brief(name)}: {brief(of)}; allowed is text, and by it a function "
+                    "of a trial that can be hashed"
+                )
             if name in (*(metric.name for metric in METRICS), *Trial._fields, "e"):
                 raise ValueError(
                     f"quantity = {name!r} is a metric that every trial has; choose another name"

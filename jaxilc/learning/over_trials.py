@@ -116,6 +116,8 @@ def learn(
             "objects that can be hashed"
         )
     check(machine, scheme, task)
+    if watch is not None:
+        need_kinds(watch=watch)
     _check_what_goes_on(machine, scheme, task, key, memory, start)
     trials, size = int(trials), bytes_of_metrics(task)
     if trials * size > LITTLE:
@@ -144,8 +146,8 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
 
 
 def need_kinds(**given: Value) -> None:
-    """Raises ValueError, with the name, unless each is what it is called: machine, scheme, task."""
-    kinds = {"machine": Machine, "scheme": Scheme, "task": Task}
+    """Raises ValueError unless each is what it is called: machine, scheme, task or watch."""
+    kinds = {"machine": Machine, "scheme": Scheme, "task": Task, "watch": Watch}
     for name, value in given.items():
         if not isinstance(value, kinds[name]):
             hint = ": write Machine(plant)" if isinstance(value, Plant) else ""
@@ -159,10 +161,15 @@ def _check_what_goes_on(
     machine: Machine, scheme: Scheme, task: Task, key: Tree, memory: Tree, start: Tree
 ) -> None:
     """Raises ValueError for a key, a memory or a start that `learn` cannot begin with."""
-    if isinstance(key, numbers.Number):
-        raise ValueError(f"learn: key = {key} is no random key, as jax.random.key(0) is")
+    kind = getattr(key, "dtype", np.dtype(object))
+    if key is not None and kind != np.uint32 and not jnp.issubdtype(kind, jax.dtypes.prng_key):
+        raise ValueError(f"learn: key = {brief(key)} is no random key, as jax.random.key(0) is")
     if isinstance(memory, History):
         raise ValueError("learn: memory is a History; allowed is the memory in it, history.memory")
+    if not all(
+        hasattr(x, "dtype") or isinstance(x, numbers.Number) for x in jax.tree.leaves(memory)
+    ):
+        raise ValueError(f"learn: memory = {brief(memory)} is no memory, as history.memory is")
     if memory is not None:
         need_fitting_memory(scheme, task, memory)
     if start is not None and not machine.carries:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..learning.metrics import Keep, Watch
-from ..learning.over_trials import check
+from ..learning.over_trials import check, need_kinds
 from ..learning.within_trial import bytes_of_trial
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
@@ -104,7 +104,11 @@ class Sweep:
         if not self.schemes:
             raise ValueError("Sweep: schemes is empty; at least one is needed")
         Keep.of(self.quantities)
+        if self.watch is not None:
+            need_kinds(watch=self.watch)
         for name, scheme in self.schemes.items():
+            if not isinstance(name, str):
+                raise ValueError(f"Sweep: schemes has the name {brief(name)}; allowed is text")
             if name in ("machine", "task"):
                 raise ValueError(
                     f"Sweep: schemes has a scheme {name!r}, with which a grid names other parts; "

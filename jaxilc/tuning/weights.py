@@ -7,7 +7,7 @@ the real line: the optimiser moves its coordinate z there.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -126,6 +126,11 @@ class Weights:
         """
         if isinstance(asked, str):
             raise ValueError(f"Tuning: weights = {asked!r} is text; allowed are names, [{asked!r}]")
+        if not isinstance(asked, Iterable):
+            raise ValueError(
+                f"Tuning: weights = {brief(asked)} is a {type(asked).__name__}; allowed are names, "
+                "or bounds by name"
+            )
         asked = asked if isinstance(asked, Mapping) else dict.fromkeys(asked)
         if not asked:
             raise ValueError("Tuning: weights is empty; at least one is needed")

@@ -1,6 +1,7 @@
 """A mistake in a user's own code is reported before anything is compiled, with what to do."""
 
 import dataclasses
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +24,8 @@ N = 12
 TASK = Task(np.sin(0.3 * np.arange(N + 1)), dt=DT)
 PLANT = DifferenceEquation((0.7,), (0.3,), dt=DT)
 MACHINE = Machine(PLANT)
+SWEEP = partial(Sweep, MACHINE, schemes={"p": PIDType()}, task=TASK, trials=3, uncertainty={})
+TUNING = partial(Tuning, MACHINE, PIDType(), TASK, trials=3, weights=["gamma_p"])
 
 
 class M(NamedTuple):
@@ -301,10 +304,40 @@ def test_what_learning_cannot_go_on_from():
         ("memory", np.zeros((N, 1)), r"memory is array float64\[12, 1\]; .* need M \(u, n\)"),
         ("memory", history, r"memory is a History; allowed is .* history.memory"),
         ("start", np.zeros(1), r"start = .* rests before each trial, so allowed is None"),
+        ("memory", "x", r"memory = 'x' is no memory, as history.memory is"),
         ("key", 3, r"key = 3 is no random key, as jax.random.key\(0\) is"),
+        ("key", np.zeros(2), r"key = array\(\[0., 0.\]\) is no random key"),
     ):
         with pytest.raises(ValueError, match=rf"learn: {message}"):
             learn(MACHINE, Own(), TASK, 3, **{named: value})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"quantities": None}, "quantities = None is a NoneType; allowed are functions of a trial"),
+        ({"quantities": [np.sum]}, r"quantities = \[<.*>\] is a list; allowed are functions"),
+        ({"quantities": {3: np.sum}}, "quantity = 3: <.*>; allowed is text, and by it a function"),
+        ({"quantities": {"own": 3}}, "quantity = 'own': 3; allowed is text, and by it a function"),
+    ],
+)
+def test_what_is_no_quantity_by_its_name(change, message):
+    for make in (SWEEP, TUNING):
+        with pytest.raises(ValueError, match=message):
+            make(**change)
+
+
+def test_what_is_no_watch_no_names_of_weights_and_no_name_of_a_scheme():
+    for attempt in (lambda: learn(MACHINE, Own(), TASK, 3, watch=3), lambda: SWEEP(watch=3)):
+        with pytest.raises(ValueError, match="watch = 3 is a int; allowed is a Watch"):
+            attempt()
+    for weights in (None, 3):
+        with pytest.raises(
+            ValueError, match=rf"weights = {weights} is a .*; allowed are names, or"
+        ):
+            TUNING(weights=weights)
+    with pytest.raises(ValueError, match="schemes has the name 3; allowed is text"):
+        SWEEP(schemes={3: PIDType()})
 
 
 def test_a_plant_in_place_of_a_machine():
