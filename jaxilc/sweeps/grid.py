@@ -310,6 +310,12 @@ def grid_of(
     """
     for name in {*_OTHERS, TRIALS} & {*schemes} if given else ():
         raise ValueError(f"grid: a scheme is called {name}, as what is no scheme is; rename it")
+    for name in schemes:
+        if {".", "/"} & {*name} and any(f"{name}." in str(key) for key in given):
+            raise ValueError(
+                f"grid: a scheme is called {name!r}, whose weights cannot be axes; allowed is a "
+                "name without . and /"
+            )
     objects = {"machine": machine, "task": task, **schemes}
     return Grid(tuple(_axis(key, values, objects) for key, values in given.items()))
 

@@ -235,6 +235,17 @@ def test_bad_grids_are_named_before_anything_runs(grid, message, monkeypatch):
         dataclasses.replace(ONE, grid=grid)
 
 
+@pytest.mark.parametrize("name", ["a.b", "a/b"])
+def test_a_scheme_whose_name_no_axis_can_have_is_told_to_be_renamed(name):
+    def plan(grid):
+        return dataclasses.replace(ONE, schemes={name: PID(kp=-5.0)}, grid=grid)
+
+    for axis in (f"{name}.kp", f"plant.gain / {name}.kp", (f"{name}.kp",)):
+        with pytest.raises(ValueError, match=f"a scheme is called '{name}', .* without . and /"):
+            plan({axis: [-1.0, -2.0]})
+    assert plan({"plant.gain": [GAIN, 2 * GAIN]}).axes.points == 2
+
+
 def made_up(errors, lost):
     """Return a dataset of one scheme over two axes, one machine a point, two trials."""
     errors, lost = np.asarray(errors, float), np.asarray(lost, bool)
