@@ -26,7 +26,7 @@ from ..learning.known_metrics import METRICS
 from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..pytree.aliases import Json, Tree, Value
-from ..pytree.closest import known_names
+from ..pytree.closest import known_names, listed
 from ..pytree.named_paths import (
     get_at,
     interval_at,
@@ -230,8 +230,14 @@ class Grid:
     def place_of(self, point: Mapping[str, Value]) -> dict[str, int]:
         """The positions of a point that is given by a value of each axis.
 
-        Raises ValueError for a value that is missing, or not one of its axis.
+        Raises ValueError for a value that is missing, or not one of its axis, and for a name that
+        no axis has.
         """
+        if not isinstance(point, Mapping) or {*point} - {axis.name for axis in self.axes}:
+            axes = listed(axis.name for axis in self.axes)
+            raise ValueError(
+                f"grid: point = {brief(point)}; allowed is a value of each axis, which are: {axes}"
+            )
         found = {}
         for name, labels in ((axis.name, axis.labels[axis.name].tolist()) for axis in self.axes):
             if point.get(name) not in labels:

@@ -70,6 +70,9 @@ def test_the_sweep_of_a_point_has_its_numbers(dataset):
     np.testing.assert_allclose(GRID.at(point).run()["rms"], dataset["rms"].sel(point), rtol=1e-12)
     with pytest.raises(ValueError, match=r"learning.lead = 1 is not one of \[2, 0\]"):
         GRID.at(point | {"learning.lead": 1})
+    for wrong in (point | {"learning.gain": 1.0}, 3):
+        with pytest.raises(ValueError, match=r"point = .*; allowed is .*: learning.lam, learning"):
+            GRID.at(wrong)
 
 
 def test_the_dataset_is_labelled_and_xarray_works_on_it(dataset):
