@@ -176,6 +176,10 @@ class Tuning:
         _ = self.population.drawn  # which cannot be drawn where a number leaves its range
         jax.eval_shape(lambda: self.loss_of(machine, {}))
 
+    def __getstate__(self) -> dict[str, Value]:
+        """The fields alone: what follows from them may be a compiled program, which has no copy."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
     def _check_settings(self) -> None:
         """Raises ValueError naming a setting, its value and what is allowed."""
         for name, allowed in WHOLE.items():

@@ -3,8 +3,10 @@
 Optima are compared with closed forms.
 """
 
+import copy
 import dataclasses
 import json
+import pickle
 
 import jax
 import jax.numpy as jnp
@@ -188,6 +190,15 @@ def test_a_population_takes_the_place_of_the_machine():
     assert (found.machine, found.machines, found.seed) == (PROBLEM.machine, PROBLEM.machines, 5)
     assert found.configuration() == PROBLEM.configuration() | {"seed": 5}
     assert Tuning(PROBLEM.population, **own, machines=3).population.size == 3
+
+
+def test_a_tuning_is_pickled_before_and_after_its_programs_are_made():
+    problem = dataclasses.replace(PROBLEM, machines=3)
+    before = pickle.dumps(problem)
+    _ = problem.evaluation
+    assert pickle.dumps(problem) == before
+    assert repr(pickle.loads(before)) == repr(problem)
+    assert copy.copy(problem).population.drawn.keys() == problem.population.drawn.keys()
 
 
 @pytest.mark.thorough
