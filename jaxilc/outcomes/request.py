@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import numbers
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,7 +41,7 @@ NAMES_ITS_FILE = {"next": "--scenario"}  # commands that take the scenario by an
 class Request:
     """What is asked of a scenario, and what the next command repeats; None or () if not given.
 
-    In place of several texts there may be one.
+    In place of several texts there may be one, and in place of those of `set` values by path.
 
     source: name of a scenario, or a plant file
     schemes: names of schemes
@@ -60,6 +60,10 @@ class Request:
     tolerance: float | None = None
 
     def __post_init__(self) -> None:
+        given: Value = self.set
+        if isinstance(given, Mapping):
+            texts = tuple(f"{path}={as_text(value)}" for path, value in given.items())
+            object.__setattr__(self, "set", texts)
         for name in ("schemes", "set"):
             if isinstance(getattr(self, name), str):
                 object.__setattr__(self, name, (getattr(self, name),))
@@ -289,8 +293,9 @@ def open_grid(folder: Path) -> xr.Dataset:
 
 
 def as_text(value: Value) -> str:
-    """A value of `point_of`, as `--set` takes it."""
-    return ",".join(map(str, value)) if isinstance(value, tuple) else f"{value}"
+    """A value, such as one of `point_of`, as `--set` takes it."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return ",".join(map(str, value)) if isinstance(value, tuple | list) else f"{value}"
 
 
 def _need_same(folder, stored: Numbers, bare: Scenario, schemes, settings) -> None:

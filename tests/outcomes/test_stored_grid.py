@@ -34,6 +34,16 @@ def stored(folder, grid, settings=()):
     return folder
 
 
+def test_settings_are_also_values_by_path():
+    law = f"{NAME}.phi0"
+    values = {"frequency": 50, f"{NAME}.lam": np.float64(0.1) / 3, law: np.array(PHI0[1])}
+    texts = ("frequency=50", f"{NAME}.lam={0.1 / 3!r}", f"{law}=0.25,0.125,-0.03,0.01")
+    assert Request("cao-2019", set=values).set == texts
+    chosen = Request("cao-2019", (NAME,), values).scenario()
+    assert float(chosen.schemes[NAME].lam) == 0.1 / 3
+    assert tuple(chosen.schemes[NAME].phi0) == PHI0[1]
+
+
 @pytest.fixture(scope="module")
 def grid(tmp_path_factory):
     gain = float(asked(None).machine.plant.gain)
