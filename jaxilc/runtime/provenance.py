@@ -14,10 +14,12 @@ import sys
 from collections.abc import Mapping
 from functools import partial
 from importlib.metadata import version
+from logging import Logger
 from types import CodeType, ModuleType
 from typing import NotRequired, TypedDict
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..pytree.aliases import Json, Value
@@ -120,9 +122,11 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
     again = partial(describe, within=(*within, id(value)))
     if value is None or isinstance(value, str | bool | int):
         return value
+    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+        value = jax.random.key_data(value)
     if isinstance(value, float | complex | np.ndarray | np.generic | jax.Array):
         return _of_array(np.asarray(value))
-    if isinstance(value, type | ModuleType) or id(value) in within:
+    if isinstance(value, type | ModuleType | Logger) or id(value) in within:
         return _name(value)
     if isinstance(value, Mapping):
         return {str(name): again(of) for name, of in value.items()}
@@ -187,6 +191,8 @@ def _hash(text: str) -> str:
 def _of_array(array: np.ndarray) -> Json:
     if np.iscomplexobj(array):
         return {"real": _of_array(array.real), "imaginary": _of_array(array.imag)}
+    if array.dtype.kind not in "biuf":
+        return describe(array.tolist())
     if array.size <= 16:
         return array.tolist()
     return {

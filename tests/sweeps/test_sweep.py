@@ -4,6 +4,7 @@ Their summary is tested too.
 """
 
 import dataclasses
+import logging
 from functools import partial
 
 import jax
@@ -286,6 +287,13 @@ def test_a_user_s_plant_is_known_by_the_constants_of_its_class():
         assert len(differences(describe(own_plant()), describe(own_plant(**constants)))) == 1
     one, other = (describe(own_plant(law=partial(own_law, power))) for power in (1, 3))
     assert len(differences(one, other)) == 1
+    texts = np.array([f"{i}" for i in range(20)])
+    for one, other in ((jax.random.key(0), jax.random.key(1)), (texts, texts[::-1])):
+        both = describe(own_plant(table=one)), describe(own_plant(table=other))
+        assert len(differences(*both)) == 1
+    once = describe(own_plant(log=logging.getLogger("one")))
+    logging.getLogger("another")
+    assert differences(once, describe(own_plant(log=logging.getLogger("one")))) == []
     earlier = {name: value for name, value in first.items() if name != CONSTANTS}
     assert differences(earlier, describe(own_plant(_pole=0.5))) == []
 
