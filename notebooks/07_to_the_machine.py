@@ -88,8 +88,8 @@ scheme, task = axis.schemes["ilc"], axis.task
 # ## The machine at the other end
 #
 # It reads the table, adds it to the input of its own PI feedback, and writes a trace: time,
-# reference, output, input, each with its unit. Its gain is 15 % higher than ours and its damping 25
-# % lower, and its encoder is noisy.
+# reference, output, input, each with its unit. Its gain is 15 % higher than ours and its damping
+# 25 % lower, and its encoder is noisy.
 
 # %%
 real = Machine(

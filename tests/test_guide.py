@@ -142,6 +142,26 @@ def test_a_broken_link_is_refused(pages, monkeypatch, tmp_path):
         pages.links("a.md")
 
 
+@pytest.mark.parametrize("lost", ["% away, by", "  % away", "- % away", "> % away"])
+def test_a_line_that_a_page_would_lose_is_refused(lost, pages, monkeypatch, tmp_path):
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    monkeypatch.setattr(pages, "PAGES", {"a.md": "a"})
+    kept = "# A\n\nTuning takes 4 % away.\n\n```matlab\n% of a program\n```\n"
+    (tmp_path / "a.md").write_text(kept)
+    assert pages.linked("a.md") == kept
+    (tmp_path / "a.md").write_text(f"{kept}\nTuning takes these 4\n{lost}\n")
+    with pytest.raises(ValueError, match=rf"a\.md: the line '{lost}' begins with %, and pages"):
+        pages.linked("a.md")
+
+
+def test_no_page_and_no_notebook_loses_a_line(pages):
+    assert all(pages.linked(file) for file in pages.PAGES)
+    for path in ROOT.glob("notebooks/*.py"):
+        text = path.read_text(encoding="utf-8")
+        for cell in re.findall(r"^# %% \[markdown\]\n((?:#.*\n)+)", text, re.MULTILINE):
+            assert not re.search(r"^# *%", cell, re.MULTILINE), path.name
+
+
 def test_a_page_loads_nothing_from_elsewhere(pages, tmp_path):
     """A link that is clicked may lead to another site; what a page loads by itself may not."""
     page = tmp_path / "a.html"

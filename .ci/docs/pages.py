@@ -47,12 +47,23 @@ OUTSIDE = re.compile(r"[a-z]+:")
 SCRIPT = re.compile(r"<script\b.*?</script>", re.DOTALL)  # which may write links of its own
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#+ +(.*)$", re.MULTILINE)
+COMMENT = re.compile(r"^[ >*+-]*%.*$", re.MULTILINE)  # also amid a paragraph, or in a list
 
 
 def anchors(text: str) -> set[str]:
     """The anchors of a Markdown text: one for each heading, in lower case, spaces as hyphens."""
     headings = HEADING.findall(FENCED.sub("", text))
     return {re.sub(r"[^\w\- ]", "", h).strip().lower().replace(" ", "-") for h in headings}
+
+
+def need_whole(file: str, text: str) -> str:
+    """The text; raises ValueError for a line that the page would lose, since MyST omits it."""
+    if lost := COMMENT.search(FENCED.sub("", text)):
+        raise ValueError(
+            f"{file}: the line {lost.group()!r} begins with %, and pages take it for a comment; "
+            "put the word before it on the line"
+        )
+    return text
 
 
 def written(file: str) -> str:
@@ -88,7 +99,10 @@ def links(file: str) -> list[tuple[str, str, str]]:
 
 
 def linked(file: str) -> str:
-    """The text of a file, its links leading to pages, its pictures to the copied ones."""
+    """The text of a file, its links leading to pages, its pictures to the copied ones.
+
+    Raises ValueError for a broken link, and for a line that the page would lose.
+    """
     here = posixpath.dirname(PAGES[file])
     leads = {target: (to, anchor) for target, to, anchor in links(file)}
 
@@ -105,7 +119,7 @@ def linked(file: str) -> str:
         address = posixpath.relpath(PAGES[to] + ".md", here or ".")
         return f"[{name}]({address}{'#' * bool(anchor)}{anchor})"
 
-    return LINK.sub(to_page, written(file))
+    return LINK.sub(to_page, need_whole(file, written(file)))
 
 
 def write(
@@ -121,7 +135,7 @@ def write(
     notebooks, api, papers: names of the pages of the notebooks, of the modules and of the papers
     gallery: whether there is a page `gallery`
     live: what the start page shows of the live page
-    Raises ValueError for a broken link.
+    Raises ValueError as `linked`.
     """
     for file, page in PAGES.items():
         path = folder / f"{page}.md"

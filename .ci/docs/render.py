@@ -32,6 +32,9 @@ def notebooks_in(folder: Path, *, execute: bool) -> list[str]:
     names = []
     for path in sorted((ROOT / "notebooks").glob("*.py")):
         notebook = jupytext.read(path)
+        for cell in notebook.cells:
+            if cell.cell_type == "markdown":
+                pages.need_whole(path.name, cell.source)
         notebook.metadata.setdefault(
             "kernelspec", {"name": "python3", "display_name": "Python 3", "language": "python"}
         )
