@@ -29,10 +29,10 @@ FEWEST, MOST = 100, 600  # points of a signal
 
 CHOOSE = """
 const k = schemes.indexOf(scheme.value), c = outputs.indexOf(output.value), j = slider.value;
-const key = [k, j, c].join("_");
+const key = [k, j, c].join("_"), of_u = [k, j, inputs.indexOf(input.value)].join("_");
 shown.data = {t: all.data["t"], r: all.data["r_" + c] ?? all.data["r_" + [j, c].join("_")],
               y: all.data["y_" + key], e: all.data["e_" + key],
-              u: all.data["u_" + [k, j].join("_")]};
+              u: all.data["u_" + of_u]};
 told.text = scheme.value + ", trial " + trials[j];
 """
 PARAMETER = """
@@ -52,13 +52,17 @@ PAPER = "figures.forEach((one, i) => { one.visible = names[i] === select.value; 
 
 
 def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
-    """Output, error and input of a trial that a slider chooses, of a scheme and an output."""
+    """Output, error and input of a trial that a slider chooses, of a scheme and an output.
+
+    Of as many inputs as outputs the one of the same number is shown, of others a menu chooses.
+    """
     from bokeh.layouts import column
     from bokeh.models import ColumnDataSource, CustomJS, CustomJSTickFormatter, Div, Select, Slider
 
     schemes, count = names_of(dataset), dataset.sizes["trial"]
-    outputs = outputs_of(dataset)
-    chosen, of_a_trial = np.arange(count), len(schemes) * (2 * len(outputs) + 1)
+    outputs, inputs = outputs_of(dataset), [f"input {i}" for i in range(dataset["u"].shape[-1])]
+    chosen = np.arange(count)
+    of_a_trial = len(schemes) * (2 * len(outputs) + len(inputs))
     of_a_trial += len(outputs) * (dataset["r"].ndim > 2)
     most = int(np.clip(ROOM // (FEWEST * of_a_trial), 1, TRIALS))
     if count > most:
@@ -80,12 +84,12 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
                 columns[f"e_{k}_{i}_{c}"] = thinned(
                     factor * scale * signals["e"][k, j, :, c], points
                 )
-            u = signals["u"][k, j, :, 0]
-            columns[f"u_{k}_{i}"] = thinned(np.append(u, u[-1]), points)
+            for c, u in enumerate(signals["u"][k, j].T):
+                columns[f"u_{k}_{i}_{c}"] = thinned(np.append(u, u[-1]), points)
     last = len(chosen) - 1
     every = ColumnDataSource(columns)
     of_r = "r_0" if r.ndim == 2 else f"r_{last}_0"
-    begin = {"t": "t", "r": of_r, "y": f"y_0_{last}_0", "e": f"e_0_{last}_0", "u": f"u_0_{last}"}
+    begin = {"t": "t", "r": of_r, "y": f"y_0_{last}_0", "e": f"e_0_{last}_0", "u": f"u_0_{last}_0"}
     shown = ColumnDataSource({name: columns[of] for name, of in begin.items()})
     numbers = dataset["trial"].values[chosen].tolist()
     of_trial = CustomJSTickFormatter(args={"trials": numbers}, code="return String(trials[tick])")
@@ -93,23 +97,31 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     slider.disabled = last == 0
     scheme = Select(title="scheme", value=schemes[0], options=[*schemes], width=220)
     output = Select(title="output", value=outputs[0], options=[*outputs], width=160)
+    menus, both = [scheme, output], ""
+    if len(inputs) == len(outputs):
+        of_u, inputs = output, outputs
+        both = " The input is the one with the number of the output." * (len(inputs) > 1)
+    else:
+        of_u = Select(title="input", value=inputs[0], options=[*inputs], width=160)
+        menus.append(of_u)
     told = Div(text=f"{schemes[0]}, trial {numbers[-1]}", styles={"font-weight": "600"})
     drawn = _three(dataset, shown, unit)
     react = CustomJS(
         args={
             "all": every, "shown": shown, "slider": slider, "scheme": scheme, "output": output,
             "schemes": schemes, "outputs": outputs, "trials": numbers, "told": told,
+            "input": of_u, "inputs": inputs,
         },
         code=CHOOSE,
     )  # fmt: skip
-    for widget in (slider, scheme, output):
+    for widget in (slider, *menus):
         widget.js_on_change("value", react)
-    some = [w for w, needed in ((scheme, len(schemes) > 1), (output, len(outputs) > 1)) if needed]
+    some = [menu for menu in menus if len(menu.options) > 1]
     layout = column(side_by_side(slider, *some), told, *drawn, sizing_mode="stretch_width")
     which = "each trial" if len(chosen) == count else f"{len(chosen)} of the {count} trials"
     return Live(
         f"Output, error and input within a trial. The slider goes through {which}; the axes of the "
-        "three figures move together.",
+        f"three figures move together.{both}",
         layout,
     )
 

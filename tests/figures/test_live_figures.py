@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bokeh.models import HoverTool
+from bokeh.models import CustomJS, HoverTool
 from browser import needs_chromium, opened
+from made_datasets import run_of
 
 from jaxilc.figures import browsers, certificate, searches
 from jaxilc.figures.description import Axis, Curve, Panel
@@ -53,6 +54,23 @@ def test_the_worst_machine_stands_beside_those_drawn():
     steps = columns(page_of(searches.worst_by_effort.described(found, **of)), "x", "y")
     np.testing.assert_allclose(steps[0], [[8, 16, 24], [1.0, 4.0, 4.0]])
     np.testing.assert_allclose(steps[2], [[1, 24], [3.0, 3.0]])
+
+
+@pytest.mark.parametrize("inputs", [1, 2, 3])
+def test_each_output_of_a_trial_has_its_own_input(inputs):
+    """Of as many inputs as outputs the output's own is shown, of others a menu chooses."""
+    u = np.random.default_rng(0).normal(size=(2, 3, 40, inputs))
+    within = browsers.trials(run_of(np.ones((2, 3, 41, 2)), None, u, schemes=("a", "b"))).model
+    (react,) = within.select({"type": CustomJS})
+    for k, j, c in np.ndindex(2, 3, inputs):
+        kept = react.args["all"].data[f"u_{k}_{j}_{c}"]
+        np.testing.assert_allclose(kept, [*u[k, j, :, c], u[k, j, -1, c]], rtol=1e-6)
+    _, *menus = within.children[0].children
+    assert [menu.title for menu in menus] == ["scheme", "output"] + ["input"] * (inputs == 3)
+    chosen_by, names = react.args["input"], react.args["inputs"]
+    assert (chosen_by is react.args["output"]) == (inputs == 2)
+    assert chosen_by.options == names
+    assert len(names) == inputs
 
 
 def test_what_is_not_finite_makes_no_page_fail():
