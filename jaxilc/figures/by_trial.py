@@ -257,9 +257,10 @@ def band_together(
         pale = 0.2 if np.all(high <= top) else 0.05  # a band without an end would tint all others
         trials = np.arange(1, len(median) + 1)
         name, hue = row.scheme, colour_of(i)
+        told = [written(x, unit, 4) if np.isfinite(x) else "diverged" for x in worst]
         layers += [
             Band(trials, low, clip, alpha=pale, name=name, colour=hue),
-            Curve(trials, median, mark="o", size=3, tips={"worst": worst}, name=name, colour=hue),
+            Curve(trials, median, mark="o", size=3, tips={"worst": told}, name=name, colour=hue),
             Curve(trials, worst, dash=":", name=name, colour=hue),
         ]
     if tolerance is not None:

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from bokeh.models import CustomJS, HoverTool
 from browser import needs_chromium, opened
-from made_datasets import run_of
+from made_datasets import run_of, sweep_of
 
 from jaxilc.figures import browsers, certificate, searches
+from jaxilc.figures.by_trial import band_together
 from jaxilc.figures.description import Axis, Curve, Panel
 from jaxilc.figures.page import live as page_of
 from jaxilc.figures.page import panel_of
 from jaxilc.figures.report import html_report, write_report
 from jaxilc.figures.style import COLOURS, luminance, readable
+from jaxilc.sweeps.summary import summarise
 from jaxilc.tuning.worst_case import Search, WorstCase, WorstMachine
 
 DRAWN = np.array([3.0, 1.0, np.inf, 2.0])
@@ -138,6 +140,19 @@ def test_a_machine_has_its_claim_and_its_parameters_under_the_pointer():
     assert [of["t1"].tolist() for of in lines] == [[0.0, 2.0], [1.0]]  # their gains
     np.testing.assert_allclose(lines[1]["ys"][0], [2.0, np.nan])
     assert claims.renderers[0].data_source.data["right"] == [2, 1]
+
+
+def test_the_worst_machine_has_its_unit_under_the_pointer():
+    """The axis is in nm, the numbers in mm: the text has a unit of its own."""
+    errors = np.array([[[5e-5, 2e-5], [8e-5, 3e-5], [6e-4, np.inf]]])
+    rows = summarise(sweep_of(errors), None, metric="rms")
+    live = page_of(band_together(rows, metric="rms", unit="mm"))
+    y, worst = columns(live, "y", "t0")[0]
+    assert live.model.yaxis[0].axis_label == "rms [nm]"
+    np.testing.assert_allclose(y, [80.0, 30.0])
+    assert worst.tolist() == ["600 nm", "diverged"]
+    tool = next(iter(live.model.select({"type": HoverTool})))
+    assert "worst:</span> @t0</div>" in tool.tooltips
 
 
 def test_a_unit_is_no_markup_under_the_pointer():
