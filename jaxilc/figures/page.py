@@ -28,6 +28,7 @@ WIDTH, HEIGHT, TALLEST = 860, 360, 900  # of a figure, and of a row at most [pix
 NARROW = 240  # below which no figure stands beside another one [pixel]
 INCH = HEIGHT / 4.2  # pixels for an inch of paper
 POINTS = 4000  # of a long curve that is thinned
+UNSEEN = 1e-6  # of the lower end of a logarithmic axis, where a band ends that reaches to zero
 LINES = {"-": "solid", "--": "dashed", "-.": "dashdot", ":": "dotted"}
 MARKS = {
     "o": "circle", ".": "circle", "s": "square", "^": "triangle",
@@ -344,12 +345,16 @@ def _curve(made: Plot, of: Curve, x: _Way, y: _Way) -> list[GlyphRenderer]:
 
 
 def _band(made: Plot, of: Band, x: _Way, y: _Way) -> list[GlyphRenderer]:
+    """The parts of a band, between which there is none; on a log axis zero is below the axis."""
     at, low, high = x.shown(of.x), y.shown(of.low), y.shown(of.high)
-    known = np.isfinite(at) & np.isfinite(low) & np.isfinite(high)
+    if y.axis.log:
+        low = np.where(np.asarray(of.low, float) <= 0, UNSEEN * made.y_range.start, low)
+    known = np.flatnonzero(np.isfinite(at) & np.isfinite(low) & np.isfinite(high))
     look = _look(of) | {"fill_alpha": of.alpha}
     del look["alpha"]
     draw, more = (made.varea_step, {"step_mode": "after"}) if of.steps else (made.varea, {})
-    draw(at[known], low[known], high[known], **more, **look)
+    for part in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+        draw(at[part], low[part], high[part], **more, **look)
     return []
 
 

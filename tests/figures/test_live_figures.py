@@ -11,7 +11,7 @@ from made_datasets import run_of, sweep_of
 
 from jaxilc.figures import browsers, certificate, searches
 from jaxilc.figures.by_trial import band_together
-from jaxilc.figures.description import Axis, Curve, Panel
+from jaxilc.figures.description import Axis, Band, Curve, Panel
 from jaxilc.figures.page import live as page_of
 from jaxilc.figures.page import panel_of
 from jaxilc.figures.report import html_report, write_report
@@ -153,6 +153,23 @@ def test_the_worst_machine_has_its_unit_under_the_pointer():
     assert worst.tolist() == ["600 nm", "diverged"]
     tool = next(iter(live.model.select({"type": HoverTool})))
     assert "worst:</span> @t0</div>" in tool.tooltips
+
+
+def test_a_band_ends_where_there_is_none_and_reaches_down_to_zero():
+    """Of five points the third has no end, and the fourth begins at zero, below a log axis."""
+    low, high = [1.0, 2.0, np.nan, 0.0, 1.0], [3.0, 4.0, 5.0, 50.0, 2.0]
+    for log, end in ((False, 0.0), (True, 1.0 / 1.5)):
+        panel = Panel(Axis("x"), Axis("y", log=log), [Band([1, 2, 3, 4, 5], low, high, name="b")])
+        made = panel_of(panel)
+        one, other = (r.data_source.data for r in made.renderers)
+        assert [one["x"].tolist(), other["x"].tolist()] == [[1, 2], [4, 5]]
+        assert [one["y1"].tolist(), one["y2"].tolist()] == [[1, 2], [3, 4]]
+        assert other["y2"].tolist() == [50, 2]
+        assert other["y1"][0] == 0 if not log else 0 < other["y1"][0] < end
+        assert other["y1"][1] == 1
+        assert len(made.legend[0].items) == 1  # a click hides both
+    made = panel_of(Panel(Axis("x"), Axis("y", log=True), [Band([1, 2], [0, 0], [0, 0])]))
+    assert [r.data_source.data["x"].size for r in made.renderers] == [0]
 
 
 def test_a_unit_is_no_markup_under_the_pointer():
