@@ -506,7 +506,7 @@ class Explorer:
 
     def _show(self, found: Outcome) -> None:
         """Give the figures their data, and the text its numbers."""
-        self._show_errors(np.where(found.errors > 0, found.errors, np.nan))
+        self._show_errors(found.errors)
         every = max(len(found.y) // POINTS, 1)
         signals = {"t": self.of.scenario.task.time, "r": found.r, "y": found.y}
         signals["e"] = self.factor * found.e
@@ -515,18 +515,21 @@ class Explorer:
         self._tell(found)
 
     def _show_errors(self, errors: np.ndarray) -> None:
-        """(S, J) errors by trial, or those of the nominal machine alone beside what was shown."""
+        """(S, J) errors by trial, or those of the nominal machine alone beside what was shown.
+
+        The band begins at the least error that is shown where machines have none, and ends at
+        `TALLEST` where they diverge.
+        """
+        first = errors[:, 0]
+        top = TALLEST * np.max(first, where=np.isfinite(first), initial=0.0)
+        lines = {"nominal": errors[0], "worst": np.max(errors, axis=0)}
+        shown = {n: np.where((v > 0) & (v < top), v, np.nan) for n, v in lines.items()}
         if len(errors) == 1 < self.of.machines:
-            nominal = np.where(errors[0] < TALLEST * errors[0, 0], errors[0], np.nan)
-            self.errors.data = dict(self.errors.data) | {"nominal": nominal}
+            self.errors.data = dict(self.errors.data) | {"nominal": shown["nominal"]}
             return
-        low, high = np.quantile(errors, (0.05, 0.95), axis=0, method="inverted_cdf")
-        finite = {"nominal": errors[0], "low": low, "high": high, "worst": np.max(errors, axis=0)}
-        top = TALLEST * np.nanmax(
-            np.where(np.isfinite(errors[:, 0]), errors[:, 0], np.nan), initial=0
-        )
-        shown = {n: np.where(np.isfinite(v) & (v < top), v, np.nan) for n, v in finite.items()}
-        shown["high"] = np.fmin(np.where(np.isnan(high), top, high), top)
+        band = np.quantile(errors, (0.05, 0.95), axis=0, method="inverted_cdf")
+        least = np.nanmin([*shown.values(), *np.where(band > 0, band, np.nan)], initial=top)
+        shown |= zip(("low", "high"), np.clip(band, least, top), strict=True)
         self.errors.data = {"j": np.arange(1, errors.shape[1] + 1)} | shown
 
     def _tell(self, found: Outcome) -> None:

@@ -388,6 +388,22 @@ def test_the_ends_of_a_slider_are_those_of_the_server(explored, tmp_path):
     assert page.spread_asked() == pytest.approx(0.6)
 
 
+def test_a_machine_without_an_error_is_one_of_the_band(explored, tmp_path):
+    """Of four machines the 5 and 95 % are the least and the largest; a log axis has no zero."""
+    page, gone = Explorer(explored, tmp_path), np.inf
+    errors = np.array([[4.0, 2, 1, 0, gone], [8, 4, 0, 0, gone], [8, 1, 0, 0, 3], [9, 5, 3, 0, 1]])
+    page._show(explored.outcome({})._replace(errors=errors))
+    shown = page.errors.data
+    np.testing.assert_array_equal(shown["nominal"], [4, 2, 1, np.nan, np.nan])
+    np.testing.assert_array_equal(shown["worst"], [9, 5, 3, np.nan, np.nan])
+    np.testing.assert_array_equal(shown["low"], [4, 1, 1, 1, 1])
+    np.testing.assert_array_equal(shown["high"], [9, 5, 3, 1, 9e3])
+    assert page.told.text.startswith("last trial: diverged; worst of 4: diverged")
+    page._show_errors(errors[:1] / 2)
+    np.testing.assert_array_equal(page.errors.data["nominal"], [2, 1, 0.5, np.nan, np.nan])
+    np.testing.assert_array_equal(page.errors.data["low"], [4, 1, 1, 1, 1])
+
+
 @pytest.mark.parametrize("ends", [(0.2, 1.8), (0.5, 0.9)])
 def test_a_spread_that_no_slider_reaches_stays_until_its_slider_is_moved(ends, tmp_path):
     wide = dataclasses.replace(axis(), uncertainty={"plant.B": Uniform(*ends, relative=True)})
