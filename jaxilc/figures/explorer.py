@@ -33,8 +33,8 @@ from ..theory.loop import linear_loop, response
 from ..theory.q_filter import need_linear
 from ..uncertainty import Population, with_spread
 from .grid_map import GridMap, in_order, live_map
-from .page import plot, shown_in, side_by_side, spoken
-from .style import COLOURS, labelled
+from .page import legend, plot, shown_in, side_by_side, spoken, thinned
+from .style import COLOURS, PALE, colour_of, labelled
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -82,7 +82,7 @@ class Outcome(NamedTuple):
 
     errors: (S, J) metric by trial of each machine, the nominal one first [shown unit]; inf where
         a machine diverged
-    r, y, e, u: (N+1,) or (N,) signals of the last trial of the nominal machine; the first channel
+    r, y, e, u: (N+1, n_y) or (N, n_u) signals of the last trial of the nominal machine
     f, size: (F,) frequencies [Hz] and (S, F) |Q - L P| of each machine; empty where there is none
     """
 
@@ -215,7 +215,7 @@ class Exploration:
             trials=s.trials, metric=s.judged_by, keep=self.keep, frequency=self._has_response(),
         )  # fmt: skip
         scale = s.shown(s.judged_by)[0]
-        r, y, u = (np.asarray(x).reshape(len(x), -1)[:, 0] for x in signals)
+        r, y, u = (np.asarray(x).reshape(len(x), -1) for x in signals)
         errors = scale * np.asarray(errors)
         found = np.asarray(size)
         return Outcome(errors, r, y, s.shown_scale * (r - y), u, self.f[: found.shape[1]], found)
@@ -378,7 +378,6 @@ class Explorer:
                 value=_held(100 * exploration.spread, *SPREADS),
             )  # fmt: skip
         self.errors = ColumnDataSource({n: [] for n in ("j", "nominal", "low", "high", "worst")})
-        self.signals = ColumnDataSource({n: [] for n in ("t", "r", "y", "e")})
         self.size = ColumnDataSource({"f": [], "size": [], "worst": []})
         self.told, self.line = Div(text=""), Div(text="")
         self.button = Button(label="save as parameter file", width=200)
@@ -387,6 +386,7 @@ class Explorer:
         s = exploration.scenario
         self.unit = s.shown(s.judged_by)[1]
         self.factor, self.unit_of_e = shown_in(np.nanmax(np.abs(first.e)), s.shown_unit)
+        self.signals = ColumnDataSource(self._signals(first))
         self.figures = self._figures(first)
         self.map: GridMap | None = None
         self.here = ColumnDataSource({"x": [], "y": []})
@@ -507,12 +507,17 @@ class Explorer:
     def _show(self, found: Outcome) -> None:
         """Give the figures their data, and the text its numbers."""
         self._show_errors(found.errors)
-        every = max(len(found.y) // POINTS, 1)
-        signals = {"t": self.of.scenario.task.time, "r": found.r, "y": found.y}
-        signals["e"] = self.factor * found.e
-        self.signals.data = {name: np.asarray(of)[::every] for name, of in signals.items()}
+        self.signals.data = self._signals(found)
         self.size.data = {"f": found.f, "size": found.size[0], "worst": np.max(found.size, axis=0)}
         self._tell(found)
+
+    def _signals(self, found: Outcome) -> dict[str, np.ndarray]:
+        """The columns of the last trial, of each output, with their extremes."""
+        signals = {"r": found.r, "y": found.y, "e": self.factor * found.e}
+        columns = {"t": thinned(self.of.scenario.task.time, POINTS, times=True)}
+        for name, of in signals.items():
+            columns |= {f"{name}_{c}": thinned(one, POINTS) for c, one in enumerate(of.T)}
+        return columns
 
     def _show_errors(self, errors: np.ndarray) -> None:
         """(S, J) errors by trial, or those of the nominal machine alone beside what was shown.
@@ -579,11 +584,19 @@ class Explorer:
         errors.legend.location, errors.legend.label_text_font_size = "top_right", "8pt"
         output = labelled("output", s.task.unit)
         track = plot("last trial of the nominal machine", "", output, log=False, height=180)
-        track.line("t", "r", source=self.signals, line_width=4, color="#999999")
-        track.line("t", "y", source=self.signals, line_width=1.5, color=COLOURS[0])
         of_e = labelled("error", self.unit_of_e)
         error = plot("", "time [s]", of_e, log=False, height=180, x_range=track.x_range)
-        error.line("t", "e", source=self.signals, color=COLOURS[1])
+        several = s.task.outputs > 1
+        for c, label in enumerate(s.task.labels):
+            named = (
+                {"legend_label": label if s.task.names else f"output {label}"} if several else {}
+            )
+            of_y, of_e = (colour_of(c), colour_of(c)) if several else COLOURS[:2]
+            track.line("t", f"r_{c}", source=self.signals, line_width=4, color=PALE)
+            track.line("t", f"y_{c}", source=self.signals, line_width=1.5, color=of_y, **named)
+            error.line("t", f"e_{c}", source=self.signals, color=of_e, **named)
+        for one in (track, error):
+            legend(one)
         if not first.size.size:
             return [errors, track, error]
         from bokeh.models import Span

@@ -404,6 +404,30 @@ def test_a_machine_without_an_error_is_one_of_the_band(explored, tmp_path):
     np.testing.assert_array_equal(page.errors.data["low"], [4, 1, 1, 1, 1])
 
 
+def test_the_last_trial_shows_the_largest_error_of_every_output(tmp_path):
+    """Of 5001 samples one is not at rest; the second output is 30 times the first."""
+    r = np.zeros((5001, 2))
+    r[[1234, 1235]] = [1.0, 0.0], [0.0, 30.0]
+    task = Task(r, dt=DT, unit="mm", names=("x", "y"))
+    plant = StateSpace(np.zeros((2, 2)), np.eye(2), np.eye(2), dt=DT)
+    s = dataclasses.replace(
+        axis(), machine=Machine(plant), task=task, schemes={"ilc": PIDType(gamma_p=0.5)}
+    )
+    page = Explorer(Exploration(s, machines=1), tmp_path)
+    of = page.signals.data
+    assert len(of["t"]) == len(of["e_0"]) < 2000
+    assert page.unit_of_e == "mm"
+    last = 0.5 ** (TRIALS - 1)  # each trial takes half of the error away
+    for c, height in enumerate((1.0, 30.0)):
+        for name, value in (("e", height * last), ("r", height), ("y", height * (1 - last))):
+            assert np.max(np.abs(of[f"{name}_{c}"])) == pytest.approx(value, rel=1e-6)
+        at = of["t"][np.argmax(of[f"e_{c}"])]
+        assert at == pytest.approx(1.2345, abs=0.01)
+    *_, track, error = page.figures
+    for one in (track, error):
+        assert [item.label.value for item in one.legend[0].items] == ["x", "y"]
+
+
 @pytest.mark.parametrize("ends", [(0.2, 1.8), (0.5, 0.9)])
 def test_a_spread_that_no_slider_reaches_stays_until_its_slider_is_moved(ends, tmp_path):
     wide = dataclasses.replace(axis(), uncertainty={"plant.B": Uniform(*ends, relative=True)})
