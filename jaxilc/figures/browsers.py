@@ -41,6 +41,7 @@ const data = Object.assign({}, shown.data);
 data["x"] = all.data["p" + p];
 data["y"] = all.data["e" + k];
 data["colour"] = all.data["c" + k];
+data["told"] = all.data["t" + k];
 shown.data = data;
 axis.axis_label = parameter.value;
 told.text = scheme.value;
@@ -202,15 +203,18 @@ def machines(
     }
     for k, errors in enumerate(last):
         known[f"e{k}"], known[f"c{k}"] = _drawn_errors(errors, limit)
+        known[f"t{k}"] = [
+            f"{x:.4g} {unit}".rstrip() if np.isfinite(x) else "diverged" for x in errors
+        ]
     every = ColumnDataSource(known)
     shown = ColumnDataSource(
         known | {"x": known[f"p{first}"], "y": known[f"e{best}"], "colour": known[f"c{best}"],
-                 "machine": np.arange(last.shape[1])}
+                 "told": known[f"t{best}"], "machine": np.arange(last.shape[1])}
     )  # fmt: skip
     word = f"{metric.replace('_', ' ')} of the last trial"
     made = plot("", names[first], labelled(word, unit), width=560)
     dots = made.scatter("x", "y", source=shown, color="colour", size=6, alpha=0.7)
-    tips = [("machine", "@machine"), (word, f"@y{{g}} {unit}")]
+    tips = [("machine", "@machine"), (word, "@told")]
     hover(made, [dots], tips + [(name, f"@p{i}{{g}}") for i, name in enumerate(columns)])
     if limit is not None:
         made.hspan(y=[limit], line_dash="dashed", line_color="black")

@@ -151,8 +151,8 @@ def test_the_worst_machine_has_its_unit_under_the_pointer():
     assert live.model.yaxis[0].axis_label == "rms [nm]"
     np.testing.assert_allclose(y, [80.0, 30.0])
     assert worst.tolist() == ["600 nm", "diverged"]
-    tool = next(iter(live.model.select({"type": HoverTool})))
-    assert "worst:</span> @t0</div>" in tool.tooltips
+    tools = live.model.select({"type": HoverTool})
+    assert sum("worst:</span> @t0</div>" in tool.tooltips for tool in tools) == 1
 
 
 def test_a_band_ends_where_there_is_none_and_reaches_down_to_zero():
@@ -170,6 +170,22 @@ def test_a_band_ends_where_there_is_none_and_reaches_down_to_zero():
         assert len(made.legend[0].items) == 1  # a click hides both
     made = panel_of(Panel(Axis("x"), Axis("y", log=True), [Band([1, 2], [0, 0], [0, 0])]))
     assert [r.data_source.data["x"].size for r in made.renderers] == [0]
+
+
+def test_a_machine_has_its_own_error_under_the_pointer():
+    """Those that diverge stand above all others, and one without an error far below them."""
+    last = np.array([[2.0, 0.0, np.inf, 4.0], [np.inf, 8.0, 6.0, np.inf]])
+    seen = browsers.machines(
+        sweep_of(last[..., None], ("a", "b")), {"gain": np.arange(4.0)}, metric="rms", unit="mm"
+    ).model
+    (react,) = seen.select({"type": CustomJS})
+    shown = react.args["shown"].data
+    assert shown["told"] == shown["t0"] == ["2 mm", "0 mm", "diverged", "4 mm"]
+    assert shown["t1"] == ["diverged", "8 mm", "6 mm", "diverged"]
+    assert shown["y"][2] > 4
+    assert 'data["told"] = all.data["t" + k];' in react.code
+    (tool,) = seen.select({"type": HoverTool})
+    assert "rms of the last trial:</span> @told</div>" in tool.tooltips
 
 
 def test_a_unit_is_no_markup_under_the_pointer():
