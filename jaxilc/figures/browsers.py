@@ -25,7 +25,12 @@ if TYPE_CHECKING:
 
 ROOM = 200_000  # numbers that the signals of all trials may have on a page
 TRIALS = 25  # trials that can be chosen at most
-FEWEST, MOST = 100, 600  # points of a signal
+POINTS = 100, 600  # of a signal, the fewest and the most
+BARS = (
+    "The bars say how much of the spread of the errors (of their ranks) each parameter explains "
+    "alone; what is missing to 100 % comes from several together, or noise."
+)
+FEW = "Of fewer than {} machines it cannot be said which parameter explains the spread."
 
 CHOOSE = """
 const k = schemes.indexOf(scheme.value), c = outputs.indexOf(output.value), j = slider.value;
@@ -65,10 +70,10 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     chosen = np.arange(count)
     of_a_trial = len(schemes) * (2 * len(outputs) + len(inputs))
     of_a_trial += len(outputs) * (dataset["r"].ndim > 2)
-    most = int(np.clip(ROOM // (FEWEST * of_a_trial), 1, TRIALS))
+    most = int(np.clip(ROOM // (POINTS[0] * of_a_trial), 1, TRIALS))
     if count > most:
         chosen = np.unique(np.round(np.geomspace(count, 1, most)).astype(int)) - 1
-    points = int(np.clip(ROOM // (len(chosen) * of_a_trial), FEWEST, MOST))
+    points = int(np.clip(ROOM // (len(chosen) * of_a_trial), *POINTS))
     last = np.fmax.reduce(np.abs(dataset["e"].isel(trial=-1).values), axis=None)
     factor, unit = shown_in(scale * last, unit)
     columns = {"t": thinned(dataset["time"].values, points, times=True)}
@@ -186,7 +191,7 @@ def machines(
     from bokeh.layouts import column
     from bokeh.models import ColumnDataSource, CustomJS, Div, FactorRange, Select
 
-    from ..sweeps.summary import errors_of, explained_shares
+    from ..sweeps.summary import FEWEST, errors_of, explained_shares
 
     columns = tips_of(drawn)
     if not columns:
@@ -242,15 +247,15 @@ def machines(
     )  # fmt: skip
     for widget in (scheme, parameter):
         widget.js_on_change("value", react)
+    few = last.shape[1] < FEWEST
     layout = column(
-        side_by_side(scheme, parameter), told, side_by_side(made, beside),
+        side_by_side(scheme, parameter), told, side_by_side(made, *([] if few else [beside])),
         sizing_mode="stretch_width",
     )  # fmt: skip
     return Live(
         "Each dot is a machine: its last error against the chosen parameter. Orange dots are "
         "beyond the tolerance; black ones, at the top, diverged. Under the pointer stand all of "
-        "its parameters. The bars say how much of the spread of the errors (of their ranks) each "
-        "parameter explains alone; what is missing to 100 % comes from several together, or noise.",
+        f"its parameters. {FEW.format(FEWEST) if few else BARS}",
         layout,
     )
 

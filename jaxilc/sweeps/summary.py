@@ -229,7 +229,7 @@ def explained_shares(parameters: Mapping[str, np.ndarray], errors: np.ndarray) -
 
     parameters: (S,) values by name
     errors: (S,) errors, inf for a machine that diverged
-    Returns shares from 0 to 1; 0 where all errors are equal, or there are fewer than 12 machines.
+    Returns shares from 0 to 1; 0 where all errors are equal, NaN of fewer than 12 machines.
     Raises ValueError for numbers of machines that differ.
     """
     from scipy.stats import rankdata
@@ -245,7 +245,7 @@ def explained_shares(parameters: Mapping[str, np.ndarray], errors: np.ndarray) -
                 f"explained_shares: {name} has {len(values)} values; allowed are {machines}"
             )
         if machines < FEWEST or np.ptp(ranks) == 0 or np.ptp(values) == 0:
-            shares[name] = 0.0
+            shares[name] = np.nan if machines < FEWEST else 0.0
             continue
         order = shuffled[np.argsort(np.asarray(values)[shuffled], kind="stable")]
         steps = np.sum(np.diff(ranks[order]) ** 2) / (2 * (machines - 1) * np.var(ranks))

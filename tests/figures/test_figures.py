@@ -254,6 +254,8 @@ def test_what_a_parameter_explains_is_its_share_of_the_variance():
     found = explained_shares({"i": corner[:, 0], "j": corner[:, 1]}, corner @ [2.0, 1.0])
     assert list(found.values()) == pytest.approx([0.8, 0.2], abs=0.1)
     assert explained_shares({"a": a}, np.ones(20_000)) == {"a": 0.0}
+    assert np.isnan(explained_shares({"a": a[:11]}, 3 * a[:11])["a"])
+    assert explained_shares({"a": a[:12]}, 3 * a[:12])["a"] > 0.9
     with pytest.raises(ValueError, match="a has 2 values; allowed are 3"):
         explained_shares({"a": a[:2]}, np.ones(3))
 

@@ -188,6 +188,16 @@ def test_a_machine_has_its_own_error_under_the_pointer():
     assert "rms of the last trial:</span> @told</div>" in tool.tooltips
 
 
+@pytest.mark.parametrize("machines", [11, 12])
+def test_of_few_machines_no_bar_says_that_a_parameter_explains_nothing(machines):
+    gain = np.arange(1.0, machines + 1)
+    seen = browsers.machines(sweep_of([gain[:, None]]), {"gain": gain}, metric="rms")
+    *_, drawn = seen.model.children
+    assert len(drawn.children) == (1 if machines < 12 else 2)
+    assert ("Of fewer than 12 machines it cannot be said" in seen.caption) == (machines < 12)
+    assert ("The bars say" in seen.caption) == (machines == 12)
+
+
 def test_a_unit_is_no_markup_under_the_pointer():
     curve = Curve([1.0, 2.0], [1.0, 2.0], name="a")
     made = panel_of(Panel(Axis("x_1", "<b>@y"), Axis("y", "mm"), [curve]))
