@@ -237,14 +237,17 @@ class Bands(NamedTuple):
     """The predicted RMS error by trial of a campaign.
 
     trial: (J,) numbers of the trials, the next ones included
-    low, median, high: (J,) ends of the 95 % band and median [unit of y]; the same where the plant
-        file gives neither uncertainty nor noise
+    low, median, high: (J,) ends of the band and median [unit of y]; of a plant file that gives
+        neither uncertainty nor noise they are the same
+    own: (J,) whether the band is that of the trials so far, which is to hold both errors of nine
+        trials of ten, and not that of the plant file, which holds 95 % of the drawn machines
     """
 
     trial: np.ndarray
     low: np.ndarray
     median: np.ndarray
     high: np.ndarray
+    own: np.ndarray
 
 
 def bands_by_trial(
@@ -271,11 +274,13 @@ def bands_by_trial(
     for trial, at in zip(number, found, strict=True):
         own_band = own.get(trial)
         if own_band is not None:
-            rows.append((trial, *(end[0] for end in own_band.rms)))
+            rows.append((trial, *(end[0] for end in own_band.rms), True))
         elif 1 <= at <= prediction.trials:
             low, median, high = (end[at - 1] for end in prediction.rms)
-            rows.append((trial, *([median] * 3 if prediction.certain else (low, median, high))))
-    return Bands(*np.array(rows, float).reshape(-1, 4).T)
+            band = [median] * 3 if prediction.certain else (low, median, high)
+            rows.append((trial, *band, False))
+    trial, low, median, high, judged = np.array(rows, float).reshape(-1, 5).T
+    return Bands(trial, low, median, high, judged > 0)
 
 
 @drawn
@@ -302,7 +307,7 @@ def campaign_figure(
     efforts = [n for n in names if n.startswith("effort_")]
     predicted = [] if bands is None or not len(bands.trial) else _predicted(bands)
     trials = [row["trial"] for row in measured] + ([] if bands is None else [*bands.trial])
-    room = 0.05 * np.ptp(trials or [0.0]) or 0.5
+    room = max(0.05 * np.ptp(trials or [0.0]), 0.5)
     along = TRIAL._replace(ends=(min(trials) - room, max(trials) + room)) if trials else TRIAL
     panels = [
         Panel(along, Axis("error", unit, log=True), predicted + _by_trial(measured, errors, 0)),
@@ -311,8 +316,10 @@ def campaign_figure(
     ]
     return Figure(
         panels,
-        "The error and the input of each measured trial, on what was predicted. Under the pointer "
-        "stand its file and its warnings.",
+        "The error and the input of each measured trial, on what was predicted of its RMS error. "
+        "The band of the plant file holds 95 % of the drawn machines; in that of the trials so far "
+        "nine trials of ten are to lie with both errors, the largest one in a band of its own. "
+        "Under the pointer stand the file and the warnings of a trial.",
         size=(7.2, 1.6 + 2.2 * 5) if last else None, shares="",
     )  # fmt: skip
 
@@ -337,19 +344,24 @@ def _by_trial(measured, names: Sequence[str], colour: int) -> list[Layer]:
 
 
 def _predicted(bands: Bands) -> list[Layer]:
-    """The predicted band, and its median; an infinite end is drawn up to the top of the axis."""
-    ends = np.concatenate([bands.low, bands.median, bands.high])
+    """The predicted bands, and their median; an infinite end is drawn up to the top of the axis."""
+    ends = np.stack([bands.low, bands.median, bands.high])
     largest = np.max(ends, where=np.isfinite(ends), initial=np.finfo(float).tiny)
-    low, median, high = (np.minimum(end, 10 * largest) for end in bands[1:])
-    hue, name = COLOURS[4], "predicted, 95 %"
+    low, median, high = np.minimum(ends, 10 * largest)
+    at = np.add.outer(bands.trial, (-0.5, 0.5)).ravel()
     layers: list[Layer] = []
-    if np.any(low < high):
-        layers.append(Band(bands.trial, low, high, colour=hue, alpha=0.35, name=name))
-        if len(bands.trial) == 1:  # a single trial has no width
-            x, y = [*bands.trial] * 2, [*low, *high]
-            layers = [Curve(x, y, width=8, colour=hue, alpha=0.35, name=name)]
-    said = "predicted, median"
-    return [*layers, Curve(bands.trial, median, width=1, colour=hue, name=said)]
+    for which, hue, name in (
+        (~bands.own, GREY, "95 % of drawn machines"),
+        (bands.own, COLOURS[4], "90 % by the trials so far"),
+    ):
+        drawn = which & (low < high)
+        from_, to = (np.repeat(np.where(drawn, end, np.nan), 2) for end in (low, high))
+        if np.any(drawn):
+            layers.append(Band(at, from_, to, colour=hue, alpha=0.35, name=name))
+    return [
+        *layers,
+        Curve(bands.trial, median, width=1, colour=COLOURS[4], name="predicted, median"),
+    ]
 
 
 def _last_trial(last: LastTrial, unit: str, input_unit: str) -> list[Panel]:

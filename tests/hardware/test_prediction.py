@@ -10,7 +10,7 @@ from fuzz import flipped, fuzz
 from gain_case import GAINS, STATIC, TASK
 
 from jaxilc.cli.hardware import coming, new_plant_file, next_command, verdict
-from jaxilc.figures.experiments import bands_by_trial
+from jaxilc.figures.experiments import Bands, bands_by_trial, campaign_figure
 from jaxilc.hardware import checks
 from jaxilc.hardware import prediction as predictions
 from jaxilc.hardware.calibration import Expected
@@ -127,6 +127,20 @@ def test_what_a_part_of_a_trial_teaches_is_not_predicted(predicted):
     )
     bands = bands_by_trial(live, predicted, own)
     assert (list(bands.trial), bands.high[-1]) == ([1, 2, 5], 1.0)
+    assert list(bands.own) == [False, False, True]
+
+
+def test_the_band_of_the_file_and_that_of_the_trials_are_told_apart():
+    """Each trial has a block; between two blocks of one band there is that of the other."""
+    own = np.array([False, False, True, False])
+    bands = Bands(np.arange(1.0, 5), np.full(4, 2.0), np.full(4, 3.0), np.full(4, 4.0), own)
+    file, trials, median = campaign_figure.described([], bands=bands).panels[0].layers
+    assert file.name == "95 % of drawn machines"
+    assert trials.name == "90 % by the trials so far"
+    np.testing.assert_array_equal(file.x, [0.5, 1.5, 1.5, 2.5, 2.5, 3.5, 3.5, 4.5])
+    np.testing.assert_array_equal(file.low, [2, 2, 2, 2, np.nan, np.nan, 2, 2])
+    np.testing.assert_array_equal(trials.high, [np.nan] * 4 + [4, 4] + [np.nan] * 2)
+    np.testing.assert_array_equal(median.y, [3.0] * 4)
 
 
 def test_the_error_of_a_part_is_not_that_of_a_trial():
