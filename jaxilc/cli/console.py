@@ -5,7 +5,9 @@ Results go to standard output, everything else to standard error.
 
 from __future__ import annotations
 
+import codecs
 import functools
+import io
 import logging
 import os
 import sys
@@ -17,6 +19,8 @@ from ..outcomes.outcome import Console
 
 PIPED_WIDTH = 160  # columns of output that does not go to a terminal
 WORTH_A_LINE = 0.05  # seconds of compiling or loading a program from which on it is logged
+PLAIN = {"∞": "inf", "µ": "u", "μ": "u", "−": "-", "–": "-", "±": "+-", "°": "deg", "²": "^2",
+         "√": "sqrt ", "ω": "omega"}  # fmt: skip
 # Events of jax.monitoring.
 COMPILED = "/jax/core/compile/backend_compile_duration"
 FOUND = "/jax/compilation_cache/cache_hits"
@@ -27,6 +31,21 @@ for name in ("stdin", "stdout", "stderr"):
     if getattr(sys, name) is None:
         mode = "r" if name == "stdin" else "w"
         setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    """Plain letters for signs that an encoding lacks, and where to go on."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(PLAIN.get(c, "?") for c in error.object[error.start : error.end]), error.end
+
+
+# A terminal or a pipe without these signs, such as one of Windows, gets plain letters: what was
+# computed is not lost for a sign that cannot be printed.
+codecs.register_error("jaxilc", _plain)
+for stream in (sys.stdout, sys.stderr):
+    if isinstance(stream, io.TextIOWrapper):
+        stream.reconfigure(errors="jaxilc")
 
 out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
 err = Console(stderr=True)

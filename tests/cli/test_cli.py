@@ -623,6 +623,21 @@ def test_a_closed_stream_is_one_that_nobody_reads(closed):
     assert bool(done.stdout) == (" >&-" not in closed)
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-8"])
+def test_a_sign_that_an_encoding_lacks_ends_no_command(encoding):
+    """The signs of the encoding itself stay; the others are written in plain letters."""
+    program = "from jaxilc.cli import console as c; c.say(TOLD); c.warn(TOLD); print(TOLD)"
+    told, plain = "∞ −1 5 µm ± 2 ° 漢", "inf -1 5 um +- 2 deg ?"
+    done = subprocess.run(
+        [sys.executable, "-c", program.replace("TOLD", ascii(told))],
+        capture_output=True, env=PLAIN | {"PYTHONIOENCODING": encoding},
+    )  # fmt: skip
+    expected = {"ascii": plain, "utf-8": told}.get(encoding, "inf -1 5 µm ± 2 ° ?")
+    assert done.returncode == 0
+    assert done.stdout.decode(encoding).splitlines() == [expected] * 2
+    assert done.stderr.decode(encoding).splitlines() == [expected]
+
+
 @pytest.mark.thorough(but=["--version >/dev/full"])
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device of a full disk here")
 @pytest.mark.parametrize("line", ["--version >/dev/full", "run none.toml 2>/dev/full"])
