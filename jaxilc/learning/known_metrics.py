@@ -96,7 +96,8 @@ class Metrics(NamedTuple):
 
     max_error: (n_y,) max |e| [unit of y]
     rms: (n_y,) root mean square of e [unit of y]
-    settled_error: (n_y,) max |e| in the settled window [unit of y]
+    settled_error: (n_y,) max |e| in the settled window [unit of y], NaN where nothing of it was
+        measured
     effort: (n_u,) root mean square of u [unit of u]
     finite: () whether all of these, and every y and u, are finite
     """

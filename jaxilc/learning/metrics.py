@@ -72,25 +72,30 @@ class Tally(NamedTuple):
         return Tally(tuple(added))
 
     def metrics(self, trial: Trial, task: Task) -> Metrics:
-        """The metrics of the trial of this tally, with their derivative by its signals e and u."""
+        """The metrics of the trial of this tally, with their derivative by its signals e and u.
+
+        A metric is NaN where none of its samples was measured.
+        """
         e, u = trial.e, trial.u
         found, finite = {}, jnp.all(jnp.isfinite(e[0]))
         gathered = _of_signals(self.gathered, e, u, task.settled)
         for (name, how), value in zip(GATHERED, gathered, strict=True):
+            count = self._samples(how, trial, task)
+            whole = isinstance(count, int)  # each sample was measured
             if how.of == "root mean square":
-                value = _root(value / self._samples(how, trial, task))
+                value = _root(value / (count if whole else jnp.maximum(count, 1.0)))
                 # if the sum of the squares of all samples is finite, each sample is finite
                 finite = finite if how.settled else finite & jnp.all(jnp.isfinite(value))
-            found[name] = value
+            found[name] = value if whole else jnp.where(count > 0, value, jnp.nan)
         return Metrics(**found, finite=finite)
 
     def _samples(self, how: Gathering, trial: Trial, task: Task) -> Tree:
-        """The number of samples that count in a metric, one at least, for each channel."""
+        """The number of samples that count in a metric, for each channel."""
         if how.signal == "u" or trial.weight is None:
             return len(_rows(how, trial.e, trial.u, task.settled))
         there = jnp.diagonal(trial.weight, axis1=1, axis2=2)
         there = _rows(how, there, trial.u, task.settled)
-        return jnp.maximum(jnp.sum(there, axis=0), 1.0)
+        return jnp.sum(there, axis=0)
 
 
 def _rows(how: Gathering, e: Array, u: Array, settled: slice) -> Array:

@@ -16,6 +16,7 @@ from ..pytree.closest import not_one_of
 from ..pytree.ranges import require
 from ..signals.contour import contour_error
 from ..signals.task import Task, Trial, samples_within
+from .machine import Machine
 from .metrics import largest, root_mean_square
 
 WAYS = ("largest", "root mean square")  # in which one number follows from the errors
@@ -47,8 +48,8 @@ class ContourMetric:
         require("ContourMetric", "window", self.window, "[1, inf)", whole=True)
 
     def __call__(self, trial: Trial) -> Array:
-        distance = contour_error(trial.y, trial.r, window=self.window)[1:]
-        return _in_one_number(self.of, distance[:, None])
+        distance = contour_error(trial.y, trial.r, window=self.window)
+        return _in_one_number(self.of, distance[:, None], trial, slice(1, None))
 
 
 def contour_metrics(task: Task) -> dict[str, ContourMetric]:
@@ -85,7 +86,13 @@ class CountedMetric:
 
     def __call__(self, trial: Trial) -> Array:
         rows = np.unique(np.concatenate([np.arange(*pair) for pair in self.samples]))
-        return _in_one_number(self.of, trial.e[rows].reshape(-1, 1))
+        return _in_one_number(self.of, trial.e, trial, rows)
+
+    def check(self, machine: Machine, task: Task) -> None:
+        """Raises ValueError where a trial of the machine may end before one of the windows."""
+        if machine.variation is not None:
+            last = max(start for start, _ in self.samples)
+            machine.variation.need_measured("the last window of `windows`", last, task)
 
 
 def counted_metrics(task: Task, windows: tuple[tuple[float, float], ...]) -> dict[str, Value]:
@@ -106,6 +113,14 @@ def _need_known(owner: str, of: str) -> None:
         raise ValueError(not_one_of(f"{owner}: of = {of!r}", str(of), WAYS))
 
 
-def _in_one_number(of: str, e: Array) -> Array:
-    """() the largest |e| or the root mean square of errors (n, 1)."""
-    return largest(jnp.abs(e)) if of == "largest" else root_mean_square(e)[0]
+def _in_one_number(of: str, e: Array, trial: Trial, rows: Value) -> Array:
+    """() the largest |e| or the root mean square of what was measured at these rows of a trial.
+
+    It is NaN where nothing was.
+    """
+    x = e[rows].reshape(-1, 1)
+    found = largest(jnp.abs(x)) if of == "largest" else root_mean_square(x)[0]
+    if trial.weight is None:
+        return found
+    share = jnp.mean(jnp.diagonal(trial.weight[rows], axis1=1, axis2=2))
+    return found / (share > 0 if of == "largest" else jnp.sqrt(share))

@@ -19,7 +19,7 @@ from jax.flatten_util import ravel_pytree
 from ..plants import Plant
 from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.fields import child, leaf, pytree, static
-from ..pytree.needs import need_numbers
+from ..pytree.needs import known, need_numbers
 from ..runtime.jax_internals import once
 from ..schemes.weights import weighed
 from ..signals.task import Task, Trial
@@ -128,7 +128,8 @@ class Variation:
         x[0] = rest + carried (x[N] - rest), of the plant, the feedback and the actuator. 0 is a
         machine that comes to rest, 1 is repetitive control, which never stops
     shortest: () in (0, 1]; a trial ends early, after a share of its samples that is drawn uniformly
-        from [shortest, 1]. After that, nothing is measured
+        from [shortest, 1]. After that, nothing is measured. The settled window of the task must
+        begin before that
     dropped: () in [0, 1), chance of each measured sample after k = 0 to be lost before it is
         learned from; the trial itself goes on
     late: largest delay of the record, in samples: it is drawn for each trial from 0 .. late, and
@@ -183,12 +184,23 @@ class Variation:
                     f"Variation: {name} = {value} is outside its allowed range, up to {most} for "
                     f"N = {task.N}"
                 )
+        self.need_measured("the settled window", task.settled.start, task)
         self._check_change(plant, task)
         shape = (task.N + 1, task.outputs)
         if self.references is not None and self.references.values.shape[1:] != shape:
             raise ValueError(
                 f"References: values has shape {self.references.values.shape}; this task needs "
                 f"(M, {shape[0]}, {shape[1]})"
+            )
+
+    def need_measured(self, window: str, start: int, task: Task) -> None:
+        """Raises ValueError where a trial may end before a window that begins at a sample."""
+        share, start = self.shortest, max(start, 1)
+        if share is not None and known(share) and float(share) * task.N + 1e-9 < start:
+            raise ValueError(
+                f"Variation: shortest = {share:g}: a trial may end at {share * task.duration:g} s, "
+                f"before {window} begins at {start * task.dt:g} s; allowed is a shortest from "
+                f"{np.ceil(1e6 * start / task.N) / 1e6:g} on, or a window that begins earlier"
             )
 
     def _check_change(self, plant: Plant, task: Task) -> None:

@@ -12,6 +12,7 @@ import jax
 from ..learning.known_metrics import METRICS, TUNED
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..learning.quantities import CountedMetric
 from ..pytree.aliases import Tree, Value
 from ..pytree.closest import known_names, not_one_of
 from ..pytree.in_short import in_short
@@ -124,6 +125,9 @@ class Scenario:
         for limit in ("tolerance", "shown_scale"):
             if getattr(self, limit) is not None:
                 require("", limit, getattr(self, limit), "(0, inf)")
+        for quantity in self.quantities.values():
+            if isinstance(quantity.of, CountedMetric):
+                quantity.of.check(self.machine, self.task)
 
     @property
     def functions(self) -> dict[str, Callable[[Trial], jax.Array]]:

@@ -25,6 +25,7 @@ import numpy as np
 from ..learning.known_metrics import METRICS
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..learning.quantities import CountedMetric
 from ..pytree.aliases import Json, Tree, Value
 from ..pytree.closest import known_names, listed
 from ..pytree.named_paths import (
@@ -42,7 +43,7 @@ from ..runtime.capacity import check_size
 from ..runtime.provenance import describe
 from ..schemes import Scheme
 from ..signals.task import Task
-from ..uncertainty import Population, need_ranges
+from ..uncertainty import Population, drawn_machine, need_ranges
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,6 +56,7 @@ _COMMA = re.compile(r",(?![^(\[]*[)\]])")  # none within brackets
 WAYS = "LOW:HIGH:COUNT, LOW:HIGH:COUNTlog, or values with commas between them"
 OF_A_VALUE = 64  # bytes
 TRIALS = "trials"
+EARLIEST = "variation.shortest"
 _OTHERS = {"machine", "task"}  # first parts of a path that are no schemes
 _TAKEN = {TRIALS, "scheme", "sample", "trial", "channel", "input", "time", "input_time"}
 _TAKEN |= {"y", "e", "u", *(metric.name for metric in METRICS)}
@@ -247,16 +249,26 @@ class Grid:
             found[name] = labels.index(point.get(name))
         return found
 
-    def check(self, population: Population, parts: Parts) -> None:
+    def check(self, population: Population, parts: Parts, quantities: Mapping[str, Value]) -> None:
         """Raises ValueError, naming the axis, for values with which a sweep cannot run.
 
-        Of each axis of leaves its ends are checked, of the static ones all values. The numbers of
-        the population are drawn where there is something to check.
+        Of each axis of leaves its ends are checked, of the static ones all values, and of drawn
+        ends of trials the earliest. The numbers of the population are drawn.
         """
+        drawn = population.drawn
 
-        def allow(machine: Machine) -> None:
-            _named(need_ranges, machine, population.uncertainty, population.drawn)
+        def allow(machine: Machine, task: Task) -> None:
+            need_ranges(machine, population.uncertainty, drawn)
+            if EARLIEST in drawn:
+                i = int(np.argmin(drawn[EARLIEST]))
+                numbers = {name: values[i] for name, values in drawn.items()}
+                machine = drawn_machine(machine, population.uncertainty, numbers)
+                machine.check(task)
+            for of in quantities.values():
+                if isinstance(of, CountedMetric):
+                    of.check(machine, task)
 
+        allow(parts.machine, parts.task)
         taken = [name for axis in self.axes for name in axis.values]
         for one, other in combinations(taken, 2):
             if _overlap(one, other):
@@ -280,7 +292,7 @@ class Grid:
             for name, variant in self.variants(parts).items():
                 _same_shape(name, parts.task, variant.task)
                 _named(check, variant.machine, variant.scheme, variant.task)
-                allow(variant.machine)
+                _named(allow, variant.machine, variant.task)
         for axis in self.leaves:
             by_size = np.argsort(np.reshape(axis.values[axis.name], (axis.size, -1))[:, 0])
             for i in by_size[[0, -1]]:
@@ -288,7 +300,7 @@ class Grid:
                 for name, scheme in here.schemes.items():
                     if {n.partition(".")[0] for n in axis.values} & {name, *_OTHERS}:
                         _named(check, here.machine, scheme, here.task)
-                allow(here.machine)
+                _named(allow, here.machine, here.task)
 
     def described(self, schemes: Mapping[str, Scheme]) -> DescribedGrid:
         axes = [

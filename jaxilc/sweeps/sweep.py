@@ -133,8 +133,7 @@ class Sweep:
             self.quantities, self.watch, axes, self.chunk or OPEN, self.lanes or OPEN,
         )  # fmt: skip
         plan.need_room()
-        axes.check(population, plan.parts)
-        _ = population.drawn
+        axes.check(population, plan.parts, self.quantities)
         known = plan.coordinates() if self.quantities else {}
         for name in self.quantities:
             if name in known:

@@ -29,7 +29,9 @@ from jaxilc import (
 from jaxilc.figures import browsers
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.learning import run_trial
+from jaxilc.learning.metrics import measure
 from jaxilc.learning.over_trials import truncated
+from jaxilc.learning.quantities import WAYS, CountedMetric
 from jaxilc.learning.variation import newest
 from jaxilc.plants import (
     DifferenceEquation,
@@ -216,6 +218,35 @@ def test_what_was_not_measured_is_not_learned_from():
         u = u + GAIN * e[1:]
     assert min(lengths) >= N / 2
     assert len(set(lengths)) > 2
+
+
+def test_a_trial_that_ends_before_its_window_has_no_error_of_it(tmp_path):
+    """It had the error 0 there, so a machine that learned nothing passed."""
+    there = (np.arange(N + 1) <= 8).astype(float)[:, None]
+    record = Trial(TASK.reference, np.zeros((N + 1, 1)), np.zeros((N, 1)), DT)
+    record = weighed(record, jnp.asarray(there))
+    found = measure(record, TASK)
+    assert np.isnan(found.settled_error[0])
+    assert bool(found.finite)
+    np.testing.assert_allclose(found.rms[0], np.sqrt(np.mean(R[1:9] ** 2)), rtol=1e-6)
+    counted = {of: CountedMetric(of, ((4, 6), (12, 15)))(record) for of in WAYS}
+    np.testing.assert_allclose(counted["largest"], np.max(np.abs(R[4:6])), rtol=1e-6)
+    np.testing.assert_allclose(
+        counted["root mean square"], np.sqrt(np.mean(R[4:6] ** 2)), rtol=1e-6
+    )
+    assert all(np.isnan(CountedMetric(of, ((9, 12),))(record)) for of in WAYS)
+
+    said = r"shortest = 0\.4: .* at 0.008 s, before the settled .* at 0.01 s; .* from 0\.5 on"
+    with pytest.raises(ValueError, match=said):
+        learn(vary(shortest=0.4), LAW, TASK, 2)
+    learn(vary(shortest=0.4), LAW, dataclasses.replace(TASK, settle=(0.008, 0.02)), 2)
+    drawn = {"variation.shortest": Uniform(0.3, 0.4)}
+    with pytest.raises(ValueError, match=r"shortest = 0\.3.* before the settled window"):
+        Sweep(vary(shortest=0.8), {"law": LAW}, TASK, 2, drawn, machines=4)
+    path = tmp_path / "axis.toml"
+    path.write_text(FILE.replace("[task]", "[task]\nwindows = [0.02, [0.09, 0.1]]"))
+    with pytest.raises(ValueError, match=r"axis\.toml: .*shortest = 0\.8.* at 0\.09 s; .* 0\.9 on"):
+        read_scenario(path)
 
 
 def test_dropped_samples_count_in_the_error_but_not_in_learning():

@@ -38,7 +38,7 @@ from jaxilc.theory.chance import RecordMoments
 from jaxilc.uncertainty import drawn_machines
 
 DT, N = 1e-3, 40
-TASK = Task(np.sin(np.linspace(0, 2 * np.pi, N + 1)), DT)
+TASK = Task(np.sin(np.linspace(0, 2 * np.pi, N + 1)), DT, settle=(0.01, 0.04))
 AT_ONCE = StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT)  # y[k+1] = u[k]
 LAGS = StateSpace([[0.5]], [[0.5]], [[1.0]], dt=DT)
 WAITS = StateSpace([[0.5, 0.0], [1.0, 0.0]], [[0.5], [0.0]], [[0.0, 1.0]], dt=DT)  # a sample more
