@@ -9,13 +9,13 @@ import hashlib
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 
 from .. import identification, plants
 from ..identification.frequency_response import is_frequency_response
-from ..identification.record_files import is_arrays, is_twincat, read_record
+from ..identification.record_files import is_arrays, is_twincat, read_record_file
 from ..identification.sentences import IN_MOTION
 from ..plants import Plant, ProcessModel, from_control
 from ..plants.cnc_axis import Axes
@@ -23,6 +23,7 @@ from ..plants.from_python_control import Linear, canonical_form, from_linear
 from ..plants.linear import LARGEST_ORDER
 from ..pytree.aliases import Value
 from ..pytree.ranges import brief, require
+from ..storage.columns import need_unit
 from ..storage.reading import LARGEST_TABLE, read_bytes, read_tree
 from ..storage.sealed import json_text, sealed, unsealed, write_json
 from .specification import (
@@ -45,6 +46,7 @@ from .specification import (
 
 
 FORMAT = 2  # of the file, and of the way in which a plant is fitted
+Units: TypeAlias = tuple[str, str]  # of input and output
 LEAVES = tuple(field.name for field in dataclasses.fields(ProcessModel))
 
 
@@ -63,13 +65,33 @@ class Options(NamedTuple):
     averages: int | None
 
 
-def identified_plant(record: Path, options: Options, folder: Path) -> tuple[ProcessModel, str]:
+class Fit(NamedTuple):
+    """A plant that was fitted, a sentence on it, and the units of its record, "" for none."""
+
+    plant: ProcessModel
+    said: str
+    units: Units = ("", "")
+
+
+def identified_plant(
+    record: Path, options: Options, folder: Path, wanted: Units = ("", "")
+) -> tuple[ProcessModel, str]:
     """The plant, and a sentence on its fit.
 
     folder: where the fit is kept
-    Raises ValueError as `read_record`, `read_frequency_response` and `identify`, and OSError for a
-    record that cannot be read.
+    wanted: units that the task needs, "" for any
+    Raises ValueError for a record in other units, and as `read_record`, `read_frequency_response`
+    and `identify`, and OSError for a record that cannot be read.
     """
+    plant, said, units = _kept(record, options, folder)
+    for name, told, needed in zip(("input", "output"), units, wanted, strict=True):
+        if told and needed:
+            need_unit(record, options.reading[name], told, needed)
+    return plant, said
+
+
+def _kept(record: Path, options: Options, folder: Path) -> Fit:
+    """The fit that is kept, or a new one."""
     asked = {"format": FORMAT, **options._asdict()}
     key = hashlib.sha256(json_text(asked).encode()).hexdigest()[:8]
     checksum = hashlib.sha256(read_bytes(record, LARGEST_TABLE)).hexdigest()
@@ -79,17 +101,19 @@ def identified_plant(record: Path, options: Options, folder: Path) -> tuple[Proc
         found = unsealed(read_tree(kept, ".json"))
         if found["record"] == checksum:
             plant = ProcessModel(**{name: found["plant"][name] for name in LEAVES})
-            return plant, f"{found['said']} (kept in {kept.name})"
-    plant, said = _fitted(record, options)
+            said, (of_u, of_y) = f"{found['said']} (kept in {kept.name})", found["units"]
+            return Fit(plant, said, (of_u, of_y))
+    plant, said, units = _fitted(record, options)
     values = {name: np.asarray(getattr(plant, name)).tolist() for name in LEAVES}
     if kept.is_file() or not kept.exists():
         with contextlib.suppress(OSError):  # a folder that cannot be written
-            write_json(kept, sealed({**known, "plant": values, "said": said}))
-    return plant, said
+            write_json(kept, sealed({**known, "plant": values, "said": said, "units": units}))
+    return Fit(plant, said, units)
 
 
-def _fitted(record: Path, options: Options) -> tuple[ProcessModel, str]:
-    """The plant, fitted to the record, and a sentence on it."""
+def _fitted(record: Path, options: Options) -> Fit:
+    """The plant, fitted to the record."""
+    units: Units = ("", "")
     if is_response(record, options.reading["columns"]):
         dt = options.reading["dt"]
         if dt is None:
@@ -103,15 +127,16 @@ def _fitted(record: Path, options: Options) -> tuple[ProcessModel, str]:
             delay=None if options.delay is None else options.delay * dt,
         )
     else:
-        read, delay = read_record(record, **options.reading), options.delay or 0
-        found = identification.identify(read, **options.structure, delay=delay)
+        read, delay = read_record_file(record, **options.reading), options.delay or 0
+        units = read.input_units[0], read.output_units[0]
+        found = identification.identify(read.record, **options.structure, delay=delay)
     values = ", ".join(f"{name} = {one.value:.6g}" for name, one in found.parameters.items())
     plant = cast(ProcessModel, found.plant)
     if plant.delay and "delay" not in found.parameters:
         values += f", delay = {plant.delay:.6g}"
     fit = float(np.min(found.fit))
     said = f"the plant was identified from {record.name}: {values}; fit {fit:.4g} %"
-    return plant, said if found.from_rest else f"{said}. {IN_MOTION}"
+    return Fit(plant, said if found.from_rest else f"{said}. {IN_MOTION}", units)
 
 
 def is_response(record: Path, columns: Sequence[str]) -> bool:
@@ -128,10 +153,13 @@ def is_response(record: Path, columns: Sequence[str]) -> bool:
 # --------------------------------------------------------------------------------------------------
 
 
-def plant_of(values: Value, where: str, folder: Path, notes: list[str]) -> Plant:
+def plant_of(
+    values: Value, where: str, folder: Path, notes: list[str], units: Units = ("", "")
+) -> Plant:
     """The plant that a table describes.
 
     notes: list to which texts on the choices for the plant are appended
+    units: those of the task, which a record must have, "" for any
     Raises ValueError naming the key that is wrong.
     """
     table = Table(values, where)
@@ -143,9 +171,9 @@ def plant_of(values: Value, where: str, folder: Path, notes: list[str]) -> Plant
     named = sorted(name for name, c in classes().items() if issubclass(c, Plant))
     kind = table.take("kind", one_of((*kinds, "identified", *named)))
     if kind == "identified":
-        return _identified(table, folder, notes)
+        return _identified(table, folder, notes, units)
     if issubclass(cls := classes().get(kind, type(None)), Axes):
-        return _axes(table, cls, folder, notes)
+        return _axes(table, cls, folder, notes, units)
     if kind in kinds:
         allow_unstable = table.take("allow_unstable", flag, False)
         try:
@@ -165,7 +193,7 @@ def plant_of(values: Value, where: str, folder: Path, notes: list[str]) -> Plant
     )
 
 
-def _axes(table: Table, cls: type[Axes], folder: Path, notes: list[str]) -> Plant:
+def _axes(table: Table, cls: type[Axes], folder: Path, notes: list[str], units: Units) -> Plant:
     """Axes side by side, each with a plant table of its own, or all with the table `axis`.
 
     A table with `class` in place of `kind` is an object of this class.
@@ -174,7 +202,7 @@ def _axes(table: Table, cls: type[Axes], folder: Path, notes: list[str]) -> Plan
     def one(value: Value, where: str) -> Plant:
         if isinstance(value, Mapping) and "class" in value:
             return built(value, where, hint=Plant)
-        return plant_of(value, where, folder, notes)
+        return plant_of(value, where, folder, notes, units)
 
     names = [field.name for field in dataclasses.fields(cls)]
     shared = table.take("axis", one, None)
@@ -331,7 +359,7 @@ def _state_space(table: Table) -> Linear:
     return Linear(A, B, C, D, dt)
 
 
-def _identified(table: Table, folder: Path, notes: list[str]) -> Plant:
+def _identified(table: Table, folder: Path, notes: list[str], units: Units) -> Plant:
     """A ProcessModel fitted to a record; the keys are the options of `jaxilc identify`."""
     record = folder / table.take("record", text)
     reading: dict[str, Value] = {
@@ -343,6 +371,7 @@ def _identified(table: Table, folder: Path, notes: list[str]) -> Plant:
     structure = {key: table.take(key, whole, 1) for key in ("poles", "pairs", "zeros")}
     delay, averages = (table.take(key, whole, None) for key in ("delay", "averages"))
     table.done()
-    plant, said = identified_plant(record, Options(reading, structure, delay, averages), folder)
+    options = Options(reading, structure, delay, averages)
+    plant, said = identified_plant(record, options, folder, units)
     notes.append(said)
     return plant

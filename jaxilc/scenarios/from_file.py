@@ -167,7 +167,10 @@ def read_scenario(path: str | Path) -> Scenario:
     file = Table(read_tree(path), f"{path}:")
     stem = re.sub(r"[^\w .+()-]", "-", path.stem).lstrip(" _-.+()")[:50].strip() or "plant"
     notes: list[str] = []
-    plant = file.take("plant", lambda v, at: plant_of(v, at, path.parent, notes))
+    given = file.values.get("task")
+    units = (given.get(u) if isinstance(given, Mapping) else "" for u in ("input_unit", "unit"))
+    of_u, of_y = (unit if isinstance(unit, str) else "" for unit in units)
+    plant = file.take("plant", lambda v, at: plant_of(v, at, path.parent, notes, (of_u, of_y)))
     task = file.take("task", lambda v, at: task_of(v, at, path.parent, plant, notes))
     machine = file.take(
         "machine", lambda v, at: machine_of(v, at, plant, task, path.parent, notes), Machine(plant)

@@ -8,7 +8,7 @@ import pytest
 
 from jaxilc.plants import ProcessModel
 from jaxilc.scenarios import file_plant
-from jaxilc.scenarios.file_plant import Options, identified_plant, plant_of
+from jaxilc.scenarios.file_plant import Fit, Options, identified_plant, plant_of
 
 PLANT = ProcessModel(1 / 3, (), (60.1,), (200.7, 300.0), (0.3, 1.1), delay=0.004)
 READING = {"time": "t", "input": "u", "output": "y", "time_unit": None, "columns": []}
@@ -23,7 +23,7 @@ def fits(tmp_path, monkeypatch):
 
     def fit(record, options):
         made.append(record)
-        return PLANT, "said"
+        return Fit(PLANT, "said")
 
     (tmp_path / "record.csv").write_text("t,u,y\n0,1,2\n")
     monkeypatch.setattr(file_plant, "_fitted", fit)
@@ -109,8 +109,8 @@ def test_what_cannot_be_written_is_no_error(tmp_path, fits, monkeypatch):
 def test_the_keys_of_a_plant_file_are_the_options(tmp_path, monkeypatch):
     asked = []
 
-    def found(record, options, folder):
-        asked.append((record, options, folder))
+    def found(*of):
+        asked.append(of)
         return PLANT, "said"
 
     monkeypatch.setattr("jaxilc.scenarios.file_plant.identified_plant", found)
@@ -119,7 +119,8 @@ def test_the_keys_of_a_plant_file_are_the_options(tmp_path, monkeypatch):
     plant_of(table | {"delay": 4, "zeros": 0}, "plant", tmp_path, notes)
     reading = READING | {"columns": ["u", "y"], "dt": 1e-3}
     structure = {"poles": 1, "pairs": 1, "zeros": 0}
-    assert asked == [(tmp_path / "hal.txt", Options(reading, structure, 4, None), tmp_path)]
+    options = Options(reading, structure, 4, None)
+    assert asked == [(tmp_path / "hal.txt", options, tmp_path, ("", ""))]
     assert notes == ["said"]
     with pytest.raises(ValueError, match=r"plant.delays is not a key here"):
         plant_of(table | {"delays": 4}, "plant", tmp_path, notes)

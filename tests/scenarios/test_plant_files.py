@@ -6,6 +6,7 @@ What is refused is named by its key.
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -197,6 +198,34 @@ def test_a_plant_is_identified_from_a_record_beside_the_file(tmp_path):
         [made.machine.plant.gain, made.machine.plant.poles[0]], [2.0, 60.0], rtol=1e-6
     )
     assert "does not begin at rest" in made.chosen[0]
+
+
+@pytest.mark.parametrize(
+    ("heading", "said"),
+    [
+        ("t [s],u [V],y [um]", "y is in 'um'; this task needs 'mm'"),
+        ("t [s],u [mV],y [mm]", "u is in 'mV'; this task needs 'V'"),
+    ],
+)
+def test_a_record_has_the_units_of_the_task(tmp_path, monkeypatch, heading, said):
+    """A gain of 699.99 was fitted for 0.69999, without a word."""
+
+    def fit(record, **structure):
+        lag = plants.ProcessModel(gain=record.y[1, 0] / record.u[0, 0], zeros=(), poles=(60.0,))
+        return SimpleNamespace(parameters={}, plant=lag, fit=[99.0], from_rest=True)
+
+    monkeypatch.setattr(file_plant.identification, "identify", fit)
+    rows = np.array([[0.0, 1.0, 0.0], [DT, 1.0, 2.0], [2 * DT, 1.0, 3.0]])
+    plant = {"kind": "identified", "record": "record.csv", "poles": 1, "pairs": 0, "zeros": 0}
+    record, task = tmp_path / "record.csv", TASK | {"unit": "mm", "input_unit": "V"}
+    for _ in range(2):  # also of the fit that is kept
+        np.savetxt(record, rows, delimiter=",", header=heading, comments="", fmt="%.12g")
+        with pytest.raises(ValueError, match=said):
+            read_scenario(write(tmp_path, plant=plant, task=task))
+    for header in ("t,u,y", "t [s],u [V],y [mm]"):
+        np.savetxt(record, rows, delimiter=",", header=header, comments="", fmt="%.12g")
+        made = read_scenario(write(tmp_path, plant=plant, task=task))
+        assert float(made.machine.plant.gain) == 2.0
 
 
 EVERYTHING = """
