@@ -178,6 +178,7 @@ def _of_record(
     A further text tells of a unit that is assumed.
     """
     from ..identification.record_files import read_record_file
+    from ..storage.columns import plain_unit
 
     time, set_point, position = names
     read = read_record_file(record, time=time, input=set_point, output=position)
@@ -188,23 +189,29 @@ def _of_record(
             f"{record}: {set_point} begins at {first:.6g}, where the move must begin at 0, as the "
             f"plant does; subtract {first:.6g} from {set_point} and {position}, in each trial, too"
         )
+    of_set_point, told = (of[0] for of in (read.input_units, read.output_units))
+    if of_set_point and told and plain_unit(of_set_point) != plain_unit(told):
+        raise ValueError(
+            f"{record}: {set_point} is in {of_set_point!r} and {position} in {told!r}; allowed is "
+            "one unit for both, and nothing is converted"
+        )
     place, *called = (json.dumps(of) for of in (os.path.relpath(record, file.parent), *names))
     columns = zip(("time", "input", "output"), called, strict=True)
     plant = [f"{name} = {column}\n" for name, column in columns]
     fitted = f'kind = "identified"            # fitted once, to the record\nrecord = {place}\n'
-    told = (read.output_units or ("",))[0]
-    unit = json.dumps(told or "mm")
+    unit = told or of_set_point or "mm"
     parts = {
         "dt = 0.001\n": f"dt = {read.record.dt!r}\n",
-        '\nunit = "mm"': f"\nunit = {unit}",
-        'input_unit = "mm"': f"input_unit = {unit}",
+        '\nunit = "mm"': f"\nunit = {json.dumps(unit)}",
+        'input_unit = "mm"': f"input_unit = {json.dumps(unit)}",
         '"plant.B"': '"plant.gain"',
     }
     content = _replaced(content, parts)
     content = _OF_DRIVE.sub(lambda _: f"{fitted}{''.join(plant)}poles = 2\n", content)
-    moved = f"reference = {{ csv = {place}, column = {called[1]} }}"
+    timed = "" if time == "t" else f", time = {called[0]}"
+    moved = f"reference = {{ csv = {place}, column = {called[1]}{timed} }}"
     made = _with_law(_REFERENCE.sub(lambda _: moved, content), file, len(values))
-    assumed = f"{record} gives no unit of {position}; mm is assumed, which each trial must say."
+    assumed = f"{record} gives no unit of {position}; {unit} is assumed, which each trial must say."
     return made if told else (*made, assumed)
 
 

@@ -97,6 +97,8 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
     errors = np.asarray(learn(made.machine, made.schemes["ilc"], made.task, 8).metrics.rms)[:, 0]
     np.testing.assert_allclose(errors[0], np.sqrt(np.mean((r - y)[1:] ** 2)), rtol=0.1)
     assert errors[-1] < 0.02 * errors[0]
+    move = (tmp_path / "move.csv").read_text()
+    (tmp_path / "um.csv").write_text(move.replace("act [mm]", "act [um]"))
     for wrong, said in (
         (("init", "--record", "move.csv", "b.toml"), "--record is for --set-point"),
         (
@@ -105,6 +107,10 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
         ),
         (("init", "--set-point", "--record", "move.csv", "b.toml"), "has no column 'u'; present"),
         (("init", "--set-point", "--record", "gone.csv", "b.toml"), "gone.csv"),
+        (
+            ("init", "--set-point", "--record", "um.csv", *columns, "b.toml"),
+            "um.csv: set is in 'mm' and pos_act in 'um'; allowed is one unit for both",
+        ),
     ):
         code, out, err = call(*wrong)
         assert code == 2
@@ -116,16 +122,20 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
     assert (code, (tmp_path / "b.toml").exists()) == (2, False)
 
 
-@pytest.mark.parametrize(("hertz", "dt"), [(2, 0.01), (60, 0.001)])
-def test_the_law_of_a_recorded_drive_is_one_that_learns_on_it(tmp_path, hertz, dt):
+@pytest.mark.parametrize(
+    ("hertz", "dt", "heading", "unit"),
+    [(2, 0.01, "Zeit [ms];set;pos_act", "mm"), (60, 0.001, "time [ms];set [um];pos_act", "um")],
+)
+def test_the_law_of_a_recorded_drive_is_one_that_learns_on_it(tmp_path, hertz, dt, heading, unit):
     """That of the file without a record has a cutoff at Nyquist here, or makes the error grow."""
     recorded(tmp_path, 2 * np.pi * hertz, dt)
     move = tmp_path / "move.csv"
-    move.write_text(move.read_text(encoding="utf-8").replace(" [mm]", ""), encoding="utf-8")
-    columns = ("--time", "time", "--input", "set", "--output", "pos_act")
+    _, rows = move.read_text(encoding="utf-8").split("\n", 1)
+    move.write_text(f"{heading}\n{rows}", encoding="utf-8")
+    columns = ("--time", heading.split()[0], "--input", "set", "--output", "pos_act")
     code, out, err = call("init", "--set-point", "--record", "move.csv", *columns, "a.toml")
     assert (code, err) == (0, "")
-    assert "move.csv gives no unit of pos_act; mm is assumed" in " ".join(out.split())
+    assert f"move.csv gives no unit of pos_act; {unit} is assumed" in " ".join(out.split())
     made = read_scenario(tmp_path / "a.toml")
     learning = made.schemes["ilc"].scheme.scheme
     assert f"gamma_p = {float(learning.gamma_p):g}, lead = {learning.lead} and" in " ".join(
