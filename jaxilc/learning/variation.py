@@ -125,8 +125,9 @@ class Variation:
     offset: () or (n_x,) what is added to the initial state in every trial [units of the state]
     scatter: () or (n_x,) standard deviation of the initial state, drawn anew for each trial
     carried: () in [0, 1], share of the state at the end of a trial with which the next one starts:
-        x[0] = rest + carried (x[N] - rest), of the plant, the feedback and the actuator. 0 is a
-        machine that comes to rest, 1 is repetitive control, which never stops
+        x[0] = rest + carried (x[N] - rest), of the plant, the feedback and the actuator, with the
+        rest of the trial that starts. 0 is a machine that comes to rest, 1 is repetitive control,
+        which never stops
     shortest: () in (0, 1]; a trial ends early, after a share of its samples that is drawn uniformly
         from [shortest, 1]. After that, nothing is measured. The settled window of the task must
         begin before that

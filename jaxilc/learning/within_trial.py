@@ -57,7 +57,8 @@ def run_and_measure(
         drop metrics that nobody reads, but tracing and differentiating them takes time
     The last result is None for a machine that does not carry its state.
     """
-    machine, task = machine.sampled(task.dt).at_trial(task, number)
+    every, of_all = machine.sampled(task.dt), task
+    machine, task = every.at_trial(task, number)
     if (
         machine.answers_at_once
         and scheme.plays_back
@@ -109,6 +110,7 @@ def run_and_measure(
     metrics = carry[-1].metrics(trial, task) if measured else None
     if not machine.carries:
         return trial, metrics, None
+    machine, task = every.at_trial(of_all, None if number is None else number + 1)
     rest = first_start(machine, scheme, task, jax.random.fold_in(key, SALT))
     assert machine.variation is not None
     return trial, metrics, machine.variation.following(rest, Start(*carry[:4]))

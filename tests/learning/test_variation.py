@@ -389,6 +389,25 @@ def test_a_carried_state_is_that_of_plant_feedback_and_actuator():
     np.testing.assert_allclose(cut.rms, history.rms, rtol=1e-9)
 
 
+def test_a_carried_state_comes_to_rest_on_the_plant_and_reference_of_the_trial_that_starts():
+    """It was the rest of the trial before: an input of -2875 where there is none, at a change."""
+    rest = np.where(np.arange(1, 6) >= 3, 5.0, 1.0)
+    before, after = (dataclasses.replace(PLANT, x0=[x]) for x in (1.0, 5.0))
+    change = PlantChange(after, first=3)
+    for share in (0.0, 0.4):
+        machine = Machine(before, variation=Variation(carried=share, change=change))
+        y = learn(machine, LAW, TASK, 5, save=lambda trial: trial.y[:, 0]).saved
+        ends = np.concatenate([[1.0], y[:-1, -1]])
+        np.testing.assert_allclose(y[:, 0], rest + share * (ends - rest), rtol=1e-9)
+
+    loop, values = PID(kp=0.5, ka=2e-4), np.stack([R, 3.0 + 2 * R])[..., None]
+    inputs = []
+    for share in (0.0, None):
+        machine = vary(references=References(values, (3,)), carried=share)
+        inputs.append(learn(machine, loop, TASK, 4, save=lambda trial: trial.u).saved)
+    np.testing.assert_allclose(*inputs, **ALGEBRA)
+
+
 def basis_by_hand(share, by_period, trials):
     """(J, N+1) outputs under weights of a wave of 8 samples, whose clock goes on over trials."""
     x, clock, w, waiting, rows = 0.0, 0, np.zeros(2), np.zeros(2), []
