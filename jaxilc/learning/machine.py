@@ -222,7 +222,7 @@ class Machine:
 
     @property
     def carries(self) -> bool:
-        """Whether a trial starts from the state in which the one before has ended."""
+        """Whether a trial starts with a share of the state in which the one before has ended."""
         return self.variation is not None and self.variation.carried is not None
 
     def actuate(self, u: Array, v_last: Array, dt: float) -> tuple[Array, Array]:

@@ -134,8 +134,9 @@ def _differing(variation: Variation, scheme: Scheme, task: Task) -> str:
     """Why no map of a trial is the same in each, although its means are taken; empty if one is."""
     if variation.carried is not None:
         return (
-            "each trial starts where the one before has ended, so learning is no map of what is "
-            "learned alone; see theory.carried_radius"
+            "each trial starts with a share (`carried`) of the state in which the one before has "
+            "ended, so learning is no map of what is learned alone; leave `carried` out where it "
+            "is 0, else see theory.carried_radius"
         )
     if variation.references is not None and not variation.references.first:
         return "the reference changes after every trial, and what is learned has no limit"

@@ -67,6 +67,7 @@ from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Trial
 from jaxilc.theory import carried_radius
 from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, certify
+from jaxilc.theory.linearity import alike_trials
 from jaxilc.tuning.worst_case import worst_machine
 
 N, A, B, GAIN = 20, 0.7, 0.3, 0.8
@@ -481,6 +482,13 @@ def test_repetitive_control_is_certified_by_its_whole_map(gain):
     certificate = certify(machine, law, TASK, 3, {}, {})
     assert certificate.claim[0] == NOTHING
     assert "carried_radius" in certificate.reason[0]
+
+
+def test_what_is_said_of_a_machine_that_carries_its_state_holds_for_a_share_of_0_too():
+    """It was said that each trial starts where the one before has ended."""
+    said = alike_trials(vary(carried=0.0), LAW, TASK).detail  # of others that are drawn, too
+    assert "starts with a share (`carried`) of the state" in said
+    assert "leave `carried` out where it is 0" in said
 
 
 @pytest.mark.parametrize(
