@@ -33,7 +33,10 @@ QUOTED = (
 _PLACE = re.compile(r"\(?(?:at )?line (\d+),? column (\d+)")  # in messages of the parsers
 _COMMA = re.compile(r"(?<=[=:\s])[+-]?\d+,\d+(?:[eE][+-]?\d+)?(?=\s*(?:[,}#]|$))")
 _KEYS = re.compile(r"[=,{}\[\]#\n]")  # what stands between keys, and between numbers
-PARSERS = {".toml": tomllib.loads, ".json": json.loads}
+PARSERS: dict[str, Callable[[str], Value]] = {
+    ".toml": tomllib.loads,
+    ".json": lambda text: json.loads(text, object_pairs_hook=_table),
+}
 
 
 def read_bytes(path: str | Path, largest: int) -> bytes:
@@ -138,6 +141,15 @@ def tree_of(text: str, parser: Callable[[str], Value], source: str | Path) -> Va
         if not level:
             return tree
     _too_deep(source)
+
+
+def _table(pairs: list[tuple[str, Value]]) -> dict[str, Value]:
+    """A table of a JSON file; raises ValueError for a key that is given twice, as in TOML."""
+    names = [name for name, _ in pairs]
+    if len({*names}) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the key {twice[:50]!r} is given a second time; allowed is once")
+    return dict(pairs)
 
 
 def _place(text: str, error: ValueError, quote: Callable[[str], str]) -> str:

@@ -567,6 +567,7 @@ def test_a_mistake_is_named_by_its_key(tmp_path, message):
     [
         ("axis.toml", "plant = = 1", ""),
         ("axis.json", "plant = = 1", ""),
+        ("twice.json", '{"a": {"b": 5, "c": 1, "b": 3}}', "the key 'b' is given a second time"),
         ("list.json", "[1]", r"\[1\] is not a table of keys and values"),
     ],
 )
