@@ -22,7 +22,7 @@ from ..learning.variation import PlantChange, References, Variation
 from ..plants import Plant
 from ..plants.cnc_axis import Axes
 from ..pytree.aliases import Value
-from ..pytree.named_paths import get_at, replaced
+from ..pytree.named_paths import get_at, overlapping, replaced
 from ..pytree.ranges import require
 from ..schemes.at_samples import windows_of
 from ..signals import references
@@ -231,6 +231,11 @@ def _change(plant: Plant, values: Value, where: str) -> PlantChange:
     table.done()
     if not given and not factors:
         raise ValueError(f"{where}: set and scale are missing; at least one is needed")
+    if twice := overlapping([*given, *factors]):
+        raise ValueError(
+            f"{where}: {twice[1]} is changed by {twice[0]} already; allowed is each number once, "
+            "in `set` or in `scale`"
+        )
     try:
         scaled = {name: np.asarray(get_at(plant, name)) * x for name, x in factors.items()}
         return PlantChange(replaced(plant, scaled | given), first, over, plant)

@@ -730,6 +730,8 @@ def test_a_plant_file_says_how_trials_differ(tmp_path):
     assert machine.variation.references.first == (6,)
     for old, new, said in (
         ("scale = { B", "scale = { D", "'D' is not a parameter"),
+        ("scale = {", "set = { B = [[0.2]] }, scale = {", "B is changed by B already"),
+        ("scale = {", "set = { 'B[0][0]' = 0.2 }, scale = {", "change: B.* is changed by B al"),
         ("scatter = 0.01", "scater = 0.01", "scater"),
         ("late = 1", "averaged = true", "averaged = true; allowed is false"),
         ("first = 4", "first = 0", r"first = 0 is outside"),
