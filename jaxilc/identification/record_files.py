@@ -467,7 +467,7 @@ def seconds_in(path, heading: str, unit: str | None, times: np.ndarray) -> float
             f"read_record: {path}: {heading} steps by {step:.6g} and has no unit; in seconds that "
             f"would be {1 / step:.3g} samples a second, in milliseconds {1e3 / step:.3g}. Write "
             f"its unit into the heading, as `{heading} [ms]`, of a variable of a .mat or .npz file "
-            f"as {heading}_ms; read_record takes a time_unit, too"
+            f"as {heading}_ms; or tell it by --time-unit (time_unit)"
         )
     return 1.0
 

@@ -36,6 +36,7 @@ from .specification import (
     list_of_numbers,
     number,
     numbers,
+    of_record,
     one_of,
     text,
     whole,
@@ -185,6 +186,7 @@ def plant_of(
                 return made(system, allow_unstable=allow_unstable)
         except (ValueError, UserWarning) as error:
             said = str(error).removeprefix("from_control: ")
+            said = said.replace("pass allow_unstable=True", "write allow_unstable = true")
             raise ValueError(said if where in said else f"{where}: {said}") from None
     return built(
         {key: value for key, value in table.values.items() if key != "kind"},
@@ -372,6 +374,9 @@ def _identified(table: Table, folder: Path, notes: list[str], units: Units) -> P
     delay, averages = (table.take(key, whole, None) for key in ("delay", "averages"))
     table.done()
     options = Options(reading, structure, delay, averages)
-    plant, said = identified_plant(record, options, folder, units)
+    try:
+        plant, said = identified_plant(record, options, folder, units)
+    except ValueError as error:
+        raise ValueError(f"{table.where}: {of_record(error)}") from None
     notes.append(said)
     return plant

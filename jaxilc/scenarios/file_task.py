@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -41,6 +42,7 @@ from .specification import (
     named_in,
     number,
     numbers,
+    of_record,
     one_of,
     text,
     whole,
@@ -155,8 +157,9 @@ def _reference(value: Value, where: str, setting: Setting) -> np.ndarray:
     try:
         found = read_record_file(path, time=time, input=column, output=column)
     except ValueError as error:
-        said = str(error).removeprefix("read_record: ").replace("--input (input)", "`column`")
-        raise ValueError(f"{where}: {said}") from None
+        no_keys = r",? or (add )?`dt = [^`]*`|; or tell it by `time_unit`"
+        said = re.sub(no_keys, "", of_record(error))
+        raise ValueError(f"{where}: {said.replace('`input`', '`column`')}") from None
     record, (unit,) = found.record, found.output_units
     if abs(record.dt / setting.dt - 1) > 1e-6:
         raise ValueError(

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import inspect
+import re
 import typing
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
 from types import UnionType
@@ -84,11 +85,15 @@ class Table:
         """The value of a key, as `kind(value, where)` returns it.
 
         Raises ValueError where a key without default is missing; a key that is close to it, and
-        not known, is taken for a mistake in writing it.
+        not known, is taken for a mistake in writing it. Also for a file that cannot be read.
         """
         self.read.add(key)
         if key in self.values:
-            return kind(self.values[key], self.at(key))
+            try:
+                return kind(self.values[key], self.at(key))
+            except OSError as error:  # of a file that is named there
+                said = f"{error.filename}: {error.strerror.lower()}" if error.strerror else error
+                raise ValueError(f"{self.at(key)}: {said}") from None
         if default is dataclasses.MISSING:
             others = [name for name in self.values if name not in {*self.known, *self.read}]
             for written in closest(key, others)[:1]:
@@ -106,6 +111,17 @@ class Table:
                     f"{self.at(key)} is not a key here; "
                     f"{known_names(key, sorted(self.read), 'allowed are')}"
                 )
+
+
+def of_record(error: ValueError) -> str:
+    """What was wrong with a record, with keys of a file in place of the options of a command."""
+    said = str(error).removeprefix("read_record: ")
+    said = re.sub(
+        r"--[\w-]+( [\d.e+-]+)? \((\w+)\)",
+        lambda found: f"`{found[2]}{' =' if found[1] else ''}{found[1] or ''}`",
+        said,
+    )
+    return re.sub(r"--([a-z-]+)", lambda found: f"`{found[1].replace('-', '_')}`", said)
 
 
 def named_in(

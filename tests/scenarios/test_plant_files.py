@@ -228,6 +228,32 @@ def test_a_record_has_the_units_of_the_task(tmp_path, monkeypatch, heading, said
         assert float(made.machine.plant.gain) == 2.0
 
 
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"record": "gone.csv"}, "plant: .*gone.csv: no such file or directory"),
+        ({"time_unit": "msec"}, "plant: time_unit = 'msec' is not one of s, ms, us, ns"),
+        ({}, "plant: .*, line 4: t steps by 0.002 .* deviation of 1%, or `dt = 0.001`"),
+        ({"time": "Zeit"}, "plant: .*uneven.csv has no column 'Zeit'; .*; `time` names another"),
+        ({"time_unit": "us"}, r"plant: .* 't \[s\]' has another unit than `time_unit` us"),
+        ({"csv": "gone.csv"}, "task.reference: .*gone.csv: no such file or directory"),
+        ({"csv": "uneven.csv"}, "task.reference: .* where the sample .* a deviation of 1%$"),
+        ({"num": [1], "den": [1, -3]}, r"plant: .* loop first or write allow_unstable = true$"),
+    ],
+)
+def test_a_message_on_a_record_names_the_file_and_the_keys(tmp_path, keys, said):
+    """It named neither, but options of another command."""
+    (tmp_path / "uneven.csv").write_text("t [s],u,r\n0,1,2\n0.001,1,2\n0.003,1,2\n0.004,1,2\n")
+    plant, task = {"kind": "identified", "record": "uneven.csv", "output": "r"} | keys, TASK
+    if "num" in keys:
+        plant = PLANT | keys
+    elif "csv" in keys:
+        plant, task = PLANT, TASK | {"reference": keys}
+    with pytest.raises(ValueError, match=f"axis.json: {said}") as refused:
+        read_scenario(write(tmp_path, plant=plant, task=task))
+    assert "--" not in str(refused.value)
+
+
 EVERYTHING = """
 name = "x-axis"
 trials = 7
