@@ -125,6 +125,11 @@ class Scenario:
         for limit in ("tolerance", "shown_scale"):
             if getattr(self, limit) is not None:
                 require("", limit, getattr(self, limit), "(0, inf)")
+        if "contour" in self.task.names and "contour_max" in self.quantities:
+            raise ValueError(
+                f"task.names = {list(self.task.names)} has 'contour', as tables call the error of "
+                "the path; allowed is another name"
+            )
         for quantity in self.quantities.values():
             if isinstance(quantity.of, CountedMetric):
                 quantity.of.check(self.machine, self.task)

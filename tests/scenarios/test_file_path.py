@@ -175,6 +175,8 @@ def test_axes_share_a_table_and_take_names(tmp_path):
     named = read_scenario(write(tmp_path, KINDS["circle"], task={"names": ["x", "z"]}))
     assert named.task.names == ("x", "z")
     assert judged(named, "rms").tolerance is None
+    with pytest.raises(ValueError, match=r"table.json: task.names = \['contour', 'y'\] has 'conto"):
+        read_scenario(write(tmp_path, KINDS["circle"], task={"names": ["contour", "y"]}))
 
 
 def test_a_metric_that_is_not_there_is_refused(tmp_path):
