@@ -29,7 +29,7 @@ from ..pytree.closest import not_one_of
 from ..pytree.ranges import brief, require
 from ..schemes.at_samples import windows_of
 from ..storage.reading import PARSERS, read_tree
-from ..sweeps.grid import grid_of
+from ..sweeps.grid import Parts, grid_of
 from ..uncertainty import check as check_uncertainty
 from .cao_2019 import cao_2019
 from .cao_2019_rig import cao_2019_rig
@@ -205,8 +205,6 @@ def read_scenario(path: str | Path) -> Scenario:
     with at_place(path, ""):
         require("", "trials", trials, "[1, inf)")
         require("", "show_trials", show_trials, "[1, inf)", many=True)
-    with at_place(path, "grid"):
-        grid_of(grid, machine, found, task)
     with at_place(path, ""):
         made = Scenario(
             name=name, title=title, machine=machine, task=task, schemes=found, trials=trials,
@@ -215,6 +213,8 @@ def read_scenario(path: str | Path) -> Scenario:
             potential=potential, chosen=tuple(notes),
             quantities={metric: Quantity(of) for metric, of in further.items()},
         )  # fmt: skip
+    with at_place(path, "grid"):
+        grid_of(grid, machine, found, task).variants(Parts(machine, found, task, trials))
     with at_place(path, "judged_by"):
         judged(made, made.judged_by)
     with at_place(path, "machine"):

@@ -114,9 +114,9 @@ class Scenario:
         _need_name("name", self.name, _FREE_NAME, "letters, digits, spaces and _ . + - ( )")
         for name in self.schemes:
             _need_name("scheme", name, _NAME, "letters, digits, spaces and _ + -")
-            if name == "machine":
+            if name in ("machine", "task"):
                 raise ValueError(
-                    "scheme = 'machine' is the name of the machine's own parameters; choose another"
+                    f"scheme = {name!r} is the name of the {name}'s own parameters; choose another"
                 )
         _need_shown("title", self.title)
         for name in ("unit", "input_unit"):

@@ -577,6 +577,8 @@ REFUSED = {
     },
     "grid: 'ilc.gama_p' cannot be an axis; did": {"grid": {"ilc.gama_p": "1:2:3"}},
     "grid: ilc.gamma_p = '1:2' is not LOW:HIGH:COUNT": {"grid": {"ilc": {"gamma_p": "1:2"}}},
+    "grid: PIDType: lead = 2.5 is outside its allowed": {"grid": {"ilc.lead": "0:5:3"}},
+    "scheme = 'task' is the name of the task's own": {"schemes": {"task": SCHEMES["ilc"]}},
     r"trials = 0 is outside its allowed range \[1, inf\)": {"trials": 0},
     "trials = 2.5 is not a whole number": {"trials": 2.5},
 }  # fmt: skip
