@@ -142,7 +142,7 @@ def contradicted(claim: str, sense: str, expected, errors, distances) -> str:
 def main(machines: range, laws_named: list[str], kinds: list[str], seed: int) -> None:
     oracles, rows, wrong = matrices(), [], []
     r = np.sin(np.pi * np.arange(ROWS) / SAMPLES) ** 2
-    task = Task(r[:, None], dt=DT)
+    task = Task(r[:, None], dt=DT, settle=(DT, SAMPLES * DT))
     for law, kind in itertools.product(laws_named, kinds):
         (keep, L, _), scheme = oracles[law], laws(1)[law]
         view, of_group = view_of(scheme, task), (LAWS.index(law), [*KINDS].index(kind))
