@@ -14,6 +14,7 @@ from .problem import Minimum, Problem, poles_at, unit_columns
 CONFIDENCE = 0.95
 LAGS = 20  # lags of the residual's autocorrelation that are tested
 WHITE = 0.8  # share of autocorrelations within their bounds from which on a residual is white
+NEAR, LEFT = 1.2, 0.5  # ratio of frequencies taken together; share of the output left at them
 DRAWS = 4000  # draws of the parameters, for the intervals of the poles
 
 
@@ -226,6 +227,27 @@ def fit_of(y, residual):
     about = np.linalg.norm(y - np.mean(y, axis=0), axis=0)
     about = np.where(np.ptp(y, axis=0) > 0, about, np.nan)
     return 100 * (1 - np.linalg.norm(residual, axis=0) / about)
+
+
+def explained_up_to(y, residual, dt: float) -> float:
+    """The frequency up to which a fit explains an output [Hz], inf if it does everywhere.
+
+    From there on half of the output or more is left, by spectra of all of a record: it moves too
+    little there for what it says of the plant. They are those of differences, which end as they
+    begin where the motion rests, so that slow parts do not hide the fast ones.
+
+    y, residual: (n,) the output and what is left of it
+    """
+    lines = np.arange(1, len(y) // 2)
+    low, high = (lines / NEAR).astype(int), np.ceil(NEAR * lines).astype(int) + 1
+
+    def power(signal):
+        size = np.abs(np.fft.rfft(np.diff(signal) * np.hanning(len(signal) - 1)))
+        total = np.cumsum(np.append(0.0, size**2))
+        return total[np.minimum(high, len(size))] - total[low]
+
+    left = lines[power(residual) > LEFT**2 * power(y)]
+    return float(left[0] / ((len(y) - 1) * dt)) if len(left) else np.inf
 
 
 def is_white(problem: Problem, theta) -> bool:

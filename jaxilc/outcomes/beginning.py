@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from importlib import resources
@@ -22,6 +21,7 @@ from .outcome import Outcome, Table, Verdict
 from .request import Request
 
 if TYPE_CHECKING:
+    from ..identification import Identified, Record
     from ..pytree.aliases import Leaf
     from ..scenarios import Scenario
     from .words import Case
@@ -45,6 +45,7 @@ SET_POINT = {
 }
 AT_REST = 0.01  # of the stroke of a set-point, by which its first value may miss 0
 _OF_DRIVE = re.compile(r"(?<=\[plant\]\n)kind.*?\n(?=\n)", re.DOTALL)
+_UNCERTAINTY = re.compile(r"(?<=\n)\[uncertainty\..*?\n(?=\n)", re.DOTALL)
 _REFERENCE = re.compile(r"(?<=\n)reference = .*")
 
 
@@ -173,11 +174,15 @@ def init(
 def _of_record(
     content: str, record: Path, file: Path, names: tuple[str, str, str]
 ) -> tuple[str, ...]:
-    """The file for a drive of which a move was recorded, in columns of these names, and its law.
+    """The file for a drive of which a move was recorded, in columns of these names.
 
-    A further text tells of a unit that is assumed.
+    Further texts tell how well the drive was fitted, its law, and a unit that is assumed.
     """
+    from ..identification import identify
     from ..identification.record_files import read_record_file
+    from ..identification.sentences import verdict
+    from ..scenarios.design_file import toml_lines
+    from ..scenarios.identified_file import comment, plant_values
     from ..storage.columns import plain_unit
 
     time, set_point, position = names
@@ -195,56 +200,79 @@ def _of_record(
             f"{record}: {set_point} is in {of_set_point!r} and {position} in {told!r}; allowed is "
             "one unit for both, and nothing is converted"
         )
-    place, *called = (json.dumps(of) for of in (os.path.relpath(record, file.parent), *names))
-    columns = zip(("time", "input", "output"), called, strict=True)
-    plant = [f"{name} = {column}\n" for name, column in columns]
-    fitted = f'kind = "identified"            # fitted once, to the record\nrecord = {place}\n'
+    columns = (os.path.relpath(record, file.parent), set_point, time)
+    place, column, of_time = map(json.dumps, columns)
     unit = told or of_set_point or "mm"
     parts = {
         "dt = 0.001\n": f"dt = {read.record.dt!r}\n",
         '\nunit = "mm"': f"\nunit = {json.dumps(unit)}",
         'input_unit = "mm"': f"input_unit = {json.dumps(unit)}",
-        '"plant.B"': '"plant.gain"',
     }
     content = _replaced(content, parts)
-    content = _OF_DRIVE.sub(lambda _: f"{fitted}{''.join(plant)}poles = 2\n", content)
-    timed = "" if time == "t" else f", time = {called[0]}"
-    moved = f"reference = {{ csv = {place}, column = {called[1]}{timed} }}"
-    made = _with_law(_REFERENCE.sub(lambda _: moved, content), file, len(values))
+    timed = "" if time == "t" else f", time = {of_time}"
+    moved = f"reference = {{ csv = {place}, column = {column}{timed} }}"
+    content = _REFERENCE.sub(lambda _: moved, content)
+    found = identify(read.record, poles=2)
+    fitted = verdict(found, read.record.dt)
+    comments = "".join(f"# {comment(text)}\n" for text in (f"Fitted to {record.name}.", *fitted))
+    content = _OF_DRIVE.sub(lambda _: comments + toml_lines(plant_values(found.plant)), content)
+    made = _with_law(content, record, found, read.record)
     assumed = f"{record} gives no unit of {position}; {unit} is assumed, which each trial must say."
-    return made if told else (*made, assumed)
+    return made[0], *fitted, *made[1:], *([] if told else [assumed])
 
 
-def _with_law(content: str, file: Path, samples: int) -> tuple[str, str]:
+def _with_law(content: str, path: Path, found: Identified, record: Record) -> tuple[str, ...]:
     """The text of a file with a law that learns on its drive, and what that is.
 
-    samples: length of the record
+    path: of the record, to which the drive was fitted
     """
-    from ..plants import ProcessModel
-    from ..scenarios.file_plant import plant_of
-    from ..scenarios.file_task import uncertainty_of
-    from ..scenarios.identified_file import starting_law
+    import numpy as np
 
-    made = tomllib.loads(content)
-    file.parent.mkdir(parents=True, exist_ok=True)  # from there the record is named
-    plant = plant_of(made["plant"], f"{file}: plant", file.parent, [])
-    uncertainty = uncertainty_of(made["uncertainty"], f"{file}: uncertainty")
+    from ..identification import not_significant
+    from ..identification.verdict import explained_up_to
+    from ..plants import ProcessModel
+    from ..scenarios.design_file import toml_lines
+    from ..scenarios.identified_file import intervals, starting_law
+    from ..uncertainty import Uniform
+
+    plant, doubts = found.plant, " ".join(not_significant(found))
     assert isinstance(plant, ProcessModel)
-    law = starting_law(plant, uncertainty, made["task"]["dt"], samples)
+    # a zero and a pole that may cancel do so in all machines: apart, they would tell of none
+    certain = intervals(found)[0].items()
+    known = {name: of for name, of in certain if name.removeprefix("plant.") not in doubts}
+    gain, tenth = float(plant.gain), 0.1 * abs(float(plant.gain))
+    fitted = known.get("plant.gain", Uniform(gain - tenth, gain + tenth))
+    known["plant.gain"] = Uniform(min(fitted.low, gain - tenth), max(fitted.high, gain + tenth))
+    y = np.reshape(record.y, (len(found.simulated), -1))[:, 0]
+    highest = explained_up_to(y, y - found.simulated[:, 0], record.dt)
+    law = starting_law(plant, known, record.dt, len(record.u), highest=highest, without={})
     if law is None:
         raise ValueError(
-            f"{made['plant']['record']}: no filtered P-type law learns on the drive that was "
-            "fitted; `jaxilc identify` tells how well the plant fits"
+            f"{path}: no filtered P-type law learns on the drive that was fitted; "
+            "`jaxilc identify` tells how well the plant fits"
         )
-    gain, lead, cutoff = f"{law.gamma_p:g}", str(law.lead), f"{law.cutoff:g}"
+    tables = {
+        name: {"distribution": "uniform", "low": one.low, "high": one.high}
+        for name, one in known.items()
+    }
+    ends = "[uncertainty]  # the 95 % intervals of the fit, of the gain 10 % at least\n"
+    content = _UNCERTAINTY.sub(lambda _: ends + toml_lines(tables), content)
+    gamma, lead, cutoff = f"{law.gamma_p:g}", str(law.lead), f"{law.cutoff:g}"
     parts = {
-        "0.8 of the error, 15 samples": f"{gain} of the error, {lead} samples",
-        "gamma_p = 0.8, lead = 15": f"gamma_p = {gain}, lead = {lead}",
+        "0.8 of the error, 15 samples": f"{gamma} of the error, {lead} samples",
+        "gamma_p = 0.8, lead = 15": f"gamma_p = {gamma}, lead = {lead}",
         "cutoff = 50.0": f"cutoff = {cutoff}",
         "20:80:4": f"{0.4 * law.cutoff:g}:{law.cutoff:g}:4",
         "[5, 15]": f"{sorted({law.lead // 3, law.lead})}",
     }
-    return _replaced(content, parts), f"Chosen for the fitted drive: {law.told}."
+    said = [f"Chosen for the fitted drive: {law.told}."]
+    if law.cutoff > 0.9 * highest:
+        said.append(
+            f"The cutoff stays where the record shows what the drive does, up to {highest:.3g} Hz. "
+            "Before a larger one, measure its frequency response: jaxilc filter T.csv "
+            f"--gain {gamma} --lead {lead} --cutoff HERTZ --dt {record.dt:g}"
+        )
+    return _replaced(content, parts), *said
 
 
 def _replaced(content: str, parts: Mapping[str, str]) -> str:

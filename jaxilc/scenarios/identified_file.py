@@ -59,6 +59,7 @@ class StartingLaw(NamedTuple):
     machines: number of machines for which it was chosen, the fitted one included
     nominal, worst: sup |Q (1 - L P)| of the fitted plant and of the worst of these machines
     at: frequency of the worst value [Hz]
+    within: whether it learns within all intervals that it was looked for in
     """
 
     gamma_p: float
@@ -68,6 +69,7 @@ class StartingLaw(NamedTuple):
     nominal: float
     worst: float
     at: float
+    within: bool = True
 
     @property
     def scheme(self) -> Filtered:
@@ -77,10 +79,12 @@ class StartingLaw(NamedTuple):
     @property
     def told(self) -> str:
         """The law and what the theory says about it, in words."""
+        over = f"at worst of {self.machines} machines"
         return (
             f"P-type learning with gamma_p = {self.gamma_p:g}, lead = {self.lead} and a cutoff of "
-            f"{self.cutoff:g} Hz; sup |Q (1 - L P)| = {self.worst:.3f} at worst of {self.machines} "
-            "machines"
+            f"{self.cutoff:g} Hz; sup |Q (1 - L P)| = {self.worst:.3f} "
+            + (over if self.machines > 1 else "on the fitted plant only")
+            + "; within all intervals of the file no such law was found" * (not self.within)
         )
 
 
@@ -96,7 +100,13 @@ class StartingTask(NamedTuple):
 
 
 def starting_law(
-    plant: Fittable, uncertainty: Uncertainty, dt: float, samples: int
+    plant: Fittable,
+    uncertainty: Uncertainty,
+    dt: float,
+    samples: int,
+    *,
+    highest: float = np.inf,
+    without: Uncertainty | None = None,
 ) -> StartingLaw | None:
     """The filtered P-type law of the largest cutoff that learns on every plant of the intervals.
 
@@ -111,6 +121,8 @@ def starting_law(
     uncertainty: distributions of leaves, named as in a plant file, such as `plant.gain`
     dt: sample time [s]
     samples: length of the record, which limits lead and cutoff
+    highest: largest cutoff [Hz]
+    without: distributions that are taken where there is no such law with those of `uncertainty`
     The result is None where there is no such law, for instance where the sign of the DC gain is
     not known.
     """
@@ -121,6 +133,7 @@ def starting_law(
     loops, P = _responses(machines, Task(np.zeros(16), dt=dt), f)
     for largest in LARGEST:
         law = _largest_cutoff(P, f, dt, long, largest, round(plant.delay / dt))
+        law = law and law._replace(cutoff=min(law.cutoff, _rounded(highest, 2)))
         for _ in range(4):
             if law is None:
                 break
@@ -134,7 +147,10 @@ def starting_law(
             if law.worst < (1 + largest) / 2:
                 return law
             law = law._replace(cutoff=_rounded(0.7 * law.cutoff, 2))
-    return None
+    if without is None or without == uncertainty:
+        return None
+    law = starting_law(plant, without, dt, samples, highest=highest)
+    return law and law._replace(within=False)
 
 
 def starting_task(
@@ -403,7 +419,7 @@ def _text_of(found: Identified, facts: Experiment, law: StartingLaw | None, **mo
         formula="a sum of lags and modes"
         if modal
         else "gain prod(1 - s / zeros) / (prod(1 + s / poles) ...)",
-        values=_plant_values(plant),
+        values=plant_values(plant),
         notes=NOTES,
         delay=found.parameters.get("delay"),
         phase=-np.pi / 2,
@@ -458,7 +474,7 @@ def write_refitted(
         f"[plant]  # fitted to {comment(fitted_to)} by `jaxilc identify`; "
         f"fit {float(np.min(found.fit)):.4g} %",
         *(f"# {comment(note)}" for note in notes),
-        toml_lines(_plant_values(found.plant)),
+        toml_lines(plant_values(found.plant)),
         "[uncertainty]  # of the plant: the 95 % intervals of the fit",
         toml_lines(_interval_values(found, before)),
     ]
@@ -474,7 +490,7 @@ def write_refitted(
     return path
 
 
-def _plant_values(plant: Plant) -> dict[str, Value]:
+def plant_values(plant: Plant) -> dict[str, Value]:
     """The keys of `[plant]`; those of features that the plant does not have are left out."""
     there = {f.name: getattr(plant, f.name) for f in dataclasses.fields(plant)}
     values = {n: np.asarray(v, float).tolist() for n, v in there.items() if v is not None}

@@ -154,6 +154,32 @@ def test_the_law_of_a_recorded_drive_is_one_that_learns_on_it(tmp_path, hertz, d
     assert json.loads(grid[1])[-1] == learning.lead
 
 
+def test_the_law_of_a_record_stays_where_the_record_shows_the_drive(tmp_path):
+    """A smooth move leaves a resonance of 14 Hz unseen; the law of the fit alone diverges on it."""
+    dt, w, v = 0.002, 8 * np.pi, 28 * np.pi
+    slow, fast = np.array([1, 1.2 * w, w * w]), np.array([1, 0.06 * v, v * v])
+    top = np.polyadd(0.7 * w * w * fast, 0.3 * v * v * slow)
+    b, a, _ = scipy.signal.cont2discrete((top, np.polymul(slow, fast)), dt)
+    s = np.clip(np.arange(1001) / 500, 0, 1)
+    r = 5 * (10 * s**3 - 15 * s**4 + 6 * s**5)
+    y = scipy.signal.lfilter(b[0], a, r) + 1e-4 * np.random.default_rng(0).normal(size=1001)
+    write_columns("move.csv", "t [s],u [mm],y [mm]", dt * np.arange(1001), r, y)
+    code, out, err = call("init", "--set-point", "--record", "move.csv", "a.toml")
+    assert (code, err) == (0, "")
+    for said in ("The residual is not white", "is not significant", "jaxilc filter T.csv --gain"):
+        assert said in " ".join(out.split())
+        assert said in (tmp_path / "a.toml").read_text(encoding="utf-8") or "filter" in said
+    made = read_scenario(tmp_path / "a.toml")
+    law = made.schemes["ilc"].scheme
+    z = np.exp(2j * np.pi * dt * np.linspace(0.01, 249, 5000))
+    ratio = np.tan(np.angle(z) / 2) / np.tan(np.pi * dt * float(law.filter.cutoff))
+    T = np.polyval(b[0], z) / np.polyval(a, z)
+    kept = 1 - float(law.scheme.gamma_p) * z ** (1 + law.scheme.lead) * T
+    assert np.max(np.abs(kept) / (1 + ratio**4)) < 0.7
+    known = made.uncertainty["plant.gain"]
+    assert known.low <= 0.9 * float(made.machine.plant.gain)
+
+
 def test_the_file_runs_as_it_is_and_with_every_choice(tmp_path):
     code, out, err = call("init")
     assert (code, err) == (0, "")
