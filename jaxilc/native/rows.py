@@ -895,8 +895,8 @@ def _keeps_axis(step: Step, operands: list[Item], axis: int) -> bool:
     if name in ("scatter", "scatter-add"):
         kept = params["dimension_numbers"]
         left = [i for i in range(len(out.shape)) if i not in kept.inserted_window_dims]
-        found, _, new = operands
-        return isinstance(found, Row) and isinstance(new, Row) and len(rows) == 2 and (
+        to, _, new = operands
+        return isinstance(to, Row) and isinstance(new, Row) and len(rows) == 2 and (
             axis in left and new.axis == kept.update_window_dims[left.index(axis)]
         )  # fmt: skip
     if name == "gather":
