@@ -387,15 +387,14 @@ class Campaign:
     ) -> list[Finding]:
         """The refusal of a trial whose error is more than some times the best, and what changed.
 
-        An error within the band of the trials so far is none: after a change that was accepted,
-        learning leads from there to the best again.
+        The best is that since the last trial that was accepted in spite of it: from a changed
+        machine, learning leads to the best again.
 
         error: RMS error over all outputs [unit of y]
         """
-        if expected is not None and error <= expected.rms.high[0]:
-            return []
         live, task = self.journal.live(), self.task
-        errors = [e for _, e in checks.comparable(self.scheme, task, live)]
+        begun = checks.growth_accepted(live)
+        errors = [e for j, e in checks.comparable(self.scheme, task, live) if j >= begun]
         best = max(min(errors, default=np.inf), checks.LEAST * np.ptp(task.reference))
         if error <= times * best or record.weight is not None:
             return []

@@ -322,6 +322,7 @@ FASTER = 5.0  # times the fastest step of reference and last trial that no motio
 ROUGH = 20.0  # times the median step: in the first trial, a step below it may be noise
 MISPLAYED = 0.1  # share of the input's rms by which the recorded input may differ
 GROWN, GROWN_BEYOND = 10.0, 3.0  # times the best error; the second for one above the band, too
+TIMES = " times the best; "  # in the finding of such an error
 LEAST = 1e-6  # share of the range of the reference; errors below it are rounding
 LEARNED = {"u", "feedforward", "reference"}  # schedules that are learned from errors
 INPUTS = {"u", "feedforward", "table.u"}  # schedules that a limit of the input is for
@@ -339,10 +340,26 @@ SAME_UNIT = 0.02  # share by which a factor between units may differ
 UNITS = (10.0, 25.4, 180 / np.pi, 1e3, 1e6)  # what one unit is of another, mostly
 
 
+TAKEN = " (accepted)"  # the end of a finding that would have refused its trial
+
+
+def growth_accepted(live: list[Manifest]) -> int:
+    """The last trial that was accepted with an error far beyond the best; 0 if there is none.
+
+    live: manifests of the start and of the trials
+    """
+    seen = (m["trial"] for m in live[1:] for _, said in m["findings"] if _of_growth(said))
+    return max(seen, default=0)
+
+
+def _of_growth(text: str) -> bool:
+    return TIMES in text and text.endswith(TAKEN)
+
+
 def _refused(name: str, text: str, accept: tuple[str, ...]) -> Finding:
     """The refusal, with the option that accepts what was seen; a warning where it is accepted."""
     if name in accept:
-        return Finding("warning", f"{text} (accepted)")
+        return Finding("warning", f"{text}{TAKEN}")
     return Finding("refusal", f"{text}; --set campaign.accept={name} accepts it")
 
 
@@ -441,7 +458,7 @@ def grown_beyond(
     cause = changed.text or "the encoder, a wrong unit or schedule, or a changed machine"
     then = f" ({changed.then})" if changed.then else ""
     text = (
-        f"the RMS error is {error:.4g}{spaced(unit)}, {error / best:.3g} times the best; "
+        f"the RMS error is {error:.4g}{spaced(unit)}, {error / best:.3g}{TIMES}"
         f"suspected is {cause}{then}"
     )
     return [_refused("growth", text, accept)]

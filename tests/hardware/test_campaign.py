@@ -25,8 +25,8 @@ from jaxilc.figures.experiments import campaign_figure
 from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
 from jaxilc.hardware.campaign import learned
 from jaxilc.hardware.checks import beyond_limits, larger
-from jaxilc.learning import Actuator, Sensor, learn, run_trial
-from jaxilc.plants import from_control
+from jaxilc.learning import Actuator, Machine, Sensor, learn, run_trial
+from jaxilc.plants import StateSpace, from_control
 from jaxilc.scenarios import load_scenario
 from jaxilc.schemes import (
     HigherOrder,
@@ -707,3 +707,29 @@ def test_a_table_that_was_not_the_one_to_play_is_refused(tmp_path):
         Measured(np.asarray(trial.y), np.asarray(trial.u), {"reference": other}, (), "trial 1")
     )
     assert "reference is 0.01 away at sample" in turn.refusals[0]
+
+
+def test_learning_that_diverges_smoothly_is_refused_at_ten_times_the_best(tmp_path):
+    """The band of the trials so far grows as they do; what was accepted is learned from again."""
+    r = np.sin(2 * np.pi * np.arange(101) / 100)
+    machine = Machine(StateSpace([[0.9]], [[0.1]], [[1.0]], dt=0.01))
+    rng, errors, refused = np.random.default_rng(0), [], 0
+    rules = Rules(accept=("jump", "input"))
+    campaign = Campaign.start(tmp_path / "x", PIDType(gamma_p=8.0), Task(r, dt=0.01), rules=rules)
+    for _ in range(30):
+        u = np.asarray(campaign.schedules()["u"])
+        y = scipy.signal.lfilter([0, 0.24], [1, -0.82], np.append(u, 0.0))
+        measured = Measured((y + rng.normal(0, 1e-4, 101))[:, None], u, {}, (), "a trial")
+        error = np.sqrt(np.mean((r - measured.y[:, 0])[1:] ** 2))
+        turn = campaign.turn(measured, expected=campaign.expected(machine))
+        if error > 10 * min(errors, default=np.inf):
+            (said,) = turn.refusals
+            assert "times the best; suspected is" in said
+            refused += 1
+            accepting = Rules(accept=("jump", "input", "growth"))
+            turn = dataclasses.replace(campaign, rules=accepting).turn(measured)
+            errors = []
+        assert turn.refusals == []
+        campaign.keep(turn)
+        errors.append(error)
+    assert refused > 1
