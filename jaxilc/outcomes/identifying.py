@@ -48,6 +48,7 @@ from ..scenarios.campaigns import Given, Opened, open_campaign
 from ..scenarios.file_plant import is_response
 from ..scenarios.identified_file import write_plant_file, write_refitted
 from ..storage.columns import plain_unit
+from ..theory.loop import stable
 from ..theory.on_lines import MeasuredResponse
 from ..theory.q_filter import question
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
@@ -354,8 +355,8 @@ def _plant_file(path: Path, fitted: Fitted, source: str) -> tuple[str, bool]:
 
 def _rests(fitted: Fitted) -> bool:
     """Whether the plant comes to rest after a trial, without which `design` takes no law."""
-    poles = getattr(fitted.found.plant, "all_poles", ())
-    return bool(np.all(np.real(np.asarray(poles)) < 0))
+    poles = np.asarray(getattr(fitted.found.plant, "all_poles", ()))
+    return bool(stable(np.max(np.abs(np.exp(poles * (fitted.dt or 0.0))), initial=0.0)))
 
 
 def _next(

@@ -147,6 +147,7 @@ def test_a_plant_that_integrates_is_told_to_get_a_feedback_first(tmp_path, monke
     empty = {"poles": [], "pole_gains": [], "frequencies": [], "dampings": [], "mode_gains": []}
     for parts, rests in (
         ({"double_integrator": 50.0}, False),
+        ({"poles": [1e-7], "pole_gains": [2.0]}, False),  # exp(-1e-10) a sample: as good as 1
         ({"poles": [3.0], "pole_gains": [2.0]}, True),
     ):
         plant = ModalModel(**(empty | parts))
