@@ -250,7 +250,7 @@ STALE = (  # beginnings of the comments of a file that `identify` wrote, which h
     "# Plant fitted by `jaxilc identify`", "# Record: ", "# Response: ", "# Order ", "# Fit ",
     "# The output at rest was", "# The residual is not white", "# are too narrow.",
     "# widened to what its", "# Its zeros are at", "# The fit did not meet", "# Fitted: [plant]",
-    "# Chosen for ",
+    "# Chosen for ", "# no such law was found within",
     "# sup |Q (1 - L P)|", "# learning is stable where it is", "# fitted plant.",
 )  # fmt: skip
 
@@ -301,7 +301,8 @@ def write_plant_file(
 
     The table `[plant]` is the `ProcessModel` or `ModalModel` with the fitted numbers,
     `[uncertainty]` has their 95 % intervals, and `[task]` and `[schemes.ilc]` are chosen so that
-    learning is stable on the fitted plant and at the ends of the intervals (`starting_law`).
+    learning is stable on the fitted plant and at the ends of the intervals (`starting_law`). Where
+    there is no such law, it is one for the fitted plant only, as `within` of the result says.
     Comments say what was fitted.
 
     measured: the record or the response that was fitted
@@ -326,13 +327,10 @@ def write_plant_file(
         )
     facts = Experiment.of(measured, found, dt or 0.0)
     uncertainty, left_out = intervals(found)
-    law = starting_law(plant, uncertainty, facts.dt, facts.samples)
-    over = "the ends of these intervals"
-    if law is None and uncertainty:
-        law, over = starting_law(plant, {}, facts.dt, facts.samples), "the fitted plant only"
+    law = starting_law(plant, uncertainty, facts.dt, facts.samples, without={})
     input_unit, unit = map(_text, units)
     text = _text_of(
-        found, facts, law, over=over, uncertainty=uncertainty, left_out=left_out,
+        found, facts, law, uncertainty=uncertainty, left_out=left_out,
         source=comment(source), unit=unit, input_unit=input_unit,
     )  # fmt: skip
     atomically(path, lambda file: file.write(text.encode()))

@@ -422,7 +422,7 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(
     jaxilc.write_record("record.csv", jaxilc.excite(machine, u, 1e-3))
     (tmp_path / "found.toml").write_text("")
     law = StartingLaw(0.25, 3, 100.0, 3, 0.8, 0.85, 40.0)  # another test chooses one
-    monkeypatch.setattr(identified_file, "starting_law", lambda *_: law)
+    monkeypatch.setattr(identified_file, "starting_law", lambda *_, **__: law)
     asked = ("--poles", 1, "--pairs", 0, "--zeros", 0, "--out", "found.toml", "--force")
     code, out, _ = jaxilc_command("identify", "record.csv", *asked, "--report", "found.json")
     assert code == 0
@@ -452,7 +452,7 @@ def test_identify_reads_a_frequency_response(jaxilc_command, tmp_path, monkeypat
     std = 0.01 * np.abs(response)
     write_columns("frf.csv", "f [Hz],re,im,std", f, response.real, response.imag, std)
     law = StartingLaw(0.25, 3, 100.0, 3, 0.8, 0.85, 40.0)  # another test chooses one
-    monkeypatch.setattr(identified_file, "starting_law", lambda *_: law)
+    monkeypatch.setattr(identified_file, "starting_law", lambda *_, **__: law)
     asked = ("identify", "frf.csv", "--poles", 1, "--pairs", 0, "--zeros", 0)
     code, out, _ = jaxilc_command(*asked, "--dt", 1e-3, "--out", "axis.toml")
     assert code == 0

@@ -101,6 +101,20 @@ def test_a_sign_that_is_not_known_has_no_law():
     assert starting_law(PLANT, both, DT, 1000) is None
 
 
+def test_a_law_for_the_fitted_plant_only_says_so(tmp_path):
+    """No gain suits both ends of an interval of 1 to 1000; the file's own law diverges at one."""
+    wide = FOUND.parameters | {"gain": Estimate(-2.0, -50.0, -0.05)}
+    path, found = tmp_path / "wide.toml", FOUND._replace(parameters=wide)
+    law = write_plant_file(path, found, RECORD, source="record.csv")
+    assert not law.within
+    said = "on the fitted plant only; within all intervals of the file no such law was found"
+    assert said in law.told
+    assert "# Chosen for the fitted plant only (1 machines):\n# no such law was found within" in (
+        path.read_text(encoding="utf-8")
+    )
+    assert abs(1 - law.gamma_p * -50.0) > 1, "at rest, where Q is 1"
+
+
 def test_what_the_record_does_not_determine_gets_no_interval():
     vague = {
         "gain": Estimate(-2.0, -np.inf, np.inf),
