@@ -347,7 +347,11 @@ ABOVE = 30.0  # times the highest frequency of the motion: the cutoff of the fil
 
 
 class FrictionModel(NamedTuple):
-    """Mass and friction with their 95 % intervals.
+    """Mass and friction with their 95 % intervals, which hold if nothing else acts.
+
+    What the relation leaves counts as noise of its own colour. A force that differs between
+    motions, such as a cable or a friction by place, is none: on seven motions of one printer axis,
+    with fits of 92 to 96 %, the masses were 0.79 to 0.87 with half-widths of 0.01 to 0.03.
 
     mass: [unit of force per unit of acceleration]
     viscous: [unit of force per unit of speed]

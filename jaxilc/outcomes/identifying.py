@@ -195,7 +195,8 @@ def _not_linear(fitted: Fitted) -> tuple[list[str], Numbers, list[Table]]:
         return lines, numbers, []
     rows = [(name, *value) for name, value in of._asdict().items() if name != "fit"]
     lines.append(
-        f"The input is that of a mass with friction, to {of.fit:.4g} %: the table has its numbers."
+        f"The input is that of a mass with friction, to {of.fit:.4g} %: the table has its numbers. "
+        "Their intervals hold if nothing else acts; a second motion tells how far they differ."
     )
     table = identification_table("mass and friction", rows)
     return lines, numbers | {"friction": {name: value for name, value, *_ in rows}}, [table]

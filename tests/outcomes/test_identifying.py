@@ -116,7 +116,8 @@ def test_mass_and_friction_of_a_record_of_force_are_told(tmp_path, monkeypatch):
     found = outcomes.identify("r.csv", reading={"structure": STRUCTURE})
     for name, value in {"mass": 20.0, "viscous": 30.0, "coulomb": 5.0, "offset": -1.0}.items():
         assert found.numbers["friction"][name] == pytest.approx(value, rel=0.1)
-    assert any("mass with friction" in line for line in found.verdict.lines)
+    (said,) = [line for line in found.verdict.lines if "mass with friction" in line]
+    assert said.endswith("hold if nothing else acts; a second motion tells how far they differ.")
     titles = [str(table.title) for table in found.tables if "95 %" in str(table.title)]
     assert titles == [
         "r.csv: identified, with 95 % intervals; zeros, poles, frequencies in rad/s",
