@@ -85,6 +85,10 @@ OF_REFERENCE = (
 )
 SECOND = "A record that was not fitted, and the output that the plant predicts."
 NO_LAW = "No filtered P-type law was found that learns on the fitted plant: the file has no scheme."
+NO_NOISE = (
+    "The file states no noise: what is predicted from it leaves out the {left} that the fit left; "
+    "remove the # before [machine.sensor] in it to count that as noise."
+)
 FEEDBACK_FIRST = (
     " The plant does not come to rest after a trial, so a feedback comes first. Add to {} that of "
     'the machine, as [schemes.loop] with class = "WithFeedback", feedback = {{ class = "PID", '
@@ -140,6 +144,9 @@ def identify(
         progress("a law for it")
         of_law, has_law = _plant_file(plant_file, fitted, str(record))
         lines.append(of_law)
+        if not found.of_response:
+            left = f"{float(found.residual_std[0]):.3g} {fitted.units[1]}".rstrip()
+            lines.append(NO_NOISE.format(left=left))
     sound = {"white": bool(found.white), "converged": bool(found.converged), **fitted.structure}
     return Outcome(
         command="identify", numbers=numbers_of(found) | sound | suspected | second,

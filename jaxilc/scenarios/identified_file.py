@@ -251,6 +251,7 @@ STALE = (  # beginnings of the comments of a file that `identify` wrote, which h
     "# The output at rest was", "# The residual is not white", "# are too narrow.",
     "# widened to what its", "# Its zeros are at", "# The fit did not meet", "# Fitted: [plant]",
     "# Chosen for ", "# no such law was found within",
+    "# The file states no noise.", "#[machine.sensor]", "#noise = ",
     "# sup |Q (1 - L P)|", "# learning is stable where it is", "# fitted plant.",
 )  # fmt: skip
 

@@ -431,6 +431,8 @@ def test_identify_reads_a_record_and_names_what_is_wrong_with_it(
     assert "95 % intervals" in out
     assert "Order 1 fits 9" in out
     assert "Next, a law that is tuned and judged: jaxilc design found.toml" in " ".join(out.split())
+    (left,) = re.findall("from it leaves out the (.*) that the fit left", " ".join(out.split()))
+    assert float(left) == pytest.approx(1e-3, rel=0.2)
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["poles[0]"]["low"] < 60.0 < found["poles[0]"]["high"]
     assert (tmp_path / "out/identify/validation.png").exists()

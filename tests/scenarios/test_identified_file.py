@@ -1,5 +1,6 @@
 """The plant file that identification writes is read back, and its law is compared with NumPy."""
 
+import re
 import tomllib
 
 import numpy as np
@@ -67,6 +68,9 @@ def test_the_file_holds_the_fitted_numbers_and_their_intervals(written):
     assert "1001 samples of 0.001 s; 700 were fitted" in text
     assert "The residual is not white" in text
     assert tomllib.loads(text)["plant"]["kind"] == "ProcessModel"
+    assert "machine" not in tomllib.loads(text), "no noise is stated"
+    noisy = tomllib.loads(re.sub("^#(?=[a-z[])", "", text, flags=re.M))
+    assert noisy["machine"] == {"sensor": {"noise": 0.01}}, "that of the residual, as a choice"
 
 
 def test_its_law_is_stable_at_the_ends_of_the_intervals(written):
