@@ -92,7 +92,8 @@ class Tally(NamedTuple):
     def _samples(self, how: Gathering, trial: Trial, task: Task) -> Tree:
         """The number of samples that count in a metric, for each channel."""
         if how.signal == "u" or trial.weight is None:
-            return len(_rows(how, trial.e, trial.u, task.settled))
+            rows = range(len(trial.u) + (how.signal == "e"))
+            return len(rows[_window(how, len(trial.u), task.settled)])
         there = jnp.diagonal(trial.weight, axis1=1, axis2=2)
         there = _rows(how, there, trial.u, task.settled)
         return jnp.sum(there, axis=0)
