@@ -46,7 +46,7 @@ from .specification import (
 # --------------------------------------------------------------------------------------------------
 
 
-FORMAT = 3  # of the file, and of the way in which a plant is fitted
+FORMAT = 2  # of the file, and of the way in which a plant is fitted
 Units: TypeAlias = tuple[str, str]  # of input and output
 LEAVES = tuple(field.name for field in dataclasses.fields(ProcessModel))
 
