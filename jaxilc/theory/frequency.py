@@ -981,18 +981,20 @@ class Boxes(NamedTuple):
     def _upper(self, lows, highs):
         """Upper bounds over boxes, and the side of each that makes it widest."""
         middle = (lows + highs) / 2
-        upper = self._size(lows, highs).max(axis=0)
+        angles, at = np.unique(middle[:, 0], return_inverse=True)  # many boxes have the same angle
+        arcs = [Arc(*(of[at] for of in arc_of_taps(taps, angles))) for taps in self.law[:2]]
+        upper = self._size(arcs, lows, highs).max(axis=0)
         alone = []
         for i in range(lows.shape[1]):
             a, b = middle.copy(), middle.copy()
             a[:, i], b[:, i] = lows[:, i], highs[:, i]
-            alone.append(self._size(a, b).max(axis=0))
+            alone.append(self._size(arcs, a, b).max(axis=0))
         return upper, np.argmax(np.nan_to_num(np.array(alone), posinf=1e300), axis=0)
 
-    def _size(self, lows, highs) -> np.ndarray:
-        """(2, B) the largest |keep - L P| on boxes, at both ends of the gain."""
+    def _size(self, arcs: list[Arc], lows, highs) -> np.ndarray:
+        """(2, B) the largest |keep - L P| on boxes, at both ends of the gain; arcs: keep and L."""
         centre, h = (lows[:, 0] + highs[:, 0]) / 2, (highs[:, 0] - lows[:, 0]) / 2
-        keep, L = (arc_of_taps(of, centre).disc(h) for of in (self.law.keep, self.law.L))
+        keep, L = (arc.disc(h) for arc in arcs)
         LP = L.times(self._unit(lows, highs, Disc(np.exp(1j * centre), h)))
         return np.stack([keep.minus(LP.times(exactly(g))).largest for g in self.gains])
 
