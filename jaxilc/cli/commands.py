@@ -482,7 +482,11 @@ def identify(
         Option(help="Dead time in samples; chosen by --auto, fitted to a response, else 0."),
     ] = None,
     auto: Annotated[
-        bool, Option("--auto", help="Choose poles, zeros and delay: complex zeros, too.")
+        bool,
+        Option(
+            "--auto",
+            help="Choose poles, zeros and delay, complex zeros, too; with --state real zeros.",
+        ),
     ] = False,
     time_name: TimeColumn = "t",
     time_unit: Annotated[

@@ -156,7 +156,8 @@ def _not_excited(
         covariance = covariance * float(np.mean((residual / problem.scale) ** 2))
         covariance = widened(covariance, of_these, residual / problem.scale)
         half = WIDE * np.sqrt(np.diag(covariance))[: len(free)]
-        ratios = half / [_half_width(known[names[i]]) for i in free]
+        with np.errstate(divide="ignore"):  # a number that is 0 without an interval stays 0
+            ratios = half / [_half_width(known[names[i]]) for i in free]
         worst = int(np.argmax(ratios))
         if not ratios[worst] >= 1:
             break

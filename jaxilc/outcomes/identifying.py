@@ -41,7 +41,7 @@ from ..identification.refitting import (
 )
 from ..identification.sentences import NOT_WHITE, on_lines, sentence
 from ..identification.sentences import verdict as sentences_on
-from ..plants import Plant, ProcessModel
+from ..plants import ModalModel, Plant, ProcessModel
 from ..pytree.aliases import Value
 from ..scenarios import Scenario
 from ..scenarios.campaigns import Given, Opened, open_campaign
@@ -605,7 +605,8 @@ def identify_campaign(
 
     state: folder of the campaign
     counts: numbers of poles, pairs and zeros; without any, those of the campaign's own plant, or 1
-        of each where it is none in continuous time with stable poles and real zeros
+        of each where it is no ModalModel, and none in continuous time with stable poles and real
+        zeros
     delay: dead time in samples; None: that of the campaign's own plant
     auto: whether the structure is chosen by a table
     plant_file: plant file to write
@@ -626,7 +627,7 @@ def identify_campaign(
         tables.append(orders_table(orders, best, record.dt))
     else:
         again = _fitted(record, opened.scenario, counts, delay)
-        if _own(counts, delay) and process_model_of(known) is None:
+        if _own(counts, delay) and _as_known(known) is None:
             said.append(OTHER_STRUCTURE.format(kind=type(known).__name__))
     found, unit = again.found, opened.campaign.task.unit
     tables.append(identification_table(source, found.summary()))
@@ -699,16 +700,22 @@ def _own(counts: Mapping[str, int | None], delay: int | None) -> bool:
     return delay is None and all(value is None for value in counts.values())
 
 
+def _as_known(plant: Plant) -> ProcessModel | ModalModel | None:
+    """The plant of a campaign in a form that is fitted again, None where it has none."""
+    one = plant.n_u == plant.n_y == 1
+    return plant if isinstance(plant, ModalModel) and one else process_model_of(plant)
+
+
 def _fitted(
     record: Record, scenario: Scenario, counts: Mapping[str, int | None], delay: int | None
 ) -> Refit:
     """The fit of the structure asked for, or of the campaign's own, from its values if good."""
     plant = scenario.machine.plant
     structure: Numbers = {name: 1 if value is None else value for name, value in counts.items()}
-    known = process_model_of(plant) if _own(counts, delay) else None
+    known = _as_known(plant) if _own(counts, delay) else None
     if known is not None:
         again = refit(record, known, scenario.uncertainty)
-        if np.min(again.found.fit) >= ENOUGH:
+        if np.min(again.found.fit) >= ENOUGH or isinstance(known, ModalModel):
             return again._replace(before=held_out(record, plant))
         structure = _counts(known)
     late = round(_delay(plant) / record.dt) if delay is None else delay

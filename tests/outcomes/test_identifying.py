@@ -91,6 +91,25 @@ def test_a_campaign_whose_plant_is_a_transfer_function_is_fitted_in_its_structur
     assert again.after < 0.1 * again.before
 
 
+def test_a_campaign_of_a_sum_of_modes_is_fitted_in_its_structure():
+    """Two modes with a pair of complex zeros, by SciPy, whose gains are 10 % lower than known."""
+    (w, v), z = (37.0, 80.0), 0.02
+    one, two = [1, 2 * z * w, w * w], [1, 2 * z * v, v * v]
+    top = np.polyadd(0.27 * w * w * np.array(two), 0.18 * v * v * np.array(one))
+    b, a, _ = scipy.signal.cont2discrete((top, np.polymul(one, two)), DT)
+    assert np.all(np.abs(np.roots(top).imag) > 1)
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 1.0], 51), 10)[:501]
+    y = scipy.signal.lfilter(np.ravel(b), a, u) + 1e-4 * rng.standard_normal(501)
+    known = ModalModel([], [], [w, v], [z, z], [0.3, 0.2], [0.0, 0.0])
+    campaign = SimpleNamespace(machine=Machine(known), uncertainty={})
+    again = _fitted(Record(u[:-1], y, DT), campaign, dict.fromkeys(STRUCTURE), None)
+    for name, value in (("mode_gains[0]", 0.27), ("mode_gains[1]", 0.18)):
+        assert again.found.parameters[name].value == pytest.approx(value, rel=1e-3)
+    assert {*again.kept} >= {"mode_rates[0]", "mode_rates[1]"}, "0 without an interval"
+    assert again.after < 0.1 * again.before
+
+
 @pytest.mark.parametrize("rests_at", [0.0, 100.0])
 def test_a_machine_that_rests_at_its_first_input_is_fitted_from_there(rests_at, tmp_path):
     """A plant here rests at an input of 0, so that a position of 100 mm looks like a start."""
