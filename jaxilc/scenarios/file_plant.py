@@ -16,7 +16,7 @@ import numpy as np
 from .. import identification, plants
 from ..identification.frequency_response import is_frequency_response
 from ..identification.record_files import is_arrays, is_twincat, read_record_file
-from ..identification.sentences import IN_MOTION
+from ..identification.sentences import verdict
 from ..plants import Plant, ProcessModel, from_control
 from ..plants.cnc_axis import Axes
 from ..plants.from_python_control import Linear, canonical_form, from_linear
@@ -46,7 +46,7 @@ from .specification import (
 # --------------------------------------------------------------------------------------------------
 
 
-FORMAT = 2  # of the file, and of the way in which a plant is fitted
+FORMAT = 3  # of the file, and of the way in which a plant is fitted
 Units: TypeAlias = tuple[str, str]  # of input and output
 LEAVES = tuple(field.name for field in dataclasses.fields(ProcessModel))
 
@@ -137,7 +137,8 @@ def _fitted(record: Path, options: Options) -> Fit:
         values += f", delay = {plant.delay:.6g}"
     fit = float(np.min(found.fit))
     said = f"the plant was identified from {record.name}: {values}; fit {fit:.4g} %"
-    return Fit(plant, said if found.from_rest else f"{said}. {IN_MOTION}", units)
+    doubts = verdict(found, options.reading["dt"])[1:]
+    return Fit(plant, " ".join([f"{said}.", *doubts]) if doubts else said, units)
 
 
 def is_response(record: Path, columns: Sequence[str]) -> bool:

@@ -198,6 +198,14 @@ def test_a_plant_is_identified_from_a_record_beside_the_file(tmp_path):
         [made.machine.plant.gain, made.machine.plant.poles[0]], [2.0, 60.0], rtol=1e-6
     )
     assert "does not begin at rest" in made.chosen[0]
+    vague = structure | {"poles": 2}  # of a plant that has one
+    rng = np.random.default_rng(0)
+    noisy = moved.y + 200 + 0.01 * rng.standard_normal(moved.y.shape)
+    write_record(tmp_path / "noisy.csv", moved._replace(y=noisy))
+    made = read_scenario(
+        write(tmp_path, plant={"kind": "identified", "record": "noisy.csv", **vague})
+    )
+    assert "not significant" in made.chosen[0]
 
 
 @pytest.mark.parametrize(
