@@ -220,9 +220,10 @@ def test_a_record_has_the_units_of_the_task(tmp_path, monkeypatch, heading, said
 
     def fit(record, **structure):
         lag = plants.ProcessModel(gain=record.y[1, 0] / record.u[0, 0], zeros=(), poles=(60.0,))
-        return SimpleNamespace(parameters={}, plant=lag, fit=[99.0], from_rest=True)
+        return SimpleNamespace(parameters={}, plant=lag, fit=[99.0])
 
     monkeypatch.setattr(file_plant.identification, "identify", fit)
+    monkeypatch.setattr(file_plant, "verdict", lambda found, dt: ["fits"])
     rows = np.array([[0.0, 1.0, 0.0], [DT, 1.0, 2.0], [2 * DT, 1.0, 3.0]])
     plant = {"kind": "identified", "record": "record.csv", "poles": 1, "pairs": 0, "zeros": 0}
     record, task = tmp_path / "record.csv", TASK | {"unit": "mm", "input_unit": "V"}
