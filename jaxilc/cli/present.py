@@ -42,14 +42,16 @@ def present(outcome: Outcome, pages: Pages, *, details: bool = False) -> None:
     """Print an outcome, and write its files; one that failed ends with exit code 1."""
     from ..outcomes.outcome import silent
 
-    outcome.show(out, details=details)
-    for line in outcome.warnings:
-        err.print(line)
-    with working("figures") if outcome.figures else nullcontext(silent) as progress:
-        paths = outcome.save(progress=progress)
-    if (page := pages.file(".html")) is not None:
-        paths.append(outcome.page(page, paths))
-    written(paths, pages.file(".json"), outcome.as_json())
+    try:
+        outcome.show(out, details=details)
+        for line in outcome.warnings:
+            err.print(line)
+    finally:  # the files are not lost where the reader of a pipe has gone
+        with working("figures") if outcome.figures else nullcontext(silent) as progress:
+            paths = outcome.save(progress=progress)
+        if (page := pages.file(".html")) is not None:
+            paths.append(outcome.page(page, paths))
+        written(paths, pages.file(".json"), outcome.as_json())
     outcome.conclude(out)
     if outcome.failed:
         err.print(outcome.failed)

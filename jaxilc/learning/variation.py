@@ -197,7 +197,7 @@ class Variation:
     def need_measured(self, window: str, start: int, task: Task) -> None:
         """Raises ValueError where a trial may end before a window that begins at a sample."""
         share, start = self.shortest, max(start, 1)
-        if share is not None and known(share) and float(share) * task.N + 1e-9 < start:
+        if share is not None and known(share) and float(share) * task.N < start * (1 - 1e-6):
             raise ValueError(
                 f"Variation: shortest = {share:g}: a trial may end at {share * task.duration:g} s, "
                 f"before {window} begins at {start * task.dt:g} s; allowed is a shortest from "

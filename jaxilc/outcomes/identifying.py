@@ -87,7 +87,7 @@ SECOND = "A record that was not fitted, and the output that the plant predicts."
 NO_LAW = "No filtered P-type law was found that learns on the fitted plant: the file has no scheme."
 NO_NOISE = (
     "The file states no noise: what is predicted from it leaves out the {left} that the fit left; "
-    "remove the # before [machine.sensor] in it to count that as noise."
+    "remove the # before [machine.sensor] and before the noise below it to count that."
 )
 FEEDBACK_FIRST = (
     " The plant does not come to rest after a trial, so a feedback comes first. Add to {} that of "

@@ -121,7 +121,7 @@ def of_record(error: ValueError) -> str:
         lambda found: f"`{found[2]}{' =' if found[1] else ''}{found[1] or ''}`",
         said,
     )
-    return re.sub(r"--([a-z-]+)", lambda found: f"`{found[1].replace('-', '_')}`", said)
+    return re.sub(r"(?<!\S)--([a-z-]+)", lambda found: f"`{found[1].replace('-', '_')}`", said)
 
 
 def named_in(

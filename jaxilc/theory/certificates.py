@@ -127,7 +127,10 @@ DRAWN = (
     "without it, or of which nothing is lost or late"
 )
 UNBOUNDED = "what {} adds in each trial is not seen to stay within bounds"
-MANY = f"what {{}} adds is followed for up to {LARGEST} inputs"
+MANY = (
+    f"what {{}} adds is followed for up to {LARGEST} inputs; a claim needs a shorter trial or "
+    "longer samples, and `sweep` simulates it"
+)
 SEEDS = 16  # runs that are simulated of each machine of which something is drawn
 BEYOND = 1e3  # times its root mean square; a positive number is 10^6 times its mean once in 10^6
 DOUBTED = 0.6  # share of the runs above what 95 % stay below; 10 of 16 are it once in 10^9
@@ -362,6 +365,10 @@ def _long_run(
     broken = [p.detail for p in learning_premises(machine, scheme, task) if not p.held]
     if not broken and changes_nothing(scheme, task):
         broken = ["the law changes nothing of what is played, so every trial is like the first"]
+    view = view_of(scheme, task)
+    ball = None if broken else ball_of(rounding, scheme, task, view)
+    if ball is not None and len(view.moving) > LARGEST:
+        broken = [MANY.format(ball.of[0])]
     if broken:
         size = count_of(machines)
         reason = np.full(size, broken[0], object)
@@ -370,7 +377,6 @@ def _long_run(
         sense = np.full(size, SURELY)
         return LongRun(nothing, reason, sense, unknown, unknown, *no, None, None), None
     maps = maps_of(machines, scheme, task, steps)
-    ball = ball_of(rounding, scheme, task, view_of(scheme, task))
     astray = None if ball is None else ball.limits
     ahead = outlook_of(maps, astray)
     claim, reason, of_error, sigma = _claims(maps, ahead)
@@ -442,8 +448,7 @@ def _within(found: LongRun, ball: Ball) -> LongRun:
         if claim[i] == DIVERGES:
             claim[i], reason[i] = NOTHING, f"{reason[i]}, but {what} may hide what would grow"
         elif not np.isfinite(ball.error[i]):
-            many = ahead.limit.shape[1] > LARGEST
-            claim[i], reason[i] = NOTHING, (MANY if many else UNBOUNDED).format(what)
+            claim[i], reason[i] = NOTHING, UNBOUNDED.format(what)
         elif claim[i] == NOTHING:
             continue
         elif claim[i] == MONOTONE:

@@ -31,9 +31,9 @@ from typer.testing import CliRunner
 
 import jaxilc
 from jaxilc import outcomes
-from jaxilc.cli import app, console, progress
+from jaxilc.cli import app, console, present, progress
 from jaxilc.cli.hardware import OF_CAMPAIGN
-from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE
+from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE, Pages
 from jaxilc.outcomes import Request, demonstrating, running, sweeping
 from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
@@ -638,6 +638,20 @@ def test_a_sign_that_an_encoding_lacks_ends_no_command(encoding):
     assert done.returncode == 0
     assert done.stdout.decode(encoding).splitlines() == [expected] * 2
     assert done.stderr.decode(encoding).splitlines() == [expected]
+
+
+def test_the_files_of_a_result_are_there_if_nobody_reads_what_is_printed(monkeypatch, tmp_path):
+    """A pipe to `head` ended a command of minutes before it had written anything."""
+    found = outcomes.Outcome(
+        command="tune", numbers={"a": 1.0}, verdict=outcomes.Verdict(("said",)), folder=tmp_path,
+        files={"params.json": lambda path: path.write_text("{}")},
+    )  # fmt: skip
+    monkeypatch.setattr(outcomes.Outcome, "show", lambda *_, **__: sys.exit(1))
+    report = tmp_path / "report.json"
+    with pytest.raises(SystemExit):
+        present.present(found, Pages([report]))
+    assert (tmp_path / "params.json").exists()
+    assert json.loads(report.read_text())["a"] == 1.0
 
 
 @pytest.mark.thorough(but=["--version >/dev/full"])

@@ -392,7 +392,7 @@ def test_the_time_is_converted_to_seconds(heading, step, unit, dt, tmp_path):
         (
             "t",
             None,
-            r"Write its unit into the heading, as `t \[ms\]`, .* as t_ms; read_record takes",
+            r"Write its unit into the heading, as `t \[ms\]`, .* as t_ms; or tell it by --time",
         ),
         ("t [ms]", "s", r"the heading 't \[ms\]' has another unit than --time-unit s"),
         ("t [furlong]", None, r"the unit 'furlong' of 't \[furlong\]' is not one of s, ms, us"),

@@ -241,6 +241,7 @@ def test_a_trial_that_ends_before_its_window_has_no_error_of_it(tmp_path):
     with pytest.raises(ValueError, match=said):
         learn(vary(shortest=0.4), LAW, TASK, 2)
     learn(vary(shortest=0.4), LAW, dataclasses.replace(TASK, settle=(0.008, 0.02)), 2)
+    learn(vary(shortest=np.float32(0.7)), LAW, dataclasses.replace(TASK, settle=(0.014, 0.02)), 2)
     drawn = {"variation.shortest": Uniform(0.3, 0.4)}
     with pytest.raises(ValueError, match=r"shortest = 0\.3.* before the settled window"):
         Sweep(vary(shortest=0.8), {"law": LAW}, TASK, 2, drawn, machines=4)

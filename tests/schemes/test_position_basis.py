@@ -262,7 +262,7 @@ def test_what_does_not_fit_is_said():
     with pytest.raises(ValueError, match="visits: the feedback, a WithFeedback, learns too"):
         theory.visits(MACHINE, both, task)
     carries = dataclasses.replace(MACHINE, variation=Variation(carried=1.0))
-    with pytest.raises(ValueError, match="visits: each trial starts where the one before"):
+    with pytest.raises(ValueError, match="visits: each trial starts with a share"):
         theory.visits(carries, law(position), task)
     x = np.linspace(0, 40, 200)
     with pytest.raises(ValueError, match="most = 30 with a motion over 40"):

@@ -14,6 +14,7 @@ from jaxilc.plants import BoucWen, Dahl, InputHysteresis, StateSpace
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import PIDType
 from jaxilc.signals import Task
+from jaxilc.theory import certificates, rounding
 from jaxilc.theory.certificates import certify, certify_each, long_run
 from jaxilc.theory.q_filter import need_linear, rounding_of
 from jaxilc.uncertainty import drawn_machines
@@ -200,3 +201,15 @@ def test_the_file_of_init_with_an_encoder(tmp_path):
     need_linear(chosen.machine, scheme, chosen.task)
     left = rounding_of(chosen.machine, scheme, chosen.task, 0.5)
     assert left == pytest.approx(found.ball.error[0], rel=1e-6)
+
+
+def test_of_more_inputs_than_are_followed_nothing_is_computed(monkeypatch):
+    """A minute went by before it was said that nothing is claimed."""
+    monkeypatch.setattr(rounding, "LARGEST", N - 1)
+    monkeypatch.setattr(certificates, "LARGEST", N - 1)
+    monkeypatch.setattr(certificates, "outlook_of", None)
+    found = long_run(
+        machines((0.5, 1e-3, 1e-3, 1e6)), PIDType(gamma_p=0.5), task(np.arange(N + 1.0))
+    )
+    assert found.claim[0] == "not claimed"
+    assert found.reason[0].startswith("what rounding adds is followed for up to")
