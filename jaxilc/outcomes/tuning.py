@@ -661,7 +661,7 @@ def budget_verdict(case: Case, scheme: str, numbers: Numbers, folder: Path) -> V
 # --------------------------------------------------------------------------------------------------
 
 
-ALIKE = 1e-3  # of the loss, or of the error: two machines that differ by less are as bad
+ALIKE = 1e-3  # of the error, whose logarithm the loss is: two machines this near are as bad
 
 
 def worst_case(
@@ -783,7 +783,7 @@ def found_by(searches: Mapping[str, Numbers]) -> str:
     near = [
         name
         for name, row in searches.items()
-        if row["loss"] == loss or loss - row["loss"] <= ALIKE * abs(loss)
+        if loss - row["loss"] <= ALIKE
     ]
     return min(near, key=lambda name: searches[name]["needed"])
 
@@ -804,7 +804,8 @@ def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
     )
     needed = several(worst["needed"], "simulation")
     first = f"{scheme}: the worst machine {ends}; found by {name}, in {needed}."
-    alike = math.isfinite(nominal) and worst["value"] <= (1 + ALIKE) * nominal
+    largest = max(row["value"] for row in searches.values())
+    alike = math.isfinite(nominal) and largest <= (1 + ALIKE) * nominal
     if alike:
         first = (
             f"{scheme}: of the machines that were tried none is worse by {100 * ALIKE:g} % than "

@@ -541,6 +541,12 @@ def test_worst_case_leads_to_its_machine():
     assert said.endswith("found by chance, in 1 simulation.")
     numbers["searches"]["chance"] = sooner | {"loss": 0.99}
     assert "found by gradient" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
+    for error, name in ((6.98, "gradient"), (6.995, "chance")):  # 0.3 % and 0.07 % less than 7 µm
+        numbers["searches"] = {
+            "gradient": search | {"loss": math.log(7.0 / 2e-6)},
+            "chance": sooner | {"loss": math.log(error / 2e-6)},
+        }
+        assert f"found by {name}" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
 
 
 def test_a_worst_machine_with_noise_is_judged_by_many_draws_of_it():
@@ -567,7 +573,7 @@ def test_where_nothing_that_is_drawn_matters_no_machine_is_the_worst():
         "settled error in trial 15 is 2 µm."
     )
     assert parsed(found)[0] == "certify"
-    search["value"] = 2.003
+    numbers["searches"]["chance"] = search | {"value": 2.0022, "loss": 1.0009, "needed": 99}
     assert "worst machine" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
 
 
