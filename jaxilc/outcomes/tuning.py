@@ -221,14 +221,19 @@ def tuning_numbers(scenario: Scenario, scheme: str, tuned: Tuned, dataset: xr.Da
             name: {"given": tuned.start[name], "tuned": value}
             for name, value in tuned.values.items()
         },
-        "held_out": {
-            "given": tuned.before,
-            "tuned": tuned.after,
-            "step": tuned.step,
-            "steps": len(tuned.loss),
-            "reason": tuned.reason,
-        },
+        "held_out": held_out(tuned),
         "figures": by_metric,
+    }
+
+
+def held_out(tuned: Tuned) -> Numbers:
+    """The losses on the machines held out, the step of the least one, and why the tuning ended."""
+    return {
+        "given": tuned.before,
+        "tuned": tuned.after,
+        "step": tuned.step,
+        "steps": len(tuned.loss),
+        "reason": tuned.reason,
     }
 
 
@@ -343,13 +348,25 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path, *, by_last: bool = 
         second.append("The worst machine has become worse: --risk worst or cvar tunes for it.")
     elif ends := _at_ends(numbers["weights"]):
         second.append(f"{ends}: beyond it may be a better value.")
-    elif held["reason"] == "steps" and held["step"] == held["steps"]:
-        second.append("The last step was the best: more --steps, in another --out, may gain more.")
+    else:
+        second += _unfinished({"": held})
     of = case.request.without(scheme)
     command = "sweep" if case.uncertain else "run"
     what = "many machines" if case.uncertain else "the whole run"
     following = of.following(command, scheme=scheme, params=params)
     return Verdict((first, *second), what, following)
+
+
+def _unfinished(tunings: Mapping[str, Numbers], of: str = "{}") -> list[str]:
+    """A sentence if the last step of some tunings was the best, with their names in the text of."""
+    late = [
+        name
+        for name, held in tunings.items()
+        if held["reason"] == "steps" and held["step"] == held["steps"]
+    ]
+    which = of.format(", ".join(late))
+    more = f"The last step was the best{which}: more --steps, in another --out, may gain more."
+    return [more] if late else []
 
 
 def _at_ends(weights: Mapping[str, Numbers]) -> str:
@@ -481,7 +498,12 @@ def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str
     given = one, other
     rows: Numbers = {"given": {"first": given[0], "second": given[1], "weights": problem.start}}
     rows |= {
-        str(p.share): {"first": p.first, "second": p.second, "weights": p.tuned.values}
+        str(p.share): {
+            "first": p.first,
+            "second": p.second,
+            "weights": p.tuned.values,
+            "held_out": held_out(p.tuned),
+        }
         for p in points
     }
     left = sorted(set(shares) - {p.share for p in points})
@@ -552,7 +574,7 @@ def budget_numbers(scenario: Scenario, found: Mapping[int, Tuned], dataset: xr.D
             "given": at("given", J),
             "tuned": at(str(J), J),
             "weights": tuned.values,
-            "held_out": {"given": tuned.before, "tuned": tuned.after},
+            "held_out": held_out(tuned),
         }
         for J, tuned in found.items()
     }
@@ -608,7 +630,8 @@ def front_verdict(
     params = folder / f"params-share-{share}.json"
     of = case.request.without(scheme)
     following = of.following("run", scheme=scheme, params=params, trials=numbers["trials"])
-    return Verdict((said, ends) if len(points) > 1 else (said,), "that point", following)
+    late = _unfinished({of: row["held_out"] for of, row in points.items()}, " for share {}")
+    return Verdict((said, *([ends] if len(points) > 1 else []), *late), "that point", following)
 
 
 def _knee(points: dict[str, Numbers]) -> str:
@@ -654,7 +677,10 @@ def budget_verdict(case: Case, scheme: str, numbers: Numbers, folder: Path) -> V
     of = case.request.without(scheme)
     params = folder / f"params-{J}-trials.json"
     following = of.following("run", scheme=scheme, params=params, trials=J)
-    return Verdict((said,), "that tuning", following)
+    late = _unfinished(
+        {J: row["held_out"] for J, row in numbers["budgets"].items()}, " for {} trials"
+    )
+    return Verdict((said, *late), "that tuning", following)
 
 
 # `worst_case`: the machine within the uncertainty with the largest final error
@@ -780,11 +806,7 @@ def worst_case_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
 def found_by(searches: Mapping[str, Numbers]) -> str:
     """The search that found the worst machine, or one as bad, with the fewest evaluations."""
     loss = max(row["loss"] for row in searches.values())
-    near = [
-        name
-        for name, row in searches.items()
-        if loss - row["loss"] <= ALIKE
-    ]
+    near = [name for name, row in searches.items() if loss - row["loss"] <= ALIKE]
     return min(near, key=lambda name: searches[name]["needed"])
 
 

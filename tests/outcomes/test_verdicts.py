@@ -479,8 +479,9 @@ def test_a_tuning_that_ended_early_says_why(reason, said):
 
 def test_a_trade_off_names_one_of_its_points(tmp_path):
     rows = {"given": (4.0, 4.0), "0.9": (1.0, 9.0), "0.5": (2.0, 3.0), "0.1": (6.0, 2.5)}
+    ended = {"step": 100, "steps": 200, "reason": "steps"}
     points = {
-        share: dict(zip(("first", "second"), row, strict=True)) for share, row in rows.items()
+        share: {"first": row[0], "second": row[1], "held_out": ended} for share, row in rows.items()
     }
     numbers = {"trials": 15, "points": points}
     found = front_verdict(OF_TUNING, "c", numbers, tmp_path, ("final", "effort"))
@@ -491,9 +492,10 @@ def test_a_trade_off_names_one_of_its_points(tmp_path):
     )
     assert parsed(found)[1]["params"] == tmp_path / "params-share-0.5.json"
     budgets = {
-        J: {"tuned": {"median": m, "worst": 2 * m}, "given": {"median": 9.0, "worst": 10.0}}
+        J: {"tuned": {"median": m, "worst": 2 * m}, "given": {"median": 9.0, "worst": 10.0},
+            "held_out": ended}
         for J, m in (("5", 3.0), ("10", 1.04), ("20", 1.0))
-    }
+    }  # fmt: skip
     numbers = {"samples": 33, "budgets": budgets}
     found = budget_verdict(OF_TUNING, "c", numbers, tmp_path)
     assert found.said[0].startswith(
@@ -509,6 +511,38 @@ def test_a_trade_off_names_one_of_its_points(tmp_path):
     name, options = parsed(found)
     assert (name, options["trials"]) == ("run", 10)
     assert options["params"] == tmp_path / "params-10-trials.json"
+
+
+def test_a_trade_off_says_which_of_its_tunings_had_not_ended(tmp_path):
+    """One whose best step is not its last, or that stopped by itself, is not named."""
+    held = (
+        {"step": 9, "steps": 9, "reason": "steps"},
+        {"step": 9, "steps": 9, "reason": "patience"},
+        {"step": 8, "steps": 9, "reason": "steps"},
+        {"step": 9, "steps": 9, "reason": "steps"},
+    )
+    points = {
+        share: {"first": x, "second": 1 / x, "held_out": one}
+        for share, x, one in zip(
+            ("0.1", "0.3", "0.5", "0.7"), (4.0, 3.0, 2.0, 1.0), held, strict=True
+        )
+    }
+    points["given"] = {"first": 5.0, "second": 5.0}
+    numbers = {"trials": 15, "points": points}
+    assert front_verdict(OF_TUNING, "c", numbers, tmp_path, ("final", "effort")).said[2:] == (
+        "The last step was the best for share 0.1, 0.7: more --steps, in another --out, may gain "
+        "more.",
+    )
+    error = {"median": 1.0, "worst": 1.0}
+    budgets = {
+        J: {"tuned": error, "given": error, "held_out": one}
+        for J, one in zip(("5", "10", "20", "40"), held, strict=True)
+    }
+    numbers = {"samples": 33, "budgets": budgets}
+    assert budget_verdict(OF_TUNING, "c", numbers, tmp_path).said[1:] == (
+        "The last step was the best for 5, 40 trials: more --steps, in another --out, may gain "
+        "more.",
+    )
 
 
 def test_worst_case_leads_to_its_machine():
