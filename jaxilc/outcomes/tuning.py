@@ -15,6 +15,7 @@ from .. import figures
 from ..figures.searches import worst_by_effort
 from ..figures.style import labelled
 from ..pytree.aliases import Value
+from ..pytree.closest import listed
 from ..pytree.named_paths import get_at
 from ..scenarios import Scenario
 from ..scenarios.from_file import load_scenario
@@ -25,7 +26,7 @@ from ..tuning import Tuned, Tuning, trade_off
 from ..tuning.objectives import Final, Objective
 from ..tuning.weights import Bijection
 from ..tuning.worst_case import DRAWS, ENOUGH, GRADIENT_COST, worst_machine
-from ..uncertainty import Uncertainty
+from ..uncertainty import Normal, Uncertainty
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request, unless_there
 from .sweeping import live_store, sweep_numbers
@@ -733,6 +734,7 @@ def worst_case(
         }
         for name, search in found.searches.items()
     }
+    share, left_out = outside(chosen.uncertainty)
     numbers: Numbers = {
         "scenario": request.source,
         "scheme": scheme,
@@ -743,14 +745,15 @@ def worst_case(
         "params": None if request.params is None else str(request.params),
         "given": [*request.set],
         "nominal": found.nominal,
+        "outside": share,
         "searches": searches,
     }
-    verdict = worst_case_verdict(Case.of(chosen, request), scheme, numbers)
+    verdict = worst_case_verdict(Case.of(chosen, request), scheme, numbers, left_out)
     shown = {"metric": chosen.judged_by, "unit": unit}
     marked = {name: one.value for name, one in found.searches.items()}
     figure = Figure(
         "The share of drawn machines that err no more than so much, and the errors of the machines "
-        "that were searched for.",
+        f"that were searched for. {left_out}".strip(),
         partial(
             figures.worst_against_chance, found.by_chance, marked, nominal=found.nominal,
             machines={name: one.case.values for name, one in found.searches.items()}, **shown,
@@ -769,6 +772,20 @@ def worst_case(
         live=lambda: [figure.described(), worst_by_effort.described(found.searches, **shown)],
         asked={"starts": starts, "steps": steps, "seed": seed},
     )
+
+
+def outside(uncertainty: Uncertainty) -> tuple[float, str]:
+    """The share of the machines outside the box that is searched, and a sentence if there are any.
+
+    Only a normal distribution reaches beyond its corners.
+    """
+    names = [name for name, of in uncertainty.items() if isinstance(of, Normal)]
+    share = 1.0 - math.erf(math.sqrt(2.0)) ** len(names)
+    said = (
+        f"The search stays within two standard deviations of the mean of {listed(names)}; "
+        f"{100 * share:.2g} % of the machines lie outside."
+    )
+    return share, said if names else ""
 
 
 def _settings(machine, uncertainty: Uncertainty) -> list[str]:
@@ -810,8 +827,11 @@ def found_by(searches: Mapping[str, Numbers]) -> str:
     return min(near, key=lambda name: searches[name]["needed"])
 
 
-def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
-    """How much larger the error of the worst machine is, if it is, and which search found it."""
+def worst_case_verdict(case: Case, scheme: str, numbers: Numbers, left_out: str = "") -> Verdict:
+    """How much larger the error of the worst machine is, if it is, and which search found it.
+
+    left_out: what `outside` says
+    """
     searches, nominal = numbers["searches"], numbers["nominal"]
     name = found_by(searches)
     worst, trial = searches[name], numbers["trial"]
@@ -846,6 +866,5 @@ def worst_case_verdict(case: Case, scheme: str, numbers: Numbers) -> Verdict:
             f"That is with one draw of its noise: with {DRAWS} others, the error that {ENOUGH:.0%} "
             f"of them do not exceed is {case.size(judged)}."
         )
-    if beside := case.beside_tolerance(judged):
-        said.append(beside)
+    said += filter(None, (case.beside_tolerance(judged), left_out))
     return Verdict(tuple(said), what, following)
