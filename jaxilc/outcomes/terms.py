@@ -32,6 +32,11 @@ TERMS = (
 )
 OBJECTIVES = ", ".join((*TERMS, "contraction[:sigma]", "d2[:limit]"))
 LIMITED, STRICT = ("d2", "contraction"), 100  # what can be limited, and the weight of the penalty
+UNLEARNED = (
+    "; it says how a change of the disturbance grows in the error of the next trial, and no law "
+    "with a low-pass Q comes clearly below 1, as that does not learn beyond its cutoff: filter and "
+    "certify judge such laws"
+)
 ROUNDING = 1e-9  # by which a limit may be exceeded, relatively
 RISKS = "mean, worst, cvar[:alpha], smooth-max[:temperature]"
 
@@ -101,6 +106,7 @@ def limits_not_met(problem: Tuning, tuned: Tuned, limits: Sequence[str]) -> list
             found = largest * math.exp(above)
             said.append(
                 f"the limit is not met: {who} has {name} = {found:.6g}, and allowed was {largest:g}"
+                + UNLEARNED * (name == "contraction")
             )
     return said
 

@@ -375,10 +375,13 @@ class Contraction(Objective):
 
         max(0, log(sigma / below)),     sigma = sup |e_{j+n}| / |e_j|
 
-    The supremum is over all small changes of the error (`theory.contraction.error_map`). Its slope
-    is that of |J v| at the singular vector v of the Lanczos iteration, d sigma = u^T dJ v. There is
-    no second derivative by the weights, since v counts as constant. Raises ValueError for a scheme
-    without second derivatives.
+    The supremum is over all small changes of the error that another disturbance, which then stays,
+    brings about (`theory.contraction.error_map`): |I - P Q L| for a linear law with a filter Q.
+    Where Q is a low-pass, what lies beyond its cutoff is not learned and stays as it is, so that no
+    law brings sigma clearly below 1, though the error of each machine may fall in every trial;
+    `filter` and `certify` judge such laws. The slope is that of |J v| at the singular vector v of
+    the Lanczos iteration, d sigma = u^T dJ v. There is no second derivative by the weights, since v
+    counts as constant. Raises ValueError for a scheme without second derivatives.
 
     below: upper limit for sigma
     """

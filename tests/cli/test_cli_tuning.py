@@ -15,12 +15,13 @@ from command import call, mistakes
 
 import jaxilc
 from jaxilc import figures, outcomes
+from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.outcomes import Request
 from jaxilc.outcomes.terms import limits_not_met, objective_of, risk_of, with_limits
 from jaxilc.outcomes.words import number
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios.parameters import differing, with_parameters, write_parameters
-from jaxilc.schemes import CFDLMFAILC
+from jaxilc.schemes import CFDLMFAILC, Filtered, PIDType
 from jaxilc.tuning import Tuning, monte_carlo_search, trade_off
 from jaxilc.tuning import descent as of_tuning
 from jaxilc.tuning import worst_case as of_worst
@@ -320,6 +321,19 @@ def test_a_limit_that_the_tuned_weights_exceed_is_told():
     several = dataclasses.replace(problem, uncertainty=gain, sampling="corners")
     (said,) = limits_not_met(several, tuned, ["d2=0.85", "d2=0.9412"])
     assert "one of the machines tuned on has d2 = 0.941176, and allowed was 0.85" in said
+
+
+def test_a_law_with_a_low_pass_exceeds_a_limit_on_contraction_though_it_is_monotone():
+    """P is 2 and one sample of delay, so that Q (1 - L P) is 0.2 Q, and I - P Q L is 1 - 0.8 Q."""
+    plant, low_pass = StateSpace([[0.0]], [[1.0]], [[2.0]], dt=1e-3), ZeroPhaseButterworth(50.0)
+    law = Filtered(PIDType(gamma_p=0.4, lead=1), low_pass)
+    task = jaxilc.Task(np.sin(np.linspace(0, 6, 41)), dt=1e-3)
+    problem = Tuning(jaxilc.Machine(plant), law, task, 2, ["scheme.gamma_p"])
+    tuned = mock.Mock(values={"scheme.gamma_p": 0.4})
+    (said,) = limits_not_met(problem, tuned, ["contraction=0.9"])
+    sigma = float(said.split("contraction = ")[1].split(",")[0])
+    assert 0.99 < sigma < 1.1, "1 beyond the cutoff, and a little more at the ends of the trial"
+    assert said.endswith("filter and certify judge such laws")
 
 
 def test_risks_are_what_they_say():
