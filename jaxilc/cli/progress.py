@@ -191,7 +191,8 @@ def run_search(
         if later.ident is not None:
             later.join()
     except KeyboardInterrupt:
-        console.warn(f"stopped; {state} holds what is done: the same command with --resume goes on")
+        kept = f"{state} holds what is done: the same command with --resume goes on"
+        console.warn(f"stopped; {kept if state.exists() else 'nothing was done yet'}")
         sys.exit(130)
     return found
 

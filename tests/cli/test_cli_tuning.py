@@ -97,6 +97,13 @@ def tuned(file, tmp_path_factory):
     return folder, out
 
 
+def test_a_tuning_that_is_stopped_before_it_writes_leads_to_no_folder(file, tmp_path):
+    with mock.patch.object(Tuning, "run", side_effect=KeyboardInterrupt):
+        code, _, err = call("tune", file, *TUNE, "--out", tmp_path / "new")
+    assert (code, err.splitlines()[-1]) == (130, "stopped; nothing was done yet")
+    assert not (tmp_path / "new").exists()
+
+
 # tune
 # --------------------------------------------------------------------------------------------------
 
