@@ -117,11 +117,12 @@ def of_record(error: ValueError) -> str:
     """What was wrong with a record, with keys of a file in place of the options of a command."""
     said = str(error).removeprefix("read_record: ")
     said = re.sub(
-        r"--[\w-]+( [\d.e+-]+)? \((\w+)\)",
+        r"(?<![\w.-])--[\w-]+( [\d.e+-]+)? \((\w+)\)",
         lambda found: f"`{found[2]}{' =' if found[1] else ''}{found[1] or ''}`",
         said,
     )
-    return re.sub(r"(?<!\S)--([a-z-]+)", lambda found: f"`{found[1].replace('-', '_')}`", said)
+    option = r"(?<![\w.-])--([a-z-]+)"  # and no part of a path
+    return re.sub(option, lambda found: f"`{found[1].replace('-', '_')}`", said)
 
 
 def named_in(

@@ -245,6 +245,7 @@ def test_a_record_has_the_units_of_the_task(tmp_path, monkeypatch, heading, said
         ({}, "plant: .*, line 4: t steps by 0.002 .* deviation of 1%, or `dt = 0.001`"),
         ({"time": "Zeit"}, "plant: .*uneven.csv has no column 'Zeit'; .*; `time` names another"),
         ({"record": "um--x.csv"}, "plant: .*um--x.csv: no such file or directory"),
+        ({"columns": ["t", "u", "r"]}, r"plant: .* names of columns \(`columns`\) for a file"),
         ({"time_unit": "us"}, r"plant: .* 't \[s\]' has another unit than `time_unit` us"),
         ({"csv": "gone.csv"}, "task.reference: .*gone.csv: no such file or directory"),
         ({"csv": "uneven.csv"}, "task.reference: .* where the sample .* a deviation of 1%$"),
@@ -261,7 +262,7 @@ def test_a_message_on_a_record_names_the_file_and_the_keys(tmp_path, keys, said)
         plant, task = PLANT, TASK | {"reference": keys}
     with pytest.raises(ValueError, match=f"axis.json: {said}") as refused:
         read_scenario(write(tmp_path, plant=plant, task=task))
-    assert " --" not in str(refused.value)
+    assert "--" not in str(refused.value).replace("um--x", "")
 
 
 EVERYTHING = """
