@@ -24,6 +24,7 @@ from ..theory.certificates import DIVERGES, NOTHING, long_run
 from ..theory.chance import draws
 from ..theory.frequency import Tried, WholeSet, bound_of_set, largest_of
 from ..theory.law import law_of
+from ..theory.linearity import not_whole
 from ..theory.loop import minimal, radius_of
 from ..uncertainty import Population, Uncertainty, drawn_machines
 from .candidates import Absent, Candidate, candidates
@@ -281,6 +282,7 @@ class Proof(NamedTuple):
              |D| <= 1 (Bristow 2006), and still be safe
     whole:   the test over all machines between those of the family, where it can be proved; None
              where it was not asked for
+    without: what of the variation the test leaves out, and the claims do not, see `not_whole`
     """
 
     nominal: float
@@ -293,6 +295,7 @@ class Proof(NamedTuple):
     scheduled: bool = False
     further: float = np.nan
     whole: WholeSet | None = None
+    without: str = ""
 
     @property
     def margin(self) -> float:
@@ -333,7 +336,7 @@ def proof_of(family: Family, scheme: Scheme, task: Task, *, between: bool = Fals
         machine={name: float(values[which[top]]) for name, values in family.drawn.items()},
         machines=len(family.P), claims=(str(told.claim[0]), str(told.claim[-1])),
         reasons=(str(told.reason[0]), str(told.reason[-1])), scheduled=len(segments) > 1,
-        further=_further(family, laws, sizes, task.dt), whole=whole,
+        further=_further(family, laws, sizes, task.dt), whole=whole, without=not_whole(machine),
     )  # fmt: skip
 
 

@@ -233,9 +233,10 @@ def judged_numbers(chosen: Scenario, found: Designed | Learned) -> Numbers:
 def safety_said(proof: Proof) -> str:
     """How safe a law is, where the margin is least, and what theory claims."""
     nominal, worst = proof.claims
+    without = f" (of trials without {proof.without})" if proof.without else ""
     said = (
-        f"|Q (1 - L P)| is at most {proof.worst:.3f}, so the margin is {proof.margin:.3f}; it is "
-        f"least at {proof.at:.3g} Hz"
+        f"|Q (1 - L P)|{without} is at most {proof.worst:.3f}, so the margin is "
+        f"{proof.margin:.3f}; it is least at {proof.at:.3g} Hz"
     )
     if proof.machine:
         at = ", ".join(f"{name} = {value:.4g}" for name, value in proof.machine.items())

@@ -105,7 +105,7 @@ from .learning_map import (
 from .lifted import weights_condition
 from .linearity import keeps_all, learning_premises
 from .outlook import Outlook, outlook_of, share_words
-from .rounding import LARGEST, Ball, ball_of, linear_part
+from .rounding import LARGEST, Ball, ball_of, begins_off, linear_part
 from .sliding import printed_condition
 from .spectrum import radius_with_doubt
 from .trials import learned_from, trial_of
@@ -363,6 +363,8 @@ def _long_run(
     rounding, machines = machines, linear_part(machines)
     machine = first_of(machines)
     broken = [p.detail for p in learning_premises(machine, scheme, task) if not p.held]
+    if broken and begins_off(machine):
+        broken = [begins_off(machine)]
     if not broken and changes_nothing(scheme, task):
         broken = ["the law changes nothing of what is played, so every trial is like the first"]
     view = view_of(scheme, task)

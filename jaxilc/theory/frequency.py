@@ -54,7 +54,7 @@ from .enclosure import Arc, Disc, arc_of_loop, arc_of_taps, balanced, exactly, s
 from .law import Law, Taps, at_points, law_of, law_response, learning_law
 from .learning_map import limit_names
 from .lifted import lifted_plant
-from .linearity import alike_trials, invariant_loop, linear_law, of_last_trial
+from .linearity import invariant_loop, linear_law, of_last_trial, whole_trials
 from .loop import (
     Loop,
     linear_loop,
@@ -203,7 +203,7 @@ def parts_of(machine: Machine, scheme: Scheme, task: Task) -> Parts:
         of_poles([loop]),
         linear_law(scheme, task),
         of_last_trial(scheme, task),
-        alike_trials(machine, scheme, task),
+        whole_trials(machine, scheme, task),
         law.invariant,
     )
     return Parts(loop, law, law.causal and law.cut_off(scheme, task), premises)

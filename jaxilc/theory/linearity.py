@@ -130,6 +130,19 @@ def alike_trials(machine: Machine, scheme: Scheme, task: Task) -> Premise:
     return premise(EACH_ALIKE, not differs, differs or machine.said_of_claims().removesuffix(": "))
 
 
+def whole_trials(machine: Machine, scheme: Scheme, task: Task) -> Premise:
+    """The premise of conditions on frequency: trials are alike, and each record is a whole one."""
+    alike, found = alike_trials(machine, scheme, task), not_whole(machine)
+    return alike if not alike.held or not found else premise(EACH_ALIKE, False, found)
+
+
+def not_whole(machine: Machine) -> str:
+    """What of a variation couples a frequency with others, with its value; empty if nothing."""
+    names = ("carried", "shortest", "dropped", "late", "delayed")
+    values = {name: getattr(machine.variation, name, None) for name in names}
+    return ", ".join(f"variation.{name} = {x}" for name, x in values.items() if x is not None and x)
+
+
 def _differing(variation: Variation, scheme: Scheme, task: Task) -> str:
     """Why no map of a trial is the same in each, although its means are taken; empty if one is."""
     if variation.carried is not None:

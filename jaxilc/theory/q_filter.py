@@ -29,7 +29,7 @@ from ..uncertainty import Population, Uncertainty, drawn_machines
 from .frequency import Tried, WholeSet, bound_of_set, grid, largest_of, tried_plants
 from .law import law_of, law_on
 from .learning_map import maps_of, view_of
-from .linearity import invariant_loop, linear_law, of_last_trial
+from .linearity import invariant_loop, linear_law, not_whole, of_last_trial
 from .loop import Loop, responses, stable
 from .on_lines import (
     Change,
@@ -309,8 +309,14 @@ def resonances_of(loop: Loop, dt: float) -> list[Resonance]:
 
 
 def need_linear(machine: Machine, scheme: Scheme, task: Task) -> None:
-    """Raises ValueError unless loop and law are linear and of one channel."""
-    name = type(scheme).__name__
+    """Raises ValueError unless loop and law are linear and of one channel, and trials are whole."""
+    name, found = type(scheme).__name__, not_whole(machine)
+    if found:
+        raise ValueError(
+            f"|Q (1 - L P)| is that of trials which start alike, of records that come whole and in "
+            f"time. Found: {found}. Take it out, and ask `jaxilc certify` or `jaxilc sweep`, "
+            "which do not need that"
+        )
     if not scheme.learns:
         raise ValueError(f"{name} does not learn; allowed is a scheme with a linear learning law")
     laws = (linear_law(scheme, task), of_last_trial(scheme, task))

@@ -3,9 +3,9 @@
 An encoder of step a shows y + d with |d| <= a / 2 in each sample, and a converter plays u + d
 likewise. A machine that rounds is thus the one of `Machine.unrounded`, with a disturbance d in each
 trial that may be any within its bounds. Hysteresis at the input of a linear plant is one as well:
-u - z drives the plant, and z is never beyond the limit of its law, whatever the travel (of one that
-is integrated in steps, Bouc-Wen's with an exponent, that is not proved). In units of half a step
-and of that limit, |d| <= 1 in each of m entries,
+u - z drives the plant, and a trial that begins with z within the limit of its law never leaves it
+(of one that is integrated in steps, Bouc-Wen's with an exponent, that is not proved). In units of
+half a step and of that limit, |d| <= 1 in each of m entries,
 
     w_{j+1} = M w_j + c + D d_j,    e_j = E w_j + e_0 + F d_j,    what limits act on: T w + t + G d
 
@@ -29,6 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..learning.machine import Machine
+from ..learning.variation import Variation
 from ..plants import Dahl, InputHysteresis
 from ..pytree.aliases import Leaf
 from ..pytree.fields import child, leaf, pytree
@@ -42,6 +43,10 @@ from .spectrum import reached
 from .trials import disturbed, with_plant_within
 
 OF = {"sensor": "rounding", "converter": "rounding", "hysteresis": "hysteresis"}
+BEGINS_OFF = (
+    "InputHysteresis bounds what it takes from the input where a trial begins within its limit, "
+    "and variation.{} moves its state; give that of the start to the plant within it (x0)"
+)
 LARGEST = 1024  # inputs up to which rounding is followed
 FEW = 32  # powers that are looked at one by one
 FULL = 256  # rows up to which eigenvalues are computed, and limits looked at one by one
@@ -89,12 +94,23 @@ def off_linear(machine: Machine) -> tuple[str, ...]:
     """The names of what keeps a machine from being linear, by a bounded disturbance."""
     parts = {"sensor": machine.sensor, "converter": machine.actuator}
     names = [name for name, of in parts.items() if getattr(of, "resolution", None) is not None]
-    plant = machine.plant
-    if isinstance(plant, InputHysteresis) and (
-        isinstance(plant.hysteresis, Dahl) or plant.hysteresis.exponent is None
-    ):
+    if _bounded_hysteresis(machine) and not begins_off(machine):
         names.append("hysteresis")
     return tuple(names)
+
+
+def begins_off(machine: Machine) -> str:
+    """Why the hysteresis of a machine is no bounded disturbance; empty where it may be one."""
+    given = machine.variation or Variation()
+    names = [name for name in ("offset", "scatter") if getattr(given, name) is not None]
+    return BEGINS_OFF.format(names[0]) if names and _bounded_hysteresis(machine) else ""
+
+
+def _bounded_hysteresis(machine: Machine) -> bool:
+    plant = machine.plant
+    return isinstance(plant, InputHysteresis) and (
+        isinstance(plant.hysteresis, Dahl) or plant.hysteresis.exponent is None
+    )
 
 
 def linear_part(machine: Machine) -> Machine:

@@ -150,6 +150,8 @@ def test_what_a_machine_may_differ_by_is_rounded_down_and_of_its_closed_loop(fur
     proof = Proof(0.8, 0.9, 10.0, {}, 1, ("monotone",) * 2, ("",) * 2, further=further)
     what = "each stable response from what is learned to the output may differ from its model by"
     assert f"{what} {percent} % at any frequency that was tried" in safety_said(proof)
+    told = safety_said(proof._replace(without="variation.late = 40"))
+    assert "(of trials without variation.late = 40) is at most 0.9" in told
 
 
 def test_the_proof_of_a_whole_set_encloses_its_corners(monkeypatch):

@@ -6,6 +6,7 @@ from dense import lifted
 
 from jaxilc import Machine, Task, learn
 from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.learning.variation import Variation
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import CFDLMFAILC, AtSamples, Filtered, HigherOrder, PIDType
 from jaxilc.theory.enclosure import Disc
@@ -218,3 +219,17 @@ def test_a_law_of_windows_that_learns_nothing_in_the_middle_is_not_called_safe()
     assert "learning law the same throughout the trial" in [p.name for p in test.condition.broken]
     errors = np.asarray(learn(plant, law, task, 21).max_error)[:, 0]
     assert errors[-1] > 1e14 * errors[0]
+
+
+@pytest.mark.parametrize(
+    "given", [{"late": 40}, {"carried": 1.0}, {"dropped": 0.1}, {"shortest": 0.5}, {"delayed": 0.5}]
+)
+def test_nothing_is_said_of_lines_where_the_record_is_not_the_whole_trial(given):
+    """With `late` = 40 a law was "safe (proved)", whose error grows 5e4 times in 400 trials."""
+    machine = Machine(PLANT, variation=Variation(**given))
+    (name, value), *_ = given.items()
+    with pytest.raises(ValueError, match=rf"whole and in time. Found: variation.{name} = {value}"):
+        question(machine, LAW, TASK, {}, machines=1)
+    claimed = learning_condition(machine, LAW, TASK).condition
+    assert not claimed.holds
+    assert any(name in p.detail for p in claimed.premises if not p.held)

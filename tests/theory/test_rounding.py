@@ -161,6 +161,17 @@ def test_hysteresis_at_the_input_holds_learning_within_a_ball():
         assert np.max(apart) <= found.ball.error[0] < 10 * np.max(apart)
 
 
+def test_of_hysteresis_that_begins_beyond_its_limit_nothing_is_claimed():
+    """A ball of 0.0045 was claimed, where an offset of its state moves the error by 0.22."""
+    plant = InputHysteresis(lag(0.5), Dahl(1e-4, 1e-3))
+    for given in ({"offset": 1.0}, {"scatter": 0.3}, {"offset": np.array([0.1, 0.0, 0.0])}):
+        machine = Machine(plant, variation=Variation(**given))
+        found = certify(machine, PIDType(gamma_p=0.5, leak=0.3), task(np.zeros(9)), 3, {}, {})
+        assert found.claim[0] == "not claimed"
+        assert "InputHysteresis bounds what it takes" in found.reason[0]
+        assert f"variation.{next(iter(given))} moves its state" in found.reason[0]
+
+
 def test_hysteresis_that_is_integrated_in_steps_is_named():
     plant = InputHysteresis(lag(0.5), BoucWen(0.5, 4.0, 1.0, 2))
     machines = drawn_machines(Machine(plant), {}, {})
