@@ -222,7 +222,8 @@ def _learn(
     memory = scheme.initial_memory(task) if memory is None else memory
 
     if machine.carries and start is None:
-        start = first_start(machine, scheme, task, jax.random.fold_in(key, first))
+        at, of = machine.at_trial(task, first)
+        start = first_start(at, scheme, of, jax.random.fold_in(key, first))
     memory, start = jax.tree.map(jnp.asarray, (memory, start))  # users' numbers are arrays, too
 
     @jax.checkpoint

@@ -410,6 +410,19 @@ def test_a_carried_state_comes_to_rest_on_the_plant_and_reference_of_the_trial_t
     np.testing.assert_allclose(*inputs, **ALGEBRA)
 
 
+def test_a_carried_state_begins_at_rest_on_the_plant_and_reference_of_the_first_trial():
+    """A plant that is another one from trial 1 on rested as the one before in its first trial."""
+    before, after = (dataclasses.replace(PLANT, x0=[x]) for x in (0.0, 1.0))
+    change, values = PlantChange(after, first=1), np.stack([0 * R + 5.0, R])[..., None]
+    for carried in (None, 0.0, 0.7):
+        of_plant = Machine(before, variation=Variation(carried=carried, change=change))
+        y = learn(of_plant, LAW, TASK, 1, save=lambda trial: trial.y[0, 0]).saved
+        assert y == 1.0
+        # a feedback that differentiates the reference sees no step before the first sample
+        of_task = vary(references=References(values), carried=carried)
+        assert learn(of_task, PID(ka=2e-4), TASK, 1).effort[0, 0] == 0.0
+
+
 def basis_by_hand(share, by_period, trials):
     """(J, N+1) outputs under weights of a wave of 8 samples, whose clock goes on over trials."""
     x, clock, w, waiting, rows = 0.0, 0, np.zeros(2), np.zeros(2), []
