@@ -208,8 +208,9 @@ def reproduce_verdict(rows: Sequence[Row], judged: Sequence[Judged] = ()) -> Ver
     first = _counted(rows, judged)
     if not rows:
         return Verdict((first,))
-    open_rows = [row for row in rows if row.verdict == "open"]
-    farthest = max(open_rows or rows, key=_off)
+    first_printed = [row for row in rows if row.published.kind == NUMBER] or rows
+    open_rows = [row for row in first_printed if row.verdict == "open"]
+    farthest = max(open_rows or first_printed, key=_off)
     of, off = farthest.published, abs(farthest.ratio - 1.0)
     at = f", trial {of.trial}" if of.trial else ""
     value = f"{of.value:g} {farthest.unit}".rstrip()
@@ -225,7 +226,8 @@ def reproduce_verdict(rows: Sequence[Row], judged: Sequence[Judged] = ()) -> Ver
     usual = options(farthest.scenario)
     settings = tuple(f"{name}={x}" for name, x in of.options if usual.get(name) != x)
     again = Request(farthest.scenario, set=settings, trials=of.trial)
-    return Verdict((first, second), "that number", again.following("run", scheme=of.scheme))
+    other = ("--scheme", of.against) if of.against else ()
+    return Verdict((first, second), "that number", again.following("run", *other, scheme=of.scheme))
 
 
 def _counted(rows: Sequence[Row], judged: Sequence[Judged]) -> str:

@@ -667,3 +667,19 @@ def test_reproduce_leads_to_the_number_that_is_farthest():
     assert table.row_count == 1
     both = reproduce_verdict([*rows, row("open", 1.02, agreement=1e-6)]).said[0]
     assert both.endswith("1 of 3 met. 0 of 1 numbers of other software agree, 1 open.")
+
+
+def test_the_farthest_number_is_one_that_a_paper_prints_first():
+    """Derived and repeated numbers lead on only alone; a comparison leads to both schemes."""
+    printed = Published("milc", 11, "table_rms", 2.0, "Table 1", fitted=NOTHING)
+    less = printed._replace(quantity="table_rms_improvement", kind="derived", against="dilc")
+    rows = [
+        Row("milc-2024", printed, 1.8, 0.9, "µm", "met"),
+        Row("milc-2024", printed._replace(kind="repeated"), 3.8, 1.9, "µm", "open"),
+        Row("milc-2024", less, 1.4, 0.7, "%", "met"),
+    ]
+    found = reproduce_verdict(rows)
+    assert found.said[1].startswith("The farthest one is that of milc-2024, milc, trial 11: ours ")
+    assert found.said[1].endswith("is 0.9 times the printed 2 µm.")
+    assert parsed(found)[1]["scheme"] == ["milc"]
+    assert parsed(reproduce_verdict(rows[2:]))[1]["scheme"] == ["milc", "dilc"]
