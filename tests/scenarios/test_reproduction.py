@@ -6,6 +6,7 @@ scenario is simulated in full.
 
 import dataclasses
 import functools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -469,3 +470,31 @@ def test_an_unknown_scenario_is_named():
         reproduce(["cao-2020"])
     for name in SCENARIOS:
         assert name in str(caught.value)
+
+
+@pytest.mark.thorough
+def test_the_guide_counts_what_is_met():
+    """Its table has each reading, its first paragraph all numbers under the readings taken."""
+    page = " ".join((ROOT / ".ci/docs/guide/papers.md").read_text("utf-8").split())
+    count = r"`(\S+)` \| (\d+) of (\d+) \|"
+    table = re.findall(rf"\| `(\S+)` \| {count} {count}", page)
+    assert len(table) == 4
+    rows, judged = reproduction.compared()
+    for name, reading, met, of, other, other_met, other_of in table:
+        taken = [row.verdict for row in rows if row.scenario == name]
+        assert scenarios.options(name)["reading"] == reading
+        assert (taken.count("met"), len(taken)) == (int(met), int(of)), name
+        found = [row.verdict for row in reproduce([name], other)]
+        assert (found.count("met"), len(found)) == (int(other_met), int(other_of)), name
+    fitted, predicted = reproduction.counted(rows).values()
+    both = {key: fitted[key] + predicted[key] for key in fitted}
+    for said in (
+        f"Of these {both['numbers']}, {both['met']} are met",
+        f"{both['10 %']} are within 10 %, and {both['3 %']} within 3 %.",
+        f"{both['shape']} have the shape",
+        f"{both['open']} are open. To {fitted['numbers']} of them a number was fitted, which "
+        f"proves nothing: {fitted['met']} are met.",
+        f"The other {predicted['numbers']} are predicted: {predicted['met']} are met.",
+        f"of which {sum(one.holds for one in judged)} hold",
+    ):
+        assert said in page, said
