@@ -228,7 +228,7 @@ def test_every_published_row_can_be_simulated(scenario):
 
 FREE = {  # how many numbers were fitted to print, by scenario and scheme; for li-2020 by row
     "cao-2019": {"cfdl-mfailc": {1, 2}, "ffdl-mfailc": {5}, "ilc-mfapc": {2}, "pid": {0, 1}},
-    "cao-2019-rig": {"cfdl-mfailc": {1}, "pid": {1}},
+    "cao-2019-rig": {"cfdl-mfailc": {2}, "pid": {1}},
     "dai-2014": {"pid": {0}, "cfdl-mfapc": {1}},
     "double-mass": {name: {0} for name in scenarios.LISTED["double-mass"].schemes},
     "li-2020": {"feedback": {3, 5}, "feedforward": {4}, "p-type": {4, 5}, "fixed-filter": {5}},
@@ -253,6 +253,14 @@ def test_each_row_says_what_was_fitted(scenario):
         assert ("predicted" in said) == (bool(p.fitted.names) and not p.fitted.among)
     assert found == FREE[scenario.name]
     assert sum(p.fitted.among for p in scenario.published) == AMONG[scenario.name]
+
+
+def test_rows_of_a_printed_integral_gain_say_its_unit(scenario):
+    """A gain `ki` in print is one per second or per sample, which can decide the row."""
+    for p in scenario.published:
+        scheme = under(scenario.name, p.options).schemes[p.scheme]
+        if p.words and isinstance(scheme, PID) and np.any(scheme.ki) and "ki" not in p.fitted.names:
+            assert "ki multiplied by the sample time" in p.reading, p
 
 
 def test_the_settings_of_published_rows_fit_together(scenario):
