@@ -180,9 +180,10 @@ def independent() -> list:
     return [row for row in printed() if row.kind == FIRST]
 
 
-def concluded() -> int:
-    """Return how many conclusions of the papers are compared."""
-    return sum(len(scenarios.load(name).conclusions) for name in scenarios.SCENARIOS)
+def concluded() -> list:
+    """Return what each comparison with a conclusion of a paper is about, and where it stands."""
+    found = [(name, one) for name in scenarios.SCENARIOS for one in scenarios.load(name).conclusions]
+    return [(name, one.source, one.says) for name, one in found]
 
 
 def pinned(file: str, *packages: str) -> tuple[str, ...]:
@@ -219,7 +220,7 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"sets (\d+) independent printed numbers": lambda: len(independent()),
         r"\(within (\d+) %, a bound kept\)": lambda: 100 * of("jaxilc.scenarios.reproduction.MET"),
         r"of the (\d+) that nothing": lambda: sum(not row.fitted.among for row in independent()),
-        r"Of (\d+) conclusions": concluded,
+        r"Of (\d+) comparisons with what": lambda: len(concluded()),
         r"(\d+) numbers of other software": lambda: len(others()),
         r"with Python ([\d.]+) and JAX ([\d.]+),": lambda: (
             "3.11",
@@ -370,7 +371,9 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"The other (\d+) are\s+predicted": lambda: sum(
             not row.fitted.among for row in independent()
         ),
-        r"(\d+) of them are compared as an order": concluded,
+        r"(\d+) of them are compared as an order": lambda: len({*concluded()}),
+        r"of these (\d+) comparisons": lambda: len(concluded()),
+        r"Of (\d+) comparisons": lambda: len(concluded()),
         r"order within a factor of (\w+)": lambda: of("jaxilc.scenarios.reproduction.SHAPE"),
         r"(\w+) scenarios have two readings": lambda: sum(
             "reading" in scenarios.options(name) for name in scenarios.SCENARIOS

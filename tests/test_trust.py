@@ -43,9 +43,9 @@ def test_the_paper_counts_as_the_project_does():
     numbers = re.search(r"(\d+) independent printed numbers", start)
     assert numbers is not None
     assert f"{numbers[1]} independent numbers" in paper
-    told = re.search(r"Of (\d+) conclusions of the papers", start)
+    told = re.search(r"Of (\d+) comparisons with what papers conclude", start)
     assert told is not None
-    assert f"of {told[1]} conclusions of these papers" in paper
+    assert f"of {told[1]} comparisons with their conclusions" in paper
     agreed = re.search(r"(\d+) numbers of other software agree", start)
     assert agreed is not None
     assert f"on {agreed[1]} of their printed numbers" in paper

@@ -246,7 +246,7 @@ def _counted(rows: Sequence[Row], judged: Sequence[Judged]) -> str:
         )
     if judged:
         hold = sum(one.holds for one in judged)
-        parts.append(f"{hold} of {len(judged)} conclusions of the papers hold.")
+        parts.append(f"{hold} of {len(judged)} comparisons with the conclusions of papers hold.")
     if others:
         agree = sum(row.verdict == "agrees" for row in others)
         rest = len(others) - agree

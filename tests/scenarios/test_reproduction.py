@@ -503,6 +503,6 @@ def test_the_guide_counts_what_is_met():
         f"{both['open']} are open. To {fitted['numbers']} of them a number was fitted, which "
         f"proves nothing: {fitted['met']} are met.",
         f"The other {predicted['numbers']} are predicted: {predicted['met']} are met.",
-        f"of which {sum(one.holds for one in judged)} hold",
+        f"comparisons {sum(one.holds for one in judged)} hold",
     ):
         assert said in page, said

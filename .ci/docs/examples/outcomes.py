@@ -130,7 +130,7 @@ print(outcomes.demo().numbers["claims"])
 say(outcomes.reproduce(["li-2020"]))
 # Of 14 independent printed numbers 13 are met within 30 % or as bounds (7 within 10 %, 3
 # within 3 %), 1 have the printed order, 0 are open. fitted: 6 of 6 met; predicted: 7 of 8
-# met. 9 of 10 conclusions of the papers hold.
+# met. 9 of 10 comparisons with the conclusions of papers hold.
 
 # %% identify, Reading
 rng = np.random.default_rng(0)
