@@ -31,7 +31,7 @@ class Setting(NamedTuple):
 SETTINGS = {  # by frequency [Hz]
     0.5: Setting(4, {"kp": -10.0, "ki": 0.1}, {"P": 10, "lam": 45.0, "phi0": -0.12}),
     2.5: Setting(
-        10, {"kp": -9.0, "ki": -0.2, "kd": 1e-3}, {"P": 250, "lam": 8700.0, "phi0": -0.238}
+        10, {"kp": -9.0, "ki": 0.2, "kd": 1e-3}, {"P": 250, "lam": 8700.0, "phi0": -0.238}
     ),
 }
 

@@ -302,6 +302,22 @@ def test_dai_2014():
     assert rows[3].reason.endswith("not in the printed order with 1 of 2 comparable rows")
 
 
+@pytest.mark.parametrize(
+    ("frequency", "printed", "seconds"),
+    [(0.5, (-10.0, 0.1, 0.0), 102.3), (2.5, (-9.0, 0.2, 1.0), 46.2)],
+)
+def test_the_loops_of_dai_2014_drift_as_the_file_says(frequency, printed, seconds):
+    """The pole nearest to 1 of eq. 29 under the printed PID, from its characteristic polynomial."""
+    pid = scenarios.load("dai-2014", frequency=frequency).schemes["pid"]
+    dt = 1e-3
+    assert (pid.kp, pid.ki, pid.kd / dt) == printed
+    a, b = (1.0, -2.2386, 1.6246, -0.385), (0.0018, -0.0036, -0.0025)
+    per_sample = (pid.kp, pid.ki * dt, pid.kd / dt)
+    law = np.dot(per_sample, [[1.0, -1.0, 0.0], [1.0, 0.0, 0.0], [1.0, -2.0, 1.0]])
+    poles = np.roots(np.polyadd(np.polymul(a, (1.0, -1.0, 0.0)), np.polymul(b, law)))
+    assert dt / np.log(np.max(np.abs(poles))) == pytest.approx(seconds, rel=2e-3)
+
+
 N = 20
 TASK = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N), dt=DT)
 SCHEMES = {"feedback": PID(kp=1.0), "learning": PIDType(gamma_p=0.5)}
