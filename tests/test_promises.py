@@ -182,8 +182,8 @@ def independent() -> list:
 
 def concluded() -> list:
     """Return what each comparison with a conclusion of a paper is about, and where it stands."""
-    found = [(name, one) for name in scenarios.SCENARIOS for one in scenarios.load(name).conclusions]
-    return [(name, one.source, one.says) for name, one in found]
+    of = {name: scenarios.load(name).conclusions for name in scenarios.SCENARIOS}
+    return [(name, one.source, one.says) for name in of for one in of[name]]
 
 
 def pinned(file: str, *packages: str) -> tuple[str, ...]:
