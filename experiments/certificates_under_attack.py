@@ -324,7 +324,7 @@ def main(count: int, names: list[str]) -> None:
     }
     groups = [stacked(rng, size, channels, limited) for (channels, limited), size in sizes.items()]
     oracles, rows, reasons = matrices(), [], []
-    for name in names or laws(1):
+    for name in names:
         row, why = attacked(name, groups, oracles.get(name))
         rows.append(row)
         reasons += [
@@ -339,6 +339,5 @@ def main(count: int, names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(
-        int(sys.argv[1]) if len(sys.argv) > 1 else MACHINES, sys.argv[2:]
-    )  # how many machines, and which laws; all if none is named
+    machines = int(sys.argv[1]) if len(sys.argv) > 1 else MACHINES
+    main(machines, output.asked(sys.argv[2:], laws(1)))

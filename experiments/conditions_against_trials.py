@@ -528,7 +528,7 @@ CLASSES = {
 if __name__ == "__main__":
     jaxilc.setup()
     rows = []
-    for name in sys.argv[1:] or CLASSES:
+    for name in output.asked(sys.argv[1:], CLASSES):
         start = time.perf_counter()
         rows.append(CLASSES[name](np.random.default_rng(38)))
         print(name, f"{time.perf_counter() - start:.0f} s", rows[-1], flush=True)

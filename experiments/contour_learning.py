@@ -43,10 +43,7 @@ def paths(names: list[str]) -> dict[str, np.ndarray]:
         "butterfly": plan(butterfly(20.0), (0.0, 1.0), feed=50.0, dt=DT, **LIMITS).reference,
     }
     rest = ((0, 50), (0, 0))
-    for name in names:
-        if name not in found:
-            raise ValueError(f"the path {name!r} is not known; allowed are {', '.join(found)}")
-    wanted = names or list(found)
+    wanted = output.asked(names, found)
     return {name: np.pad(found[name] - found[name][0], rest, mode="edge") for name in wanted}
 
 

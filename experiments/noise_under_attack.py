@@ -147,4 +147,5 @@ def main(machines: int, kinds: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 504, sys.argv[2:] or [*KINDS])  # machines
+    machines = int(sys.argv[1]) if len(sys.argv) > 1 else 504
+    main(machines, output.asked(sys.argv[2:], KINDS))

@@ -1,11 +1,15 @@
-"""The folder for rows and figures of an experiment: out/experiments/NAME."""
+"""The folder for rows and figures of an experiment, out/experiments/NAME; names given to one."""
 
 import csv
 import os
+import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
+
+from jaxilc.pytree.closest import not_one_of
 
 # The readings under which experiments on tuning, advice and the worst machine simulate the papers;
 # `reproduce` judges the other one of each, and eq. 29 in place of the motor of eq. 7.
@@ -23,6 +27,15 @@ def folder(script: str) -> Path:
     path = Path("out") / "experiments" / Path(script).stem
     path.mkdir(parents=True, exist_ok=True)
     return path
+
+
+def asked(names: list[str], known: Iterable[str]) -> list[str]:
+    """The names on a command line, or for none all that are known; the program ends at another."""
+    known = list(known)
+    for name in names:
+        if name not in known:
+            sys.exit(not_one_of(f"NAME = {name!r}", name, known))
+    return names or known
 
 
 def measured_folder() -> Path | None:

@@ -266,7 +266,7 @@ def attacked(name: str, channels: int, machines: dict, ratios: dict) -> tuple[di
 def main(count: int, names: list[str]) -> None:
     jaxilc.setup()
     rng, rows, wrong, ratios = np.random.default_rng(380), [], [], {}
-    for name in names or LAWS:
+    for name in output.asked(names, LAWS):
         for channels in (1, 2) if name in ("P", "Q", "over PID") else (1,):
             some = drawn(rng, count if channels == 1 else count // 2, channels)
             row, broken = attacked(name, channels, some, ratios)

@@ -315,7 +315,7 @@ def of_scheme(name: str, count: int, seed: int) -> tuple[dict, list]:
 
 def main(names: list[str], count: int = MACHINES) -> None:
     rows, wrong = [], []
-    for name in names or SCHEMES:
+    for name in output.asked(names, SCHEMES):
         start = time.perf_counter()
         row, of_it = of_scheme(name, count, 38)
         jax.clear_caches()

@@ -1,6 +1,6 @@
 """Printed weights against tuned ones, for each scenario, on machines not used in the tuning.
 
-`python tuned_against_printed.py NAME ...` runs the cases whose name contains one of the NAMEs.
+`python tuned_against_printed.py NAME ...` runs the cases of these names, and all for no name.
 Settings without a gradient (a lead, a horizon, a stop rule) are fixed before tuning. The column
 `structure` has these settings with the printed weights, at which the tuning starts.
 
@@ -244,11 +244,7 @@ def errors_of(s, case: Case, problem: Tuning, tuned: Tuned):
 
 def main(names: list[str]) -> None:
     folder = output.folder(__file__)
-    chosen = {
-        name: case
-        for name, case in CASES.items()
-        if not names or any(part in name for part in names)
-    }
+    chosen = {name: CASES[name] for name in output.asked(names, CASES)}
     axes = np.atleast_1d(output.axes(1, len(chosen), size=(4.2 * len(chosen), 3.6)))
     rows, verdicts = [], []
     for ax, (name, case) in zip(axes, chosen.items(), strict=True):

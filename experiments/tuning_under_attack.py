@@ -119,7 +119,7 @@ def kinks(left, right) -> np.ndarray:
 
 def main(names: list[str]) -> None:
     rows = []
-    for name in names or SCHEMES:
+    for name in output.asked(names, SCHEMES):
         for mode in ("forward", "reverse"):
             start, problem = time.perf_counter(), problem_of(name, mode)
             for title, objective in OBJECTIVES.items():

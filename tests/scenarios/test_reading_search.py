@@ -1,6 +1,7 @@
 """The criterion by which the readings of a paper are judged (`experiments/reading_search.py`)."""
 
 import numpy as np
+import output
 import pytest
 from reading_search import ROUNDING, WORST, Reading, bic, judged, left_out, met, misfits, search
 
@@ -57,3 +58,10 @@ def test_the_space_says_what_any_of_its_candidates_meets(capsys):
     assert [row["unit"] for row in rows] == ["mm", "m"]
     said = capsys.readouterr().out
     assert "2 readings, 3 candidates. At most 3 of 3 rows are met together, by 1 of them" in said
+
+
+def test_an_experiment_refuses_a_name_that_it_does_not_have():
+    assert output.asked([], {"P": 1, "PD": 2}) == ["P", "PD"]
+    assert output.asked(["PD"], {"P": 1, "PD": 2}) == ["PD"]
+    with pytest.raises(SystemExit, match="NAME = 'nosuch' is not one of P, PD"):
+        output.asked(["P", "nosuch"], {"P": 1, "PD": 2})
