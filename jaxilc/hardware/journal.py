@@ -31,7 +31,7 @@ import numpy as np
 from ..learning.known_metrics import GATHERED
 from ..pytree.aliases import Leaf, Value
 from ..pytree.ranges import is_number
-from ..storage.files import UNFINISHED, atomically, whole_folder
+from ..storage.files import atomically, is_temporary, whole_folder
 from ..storage.sealed import (
     Damaged,
     archive,
@@ -95,7 +95,7 @@ class Journal:
     def create(self) -> None:
         """Make the folder; raises FileExistsError for an existing one that is not empty."""
         if self.path.exists() and (
-            not self.path.is_dir() or any(UNFINISHED not in f.name for f in self.path.iterdir())
+            not self.path.is_dir() or not all(map(is_temporary, self.path.iterdir()))
         ):
             raise FileExistsError(
                 f"{self.path} exists already; choose another folder, "

@@ -12,8 +12,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import secrets
 import shutil
+import sys
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import BinaryIO
@@ -24,6 +26,7 @@ except ImportError:  # Windows has no fcntl; there, nothing is removed and nothi
     fcntl = None  # type: ignore[assignment]
 
 UNFINISHED = ".unfinished-"
+_TEMPORARY = re.compile(re.escape(UNFINISHED) + r"\d+-[0-9a-f]{8}")  # process, random digits
 STREAMS = ("/dev/std", "/dev/fd/", "/proc/")  # names of files that the process has open already
 
 
@@ -89,6 +92,8 @@ def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    if _replaced(path).exists() and not path.exists():
+        os.rename(_replaced(path), path)
     with _aside(path.parent, Path.mkdir) as unfinished:
         yield unfinished
         for folder, _, names in os.walk(unfinished):
@@ -96,9 +101,7 @@ def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
                 to_disk(Path(folder, name))
             to_disk(Path(folder))
         if replace and path.exists():
-            with _aside(path.parent, Path.mkdir) as old:
-                os.rename(path, old)
-                os.rename(unfinished, path)
+            _exchange(unfinished, path)
         elif path.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
         else:
@@ -128,14 +131,19 @@ def only_one(folder: str | Path) -> Generator[None]:
 def remove_leftovers(folder: Path) -> None:
     """Remove the unfinished files that killed processes left in a folder.
 
-    Files that a process is writing are kept.
+    Files that a process is writing are kept, and so is what only has a similar name.
     """
-    for left in folder.glob(f"*{UNFINISHED}*"):
+    for left in filter(is_temporary, folder.glob(f"{UNFINISHED}*")):
         with contextlib.suppress(BlockingIOError):  # another process is writing there
             lock = _locked(left)
             if lock is not None:
                 _remove(left)
                 _unlock(lock)
+
+
+def is_temporary(path: Path) -> bool:
+    """Whether a path has a name that this module gives what is being written."""
+    return _TEMPORARY.fullmatch(path.name) is not None
 
 
 def to_disk(path: Path) -> None:
@@ -169,6 +177,37 @@ def _aside(folder: Path, make: Callable[[Path], object]) -> Generator[Path]:
     finally:
         _remove(name)
         _unlock(lock)
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Exchange the names of two folders in one step.
+
+    Where a system cannot, the other one has a third name for a moment; if the process is killed
+    then, the next writing of this folder gives it its name back.
+    """
+    if _swapped(os.fsencode(one), os.fsencode(other)):
+        return
+    _remove(_replaced(other))
+    os.rename(other, _replaced(other))
+    os.rename(one, other)
+    os.rename(_replaced(other), one)
+
+
+def _swapped(one: bytes, other: bytes) -> bool:
+    """Whether the system has exchanged two names, as Linux and macOS can on most file systems."""
+    import ctypes
+
+    try:
+        system = ctypes.CDLL(None)
+        if sys.platform == "darwin":
+            return system.renamex_np(one, other, 2) == 0  # RENAME_SWAP
+        return system.renameat2(-100, one, -100, other, 2) == 0  # AT_FDCWD, RENAME_EXCHANGE
+    except (AttributeError, OSError, TypeError):  # TypeError on Windows
+        return False
+
+
+def _replaced(path: Path) -> Path:
+    return path.with_name(f"{UNFINISHED}replaced-{path.name}")
 
 
 def _locked(path: Path) -> int | None:

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from jaxilc import figures
 from jaxilc.cli.present import written
 from jaxilc.figures.report import write_report
+from jaxilc.hardware.journal import Journal
 from jaxilc.scenarios.parameters import write_parameters
 from jaxilc.storage import files
 from jaxilc.storage.files import UNFINISHED, atomically, whole_folder
@@ -76,10 +77,10 @@ def test_what_killed_processes_left_is_removed_and_what_is_being_written_stays(t
         [sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE, text=True
     )
     running = writer.stdout.readline().strip()
-    for left in (f"{UNFINISHED}1-old", ".next.csv.unfinished-12"):
+    for left in (f"{UNFINISHED}1-0123abcd", f"{UNFINISHED}12-deadbeef"):
         (tmp_path / left).write_text("half")
-    (tmp_path / f"{UNFINISHED}2-21").mkdir()
-    (tmp_path / f"{UNFINISHED}2-21" / "manifest.json").write_text("half")
+    (tmp_path / f"{UNFINISHED}2-21212121").mkdir()
+    (tmp_path / f"{UNFINISHED}2-21212121" / "manifest.json").write_text("half")
     write_json(tmp_path / "a.json", 1)
     assert names(tmp_path) == [running, "a.json"]
     writer.kill()
@@ -87,6 +88,44 @@ def test_what_killed_processes_left_is_removed_and_what_is_being_written_stays(t
     writer.stdout.close()
     write_json(tmp_path / "a.json", 2)
     assert names(tmp_path) == ["a.json"]
+
+
+def test_what_a_user_has_named_alike_is_kept(tmp_path):
+    own = ["report.unfinished-2.docx", ".unfinished-thesis", ".unfinished-1-0123abcd.bak"]
+    for name in own:
+        (tmp_path / name).write_text("mine")
+    (tmp_path / "plans.unfinished-1-0123abcd").mkdir()
+    write_json(tmp_path / "a.json", 1)
+    with whole_folder(tmp_path / "folder"):
+        pass
+    assert names(tmp_path) == sorted([*own, "a.json", "folder", "plans.unfinished-1-0123abcd"])
+    (tmp_path / "folder" / own[0]).write_text("mine")
+    with pytest.raises(FileExistsError, match="exists already"):
+        Journal(tmp_path / "folder").create()
+
+
+@pytest.mark.parametrize("can_swap", [True, False])
+def test_a_folder_that_is_replaced_is_never_lost(tmp_path, monkeypatch, can_swap):
+    def write(out, content):
+        with whole_folder(out / "dataset", replace=True) as store:
+            (store / "content").write_text(content)
+
+    if not can_swap:  # as on a file system without this operation
+        monkeypatch.setattr(files, "_swapped", lambda one, other: False)
+    with recorded(tmp_path / "out", tmp_path) as states:
+        write(tmp_path / "out", "old")
+        write(tmp_path / "out", "new")
+    assert names(tmp_path / "out") == ["dataset"]
+    first = next(i for i, state in enumerate(states) if (state / "dataset").exists())
+    for state in states[first:]:
+        if can_swap:
+            assert (state / "dataset" / "content").read_text() in ("old", "new")
+        with pytest.raises(KeyboardInterrupt), whole_folder(state / "dataset", replace=True):
+            raise KeyboardInterrupt  # what is begun next, even if it fails, finds it
+        assert (state / "dataset" / "content").read_text() in ("old", "new")
+    write(states[first], "newest")
+    assert names(states[first]) == ["dataset"]
+    assert (states[first] / "dataset" / "content").read_text() == "newest"
 
 
 def test_what_fails_while_it_is_written_leaves_what_was_there(tmp_path):
