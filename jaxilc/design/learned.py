@@ -22,7 +22,7 @@ from ..pytree.aliases import Leaf, Value
 from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
-from ..runtime.provenance import describe, environment, need_same
+from ..runtime.provenance import describe, environment, need_described, need_same
 from ..storage.files import need_free
 from ..storage.sealed import as_json, json_text, read_json, sealed, unsealed, write_json
 from ..tuning import Tuning
@@ -367,6 +367,7 @@ def kept_or(
             )
         besides = {name: np.asarray(of, float) for name, of in stored["besides"].items()}
         return FirstTaps(filters, int(stored["lead"]), besides)
+    need_described(question)
     taps = compute()
     folder.mkdir(parents=True, exist_ok=True)
     kept = {name: np.asarray(values).tolist() for name, values in taps.filters._asdict().items()}

@@ -6,12 +6,14 @@ with the same parameters.
 
 from __future__ import annotations
 
+import copyreg
 import dataclasses
 import hashlib
 import inspect
 import json
 import sys
 from collections.abc import Mapping
+from enum import Enum
 from functools import partial
 from importlib.metadata import version
 from logging import Logger
@@ -29,6 +31,8 @@ from .earlier_names import in_todays_names
 LONG = 120  # characters of a value in a difference that is told
 # Of a user's class, in a description; no field has such a name.
 CODE, CONSTANTS = "its code", "its constants"
+# Of an object: what is not among its attributes, and that nothing tells it from others.
+STATE, UNKNOWN = "its state", "not described"
 ORDERED = ("schemes", "uncertainty", "weights")  # mappings whose order the numbers depend on
 
 
@@ -75,6 +79,22 @@ def need_same(
         raise ValueError(f"{path} was {made}; it differs in: {'; '.join(differing)}")
 
 
+def need_described(configuration: object, name: str = "") -> None:
+    """Raises ValueError, naming it, for what holds an object that cannot be told from others."""
+    if isinstance(configuration, dict):
+        if UNKNOWN in configuration:
+            raise ValueError(
+                f"{name} holds a {configuration['name']}, of which nothing can be stored, so that "
+                "another one could not be told from it; allowed are numbers, arrays, functions, "
+                "and objects of these"
+            )
+        for key, of in configuration.items():
+            need_described(of, f"{name}.{key}" if name else key)
+    elif isinstance(configuration, list):
+        for i, of in enumerate(configuration):
+            need_described(of, f"{name}[{i}]")
+
+
 def _differences(found: object, wanted: object, name: str) -> list[str]:
     if isinstance(found, dict) and isinstance(wanted, dict):
         names = found.keys() | wanted.keys()
@@ -113,9 +133,11 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
     other attributes of the class; a long array is described by its shape and hash. A function, and
     an object made of functions such as an optax transformation, is described by its name, its code
     and the values in its closure. So two functions of the same name differ if their settings
-    differ. Their position in a file is not included. The description does not contain what a
-    function reads from its module, the code that it calls there, or an object that has no
-    attributes. The code of a function differs between versions of Python.
+    differ. Their position in a file is not included. What JAX has under a name is
+    described by this name, and any other object by its attributes and what `pickle` would store of
+    it. The description does not contain what a function reads from its module, or the code that it
+    calls there. The code of a function differs between versions of Python. An object of which
+    nothing is known, such as a lock, is described as such, and `need_described` refuses it.
 
     within: identities of the values that contain this one, for a value that refers to itself
     """
@@ -140,10 +162,14 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
         return {"class": type(value).__name__, **own, **fields}
     if isinstance(value, partial):
         return {"partial": again([value.func, value.args, value.keywords])}
-    if _name(value).startswith("jax."):
+    if isinstance(value, set | frozenset):
+        return {_name(value): sorted(map(again, value), key=json.dumps)}
+    if isinstance(value, bytes | bytearray):
+        return {_name(value): value.hex()}
+    if _is_named_in_jax(value):
         return _name(value)
     if not hasattr(value, "__code__"):
-        return {"name": _name(value), "attributes": again(getattr(value, "__dict__", {}))}
+        return {"name": _name(value), **{name: again(of) for name, of in _parts(value).items()}}
     return {
         "name": _name(value),
         "body": _hash(repr(_body(value.__code__))),
@@ -152,6 +178,41 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
         ),
         "closes over": [again(cell.cell_contents) for cell in value.__closure__ or ()],
     }
+
+
+def _is_named_in_jax(value: Value) -> bool:
+    """Whether JAX has exactly this under its name, so that its version tells all else."""
+    module, _, name = _name(value).rpartition(".")
+    return module.startswith("jax.") and getattr(sys.modules.get(module), name, None) is value
+
+
+def _parts(value: Value) -> dict[str, Value]:
+    """All that tells an object from others of its class.
+
+    That is its attributes, and for what is not among them, as in a slice or with slots, what
+    `pickle` would store. An object of JAX, and one that cannot be stored, is told by its text.
+    """
+    attributes = dict(getattr(value, "__dict__", {}))
+    attributes.pop("_jit_info", None)  # of `jax.jit`: the file and the line of a function, too
+    text = repr(value)
+    by_text = {} if attributes else {UNKNOWN: True} if " at 0x" in text else {STATE: text}
+    of_jax = type(value).__module__.partition(".")[0] in ("jax", "jaxlib")
+    if of_jax and UNKNOWN not in by_text:
+        return {"attributes": attributes, **by_text}
+    try:
+        stored = value.__reduce_ex__(2)
+    except Exception:  # of any kind, as a class may have a method of its own
+        return {"attributes": attributes, **by_text}
+    by_name = isinstance(value, Enum) or (isinstance(value, np.dtype) and value.isbuiltin == 1)
+    if isinstance(stored, str) or by_name:  # which is described already
+        return {"attributes": attributes}
+    make, arguments, state, *items = (*stored, None, None, None)[:5]
+    if make is copyreg.__newobj__:
+        arguments = arguments[1:]
+    if isinstance(state, dict) and state.keys() == attributes.keys():
+        state = None
+    further = [arguments, state, *(one and [*one] for one in items)]
+    return {"attributes": attributes, **({STATE: further} if any(further) else {})}
 
 
 def _is_of_a_user(cls: Value) -> bool:
@@ -204,7 +265,8 @@ def _of_array(array: np.ndarray) -> Json:
 def _name(value: object) -> str:
     if isinstance(value, ModuleType):
         return value.__name__
-    known = value if hasattr(value, "__qualname__") else type(value)
+    named = hasattr(value, "__qualname__") and hasattr(value, "__module__")
+    known = value if named else type(value)
     return f"{known.__module__}.{known.__qualname__}"
 
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from ..pytree.aliases import Value
-from ..runtime.provenance import need_same
+from ..runtime.provenance import need_described, need_same
 from ..storage.files import need_free, only_one, remove_leftovers, whole_folder
 from ..storage.sealed import Damaged, as_json, json_text, read_json, sealed, unsealed
 from .grid import unfolded
@@ -152,13 +152,15 @@ class Store:
     def create(cls, path: str | Path | None, layout: Layout) -> Store:
         """A new store at `path`; None keeps it in the RAM.
 
-        Raises FileExistsError if something is already there.
+        Raises FileExistsError if something is already there, and ValueError for a configuration
+        that does not tell all.
         """
         if path is None:
             from zarr.storage import MemoryStore
 
             return cls(MemoryStore(layout.files()), layout, ExitStack())
         need_free(path)
+        need_described(layout.recipe)
         from ..storage.durable import DurableStore
 
         with whole_folder(path) as unfinished:

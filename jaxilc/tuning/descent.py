@@ -21,7 +21,7 @@ import optax
 from jax import lax
 
 from ..pytree.aliases import Leaf, Tree, Value
-from ..runtime.provenance import need_same
+from ..runtime.provenance import need_described, need_same
 from ..storage.files import atomically, need_free, only_one, remove_leftovers, to_disk, whole_folder
 from ..storage.reading import tree_of
 from ..storage.sealed import (
@@ -364,6 +364,7 @@ class Folder:
         """
         self.path, self._recipe = path, json_text(configuration)
         if not path.exists():
+            need_described(configuration)
             with whole_folder(path) as unfinished:
                 write_json(unfinished / CONFIGURATION, sealed(configuration))
         elif not resume:

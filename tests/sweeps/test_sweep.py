@@ -4,13 +4,19 @@ Their summary is tested too.
 """
 
 import dataclasses
+import json
 import logging
+import threading
+from collections import deque
+from fractions import Fraction
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.interpolate import CubicSpline
 from scipy.stats import binomtest
 from sweep_case import PLAN, TASK
 
@@ -26,6 +32,7 @@ from jaxilc.sweeps import sweep as sweep_module
 from jaxilc.sweeps.host import Host
 from jaxilc.sweeps.summary import errors_of, last_errors, wilson_interval
 from jaxilc.theory import BoundsWatch
+from jaxilc.tuning.descent import Folder
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -269,6 +276,64 @@ def test_a_user_s_law_is_known_by_its_code():
     earlier = {name: value for name, value in once.items() if name not in (CODE, CONSTANTS)}
     assert differences(earlier, other) == []
     assert not {CODE, CONSTANTS} & {*describe(PID())}
+
+
+LINE = np.arange(5.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "one", "other"),
+    [
+        (lambda k: jax.vmap(lambda x: k * x), (1.0,), (2.0,)),
+        (lambda k: jax.grad(lambda x: k * x), (1.0,), (2.0,)),
+        (lambda k: jax.checkpoint(lambda x: k * x), (1.0,), (2.0,)),
+        (lambda k: jax.jit(jax.vmap(lambda x: k * x)), (1.0,), (2.0,)),
+        (jax.nn.initializers.constant, (2.0,), (3.0,)),
+        (CubicSpline, (LINE, LINE**2), (LINE, LINE**3)),
+        (slice, (0, 10), (40, 50)),
+        (range, (10,), (11,)),
+        (set, ("abc",), ("abd",)),
+        (frozenset, ([1, 2],), ([1, 3],)),
+        (bytes, ([1],), ([2],)),
+        (deque, ([1],), ([2],)),
+        (Fraction, (1, 2), (1, 3)),
+        (partial(getattr, jnp), ("add",), ("multiply",)),
+        (partial(getattr, np), ("sin",), ("cos",)),
+    ],
+)
+def test_what_a_function_closes_over_is_told_from_others(make, one, other):
+    def described(arguments):
+        held = make(*arguments)
+        return json.dumps(describe(lambda trial: held))
+
+    assert described(one) == described(one) != described(other)
+    assert " at 0x" not in described(one)
+
+
+def test_plain_functions_are_described_as_before():
+    """So that the stores of earlier versions go on."""
+    power, bend, clip, kind = 2.0, jnp.tanh, jax.nn.relu, np.dtype("float32")
+    found = describe(lambda trial: clip(bend(trial.e.astype(kind))) ** power)
+    of_kind = {"name": "numpy.dtypes.Float32DType", "attributes": {}}
+    assert found["closes over"] == ["jax.numpy.tanh", f"{clip.__module__}.relu", of_kind, power]
+    assert found.keys() == {"name", "body", "settings", "closes over"}
+
+
+def test_a_jitted_function_is_known_wherever_its_file_is():
+    def made(level, file):
+        names = {"jax": jax, "level": level}
+        text = "def make(k):\n    return jax.jit(lambda trial: k * trial.e)\n"
+        exec(compile(file.count("/") * "\n" + text, file, "exec"), names)
+        return describe(names["make"](level))
+
+    assert made(1.0, "one.py") == made(1.0, "in/another/one.py") != made(2.0, "one.py")
+
+
+def test_a_store_of_what_cannot_be_told_from_others_is_refused(tmp_path):
+    lock = threading.Lock()
+    with pytest.raises(ValueError, match=r"quantities\.q\.closes over\[0\] holds a _thread\.lock"):
+        Folder(tmp_path / "state", {"quantities": {"q": describe(lambda trial: lock)}}, False)
+    assert not (tmp_path / "state").exists()
 
 
 def own_plant(**constants):
