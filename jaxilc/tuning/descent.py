@@ -229,27 +229,50 @@ def over_starts(f: Callable) -> Callable:
 def for_starts(method: Method) -> Method:
     """The method for many starts at once, compiled into one program for all steps.
 
-    It takes and returns NumPy arrays.
+    It takes and returns NumPy arrays, for a random key the array of its data.
     """
 
     @jax.jit
+    def init(z):
+        return _without_keys(over_starts(method.init)(z))
+
+    @jax.jit
     def step(z, state):
-        moved, following, record = over_starts(method.step)(z, state)
+        like = over_starts(method.init)(z)
+        moved, following, record = over_starts(method.step)(z, _with_keys(state, like))
         return (
             moved,
             jax.tree.map(
-                lambda new, old: lax.convert_element_type(new, old.dtype), following, state
+                lambda new, old: lax.convert_element_type(new, old.dtype),
+                _without_keys(following),
+                state,
             ),
             record,
         )
 
     # Results are copied to the host after each step: a compiled program depends on the device of
     # its arguments, and would be compiled again for others.
-    init = jax.jit(over_starts(method.init))
     programs = (init, step)
     return Method(
         lambda z: jax.device_get(init(z)), lambda z, state: jax.device_get(step(z, state)), programs
     )
+
+
+def _without_keys(tree: Tree) -> Tree:
+    return jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, tree)
+
+
+def _with_keys(tree: Tree, like: Tree) -> Tree:
+    """The random keys of `like` from their data in a tree."""
+
+    def key(data: Leaf, of: Leaf) -> Leaf:
+        return jax.random.wrap_key_data(data, impl=jax.random.key_impl(of)) if _is_key(of) else data
+
+    return jax.tree.map(key, tree, like)
+
+
+def _is_key(x: Leaf) -> bool:
+    return jnp.issubdtype(jnp.result_type(x), jax.dtypes.prng_key)
 
 
 # The state
@@ -386,7 +409,7 @@ class Folder:
 
     def write(self, state: State) -> None:
         """Store the newest state, so that at any moment one of the two states is undamaged."""
-        leaves = {f"arr_{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state))}
+        leaves = {f"arr_{i}": _plain(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
         content = archive(leaves | {"configuration": np.asarray(self._recipe)})
         atomically(self.path / FRESH, lambda file: file.write(content))
         if self._newest_is_whole:  # else only the state before it is undamaged
@@ -409,9 +432,10 @@ class Folder:
         name, newest = next(iter(self._whole.items()))
         leaves, structure = jax.tree.flatten(state)
         found = [newest.get(f"arr_{i}") for i in range(len(leaves))]
-        if [_kind(leaf) for leaf in found] != [_kind(leaf) for leaf in leaves]:
+        if [_kind(leaf) for leaf in found] != [_kind(_plain(leaf)) for leaf in leaves]:
             said = f"{self.path / name} is not a state of this tuning"
             raise ValueError(f"{said}; remove {self.path} and start again")
+        found = [x.view(np.asarray(like).dtype) for x, like in zip(found, leaves, strict=True)]
         return jax.tree.unflatten(structure, found)
 
     def _leave_others(self) -> None:
@@ -452,6 +476,12 @@ def stored_lanes(path: Path) -> int | None:
 
 def _kind(leaf: Leaf) -> tuple[tuple[int, ...], np.dtype]:
     return np.shape(leaf), np.asarray(leaf).dtype
+
+
+def _plain(leaf: Leaf) -> np.ndarray:
+    """An array that NumPy can store: one of a type like bfloat16 as whole numbers of its bits."""
+    array = np.asarray(leaf)
+    return array if array.dtype.isbuiltin == 1 else array.view(f"u{array.dtype.itemsize}")
 
 
 def _states(path: Path) -> tuple[dict[str, dict[str, np.ndarray]], list[str]]:

@@ -259,8 +259,11 @@ def test_a_folder_under_earlier_names_is_resumed(tmp_path, monkeypatch):
     np.testing.assert_array_equal(resumed.loss, whole.loss)
 
 
+# Its state has a random key, and numbers of a type that NumPy lacks.
 OWN = optax.chain(
-    optax.scale_by_adam(), optax.scale_by_schedule(optax.linear_schedule(-0.2, 0.0, 6))
+    optax.add_noise(0.01, 0.9, 0),
+    optax.scale_by_adam(mu_dtype=jnp.bfloat16),
+    optax.scale_by_schedule(optax.linear_schedule(-0.2, 0.0, 6)),
 )
 
 
