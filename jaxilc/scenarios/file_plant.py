@@ -25,7 +25,7 @@ from ..pytree.aliases import Value
 from ..pytree.ranges import brief, require
 from ..storage.columns import need_unit
 from ..storage.reading import LARGEST_TABLE, read_bytes, read_tree
-from ..storage.sealed import json_text, sealed, unsealed, write_json
+from ..storage.sealed import as_json, json_text, sealed, unsealed, write_json
 from .specification import (
     Table,
     at_place,
@@ -97,10 +97,10 @@ def _kept(record: Path, options: Options, folder: Path) -> Fit:
     key = hashlib.sha256(json_text(asked).encode()).hexdigest()[:8]
     checksum = hashlib.sha256(read_bytes(record, LARGEST_TABLE)).hexdigest()
     kept = folder / f"{record.name}.{key}.fit.json"
-    known = {"record": checksum, "options": asked}
+    known = as_json({"record": checksum, "options": asked})
     with contextlib.suppress(ValueError, OSError, KeyError, TypeError):
         found = unsealed(read_tree(kept, ".json"))
-        if found["record"] == checksum:
+        if {name: found[name] for name in known} == known:
             plant = ProcessModel(**{name: found["plant"][name] for name in LEAVES})
             said, (of_u, of_y) = f"{found['said']} (kept in {kept.name})", found["units"]
             return Fit(plant, said, (of_u, of_y))

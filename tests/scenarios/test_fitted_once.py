@@ -47,6 +47,17 @@ def test_it_is_fitted_once_to_the_last_bit(tmp_path, fits):
     assert said == f"said (kept in {kept.name})"
 
 
+def test_the_fit_of_other_options_is_not_taken_whatever_its_name(tmp_path, fits):
+    plant(tmp_path)
+    (first,) = tmp_path.glob("*.fit.json")
+    plant(tmp_path, delay=5)
+    (other,) = {*tmp_path.glob("*.fit.json")} - {first}
+    other.replace(first)
+    plant(tmp_path)
+    plant(tmp_path)
+    assert len(fits) == 3, "it is fitted again, and kept"
+
+
 def test_another_record_or_other_options_are_fitted(tmp_path, fits):
     plant(tmp_path)
     plant(tmp_path, delay=5)
