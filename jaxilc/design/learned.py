@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -24,7 +25,7 @@ from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..runtime.provenance import describe, environment, need_described, need_same
 from ..storage.files import need_free
-from ..storage.sealed import as_json, json_text, read_json, sealed, unsealed, write_json
+from ..storage.sealed import Damaged, as_json, json_text, read_json, sealed, unsealed, write_json
 from ..tuning import Tuning
 from ..tuning.objectives import Final, Holding, Objective
 from ..tuning.risks import Mean, Risk
@@ -57,6 +58,8 @@ STARTS = {
     "inverse": ("model-inverse",),
     "nothing": (),
 }
+
+log = logging.getLogger("jaxilc")
 
 
 class Passed(NamedTuple):
@@ -349,30 +352,38 @@ def kept_or(
 ) -> FirstTaps:
     """The taps with which a tuning begins: those kept in its folder, or computed and kept there.
 
-    Raises FileExistsError for a folder with taps without `resume`, and ValueError for taps of
-    another question, and for those of an earlier version that differ from segment to segment.
+    Those in a damaged file are computed again. Raises FileExistsError for a folder with taps
+    without `resume`, and ValueError for taps of another question, and for those of an earlier
+    version that differ from segment to segment.
     """
     file = folder / BEGUN
     question = json.loads(json_text({"asked": describe(asked), "environment": environment()}))
     if file.exists():
         if not resume:
             need_free(folder)
-        stored = as_json(unsealed(read_json(file)))
-        need_same(folder, stored["question"], question, "made for another question")
-        filters = Filters(*(np.asarray(stored[name], float) for name in Filters._fields))
-        if filters.keep.ndim % 2 == 0:
-            raise ValueError(
-                f"{folder} was begun by an earlier version with other taps in each segment; "
-                "choose another place"
-            )
-        besides = {name: np.asarray(of, float) for name, of in stored["besides"].items()}
-        return FirstTaps(filters, int(stored["lead"]), besides)
+        try:
+            stored = as_json(unsealed(read_json(file)))
+            need_same(folder, stored["question"], question, "made for another question")
+            filters = Filters(*(np.asarray(stored[name], float) for name in Filters._fields))
+            besides = {name: np.asarray(of, float) for name, of in stored["besides"].items()}
+            kept = FirstTaps(filters, int(stored["lead"]), besides)
+        except (Damaged, KeyError):
+            log.warning("%s is damaged, or another file; its taps are computed again", file)
+        else:
+            if filters.keep.ndim % 2 == 0:
+                raise ValueError(
+                    f"{folder} was begun by an earlier version with other taps in each segment; "
+                    "choose another place"
+                )
+            return kept
     need_described(question)
     taps = compute()
     folder.mkdir(parents=True, exist_ok=True)
-    kept = {name: np.asarray(values).tolist() for name, values in taps.filters._asdict().items()}
-    besides = {name: np.asarray(values).tolist() for name, values in taps.besides.items()}
-    write_json(file, sealed({"question": question, "lead": taps.lead, "besides": besides, **kept}))
+    found, besides = (
+        {name: np.asarray(values).tolist() for name, values in of.items()}
+        for of in (taps.filters._asdict(), taps.besides)
+    )
+    write_json(file, sealed({"question": question, "lead": taps.lead, "besides": besides, **found}))
     return taps
 
 

@@ -19,6 +19,7 @@ from jaxilc.design.window import Filters, ShapedFilter, window_of
 from jaxilc.outcomes.designing import safety_said
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import PIDType
+from jaxilc.storage.sealed import sealed, write_json
 from jaxilc.theory.law import law_of, learning_law
 
 DT, N, TRIALS, MARGIN = 1e-3, 120, 5, 0.1
@@ -270,6 +271,30 @@ def test_taps_that_an_earlier_version_found_for_each_segment_are_refused(inner, 
     assert kept((), resume=True).filters.L.shape == (5, *inner)
     with pytest.raises(ValueError, match="earlier version with other taps in each segment"):
         kept((2,), resume=True)
+
+
+def test_damaged_taps_are_computed_again(tmp_path, caplog):
+    made = []
+
+    def first():
+        made.append(FirstTaps(Filters(np.arange(5.0), np.ones(3)), 3, {}))
+        return made[-1]
+
+    kept_or(tmp_path, "which taps?", first, resume=False)
+    file = tmp_path / "start.json"
+    whole = file.read_text()
+    other = tmp_path / "other.json"
+    write_json(other, sealed({"lead": 3}))
+    for damage in (whole.replace("4.0", "4.5"), "[]", whole[:50], "", other.read_text()):
+        file.write_text(damage)
+        caplog.clear()
+        found = kept_or(tmp_path, "which taps?", first, resume=True)
+        assert found.filters.L.tolist() == [0, 1, 2, 3, 4]
+        assert str(file) in caplog.text
+        assert file.read_text() == whole
+    assert len(made) == 6
+    kept_or(tmp_path, "which taps?", first, resume=True)
+    assert len(made) == 6
 
 
 @pytest.mark.parametrize(
