@@ -41,7 +41,7 @@ EXIT_CODES = (
     " safe law, simulation contradicts a claim, or no worker could compute a chunk of a sweep",
     "2    a mistake in what was asked: one line that names what is allowed",
     "3    next: the measured trial, or the input after it, is refused",
-    "130  stopped by Ctrl-C: sweep, tune and pareto keep what is done, and go on with --resume",
+    "130  stopped by Ctrl-C: sweep, tune, pareto, design and learn-law go on with --resume",
 )
 
 app = typer.Typer(
@@ -219,8 +219,8 @@ def _short(said: str) -> str:
 MOMENT = 2.0  # [s] for the command to end by itself
 INTERRUPTED = 130  # exit code
 STOPPED = (
-    "stopped; files that were written are whole: the same command starts again, or with --resume "
-    "goes on (sweep, tune, pareto)"
+    "stopped; files that were written are whole: sweep, tune, pareto, design and learn-law go on "
+    "with --resume, the other commands start again"
 )
 _seen = threading.Event()
 _watching: list[threading.Thread] = []

@@ -1,10 +1,14 @@
 """Ctrl-C ends the program in a moment, also where Python does not see it."""
 
+import re
 import subprocess
 import sys
 import time
 
 import pytest
+import typer.main
+
+from jaxilc.cli import entry
 
 # A shell lets what it starts in the background, such as these tests, ignore interrupts.
 BEGIN = """
@@ -31,5 +35,14 @@ def test_an_interrupt_ends_the_process_and_says_how_to_go_on(then):
         check=False, capture_output=True, text=True, timeout=50,
     )  # fmt: skip
     assert done.returncode == 130
-    assert "stopped; files that were written are whole: the same command" in done.stderr
+    assert "stopped; files that were written are whole: sweep, tune" in done.stderr
     assert time.monotonic() - begun < 40  # 1 and 3 s on a quiet processor
+
+
+def test_the_commands_that_go_on_are_those_with_resume():
+    named = {one.strip() for one in re.split(r"[:,]| and | go on", entry.STOPPED)}
+    commands = typer.main.get_command(entry.app).commands
+    able = {name for name, of in commands.items() if "resume" in {one.name for one in of.params}}
+    assert able == named & commands.keys()
+    (of_code,) = (line for line in entry.EXIT_CODES if line.startswith("130"))
+    assert able == {name for name in commands if name in re.findall(r"[a-z-]+", of_code)}
