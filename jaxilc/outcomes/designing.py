@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import shlex
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -23,6 +24,7 @@ from ..scenarios.design_file import design_path, need_same_folder, write_design
 from ..schemes import Scheme
 from ..storage.columns import plain_unit
 from ..storage.files import need_unused
+from ..storage.sealed import Damaged, checksum, read_json, sealed, unsealed, write_json
 from ..sweeps.store import open_dataset
 from ..theory.q_filter import rounded
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
@@ -38,6 +40,7 @@ NOTHING_RECURS = (
     "The record tells nothing of how the error repeats: what is new in each trial is larger, or "
     "the trial is too short."
 )
+STATE, WRITTEN = "state", "written.json"  # the folder of a state; what it wrote, by its checksum
 EDGES = {"low": "notch from", "high": "notch to"}
 CAUSES = {
     "law": "the filter and the number of trials",
@@ -75,14 +78,16 @@ def design(
         file without times has the sample time of the task
     out: plant file to write; beside the one given, as axis.design.toml, if not given
     force: whether that file, and the state in the folder, are replaced
-    resume: whether to go on with the state in the folder
+    resume: whether to go on with the state in the folder, and replace what it has written
     folder: for the state and the figure; out/design-NAME if not given
     say: called with a sentence on the first safe answer, minutes before the end
     Raises ValueError naming what is allowed, and FileExistsError for what is not to be replaced.
     """
     request = Request.of(request)
-    target = target_of(request, out, "design", replace=force or resume)
+    target = target_of(request, out, "design")
     chosen = request.machine_to_design()
+    place = Path(folder or f"out/design-{chosen.name}")
+    need_replaceable(target, place, force=force, resume=resume)
     within, lines = None, []
     if record:
         repeats = repeats_in(record, without=float(chosen.task.dt))
@@ -97,7 +102,6 @@ def design(
         within = within_trial(repeats)
         lines = recurs(within, repeats) or [NOTHING_RECURS]
         say(lines[0])
-    place = Path(folder or f"out/design-{chosen.name}")
     question = asked_of(
         Design, chosen, laws=tuple(laws), tolerance=chosen.look["tolerance"], margin=margin,
         machines=machines, steps=steps, seed=seed, quantities=chosen.functions,
@@ -117,7 +121,7 @@ def design(
     if best is not None:
         law = best.verdict.candidate
         schemes = {law.name: law.scheme} | further.schemes
-        kept.append(write_design(target, request.source, schemes, said))
+        kept.append(written_by(state, target, request, schemes, said))
     shown, live = of_judged(state, chosen, "design", "The errors by trial of the laws")
     return Outcome(
         command="design",
@@ -162,8 +166,8 @@ def _told(chosen: Scenario, steps: int, progress: Progress, say: Progress) -> To
 # --------------------------------------------------------------------------------------------------
 
 
-def target_of(request: Request, out: str | Path | None, what: str, *, replace: bool) -> Path:
-    """The plant file to write; raises ValueError or FileExistsError where it may not be written."""
+def target_of(request: Request, out: str | Path | None, what: str) -> Path:
+    """The plant file to write; raises ValueError where it may not lie there."""
     source = Path(request.source)
     if not request.of_file:
         raise ValueError(
@@ -172,14 +176,36 @@ def target_of(request: Request, out: str | Path | None, what: str, *, replace: b
         )
     target = Path(out) if out else design_path(source, what)
     need_same_folder(source, target)
-    if target.exists() and not replace:
-        raise FileExistsError(f"{target} exists already; add --force to replace it")
     return target
+
+
+def need_replaceable(target: Path, folder: Path, *, force: bool, resume: bool) -> None:
+    """Raises FileExistsError for a plant file that would be replaced without having been asked for.
+
+    To go on with a state replaces what this state has written, as it was written.
+    """
+    if force or not target.exists():
+        return
+    with suppress(OSError, Damaged, KeyError):
+        known = unsealed(read_json(folder / STATE / WRITTEN))["plant file"]
+        if resume and known == checksum(target.read_bytes()):
+            return
+    by_other = ", and the state has not written it as it is" if resume else ""
+    raise FileExistsError(f"{target} exists already{by_other}; add --force to replace it")
+
+
+def written_by(
+    state: Path, target: Path, request: Request, schemes: Mapping[str, Scheme], said: Iterable[str]
+) -> Path:
+    """Write a plant file as `write_design` does, and keep its checksum in the state."""
+    path = write_design(target, request.source, schemes, said)
+    write_json(state / WRITTEN, sealed({"plant file": checksum(path.read_bytes())}))
+    return path
 
 
 def state_of(folder: Path, *, force: bool, resume: bool) -> Path:
     """The folder for the state, without that of an earlier run, which is refused or replaced."""
-    state = folder / "state"
+    state = folder / STATE
     if state.exists() and not resume:
         need_unused(state)
         if not force:
@@ -488,16 +514,17 @@ def learn_law(
     risk: as `jaxilc tune --risk` takes it
     out: plant file to write; beside the one given, as axis.learned.toml, if not given
     force: whether that file, and the state in the folder, are replaced
-    resume: whether to go on with the state in the folder
+    resume: whether to go on with the state in the folder, and replace what it has written
     folder: for the state and the figures; out/learn-law-NAME if not given
     say: called with a sentence when the taps by frequency response are found
     Raises ValueError naming what is allowed, and FileExistsError for what is not to be replaced.
     """
     request = Request.of(request)
-    target = target_of(request, out, "learned", replace=force or resume)
+    target = target_of(request, out, "learned")
     combined = risk_of(risk)
     chosen = request.machine_to_design()
     place = Path(folder or f"out/learn-law-{chosen.name}")
+    need_replaceable(target, place, force=force, resume=resume)
     question = asked_of(
         LearnedLaw, chosen, taps=taps, start=start,
         starts=_samples(segments, float(chosen.task.dt)), coupled=coupled, limit=limit,
@@ -520,7 +547,7 @@ def learn_law(
         command="learn-law", numbers=_law_numbers(chosen, learned),
         verdict=_verdict(learned, said, request, target), folder=place, scenario=chosen,
         tables=[_law_table(chosen, learned)] if learned.verdicts else [],
-        kept=[write_design(target, request.source, {LEARNED: learned.law.scheme}, said)]
+        kept=[written_by(state, target, request, {LEARNED: learned.law.scheme}, said)]
         if learned.law
         else [],
         failed="" if learned.law else "the law is refused, and no plant file was written",

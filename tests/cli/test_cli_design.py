@@ -1,6 +1,7 @@
 """`jaxilc design` and `jaxilc learn-law` as a user types them."""
 
 import json
+from contextlib import suppress
 from types import SimpleNamespace
 from unittest import mock
 
@@ -15,7 +16,14 @@ from jaxilc.design import LAWS, Designed, Recommended, search
 from jaxilc.design.candidates import Candidate
 from jaxilc.design.judging import Verdict
 from jaxilc.design.learned import STARTS, LearnedLaw, Taps
-from jaxilc.outcomes.designing import _table, _with_weights, state_of
+from jaxilc.outcomes import Request
+from jaxilc.outcomes.designing import (
+    _table,
+    _with_weights,
+    need_replaceable,
+    state_of,
+    written_by,
+)
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import LearningFilter, PIDType
 
@@ -83,8 +91,11 @@ def test_a_design_ends_with_a_verdict_and_a_file_for_the_next_command(file, monk
     assert float(schemes["repetitive"].period) == numbers["within"]["time"]["period"]
     law = schemes["p-type"]
     assert float(law.scheme.gamma_p) == numbers["chosen"]["weights"]["scheme.gamma_p"]
-    code, _, err = call("design", file.name, *asked)
-    assert (code, "add --force" in err) == (2, True)
+    for further in ((), ("--resume",)):
+        (file.parent / "axis.design.toml").write_text("mine")
+        code, _, err = call("design", file.name, *asked, *further)
+        assert (code, "add --force" in err) == (2, True)
+        assert (file.parent / "axis.design.toml").read_text() == "mine"
     write_columns("other.csv", "t [s],r [cm],y [cm]", t, t, t - 0.1 * e)
     code, _, err = call("design", file.name, *asked, "--force", "--record", "other.csv")
     assert (code, "record has the unit 'cm', the task has 'mm'" in err) == (2, True)
@@ -110,6 +121,29 @@ def test_a_state_is_resumed_replaced_or_refused(tmp_path):
     assert state.exists()
     assert state_of(tmp_path, force=True, resume=False) == state
     assert not state.exists()
+
+
+def test_to_go_on_replaces_what_the_state_has_written_and_nothing_of_the_user(file):
+    target, state = file.with_name("axis.design.toml"), file.with_name("state")
+    state.mkdir()
+
+    def refused(*, resume):
+        with suppress(FileExistsError):
+            need_replaceable(target, file.parent, force=False, resume=resume)
+            return False
+        return True
+
+    assert not refused(resume=False)
+    target.write_text("mine")
+    assert refused(resume=True)
+    need_replaceable(target, file.parent, force=True, resume=True)
+    written_by(state, target, Request.of(file), {"p-type": PIDType(gamma_p=0.5)}, ["said"])
+    assert refused(resume=False)
+    assert not refused(resume=True)
+    target.write_text(target.read_text() + "# and a note of mine")
+    assert refused(resume=True)
+    (state / "written.json").write_text("{}")
+    assert refused(resume=True)
 
 
 @pytest.mark.parametrize(
