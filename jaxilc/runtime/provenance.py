@@ -41,6 +41,7 @@ class Environment(TypedDict):
 
     native: the variants of a sweep that programs compiled for this processor compute, or whether
         one computes a tuning
+    random: how random numbers are drawn, where JAX has been set to another way than its own
     """
 
     versions: dict[str, str]
@@ -48,11 +49,12 @@ class Environment(TypedDict):
     devices: int
     precision: str
     native: NotRequired[list[str] | bool]
+    random: NotRequired[str]
 
 
 def environment(*packages: str) -> Environment:
     """The environment of this process, with the versions of these packages too."""
-    return {
+    found: Environment = {
         "versions": {
             name: version(name) for name in ("jaxilc", "jax", "jaxlib", "numpy", *packages)
         },
@@ -60,6 +62,11 @@ def environment(*packages: str) -> Environment:
         "devices": jax.device_count(),
         "precision": "float64" if jax.config.jax_enable_x64 else "float32",
     }
+    random = jax.config.jax_default_prng_impl
+    random += "" if jax.config.jax_threefry_partitionable else ", not partitionable"
+    if random != "threefry2x32":
+        found["random"] = random
+    return found
 
 
 def differences(found: object, wanted: object) -> list[str]:

@@ -26,7 +26,7 @@ from jaxilc.plants import DifferenceEquation, Plant, StateSpace
 from jaxilc.pytree import Leaf, leaf, pytree
 from jaxilc.runtime import capacity, tiled
 from jaxilc.runtime.earlier_names import takes_also
-from jaxilc.runtime.provenance import CODE, CONSTANTS, describe, differences
+from jaxilc.runtime.provenance import CODE, CONSTANTS, describe, differences, environment
 from jaxilc.schemes import CFDLMFAILC, PID, Feedforward, PIDType, Scheme
 from jaxilc.sweeps import sweep as sweep_module
 from jaxilc.sweeps.host import Host
@@ -327,6 +327,23 @@ def test_a_jitted_function_is_known_wherever_its_file_is():
         return describe(names["make"](level))
 
     assert made(1.0, "one.py") == made(1.0, "in/another/one.py") != made(2.0, "one.py")
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"), [("jax_default_prng_impl", "rbg"), ("jax_threefry_partitionable", False)]
+)
+def test_numbers_drawn_in_another_way_are_of_another_environment(setting, value):
+    usual, before = environment(), getattr(jax.config, setting)
+    first = float(jax.random.normal(jax.random.key(0), (3,))[2])
+    jax.config.update(setting, value)
+    try:
+        assert float(jax.random.normal(jax.random.key(0), (3,))[2]) != first
+        (line,) = differences(usual, environment())
+    finally:
+        jax.config.update(setting, before)
+    assert line.startswith("random: None there, ")
+    assert environment() == usual
+    assert "random" not in usual
 
 
 def test_a_store_of_what_cannot_be_told_from_others_is_refused(tmp_path):
