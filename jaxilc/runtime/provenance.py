@@ -6,7 +6,6 @@ with the same parameters.
 
 from __future__ import annotations
 
-import copyreg
 import dataclasses
 import hashlib
 import inspect
@@ -201,7 +200,7 @@ def _parts(value: Value) -> dict[str, Value]:
     """
     attributes = dict(getattr(value, "__dict__", {}))
     attributes.pop("_jit_info", None)  # of `jax.jit`: the file and the line of a function, too
-    text = repr(value)
+    text = "" if attributes else repr(value)
     by_text = {} if attributes else {UNKNOWN: True} if " at 0x" in text else {STATE: text}
     of_jax = type(value).__module__.partition(".")[0] in ("jax", "jaxlib")
     if of_jax and UNKNOWN not in by_text:
@@ -213,13 +212,13 @@ def _parts(value: Value) -> dict[str, Value]:
     by_name = isinstance(value, Enum) or (isinstance(value, np.dtype) and value.isbuiltin == 1)
     if isinstance(stored, str) or by_name:  # which is described already
         return {"attributes": attributes}
-    make, arguments, state, *items = (*stored, None, None, None)[:5]
-    if make is copyreg.__newobj__:
-        arguments = arguments[1:]
+    _, arguments, state, *items = (*stored, None, None, None)[:5]
+    arguments = [of for of in arguments or () if of is not type(value)]
     if isinstance(state, dict) and state.keys() == attributes.keys():
         state = None
-    further = [arguments, state, *(one and [*one] for one in items)]
-    return {"attributes": attributes, **({STATE: further} if any(further) else {})}
+    further = [arguments or None, state, *(one and [*one] for one in items)]
+    told = any(one is not None for one in further)
+    return {"attributes": attributes, **({STATE: further} if told else {})}
 
 
 def _is_of_a_user(cls: Value) -> bool:
@@ -269,7 +268,7 @@ def _of_array(array: np.ndarray) -> Json:
     }
 
 
-def _name(value: object) -> str:
+def _name(value: Value) -> str:
     if isinstance(value, ModuleType):
         return value.__name__
     named = hasattr(value, "__qualname__") and hasattr(value, "__module__")

@@ -435,8 +435,10 @@ class Folder:
         if [_kind(leaf) for leaf in found] != [_kind(_plain(leaf)) for leaf in leaves]:
             said = f"{self.path / name} is not a state of this tuning"
             raise ValueError(f"{said}; remove {self.path} and start again")
-        found = [x.view(np.asarray(like).dtype) for x, like in zip(found, leaves, strict=True)]
-        return jax.tree.unflatten(structure, found)
+        pairs = zip(found, leaves, strict=True)
+        return jax.tree.unflatten(
+            structure, [np.asarray(x).view(np.asarray(like).dtype) for x, like in pairs]
+        )
 
     def _leave_others(self) -> None:
         """Count a state that holds another configuration, such as a borrowed one, as damaged."""
