@@ -21,8 +21,10 @@ from .ranges import (
     Interval,
     allowed,
     annotations_of,
+    as_annotated,
     as_numbers,
     brief,
+    concrete,
     fits,
     is_number,
     is_whole,
@@ -66,7 +68,8 @@ def static(
 ) -> Value:
     """A static field, such as a length, a window or a mode; another value needs another program.
 
-    The value must have the type with which the field is annotated. Lists become tuples.
+    The value must have the type with which the field is annotated. Lists become tuples; 0-d arrays
+    and numbers of NumPy become numbers of Python, which are equal only where they are the same.
 
     default: default value
     interval: allowed range of a number; None: no range
@@ -170,8 +173,9 @@ def _settled(cls: type, field: dataclasses.Field[Value], value: Value) -> Value:
         return _checked_leaf(owner, field, value)
     wanted = annotations_of(cls).get(field.name, Tree)
     if kind == "static":
-        value = tuple(value) if isinstance(value, list) else value
+        value = tuple(map(concrete, value)) if type(value) in (list, tuple) else concrete(value)
         _check_static(owner, field, value, wanted)
+        value = as_annotated(value, wanted)
     elif not fits(value, wanted):
         given = (
             ""
@@ -218,20 +222,29 @@ def _check_static(owner: str, field: dataclasses.Field[Value], value: Value, wan
     choices, interval, whole = (field.metadata[k] for k in ("choices", "interval", "whole"))
     if value is None and field.metadata["optional"]:
         return
+    if isinstance(value, jax.core.Tracer):
+        raise ValueError(
+            f"{owner}: {field.name} is traced; allowed is a value that jit, vmap and grad do not "
+            "pass, since another one needs another program"
+        )
     if choices and not (fits(value, wanted) and value in choices):
         raise ValueError(
             f"{owner}: {field.name} = {brief(value)} is not one of {', '.join(map(repr, choices))}"
         )
-    if interval is not None and not (
-        is_number(value) and interval.contains(value) and (is_whole(value) or not whole)
-    ):
-        said = f"{interval}{' of whole numbers' if whole else ''}"
+    number = is_number(value)
+    inside = number and (interval is None or interval.contains(value)) and not (whole and value % 1)
+    if interval is not None and (number or is_whole(value)) and not inside:
         raise ValueError(
-            f"{owner}: {field.name} = {brief(value)} is outside its allowed range {said}"
+            f"{owner}: {field.name} = {brief(value)} is outside its allowed range {interval}"
+            f"{' of whole numbers' * whole}"
         )
+    if interval is not None and wanted is Tree:
+        wanted = int if whole else float
     if not fits(value, wanted):
+        within = "" if interval is None else f" in {interval}"
         raise ValueError(
-            f"{owner}: {field.name} = {brief(value)} is a {type(value).__name__}; {allowed(wanted)}"
+            f"{owner}: {field.name} = {brief(value)} is a {type(value).__name__}; "
+            f"{allowed(wanted)}{within}"
         )
 
 

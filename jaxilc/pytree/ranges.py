@@ -74,11 +74,16 @@ def require(
             f"{name} = {brief(values)} is not a number{' or an array of numbers' * many}"
         )
     for i, value in np.ndenumerate(found):
-        if not wanted.contains(value) or (whole and not is_whole(values)):
+        if not wanted.contains(value) or (whole and value % 1):
             said = f"{wanted}{' of whole numbers' * whole}{note}"
             raise ValueError(
                 f"{name}{list(i) or ''} = {value:g}{unit} is outside its allowed range {said}"
             )
+    if whole and not is_whole(values):
+        raise ValueError(
+            f"{name} = {brief(values)} is a {type(values).__name__}; allowed is a whole number in "
+            f"{wanted}{note}"
+        )
 
 
 def as_numbers(value: Value) -> np.ndarray | None:
@@ -100,6 +105,32 @@ def as_numbers(value: Value) -> np.ndarray | None:
         return None
     kept = hasattr(value, "dtype") and array.dtype.kind == "f" and array.dtype.itemsize <= 8
     return array if kept else array.astype(float)
+
+
+def concrete(value: Value) -> Value:
+    """The number or text in a scalar of NumPy or a 0-d array; any other value itself.
+
+    NumPy's np.float16(1e-3) is equal to 1e-3 and has its hash, so that a compiled program of one of
+    them would be taken for the other, but it is a number 4e-4 larger.
+    """
+    if getattr(value, "shape", None) != () or np.ma.is_masked(value):
+        return value
+    try:
+        return value.item()
+    except (TypeError, AttributeError, NotImplementedError):  # traced, or without a number
+        return value
+
+
+def as_annotated(value: Value, kind: Value) -> Value:
+    """A value that fits an annotation, with each number of the type in it."""
+    origin: Value = typing.get_origin(kind)
+    inside = typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        return as_annotated(value, next(one for one in inside if fits(value, one)))
+    if origin is tuple:
+        kinds = inside[:1] * len(value) if inside[1:] == (...,) else inside
+        return tuple(map(as_annotated, value, kinds))
+    return kind(value) if kind in (int, float) and value is not None else value
 
 
 def is_number(value: Value) -> bool:

@@ -73,7 +73,6 @@ class Task:
                     f"Task: settle = {self.settle} s is not a window that begins within [0, "
                     f"{self.duration:g}] s with a later, finite stop, which may be beyond the trial"
                 )
-            object.__setattr__(self, "settle", (float(start), float(stop)))
 
     @property
     def N(self) -> int:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
@@ -86,10 +87,12 @@ NOT_ALLOWED = [
     (Task, "reference", np.ma.masked_equal([0.0, 1.0, 2.0], 1.0), "= masked_array.* is not a num"),
     (PID, "form", "velocity", "= 'velocity' is not one of 'position', 'increment'"),
     (CFDLMFAILC, "reset", "always", "= 'always' is not one of 'book', 'sign', 'none'"),
-    (PIDType, "lead", "two", "= 'two' is outside its allowed range"),
+    (PIDType, "lead", "two", r"= 'two' is a str; allowed is a whole number in \[0, inf\)"),
+    (PIDType, "lead", 2.0, r"= 2.0 is a float; allowed is a whole number in \[0, inf\)"),
+    (Task, "dt", np.array([1e-3]), r"= array.* is a ndarray; allowed is a number in \[1e-12,"),
     (PIDType, "lead", np.array([1, 2]), "= "),
     (PIDType, "lead", 10**5000, "= a int too long to show is outside its allowed range"),
-    (PIDType, "lead", 1j, "= 1j is outside its allowed range"),
+    (PIDType, "lead", 1j, "= 1j is a complex; allowed is a whole number"),
     (Machine, "plant", PID(), "is a PID; allowed is Plant"),
 ]
 
@@ -99,7 +102,7 @@ NOT_ALLOWED = [
 )
 def test_a_value_that_is_not_allowed_is_named_with_what_is(cls, name, value, said):
     with pytest.raises(ValueError, match=f"{cls.__name__}: {name} {said}"):
-        cls(**{name: value, **({"dt": DT} if cls is Task else {})})
+        cls(**({"reference": np.zeros(3), "dt": DT} if cls is Task else {}) | {name: value})
 
 
 REFUSED = {
@@ -406,6 +409,34 @@ def test_transformations_do_not_validate():
         jax.vmap(lambda g: Inner(gain=g).gain)(jnp.array([-1.0, 20.0])), [-1.0, 20.0]
     )
     assert float(jax.jit(lambda v: replaced(voice_coil(), {"poles[1]": v}).poles[1])(7.0)) == 7.0
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        (np.float16(1e-3), 0x419 / 2**20),  # the nearest of 11 bits
+        (np.float32(1e-3), 0x83126F / 2**33),
+        (np.longdouble(1e-3), 1e-3),
+        (np.array(1e-3), 1e-3),
+        (jnp.array(1e-3), 1e-3),
+        (Fraction(1, 1000), 1e-3),
+        (1, 1.0),
+    ],
+    ids=str,
+)
+def test_a_static_number_is_the_same_wherever_it_is_equal(given, meant):
+    """To NumPy np.float16(1e-3) is 1e-3, and one program of JAX would serve both."""
+    of_dt = jax.jit(lambda task: task.dt + 0 * task.reference[0, 0])
+    of = [Task(np.zeros(3), dt=dt, settle=[0, dt]) for dt in (given, meant, 1e-3)]
+    assert [float(of_dt(task)) for task in of] == [meant, meant, 1e-3]
+    assert {type(x) for x in (of[0].dt, *of[0].settle)} == {float}
+    assert type(PIDType(lead=np.int8(2)).lead) is type(OnOutputs(PID(), [np.array(1)]).outputs[0])
+
+
+def test_a_static_number_cannot_be_traced():
+    for transformed in (jax.jit, jax.vmap):
+        with pytest.raises(ValueError, match="Task: dt is traced; allowed is a value that jit, vm"):
+            transformed(lambda dt: Task(np.zeros(3), dt=dt).dt)(np.ones(2))
 
 
 def test_statics_belong_to_the_structure_and_own_checks_run():
