@@ -17,7 +17,7 @@ from jax import lax
 from ..plants import Plant
 from ..pytree.aliases import Array, Tree, Value
 from ..pytree.in_short import in_short
-from ..pytree.ranges import brief, require
+from ..pytree.ranges import brief, concrete, require
 from ..runtime.capacity import bytes_of, check_size
 from ..runtime.lanes import usual_stored
 from ..schemes import Scheme
@@ -91,7 +91,7 @@ def learn(
     trials: J >= 1
     key: random key of the noise; trial j uses `fold_in(key, j)`; None: a fixed key
     memory: memory to continue from, such as `history.memory`; None: start without knowledge
-    first: number j of the first trial, so that the noise is continued too
+    first: number j of the first trial, up to 2e9, so that the noise is continued too
     save: function of a trial that returns what to keep of it besides its metrics; None: nothing
     start: where the first trial starts, such as `history.start`; None: where the machine rests
     trials_a_pass: trials in each pass of the compiled loop. With 2, the second reads what the first
@@ -106,10 +106,11 @@ def learn(
     Raises ValueError, before anything is compiled, where machine, scheme, task, memory and start do
     not fit.
     """
+    trials, first, trials_a_pass = map(concrete, (trials, first, trials_a_pass))
     require("learn", "trials", trials, "[1, inf)", whole=True)
     require("learn", "trials_a_pass", trials_a_pass, "[1, inf)", whole=True)
     if not isinstance(first, jax.core.Tracer):
-        require("learn", "first", first, "[1, inf)", whole=True)
+        require("learn", "first", first, "[1, 2e9]", whole=True)
     if save is not None and not (callable(save) and isinstance(save, Hashable)):
         raise ValueError(
             f"learn: save = {save!r} is not a function of a trial; allowed are functions, and "
@@ -134,6 +135,11 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
     The message names the parameter.
     """
     need_kinds(machine=machine, scheme=scheme, task=task)
+    if task.reference.ndim != 2:
+        raise ValueError(
+            f"Task: reference has shape {task.reference.shape}; allowed is (N+1, n_y), and of tasks "
+            "that are stacked each by itself: write jax.vmap"
+        )
     need_pytrees(machine, scheme)
     check_length(task, scheme)
     machine.check(task)

@@ -18,6 +18,7 @@ import numpy as np
 from .aliases import Tree, Value
 from .in_short import in_short
 from .ranges import (
+    TRACED,
     Interval,
     allowed,
     annotations_of,
@@ -223,10 +224,7 @@ def _check_static(owner: str, field: dataclasses.Field[Value], value: Value, wan
     if value is None and field.metadata["optional"]:
         return
     if isinstance(value, jax.core.Tracer):
-        raise ValueError(
-            f"{owner}: {field.name} is traced; allowed is a value that jit, vmap and grad do not "
-            "pass, since another one needs another program"
-        )
+        raise ValueError(f"{owner}: {field.name} {TRACED}")
     if choices and not (fits(value, wanted) and value in choices):
         raise ValueError(
             f"{owner}: {field.name} = {brief(value)} is not one of {', '.join(map(repr, choices))}"

@@ -16,6 +16,7 @@ from .aliases import Value
 _INTERVAL = re.compile(r"^([\[(])\s*(\S+)\s*,\s*(\S+)\s*([\])])$")
 _LONG = 60  # number of characters of a value that a message shows
 MOST_WORDS = 8  # of a text, such as the numbers of an array, that are shown
+TRACED = "is traced; allowed is a static value, no argument of jit, vmap or grad"
 SEEDS = "[0, 9e18]"  # what random generators accept, with room for the seeds that follow
 
 
@@ -70,9 +71,8 @@ def require(
     name = f"{owner}: {name}" if owner else name
     found = None if isinstance(values, bool | np.bool_) else as_numbers(values)
     if found is None or (found.ndim and not many):
-        raise ValueError(
-            f"{name} = {brief(values)} is not a number{' or an array of numbers' * many}"
-        )
+        said = f"= {brief(values)} is not a number{' or an array of numbers' * many}"
+        raise ValueError(f"{name} {TRACED if hasattr(values, 'aval') else said}")
     for i, value in np.ndenumerate(found):
         if not wanted.contains(value) or (whole and value % 1):
             said = f"{wanted}{' of whole numbers' * whole}{note}"

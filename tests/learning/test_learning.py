@@ -373,6 +373,28 @@ def test_trials_must_be_a_positive_number(trials, machine, task):
         learn(machine, SCHEMES["p_type"], task, 1, first=trials)
 
 
+def test_whole_numbers_may_be_0d_arrays_and_are_told_what_they_are(machine, task):
+    law = SCHEMES["p_type"]
+    of = [learn(machine, law, task, J, first=J).rms for J in (2, np.array(2), jnp.array(2))]
+    np.testing.assert_array_equal(of[1:], of[:1] * 2)
+    for trials, said in ((2.0, "= 2.0 is a float; allowed is a whole"), (2.5, "= 2.5 is outside")):
+        with pytest.raises(ValueError, match=f"learn: trials {said}"):
+            learn(machine, law, task, trials)
+    with pytest.raises(ValueError, match="learn: trials is traced; allowed is a static value"):
+        jax.jit(lambda trials: learn(machine, law, task, trials).rms)(2)
+    for first in (2**31, 2**32 + 1, 2**63):  # the noise of 2**32 + 1 would be that of 1
+        with pytest.raises(ValueError, match=r"learn: first = .* range \[1, 2e\+09\] of whole"):
+            learn(machine, law, task, 1, first=first)
+
+
+def test_stacked_tasks_are_named_as_stacked_schemes_are(machine, task):
+    two = jax.tree.map(lambda r: np.stack([r, r]), task)
+    with pytest.raises(
+        ValueError, match=r"Task: reference has shape \(2, 61, 1\); .*write jax.vmap"
+    ):
+        learn(machine, SCHEMES["p_type"], two, 1)
+
+
 def test_no_memory_is_that_before_the_first_trial(machine, task):
     scheme = SCHEMES["cfdl_sign"]
     begun = scheme.initial_memory(task)
@@ -408,7 +430,7 @@ TASKS = [
     ),
     ({"dt": 0.0}, r"dt = 0.0 is outside its allowed range \[1e-12, 1e\+09\]"),
     ({"dt": 1e300}, r"dt = 1e\+300 is outside its allowed range \[1e-12, 1e\+09\]"),
-    ({"dt": 1j}, "dt = 1j is outside its allowed range"),
+    ({"dt": 1j}, "dt = 1j is a complex; allowed is a number in"),
     ({"settle": (0.0, np.inf)}, r"settle = \(0.0, inf\) s is not a window"),
     ({"settle": (0.006, 0.002)}, r"settle = \(0.006, 0.002\) s is not a window"),
     ({"settle": (0.5, 0.7)}, r"settle = \(0.5, 0.7\) s is not a window that begins within \[0, 0"),
