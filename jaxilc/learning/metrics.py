@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 
 from ..pytree.aliases import Array, Tree
-from ..pytree.ranges import brief
+from ..pytree.ranges import brief, native
 from ..runtime.jax_internals import with_slope
 from ..runtime.lanes import over_samples
 from ..signals.rows import for_scan
@@ -292,7 +292,7 @@ def repeatability(rms: Array) -> Repeatability:
         as `History.rms` of pure feedback [unit of y]
     Raises ValueError for fewer runs.
     """
-    rms = jnp.asarray(rms)
+    rms = jnp.asarray(native(rms))
     if rms.ndim not in (1, 2) or len(rms) < 2:
         raise ValueError(
             f"repeatability: rms has shape {rms.shape}; allowed are (J,) and (J, n_y) with J >= 2"

@@ -17,7 +17,7 @@ from jax import lax
 from ..plants import Plant
 from ..pytree.aliases import Array, Tree, Value
 from ..pytree.in_short import in_short
-from ..pytree.ranges import brief, concrete, require
+from ..pytree.ranges import brief, concrete, native, require
 from ..runtime.capacity import bytes_of, check_size
 from ..runtime.lanes import usual_stored
 from ..schemes import Scheme
@@ -119,6 +119,7 @@ def learn(
     check(machine, scheme, task)
     if watch is not None:
         need_kinds(watch=watch)
+    memory, start = jax.tree.map(native, (memory, start))
     _check_what_goes_on(machine, scheme, task, key, memory, start)
     trials, size = int(trials), bytes_of_metrics(task)
     if trials * size > LITTLE:

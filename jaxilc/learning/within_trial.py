@@ -8,6 +8,7 @@ import numpy as np
 from jax import lax
 
 from ..pytree.aliases import Array, Tree, Value
+from ..pytree.ranges import native
 from ..runtime.capacity import bytes_of
 from ..runtime.lanes import over_samples
 from ..schemes import Scheme
@@ -35,7 +36,7 @@ def run_trial(
     The function is pure and can be called inside `jit`. Fields of the returned `Trial` have N or
     N+1 rows.
     """
-    memory = scheme.initial_memory(task) if memory is None else memory
+    memory = scheme.initial_memory(task) if memory is None else jax.tree.map(native, memory)
     return run_and_measure(machine, scheme, task, memory, key, number, measured=False)[0]
 
 

@@ -89,7 +89,8 @@ def require(
 def as_numbers(value: Value) -> np.ndarray | None:
     """The value as an array of floats, or None if it does not consist of real numbers.
 
-    An array of half to double precision keeps its precision. What is masked is no number.
+    An array of half to double precision keeps its precision, not the byte order of another machine.
+    What is masked is no number.
     """
     if np.ma.is_masked(value):
         return None
@@ -104,7 +105,16 @@ def as_numbers(value: Value) -> np.ndarray | None:
     if array.dtype.kind not in "fiu":
         return None
     kept = hasattr(value, "dtype") and array.dtype.kind == "f" and array.dtype.itemsize <= 8
-    return array if kept else array.astype(float)
+    return native(array) if kept else array.astype(float)
+
+
+def native(value: Value) -> Value:
+    """An array in the byte order of this machine, the only one in which JAX computes.
+
+    Files of LabVIEW, FITS and MATLAB hold others. What is no array of NumPy stays as it is.
+    """
+    foreign = isinstance(value, np.ndarray) and not value.dtype.isnative
+    return value.astype(value.dtype.newbyteorder("=")) if foreign else value
 
 
 def concrete(value: Value) -> Value:

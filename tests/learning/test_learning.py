@@ -387,6 +387,19 @@ def test_whole_numbers_may_be_0d_arrays_and_are_told_what_they_are(machine, task
             learn(machine, law, task, 1, first=first)
 
 
+def test_a_memory_in_the_byte_order_of_another_machine_goes_on_as_it_was(machine, task):
+    law = SCHEMES["cfdl_sign"]
+    memory = learn(machine, law, task, 2).memory
+    wide = jax.tree.map(np.asarray, memory)
+    other = jax.tree.map(lambda x: x.astype(x.dtype.newbyteorder(">")), wide)
+    key = jax.random.key(0)
+    for after in (
+        lambda memory: learn(machine, law, task, 2, memory=memory).rms,
+        lambda memory: run_trial(machine, law, task, memory, key).y,
+    ):
+        np.testing.assert_array_equal(after(other), after(wide))
+
+
 def test_stacked_tasks_are_named_as_stacked_schemes_are(machine, task):
     two = jax.tree.map(lambda r: np.stack([r, r]), task)
     with pytest.raises(

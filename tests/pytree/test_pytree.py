@@ -202,6 +202,8 @@ def test_replace_validates_as_construction_does():
         jnp.asarray(2.0),
         jnp.array(2.0),
         np.int32(2),
+        np.array(2.0, ">f8"),
+        np.array(2, ">i2"),
     ],
 )
 def test_a_leaf_is_a_strongly_typed_float_whatever_it_was_given(value):
@@ -209,6 +211,7 @@ def test_a_leaf_is_a_strongly_typed_float_whatever_it_was_given(value):
     assert jnp.result_type(gain) == jnp.float64
     assert not jax.typeof(gain).weak_type
     assert float(gain) == 2.0
+    assert replaced(voice_coil(), {"poles[1]": value}).poles[1] == 2.0
 
 
 def test_an_object_has_its_own_numbers_that_nothing_changes_later():
