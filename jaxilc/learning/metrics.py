@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Hashable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
     from ..schemes import Scheme
     from .machine import Machine
 
+# number of samples up to which a plain sum in single precision is right to 2e-5; to note what it
+# loses takes up to a fifth of the time of a trial
+LONG = 2048
+
 
 class Tally(NamedTuple):
     """The running values from which metrics are computed, updated at each sample of a trial.
@@ -35,26 +40,33 @@ class Tally(NamedTuple):
 
     gathered: (n_y,) or (n_u,) for each of `GATHERED`, the largest absolute value or the sum of
         squares so far
+    lost: the same of what each sum lost by rounding, for a trial of more than `LONG` samples in
+        single precision; None for others, and for the largest values. With it the rms of a constant
+        error is right to 1e-7 for 1e5 samples and to 5e-5 for 1e6, without it to 3e-4 and 7e-3
     """
 
     gathered: tuple[Array, ...]
+    lost: tuple[Array | None, ...]
 
     @classmethod
-    def start(cls, e: Array, inputs: int, settled: bool) -> Tally:
+    def start(cls, e: Array, inputs: int, samples: int, settled: bool) -> Tally:
         """The tally after sample 0, which no input can reach.
 
         Sample 0 counts only in metrics of the settled window, if this window begins with it.
 
         e: (n_y,) error of sample 0 [unit of y]
+        samples: N, number of samples that follow
         settled: whether the settled window begins with sample 0
         """
         none = {"e": jnp.zeros_like(e), "u": jnp.zeros_like(e, shape=inputs)}
         first = {"largest": jnp.abs(e), "root mean square": e * e}
+        lost = none if samples > LONG and jnp.finfo(e.dtype).bits < 64 else {}
         return cls(
             tuple(
                 first[how.of] if how.settled and settled and how.signal == "e" else none[how.signal]
                 for _, how in GATHERED
-            )
+            ),
+            tuple(None if how.of == "largest" else lost.get(how.signal) for _, how in GATHERED),
         )
 
     def add(self, e: Array, u: Array, settled: Array) -> Tally:
@@ -65,11 +77,16 @@ class Tally(NamedTuple):
         settled: () whether the sample is in the settled window
         """
         signals, added = {"e": e, "u": u}, []
-        for (_, how), so_far in zip(GATHERED, self.gathered, strict=True):
-            x = signals[how.signal]
+        for (_, how), *before in zip(GATHERED, *self, strict=True):
+            (so_far, lost), x = before, signals[how.signal]
             more = jnp.maximum(so_far, jnp.abs(x)) if how.of == "largest" else so_far + x * x
-            added.append(jnp.where(settled, more, so_far) if how.settled else more)
-        return Tally(tuple(added))
+            if lost is not None:
+                lost = lost + (x * x - (more - so_far))
+            now = more, lost
+            added.append(
+                jax.tree.map(partial(jnp.where, settled), now, (*before,)) if how.settled else now
+            )
+        return Tally(*zip(*added, strict=True))
 
     def metrics(self, trial: Trial, task: Task) -> Metrics:
         """The metrics of the trial of this tally, with their derivative by its signals e and u.
@@ -78,7 +95,12 @@ class Tally(NamedTuple):
         """
         e, u = trial.e, trial.u
         found, finite = {}, jnp.all(jnp.isfinite(e[0]))
-        gathered = _of_signals(self.gathered, e, u, task.settled)
+        # of a sum that is infinite, what it lost is no number
+        sums = [
+            x if lost is None else jnp.where(jnp.isfinite(lost), x + lost, x)
+            for x, lost in zip(*self, strict=True)
+        ]
+        gathered = _of_signals(tuple(sums), e, u, task.settled)
         for (name, how), value in zip(GATHERED, gathered, strict=True):
             count = self._samples(how, trial, task)
             whole = isinstance(count, int)  # each sample was measured
@@ -192,7 +214,8 @@ def measure(trial: Trial, task: Task) -> Metrics:
         x = _rows(how, e, u, task.settled)
         return jnp.max(jnp.abs(x), axis=0) if how.of == "largest" else _dot(x, x)
 
-    return Tally(tuple(gathered(how) for _, how in GATHERED)).metrics(trial, task)
+    found = tuple(gathered(how) for _, how in GATHERED)
+    return Tally(found, (None,) * len(found)).metrics(trial, task)
 
 
 @dataclasses.dataclass(frozen=True)

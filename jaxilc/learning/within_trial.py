@@ -90,7 +90,8 @@ def run_and_measure(
     y = machine.measure(_plus(plant.output(begun.plant), _at(d_y, 0)), _at(noise, 0))
     tally: Tree = None
     if measured:
-        tally = Tally.start(lax.stop_gradient(r[0] - y), task.inputs, task.settled.start == 0)
+        at_0 = lax.stop_gradient(r[0] - y)
+        tally = Tally.start(at_0, task.inputs, task.N, task.settled.start == 0)
     carry = (begun.plant, begun.scheme, begun.v, begun.u, y, tally)
     rows = (
         jnp.arange(task.N),

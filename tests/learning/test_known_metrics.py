@@ -49,6 +49,28 @@ def test_histories_datasets_and_objectives_know_each_metric():
 KINDS = [Gathering(*kind) for kind in product("eu", ("largest", "root mean square"), (False, True))]
 
 
+def test_a_long_trial_in_single_precision_has_the_root_mean_square_of_its_signals():
+    """What each addition to a running sum loses is of one sign where the errors are constant."""
+    N, rng = 100_000, np.random.default_rng(3)
+    e = np.float32(0.1 + 1e-4 * rng.standard_normal((N, 2)))
+    u = np.full((N, 1), 0.3, np.float32)
+
+    @jax.jit
+    def gathered(e, u):
+        first = Tally.start(e[0], 1, N, settled=False)
+        return lax.scan(lambda tally, now: (tally.add(*now, True), None), first, (e, u))[0]
+
+    with jax.enable_x64(False):
+        tally = gathered(e, u)
+        trial = Trial(0 * e[[0, *range(N)]], -e[[0, *range(N)]], u, 1e-3)
+        found = tally.metrics(trial, Task(np.zeros((N + 1, 2)), dt=1e-3, inputs=1))
+    for name, x in (("rms", e), ("effort", u)):
+        wanted = np.sqrt(np.mean(np.float64(x) ** 2, axis=0))
+        np.testing.assert_allclose(found._asdict()[name], wanted, rtol=3e-7)
+    double = Tally.start(np.float64(e[0]), 1, N, settled=False)
+    assert not any(x is not None for x in double.lost), "double precision stays as it was"
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("settle", [(0.0, 0.020), (0.004, 0.013)])
 def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle):
@@ -73,7 +95,7 @@ def test_every_way_to_gather_gives_the_metric_of_the_record(monkeypatch, settle)
         trial, k = Trial(task.reference, y, u, task.dt), np.arange(1, 21)
         tally, _ = lax.scan(
             lambda tally, now: (tally.add(*now), None),
-            Tally.start(trial.e[0], 3, start == 0),
+            Tally.start(trial.e[0], 3, 20, start == 0),
             (trial.e[1:], u, (start <= k) & (k < stop)),
         )
         return tally.metrics(trial, task)[:-1]
