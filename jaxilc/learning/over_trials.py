@@ -70,6 +70,7 @@ class History(NamedTuple):
         raise AttributeError(f"History has no {name!r}; its metrics are {Metrics._fields}")
 
 
+@jax.numpy_rank_promotion("allow")
 def learn(
     machine: Machine,
     scheme: Scheme,
@@ -130,6 +131,7 @@ def learn(
     )
 
 
+@jax.numpy_rank_promotion("allow")
 def check(machine: Machine, scheme: Scheme, task: Task) -> None:
     """Raises ValueError where machine, scheme and task do not fit together or not into RAM.
 

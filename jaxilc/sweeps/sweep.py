@@ -182,6 +182,7 @@ class Sweep:
             fields["grid"] = self.axes.described(self.schemes)
         return fields | {"environment": environment or provenance.environment()}
 
+    @jax.numpy_rank_promotion("allow")
     def run(
         self,
         out: str | Path | None = None,

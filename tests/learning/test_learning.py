@@ -28,6 +28,7 @@ from jaxilc.pytree import leaf, pytree, replaced
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
 from jaxilc.signals import Task, Trial
 from jaxilc.signals.task import product
+from jaxilc.sweeps import Sweep
 
 TRIALS = 5
 
@@ -398,6 +399,17 @@ def test_a_memory_in_the_byte_order_of_another_machine_goes_on_as_it_was(machine
         lambda memory: run_trial(machine, law, task, memory, key).y,
     ):
         np.testing.assert_array_equal(after(other), after(wide))
+
+
+def test_what_a_user_asks_of_the_ranks_of_his_own_arrays_is_not_asked_of_learning(machine, task):
+    law = SCHEMES["ilc_mfapc"]
+    wanted = learn(machine, law, task, 2).rms
+    with jax.numpy_rank_promotion("raise"):
+        np.testing.assert_array_equal(learn(machine, law, task, 2).rms, wanted)
+        swept = Sweep(machine, {"p": law}, task, 2, {}, machines=1).run()
+        with pytest.raises(ValueError, match="could not be broadcast"):
+            jnp.ones((2, 3)) + jnp.ones(3)
+    np.testing.assert_allclose(swept["rms"][0, 0], wanted[:, 0], rtol=1e-12)
 
 
 def test_stacked_tasks_are_named_as_stacked_schemes_are(machine, task):
