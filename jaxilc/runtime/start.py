@@ -62,7 +62,9 @@ def setup(
     if native is not None:
         os.environ[NATIVE] = "on" if native else "off"
     _native_setting()
-    jax.config.update("jax_enable_x64", precision == "float64")
+    if jax.config.jax_enable_x64 != (precision == "float64"):
+        jax.config.update("jax_enable_x64", precision == "float64")
+        jax.clear_caches()  # programs may hold arrays of the other precision
     if precision == "float32" and _accelerated() and not jax.config.jax_default_matmul_precision:
         jax.config.update("jax_default_matmul_precision", "highest")
     # XLA's pool has a thread per core. If every device makes a batched LAPACK call at once, all

@@ -146,6 +146,18 @@ def test_setup_too_late_for_loops_says_so_even_where_the_devices_are_given():
     assert python(twice, XLA_FLAGS=given).stderr == ""
 
 
+@pytest.mark.thorough
+def test_the_precision_can_be_changed_after_something_was_computed():
+    """JAX keeps a double in a program that it traced, and would give it to one of singles."""
+    program = (
+        "import jaxilc, jax, numpy; jaxilc.setup(); from jaxilc.schemes import PIDType; "
+        "s = jaxilc.scenarios.load('cao-2019'); "
+        "f = jax.jit(lambda g: jaxilc.learn(s.machine, PIDType(gamma_p=g), s.task, 2).rms); "
+        "print(f(1.0).dtype); jaxilc.setup(precision='float32'); print(f(1.0).dtype)"
+    )
+    assert python(program).stdout.split() == ["float64", "float32"]
+
+
 KEPT = """
 import jaxilc, jax; jaxilc.setup()
 from jaxilc.runtime.start import keep_programs
