@@ -9,7 +9,8 @@
                on after which the error was never below that level again.
 
 Peaks and errors are compared once a trial. So both words mean the same in single and in double
-precision, except for rounding at the limit.
+precision, except for rounding at the limit, and for an input from 1.8e19 on, whose square is not
+finite in single precision: choose a larger unit of u.
 """
 
 from __future__ import annotations

@@ -99,7 +99,8 @@ class Metrics(NamedTuple):
     settled_error: (n_y,) max |e| in the settled window [unit of y], NaN where nothing of it was
         measured
     effort: (n_u,) root mean square of u [unit of u]
-    finite: () whether all of these, and every y and u, are finite
+    finite: () whether all of these, and every y and u, are finite. In single precision the
+        square of a number from 1.8e19 on is not, so that its trial is not finite either
     """
 
     max_error: Array
