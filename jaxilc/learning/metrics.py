@@ -77,14 +77,14 @@ class Tally(NamedTuple):
         settled: () whether the sample is in the settled window
         """
         signals, added = {"e": e, "u": u}, []
-        for (_, how), *before in zip(GATHERED, *self, strict=True):
-            (so_far, lost), x = before, signals[how.signal]
+        for (_, how), so_far, lost in zip(GATHERED, self.gathered, self.lost, strict=True):
+            x, before = signals[how.signal], (so_far, lost)
             more = jnp.maximum(so_far, jnp.abs(x)) if how.of == "largest" else so_far + x * x
             if lost is not None:
                 lost = lost + (x * x - (more - so_far))
             now = more, lost
             added.append(
-                jax.tree.map(partial(jnp.where, settled), now, (*before,)) if how.settled else now
+                jax.tree.map(partial(jnp.where, settled), now, before) if how.settled else now
             )
         return Tally(*zip(*added, strict=True))
 
@@ -98,7 +98,7 @@ class Tally(NamedTuple):
         # of a sum that is infinite, what it lost is no number
         sums = [
             x if lost is None else jnp.where(jnp.isfinite(lost), x + lost, x)
-            for x, lost in zip(*self, strict=True)
+            for x, lost in zip(self.gathered, self.lost, strict=True)
         ]
         gathered = _of_signals(tuple(sums), e, u, task.settled)
         for (name, how), value in zip(GATHERED, gathered, strict=True):

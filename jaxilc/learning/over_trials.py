@@ -19,6 +19,7 @@ from ..pytree.aliases import Array, Tree, Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import brief, concrete, native, require
 from ..runtime.capacity import bytes_of, check_size
+from ..runtime.jax_internals import of_any_ranks
 from ..runtime.lanes import usual_stored
 from ..schemes import Scheme
 from ..schemes.scheme import trials_of_step
@@ -70,7 +71,7 @@ class History(NamedTuple):
         raise AttributeError(f"History has no {name!r}; its metrics are {Metrics._fields}")
 
 
-@jax.numpy_rank_promotion("allow")
+@of_any_ranks
 def learn(
     machine: Machine,
     scheme: Scheme,
@@ -131,7 +132,7 @@ def learn(
     )
 
 
-@jax.numpy_rank_promotion("allow")
+@of_any_ranks
 def check(machine: Machine, scheme: Scheme, task: Task) -> None:
     """Raises ValueError where machine, scheme and task do not fit together or not into RAM.
 
@@ -140,8 +141,8 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
     need_kinds(machine=machine, scheme=scheme, task=task)
     if task.reference.ndim != 2:
         raise ValueError(
-            f"Task: reference has shape {task.reference.shape}; allowed is (N+1, n_y), and of tasks "
-            "that are stacked each by itself: write jax.vmap"
+            f"Task: reference has shape {task.reference.shape}; allowed is (N+1, n_y), and "
+            "of tasks that are stacked each by itself: write jax.vmap"
         )
     need_pytrees(machine, scheme)
     check_length(task, scheme)

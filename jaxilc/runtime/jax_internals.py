@@ -105,6 +105,12 @@ def with_slope(function: Function, slope: Function) -> Function:
     return ruled
 
 
+def of_any_ranks(function: T) -> T:
+    """The function, in which arrays of other ranks may meet, whatever a user asks of his own."""
+    allowing: T = jax.numpy_rank_promotion("allow")(function)
+    return allowing
+
+
 def once(arguments: T, refusal: str) -> T:
     """The tree of arrays itself; raises ValueError with this message where it is differentiated.
 

@@ -22,6 +22,7 @@ from ..pytree.in_short import in_short
 from ..pytree.ranges import SEEDS, brief, require
 from ..runtime import capacity, provenance
 from ..runtime.earlier_names import takes_also
+from ..runtime.jax_internals import of_any_ranks
 from ..runtime.lanes import usual_lanes
 from ..runtime.provenance import describe
 from ..runtime.tiles import OPEN
@@ -182,7 +183,7 @@ class Sweep:
             fields["grid"] = self.axes.described(self.schemes)
         return fields | {"environment": environment or provenance.environment()}
 
-    @jax.numpy_rank_promotion("allow")
+    @of_any_ranks
     def run(
         self,
         out: str | Path | None = None,
