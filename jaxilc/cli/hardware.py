@@ -27,7 +27,7 @@ from .options import (
     scenarios_from,
     schemes_from,
 )
-from .present import written
+from .present import stored, written
 
 if TYPE_CHECKING:
     from ..hardware.calibration import Expected
@@ -89,9 +89,6 @@ def trials(
     if table is not None:
         files.append(write_log(table, rows))
     now = _opened(state) if live and (plot or report) else None
-    figure = _figure(journal, rows, live, (prediction, None))
-    if plot is not None:
-        files.append(_save(figure, plot, now, live))
     sentences = verdict(live, None, prediction, units(journal)[0], 0.02) if live else []
     measured = Path(live[-1]["source"]) if len(live) > 1 else None
     following = next_command(state, len(live) or 1, measured, None)
@@ -99,14 +96,6 @@ def trials(
         following = following.replace("record it,", "record it, name its columns as before,", 1)
     for line in (*sentences, following) if live else ():
         say(line)
-    if report is not None:
-        found = _verdict(sentences, following) if live else Verdict(())
-        asked = {"campaign": "; ".join(said)} if said else {}
-        shown: list[Interactive] = _browser(now, live)
-        if any(row["event"] == "trial" for row in rows):
-            shown.insert(0, figure.described())
-        page = command_report(report, "trials", [log], verdict=found, live=shown, asked=asked)
-        files.append(page)
     placed = [{"serial": serial, **place._asdict()} for serial, place in places.items()]
     numbers = {
         "source": belongs_to(recipe) if recipe else {},
@@ -117,7 +106,19 @@ def trials(
         "verdict": sentences,
         "next": following if live else "",
     }
-    written(files, pages.file(".json"), numbers)
+    in_json = stored(pages.file(".json"), numbers)
+    figure = _figure(journal, rows, live, (prediction, None))
+    if plot is not None:
+        files.append(_save(figure, plot, now, live))
+    if report is not None:
+        found = _verdict(sentences, following) if live else Verdict(())
+        asked = {"campaign": "; ".join(said)} if said else {}
+        shown: list[Interactive] = _browser(now, live)
+        if any(row["event"] == "trial" for row in rows):
+            shown.insert(0, figure.described())
+        page = command_report(report, "trials", [log], verdict=found, live=shown, asked=asked)
+        files.append(page)
+    written([*files, *in_json])
 
 
 def _named_otherwise(measured: Path) -> bool:
@@ -830,9 +831,6 @@ def _close(
     prediction = predicted[0]
     now, journal = opened.campaign, opened.campaign.journal
     live = journal.live() if journal.exists else []
-    paths = []
-    if plot is not None and live and not dry_run:
-        paths.append(_save(_figure(journal, journal.log(), live, predicted), plot, now, live))
     numbers_of = experiment_numbers(now.scheme, now.task, live)
     known = opened.scenario.potential
     stop = None if known is None else known.stop
@@ -854,4 +852,8 @@ def _close(
         numbers |= {"trial": turn.trial, "metrics": turn.metrics, "findings": findings}
     if place is not None:
         numbers["predicted"] = place._asdict()
-    written(paths, None if dry_run else json_file, numbers)
+    paths = stored(None if dry_run else json_file, numbers)
+    if plot is not None and live and not dry_run:
+        figure = _figure(journal, journal.log(), live, predicted)
+        paths = [_save(figure, plot, now, live), *paths]
+    written(paths)

@@ -46,25 +46,31 @@ def present(outcome: Outcome, pages: Pages, *, details: bool = False) -> None:
         outcome.show(out, details=details)
         for line in outcome.warnings:
             err.print(line)
-    finally:  # the files are not lost where the reader of a pipe has gone
+    finally:  # the files are not lost where the reader of a pipe has gone, or a figure fails
+        numbers = stored(pages.file(".json"), outcome.as_json())
         with working("figures") if outcome.figures else nullcontext(silent) as progress:
             paths = outcome.save(progress=progress)
         if (page := pages.file(".html")) is not None:
             paths.append(outcome.page(page, paths))
-        written(paths, pages.file(".json"), outcome.as_json())
+        written([*paths, *numbers])
     outcome.conclude(out)
     if outcome.failed:
         err.print(outcome.failed)
         raise typer.Exit(1)
 
 
-def written(paths: list[Path], file: Path | None, numbers: Numbers) -> None:
-    """Write the numbers to a file, if one is asked for, and print which files were written."""
-    if file is not None:
-        from ..storage.sealed import write_json
+def stored(file: Path | None, numbers: Numbers) -> list[Path]:
+    """Write the numbers to a file, if one is asked for, before anything is drawn; its place."""
+    if file is None:
+        return []
+    from ..storage.sealed import write_json
 
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_json(file, numbers)
-        paths = [*paths, file]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_json(file, numbers)
+    return [file]
+
+
+def written(paths: list[Path]) -> None:
+    """Print which files were written."""
     for path in paths:
         say(f"written: {path}")

@@ -266,14 +266,13 @@ class Outcome:
         if place is None or not (self.figures or self.files):
             return [*self.kept]
         place.mkdir(parents=True, exist_ok=True)
+        for name, write in self.files.items():  # first, so that no figure that fails loses them
+            write(place / name)
         paths = []
         for done, (name, figure) in enumerate(self.figures.items()):
             progress(name, done, len(self.figures))
             paths.append(figures.save(figure.draw(), place / f"{name}.png"))
-        for name, write in self.files.items():
-            write(place / name)
-            paths.append(place / name)
-        return [*paths, *self.kept]
+        return [*paths, *(place / name for name in self.files), *self.kept]
 
     def page(self, path: str | Path, drawn: Sequence[Path] = ()) -> Path:
         """Write one self-contained HTML page, with files of figures that are drawn already."""

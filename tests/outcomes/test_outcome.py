@@ -1,6 +1,7 @@
 """An outcome is one object: terminal, JSON, page and notebook show the same of it."""
 
 import dataclasses
+import json
 import re
 from functools import partial
 
@@ -10,9 +11,10 @@ from typer.testing import CliRunner
 
 from jaxilc import outcomes
 from jaxilc.cli import app
-from jaxilc.cli.options import RENAMED, now_named
+from jaxilc.cli.options import RENAMED, Pages, now_named
+from jaxilc.cli.present import present
 from jaxilc.outcomes import Request
-from jaxilc.outcomes.outcome import Table
+from jaxilc.outcomes.outcome import Figure, Table
 from jaxilc.outcomes.repeating import repeats_in
 
 EVERY, SCREEN = 80, 50  # options of all commands, and lines of a help of 100 columns
@@ -81,6 +83,15 @@ def test_figures_and_files_are_written_where_they_belong(outcome, tmp_path, unpa
     paths = outcome.save(tmp_path / "elsewhere")
     assert {path.stem for path in paths} == {*outcome.figures, "dataset"}
     assert all(path.parent == tmp_path / "elsewhere" and path.exists() for path in paths)
+
+
+def test_a_figure_that_fails_loses_no_result(outcome, tmp_path):
+    fails = Figure("", partial(int, "no number"))
+    lost = dataclasses.replace(outcome, folder=tmp_path, figures={"one": fails}, live=tuple)
+    with pytest.raises(ValueError, match="no number"):
+        present(lost, Pages([tmp_path / "all.json"]))
+    assert {path.name for path in tmp_path.iterdir()} == {"all.json", "dataset.zarr"}
+    assert json.loads((tmp_path / "all.json").read_text())["trials"] == 2
 
 
 def test_a_command_has_few_options_and_its_help_fits_a_screen():
