@@ -29,6 +29,7 @@ from .style import (
     limits_of,
     marks_of,
     numbers_of,
+    placed,
     shades_of,
     style_of,
     written,
@@ -69,9 +70,8 @@ def spectrum(
     """
     time, layers = dataset["time"].values, []
     for trial, shade in zip(trials, shades_of(trials), strict=True):
-        e = scale * signal_of(dataset, "e", scheme, trial)[1:]
+        e = scale * placed(signal_of(dataset, "e", scheme, trial)[1:])
         names = outputs_of(dataset)
-        e = np.where(np.isfinite(e), e, np.nan)
         _, size = np.frexp(np.nanmax(np.abs(e), initial=0.0))  # whose square may be too large
         f = np.fft.rfftfreq(len(e), time[1] - time[0])
         # scipy.signal.periodogram does the same, but takes a second to import
@@ -139,7 +139,7 @@ def time_frequency(
     slices = {"p0": 0, "p1": N // transform.hop + 1}
     maps = []
     for trial in trials:
-        e = _without_slow(scale * signal_of(dataset, "e", scheme, trial)[1:], samples)
+        e = _without_slow(scale * placed(signal_of(dataset, "e", scheme, trial)[1:]), samples)
         whole = np.abs(transform.stft(e, **slices, padding="even", axis=0))
         maps.append(np.max(whole, axis=1)[SLOWEST:])
     top = np.max(maps, where=np.isfinite(maps), initial=0.0) or 1.0

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from .description import Axis, Band, Bars, Cells, Curve, Figure, Layer, Panel, Rule, Shade, Where
-from .style import BOUND, READABLE, Dash, edges_of, labelled, limits_of, power_of, prefixed
+from .style import BOUND, READABLE, Dash, edges_of, labelled, limits_of, placed, power_of, prefixed
 
 if TYPE_CHECKING:
     from bokeh.models import Axis as AxisOfPage
@@ -181,9 +181,8 @@ class _Way(NamedTuple):
 
     def shown(self, values: Points) -> np.ndarray:
         """Values in the unit; NaN for what has no place on the axis."""
-        values = self.factor * np.asarray(values, float)
-        there = np.isfinite(values) & ((values > 0) | (not self.axis.log))
-        return np.where(there, values, np.nan)
+        values = self.factor * placed(values)
+        return np.where((values > 0) | (not self.axis.log), values, np.nan)
 
 
 def _shown_as(panel: Panel, way: str) -> _Way:

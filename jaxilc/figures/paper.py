@@ -17,7 +17,7 @@ from ..storage.figure_format import choose as choose
 from ..storage.figure_format import chosen
 from ..storage.files import atomically
 from .description import Axis, Band, Bars, Cells, Curve, Figure, Layer, Panel, Rule, Shade, Where
-from .style import edges_of, limits_of, name_axis, readable
+from .style import edges_of, limits_of, name_axis, placed, readable
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -187,7 +187,7 @@ def _look(layer: Layer) -> dict[str, Value]:
 
 def _curve(ax: Axes, of: Curve) -> None:
     lines = ax.plot(
-        of.x, np.asarray(of.y).T, linestyle=of.dash or "none", linewidth=of.width,
+        placed(of.x), placed(of.y).T, linestyle=of.dash or "none", linewidth=of.width,
         drawstyle="steps-post" if of.steps else "default", **_look(of),
     )  # fmt: skip
     for line in lines:
@@ -207,14 +207,13 @@ def _curve(ax: Axes, of: Curve) -> None:
 
 
 def _band(ax: Axes, of: Band) -> None:
-    ax.fill_between(
-        of.x, of.low, of.high, step="post" if of.steps else None, linewidth=0, **_look(of)
-    )
+    step = "post" if of.steps else None
+    ax.fill_between(*map(placed, (of.x, of.low, of.high)), step=step, linewidth=0, **_look(of))
 
 
 def _rule(ax: Axes, of: Rule) -> None:
     line = ax.axvline if of.across == "x" else ax.axhline
-    line(of.at, linestyle=of.dash, linewidth=of.width, **_look(of))
+    line(float(placed(of.at)), linestyle=of.dash, linewidth=of.width, **_look(of))
 
 
 def _shade(ax: Axes, of: Shade) -> None:

@@ -35,6 +35,7 @@ LOOKS = {
 }
 POINTS = 8  # of a curve that have a mark, about
 BOUND = 11  # the mark of a printed upper bound, a caret below it
+LARGEST = 1e300  # number that is drawn; the ends of an axis beyond it may not be finite
 
 
 class Style(TypedDict, total=False):
@@ -130,13 +131,19 @@ def luminance(colour: ColorType) -> float:
     return float(linear @ [0.2126, 0.7152, 0.0722])
 
 
+def placed(values) -> np.ndarray:
+    """Values as figures show them: NaN in place of what is too large for the ticks of an axis."""
+    values = np.asarray(values, float)
+    return np.where(np.abs(values) <= LARGEST, values, np.nan)
+
+
 def limits_of(values, *, pad: float = 1.5) -> tuple[float, float] | None:
     """Limits of a logarithmic axis that hold all positive finite values, and no empty decade.
 
     pad: factor between the outermost values and the ends
     """
-    found = np.asarray(values, float)
-    found = found[np.isfinite(found) & (found > 0)]
+    found = placed(values)
+    found = found[found > 0]
     return (found.min() / pad, found.max() * pad) if found.size else None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from .description import TIME, Axis, Band, Curve, Figure, Layer, Panel, Shade
 from .paper import drawn
-from .style import BLACK, DASHES, PALE, Dash, shades_of
+from .style import BLACK, DASHES, PALE, Dash, placed, shades_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -78,7 +78,8 @@ def tracking(
     Raises ValueError for a zoom that does not lie within the trial, and as `signal_of` does.
     """
     signals = [
-        tuple(signal_of(dataset, name, scheme, j) for name in ("y", "e", "u")) for j in trials
+        tuple(placed(signal_of(dataset, name, scheme, j)) for name in ("y", "e", "u"))
+        for j in trials
     ]
     time, shades = dataset["time"].values, shades_of(trials)
     low, high = _around_the_largest(time, signals[-1][1]) if zoom is None else zoom

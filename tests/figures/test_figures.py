@@ -544,11 +544,12 @@ DRAWN = {
     "zero": np.zeros((1001, 2)),
     "lost": np.full((1001, 2), np.nan),
     "huge": np.where(TIME[:, None] < 0.5, 1e200, [[np.inf, 0]]),
+    "finite": TIME[:, None] * [[1.7e308, -1e305]],
     "short": circle_at(1.0)[:6],
 }
 
 
-@pytest.mark.thorough(but=["zero", "huge"])
+@pytest.mark.thorough(but=["zero", "huge", "finite"])
 @pytest.mark.parametrize("name", DRAWN)
 def test_what_is_zero_diverged_or_short_is_drawn_without_complaint(name):
     reference = np.hstack([sinusoid(1.0, 1.0), sinusoid(1.0, 2.0)])

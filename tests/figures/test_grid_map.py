@@ -36,7 +36,7 @@ def test_a_map_has_the_error_of_each_point_and_a_star_at_the_best():
 def test_a_single_axis_is_a_line_with_a_band():
     (ax,) = figures.grid_map(dataset_of([[4.0], [1.0], [np.inf]], ["p"]), metric="rms")
     high, star = ax.lines
-    np.testing.assert_allclose(high.get_ydata(), [1.0, np.inf, 4.0])
+    np.testing.assert_allclose(high.get_ydata(), [1.0, np.nan, 4.0])
     assert (list(star.get_xdata()), list(star.get_ydata())) == ([0.1], [1.0])
     assert len(ax.patches) == 1  # the value at which machines diverge
 
