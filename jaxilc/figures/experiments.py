@@ -155,9 +155,11 @@ def response_fit_figure(
         low = np.maximum(size - half, 1e-3 * size)
         above.append(Band(f, low, size + half, colour=PALE, alpha=0.4, name="scatter, 95 %"))
     said = f"fitted: {identified.fit[0]:.2f} %"
-    for name, response, colour, width in (("measured", G, PALE, 3), (said, fitted, COLOURS[0], 1)):
-        above.append(Curve(f, np.abs(response), colour=colour, width=width, name=name))
-        phase = np.unwrap(np.angle(response)) * 180 / np.pi
+    phases = [np.unwrap(np.angle(of)) * 180 / np.pi for of in (G, fitted)]
+    phases[1] += 360 * np.round(np.median(phases[0] - phases[1]) / 360)  # on the same turn
+    looks = (("measured", size, PALE, 3), (said, np.abs(fitted), COLOURS[0], 1))
+    for (name, magnitude, colour, width), phase in zip(looks, phases, strict=True):
+        above.append(Curve(f, magnitude, colour=colour, width=width, name=name))
         below.append(Curve(f, phase, colour=colour, width=width, name=name))
     difference = np.abs(G - fitted)
     above.append(Curve(f, difference, width=0.6, colour=COLOURS[1], name="difference"))

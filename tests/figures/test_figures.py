@@ -7,6 +7,7 @@ import ast
 import itertools
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,6 +34,7 @@ from jaxilc.signals import Task
 from jaxilc.sweeps.summary import explained_shares
 from jaxilc.theory import frequency
 from jaxilc.theory.condition import condition
+from jaxilc.theory.on_lines import MeasuredResponse
 from jaxilc.uncertainty import Population
 
 DT = 1e-3
@@ -356,6 +358,19 @@ def test_what_is_slower_than_the_window_is_not_painted_as_faster():
     assert f[0] == pytest.approx(8.0)  # two lines of 4 Hz
     assert "slower than 6 Hz" in ax.get_title()
     assert np.max(amplitude[:, 4:-4]) < 10.0
+
+
+@pytest.mark.parametrize("first", [179.0, -179.0])
+def test_a_measured_phase_stands_beside_the_fitted_one(first):
+    """Of a mass it is about 180 deg, whichever sign the noise of the first line gives it."""
+    f, noise = np.geomspace(1.0, 100.0, 60), np.random.default_rng(0).uniform(-3, 3, 60)
+    noise[0] = first + 180
+    mass = -1 / (2 * np.pi * f) ** 2
+    measured = MeasuredResponse(f, mass * np.exp(1j * np.deg2rad(noise)), 0 * f)
+    fitted = SimpleNamespace(simulated=(mass * np.exp(0.001j))[:, None], fit=[99.0])
+    lower = figures.response_fit_figure(measured, fitted)[1]
+    apart = np.subtract(*(line.get_ydata() for line in lower.lines))
+    assert np.max(np.abs(apart)) < 4
 
 
 @pytest.mark.parametrize(("amplitude", "hertz"), [(3e-3, 7.0), (0.2, 125.0)])
