@@ -197,15 +197,23 @@ def frequency_tests(tests: Mapping[str, FrequencyTest]) -> Figure:
 
 
 def _without_slow(e, samples: int):
-    """A signal less its mean under a moving Hann window, zero for its lines 2, 3, 4 ...
+    """A signal less the straight line that fits it best under a moving Hann window, at its middle.
 
-    The mean follows what is slower, which would otherwise leak into these lines.
+    The line follows what is slower, which would otherwise leak into the lines 2, 3, 4 ... shown.
+    Under a whole window it is the mean, to which these add nothing. At an end of the trial, where
+    only a part of the window has samples, it has a slope, which a mean would leave as an error.
     """
-    from scipy.ndimage import convolve1d
+    from scipy.ndimage import correlate1d
     from scipy.signal import get_window
 
-    weights = get_window("hann", samples)
-    return e - convolve1d(e, weights / weights.sum(), axis=0, mode="mirror")
+    weights, at = get_window("hann", samples), np.arange(samples) / samples - 0.5
+    weights = weights / weights.sum()
+
+    def moments(of):
+        return [correlate1d(of, weights * at**n, axis=0, mode="constant") for n in range(3)]
+
+    (zeroth, first, second), (mean, slope, _) = moments(np.ones((len(e), 1))), moments(e)
+    return e - (mean - slope * first / second) / (zeroth - first**2 / second)
 
 
 def _peaks(f, amplitude):
