@@ -141,6 +141,8 @@ def time_frequency(
     for trial in trials:
         e = _without_slow(scale * placed(signal_of(dataset, "e", scheme, trial)[1:]), samples)
         whole = np.abs(transform.stft(e, **slices, padding="even", axis=0))
+        if samples % 2 == 0:
+            whole[-1] *= np.sqrt(2.0)  # the last line is the Nyquist frequency, as in `spectrum`
         maps.append(np.max(whole, axis=1)[SLOWEST:])
     top = np.max(maps, where=np.isfinite(maps), initial=0.0) or 1.0
     tops = [np.max(one, where=np.isfinite(one), initial=0.0) for one in maps]

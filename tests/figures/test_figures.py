@@ -365,6 +365,14 @@ def test_a_slope_is_no_error_at_the_ends_of_the_trial():
     assert np.max(shown_in(ax)[2]) < 1e-12
 
 
+def test_the_map_is_scaled_as_the_spectrum_up_to_the_last_line():
+    """At the Nyquist frequency, too, half of the square of the amplitude is the mean square."""
+    dataset = dataset_of([np.where(np.arange(1001) % 2, -1.0, 1.0)[:, None]])
+    (ax,) = figures.time_frequency(dataset, "a", (1,), window=0.1)
+    shown = figures.spectrum(dataset, "a", (1,)).lines[0].get_ydata()[-1], shown_in(ax)[2][-1, 5]
+    assert shown == pytest.approx((2**0.5, 2**0.5), rel=1e-6)
+
+
 @pytest.mark.parametrize("first", [179.0, -179.0])
 def test_a_measured_phase_stands_beside_the_fitted_one(first):
     """Of a mass it is about 180 deg, whichever sign the noise of the first line gives it."""
