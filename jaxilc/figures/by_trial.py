@@ -183,6 +183,7 @@ RATIOS = (0.1, 1e3)  # of given and tuned errors that are shown
 SAME = 1e-3  # relative difference of medians below which no trial is better than the others
 TITLE = 26  # letters of a line of a title, which is no wider than its panel
 MANY = 4  # schemes from which on three panels stand side by side
+ALONE = (0.8, 1.2)  # from where to where a single trial is drawn
 
 
 def error_band(
@@ -234,7 +235,9 @@ def error_band(
     axes[-1].tick_params(axis="x", labelrotation=30)
     figure, trials = axes[-1].figure, errors.sizes["trial"]
     _explain(figure, limit, unit)
-    figure.suptitle(f"{dataset.sizes['sample']} machines, {trials} trials", fontsize="medium")
+    counts = (dataset.sizes["sample"], "machine"), (trials, "trial")
+    said = ", ".join(f"{count} {one}{'s' * (count != 1)}" for count, one in counts)
+    figure.suptitle(said, fontsize="medium")
     return axes
 
 
@@ -367,11 +370,14 @@ def _panel(
     hue, top = colour_of(i), limits[1]
     low, median, high, worst = _quantiles(row, scale)
     trial = np.arange(1, len(median) + 1)
-    inside = np.where(low < top, low, np.nan)  # where all machines are beyond the top
+    at = trial if len(trial) > 1 else np.array(ALONE)
+    band = np.where(low < top, low, np.nan), np.minimum(high, top)  # none that begins beyond it
+    lines = (np.where(of <= top, of, np.nan) for of in (median, worst))
+    lower, upper, middle, most = (np.resize(of, len(at)) for of in (*band, *lines))
     layers: list[Layer] = [
-        Band(trial, inside, np.minimum(high, top), alpha=0.22, colour=hue),
-        Curve(trial, np.where(worst <= top, worst, np.nan), dash=":", width=1, colour=hue),
-        Curve(trial, np.where(median <= top, median, np.nan), width=1.6, colour=hue),
+        Band(at, lower, upper, alpha=0.22, colour=hue),
+        Curve(at, most, dash=":", width=1, colour=hue),
+        Curve(at, middle, width=1.6, colour=hue),
     ]
     if limit is not None:
         layers.append(Rule(limit, dash="--"))

@@ -87,6 +87,11 @@ class Curve(Layer):
     steps: bool = False
     texts: Sequence[str] = ()
 
+    @property
+    def shown_mark(self) -> str | int:
+        """The mark, and a dot for a line of one point, which nobody would see."""
+        return self.mark or ("." if len(self.x) == 1 else "")
+
 
 @dataclass(frozen=True)
 class Band(Layer):

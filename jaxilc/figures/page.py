@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 WIDTH, HEIGHT, TALLEST = 860, 360, 900  # of a figure, and of a row at most [pixel]
 NARROW = 240  # below which no figure stands beside another one [pixel]
 INCH = HEIGHT / 4.2  # pixels for an inch of paper
+BAR = 16  # width of a band at a single point [pixel]
 POINTS = 4000  # of a long curve that is thinned
 UNSEEN = 1e-6  # of the lower end of a logarithmic axis, where a band ends that reaches to zero
 LINES = {"-": "solid", "--": "dashed", "-.": "dashdot", ":": "dotted"}
@@ -318,27 +319,26 @@ def _curve(made: Plot, of: Curve, x: _Way, y: _Way) -> list[GlyphRenderer]:
     from bokeh.models import ColumnDataSource
 
     tips, look, line = _tips(of), _look(of), {"line_width": of.width + 0.5, **_dash(of.dash or "-")}
-    if np.ndim(of.y) == 2:
+    if np.ndim(of.y) == 2 and len(of.x) > 1:
         several = {"xs": [x.shown(of.x)] * len(of.y), "ys": [*y.shown(of.y)], **tips}
         source = ColumnDataSource(several)
         return [made.multi_line("xs", "ys", source=source, hover_line_width=4, **line, **look)]
-    columns = {"x": x.shown(of.x), "y": y.shown(of.y)}
-    if not (of.mark or tips):
+    columns = {"x": x.shown(np.resize(of.x, np.size(of.y))), "y": y.shown(np.ravel(of.y))}
+    if not (of.shown_mark or tips):
         thin = thinned(columns["x"], POINTS, times=True)
         columns = {"x": thin, "y": thinned(columns["y"], POINTS)}
     drawn, source = [], ColumnDataSource(columns | tips)
-    if of.dash and of.steps:
-        drawn.append(made.step("x", "y", source=source, mode="after", **line, **look))
-    elif of.dash:
-        drawn.append(made.line("x", "y", source=source, **line, **look))
-    if of.mark:
+    if of.dash and len(of.x) != 1:
+        draw, more = (made.step, {"mode": "after"}) if of.steps else (made.line, {})
+        drawn.append(draw("x", "y", source=source, **more, **line, **look))
+    if of.shown_mark:
         first, every = of.marked or (0, 1)
         if of.marked:
             columns = {n: v[first::every] for n, v in (columns | tips).items()}
             source = ColumnDataSource(columns)
         fill: dict[str, str | None] = {} if of.filled else {"fill_color": None}
         fill |= {"line_color": of.rim} if of.rim else {}
-        size = {"size": 1.3 * of.size, "marker": MARKS[of.mark]}
+        size = {"size": 1.3 * of.size, "marker": MARKS[of.shown_mark]}
         drawn.append(made.scatter("x", "y", source=source, **size, **look, **fill))
     return drawn
 
@@ -349,6 +349,9 @@ def _band(made: Plot, of: Band, x: _Way, y: _Way) -> list[GlyphRenderer]:
     if y.axis.log:
         low = np.where(np.asarray(of.low, float) <= 0, UNSEEN * made.y_range.start, low)
     known = np.flatnonzero(np.isfinite(at) & np.isfinite(low) & np.isfinite(high))
+    if len(at) == 1:
+        made.segment(at, low, at, high, line_width=BAR, **_look(of))
+        return []
     look = _look(of) | {"fill_alpha": of.alpha}
     del look["alpha"]
     draw, more = (made.varea_step, {"step_mode": "after"}) if of.steps else (made.varea, {})

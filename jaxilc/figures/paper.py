@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 Drawing: TypeAlias = Any  # axes, or an array of those of one figure, as of `pyplot.subplots`
 Handles: TypeAlias = "dict[str, Artist]"  # of a legend, by name
 P = ParamSpec("P")
+BAR = 12.0  # width of a band at a single point [pt]
 
 
 class Drawn(Protocol[P]):
@@ -173,7 +174,7 @@ def _ticks(axis: AxisOfPaper, of: Axis) -> None:
     elif of.ticks:
         axis.set_ticks(of.ticks)
     elif of.most:
-        axis.set_major_locator(MaxNLocator(of.most, integer=of.whole))
+        axis.set_major_locator(MaxNLocator(of.most, integer=of.whole, min_n_ticks=1))
 
 
 # Layers
@@ -191,8 +192,8 @@ def _curve(ax: Axes, of: Curve) -> None:
         drawstyle="steps-post" if of.steps else "default", **_look(of),
     )  # fmt: skip
     for line in lines:
-        if of.mark:
-            line.set(marker=of.mark, markersize=of.size, markevery=of.marked)
+        if of.shown_mark:
+            line.set(marker=of.shown_mark, markersize=of.size, markevery=of.marked)
             line.set(**({} if of.filled else {"mfc": "none"}))
             line.set(**({"mec": of.rim, "zorder": 5} if of.rim else {}))
         if line is not lines[0]:
@@ -207,6 +208,9 @@ def _curve(ax: Axes, of: Curve) -> None:
 
 
 def _band(ax: Axes, of: Band) -> None:
+    if len(of.x) == 1:
+        ax.vlines(*map(placed, (of.x, of.low, of.high)), linewidth=BAR, **_look(of))
+        return
     step = "post" if of.steps else None
     ax.fill_between(*map(placed, (of.x, of.low, of.high)), step=step, linewidth=0, **_look(of))
 

@@ -46,6 +46,11 @@ def dataset_of(errors, reference=None, u=None):
     return run_of(np.asarray(errors)[None], reference, None if u is None else u[None])
 
 
+def ticks_of(axis):
+    low, high = axis.get_view_interval()
+    return [at for at in axis.get_ticklocs() if low <= at <= high]
+
+
 def line_of(ax, label):
     return next(line for line in ax.lines if line.get_label() == label)
 
@@ -100,6 +105,22 @@ def test_names_of_schemes_stand_over_their_own_panels():
     titles = [of[ax.get_title("left")] for of, ax in zip(texts, axes[:3], strict=True)]
     left, right = np.transpose([title.get_window_extent().intervalx for title in titles])
     assert np.all(right[:-1] < left[1:])
+
+
+def test_a_single_trial_is_seen():
+    """Of 100 machines the errors 1 .. 100: the median, the band and the worst are level lines."""
+    errors = np.arange(1.0, 101.0)[:, None]
+    panel, _ = figures.error_band(sweep_of([errors]), metric="rms")
+    assert [line.get_ydata().tolist() for line in panel.lines] == [[100.0, 100.0], [50.0, 50.0]]
+    heights = panel.collections[0].get_paths()[0].vertices[:, 1]
+    assert (heights.min(), heights.max()) == (5.0, 95.0)
+    assert ticks_of(panel.xaxis) == [1]
+    assert panel.figure.get_suptitle() == "100 machines, 1 trial"
+    both = sweep_of([errors, errors], ("given", "tuned"))
+    above, below = figures.given_and_tuned(both, metric="rms")
+    assert all(line.get_marker() in ("o", ".") for line in (*above.lines, *below.lines[:2]))
+    assert above.collections[0].get_segments()[0][:, 1].tolist() == [5.0, 95.0]
+    assert ticks_of(above.xaxis) == [1]
 
 
 def test_many_machines_are_for_the_band():

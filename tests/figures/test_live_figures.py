@@ -172,6 +172,16 @@ def test_a_band_ends_where_there_is_none_and_reaches_down_to_zero():
     assert [r.data_source.data["x"].size for r in made.renderers] == [0]
 
 
+def test_a_single_trial_has_its_points_and_its_band():
+    """A line through the points of several machines would connect them at the same trial."""
+    lines = Curve([1], np.array([[2.0], [3.0]]), tips={"machine": [0, 1]})
+    made = panel_of(Panel(Axis("trial"), Axis("error"), [lines, Band([1], [2.0], [4.0])]))
+    points, bar = made.renderers
+    assert (points.glyph.__view_model__, bar.glyph.__view_model__) == ("Scatter", "Segment")
+    assert points.data_source.data["y"].tolist() == [2.0, 3.0]
+    assert [bar.data_source.data[of].tolist() for of in ("y0", "y1")] == [[2.0], [4.0]]
+
+
 def test_a_machine_has_its_own_error_under_the_pointer():
     """Those that diverge stand above all others, and one without an error far below them."""
     last = np.array([[2.0, 0.0, np.inf, 4.0], [np.inf, 8.0, 6.0, np.inf]])
