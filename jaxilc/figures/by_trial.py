@@ -372,8 +372,7 @@ def _panel(
     trial = np.arange(1, len(median) + 1)
     at = trial if len(trial) > 1 else np.array(ALONE)
     band = np.where(low < top, low, np.nan), np.minimum(high, top)  # none that begins beyond it
-    lines = (np.where(of <= top, of, np.nan) for of in (median, worst))
-    lower, upper, middle, most = (np.resize(of, len(at)) for of in (*band, *lines))
+    lower, upper, middle, most = (np.resize(of, len(at)) for of in (*band, median, worst))
     layers: list[Layer] = [
         Band(at, lower, upper, alpha=0.22, colour=hue),
         Curve(at, most, dash=":", width=1, colour=hue),
@@ -387,21 +386,34 @@ def _panel(
         here = [trial[best]], [median[best]]
         layers.append(Curve(*here, dash="", mark="o", filled=False, colour=hue))
     along = TRIAL._replace(most=6, ends=(trial[0] - 0.5, trial[-1] + 0.5))
-    note = _said(row, high > top * 1.001, trial)
+    note = _said(row, high > top * 1.001, worst > top * 1.001, written(worst[-1], shown[1]))
     return Panel(along, Axis(shown[0], shown[1], log=True, ends=limits), layers, note=note)
 
 
-def _said(row, beyond, trial) -> str:
-    """What a panel tells in words: the yield, machines that diverged, a band that is cut off."""
+def _said(row, band: np.ndarray, worst: np.ndarray, last: str) -> str:
+    """What a panel tells in words: the yield, machines that diverged, and what leaves it.
+
+    band, worst: in which trials the band and the worst machine do;  last: the worst error at last
+    """
     lines = []
     if np.isfinite(row.yield_share):
         lines.append(f"{share_text(row.yield_share)} within tolerance")
     if row.diverged:
         lines.append(f"{share_text(row.diverged)} diverged")
-    if np.any(beyond):
-        since = trial[np.flatnonzero(beyond)[0]]
-        lines.append(f"band cut off at the top\nfrom trial {since} on")
+    last = f"{last} in the last" if np.isfinite(row.worst[-1]) else ""
+    if np.any(band):
+        lines.append(f"band cut off at the top\n{_when(band)}")
+        lines += [f"worst machine {last}"] * bool(last)
+    elif np.any(worst):
+        lines.append(f"worst machine beyond the top\n{_when(worst)}" + f", {last}" * bool(last))
     return "\n".join(lines)
+
+
+def _when(holds: np.ndarray) -> str:
+    """In which trials something holds that does in some."""
+    first = np.argmax(holds)
+    always = f"from trial {first + 1} on"
+    return always if np.all(holds[first:]) else f"in {np.sum(holds)} of {len(holds)} trials"
 
 
 def _shares(names, last: np.ndarray, shown: tuple, held: tuple[float, float]) -> Panel:

@@ -107,6 +107,21 @@ def test_names_of_schemes_stand_over_their_own_panels():
     assert np.all(right[:-1] < left[1:])
 
 
+def test_a_worst_machine_that_leaves_the_panel_is_told():
+    """One of 41 machines doubles its error from 1 mm on while the others halve theirs."""
+    errors = np.array([*[0.5 ** np.arange(8)] * 40, 2.0 ** np.arange(8)])
+    panel, _ = figures.error_band(sweep_of([errors]), metric="rms", unit="mm")
+    assert panel.get_ylim()[1] == pytest.approx(1.5)
+    said = "worst machine beyond the top\nfrom trial 2 on, 128 mm in the last"
+    assert [text.get_text() for text in panel.texts] == [said]
+    dots = next(line for line in panel.lines if line.get_linestyle() == ":")
+    np.testing.assert_array_equal(dots.get_ydata(), errors[-1])
+    errors[-1, 3:] = 0.5
+    panel, _ = figures.error_band(sweep_of([errors]), metric="rms", unit="mm")
+    said = "worst machine beyond the top\nin 2 of 8 trials, 0.5 mm in the last"
+    assert [text.get_text() for text in panel.texts] == [said.replace("0.5 mm", "500 µm")]
+
+
 def test_a_single_trial_is_seen():
     """Of 100 machines the errors 1 .. 100: the median, the band and the worst are level lines."""
     errors = np.arange(1.0, 101.0)[:, None]
