@@ -63,7 +63,7 @@ def worst_against_chance(
 
     The curve shows which share of the drawn machines errs no more than so much; it ends below 100 %
     where some diverged. Each search is a line at the error that it found, and the nominal machine
-    has one, too.
+    has one, too; the legend says which of them diverged.
 
     drawn: (S,) the metric of the machines drawn at random
     found: the largest value by the name of the search
@@ -82,13 +82,13 @@ def worst_against_chance(
     looks = [(BLACK, ":"), *zip(COLOURS, DASHES, strict=True)]
     values = {"nominal machine": nominal, **found}
     for i, (name, value) in enumerate(values.items()):
-        if np.isfinite(value):
-            colour, dash = looks[i and 1 + (i - 1) % len(COLOURS)]
-            tips = {path: [of] for path, of in (machines or {}).get(name, {}).items()}
-            said = f"{name}: {written(value, unit, 4)}"
-            layers.append(
-                Rule(value, "x", width=1.4, tips=tips, dash=dash, name=said, colour=colour)
-            )
+        colour, dash = looks[i and 1 + (i - 1) % len(COLOURS)]
+        if not np.isfinite(value):
+            layers.append(Curve([], [], dash, name=f"{name}: diverged", colour=colour))
+            continue
+        tips = {path: [of] for path, of in (machines or {}).get(name, {}).items()}
+        said = f"{name}: {written(value, unit, 4)}"
+        layers.append(Rule(value, "x", width=1.4, tips=tips, dash=dash, name=said, colour=colour))
     held = limits_of([*drawn, *values.values()], pad=1.05)
     log = held is not None and held[1] > 3 * held[0]
     across = Axis(metric, unit, log=log, ends=held if log else None)

@@ -58,6 +58,15 @@ def test_the_worst_machine_stands_beside_those_drawn():
     np.testing.assert_allclose(steps[2], [[1, 24], [3.0, 3.0]])
 
 
+def test_a_machine_that_diverged_has_its_place_in_the_legend():
+    worst = WorstMachine(np.inf, {"gradient": search(np.inf, [1.0, np.inf], 8)}, DRAWN)
+    said = [item.label.value for item in chance(worst).model.legend[0].items]
+    assert said[1:] == ["nominal machine: diverged", "gradient: diverged"]
+    ax = searches.worst_against_chance(DRAWN, {"gradient": np.inf}, nominal=1.5)
+    on_paper = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert on_paper[1:] == ["nominal machine: 1.5", "gradient: diverged"]
+
+
 @pytest.mark.parametrize("inputs", [1, 2, 3])
 def test_each_output_of_a_trial_has_its_own_input(inputs):
     """Of as many inputs as outputs the output's own is shown, of others a menu chooses."""
