@@ -74,7 +74,7 @@ def validation_figure(
     for i, (measured, simulated) in enumerate(zip(y.T, identified.simulated.T, strict=True)):
         which, colour = f" {i}" * (y.shape[1] > 1), colour_of(i)
         fits = f"fit {identified.fit[i]:.2f} %"
-        if identified.samples <= last:
+        if np.isfinite(identified.validation_fit[i]):
             fits += f", validation {identified.validation_fit[i]:.2f} %"
         said = f"simulated{which}: {fits}"
         outputs += [Curve(time, measured, width=3, colour=PALE, name=f"measured{which}"),

@@ -36,11 +36,15 @@ def verdict(found: Identified, dt: float | None) -> list[str]:
 
     dt: sample time [s], in which a delay is told; None: in ms
     """
-    fit, share = float(np.min(found.fit)), float(np.min(found.validation_fit))
+    fit, share = float(np.min(found.fit)), float(np.fmin.reduce(found.validation_fit))
     what = "the measured response" if found.of_response else "the output"
     said = f"{described(found, dt)} fits {fit:.4g} % of {what}"
-    if np.isfinite(share):
+    if share >= 0:
         said += f" ({share:.4g} % of the part that was not fitted)"
+    elif share < 0:
+        said += " (a constant would fit the part that was not fitted better)"
+    elif found.samples < len(found.simulated) - 1 and not found.of_response:
+        said += " (in the part that was not fitted it rests, which tests nothing)"
     ratio = float(found.residual_std[0])
     doubted = found.of_response and ratio > MUCH and found.std_known
     if found.white and not doubted:

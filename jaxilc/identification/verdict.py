@@ -15,6 +15,7 @@ CONFIDENCE = 0.95
 LAGS = 20  # lags of the residual's autocorrelation that are tested
 WHITE = 0.8  # share of autocorrelations within their bounds from which on a residual is white
 NEAR, LEFT = 1.2, 0.5  # ratio of frequencies taken together; share of the output left at them
+GOOD, NOISE = 90.0, 1.5  # fit [%] from which on the residual is noise, and its factor at most
 DRAWS = 4000  # draws of the parameters, for the intervals of the poles
 
 
@@ -51,7 +52,7 @@ class Identified(NamedTuple):
     simulated: (N+1, n_y) the plant's output, with the bias
     fit: (n_y,) 100 (1 - |y - simulated| / |y - mean y|) [%] over the fitted part; 100 is perfect
     validation_fit: (n_y,) the same over the validation part [%]; nan if all samples were fitted,
-        and where the output rests in that part
+        and where the output rests in that part, but for noise
     residual_std: (n_y,) standard deviation of y - simulated over the fitted part, with the degrees
         of freedom that are left
     whiteness: (n_y,) share of the residual's autocorrelations at lags 1 .. 20 that lie within
@@ -138,6 +139,9 @@ def judged(problem: Problem, found: Minimum) -> Identified:
     )
     modelled = isinstance(problem.plant, ProcessModel | ModalModel)
     poles = poles_of(problem.plant, problem.names, theta, covariance) if modelled else ()
+    fit = fit_of(y[:samples], residual[:samples])
+    std = np.sqrt(np.sum(residual[:samples] ** 2, axis=0) * problem.plant.n_y / freedom)
+    noise = np.where(fit > GOOD, NOISE * std, 0.0)
     return Identified(
         plant=problem.plant_at(theta),
         parameters=estimates((*problem.names, *biases), theta, half),
@@ -145,9 +149,9 @@ def judged(problem: Problem, found: Minimum) -> Identified:
         poles=poles,
         samples=samples,
         simulated=y - residual,
-        fit=fit_of(y[:samples], residual[:samples]),
-        validation_fit=fit_of(y[samples:], residual[samples:]),
-        residual_std=np.sqrt(np.sum(residual[:samples] ** 2, axis=0) * problem.plant.n_y / freedom),
+        fit=fit,
+        validation_fit=fit_of(y[samples:], residual[samples:], noise),
+        residual_std=std,
         whiteness=whiteness,
         white=white,
         converged=found.converged,
@@ -220,13 +224,17 @@ def autoregression(residual) -> tuple[np.ndarray, np.ndarray]:
     return scipy.linalg.solve_toeplitz(r[:-1], r[1:]), r
 
 
-def fit_of(y, residual):
-    """(n_y,) fit of each output, 100 (1 - |residual| / |y - mean y|) [%]; nan where it rests."""
+def fit_of(y, residual, noise=0.0):
+    """(n_y,) fit of each output, 100 (1 - |residual| / |y - mean y|) [%]; nan where it rests.
+
+    noise: rms up to which what an output moves, and what the model errs, is no motion
+    """
     if len(y) < 2:
         return np.full(y.shape[1], np.nan)
     about = np.linalg.norm(y - np.mean(y, axis=0), axis=0)
-    about = np.where(np.ptp(y, axis=0) > 0, about, np.nan)
-    return 100 * (1 - np.linalg.norm(residual, axis=0) / about)
+    left = np.linalg.norm(residual, axis=0)
+    moves = (np.ptp(y, axis=0) > 0) & (np.maximum(about, left) > noise * np.sqrt(len(y)))
+    return 100 * (1 - left / np.where(moves, about, np.nan))
 
 
 def explained_up_to(y, residual, dt: float) -> float:

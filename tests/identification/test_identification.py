@@ -273,6 +273,23 @@ def test_where_an_output_rests_it_has_no_fit():
     np.testing.assert_allclose(fit_of(y, 0.1 * np.std(moved) * y), [np.nan, 90], rtol=0.02)
 
 
+def test_where_an_output_rests_but_for_noise_it_has_no_fit():
+    """Noise of 1 after a stroke of 1000 that the model explains; a model that drifts is told."""
+    rng = np.random.default_rng(4)
+    noise, drift = rng.normal(size=(200, 1)), np.linspace(0, 50, 200)[:, None]
+    assert np.isnan(fit_of(noise, noise - 0.02, 1.5))
+    assert fit_of(noise, noise) == pytest.approx(0, abs=1)
+    assert fit_of(noise, noise + drift, 1.5) < -1000
+    assert fit_of(noise + drift, noise, 1.5) > 90
+    u = np.where(np.arange(400) < 200, np.repeat(rng.normal(size=40), 10), 1.0)
+    y = [0.0]
+    for of in u:  # a lag of five samples
+        y.append(y[-1] + (1 - np.exp(-0.2)) * (of - y[-1]))
+    found = identify(Record(u, np.array(y) + 1e-3 * rng.normal(size=401), DT), MODELS["lag"])
+    assert found.fit[0] > 99
+    assert np.isnan(found.validation_fit[0])
+
+
 @pytest.mark.thorough
 def test_difference_equation_from_its_rounded_coefficients(record):
     """From Cao 2019, eq. 29, the fit returns to eq. 7 sampled at 1 ms, and to its DC gain."""

@@ -55,6 +55,18 @@ def test_a_good_fit_is_one_sentence():
     ]
 
 
+@pytest.mark.parametrize(
+    ("share", "said"),
+    [
+        (-0.3, "a constant would fit the part that was not fitted better"),
+        (np.nan, "in the part that was not fitted it rests, which tests nothing"),
+    ],
+)
+def test_no_share_of_a_part_is_negative(share, said):
+    (line,) = verdict(FOUND._replace(validation_fit=np.array([share])), 1e-3)
+    assert f"98.7 % of the output ({said}), and" in line
+
+
 def test_what_is_wrong_is_said():
     bad = FOUND._replace(
         white=False, converged=False, parameters={"zeros[0]": Estimate(9.0, -90.0, 108.0)}
