@@ -208,11 +208,11 @@ def _curve(ax: Axes, of: Curve) -> None:
 
 
 def _band(ax: Axes, of: Band) -> None:
-    if len(of.x) == 1:
-        ax.vlines(*map(placed, (of.x, of.low, of.high)), linewidth=BAR, **_look(of))
+    x, low, high = map(placed, (of.x, of.low, of.high))
+    if len(x) == 1:
+        ax.vlines(x, low, high, linewidth=BAR, **_look(of))
         return
-    step = "post" if of.steps else None
-    ax.fill_between(*map(placed, (of.x, of.low, of.high)), step=step, linewidth=0, **_look(of))
+    ax.fill_between(x, low, high, step="post" if of.steps else None, linewidth=0, **_look(of))
 
 
 def _rule(ax: Axes, of: Rule) -> None:
