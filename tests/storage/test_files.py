@@ -15,7 +15,7 @@ from crash_points import recorded
 from matplotlib.figure import Figure
 
 from jaxilc import figures
-from jaxilc.cli.present import written
+from jaxilc.cli.present import stored
 from jaxilc.figures.report import write_report
 from jaxilc.hardware.journal import Journal
 from jaxilc.scenarios.parameters import write_parameters
@@ -45,7 +45,7 @@ def test_results_are_whole_at_every_moment(tmp_path):
     out, numbers = tmp_path / "out", {"worst": float("inf"), "rows": [float("nan")] * 50}
     with recorded(out, tmp_path) as states:
         for _ in range(2):  # the second time it replaces the first
-            written([], out / "numbers.json", numbers)
+            stored(out / "numbers.json", numbers)
             write_parameters(out / "params.json", "axis", {"pid": {"kp": 1.0}}, {})
             figures.save(axes, out / "figure.png")
             write_report(out / "page.html", "title", {"asked": 1})
