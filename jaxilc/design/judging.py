@@ -336,7 +336,8 @@ def proof_of(family: Family, scheme: Scheme, task: Task, *, between: bool = Fals
         machine={name: float(values[which[top]]) for name, values in family.drawn.items()},
         machines=len(family.P), claims=(str(told.claim[0]), str(told.claim[-1])),
         reasons=(str(told.reason[0]), str(told.reason[-1])), scheduled=len(segments) > 1,
-        further=_further(family, laws, sizes, task.dt), whole=whole, without=not_whole(machine),
+        further=_further(family, laws, sizes, task.dt), whole=whole,
+        without=not_whole(machine, uncertainty),
     )  # fmt: skip
 
 

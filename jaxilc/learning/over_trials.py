@@ -307,6 +307,7 @@ def truncated(
     Raises ValueError as `learn` does, for `last` beyond J, and for a `watch`, which compares each
     trial with the one before it, across the two parts too.
     """
+    trials, last = map(concrete, (trials, last))
     require("truncated", "last", last, f"[1, {trials}]", whole=True)
     if options.get("watch") is not None:
         raise ValueError("truncated: watch = ... compares trials of both parts; allowed is None")

@@ -190,8 +190,13 @@ def need_replaceable(target: Path, folder: Path, *, force: bool, resume: bool) -
         known = unsealed(read_json(folder / STATE / WRITTEN))["plant file"]
         if resume and known == checksum(target.read_bytes()):
             return
-    by_other = ", and the state has not written it as it is" if resume else ""
-    raise FileExistsError(f"{target} exists already{by_other}; add --force to replace it")
+    told = "add --force to replace it"
+    if resume:
+        told = (
+            "the state does not say that it wrote it as it is; add --force beside --resume to "
+            "replace the file alone"
+        )
+    raise FileExistsError(f"{target} exists already; {told}")
 
 
 def written_by(

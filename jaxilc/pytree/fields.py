@@ -174,7 +174,7 @@ def _settled(cls: type, field: dataclasses.Field[Value], value: Value) -> Value:
         return _checked_leaf(owner, field, value)
     wanted = annotations_of(cls).get(field.name, Tree)
     if kind == "static":
-        value = tuple(map(concrete, value)) if type(value) in (list, tuple) else concrete(value)
+        value = _plain(value)
         _check_static(owner, field, value, wanted)
         value = as_annotated(value, wanted)
     elif not fits(value, wanted):
@@ -189,6 +189,11 @@ def _settled(cls: type, field: dataclasses.Field[Value], value: Value) -> Value:
     else:
         value = _without_loose_leaves(value)
     return value
+
+
+def _plain(value: Value) -> Value:
+    """Tuples in place of lists, and numbers of Python in place of those of NumPy, at any depth."""
+    return tuple(map(_plain, value)) if type(value) in (list, tuple) else concrete(value)
 
 
 def _without_loose_leaves(value: Value) -> Value:

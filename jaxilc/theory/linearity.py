@@ -13,6 +13,8 @@ Whether one is met is for `outlook` to say.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,6 +35,8 @@ LINEAR = "machine and feedback linear"
 ONE_TRIAL = "what is learned follows from the last trial alone"
 INVARIANT = "loop linear and time invariant"
 EACH_ALIKE = "each trial starts alike and is learned from alike"
+# The numbers of a variation with which each trial starts at rest, and its record is a whole one.
+WHOLE = {"carried": 0, "shortest": 1, "dropped": 0, "late": 0, "delayed": 0}
 
 
 def linear_law(scheme: Scheme, task: Task, memory: Memory = None) -> Premise:
@@ -136,11 +140,19 @@ def whole_trials(machine: Machine, scheme: Scheme, task: Task) -> Premise:
     return alike if not alike.held or not found else premise(EACH_ALIKE, False, found)
 
 
-def not_whole(machine: Machine) -> str:
-    """What of a variation couples a frequency with others, with its value; empty if nothing."""
-    names = ("carried", "shortest", "dropped", "late", "delayed")
-    values = {name: getattr(machine.variation, name, None) for name in names}
-    return ", ".join(f"variation.{name} = {x}" for name, x in values.items() if x is not None and x)
+def not_whole(machine: Machine, uncertain: Collection[str] = ()) -> str:
+    """What of a variation couples a frequency with others, with its value; empty if nothing.
+
+    uncertain: names of leaves that differ from machine to machine
+    """
+    found = []
+    for name, without in WHOLE.items():
+        value = getattr(machine.variation, name, None)
+        if f"variation.{name}" in uncertain:
+            found.append(f"an uncertain variation.{name}")
+        elif value is not None and value != without:
+            found.append(f"variation.{name} = {value}")
+    return ", ".join(found)
 
 
 def _differing(variation: Variation, scheme: Scheme, task: Task) -> str:

@@ -12,7 +12,7 @@ proved: a resonance that is narrower than the spacing of the lines does not show
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -257,7 +257,7 @@ def question(
     Raises ValueError for a scheme whose law is not linear, or that has several channels, and where
     machine, scheme and task do not fit.
     """
-    need_linear(machine, scheme, task)
+    need_linear(machine, scheme, task, uncertainty)
     population = Population(machine, uncertainty, count=machines, seed=seed, sampling=sampling)
     tried = tried_plants(population, scheme, task, climbers=0)
     law = law_of(scheme, task)
@@ -308,9 +308,11 @@ def resonances_of(loop: Loop, dt: float) -> list[Resonance]:
     return sorted(one for one in found if one.damping < RESONANT)
 
 
-def need_linear(machine: Machine, scheme: Scheme, task: Task) -> None:
+def need_linear(
+    machine: Machine, scheme: Scheme, task: Task, uncertain: Collection[str] = ()
+) -> None:
     """Raises ValueError unless loop and law are linear and of one channel, and trials are whole."""
-    name, found = type(scheme).__name__, not_whole(machine)
+    name, found = type(scheme).__name__, not_whole(machine, uncertain)
     if found:
         raise ValueError(
             f"|Q (1 - L P)| is that of trials which start alike, of records that come whole and in "

@@ -436,6 +436,16 @@ def test_a_static_number_is_the_same_wherever_it_is_equal(given, meant):
     assert type(PIDType(lead=np.int8(2)).lead) is type(OnOutputs(PID(), [np.array(1)]).outputs[0])
 
 
+def test_a_static_number_is_a_number_of_python_at_any_depth():
+    @pytree
+    class Nested:
+        w: tuple = static(default=())
+
+    found = Nested(w=[[np.float16(1e-3), [np.array(2)]], ["a"]]).w
+    assert found == ((0x419 / 2**20, (2,)), ("a",))
+    assert [type(x) for x in (found[0][0], found[0][1][0])] == [float, int]
+
+
 def test_a_static_number_cannot_be_traced():
     for transformed in (jax.jit, jax.vmap):
         with pytest.raises(ValueError, match="Task: dt is traced; allowed is a static value"):
