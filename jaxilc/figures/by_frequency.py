@@ -208,7 +208,7 @@ def _without_slow(e, samples: int):
     from scipy.ndimage import correlate1d
     from scipy.signal import get_window
 
-    weights, at = get_window("hann", samples), np.arange(samples) / samples - 0.5
+    weights, at = get_window("hann", samples), (np.arange(samples) - samples // 2) / samples
     weights = weights / weights.sum()
 
     def moments(of):

@@ -23,6 +23,7 @@ from jaxilc.design.learned import Passed
 from jaxilc.design.responses import Family
 from jaxilc.design.window import Filters, window_of
 from jaxilc.figures import browsers
+from jaxilc.figures.by_frequency import _without_slow
 from jaxilc.figures.paper import LIGHTER
 from jaxilc.figures.style import marks_of, numbers_of, style_of, written
 from jaxilc.figures.within_trial import _around_the_largest
@@ -399,6 +400,8 @@ def test_what_is_slower_than_the_window_is_not_painted_as_faster():
 def test_a_slope_is_no_error_at_the_ends_of_the_trial():
     (ax,) = figures.time_frequency(dataset_of([TIME[:, None]]), "a", (1,), window=0.1)
     assert np.max(shown_in(ax)[2]) < 1e-12
+    for samples in (8, 9):  # the line is read at the sample, also where the window has no middle
+        np.testing.assert_allclose(_without_slow(np.arange(40.0)[:, None], samples), 0, atol=1e-12)
 
 
 def test_the_map_is_scaled_as_the_spectrum_up_to_the_last_line():
