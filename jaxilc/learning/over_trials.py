@@ -153,6 +153,22 @@ def check(machine: Machine, scheme: Scheme, task: Task) -> None:
     except TypeError as error:
         need_double(scheme, error)
         raise
+    _need_one_reference_a_step(machine, scheme)
+
+
+def _need_one_reference_a_step(machine: Machine, scheme: Scheme) -> None:
+    """Raises ValueError where the reference changes within the trials of one learning step."""
+    references, every = getattr(machine.variation, "references", None), scheme.trials_a_step
+    if references is None or every == 1 or len(references.values) == 1:
+        return
+    within = [j for j in references.first if (j - 1) % every]
+    if within or not references.first:
+        when = f"in trial {within[0]}" if within else "after each trial"
+        raise ValueError(
+            f"{type(scheme).__name__} learns from {every} trials together, of one reference, and "
+            f"variation.references changes it {when}; allowed are changes with the first trial of "
+            f"a step, {1 + every}, {1 + 2 * every} and so on"
+        )
 
 
 def need_kinds(**given: Value) -> None:

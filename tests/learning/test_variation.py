@@ -658,7 +658,7 @@ LAWS = ["model_free", "constrained", "at_samples", "ilc_asmc"]
 def test_every_law_runs_where_trials_differ(name):
     """Every law of the list runs on trials that differ, and a lost sample never reaches it."""
     machine, scheme, task = case(name)
-    several = jnp.stack([task.reference, 0.9 * task.reference])
+    several, every = jnp.stack([task.reference, 0.9 * task.reference]), scheme.trials_a_step
     varied = Variation(
         scatter=1e-3,
         carried=0.5,
@@ -667,17 +667,25 @@ def test_every_law_runs_where_trials_differ(name):
         late=1,
         delayed=0.1,
         delay=2,
-        references=References(several),
+        references=References(several, () if every == 1 else (1 + every,)),
     )
     machine = dataclasses.replace(machine, variation=varied)
     history = learn(machine, scheme, task, 4)
     assert np.all(np.isfinite(history.rms))
 
 
+def in_steps_of_4(*first):
+    """A basis under `Ladder` kept 20 % of the error for ever, where it is learned to 0 alone."""
+    values = np.stack([R, 2 * R, R][: 1 + (len(first) or 1)])[..., None]
+    learn(vary(references=References(values, first)), Ladder(LAW, repeats=4), TASK, 1)
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [
         (lambda: vary(carried=1.5), r"carried = 1.5 is outside"),
+        (lambda: in_steps_of_4(), r"Ladder learns from 4 trials .* after each trial; .* 5, 9 and"),
+        (lambda: in_steps_of_4(5, 8), r"variation.references changes it in trial 8"),
         (lambda: vary(late=30).check(TASK), "late = 30 is outside"),
         (lambda: vary(delayed=0.1, delay=30).check(TASK), "delay = 30 is outside"),
         (lambda: vary(delayed=1.0), "delayed = 1 is outside"),
