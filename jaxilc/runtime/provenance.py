@@ -32,6 +32,9 @@ LONG = 120  # characters of a value in a difference that is told
 CODE, CONSTANTS = "its code", "its constants"
 # Of an object: what is not among its attributes, and that nothing tells it from others.
 STATE, UNKNOWN = "its state", "not described"
+# What JAX and Python write into a function and a class; earlier versions stored it.
+WRITTEN = frozenset({"_jit_info", "_abc_impl", "_is_protocol", "_is_runtime_protocol"})
+OF_PICKLE = ("__reduce_ex__", "__reduce__", "__getstate__")
 ORDERED = ("schemes", "uncertainty", "weights")  # mappings whose order the numbers depend on
 
 
@@ -86,7 +89,10 @@ def need_same(
 
 
 def need_described(configuration: object, name: str = "") -> None:
-    """Raises ValueError, naming it, for what holds an object that cannot be told from others."""
+    """Raises ValueError, naming it, for what holds an object that cannot be told from others.
+
+    An object that tells something of itself may hold such an object, as in a cache.
+    """
     if isinstance(configuration, dict):
         if UNKNOWN in configuration:
             raise ValueError(
@@ -94,6 +100,8 @@ def need_described(configuration: object, name: str = "") -> None:
                 "another one could not be told from it; allowed are numbers, arrays, functions, "
                 "and objects of these"
             )
+        if {"name", "attributes"} <= configuration.keys() and _tells(configuration):
+            return
         for key, of in configuration.items():
             need_described(of, f"{name}.{key}" if name else key)
     elif isinstance(configuration, list):
@@ -101,23 +109,38 @@ def need_described(configuration: object, name: str = "") -> None:
             need_described(of, f"{name}[{i}]")
 
 
+def _tells(described: Json) -> bool:
+    """Whether a description has a value besides names and what is not described."""
+    if isinstance(described, dict):
+        parts = [of for name, of in described.items() if name != "name"]
+        return UNKNOWN not in described and any(map(_tells, parts))
+    return any(map(_tells, described)) if isinstance(described, list) else described is not None
+
+
 def _differences(found: object, wanted: object, name: str) -> list[str]:
     if isinstance(found, dict) and isinstance(wanted, dict):
         names = found.keys() | wanted.keys()
-        names -= {CODE, CONSTANTS} - found.keys()  # earlier versions did not store them
+        names -= {CODE, CONSTANTS} - found.keys() | WRITTEN  # earlier versions did not store them
         return [
             line
             for n in sorted(names)
             for line in _differences(found.get(n), wanted.get(n), f"{name}.{n}" if name else n)
         ]
+    there, here = texts = f"{found}", f"{wanted}"
     if isinstance(found, list) and isinstance(wanted, list) and len(found) == len(wanted):
         pairs = [*zip(found, wanted, strict=True)]
-        if all(isinstance(one, dict) for pair in pairs for one in pair):
+        if "{" in there or "{" in here:  # not the rows of an array, which are told as one
             return [x for i, of in enumerate(pairs) for x in _differences(*of, f"{name}[{i}]")]
-    there, here = (
-        f"{x}" if len(f"{x}") <= LONG else f"{x}"[:LONG] + " ..." for x in (found, wanted)
-    )
-    return [] if found == wanted else [f"{name}: {there} there, {here} here"]
+    if found == wanted or repr(found) == repr(wanted):  # as NaN is not equal to itself
+        return []
+    if max(map(len, texts)) > LONG:  # then from a little before the first difference
+        unlike = (i for i, (a, b) in enumerate(zip(*texts, strict=False)) if a != b)
+        first = max(0, next(unlike, min(map(len, texts))) - LONG // 2)
+        there, here = (
+            "... " * (first > 0) + x[first:][:LONG] + " ..." * (len(x) > first + LONG)
+            for x in texts
+        )
+    return [f"{name}: {there} there, {here} here"]
 
 
 def _reordered(found: object, wanted: object) -> list[str]:
@@ -139,11 +162,11 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
     other attributes of the class; a long array is described by its shape and hash. A function, and
     an object made of functions such as an optax transformation, is described by its name, its code
     and the values in its closure. So two functions of the same name differ if their settings
-    differ. Their position in a file is not included. What JAX has under a name is
-    described by this name, and any other object by its attributes and what `pickle` would store of
-    it. The description does not contain what a function reads from its module, or the code that it
-    calls there. The code of a function differs between versions of Python. An object of which
-    nothing is known, such as a lock, is described as such, and `need_described` refuses it.
+    differ. Their position in a file is not included. What JAX has under a name is described by this
+    name, and any other object by what `pickle` would store of it. The description does not contain
+    what a function reads from its module, or the code that it calls there. The code of a function
+    differs between versions of Python. An object of which nothing is known, such as a lock, is
+    described as such, and `need_described` refuses it.
 
     within: identities of the values that contain this one, for a value that refers to itself
     """
@@ -196,8 +219,12 @@ def _parts(value: Value) -> dict[str, Value]:
     """All that tells an object from others of its class.
 
     That is its attributes, and for what is not among them, as in a slice or with slots, what
-    `pickle` would store. An object of JAX, and one that cannot be stored, is told by its text.
+    `pickle` would store. Where its class says itself what is stored, it is that alone, as an
+    attribute may be a cache. An object of JAX, and one that cannot be stored, is told by its text.
+    NumPy's global generator, which starts anew in each process, is told by its name.
     """
+    if value is np.random.mtrand._rand:
+        return {"attributes": {}}
     attributes = dict(getattr(value, "__dict__", {}))
     attributes.pop("_jit_info", None)  # of `jax.jit`: the file and the line of a function, too
     text = "" if attributes else repr(value)
@@ -212,10 +239,14 @@ def _parts(value: Value) -> dict[str, Value]:
     by_name = isinstance(value, Enum) or (isinstance(value, np.dtype) and value.isbuiltin == 1)
     if isinstance(stored, str) or by_name:  # which is described already
         return {"attributes": attributes}
-    _, arguments, state, *items = (*stored, None, None, None)[:5]
+    made_by, arguments, state, *items = (*stored, None, None, None)[:5]
     arguments = [of for of in arguments or () if of is not type(value)]
-    if isinstance(state, dict) and state.keys() == attributes.keys():
-        state = None
+    arguments += [made_by] if isinstance(made_by, partial) else []  # as of `methodcaller`
+    own = any(getattr(type(value), at) is not getattr(object, at) for at in OF_PICKLE)
+    if isinstance(state, dict) and (own or state.keys() == attributes.keys()):
+        attributes, state = state, None
+    elif own:
+        attributes = {}
     further = [arguments or None, state, *(one and [*one] for one in items)]
     told = any(one is not None for one in further)
     return {"attributes": attributes, **({STATE: further} if told else {})}
@@ -236,7 +267,7 @@ def _own_attributes(cls: Value) -> dict[str, dict[str, Value]]:
     of_a_user = [of for of in reversed(cls.__mro__) if _is_of_a_user(of)]
     methods: dict[str, Value] = {}
     constants: dict[str, Value] = {}
-    left_out = {"_made_by_pytree", *(f.name for f in dataclasses.fields(cls))}
+    left_out = {"_made_by_pytree", *WRITTEN, *(f.name for f in dataclasses.fields(cls))}
     for of in of_a_user:
         for name, value in vars(of).items():
             inner = (getattr(value, at, None) for at in ("fget", "func", "__func__"))

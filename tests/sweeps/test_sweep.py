@@ -3,13 +3,18 @@
 Their summary is tested too.
 """
 
+import abc
 import dataclasses
 import json
 import logging
+import math
 import threading
+import types
 from collections import deque
 from fractions import Fraction
 from functools import partial
+from operator import methodcaller
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +22,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from scipy.interpolate import CubicSpline
-from scipy.stats import binomtest
+from scipy.stats import binomtest, norm
 from sweep_case import PLAN, TASK
 
 import jaxilc
@@ -26,7 +31,14 @@ from jaxilc.plants import DifferenceEquation, Plant, StateSpace
 from jaxilc.pytree import Leaf, leaf, pytree
 from jaxilc.runtime import capacity, tiled
 from jaxilc.runtime.earlier_names import takes_also
-from jaxilc.runtime.provenance import CODE, CONSTANTS, describe, differences, environment
+from jaxilc.runtime.provenance import (
+    CODE,
+    CONSTANTS,
+    describe,
+    differences,
+    environment,
+    need_described,
+)
 from jaxilc.schemes import CFDLMFAILC, PID, Feedforward, PIDType, Scheme
 from jaxilc.sweeps import sweep as sweep_module
 from jaxilc.sweeps.host import Host
@@ -297,6 +309,7 @@ LINE = np.arange(5.0)
         (bytes, ([1],), ([2],)),
         (deque, ([1],), ([2],)),
         (Fraction, (1, 2), (1, 3)),
+        (lambda k: methodcaller("clip", max=k), (1,), (2,)),
         (partial(getattr, jnp), ("add",), ("multiply",)),
         (partial(getattr, np), ("sin",), ("cos",)),
     ],
@@ -351,6 +364,89 @@ def test_a_store_of_what_cannot_be_told_from_others_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"quantities\.q\.closes over\[0\] holds a _thread\.lock"):
         Folder(tmp_path / "state", {"quantities": {"q": describe(lambda trial: lock)}}, False)
     assert not (tmp_path / "state").exists()
+    for held in (deque([lock]), types.SimpleNamespace(lock=lock)):
+        with pytest.raises(ValueError, match=r"q\.closes over\[0\].* holds a _thread\.lock"):
+            need_described({"q": describe(held_by(held))})
+    told = {"q": describe(held_by(types.SimpleNamespace(lock=lock, level=2.0)))}
+    need_described(told)
+    assert differences(told, {"q": describe(held_by(types.SimpleNamespace(lock=lock, level=3.0)))})
+
+
+def held_by(held):
+    return lambda trial: held
+
+
+class Cached:
+    """An object that stores its level alone, and fills a cache as it is used."""
+
+    def __init__(self, level):
+        self.level, self.cache = level, {"lock": threading.Lock()}
+
+    def __reduce__(self):
+        return Cached, (self.level,)
+
+
+class Kept(Cached):
+    """One that says what it stores by its state."""
+
+    __reduce__ = object.__reduce__
+
+    def __getstate__(self):
+        return {"level": self.level}
+
+
+@pytest.mark.parametrize("kind", [Cached, Kept])
+def test_what_an_object_does_not_store_is_no_part_of_its_description(kind):
+    one, used, other = kind(1.0), kind(1.0), kind(2.0)
+    used.cache["limit"] = 7.0
+    first, same, another = (describe(held_by(held)) for held in (one, used, other))
+    assert first == same != another
+    need_described(first)
+
+
+class Told(Protocol):
+    def about(self) -> str: ...
+
+
+@pytest.mark.parametrize("above", [abc.ABC, Told])
+def test_what_python_writes_into_a_class_is_none_of_its_constants(above, tmp_path):
+    class Own(PID, above):
+        pass
+
+    law = describe(pytree(Own)())
+    assert law[CONSTANTS] == {}
+    Folder(tmp_path / "state", {"law": law}, resume=False)
+    written = {"_abc_impl": {"name": "_abc._abc_data", "attributes": {}}, "_is_protocol": False}
+    assert differences({**law, CONSTANTS: written}, law) == []
+
+
+def test_a_distribution_is_described_alike_in_each_process():
+    """It holds the global generator of NumPy, which each process seeds anew."""
+    first = describe(held_by(norm(0, 1)))
+    norm.rvs(size=3)
+    again, other = (describe(held_by(norm(0, of))) for of in (1, 2))
+    assert differences({"q": first}, {"q": again}) == []
+    assert describe(np.random.RandomState(1)) != describe(np.random.RandomState(2))
+    (line,) = differences({"q": first}, {"q": other})
+    assert line == "q.closes over[0].attributes.args: [0, 1] there, [0, 2] here"
+
+
+def test_a_long_difference_is_told_from_where_it_begins():
+    assert differences({"q": [math.nan]}, {"q": [float("nan")]}) == []
+    one, other = ([[0.5] * 100 + [of], 1] for of in (2.0, 3.0))
+    (line,) = differences({"q": one}, {"q": other})
+    there, here = line.split(" there, ")
+    assert "0.5, 2.0], 1]" in there
+    assert "0.5, 3.0], 1]" in here
+    assert len(line) < 300
+
+
+def test_an_earlier_store_with_the_place_of_a_jitted_function_goes_on():
+    found = describe(jax.jit(lambda trial: trial.e))
+    place = {"class": "JitInfo", "fun_sourceinfo": "make at a.py:3"}
+    earlier = {**found, "attributes": {**found["attributes"], "_jit_info": place}}
+    for held in (lambda of: of, lambda of: {"settings": [[of, 2.0], None]}):
+        assert differences({"q": held(earlier)}, {"q": held(found)}) == []
 
 
 def own_plant(**constants):
