@@ -38,9 +38,9 @@ KINDS = {
     "input": ("of_input",),
     "output": ("of_output",),
     "scatter": ("scatter",),
-    "drift, sensor": ("of_sensor", "after"),
+    "drift-sensor": ("of_sensor", "after"),
     "all": ("of_sensor", "of_input", "of_output", "scatter", "after"),
-    "lost, sensor": ("of_sensor", "dropped"),
+    "lost-sensor": ("of_sensor", "dropped"),
 }
 TOO_MANY = scipy.stats.binom.isf(1e-4, SEEDS, 0.05)
 
