@@ -15,7 +15,7 @@ CONFIDENCE = 0.95
 LAGS = 20  # lags of the residual's autocorrelation that are tested
 WHITE = 0.8  # share of autocorrelations within their bounds from which on a residual is white
 NEAR, LEFT = 1.2, 0.5  # ratio of frequencies taken together; share of the output left at them
-GOOD, NOISE = 90.0, 1.5  # fit [%] from which on the residual is noise, and its factor at most
+GOOD, NOISE = 90.0, 1.5  # fit [%] from which on a residual may be noise, and its factor at most
 DRAWS = 4000  # draws of the parameters, for the intervals of the poles
 
 
@@ -141,7 +141,8 @@ def judged(problem: Problem, found: Minimum) -> Identified:
     poles = poles_of(problem.plant, problem.names, theta, covariance) if modelled else ()
     fit = fit_of(y[:samples], residual[:samples])
     std = np.sqrt(np.sum(residual[:samples] ** 2, axis=0) * problem.plant.n_y / freedom)
-    noise = np.where(fit > GOOD, NOISE * std, 0.0)
+    error = np.where(fit > GOOD, NOISE * std, 0.0)
+    noise = np.minimum(error, NOISE * unforeseen(residual[:samples]))
     return Identified(
         plant=problem.plant_at(theta),
         parameters=estimates((*problem.names, *biases), theta, half),
@@ -150,7 +151,7 @@ def judged(problem: Problem, found: Minimum) -> Identified:
         samples=samples,
         simulated=y - residual,
         fit=fit,
-        validation_fit=fit_of(y[samples:], residual[samples:], noise),
+        validation_fit=fit_of(y[samples:], residual[samples:], noise, error),
         residual_std=std,
         whiteness=whiteness,
         white=white,
@@ -224,17 +225,27 @@ def autoregression(residual) -> tuple[np.ndarray, np.ndarray]:
     return scipy.linalg.solve_toeplitz(r[:-1], r[1:]), r
 
 
-def fit_of(y, residual, noise=0.0):
+def unforeseen(residual):
+    """(n_y,) rms of what an autoregression does not predict of residuals (n, n_y).
+
+    It is the noise: of a white residual all, of what a model errs in a motion next to nothing.
+    """
+    fits = [autoregression(one) for one in residual.T]
+    return np.sqrt([max(r[0] - a @ r[1:], 0.0) for a, r in fits])
+
+
+def fit_of(y, residual, noise=0.0, error=0.0):
     """(n_y,) fit of each output, 100 (1 - |residual| / |y - mean y|) [%]; nan where it rests.
 
-    noise: rms up to which what an output moves, and what the model errs, is no motion
+    noise: rms about its mean up to which an output rests, and the residual does not wander
+    error: rms of the residual up to which the model rests where the output does
     """
     if len(y) < 2:
         return np.full(y.shape[1], np.nan)
-    about = np.linalg.norm(y - np.mean(y, axis=0), axis=0)
-    left = np.linalg.norm(residual, axis=0)
-    moves = (np.ptp(y, axis=0) > 0) & (np.maximum(about, left) > noise * np.sqrt(len(y)))
-    return 100 * (1 - left / np.where(moves, about, np.nan))
+    root, left = np.sqrt(len(y)), np.linalg.norm(residual, axis=0)
+    about, wanders = (np.linalg.norm(x - np.mean(x, axis=0), axis=0) for x in (y, residual))
+    moves = (np.maximum(about, wanders) > noise * root) | (left > error * root)
+    return 100 * (1 - left / np.where(moves & (np.ptp(y, axis=0) > 0), about, np.nan))
 
 
 def explained_up_to(y, residual, dt: float) -> float:

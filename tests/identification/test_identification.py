@@ -4,6 +4,7 @@ import control
 import jax
 import numpy as np
 import pytest
+import scipy.signal
 from cases import ALGEBRA, SIGMAS
 
 from jaxilc import figures
@@ -277,10 +278,13 @@ def test_where_an_output_rests_but_for_noise_it_has_no_fit():
     """Noise of 1 after a stroke of 1000 that the model explains; a model that drifts is told."""
     rng = np.random.default_rng(4)
     noise, drift = rng.normal(size=(200, 1)), np.linspace(0, 50, 200)[:, None]
-    assert np.isnan(fit_of(noise, noise - 0.02, 1.5))
+    assert np.isnan(fit_of(noise, noise - 0.02, 1.5, 1.5))
+    assert np.isnan(fit_of(noise, noise - 2.0, 1.5, 3.0)), "an error of the model, as it is at rest"
+    assert fit_of(noise, noise - 2.0, 1.5, 1.5) < 0
     assert fit_of(noise, noise) == pytest.approx(0, abs=1)
-    assert fit_of(noise, noise + drift, 1.5) < -1000
-    assert fit_of(noise + drift, noise, 1.5) > 90
+    assert fit_of(noise, noise + drift, 1.5, 1.5) < -1000
+    assert fit_of(noise, noise + drift, 1.5, 100.0) < -1000, "whatever the model errs in a motion"
+    assert fit_of(noise + drift, noise, 1.5, 1.5) > 90
     u = np.where(np.arange(400) < 200, np.repeat(rng.normal(size=40), 10), 1.0)
     y = [0.0]
     for of in u:  # a lag of five samples
@@ -288,6 +292,26 @@ def test_where_an_output_rests_but_for_noise_it_has_no_fit():
     found = identify(Record(u, np.array(y) + 1e-3 * rng.normal(size=401), DT), MODELS["lag"])
     assert found.fit[0] > 99
     assert np.isnan(found.validation_fit[0])
+
+
+def test_what_the_model_errs_in_a_motion_is_no_noise():
+    """A lag without a mode at 40 Hz fits 96 %; then the mode alone moves, and the lag misses it."""
+    rng, t, step = np.random.default_rng(3), np.arange(1201) * 1e-3, 1e-3
+    knots = np.append(rng.normal(size=20), np.zeros(11))
+    u = np.interp(t, np.arange(31) * 0.04, knots) + 0.3 * np.sin(80 * np.pi * t) * (t < 0.75)
+    u += 0.2 * np.sin(80 * np.pi * t) * (t > 0.8)
+    w = 80 * np.pi
+    mode = np.polymul([w**2], [0.05, 1.0]) * 0.006
+    num = np.polyadd([1.0, 0.06 * w, w**2], mode)
+    den = np.polymul([0.05, 1.0], [1.0, 0.06 * w, w**2])
+    b, a, _ = scipy.signal.cont2discrete((num, den), step)
+    y = scipy.signal.lfilter(b.ravel(), a, u) + 1e-4 * rng.normal(size=len(t))
+    found = identify(Record(u[:-1], y, step), MODELS["lag"], fit_share=0.71)
+    assert found.fit[0] > 90
+    late, left = y[found.samples :], (y - found.simulated[:, 0])[found.samples :]
+    assert np.std(late) > 100 * 1e-4
+    share = 1 - np.linalg.norm(left) / np.linalg.norm(late - np.mean(late))
+    assert found.validation_fit[0] == pytest.approx(100 * share)
 
 
 @pytest.mark.thorough
