@@ -14,7 +14,8 @@
 The six numbers of `FITTED` stay as they are; they were fitted to PID, SMC and ASMC without load.
 Share, dead zone and stiffness are fitted to the largest errors of ILC-ASMC without load and of ASMC
 without and with load; the other five rows are held out, among them both of ILC-ASMC under load.
-The other places, lam0 among them, are chosen by all eight rows.
+The other places, lam0, window and load among them, are chosen by all eight rows, so that all count
+as fitted.
 """
 
 import dataclasses
