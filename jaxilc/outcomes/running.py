@@ -18,7 +18,6 @@ from ..learning.divergence import CEILING, GROWTH
 from ..learning.known_metrics import ERRORS, OF_TRIALS
 from ..runtime.provenance import differences
 from ..scenarios import Published, Scenario
-from ..scenarios.from_file import options
 from ..scenarios.reproduction import met
 from ..storage.files import whole_folder
 from ..sweeps import runs
@@ -50,6 +49,8 @@ if TYPE_CHECKING:
 
 CURVES = (2, 20)  # trials that are drawn besides the last one
 CHANGED = "published values hold for the scenario as it stands; --set or --params changed it here"
+# What is said of printed numbers of papers, and of other software.
+COUNTED = ("published numbers are met within 30 %", "numbers of other software agree")
 OPEN = "The paper is silent at {places} places; --details tells what was chosen."
 ALIKE = 0.02  # schemes whose errors differ by no more than this share are told as alike
 # What the figures of a scheme show, by the name of the function that draws them.
@@ -263,6 +264,7 @@ def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) ->
         "value": p.value,
         "unit": scenario.shown(p.quantity)[1],
         "source": p.source,
+        "agreement": p.agreement,
         "ours": ours,
         "met": near,
     }
@@ -303,18 +305,22 @@ def other_rows(scenario: Scenario, numbers: Numbers) -> list[str]:
 def reading_lines(scenario: Scenario, numbers: Numbers) -> list[str]:
     """A sentence where ours and published numbers part: what is simulated, what is judged."""
     beside = [p for rows in numbers["schemes"].values() for p in rows["published"]]
-    near = [p["met"] for p in beside if p["met"] is not None]
-    if all(near):
+    counts = []
+    for of_software, judged_so in enumerate(COUNTED):
+        of = [p for p in beside if (p["agreement"] is not None) == of_software]
+        near = [p["met"] for p in of if p["met"] is not None]
+        if not all(near):
+            counts.append(f"{near.count(True)} of {len(near)} {judged_so}")
+    if not counts:
         return []
     judged = {name: value for p in scenario.due for name, value in p.options}
-    usual = options(scenario.name)
-    judged |= {"reading": usual["reading"]} if "reading" in usual else {}
+    judged |= {k: v for k, v in scenario.usual.items() if k == "reading"}
     other = [name for name, value in judged.items() if scenario.options.get(name) != value]
     here = ", ".join(f"{name}={scenario.options[name]}" for name in other)
     there = " ".join(f"--set {name}={judged[name]}" for name in other)
-    lines = [f"{near.count(True)} of {len(near)} published numbers are met within 30 %"]
+    lines = counts
     if other:
-        lines[0] += f": simulated is {here}"
+        lines[-1] += f": simulated is {here}"
         lines.append(f"The paper is judged with {there}")
     return [". ".join([*lines, f"jaxilc reproduce {scenario.name} says how each number was read."])]
 

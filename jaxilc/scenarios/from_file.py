@@ -110,7 +110,8 @@ def load(name: str, **chosen) -> Scenario:
                 raise ValueError(
                     f"{name}: option {option} = {brief(value)} is not a number"
                 ) from None
-    found = dataclasses.replace(SCENARIOS[name](**chosen), options=allowed | chosen)
+    found = SCENARIOS[name](**chosen)
+    found = dataclasses.replace(found, options=allowed | chosen, usual=allowed)
     parts = [found.title]
     for option in JUDGED:
         if found.options.get(option) != allowed.get(option):

@@ -84,6 +84,7 @@ class Scenario:
     judged_by: the metric that tables show, and to which the tolerance belongs
     grid: values by name, over which a sweep runs; see `sweeps.grid`
     potential: what repeats of the motion told; None where it was not measured
+    usual: the options where none is chosen
 
     Names are used in names of files and in paths of parameters; titles and units are printed.
     Raises ValueError for characters that are not allowed in them.
@@ -108,6 +109,7 @@ class Scenario:
     judged_by: str = "settled_error"
     grid: Mapping[str, Value] = dataclasses.field(default_factory=dict)
     potential: Learnable | None = None
+    usual: Mapping[str, object] = dataclasses.field(default_factory=dict)
     __repr__ = in_short
 
     def __post_init__(self):
@@ -169,12 +171,16 @@ class Scenario:
 
     @property
     def due(self) -> tuple[Published, ...]:
-        """The published rows of a single run for these options, with any form of the plant."""
-        return tuple(
-            p
-            for p in self.published
-            if p.of_one_run and all(k == "plant" or self.options.get(k) == v for k, v in p.options)
-        )
+        """The published rows of a single run for these options, with any form of the plant.
+
+        A row has the usual value of an option that it does not name.
+        """
+
+        def here(row: Published) -> bool:
+            of_row = dict(self.usual) | dict(row.options)
+            return all(k == "plant" or self.options.get(k) == v for k, v in of_row.items())
+
+        return tuple(p for p in self.published if p.of_one_run and here(p))
 
     def select(self, names: Sequence[str]) -> Scenario:
         """The scenario with the named schemes only, or with all if `names` is empty.

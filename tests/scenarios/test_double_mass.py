@@ -4,6 +4,7 @@ import control
 import numpy as np
 import pytest
 
+from jaxilc.outcomes.running import reading_lines
 from jaxilc.scenarios import load, reproduction
 from jaxilc.scenarios.double_mass import SAMPLE_TIME, closed_loop
 from jaxilc.scenarios.published import published
@@ -55,3 +56,32 @@ def test_a_number_agrees_to_the_digits_that_it_has(name):
 def test_other_options_are_named(options, said):
     with pytest.raises(ValueError, match=said):
         load("double-mass", **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "values"),
+    [
+        ("double-mass", {"load": 1.0, "reference": "square", "second": "controller"}, [4.94069]),
+        ("double-mass", {}, [1.41639, 0.561513, 0.885191, 0.934732]),
+        ("double-mass", {"load": 1.0}, []),
+        ("dai-2014", {"frequency": 2.5, "plant": "exact"}, [0.061, 0.047]),
+        ("cao-2019", {"frequency": 1.0}, []),
+    ],
+)
+def test_a_run_has_the_rows_of_its_own_setting(name, options, values):
+    """An option that a row does not name is as it usually is; a plant may have another form."""
+    assert [p.value for p in load(name, **options).due] == pytest.approx(values, rel=1e-5)
+
+
+def test_what_is_said_of_numbers_beside_ours_is_how_they_are_judged():
+    def said(**rows):
+        kinds = {"printed": None, "software": 1e-3}
+        of = [{"met": met, "agreement": kinds[k]} for k, several in rows.items() for met in several]
+        return reading_lines(load("double-mass"), {"schemes": {"a": {"published": of}}})
+
+    assert said(printed=[True, None], software=[True]) == []
+    end = "jaxilc reproduce double-mass says how each number was read."
+    one = "1 of 2 numbers of other software agree. "
+    assert said(software=[True, False, None]) == [one + end]
+    two = "0 of 1 published numbers are met within 30 %. "
+    assert said(printed=[False], software=[True, False]) == [two + one + end]
