@@ -191,12 +191,12 @@ def machines(
     from bokeh.layouts import column
     from bokeh.models import ColumnDataSource, CustomJS, Div, FactorRange, Select
 
-    from ..sweeps.summary import FEWEST, errors_of, explained_shares
+    from ..sweeps.summary import FEWEST, errors_by_scheme, explained_shares
 
     columns = tips_of(drawn)
     if not columns:
         return None
-    last = scale * errors_of(dataset, metric).isel(trial=-1).values
+    last = scale * np.array([of[:, -1] for of in errors_by_scheme(dataset, metric)])
     factor, unit = shown_in(last, unit)
     last, limit = factor * last, None if tolerance is None else scale * factor * tolerance
     schemes, names = names_of(dataset), list(columns)

@@ -208,19 +208,19 @@ def error_band(
     scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
     summary: what `summarise` gives for this dataset and metric, None to have it computed
     """
-    from ..sweeps.summary import errors_of, over_all, summarise
+    from ..sweeps.summary import errors_by_scheme, over_all, summarise
 
     dataset = over_all(dataset)
     rows = summarise(dataset, tolerance, metric=metric) if summary is None else summary
     limit = None if tolerance is None else scale * tolerance
     limits = _limits(rows, scale, limit)
-    errors = scale * errors_of(dataset, metric)
+    last = scale * np.array([of[:, -1] for of in errors_by_scheme(dataset, metric)])
+    lengths = sorted({len(row.median) for row in rows})
     looks = numbers_of(row.scheme for row in rows)
     panels = [
-        _panel(row, look, scale, limit, (metric, unit), limits)
+        _panel(row, look, scale, limit, (metric, unit), limits, lengths[-1])
         for row, look in zip(rows, looks, strict=True)
     ]
-    last = errors.isel(trial=-1).values
     shares = _shares(names_of(dataset), last, (metric, unit, limit), limits)
     axes = draw(Figure([*panels, shares], shares=""), _axes(len(rows)))
     for i, (ax, row) in enumerate(zip(axes, rows, strict=False)):
@@ -233,10 +233,10 @@ def error_band(
         ax.set_xlabel("" if below else ax.get_xlabel())
     axes[-1].set_title("yield against tolerance", fontsize="small", loc="left")
     axes[-1].tick_params(axis="x", labelrotation=30)
-    figure, trials = axes[-1].figure, errors.sizes["trial"]
+    figure, machines = axes[-1].figure, dataset.sizes["sample"]
     _explain(figure, limit, unit)
-    counts = (dataset.sizes["sample"], "machine"), (trials, "trial")
-    said = ", ".join(f"{count} {one}{'s' * (count != 1)}" for count, one in counts)
+    trials = " to ".join(map(str, lengths[:: max(len(lengths) - 1, 1)]))
+    said = f"{machines} machine{'s' * (machines != 1)}, {trials} trial{'s' * (lengths != [1])}"
     figure.suptitle(said, fontsize="medium")
     return axes
 
@@ -364,9 +364,13 @@ def top_of(median) -> float:
 
 
 def _panel(
-    row: SchemeSummary, i: int, scale: float, limit: float | None, shown: tuple[str, str], limits
-) -> Panel:
-    """Median, band, worst machine, tolerance and best trial of one scheme; shown: metric, unit."""
+    row: SchemeSummary, i: int, scale: float, limit: float | None, shown: tuple[str, str], limits,
+    longest: int,
+) -> Panel:  # fmt: skip
+    """Median, band, worst machine, tolerance and best trial of one scheme.
+
+    shown: metric, unit;  longest: the most trials of a panel
+    """
     hue, top = colour_of(i), limits[1]
     low, median, high, worst = _quantiles(row, scale)
     trial = np.arange(1, len(median) + 1)
@@ -385,7 +389,7 @@ def _panel(
         best = int(np.argmin(np.where(np.isfinite(median) & (median > 0), median, np.inf)))
         here = [trial[best]], [median[best]]
         layers.append(Curve(*here, dash="", mark="o", filled=False, colour=hue))
-    along = TRIAL._replace(most=6, ends=(trial[0] - 0.5, trial[-1] + 0.5))
+    along = TRIAL._replace(most=6, ends=(0.5, longest + 0.5))
     note = _said(row, high > top * 1.001, worst > top * 1.001, written(worst[-1], shown[1]))
     return Panel(along, Axis(shown[0], shown[1], log=True, ends=limits), layers, note=note)
 

@@ -37,7 +37,7 @@ def signal_of(dataset: xr.Dataset, name: str, scheme: str, trial: int) -> np.nda
             f"scheme = {scheme!r} is not one of {', '.join(map(str, dataset['scheme'].values))}"
         )
     found = dataset[name].sel(scheme=scheme)
-    last = int(dataset.coords.get("trials", dataset["trial"][-1]))  # one point has its own
+    last = int(found.coords.get("trials", dataset["trial"][-1]))  # one point has its own
     if "sample" in found.dims:
         raise ValueError(
             f"{name} has {found.sizes['sample']} machines; choose one, as in dataset.sel(sample=0)"

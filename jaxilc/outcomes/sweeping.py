@@ -134,7 +134,6 @@ def _told(
     several = any(size > 1 for size in sizes.values())
     maps = _maps(chosen, request, whole, nominal, best) if several else {}
     if best:
-        request = _at(request, dataset, _first(best))
         dataset = at_best(dataset, best)
         chosen = dataclasses.replace(chosen, trials=dataset.sizes["trial"])
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
@@ -146,9 +145,13 @@ def _told(
         if sizes:
             numbers["grid"]["bounds"] = watched_numbers(chosen, whole)
     highs = {row.scheme: (drawn["scale"] * row.high).tolist() for row in summary}
-    verdict = sweep_verdict(Case.of(chosen, request), numbers, highs)
-    if best:
-        verdict = verdict._replace(said=(*_first(best).sentences, *verdict.said))
+    case = Case.of(chosen, request)
+    winner = _winner(case, numbers, highs)
+    for point in (of for of in best if of.scheme == winner):
+        case = case._replace(request=_at(request, whole, point))
+    verdict = sweep_verdict(case, numbers, highs)
+    told = [sentence for of in best if of.scheme == winner for sentence in of.sentences]
+    verdict = verdict._replace(said=(*told, *verdict.said))
     band = partial(figures.error_band, dataset, summary=summary, **drawn)
     return Outcome(
         command="sweep",
@@ -214,6 +217,7 @@ def sweep_numbers(
     tolerance: largest metric that passes [unit of the dataset]; None, and null for the yields
     """
     k, unit = scenario.shown(scenario.judged_by)
+    shown = sorted({*shown_trials(scenario), *(len(row.median) for row in summary)})
     schemes = {
         row.scheme: {
             "yield": None if tolerance is None else row.yield_share,
@@ -225,7 +229,7 @@ def sweep_numbers(
             "grown_to": row.grown_to,
             "diverged": row.diverged,
             "diverged_at": row.diverged_at,
-            "by_trial": {str(j): _in_trial(row, j, k) for j in shown_trials(scenario)},
+            "by_trial": {str(j): _in_trial(row, j, k) for j in shown if j <= len(row.median)},
         }
         for row in summary
     }
@@ -292,11 +296,12 @@ def swept_axes_table(numbers: Numbers) -> Table:
     shares = [at["yield"] for axes in numbers["axes"].values() for at in axes.values()]
     within = (f"within {numbers['tolerance']:g}",) if None not in shares else ()
     columns = (*within, "median", "95 %", "worst (machine)")
-    title = f"{numbers['axes_of']} of trial {numbers['trials']} by axis"
-    table = Table("scheme", "axis", right=columns, title=title)
+    which, trial, trials = _last_trials(numbers)
+    title = f"{numbers['axes_of']} of {which} by axis"
+    table = Table("scheme", "axis", right=(*trial, *columns), title=title)
     for name, axes in numbers["axes"].items():
         for axis, at in axes.items():
-            share = [share_text(at["yield"])] if within else []
+            share = [*trials[name], *([share_text(at["yield"])] if within else [])]
             worst = f"{number(at['worst'])} ({at['worst_sample']})"
             table.add_row(name, axis, *share, number(at["median"]), number(at["high"]), worst)
     return table
@@ -326,10 +331,11 @@ def yield_table(numbers: Numbers) -> Table:
     """The table of yields, where a tolerance is known, and of shares that grew or diverged."""
     known = numbers["tolerance"] is not None
     within = f" within {numbers['tolerance']:g} {numbers['unit']}".rstrip() if known else ""
-    what = f"{numbers['figure']} of trial {numbers['trials']}{within}"
+    which, trial, trials = _last_trials(numbers)
+    what = f"{numbers['figure']} of {which}{within}"
     claimed = any(row["yield_interval"] for row in numbers["schemes"].values())
     yields = ("yield" + " (95 % interval)" * claimed,) if known else ()
-    columns = (*yields, "grown (from)", "diverged (from)")
+    columns = (*trial, *yields, "grown (from)", "diverged (from)")
     table = Table(
         "scheme", right=columns, title=f"{several(numbers['samples'], 'machine')}, {what}"
     )
@@ -337,6 +343,7 @@ def yield_table(numbers: Numbers) -> Table:
         interval = " ({:.1%} – {:.1%})".format(*row["yield_interval"]) if claimed else ""
         table.add_row(
             name,
+            *trials[name],
             *([share_text(row["yield"]) + interval] if known else []),
             _share(row["semi_converged"], row["grown_from"]),
             _share(row["diverged"], row["diverged_at"]),
@@ -366,32 +373,40 @@ def grid_table(numbers: Numbers) -> Table:
 
 def spread_table(numbers: Numbers) -> Table:
     """The table of quantiles over the machines in the last trial, and of the worst machine."""
-    last = str(numbers["trials"])
-    columns = ("median", "5 %", "95 %", "worst", "its machine")
-    title = f"{labelled(numbers['figure'], numbers['unit'])} of trial {last}"
+    which, trial, trials = _last_trials(numbers)
+    columns = (*trial, "median", "5 %", "95 %", "worst", "its machine")
+    title = f"{labelled(numbers['figure'], numbers['unit'])} of {which}"
     table = Table("scheme", right=columns, title=title)
     for name, row in numbers["schemes"].items():
-        at = row["by_trial"][last]
+        *_, at = row["by_trial"].values()
         quantiles = (number(at[of]) for of in ("median", "low", "high", "worst"))
-        table.add_row(name, *quantiles, str(at["worst_sample"]))
+        table.add_row(name, *trials[name], *quantiles, str(at["worst_sample"]))
     return table
+
+
+def _last_trials(numbers: Numbers) -> tuple[str, tuple[str, ...], dict[str, tuple[str, ...]]]:
+    """What a title calls the last trial, and a column with its number if the schemes' differ."""
+    last = {name: str([*row["by_trial"]][-1]) for name, row in numbers["schemes"].items()}
+    if len({*last.values()}) == 1:
+        return f"trial {numbers['trials']}", (), dict.fromkeys(last, ())
+    return "the last trial", ("trial",), {name: (of,) for name, of in last.items()}
 
 
 def band_table(numbers: Numbers) -> Table:
     """The table of the median and the 95 % quantile for each trial and scheme."""
     title = f"{labelled(numbers['figure'], numbers['unit'])} by trial: median (95 % quantile)"
     table = Table(right=("trial", *numbers["schemes"]), title=title)
-    for j in next(iter(numbers["schemes"].values()))["by_trial"]:
-        rows = [row["by_trial"][j] for row in numbers["schemes"].values()]
-        table.add_row(j, *(f"{number(r['median'])} ({number(r['high'])})" for r in rows))
+    by_trial = [row["by_trial"] for row in numbers["schemes"].values()]
+    for j in sorted({j for of in by_trial for j in of}, key=int):
+        rows = [of.get(j) for of in by_trial]
+        told = (f"{number(r['median'])} ({number(r['high'])})" if r else "–" for r in rows)
+        table.add_row(j, *told)
     return table
 
 
 def sweep_verdict(case: Case, numbers: Numbers, highs: Mapping[str, Sequence[float]]) -> Verdict:
     """Which scheme has the largest yield, or the least 95 % quantile `highs` of the last trial."""
-    rows, highs = numbers["schemes"], case.of_learned(highs)
-    last = {name: math.inf if math.isnan(of[-1]) else of[-1] for name, of in highs.items()}
-    best = min(rows, key=lambda name: (-(rows[name]["yield"] or 0.0), last[name]))
+    rows, best, highs = numbers["schemes"], _winner(case, numbers, highs), case.of_learned(highs)
     row, course, lost = rows[best], trend_of(highs[best]), _lost(rows[best], case.error)
     first = f"{case.head(best)}{_yield(case, numbers, row)}{_spread(case, numbers, row)}."
     told = course.words and case.learns[best]
@@ -399,6 +414,13 @@ def sweep_verdict(case: Case, numbers: Numbers, highs: Mapping[str, Sequence[flo
     alike = () if case.uncertain or numbers["samples"] == 1 else (ALIKE,)
     enough = row["yield"] is None or row["yield"] >= ENOUGH
     return Verdict(said(first, second, *alike), *_after_sweep(case, best, not lost, enough))
+
+
+def _winner(case: Case, numbers: Numbers, highs: Mapping[str, Sequence[float]]) -> str:
+    """The scheme of which the verdict is."""
+    rows, highs = numbers["schemes"], case.of_learned(highs)
+    last = {name: math.inf if math.isnan(of[-1]) else of[-1] for name, of in highs.items()}
+    return min(rows, key=lambda name: (-(rows[name]["yield"] or 0.0), last[name]))
 
 
 def _yield(case: Case, numbers: Numbers, row: Numbers) -> str:
@@ -420,7 +442,7 @@ def _yield(case: Case, numbers: Numbers, row: Numbers) -> str:
 
 def _spread(case: Case, numbers: Numbers, row: Numbers) -> str:
     """The 95 % quantile of the last trial, and the worst machine."""
-    at = row["by_trial"][str(numbers["trials"])]
+    *_, at = row["by_trial"].values()
     if numbers["samples"] == 1:
         which = "it" if row["yield"] is not None else "the only machine"
         size = f"{case.an_error} of {case.size(at['high'])}"

@@ -109,15 +109,17 @@ def point_of(dataset: xr.Dataset, point: Mapping[str, Value]) -> dict[str, Value
 def at_best(dataset: xr.Dataset, best: list[BestPoint]) -> xr.Dataset:
     """The dataset of a sweep without a grid: each scheme at its best point.
 
-    Where their numbers of trials differ, it has the least of them.
+    Where their numbers of trials differ, it has the most of them, and those of each scheme as the
+    coordinate `trials`: a shorter one has no values after its last trial, by which it is judged.
     """
     import xarray as xr
 
     found = [dataset.sel(scheme=[of.scheme]).sel(of.point) for of in best]
-    trials = min(int(of.coords.get(TRIALS, dataset.sizes["trial"])) for of in found)
+    trials = [int(of.coords.get(TRIALS, dataset.sizes["trial"])) for of in found]
     found = [of.drop_vars(labels_of(dataset)) for of in found]
     whole = xr.concat(found, "scheme", data_vars="minimal", coords="minimal", compat="override")
-    return whole.isel(trial=slice(trials))
+    own = {TRIALS: ("scheme", trials)} if len({*trials}) > 1 else {}
+    return whole.isel(trial=slice(max(trials))).assign_coords(own)
 
 
 def last_errors(dataset: xr.Dataset, metric: str) -> xr.DataArray:

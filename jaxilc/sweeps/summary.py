@@ -31,7 +31,8 @@ class SchemeSummary(NamedTuple):
     yield_share: share of machines within the tolerance at the last trial; NaN without a tolerance
     yield_low, yield_high: ends of the 95 % Wilson interval of this share, by the machines that were
         drawn: machine 0 is always the nominal one. NaN where none was drawn, as with corners
-    median, low, high: (J,) quantiles of 50, 5 and 95 % for each trial
+    median, low, high: (J,) quantiles of 50, 5 and 95 % for each trial; where `at_best` has kept
+        the `trials` of each scheme, J is the number of this one
     worst, worst_machine: (J,) largest value for each trial, and the number of its machine
     semi_converged: share of machines whose error has grown: at the last trial it is above
         1 + `growth` times their best, though none of their trials diverged
@@ -96,20 +97,18 @@ def summarise(
         raise ValueError(
             f"summarise: metric = {metric!r} is not one of {', '.join(sorted(map(str, names)))}"
         )
-    errors = errors_of(dataset, metric)
-    machines, trials = (
-        errors[d].values if d in errors.coords else first + np.arange(errors.sizes[d])
-        for d, first in (("sample", 0), ("trial", 1))
-    )
+    errors = errors_by_scheme(dataset, metric)
     made_with = dataset.attrs.get("configuration", {})
     corners = isinstance(made_with, Mapping) and made_with.get("sampling") == "corners"
-    drawn = (machines != 0) & (not corners)
-    return [
-        _one_scheme(
-            str(name), errors.sel(scheme=name).values, machines, drawn, trials, tolerance, growth
+    rows = []
+    for name, of in zip(dataset["scheme"].values, errors, strict=True):
+        machines, trials = (
+            of[d].values if d in of.coords else first + np.arange(of.sizes[d])
+            for d, first in (("sample", 0), ("trial", 1))
         )
-        for name in dataset["scheme"].values
-    ]
+        drawn = (machines != 0) & (not corners)
+        rows.append(_one_scheme(str(name), of.values, machines, drawn, trials, tolerance, growth))
+    return rows
 
 
 def over_all(dataset: xr.Dataset) -> xr.Dataset:
@@ -133,8 +132,17 @@ def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:
     errors, order = dataset[metric], ("scheme", *axes_of(dataset), "sample", "trial")
     errors = errors.max([d for d in errors.dims if d not in order], skipna=False)
     sound = dataset["finite"] & ~dataset["diverged"] if "diverged" in dataset else dataset["finite"]
-    errors = errors.where(sound).transpose(*order).fillna(np.inf)
-    last = dataset.coords.get("trials")
+    return _own(errors.where(sound).transpose(*order).fillna(np.inf))
+
+
+def errors_by_scheme(dataset: xr.Dataset, metric: str) -> list[xr.DataArray]:
+    """The same of each scheme, up to its own last trial where `at_best` has kept that."""
+    return [_own(of) for of in errors_of(dataset, metric)]
+
+
+def _own(errors: xr.DataArray) -> xr.DataArray:
+    """The errors of the trials that one point of an axis of trials has; all if it is not one."""
+    last = errors.coords.get("trials")
     if last is None or last.ndim:
         return errors
     if not np.any(run := errors["trial"].values <= int(last)):

@@ -7,8 +7,10 @@ from unittest import mock
 
 import numpy as np
 import pytest
+import xarray as xr
 from typer.main import get_command
 
+from jaxilc import outcomes
 from jaxilc.cli import app
 from jaxilc.design.judging import Limits, judged_trials, verdict
 from jaxilc.outcomes import certifying, designing
@@ -210,6 +212,49 @@ def swept(case, share, high, worst, machines=64, **lost):
     row |= {"by_trial": {str(len(high)): at}} | lost
     numbers = {"schemes": {"ilc": row}, "trials": len(high), "samples": machines, "tolerance": 0.02}
     return sweep_verdict(case, numbers, {"ilc": high})
+
+
+def test_the_winner_of_a_grid_of_trials_is_told_at_its_own_last_trial(tmp_path):
+    """At the fewest trials of the best points the other scheme is ahead."""
+    (tmp_path / "two.toml").write_text(
+        "tolerance = 0.2\n[plant]\nkind = 'state_space'\nA = [[0.2]]\nB = [[0.8]]\nC = [[1.0]]\n"
+        "dt = 0.001\n[task]\ndt = 0.001\nunit = 'mm'\n"
+        "reference = {function = 'sinusoid', amplitude = 1.0, frequency = 20.0, duration = 0.05}\n"
+        "[schemes.sure]\nclass = 'PIDType'\ngamma_p = 0.3\n"
+        "[schemes.fast]\nclass = 'PIDType'\ngamma_p = 1.0\n"
+    )
+    course = np.array([[8.0, 4.0, 1.0, 0.125], [8.0, 0.5, 0.5, 512.0]])
+    errors = np.stack([np.where(np.arange(4) < J, course, np.nan) for J in (3, 4)], axis=1)
+    dims = ("scheme", "trials", "sample", "trial")
+    dataset = xr.Dataset(
+        {"settled_error": (dims, errors[:, :, None]), "finite": (dims, errors[:, :, None] > 0),
+         "diverged_at": (dims[:-1], np.zeros((2, 2, 1), int))},
+        {"scheme": ["sure", "fast"], "trials": [3, 4], "sample": [0], "trial": range(1, 5)},
+        {"configuration": {}},
+    )  # fmt: skip
+    of_file = Request(str(tmp_path / "two.toml"))
+    found = outcomes.sweep(
+        of_file, machines=1, grid="trials=3,4", folder=tmp_path, run=lambda *of, **how: dataset
+    )
+    assert found.verdict.said[0] == "sure has its least error at trials = 4."
+    assert found.verdict.said[3].startswith(
+        "sure is best of 2 schemes: the only machine ends within"
+    )
+    assert "0.125 mm" in found.verdict.said[3]
+    _, of_command = parsed(found.verdict)
+    assert (of_command["scheme"], of_command["trials"]) == (["sure"], 4)
+    yields, spread, by_trial = (
+        [[str(cell) for cell in column.cells] for column in table.columns]
+        for table in found.tables[1:4]
+    )
+    assert yields[1] == spread[1] == ["4", "3"]
+    assert yields[2] == ["100.0%", "0.0%"]
+    assert spread[4] == ["0.125", "0.5"]
+    assert by_trial == [
+        ["1", "2", "3", "4"],
+        ["8 (8)", "4 (4)", "1 (1)", "0.125 (0.125)"],
+        ["8 (8)", "0.5 (0.5)", "0.5 (0.5)", "–"],
+    ]
 
 
 def test_sweep_says_yield_worst_machine_and_what_is_lost():

@@ -130,7 +130,7 @@ def test_static_axes_may_change_every_shape_and_the_trials():
     best = best_points(dataset)
     errors = dataset["settled_error"].sel(scheme="pid", trial=dataset["trials"])
     assert best[1].error == float(errors.max("sample").min())
-    assert at_best(dataset, best).sizes["trial"] == min(of.point["trials"] for of in best)
+    assert at_best(dataset, best).sizes["trial"] == max(of.point["trials"] for of in best)
 
 
 @pytest.mark.thorough
@@ -167,6 +167,37 @@ def test_one_point_of_an_axis_of_trials_has_its_own_trials_alone():
     assert signal_of(point.sel(sample=0), "e", "law", 2).shape == (4, 1)
     with pytest.raises(ValueError, match=r"trial = \[3\] .* whose last trial is 2"):
         summarise(point.isel(trial=[2]), 1.5, metric="rms")
+
+
+def test_each_scheme_is_summarised_at_the_last_trial_of_its_own_best_point():
+    """One is best after four trials, the other after two, since it diverges in the third one."""
+    whole = np.array([[8.0, 4.0, 2.0, 1.0], [8.0, 3.0, np.inf, np.inf]])
+    errors = np.stack([np.where(np.arange(4) < J, whole, np.nan) for J in (2, 4)], axis=1)
+    errors = errors[:, :, None] * np.arange(1, 4)[:, None]  # three machines
+    lost = np.isinf(errors)
+    at = np.where(lost.any(axis=-1), 3, 0)
+    dims = ("scheme", "trials", "sample", "trial")
+    dataset = xr.Dataset(
+        {"rms": (dims, errors), "finite": (dims, ~np.isnan(errors) & ~lost),
+         "diverged_at": (dims[:-1], at), "e": (("scheme", "trials", "sample", "time"), errors)},
+        {"scheme": ["slow", "fast"], "trials": [2, 4], "sample": range(3), "trial": range(1, 5)},
+    )  # fmt: skip
+    best = best_points(dataset, 2.0, metric="rms")
+    found = at_best(dataset, best)
+    assert found.sizes["trial"] == 4
+    rows = summarise(found, 2.0, metric="rms")
+    assert [row.worst.tolist() for row in rows] == [[24, 12, 6, 3], [24, 9]]
+    for row, of in zip(rows, best, strict=True):
+        assert (row.yield_share, row.high[-1]) == (of.yield_share, of.error)
+    assert [row.yield_share for row in rows] == [2 / 3, 0.0]
+    assert [row.diverged for row in rows] == [0.0, 0.0]
+    *panels, shares = error_band(found, metric="rms")
+    assert shares.figure.get_suptitle() == "3 machines, 2 to 4 trials"
+    assert [ax.get_lines()[1].get_xdata()[-1] for ax in panels] == [4, 2]
+    drawn = {line.get_label(): line.get_xdata() for line in shares.get_lines()}
+    assert {1.0, 2.0, 3.0} < set(drawn["slow"])
+    assert {3.0, 6.0, 9.0} < set(drawn["fast"])
+    assert signal_of(found.sel(sample=0), "e", "fast", 2).shape == (4, 1)
 
 
 def test_long_values_are_told_in_short_and_alike_ones_are_told_apart():
