@@ -20,7 +20,7 @@ from ..pytree.ranges import share_text, value_text
 from ..scenarios import Scenario
 from ..scenarios.scenario import Look
 from ..sweeps.grid import values_at
-from ..sweeps.points import BestPoint, at_best, best_points, labels_of, point_of
+from ..sweeps.points import BestPoint, at_best, best_points, labels_for, labels_of, point_of
 from ..sweeps.summary import SchemeSummary, axes_of, last_errors, summarise
 from ..sweeps.sweep import Sweep
 from ..theory.bounds import BoundsWatch
@@ -139,7 +139,7 @@ def _told(
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])
     numbers |= axes_numbers(chosen, dataset, tolerance)
-    numbers |= grid_numbers(chosen, best, sizes) if sizes else {}
+    numbers |= grid_numbers(chosen, best, whole) if sizes else {}
     if "contraction_norm" in dataset:
         numbers["bounds"] = watched_numbers(chosen, dataset)
         if sizes:
@@ -280,15 +280,20 @@ def axes_numbers(scenario: Scenario, dataset: xr.Dataset, tolerance: float | Non
     return {"axes": found, "axes_of": labelled(WORDS.get(metric, metric), scenario.shown_unit)}
 
 
-def grid_numbers(scenario: Scenario, best: Sequence[BestPoint], axes: Mapping[str, int]) -> Numbers:
-    """The best point of each scheme of a grid, with its error [shown unit]."""
-    k, _ = scenario.shown(scenario.judged_by)
+def grid_numbers(scenario: Scenario, best: Sequence[BestPoint], dataset: xr.Dataset) -> Numbers:
+    """The best point of each scheme of a grid, with its error [shown unit].
+
+    `own` has its values by the names that an axis of several schemes has for this one.
+    """
+    (k, _), axes = scenario.shown(scenario.judged_by), axes_of(dataset)
     found = {}
     for of in best:
         row = of._asdict() | {"error": k * of.error}
+        own = (labels_for(dataset, axis, of.scheme).sel({axis: of.point[axis]}) for axis in axes)
+        row["own"] = {str(value.name): value.item() for value in own}
         row["yield"] = None if np.isnan(of.yield_share) else of.yield_share
         found[row.pop("scheme")] = {n: x for n, x in row.items() if n != "yield_share"}
-    return {"grid": {"axes": dict(axes), "best": found}}
+    return {"grid": {"axes": {axis: dataset.sizes[axis] for axis in axes}, "best": found}}
 
 
 def swept_axes_table(numbers: Numbers) -> Table:
@@ -360,11 +365,13 @@ def grid_table(numbers: Numbers) -> Table:
     """The table of the best point of each scheme, to which all other tables belong."""
     axes, best = numbers["grid"]["axes"], numbers["grid"]["best"]
     count = several(int(np.prod([*axes.values()], dtype=int)), "point")
-    columns = (*axes, "95 %", "points within twice", "points that diverge")
+    names = zip(*(row["own"] for row in best.values()), strict=True)
+    heads = (" / ".join(dict.fromkeys(of_axis)) for of_axis in names)
+    columns = (*heads, "95 %", "points within twice", "points that diverge")
     title = f"best of {count}: 95 % {labelled(numbers['figure'], numbers['unit'])}"
     table = Table("scheme", right=columns, title=title)
     for name, row in best.items():
-        at = [value_text(x) for x in row["point"].values()]
+        at = [value_text(x) for x in row["own"].values()]
         near = share_text(row["near"]) if math.isfinite(row["error"]) else "–"
         shares = (near, share_text(row["diverged"]))
         table.add_row(name, *at, number(row["error"]), *shares)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
+import xarray as xr
 from rich.console import Console
 
 from jaxilc.identification import Grown
@@ -14,8 +16,10 @@ from jaxilc.outcomes.certifying import _of_all
 from jaxilc.outcomes.identifying import grown_response_table, grown_table
 from jaxilc.outcomes.outcome import Console as Plain
 from jaxilc.outcomes.outcome import Table
-from jaxilc.outcomes.sweeping import grid_table
+from jaxilc.outcomes.sweeping import grid_numbers, grid_table
+from jaxilc.scenarios import load
 from jaxilc.storage.reading import printable
+from jaxilc.sweeps import best_points
 
 TITLE = (
     "Voice-coil motor for noncircular turning\n"
@@ -142,6 +146,25 @@ def test_a_share_of_no_trials_is_left_blank():
 
 @pytest.mark.parametrize(("error", "near"), [(2.0, "100.0%"), (float("inf"), "–")])
 def test_no_point_is_within_twice_an_error_that_diverged(error, near):
-    row = {"point": {"a": 1.0}, "error": error, "near": 1.0, "diverged": 1.0}
+    row = {"own": {"a": 1.0}, "error": error, "near": 1.0, "diverged": 1.0}
     numbers = {"figure": "rms", "unit": "", "grid": {"axes": {"a": 3}, "best": {"law": row}}}
     assert re.search(rf" {near} +│ +100.0% ", printed(grid_table(numbers), 100))
+
+
+def test_a_shared_axis_has_the_names_and_values_of_each_scheme():
+    dims = ("scheme", "a.lam", "trials", "sample", "trial")
+    errors = np.array([[4.0, 1.0], [2.0, 9.0]])[:, :, None, None, None]
+    dataset = xr.Dataset(
+        {"settled_error": (dims, errors), "finite": (dims, errors > 0),
+         "diverged_at": (dims[:-1], np.zeros((2, 2, 1, 1), int))},
+        {"scheme": ["a", "b"], "a.lam": [0.5, 12.0], "b.mu": ("a.lam", [3.0, 30.0]),
+         "trials": [1], "trial": [1]},
+    )  # fmt: skip
+    numbers = grid_numbers(load("cao-2019"), best_points(dataset), dataset)
+    table = grid_table(numbers | {"figure": "settled error", "unit": "mm"})
+    assert [str(column.header) for column in table.columns[:3]] == [
+        "scheme", "a.lam / b.mu", "trials",
+    ]  # fmt: skip
+    cells = [[str(cell) for cell in column.cells] for column in table.columns[:3]]
+    assert cells == [["a", "b"], ["12", "3"], ["1", "1"]]
+    assert numbers["grid"]["best"]["b"]["point"] == {"a.lam": 0.5, "trials": 1}
