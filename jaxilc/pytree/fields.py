@@ -33,6 +33,7 @@ from .ranges import (
 )
 
 T = TypeVar("T")
+DEEPEST = 8  # level of nested tuples up to which a static value is looked at
 
 
 def leaf(
@@ -191,9 +192,14 @@ def _settled(cls: type, field: dataclasses.Field[Value], value: Value) -> Value:
     return value
 
 
-def _plain(value: Value) -> Value:
-    """Tuples in place of lists, and numbers of Python in place of those of NumPy, at any depth."""
-    return tuple(map(_plain, value)) if type(value) in (list, tuple) else concrete(value)
+def _plain(value: Value, depth: int = 0) -> Value:
+    """Tuples in place of lists, and numbers of Python in place of those of NumPy.
+
+    What is deeper than any field, such as a list that contains itself, is left to be refused.
+    """
+    if depth > DEEPEST or type(value) not in (list, tuple):
+        return concrete(value)
+    return tuple(_plain(one, depth + 1) for one in value)
 
 
 def _without_loose_leaves(value: Value) -> Value:

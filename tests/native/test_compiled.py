@@ -290,7 +290,7 @@ def test_machine_code_is_kept_and_what_was_damaged_is_compiled_again(monkeypatch
     for written, again in ((whole, 1), (whole[:-1] + b"?", 2), (b"", 3), (b"?" * 99, 4)):
         kept.write_bytes(written)
         if again > 1:  # then it is written, and what a killed process left goes
-            (tmp_path / ".unfinished-of-a-killed-process").touch()
+            (tmp_path / ".unfinished-1-0123abcd").touch()
         for x, y in zip(computed(), wanted, strict=True):
             np.testing.assert_array_equal(x, y)
         assert len(optimised) == again
