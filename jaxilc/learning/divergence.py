@@ -8,8 +8,8 @@
                times that of the best trial (semi-convergence). It has grown from the first trial
                on after which the error was never below that level again.
 
-Errors are compared as they are. Where references of different size take turns, growth tells of
-the references: ask with a number of trials that ends with the smallest, or after the last change.
+Errors are compared as they are: where references of different size take turns, growth tells of the
+references and not of learning.
 
 Peaks and errors are compared once a trial. So both words mean the same in single and in double
 precision, except for rounding at the limit, and for an input from 1.8e19 on, whose square is not

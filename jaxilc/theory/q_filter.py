@@ -316,8 +316,8 @@ def need_linear(
     if found:
         raise ValueError(
             f"|Q (1 - L P)| is that of trials which start alike, of records that come whole and in "
-            f"time. Found: {found}. Take it out, and ask `jaxilc certify` or `jaxilc sweep`, "
-            "which do not need that"
+            f"time. Found: {found}. Take it out to judge the filter; with it, `jaxilc certify` "
+            "says what it can claim, and `jaxilc sweep` simulates"
         )
     if not scheme.learns:
         raise ValueError(f"{name} does not learn; allowed is a scheme with a linear learning law")
