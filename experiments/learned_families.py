@@ -74,9 +74,7 @@ def servo() -> Case:
     plant = ProcessModel(1.0, frequencies=2 * np.pi * np.r_[60.0, 180.0], dampings=[0.7, 0.02])
     spread = relative(frequencies_0=0.2, frequencies_1=0.15, dampings_1=0.5, gain=0.1)
     return Case(
-        Machine(plant, None, Sensor(noise=1e-4)),
-        motion([5, 20, 45], [0.6, 0.3, 0.15]),
-        spread,
+        Machine(plant, None, Sensor(noise=1e-4)), motion([5, 20, 45], [0.6, 0.3, 0.15]), spread
     )
 
 
@@ -89,9 +87,7 @@ def non_minimum_phase() -> Case:
     )
     spread = relative(frequencies_0=0.15, frequencies_1=0.1, zeros_0=0.1, gain=0.1)
     return Case(
-        Machine(plant, None, Sensor(noise=1e-4)),
-        motion([3, 8, 15], [0.6, 0.3, 0.1]),
-        spread,
+        Machine(plant, None, Sensor(noise=1e-4)), motion([3, 8, 15], [0.6, 0.3, 0.1]), spread
     )
 
 

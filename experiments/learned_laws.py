@@ -34,15 +34,7 @@ import numpy as np
 import output
 import scipy.stats
 from learned_families import FAMILIES, Case
-from learned_opponents import (
-    KEPT,
-    MARGIN,
-    METRIC,
-    RISK,
-    SEED,
-    best_of_grid,
-    opponents,
-)
+from learned_opponents import KEPT, MARGIN, METRIC, RISK, SEED, best_of_grid, opponents
 
 import jaxilc
 from jaxilc import Sweep

@@ -79,12 +79,7 @@ LAWS = {
         "limits",
     ),
     "P, hysteresis": (PIDType(gamma_p=0.5), [EYE], [0.5 * EYE], "hysteresis"),
-    "P, leak, hysteresis": (
-        PIDType(gamma_p=0.5, leak=0.1),
-        [0.9 * EYE],
-        [0.5 * EYE],
-        "hysteresis",
-    ),
+    "P, leak, hysteresis": (PIDType(gamma_p=0.5, leak=0.1), [0.9 * EYE], [0.5 * EYE], "hysteresis"),
     "Q, hysteresis": (
         Filtered(PIDType(gamma_p=0.5, lead=2), BUTTERWORTH),
         [SMOOTH],

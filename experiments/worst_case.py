@@ -10,13 +10,7 @@ import output
 
 import jaxilc
 from jaxilc import figures
-from jaxilc.tuning import (
-    GRADIENT_COST,
-    Tuning,
-    monte_carlo_search,
-    pareto,
-    worst_case_search,
-)
+from jaxilc.tuning import GRADIENT_COST, Tuning, monte_carlo_search, pareto, worst_case_search
 from jaxilc.tuning.objectives import Final, TrialsTo, judge, peak
 
 jaxilc.setup()

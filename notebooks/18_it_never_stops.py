@@ -26,13 +26,7 @@ import jaxilc
 from jaxilc import Machine, Task, learn, theory
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import ProcessModel
-from jaxilc.schemes import (
-    PID,
-    PeriodTracking,
-    RepetitiveControl,
-    WithFeedback,
-    learning_filter,
-)
+from jaxilc.schemes import PID, PeriodTracking, RepetitiveControl, WithFeedback, learning_filter
 
 jaxilc.setup()
 

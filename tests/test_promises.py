@@ -358,7 +358,7 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
                 of("gradients_under_attack.LOSSES"),
                 of("gradients_under_attack.MACHINES"),
             )
-        ),
+        )
     },
     "papers.md": {
         r"sets (\d+) printed numbers": lambda: len(printed()),

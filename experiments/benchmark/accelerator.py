@@ -34,15 +34,7 @@ import jax
 import numpy as np
 import peers
 import timing
-from accelerator_programs import (
-    copy_rate,
-    fitting,
-    results,
-    seconds_a_pass,
-    setting,
-    timed,
-    use,
-)
+from accelerator_programs import copy_rate, fitting, results, seconds_a_pass, setting, timed, use
 from accelerator_rows import (
     ACCELERATOR,
     CPU,

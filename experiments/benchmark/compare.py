@@ -338,9 +338,7 @@ def asked_of(arguments: Sequence[str] | None) -> argparse.Namespace:
     options.add_argument("--trials", type=int, help="trials J")
     options.add_argument("--samples", type=int, help="samples N of a trial")
     options.add_argument(
-        "--schemes",
-        **names,
-        help="cfdl, ffdl, with opponents; noilc, ilc-asmc, alone; with commas",
+        "--schemes", **names, help="cfdl, ffdl, with opponents; noilc, ilc-asmc, alone; with commas"
     )
     options.add_argument(
         "--gradients", action=argparse.BooleanOptionalAction, help="whether gradients are timed too"

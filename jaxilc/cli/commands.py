@@ -308,8 +308,7 @@ def pareto(
     how: Tuned,
     written: Written,
     objective: Annotated[
-        list[str] | None,
-        Option(metavar="TERMS", help=f"Give two, or one and --budgets. {TERMS}"),
+        list[str] | None, Option(metavar="TERMS", help=f"Give two, or one and --budgets. {TERMS}")
     ] = None,
     budgets: Annotated[
         str | None, Option(metavar="J,K,L", help="Numbers of trials to tune for.")

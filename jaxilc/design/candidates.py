@@ -24,14 +24,7 @@ from ..filters import ZeroPhaseBandStop, ZeroPhaseButterworth
 from ..filters.inversion import stable_inverse
 from ..plants import StateSpace
 from ..pytree.named_paths import get_at, replaced
-from ..schemes import (
-    ErrorFiltered,
-    Filtered,
-    NormOptimal,
-    PIDType,
-    Scheme,
-    learning_filter,
-)
+from ..schemes import ErrorFiltered, Filtered, NormOptimal, PIDType, Scheme, learning_filter
 from ..signals.task import Task, Trial
 from ..theory.law import law_of
 from ..theory.loop import Loop, minimal

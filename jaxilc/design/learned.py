@@ -195,11 +195,7 @@ class LearnedLaw(Question):
             )
 
     def run(
-        self,
-        out: str | Path,
-        *,
-        resume: bool = False,
-        told: Told = lambda stage, what: None,
+        self, out: str | Path, *, resume: bool = False, told: Told = lambda stage, what: None
     ) -> Learned:
         """Learn the law, and judge it.
 

@@ -101,11 +101,7 @@ class Design(Question):
                 raise ValueError(not_one_of(f"law = {name!r}", name, LAWS))
 
     def run(
-        self,
-        out: str | Path,
-        *,
-        resume: bool = False,
-        told: Told = lambda stage, what: None,
+        self, out: str | Path, *, resume: bool = False, told: Told = lambda stage, what: None
     ) -> Designed:
         """Try the laws, and recommend one.
 

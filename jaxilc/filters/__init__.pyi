@@ -10,13 +10,7 @@ from .inversion import (
     zpetc,
 )
 from .switching import SwitchableFilter, cutoffs_below, instantaneous_frequency, segments
-from .zero_phase import (
-    Filter,
-    ZeroPhaseBandStop,
-    ZeroPhaseButterworth,
-    ZeroPhaseFIR,
-    ZeroPhaseIIR,
-)
+from .zero_phase import Filter, ZeroPhaseBandStop, ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
 
 __all__ = [
     "ZPETC",

@@ -31,13 +31,7 @@ from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..theory.on_lines import MeasuredResponse
 from .problem import Projected, projected, searched, unit_columns
-from .response_estimation import (
-    checked_lines,
-    enough_lines,
-    longest_delay,
-    need_lines,
-    of_lines,
-)
+from .response_estimation import checked_lines, enough_lines, longest_delay, need_lines, of_lines
 from .verdict import CONFIDENCE, Estimate, Identified, correlations, inverse_of_normal
 
 HIGHEST = 20  # order that is looked for

@@ -374,12 +374,7 @@ class Watch:
         raise NotImplementedError
 
     def continued(
-        self,
-        known: Mapping[str, Array],
-        machine: Machine,
-        scheme: Scheme,
-        task: Task,
-        memory: Tree,
+        self, known: Mapping[str, Array], machine: Machine, scheme: Scheme, task: Task, memory: Tree
     ) -> Mapping[str, Array]:
         """What is known of a run that goes on from a memory, maybe of another machine."""
         del machine, scheme, task, memory

@@ -517,11 +517,7 @@ def _between(answered: MeasuredQuestion) -> str:
 
 
 def _records_next(
-    said: Sequence[str],
-    records: list[str],
-    law: PLaw,
-    answered: MeasuredQuestion,
-    besides: Numbers,
+    said: Sequence[str], records: list[str], law: PLaw, answered: MeasuredQuestion, besides: Numbers
 ) -> Verdict:
     """The verdict with how far the law may go, and the next command with the options given."""
     best, margin = _best_of(answered.offers), besides["margin"]

@@ -32,13 +32,7 @@ from ..identification.not_linear import friction_of, suspicions
 from ..identification.not_linear import sentences as of_suspicions
 from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, RecordFile, read_record_file
 from ..identification.records import Record
-from ..identification.refitting import (
-    Refit,
-    beyond_nyquist,
-    held_out,
-    process_model_of,
-    refit,
-)
+from ..identification.refitting import Refit, beyond_nyquist, held_out, process_model_of, refit
 from ..identification.sentences import NOT_WHITE, on_lines, sentence
 from ..identification.sentences import verdict as sentences_on
 from ..plants import ModalModel, Plant, ProcessModel

@@ -41,17 +41,7 @@ from .li_2020 import li_2020
 from .milc_2024 import milc_2024
 from .pendulum import pendulum
 from .scenario import Learnable, Quantity, Scenario, judged
-from .specification import (
-    Table,
-    at_place,
-    by_name,
-    list_of,
-    named_in,
-    number,
-    scheme,
-    text,
-    whole,
-)
+from .specification import Table, at_place, by_name, list_of, named_in, number, scheme, text, whole
 from .xu_2024 import xu_2024
 
 # Scenarios of papers, by name

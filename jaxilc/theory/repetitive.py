@@ -447,11 +447,7 @@ def basis_condition(machine: Machine | Population, scheme: Scheme, task: Task) -
     without_limits = _without_limits(machines[0], scheme, task)  # and so are all others
     for one in machines:
         loop = reduced(one, feedback, task)
-        premises = (
-            invariant_loop(one, feedback, task),
-            of_poles([loop]),
-            without_limits,
-        )
+        premises = (invariant_loop(one, feedback, task), of_poles([loop]), without_limits)
         maps = (
             _maps(loop, plays[k], learns[k], ends[k], float(basis.keep), basis.by_period)
             for k in parts

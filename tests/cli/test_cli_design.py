@@ -17,13 +17,7 @@ from jaxilc.design.candidates import Candidate
 from jaxilc.design.judging import Verdict
 from jaxilc.design.learned import STARTS, LearnedLaw, Taps
 from jaxilc.outcomes import Request
-from jaxilc.outcomes.designing import (
-    _table,
-    _with_weights,
-    need_replaceable,
-    state_of,
-    written_by,
-)
+from jaxilc.outcomes.designing import _table, _with_weights, need_replaceable, state_of, written_by
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import LearningFilter, PIDType
 

@@ -101,10 +101,7 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
     (tmp_path / "um.csv").write_text(move.replace("act [mm]", "act [um]"))
     for wrong, said in (
         (("init", "--record", "move.csv", "b.toml"), "--record is for --set-point"),
-        (
-            ("init", "--set-point", "--input", "set", "b.toml"),
-            "--input set names a column of",
-        ),
+        (("init", "--set-point", "--input", "set", "b.toml"), "--input set names a column of"),
         (("init", "--set-point", "--record", "move.csv", "b.toml"), "has no column 'u'; present"),
         (("init", "--set-point", "--record", "gone.csv", "b.toml"), "gone.csv"),
         (

@@ -10,12 +10,7 @@ import scipy.fft
 import scipy.signal
 from cases import ALGEBRA, DT
 
-from jaxilc.filters import (
-    ZeroPhaseBandStop,
-    ZeroPhaseButterworth,
-    ZeroPhaseFIR,
-    ZeroPhaseIIR,
-)
+from jaxilc.filters import ZeroPhaseBandStop, ZeroPhaseButterworth, ZeroPhaseFIR, ZeroPhaseIIR
 from jaxilc.schemes import Filtered, PIDType
 from jaxilc.signals import Task
 

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from jaxilc.identification import Estimate, Identified
-from jaxilc.identification.sentences import (
-    NOT_CONVERGED,
-    NOT_WHITE,
-    described,
-    on_lines,
-    verdict,
-)
+from jaxilc.identification.sentences import NOT_CONVERGED, NOT_WHITE, described, on_lines, verdict
 from jaxilc.plants import ProcessModel
 
 FOUND = Identified(

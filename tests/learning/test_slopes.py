@@ -179,12 +179,7 @@ def test_every_objective_is_among_them():
         for kind in vars(objectives).values()
         if isinstance(kind, type) and issubclass(kind, Objective)
     }
-    assert kinds - {type(term) for _, term in EVERYTHING.terms} == {
-        Objective,
-        Sum,
-        Contraction,
-        D2,
-    }
+    assert kinds - {type(term) for _, term in EVERYTHING.terms} == {Objective, Sum, Contraction, D2}
 
 
 @pytest.mark.thorough

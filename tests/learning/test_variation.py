@@ -143,10 +143,7 @@ def test_the_time_of_a_system_is_that_of_the_trial_whatever_is_added_to_its_stat
 
     system = control.NonlinearIOSystem(update, lambda t, x, u, _: x, inputs=1, outputs=1, states=1)
     plant = from_control(system, substep=1e-3)
-    machine, task = (
-        Machine(plant, variation=Variation(offset=1.0)),
-        Task(np.zeros(101), dt=0.01),
-    )
+    machine, task = (Machine(plant, variation=Variation(offset=1.0)), Task(np.zeros(101), dt=0.01))
     y = run_trial(machine, Scheme(), task, Feedforward(np.ones((100, 1))), jax.random.key(0)).y
     exact = solve_ivp(
         lambda t, x: -5 * x + 1 + np.sin(20 * t), (0, 1), [1.0], t_eval=0.01 * np.arange(101),

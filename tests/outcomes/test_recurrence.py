@@ -16,14 +16,7 @@ from jaxilc.outcomes.outcome import silent
 from jaxilc.outcomes.repeating import following, recurs, within_trial
 from jaxilc.plants import ByPosition, Harmonics, PositionMap, StateSpace
 from jaxilc.scenarios.from_file import read_scenario
-from jaxilc.schemes import (
-    PID,
-    BasisFunctions,
-    Filtered,
-    PIDType,
-    PolynomialBasis,
-    WithFeedback,
-)
+from jaxilc.schemes import PID, BasisFunctions, Filtered, PIDType, PolynomialBasis, WithFeedback
 from jaxilc.signals.task import Trial
 from jaxilc.theory.condition import HOLDS, NOT_CLAIMED
 

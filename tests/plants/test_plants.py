@@ -195,12 +195,7 @@ def test_state_space_starts_from_x0():
 
 
 @pytest.mark.parametrize(
-    "plant",
-    [
-        voice_coil("printed").sampled(DT),
-        PLANTS["discrete"],
-        PLANTS["arx"],
-    ],
+    "plant", [voice_coil("printed").sampled(DT), PLANTS["discrete"], PLANTS["arx"]]
 )
 def test_another_sample_time_is_refused(plant):
     with pytest.raises(

@@ -121,13 +121,7 @@ class Shaped(Wrapper):
 
 MACHINE = Machine(Bent(MLP(3)))
 SCHEME = Shaped(PIDType(gamma_p=0.5), MLP(2))
-NAMES = [
-    "layers[0].weight",
-    "layers[0].bias",
-    "layers[1].weight",
-    "layers[1].bias",
-    "slope",
-]
+NAMES = ["layers[0].weight", "layers[0].bias", "layers[1].weight", "layers[1].bias", "slope"]
 
 
 def test_its_float_leaves_have_names():

@@ -26,14 +26,7 @@ from jaxilc.schemes import NormOptimal, PIDType, PolynomialBasis, WarmStart
 from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Task, Trial
 from jaxilc.theory import carried_radius, certificates, certify
-from jaxilc.theory.certificates import (
-    CONVERGES,
-    DIVERGES,
-    MONOTONE,
-    NOTHING,
-    OfScheme,
-    long_run,
-)
+from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, OfScheme, long_run
 from jaxilc.theory.chance import RecordMoments
 from jaxilc.uncertainty import drawn_machines
 

@@ -14,15 +14,7 @@ from cases import DT, PLANTS, task_for
 
 from jaxilc import scenarios
 from jaxilc.filters import ZeroPhaseButterworth
-from jaxilc.learning import (
-    Actuator,
-    Machine,
-    PlantChange,
-    References,
-    Sensor,
-    Variation,
-    learn,
-)
+from jaxilc.learning import Actuator, Machine, PlantChange, References, Sensor, Variation, learn
 from jaxilc.outcomes.certifying import certificate_numbers, certificate_sentence
 from jaxilc.plants import (
     Dahl,

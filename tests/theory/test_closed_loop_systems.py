@@ -99,9 +99,7 @@ def test_the_loop_of_a_proportional_gain_is_that_of_python_control():
     omega = 2 * np.pi * np.array([1.0, 30.0, 200.0])
     for column, expected in enumerate((P / (1 + 0.4 * P), 0.4 * P / (1 + 0.4 * P))):
         np.testing.assert_allclose(
-            system[0, column](np.exp(1j * omega * DT)),
-            expected(np.exp(1j * omega * DT)),
-            rtol=1e-9,
+            system[0, column](np.exp(1j * omega * DT)), expected(np.exp(1j * omega * DT)), rtol=1e-9
         )
 
 
