@@ -436,7 +436,7 @@ def _shares(names, last: np.ndarray, shown: tuple, held: tuple[float, float]) ->
         layers.append(Curve(at, share, steps=True, width=1.6, name=name, colour=colour_of(i)))
     if limit is not None:
         layers.append(Rule(limit, "x", dash="--"))
-    along = Axis(f"tolerance of the last {metric.replace('_', ' ')}", unit, log=True, ends=held)
+    along = Axis(f"last {metric.replace('_', ' ')} at most", unit, log=True, ends=held)
     return Panel(along, Axis("machines within [%]", ends=(-3, 103)), layers, legend="")
 
 

@@ -85,10 +85,12 @@ class Request:
         The metric and the tolerance judge it, and the spread widens its uncertainty.
         Raises ValueError naming what is allowed.
         """
+        from ..runtime.start import need_told_precision
         from ..scenarios.from_file import with_options
         from ..scenarios.parameters import with_parameters
         from ..scenarios.scenario import judged
 
+        need_told_precision()
         here = self.expanded()
         chosen, rest = with_options(here.source, settings_of(here.set))
         if not chosen.schemes:
@@ -112,8 +114,10 @@ class Request:
 
     def machine_to_design(self) -> Scenario:
         """The scenario of a plant file, of whose schemes, if there are any, the feedback counts."""
+        from ..runtime.start import need_told_precision
         from ..scenarios.from_file import load_scenario
 
+        need_told_precision()
         chosen = self._with_trials(load_scenario(self.source, settings_of(self.set)))
         return self._widened(chosen).select(self.schemes)
 

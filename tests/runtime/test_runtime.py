@@ -123,12 +123,14 @@ def test_the_version_of_jax_whose_loops_are_slow_is_reported(monkeypatch):
 @pytest.mark.thorough
 def test_importing_flips_nothing_and_setup_too_late_says_so():
     program = (
-        "import jaxilc, jax, os; jaxilc.scenarios.load('cao-2019'); "
+        "import jaxilc, jax, os; from jaxilc.outcomes import Request; "
+        "Request('cao-2019').scenario(); "
         "print(jax.config.jax_enable_x64, 'XLA_FLAGS' in os.environ); "
-        "jax.numpy.ones(1) + 1; jaxilc.setup(devices=3)"
+        "jax.numpy.ones(1) + 1; jaxilc.setup(devices=3); Request('cao-2019').scenario()"
     )
     found = python(program)
     assert found.stdout.split() == ["False", "False"]
+    assert found.stderr.count("setup() was not called: JAX computes in float32") == 1
     assert "came after JAX had started" in found.stderr
 
 
