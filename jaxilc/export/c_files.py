@@ -153,8 +153,8 @@ enum law_code {{
 {codes}}};
 
 /* All that the law keeps. memory: what was learned; schedule: what is played in this trial; good:
- * both of the last trial that was not refused; within and record: of this trial; seen: what the
- * guard remembers; work: room for intermediate results. */
+ * both of the last trial that was not refused, and the trials they were learned from; within and
+ * record: of this trial; seen: what the guard remembers; work: room for intermediate results. */
 typedef struct {{
 {chr(10).join(members)}
 }} law;

@@ -43,9 +43,9 @@ class Seen(NamedTuple):
     """What the guard remembers.
 
     best: smallest rms error of a trial so far, infinite before the first one [unit of y]
-    learned: number of trials that were learned from
+    learned: number of trials that the present memory was learned from
     largest: largest value of each learned schedule that was played [its unit]
-    begun: that until the first trial that was learned from
+    begun: that before anything was learned
     fine: whether every output and input of the present trial was finite
     """
 
@@ -118,11 +118,10 @@ def of_trial(scheme: Scheme, task: Task, seen: Seen, schedule: Tree,
     fine = seen.fine & jnp.isfinite(rms)
     code = jnp.where(~fine, 1, jnp.where(stuck, 2, jnp.where(grown, 3, 0))).astype(jnp.int32)
     best = jnp.where((code == 0) & compared, jnp.minimum(seen.best, rms), seen.best)
-    played = _learned(scheme, task, schedule)
-    largest = {name: jnp.maximum(seen.largest[name], peak(name, of, task))
-               for name, of in played.items()}  # fmt: skip
-    begun = {name: jnp.where(seen.learned == 0, of, seen.begun[name])
-             for name, of in largest.items()}  # fmt: skip
+    peaks = {name: peak(name, of, task) for name, of in _learned(scheme, task, schedule).items()}
+    largest = {name: jnp.maximum(seen.largest[name], of) for name, of in peaks.items()}
+    begun = {name: jnp.where(seen.learned == 0, jnp.maximum(seen.begun[name], of), seen.begun[name])
+             for name, of in peaks.items()}  # fmt: skip
     return code, Seen(best, seen.learned, largest, begun, seen.fine)
 
 

@@ -70,14 +70,14 @@ class Known(NamedTuple):
 
     memory: what was learned
     schedule: what is played in this trial
-    good: memory and schedule of the last trial that was not refused
+    good: memory, schedule and `seen.learned` of the last trial that was not refused
     within, record: of the trial that runs
     seen: what the guard remembers
     """
 
     memory: Tree
     schedule: Tree
-    good: tuple[Tree, Tree]
+    good: tuple[Tree, Tree, Array]
     within: Within
     record: Record
     seen: guard.Seen
@@ -233,7 +233,8 @@ class _Tracer(NamedTuple):
         record = Record(jnp.zeros((task.N + 1, task.outputs)), jnp.zeros((task.N, task.inputs)),
                         signals)  # fmt: skip
         seen = guard.nothing_seen(scheme, task, schedule)
-        known = Known(memory, schedule, (memory, schedule), within, record, seen)
+        good = (memory, schedule, seen.learned)
+        known = Known(memory, schedule, good, within, record, seen)
         return jax.tree.map(jnp.asarray, known)
 
     def at_rest(self) -> Within:
@@ -280,7 +281,8 @@ class _Tracer(NamedTuple):
         trial = Trial(jnp.asarray(task.reference), rows, record.u, task.dt, record.signals)
         learned = scheme.learn(known.memory, trial)
         schedule = scheme.schedule(learned, task)
-        new, now = (learned, schedule), (known.memory, known.schedule)
+        new = (learned, schedule, seen.learned + 1)
+        now = (known.memory, known.schedule, seen.learned)
         if not self.guarded:
             known = known._replace(memory=learned, schedule=schedule)
             return known, {"code": jnp.int32(0)}
@@ -294,9 +296,9 @@ class _Tracer(NamedTuple):
             """What follows: what was learned, or what was played, or what was good before that."""
             return jnp.where(good, jnp.where(inside, new, now), before)
 
-        memory, schedule = jax.tree.map(chosen, new, now, known.good)
+        memory, schedule, count = jax.tree.map(chosen, new, now, known.good)
         kept = jax.tree.map(lambda now, before: jnp.where(good, now, before), now, known.good)
-        seen = seen._replace(learned=seen.learned + jnp.where(code == 0, 1.0, 0.0))
+        seen = seen._replace(learned=count)
         known = known._replace(memory=memory, schedule=schedule, good=kept, seen=seen)
         return known, {"code": code}
 

@@ -215,6 +215,7 @@ def test_the_guard_goes_back_to_the_last_good_input():
         first = played.trial(good[0])[0], played.known["memory.u"]
         assert played.trial(good[1])[1] == 0
         assert CODES[played.trial(y)[1]] == code
+        assert played.known["seen.learned"] == 1  # as the memory was then
         u = played.trial(good[1])[0]
         assert not np.array_equal(first[1], played.known["memory.u"])
         assert np.array_equal(u, np.asarray(first[1]))
@@ -274,6 +275,14 @@ def test_the_guard_counts_the_steps_of_a_law_that_repeats_its_trials():
         assert {CODES[played.trial(r - 1)[1]] for _ in range(9)} == {"LEARNED"}
         assert np.array_equal(played.known["schedule.u"].ravel(), np.full(FEW, 1.5))
         assert CODES[[played.trial(r - last)[1] for _ in range(3)][-1]] == code
+
+
+def test_a_law_goes_on_after_a_trial_that_was_refused():
+    """A law that learns from constant errors of 1, 1 and 1 meets the bound on its next input."""
+    r = np.ones((FEW + 1, 1))
+    played = law_of(PIDType(gamma_p=0.5), Task(r, 1e-3), 1e3).played()
+    codes = [CODES[played.trial(r - e)[1]] for e in (1.0, np.nan, 1.0, 1.0, 1.0)]
+    assert codes == ["LEARNED", "SENSOR", "LEARNED", "LEARNED", "LEARNED"]
 
 
 def test_the_guard_compares_a_learned_reference_with_the_nearest_output():
