@@ -43,7 +43,7 @@ class Within(NamedTuple):
     scheme: state of the scheme
     v: state of the actuator [unit of u]
     u: the last input as it was applied [unit of u]
-    y: the last finite output [unit of y]
+    y: the last finite output, before the first one the reference at its start [unit of y]
     """
 
     scheme: Tree
@@ -239,9 +239,8 @@ class _Tracer(NamedTuple):
 
     def at_rest(self) -> Within:
         rest = jnp.zeros(self.task.inputs)
-        return Within(
-            self.scheme.initial_state(self.task), rest, rest, jnp.zeros(self.task.outputs)
-        )
+        y = jnp.asarray(self.task.reference)[0]
+        return Within(self.scheme.initial_state(self.task), rest, rest, y)
 
     def begin(self, known: Known) -> tuple[Known, dict[str, Array]]:
         seen = known.seen._replace(fine=jnp.asarray(True))

@@ -234,6 +234,19 @@ def test_the_guard_holds_what_a_feedback_has_learned_to_the_limit():
         assert CODES[law.played().trial(trials_of_test(law)[0])[1]] == code
 
 
+def test_a_feedback_under_a_dead_sensor_begins_as_at_rest_on_the_reference():
+    """An output of 0 in its place would be an error of the whole position, here of 100."""
+    r = 100 + np.arange(FEW + 1)[:, None] ** 2 / 64
+    law = law_of(WithFeedback(PIDType(gamma_p=0.5), PID(kp=2.0)), Task(r, 1e-3), 1e3)
+    for dead, wanted in ((FEW + 1, 2 * (r - r[0])[:-1]), (1, 0 * r[:-1])):
+        played, y = law.played(), r.copy()
+        for _ in range(2):  # the second one begins where the first one has ended
+            y[:dead] = np.nan
+            u, code = played.trial(y)
+            assert (np.array_equal(u, wanted), CODES[code]) == (True, "SENSOR")
+            played.trial(r)
+
+
 def test_the_guard_lets_a_law_of_higher_order_learn_from_an_error_that_stays():
     played = law_of(HigherOrder((1.0, 0.0), (0.1, 0.5)), task_of("p_type"), 1e3).played()
     y = np.asarray(task_of("p_type").reference) - 1.0
