@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from ..hardware.checks import (
     DEAD,
@@ -28,6 +29,7 @@ from ..schemes import Scheme
 from ..schemes.scheme import growth_of, trials_of_step
 from ..signals.task import Task, Trial
 
+MOVES = 0.1  # share of the limit; an input that reaches it moves an axis that sticks
 # what the end of a trial tells, by its code
 CODES = ("LEARNED", "SENSOR", "STUCK", "GROWN", "TOO_LARGE")
 MEANINGS = (
@@ -46,6 +48,7 @@ class Seen(NamedTuple):
     learned: number of trials that the present memory was learned from
     largest: largest value of each learned schedule that was played [its unit]
     begun: that before anything was learned
+    moved: (n_y,) whether each output has moved in a trial that was not refused
     fine: whether every output and input of the present trial was finite
     """
 
@@ -53,6 +56,7 @@ class Seen(NamedTuple):
     learned: Array
     largest: dict[str, Array]
     begun: dict[str, Array]
+    moved: Array
     fine: Array
 
 
@@ -63,12 +67,14 @@ class Trials(NamedTuple):
     learned: number of trials that were learned from
     largest: largest value of each schedule that was played, by name
     begun: that until the first trial that was learned from
+    moved: (n_y,) whether each output moved in the last one
     """
 
     best: float
     learned: int
     largest: dict[str, float]
     begun: dict[str, float]
+    moved: np.ndarray
 
 
 def begun_by(trials: Trials, nothing: Seen) -> Seen:
@@ -81,13 +87,14 @@ def begun_by(trials: Trials, nothing: Seen) -> Seen:
         for of in (trials.largest, trials.begun)
     )
     best, learned = jnp.asarray(trials.best, float), jnp.asarray(trials.learned, float)
-    return Seen(best, learned, largest, begun, nothing.fine)
+    return Seen(best, learned, largest, begun, jnp.asarray(trials.moved), nothing.fine)
 
 
 def nothing_seen(scheme: Scheme, task: Task, schedule: Tree) -> Seen:
     """What the guard knows before the first trial."""
     largest = dict.fromkeys(_learned(scheme, task, schedule), jnp.zeros(()))
-    return Seen(jnp.asarray(jnp.inf), jnp.zeros(()), largest, largest, jnp.asarray(True))
+    return Seen(jnp.asarray(jnp.inf), jnp.zeros(()), largest, largest,
+                jnp.zeros(task.outputs, bool), jnp.asarray(True))  # fmt: skip
 
 
 def output(y: Array, last: Array) -> tuple[Array, Array]:
@@ -101,20 +108,27 @@ def applied(u: Array, last: Array, limit: Array) -> tuple[Array, Array]:
     return jnp.clip(jnp.where(there, u, last), -limit, limit), jnp.all(there)
 
 
-def of_trial(scheme: Scheme, task: Task, seen: Seen, schedule: Tree,
-             trial: Trial) -> tuple[Array, Seen]:  # fmt: skip
-    """The code of a trial before it is learned from, and what the guard remembers of it."""
-    reference = np.asarray(task.reference)
-    e, span = trial.r[1:] - trial.y[1:], np.ptp(reference, axis=0)
+def still(task: Task, y: ArrayLike) -> Array:
+    """(n_y,) whether each output (N+1, n_y) stood still in a trial; y[0] is not an answer to u."""
+    return jnp.ptp(jnp.asarray(y)[1:], axis=0) < DEAD * np.ptp(task.reference, axis=0)
+
+
+def of_trial(scheme: Scheme, task: Task, seen: Seen, schedule: Tree, trial: Trial,
+             limit: Array) -> tuple[Array, Seen]:  # fmt: skip
+    """The code of a trial before it is learned from, and what the guard remembers of it.
+
+    An axis that sticks has not moved yet, and learns until an input has reached `MOVES`.
+    """
+    e, span = trial.r[1:] - trial.y[1:], float(np.ptp(task.reference))
     rms = jnp.sqrt(jnp.sum(e**2) / e.size)
-    y, u = trial.y[1:], trial.u
-    moved = jnp.any(jnp.max(u, axis=0) > jnp.min(u, axis=0))
-    still = jnp.max(y, axis=0) - jnp.min(y, axis=0) < DEAD * span
-    stuck = moved & jnp.any(still & jnp.asarray(span > 0))
+    u, stood = trial.u, still(task, trial.y)
+    driven = jnp.max(u, axis=0) > jnp.min(u, axis=0)
+    hard = jnp.max(jnp.abs(u), axis=0) >= MOVES * limit
+    stuck = jnp.any(driven) & jnp.any(stood & (seen.moved | jnp.any(driven & hard)))
     # a trial that was an experiment is compared with none
     turns = seen.learned / trials_of_step(scheme, task)
     compared = turns == jnp.floor(turns)
-    grown = compared & (rms > GROWN * jnp.maximum(seen.best, LEAST * float(np.ptp(reference))))
+    grown = compared & (rms > GROWN * jnp.maximum(seen.best, LEAST * span))
     fine = seen.fine & jnp.isfinite(rms)
     code = jnp.where(~fine, 1, jnp.where(stuck, 2, jnp.where(grown, 3, 0))).astype(jnp.int32)
     best = jnp.where((code == 0) & compared, jnp.minimum(seen.best, rms), seen.best)
@@ -122,7 +136,8 @@ def of_trial(scheme: Scheme, task: Task, seen: Seen, schedule: Tree,
     largest = {name: jnp.maximum(seen.largest[name], of) for name, of in peaks.items()}
     begun = {name: jnp.where(seen.learned == 0, jnp.maximum(seen.begun[name], of), seen.begun[name])
              for name, of in peaks.items()}  # fmt: skip
-    return code, Seen(best, seen.learned, largest, begun, seen.fine)
+    moved = seen.moved | ((code == 0) & ~stood)
+    return code, Seen(best, seen.learned, largest, begun, moved, seen.fine)
 
 
 def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree, limit: Array,

@@ -286,7 +286,7 @@ class _Tracer(NamedTuple):
             known = known._replace(memory=learned, schedule=schedule)
             return known, {"code": jnp.int32(0)}
         seen = seen._replace(fine=seen.fine & fine)
-        code, seen = guard.of_trial(scheme, task, seen, known.schedule, trial)
+        code, seen = guard.of_trial(scheme, task, seen, known.schedule, trial, self.limit)
         inside = guard.of_next(scheme, task, seen, learned, schedule, self.limit, self.correction)
         good = code == 0
         code = jnp.where(good & ~inside, 4, code).astype(jnp.int32)

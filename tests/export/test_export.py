@@ -227,6 +227,18 @@ def test_the_guard_goes_back_to_the_last_good_input():
     assert np.max(np.abs(small.trial(good[0])[0])) <= 0.1
 
 
+@pytest.mark.parametrize(("breaks", "codes"), [
+    (0.7, [0, 0, 0, 0, 0, 2, 0, 0]),  # it breaks away in trial 4; a sensor that dies later is told
+    (9.0, [0, 0, 0, 0, 2, 0, 2, 0]),  # a dead encoder, too, from a tenth of the limit on
+])  # fmt: skip
+def test_the_guard_lets_an_axis_that_sticks_learn_to_break_away(breaks, codes):
+    r = np.linspace(0, 1, FEW + 1)[:, None] ** 2
+    played, y = law_of(PIDType(gamma_p=0.25), Task(r, 1e-3), 10.0).played(), 0 * r
+    for j, code in enumerate(codes):
+        y[1:] = np.maximum(played.known["schedule.u"] - breaks, 0) * (j != 5)
+        assert played.trial(y)[1] == code
+
+
 def test_the_guard_holds_what_a_feedback_has_learned_to_the_limit():
     inner = WithFeedback(PIDType(gamma_p=0.5), PID(kp=0.01))
     for limit, code in ((1e3, "LEARNED"), (0.1, "TOO_LARGE")):
@@ -309,11 +321,12 @@ def test_the_guard_compares_a_learned_reference_with_the_nearest_output():
 def test_a_law_starts_with_what_a_campaign_has_learned():
     task, scheme = task_of("p_type"), SCHEMES["p_type"]
     memory = Feedforward(jnp.arange(FEW, dtype=float)[:, None] / FEW)
-    of_guard = Trials(best=0.25, learned=3, largest={"u": 1.5}, begun={"u": 0.5})
+    of_guard = Trials(
+        best=0.25, learned=3, largest={"u": 1.5}, begun={"u": 0.5}, moved=np.array([True])
+    )
     played = law_of(scheme, task, 9.0, memory=memory, trials=of_guard).played()
-    assert [
-        played.known[f"seen.{name}"] for name in ("best", "learned", "largest.u", "begun.u")
-    ] == [0.25, 3, 1.5, 0.5]
+    names = ("best", "learned", "largest.u", "begun.u", "moved")
+    assert [played.known[f"seen.{name}"] for name in names] == [0.25, 3, 1.5, 0.5, True]
     assert np.array_equal(played.trial(np.asarray(task.reference))[0], memory.u)
 
 
