@@ -7,7 +7,7 @@ of what is claimed. Neither is a signature: whoever changes all of them can make
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ..pytree.aliases import Value
@@ -34,6 +34,12 @@ def certificate_of(
         for name, content in files.items()
     }
     return sealed({**claims, DIGEST: seal_of(claims), FILES: hashes})
+
+
+def of_others(folder: Path, files: Iterable[str]) -> list[str]:
+    """What is told of the files in a folder that an export of these files has not written."""
+    return [f"{folder / name} is of another export, and the certificate does not speak of it"
+            for name in sorted(WRITTEN - {*files}) if (folder / name).exists()]  # fmt: skip
 
 
 def check(folder: str | Path) -> dict[str, Value]:
@@ -66,8 +72,7 @@ def check(folder: str | Path) -> dict[str, Value]:
             wrong.append(f"{path} carries the certificate {sorted(carried)[0][:12]} of another law")
         elif checksum(found) != known:
             wrong.append(f"{path} was changed")
-    wrong += [f"{folder / name} is of another export, and the certificate does not speak of it"
-              for name in sorted(WRITTEN - {*hashes}) if (folder / name).exists()]  # fmt: skip
+    wrong += of_others(folder, hashes)
     plant = content.get("plant_file") or {}
     given = Path(str(plant.get("path", "")))
     there = plant.get("path") and given.is_file()

@@ -55,7 +55,7 @@ def export(
     """
     from ..export import law_of
     from ..export.c_files import cost
-    from ..export.certificate import CERTIFICATE, certificate_of
+    from ..export.certificate import CERTIFICATE, certificate_of, of_others
     from ..export.formats import FORMATS, Asked
     from ..hardware.checks import Rules, beyond_limits
     from ..learning.playback import schedules
@@ -150,7 +150,10 @@ def export(
         ), "prove that the files belong together",
             shlex.join(["jaxilc", "export", "--check", str(folder)])),
         lines=claimed["reasons"],
-        warnings=made.warnings,
+        warnings=(
+            *made.warnings,
+            *(f"{text}; remove it" for text in of_others(Path(folder), made.files)),
+        ),
         folder=Path(folder),
         files={file: partial(_write, text) for file, text in made.files.items()}
         | {CERTIFICATE: lambda path: write_json(path, whole)},
