@@ -382,12 +382,13 @@ def verdict(
     experiments: Sequence[int] = (),
     stop: float | None = None,
 ) -> list[str]:
-    """One or two sentences on what the campaign has reached.
+    """One or two sentences on what the campaign has reached since its machine was last another.
 
     live: manifests that count;  turn: the trial of this call, which may not be among them
     experiments: see `checks.experiment_numbers`
     stop: RMS error below which nothing shows that there is more to learn; None: it is not known
     """
+    from ..hardware.checks import growth_accepted
     from ..hardware.journal import METRICS, is_part
 
     trials = live[1:]
@@ -400,11 +401,13 @@ def verdict(
         return [f"no trial is measured yet; the plant file predicts {of_last}"]
     numbers, last = list(experiments)[: len(trials)] or [0] * len(trials), trials[-1]["trial"]
     learned = accumulate((bool(m["learned"]) for m in trials), initial=0)
+    changed = growth_accepted([*live[:1], *trials])
     errors, of_inputs = [], dict[int, float]()  # the first error with each input that was learned
     for m, number, taught in zip(trials, numbers, learned, strict=False):
         if not number and not is_part(m):
             errors.append((m["trial"], m[METRICS]["error"]))
-            of_inputs.setdefault(taught, errors[-1][1])
+            if m["trial"] >= changed:
+                of_inputs.setdefault(taught, errors[-1][1])
     if not errors:
         return [f"verdict: trial {last} ended early; no whole trial is measured yet"]
     (first, begun), (trial, error) = errors[0], errors[-1]
@@ -416,7 +419,7 @@ def verdict(
                 "whose error says nothing of them"
             )
         return [f"{said}; trial {trial} had an RMS error of {error:.4g} {unit}".rstrip()]
-    best, least = min(errors, key=lambda one: one[1])
+    best, least = min((one for one in errors if one[0] >= changed), key=lambda one: one[1])
     said = f"verdict: trial {trial} has an RMS error of {error:.4g} {unit}".rstrip()
     if len(errors) > 1:
         said += f", {_share(error, begun)} of that of trial {first}"

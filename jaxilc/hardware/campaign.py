@@ -392,9 +392,8 @@ class Campaign:
 
         error: RMS error over all outputs [unit of y]
         """
-        live, task = self.journal.live(), self.task
-        begun = checks.growth_accepted(live)
-        errors = [e for j, e in checks.comparable(self.scheme, task, live) if j >= begun]
+        task = self.task
+        errors = [e for _, e in checks.comparable(self.scheme, task, self.journal.live())]
         best = max(min(errors, default=np.inf), checks.LEAST * np.ptp(task.reference))
         if error <= times * best or record.weight is not None:
             return []

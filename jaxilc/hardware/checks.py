@@ -182,15 +182,17 @@ def comparable(scheme: Scheme, task: Task, live: list[Manifest]) -> list[tuple[i
     """The numbers and errors of the trials before with which the error of this one is compared.
 
     Of a scheme that makes experiments these are the trials that played what it had learned; an
-    experiment itself is compared with none. A trial that ended early has the error of a part.
+    experiment itself is compared with none. A trial that ended early has the error of a part. Those
+    before the last trial that was accepted with a large error are of another machine.
 
     live: manifests of the start and of the trials before
     """
     *before, now = experiment_numbers(scheme, task, live)
+    begun = growth_accepted(live)
     return [
         (m["trial"], m[METRICS]["error"])
         for m, experiment in zip(live[1:], before, strict=True)
-        if not experiment and not now and not is_part(m)
+        if m["trial"] >= begun and not experiment and not now and not is_part(m)
     ]
 
 

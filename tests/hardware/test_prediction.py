@@ -222,9 +222,14 @@ def test_the_names_of_the_next_files_follow_those_of_this_call():
 
 
 def test_a_verdict_says_whether_learning_goes_on():
-    def said(*errors, experiments=(), looked_at=()):
+    def said(*errors, experiments=(), looked_at=(), accepted=()):
         learned = [j not in looked_at for j in range(1, 1 + len(errors))]
         live = journal_of(*learned, errors=errors)
+        for j in accepted:
+            live[j]["findings"].append(["warning", "9 times the best; suspected is (accepted)"])
+        if accepted:
+            compared = checks.comparable(PIDType(), Task(np.linspace(0, 1, 5), dt=0.1), live)
+            assert compared[0][0] == accepted[-1], "those before are of another machine"
         return verdict(live, None, None, "mm", 0.02, experiments)[0]
 
     assert said() == "no trial is measured yet"
@@ -236,6 +241,9 @@ def test_a_verdict_says_whether_learning_goes_on():
     repeats = (2.0, 1.0, 1.0, 1.0, 1.0)  # trials 2 to 5 played one input
     assert "has ended" not in said(*repeats, 1.0, 1.0, looked_at=(2, 3, 4))
     assert "has ended" in said(*repeats, 1.0, 1.0, 1.0, looked_at=(2, 3, 4))
+    assert "trial 4 has an" in said(*repeats[:3], 9.0, accepted=(2, 4))
+    assert said(*repeats, 9.0, 8.0, 7.0, 6.0, accepted=(6,)).endswith("3 times of that of trial 1")
+    assert "the input of trial 8" in said(*repeats, 9.0, *[8.0, 7.0, 7.0, 7.0, 7.0], accepted=(6,))
     found = said(2.0, 3.0, experiments=(0, 1, 0))
     assert "trial 2 is experiment 1 between" in found
     assert "trial 1 had an RMS error of 2 mm" in found
