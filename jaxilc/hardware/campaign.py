@@ -30,6 +30,7 @@ from ..runtime.provenance import describe, environment, need_same
 from ..schemes import Scheme
 from ..schemes.scheme import Memory, growth_of
 from ..signals.task import Task, Trial
+from ..storage.files import only_one
 from ..storage.sealed import as_json
 from . import calibration, checks
 from .calibration import Expected
@@ -409,33 +410,33 @@ class Campaign:
     def keep(self, turn: Turn) -> None:
         """Store a turn; the campaign then continues from it.
 
-        Raises ValueError if it has refusals, or if its trial does not follow the last stored one.
+        Raises ValueError if it has refusals, if its trial does not follow the last stored one, and
+        while another process stores one.
         """
         refuse(turn.findings)
-        parent = self.journal.live()[-1]
-        if turn.trial != parent["trial"] + 1:
-            said = f"trial {turn.trial} does not follow on trial {parent['trial']}"
-            by = "which another process has made meanwhile; nothing was learned or written"
-            raise ValueError(f"{self.journal.path}: {said}, {by}")
         plain = ("trial", "learned", "source", "input", "hashes", "peaks")
         manifest = {name: getattr(turn, name) for name in plain} | {METRICS: turn.metrics}
         manifest["findings"] = turn.findings
         if turn.expected is not None:
             manifest["expected"] = turn.expected.as_json()
-        self._append(
-            {"event": "trial", "parent": parent["serial"], **manifest},
-            {MEMORY: _arrays_of(turn.memory), TRIAL: stored(turn.record)},
-        )
+        arrays = {MEMORY: _arrays_of(turn.memory), TRIAL: stored(turn.record)}
+        with only_one(self.journal.path):
+            parent = self.journal.live()[-1]
+            if turn.trial != parent["trial"] + 1:
+                said = f"trial {turn.trial} does not follow on trial {parent['trial']}"
+                by = "which another process has made meanwhile; nothing was learned or written"
+                raise ValueError(f"{self.journal.path}: {said}, {by}")
+            self._append({"event": "trial", "parent": parent["serial"], **manifest}, arrays)
 
     def undo(self, trial: int) -> None:
         """Go back to the memory after a trial; 0 stands for the start.
 
-        Raises ValueError for a trial that is not one of the past.
+        Raises ValueError for a trial that is not one of the past, and while another process stores
+        one.
         """
-        self._append(
-            {"event": "undo", "trial": trial, "parent": None, "to": self._after(trial)["serial"]},
-            {},
-        )
+        with only_one(self.journal.path):
+            to = self._after(trial)["serial"]
+            self._append({"event": "undo", "trial": trial, "parent": None, "to": to}, {})
 
     def _after(self, trial: int | None) -> Manifest:
         """The entry after an earlier trial, or the last entry for None."""

@@ -100,12 +100,16 @@ def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
             for name in names:
                 to_disk(Path(folder, name))
             to_disk(Path(folder))
+        made = FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
         if replace and path.exists():
             _exchange(unfinished, path)
         elif path.exists():
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+            raise made
         else:
-            os.rename(unfinished, path)
+            try:
+                os.rename(unfinished, path)
+            except OSError as error:
+                raise (made if error.errno == errno.ENOTEMPTY else error) from None  # just now
     to_disk(path.parent)
 
 

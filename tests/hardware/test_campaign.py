@@ -6,11 +6,13 @@ The tests run 20 trials, stop the process, undo trials, and check everything tha
 import csv
 import dataclasses
 import json
+import os
 import shutil
 import subprocess
 import sys
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
 
 import control
 import jax
@@ -23,6 +25,7 @@ from typer.testing import CliRunner
 from jaxilc.cli import app, console
 from jaxilc.figures.experiments import campaign_figure
 from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
+from jaxilc.hardware import campaign as of_campaign
 from jaxilc.hardware.campaign import learned
 from jaxilc.hardware.checks import beyond_limits, larger
 from jaxilc.learning import Actuator, Machine, Sensor, learn, run_trial
@@ -286,19 +289,33 @@ def test_killed_at_any_moment_nothing_is_lost(copied, monkeypatch, when):
     assert (folder / "next.csv").read_bytes() == (folder / "other.csv").read_bytes()
 
 
-def test_two_calls_at_once_are_one_entry(copied):
+def test_two_calls_at_once_are_one_entry(copied, monkeypatch):
     rig, state, folder = copied
     rig.measure(rig.folder / "next-21.csv", 21, folder / "trial.csv")
     campaign = Campaign.open(state, rig.scheme, rig.task, actuator=rig.axis.machine.actuator)
     turn = campaign.turn(read_measured(folder / "trial.csv", rig.task))
+
+    def meanwhile():
+        for other in (lambda: campaign.keep(turn), lambda: campaign.undo(3)):
+            with pytest.raises(ValueError, match="is in use by process"):
+                other()
+        return {}
+
+    with monkeypatch.context() as slow:
+        slow.setattr(of_campaign, "environment", meanwhile)
+        campaign.keep(turn)
+        campaign.undo(20)
+    assert [m["event"] for m in Journal(state).manifests()[21:]] == ["trial", "undo"]
     quicker = Journal(state)
-    quicker.append({**quicker.manifests()[-1], "serial": 21, "parent": 20, "trial": 21}, {})
+    quicker.append({**quicker.manifests()[-2], "parent": 20}, {})
     with pytest.raises(ValueError, match="trial 21 does not follow on trial 21"):
         campaign.keep(turn)
     stale = dataclasses.replace(quicker)
-    object.__setattr__(stale, "_next", lambda: 21)
-    with pytest.raises(ValueError, match="entry 21 could not be written"):
-        stale.append({}, {})
+    object.__setattr__(stale, "_next", lambda: 23)
+    for at_once in (Path.exists, lambda path: path.name != "000023" and os.path.exists(path)):
+        monkeypatch.setattr(Path, "exists", at_once)
+        with pytest.raises(ValueError, match="entry 23 could not be written .another process has"):
+            stale.append({}, {})
 
 
 def test_a_dry_run_reports_and_changes_nothing(copied):
