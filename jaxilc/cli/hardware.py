@@ -505,7 +505,7 @@ def _range(place: Place, unit: str) -> str:
 OF_CAMPAIGN = {
     "limit": (float, "largest |input| played; the machine's own if not given"),
     "largest_correction": (float, "largest departure of a learned reference"),
-    "saturation": (float, "share of samples at the limit that is accepted"),
+    "saturation": (float, "share of samples at that limit or the machine's that is accepted"),
     "repeatability": (float, "largest rms difference of two trials of one schedule"),
     "growth": (float, "share by which the rms error may grow without a warning"),
     "accept_saturation": (bool, "learn in spite of saturation"),

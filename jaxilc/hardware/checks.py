@@ -35,8 +35,8 @@ LITTLE = 0.5  # share of the error; if repeated trials differ by more, little ca
 class Rules(NamedTuple):
     """The rules for what is refused; a number that is None is not checked.
 
-    limit: largest |u| that is played, at which an input counts as saturated [unit of u]; None takes
-        the actuator's limit
+    limit: largest |u| that is played [unit of u]; None takes the actuator's limit. At the smaller
+        of the two an input counts as saturated
     correction: largest distance of a learned reference from the task's [unit of y]
     saturation: largest share of samples at the limit, of any input
     accept_saturation: warn of saturation instead of refusing
@@ -91,10 +91,11 @@ def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
 
     At these samples the input equals the limit, whatever was learned from the error.
     """
-    limits = rules.limits(actuator, u.shape[1])
-    if limits is None:
+    found = [of.limits(actuator, u.shape[1]) for of in (rules, Rules())]
+    if found[0] is None:
         text = "saturation was not looked at: neither campaign.limit nor the machine gives one"
         return [Finding("note", text)]
+    limits = np.min([of for of in found if of is not None], axis=0)
     at = np.abs(u) >= limits - np.maximum(AT_LIMIT * limits, _resolution(actuator))
     shares = np.mean(at, axis=0)
     i = int(np.argmax(shares))

@@ -27,7 +27,7 @@ from jaxilc.figures.experiments import campaign_figure
 from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
 from jaxilc.hardware import campaign as of_campaign
 from jaxilc.hardware.campaign import learned
-from jaxilc.hardware.checks import beyond_limits, larger
+from jaxilc.hardware.checks import beyond_limits, larger, saturation
 from jaxilc.learning import Actuator, Machine, Sensor, learn, run_trial
 from jaxilc.plants import StateSpace, from_control
 from jaxilc.scenarios import load_scenario
@@ -314,7 +314,7 @@ def test_two_calls_at_once_are_one_entry(copied, monkeypatch):
     object.__setattr__(stale, "_next", lambda: 23)
     for at_once in (Path.exists, lambda path: path.name != "000023" and os.path.exists(path)):
         monkeypatch.setattr(Path, "exists", at_once)
-        with pytest.raises(ValueError, match="entry 23 could not be written .another process has"):
+        with pytest.raises(ValueError, match=r"entry 23 could not be written .another process has"):
             stale.append({}, {})
 
 
@@ -675,6 +675,8 @@ def test_every_table_is_looked_at_before_it_is_played():
     assert "allowed are +-0.3 (machine.actuator.limit of the plant; --set campaign" in found.text
     clips = Rules(limit=0.6)
     assert beyond_limits({"table.u": rows["table.u"]}, task, Actuator(limit=0.3), clips) == []
+    (found,) = saturation(np.clip(rows["table.u"], -0.3, 0.3), Actuator(limit=0.3), clips)
+    assert found.text.startswith("input 0 is at its limit 0.3 in 100.00% of the samples")
     of_parts = {"feedback.reference": np.hstack([r, r[:, :1] + 0.2]), "feedback.feedforward": r}
     found = beyond_limits(of_parts, task, None, Rules(limit=0.4, correction=0.1))
     assert "the next feedback.reference is 0.2 away from the task's" in found[0].text
