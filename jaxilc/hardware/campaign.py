@@ -37,7 +37,7 @@ from .calibration import Expected
 from .checks import Finding, Rules
 from .journal import BACK, METRICS, Journal, Manifest, is_part, whole_trials
 from .prediction import next_step
-from .trial_files import Measured, completed, ended, stored
+from .trial_files import Measured, completed, ended, keeping, stored, told_of_end
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"
 PAST = 20  # trials whose inputs are compared with a recorded one that is not that to play, and
@@ -273,7 +273,7 @@ class Campaign:
             )
         measured, u, signals = completed(measured, commanded, signals, played)
         record = jax.device_get(measured_trial(task, measured.y, u))._replace(signals=signals)
-        record, findings = ended(record, measured)
+        record = ended(record, measured)
         hashes = {"measured": _hash_of(measured.y, u), "played": _hash_of(*played.values())}
         error = checks.rms_over_all(record)
         for entry in live[1:]:
@@ -286,13 +286,15 @@ class Campaign:
                         "encoder: it tells nothing more"
                     )
                 raise ValueError(f"{text} measure trial {number}, {again}")
-        findings += checks.saturation(u[: measured.samples], self.actuator, self.rules)
+        findings = checks.saturation(u[: measured.samples], self.actuator, self.rules)
         findings += checks.as_played(measured.others, played, self.actuator)
         if "feedback" not in measured.others:
             findings += checks.as_commanded(u, commanded, self.actuator, task)
         findings += self._against_those_before(record, error, hashes["played"], expected)
-        following = learned(scheme, task, memory, record) if learn else memory
+        law = scheme if measured.samples is None else keeping(scheme)
+        following = learned(law, task, memory, record) if learn else memory
         following_schedules = schedules(scheme, following, task)
+        findings += told_of_end(measured, played, following_schedules, task)
         if wrong := _not_a_number(_arrays_of(following)):
             text = f"what would be learned is not a number in {wrong}"
             findings.append(Finding("refusal", text))

@@ -38,6 +38,7 @@ from ..pytree.aliases import Leaf
 from ..pytree.closest import listed
 from ..pytree.in_short import in_short
 from ..pytree.ranges import brief
+from ..schemes import KeepUnmeasured, PIDType, Scheme
 from ..schemes.weights import weighed
 from ..signals.task import Task, Trial
 from ..storage.columns import (
@@ -50,7 +51,7 @@ from ..storage.columns import (
     read_columns,
 )
 from ..storage.mat_files import ROOM, Other, read_mat
-from .checks import Finding, spaced
+from .checks import AS_PLAYED, LEARNED, Finding, kind, spaced
 from .journal import ENDED
 
 RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may differ
@@ -435,19 +436,42 @@ def completed(
     return measured._replace(u=u, others=others), commanded if u is None else u, signals
 
 
-def ended(record: Trial, measured: Measured) -> tuple[Trial, list[Finding]]:
-    """The record of which samples after the end have the weight zero, and a note that says so."""
+def ended(record: Trial, measured: Measured) -> Trial:
+    """The record; of a trial that ended early, samples after the end have the weight zero."""
     if measured.samples is None:
-        return record, []
-    N = len(record.u)
-    there = (np.arange(N + 1) <= measured.samples).astype(float)
+        return record
+    there = (np.arange(len(record.r)) <= measured.samples).astype(float)
     W = jnp.asarray(np.broadcast_to(there[:, None], record.r.shape))
-    shown = jax.device_get(weighed(record, W))
-    text = (
-        f"{ENDED} after {measured.samples} of {N} samples; the rest is not learned from, and is "
-        "played as it was"
-    )
-    return shown, [Finding("note", text)]
+    return jax.device_get(weighed(record, W))
+
+
+def keeping(scheme: Scheme) -> Scheme:
+    """The scheme; its `PIDType` leaves what was not measured: neither adds its sum nor forgets.
+
+    A filter around it is given there what it was given before, and smooths over the end.
+    """
+
+    def is_law(part: object) -> bool:
+        return isinstance(part, PIDType)
+
+    return jax.tree.map(lambda x: KeepUnmeasured(x) if is_law(x) else x, scheme, is_leaf=is_law)
+
+
+def told_of_end(
+    measured: Measured, played: Mapping[str, Leaf], following: Mapping[str, Leaf], task: Task
+) -> list[Finding]:
+    """A note on a trial that ended early, with how far the law changes the rest of schedules."""
+    if measured.samples is None:
+        return []
+    said = []
+    for name in (name for name in played if kind(name) in LEARNED):
+        rest = slice(measured.samples + len(played[name]) - task.N, None)
+        change = float(np.max(np.abs(following[name][rest] - played[name][rest]), initial=0.0))
+        if change > AS_PLAYED * np.max(np.abs(following[name])):
+            said.append(f"{name} by up to {change:.3g}{spaced(unit_of(name, task))}")
+    text = f"{ENDED} after {measured.samples} of {task.N} samples; the rest is not learned from, "
+    how = f"but filter or law changes {', '.join(said)} there" if said else "but played as it was"
+    return [Finding("note", text + how)]
 
 
 def stored(record: Trial) -> dict[str, jax.Array]:

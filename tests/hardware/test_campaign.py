@@ -24,6 +24,7 @@ from typer.testing import CliRunner
 
 from jaxilc.cli import app, console
 from jaxilc.figures.experiments import campaign_figure
+from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
 from jaxilc.hardware import campaign as of_campaign
 from jaxilc.hardware.campaign import learned
@@ -32,6 +33,7 @@ from jaxilc.learning import Actuator, Machine, Sensor, learn, run_trial
 from jaxilc.plants import StateSpace, from_control
 from jaxilc.scenarios import load_scenario
 from jaxilc.schemes import (
+    Filtered,
     HigherOrder,
     Ladder,
     PIDType,
@@ -627,6 +629,24 @@ def test_a_trial_that_ended_early_is_no_alarm_and_the_next_one_is_none(rests, fi
         turn = campaign.turn(measured(samples if j == first else None))
         assert warned(turn) == []
         campaign.keep(turn)
+
+
+@pytest.mark.parametrize("cutoff", [None, 5.0])
+def test_what_was_not_measured_is_played_as_it_was_or_the_note_says_how_else(rests, cutoff):
+    begun, measured = rests
+    law = PIDType(gamma_p=0.3, gamma_i=0.05, gamma_d=0.1, leak=0.05)
+    scheme = law if cutoff is None else Filtered(law, ZeroPhaseButterworth(cutoff))
+    campaign = Campaign.start(begun.journal.path.parent / "law", scheme, begun.task)
+    for samples in (None, None, 60):
+        before = campaign.schedules()["u"]
+        measure = measured(samples)._replace(u=before)
+        campaign.keep(turn := campaign.turn(measure))
+    change = np.abs(turn.schedules["u"] - before)[:, 0]
+    assert np.max(change[:60]) > 0.03
+    assert np.max(change[90:] if cutoff else change[60:]) < (2e-3 if cutoff else 1e-12)
+    told = f"u by up to {np.max(change[60:]):.3g} there"
+    assert turn.findings[-1].text.endswith(told if cutoff else "but played as it was")
+    assert (np.max(change[60:]) > 0.01) == (cutoff is not None)
 
 
 def test_what_was_not_measured_is_not_checked_and_what_was_measured_is(rests):
