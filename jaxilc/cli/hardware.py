@@ -811,7 +811,11 @@ def _played(path: Path | None, schedules, task, trial: int, number: str) -> None
     if path is None:
         say("dry run: nothing was written")
         return
-    write_schedules(path, schedules, task, trial=trial, number=number)
+    try:
+        write_schedules(path, schedules, task, trial=trial, number=number)
+    except OSError as error:
+        then = "the campaign is stored, and a call without --measured and --undo writes this file"
+        raise OSError(error.errno, f"{error.strerror}; {then}", str(path)) from None
     say(f"written: {path}")
 
 

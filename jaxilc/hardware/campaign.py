@@ -448,7 +448,8 @@ class Campaign:
         if trial not in behind:
             said = f"allowed are those before the last one, {max(behind, default=-1) + 1}"
             said = said if behind else "there is none before the start"
-            raise ValueError(f"trial = {trial} is not one to go back to; {said}")
+            then = "after which a call without --undo goes on"
+            raise ValueError(f"trial = {trial} is not one to go back to; {said}, {then}")
         return behind[trial]
 
     def _is_measured(

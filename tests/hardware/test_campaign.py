@@ -5,6 +5,7 @@ The tests run 20 trials, stop the process, undo trials, and check everything tha
 
 import csv
 import dataclasses
+import errno
 import json
 import os
 import shutil
@@ -25,7 +26,15 @@ from typer.testing import CliRunner
 from jaxilc.cli import app, console
 from jaxilc.figures.experiments import campaign_figure
 from jaxilc.filters import ZeroPhaseButterworth
-from jaxilc.hardware import Campaign, Journal, Measured, Rules, journal, read_measured
+from jaxilc.hardware import (
+    Campaign,
+    Journal,
+    Measured,
+    Rules,
+    controller_files,
+    journal,
+    read_measured,
+)
 from jaxilc.hardware import campaign as of_campaign
 from jaxilc.hardware.campaign import learned
 from jaxilc.hardware.checks import beyond_limits, larger, saturation
@@ -455,6 +464,20 @@ def cut(row, i, value=""):
     return ",".join([*cells[:i], value, *cells[i + 1 :]])
 
 
+def test_a_full_disk_after_the_trial_is_stored_says_how_to_go_on(copied, monkeypatch):
+    _, state, folder = copied
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as broken:
+        broken.setattr(controller_files, "atomically", full)
+        with pytest.raises(OSError, match="the campaign is stored, and a call without --measured"):
+            go_on(state, folder / "next.csv", "--undo", 19)
+    go_on(state, folder / "next.csv")
+    assert Journal(state).live()[-1]["trial"] == 19
+
+
 def test_mistakes_in_the_call_name_what_is_allowed(copied):
     rig, state, folder = copied
     trial, out = rig.folder / "trial-20.csv", folder / "next.csv"
@@ -468,7 +491,7 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
         ((*here, folder / "next.txt"), "is none of the formats .csv, .mat, .h"),
         ((*here, folder / "no/next.csv"), "the folder does not exist"),
         ((*here, out, "--undo", 20),
-         "not one to go back to; allowed are those before the last one, 20"),
+         "allowed are those before the last one, 20, after which a call without --undo goes on"),
         ((*here, out, "--growth", -1), "growth = -1 is outside its allowed range [0, inf)"),
         ((*new, out, "--scenario", rig.file, "--scheme", "pid"),
          "scheme = 'pid' is not one of those that learn; known: ilc"),
