@@ -680,6 +680,8 @@ def _starts(
         raise ValueError("--out is missing; without it, only --dry-run")
     if measured is not None and undo is not None:
         raise ValueError("--measured and --undo exclude each other: undo first, then measure again")
+    if measured and out_file and measured.resolve() == out_file.resolve():
+        raise ValueError(f"--out {out_file} is the record of --measured; choose another file")
     new = not Journal(state).exists
     if new and (measured is not None or undo is not None):
         raise FileNotFoundError(

@@ -488,6 +488,8 @@ def test_mistakes_in_the_call_name_what_is_allowed(copied):
         ((*here, out, "--set", "ilc.feedback.kp=2"),
          "it differs in: scheme.feedback.kp: 1.0 there, 2.0 here"),
         ((*here[:3], "--measured", trial), "--out is missing"),
+        ((*here, state / ".." / "a.csv", "--measured", folder / "a.csv"),
+         "a.csv is the record of --measured; choose another file"),
         ((*here, folder / "next.txt"), "is none of the formats .csv, .mat, .h"),
         ((*here, folder / "no/next.csv"), "the folder does not exist"),
         ((*here, out, "--undo", 20),
