@@ -431,12 +431,19 @@ def verdict(
         ]
     if error > (1 + growth) * least:
         return [f"{said}; the best was trial {best} with {least:.4g} {unit}".rstrip()]
-    before = [*of_inputs.values()][:-PATIENCE]
-    if before and min(of_inputs.values()) > (1 - LITTLE) * min(before):
+    inputs = [*of_inputs.values()]
+    fell = [
+        min(inputs[: i + PATIENCE]) <= (1 - LITTLE) * min(inputs[:i])
+        for i in range(1, len(inputs) - PATIENCE + 1)
+    ]
+    if any(fell) and not fell[-1]:
         return [
             f"{said}; it has not fallen by {LITTLE:.0%} in the last {PATIENCE} trials: learning "
             f"has ended, and the input of trial {best} may be played from now on"
         ]
+    if fell and not fell[-1]:
+        said += f"; it has not fallen by {LITTLE:.0%} in any {PATIENCE} trials: learning is slow, "
+        said += "or has nothing left to learn"
     return [said]
 
 

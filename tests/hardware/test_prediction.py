@@ -237,6 +237,8 @@ def test_a_verdict_says_whether_learning_goes_on():
     assert "the best was trial 2 with 1 mm" in said(2.0, 1.0, 1.5)
     assert "learning has ended" in said(2.0, 1.0, 1.0, 0.995, 0.99)
     assert "has ended" not in said(2.0, 1.0, 0.99, 0.98, 0.97)
+    slow = 2.0 * 0.994 ** np.arange(9)  # which goes on
+    assert all("in any 3 trials: learning is slow" in said(*slow[:j]) for j in range(4, 10))
     assert "has ended" not in said(2.0, 2.0, 2.0, 2.0, looked_at=(1, 2, 3, 4)), "nothing is learned"
     repeats = (2.0, 1.0, 1.0, 1.0, 1.0)  # trials 2 to 5 played one input
     assert "has ended" not in said(*repeats, 1.0, 1.0, looked_at=(2, 3, 4))
