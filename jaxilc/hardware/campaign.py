@@ -252,8 +252,8 @@ class Campaign:
         replay_input: whether to compute an input that the file lacks by the scheme's law
         expected: what the trials before expect of this one, see `calibration`
         Raises ValueError for a trial without an input, for one that was measured already, even if
-        its file was rounded, and for one that ended early where a step takes several trials: what
-        they have in common, or how they differ, is not known of its rest.
+        its file was rounded to four digits, and for one that ended early where a step takes several
+        trials: what they have in common, or how they differ, is not known of its rest.
         """
         scheme, task, live = self.scheme, self.task, self.journal.live()
         memory, number = self.memory(), live[-1]["trial"] + 1
@@ -460,7 +460,7 @@ class Campaign:
         error: RMS error of the trial, which distinguishes most trials without reading their files
         with_input: whether the input was measured too and is compared
         """
-        if abs(entry[METRICS]["error"] - error) > checks.same_up_to(record.y):
+        if abs(entry[METRICS]["error"] - error) > checks.ROUNDED * float(np.max(np.abs(record.y))):
             return False
         known = self.journal.arrays(entry, TRIAL)
         return checks.same(known["y"], record.y) and (

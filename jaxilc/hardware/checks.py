@@ -25,8 +25,10 @@ AT_LIMIT = 1e-3  # share of the limit; an input that is this close to it counts 
 AS_PLAYED = 1e-4  # share of a schedule's peak by which the machine's record of it may differ
 # Share of the input's peak by which the recorded input may differ from the replayed one.
 AS_COMMANDED = 0.01
-# Share of a signal's peak by which two files of one trial may differ; one may have 9 digits only.
-SAME = 1e-8
+# Shares of a signal's peak by which two files of one trial may differ, if neither is the other one
+# rounded, and if one is, to these digits.
+SAME, ROUNDED, DIGITS = 1e-8, 1e-3, range(4, 9)
+LOOKED_AT = 1000  # samples of a signal that are looked at first, since all may take long
 # What `Rules.accept` may name: the refusals of `checks`.
 ACCEPTED = ("frozen", "jump", "schedule", "growth", "input")
 LITTLE = 0.5  # share of the error; if repeated trials differ by more, little can be learned
@@ -292,17 +294,30 @@ def _resolution(actuator: Actuator | None):
 def same(one, other) -> bool:
     """Whether two records of a signal come from one measurement.
 
-    They do if they agree to eight digits. Two trials of a machine agree so well only where what
-    differs between them is below the resolution of the encoder.
+    They do if they agree to eight digits, or if one is the other one rounded, to four digits or
+    more. Two trials of a machine agree so well only where what differs between them is below the
+    resolution of the encoder.
     """
-    return np.shape(one) == np.shape(other) and bool(
-        np.max(np.abs(np.asarray(one) - other)) <= same_up_to(one)
-    )
+    if np.shape(one) != np.shape(other):
+        return False
+    a, b = (np.ravel(np.asarray(x, float)) for x in (one, other))
+    off, peak = np.max(np.abs(a - b)), np.max(np.abs(a))
+    if not SAME * peak < off <= ROUNDED * peak:
+        return bool(off <= SAME * peak)
+    some = slice(None, None, max(1, len(a) // LOOKED_AT))
+    pairs = ((a, b), (b, a))
+    return any(_rounds(x[some], z[some], peak) and _rounds(x, z, peak) for x, z in pairs)
 
 
-def same_up_to(signal) -> float:
-    """The largest difference that two records of one measurement may have."""
-    return SAME * float(np.max(np.abs(signal)))
+def _rounds(full: np.ndarray, file: np.ndarray, peak: float) -> bool:
+    """Whether a file holds the rounded numbers: digits, as many decimals each, or float32."""
+    above = int(np.floor(np.log10(peak))) + 1
+    for digits in DIGITS:
+        significant = np.array([float(f"{x:.{digits}g}") for x in full.tolist()])
+        for rounded in (significant, np.round(full, digits - above), full.astype(np.float32)):
+            if np.max(np.abs(rounded - file)) <= SAME * peak:
+                return True
+    return False
 
 
 def rms_over_all(trial: Trial) -> float:

@@ -238,7 +238,11 @@ def rounded(trial, digits):
 
 def test_one_measured_trial_is_one_trial(copied):
     folder, _ = copied
-    for again in (TRIALS[0], TRIALS[2], rounded(TRIALS[1], 9), TRIALS[1]._replace(u=None)):
+    coarse = TRIALS[1]._replace(y=np.round(TRIALS[1].y, 4))
+    for again in (
+        TRIALS[0], TRIALS[2], *(rounded(TRIALS[1], digits) for digits in (4, 6, 8, 9)), coarse,
+        TRIALS[1]._replace(y=TRIALS[1].y.astype(np.float32)), TRIALS[1]._replace(u=None),
+    ):  # fmt: skip
         for learn in (True, False):
             with pytest.raises(
                 ValueError, match=r"is trial \d, which was learned from alr.*trial 4"
@@ -257,6 +261,7 @@ def test_one_measured_trial_is_one_trial(copied):
     # On a real machine two trials of the same table differ by more.
     other = TRIALS[3]._replace(y=TRIALS[3].y * (1 + 1e-6))
     assert opened(folder).turn(other).trial == 5
+    assert opened(folder).turn(rounded(TRIALS[3]._replace(y=other.y + 1e-4), 4)).trial == 5
     opened(folder).undo(3)
     opened(folder).keep(opened(folder).turn(TRIALS[3]))
     assert opened(folder).trials == 4
