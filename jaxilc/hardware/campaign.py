@@ -299,6 +299,7 @@ class Campaign:
             text = f"what would be learned is not a number in {wrong}"
             findings.append(Finding("refusal", text))
         findings += checks.beyond_limits(following_schedules, task, self.actuator, self.rules)
+        findings += checks.too_fast(following_schedules, task, self.actuator)
         peaks = {name: float(checks.peak(name, of, task)) for name, of in played.items()}
         if measured.u is not None:
             findings += self._as_the_machine_can(record, commanded, played, live, measured.samples)

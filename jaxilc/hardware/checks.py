@@ -275,6 +275,27 @@ def beyond_limits(
     return findings
 
 
+def too_fast(
+    schedules: Mapping[str, np.ndarray], task: Task, actuator: Actuator | None
+) -> list[Finding]:
+    """Warn of next schedules of the input that change faster than the actuator can follow."""
+    rate, findings = getattr(actuator, "rate", None), list[Finding]()
+    for name in (name for name in schedules if kind(name) in INPUTS and rate is not None):
+        slew = np.abs(np.diff(schedules[name], axis=0, prepend=0.0)) / task.dt
+        limits = np.broadcast_to(np.asarray(rate, float), slew.shape[1:])
+        shares = np.mean(slew > (1 + AT_LIMIT) * limits, axis=0)
+        i = int(np.argmax(shares))
+        if shares[i]:
+            most, unit = np.max(slew[:, i]), spaced(task.input_unit)
+            text = (
+                f"the next {name} changes by up to {most:.3g}{unit} a second, beyond the "
+                f"rate {limits[i]:g} of the actuator in {shares[i]:.2%} of the samples, so that "
+                "the machine plays another input"
+            )
+            findings.append(Finding("warning", text))
+    return findings
+
+
 def from_references(schedule, task: Task):
     """(N+1, n, 1) how far references are from those of the task.
 

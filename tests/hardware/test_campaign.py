@@ -37,7 +37,7 @@ from jaxilc.hardware import (
 )
 from jaxilc.hardware import campaign as of_campaign
 from jaxilc.hardware.campaign import learned
-from jaxilc.hardware.checks import beyond_limits, larger, saturation
+from jaxilc.hardware.checks import beyond_limits, larger, saturation, too_fast
 from jaxilc.learning import Actuator, Machine, Sensor, learn, run_trial
 from jaxilc.plants import StateSpace, from_control
 from jaxilc.scenarios import load_scenario
@@ -718,6 +718,9 @@ def test_every_table_is_looked_at_before_it_is_played():
     assert found[2].text == "the next table.weights[0] is not finite at sample 3"
     (found,) = beyond_limits({"table.u": rows["table.u"]}, task, Actuator(limit=0.3), Rules())
     assert "allowed are +-0.3 (machine.actuator.limit of the plant; --set campaign" in found.text
+    (found,) = too_fast({"table.u": rows["table.u"]}, task, Actuator(rate=0.4 / task.dt))
+    assert f"the rate {0.4 / task.dt:g} of the actuator in {1 / task.N:.2%} of" in found.text
+    assert too_fast({"table.u": rows["table.u"]}, task, Actuator(rate=0.5 / task.dt)) == []
     clips = Rules(limit=0.6)
     assert beyond_limits({"table.u": rows["table.u"]}, task, Actuator(limit=0.3), clips) == []
     (found,) = saturation(np.clip(rows["table.u"], -0.3, 0.3), Actuator(limit=0.3), clips)
