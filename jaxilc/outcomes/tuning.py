@@ -688,7 +688,7 @@ def budget_verdict(case: Case, scheme: str, numbers: Numbers, folder: Path) -> V
 # --------------------------------------------------------------------------------------------------
 
 
-ALIKE = 1e-3  # of the error, whose logarithm the loss is: two machines this near are as bad
+ALIKE = 1e-3  # of the error, or of its logarithm where all diverge: machines this near are as bad
 
 
 def worst_case(
@@ -822,9 +822,12 @@ def worst_case_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
 
 def found_by(searches: Mapping[str, Numbers]) -> str:
     """The search that found the worst machine, or one as bad, with the fewest evaluations."""
-    loss = max(row["loss"] for row in searches.values())
-    near = [name for name, row in searches.items() if loss - row["loss"] <= ALIKE]
-    return min(near, key=lambda name: searches[name]["needed"])
+    largest = max(row["value"] for row in searches.values())
+    worst = {name: row for name, row in searches.items() if row["value"] * (1 + ALIKE) >= largest}
+    if largest == math.inf:  # of errors that diverge the loss tells how far
+        loss = max(row["loss"] for row in worst.values())
+        worst = {name: row for name, row in worst.items() if loss - row["loss"] <= ALIKE}
+    return min(worst, key=lambda name: worst[name]["needed"])
 
 
 def worst_case_verdict(case: Case, scheme: str, numbers: Numbers, left_out: str = "") -> Verdict:

@@ -613,19 +613,22 @@ def test_worst_case_leads_to_its_machine():
     assert parsed(found)[0] == "certify"
     found = worst_case_verdict(OF_TUNING, "c", numbers | {"nominal": math.inf})
     assert "diverges within 15 trials, as the nominal one does;" in found.said[0]
-    sooner = search | {"loss": 0.9999, "value": 6.99, "needed": 5}
+    search |= {"value": 7.0}
+    sooner = search | {"loss": 0.9999, "value": 6.995, "needed": 5}
     numbers["searches"] |= {"gradient": search, "chance": sooner}
     said = worst_case_verdict(OF_TUNING, "c", numbers).said[0]
     assert said.endswith("found by chance, in 5 simulations."), "as bad a machine, and sooner"
     numbers["searches"]["chance"] = sooner | {"needed": 1}
     said = worst_case_verdict(OF_TUNING, "c", numbers | {"trial": 1}).said[0]
     assert said.endswith("found by chance, in 1 simulation.")
-    numbers["searches"]["chance"] = sooner | {"loss": 0.99}
-    assert "found by gradient" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
-    for error, name in ((6.98, "gradient"), (6.995, "chance")):  # 0.3 % and 0.07 % less than 7 µm
+    # 0.3 % and 0.07 % less than 7 µm; far below the floor of the loss errors have the same loss
+    for error, name, loss in ((6.98, "gradient", 1.0), (6.995, "chance", 0.99)):
+        numbers["searches"]["chance"] = sooner | {"value": error, "loss": loss}
+        assert f"found by {name}" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
+    for loss, name in ((0.99, "gradient"), (0.9999, "chance")):  # of errors that diverge
         numbers["searches"] = {
-            "gradient": search | {"loss": math.log(7.0 / 2e-6)},
-            "chance": sooner | {"loss": math.log(error / 2e-6)},
+            "gradient": search | {"value": math.inf},
+            "chance": sooner | {"value": math.inf, "loss": loss},
         }
         assert f"found by {name}" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
 
