@@ -45,11 +45,24 @@ class Bijection:
 
     low, high: () ends of the interval
     scale: () factor of the map onto the whole real line
+    margin: smallest distance of a value from an end of a finite interval, as a share of it
     """
 
     low: float
     high: float
     scale: float = 1.0
+    margin: float = MARGIN
+
+    @classmethod
+    def of(cls, low: float, high: float, start: float) -> Bijection:
+        """The map that reaches a start, however near to an end, unless it lies on the end."""
+        whole = cls(low, high, abs(start) or 1.0)
+        if not np.isfinite([low, high]).all():
+            return whole
+        share = whole._share(start)
+        margin = min(MARGIN, min(share, 1.0 - share) / 20) or MARGIN
+        rounding = float(jnp.finfo(jnp.result_type(float)).eps)
+        return dataclasses.replace(whole, margin=max(margin, rounding))
 
     def __call__(self, z):
         low, high = self.low, self.high
@@ -59,7 +72,7 @@ class Bijection:
             end, sign = (low, 1.0) if np.isinf(high) else (high, -1.0)
             nearest = np.log(MARGIN * abs(end)) if end else -FAR
             return end + sign * jnp.exp(jnp.clip(z, nearest, FAR))
-        return self._at(MARGIN + (1.0 - 2.0 * MARGIN) * jax.nn.sigmoid(z))
+        return self._at(self.margin + (1.0 - 2.0 * self.margin) * jax.nn.sigmoid(z))
 
     def inverse(self, value: float) -> float:
         """The number z that is mapped to this value inside the interval."""
@@ -70,7 +83,7 @@ class Bijection:
             return float(np.log(value - low))
         if np.isinf(low):
             return float(np.log(high - value))
-        share = (self._share(value) - MARGIN) / (1.0 - 2.0 * MARGIN)
+        share = (self._share(value) - self.margin) / (1.0 - 2.0 * self.margin)
         return float(np.log(share / (1.0 - share)))
 
     def inside(self, value: float) -> float:
@@ -83,7 +96,7 @@ class Bijection:
             near = sign * (value - end) <= 10 * MARGIN * abs(end)
             return end + sign * NUDGE * (abs(end) or 1.0) if near else value
         share = self._share(value)
-        near = not 10 * MARGIN < share < 1.0 - 10 * MARGIN
+        near = not 10 * self.margin < share < 1.0 - 10 * self.margin
         return float(self._at(NUDGE if share < 0.5 else 1.0 - NUDGE)) if near else value
 
     def end(self, value: float) -> float | None:
@@ -140,9 +153,7 @@ class Weights:
             for element, b in _elements(scheme, name, of).items()
         }
         start = {name: float(get_at(scheme, name)) for name in bounds}
-        return cls(
-            {name: Bijection(*b, abs(start[name]) or 1.0) for name, b in bounds.items()}, start
-        )
+        return cls({name: Bijection.of(*b, start[name]) for name, b in bounds.items()}, start)
 
     def at(self, z) -> dict[str, jax.Array]:
         """The values of the weights by name, for z (..., P)."""
@@ -192,7 +203,7 @@ class Tuned:
     held_out: (steps + 1, K) held-out loss, NaN where it was not computed
     before, after: held-out loss with `start` and with `values`
     step: after which the iterate was reached, 0 for `start`
-    nudged: new values by name, of weights that were moved away from an end of their range
+    nudged: new values by name, of weights that lay on an end of their range and were moved away
     """
 
     values: dict[str, float]

@@ -82,6 +82,12 @@ def test_bijections_are_one_to_one_and_stay_inside(interval):
         if np.isfinite(end):  # beside an end, the value from which a tuning starts is the one told
             inside = bijection.inside(end + 1e-9 * (float(bijection(0.0)) - end))
             np.testing.assert_allclose(bijection(bijection.inverse(inside)), inside, rtol=1e-9)
+        if np.isfinite(interval).all():  # a start beside an end is within reach, and is not moved
+            start = end + 1e-6 * (float(bijection(0.0)) - end)
+            reaches = Bijection.of(*map(float, interval), start)
+            assert reaches.inside(start) == start
+            np.testing.assert_allclose(reaches(reaches.inverse(start)), start, rtol=1e-9)
+            assert all(interval[0] < reaches(z) < interval[1] for z in (-1e3, 1e3))
     assert [bijection.inside(v) for v in values] == values.tolist()
     if np.isfinite(interval).all() and np.prod(interval) > 0:  # the middle is the geometric mean
         np.testing.assert_allclose(abs(bijection(0.0)), np.sqrt(np.prod(interval)), rtol=1e-9)
