@@ -14,6 +14,7 @@ import numpy as np
 from .. import figures
 from ..figures.searches import worst_by_effort
 from ..figures.style import labelled
+from ..learning.over_trials import check
 from ..pytree.aliases import Value
 from ..pytree.closest import listed
 from ..pytree.named_paths import get_at
@@ -24,7 +25,6 @@ from ..storage.sealed import write_json
 from ..sweeps.summary import summarise
 from ..tuning import Tuned, Tuning, trade_off
 from ..tuning.objectives import Final, Objective
-from ..tuning.weights import Bijection
 from ..tuning.worst_case import DRAWS, ENOUGH, GRADIENT_COST, worst_machine
 from ..uncertainty import Normal, Uncertainty
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
@@ -117,6 +117,8 @@ def tune(
         for weight, row in numbers["weights"].items():
             if of is not None and name in (weight, weight.partition("[")[0]):
                 row["range"] = [*map(float, of)]
+                if (end := _end_reached(problem, weight, row)) is not None:
+                    row["end"] = end
     result, warnings = tuning_lines(tuned, numbers)
     by_last = is_error_of(problem, chosen.judged_by, numbers["trials"])
     scale, unit = chosen.shown(chosen.judged_by)
@@ -347,10 +349,8 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path, *, by_last: bool = 
         second.append(said)
     if by_last and tuned["worst"] > given["worst"]:
         second.append("The worst machine has become worse: --risk worst or cvar tunes for it.")
-    elif ends := _at_ends(numbers["weights"]):
-        second.append(f"{ends}: beyond it may be a better value.")
     else:
-        second += _unfinished({"": held})
+        second += [*_at_ends(numbers["weights"]), *_unfinished({"": held})]
     of = case.request.without(scheme)
     command = "sweep" if case.uncertain else "run"
     what = "many machines" if case.uncertain else "the whole run"
@@ -370,13 +370,25 @@ def _unfinished(tunings: Mapping[str, Numbers], of: str = "{}") -> list[str]:
     return [more] if late else []
 
 
-def _at_ends(weights: Mapping[str, Numbers]) -> str:
-    """Which weight has come to an end of the range that was asked for; empty if none has."""
-    for name, row in weights.items():
-        low, high = row.get("range", (-math.inf, math.inf))
-        if (end := Bijection(low, high).end(row["tuned"])) is not None:
-            return f"{name} has come to the end {end:g} of its range, {low:g} to {high:g}"
-    return ""
+def _end_reached(problem: Tuning, name: str, row: Numbers) -> float | None:
+    """The end of its range that a weight has come to, where a value beyond is allowed."""
+    found = problem.bijections[name].reached(row["given"], row["tuned"])
+    try:
+        if found is not None:
+            check(problem.population.machine, problem.scheme_of({name: found[1]}), problem.task)
+    except ValueError:
+        return None
+    return found and found[0]
+
+
+def _at_ends(weights: Mapping[str, Numbers]) -> list[str]:
+    """A sentence on the first weight that has come to an end of the range asked for."""
+    return [
+        f"{name} has come to the end {row['end']:g} of its range, {row['range'][0]:g} to "
+        f"{row['range'][1]:g}: beyond it may be a better value."
+        for name, row in weights.items()
+        if "end" in row
+    ][:1]
 
 
 # `pareto`: two objectives, or the best result for each number of trials

@@ -101,12 +101,19 @@ class Bijection:
         near = not 10 * self.margin < share < 1.0 - 10 * self.margin
         return float(self._at(NUDGE if share < 0.5 else 1.0 - NUDGE)) if near else value
 
-    def end(self, value: float) -> float | None:
-        """The end of a finite interval that the value has come to; None for one inside."""
+    def reached(self, start: float, value: float) -> tuple[float, float] | None:
+        """The end of a finite interval that the value has come to, and a number beyond that end.
+
+        None for a value inside, and for one that has not gone nine tenths of its way to the end.
+        """
         if not np.isfinite([self.low, self.high]).all():
             return None
-        share = self._share(value)
-        return self.low if share < CLOSE else self.high if share > 1.0 - CLOSE else None
+        first, last = self._share(self.inside(start)), self._share(value)
+        if last < min(CLOSE, first / 10):
+            return self.low, float(self._at(-CLOSE))
+        if 1.0 - last < min(CLOSE, (1.0 - first) / 10):
+            return self.high, float(self._at(1.0 + CLOSE))
+        return None
 
     def _at(self, share):
         """The value at a share of the way from one finite end to the other."""

@@ -13,6 +13,7 @@ from typer.main import get_command
 from jaxilc import outcomes
 from jaxilc.cli import app
 from jaxilc.design.judging import Limits, judged_trials, verdict
+from jaxilc.learning import Machine
 from jaxilc.outcomes import certifying, designing
 from jaxilc.outcomes.beginning import list_verdict
 from jaxilc.outcomes.certifying import certify_verdict
@@ -23,6 +24,7 @@ from jaxilc.outcomes.running import run_verdict
 from jaxilc.outcomes.sweeping import sweep_verdict
 from jaxilc.outcomes.terms import objective_of
 from jaxilc.outcomes.tuning import (
+    _end_reached,
     _over,
     budget_verdict,
     front_verdict,
@@ -34,9 +36,13 @@ from jaxilc.outcomes.tuning import (
     worst_case_verdict,
 )
 from jaxilc.outcomes.words import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, Case, trend_of
+from jaxilc.plants import StateSpace
 from jaxilc.scenarios.published import NOTHING, Fit, Published
 from jaxilc.scenarios.reproduction import Row
+from jaxilc.schemes import NormOptimal
+from jaxilc.signals import Task
 from jaxilc.sweeps.summary import SchemeSummary
+from jaxilc.tuning import Tuning
 from jaxilc.uncertainty import Normal, Uniform
 
 J = np.arange(1, 41)
@@ -450,14 +456,12 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     assert last == "The last step was the best: more --steps, in another --out, may gain more."
     bounded = tuned(step=20)
     for end, low, high in ((0.49, 0.49, 2.0), (0.501, -1.0, 0.501), (50.0, 1e-4, 50.0)):
-        bounded["weights"]["lam"] = {"given": 1.0, "tuned": end, "range": [low, high]}
+        bounded["weights"]["lam"] |= {"range": [low, high], "end": end}
         said = f"lam has come to the end {end:g} of its range, {low:g} to {high:g}"
-        bounded["weights"]["lam"]["tuned"] = end + 1e-4 * (1 if end == low else -1)
-        bounded_said = tune_verdict(OF_TUNING, bounded, params).said[1]
-        assert bounded_said == f"{said}: beyond it may be a better value."
-    for low, high in ((0.1, 2.0), (0.0, np.inf)):
-        bounded["weights"]["lam"] = {"given": 1.0, "tuned": 0.5, "range": [low, high]}
-        assert tune_verdict(OF_TUNING, bounded, params).said[1] == last
+        bounded_said = tune_verdict(OF_TUNING, bounded, params).said[1:]
+        assert bounded_said == (f"{said}: beyond it may be a better value.", last)
+    bounded["weights"]["lam"].pop("end")
+    assert tune_verdict(OF_TUNING, bounded, params).said[1:] == (last,)
     hardly = tuned(2.98)
     hardly["figures"]["settled_error"]["tuned"]["15"]["median"] = 1.19
     assert tune_verdict(OF_TUNING, hardly, params).said[1] == (
@@ -491,6 +495,21 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
         assert parsed(nothing)[1]["params"].name == "old.json"
     none = tuned(given=np.inf, tuned=np.inf, step=0, steps=0)
     assert "No machine has a finite loss" in tune_verdict(OF_TUNING, none, params).said[0]
+
+
+def test_a_weight_has_come_to_an_end_only_where_it_moved_there_and_may_go_on():
+    """A weight of a cost is not below 0, so that nothing is said of that end."""
+    plant = StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3)
+    problem = Tuning(
+        Machine(plant), NormOptimal(plant, w_r=0.5), Task(np.ones(4), dt=1e-3), 2,
+        {"w_q": (0.5, 2.0), "w_r": (0.0, 1.0)},
+    )  # fmt: skip
+    for name, given, value, end in (
+        ("w_q", 1.0, 0.501, 0.5), ("w_q", 1.0, 1.999, 2.0), ("w_q", 1.0, 0.6, None),
+        ("w_q", 0.502, 0.501, None), ("w_q", 0.5, 0.501, None), ("w_q", 0.5, 1.999, 2.0),
+        ("w_r", 0.5, 0.999, 1.0), ("w_r", 0.5, 0.001, None), ("w_r", 0.01, 0.008, None),
+    ):  # fmt: skip
+        assert _end_reached(problem, name, {"given": given, "tuned": value}) == end
 
 
 def test_a_tuning_is_for_the_error_of_the_last_trial_or_for_more():
