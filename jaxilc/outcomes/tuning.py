@@ -18,6 +18,7 @@ from ..learning.over_trials import check
 from ..pytree.aliases import Value
 from ..pytree.closest import listed
 from ..pytree.named_paths import get_at
+from ..pytree.ranges import share_text
 from ..scenarios import Scenario
 from ..scenarios.from_file import load_scenario
 from ..scenarios.parameters import differing, write_parameters
@@ -121,6 +122,7 @@ def tune(
                     row["end"] = end
     result, warnings = tuning_lines(tuned, numbers)
     by_last = is_error_of(problem, chosen.judged_by, numbers["trials"])
+    shown = dataclasses.replace(request, trials=compare_trials or request.trials)
     scale, unit = chosen.shown(chosen.judged_by)
     band = {"metric": chosen.judged_by, "scale": scale, "unit": unit}
     configuration = problem.configuration()
@@ -129,7 +131,7 @@ def tune(
         command="tune",
         numbers=numbers,
         verdict=tune_verdict(
-            Case.of(chosen, request), numbers, place / "params.json", by_last=by_last
+            Case.of(chosen, shown), numbers, place / "params.json", by_last=by_last
         ),
         folder=place,
         scenario=chosen,
@@ -207,7 +209,7 @@ def parameter_file(
 def tuning_numbers(scenario: Scenario, scheme: str, tuned: Tuned, dataset: xr.Dataset) -> Numbers:
     """Weights, held-out losses, and quantiles over machines by metric, tuning and trial."""
     trials, machines = dataset.sizes["trial"], dataset.sizes["sample"]
-    by_metric = {}
+    by_metric, diverged, rows = {}, {}, []
     for metric in dict.fromkeys((scenario.judged_by, "max_error")):
         now = dataclasses.replace(scenario, judged_by=metric, trials=trials)
         summary = summarise(dataset, 1.0, metric=metric)
@@ -215,11 +217,15 @@ def tuning_numbers(scenario: Scenario, scheme: str, tuned: Tuned, dataset: xr.Da
         by_metric[metric] = {"unit": scenario.shown(metric)[1]} | {
             which: of[which]["by_trial"] for which in WHICH
         }
+        diverged = {which: of[which]["diverged"] for which in WHICH}
+        rows += [of[which]["by_trial"] for which in WHICH]
     return {
         "scenario": scenario.name,
         "scheme": scheme,
         "trials": trials,
         "samples": machines,
+        "drawn": _drawn(bool(scenario.uncertainty), machines, *rows),
+        "diverged": diverged,
         "weights": {
             name: {"given": tuned.start[name], "tuned": value}
             for name, value in tuned.values.items()
@@ -255,8 +261,7 @@ def tuning_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
         what = labelled(metric, rows["unit"])
         table = Table(
             right=("trial", *WHICH, "ratio of medians", "ratio of worsts"),
-            title=f"{what} {_over(numbers['samples'], rows['given'], rows['tuned'])}; "
-            "ratios are given / tuned",
+            title=f"{what} {_over(numbers['samples'], numbers['drawn'])}; ratios are given / tuned",
         )
         for j in rows["given"]:
             given, tuned = (rows[which][j] for which in WHICH)
@@ -266,15 +271,25 @@ def tuning_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
     return found
 
 
-def _over(machines: int, *rows: Numbers) -> str:
-    """The machines whose quantiles are in rows {name: {"median": .., "worst": ..}}, in words."""
-    of = f"{machines} machines never seen" if _drawn(*rows) else "the machine, nothing being drawn"
-    return f"of {of}: median (95 %, worst)"
+def _drawn(uncertain: bool, machines: int, *rows: Numbers) -> str:
+    """What differs among so many machines: `machines`, `runs` of one machine, or nothing.
+
+    rows: quantiles by trial, {trial: {"median": .., "worst": ..}}
+    """
+    if uncertain and machines > 1:
+        return "machines"
+    differ = any(row["median"] != row["worst"] for of in rows for row in of.values())
+    return "runs" if differ else ""
 
 
-def _drawn(*rows: Numbers) -> bool:
-    """Whether some machine differs from another."""
-    return any(row["median"] != row["worst"] for of in rows for row in of.values())
+def _over(machines: int, drawn: str) -> str:
+    """The machines whose quantiles are shown, in words; drawn: what `_drawn` says."""
+    of = {
+        "machines": f"{machines} machines never seen",
+        "runs": f"{machines} runs of the machine, each drawn anew",
+        "": "the machine, nothing being drawn",
+    }
+    return f"of {of[drawn]}: median (95 %, worst)"
 
 
 def tuning_lines(tuned: Tuned, numbers: Numbers) -> tuple[str, list[str]]:
@@ -299,6 +314,10 @@ def quantiles(row: dict[str, float]) -> str:
     return f"{number(row['median'])} ({number(row['high'])}, {number(row['worst'])})"
 
 
+def _share(share: float) -> str:
+    return {0.0: "none", 1.0: "all"}.get(share) or share_text(share)
+
+
 def _ratio(one: float, other: float) -> str:
     return number(one / other) if other else "–"
 
@@ -319,6 +338,8 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path, *, by_last: bool = 
         said = "No step was better than the weights as given on the machines held out."
         if not held["steps"]:
             said = "No machine has a finite loss with the weights as given: nothing was tuned."
+        if not case.uncertain:
+            return Verdict((said,), "what theory claims", case.on("certify", scheme))
         return Verdict((said,), "the worst machine", case.on("worst-case", scheme))
     changed = [
         f"{name} = {number(row['tuned'])} (was {number(row['given'])})"
@@ -329,12 +350,19 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path, *, by_last: bool = 
         f"{case.size(tuned[of])} in place of {case.size(given[of])}" for of in ("median", "worst")
     )
     first = f"{', '.join(changed[:FEW])}{more}: "
-    if not _drawn({"given": given, "tuned": tuned}):
-        first += f"the {case.error} of trial {last} is {median}."
+    machines, drawn, what = numbers["samples"], numbers["drawn"], f"{case.error} of trial {last}"
+    if drawn == "machines":
+        first += f"of {machines} machines, the nominal one and {machines - 1} not seen, "
+    elif drawn:
+        first += f"of {machines} runs of the machine, each drawn anew, "
+    diverged = [_share(numbers["diverged"][which]) for which in WHICH]
+    if drawn and tuned["median"] == math.inf:
+        first += f"{diverged[1]} diverge within {last} trials, and with the weights as given "
+        first += f"{diverged[0]}."
+    elif drawn:
+        first += f"the median {what} is {median}, the worst {worst}."
     else:
-        machines = numbers["samples"]
-        first += f"of {machines} machines, the nominal one and {machines - 1} not seen, the median "
-        first += f"{case.error} of trial {last} is {median}, the worst {worst}."
+        first += f"the {what} is {median}."
     second = []
     gain = max(1 - tuned[of] / given[of] if given[of] else 0.0 for of in ("median", "worst"))
     if not by_last:
@@ -342,13 +370,14 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path, *, by_last: bool = 
             "The objective is another than this error: on the machines held out its loss is "
             f"{held['tuned']:.4g} in place of {held['given']:.4g}."
         )
-    elif gain < WORTHWHILE:
+    elif -math.inf < gain < WORTHWHILE:
         change = "more at least" if gain < 0 else "less at best"
         good = "about as good" if gain > -WORTHWHILE else "better in this"
         said = f"That is {abs(100 * gain):.2g} % {change}: the weights as given are {good}."
         second.append(said)
     if by_last and tuned["worst"] > given["worst"]:
-        second.append("The worst machine has become worse: --risk worst or cvar tunes for it.")
+        one = "run" if drawn == "runs" else "machine"
+        second.append(f"The worst {one} has become worse: --risk worst or cvar tunes for it.")
     else:
         second += [*_at_ends(numbers["weights"]), *_unfinished({"": held})]
     of = case.request.without(scheme)
@@ -610,7 +639,8 @@ def budget_table(scenario: Scenario, scheme: str, numbers: Numbers) -> Table:
     rows = numbers["budgets"]
     metric = f"{labelled(numbers['figure'], numbers['unit'])} of trial J"
     errors = ({which: row[which] for which in WHICH} for row in rows.values())
-    what = f"{metric} {_over(numbers['samples'], *errors)}"
+    drawn = _drawn(bool(scenario.uncertainty), numbers["samples"], *errors)
+    what = f"{metric} {_over(numbers['samples'], drawn)}"
     columns = ("J", *WHICH, *next(iter(rows.values()))["weights"])
     title = f"{scenario.title}\n{scheme}, tuned for J trials: {what}"
     table = Table(right=columns, title=title)

@@ -24,6 +24,7 @@ from jaxilc.outcomes.running import run_verdict
 from jaxilc.outcomes.sweeping import sweep_verdict
 from jaxilc.outcomes.terms import objective_of
 from jaxilc.outcomes.tuning import (
+    _drawn,
     _end_reached,
     _over,
     budget_verdict,
@@ -435,6 +436,8 @@ def tuned(tuned_worst=1.0, **held):
         "scheme": "c",
         "trials": 15,
         "samples": 257,
+        "drawn": "machines",
+        "diverged": {"given": 1.0, "tuned": 0.75},
         "weights": {"lam": {"given": 1.0, "tuned": 0.5}},
         "held_out": {"step": 7, "steps": 20, "reason": "steps", "given": 2.0, "tuned": 1.0} | held,
         "figures": {"settled_error": {which: {"15": row} for which, row in at.items()}},
@@ -476,16 +479,19 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
         "The objective is another than this error: on the machines held out its loss is 1 in "
         "place of 2.",
     ), "a larger error of the last trial does not tell that the weights as given are better"
-    alike = tuned(2.0)
-    for which, row in alike["figures"]["settled_error"].items():
-        row["15"] = dict.fromkeys(("median", "worst"), 3.0 if which == "given" else 2.0)
+    alike = tuned() | {"drawn": ""}
     assert tune_verdict(OF_TUNING, alike, params).said[0] == (
-        "lam = 0.5 (was 1): the settled error of trial 15 is 2 µm in place of 3 µm."
+        "lam = 0.5 (was 1): the settled error of trial 15 is 0.4 µm in place of 1.2 µm."
     )
-    rows = (of["figures"]["settled_error"] for of in (alike, tuned()))
-    assert [_over(257, *of.values()).split(":")[0] for of in rows] == [
-        "of the machine, nothing being drawn", "of 257 machines never seen",
-    ]  # fmt: skip
+    noisy = tune_verdict(OF_TUNING, tuned() | {"drawn": "runs"}, params).said[0]
+    assert "1): of 257 runs of the machine, each drawn anew, the median settled error" in noisy
+    diverging = tuned(np.inf)
+    for of in diverging["figures"]["settled_error"].values():
+        of["15"] = dict.fromkeys(("median", "worst"), np.inf)
+    assert tune_verdict(OF_TUNING, diverging, params).said == (
+        "lam = 0.5 (was 1): of 257 machines, the nominal one and 256 not seen, 75.0% diverge "
+        "within 15 trials, and with the weights as given all.",
+    )
     another_start = tuned(step=0)
     assert tune_verdict(OF_TUNING, another_start, params).said == found.said
     another_start["weights"]["lam"]["tuned"] = 1.0
@@ -493,8 +499,26 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
         nothing = tune_verdict(OF_TUNING, numbers, params)
         assert "No step was better" in nothing.said[0]
         assert parsed(nothing)[1]["params"].name == "old.json"
+    certain = tune_verdict(OF_TUNING._replace(uncertain=False), another_start, params)
+    assert parsed(certain)[0] == "certify", "worst-case needs machines to draw"
     none = tuned(given=np.inf, tuned=np.inf, step=0, steps=0)
     assert "No machine has a finite loss" in tune_verdict(OF_TUNING, none, params).said[0]
+
+
+@pytest.mark.parametrize(
+    ("uncertain", "machines", "said"),
+    [
+        (True, 9, "9 machines never seen"),
+        (False, 9, "9 runs of the machine, each drawn anew"),
+        (True, 1, "the machine, nothing being drawn"),
+    ],
+)
+def test_a_table_says_what_differs_among_the_machines_of_a_tuning(uncertain, machines, said):
+    """Errors are alike where all diverge, and those of the same machine differ by its noise."""
+    alike = {"20": dict.fromkeys(("median", "worst"), np.inf)}
+    noisy = {"1": {"median": 1.0, "worst": 1.0 if machines == 1 else 1.1}} | alike
+    assert _over(machines, _drawn(uncertain, machines, alike, noisy)).split(":")[0] == f"of {said}"
+    assert not _drawn(False, machines, alike)
 
 
 def test_a_weight_has_come_to_an_end_only_where_it_moved_there_and_may_go_on():
