@@ -499,7 +499,9 @@ def validated(record: Record, plant: Plant, share: float = 0.0) -> Validation:
 
 OWN, LAGS = 60, 20  # past samples of the input, and of the residual, that predict the input
 SAMPLES, MOST_LOOKED_AT = 5, 20_000  # for each parameter at least, and of a record at most
-CHANCE = 1e-5  # with which an open loop is taken for a closed one
+CHANCE = 1e-5  # with which an open loop is taken for a closed one, where the input is random
+FORESEEN, LINES = 0.005, 0.85  # share its past leaves, power in a quarter of its spectrum: no noise
+ANSWERED = 0.2  # of what is left of such an input: a feedback that explains less is none
 SHARE = 0.1  # of the samples: length of F at most
 LONGEST = 400  # samples
 
@@ -509,8 +511,10 @@ def feedback_seen(record: Record, residual, *, late: int = 0) -> bool:
 
     The input is predicted from its own past, then from the residual too. In an open loop the second
     prediction is hardly better, also where the model is not the plant: what it misses is made of
-    the past of the input. The residual of the same sample tells a loop that is closed without a
-    delay, but it is made of that input, too, where the output answers within the sample.
+    the past of the input. Of an input that hardly is random, such as a multisine, it tells what
+    lies further back, too: on simulated machines up to 7 % of what was left, where a feedback told
+    60 % and more. The residual of the same sample tells a loop that is closed without a delay, but
+    it is made of that input, too, where the output answers within the sample.
 
     residual: (N+1, 1) recorded output minus the simulated one; one input and one output
     late: samples that pass at least until the input answers; 1 leaves out the same sample
@@ -524,12 +528,18 @@ def feedback_seen(record: Record, residual, *, late: int = 0) -> bool:
     windows = np.lib.stride_tricks.sliding_window_view
     own = np.column_stack([np.ones(len(u) - OWN), windows(u[:-1], OWN)])
     answered = windows(e[OWN - LAGS + 1 - late : len(e) - late], LAGS)
-    left = [_left(past, u[OWN:]) for past in (own, np.column_stack([own, answered]))]
-    if not left[1] > 1e-12 * np.sum((u - np.mean(u)) ** 2):
-        return False  # an input that predicts itself, such as a sinusoid
-    if left[1] > (1 - LITTLE) * left[0]:
+    Q, R = np.linalg.qr(np.column_stack([own, answered, u[OWN:]]))  # no direction is cut off
+    of_both = R[own.shape[1] :, -1]
+    first, then = np.sum(of_both**2), of_both[-1] ** 2
+    size = np.sum((u - np.mean(u)) ** 2)
+    if not first > 1e-12 * size:
+        return False  # an input that predicts itself, such as a sum of a few sinusoids
+    power = np.abs(np.fft.rfft(Q[:, own.shape[1] :] @ of_both * np.hanning(len(Q)))) ** 2
+    of_lines = np.sum(np.sort(power)[-len(power) // 4 :]) > LINES * np.sum(power)
+    least = ANSWERED if of_lines or first < FORESEEN * size else LITTLE
+    if then > (1 - least) * first:
         return False
-    ratio = (left[0] - left[1]) / LAGS / (left[1] / freedom)
+    ratio = (first - then) / LAGS / (max(then, 1e-15 * first) / freedom)
     return bool(scipy.stats.f.sf(ratio, LAGS, freedom) < CHANCE)
 
 
@@ -557,9 +567,3 @@ def of_reference(record: Record, reference) -> Record:
     past = np.column_stack([past, np.ones(len(u))])
     found, *_ = np.linalg.lstsq(past, u, rcond=1e-8)
     return record._replace(u=(past @ found)[:, None])
-
-
-def _left(past: np.ndarray, u: np.ndarray) -> float:
-    """The sum of squares that a linear prediction leaves."""
-    found, *_ = np.linalg.lstsq(past, u, rcond=1e-10)
-    return float(np.sum((u - past @ found) ** 2))

@@ -101,6 +101,24 @@ def test_what_is_not_linear_is_no_closed_loop(seed):
     assert not feedback_seen(record, y[:, None] - found.simulated)
 
 
+def test_an_input_fixed_beforehand_is_no_closed_loop_however_its_plant_is_missed():
+    """Of a lag with Coulomb friction and a multisine a loop was told, in 4 of 4 records."""
+    t = np.arange(3000) * 1e-3
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        for lines, highest in ((40, 200.0), (100, 450.0)):
+            phases = 2 * np.pi * np.outer(t, np.linspace(highest / lines, highest, lines))
+            of_lines = np.cos(phases + rng.uniform(0, 6.28, lines)).sum(axis=1)
+            u, v, y = of_lines / lines**0.5, 0.0, np.zeros(len(t))
+            for k in range(len(t)):
+                y[k] = v
+                v += 0.03 * (u[k] - v - 0.05 * np.tanh(v / 1e-2))
+            y += 2e-3 * np.std(y) * rng.standard_normal(len(t))
+            linear = scipy.signal.lfilter([0, 0.03], [1, -0.97], u)
+            e = y - linear * (linear @ y) / (linear @ linear)
+            assert not feedback_seen(Record(u[:-1], y, 1e-3), e[:, None], late=1), (lines, seed)
+
+
 def test_a_reference_that_rests_excites_nothing():
     with pytest.raises(ValueError, match="the reference does not move"):
         of_reference(Record(np.ones(50), np.ones(51), DT), np.zeros(50))
