@@ -22,6 +22,10 @@ DRAWS = 4000  # draws of the parameters, for the intervals of the poles
 class Estimate(NamedTuple):
     """A number with its 95 % confidence interval.
 
+    Of a fit to a record the noise may have a colour, which is found from the residual. Then the
+    interval holds the true number in 90 to 97 of 100 records of at least 120 samples where noise
+    goes on for 3 samples, or of 500 where it does for 20; of 120 samples with the latter, in 85.
+
     low, high: ends of the interval, infinite where the record does not determine the number
     """
 
@@ -59,7 +63,7 @@ class Identified(NamedTuple):
         +-1.96 / sqrt(samples); 0.95 is expected of white noise
     white: whether all shares reach 0.8, which white noise misses once in 400 times. If false, the
         structure is too simple, or the noise is coloured, or rounding is the only noise: the
-        plant may still be good; the intervals are widened to what its spectrum says
+        plant may still be good. The intervals are widened to what its spectrum says in any case
     converged: whether the optimiser met its tolerances; with too many parameters for the record it
         may make ever smaller progress without meeting them
     of_response: whether lines of a frequency response were fitted. Then `samples` counts them,
@@ -131,14 +135,20 @@ def judged(problem: Problem, found: Minimum) -> Identified:
     )
     whiteness = np.array([_whiteness(residual[:samples, i]) for i in range(problem.plant.n_y)])
     white = bool(np.all(whiteness >= WHITE))
-    if not white:
-        covariance = widened(covariance, J, residual[:samples] / problem.scale)
-    half = scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2) * np.sqrt(np.diag(covariance))
+    plain = np.diag(covariance)
+    covariance = widened(covariance, J, residual[:samples] / problem.scale)
+    variance = np.diag(covariance)
+    known = np.isfinite(variance) & (variance > 0)
+    share = np.divide(plain, variance, out=np.ones(len(plain)), where=known)  # independent samples
+    wide = scipy.special.stdtrit(np.maximum(freedom * share, 2.0), 0.5 + CONFIDENCE / 2)
+    half = wide * np.sqrt(variance)
+    wide = wide / scipy.special.ndtri(0.5 + CONFIDENCE / 2)
     biases = (
         ["bias"] if problem.plant.n_y == 1 else [f"bias[{i}]" for i in range(problem.plant.n_y)]
     )
     modelled = isinstance(problem.plant, ProcessModel | ModalModel)
-    poles = poles_of(problem.plant, problem.names, theta, covariance) if modelled else ()
+    spread = covariance * np.outer(wide, wide)
+    poles = poles_of(problem.plant, problem.names, theta, spread) if modelled else ()
     fit = fit_of(y[:samples], residual[:samples])
     std = np.sqrt(np.sum(residual[:samples] ** 2, axis=0) * problem.plant.n_y / freedom)
     error = np.where(fit > GOOD, NOISE * std, 0.0)
@@ -182,8 +192,10 @@ def widened(covariance, J, residual):
 
         (J^T J)^-1 (sum_f S(f) J(f)^* J(f)^T) (J^T J)^-1
 
-    S is the spectrum of an autoregression of the residual (Yule and Walker): slow parts of the
-    sensitivity meet slow noise, of which a record has few independent values.
+    S is the spectrum of an autoregression of the residual, of the order of least BIC, 0 for white
+    noise: slow parts of the sensitivity meet slow noise, of which a record has few independent
+    values. A short record shows it too fast, by (1 + 3 a) / n of one number a (Kendall 1954), which
+    is added to the first.
 
     covariance: (P, P) for white noise;  J: (n, n_y, P);  residual: (n, n_y)
     """
@@ -193,12 +205,16 @@ def widened(covariance, J, residual):
     inverse = np.where(np.outer(known, known), inverse, 0.0)
     middle, power = np.zeros((P, P)), 0.0
     for i in range(residual.shape[1]):
-        a, r = autoregression(residual[:, i])
+        _, r = autoregression(residual[:, i])
         if not r[0] > 0:
             return covariance
+        a = _of_least_bic(r, n)
+        left = max(r[0] - a @ r[1 : len(a) + 1], 0.0)
+        if len(a):
+            a[0] += max(min((n * np.sum(a) + 1) / (n - 3), 1 - 1 / n) - np.sum(a), 0.0)
         lines = np.fft.rfftfreq(n)
-        whitening = 1 - np.exp(-2j * np.pi * np.outer(lines, np.arange(1, len(r)))) @ a
-        S = max(r[0] - a @ r[1:], 0.0) / np.abs(whitening) ** 2
+        whitening = 1 - np.exp(-2j * np.pi * np.outer(lines, np.arange(1, len(a) + 1))) @ a
+        S = left / np.abs(whitening) ** 2
         J_f = np.fft.rfft(J[:, i], axis=0)
         twice = np.where((lines == 0) | (lines == 0.5), 1.0, 2.0) / n
         middle += np.real((J_f.conj().T * (twice * S)) @ J_f)
@@ -207,6 +223,14 @@ def widened(covariance, J, residual):
     plain = power * np.diag(inverse)
     factor = np.sqrt(np.maximum(np.where(known, coloured, 1.0) / np.where(known, plain, 1.0), 1.0))
     return covariance * np.outer(factor, factor)
+
+
+def _of_least_bic(r, n) -> np.ndarray:
+    """The autoregression of (n,) samples with covariances r, of the order of least BIC."""
+    fits = [scipy.linalg.solve_toeplitz(r[:m], r[1 : m + 1]) for m in range(1, len(r))]
+    fits = [np.zeros(0), *fits]
+    left = np.maximum([r[0] - a @ r[1 : len(a) + 1] for a in fits], 1e-15 * r[0])
+    return fits[int(np.argmin(n * np.log(left) + np.log(n) * np.arange(len(fits))))]
 
 
 def autoregression(residual) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from jaxilc.identification import Record
+from jaxilc.identification import Record, identify
 from jaxilc.identification.refitting import process_model_of, refit
 from jaxilc.identification.verdict import inverse_of_normal, widened
 from jaxilc.plants import ProcessModel, StateSpace
@@ -100,4 +100,18 @@ def test_intervals_hold_where_the_noise_is_coloured():
         for counts, of in ((inside, widened(plain, J, residual)), (before, plain)):
             counts += np.abs(found) < 1.96 * np.sqrt(np.diag(of))
     assert np.all(before < 0.5 * 200)
-    assert np.all(inside > 0.85 * 200)
+    assert np.all(inside > 0.91 * 200)
+    e = rng.standard_normal((1000, 1))
+    np.testing.assert_allclose(widened(plain, J, e), plain, rtol=0.02)  # white noise
+
+
+def test_intervals_hold_of_a_short_record_whose_noise_the_test_of_whiteness_misses():
+    """They held the truth in 67 to 72 of 100 records."""
+    u = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], 24), 5)
+    kept, inside, plant = np.exp(-0.08), np.zeros(3), ProcessModel(2.0, [], [8.0], [], [])
+    for seed in range(40):
+        v = scipy.signal.lfilter([0.2], [1, -0.7], np.random.default_rng(seed).normal(size=321))
+        y = scipy.signal.lfilter([0, 2 * (1 - kept)], [1, -kept], np.append(u, 0)) + v[200:]
+        found = identify(Record(u, y, 0.01), plant, fit_share=1.0).parameters
+        inside += [of.low < x < of.high for of, x in zip(found.values(), (2, 8, 0), strict=True)]
+    assert np.all(inside >= 34), inside
