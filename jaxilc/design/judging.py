@@ -57,8 +57,8 @@ class Verdict(NamedTuple):
         there is none
     lost: why the law is out of question, empty if it is not
     summary: of the sweep
-    gained_later: the share by which the 95 % error falls in the trials from the last one asked for
-        on, from the mean of their first quarter to that of their last one
+    gained_later: the share by which the 95 % error falls from the least of the trials asked for to
+        the mean of the last quarter of those from there on
     """
 
     candidate: Candidate
@@ -97,15 +97,18 @@ def verdict(
         worst=float(np.max(summary.worst[last:])),
         settled_at=1 + int(np.argmax(high <= SETTLED * error)),
         tolerated_from=_stays_from(high, tolerance), lost=lost, summary=summary,
-        gained_later=_gain(high[last:]),
+        gained_later=_gain(high, trials),
     )  # fmt: skip
 
 
-def _gain(errors: np.ndarray) -> float:
-    """The share by which errors fall, by the means of their first and their last quarter."""
-    quarter = -(-len(errors) // 4)
-    first, last = np.mean(errors[:quarter]), np.mean(errors[-quarter:])
-    return float(1 - last / first) if 0 < first < np.inf else 0.0
+def _gain(errors: np.ndarray, trials: int) -> float:
+    """The share by which the error falls from the least of these trials to the later ones' end.
+
+    The least, since by chance one trial has more; the end is the mean of the last quarter.
+    """
+    least, later = np.min(errors[:trials]), errors[trials - 1 :]
+    last = np.mean(later[-max(len(later) // 4, 1) :])
+    return float(1 - last / least) if 0 < least < np.inf else 0.0
 
 
 def _stays_from(high: np.ndarray, tolerance: float | None) -> int:

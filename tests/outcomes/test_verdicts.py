@@ -145,7 +145,7 @@ def test_a_design_keeps_the_settings_of_machine_and_feedback():
     ("trials", "factor", "left", "said"),
     [
         (20, 0.5, 0.01, "Stop after trial 12: what later trials gain is less than 5 %."),
-        (20, 0.99, 0.0, "still falls after trial 20, by 26% to trial 60: more trials than 20"),
+        (20, 0.99, 0.0, "still falls after trial 20, by 30% to trial 60: more trials than 20"),
         (350, 0.5, 0.01, "Stop after trial 12: what later trials gain is less than 5 %."),
         (350, 0.99, 0.0, "The error still falls in trial 350: more trials leave less."),
         (350, 0.999, 0.0, "Stop after trial 302: what later trials up to 350 gain is less than"),
