@@ -46,7 +46,6 @@ ROUNDING = 1e3  # in units of the last place of the largest output
 CLEAR = 1e3  # as many times larger is an error whose ratio to the next one is looked at
 TURNS = 20  # bits of a quantile: 8 of its exponent, 12 of its fraction
 HIGH = 0.95  # share of the samples below the high quantile
-NOTHING_OFF = 1e-12  # share off the diagonal that is rounding
 UNPROVED = np.nan  # what no paper proves of a scheme, and the share of no premise of it
 
 
@@ -207,7 +206,7 @@ def bounds_of(machine: Machine, scheme: Scheme, task: Task, u: Value = None) -> 
     b = largest(jnp.linalg.norm(Phi, axis=1)) if L_y + L_u > 1 else largest(jnp.abs(phi))
     total = jnp.sum(every)
     left_out = jnp.sum(rest) / jnp.where(total > 0, total, 1.0)
-    unproved = jnp.full((), UNPROVED)
+    unproved, slight = jnp.full((), UNPROVED), ROUNDING * jnp.finfo(phi.dtype).eps
     found = dict.fromkeys(Bounds._fields, unproved) | {
         "ppd_low": low,
         "ppd_high": high,
@@ -215,7 +214,7 @@ def bounds_of(machine: Machine, scheme: Scheme, task: Task, u: Value = None) -> 
         "b": b,
         "lam_min": b**2 / 4,
         "linear": jnp.asarray(_linear(machine, task)),
-        "alone": left_out <= NOTHING_OFF,
+        "alone": task.N * largest(rest) <= (slight * jnp.min(jnp.abs(phi))) ** 2,
     }
     if isinstance(scheme, FFDLMFAILC | FFDLMFAC | CFDLMFAPC):
         eta, mu, square = _first(scheme.eta), _first(scheme.mu), _first(scheme.epsilon) ** 2

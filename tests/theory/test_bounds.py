@@ -394,6 +394,7 @@ class Twice(CFDLMFAILC):
         ("signs", static_machine(1e-6), SCHEME),
         ("damped", static_machine(1.2), dataclasses.replace(SCHEME, lam=0.3)),
         ("alone", dynamic_machine(), SCHEME),
+        ("alone", dynamic_machine((1e-12,), (1.2,)), SCHEME),  # more than rounding of an output
         ("printed", static_machine(1.2), dataclasses.replace(SCHEME, limit=0.3)),
         ("printed", static_machine(1.2), dataclasses.replace(SCHEME, lead=2)),
         ("printed", static_machine(1.2), Twice(lam=0.5, phi0=0.4, reset="sign")),
