@@ -69,7 +69,7 @@ LARGEST = 1024  # rows up to which a matrix is made where it decides
 MOST = 4000  # trials over which a limit is looked for
 DRIFT = 1e-8  # share of what an error moves, above which a growth in each trial is no rounding
 WIDE = 1e-12  # relative width that covers the rounding of a norm, where ROUNDING is less
-FARTHEST = 10  # powers of 1024 between an input and a parameter, also in single precision
+FARTHEST = 100  # powers of 2 between an input and a parameter, also in single precision
 SIGNS = 8  # random signals whose mean tells the length of a column
 TILE = 2**28  # bytes of Lanczos vectors in a tile
 ROOM = 2**27  # bytes of the dense matrices of the machines that are looked at together
@@ -80,9 +80,10 @@ class View(NamedTuple):
 
     whole:  whether w is all that the scheme knows, in place of its feedforward
     moving: (n,) which entries of it learning ever changes; all, where it changes none
-    units:  (n,) powers of 1024, which round nothing, that w has over what the scheme knows, so that
-            parameters count as the input that they make, where those of a leaf differ; None for 1.
-            A parameter of the snap may be 1e-9 of the input, which would be rounding beside it
+    units:  (n,) what w is over what the scheme knows, so that each entry counts as the input that
+            it makes, in any unit; None for 1. They are one for each leaf, as of the errors of a
+            trial, and powers of 1024 where those of a leaf differ: a parameter of the snap may be
+            1e-9 of the input, which would be rounding beside it
     """
 
     whole: bool
@@ -188,12 +189,13 @@ def view_of(scheme: Scheme, task: Task) -> View:
         leaves = jax.tree.leaves(jax.eval_shape(lambda: scheme.initial_memory(task)))
         reach = np.asarray(_reach(scheme, task), float)
         told = (reach > 0) & np.isfinite(reach)
-        powers = np.log2(reach, where=told, out=np.zeros(len(reach))) / 10
-        powers = np.clip(np.rint(powers), -FARTHEST, FARTHEST)
+        bits = np.log2(reach, where=told, out=np.zeros(len(reach)))
         for part in np.split(np.arange(len(reach)), np.cumsum([x.size for x in leaves])[:-1]):
-            if len({*powers[part][told[part]]}) < 2:  # of one unit, as samples of an input are
-                powers[part] = 0.0
-        units = tuple((1024.0**powers).tolist()) if np.any(powers) else None
+            apart = 10 * np.rint(bits[part] / 10)
+            same = len({*apart[told[part]]}) == 1  # of one unit, as samples of an input are
+            bits[part] = np.max(bits[part], where=told[part], initial=-np.inf) if same else apart
+        bits = np.clip(bits, -FARTHEST, FARTHEST)
+        units = tuple((2.0**bits).tolist()) if np.any(bits) else None
         return View(True, tuple(range(len(reach))), units)
     moves = _moves(scheme, task)
     return View(False, tuple(np.flatnonzero(moves if np.any(moves) else ~moves).tolist()))
@@ -201,12 +203,30 @@ def view_of(scheme: Scheme, task: Task) -> View:
 
 @jax.jit
 def _reach(scheme: Scheme, task: Task) -> jax.Array:
-    """(n,) about how much input each entry of what a scheme knows makes at once, rms over signs."""
+    """(n,) about how much input each entry of what a scheme knows makes, rms over signs.
+
+    That is in the next trial, or else in the first one in which it makes any, by learning alone.
+    """
     free = scheme.unlimited().prepared(task)
-    known, unravel = ravel_pytree(free.initial_memory(task))
+    first = free.initial_memory(task)
+    known, unravel = ravel_pytree(first)
     u, pull = jax.vjp(lambda known: free.feedforward(unravel(known), task), known)
+
+    def following(known):
+        memory, y = unravel(known), jnp.zeros((task.N + 1, task.outputs), u.dtype)
+        trial = free.record(free.feedforward(memory, task), y, task)
+        return ravel_pytree(free.learn(memory, trial))[0].astype(known.dtype)
+
+    def later(_, found):
+        reach, pulled = found
+        pulled = jax.vmap(back)(pulled)[0]
+        return jnp.where(reach > 0, reach, jnp.sqrt(jnp.mean(pulled**2, axis=0))), pulled
+
+    back = jax.vjp(following, known)[1]
     signs = jnp.asarray(np.random.default_rng(9).choice([-1.0, 1.0], (SIGNS, *u.shape)), u.dtype)
-    return jnp.sqrt(jnp.mean(jax.vmap(pull)(signs)[0] ** 2, axis=0))
+    pulled = jax.vmap(pull)(signs)[0]
+    reach = jnp.sqrt(jnp.mean(pulled**2, axis=0))
+    return lax.fori_loop(1, len(jax.tree.leaves(first)), later, (reach, pulled))[0]
 
 
 def changes_nothing(scheme: Scheme, task: Task) -> bool:

@@ -227,7 +227,8 @@ def test_a_certificate_of_a_law_on_a_basis_does_not_depend_on_the_units_of_its_p
     np.testing.assert_allclose(found.floor, rms, rtol=1e-6)
     units = view_of(law, task).units
     assert bool(places) == (units is not None)
-    assert view_of(SCHEMES["higher_order_leaky_limited"], task).units is None
+    units = view_of(SCHEMES["higher_order_leaky_limited"], task).units
+    np.testing.assert_allclose(units, np.repeat((1.0, 0.2, 0.1, 0.4, 0.2), task.N), rtol=1e-12)
 
 
 def test_what_was_learned_serves_a_reference_of_another_length_and_size():

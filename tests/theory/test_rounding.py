@@ -12,7 +12,7 @@ from jaxilc.learning import Actuator, Machine, Sensor
 from jaxilc.learning.variation import Variation
 from jaxilc.plants import BoucWen, Dahl, InputHysteresis, StateSpace
 from jaxilc.scenarios.from_file import read_scenario
-from jaxilc.schemes import PIDType
+from jaxilc.schemes import HigherOrder, PIDType
 from jaxilc.signals import Task
 from jaxilc.theory import certificates, rounding
 from jaxilc.theory.certificates import certify, certify_each, long_run
@@ -125,6 +125,22 @@ def test_what_is_not_claimed_of_a_machine_that_rounds():
     claim, why = of(lost)
     assert claim == "not claimed"
     assert "learned from alike" in why
+
+
+@pytest.mark.thorough
+def test_what_is_claimed_of_a_law_that_remembers_errors_does_not_depend_on_their_unit():
+    """The errors that it remembers are in the unit of y, beside inputs in that of u."""
+    r, told = np.sin(np.linspace(0.0, 5.0, N + 1)), []
+    A, B, C = [[0.7, 0.2], [0.0, 0.5]], [[0.3], [0.5]], np.array([[1.0, 0.2]])
+    for unit in (1.0, 10.0, 1e-3):  # of y
+        plant, sensor = StateSpace(A, B, C * unit, dt=1e-3), Sensor(resolution=0.003 * unit)
+        machines = drawn_machines(Machine(plant, sensor=sensor), {}, {})
+        law = HigherOrder((0.7, 0.2, 0.1), np.array([0.42, 0.0, 0.18]) / unit)
+        found = long_run(machines, law, Task(r * unit, dt=1e-3))
+        ball = f"{found.ball.error[0] / unit:.6g}"
+        told.append((found.claim[0], found.reason[0], ball))
+    assert {*told} == {told[0]}
+    assert told[0][0] == "converges"
 
 
 def test_hysteresis_at_the_input_holds_learning_within_a_ball():
