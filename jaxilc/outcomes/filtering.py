@@ -351,15 +351,19 @@ def _scheme_verdict(name: str, answered: Question, uncertainty) -> str:
     if not answered.stable:
         return f"{name}: nothing is claimed{over}: a loop without learning is not stable."
     if value < 1:
-        rest = "proved for all of them" if answered.proof.proved else "on the machines tried"
         return (
-            f"{name}: safe{over}: |Q (1 - L P)| is at most {number(value)} ({rest}), a margin of "
+            f"{name}: safe{over}: |Q (1 - L P)| is at most {_at_most(answered)}, a margin of "
             f"{number(1 - value)}; it is largest {where}."
         )
     return (
         f"{name}: not safe{over}: |Q (1 - L P)| reaches {number(value)} {where}; what is learned "
         "there grows, or never comes nearer to its limit."
     )
+
+
+def _at_most(answered: Question) -> str:
+    rest = "proved for all of them" if answered.proof.proved else "on the machines tried"
+    return f"{number(answered.peak)} ({rest})"
 
 
 def _how_far(answered: Question, best: Offer | None, margin: float, scale, unit) -> str:
@@ -436,7 +440,7 @@ def _scheme_synthesised(
     take = f"jaxilc certify {path} --scheme {named}" if ready else f"add {path} to a plant file"
     take = take if tested.peak < 1 else "not safe: more --taps or a smaller --band"
     said = (
-        f"Synthesised with {taps} taps: |Q (1 - L P)| is at most {number(tested.peak)}, "
+        f"Synthesised with {taps} taps: |Q (1 - L P)| is at most {_at_most(tested)}, "
         f"learned to a tenth up to {number(tested.curves.learned_up_to)} Hz, "
         f"{number(scale * tested.now.floor)} {unit} rms left; {take}."
     )

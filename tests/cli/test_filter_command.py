@@ -64,7 +64,7 @@ def answer(value: float, proof: WholeSet) -> tuple[Question, Lines]:
     P = np.array([[1.0, 1.0, 0.5, 0.1], [0.9, 0.9, 0.4, 0.1], [1.1, 1.1, 0.6, 0.1]], complex)
     lines = Lines(f, P, 0 * P.real, one, 0.5 * one, 2e-3)
     values, points = np.array([0.5, value, 0.55]), np.array([[1.0], [0.85], [1.15]])
-    loop = Loop(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
+    loop = Loop(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)))
     tried = Tried(("plant.gain",), points, values, f[:3], values, 0 * values, [loop] * 3)
     now = Offer("as it is", {}, Change(1.0, 0, 20.0, 2), value, 14.0, 0.01)
     curves = curves_of(lines)
@@ -85,16 +85,19 @@ def test_the_answer_for_a_machine(here, monkeypatch, value, proof, said, bound):
     offer = Offer("largest cutoff", better, Change(1.0, 1, 50.0, 2), 0.89, 30.0, 0.002)
     monkeypatch.setattr(q_filter, "question", lambda *_, **__: answer(value, proof))
     monkeypatch.setattr(q_filter, "offers_of", lambda *_: [offer])
+    monkeypatch.setattr("jaxilc.outcomes.filtering._lead_of", lambda *_: 0.0)
     asked = ("--vary", "machine.plant.gain=15%", "--report", "o.json", "--out", "o")
-    asked += ("--set", "plant.poles[0]=61", "--set", "ilc.scheme.lead=2")
-    code, out, _ = call("filter", "axis.toml", *asked)
-    assert code == 0
+    asked += ("--set", "plant.poles[0]=61", "--set", "ilc.scheme.lead=2", "--taps", "3")
+    code, out, err = call("filter", "axis.toml", *asked)
+    assert code == 0, err
     found = json.loads((here / "o.json").read_text())["schemes"]["ilc"]
     assert (found["peak"], found["safe"]) == (bound, bound < 1)
     assert found["machine"] == {"plant.gain": 0.85}
     assert found["offers"][0]["set"] == better
     text = " ".join(out.split())
     assert said in text
+    rest = "proved for all of them" if np.isfinite(proof.bound) else "on the machines tried"
+    assert f"Synthesised with 3 taps: |Q (1 - L P)| is at most {bound:g} ({rest})" in text
     assert "10 Hz on the machine plant.gain x 0.85" in text
     assert "0.002 mm rms is left instead of 0.01 mm" in text
     assert "certify has no --vary: its machines are the nominal one alone" in text
