@@ -137,7 +137,7 @@ def tune(
         scenario=chosen,
         tables=tuning_tables(chosen, numbers),
         lines=[result],
-        warnings=[*warnings, *limits_not_met(problem, tuned, limits)],
+        warnings=[*warnings, *without_size(problem), *limits_not_met(problem, tuned, limits)],
         figures={
             "loss": Figure(
                 "The loss at each step of the tuning, on the machines tuned on and on others.",
@@ -307,6 +307,16 @@ def tuning_lines(tuned: Tuned, numbers: Numbers) -> tuple[str, list[str]]:
         most = int(tuned.dropped.max())
         warnings.append(f"up to {most} machines a step had no finite slope and were left out")
     return result, warnings
+
+
+def without_size(problem: Tuning) -> list[str]:
+    """A line for each weight whose steps do not suit it but by chance, as nothing tells its size."""
+    return [
+        f"{name} starts at 0 without a finite range, so its steps are {problem.rate:g} in whatever "
+        f"unit it has; {name}=LOW:HIGH would tell its size"
+        for name, of in problem.bijections.items()
+        if not problem.start[name] and {abs(of.low), abs(of.high)} <= {0.0, math.inf}
+    ]
 
 
 def quantiles(row: dict[str, float]) -> str:

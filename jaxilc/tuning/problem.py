@@ -118,8 +118,8 @@ class Tuning:
         and closures, not by what they read from a module), or `least-squares`: Levenberg-Marquardt
         on the losses of the machines; it minimises their mean square, not the risk, and needs
         losses >= 0
-    rate: rate of adam on the real line: 0.1 is 10 % of a positive weight, or of the size of one
-        that starts at 0: the width of a finite range, or else what changes the loss by a tenth
+    rate: rate of adam on the real line: 0.1 is 10 % of a positive weight, and 0.1 in its own unit
+        of one that starts at 0, unless it has a finite range, whose width is its size
     steps: largest number of steps
     starts: number K of starts; the first has the scheme's own values, the others lie around it with
         the standard deviation `scatter` on the real line
@@ -172,7 +172,7 @@ class Tuning:
         machine = cast("Machine", self.machine)
         check(machine, self.scheme, self.task)
         self._check_settings()
-        self._asked.need_room(machine, self.scheme, self.task)
+        self._weights.need_room(machine, self.scheme, self.task)
         self._need_room()
         _ = self.population.drawn  # which cannot be drawn where a number leaves its range
         jax.eval_shape(lambda: self.loss_of(machine, {}))
@@ -228,18 +228,13 @@ class Tuning:
         return Population(*of)
 
     @cached_property
-    def _asked(self) -> Weights:
-        return Weights.of(self.scheme, self.weights)
-
-    @cached_property
     def _weights(self) -> Weights:
-        """The weights, sized by the loss of the nominal machine, for which it is compiled."""
-        return self._asked.sized(partial(self.loss_of, self.population.machine))
+        return Weights.of(self.scheme, self.weights)
 
     @cached_property
     def _losses(self) -> Losses:
         """The losses, with the lanes that suit them where they were left open."""
-        losses = Losses(self, self._asked, self.lanes or 1)
+        losses = Losses(self, self._weights, self.lanes or 1)
         if self.lanes is not None:
             return losses
         return dataclasses.replace(losses, lanes=losses.fitting_lanes())
@@ -247,7 +242,7 @@ class Tuning:
     @property
     def start(self) -> dict[str, float]:
         """The weights by name, as given."""
-        return self._asked.start
+        return self._weights.start
 
     @property
     def bijections(self) -> dict[str, Bijection]:
@@ -432,7 +427,7 @@ class Tuning:
     @cached_property
     def evaluation(self) -> tuple[Callable[[jax.Array], Evaluation], bool]:
         """The training loss, and whether a program compiled for this processor computes it."""
-        return dataclasses.replace(self._losses, weights=self._weights).evaluation()
+        return self._losses.evaluation()
 
 
 def in_rounds(

@@ -7,7 +7,7 @@ the real line: the optimiser moves its coordinate z there.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -27,8 +27,6 @@ FARTHEST = 12.0  # largest |z| for which room is checked: a factor e^12, or 6e-6
 MARGIN = 1e-6  # smallest distance of a value from an end of its range, on the unit interval
 FAR = 60.0  # largest |z| on the real line; beyond it exponentials are held constant
 NUDGE = 1e-3  # share of the range by which a start on its end is moved inside
-SHARE = 0.1  # of the loss, which the size of a weight changes, and of that size, to start from
-SIZES = tuple(10.0 ** (k / 4) for k in range(-48, 49))  # of a weight that starts at 0
 CLOSE = 0.02  # share of the range up to which a value has come to its end
 
 # Names of weights with their bounds, None for the range that the leaf allows.
@@ -46,7 +44,7 @@ class Bijection:
         (a, b), a and b of one sign    a (b / a)^s(z): each order of magnitude has the same weight
 
     low, high: () ends of the interval
-    scale: () size of the weight: the factor of the map onto the whole real line
+    scale: () factor of the map onto the whole real line
     margin: smallest distance of a value from an end of a finite interval, as a share of it
     """
 
@@ -96,7 +94,7 @@ class Bijection:
         if np.isinf(high) or np.isinf(low):  # 0 is approached exponentially, without a distance
             end, sign = (low, 1.0) if np.isinf(high) else (high, -1.0)
             near = sign * (value - end) <= 10 * MARGIN * abs(end)
-            return end + sign * (NUDGE * abs(end) or SHARE * self.scale) if near else value
+            return end + sign * NUDGE * (abs(end) or 1.0) if near else value
         share = self._share(value)
         near = not 10 * self.margin < share < 1.0 - 10 * self.margin
         return float(self._at(NUDGE if share < 0.5 else 1.0 - NUDGE)) if near else value
@@ -163,32 +161,6 @@ class Weights:
         }
         start = {name: float(get_at(scheme, name)) for name in bounds}
         return cls({name: Bijection.of(*b, start[name]) for name, b in bounds.items()}, start)
-
-    def sized(self, loss: Callable[[dict[str, float]], jax.Array]) -> Weights:
-        """The weights, each with its size also where it starts at 0 and its range has no width.
-
-        It is the first of SIZES, up or down, that changes the loss by more than SHARE of itself, so
-        that a tuning does not depend on units; 1 if none does. Elements of an array have one size.
-
-        loss: a pure function of the values by name
-        """
-        maps, of, together = dict(self.bijections), jax.jit(loss), {}
-        for name, b in maps.items():
-            if not self.start[name] and {abs(b.low), abs(b.high)} <= {0.0, np.inf}:
-                together.setdefault((name.partition("[")[0], b.low, b.high), []).append(name)
-        before = float(of(self.start)) if together else 0.0
-        for (_, low, high), names in together.items():
-            changed = (
-                abs(x)
-                for size in SIZES
-                for x in (size, -size)
-                if low < x < high
-                and not abs(float(of(self.start | dict.fromkeys(names, x))) - before)
-                <= SHARE * abs(before)
-            )
-            size = next(changed, 1.0)
-            maps |= {name: dataclasses.replace(maps[name], scale=size) for name in names}
-        return dataclasses.replace(self, bijections=maps)
 
     def at(self, z) -> dict[str, jax.Array]:
         """The values of the weights by name, for z (..., P)."""

@@ -34,16 +34,18 @@ from jaxilc.outcomes.tuning import (
     outside,
     tune_verdict,
     tuning_lines,
+    without_size,
     worst_case_verdict,
 )
 from jaxilc.outcomes.words import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, Case, trend_of
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios.published import NOTHING, Fit, Published
 from jaxilc.scenarios.reproduction import Row
-from jaxilc.schemes import NormOptimal
+from jaxilc.schemes import NormOptimal, PIDType
 from jaxilc.signals import Task
 from jaxilc.sweeps.summary import SchemeSummary
 from jaxilc.tuning import Tuning
+from jaxilc.tuning.weights import Weights
 from jaxilc.uncertainty import Normal, Uniform
 
 J = np.arange(1, 41)
@@ -565,6 +567,16 @@ def test_a_tuning_that_ended_early_says_why(reason, said):
     line, warnings = tuning_lines(found, {"held_out": {"given": 2.0, "tuned": 1.0}})
     assert (line, warnings) == (f"held-out loss 2 -> 1, step 1 of 3{said}", [])
     assert in_words(np.array([np.nan, 3.0]), 2.0) == "loss 3, held out 2"
+
+
+def test_a_weight_that_starts_at_0_without_a_range_has_steps_that_suit_no_unit():
+    given = {"gamma_p": None, "gamma_d": None, "leak": (0, 0.5), "gamma_i": (0, math.inf)}
+    scheme = PIDType(1.0, gamma_d=0.0, gamma_i=0.0, leak=0.0)
+    of = Weights.of(scheme, given)
+    problem = mock.Mock(rate=0.1, start=of.start, bijections=of.bijections)
+    told = without_size(problem)
+    assert [line.partition(" starts at 0 ")[0] for line in told] == ["gamma_d", "gamma_i"]
+    assert "gamma_d=LOW:HIGH" in told[0]
 
 
 def test_a_trade_off_names_one_of_its_points(tmp_path):

@@ -30,7 +30,7 @@ from jaxilc.tuning import Tuning
 from jaxilc.tuning.descent import Evaluation, by_gradient, by_least_squares, for_starts
 from jaxilc.tuning.objectives import EveryTrial, Final, Growth, Holding, Objective, Run
 from jaxilc.tuning.risks import CVaR, Mean, SmoothMax, Worst
-from jaxilc.tuning.weights import Bijection, Weights
+from jaxilc.tuning.weights import Bijection
 from jaxilc.uncertainty import Uniform
 
 # Risks
@@ -406,33 +406,6 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
     assert all(
         tuned.weights[name][1, 0] != tuned.weights[name][0, 0] for name in problem.bijections
     )
-
-
-def test_the_size_of_a_weight_that_starts_at_0_does_not_depend_on_units():
-    """A plant with 1000 times the gain needs gains of the law, and steps of them, of 1/1000."""
-    plant, found = PROBLEM.machine.plant, []
-    for unit in (1.0, 1e-3):
-        machine = dataclasses.replace(
-            PROBLEM.machine, plant=dataclasses.replace(plant, B=plant.B / unit)
-        )
-        problem = dataclasses.replace(
-            PROBLEM, machine=machine, scheme=PIDType(0.5 * unit, gamma_d=0.0), uncertainty={},
-            weights={"gamma_p": None, "gamma_d": None},
-        )  # fmt: skip
-        found.append(problem.bijections["gamma_d"].scale / unit)
-        assert problem.bijections["gamma_p"].scale == 0.5 * unit
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
-    weights = Weights.of(ZeroPhaseFIR((1.0, 0.0, 0.0)), ["taps"])
-    sizes = weights.sized(lambda at: 2.0 + at["taps[1]"] + 0.4 * at["taps[2]"]).bijections
-    assert [b.scale for b in sizes.values()] == [1.0, *[pytest.approx(10**-0.75)] * 2]
-    idle = weights.sized(lambda at: 2.0 * at["taps[0]"]).bijections
-    assert [b.scale for b in idle.values()] == [1.0, 1.0, 1.0]
-    above = Weights.of(PIDType(1.0, gamma_d=0.0), {"gamma_d": (0, np.inf)})
-    assert above.sized(lambda at: 1.0 - at["gamma_d"] / 5e3).inside == pytest.approx(
-        {"gamma_d": 10**1.75}
-    )
-    finite = Weights.of(PIDType(1.0, gamma_d=0.0), {"gamma_d": (-2.0, 2.0)})
-    assert finite.sized(lambda at: 1 / 0) == finite, "the width is the size"
 
 
 def test_weights_that_no_step_has_bettered_stay_as_given():
