@@ -29,7 +29,7 @@ from ..schemes import Scheme
 from ..schemes.scheme import growth_of, trials_of_step
 from ..signals.task import Task, Trial
 
-MOVES = 0.1  # share of the limit; an input that reaches it moves an axis that sticks
+MOVES = 0.1  # share of the limit; an input that reaches it moves its axis, if that sticks
 # what the end of a trial tells, by its code
 CODES = ("LEARNED", "SENSOR", "STUCK", "GROWN", "TOO_LARGE")
 MEANINGS = (
@@ -117,14 +117,16 @@ def of_trial(scheme: Scheme, task: Task, seen: Seen, schedule: Tree, trial: Tria
              limit: Array) -> tuple[Array, Seen]:  # fmt: skip
     """The code of a trial before it is learned from, and what the guard remembers of it.
 
-    An axis that sticks has not moved yet, and learns until an input has reached `MOVES`.
+    An axis that sticks has not moved yet, and learns until its input has reached `MOVES`: that of
+    its own number where there are as many inputs as outputs, else any.
     """
     e, span = trial.r[1:] - trial.y[1:], float(np.ptp(task.reference))
     rms = jnp.sqrt(jnp.sum(e**2) / e.size)
     u, stood = trial.u, still(task, trial.y)
     driven = jnp.max(u, axis=0) > jnp.min(u, axis=0)
-    hard = jnp.max(jnp.abs(u), axis=0) >= MOVES * limit
-    stuck = jnp.any(driven) & jnp.any(stood & (seen.moved | jnp.any(driven & hard)))
+    hard = driven & (jnp.max(jnp.abs(u), axis=0) >= MOVES * limit)
+    hard = hard if len(hard) == len(stood) else jnp.any(hard)
+    stuck = jnp.any(driven) & jnp.any(stood & (seen.moved | hard))
     # a trial that was an experiment is compared with none
     turns = seen.learned / trials_of_step(scheme, task)
     compared = turns == jnp.floor(turns)

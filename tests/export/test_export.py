@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from cases import CASES, SAMPLES, SCHEMES, few, task_for
 
-from jaxilc.export import check, files_of, interpret, law_of, program_of
+from jaxilc.export import check, files_of, guard, interpret, law_of, program_of
 from jaxilc.export.c import number
 from jaxilc.export.certificate import CERTIFICATE, certificate_of
 from jaxilc.export.guard import CODES, Trials
@@ -227,16 +227,27 @@ def test_the_guard_goes_back_to_the_last_good_input():
     assert np.max(np.abs(small.trial(good[0])[0])) <= 0.1
 
 
+@pytest.mark.parametrize("beside", [(), (10,)])  # the travel of another axis, which moves
 @pytest.mark.parametrize(("breaks", "codes"), [
     (0.7, [0, 0, 0, 0, 0, 2, 0, 0]),  # it breaks away in trial 4; a sensor that dies later is told
     (9.0, [0, 0, 0, 0, 2, 0, 2, 0]),  # a dead encoder, too, from a tenth of the limit on
 ])  # fmt: skip
-def test_the_guard_lets_an_axis_that_sticks_learn_to_break_away(breaks, codes):
-    r = np.linspace(0, 1, FEW + 1)[:, None] ** 2
+def test_the_guard_lets_an_axis_that_sticks_learn_to_break_away(breaks, codes, beside):
+    r = np.linspace(0, 1, FEW + 1)[:, None] ** 2 * [*beside, 1]
     played, y = law_of(PIDType(gamma_p=0.25), Task(r, 1e-3), 10.0).played(), 0 * r
     for j, code in enumerate(codes):
-        y[1:] = np.maximum(played.known["schedule.u"] - breaks, 0) * (j != 5)
+        y[1:] = played.known["schedule.u"]
+        y[1:, -1] = np.maximum(y[1:, -1] - breaks, 0) * (j != 5)
         assert played.trial(y)[1] == code
+
+
+@pytest.mark.parametrize(("largest", "code"), [(0.9, 0), (1.1, 2)])
+def test_the_guard_takes_any_input_for_that_of_an_axis_where_there_are_more(largest, code):
+    r = jnp.linspace(0, 1, FEW + 1)[:, None]
+    task = Task(r, 1e-3, inputs=2)
+    trial = Trial(r, 0 * r, jnp.hstack([0 * r, largest * r])[1:], 1e-3)
+    seen = guard.nothing_seen(PID(), task, ())
+    assert guard.of_trial(PID(), task, seen, (), trial, 10.0)[0] == code
 
 
 def test_the_guard_holds_what_a_feedback_has_learned_to_the_limit():
