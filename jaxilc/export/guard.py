@@ -63,7 +63,8 @@ class Seen(NamedTuple):
 class Trials(NamedTuple):
     """What the trials of a campaign tell the guard.
 
-    best: smallest rms error of them, infinite without one [unit of y]
+    best: smallest rms error of those that played what was learned, since the last accepted change;
+        infinite without one [unit of y]
     learned: number of trials that were learned from
     largest: largest value of each schedule that was played, by name
     begun: that until the first trial that was learned from

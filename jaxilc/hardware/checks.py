@@ -184,18 +184,25 @@ def experiment_numbers(scheme: Scheme, task: Task, live: list[Manifest]) -> list
 def comparable(scheme: Scheme, task: Task, live: list[Manifest]) -> list[tuple[int, float]]:
     """The numbers and errors of the trials before with which the error of this one is compared.
 
-    Of a scheme that makes experiments these are the trials that played what it had learned; an
-    experiment itself is compared with none. A trial that ended early has the error of a part. Those
-    before the last trial that was accepted with a large error are of another machine.
+    They are those of `of_learning`; an experiment is compared with none.
 
     live: manifests of the start and of the trials before
     """
-    *before, now = experiment_numbers(scheme, task, live)
-    begun = growth_accepted(live)
+    now = experiment_numbers(scheme, task, live)[-1]
+    return [] if now else of_learning(scheme, task, live)
+
+
+def of_learning(scheme: Scheme, task: Task, live: list[Manifest]) -> list[tuple[int, float]]:
+    """The numbers and errors of the trials that played what was learned, thus no experiments.
+
+    A trial that ended early has the error of a part. Trials before the last one that was accepted
+    with a large error are of another machine.
+    """
+    numbers, begun = experiment_numbers(scheme, task, live), growth_accepted(live)
     return [
         (m["trial"], m[METRICS]["error"])
-        for m, experiment in zip(live[1:], before, strict=True)
-        if m["trial"] >= begun and not experiment and not now and not is_part(m)
+        for m, experiment in zip(live[1:], numbers, strict=False)
+        if m["trial"] >= begun and not experiment and not is_part(m)
     ]
 
 

@@ -219,15 +219,15 @@ def _seen(campaign: Campaign) -> Trials:
     """What the guard of the law knows of the trials of a campaign."""
     from ..export.guard import Trials, still
     from ..hardware.campaign import TRIAL
-    from ..hardware.checks import comparable, learned_so_far
+    from ..hardware.checks import learned_so_far, of_learning
     from ..hardware.journal import whole_trials
 
     live, task = campaign.journal.live(), campaign.task
-    of = [e for _, e in comparable(campaign.scheme, task, live)]
+    errors = [e for _, e in of_learning(campaign.scheme, task, live)]
     whole = whole_trials(live)
     y = campaign.journal.arrays(whole[-1], TRIAL)["y"] if whole else np.zeros_like(task.reference)
     moved = ~np.asarray(still(task, y))
-    return Trials(min(of, default=float("inf")), *learned_so_far(live), moved)
+    return Trials(min(errors, default=float("inf")), *learned_so_far(live), moved)
 
 
 def _claimed(chosen: Scenario, name: str, limit: Value, machines: int, seed: int) -> Numbers:

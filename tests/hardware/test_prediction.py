@@ -15,7 +15,7 @@ from jaxilc.hardware import checks
 from jaxilc.hardware import prediction as predictions
 from jaxilc.hardware.calibration import Expected
 from jaxilc.hardware.prediction import Band, Subject, distance, place_of, prediction_of
-from jaxilc.schemes import PIDType
+from jaxilc.schemes import ModelFreeGradient, PIDType
 from jaxilc.signals import Task
 from jaxilc.storage.sealed import sealed
 from jaxilc.uncertainty import draw
@@ -228,8 +228,12 @@ def test_a_verdict_says_whether_learning_goes_on():
         for j in accepted:
             live[j]["findings"].append(["warning", "9 times the best; suspected is (accepted)"])
         if accepted:
-            compared = checks.comparable(PIDType(), Task(np.linspace(0, 1, 5), dt=0.1), live)
-            assert compared[0][0] == accepted[-1], "those before are of another machine"
+            task, since = Task(np.linspace(0, 1, 5), dt=0.1), accepted[-1]
+            compared = checks.comparable(PIDType(), task, live)
+            assert compared[0][0] == since, "those before are of another machine"
+            for j in range(since, len(live)):  # all but every second one are experiments
+                last = checks.of_learning(ModelFreeGradient(1.0), task, live[: j + 1])
+                assert [k for k, _ in last] == [k for k in range(since, j + 1) if k % 2]
         return verdict(live, None, None, "mm", 0.02, experiments)[0]
 
     assert said() == "no trial is measured yet"

@@ -10,6 +10,7 @@ from dense import lifted
 from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.hardware import Campaign, Measured
 from jaxilc.learning import Machine, learn, run_trial
+from jaxilc.outcomes.exporting import _seen
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import (
     PID,
@@ -154,6 +155,8 @@ def test_a_machine_plays_the_experiments_and_their_errors_are_no_growth(tmp_path
         campaign.keep(turn)
         memory = learned(scheme, memory, record)
         found.append(turn)
+        played = [turn.metrics["error"] for turn in found[::2]]
+        assert _seen(campaign).best == min(played), "also before an experiment"
     errors = [turn.metrics["error"] for turn in found]
     assert errors[1] > 1.1 * errors[0], "an experiment should have the larger error"
     assert errors[4] < errors[2] < errors[0]
