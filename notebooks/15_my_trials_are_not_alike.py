@@ -130,10 +130,10 @@ def loss(log_gain):
     return jnp.mean(jax.vmap(lambda key: learn(scattered, law, TASK, 20, key=key).rms[-1, 0])(keys))
 
 
-at, losses = jnp.log(1.5), []
-for _ in range(25):
-    value, slope = loss(at)
-    losses.append(float(value))
+at = jnp.log(1.5)
+before, slope = loss(at)
+for _ in range(24):
     at = at - 0.05 * jnp.sign(slope)
-print(f"gamma_p = 1.5: {losses[0]:.4f} mm; tuned to {float(jnp.exp(at)):.2f}: {losses[-1]:.4f} mm")
-assert losses[-1] < losses[0]
+    after, slope = loss(at)
+print(f"gamma_p = 1.5: {before:.4f} mm; tuned to {jnp.exp(at):.2f}: {after:.4f} mm")
+assert after < before

@@ -44,7 +44,7 @@ def turning(period, law=LAW):
 # %% [markdown]
 # ## From period to period
 #
-# Both waves repeat every 0.25 s. A period that is 2 % wrong leaves most of the gain on the table.
+# Both waves repeat every 0.25 s. A period that is 2 % wrong leaves nearly half of the error.
 
 # %%
 fig, ax = plt.subplots()
