@@ -56,6 +56,7 @@ class Turn(NamedTuple):
     input: `measured`, or `replayed` where the file had no u and the scheme's law gave it
     peaks: the largest value of each schedule that was played in this trial
     expected: what the trials before expected of this one, None before the third
+    last_digit: that of the measured output, see `checks.last_digit`
     """
 
     trial: int
@@ -70,6 +71,7 @@ class Turn(NamedTuple):
     input: str = "measured"
     peaks: dict[str, float] = {}  # noqa: RUF012  the largest value of each schedule played
     expected: Expected | None = None
+    last_digit: float = 0.0
     __repr__ = in_short
 
     @property
@@ -276,8 +278,10 @@ class Campaign:
         record = ended(record, measured)
         hashes = {"measured": _hash_of(measured.y, u), "played": _hash_of(*played.values())}
         error = checks.rms_over_all(record)
+        end = task.N if measured.samples is None else measured.samples
+        last_digit = checks.last_digit(measured.y[: end + 1])
         for entry in live[1:]:
-            if self._is_measured(entry, record, error, with_input=measured.u is not None):
+            if self._is_measured(entry, measured, error, last_digit):
                 text = f"{measured.source} is trial {entry['trial']}, {_known_as(entry)}"
                 again = "whose input a call without --measured writes once more"
                 if not entry["learned"]:
@@ -325,6 +329,7 @@ class Campaign:
             "replayed" if measured.u is None else "measured",
             peaks,
             expected,
+            last_digit,
         )
 
     def _as_the_machine_can(
@@ -417,7 +422,7 @@ class Campaign:
         while another process stores one.
         """
         refuse(turn.findings)
-        plain = ("trial", "learned", "source", "input", "hashes", "peaks")
+        plain = ("trial", "learned", "source", "input", "hashes", "peaks", "last_digit")
         manifest = {name: getattr(turn, name) for name in plain} | {METRICS: turn.metrics}
         manifest["findings"] = turn.findings
         if turn.expected is not None:
@@ -454,18 +459,26 @@ class Campaign:
         return behind[trial]
 
     def _is_measured(
-        self, entry: Manifest, record: Trial, error: float, *, with_input: bool
+        self, entry: Manifest, measured: Measured, error: float, last_digit: float
     ) -> bool:
         """Whether a measured trial is that of an entry, up to the rounding of a file.
 
+        A damaged trial of another error is passed by.
+
         error: RMS error of the trial, which distinguishes most trials without reading their files
-        with_input: whether the input was measured too and is compared
+        last_digit: that of its output
         """
-        if abs(entry[METRICS]["error"] - error) > checks.ROUNDED * float(np.max(np.abs(record.y))):
+        off = abs(entry[METRICS]["error"] - error)
+        if off > checks.same_up_to(measured.y, entry.get("last_digit", 0.0), last_digit):
             return False
-        known = self.journal.arrays(entry, TRIAL)
-        return checks.same(known["y"], record.y) and (
-            not with_input or checks.same(known["u"], record.u)
+        try:
+            known = self.journal.arrays(entry, TRIAL)
+        except ValueError:
+            if off <= checks.same_up_to(measured.y):
+                raise
+            return False
+        return checks.same(known["y"], measured.y) and (
+            measured.u is None or checks.same(known["u"], measured.u)
         )
 
     def _append(self, manifest: Manifest, arrays: dict[str, dict[str, Leaf]]) -> None:

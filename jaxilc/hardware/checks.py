@@ -25,10 +25,9 @@ AT_LIMIT = 1e-3  # share of the limit; an input that is this close to it counts 
 AS_PLAYED = 1e-4  # share of a schedule's peak by which the machine's record of it may differ
 # Share of the input's peak by which the recorded input may differ from the replayed one.
 AS_COMMANDED = 0.01
-# Shares of a signal's peak by which two files of one trial may differ, if neither is the other one
-# rounded, and if one is, to these digits.
-SAME, ROUNDED, DIGITS = 1e-8, 1e-3, range(4, 9)
-LOOKED_AT = 1000  # samples of a signal that are looked at first, since all may take long
+# Shares of a signal's peak by which two files of one trial may differ, and by which single precision
+# changes it; the digits to which one of the files may be rounded.
+SAME, SINGLE, DIGITS = 1e-8, 2.0**-24, range(4, 9)
 # What `Rules.accept` may name: the refusals of `checks`.
 ACCEPTED = ("frozen", "jump", "schedule", "growth", "input")
 LITTLE = 0.5  # share of the error; if repeated trials differ by more, little can be learned
@@ -322,30 +321,56 @@ def _resolution(actuator: Actuator | None):
 def same(one, other) -> bool:
     """Whether two records of a signal come from one measurement.
 
-    They do if they agree to eight digits, or if one is the other one rounded, to four digits or
-    more. Two trials of a machine agree so well only where what differs between them is below the
-    resolution of the encoder.
+    They do if they agree to eight digits, or, where one has fewer digits or decimals than the other
+    one, from four on, to half of its last one. Two trials of a machine agree so well only where
+    what differs between them is below the resolution of the encoder.
     """
     if np.shape(one) != np.shape(other):
         return False
     a, b = (np.ravel(np.asarray(x, float)) for x in (one, other))
-    off, peak = np.max(np.abs(a - b)), np.max(np.abs(a))
-    if not SAME * peak < off <= ROUNDED * peak:
-        return bool(off <= SAME * peak)
-    some = slice(None, None, max(1, len(a) // LOOKED_AT))
-    pairs = ((a, b), (b, a))
-    return any(_rounds(x[some], z[some], peak) and _rounds(x, z, peak) for x, z in pairs)
-
-
-def _rounds(full: np.ndarray, file: np.ndarray, peak: float) -> bool:
-    """Whether a file holds the rounded numbers: digits, as many decimals each, or float32."""
-    above = int(np.floor(np.log10(peak))) + 1
-    for digits in DIGITS:
-        significant = np.array([float(f"{x:.{digits}g}") for x in full.tolist()])
-        for rounded in (significant, np.round(full, digits - above), full.astype(np.float32)):
-            if np.max(np.abs(rounded - file)) <= SAME * peak:
-                return True
+    for decimals in (True, False):
+        steps = np.maximum(x := _steps(a, decimals), y := _steps(b, decimals))
+        if np.all(np.abs(a - b) <= _allowed(np.where(x == y, 0.0, steps), a)):
+            return True
     return False
+
+
+def same_up_to(signal, *last: float) -> float:
+    """The largest difference that two records of one measurement may have.
+
+    last: `last_digit` of both; of as many digits, neither is the other one rounded
+    """
+    return float(_allowed(max(last) if len(set(last)) > 1 else 0.0, signal))
+
+
+def _allowed(step, signal):
+    peak = np.max(np.abs(signal))
+    return np.where(step > 0, (0.5 + 1e-6) * step + SINGLE * peak, SAME * peak)
+
+
+def last_digit(signal) -> float:
+    """The value of the last digit of a signal at its peak; 0 where it has more than eight."""
+    return float(np.max(_steps(np.ravel(np.asarray(signal, float)), decimals=False)))
+
+
+def _steps(x: np.ndarray, decimals: bool) -> np.ndarray:
+    """The value of the last digit of each sample, or of the last decimal; 0 beyond eight digits.
+
+    Numbers in single precision count as of eight digits.
+    """
+    x = np.abs(x)
+    places = np.floor(np.log10(np.where(x > 0, x, 1.0))) + 1
+    if decimals and np.any(x):
+        places = np.full(len(x), np.floor(np.log10(np.max(x))) + 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for digits in DIGITS:
+            whole = x * 10.0 ** (digits - places)
+            single = digits == DIGITS[-1] and not decimals
+            if np.all(np.abs(whole - np.round(whole)) < 1e-6) or (
+                single and np.all(np.abs(np.float32(x) - x) <= SAME / 2 * x)
+            ):
+                return 10.0 ** (places - digits) * (np.any(x) if decimals else x > 0)
+    return np.zeros(len(x))
 
 
 def rms_over_all(trial: Trial) -> float:

@@ -19,7 +19,7 @@ from fuzz import damaged, dumped, flipped, fuzz, pick, refusal
 
 from jaxilc.hardware import Campaign, Journal, Measured, Rules
 from jaxilc.hardware import campaign as of_campaign
-from jaxilc.hardware.checks import ACCEPTED
+from jaxilc.hardware.checks import ACCEPTED, same
 from jaxilc.storage.sealed import archive, json_text, read_arrays, sealed
 
 pytestmark = pytest.mark.usefixtures("quickly_and_quietly")
@@ -261,10 +261,27 @@ def test_one_measured_trial_is_one_trial(copied):
     # On a real machine two trials of the same table differ by more.
     other = TRIALS[3]._replace(y=TRIALS[3].y * (1 + 1e-6))
     assert opened(folder).turn(other).trial == 5
+    stored = folder / "000001" / "trial.npz"
+    content = stored.read_bytes()
+    stored.write_bytes(b"")
+    assert opened(folder).turn(TRIALS[0]._replace(y=TRIALS[0].y * (1 + 1e-6))).trial == 5
+    stored.write_bytes(content)
     assert opened(folder).turn(rounded(TRIALS[3]._replace(y=other.y + 1e-4), 4)).trial == 5
     opened(folder).undo(3)
     opened(folder).keep(opened(folder).turn(TRIALS[3]))
     assert opened(folder).trials == 4
+
+
+@pytest.mark.parametrize("resolution", [5e-4, 2.5e-4, 1e-6, None])  # of an encoder [mm]
+def test_a_record_is_known_by_its_digits_whatever_the_encoder(resolution):
+    y = 10 * np.linspace(0, 1, 1001) ** 2 * (3 - 2 * np.linspace(0, 1, 1001))
+    y = y if resolution is None else np.round(y / resolution) * resolution
+    y, single = y[:, None], y.astype(np.float32)[:, None]
+    for numbers, of in ((y, "%.3f"), (y, "%.4f"), (y, "%.4g"), (single, "%.6g"), (single, "%.9g")):
+        file = np.array([[float(of % v)] for v in numbers[:, 0]])
+        assert same(y, file)
+        assert same(file, y)
+        assert not same(y + 1e-3 * np.sin(np.arange(1001))[:, None], file)
 
 
 def test_what_would_not_be_a_number_is_not_learned(copied, monkeypatch):
