@@ -461,7 +461,7 @@ class Campaign:
     def _is_measured(
         self, entry: Manifest, measured: Measured, error: float, last_digit: float
     ) -> bool:
-        """Whether a measured trial is that of an entry, up to the rounding of a file.
+        """Whether a measured trial is that of an entry, up to its end and the rounding of a file.
 
         A damaged trial of another error is passed by.
 
@@ -477,8 +477,9 @@ class Campaign:
             if off <= checks.same_up_to(measured.y):
                 raise
             return False
-        return checks.same(known["y"], measured.y) and (
-            measured.u is None or checks.same(known["u"], measured.u)
+        end = len(measured.y) - 1 if measured.samples is None else measured.samples
+        return checks.same(known["y"][: end + 1], measured.y[: end + 1]) and (
+            measured.u is None or checks.same(known["u"][:end], measured.u[:end])
         )
 
     def _append(self, manifest: Manifest, arrays: dict[str, dict[str, Leaf]]) -> None:

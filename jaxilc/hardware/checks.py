@@ -25,8 +25,8 @@ AT_LIMIT = 1e-3  # share of the limit; an input that is this close to it counts 
 AS_PLAYED = 1e-4  # share of a schedule's peak by which the machine's record of it may differ
 # Share of the input's peak by which the recorded input may differ from the replayed one.
 AS_COMMANDED = 0.01
-# Shares of a signal's peak by which two files of one trial may differ, and by which single precision
-# changes it; the digits to which one of the files may be rounded.
+# Shares of a peak by which two files of one trial may differ, and by which single precision does;
+# and the digits to which one of the files may be rounded.
 SAME, SINGLE, DIGITS = 1e-8, 2.0**-24, range(4, 9)
 # What `Rules.accept` may name: the refusals of `checks`.
 ACCEPTED = ("frozen", "jump", "schedule", "growth", "input")

@@ -664,7 +664,8 @@ def test_what_was_not_measured_is_played_as_it_was_or_the_note_says_how_else(res
     campaign = Campaign.start(begun.journal.path.parent / "law", scheme, begun.task)
     for samples in (None, None, 60):
         before = campaign.schedules()["u"]
-        measure = measured(samples)._replace(u=before)
+        rest = np.arange(100)[:, None] >= (samples or 100)
+        measure = measured(samples)._replace(u=np.where(rest, np.nan, before))
         campaign.keep(turn := campaign.turn(measure))
     change = np.abs(turn.schedules["u"] - before)[:, 0]
     assert np.max(change[:60]) > 0.03
@@ -672,6 +673,10 @@ def test_what_was_not_measured_is_played_as_it_was_or_the_note_says_how_else(res
     told = f"u by up to {np.max(change[60:]):.3g} there"
     assert turn.findings[-1].text.endswith(told if cutoff else "but played as it was")
     assert (np.max(change[60:]) > 0.01) == (cutoff is not None)
+    y = np.where(np.arange(101)[:, None] > 60, measure.y, np.round(measure.y, 9))
+    for again in (measure, measure._replace(y=y)):
+        with pytest.raises(ValueError, match="a trial is trial 3, which was learned from already"):
+            campaign.turn(again)
 
 
 def test_what_was_not_measured_is_not_checked_and_what_was_measured_is(rests):
