@@ -38,7 +38,7 @@ from ..pytree.aliases import Leaf
 from ..pytree.closest import listed
 from ..pytree.in_short import in_short
 from ..pytree.ranges import brief
-from ..schemes import KeepUnmeasured, PIDType, Scheme
+from ..schemes import AtSamples, KeepUnmeasured, PIDType, Scheme
 from ..schemes.weights import weighed
 from ..signals.task import Task, Trial
 from ..storage.columns import (
@@ -448,13 +448,14 @@ def ended(record: Trial, measured: Measured) -> Trial:
 def keeping(scheme: Scheme) -> Scheme:
     """The scheme; its `PIDType` leaves what was not measured: neither adds its sum nor forgets.
 
-    A filter around it is given there what it was given before, and smooths over the end.
+    A filter around it is given there what it was given before, and smooths over the end. Within
+    `AtSamples`, whose weights are zero beside its windows, it learns as from a whole trial.
     """
-
-    def is_law(part: object) -> bool:
-        return isinstance(part, PIDType)
-
-    return jax.tree.map(lambda x: KeepUnmeasured(x) if is_law(x) else x, scheme, is_leaf=is_law)
+    return jax.tree.map(
+        lambda x: KeepUnmeasured(x) if isinstance(x, PIDType) else x,
+        scheme,
+        is_leaf=lambda x: isinstance(x, PIDType | AtSamples),
+    )
 
 
 def told_of_end(

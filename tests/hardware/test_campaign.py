@@ -42,6 +42,7 @@ from jaxilc.learning import Actuator, Machine, Sensor, learn, run_trial
 from jaxilc.plants import StateSpace, from_control
 from jaxilc.scenarios import load_scenario
 from jaxilc.schemes import (
+    AtSamples,
     Filtered,
     HigherOrder,
     Ladder,
@@ -677,6 +678,16 @@ def test_what_was_not_measured_is_played_as_it_was_or_the_note_says_how_else(res
     for again in (measure, measure._replace(y=y)):
         with pytest.raises(ValueError, match="a trial is trial 3, which was learned from already"):
             campaign.turn(again)
+
+
+def test_points_are_learned_from_after_a_trial_that_ended_early(rests):
+    begun, measured = rests
+    law = AtSamples(PIDType(gamma_p=0.3, lead=5), ((0.3, 0.3),))
+    campaign = Campaign.start(begun.journal.path.parent / "law", law, begun.task)
+    trial = measured(60)
+    change = campaign.turn(trial).schedules["u"][:, 0]
+    assert np.flatnonzero(change).tolist() == [24]
+    assert change[24] == pytest.approx(0.3 * (begun.task.reference - trial.y)[30, 0])
 
 
 def test_what_was_not_measured_is_not_checked_and_what_was_measured_is(rests):
