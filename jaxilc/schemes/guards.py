@@ -254,8 +254,9 @@ class KeepUnmeasured(Wrapper):
     the weight zero. A law that adds to its input then leaves it alone. A law that also compares
     trials, such as `CFDLMFAILC`, that forgets, or that filters, would still take the zero for
     data. Here each row of its memory that belongs to sample k of the input stays, unless y[k+1] was
-    measured; then increments are those from the last trial that was. Of `StopWhen` and `Ladder`
-    these are the rows of their scheme.
+    measured, of a scheme with a `lead` m y[k+1+m], or the last sample where the trial is shorter;
+    then increments are those from the last trial that was. Of `StopWhen` and `Ladder` these are the
+    rows of their scheme.
 
     scheme: any scheme that learns from the error
     """
@@ -269,6 +270,9 @@ class KeepUnmeasured(Wrapper):
         if trial.weight is None:
             return following
         there, N = jnp.any(trial.weight != 0, axis=(1, 2)), len(trial.u)
+        lead = getattr(self.scheme, "lead", 0)
+        m = lead if isinstance(lead, int) else 0  # that of a basis is a time
+        ahead = jnp.minimum(jnp.arange(N) + 1 + m, N)
 
         def kept(old: Value, new: Value) -> Value:
             if _is_of_guard(new):  # whose other fields are no rows of a law
@@ -279,7 +283,7 @@ class KeepUnmeasured(Wrapper):
             rows = jnp.shape(new)[0] if jnp.ndim(new) else 0
             if rows not in (N, N + 1):
                 return new
-            measured = there[1:] if rows == N else there
+            measured = there[ahead] if rows == N else there
             return jnp.where(measured.reshape(-1, *(1,) * (jnp.ndim(new) - 1)), new, old)
 
         return jax.tree.map(kept, memory, following, is_leaf=_is_of_guard)

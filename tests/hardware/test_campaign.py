@@ -657,10 +657,11 @@ def test_a_trial_that_ended_early_is_no_alarm_and_the_next_one_is_none(rests, fi
         campaign.keep(turn)
 
 
+@pytest.mark.parametrize("lead", [0, 4])
 @pytest.mark.parametrize("cutoff", [None, 5.0])
-def test_what_was_not_measured_is_played_as_it_was_or_the_note_says_how_else(rests, cutoff):
+def test_what_was_not_measured_is_played_as_it_was_or_the_note_says_how_else(rests, cutoff, lead):
     begun, measured = rests
-    law = PIDType(gamma_p=0.3, gamma_i=0.05, gamma_d=0.1, leak=0.05)
+    law = PIDType(gamma_p=0.3, gamma_i=0.05, gamma_d=0.1, leak=0.05, lead=lead)
     scheme = law if cutoff is None else Filtered(law, ZeroPhaseButterworth(cutoff))
     campaign = Campaign.start(begun.journal.path.parent / "law", scheme, begun.task)
     for samples in (None, None, 60):
@@ -670,7 +671,7 @@ def test_what_was_not_measured_is_played_as_it_was_or_the_note_says_how_else(res
         campaign.keep(turn := campaign.turn(measure))
     change = np.abs(turn.schedules["u"] - before)[:, 0]
     assert np.max(change[:60]) > 0.03
-    assert np.max(change[90:] if cutoff else change[60:]) < (2e-3 if cutoff else 1e-12)
+    assert np.max(change[90:] if cutoff else change[60 - lead :]) < (2e-3 if cutoff else 1e-12)
     told = f"u by up to {np.max(change[60:]):.3g} there"
     assert turn.findings[-1].text.endswith(told if cutoff else "but played as it was")
     assert (np.max(change[60:]) > 0.01) == (cutoff is not None)
