@@ -583,7 +583,7 @@ def next_(
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
     from ..hardware.campaign import refuse
-    from ..hardware.checks import beyond_limits
+    from ..hardware.checks import beyond_limits, too_fast
     from ..hardware.trial_files import OPTIONS, read_measured
     from ..scenarios.campaigns import Given, open_campaign
 
@@ -621,6 +621,9 @@ def next_(
         refuse(beyond_limits(schedules, now.task, now.actuator, now.rules))
         if undo is None:
             _say_not_kept(opened)
+    if measured is None:
+        for kind, text in too_fast(schedules, now.task, now.actuator):
+            warn(f"{kind}: {text}")
     if undo is not None and not dry_run:
         now.undo(undo)
     turn, place, prediction, expected = None, None, None, None

@@ -401,6 +401,17 @@ def test_growth_and_saturation_warn_or_refuse_with_numbers(copied):
     assert Journal(state).live()[-1]["trial"] == TRIALS
 
 
+def test_an_input_that_is_too_fast_is_told_wherever_it_is_written(copied):
+    rig, _, folder = copied
+    (folder / "slow.toml").write_text(AXIS.replace("limit = 10.0", "limit = 10.0\nrate = 1.0"))
+    state, out = folder / "slow", folder / "next.csv"
+    go_on(state, out, "--scenario", folder / "slow.toml", "--scheme", "ilc")
+    trial = ("--measured", rig.folder / "trial-1.csv", "--set", "campaign.predict=false")
+    for more in (trial, (), ("--undo", 0)):
+        warned = "warning: the next feedforward changes by up to" in go_on(state, out, *more)[2]
+        assert warned == ("--undo" not in more), "trial 1 plays 0"
+
+
 def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
     rig, state, folder = copied
     table = read_table(rig.folder / "next-21.csv")["feedforward [V]"]
