@@ -826,7 +826,8 @@ def _played(path: Path | None, schedules, task, trial: int, number: str) -> None
     try:
         write_schedules(path, schedules, task, trial=trial, number=number)
     except OSError as error:
-        then = "the campaign is stored, and a call without --measured and --undo writes this file"
+        then = "the campaign is stored; a call without --measured and --undo writes this file, or "
+        then += "that of another --out"
         raise OSError(error.errno, f"{error.strerror}; {then}", str(path)) from None
     say(f"written: {path}")
 

@@ -40,6 +40,7 @@ from .prediction import next_step
 from .trial_files import Measured, completed, ended, keeping, stored, told_of_end
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"
+AGAIN = "nothing was learned or written; wait for its end, and call again"
 PAST = 20  # trials whose inputs are compared with a recorded one that is not that to play, and
 # whose outputs say what to expect of the next
 
@@ -428,7 +429,7 @@ class Campaign:
         if turn.expected is not None:
             manifest["expected"] = turn.expected.as_json()
         arrays = {MEMORY: _arrays_of(turn.memory), TRIAL: stored(turn.record)}
-        with only_one(self.journal.path):
+        with only_one(self.journal.path, AGAIN):
             parent = self.journal.live()[-1]
             if turn.trial != parent["trial"] + 1:
                 said = f"trial {turn.trial} does not follow on trial {parent['trial']}"
@@ -442,7 +443,7 @@ class Campaign:
         Raises ValueError for a trial that is not one of the past, and while another process stores
         one.
         """
-        with only_one(self.journal.path):
+        with only_one(self.journal.path, AGAIN):
             to = self._after(trial)["serial"]
             self._append({"event": "undo", "trial": trial, "parent": None, "to": to}, {})
 

@@ -78,6 +78,8 @@ def check_format(path: str | Path, number: str = "double") -> None:
         raise ValueError(f"number = {number!r} is not one of 'double', 'float'")
     if not Path(path).absolute().parent.is_dir():
         raise ValueError(f"{path}: the folder does not exist")
+    if Path(path).is_dir():
+        raise ValueError(f"{path} is a folder; choose another name of the file")
 
 
 def _as_text(schedules, task: Task) -> str:

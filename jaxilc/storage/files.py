@@ -114,9 +114,12 @@ def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
 
 
 @contextlib.contextmanager
-def only_one(folder: str | Path) -> Generator[None]:
+def only_one(
+    folder: str | Path, then: str = "wait for its end, or choose another folder"
+) -> Generator[None]:
     """A context in which only this process uses a folder.
 
+    then: what to do while another process uses it
     Raises ValueError if another process uses the folder, with its number where it is known.
     """
     try:
@@ -124,8 +127,7 @@ def only_one(folder: str | Path) -> Generator[None]:
     except BlockingIOError:
         holder = _holder(Path(folder))
         by = "another process" if holder is None else f"process {holder}, which is running"
-        said = f"is in use by {by}; wait for its end, or choose another folder"
-        raise ValueError(f"{folder} {said}") from None
+        raise ValueError(f"{folder} is in use by {by}; {then}") from None
     try:
         yield
     finally:
