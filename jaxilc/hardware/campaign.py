@@ -467,10 +467,10 @@ class Campaign:
         A damaged trial of another error is passed by.
 
         error: RMS error of the trial, which distinguishes most trials without reading their files
-        last_digit: that of its output
+        last_digit: that of its output; older entries have none and count as of as many digits
         """
         off = abs(entry[METRICS]["error"] - error)
-        if off > checks.same_up_to(measured.y, entry.get("last_digit", 0.0), last_digit):
+        if off > checks.same_up_to(measured.y, entry.get("last_digit", last_digit), last_digit):
             return False
         try:
             known = self.journal.arrays(entry, TRIAL)
