@@ -310,7 +310,7 @@ def tuning_lines(tuned: Tuned, numbers: Numbers) -> tuple[str, list[str]]:
 
 
 def without_size(problem: Tuning) -> list[str]:
-    """A line for each weight whose steps do not suit it but by chance, as nothing tells its size."""
+    """A line for each weight whose steps suit it only by chance, as nothing tells its size."""
     return [
         f"{name} starts at 0 without a finite range, so its steps are {problem.rate:g} in whatever "
         f"unit it has; {name}=LOW:HIGH would tell its size"
