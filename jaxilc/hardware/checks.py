@@ -25,9 +25,9 @@ AT_LIMIT = 1e-3  # share of the limit; an input that is this close to it counts 
 AS_PLAYED = 1e-4  # share of a schedule's peak by which the machine's record of it may differ
 # Share of the input's peak by which the recorded input may differ from the replayed one.
 AS_COMMANDED = 0.01
-# Shares of a peak by which two files of one trial may differ, and by which single precision does;
-# and the digits to which one of the files may be rounded.
-SAME, SINGLE, DIGITS = 1e-8, 2.0**-24, range(4, 9)
+# Share of a peak by which two files of one trial may differ; the last digit of single precision, as
+# a share of a number; and the digits to which one of the files may be rounded.
+SAME, SINGLE, DIGITS = 1e-8, 2.0**-23, range(4, 9)
 # What `Rules.accept` may name: the refusals of `checks`.
 ACCEPTED = ("frozen", "jump", "schedule", "growth", "input")
 LITTLE = 0.5  # share of the error; if repeated trials differ by more, little can be learned
@@ -338,14 +338,15 @@ def same(one, other) -> bool:
 def same_up_to(signal, *last: float) -> float:
     """The largest difference that two records of one measurement may have.
 
-    last: `last_digit` of both; of as many digits, neither is the other one rounded
+    last: `last_digit` of each, since one may be the other one rounded
     """
-    return float(_allowed(max(last) if len(set(last)) > 1 else 0.0, signal))
+    return float(_allowed(max(last, default=0.0), signal))
 
 
 def _allowed(step, signal):
+    """Half a step, after what single precision rounds, but less than a step; SAME without one."""
     peak = np.max(np.abs(signal))
-    return np.where(step > 0, (0.5 + 1e-6) * step + SINGLE * peak, SAME * peak)
+    return np.where(step > 0, np.minimum(step / 2 + SINGLE / 2 * peak, 0.95 * step), SAME * peak)
 
 
 def last_digit(signal) -> float:
@@ -356,7 +357,7 @@ def last_digit(signal) -> float:
 def _steps(x: np.ndarray, decimals: bool) -> np.ndarray:
     """The value of the last digit of each sample, or of the last decimal; 0 beyond eight digits.
 
-    Numbers in single precision count as of eight digits.
+    Of numbers in single precision it is twice what that rounds, 2^-23 of each.
     """
     x = np.abs(x)
     places = np.floor(np.log10(np.where(x > 0, x, 1.0))) + 1
@@ -365,11 +366,10 @@ def _steps(x: np.ndarray, decimals: bool) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
         for digits in DIGITS:
             whole = x * 10.0 ** (digits - places)
-            single = digits == DIGITS[-1] and not decimals
-            if np.all(np.abs(whole - np.round(whole)) < 1e-6) or (
-                single and np.all(np.abs(np.float32(x) - x) <= SAME / 2 * x)
-            ):
+            if np.all(np.abs(whole - np.round(whole)) < 1e-6):
                 return 10.0 ** (places - digits) * (np.any(x) if decimals else x > 0)
+        if not decimals and np.all(np.abs(np.float32(x) - x) <= SAME / 2 * x):
+            return SINGLE * x
     return np.zeros(len(x))
 
 

@@ -348,7 +348,7 @@ ORDER, LEAST_SAMPLES = 4, 50  # of the filter; samples at which the axis moves
 SLOWEST = 0.02  # of the largest speed, below which the sign of a speed is not taken
 RINGS = 1.5  # periods of the cutoff, during which the filter answers a jump
 WIDE = 1.96
-ABOVE, LOWEST = 30.0, 6.0  # times the highest frequency of the motion: the cutoff of the filter
+ABOVE, LOWEST = 30.0, 12.0  # times the highest frequency of the motion: the cutoff of the filter
 ROUNDING = 1e-4  # share of the power of the acceleration that the encoder's step may add
 
 
@@ -357,7 +357,8 @@ class FrictionModel(NamedTuple):
 
     The step of an encoder, found in the position, adds to the acceleration and lets the mass seem
     smaller. The interval of the mass has that share on each side; for other noise of the position,
-    which is not known, choose the cutoff.
+    which is not known, choose the cutoff. A single sinusoid is rounded alike in each period, and
+    the interval may be too narrow for it.
     What the relation leaves counts as noise of its own colour. A force that differs between
     motions, such as a cable or a friction by place, is none: on seven motions of one printer axis,
     with fits of 92 to 96 %, the masses were 0.79 to 0.87 with half-widths of 0.01 to 0.03.
@@ -389,7 +390,7 @@ def friction_of(force, position, dt: float, *, cutoff: float | None = None) -> F
     dt: sample time [s]
     cutoff: of the filter [Hz]: above the motion, below the noise of the encoder and resonances;
         None: 30 times the frequency below which 99 % of the power of the position lie, and down to
-        6 times, until the step of the encoder is next to nothing of the acceleration
+        12 times, until the step of the encoder is next to nothing of the acceleration
     Raises ValueError for signals of different lengths or that are not finite, a cutoff outside its
     range, and a motion that goes one way only or rests.
     """

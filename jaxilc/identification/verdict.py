@@ -24,7 +24,7 @@ class Estimate(NamedTuple):
 
     Of a fit to a record the noise may have a colour, which is found from the residual. Then the
     interval holds the true number in 90 to 97 of 100 records of at least 120 samples where noise
-    goes on for 3 samples, or of 500 where it does for 20; of 120 samples with the latter, in 85.
+    goes on for 3 samples, or of 500 where it does for 20; of 120 samples with the latter, in 80.
 
     low, high: ends of the interval, infinite where the record does not determine the number
     """

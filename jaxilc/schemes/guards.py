@@ -270,7 +270,10 @@ class KeepUnmeasured(Wrapper):
         if trial.weight is None:
             return following
         there, N = jnp.any(trial.weight != 0, axis=(1, 2)), len(trial.u)
-        lead = getattr(self.scheme, "lead", 0)
+        law: Value = self.scheme
+        while isinstance(law, StopWhen | Ladder | KeepUnmeasured):
+            law = law.scheme
+        lead = getattr(law, "lead", 0)
         m = lead if isinstance(lead, int) else 0  # that of a basis is a time
         ahead = jnp.minimum(jnp.arange(N) + 1 + m, N)
 

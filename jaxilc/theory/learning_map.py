@@ -192,7 +192,8 @@ def view_of(scheme: Scheme, task: Task) -> View:
         bits = np.log2(reach, where=told, out=np.zeros(len(reach)))
         for part in np.split(np.arange(len(reach)), np.cumsum([x.size for x in leaves])[:-1]):
             apart = 10 * np.rint(bits[part] / 10)
-            same = len({*apart[told[part]]}) == 1  # of one unit, as samples of an input are
+            there = bits[part][told[part]]
+            same = len(there) > 0 and np.ptp(there) < 10  # of one unit, as samples of an input are
             bits[part] = np.max(bits[part], where=told[part], initial=-np.inf) if same else apart
         bits = np.clip(bits, -FARTHEST, FARTHEST)
         units = tuple((2.0**bits).tolist()) if np.any(bits) else None

@@ -268,6 +268,11 @@ def test_one_measured_trial_is_one_trial(copied):
     stored.write_bytes(content)
     assert opened(folder).turn(rounded(TRIALS[3]._replace(y=other.y + 1e-4), 4)).trial == 5
     opened(folder).undo(3)
+    few = rounded(TRIALS[3], 6)
+    opened(folder).keep(opened(folder).turn(few))
+    with pytest.raises(ValueError, match="is trial 4, which"):
+        opened(folder).turn(few._replace(y=np.round(few.y, 6)))
+    opened(folder).undo(3)
     opened(folder).keep(opened(folder).turn(TRIALS[3]))
     assert opened(folder).trials == 4
 
@@ -282,6 +287,15 @@ def test_a_record_is_known_by_its_digits_whatever_the_encoder(resolution):
         assert same(y, file)
         assert same(file, y)
         assert not same(y + 1e-3 * np.sin(np.arange(1001))[:, None], file)
+
+
+def test_trials_that_are_a_count_apart_are_two_where_one_has_a_digit_more():
+    rng = np.random.default_rng(0)
+    one = np.minimum(np.round(1000 - 50 * np.linspace(-1, 1, 501) ** 2, 4), 1000.0)
+    other = np.round(one + 1e-4 * rng.choice([-1, 0, 0, 1], 501), 4)
+    other[250] = 1000.0001
+    assert not same(one, other)
+    assert not same(other, one)
 
 
 def test_what_would_not_be_a_number_is_not_learned(copied, monkeypatch):

@@ -580,7 +580,7 @@ def test_laws_that_compare_trials_keep_what_was_not_measured():
 )
 def test_what_was_not_measured_is_kept_of_a_law_and_not_of_the_guard_around_it(guard):
     """The sums of a ladder had rows of earlier steps, and the error grew where it has to fall."""
-    machine, law = vary(dropped=0.3), PIDType(gamma_p=0.8, leak=0.01)
+    machine, law = vary(dropped=0.3), PIDType(gamma_p=0.8, leak=0.01, lead=2)
     within, around = (
         learn(machine, one, TASK, 30)
         for one in (guard(KeepUnmeasured(law)), KeepUnmeasured(guard(law)))
