@@ -279,8 +279,7 @@ class Campaign:
         record = ended(record, measured)
         hashes = {"measured": _hash_of(measured.y, u), "played": _hash_of(*played.values())}
         error = checks.rms_over_all(record)
-        end = task.N if measured.samples is None else measured.samples
-        last_digit = checks.last_digit(measured.y[: end + 1])
+        last_digit = checks.last_digit(measured.y[: measured.end + 1])
         for entry in live[1:]:
             if self._is_measured(entry, measured, error, last_digit):
                 text = f"{measured.source} is trial {entry['trial']}, {_known_as(entry)}"
@@ -478,7 +477,7 @@ class Campaign:
             if off <= checks.same_up_to(measured.y):
                 raise
             return False
-        end = len(measured.y) - 1 if measured.samples is None else measured.samples
+        end = measured.end
         return checks.same(known["y"][: end + 1], measured.y[: end + 1]) and (
             measured.u is None or checks.same(known["u"][:end], measured.u[:end])
         )

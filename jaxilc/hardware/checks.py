@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..learning.machine import Actuator
@@ -285,10 +286,12 @@ def too_fast(
     schedules: Mapping[str, np.ndarray], task: Task, actuator: Actuator | None
 ) -> list[Finding]:
     """Warn of next schedules of the input that change faster than the actuator can follow."""
-    rate, findings = getattr(actuator, "rate", None), list[Finding]()
-    for name in (name for name in schedules if kind(name) in INPUTS and rate is not None):
-        slew = np.abs(np.diff(schedules[name], axis=0, prepend=0.0)) / task.dt
-        limits = np.broadcast_to(np.asarray(rate, float), slew.shape[1:])
+    findings = list[Finding]()
+    if actuator is None or actuator.rate is None:
+        return findings
+    for name in (name for name in schedules if kind(name) in INPUTS):
+        rate, limit = actuator.limits(jnp.asarray(schedules[name]), task.dt)["actuator.rate"]
+        slew, limits = np.abs(rate), np.broadcast_to(limit, rate.shape[1:])
         shares = np.mean(slew > (1 + AT_LIMIT) * limits, axis=0)
         i = int(np.argmax(shares))
         if shares[i]:

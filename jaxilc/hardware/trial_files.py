@@ -80,6 +80,11 @@ class Measured(NamedTuple):
     samples: int | None = None
     __repr__ = in_short
 
+    @property
+    def end(self) -> int:
+        """The number of the last sample that was measured."""
+        return len(self.y) - 1 if self.samples is None else self.samples
+
 
 class _File(NamedTuple):
     """The contents of a file.

@@ -85,12 +85,12 @@ class Request:
         The metric and the tolerance judge it, and the spread widens its uncertainty.
         Raises ValueError naming what is allowed.
         """
-        from ..runtime.start import need_told_precision
+        from ..runtime.start import warn_of_single
         from ..scenarios.from_file import with_options
         from ..scenarios.parameters import with_parameters
         from ..scenarios.scenario import judged
 
-        need_told_precision()
+        warn_of_single()
         here = self.expanded()
         chosen, rest = with_options(here.source, settings_of(here.set))
         if not chosen.schemes:
@@ -114,10 +114,10 @@ class Request:
 
     def machine_to_design(self) -> Scenario:
         """The scenario of a plant file, of whose schemes, if there are any, the feedback counts."""
-        from ..runtime.start import need_told_precision
+        from ..runtime.start import warn_of_single
         from ..scenarios.from_file import load_scenario
 
-        need_told_precision()
+        warn_of_single()
         chosen = self._with_trials(load_scenario(self.source, settings_of(self.set)))
         return self._widened(chosen).select(self.schemes)
 

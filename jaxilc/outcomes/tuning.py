@@ -310,12 +310,17 @@ def tuning_lines(tuned: Tuned, numbers: Numbers) -> tuple[str, list[str]]:
 
 
 def without_size(problem: Tuning) -> list[str]:
-    """A line for each weight whose steps suit it only by chance, as nothing tells its size."""
-    return [
-        f"{name} starts at 0 without a finite range, so its steps are {problem.rate:g} in whatever "
-        f"unit it has; {name}=LOW:HIGH would tell its size"
+    """A line on the weights whose steps suit them only by chance, as nothing tells their size."""
+    names = [
+        name
         for name, of in problem.bijections.items()
         if not problem.start[name] and {abs(of.low), abs(of.high)} <= {0.0, math.inf}
+    ]
+    if not names or problem.optimiser != "adam":
+        return []
+    return [
+        f"without a finite range, nothing tells the size of what starts at 0: {listed(names)}. So "
+        f"steps are {problem.rate:g} in whatever unit it has; {names[0]}=LOW:HIGH would tell it"
     ]
 
 

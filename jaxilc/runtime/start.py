@@ -22,8 +22,8 @@ SETTINGS = ("auto", "on", "off")
 # Events that a sweep records with `jax.monitoring`, each with its seconds, for `--verbose`.
 COMPILING = "/jaxilc/sweep/compiling"  # the programs were compiled, or loaded
 COMPUTING = "/jaxilc/sweep/computing"  # the devices computed a chunk
-_given: dict[str, str] = {}  # to the last `setup` of this process
 WORTH = 5e7  # sample-steps that take XLA about as long as to compile them here, once for all
+_chosen: dict[str, str] = {}  # the precision of the last `setup` of this process
 
 
 def setup(
@@ -63,7 +63,7 @@ def setup(
     if native is not None:
         os.environ[NATIVE] = "on" if native else "off"
     _native_setting()
-    _given["precision"] = precision
+    _chosen["precision"] = precision
     if jax.config.jax_enable_x64 != (precision == "float64"):
         jax.config.update("jax_enable_x64", precision == "float64")
         jax.clear_caches()  # programs may hold arrays of the other precision
@@ -95,9 +95,9 @@ def setup(
         )
 
 
-def need_told_precision() -> None:
+def warn_of_single() -> None:
     """Warns where JAX computes in single precision, its default, and nobody has called `setup`."""
-    if not _given and not jax.config.jax_enable_x64:
+    if not _chosen and not jax.config.jax_enable_x64:
         warnings.warn(
             "jaxilc.setup() was not called: JAX computes in float32, so the numbers are not those "
             "of the command. Call it before any computation.",

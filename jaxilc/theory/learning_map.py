@@ -82,8 +82,8 @@ class View(NamedTuple):
     moving: (n,) which entries of it learning ever changes; all, where it changes none
     units:  (n,) what w is over what the scheme knows, so that each entry counts as the input that
             it makes, in any unit; None for 1. They are one for each leaf, as of the errors of a
-            trial, and powers of 1024 where those of a leaf differ: a parameter of the snap may be
-            1e-9 of the input, which would be rounding beside it
+            trial, and powers of 1024 where entries of a leaf are that far apart: a parameter of the
+            snap may be 1e-9 of the input, which would be rounding beside it
     """
 
     whole: bool
