@@ -5,7 +5,9 @@ import gc
 import itertools
 import logging
 import os
+import re
 import threading
+from hashlib import sha256
 from pathlib import Path
 
 from instructions import limited
@@ -69,31 +71,36 @@ def context_of_module():
 if _make_context is not None:
     mlir.make_ir_context = context_of_module
 
-_compile, _programs = getattr(compiler, "backend_compile_and_load", None), {}
+_compile, _small, _of_module = getattr(compiler, "backend_compile_and_load", None), {}, {}
+CALLED = re.compile(r"custom_call @\"?(\w+)")
 SMALL = 40  # operations of a program that stands for a line of NumPy's kind
+STATELESS = ("lapack_", "blas_", "ducc_fft", "Sharding")  # of what is called outside of a program
 
 
 def is_small(program):
-    """Return whether a program has few operations; to write a large one takes milliseconds."""
+    """Return whether a program has few operations, so that all modules may keep it."""
     blocks = (block for function in program.body for part in function.regions for block in part)
     operations = (operation for block in blocks for operation in block)
     return len([*itertools.islice(operations, SMALL + 1)]) <= SMALL
 
 
 def compile_once(backend, program, *how, **named):
-    """Compile a small program once: each module that calls `jnp.zeros` would compile it again.
+    """Compile a program once in a module, and a small one once: JAX knows a function by itself.
+
+    So a test would compile anew what the one before it did with a function of the same text.
 
     how: devices, options and callbacks; where a version of JAX has others, nothing is kept
     """
-    if named or len(how) != 3 or how[2] or not is_small(program):
+    if named or len(how) != 3 or how[2]:
         return _compile(backend, program, *how, **named)
     text = str(program)
-    if "custom_call" in text:
-        return _compile(backend, program, *how, **named)
-    key = text, str(how[0]), how[1].SerializeAsString()
-    if key not in _programs:
-        _programs[key] = _compile(backend, program, *how)
-    return _programs[key]
+    if not all(called.startswith(STATELESS) for called in CALLED.findall(text)):
+        return _compile(backend, program, *how)
+    key = sha256(text.encode()).digest(), str(how[0]), how[1].SerializeAsString()
+    kept = _small if is_small(program) else _of_module
+    if key not in kept:
+        kept[key] = _compile(backend, program, *how)
+    return kept[key]
 
 
 if _compile is not None:
@@ -165,6 +172,7 @@ def _forget_compiled_programs():
     yield
     jax.clear_caches()
     _contexts.clear()
+    _of_module.clear()
 
 
 @pytest.fixture(scope="module")
