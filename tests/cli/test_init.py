@@ -58,7 +58,7 @@ def test_a_set_point_is_corrected_from_the_error_of_the_drive_on(tmp_path):
     assert made.task.input_unit == "mm"
 
 
-def recorded(folder, w=5685.0**0.5, dt=0.002):
+def recorded(folder, w=30.16, dt=0.005):
     """Write a move of a drive that SciPy simulates; return its set-point and position.
 
     w: square root of its stiffness per mass [rad/s];  dt: sample time [s]
@@ -92,7 +92,7 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
     assert "runs as it is; put your own uncertainty" in " ".join(out.split())
     assert "is assumed" not in out
     made = read_scenario(tmp_path / "plants" / "drive.toml")
-    assert (made.task.dt, made.task.unit, made.task.input_unit) == (0.002, "mm", "mm")
+    assert (made.task.dt, made.task.unit, made.task.input_unit) == (0.005, "mm", "mm")
     np.testing.assert_allclose(np.asarray(made.task.reference)[:, 0], r, atol=1e-8)
     errors = np.asarray(learn(made.machine, made.schemes["ilc"], made.task, 8).metrics.rms)[:, 0]
     np.testing.assert_allclose(errors[0], np.sqrt(np.mean((r - y)[1:] ** 2)), rtol=0.1)
@@ -113,7 +113,7 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
         assert code == 2
         assert said in err
         assert not (tmp_path / "b.toml").exists()
-    write_columns("far.csv", "t,u,y", 0.002 * np.arange(len(r)), r + 100, y + 100)
+    write_columns("far.csv", "t,u,y", 0.005 * np.arange(len(r)), r + 100, y + 100)
     code, out, err = call("init", "--set-point", "--record", "far.csv", "b.toml")
     assert "far.csv: u begins at 100, where the move must begin at 0" in err
     assert (code, (tmp_path / "b.toml").exists()) == (2, False)
@@ -121,7 +121,7 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
 
 @pytest.mark.parametrize(
     ("hertz", "dt", "heading", "unit"),
-    [(2, 0.01, "Zeit [ms];set;pos_act", "mm"), (60, 0.001, "time [ms];set [um];pos_act", "um")],
+    [(2, 0.01, "Zeit [ms];set;pos_act", "mm"), (60, 0.005, "time [ms];set [um];pos_act", "um")],
 )
 def test_the_law_of_a_recorded_drive_is_one_that_learns_on_it(tmp_path, hertz, dt, heading, unit):
     """That of the file without a record has a cutoff at Nyquist here, or makes the error grow."""
@@ -153,14 +153,14 @@ def test_the_law_of_a_recorded_drive_is_one_that_learns_on_it(tmp_path, hertz, d
 
 def test_the_law_of_a_record_stays_where_the_record_shows_the_drive(tmp_path):
     """A smooth move leaves a resonance of 14 Hz unseen; the law of the fit alone diverges on it."""
-    dt, w, v = 0.002, 8 * np.pi, 28 * np.pi
+    dt, w, v = 0.005, 8 * np.pi, 28 * np.pi
     slow, fast = np.array([1, 1.2 * w, w * w]), np.array([1, 0.06 * v, v * v])
     top = np.polyadd(0.7 * w * w * fast, 0.3 * v * v * slow)
     b, a, _ = scipy.signal.cont2discrete((top, np.polymul(slow, fast)), dt)
-    s = np.clip(np.arange(1001) / 500, 0, 1)
+    s = np.clip(np.arange(401) / 200, 0, 1)
     r = 5 * (10 * s**3 - 15 * s**4 + 6 * s**5)
-    y = scipy.signal.lfilter(b[0], a, r) + 1e-4 * np.random.default_rng(0).normal(size=1001)
-    write_columns("move.csv", "t [s],u [mm],y [mm]", dt * np.arange(1001), r, y)
+    y = scipy.signal.lfilter(b[0], a, r) + 1e-4 * np.random.default_rng(0).normal(size=401)
+    write_columns("move.csv", "t [s],u [mm],y [mm]", dt * np.arange(401), r, y)
     code, out, err = call("init", "--set-point", "--record", "move.csv", "a.toml")
     assert (code, err) == (0, "")
     for said in ("The residual is not white", "is not significant", "jaxilc filter T.csv --gain"):
@@ -168,7 +168,7 @@ def test_the_law_of_a_record_stays_where_the_record_shows_the_drive(tmp_path):
         assert said in (tmp_path / "a.toml").read_text(encoding="utf-8") or "filter" in said
     made = read_scenario(tmp_path / "a.toml")
     law = made.schemes["ilc"].scheme
-    z = np.exp(2j * np.pi * dt * np.linspace(0.01, 249, 5000))
+    z = np.exp(2j * np.pi * dt * np.linspace(0.01, 99.6, 5000))
     ratio = np.tan(np.angle(z) / 2) / np.tan(np.pi * dt * float(law.filter.cutoff))
     T = np.polyval(b[0], z) / np.polyval(a, z)
     kept = 1 - float(law.scheme.gamma_p) * z ** (1 + law.scheme.lead) * T
