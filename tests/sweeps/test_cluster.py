@@ -207,7 +207,7 @@ def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, writ
             match=rf"the worker tcp://\S+ is not like.*devices: {devices + 1} there, "
             rf"{devices} here",
         ):
-            PLAN.run(late, cluster=client, progress=join)
+            SMALL.run(late, cluster=client, progress=join)
         assert written
         written.clear()
         with pytest.raises(
@@ -215,7 +215,7 @@ def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, writ
             match=rf"the worker tcp://\S+ is not like tcp.*: devices: {devices + 1} there, "
             rf"{devices} here",
         ):
-            PLAN.run(early, cluster=client)
+            SMALL.run(early, cluster=client)
     assert not written
     assert not early.exists()
 
