@@ -681,7 +681,7 @@ for line in ("--help", "sweep --help", "--version", "list"):
 
 
 @pytest.mark.thorough
-def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path):
+def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path, monkeypatch):
     loaded = {name: jaxilc.scenarios.load(name) for name in jaxilc.scenarios.SCENARIOS}
     assert {
         name: (s.title, tuple(s.schemes), s.trials, s.task.N) for name, s in loaded.items()
@@ -700,7 +700,8 @@ def test_a_shell_completes_scenarios_schemes_and_choices(tmp_path):
             "COMP_WORDS": line,
             "COMP_CWORD": str(len(line.split()) - 1),
         }
-        assert started(**environment).stdout.split() == expected
+        monkeypatch.setattr(os, "environ", PLAIN | environment)
+        assert call()[1].split() == expected
     assert "jaxilc" in started(_JAXILC_COMPLETE="source_bash").stdout
 
 
