@@ -212,7 +212,7 @@ def test_the_slope_of_d2_is_that_of_differences_and_zero_below_the_limit(below):
 def test_d2_is_that_of_the_compact_form_alone():
     machine, scheme, task = case("ffdl_sign")
     with pytest.raises(ValueError, match="D2: FFDLMFAILC has no d2; allowed is CFDLMFAILC"):
-        judge(machine, scheme, task, 2, D2())
+        jax.eval_shape(partial(judge, machine, scheme, task, 2, D2()))
 
 
 def test_a_smooth_reset_has_the_slope_that_the_switch_hides():
@@ -230,17 +230,15 @@ def test_a_smooth_reset_has_the_slope_that_the_switch_hides():
     # `book` gives phi0 up to x = 1/3, where |du| exceeds epsilon, and phi0 x / 2 from there. The
     # jump is the part that its slope misses.
     for mode, hidden in (("smooth", 0.0), ("book", phi0 / 6 - phi0)):
-        value, slope = jax.vmap(jax.value_and_grad(partial(estimate, mode=mode)))(path)
+        value, slope = jax.jit(jax.vmap(jax.value_and_grad(partial(estimate, mode=mode))))(path)
         missed = value[-1] - value[0] - scipy.integrate.trapezoid(slope, path)
         np.testing.assert_allclose(missed, hidden, atol=2e-5)
 
 
 def test_a_smooth_reset_is_that_of_the_book_far_from_its_thresholds():
-    phi, du = jnp.array([-0.5, 0.4, -0.4, -0.5]), jnp.array([0.6, 0.6, -0.7, 0.6])
-    smooth, book = (
-        reset_estimate([phi], du, [jnp.array(-0.3)], component=0, epsilon=0.01, mode=mode)[0]
-        for mode in ("smooth", "book")
-    )
+    phi, du = np.array([-0.5, 0.4, -0.4, -0.5]), np.array([0.6, 0.6, -0.7, 0.6])
+    reset = partial(reset_estimate, phi0=[jnp.array(-0.3)], component=0, epsilon=0.01)
+    (smooth,), (book,) = jax.jit(lambda: [reset([phi], du, mode=m) for m in ("smooth", "book")])()
     np.testing.assert_array_equal(book, [-0.5, -0.3, -0.4, -0.5])
     np.testing.assert_allclose(smooth, book, rtol=1e-12)
 
@@ -274,17 +272,22 @@ def test_forward_slopes_of_a_batch_are_those_of_its_members():
             lambda z, a, b: jnp.sin(z[0] * a["x"]) + z[1] * b, z, *given, forward=True
         )
 
-    z, a, b = jnp.array([0.4, 0.1]), {"x": jnp.arange(1.0, 4.0)}, 2.0
-    starts = jnp.stack([z, -z])
+    z, a, b = np.array([0.4, 0.1]), {"x": np.arange(1.0, 4.0)}, 2.0
+    starts = np.stack([z, -z])
     expected = (
-        jnp.sin(z[0] * a["x"]) + z[1] * b,
-        jnp.stack([a["x"] * jnp.cos(z[0] * a["x"]), jnp.full(3, b)], 1),
+        np.sin(z[0] * a["x"]) + z[1] * b,
+        np.stack([a["x"] * np.cos(z[0] * a["x"]), np.full(3, b)], 1),
     )
     for_z = jax.vmap(of_each, (None, {"x": 0}, None))
-    chex.assert_trees_all_close(for_z(z, a, b), expected, rtol=1e-14)
-    of_starts = jax.jit(jax.vmap(for_z, (0, None, None)))(starts, a, b)
+
+    @jax.jit
+    def found(starts):
+        with_z = jax.vmap(of_each, (0, {"x": None}, 0))(starts, {"x": 2.0}, np.array([1.0, 3.0]))
+        return for_z(z, a, b), jax.vmap(for_z, (0, None, None))(starts, a, b), with_z
+
+    of_members, of_starts, with_z = found(starts)
+    chex.assert_trees_all_close(of_members, expected, rtol=1e-14)
     chex.assert_trees_all_close(jax.tree.map(lambda x: x[0], of_starts), expected, rtol=1e-14)
-    with_z = jax.vmap(of_each, (0, {"x": None}, 0))(starts, {"x": 2.0}, jnp.array([1.0, 3.0]))
     np.testing.assert_allclose(with_z[1][:, 1], [1.0, 3.0])
 
 
@@ -344,7 +347,8 @@ def test_a_tolerance_is_one_number_for_all_outputs_however_small(tolerance):
     metrics = SimpleNamespace(settled_error=errors)
     history = SimpleNamespace(metrics=metrics, saved={}, max_error=errors)
     task = Task(np.outer(np.sin(np.arange(9.0)), [1.0, 0.01]), dt=1e-3)
-    trials = TrialsTo(tolerance, width=0.1)(Run(STATIC, PIDType(), task, history))
+    run = Run(STATIC, PIDType(), task, history)
+    trials = jax.jit(lambda: TrialsTo(tolerance, width=0.1)(run))()
     np.testing.assert_allclose(trials, 2.0, rtol=1e-3)
 
 
@@ -363,24 +367,23 @@ def test_a_scheme_within_bounds_is_the_scheme():
 
 def test_what_a_scheme_sees_is_within_the_level_and_finite():
     bounded, r = Bounded(PIDType(), level=jnp.array([2.0])), jnp.array([1.0])
-    y = jnp.array([np.nan, np.inf, -np.inf, 0.5, 9.0, -1.0 - 1e-9])[:, None]
-    seen, slope = jax.jvp(
-        lambda y: jax.vmap(bounded._seen, (0, None))(y, r), (y,), (jnp.ones_like(y),)
-    )
+    y = np.array([np.nan, np.inf, -np.inf, 0.5, 9.0, -1.0 - 1e-9])[:, None]
+    of_all = jax.vmap(bounded._seen, (0, None))
+    seen, slope = jax.jit(lambda y: jax.jvp(lambda y: of_all(y, r), (y,), (jnp.ones_like(y),)))(y)
     np.testing.assert_array_equal(seen[:, 0], [-1.0, 3.0, -1.0, 0.5, 3.0, -1.0])
     np.testing.assert_array_equal(slope[:, 0], [0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 
 def test_the_largest_of_errors_that_are_all_zero_has_no_slope():
-    r, v, u = jnp.ones((5, 1)), jnp.array([7.0, 1.0, -3.0, 2.0, -3.0])[:, None], jnp.zeros((4, 1))
+    r, v, u = np.ones((5, 1)), np.array([7.0, 1.0, -3.0, 2.0, -3.0])[:, None], np.zeros((4, 1))
     task = Task(r, dt=1e-3, settle=(0.0, 4e-3))
 
     def sizes(z):
         found = measure(Trial(r, r + z * v, u, task.dt, {}, None), task)
         return jnp.concatenate([found.max_error, found.settled_error])  # from sample 1 and 0 on
 
-    slopes = [jax.jacrev(sizes)(z).tolist() for z in (0.0, 1.0, -2.0)]
-    assert slopes == [[0.0, 0.0], [3.0, 7.0], [-3.0, -7.0]]
+    slopes = jax.jit(jax.vmap(jax.jacrev(sizes)))(np.array([0.0, 1.0, -2.0]))
+    assert slopes.tolist() == [[0.0, 0.0], [3.0, 7.0], [-3.0, -7.0]]
 
 
 def test_divergence_has_the_loss_of_the_trial_that_passed_the_ceiling_and_its_slope():
@@ -418,11 +421,11 @@ def test_divergence_outside_the_settled_window_is_seen():
     task = Task(
         np.where(np.arange(N + 1) < N // 2, np.sin(2 * np.pi * np.arange(N + 1) / N), 0.0), dt=1e-3
     )
-    value = judge(STATIC, PIDType(gamma_p=3.0), task, 20, Final())
+    value = jax.jit(lambda gamma: judge(STATIC, PIDType(gamma_p=gamma), task, 20, Final()))
     history = learn(STATIC, PIDType(gamma_p=3.0), task, 20)
     assert history.settled_error[-1, 0] == 0.0
-    np.testing.assert_allclose(value, np.log(2.0**10 / 1e-6), rtol=1e-9)
-    assert judge(STATIC, PIDType(gamma_p=1.5), task, 20, Final()) == 0.0
+    np.testing.assert_allclose(value(3.0), np.log(2.0**10 / 1e-6), rtol=1e-9)
+    assert value(1.5) == 0.0
 
 
 LIGHTLY_DAMPED, _, BUMP = case("p_type")
@@ -470,22 +473,20 @@ def test_a_plant_without_a_finite_slope_is_counted_and_left_out():
 
 
 def test_repaired_losses_and_slopes():
-    losses = jnp.array([1.0, jnp.nan, 2.0, 3.0, 0.5])
-    slopes = jnp.array([[3.0, 4.0], [1.0, 1.0], [jnp.inf, 0.0], [6e200, 8e200], [0.0, 0.5]])
-    losses, slopes, good = repaired(losses, slopes, clip=2.0)  # their lengths are 0.5, 5 and 1e201
+    losses = np.array([1.0, np.nan, 2.0, 3.0, 0.5])
+    slopes = np.array([[3.0, 4.0], [1.0, 1.0], [np.inf, 0.0], [6e200, 8e200], [0.0, 0.5]])
+    # their lengths are 0.5, 5 and 1e201
+    losses, slopes, good = jax.jit(repaired)(losses, slopes, clip=2.0)
     np.testing.assert_array_equal(good, [True, False, False, True, True])
     np.testing.assert_array_equal(losses, [1, 3, 2, 3, 0.5])
     np.testing.assert_allclose(slopes, [[3, 4], [0, 0], [0, 0], [6, 8], [0, 0.5]], rtol=1e-12)
 
 
 def test_a_plant_above_the_floor_is_heard_among_those_below_it():
-    slopes = np.array([[0.0], [0.0], [0.0], [2.0], [-50.0]])
-    np.testing.assert_allclose(
-        repaired(jnp.zeros(5), slopes, clip=3.0)[1], [[0], [0], [0], [2], [-3]]
-    )
-    np.testing.assert_array_equal(
-        repaired(jnp.full(2, jnp.nan), jnp.ones((2, 1)), clip=3.0)[1], 0.0
-    )
+    slopes = jax.jit(lambda losses, slopes: repaired(losses, slopes, clip=3.0)[1])
+    found = slopes(np.zeros(5), np.array([[0.0], [0.0], [0.0], [2.0], [-50.0]]))
+    np.testing.assert_allclose(found, [[0], [0], [0], [2], [-3]])
+    np.testing.assert_array_equal(slopes(np.full(5, np.nan), np.ones((5, 1))), 0.0)
 
 
 @dataclasses.dataclass(frozen=True)
