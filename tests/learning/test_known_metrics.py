@@ -40,8 +40,8 @@ def test_histories_datasets_and_objectives_know_each_metric():
         assert getattr(histories["p"], name) is getattr(histories["p"].metrics, name)
     swept = jaxilc.Sweep(STATIC, {"p": law}, TASK, 3, {}, machines=2).run()
     assert {metric.name for metric in METRICS if metric.swept} == set(swept.data_vars)
-    for name in TUNED:
-        assert np.isfinite(judge(STATIC, law, TASK, 3, Final(name)))
+    of_all = sum(map(Final, TUNED), Final())
+    assert np.isfinite(jax.jit(lambda: judge(STATIC, law, TASK, 3, of_all))())
     with pytest.raises(AttributeError, match=r"'speed'; its metrics are .*'rms'"):
         histories["p"].speed
 
