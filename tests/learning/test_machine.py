@@ -1,5 +1,7 @@
 """These tests check the machine around a plant: actuator, sensors and disturbances."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -94,22 +96,22 @@ def test_learning_sees_the_input_as_applied():
     np.testing.assert_allclose(y[-1, 1:], u[-1], rtol=1e-12)
 
 
-NOISES = {
-    "sensor": (lambda s: {"sensor": Sensor(noise=s)}),
-    "output": (lambda s: {"disturbance": Disturbance(output_noise=s)}),
-    "input": (lambda s: {"disturbance": Disturbance(input_noise=s)}),
-}
+def noisy(sensor=0.0, output=0.0, input=0.0):
+    """Return a delay with noise; one program serves all that have some of it."""
+    disturbance = Disturbance(output_noise=output, input_noise=input)
+    return Machine(DELAY, None, Sensor(noise=sensor), disturbance)
 
 
-@pytest.mark.parametrize("source", NOISES)
+@pytest.mark.parametrize("source", ["sensor", "output", "input"])
 def test_noise_is_white_of_the_given_deviation_and_new_in_each_trial(source):
     """With u = 0 and y[k+1] = u[k] + d_u[k] the output is the noise.
 
     The standard errors are s/sqrt(n), s^2 sqrt(2/n), and 1/sqrt(n) for a correlation.
     """
     sigma, N = 0.3, 3000
-    machine = Machine(DELAY, **NOISES[source](sigma))
-    y, u = signals(machine, ZERO, Task(np.zeros(N + 1), dt=DT), 2, key=jax.random.key(11))
+    y, u = signals(
+        noisy(**{source: sigma}), ZERO, Task(np.zeros(N + 1), dt=DT), 2, key=jax.random.key(11)
+    )
     assert np.all(u == 0)
     assert (y[0, 0] == 0) == (source == "input"), (
         "the first sample is measured too, before any input"
@@ -125,13 +127,7 @@ def test_noise_is_white_of_the_given_deviation_and_new_in_each_trial(source):
 
 def test_noise_sources_are_independent_and_add_up():
     N, deviations = 3000, (0.1, 0.2, 0.3)
-    machine = Machine(
-        DELAY,
-        None,
-        Sensor(noise=deviations[0]),
-        Disturbance(output_noise=deviations[1], input_noise=deviations[2]),
-    )
-    y, _ = signals(machine, ZERO, Task(np.zeros(N + 1), dt=DT))
+    y, _ = signals(noisy(*deviations), ZERO, Task(np.zeros(N + 1), dt=DT), 2)
     variance = sum(s**2 for s in deviations)
     assert abs(np.var(y[0, 1:]) - variance) < SIGMAS * variance * np.sqrt(2 / N)
 
@@ -144,14 +140,14 @@ def test_repetitive_part_repeats_and_the_rest_follows_the_key():
     expected = 0.5 * wave[:, 0] + np.concatenate([[0.0], wave[:-1, 0]])
     np.testing.assert_allclose(y, np.tile(expected, (3, 1)), **ALGEBRA)
 
-    noisy = Machine(DELAY, None, Sensor(noise=0.1), Disturbance(**repetitive, output_noise=0.2))
-    y, _ = signals(noisy, ZERO, task, 3, key=jax.random.key(1))
+    both = Machine(DELAY, None, Sensor(noise=0.1), Disturbance(**repetitive, output_noise=0.2))
+    y, _ = signals(both, ZERO, task, 3, key=jax.random.key(1))
     assert np.all(np.abs(y[1:] - y[:-1]).max(axis=1) > 0.1)
     assert abs(np.mean(y - expected)) < SIGMAS * np.hypot(0.1, 0.2) / np.sqrt(y.size)
-    np.testing.assert_array_equal(y, signals(noisy, ZERO, task, 3, key=jax.random.key(1))[0])
-    assert np.all(y != signals(noisy, ZERO, task, 3, key=jax.random.key(2))[0])
-    unkeyed = signals(noisy, ZERO, task, 3)[0]
-    np.testing.assert_array_equal(unkeyed, signals(noisy, ZERO, task, 3)[0])
+    np.testing.assert_array_equal(y, signals(both, ZERO, task, 3, key=jax.random.key(1))[0])
+    assert np.all(y != signals(both, ZERO, task, 3, key=jax.random.key(2))[0])
+    unkeyed = signals(both, ZERO, task, 3)[0]
+    np.testing.assert_array_equal(unkeyed, signals(both, ZERO, task, 3)[0])
 
 
 def test_noise_of_each_channel_is_its_own():
@@ -171,22 +167,22 @@ def test_gradients_of_the_discontinuous_parts():
 
     Limits and rate limits pass it inside their range and block it outside.
     """
-    slope = jax.vmap(jax.grad(quantise), in_axes=(0, None))
-    np.testing.assert_array_equal(slope(jnp.array([-0.31, 0.0, 0.04, 7.2]), 0.1), 1.0)
-    np.testing.assert_allclose(
-        quantise(np.array([-0.31, 0.04, 7.26]), 0.1), [-0.3, 0.0, 7.3], atol=1e-12
-    )
+    of_each = jax.jit(jax.vmap(jax.value_and_grad(lambda x: quantise(x, 0.1))))
+    values, slopes = of_each(np.array([-0.31, 0.0, 0.04, 7.26]))
+    np.testing.assert_allclose(values, [-0.3, 0.0, 0.0, 7.3], atol=1e-12)
+    np.testing.assert_array_equal(slopes, 1.0)
 
+    @jax.jit
+    @partial(jax.vmap, in_axes=(None, 0))
     def through(actuator, u):
-        return jax.grad(lambda u: actuator.apply(u, jnp.array([0.2]), DT)[1][0])(jnp.array([u]))[0]
+        return jax.grad(lambda u: actuator.apply(u[None], jnp.array([0.2]), DT)[1][0])(u)
 
-    assert [float(through(Actuator(limit=1.0), u)) for u in (-1.5, 0.5, 1.5)] == [0.0, 1.0, 0.0]
-    assert [float(through(Actuator(rate=100.0), u)) for u in (0.05, 0.25, 0.35)] == [0.0, 1.0, 0.0]
-    assert [float(through(Actuator(limit=1.0, resolution=0.3), u)) for u in (0.5, 1.5)] == [
-        1.0,
-        0.0,
-    ]
-    assert float(jax.grad(lambda y: Sensor(resolution=0.3).measure(y, None))(0.4)) == 1.0
+    of_limit = through(Actuator(limit=1.0), np.array([-1.5, 0.5, 1.5]))
+    assert of_limit.tolist() == [0.0, 1.0, 0.0]
+    assert through(Actuator(rate=100.0), np.array([0.05, 0.25, 0.35])).tolist() == [0.0, 1.0, 0.0]
+    of_both = through(Actuator(limit=1.0, resolution=0.3), np.array([0.5, 1.5]))
+    assert of_both.tolist() == [1.0, 0.0]
+    assert jax.jit(jax.grad(lambda y: Sensor(resolution=0.3).measure(y, None)))(0.4) == 1.0
 
 
 def test_gradient_through_learning_on_quantised_signals_is_straight_through():
