@@ -22,10 +22,11 @@ from jaxilc.schemes.scheme import Wrapper, limited, with_all_parts
 from jaxilc.signals import Task
 from jaxilc.sweeps import Sweep
 from jaxilc.theory import certify
+from jaxilc.theory.certificates import long_run
 from jaxilc.theory.frequency import learning_condition
 from jaxilc.tuning import Tuning
 from jaxilc.tuning.objectives import Final
-from jaxilc.uncertainty import Uniform, draw
+from jaxilc.uncertainty import Uniform, draw, drawn_machines
 
 N, TRIALS = 40, 6
 TASK = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N), dt=DT)
@@ -277,9 +278,10 @@ def test_a_limit_of_a_scheme_that_is_no_part_is_not_claimed_away():
     free, limited = (
         WithFeedback(Silent(PIDType(gamma_p=0.5, limit=x)), FEEDBACK) for x in (None, 0.3)
     )
-    assert set(certify(MACHINE, free, TASK, 5, {}, {}).claim) != {"not claimed"}
-    found = certify(MACHINE, limited, TASK, 5, {}, {})
-    assert set(found.claim) == {"not claimed"}
+    machines = drawn_machines(MACHINE, {}, {})
+    assert list(long_run(machines, free, TASK).claim) != ["not claimed"]
+    found = long_run(machines, limited, TASK)
+    assert list(found.claim) == ["not claimed"]
     assert "Silent.parts leaves out, is met in trial 1" in found.reason[0]
     errors = np.asarray(learn(MACHINE, limited, TASK, 200).rms)[:, 0]
     assert errors[199] > 0.5 * errors[20] > 0.01
