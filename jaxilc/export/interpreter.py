@@ -11,6 +11,7 @@ import ctypes
 import math
 from collections.abc import Callable, Sequence
 from functools import cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jax.typing import DTypeLike
@@ -30,6 +31,8 @@ from ..native.operations import (
 )
 from ..native.program import Const, Program, Step, Unknown, Value
 from ..pytree.aliases import Function, Leaf
+
+_formulas: WeakKeyDictionary[Step, Node] = WeakKeyDictionary()  # by step, while it is there
 
 
 def interpret(
@@ -77,13 +80,20 @@ def _step(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]
     if step.name == "while":
         return _while(step, ins, real)
     if elementwise(step.name):
-        found = _node(formula(step), ins, real, {})
+        found = _node(_formula(step), ins, real, {})
         return [np.broadcast_to(found, step.outs[0].shape)]
     if on_arrays(step.name):
         found = rearranged(step, ins, step.outs[0].shape, SINGLE.__getitem__, lambda number: number)
     else:
         found = ARRAYS[step.name](step, ins)
     return [_as(found, step.outs[0].dtype, real).reshape(step.outs[0].shape)]
+
+
+def _formula(step: Step) -> Node:
+    """The formula of a step, which is written once and not for each sample that is played."""
+    if step not in _formulas:
+        _formulas[step] = formula(step)
+    return _formulas[step]
 
 
 def _scan(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]:

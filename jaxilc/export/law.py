@@ -34,7 +34,7 @@ from ..schemes.scheme import with_all_parts
 from ..signals.task import Sample, Task, Trial
 from . import guard
 from .interpreter import interpret
-from .steps import program_of
+from .steps import program_and_result, program_of
 
 
 class Within(NamedTuple):
@@ -201,9 +201,8 @@ def _function(
     given: dict[str, Array],
 ) -> Function:
     """A function of what is known, with only the operands that it reads and what it changes."""
-    program = program_of(function, known, *given.values())
+    program, result = program_and_result(function, known, *given.values())
     ins = [*named_leaves(known), *given]
-    result = jax.eval_shape(function, known, *given.values())
     outs = [*named_leaves(result[0]), *result[1]]
     at_first = dict(zip(program.ins, ins, strict=True))
     changed = [at_first.get(x) != to for x, to in zip(program.outs, outs, strict=True)]
@@ -308,6 +307,8 @@ def _rows(rows: Array, k: Array, count: int) -> Array:
 
 def _signals_that_are_read(tracer: _Tracer, known: Known) -> dict[str, Array]:
     """The signals of the scheme that its learning needs."""
+    if not known.record.signals:
+        return {}
     program = program_of(lambda record: tracer.end(known._replace(record=record),
                                                    known.within.y), known.record)  # fmt: skip
     live = dict(zip(named_leaves(known.record), read(program), strict=True))

@@ -60,10 +60,15 @@ class Pair(Value):
 
 def program_of(function: Function, *operands: Tree) -> Program:
     """The steps of a function of trees of arrays, flattened; raises Unknown for what is refused."""
-    traced = jax.make_jaxpr(function)(*operands)
+    return program_and_result(function, *operands)[0]
+
+
+def program_and_result(function: Function, *operands: Tree) -> tuple[Program, Tree]:
+    """The steps of a function, and the shapes and types of its result in the tree that it is."""
+    traced, result = jax.make_jaxpr(function, return_shape=True)(*operands)
     if any(map(_is_key, traced.consts)):
         raise Unknown(REASONS["random_bits"])
-    return without_dead(_written(traced))
+    return without_dead(_written(traced)), result
 
 
 def _written(closed: ClosedJaxpr) -> Program:
