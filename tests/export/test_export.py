@@ -95,6 +95,12 @@ def test_the_program_in_c_equals_the_interpreter_to_the_last_bit(name, tmp_path)
         assert (ran.returncode, ran.stdout) == (0, "law: all numbers are equal\n"), ran.stdout
 
 
+@jax.jit
+def by_jax(scheme, memory, task, y, u, signals):
+    """Return what a scheme learns from a trial."""
+    return scheme.learn(memory, Trial(task.reference, y, u, task.dt, Signals(signals)))
+
+
 @pytest.mark.parametrize("name", EVERY)
 def test_the_interpreter_equals_jax_where_the_guard_is_silent(name):
     """The guard changes no bit, and the law is that of the scheme."""
@@ -102,27 +108,23 @@ def test_the_interpreter_equals_jax_where_the_guard_is_silent(name):
     guarded = exported(name)
     bare = law_of(scheme, task, 1e3, guarded=False)
     played, alone = guarded.played(), bare.played()
+    structure = jax.tree.structure(bare.scheme.initial_memory(task))
     for y in trials_of_test(guarded)[:3]:
         before = {name: x for name, x in played.known.items() if name.startswith("memory")}
         (u, code), (v, _) = played.trial(y), alone.trial(y)
         assert u.tobytes() == v.tobytes()
+        known = alone.known
+        signals = {f.split("signals.")[1]: x for f, x in known.items() if "signals." in f}
+        memory = jax.tree.unflatten(structure, before.values())
+        learned = by_jax(bare.scheme, memory, task, y, known["record.u"], signals)
+        for field, theirs in zip(before, jax.tree.leaves(learned), strict=True):
+            np.testing.assert_allclose(known[field], theirs, rtol=1e-10, atol=1e-12)
         if code:  # the law itself has left its limits, and what follows differs
             assert all(np.array_equal(x, played.known[n], equal_nan=True)
                        for n, x in before.items())  # fmt: skip
             break
         for field in before:
             assert played.known[field].tobytes() == alone.known[field].tobytes()
-    fresh = bare.played()
-    memory = bare.scheme.initial_memory(task)
-    fresh.trial(y)
-    known = fresh.known
-    signals = {f.split("signals.")[1]: x for f, x in known.items() if "signals." in f}
-    r = jnp.asarray(task.reference)
-    trial = Trial(r, jnp.asarray(y), known["record.u"], task.dt, Signals(signals))
-    learned = jax.tree.leaves(bare.scheme.learn(memory, trial))
-    found = [x for f, x in known.items() if f.startswith("memory")]
-    for ours, theirs in zip(found, learned, strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("n", [1, 2, 12, 17, 34, 60, 2 * 997])
@@ -207,7 +209,7 @@ def test_a_learning_filter_with_segments_is_exported():
 def test_the_guard_goes_back_to_the_last_good_input():
     """NaN, a stuck sensor, growth and a large input each have their code; none is learned from."""
     task = task_of("p_type")
-    law = law_of(SCHEMES["p_type"], task, 1e3)
+    law = exported("p_type")
     r = np.asarray(task.reference)
     good, bad = trials_of_test(law)[:2], np.where(np.arange(len(r))[:, None] == 3, np.nan, r)
     for y, code in ((bad, "SENSOR"), (0 * r, "STUCK"), (1e3 * r, "GROWN")):
@@ -228,17 +230,19 @@ def test_the_guard_goes_back_to_the_last_good_input():
 
 
 @pytest.mark.parametrize("beside", [(), (10,)])  # the travel of another axis, which moves
-@pytest.mark.parametrize(("breaks", "codes"), [
-    (0.7, [0, 0, 0, 0, 0, 2, 0, 0]),  # it breaks away in trial 4; a sensor that dies later is told
-    (9.0, [0, 0, 0, 0, 2, 0, 2, 0]),  # a dead encoder, too, from a tenth of the limit on
-])  # fmt: skip
-def test_the_guard_lets_an_axis_that_sticks_learn_to_break_away(breaks, codes, beside):
+def test_the_guard_lets_an_axis_that_sticks_learn_to_break_away(beside):
     r = np.linspace(0, 1, FEW + 1)[:, None] ** 2 * [*beside, 1]
-    played, y = law_of(PIDType(gamma_p=0.25), Task(r, 1e-3), 10.0).played(), 0 * r
-    for j, code in enumerate(codes):
-        y[1:] = played.known["schedule.u"]
-        y[1:, -1] = np.maximum(y[1:, -1] - breaks, 0) * (j != 5)
-        assert played.trial(y)[1] == code
+    law = law_of(PIDType(gamma_p=0.25), Task(r, 1e-3), 10.0)
+    for breaks, codes in (
+        (0.7, [0, 0, 0, 0, 0, 2, 0, 0]),  # breaks away in trial 4; a sensor that dies later is told
+        (9.0, [0, 0, 0, 0, 2, 0, 2, 0]),  # a dead encoder, too, from a tenth of the limit on
+    ):
+        played, y, found = law.played(), 0 * r, []
+        for j in range(len(codes)):
+            y[1:] = played.known["schedule.u"]
+            y[1:, -1] = np.maximum(y[1:, -1] - breaks, 0) * (j != 5)
+            found.append(played.trial(y)[1])
+        assert found == codes
 
 
 @pytest.mark.parametrize(("largest", "code"), [(0.9, 0), (1.1, 2)])
@@ -294,10 +298,11 @@ def test_the_guard_lets_a_law_learn_that_does_not_begin_with_zero(law):
 
 def test_the_guard_bounds_what_is_learned_beside_what_the_law_began_with():
     """A constant error of -4 moves u from 1 to -1, -3 and -5; then +-1.1 (5 + (5 + 1) / 3)."""
-    law = WarmStart(PIDType(gamma_p=0.5), PolynomialBasis((0,)), theta=[1.0])
     r = np.ones((FEW + 1, 1))
+    scheme = WarmStart(PIDType(gamma_p=0.5), PolynomialBasis((0,)), theta=[1.0])
+    law = law_of(scheme, Task(r, 1e-3), 1e3)
     for last, code in ((-5.0, "LEARNED"), (-6.0, "TOO_LARGE")):
-        played = law_of(law, Task(r, 1e-3), 1e3).played()
+        played = law.played()
         assert [CODES[played.trial(r - e)[1]] for e in (-4.0,) * 3] == ["LEARNED"] * 3
         assert np.array_equal(played.known["schedule.u"].ravel(), np.full(FEW, -5.0))
         assert CODES[played.trial(r - last)[1]] == code
@@ -306,8 +311,9 @@ def test_the_guard_bounds_what_is_learned_beside_what_the_law_began_with():
 def test_the_guard_counts_the_steps_of_a_law_that_repeats_its_trials():
     """An error that stays at 1 moves u by 0.5 in every third trial, to 1.5; then to 2.2 at most."""
     r = np.ones((FEW + 1, 1))
+    law = law_of(Ladder(PIDType(gamma_p=0.5), repeats=3), Task(r, 1e-3), 1e3)
     for last, code in ((1.3, "LEARNED"), (1.5, "TOO_LARGE")):
-        played = law_of(Ladder(PIDType(gamma_p=0.5), repeats=3), Task(r, 1e-3), 1e3).played()
+        played = law.played()
         assert {CODES[played.trial(r - 1)[1]] for _ in range(9)} == {"LEARNED"}
         assert np.array_equal(played.known["schedule.u"].ravel(), np.full(FEW, 1.5))
         assert CODES[[played.trial(r - last)[1] for _ in range(3)][-1]] == code
