@@ -31,14 +31,13 @@ REFUSED = {
     "constrained": "while",
     "basis_gradient": "eigh",
 }
-QUICK = ("ffdl_sign", "pid_type_leaky_limited", "p_type_fir", "at_samples", "motor_real")
-# with those above, each operation of the compiler, each reason to refuse, each kind of plant
+QUICK = ("ffdl_sign", "pid_type_leaky_limited", "at_samples", "motor_real")
+# with those above and test_operations.py, each branch that any case takes through the compiler,
+# each of its operations, and each reason to refuse
 COVERING = (
-    "asmc_carried_limited", "ball_screw_real", "basis_gradient", "by_position",
-    "cfdl_mfapc", "cfdl_mfapc_moves", "cfdl_smooth", "constrained", "cross_coupled",
-    "estimated_disturbance", "fast_tool_servo_nonlinear", "gradient", "in_blocks",
-    "model_free", "norm_optimal_lifted", "on_basis", "p_type_iir", "p_type_on_table",
-    "p_type_stop", "pendulum", "repetitive", "time_varying",
+    "asmc_carried_limited", "basis_gradient", "by_position", "cfdl_mfapc_moves", "constrained",
+    "cross_coupled", "estimated_disturbance", "gradient", "model_free", "norm_optimal_lifted",
+    "p_type_iir", "p_type_stop", "repetitive", "time_varying",
 )  # fmt: skip
 GAINS = 1 + 0.002 * np.arange(-8, 9)  # of 17 machines
 
@@ -59,6 +58,28 @@ def arguments(name):
     return (machine, scheme), task
 
 
+REFERENCE = np.sin(np.arange(12.0))
+
+
+def of_lag(reference, gain):
+    """Five trials of a lag that learns: a small program, where it does not matter which."""
+
+    def sample(x, u):
+        return 0.5 * x + gain * u, x
+
+    def trial(u, _):
+        e = reference - jax.lax.scan(sample, 0.0, u)[1]
+        return u + 0.5 * e, jnp.max(jnp.abs(e))
+
+    return jax.lax.scan(trial, 0.1 * reference, length=TRIALS)
+
+
+@pytest.fixture(scope="module")
+def of_p_type():
+    """The program of a scheme, which several tests run."""
+    return Compiled(of_machine, arguments("p_type"), 1.0)
+
+
 @pytest.mark.parametrize(
     "name",
     [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow)
@@ -76,11 +97,10 @@ def test_every_case_learns_as_by_xla_or_is_refused_by_name(name):
     assert differs(found, wanted) is None
 
 
-def test_a_window_of_samples_divides_a_loop_and_is_not_read_in_each_sample(monkeypatch):
+def test_a_window_of_samples_divides_a_loop_and_is_not_read_in_each_sample(monkeypatch, of_p_type):
     common, found, masks = arguments("p_type"), [], []
-    for runs in (rows.FEW_RUNS, 0):
-        monkeypatch.setattr(rows, "FEW_RUNS", runs)
-        program = Compiled(of_machine, common, 1.0)
+    monkeypatch.setattr(rows, "FEW_RUNS", 0)
+    for program in (of_p_type, Compiled(of_machine, common, 1.0)):
         found.append(jax.tree.leaves(program(common, GAINS)))
         buffers = [x for loop in program._loops for x in loop._function.plan.buffers]
         masks.append(sum(x.kind == "given" and x.dtype == bool for x in buffers))
@@ -147,11 +167,10 @@ def test_numbers_do_not_depend_on_lanes_groups_threads_or_what_was_in_the_ram(mo
         mallopt(poison, 0)
 
 
-def test_a_machine_that_diverges_touches_no_other():
+def test_a_machine_that_diverges_touches_no_other(of_p_type):
     common = arguments("p_type")
-    program = Compiled(of_machine, common, 1.0)
-    calm = jax.tree.leaves(program(common, GAINS))
-    wild = jax.tree.leaves(program(common, np.where(np.arange(17) == 5, 1e90, GAINS)))
+    calm = jax.tree.leaves(of_p_type(common, GAINS))
+    wild = jax.tree.leaves(of_p_type(common, np.where(np.arange(17) == 5, 1e90, GAINS)))
     others = np.arange(17) != 5
     for x, y in zip(calm, wild, strict=True):
         np.testing.assert_array_equal(np.asarray(x)[others], np.asarray(y)[others])
@@ -190,25 +209,24 @@ def test_noise_is_drawn_ahead_and_a_table_is_searched_at_each_sample():
 
 
 def test_another_result_than_that_of_xla_is_refused_and_told(monkeypatch, caplog):
-    common = arguments("p_type")
     once = iter(["not that of XLA in haste"])
     monkeypatch.setattr(run, "differs", lambda *of: next(once, None) or differs(*of))
-    assert Native(of_machine).why_not(common, GAINS) is None
+    assert Native(of_lag).why_not(REFERENCE, GAINS) is None
     assert next(once, None) is None
     wrong = dataclasses.replace(operations.INSTRUCTIONS["sub"], text={"f": "fadd"})
     monkeypatch.setitem(operations.INSTRUCTIONS, "sub", wrong)
-    reason = Native(of_machine).why_not(common, GAINS)
+    reason = Native(of_lag).why_not(REFERENCE, GAINS)
     assert "another result than that of XLA" in reason
     assert "XLA computes instead" in caplog.text
 
 
 def test_xla_compiles_for_the_next_call_beside_the_comparison(caplog):
-    common, native = arguments("p_type"), Native(of_machine)
+    native = Native(of_lag)
     with jax.log_compiles():
-        assert native.why_not(common, GAINS, ahead=True) is None
+        assert native.why_not(REFERENCE, GAINS, ahead=True) is None
         for batch, compiles in ((GAINS, False), (GAINS[:5], True)):
             caplog.clear()
-            native.program(common, batch)(common, batch)
+            native.program(REFERENCE, batch)(REFERENCE, batch)
             assert ("Finished XLA compilation" in caplog.text) == compiles
 
 
@@ -269,7 +287,7 @@ def test_without_llvmlite_the_reason_is_told(monkeypatch):
 def test_machine_code_is_kept_and_what_was_damaged_is_compiled_again(monkeypatch, tmp_path):
     """The code of one program under the name of another is not run either."""
     monkeypatch.setattr(code, "_folder", lambda: str(tmp_path))
-    common, optimised, number = arguments("p_type"), [], itertools.count()
+    optimised, number = [], itertools.count()
     builder = code._llvm().create_pass_builder
     monkeypatch.setattr(
         code._llvm(), "create_pass_builder", lambda *of: optimised.append(1) or builder(*of)
@@ -283,7 +301,7 @@ def test_machine_code_is_kept_and_what_was_damaged_is_compiled_again(monkeypatch
     monkeypatch.setattr(loops, "target", anew)
 
     def computed():
-        return jax.tree.leaves(Compiled(of_machine, common, 1.0, lanes=2)(common, GAINS[:3]))
+        return Compiled(of_lag, REFERENCE, 1.0, lanes=2)(REFERENCE, GAINS[:3])
 
     wanted, (kept,) = computed(), tmp_path.glob("native-*")
     whole = kept.read_bytes()
@@ -301,14 +319,14 @@ def test_machine_code_is_kept_and_what_was_damaged_is_compiled_again(monkeypatch
 def test_what_agreed_with_xla_is_not_compared_again(monkeypatch, tmp_path):
     """It is noted on disk, and XLA's own programs are found there: their text is the same again."""
     monkeypatch.setattr(code, "_folder", lambda: str(tmp_path))
-    common, compared = arguments("p_type"), []
+    compared = []
     monkeypatch.setattr(run, "differs", lambda *of: compared.append(1) or differs(*of))
 
     def text():
-        native = Native(of_machine)
-        assert native.why_not(common, GAINS[:2]) is None
-        program = native.program(common, GAINS[:2])
-        return jax.jit(program).lower(common, GAINS[:2]).as_text()
+        native = Native(of_lag)
+        assert native.why_not(REFERENCE, GAINS[:2]) is None
+        program = native.program(REFERENCE, GAINS[:2])
+        return jax.jit(program).lower(REFERENCE, GAINS[:2]).as_text()
 
     assert text() == text()
     assert len(compared) == 1
