@@ -19,11 +19,11 @@ from jaxilc.uncertainty import Uniform
 GAIN = {"plant.b": Uniform(0.9, 1.1, relative=True)}
 
 
-def sweep(names=("p_type", "p_type_butterworth"), **options):
+def sweep(*names):
     machine, _, task = case("arx")
-    schemes = {name: SCHEMES[name] for name in names}
-    how = {"uncertainty": GAIN, "machines": 21, "chunk": 12, "keep": ("y",), **options}
-    return Sweep(machine, schemes, task, trials=4, **how)
+    schemes = {name: SCHEMES[name] for name in names or ("p_type", "pid_position")}
+    return Sweep(machine, schemes, task, trials=4, uncertainty=GAIN, machines=21, chunk=12,
+                 keep=("y",))  # fmt: skip
 
 
 def test_a_store_says_which_computed_it_and_is_resumed_by_the_same(tmp_path, monkeypatch):
@@ -69,11 +69,11 @@ def test_the_switch_is_auto_on_off_or_named(monkeypatch):
 
 def test_a_sweep_that_is_worth_it_is_compiled_without_being_asked(monkeypatch):
     monkeypatch.delenv("JAXILC_NATIVE", raising=False)
-    one = sweep(("p_type",))
+    one = sweep("p_type")
     assert "native" not in one.host().environment
     monkeypatch.setattr(start, "WORTH", 21 * 4 * one.task.N)
     assert one.host().environment["native"] == ["p_type"]
-    assert "native" not in sweep(("p_type_butterworth",)).host().environment  # it is not known
+    assert "native" not in sweep("p_type_butterworth").host().environment  # it is not known
 
 
 def test_the_steps_of_what_is_computed_are_counted():
