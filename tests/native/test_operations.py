@@ -65,25 +65,25 @@ def flushed(x):
     return np.where(np.abs(x) < np.finfo(x.dtype).tiny, np.copysign(0.0, x), x)
 
 
-def applied(functions, *signals):
+def thrice(signal):
+    """Return a signal, its reverse and one that is moved, for three machines."""
+    return np.stack([signal, signal[::-1], np.roll(signal, 7)])
+
+
+def applied(functions, *batch):
     """Return what the compiled program and JAX find for functions of signals, by name."""
+    wanted = jax.jit(jax.vmap(lambda *one: [f(*one) for f in functions.values()]))(*batch)
 
     def learning(common, one):
         def trial(carry, j):
             total, _ = jax.lax.scan(lambda s, x: (s + jnp.sum(x), None), 0.0, 0.0 * carry[0])
             return (*one, *(f(*one) for f in functions.values())), total
 
-        def start(x):
-            return jnp.zeros(x.shape, x.dtype)
-
-        results = jax.eval_shape(lambda: [f(*one) for f in functions.values()])
-        carry = (*one, *map(start, results))
+        carry = (*one, *(jnp.zeros(x.shape[1:], x.dtype) for x in wanted))
         found, totals = jax.lax.scan(trial, carry, jnp.arange(2))
         return found[len(one) :], totals
 
-    batch = tuple(np.stack([s, s[::-1], np.roll(s, 7)]) for s in signals)
     compiled = Compiled(learning, (), tuple(x[0] for x in batch))((), batch)[0]
-    wanted = jax.jit(jax.vmap(lambda *one: [f(*one) for f in functions.values()]))(*batch)
     return zip(functions, map(np.asarray, compiled), map(np.asarray, wanted), strict=True)
 
 
@@ -97,7 +97,7 @@ def single():
 
 def compared(functions, *signals, near):
     """Exact ones to the last bit and sign, the others to a few last places."""
-    for name, found, wanted in applied(functions, *signals):
+    for name, found, wanted in applied(functions, *map(thrice, signals)):
         if found.dtype.kind != "f":
             np.testing.assert_array_equal(found, wanted, err_msg=name)
             continue
@@ -128,7 +128,7 @@ def test_quotients_are_rounded_once_beside_reciprocals_of_the_same_number():
         "div": x / y, "floor": x // y, "whole": x // y, "reached": x >= y,
         "inverse": 1 / y, "inverse square": 1 / (y * y),
     }  # fmt: skip
-    for name, found, _ in applied(functions, x, y):
+    for name, found, _ in applied(functions, x[None], y[None]):
         np.testing.assert_array_equal(found[0], wanted[name], err_msg=name)
 
 
@@ -139,13 +139,11 @@ def test_an_operation_in_single_precision_is_that_of_jax(single):
     x[:2], y[1:3] = np.inf, -np.inf
     one = {name: lambda x, y, f=f: f(x) for name, f in OF_ONE.items() if name != "to whole"}
     compared(OF_TWO | one, x, y, near=2e-6)
-    for name, found, wanted in applied(OF_WHOLE, *(k.astype(np.int32) for k in (SOME, OTHER))):
-        np.testing.assert_array_equal(found, wanted, err_msg=name)
+    compared(OF_WHOLE, *(k.astype(np.int32) for k in (SOME, OTHER)), near=0)
 
 
 def test_an_operation_on_whole_numbers_is_that_of_jax():
-    for name, found, wanted in applied(OF_WHOLE, SOME, OTHER):
-        np.testing.assert_array_equal(found, wanted, err_msg=name)
+    compared(OF_WHOLE, SOME, OTHER, near=0)
 
 
 @pytest.mark.parametrize("axis", [0, 1], ids=["samples", "channels"])
@@ -167,9 +165,8 @@ def test_what_puts_numbers_together_is_that_of_jax(axis):
     calm = np.random.default_rng(3).normal(size=(32, 4))
     wild = calm.copy()
     wild[20:, 1:] = np.resize(EDGES, (12, 3))
-    for signal in (calm, wild):
-        for name, found, wanted in applied(functions, signal):
-            np.testing.assert_allclose(found, wanted, rtol=1e-11, atol=1e-12, err_msg=name)
+    for name, found, wanted in applied(functions, np.vstack([thrice(calm), thrice(wild)])):
+        np.testing.assert_allclose(found, wanted, rtol=1e-11, atol=1e-12, err_msg=name)
 
 
 def test_a_few_numbers_become_rows_where_they_are_padded_or_joined():
@@ -178,7 +175,7 @@ def test_a_few_numbers_become_rows_where_they_are_padded_or_joined():
         "cut": lambda x: x * jax.lax.pad(x[2:6], 1.0, [(-3, len(x) - 1, 0)]),
         "joined": lambda x: x * jnp.concatenate([x[2:6], jnp.ones(len(x) - 4)]),
     }
-    for name, found, wanted in applied(functions, np.linspace(-1.0, 2.0, 32)):
+    for name, found, wanted in applied(functions, thrice(np.linspace(-1.0, 2.0, 32))):
         np.testing.assert_allclose(found, wanted, rtol=1e-14, err_msg=name)
 
 
