@@ -195,15 +195,15 @@ def test_a_tuning_takes_what_fits_and_a_resumed_one_keeps_it(device, tmp_path):
     fields = {f.name: getattr(PROBLEM, f.name) for f in dataclasses.fields(PROBLEM)}
     fields |= {"lanes": None, "steps": 1, "starts": 2, "machines": 8, "held_out": 0}
     device(10**12)
-    large = type(PROBLEM)(**fields)
-    assert large.configuration()["lanes"] == 2 ** int(np.ceil(np.log2(2 * 8 / DEVICES)))
+    large = type(PROBLEM)(**fields).configuration()
+    assert large["lanes"] == 2 ** int(np.ceil(np.log2(2 * 8 / DEVICES)))
     device(5_000)
     small = type(PROBLEM)(**fields)
-    assert 1 <= small.configuration()["lanes"] < large.configuration()["lanes"]
-    with Folder(tmp_path / "state", large.configuration(), resume=False):
+    assert 1 <= small.configuration()["lanes"] < large["lanes"]
+    with Folder(tmp_path / "state", large, resume=False):
         pass
     assert small.run(tmp_path / "state", resume=True).values["gamma_p"] > 0.4
-    assert stored_lanes(tmp_path / "state") == large.configuration()["lanes"]
+    assert stored_lanes(tmp_path / "state") == large["lanes"]
     assert stored_lanes(tmp_path) is None
     device(600)  # which the losses and slopes of all machines take, too
     with pytest.raises(ValueError, match=r"Tuning: one machine beside .* of results takes"):
@@ -235,7 +235,8 @@ def test_the_loops_of_an_accelerator_have_the_numbers_and_slopes(monkeypatch, lo
 
         run = jax.value_and_grad(loss, has_aux=True)
         jax.clear_caches()  # of what was traced for the other kind of device
-        return jax.make_jaxpr(run)(1.01), jax.jit(run)(1.01)
+        traced = jax.jit(run).trace(1.01)
+        return traced.jaxpr, traced.lower().compile()(1.01)
 
     with monkeypatch.context() as accelerated:
         accelerated.setattr(lanes, "UNROLL", {"cpu": int(samples)})
