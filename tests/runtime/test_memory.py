@@ -33,11 +33,6 @@ def test_the_bytes_of_a_program_are_those_of_its_arrays():
     assert of_one_device <= found <= of_one_device + 2000
 
 
-def test_the_dataset_is_as_large_as_counted():
-    dataset = PLAN.run()
-    assert PLAN.bytes_stored() == sum(v.nbytes for v in dataset.data_vars.values())
-
-
 def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tmp_path):
     # e and u of 64 machines are 205 kB of the program's results. About 35 machines fit, together
     # with the trials of a tile.
@@ -90,9 +85,11 @@ def test_a_finished_store_needs_no_room_for_a_chunk(monkeypatch, tmp_path):
     assert PLAN.run(store, resume=True).sizes["sample"] == 64
 
 
-def test_unknown_memory_is_enough(monkeypatch):
+def test_unknown_memory_is_enough_and_the_dataset_is_as_large_as_counted(monkeypatch):
     with_memory(monkeypatch, None)
-    assert PLAN.run().sizes["sample"] == 64
+    dataset = PLAN.run()
+    assert dataset.sizes["sample"] == 64
+    assert PLAN.bytes_stored() == sum(v.nbytes for v in dataset.data_vars.values())
 
 
 def test_what_there_is_lies_within_the_machine():
