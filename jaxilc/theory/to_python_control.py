@@ -80,7 +80,7 @@ def _linearised(machine: Machine, scheme: Scheme | None, task: Task):
         return tick(fixed, rest._replace(x=x, w=w, r=r, ahead=ahead))[0]
 
     slopes = jax.jit(jax.jacfwd(following, (0, 1, 2, 3)))(rest.x, rest.w, rest.r, rest.ahead)
-    C = jax.jacfwd(lambda x: tick(fixed, rest._replace(x=x))[1])(rest.x)
+    C = jax.jit(jax.jacfwd(lambda x: tick(fixed, rest._replace(x=x))[1]))(rest.x)
     A, B_w, B_now, B_ahead = (np.asarray(slope, float) for slope in slopes)
     of_reference = [B_now, *(B_ahead[:, i] for i in range(B_ahead.shape[1]))]
     L = max((i for i, B in enumerate(of_reference) if np.any(B)), default=0)
