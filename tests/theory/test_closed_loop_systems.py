@@ -1,6 +1,7 @@
 """The closed loop as a system of python-control equals the simulator, with random machines."""
 
 import control
+import jax
 import numpy as np
 import pytest
 from cases import ARX, DT, PLANTS, SCHEMES
@@ -35,20 +36,21 @@ def random_pid(rng) -> PID:
     )
 
 
-def by_control(loop, w):
-    """Return the output (N+1, n_y) of the loop (machine, scheme, task) by python-control.
+def by_control(loop, *learned):
+    """Return the outputs (N+1, n_y) of the loop (machine, scheme, task) by python-control.
 
-    w: (N, m) learned input
+    learned: (N, m) inputs, of each of which there is one output
     """
-    system = to_control(*loop)
+    system, x0, found = to_control(*loop), initial_state(*loop), []
     r = np.asarray(loop[2].reference)
     named = system.input_labels[-1]
     L = int(named.removeprefix("reference_ahead_").partition("[")[0]) if "ahead" in named else 0
-    rows = np.minimum(np.arange(len(r)) + L, len(r) - 1)
-    inputs = np.hstack([np.vstack([w, w[-1:]]), r[rows]])
-    time, x0 = np.arange(len(r)) * DT, initial_state(*loop)
-    found = control.forced_response(system, time, inputs.T, X0=x0, squeeze=False)
-    return np.asarray(found.outputs).T
+    rows, time = np.minimum(np.arange(len(r)) + L, len(r) - 1), np.arange(len(r)) * DT
+    for w in learned:
+        inputs = np.hstack([np.vstack([w, w[-1:]]), r[rows]])
+        y = control.forced_response(system, time, inputs.T, X0=x0, squeeze=False).outputs
+        found.append(np.asarray(y).T)
+    return found
 
 
 @pytest.mark.thorough(but=["2"])
@@ -59,10 +61,10 @@ def test_a_random_loop_responds_as_in_the_simulator(seed):
     on_reference = seed == 2 and feedback.preview == 1
     scheme = OnReference(PIDType(gamma_p=0.3), feedback) if on_reference else feedback
     task, w = Task(rng.normal(size=(N + 1, 1)), dt=DT), rng.normal(size=(N, 1))
-    y = np.asarray(played(machine, scheme, task, scheme.initial_memory(task), w).y)
-    loop = machine, scheme, task
-    np.testing.assert_allclose(by_control(loop, w), y, rtol=1e-8, atol=1e-10 * np.max(np.abs(y)))
-    assert np.max(np.abs(by_control(loop, 0 * w))) > 1e-6, "the reference has an effect"
+    y = np.asarray(jax.jit(played)(machine, scheme, task, scheme.initial_memory(task), w).y)
+    found, of_reference = by_control((machine, scheme, task), w, 0 * w)
+    np.testing.assert_allclose(found, y, rtol=1e-8, atol=1e-10 * np.max(np.abs(y)))
+    assert np.max(np.abs(of_reference)) > 1e-6, "the reference has an effect"
 
 
 @pytest.mark.thorough
@@ -79,7 +81,7 @@ def test_it_follows_a_learning_process():
     system = to_control(machine, scheme, task)
     assert system.input_labels == ["learned[0]", "reference[0]", "reference[1]"]
     assert system.output_labels == ["y[0]", "y[1]"]
-    found = by_control((machine, scheme, task), w)
+    (found,) = by_control((machine, scheme, task), w)
     np.testing.assert_allclose(found, trial.y, rtol=1e-9, atol=1e-11)
     assert np.max(np.abs(w)) > 0.1
 
@@ -112,7 +114,7 @@ def test_a_closed_loop_comes_back_as_a_plant():
     for u in np.hstack([w, r]):
         y.append(plant.output(x))
         x = plant.step(x, u, DT)
-    np.testing.assert_allclose(y, by_control(loop, w[:-1]), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(y, *by_control(loop, w[:-1]), rtol=1e-9, atol=1e-12)
 
 
 def test_limits_are_left_out_and_other_nonlinear_parts_are_refused():
