@@ -27,10 +27,13 @@ def lag(a):
 
 
 def machines(*several):
-    """With a leading axis, of (a, step of the sensor, step of the converter, limit)."""
+    """With a leading axis, of (a, step of the sensor, step of the converter, limit).
+
+    The last one fills up to twelve, so that the tests share their programs.
+    """
     made = [
         Machine(lag(a), Actuator(limit=limit, resolution=of_u), Sensor(resolution=of_y))
-        for a, of_y, of_u, limit in several
+        for a, of_y, of_u, limit in (*several, *several[-1:] * (12 - len(several)))
     ]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *made)
 
@@ -98,7 +101,7 @@ def test_a_ball_that_is_reached_and_the_limits_in_it():
     limits = (FAR, still + 0.9 * far, still + 2 * ball)
     some = [(0.0, 2 * half, FINE, limit) for limit in limits]
     found = long_run(machines(*some), PIDType(gamma_p=gain, leak=leak), task(r))
-    assert found.claim.tolist() == ["monotone", "not claimed", "monotone"]
+    assert found.claim[:3].tolist() == ["monotone", "not claimed", "monotone"]
     assert "cannot be excluded" in found.reason[1]
     _, w = learned(r, 0.0, 2 * half, FINE, gain, leak)
     assert limits[1] < np.max(w) < limits[2]
@@ -109,22 +112,14 @@ def test_a_ball_that_is_reached_and_the_limits_in_it():
 
 
 def test_what_is_not_claimed_of_a_machine_that_rounds():
-    """Growth that may hide below a step, samples lost by chance, and what is never unlearned."""
+    """Growth that may hide below a step, and samples lost by chance."""
     r = np.sin(np.pi * np.arange(N + 1) / N) ** 2
-    machine = Machine(lag(0.0), sensor=Sensor(resolution=0.1))
-
-    def of(machine, law=PIDType(gamma_p=0.5)):  # noqa: B008
-        found = long_run(drawn_machines(machine, {}, {}), law, task(r))
-        return found.claim[0], found.reason[0]
-
-    assert of(machine.unrounded(), PIDType(gamma_p=2.5))[0] == "diverges"
-    claim, why = of(machine, PIDType(gamma_p=2.5))
-    assert claim == "not claimed"
-    assert "rounding may hide" in why
-    lost = dataclasses.replace(machine, variation=Variation(dropped=0.2))
-    claim, why = of(lost)
-    assert claim == "not claimed"
-    assert "learned from alike" in why
+    rounds = drawn_machines(Machine(lag(0.0), sensor=Sensor(resolution=0.1)), {}, {})
+    lost = dataclasses.replace(rounds, variation=Variation(dropped=np.full(1, 0.2)))
+    for of, gain, said in ((rounds, 2.5, "rounding may hide"), (lost, 0.5, "learned from alike")):
+        found = long_run(of, PIDType(gamma_p=gain), task(r))
+        assert found.claim[0] == "not claimed"
+        assert said in found.reason[0]
 
 
 @pytest.mark.thorough
@@ -151,7 +146,7 @@ def test_hysteresis_at_the_input_holds_learning_within_a_ball():
         end = np.copysign(0.1, dx)
         return end + (z - end) * np.exp(-5.0 * abs(dx))
 
-    def bouc_wen(z, dx, steps=400):  # dz = 0.5 dx - 4 |dx| z - dx |z|, |z| <= 0.1
+    def bouc_wen(z, dx, steps=100):  # dz = 0.5 dx - 4 |dx| z - dx |z|, |z| <= 0.1
         for _ in range(steps):
             z = z + (0.5 * dx - 4.0 * abs(dx) * z - dx * abs(z)) / steps
         return z
@@ -182,7 +177,8 @@ def test_of_hysteresis_that_begins_beyond_its_limit_nothing_is_claimed():
     plant = InputHysteresis(lag(0.5), Dahl(1e-4, 1e-3))
     for given in ({"offset": 1.0}, {"scatter": 0.3}, {"offset": np.array([0.1, 0.0, 0.0])}):
         machine = Machine(plant, variation=Variation(**given))
-        found = certify(machine, PIDType(gamma_p=0.5, leak=0.3), task(np.zeros(9)), 3, {}, {})
+        law = PIDType(gamma_p=0.5, leak=0.3)
+        found = long_run(drawn_machines(machine, {}, {}), law, task(np.zeros(9)))
         assert found.claim[0] == "not claimed"
         assert "InputHysteresis bounds what it takes" in found.reason[0]
         assert f"variation.{next(iter(given))} moves its state" in found.reason[0]
