@@ -46,11 +46,8 @@ def errors(trial):
 
 
 law_response = frequency.law_response
-response = jax.jit(
-    lambda machine, scheme, task: frequency.response(
-        frequency.linear_loop(machine, scheme, task), F, DT
-    )
-)
+linear_loop = jax.jit(frequency.linear_loop)
+response = jax.jit(lambda *of: frequency.response(linear_loop(*of), F, DT))
 
 
 def transfer(a, b):
@@ -193,12 +190,12 @@ def test_a_scheme_on_one_of_two_outputs():
 
 @pytest.mark.parametrize("gamma", [0.5, 4.0])
 def test_the_supremum_is_the_singular_value_of_a_long_trial(gamma):
-    """sup |1 - gamma z P| and sigma_max(I - gamma G) at N = 1000 agree to three digits."""
-    task = Task(np.zeros(1001), dt=DT)
+    """sup |1 - gamma z P| and sigma_max(I - gamma G) at N = 400 agree to three digits."""
+    task = Task(np.zeros(401), dt=DT)
     found = frequency.learning_condition(ARX_MACHINE, PIDType(gamma_p=gamma), task)
     G = lifted.lifted_plant(ARX_MACHINE, None, task)
     np.testing.assert_allclose(
-        found.condition.value, lifted.sigma_max(np.eye(1000) - gamma * G), rtol=1e-3
+        found.condition.value, lifted.sigma_max(np.eye(400) - gamma * G), rtol=1e-3
     )
     P = transfer(*ARX)
     fine = np.linspace(1e-3, 500.0, 200001)
@@ -292,7 +289,7 @@ def test_a_limit_breaks_the_premise_and_an_unused_integrator_does_not():
     filtered = Filtered(PIDType(gamma_p=0.5), ZeroPhaseButterworth(40.0))
     broken = frequency.learning_condition(machine, filtered, TASK).condition.broken
     assert [p.name for p in broken] == ["no limit is met in any trial to come"]
-    loop = frequency.linear_loop(ARX_MACHINE, PID(kp=0.5, form="increment"), TASK)
+    loop = linear_loop(ARX_MACHINE, PID(kp=0.5, form="increment"), TASK)
     np.testing.assert_allclose(np.max(np.abs(np.linalg.eigvals(loop.A))), 1.0, atol=1e-9)
     A = np.array([[1.6 - 0.5 * 0.06, 1.0], [-0.65 - 0.5 * 0.03, 0.0]])
     np.testing.assert_allclose(
@@ -332,15 +329,15 @@ def test_robust_condition_is_the_worst_of_all_perturbed_plants():
 
 
 def test_norm_optimal_condition_is_the_norm_of_the_lifted_map():
-    """It is sigma_max of (W_e G'G + W_u + W_D)^-1 (W_D + W_e G'(G - G_t)) at N = 250."""
-    task, weights = Task(np.zeros(251), dt=DT), {"w_e": 1.0, "w_u": 1e-3, "w_delta": 0.05}
+    """It is sigma_max of (W_e G'G + W_u + W_D)^-1 (W_D + W_e G'(G - G_t)) at N = 100."""
+    task, weights = Task(np.zeros(101), dt=DT), {"w_e": 1.0, "w_u": 1e-3, "w_delta": 0.05}
     G = lifted.lifted_plant(ARX_MACHINE, None, task)
     verdicts = []
     for factor in (0.7, 1.0, 1.8, -0.5):
         truth = Machine(DifferenceEquation(ARX[0], np.multiply(ARX[1], factor), dt=DT))
         found = frequency.norm_optimal_condition(ARX_MACHINE, truth, None, task, **weights)
-        H = G.T @ G + 0.051 * np.eye(250)
-        M = np.linalg.solve(H, 0.05 * np.eye(250) + G.T @ G * (1 - factor))
+        H = G.T @ G + 0.051 * np.eye(100)
+        M = np.linalg.solve(H, 0.05 * np.eye(100) + G.T @ G * (1 - factor))
         np.testing.assert_allclose(found.condition.value, lifted.sigma_max(M), rtol=5e-3)
         verdicts.append(found.condition.verdict)
     assert verdicts == ["holds", "holds", "holds", "fails"]
@@ -352,13 +349,12 @@ def test_norm_optimal_condition_is_the_norm_of_the_lifted_map():
 
 def test_two_channels_take_the_largest_singular_value():
     plant = PLANTS["mimo"]
-    machine, task = Machine(plant), task_for(plant, 200)
+    machine, task = Machine(plant), task_for(plant)
     found = frequency.learning_condition(machine, PIDType(gamma_p=(2.0, 1.0)), task, frequencies=F)
     M = np.eye(2) - np.diag([2.0, 1.0]) @ (Z[:, None, None] * of_plant(plant))
     np.testing.assert_allclose(found.magnitude, np.linalg.norm(M, 2, axis=(1, 2)), rtol=1e-9)
-    model = frequency.norm_optimal_condition(
-        machine, machine, None, task, w_e=1.0, w_u=0.1, w_delta=0.2, frequencies=F
-    )
+    weights = {"w_e": 1.0, "w_u": 0.1, "w_delta": lambda f: 0.2 + 0 * f}
+    model = frequency.norm_optimal_condition(machine, machine, None, task, **weights, frequencies=F)
     G = of_plant(plant)
     H = np.conj(np.swapaxes(G, 1, 2)) @ G + 0.3 * np.eye(2)
     expected = np.linalg.norm(np.linalg.solve(H, 0.2 * np.eye(2)[None]), 2, axis=(1, 2))
@@ -388,8 +384,7 @@ def test_the_worst_of_a_box_is_at_its_corner_at_least():
     assert np.max(found.values[:12]) < found.condition.value - 1e-3
     for name, (low, high) in {"plant.b": (0.8, 1.2), "plant.a[1]": (-0.66, -0.64)}.items():
         assert low <= np.min(found.drawn[name]) <= np.max(found.drawn[name]) <= high
-    rule = frequency.learning_condition(ARX_MACHINE, scheme, TASK).condition.value
-    np.testing.assert_allclose(found.values[0], rule, rtol=1e-5)
+    np.testing.assert_allclose(found.values[0], [*brute.values()][40], rtol=1e-5)  # nominal
 
 
 @pytest.mark.thorough
@@ -440,12 +435,8 @@ BAD = {
         ARX_MACHINE, PIDType(), TASK, frequencies=[1.0, 600.0]
     ),
     "learns no feedforward": lambda: frequency.learning_condition(ARX_MACHINE, PID(), TASK),
-    "preview = 10": lambda: frequency.linear_loop(
-        ARX_MACHINE, OnReference(PIDType(), Previewing()), TASK
-    ),
-    "allowed is a feedback of preview 1": lambda: frequency.learning_condition(
-        *case("p_type_on_reference")
-    ),
+    "preview = 10": lambda: linear_loop(ARX_MACHINE, OnReference(PIDType(), Previewing()), TASK),
+    "allowed is a feedback of preview 1": lambda: linear_loop(*case("p_type_on_reference")),
 }
 
 
@@ -469,9 +460,10 @@ def test_single_precision_claims_what_its_rounding_leaves_room_for():
     A, B = np.array([[0.9, 0.07], [0.0, 0.3]]), np.array([[-0.31], [-0.77]])
     x = np.linalg.solve(np.eye(2) - A, B)[:, 0]
     blind = StateSpace(A, B, [[1.0, -x[0] / x[1]]], dt=DT)  # P = 0 at 0 Hz: 1 - L P is 1 there
+    plain = StateSpace(np.diag([0.3, 0.0]), np.eye(2, 1), [[1.0, 0.0]], dt=DT)
     found = []
     with jax.enable_x64(False):
-        for plant, gain in ((StateSpace([[0.3]], [[1.0]], [[1.0]], dt=DT), 0.9), (blind, 0.21)):
+        for plant, gain in ((plain, 0.9), (blind, 0.21)):
             test = frequency.learning_condition(Machine(plant), PIDType(gamma_p=gain), task)
             found.append(test.condition)
     assert found[0].holds
