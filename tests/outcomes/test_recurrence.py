@@ -20,7 +20,8 @@ from jaxilc.schemes import PID, BasisFunctions, Filtered, PIDType, PolynomialBas
 from jaxilc.signals.task import Trial
 from jaxilc.theory.condition import HOLDS, NOT_CLAIMED
 
-t = 2e-3 * np.arange(1501)
+DT = 4e-3
+t = DT * np.arange(751)
 BACK_AND_FORTH = 60 * np.sin(np.pi * t / 2.1) ** 2 + 4 * t  # [mm], at many speeds
 STEADY = 20 * t
 BUMP = np.exp(-(((t - 0.7) / 0.1) ** 2)) - np.exp(-(((t - 2.3) / 0.25) ** 2))
@@ -73,7 +74,7 @@ def test_the_pitch_is_told_in_the_unit_of_the_position(tmp_path):
     found = potential(files)
     assert "a period of 16 mm in the position foretells" in found.lines[-1]
     np.savez(tmp_path / "all.npz", e=[e, 1.001 * e], y=[y, y])  # whose one unit is given
-    found = potential(tmp_path / "all.npz", dt=2e-3, unit="m")
+    found = potential(tmp_path / "all.npz", dt=DT, unit="m")
     assert "a period of 16 mm in the position foretells" in found.lines[-1]
     (axis := tmp_path / "axis.toml").write_text(AXIS)
     with pytest.raises(ValueError, match="record has the unit of its position 'm', the task has"):
@@ -103,12 +104,11 @@ def test_one_trial_tells_less_than_two():
         (np.sin(2 * np.pi * t / 0.23), "a resonance that rings; a second one does"),
         (rng.normal(size=len(t)), "one trial does not tell whether it repeats"),
     ):
-        one = Repeats(e[None], 2e-3, "mm", ("a",), BACK_AND_FORTH)
+        one = Repeats(e[None], DT, "mm", ("a",), BACK_AND_FORTH)
         assert said in recurs(within_trial(one), one)[0]
-    for seed in (1, 41):  # of the latter some is taken as repeating, by chance
-        e = np.random.default_rng(seed).normal(size=(3, len(t)))
-        noise = Repeats(e, 2e-3, "mm", ("a", "b", "c"), BACK_AND_FORTH)
-        assert within_trial(noise) == {}
+    e = np.random.default_rng(41).normal(size=(3, 1501))  # some is taken as repeating, by chance
+    position = 60 * np.sin(np.pi * np.arange(1501) / 1050) ** 2 + 8e-3 * np.arange(1501)
+    assert within_trial(Repeats(e, 2e-3, "mm", ("a", "b", "c"), position)) == {}
 
 
 @pytest.fixture
