@@ -26,7 +26,7 @@ def outcome(tmp_path_factory):
     return outcomes.run(PID, folder=str(tmp_path_factory.mktemp("run")))
 
 
-def test_every_view_has_the_verdict_and_the_cells_of_all_tables(outcome, tmp_path):
+def test_every_view_has_the_verdict_and_the_cells_of_all_tables(outcome, tmp_path, unpainted):
     page = outcome.page(tmp_path / "page.html").read_text("utf-8")
     plain = re.sub(r"\s+", " ", repr(outcome))
     tables = [table for table in outcome.tables if isinstance(table, Table)]
