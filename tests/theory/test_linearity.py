@@ -72,8 +72,7 @@ NOT_LINEAR = {  # the reason, for those plants and schemes of cases.py that lear
 
 
 @pytest.mark.parametrize(
-    "name",
-    [name for name, (_, scheme) in CASES.items() if scheme.learns and name not in LEFT_OUT],
+    "name", [name for name, (_, scheme) in CASES.items() if scheme.learns and name not in LEFT_OUT]
 )
 def test_what_is_linear_is_found_linear_and_what_is_not_is_not(name):
     broken = [p.detail for p in linearity.learning_premises(*case(name)) if not p.held]
