@@ -35,7 +35,6 @@ from ..pytree.aliases import Function, Tree, Value
 CONSTANT, AFFINE, OTHERWISE = 0, 1, 2
 MADE_UP = "a part whose derivative is made up, as by stop_gradient"
 DRAWS, SIZES = 64, (1e-2, 1e3)  # of numbers at which a rule for a derivative is looked at
-_TOLD: dict[bytes, bool] = {}  # of the program of such a look, whether it found a difference
 
 Step: TypeAlias = Value  # a `jax.core.JaxprEqn`
 Ruled: TypeAlias = tuple[Step, tuple[bool, ...]]  # and which of its operands depend on the inputs
@@ -235,6 +234,11 @@ def _joined(several: Sequence[Dependence]) -> Dependence:
     return worst._replace(ruled=frozenset().union(*(one.ruled for one in several)))
 
 
+# Whether two slopes were alike, by the program that computes both: the same rule is met in each
+# trace of the same loop, and its program takes a tenth of a second to compile.
+_COMPARED: dict[tuple[bytes, tuple[bool, ...]], bool] = {}
+
+
 @lru_cache(maxsize=64)
 def _made_up(step: Step, moving: tuple[bool, ...]) -> bool:
     """Whether the derivative of an operation by some of its operands is not that of its values.
@@ -263,18 +267,18 @@ def _made_up(step: Step, moving: tuple[bool, ...]) -> bool:
 
     at = [drawn(v, np.geomspace(*SIZES, DRAWS)) for v in operands]
     by = [drawn(v, np.full(DRAWS, float(moves))) for v, moves in operands.items()]
-    both = jax.vmap(lambda *x: [jax.jvp(f, *x)[1] for f in (ruled, plain)])
+    slopes = jax.vmap(lambda *x: [jax.jvp(f, *x)[1] for f in (ruled, plain)])
     try:
         with jax.ensure_compile_time_eval():
-            slopes = jax.jit(both).lower(at, by)
-            text = slopes.as_text()
-            known = sha256(text.encode()).digest()
-            if known not in _TOLD or "callback" in text:  # of which the text has the address alone
-                # half the time to compile
-                run = slopes.compile({"xla_backend_optimization_level": "0"})
+            lowered = jax.jit(slopes).lower(at, by)
+            text = lowered.as_text()
+            asked = sha256(text.encode()).digest(), moving
+            if asked not in _COMPARED or "callback" in text:  # what is called back has no text
+                # without optimisation it takes half the time to compile
+                run = lowered.compile(compiler_options={"xla_backend_optimization_level": "0"})
                 pairs = zip(*map(jax.device_get, run(at, by)), strict=True)
-                _TOLD[known] = not all(_alike(x, y) for x, y in pairs)
-            return _TOLD[known]
+                _COMPARED[asked] = all(_alike(x, y) for x, y in pairs)
+        return not _COMPARED[asked]
     except Exception:  # as of a rule that holds a number of another trace, or of whole numbers
         return True
 

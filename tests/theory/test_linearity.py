@@ -390,6 +390,13 @@ def test_a_map_whose_derivative_is_made_up_is_not_taken_for_its_matrix(name):
     assert blind(f, a, x) != right
 
 
+def test_a_rule_is_compared_again_where_another_operand_moves():
+    """The program of the comparison is the same, and so its result was once taken for both."""
+    second = ruled(lambda x, y: x + 3.0 * y, lambda _, d: 3.0 * d)
+    assert obstacle(second, jnp.ones(4), jnp.ones(4)) == ""
+    assert obstacle(lambda a, x: second(x, a), jnp.ones(4), jnp.ones(4)) != ""
+
+
 @pytest.mark.parametrize("name", ["law", "plant"])
 def test_nothing_is_claimed_by_a_derivative_that_is_made_up(name):
     """A monotone error was claimed of a law under which it grew to 1e17 times in 30 trials."""
