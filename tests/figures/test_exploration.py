@@ -150,23 +150,22 @@ def test_a_click_on_the_map_moves_the_sliders_there_and_the_error_is_that_of_the
     )
 
 
-def test_noise_differs_from_machine_to_machine_and_is_that_of_the_map(tmp_path):
+def test_noise_differs_from_machine_to_machine_and_is_that_of_the_map(explored, tmp_path):
     """`Sweep` computes the map: at its points the sliders have the error of each machine."""
     machine = dataclasses.replace(axis().machine, sensor=Sensor(noise=0.05))
     s = dataclasses.replace(axis(), machine=machine, uncertainty={})
-    explored = Exploration(s, machines=6, grid={"ilc.scheme.gamma_p": [0.2, 0.6]})
+    noisy = Exploration(s, machines=6, grid={"ilc.scheme.gamma_p": [0.2, 0.6]})
     for gain in (0.2, 0.6):
-        found = explored.outcome({"scheme.gamma_p": gain}).errors
-        at = explored.map[0].sel({"scheme": "ilc", "ilc.scheme.gamma_p": gain})
+        found = noisy.outcome({"scheme.gamma_p": gain}).errors
+        at = noisy.map[0].sel({"scheme": "ilc", "ilc.scheme.gamma_p": gain})
         np.testing.assert_allclose(found, 1e3 * at.rms.values, rtol=1e-6)
         assert len(np.unique(found[:, -1])) == 6
-    page = Explorer(explored, tmp_path)
-    assert [len(of) for of in page.errors.data.values()] == [TRIALS] * 5
+    page, quiet = Explorer(noisy, tmp_path), Explorer(explored, tmp_path)
     assert np.all(page.errors.data["high"] > page.errors.data["low"])
     assert "that of a sweep; run draws another" in page.told.text
-    quiet = Explorer(Exploration(dataclasses.replace(axis(), uncertainty={})), tmp_path)
-    assert [len(of) for of in quiet.errors.data.values()] == [TRIALS] * 5
     assert "run draws" not in quiet.told.text
+    for one in (page, quiet):
+        assert [len(of) for of in one.errors.data.values()] == [TRIALS] * 5
 
 
 def test_an_axis_that_no_slider_moves_is_refused_before_the_sweep():
@@ -209,7 +208,7 @@ def test_what_was_found_can_be_shared(explored, tmp_path):
 
 def test_what_the_parameter_file_leaves_out_is_told_beside_it(tmp_path):
     s, moved = axis(), "machine.plant.B[0][0]"
-    page = Explorer(Exploration(s, machines=2, grid={"plant.B[0][0]": [0.1, 0.2]}), tmp_path)
+    page = Explorer(Exploration(s, machines=4, grid={"plant.B[0][0]": [0.1, 0.2]}), tmp_path)
     page._save()
     assert page.told.text == f"written: {tmp_path / 'params.json'}, for --params"
     slider = page.sliders[moved]

@@ -69,11 +69,11 @@ def test_the_command_uses_the_reference_of_a_file_and_asks_for_it(tmp_path):
 def test_an_output_that_answers_within_its_sample_is_no_closed_loop(tmp_path):
     """Rows of measured files may hold the output after the input of the same row has acted."""
     rng, kept = np.random.default_rng(0), np.exp(-POLE * DT)
-    u = np.repeat(rng.standard_normal(N // 4), 4)
-    y = scipy.signal.lfilter([GAIN * (1 - kept)], [1, -kept], u) + 0.01 * rng.standard_normal(N)
-    said = []
-    for rows in (slice(None), slice(1, None)):
-        table = np.column_stack([np.arange(N)[rows] * DT, u[rows], y[: N - (rows.start or 0)]])
+    u = np.repeat(rng.standard_normal(N // 4 + 1), 4)
+    y = scipy.signal.lfilter([GAIN * (1 - kept)], [1, -kept], u)
+    y, said = (y + 0.01 * rng.standard_normal(len(y)))[: N + 1], []
+    for first in (0, 1):
+        table = np.column_stack([np.arange(N + 1) * DT, u[first : first + N + 1], y])
         file = tmp_path / "a.csv"
         np.savetxt(file, table, delimiter=",", header="t,u,y", comments="")
         found = outcomes.identify(file, reading={"structure": STRUCTURE})

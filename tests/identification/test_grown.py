@@ -144,7 +144,7 @@ def test_channels_share_their_poles():
         mode_gains=[[[1.0, 0.3], [0.2, 0.8]], [[0.3, -0.2], [0.1, 0.4]]],
         mode_rates=np.zeros((2, 2, 2)),
     )  # fmt: skip
-    u = RNG.choice([-1.0, 1.0], size=(1200, 2))
+    u = RNG.choice([-1.0, 1.0], size=(600, 2))
     model = grow(excite(Machine(plant, sensor=Sensor(noise=1e-2)), u, DT), longest=3)
     assert (model.chosen.order, model.chosen.modes) == (4, 2)
     np.testing.assert_allclose(model.found.plant.frequencies, [150.0, 420.0], rtol=0.01)

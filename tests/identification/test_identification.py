@@ -552,7 +552,8 @@ def test_an_excitation_that_does_not_fit_is_named():
 # --------------------------------------------------------------------------------------------------
 
 
-def test_figures_show_the_record_and_the_residual(record, identified, tmp_path):
+def test_figures_show_the_record_and_the_residual(record, tmp_path):
+    identified = identify(record, EQ_7)
     top, bottom = figures.record_figure(record, input_unit="V", output_unit="mm")
     np.testing.assert_array_equal(top.lines[0].get_ydata(), U)
     np.testing.assert_allclose(bottom.lines[0].get_xdata()[-1], len(U) * DT)

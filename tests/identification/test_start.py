@@ -105,10 +105,10 @@ def test_slow_noise_and_a_wrong_model_are_no_motion():
 
 @pytest.mark.parametrize("speed", [0.0, 0.2])
 def test_a_mass_that_moves_when_the_record_begins(speed):
-    rng = np.random.default_rng(3)
-    u = scipy.signal.lfilter([0.1], [1.0, -0.9], rng.normal(size=N))
+    rng, n = np.random.default_rng(3), 600
+    u = scipy.signal.lfilter([0.1], [1.0, -0.9], rng.normal(size=n))
     v = speed + np.append(0.0, np.cumsum(u) * DT * 5.0)
-    y = np.append(0.0, np.cumsum((v[1:] + v[:-1]) / 2 * DT)) + 1e-6 * rng.normal(size=N + 1)
+    y = np.append(0.0, np.cumsum((v[1:] + v[:-1]) / 2 * DT)) + 1e-6 * rng.normal(size=n + 1)
     grown = grow(Record(u[:, None], y[:, None], DT))
     assert grown.chosen.integrators == grown.chosen.order == 2
     assert grown.found.from_rest == (speed == 0)

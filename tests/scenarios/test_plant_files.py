@@ -176,10 +176,8 @@ def test_state_space_and_any_class_by_its_name(tmp_path):
 
 
 def test_a_plant_is_identified_from_a_record_beside_the_file(tmp_path):
-    lag = plants.ProcessModel(gain=2.0, zeros=(), poles=(60.0,))
-    write_record(
-        tmp_path / "record.csv", excite(Machine(lag), references.m_sequence(7, hold=2), DT)
-    )
+    lag, moves = plants.ProcessModel(2.0, (), (60.0,)), references.m_sequence(6, hold=2)
+    write_record(tmp_path / "record.csv", excite(Machine(lag), np.pad(moves, (0, 9)), DT))
     structure = {"poles": 1, "pairs": 0, "zeros": 0}
     made = read_scenario(
         write(tmp_path, plant={"kind": "identified", "record": "record.csv", **structure})
@@ -189,7 +187,7 @@ def test_a_plant_is_identified_from_a_record_beside_the_file(tmp_path):
     )
     assert "identified from record.csv: gain = 2" in made.chosen[0]
     assert "begin at rest" not in made.chosen[0]
-    moved = excite(Machine(lag), np.pad(references.m_sequence(6, hold=2), (9, 0)), DT)
+    moved = excite(Machine(lag), np.pad(moves, (9, 0)), DT)
     write_record(tmp_path / "far.csv", moved._replace(u=moved.u + 100, y=moved.y + 200))
     made = read_scenario(
         write(tmp_path, plant={"kind": "identified", "record": "far.csv", **structure})
