@@ -201,7 +201,7 @@ def test_a_measured_trial_takes_four_programs(tmp_path):
 
 
 @pytest.mark.thorough
-def test_twenty_trials_through_files_are_the_loop_in_memory(session):
+def test_ten_trials_through_files_are_the_loop_in_memory(session):
     rig, state, played = session
     history = learn(
         rig.machine, rig.scheme, rig.task, TRIALS, key=KEY, save=lambda trial: (trial.y, trial.u)
