@@ -40,6 +40,7 @@ TASK = Task(reference=0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N), dt=D
 W = 2 * np.pi * 60.0
 SERVO = Machine(StateSpace([[0.0, 1.0], [-W * W, -1.4 * W]], [[0.0], [W * W]], [[1.0, 0.0]]))
 FIRST_ORDER = Machine(DifferenceEquation((0.7,), (0.3,), dt=DT))
+LAG = StateSpace([[0.7]], [[0.3]], [[1.0]], dt=DT)
 GAIN = {"plant.B": Uniform(0.8, 1.2, relative=True)}
 B = {"plant.b": Uniform(0.5, 1.5, relative=True)}
 
@@ -77,9 +78,9 @@ def test_machines_are_drawn_where_none_are_given():
 def test_nothing_claimed_is_broken_whatever_is_drawn():
     wide = {"plant.a[0]": Uniform(0.14, 0.91), "plant.b[0]": Uniform(0.03, 2.4)}
     scheme = WithFeedback(PIDType(gamma_p=0.8), PID(kp=0.1))
-    found = certified(FIRST_ORDER, scheme, 12, wide, samples=64)
+    found = certified(FIRST_ORDER, scheme, 12, wide, samples=32)
     assert not len(found.broken_promises())
-    assert 10 <= np.sum(found.claim == "monotone") <= 54, "or the test says nothing"
+    assert 5 <= np.sum(found.claim == "monotone") <= 27, "or the test says nothing"
 
 
 @pytest.mark.thorough
@@ -139,9 +140,9 @@ def test_an_error_that_no_input_reaches_is_left_over_by_a_derivative():
 @pytest.mark.parametrize(("gain", "claim"), [(0.3, "monotone"), (9.0, "diverges")])
 def test_what_a_feedback_learns_counts_too(gain, claim):
     short, feedback = Task(np.sin(np.arange(9.0)), dt=DT), PID(kp=0.3)
+    machines = drawn_machines(FIRST_ORDER, {}, {})
     both = WithFeedback(PIDType(gamma_p=0.2), WithFeedback(PIDType(gamma_p=gain), feedback))
     one = WithFeedback(PIDType(gamma_p=0.2 + gain), feedback)
-    machines = drawn_machines(FIRST_ORDER, {}, {})
     found, expected = (long_run(machines, law, short) for law in (both, one))
     assert found.claim == expected.claim == claim
     np.testing.assert_allclose(found.sigma, expected.sigma, rtol=1e-9)
@@ -163,25 +164,20 @@ def test_a_plant_with_dead_time_and_a_law_with_less_lead_are_claimed_to_diverge(
     """
     rng, rows, gain = np.random.default_rng(38), 31, 0.4
     r = np.sin(np.pi * np.arange(rows) / 30) ** 2 + 0.1 * rng.standard_normal((12, rows))
-    several, errors = [], []
+    several, G, u, sizes = [], [], np.zeros((12, rows - 1)), []
     for own in r:
         pole, first = rng.uniform(-0.5, 0.7), rng.uniform(0.3, 1.2)
         A = np.diag([1.0, 1.0], -1) + np.diag([pole, 0, 0])
-        B, C = np.array([[first], [0.0], [0.0]]), np.array([[0.0, 0.0, 1.0]])
-        several.append(
-            Machine(StateSpace(A, B, C, dt=DT), disturbance=Disturbance(output=-own[:, None]))
-        )
-        answer = np.concatenate([np.zeros(3), first * pole ** np.arange(rows - 3)])
-        G, u = scipy.linalg.toeplitz(answer[1:], np.zeros(rows - 1)), np.zeros(rows - 1)
-        for trial in range(3000):
-            e = own[1:] - G @ u
-            errors += [np.linalg.norm(e)] if trial in (0, 2999) else []
-            u = u + gain * np.append(e[lead:], np.zeros(lead))
-    machines = jax.tree.map(lambda *leaves: np.stack(leaves), *several)
-    task = Task(np.zeros(rows), dt=DT)
-    found = certify_each(machines, PIDType(gamma_p=gain, lead=lead), task, 20)
-    grown = np.array(errors[1::2]) / errors[::2]
-    assert not len(found.broken_promises())
+        plant = StateSpace(A, [[first], [0.0], [0.0]], [[0.0, 0.0, 1.0]], dt=DT)
+        several.append(Machine(plant, disturbance=Disturbance(output=-own[:, None])))
+        answer = np.concatenate([np.zeros(2), first * pole ** np.arange(rows - 3)])
+        G.append(scipy.linalg.toeplitz(answer, np.zeros(rows - 1)))
+    for _ in range(3000):
+        e = r[:, 1:] - np.einsum("sij,sj->si", G, u)
+        sizes.append(np.linalg.norm(e, axis=1))
+        u = u + gain * np.pad(e[:, lead:], ((0, 0), (0, lead)))
+    machines, grown = jax.tree.map(lambda *of: np.stack(of), *several), sizes[-1] / sizes[0]
+    found = long_run(machines, PIDType(gamma_p=gain, lead=lead), Task(np.zeros(rows), dt=DT))
     if lead == 2:
         assert set(found.claim) <= {"monotone", "converges"}
         assert np.all(grown < 1)
@@ -281,16 +277,16 @@ def test_what_adapts_or_stops_is_never_claimed(scheme):
 
 
 @pytest.mark.thorough(but=["scheme0"])
-@pytest.mark.parametrize("scheme", [PIDType(), NormOptimal(SERVO.plant, w_q=0.0, w_r=1.0)])
+@pytest.mark.parametrize("scheme", [PIDType(), NormOptimal(LAG, w_q=0.0, w_r=1.0)])
 def test_of_a_law_that_changes_nothing_nothing_is_claimed(scheme):
-    machines, short = drawn_machines(SERVO, {}, {}), Task(np.sin(np.arange(13.0)), dt=DT)
-    found = long_run(machines, scheme, short)
+    machines = drawn_machines(FIRST_ORDER, {}, {})
+    found = long_run(machines, scheme, TASK)
     assert list(found.claim) == ["not claimed"]
     assert list(found.reason) == [
         "the law changes nothing of what is played, so every trial is like the first"
     ]
     # its learning map is the identity on all that it could learn
-    decay = outlook.decays(machines, scheme, short)
+    decay = outlook.decays(machines, scheme, TASK)
     np.testing.assert_allclose(decay.norm, 1.0, rtol=1e-9)
 
 
@@ -359,14 +355,17 @@ def test_without_a_matrix_limits_are_met_in_the_same_trials(monkeypatch):
     short, scheme = Task(np.sin(np.pi * np.arange(13) / 12) ** 2, dt=DT), PIDType(gamma_p=0.3)
     limited = [replace(FIRST_ORDER, actuator=Actuator(limit=limit)) for limit in (50.0, 0.9, 1.2)]
     machines = jax.tree.map(lambda *leaves: np.stack(leaves), *limited)
-    by_matrix = outlook.outlooks(machines, scheme, short)
+    dense = learning_map.maps_of(machines, scheme, short)
     monkeypatch.setattr(learning_map, "DENSE", 8)
-    found = outlook.outlooks(machines, scheme, short)
+    free = learning_map.maps_of(machines, scheme, short)
+    by_matrix, found = outlook.outlook_of(dense), outlook.outlook_of(free)
     assert found.clear.tolist() == by_matrix.clear.tolist() == [True, False, False]
     np.testing.assert_array_equal(found.met, by_matrix.met)
     assert 1 < found.met[1] < found.met[2]
     np.testing.assert_allclose(found.limit, by_matrix.limit, rtol=1e-6)
     np.testing.assert_allclose(found.decay.norm, by_matrix.decay.norm, rtol=1e-6)
+    np.testing.assert_allclose(free.error_norm(), dense.error_norm(), rtol=1e-6)
+    assert np.all((free.late(4) > 0) & (free.late(4) <= dense.norm(4)))
 
 
 def test_the_transient_that_lies_is_told_beforehand():
@@ -523,11 +522,11 @@ def test_what_does_not_fit_is_named(scheme):
         certified(FIRST_ORDER, scheme, 5, B)
 
 
-@pytest.mark.thorough(but=["0.5-2.5-not", "0.73-1.5-not"])
+@pytest.mark.thorough(but=["0.5-2.5-False", "0.73-1.5-False"])
 @pytest.mark.parametrize(
-    ("a", "gain", "claim"), [(0.5, 2.5, "not"), (0.73, 1.5, "not"), (0.7, -0.6, "d")]
+    ("a", "gain", "grows"), [(0.5, 2.5, False), (0.73, 1.5, False), (0.7, -0.6, True)]
 )
-def test_of_a_trial_of_more_than_512_samples_the_one_eigenvalue_decides(a, gain, claim):
+def test_of_a_trial_of_more_than_512_samples_the_one_eigenvalue_decides(a, gain, grows):
     """It is 1 - gain C B; a Krylov space shows values of a map far from normal that are none.
 
     The first two were once claimed to diverge, with eigenvalues of 0.25 and 0.55.
@@ -535,9 +534,9 @@ def test_of_a_trial_of_more_than_512_samples_the_one_eigenvalue_decides(a, gain,
     N = 520
     plant = StateSpace([[a, 1.0], [0.0, a]], [[0.3], [0.5]], [[1.0, 0.0]], dt=DT)
     task = Task(np.sin(np.pi * np.arange(N + 1) / N) ** 2, dt=DT)
-    found = long_run(drawn_machines(Machine(plant), {}, {}), PIDType(gamma_p=gain), task)
-    assert found.claim[0].startswith(claim)
-    assert (abs(1 - gain * 0.3) > 1) == (claim == "d")
+    machines = drawn_machines(Machine(plant), {}, {})
+    radius, doubt = learning_map.maps_of(machines, PIDType(gamma_p=gain), task).radius()
+    assert (radius[0] - doubt[0] > 1) == (abs(1 - gain * 0.3) > 1) == grows
 
 
 def test_in_single_precision_no_claim_rests_on_its_rounding():
@@ -556,7 +555,7 @@ def test_in_single_precision_no_claim_rests_on_its_rounding():
 
 
 def test_of_a_plant_that_no_input_moves_the_error_is_known():
-    still = Machine(StateSpace([[0.5]], [[0.0]], [[1.0]], dt=DT))
+    still = Machine(DifferenceEquation((0.5,), (0.0,), dt=DT))
     found = long_run(drawn_machines(still, {}, {}), PIDType(gamma_p=0.5), TASK)
     assert found.outlook.doubt[0] == 0
     np.testing.assert_allclose(found.outlook.floor[0], np.sqrt(np.mean(TASK.reference[1:] ** 2)))
