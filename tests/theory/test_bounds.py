@@ -36,7 +36,8 @@ from jaxilc.theory import (
 )
 from jaxilc.uncertainty import Uniform, draw
 
-bounds_of = jax.jit(bounds_of)
+bounds_of, frozen_growth = jax.jit(bounds_of), jax.jit(frozen_growth)
+pseudo_gradient_of = jax.jit(pseudo_gradient_of, static_argnames=("L_y", "L_u"))
 DT, N = 1e-3, 50
 TASK = Task(reference=0.3 + np.sin(2 * np.pi * np.arange(N + 1) / N), dt=DT)
 SCHEME = CFDLMFAILC(lam=0.5, rho=0.8, eta=0.7, mu=0.2, phi0=0.4, reset="sign")
@@ -59,18 +60,19 @@ def window_rows(G, k, L_y, L_u):
     return np.array(rows)
 
 
-def watched(machine, scheme, trials=12, task=TASK):
-    found = jaxilc.learn(machine, scheme, task, trials, watch=BoundsWatch()).watched
-    return {name: np.asarray(value) for name, value in found.items()}
-
-
 def played(trial):
     return trial.y, trial.u
 
 
-def signals(machine, scheme, trials, task=TASK):
-    y, u = jaxilc.learn(machine, scheme, task, trials, save=played).saved
-    return np.asarray(y)[..., 0], np.asarray(u)[..., 0]
+def run(machine, scheme, trials=12, task=TASK):
+    """Return what is watched, the outputs and the inputs."""
+    history = jaxilc.learn(machine, scheme, task, trials, save=played, watch=BoundsWatch())
+    found = {name: np.asarray(value) for name, value in history.watched.items()}
+    return found, *(np.asarray(signal)[..., 0] for signal in history.saved)
+
+
+def watched(machine, scheme, trials=12):
+    return run(machine, scheme, trials)[0]
 
 
 # From the plant
@@ -188,8 +190,7 @@ def test_in_single_precision_a_small_reaction_to_earlier_inputs_leaves_nothing_c
     with jax.enable_x64(False):
         machine = Machine(StateSpace([[1e-4]], [[1.0]], [[1.0]], dt=DT))
         task = Task(reference=np.float32([0.0, 2000.0, 0.001, 0.0]), dt=DT)
-        found = watched(machine, SCHEME, 2, task)
-        y, _ = signals(machine, SCHEME, 2, task)
+        found, y, _ = run(machine, SCHEME, 2, task)
     e = np.abs(np.asarray(task.reference)[:, 0] - y)
     assert e[1, 2] > 10 * e[0, 2]
     assert found["claimed"] == 0.0
@@ -260,7 +261,7 @@ def test_the_bound_holds_at_every_sample_where_it_is_claimed():
             phi0=np.sign(gain) * rng.uniform(0.1, 3),
             reset=str(rng.choice(["sign", "book", "none"])),
         )
-        y, _ = signals(static_machine(gain), scheme, 8)
+        _, y, _ = run(static_machine(gain), scheme, 8)
         e = np.abs(np.asarray(TASK.reference)[None, 1:, 0] - y[:, 1:])
         bounds = bounds_of(static_machine(gain), scheme, TASK)
         assert float(bounds.claimed) == (float(scheme.lam) > gain**2 / 4)
@@ -280,8 +281,8 @@ def test_nothing_is_claimed_of_a_run_that_goes_on_from_the_memory_of_another_mac
     far = jaxilc.learn(static_machine(0.05), small, TASK, 3).memory
     fresh = scheme.initial_memory(TASK)
     for memory, claimed in ((fresh, 1), (own, 1), (near, 0), (far, 0)):
-        found = jaxilc.learn(static_machine(0.5), scheme, TASK, 3, memory=memory,
-                             watch=BoundsWatch()).watched  # fmt: skip
+        on = {"memory": memory, "watch": BoundsWatch()}
+        found = jaxilc.learn(static_machine(0.5), scheme, TASK, 3, **on).watched
         assert found["claimed"] == claimed
     assert np.min(found["share_kept"][1:]) < 1
 
@@ -309,7 +310,7 @@ def quantile(x, share):
 def test_the_statistics_of_the_run_are_those_of_its_signals():
     machine, trials = dynamic_machine(), 6
     scheme = dataclasses.replace(SCHEME, epsilon=0.05)
-    found, (y, u) = watched(machine, scheme, trials), signals(machine, scheme, trials)
+    found, y, u = run(machine, scheme, trials)
     e = np.abs(np.asarray(TASK.reference)[None, 1:, 0] - y[:, 1:])
     du, dy = np.abs(np.diff(u, axis=0)), np.diff(y[:, 1:], axis=0)
     ratio = e[1:] / e[:-1]
@@ -504,7 +505,7 @@ def test_machines_are_counted_and_no_claim_failed():
 
 
 def test_a_claim_that_fails_is_counted():
-    found = watched(static_machine(1.2), SCHEME, 4)
+    found = watched(static_machine(1.2), SCHEME)
     of_two = {name: np.stack([value, value]) for name, value in found.items()}
     of_two["share_kept"][1, 2] = 0.98
     assert checked(of_two).verdicts == {"holds": 1, "fails": 1, "not claimed": 0}
