@@ -40,7 +40,8 @@ STAGE = Machine(ByPosition(SERVO, force=COGGING))
 
 def across(speed, stroke=48.0):
     """There and back, at this speed [mm/s] in the mean and pi / 2 of it in the middle."""
-    s = np.clip(1e-3 * np.arange(4001) * speed / stroke, 0, 2)
+    s = np.clip(1e-3 * np.arange(5001) * speed / stroke, 0, 2)
+    assert s[-1] == 2  # it is back
     return Task(stroke / 2 * (1 - np.cos(np.pi * s)), dt=1e-3, unit="mm")
 
 
@@ -86,7 +87,7 @@ for speed in (20, 50, 80):
     there = float(learn(STAGE, law, across(speed), trials=6).rms[-1, 0])
     taken = float(learn(STAGE, law, across(speed), trials=1, memory=learned.memory).rms[0, 0])
     print(f"{speed} mm/s: {1e3 * taken:.2f} µm with this map, {1e3 * there:.2f} learned there")
-    assert taken < 1.3 * there
+    assert taken < there
 
 # %%
 by_place = place.map(learned.memory.theta[3:])
