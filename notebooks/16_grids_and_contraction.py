@@ -24,6 +24,8 @@
 # $y[k+1]$ also follows from earlier inputs, which the theory leaves out.
 
 # %%
+import dataclasses
+
 import numpy as np
 
 import jaxilc
@@ -145,6 +147,18 @@ panels[0].figure
 # %% [markdown]
 # On the command line: `jaxilc sweep cao-2019 --scheme cfdl-mfailc --bounds
 # --grid cfdl-mfailc.lam=0.1:10:13log --grid plant.gain=2000:12000:9` writes both maps. On that
-# motor $d_2$ is above 1 everywhere, since 99.995 % of what its output does follows from earlier
-# inputs; notebook 05 looks at it. `experiments/cao_2019_contraction.py` draws that map of 32 x 32
-# points.
+# motor $d_2$ is above 1 everywhere, since the first sample of its answer has the other sign than
+# `phi0`. With the same sign nothing would be claimed either, since 99.995 % of what its output does
+# follows from earlier inputs; notebook 05 looks at it. `experiments/cao_2019_contraction.py` draws
+# that map of 32 x 32 points.
+
+# %%
+paper = jaxilc.scenarios.load("cao-2019")
+law = paper.schemes["cfdl-mfailc"]
+for start in (law.phi0, -law.phi0):
+    begun = dataclasses.replace(law, phi0=start)
+    motor = jaxilc.learn(paper.machine, begun, paper.task, 2, watch=BoundsWatch()).watched
+    print(f"phi0 = {float(start):7.4f}: d2 - 1 = {float(motor['d2']) - 1:.1e}")
+    assert (motor["d2"] < 1) == motor["signs"]
+    assert motor["left_out"] > 0.9999
+    assert motor["claimed"] == 0
