@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Callable, Hashable
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -29,7 +28,7 @@ from .divergence import course
 from .known_metrics import Metrics, bytes_of_metrics
 from .machine import Machine
 from .metrics import Watch
-from .rehearsal import need_double, need_fitting_memory, need_pytrees, rehearse
+from .rehearsal import fitting_memory, need_double, need_fitting_memory, need_pytrees, rehearse
 from .within_trial import first_start, run_and_measure
 
 LITTLE = 2**24  # bytes, below which the size is not checked
@@ -192,10 +191,6 @@ def _check_what_goes_on(
         raise ValueError(f"learn: key = {brief(key)} is no random key, as jax.random.key(0) is")
     if isinstance(memory, History):
         raise ValueError("learn: memory is a History; allowed is the memory in it, history.memory")
-    if not all(
-        hasattr(x, "dtype") or isinstance(x, numbers.Number) for x in jax.tree.leaves(memory)
-    ):
-        raise ValueError(f"learn: memory = {brief(memory)} is no memory, as history.memory is")
     if memory is not None:
         need_fitting_memory(scheme, task, memory)
     if start is not None and not machine.carries:
@@ -382,10 +377,10 @@ def next_memory(
     """The memory of the scheme after a measured trial: one step of learning on a real machine.
 
     `feedforward` then gives the next input. The arguments are those of `measured_trial`, which also
-    says what is raised. A memory of None is that before the first trial.
+    says what is raised, besides ValueError for a memory of another scheme or task. A memory of None
+    is that before the first trial.
     """
-    memory = scheme.initial_memory(task) if memory is None else memory
-    return scheme.learn(memory, measured_trial(task, y, u, **signals))
+    return scheme.learn(fitting_memory(scheme, task, memory), measured_trial(task, y, u, **signals))
 
 
 def feedforward(scheme: Scheme, task: Task, memory: Tree) -> Array:
@@ -393,7 +388,6 @@ def feedforward(scheme: Scheme, task: Task, memory: Tree) -> Array:
 
     Feedback within the trial is added to it. For `OnReference` it is the correction of the
     reference. A memory of None is that before the first trial. Raises ValueError for a scheme that
-    learns no feedforward.
+    learns no feedforward, and for a memory of another scheme or task.
     """
-    memory = scheme.initial_memory(task) if memory is None else memory
-    return scheme.feedforward(memory, task)
+    return scheme.feedforward(fitting_memory(scheme, task, memory), task)

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 from ..plants import Plant
 from ..pytree.aliases import Tree
 from ..pytree.named_paths import named_leaves
-from ..pytree.ranges import brief
+from ..pytree.needs import known
+from ..pytree.ranges import brief, native
 from ..schemes import Scheme
 from ..schemes.scheme import Part
 from ..signals.task import Sample, Task, Trial
@@ -50,7 +51,29 @@ def rehearse(machine: Machine, scheme: Scheme, task: Task) -> None:
 
 def need_fitting_memory(scheme: Scheme, task: Task, memory: Tree) -> None:
     """Raises ValueError for a memory to continue from that is not one of this scheme and task."""
+    if not _of_numbers(memory):
+        raise ValueError(f"memory = {brief(memory)} is no memory, as history.memory is")
     _continued.eval_shape(scheme, task, memory)
+
+
+def fitting_memory(
+    scheme: Scheme, task: Task, memory: Tree, machine: Machine | None = None
+) -> Tree:
+    """The memory to begin a trial with; None is that before the first one.
+
+    Raises ValueError for one that does not fit, or a machine, unless something of them is traced.
+    """
+    memory = jax.tree.map(native, memory)
+    if known((machine, scheme, task, memory)):
+        if machine is not None:
+            machine.check(task)
+        if memory is not None and _of_numbers(scheme):  # the plain Scheme is no pytree
+            need_fitting_memory(scheme, task, memory)
+    return scheme.initial_memory(task) if memory is None else memory
+
+
+def _of_numbers(tree: Tree) -> bool:
+    return all(hasattr(x, "dtype") or isinstance(x, numbers.Number) for x in jax.tree.leaves(tree))
 
 
 def need_double(scheme: Scheme, error: TypeError) -> None:
@@ -121,9 +144,7 @@ def _continued(scheme: Scheme, task: Task, memory: Tree) -> None:
     if clash is not None:
         where, needed, given = clash
         where = f"memory.{where}" if where not in ("memory", "a memory") else "memory"
-        raise ValueError(
-            f"learn: {where} is {given}; {type(scheme).__name__} and this task need {needed}"
-        )
+        raise ValueError(f"{where} is {given}; {type(scheme).__name__} and this task need {needed}")
 
 
 def _need_rows(scheme: Scheme, task: Task, memory: Tree) -> None:

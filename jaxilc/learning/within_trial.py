@@ -8,7 +8,6 @@ import numpy as np
 from jax import lax
 
 from ..pytree.aliases import Array, Tree, Value
-from ..pytree.ranges import native
 from ..runtime.capacity import bytes_of
 from ..runtime.lanes import over_samples
 from ..schemes import Scheme
@@ -17,6 +16,7 @@ from ..signals.rows import for_scan
 from ..signals.task import Sample, Task, Trial
 from .machine import Machine
 from .metrics import Tally, measure
+from .rehearsal import fitting_memory
 from .variation import SALT, Start
 
 
@@ -34,9 +34,9 @@ def run_trial(
     key: random key of the noise of this trial
     number: j, of a machine whose trials differ; None is a trial of the long run
     The function is pure and can be called inside `jit`. Fields of the returned `Trial` have N or
-    N+1 rows.
+    N+1 rows. Raises ValueError where machine, scheme, memory and task do not fit, unless traced.
     """
-    memory = scheme.initial_memory(task) if memory is None else jax.tree.map(native, memory)
+    memory = fitting_memory(scheme, task, memory, machine)
     return run_and_measure(machine, scheme, task, memory, key, number, measured=False)[0]
 
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from cases import DT
 
-from jaxilc.learning import Machine, learn, over_trials
+from jaxilc.learning import Machine, feedforward, learn, next_memory, over_trials, run_trial
 from jaxilc.plants import DifferenceEquation, Plant
 from jaxilc.pytree import child, leaf, pytree
 from jaxilc.schemes import PID, PIDType, Scheme, WithFeedback
+from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task
 from jaxilc.sweeps import Sweep
 from jaxilc.tuning import Tuning
@@ -308,8 +309,25 @@ def test_what_learning_cannot_go_on_from():
         ("key", 3, r"key = 3 is no random key, as jax.random.key\(0\) is"),
         ("key", np.zeros(2), r"key = array\(\[0., 0.\]\) is no random key"),
     ):
-        with pytest.raises(ValueError, match=rf"learn: {message}"):
+        with pytest.raises(ValueError, match=message):
             learn(MACHINE, Own(), TASK, 3, **{named: value})
+
+
+def test_a_single_trial_and_a_measured_one_need_what_fits():
+    longer, two = Task(np.zeros(N + 3), dt=DT), Task(np.zeros((N + 1, 2)), dt=DT)
+    law, key = PIDType(), jax.random.key(0)
+    stale = law.initial_memory(longer)
+    for call in (
+        lambda: feedforward(law, TASK, stale),
+        lambda: next_memory(law, TASK, stale, np.zeros(N + 1), np.zeros(N)),
+        lambda: run_trial(MACHINE, law, TASK, stale, key),
+    ):
+        with pytest.raises(ValueError, match=r"memory.u is .*\[14, 1\]; PIDType and .*\[12, 1\]"):
+            call()
+    with pytest.raises(ValueError, match="the task has 2 inputs but the plant"):
+        run_trial(MACHINE, law, two, None, key)
+    three = Feedforward(jnp.zeros((3, N, 1)))  # traced, nothing is looked at
+    assert jax.vmap(partial(feedforward, law, TASK))(three).shape == (3, N, 1)
 
 
 @pytest.mark.parametrize(
