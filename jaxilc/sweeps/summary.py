@@ -77,12 +77,12 @@ def summarise(
         counts
     growth: relative rise above the best trial from which on the error counts as grown
     Raises ValueError for a tolerance that is not positive and finite, a metric that is not there,
-    a grid, and a dataset of a sweep that is not complete.
+    a grid, a dataset of `run_schemes`, and one of a sweep that is not complete.
     """
     if not hasattr(dataset, "data_vars"):
         raise ValueError(
             f"summarise: dataset is a {type(dataset).__name__}; allowed is a dataset of results, "
-            "as Sweep.run or run_schemes gives it"
+            "as Sweep.run gives it"
         )
     if axes_of(dataset):
         raise ValueError(
@@ -92,6 +92,11 @@ def summarise(
     if tolerance is not None:
         require("summarise", "tolerance", tolerance, "(0, inf)")
     dataset = over_all(dataset)
+    if not {*OVER} <= {*dataset.dims}:
+        raise ValueError(
+            f"summarise: the dataset is not over {', '.join(OVER)}, as that of run_schemes, of one "
+            "machine; allowed is that of Sweep.run"
+        )
     if metric not in dataset or not {*OVER} <= {*dataset[metric].dims}:
         names = [n for n, v in dataset.data_vars.items() if {*OVER} <= {*v.dims}]
         raise ValueError(

@@ -611,6 +611,8 @@ def test_summary_names_what_is_wrong():
         summarise({}, 1.0)
     with pytest.raises(ValueError, match=r"metric = 'rms' is not one of finite, settled_error"):
         summarise(made_up([[1.0]]), 1.0, metric="rms")
+    with pytest.raises(ValueError, match=r"not over .*, as that of run_schemes, of one machine"):
+        summarise(made_up([[1.0]]).isel(sample=0, drop=True), 1.0)
 
 
 # What looks at two trials
