@@ -136,7 +136,7 @@ display(Image("out/filter-axis/ilc.png"))
 # %% [markdown]
 # ## 5. Design a law
 #
-# One law and few steps here; without these options four laws are tried and tuned longer.
+# One law and few steps here; without these options six kinds of laws are tried and tuned longer.
 
 # %%
 jaxilc("design axis.toml --law p-type --steps 5 --machines 65 --report design.json")
