@@ -89,6 +89,10 @@ cao = jaxilc.reproduce(["cao-2019"])
 show(cao)
 assert sum(row.verdict == "met" for row in cao) == 22
 
+# %% [markdown]
+# The figure has the error from 5/8 of the trial on, by which CFDL-MFAILC is judged. FFDL-MFAILC and
+# ILC-MFAPC are judged from 2/8 and 1/8 on, where the error is larger, so they have no circles here.
+
 # %%
 scenario = jaxilc.scenarios.load("cao-2019").select(("cfdl-mfailc", "ffdl-mfailc", "ilc-mfapc"))
 dataset, _ = jaxilc.run_schemes(scenario.machine, scenario.schemes, scenario.task, 80)
