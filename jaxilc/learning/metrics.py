@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 # number of samples up to which a plain sum in single precision is right to 2e-5; to note what it
 # loses takes up to a fifth of the time of a trial
 LONG = 2048
+SIGNALS = (*Trial._fields, "e")  # of a trial
 
 
 class Tally(NamedTuple):
@@ -224,13 +225,19 @@ class Keep:
 
     Two equal objects share a compiled program.
 
-    signals: names of fields of `Trial`
+    signals: names of fields of `Trial`, or "e"
     quantities: pairs of a name and a function of a trial. A function that will be differentiated
         must use `largest` instead of `jnp.max`.
+    Raises ValueError for a signal that a trial does not have.
     """
 
     signals: tuple[str, ...] = ()
     quantities: tuple[tuple[str, Callable[[Trial], Array]], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in self.signals:
+            if name not in SIGNALS:
+                raise ValueError(f"Keep: signal {name!r} is not one of {', '.join(SIGNALS)}")
 
     @classmethod
     def of(cls, quantities: Mapping[str, Callable[[Trial], Array]], *signals: str) -> Keep:
@@ -250,9 +257,10 @@ class Keep:
                     f"quantity = {brief(name)}: {brief(of)}; allowed is text, and by it a function "
                     "of a trial that can be hashed"
                 )
-            if name in (*(metric.name for metric in METRICS), *Trial._fields, "e"):
+            if name in (*(metric.name for metric in METRICS), *SIGNALS):
                 raise ValueError(
-                    f"quantity = {name!r} is a metric that every trial has; choose another name"
+                    f"quantity = {name!r} is a metric or a signal that every trial has; choose "
+                    "another name"
                 )
         return cls(signals, tuple(quantities.items()))
 

@@ -32,8 +32,9 @@ def tiled(fn: Callable[[Tree, Tree], T], *, lanes: int | None = None) -> Callabl
 
     lanes: number of elements of a tile, which are vectorised; None: what suits the backend, which
         is 16 on a CPU, and on an accelerator what its memory holds (see `runtime.lanes`)
-    Raises ValueError for lanes < 1. The returned function raises ValueError where the lanes follow
-    from the memory of a device, and a single element does not fit.
+    Raises ValueError for lanes < 1. The returned function raises ValueError for an empty batch,
+    leaves of different lengths, and where the lanes follow from the memory of a device, and a
+    single element does not fit.
     """
     lanes = usual_lanes() if lanes is None else lanes
     if lanes is not None:
@@ -96,4 +97,11 @@ def _filled(fn: Callable[[Tree, Tree], T], mesh: Mesh, lanes: int) -> Callable[[
 
 
 def _size(batch: Tree) -> int:
-    return len(jax.tree.leaves(batch)[0])
+    sizes = {np.shape(x)[:1] for x in jax.tree.leaves(batch)}
+    if len(sizes) != 1 or sizes <= {(), (0,)}:
+        raise ValueError(
+            f"tiled: the leaves of the batch have leading axes {sorted(sizes)}; allowed is one "
+            "length of all, from 1 on"
+        )
+    ((size,),) = sizes
+    return size

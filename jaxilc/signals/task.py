@@ -89,7 +89,14 @@ class Task:
         return self.names or tuple(range(self.outputs))
 
     def of_outputs(self, outputs: tuple[int, ...]) -> Task:
-        """The task of these outputs only, with the same inputs."""
+        """The task of these outputs only, with the same inputs.
+
+        Raises ValueError for an output that it does not have.
+        """
+        if any(not -self.outputs <= i < self.outputs for i in outputs):
+            raise ValueError(
+                f"Task: outputs = {outputs} are not there; allowed are 0 to {self.outputs - 1}"
+            )
         different = len(set(outputs)) == len(outputs)
         names = tuple(self.names[i] for i in outputs) if self.names and different else ()
         reference = self.reference[..., list(outputs)]

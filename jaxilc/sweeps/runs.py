@@ -16,6 +16,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import Keep, best_trial
 from ..learning.over_trials import History, check, learn
 from ..pytree.aliases import Value
+from ..pytree.ranges import brief
 from ..runtime.capacity import check_size
 from ..runtime.provenance import describe, environment
 from ..schemes import Scheme
@@ -51,6 +52,7 @@ def run_schemes(
     Raises as `learn` does, and ValueError, before anything runs, for more trials than the RAM can
     hold.
     """
+    need_schemes("run_schemes", schemes)
     for scheme in schemes.values():
         check(machine, scheme, task)
     changes = machine.variation is not None and machine.variation.references is not None
@@ -65,6 +67,17 @@ def run_schemes(
             learn(machine, scheme, task, trials, key=key, save=keep)
         )
     return history_dataset(histories, task), histories
+
+
+def need_schemes(who: str, schemes: Value) -> None:
+    """Raises ValueError unless there are schemes by name."""
+    if not isinstance(schemes, Mapping):
+        raise ValueError(
+            f"{who}: schemes = {brief(schemes)} is a {type(schemes).__name__}; "
+            "allowed are schemes by name, such as {'name': scheme}"
+        )
+    if not schemes:
+        raise ValueError(f"{who}: schemes is empty; at least one is needed")
 
 
 def configuration(scenario: object, seed: int) -> dict[str, Value]:

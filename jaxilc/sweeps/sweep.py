@@ -33,6 +33,7 @@ from ..uncertainty import Population, Uncertainty, takes_population
 from .grid import Grid, grid_of
 from .host import Host
 from .plan import SIGNALS, Plan
+from .runs import need_schemes
 from .store import DONE, Layout, Store, stored_configuration
 
 if TYPE_CHECKING:
@@ -97,13 +98,7 @@ class Sweep:
         for name in self.keep if isinstance(self.keep, tuple | list) else [self.keep]:
             if not isinstance(name, str) or name not in SIGNALS:
                 raise ValueError(f"Sweep: keep = {brief(name)} is not one of {', '.join(SIGNALS)}")
-        if not isinstance(self.schemes, Mapping):
-            raise ValueError(
-                f"Sweep: schemes = {brief(self.schemes)} is a {type(self.schemes).__name__}; "
-                "allowed are schemes by name, such as {'name': scheme}"
-            )
-        if not self.schemes:
-            raise ValueError("Sweep: schemes is empty; at least one is needed")
+        need_schemes("Sweep", self.schemes)
         Keep.of(self.quantities)
         if self.watch is not None:
             need_kinds(watch=self.watch)

@@ -94,7 +94,7 @@ def worst_case_search(
         if value is not None:
             require("worst_case_search", name, value, "[1, inf)", whole=True)
     require("worst_case_search", "seed", seed, SEEDS, whole=True)
-    box = _Box(subject, uncertainty)
+    box = _Box("worst_case_search", subject, uncertainty)
     check_size(
         "worst_case_search",
         lambda starts, steps: 8 * (COPIES * box.n * starts + 2 * steps),
@@ -147,7 +147,7 @@ def monte_carlo_search(
     """
     require("monte_carlo_search", "evaluations", evaluations, "[1, inf)", whole=True)
     require("monte_carlo_search", "seed", seed, SEEDS, whole=True)
-    box = _Box(subject, uncertainty)
+    box = _Box("monte_carlo_search", subject, uncertainty)
     check_size("monte_carlo_search", bytes_of_a_draw(box.uncertainty), evaluations=evaluations)
     t = np.random.default_rng(seed).random((evaluations, box.n))
     given = lambda subject, t: loss(box.at(t, subject)), box.subject, jnp.asarray(t)
@@ -163,12 +163,13 @@ def bytes_of_a_draw(uncertainty: Uncertainty) -> float:
 
 
 class _Box:
-    """The set of subjects, in coordinates t from 0 to 1."""
+    """The set of subjects, in coordinates t from 0 to 1, for a search of this name."""
 
-    def __init__(self, subject, uncertainty: Uncertainty | None):
+    def __init__(self, search: str, subject, uncertainty: Uncertainty | None):
         population = Population.of(subject, uncertainty)
         if not population.uncertainty:
-            raise ValueError("worst_case_search: uncertainty is empty; at least one name is needed")
+            raise ValueError(f"{search}: uncertainty is empty; at least one name is needed")
+        self.search = search
         self.subject, self.uncertainty = population.machine, population.uncertainty
         self.n = len(self.uncertainty)
         for end in (0.0, 1.0):
@@ -193,7 +194,7 @@ class _Box:
     def worst(self, t, losses, evaluations: int, best) -> WorstCase:
         i = int(np.argmax(losses))
         if not np.isfinite(losses[i]):
-            raise ValueError(f"worst_case_search: none of {len(losses)} losses is finite")
+            raise ValueError(f"{self.search}: none of {len(losses)} losses is finite")
         values = {name: float(value) for name, value in self.values(t[i]).items()}
         subject = drawn_machine(self.subject, self.uncertainty, values)
         return WorstCase(

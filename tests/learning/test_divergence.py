@@ -250,7 +250,7 @@ def test_a_dataset_of_before_has_its_finite_flags():
 def test_the_names_are_taken():
     for name in divergence.Course._fields:
         with pytest.raises(
-            ValueError, match=f"quantity = '{name}' is a metric that every trial has"
+            ValueError, match=f"quantity = '{name}' is a metric or a signal that every trial has"
         ):
             Keep.of({name: lambda trial: trial.y})
 

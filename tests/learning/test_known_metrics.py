@@ -26,8 +26,12 @@ from jaxilc.tuning.objectives import Final, judge
 def test_best_trial_and_quantities():
     rms = np.array([[3.0, 1.0], [2.0, 2.5], [2.0, 1.0], [np.nan, 0.1], [2.5, 0.0]])
     np.testing.assert_array_equal(best_trial(rms), [1, 2, 3, 3, 3])
-    with pytest.raises(ValueError, match="quantity = 'rms' is a metric that every trial has"):
+    with pytest.raises(ValueError, match="quantity = 'rms' is a metric or a signal that"):
         Keep.of({"rms": measure})
+    with pytest.raises(ValueError, match=r"schemes is empty; at least one is needed"):
+        jaxilc.run_schemes(STATIC, {}, TASK, 3)
+    with pytest.raises(ValueError, match=r"signal 'rms' is not one of r, y, u, .*, e"):
+        Keep(("y", "rms"))
 
 
 def test_histories_datasets_and_objectives_know_each_metric():

@@ -326,6 +326,8 @@ def test_a_single_trial_and_a_measured_one_need_what_fits():
             call()
     with pytest.raises(ValueError, match="the task has 2 inputs but the plant"):
         run_trial(MACHINE, law, two, None, key)
+    with pytest.raises(ValueError, match=r"outputs = \(2,\) are not there; allowed are 0 to 1"):
+        two.of_outputs((2,))
     three = Feedforward(jnp.zeros((3, N, 1)))  # traced, nothing is looked at
     assert jax.vmap(partial(feedforward, law, TASK))(three).shape == (3, N, 1)
 

@@ -536,6 +536,9 @@ def test_tiles_equal_a_loop_whatever_the_batch_size():
         np.testing.assert_array_equal(run(2.0, batch), 2.0 * batch**2)
     with pytest.raises(ValueError, match=r"lanes = 0"):
         tiled(lambda common, one: one, lanes=0)
+    for batch in (np.zeros(0), (np.zeros(2), np.zeros(3)), 1.0):
+        with pytest.raises(ValueError, match=r"leading axes .*; allowed is one length of all"):
+            run(2.0, batch)
 
 
 def made_up(errors):

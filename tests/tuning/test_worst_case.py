@@ -159,6 +159,12 @@ def test_bad_input_is_named(box, options, message):
         worst_case_search(lambda s: s.x, Numbers(0.5), box, **options)
 
 
+@pytest.mark.parametrize("box", [{}, {"x": Uniform(0.0, 1.0)}])
+def test_a_search_by_chance_is_called_by_its_name(box):
+    with pytest.raises(ValueError, match=r"monte_carlo_search: (uncertainty|none of 2 losses)"):
+        monte_carlo_search(lambda s: jnp.nan * s.x, Numbers(0.5), box, 2)
+
+
 def test_a_box_that_leaves_the_range_of_a_leaf_is_refused():
     with pytest.raises(ValueError, match=r"leak = 1.2 is outside its allowed range \[0, 1\)"):
         worst_case_search(lambda s: s.leak, PIDType(), {"leak": Uniform(0.1, 1.2)})
