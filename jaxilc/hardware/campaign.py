@@ -40,6 +40,7 @@ from .prediction import next_step
 from .trial_files import Measured, completed, ended, keeping, stored, told_of_end
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"
+FED = "signals feedback"  # that of the feedback in the arrays of a trial
 AGAIN = "nothing was learned or written; wait for its end, and call again"
 PAST = 20  # trials whose inputs are compared with a recorded one that is not that to play, and
 # whose outputs say what to expect of the next
@@ -306,7 +307,7 @@ class Campaign:
         findings += checks.too_fast(following_schedules, task, self.actuator)
         peaks = {name: float(checks.peak(name, of, task)) for name, of in played.items()}
         if measured.u is not None:
-            findings += self._as_the_machine_can(record, commanded, played, live, measured.samples)
+            findings += self._as_the_machine_can(record, commanded, played, live, measured)
         if learn:
             trials, largest, begun = checks.learned_so_far(live, peaks)
             findings += checks.larger(
@@ -338,18 +339,14 @@ class Campaign:
         commanded: np.ndarray,
         played: dict[str, np.ndarray],
         live: list[Manifest],
-        samples: int | None,
+        measured: Measured,
     ) -> list[Finding]:
         """Whether the channels of a trial move, as a machine can, and belong to this trial.
 
         commanded: (N, n_u) input of the scheme over the measured output
-        samples: number of samples of a trial that ended early, after which y was not measured
         """
         accept, r = self.rules.accept, np.asarray(record.r)
-        y, u = (
-            np.asarray(record.y)[: None if samples is None else samples + 1],
-            np.asarray(record.u),
-        )
+        y, u = np.asarray(record.y)[: measured.end + 1], np.asarray(record.u)
         whole, findings = whole_trials(live), list[Finding]()
         last = self.journal.arrays(whole[-1], TRIAL)["y"] if whole else None
         moved = last is not None and bool(np.any(np.ptp(last, axis=0) > 0))
@@ -361,10 +358,14 @@ class Campaign:
         findings += checks.frozen("u", u, commanded, commanded, accept)
         if not by_part:
             findings += checks.jumped(y, r, last, accept, self.task.unit)
-        if set(played) == {"u"} and not findings:  # else the input depends on y
-            others = {
-                m["trial"]: self.journal.arrays(m, TRIAL)["u"] for m in live[-PAST:] if m["trial"]
-            }
+        beside = 0.0  # else the input depends on y, unless its share of the feedback was recorded
+        if closed := "feedforward" in played and "feedback" in measured.others:
+            beside = measured.others["feedback"]
+            held = checks.at_a_limit(u, self.actuator, self.task)
+            commanded = np.where(held, u, beside + played["feedforward"])
+        if (closed or set(played) == {"u"}) and not findings:
+            past = {m["trial"]: self.journal.arrays(m, TRIAL) for m in live[-PAST:] if m["trial"]}
+            others = {j: of["u"] - closed * of.get(FED, 0.0) + beside for j, of in past.items()}
             findings += checks.misplayed(u, commanded, others, accept)
         return findings
 

@@ -114,6 +114,13 @@ def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
     return [Finding("warning", text)]
 
 
+def at_a_limit(u, actuator: Actuator | None, task: Task) -> np.ndarray:
+    """(N, n_u) whether a limit of the actuator holds the measured input, whatever is commanded."""
+    limits = {} if actuator is None else actuator.limits(jnp.asarray(u), task.dt)
+    held = [np.abs(signal) >= (1 - AT_LIMIT) * bound for signal, bound in limits.values()]
+    return np.any([np.zeros(np.shape(u), bool), *held], axis=0)
+
+
 def spaced(unit: str) -> str:
     """A unit behind its number; empty where there is none, as of an input without one."""
     return f" {unit}" if unit else ""
@@ -520,7 +527,7 @@ def misplayed(
     whose = f"it is that of trial {found[0]}" if found else "suspected is another schedule"
     text = (
         f"the recorded input is {off:.3g} (rms) away from the one to play, whose rms is "
-        f"{size:.3g}; {whose}, or another unit or file"
+        f"{size:.3g}; {whose}, or another sign, unit or file"
     )
     return [_refused("schedule", text, accept)]
 

@@ -798,6 +798,30 @@ def test_a_table_that_was_not_the_one_to_play_is_refused(tmp_path):
     assert "reference is 0.01 away at sample" in turn.refusals[0]
 
 
+def test_a_recorded_feedback_leaves_the_feedforward_to_play_or_is_refused(tmp_path):
+    """With another sign it was learned from, and an older schedule was called friction."""
+    machine, scheme, task = case("p_type_over_pid")
+    campaign = Campaign.start(tmp_path / "state", scheme, task)
+
+    def turn(sign=1.0, actuator=None, memory=None):
+        of = dataclasses.replace(machine, actuator=actuator, sensor=Sensor(noise=1e-5))
+        key = jax.random.key(campaign.trials + (memory is not None))
+        trial = run_trial(of, scheme, task, memory or campaign.memory(), key)
+        y, u, fed = (np.asarray(x) for x in (trial.y, trial.u, trial.signals["feedback"]))
+        record = Measured(y, u, {"feedback": sign * fed}, (), "a trial")
+        return dataclasses.replace(campaign, actuator=actuator).turn(record), u
+
+    (refused,) = turn(-1.0)[0].refusals
+    assert refused.endswith("another sign, unit or file; --set campaign.accept=schedule accepts it")
+    first, u = turn()
+    clipped = Actuator(limit=0.2 * np.max(np.abs(u)), rate=1.0)
+    assert not [one for one in turn(actuator=clipped)[0].refusals if "to play" in one]
+    campaign.keep(first)
+    (refused,) = turn(memory=scheme.initial_memory(task))[0].refusals
+    assert "it is that of trial 1" in refused
+    assert turn()[0].refusals == []
+
+
 def test_learning_that_diverges_smoothly_is_refused_at_ten_times_the_best(tmp_path):
     """The band of the trials so far grows as they do; what was accepted is learned from again."""
     r = np.sin(2 * np.pi * np.arange(101) / 100)
