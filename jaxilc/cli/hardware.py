@@ -421,7 +421,7 @@ def verdict(
         return [f"{said}; trial {trial} had an RMS error of {error:.4g} {unit}".rstrip()]
     best, least = min((one for one in errors if one[0] >= changed), key=lambda one: one[1])
     said = f"verdict: trial {trial} has an RMS error of {error:.4g} {unit}".rstrip()
-    if len(errors) > 1:
+    if len(errors) > 1 and begun:
         said += f", {_share(error, begun)} of that of trial {first}"
     if stop is not None and error <= stop:
         below = f"{stop:.3g} {unit}".rstrip()

@@ -356,6 +356,7 @@ class Campaign:
         if whole or not by_part or set(played) != {"u"}:
             findings += checks.frozen("y", y[1:], expected[1:], u, accept, still=still)
         findings += checks.frozen("u", u, commanded, commanded, accept)
+        findings += checks.as_the_reference(y[1:], r[1:], accept)
         if not by_part:
             findings += checks.jumped(y, r, last, accept, self.task.unit)
         beside = 0.0  # else the input depends on y, unless its share of the feedback was recorded
@@ -405,7 +406,7 @@ class Campaign:
         task = self.task
         errors = [e for _, e in checks.comparable(self.scheme, task, self.journal.live())]
         best = max(min(errors, default=np.inf), checks.LEAST * np.ptp(task.reference))
-        if error <= times * best or record.weight is not None:
+        if not best or error <= times * best or record.weight is not None:
             return []
         changed = self.what_changed(record, expected)
         return checks.grown_beyond(error, best, changed, self.rules.accept, task.unit)

@@ -243,8 +243,9 @@ def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: st
         return []
     last, (best, least) = history[-1][1], min(history, key=lambda row: row[1])
     unit = spaced(unit)
+    by = f", by {error / last - 1:.1%}" if last else ""
     text = (
-        f"the RMS error grew from {last:.4g} to {error:.4g}{unit}, by {error / last - 1:.1%}; "
+        f"the RMS error grew from {last:.4g} to {error:.4g}{unit}{by}; "
         f"the best was trial {best} with {least:.4g}{unit}: "
         f"--undo {best - 1} goes back to what it played"
     )
@@ -473,6 +474,20 @@ def frozen(
         source = "the encoder, its cable or" if name == "y" else "what records it:"
         text = f"{seen} was expected; suspected is {source} the column of the file"
         found.append(_refused("frozen", text, accept))
+    return found
+
+
+def as_the_reference(y, r, accept: tuple[str, ...]) -> list[Finding]:
+    """Outputs that are the reference to the last digit, which no machine follows so well.
+
+    y: (rows, n_y) output, as far as it was measured;  r: (N, n_y) reference
+    """
+    found = []
+    for i, (s, x) in enumerate(zip(np.transpose(y), np.transpose(r), strict=True)):
+        if np.ptp(x[: len(s)]) > TRAVEL * np.ptp(x) and same(s, x[: len(s)]):
+            called = "y" if np.shape(y)[1] == 1 else f"y{i}"
+            text = f"{called} is the reference to the last digit; suspected is the column of the "
+            found.append(_refused("frozen", f"{text}file", accept))
     return found
 
 

@@ -24,6 +24,7 @@ from cases import ALGEBRA, case
 from typer.testing import CliRunner
 
 from jaxilc.cli import app, console
+from jaxilc.cli.hardware import verdict
 from jaxilc.figures.experiments import campaign_figure
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.hardware import (
@@ -820,6 +821,20 @@ def test_a_recorded_feedback_leaves_the_feedforward_to_play_or_is_refused(tmp_pa
     (refused,) = turn(memory=scheme.initial_memory(task))[0].refusals
     assert "it is that of trial 1" in refused
     assert turn()[0].refusals == []
+
+
+def test_a_campaign_goes_on_from_an_error_that_was_zero(tmp_path):
+    """An axis that is held at rest shows one count in its second trial."""
+    task, scheme = Task(np.zeros(21), dt=0.01), PIDType(gamma_p=0.5)
+    campaign = Campaign.start(tmp_path / "state", scheme, task)
+    for count in (0.0, 1e-3):
+        y = np.eye(21)[:, 9:10] * count
+        measured = Measured(y, np.asarray(campaign.schedules()["u"]), {}, (), "a trial")
+        turn = campaign.turn(measured, replay_input=True)
+        assert ("error grew from 0 to 0.0002236; the" in str(turn.findings)) == (count > 0)
+        campaign.keep(turn)
+        (said,) = verdict(campaign.journal.live(), turn, None, "mm", 0.02)
+        assert "of that of trial 1" not in said
 
 
 def test_learning_that_diverges_smoothly_is_refused_at_ten_times_the_best(tmp_path):

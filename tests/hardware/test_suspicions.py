@@ -41,6 +41,17 @@ def test_of_a_trial_that_ended_early_only_what_was_measured_stands_still():
     assert checks.frozen("y", 0 * LAST[:rest], LAST, U, ()) == []
 
 
+def test_an_output_that_is_the_reference_is_its_column_and_not_a_perfect_trial():
+    r = R[:, None]
+    for y in (r, r.round(4), np.float32(r)):
+        (found,) = said(checks.as_the_reference(y, r, ()))
+        assert found.startswith("refusal: y is the reference to the last digit; suspected is the c")
+    rest = np.argmax(R > 0)  # a trial that ended there says nothing
+    for y in (r[:rest], LAST, r + 1e-5 * np.random.default_rng(0).normal(size=r.shape), LAST[:200]):
+        assert checks.as_the_reference(y, r, ()) == []
+    assert checks.as_the_reference(0 * r, 0 * r, ()) == [], "an axis is held at rest"
+
+
 def test_lost_counts_and_another_unit_are_steps_that_no_motion_makes():
     y = LAST.copy()
     assert checks.jumped(y, R[:, None], None, (), "mm") == []
