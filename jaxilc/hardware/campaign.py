@@ -256,8 +256,9 @@ class Campaign:
         replay_input: whether to compute an input that the file lacks by the scheme's law
         expected: what the trials before expect of this one, see `calibration`
         Raises ValueError for a trial without an input, for one that was measured already, even if
-        its file was rounded to four digits, and for one that ended early where a step takes several
-        trials: what they have in common, or how they differ, is not known of its rest.
+        its file was rounded to four digits, unless a law that takes several trials a step plays its
+        schedule again and the file has another name, and for one that ended early under such a law:
+        what its trials have in common, or how they differ, is not known of its rest.
         """
         scheme, task, live = self.scheme, self.task, self.journal.live()
         memory, number = self.memory(), live[-1]["trial"] + 1
@@ -281,8 +282,15 @@ class Campaign:
         hashes = {"measured": _hash_of(measured.y, u), "played": _hash_of(*played.values())}
         error = checks.rms_over_all(record)
         last_digit = checks.last_digit(measured.y[: measured.end + 1])
+        findings = list[Finding]()
         for entry in live[1:]:
             if self._is_measured(entry, measured, error, last_digit):
+                repeats = entry["hashes"].get("played") == hashes["played"]
+                if repeats and scheme.trials_a_step > 1 and entry["source"] != measured.source:
+                    text = f"the record is that of trial {entry['trial']}, whose schedule the law "
+                    text += "has played again, up to the resolution of the encoder"
+                    findings.append(Finding("note", text))
+                    continue
                 text = f"{measured.source} is trial {entry['trial']}, {_known_as(entry)}"
                 again = "whose input a call without --measured writes once more"
                 if not entry["learned"]:
@@ -291,7 +299,7 @@ class Campaign:
                         "encoder: it tells nothing more"
                     )
                 raise ValueError(f"{text} measure trial {number}, {again}")
-        findings = checks.saturation(u[: measured.samples], self.actuator, self.rules)
+        findings += checks.saturation(u[: measured.samples], self.actuator, self.rules)
         findings += checks.as_played(measured.others, played, self.actuator)
         if "feedback" not in measured.others:
             findings += checks.as_commanded(u, commanded, self.actuator, task)

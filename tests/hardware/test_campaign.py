@@ -38,7 +38,7 @@ from jaxilc.hardware import (
 )
 from jaxilc.hardware import campaign as of_campaign
 from jaxilc.hardware.campaign import learned
-from jaxilc.hardware.checks import beyond_limits, larger, saturation, too_fast
+from jaxilc.hardware.checks import ACCEPTED, beyond_limits, larger, saturation, too_fast
 from jaxilc.learning import Actuator, Machine, Sensor, learn, run_trial
 from jaxilc.plants import StateSpace, from_control
 from jaxilc.scenarios import load_scenario
@@ -47,6 +47,7 @@ from jaxilc.schemes import (
     Filtered,
     HigherOrder,
     Ladder,
+    ModelFreeGradient,
     PIDType,
     PolynomialBasis,
     Scheme,
@@ -628,6 +629,28 @@ def test_a_trial_that_ended_early_is_no_part_of_a_step_of_several(tmp_path):
     with pytest.raises(ValueError, match=r"trial 1 ended after .* learns from 2 trials at a time"):
         campaign.turn(short, replay_input=True)
     assert not campaign.turn(short, replay_input=True, learn=False).learned
+
+
+@pytest.mark.parametrize(
+    "law",
+    [Ladder(PIDType(gamma_p=0.5), 2), ModelFreeGradient(step=0.5, amplitude=0.1, about="mean")],
+)
+def test_a_repeat_that_the_law_asks_for_may_be_the_same_in_all_counts(tmp_path, law):
+    """At rest a coarse encoder shows each trial the same, which was refused for ever."""
+    task = case("p_type")[2]
+    campaign = Campaign.start(tmp_path / "state", law, task, rules=Rules(accept=ACCEPTED))
+    repeats = []
+    for name in ("trial 1", "trial 2", "trial 3"):
+        u = np.asarray(campaign.schedules()["u"])
+        measured = Measured(np.vstack([np.zeros((1, 1)), u]).round(1), u, {}, (), name)
+        turn = campaign.turn(measured)
+        repeats += [name for _, text in turn.findings if "has played again" in text]
+        campaign.keep(turn)
+        played_again = np.array_equal(campaign.schedules()["u"], u)
+        if played_again:  # the same file is no repeat
+            with pytest.raises(ValueError, match=f"{name} is {name}, which was learned from"):
+                campaign.turn(measured)
+    assert len(repeats) == 1
 
 
 @pytest.fixture
