@@ -59,6 +59,7 @@ class Turn(NamedTuple):
     peaks: the largest value of each schedule that was played in this trial
     expected: what the trials before expected of this one, None before the third
     last_digit: that of the measured output, see `checks.last_digit`
+    after: serial of the entry whose memory was played and learned from
     """
 
     trial: int
@@ -74,6 +75,7 @@ class Turn(NamedTuple):
     peaks: dict[str, float] = {}  # noqa: RUF012  the largest value of each schedule played
     expected: Expected | None = None
     last_digit: float = 0.0
+    after: int = 0
     __repr__ = in_short
 
     @property
@@ -261,7 +263,7 @@ class Campaign:
         what its trials have in common, or how they differ, is not known of its rest.
         """
         scheme, task, live = self.scheme, self.task, self.journal.live()
-        memory, number = self.memory(), live[-1]["trial"] + 1
+        memory, number = self.memory_of(live[-1]), live[-1]["trial"] + 1
         played = schedules(scheme, memory, task)
         # NumPy's arrays are used from here on: every operation on JAX's would be compiled.
         commanded, signals = jax.device_get(replay(scheme, task, memory, measured.y, self.actuator))
@@ -339,6 +341,7 @@ class Campaign:
             peaks,
             expected,
             last_digit,
+            live[-1]["serial"],
         )
 
     def _as_the_machine_can(
@@ -428,8 +431,8 @@ class Campaign:
     def keep(self, turn: Turn) -> None:
         """Store a turn; the campaign then continues from it.
 
-        Raises ValueError if it has refusals, if its trial does not follow the last stored one, and
-        while another process stores one.
+        Raises ValueError if it has refusals, if another process has stored a trial or an undo since
+        the turn was made, and while one does.
         """
         refuse(turn.findings)
         plain = ("trial", "learned", "source", "input", "hashes", "peaks", "last_digit")
@@ -440,7 +443,7 @@ class Campaign:
         arrays = {MEMORY: _arrays_of(turn.memory), TRIAL: stored(turn.record)}
         with only_one(self.journal.path, AGAIN):
             parent = self.journal.live()[-1]
-            if turn.trial != parent["trial"] + 1:
+            if turn.after != parent["serial"]:
                 said = f"trial {turn.trial} does not follow on trial {parent['trial']}"
                 by = "which another process has made meanwhile; nothing was learned or written"
                 raise ValueError(f"{self.journal.path}: {said}, {by}")

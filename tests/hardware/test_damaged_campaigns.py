@@ -90,6 +90,16 @@ def goes_on_or_back(folder, played):
     opened(folder).keep(opened(folder).turn(TRIALS[last]))
 
 
+def test_a_trial_is_stored_after_that_whose_memory_it_learned_from(copied):
+    folder, slow = copied[0], opened(copied[0])
+    turn = slow.turn(TRIALS[3])
+    opened(folder).undo(2)
+    opened(folder).keep(opened(folder).turn(TRIALS[3]))  # trial 3 anew, by a quicker call
+    with pytest.raises(ValueError, match="trial 4 does not follow on trial 3, which another proc"):
+        slow.keep(turn)
+    assert [m["serial"] for m in Journal(folder).live()] == [0, 1, 2, 5]
+
+
 def test_a_flipped_bit_in_a_campaign_is_refused_or_changes_nothing(campaign, tmp_path):
     folder, played = campaign
     fuzz(45, lambda rng: goes_on_or_back(flipped(rng, folder, tmp_path / "state"), played), ())
