@@ -465,10 +465,10 @@ class Campaign:
             return self.journal.live()[-1]
         behind = {m["trial"]: m for m in self.journal.behind()}
         if trial not in behind:
-            said = f"allowed are those before the last one, {max(behind, default=-1) + 1}"
-            said = said if behind else "there is none before the start"
-            then = "after which a call without --undo goes on"
-            raise ValueError(f"trial = {trial} is not one to go back to; {said}, {then}")
+            said = "there is none before the start"
+            if behind:
+                said = f"allowed are 0 to {max(behind)}, after which a call without --undo goes on"
+            raise ValueError(f"trial = {trial} is not one to go back to; {said}")
         return behind[trial]
 
     def _is_measured(

@@ -149,16 +149,14 @@ class Journal:
     def behind(self) -> list[Manifest]:
         """The manifests to which an undo can go back.
 
-        These are the manifests of `live` without the last one. Where one of them is damaged, these
-        are all manifests whose entries can be read from the start on.
+        These are the manifests of `live` without the last one. Where `live` raises, these are all
+        manifests of what was live whose entries can be read from the start on.
         """
-        manifests = self.manifests()
         try:
-            return _led_to(manifests, manifests[-1])[:-1]
+            return self.live()[:-1]
         except Damaged:
-            return [
-                m for m in manifests if m["event"] in ("start", "trial") and _is_whole(manifests, m)
-            ]
+            manifests = self.manifests()
+            return [m for m in _branch(manifests) if _is_whole(manifests, m)]
 
     def arrays(self, manifest: Manifest, name: str) -> dict[str, np.ndarray]:
         """The arrays in a file of an entry; raises ValueError for a damaged file."""
@@ -358,6 +356,22 @@ def _led_to(manifests: Sequence[Manifest], last: Manifest) -> list[Manifest]:
         wrong = chain[0].get("wrong", f"entry {chain[0]['serial']} is no trial to go on from")
         raise Damaged(f"{wrong}; {BACK}")
     return chain
+
+
+def _branch(manifests: Sequence[Manifest]) -> list[Manifest]:
+    """The entries that led to the last one, those that cannot be read left out, in order.
+
+    A trial is stored after the last one that was live then, and so is an undo. So what was live
+    before an entry that cannot be read is what the entry before it led to.
+    """
+    serial, found = len(manifests) - 1, list[Manifest]()
+    while serial >= 0:
+        now = manifests[serial]
+        if now["event"] in ("start", "trial"):
+            found.insert(0, now)
+        before = {"start": -1, "trial": now.get("parent"), "undo": now.get("to")}
+        serial = before.get(now["event"], serial - 1)
+    return found
 
 
 def is_part(manifest: Manifest) -> bool:

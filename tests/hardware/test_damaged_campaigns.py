@@ -122,6 +122,32 @@ def test_a_manifest_that_is_none_is_passed_by(copied, entry, content):
     assert [row["event"] for row in Journal(folder).log()].count("damaged") == 1
 
 
+@pytest.mark.parametrize("later", [0, 1])
+def test_a_trial_that_was_undone_does_not_come_back_where_its_successor_is_damaged(copied, later):
+    folder, played = copied
+    opened(folder).undo(1)
+    for trial in TRIALS[3:] + TRIALS[:later]:
+        trial = trial._replace(y=1.1 * trial.y)
+        opened(folder).keep(opened(folder).turn(trial))  # trial 2 anew, and one more
+    for name in ("manifest.json", "manifest.copy.json"):
+        (folder / "000005" / name).write_bytes(b"")
+    for trial in (2, 3):
+        with pytest.raises(ValueError, match=rf"{trial} is not one to go back to; .* are 0 to 1, "):
+            opened(folder).undo(trial)
+    opened(folder).undo(1)
+    np.testing.assert_array_equal(opened(folder).schedules()["u"], played[1])
+
+
+def test_without_its_head_a_campaign_goes_on_from_its_last_trial(copied):
+    folder, played = copied
+    (folder / "head.json").unlink()
+    with pytest.raises(ValueError, match=r"head.json is missing"):
+        opened(folder).schedules()
+    opened(folder).undo(3)
+    np.testing.assert_array_equal(opened(folder).schedules()["u"], played[3])
+    assert len(Journal(folder).live()) == 4
+
+
 CHANGES = {
     "parent": lambda m: m | {"parent": m["serial"]}, "later parent": lambda m: m | {"parent": 7},
     "no parent": lambda m: m | {"parent": None},
