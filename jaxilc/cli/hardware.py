@@ -145,7 +145,8 @@ def _live(journal: Journal) -> list[Manifest]:
     """The manifests that count; none where the campaign must be taken back first."""
     try:
         return journal.live()
-    except ValueError:
+    except ValueError as error:
+        warn(f"warning: {error}")
         return []
 
 
@@ -702,12 +703,13 @@ def _starts(
 
 def _bind(journal: Journal) -> None:
     """Bind the entries of a campaign of before, and say so; one without its head stays as it is."""
-    journal.live()  # raises where entries have been bound before
+    live = journal.live()  # raises where entries have been bound before
     journal.bind()
-    say(
-        f"note: nothing said which entries belong to {journal.path}, which is older than that; "
-        "those that are there do from now on"
-    )
+    if "files" not in live[0]:  # else the first call was stopped just before it wrote the head
+        say(
+            f"note: nothing said which entries belong to {journal.path}, which is older than that; "
+            "those that are there do from now on"
+        )
 
 
 def _say_source(recipe: Mapping[str, Value]) -> tuple[list[str], str]:

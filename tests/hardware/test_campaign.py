@@ -8,6 +8,7 @@ import dataclasses
 import errno
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -549,6 +550,7 @@ def test_a_damaged_entry_is_named_and_can_be_left_behind(copied):
     shutil.rmtree(state / "000003")
     with pytest.raises(ValueError, match=f"000003/manifest.json {back}"):
         go_on(state, folder / "next.csv")
+    assert re.search(f"warning: .*000003/manifest.json {back}", call("trials", "--state", state)[2])
 
 
 def _ladder():

@@ -17,6 +17,7 @@ import pytest
 from cases import case, first_order, follows, p_type
 from fuzz import damaged, dumped, flipped, fuzz, pick, refusal
 
+from jaxilc.cli.hardware import _bind
 from jaxilc.hardware import Campaign, Journal, Measured, Rules
 from jaxilc.hardware import campaign as of_campaign
 from jaxilc.hardware.checks import ACCEPTED, same
@@ -258,6 +259,17 @@ def test_a_campaign_of_before_goes_on_and_is_bound_from_then_on(copied):
     (folder / "000003" / "manifest.copy.json").unlink()
     with pytest.raises(ValueError, match=r"000003/manifest.json cannot be read"):
         journal.live()
+
+
+def test_a_campaign_that_was_stopped_at_its_start_is_not_called_older(tmp_path, capsys):
+    journal = Campaign.start(tmp_path / "state", SCHEME, TASK).journal
+    (journal.path / "head.json").unlink()
+    _bind(journal)
+    assert journal.bound
+    assert capsys.readouterr().out == ""
+    unbound(journal.path)
+    _bind(journal)
+    assert "which is older than that" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_folder_that_is_named_like_an_entry_far_behind_all_is_named(copied):
