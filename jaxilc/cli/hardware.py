@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
@@ -71,7 +71,7 @@ def trials(
     from ..figures.report import command_report
     from ..hardware.journal import Journal, units, write_log
     from ..hardware.prediction import kept
-    from ..scenarios.campaign_source import belongs_to
+    from ..scenarios.campaign_source import belongs_to, for_verdict
 
     journal, report = Journal(state), pages.file(".html")
     rows = journal.log()
@@ -89,7 +89,8 @@ def trials(
     if table is not None:
         files.append(write_log(table, rows))
     now = _opened(state) if live and (plot or report) else None
-    sentences = verdict(live, None, prediction, units(journal)[0], 0.02) if live else []
+    by = for_verdict(recipe, known.get("trials_of_step"))
+    sentences = verdict(live, None, prediction, units(journal)[0], **by) if live else []
     measured = Path(live[-1]["source"]) if len(live) > 1 else None
     following = next_command(state, len(live) or 1, measured, None)
     if measured is not None and _named_otherwise(measured):
@@ -379,14 +380,15 @@ def verdict(
     turn: Turn | None,
     prediction: Prediction | None,
     unit: str,
-    growth: float,
-    experiments: Sequence[int] = (),
+    growth: float = 0.02,
+    trials_of_step: int = 1,
     stop: float | None = None,
 ) -> list[str]:
     """One or two sentences on what the campaign has reached since its machine was last another.
 
     live: manifests that count;  turn: the trial of this call, which may not be among them
-    experiments: see `checks.experiment_numbers`
+    growth: see `Rules`
+    trials_of_step: number of trials of a step, of which the first alone plays what was learned
     stop: RMS error below which nothing shows that there is more to learn; None: it is not known
     """
     from ..hardware.checks import growth_accepted
@@ -398,14 +400,15 @@ def verdict(
     if not trials:
         if prediction is None or prediction.certain:
             return ["no trial is measured yet"]
-        of_last = f"{_band(prediction, -1, unit)} for trial {prediction.trials}"
+        last = prediction.trials - (prediction.trials - 1) % trials_of_step
+        of_last = f"{_band(prediction, last - 1, unit)} for trial {last}"
         return [f"no trial is measured yet; the plant file predicts {of_last}"]
-    numbers, last = list(experiments)[: len(trials)] or [0] * len(trials), trials[-1]["trial"]
-    learned = accumulate((bool(m["learned"]) for m in trials), initial=0)
+    last = trials[-1]["trial"]
+    learned = list(accumulate((bool(m["learned"]) for m in trials[:-1]), initial=0))
     changed = growth_accepted([*live[:1], *trials])
     errors, of_inputs = [], dict[int, float]()  # the first error with each input that was learned
-    for m, number, taught in zip(trials, numbers, learned, strict=False):
-        if not number and not is_part(m):
+    for m, taught in zip(trials, learned, strict=True):
+        if taught % trials_of_step == 0 and not is_part(m):
             errors.append((m["trial"], m[METRICS]["error"]))
             if m["trial"] >= changed:
                 of_inputs.setdefault(taught, errors[-1][1])
@@ -414,9 +417,9 @@ def verdict(
     (first, begun), (trial, error) = errors[0], errors[-1]
     if trial != last:
         said = f"verdict: trial {last} ended early, so its error is that of a part"
-        if numbers[-1]:
+        if experiment := learned[-1] % trials_of_step:
             said = (
-                f"verdict: trial {last} is experiment {numbers[-1]} between two learning steps, "
+                f"verdict: trial {last} is experiment {experiment} between two learning steps, "
                 "whose error says nothing of them"
             )
         return [f"{said}; trial {trial} had an RMS error of {error:.4g} {unit}".rstrip()]
@@ -737,7 +740,7 @@ def _say_not_kept(opened: Opened) -> None:
             given[f"--set campaign.{rest}"] = None
         elif owner in ("settings", "predict"):
             given[f"--set {rest or 'campaign.predict'}"] = None
-        elif rest != "given":  # which only spells the path of one file
+        elif owner != "stop" and rest != "given":  # which only spells the path of one file
             given["--scheme" if owner == "scheme" else "--scenario"] = None
     if given:
         warn(
@@ -846,20 +849,18 @@ def _close(
     dry_run: bool,
 ) -> None:
     """Print the verdict and the next command; write the figure and the numbers, if asked for."""
-    from ..hardware.checks import experiment_numbers
-    from ..scenarios.campaign_source import belongs_to
+    from ..scenarios.campaign_source import belongs_to, for_verdict
+    from ..schemes.scheme import trials_of_step
 
     measured, out_file, plot, json_file = files
     prediction = predicted[0]
     now, journal = opened.campaign, opened.campaign.journal
     live = journal.live() if journal.exists else []
-    numbers_of = experiment_numbers(now.scheme, now.task, live)
-    known = opened.scenario.potential
-    stop = None if known is None else known.stop
-    growth, unit = now.rules.growth, now.task.unit
-    said = verdict(live, turn, prediction, unit, growth, numbers_of, stop)
+    unit = now.task.unit
+    by = for_verdict(opened.recipe, trials_of_step(now.scheme, now.task))
+    said = verdict(live, turn, prediction, unit, **by)
     following = next_command(journal.path, trial, measured, out_file, columns)
-    step = "" if dry_run else coming(live, predicted, trial, now.task.unit)
+    step = "" if dry_run else coming(live, predicted, trial, unit)
     for line in (*([step] if step else []), *said, following):
         say(line)
     numbers: Numbers = {

@@ -28,7 +28,7 @@ from ..pytree.in_short import in_short
 from ..pytree.named_paths import named_leaves
 from ..runtime.provenance import describe, environment, need_same
 from ..schemes import Scheme
-from ..schemes.scheme import Memory, growth_of
+from ..schemes.scheme import Memory, growth_of, trials_of_step
 from ..signals.task import Task, Trial
 from ..storage.files import only_one
 from ..storage.sealed import as_json
@@ -500,6 +500,7 @@ class Campaign:
             "recipe": self.recipe,
             "configuration": self.configuration,
             "configuration_hash": self.configuration_hash,
+            "trials_of_step": trials_of_step(self.scheme, self.task),
             "environment": environment(),
         }
         self.journal.append(manifest | known, arrays)

@@ -9,6 +9,7 @@ The recipe of a campaign names them, so they are known without loading the file:
     settings     of `--set`: values by path
     rules        numbers of the rules for what is refused
     predict      whether the errors of the trials are predicted
+    stop         that of `[potential]` of the scenario, None without it
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..pytree.ranges import is_number
 from ..storage.reading import LARGEST_TREE, read_bytes
 
 if TYPE_CHECKING:
@@ -58,6 +60,17 @@ def belongs_to(recipe: Mapping[str, Value]) -> dict[str, Value]:
         "parameters": parameters.get("given"),
         "weights": tuned | settings,
     }
+
+
+def for_verdict(recipe: Mapping[str, Value], trials_of_step: Value) -> dict[str, Value]:
+    """The numbers by which a verdict on a campaign judges, those that are known, by name.
+
+    trials_of_step: that of an entry of the journal, which somebody may have made by hand
+    """
+    found = {"trials_of_step": trials_of_step, "stop": recipe.get("stop")}
+    known = {name: value for name, value in found.items() if is_number(value) and value > 0}
+    growth = _table(recipe, "rules").get("growth")
+    return known | {"growth": growth} if is_number(growth) else known
 
 
 def said_of_source(recipe: Mapping[str, Value]) -> list[str]:

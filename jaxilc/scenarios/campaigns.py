@@ -100,6 +100,7 @@ def open_campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False
     chosen = bare.with_values({f"{name}.{path}": value for path, value in values.items()})
     chosen = chosen.with_values(settings)
     need_one_reference("a campaign", chosen.machine)
+    recipe["stop"] = None if chosen.potential is None else chosen.potential.stop
     subject = (state, chosen.schemes[name], chosen.task)
     actuator = chosen.machine.actuator
     if new:

@@ -348,3 +348,9 @@ def test_trials_without_learning_tell_when_to_stop(copied, unpainted):
         said, _ = go_on("--measured", path, "--scenario", file)
         assert ("what is new in each trial explains all of it" in said) == (error <= 0.05)
     assert error <= 0.05
+    (line,) = re.findall("verdict: .*", said)
+    assert line in call("trials", "--state", folder / "x")[0]
+    text = AXIS.replace('"PIDType"\ngamma_p = 1.0\nlead = 3', '"ModelFreeGradient"\nstep = 0.8')
+    file.write_text(text)
+    start = ("--state", folder / "z", "--scenario", file, "--out", folder / "z.csv")
+    assert "for trial 7" in call("next", *start)[0], "trial 8 is an experiment"

@@ -222,7 +222,7 @@ def test_the_names_of_the_next_files_follow_those_of_this_call():
 
 
 def test_a_verdict_says_whether_learning_goes_on():
-    def said(*errors, experiments=(), looked_at=(), accepted=()):
+    def said(*errors, of_step=1, looked_at=(), accepted=()):
         learned = [j not in looked_at for j in range(1, 1 + len(errors))]
         live = journal_of(*learned, errors=errors)
         for j in accepted:
@@ -234,7 +234,7 @@ def test_a_verdict_says_whether_learning_goes_on():
             for j in range(since, len(live)):  # all but every second one are experiments
                 last = checks.of_learning(ModelFreeGradient(1.0), task, live[: j + 1])
                 assert [k for k, _ in last] == [k for k in range(since, j + 1) if k % 2]
-        return verdict(live, None, None, "mm", 0.02, experiments)[0]
+        return verdict(live, None, None, "mm", 0.02, of_step)[0]
 
     assert said() == "no trial is measured yet"
     assert said(2.0, 1.0).endswith("trial 2 has an RMS error of 1 mm, 50.00% of that of trial 1")
@@ -250,7 +250,7 @@ def test_a_verdict_says_whether_learning_goes_on():
     assert "trial 4 has an" in said(*repeats[:3], 9.0, accepted=(2, 4))
     assert said(*repeats, 9.0, 8.0, 7.0, 6.0, accepted=(6,)).endswith("3 times of that of trial 1")
     assert "the input of trial 8" in said(*repeats, 9.0, *[8.0, 7.0, 7.0, 7.0, 7.0], accepted=(6,))
-    found = said(2.0, 3.0, experiments=(0, 1, 0))
+    found = said(2.0, 3.0, of_step=2)
     assert "trial 2 is experiment 1 between" in found
     assert "trial 1 had an RMS error of 2 mm" in found
-    assert said(2.0, 3.0, 1.0, experiments=(0, 1, 0, 1)).endswith("50.00% of that of trial 1")
+    assert said(2.0, 3.0, 1.0, of_step=2).endswith("50.00% of that of trial 1")
