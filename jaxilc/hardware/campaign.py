@@ -359,13 +359,17 @@ class Campaign:
         accept, r = self.rules.accept, np.asarray(record.r)
         y, u = np.asarray(record.y)[: measured.end + 1], np.asarray(record.u)
         whole, findings = whole_trials(live), list[Finding]()
-        last = self.journal.arrays(whole[-1], TRIAL)["y"] if whole else None
+        before = self.journal.arrays(whole[-1], TRIAL) if whole else {}
+        last, share, alone = before.get("y"), 1.0, set(played) == {"u"}
         moved = last is not None and bool(np.any(np.ptp(last, axis=0) > 0))
         expected, still = (last, checks.STILL) if moved else (r, checks.DEAD)
+        if moved and alone and np.any(was := np.ptp(before["u"], axis=0)):  # as of an experiment
+            share = min(1.0, np.max(np.ptp(u, axis=0)[was > 0] / was[was > 0]))
         # What the part of a trial has taught may move the machine little, and steps at its end.
         by_part = any(m["learned"] for m in takewhile(is_part, reversed(live[1:])))
-        if whole or not by_part or set(played) != {"u"}:
-            findings += checks.frozen("y", y[1:], expected[1:], u, accept, still=still)
+        if whole or not by_part or not alone:
+            how = {"still": still, "share": share}
+            findings += checks.frozen("y", y[1:], expected[1:], u, accept, **how)
         findings += checks.frozen("u", u, commanded, commanded, accept)
         findings += checks.as_the_reference(y[1:], r[1:], accept)
         if not by_part:
@@ -375,7 +379,7 @@ class Campaign:
             beside = measured.others["feedback"]
             held = checks.at_a_limit(u, self.actuator, self.task)
             commanded = np.where(held, u, beside + played["feedforward"])
-        if (closed or set(played) == {"u"}) and not findings:
+        if (closed or alone) and not findings:
             past = {m["trial"]: self.journal.arrays(m, TRIAL) for m in live[-PAST:] if m["trial"]}
             others = {j: of["u"] - closed * of.get(FED, 0.0) + beside for j, of in past.items()}
             findings += checks.misplayed(u, commanded, others, accept)

@@ -446,7 +446,14 @@ def _refused(name: str, text: str, accept: tuple[str, ...]) -> Finding:
 
 
 def frozen(
-    name: str, signal, expected, moved, accept: tuple[str, ...], *, still: float = STILL
+    name: str,
+    signal,
+    expected,
+    moved,
+    accept: tuple[str, ...],
+    *,
+    still: float = STILL,
+    share: float = 1.0,
 ) -> list[Finding]:
     """Channels that stand still while they ought to move.
 
@@ -455,12 +462,16 @@ def frozen(
         of its range
     moved: (N, n) what makes the signal move; where it stands still too, nothing is said
     still: share of the expected range below which a channel counts as constant
+    share: times what it is compared with, since it was moved by so much less; nothing is said where
+        that is less than two steps of an encoder
     """
     found = []
     for i, (s, x) in enumerate(zip(np.transpose(signal), np.transpose(expected), strict=True)):
         called = name if np.shape(signal)[1] == 1 else f"{name}{i}"
-        span, x = np.ptp(x), x[: len(s)]
-        if np.ptp(x) <= TRAVEL * span or not np.any(np.ptp(moved, axis=0) > 0):
+        steps = np.abs(np.diff(x))
+        count = float(np.min(steps[steps > 0], initial=np.inf)) if share < 1 else 0.0
+        span, x = share * np.ptp(x), share * x[: len(s)]
+        if np.ptp(x) <= max(TRAVEL * span, 2 * count) or not np.any(np.ptp(moved, axis=0) > 0):
             continue
         if np.ptp(s) < still * span:
             seen = f"{called} is constant up to {np.ptp(s):.3g}, where a range of {span:.3g}"

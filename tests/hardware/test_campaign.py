@@ -657,6 +657,22 @@ def test_a_repeat_that_the_law_asks_for_may_be_the_same_in_all_counts(tmp_path, 
     assert len(repeats) == 1
 
 
+def test_an_experiment_that_moves_little_is_no_dead_encoder(tmp_path):
+    k, rng = np.arange(101), np.random.default_rng(0)
+    task = Task(np.sin(2 * np.pi * k / 100) * np.sin(np.pi * k / 100) ** 2, dt=0.01)
+    law = ModelFreeGradient(step=0.8, amplitude=0.1, about="mean")
+    campaign = Campaign.start(tmp_path / "state", law, task)
+    for _ in range(8):  # the last one is around the mean, with a reversed error of a tenth
+        u = np.asarray(campaign.schedules()["u"])
+        y = scipy.signal.lfilter([0, 0.185], [1, -0.819], np.append(u, 0.0)) + rng.normal(
+            0, 2e-5, 101
+        )
+        turn = campaign.turn(Measured(y[:, None], u, {}, (), "a trial"))
+        dead = campaign.turn(Measured(0 * y[:, None], u, {}, (), "a trial"))
+        campaign.keep(turn)
+    assert "y is constant up to 0, where a range of 0.0" in dead.refusals[0]
+
+
 @pytest.fixture
 def rests(tmp_path):
     """Return a campaign whose motion rests at both ends, and a function that measures a trial."""

@@ -27,6 +27,11 @@ def test_a_channel_that_stands_still_is_seen_and_one_that_rests_is_not():
     assert found.startswith("warning: y stands still from sample 120 to 600")
     for good in (LAST, Rig(coulomb=100.0).play(U[:, 0], 2)[:, None]):
         assert checks.frozen("y", good, LAST, U, ()) == []
+    # An experiment moves the machine by a hundredth, or by less than two counts of the encoder.
+    assert checks.frozen("y", 0.015 * LAST, LAST, U, (), share=0.01) == []
+    (found,) = said(checks.frozen("y", dead, LAST, U, (), share=0.1))
+    assert f"where a range of {0.1 * np.ptp(LAST):.3g} was expected" in found
+    assert checks.frozen("y", dead, LAST.round(), U, (), share=1.9 / np.ptp(LAST)) == []
     # The first trial of a law that has learned nothing plays nothing, and nothing moves.
     assert checks.frozen("y", dead, R[:, None], 0 * U, (), still=checks.DEAD) == []
 
