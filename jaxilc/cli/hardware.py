@@ -210,7 +210,7 @@ def _places(live: list[Manifest], prediction: Prediction) -> dict[int, Place]:
     from ..hardware.prediction import steps
 
     places = {
-        manifest["serial"]: _place(prediction, step, manifest[METRICS], kept(manifest))
+        manifest["serial"]: _place(prediction, step, manifest[METRICS], kept(manifest), manifest)
         for manifest, step in zip(live[1:], steps(live), strict=True)
         if not is_part(manifest)
     }
@@ -494,13 +494,19 @@ def _numbered_on(path: Path, trial: int) -> Path:
 
 
 def _place(
-    prediction: Prediction, step: int, metrics: Manifest, expected: Expected | None
+    prediction: Prediction,
+    step: int,
+    metrics: Manifest,
+    expected: Expected | None,
+    stored: Manifest | None = None,
 ) -> Place | None:
     """Where a trial lies on what the trials before it expected, or else the plant file."""
     from ..hardware.prediction import place_of
 
     errors = metrics["error"], max(metrics.get("max_error") or [0.0])
-    return place_of(prediction, step, *errors) if expected is None else expected.place(*errors)
+    if expected is not None:
+        return expected.place(*errors)
+    return place_of(prediction, step, *errors, stored)
 
 
 def _range(place: Place, unit: str) -> str:
@@ -791,7 +797,9 @@ def _turn(
     turn = now.turn(record, **how, expected=_expected(opened, prediction))
     place = None
     if prediction is not None and turn.record.weight is None:
-        place = _place(prediction, next_step(now.journal.live()), turn.metrics, turn.expected)
+        step = next_step(now.journal.live())
+        place = _place(prediction, step, turn.metrics, turn.expected)
+        turn = turn._replace(predicted=prediction.at(step))
     predicted, finding = against_prediction(now, turn, prediction, place)
     turn.findings.extend(finding)
     largest = ", ".join(f"{value:.6g}" for value in turn.metrics["max_error"])

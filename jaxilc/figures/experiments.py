@@ -272,14 +272,15 @@ def bands_by_trial(
     found = [*steps(live), *(step and step + i for i in range(ahead))]
     number = [m["trial"] for m in live[1:]] + [last + 1 + i for i in range(ahead)]
     own = {m["trial"]: kept(m) for m in live[1:]} | {last + 1: expected}
+    stored = {m["trial"]: m for m in live[1:]}
     rows = []
     for trial, at in zip(number, found, strict=True):
         own_band = own.get(trial)
         if own_band is not None:
             rows.append((trial, *(end[0] for end in own_band.rms), True))
-        elif 1 <= at <= prediction.trials:
-            low, median, high = (end[at - 1] for end in prediction.rms)
-            band = [median] * 3 if prediction.certain else (low, median, high)
+        elif (of := prediction.at(at, stored.get(trial))) is not None:
+            low, median, high = (end[0] for end in of.rms)
+            band = [median] * 3 if of.certain else (low, median, high)
             rows.append((trial, *band, False))
     trial, low, median, high, judged = np.array(rows, float).reshape(-1, 5).T
     return Bands(trial, low, median, high, judged > 0)

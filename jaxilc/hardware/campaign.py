@@ -36,7 +36,7 @@ from . import calibration, checks
 from .calibration import Expected
 from .checks import Finding, Rules
 from .journal import BACK, METRICS, Journal, Manifest, is_part, whole_trials
-from .prediction import next_step
+from .prediction import Prediction, next_step
 from .trial_files import Measured, completed, ended, keeping, stored, told_of_end
 
 MEMORY, TRIAL = "memory.npz", "trial.npz"
@@ -60,6 +60,7 @@ class Turn(NamedTuple):
     expected: what the trials before expected of this one, None before the third
     last_digit: that of the measured output, see `checks.last_digit`
     after: serial of the entry whose memory was played and learned from
+    predicted: what the plant file predicts of this trial, None without it
     """
 
     trial: int
@@ -76,6 +77,7 @@ class Turn(NamedTuple):
     expected: Expected | None = None
     last_digit: float = 0.0
     after: int = 0
+    predicted: Prediction | None = None
     __repr__ = in_short
 
     @property
@@ -444,6 +446,8 @@ class Campaign:
         manifest["findings"] = turn.findings
         if turn.expected is not None:
             manifest["expected"] = turn.expected.as_json()
+        elif turn.predicted is not None:
+            manifest["predicted"] = turn.predicted.as_json()
         arrays = {MEMORY: _arrays_of(turn.memory), TRIAL: stored(turn.record)}
         with only_one(self.journal.path, AGAIN):
             parent = self.journal.live()[-1]

@@ -369,7 +369,7 @@ def _branch(manifests: Sequence[Manifest]) -> list[Manifest]:
         now = manifests[serial]
         if now["event"] in ("start", "trial"):
             found.insert(0, now)
-        before = {"start": -1, "trial": now.get("parent"), "undo": now.get("to")}
+        before = {"start": -1, "trial": now.get("parent", -1), "undo": now.get("to", -1)}
         serial = before.get(now["event"], serial - 1)
     return found
 

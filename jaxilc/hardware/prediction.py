@@ -113,6 +113,25 @@ class Prediction(NamedTuple):
         """The ends and medians of both errors, as JSON."""
         return as_lists(self.rms, self.largest)
 
+    def as_json(self) -> dict[str, Value]:
+        """The prediction as its file and manifests keep it."""
+        return {**self._asdict(), **self.bands()}
+
+    def at(self, step: int, manifest: Manifest | None = None) -> Prediction | None:
+        """The prediction of one trial, None where there is none.
+
+        manifest: that of the trial, if it is stored; it keeps what was predicted when it was
+            measured, of whatever plant file
+        """
+        kept = (manifest or {}).get("predicted")
+        found = _from_json(kept) if isinstance(kept, dict) else None
+        if found is not None or not 1 <= step <= self.trials:
+            return found
+        rms, largest = (
+            Band(*(x[step - 1 : step] for x in band)) for band in (self.rms, self.largest)
+        )
+        return self._replace(rms=rms, largest=largest)
+
 
 def as_lists(rms: Band, largest: Band) -> dict[str, dict[str, list[float]]]:
     """The bands of both errors, as JSON."""
@@ -251,15 +270,22 @@ def _step_after(step: int, manifest: Manifest) -> int:
     return 0 if is_part(manifest) or not step else step + 1
 
 
-def place_of(prediction: Prediction, step: int, error: float, largest: float) -> Place | None:
+def place_of(
+    prediction: Prediction,
+    step: int,
+    error: float,
+    largest: float,
+    manifest: Manifest | None = None,
+) -> Place | None:
     """Where a measured trial lies on its prediction; None beyond the predicted trials.
 
     error: RMS error over all outputs;  largest: largest error of all outputs [unit of y]
+    manifest: see `Prediction.at`
     """
-    if not 1 <= step <= prediction.trials:
+    of = prediction.at(step, manifest)
+    if of is None:
         return None
-    bands = [Band(*(x[step - 1 : step] for x in band)) for band in prediction[2:4]]
-    return place_in(step, bands, prediction.course, error, largest, prediction.smallest)
+    return place_in(step, (of.rms, of.largest), of.course, error, largest, of.smallest)
 
 
 def place_in(
@@ -317,7 +343,7 @@ def of_campaign(
         trials *= 2
     prediction = predict(subject, trials)
     if store:
-        content = {"format": FORMAT, **prediction._asdict(), **prediction.bands()}
+        content = {"format": FORMAT, **prediction.as_json()}
         content |= {"of": key, "configuration": configuration}
         with contextlib.suppress(OSError):  # it is computed again at the next call
             write_json(folder / FILE, sealed(content))

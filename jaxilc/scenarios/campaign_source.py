@@ -68,7 +68,7 @@ def for_verdict(recipe: Mapping[str, Value], trials_of_step: Value) -> dict[str,
     trials_of_step: that of an entry of the journal, which somebody may have made by hand
     """
     found = {"trials_of_step": trials_of_step, "stop": recipe.get("stop")}
-    known = {name: value for name, value in found.items() if is_number(value) and value > 0}
+    known = {name: of for name, of in found.items() if of is not None and is_number(of) and of > 0}
     growth = _table(recipe, "rules").get("growth")
     return known | {"growth": growth} if is_number(growth) else known
 

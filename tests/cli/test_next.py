@@ -217,7 +217,15 @@ def test_trials_are_numbers_and_a_figure(copied):
     assert found["trials"][3]["rms_error"] == pytest.approx(rms, rel=1e-9)
     assert [place["step"] for place in found["predicted"]["trials"]] == [1, 2, 3]
     path, _ = measure(folder, 4, 1.02)
-    go_on("--measured", path, "--report", folder / "n.json")
+    (folder / "axis-2.toml").write_text(AXIS.replace("[20.0]", "[14.0]"))
+    other = ("--scenario", folder / "axis-2.toml", "--set", "ilc.gamma_p=1.2")
+    go_on("--measured", path, "--report", folder / "n.json", *other)
+    call(
+        "trials", "--state", folder / "x", "--report", folder / "u.json", "--plot", folder / "t.png"
+    )
+    again = json.loads((folder / "u.json").read_text())["predicted"]
+    assert again["rms"]["high"][1] != found["predicted"]["rms"]["high"][1]
+    assert again["trials"][:3] == found["predicted"]["trials"], "as when they were measured"
     assert json.loads((folder / "n.json").read_text())["predicted"]["step"] == 3
     assert (folder / "n.png").stat().st_size > 10_000
 
