@@ -308,7 +308,8 @@ class Campaign:
         if "feedback" not in measured.others:
             findings += checks.as_commanded(u, commanded, self.actuator, task)
         findings += self._against_those_before(record, error, hashes["played"], expected)
-        law = scheme if measured.samples is None else keeping(scheme)
+        begun = checks.learned_so_far(live)[0] > 0
+        law = scheme if measured.samples is None else keeping(scheme, begun=begun)
         following = learned(law, task, memory, record) if learn else memory
         following_schedules = schedules(scheme, following, task)
         findings += told_of_end(measured, played, following_schedules, task)

@@ -38,7 +38,7 @@ from ..pytree.aliases import Leaf
 from ..pytree.closest import listed
 from ..pytree.in_short import in_short
 from ..pytree.ranges import brief
-from ..schemes import AtSamples, KeepUnmeasured, PIDType, Scheme
+from ..schemes import FFDLMFAILC, AtSamples, KeepUnmeasured, PIDType, Scheme
 from ..schemes.weights import weighed
 from ..signals.task import Task, Trial
 from ..storage.columns import (
@@ -450,16 +450,22 @@ def ended(record: Trial, measured: Measured) -> Trial:
     return jax.device_get(weighed(record, W))
 
 
-def keeping(scheme: Scheme) -> Scheme:
+def keeping(scheme: Scheme, *, begun: bool) -> Scheme:
     """The scheme; its `PIDType` leaves what was not measured: neither adds its sum nor forgets.
+
+    A law that estimates keeps there what it has of the trials before, and begins with the reference
+    where there are none, which is no error.
+
+    begun: whether a whole trial was learned from before
 
     A filter around it is given there what it was given before, and smooths over the end. Within
     `AtSamples`, whose weights are zero beside its windows, it learns as from a whole trial.
     """
+    laws = (PIDType, FFDLMFAILC) if begun else (PIDType,)
     return jax.tree.map(
-        lambda x: KeepUnmeasured(x) if isinstance(x, PIDType) else x,
+        lambda x: KeepUnmeasured(x) if isinstance(x, laws) else x,
         scheme,
-        is_leaf=lambda x: isinstance(x, PIDType | AtSamples),
+        is_leaf=lambda x: isinstance(x, (*laws, AtSamples)),
     )
 
 

@@ -44,6 +44,7 @@ from jaxilc.learning import Actuator, Machine, Sensor, learn, run_trial
 from jaxilc.plants import StateSpace, from_control
 from jaxilc.scenarios import load_scenario
 from jaxilc.schemes import (
+    CFDLMFAILC,
     AtSamples,
     Filtered,
     HigherOrder,
@@ -728,6 +729,31 @@ def test_what_was_not_measured_is_played_as_it_was_or_the_note_says_how_else(res
     for again in (measure, measure._replace(y=y)):
         with pytest.raises(ValueError, match="a trial is trial 3, which was learned from already"):
             campaign.turn(again)
+
+
+def test_no_estimate_is_made_of_what_was_not_measured(rests):
+    """The reference stood there for the output, and the next whole trial reset the estimates."""
+    begun, measured = rests
+    law = CFDLMFAILC(lam=0.1, rho=0.5, mu=0.01, phi0=0.2, eta=0.5)
+    campaign = Campaign.start(begun.journal.path.parent / "law", law, begun.task)
+    for samples in (30, None, None, None, 60, None):
+        before, u = campaign.memory(), campaign.schedules()["u"]
+        rest = np.arange(100)[:, None] >= (samples or 100)
+        y = scipy.signal.lfilter([0, 0.45], [1, -0.5], np.vstack([u, [[0]]]), axis=0)
+        y += measured().y  # which is noise, since `begun` plays nothing
+        y[1:][rest] = begun.task.reference[1:][rest]
+        campaign.keep(
+            turn := campaign.turn(Measured(y, np.where(rest, np.nan, u), {}, (), "x", samples))
+        )
+        phi = np.asarray(campaign.memory().phi[0])
+        if samples == 60:
+            kept = (campaign.memory().u, campaign.memory().y[1:], phi)
+            for new, old in zip(kept, (before.u, before.y[1:], before.phi[0]), strict=True):
+                np.testing.assert_array_equal(new[60:], old[60:])
+            assert turn.findings[-1].text.endswith("but played as it was")
+        elif samples == 30:  # nothing is known of the rest, so it has no error
+            np.testing.assert_array_equal(campaign.schedules()["u"][30:], 0.0)
+    assert np.all(phi[60:90] != 0.2), "the estimates go on from there"
 
 
 def test_points_are_learned_from_after_a_trial_that_ended_early(rests):
