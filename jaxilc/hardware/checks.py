@@ -688,8 +688,10 @@ def what_changed(y, old, dt: float = 1.0) -> Change:
 
 def _gain(now: float) -> Change:
     """The change where the output is `now` times the expected one."""
-    if any(abs(now / one - 1) < SAME_UNIT for unit in UNITS for one in (unit, 1 / unit)):
-        text = f"another unit: y is {now:.4g} times that of the last trial"
+    if any(abs(now / one - 1) < SAME_UNIT for unit in (-1.0, *UNITS) for one in (unit, 1 / unit)):
+        text = (
+            f"another {'unit' if now > 0 else 'sign'}: y is {now:.4g} times that of the last trial"
+        )
         return Change("unit", text, "look at the columns of the file")
     if abs(now) < STANDS:
         return Change()

@@ -90,6 +90,8 @@ def test_what_changed_is_named(changed, expected):
     assert found.then
     inches = checks.what_changed(LAST / 25.4, LAST)
     assert inches.text == "another unit: y is 0.03937 times that of the last trial"
+    turned = checks.what_changed(-LAST, LAST)
+    assert turned.text == "another sign: y is -1 times that of the last trial"
     assert checks.what_changed(LAST[:5], 2 * LAST[:5]) == checks.Change()
 
 
