@@ -747,7 +747,8 @@ def _say_not_kept(opened: Opened) -> None:
         elif owner in ("settings", "predict"):
             given[f"--set {rest or 'campaign.predict'}"] = None
         elif owner != "stop" and rest != "given":  # which only spells the path of one file
-            given["--scheme" if owner == "scheme" else "--scenario"] = None
+            options = {"scheme": "--scheme", "parameters": "--params"}
+            given[options.get(owner, "--scenario")] = None
     if given:
         warn(
             f"warning: only a trial or --undo stores {', '.join(given)}, and this call has none: "

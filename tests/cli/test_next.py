@@ -203,6 +203,10 @@ def test_a_limit_of_a_call_without_a_trial_holds_and_is_said_to_be_forgotten(cop
     same = Journal(folder / "x").last_known()["recipe"]["scenario"]
     assert go_on("--scenario", same)[1] == go_on()[1] == ""
     assert go_on("--undo", 1, "--set", "campaign.limit=9")[1] == ""
+    (folder / "same.json").write_text(json.dumps(PARAMS | {"schemes": {"ilc": {"gamma_p": 1.0}}}))
+    begin = ("next", "--state", folder / "y", "--out", folder / "y.csv")
+    call(*begin, "--scenario", folder / "axis.toml", "--set", "campaign.predict=false")
+    assert "--undo stores --params, and" in call(*begin, "--params", folder / "same.json")[1]
     with pytest.raises(ValueError, match=r"begins beyond a limit: the next u .* V \(--limit\)"):
         export(state=folder / "x", folder=folder / "law", limit=0.1)
 
