@@ -261,8 +261,9 @@ class Campaign:
         expected: what the trials before expect of this one, see `calibration`
         Raises ValueError for a trial without an input, for one that was measured already, even if
         its file was rounded to four digits, unless a law that takes several trials a step plays its
-        schedule again and the file has another name, and for one that ended early under such a law:
-        what its trials have in common, or how they differ, is not known of its rest.
+        schedule again and the file has another name, for one that ended early under such a law:
+        what its trials have in common, or how they differ, is not known of its rest, and for one
+        whose error is not finite.
         """
         scheme, task, live = self.scheme, self.task, self.journal.live()
         memory, number = self.memory_of(live[-1]), live[-1]["trial"] + 1
@@ -285,6 +286,9 @@ class Campaign:
         record = ended(record, measured)
         hashes = {"measured": _hash_of(measured.y, u), "played": _hash_of(*played.values())}
         error = checks.rms_over_all(record)
+        if not np.isfinite(error):
+            largest = np.max(np.abs(measured.y))
+            raise ValueError(f"{measured.source}: y is up to {largest:.3g}, whose rms is infinite")
         last_digit = checks.last_digit(measured.y[: measured.end + 1])
         findings = list[Finding]()
         for entry in live[1:]:

@@ -391,7 +391,8 @@ def rms_over_all(trial: Trial) -> float:
 
 
 def _rms(signal) -> float:
-    return float(np.sqrt(np.mean(np.asarray(signal) ** 2)))
+    with np.errstate(over="ignore"):  # a square may be infinite
+        return float(np.sqrt(np.mean(np.asarray(signal) ** 2)))
 
 
 # What refuses a trial by default: its machine, or its file, is not what it was

@@ -697,6 +697,13 @@ def warned(turn):
     return [text for kind, text in turn.findings if kind != "note"]
 
 
+def test_an_output_whose_square_is_infinite_is_refused(rests):
+    campaign, measured = rests
+    trial = measured()
+    with pytest.raises(ValueError, match=r"a trial: y is up to 1e\+160, whose rms is infinite"):
+        campaign.turn(trial._replace(y=trial.y + 1e160))
+
+
 @pytest.mark.parametrize("samples", [10, 40])  # at rest, and in the motion
 @pytest.mark.parametrize("first", [1, 2, 3])
 def test_a_trial_that_ended_early_is_no_alarm_and_the_next_one_is_none(rests, first, samples):
