@@ -22,6 +22,7 @@ from ..runtime.capacity import host_bytes, shown
 from ..runtime.lanes import all_stored
 from ..runtime.start import native_unwanted
 from ..runtime.tiles import tiled
+from ..runtime.xla_options import QUICKLY
 from ..schemes import Scheme
 from ..signals.task import Task
 from .code import agree, agreed, cores, key_of, of_compiler, width
@@ -57,7 +58,6 @@ AT_ONCE = 2**27  # bytes of operands that are in the RAM at once
 # Bytes of what is held from loop to loop, that are in the RAM at once. With 2**27, slopes of eight
 # trials of FFDL-MFAILC took half again as long, most of it to get pages from the system.
 HELD_AT_ONCE = 2**24
-QUICKLY: dict[str, str | bool] = {"xla_backend_optimization_level": "0"}  # half the time to compile
 # of the largest number of a machine, by which the check may find a difference, by bytes of a number
 TOLERANCE = {8: 1e-9, 4: 1e-4}
 

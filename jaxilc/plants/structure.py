@@ -31,12 +31,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..pytree.aliases import Function, Tree, Value
+from ..runtime.xla_options import QUICKLY
 
 CONSTANT, AFFINE, OTHERWISE = 0, 1, 2
 MADE_UP = "a part whose derivative is made up, as by stop_gradient"
 DRAWS, SIZES = 64, (1e-2, 1e3)  # of numbers at which a rule for a derivative is looked at
-FEW = 50_000  # of such numbers in all
-QUICKLY: dict[str, str | bool] = {"xla_backend_optimization_level": "0"}
+FEW = 50_000  # of such numbers in all, on which a program that is compiled quickly runs as fast
 
 Step: TypeAlias = Value  # a `jax.core.JaxprEqn`
 Ruled: TypeAlias = tuple[Step, tuple[bool, ...]]  # and which of its operands depend on the inputs
@@ -276,7 +276,6 @@ def _made_up(step: Step, moving: tuple[bool, ...]) -> bool:
             text = lowered.as_text()
             asked = sha256(text.encode()).digest(), moving
             if asked not in _COMPARED or "callback" in text:  # what is called back has no text
-                # a small one compiles in half the time without optimisation, and runs as fast
                 small = sum(x.size for x in at) < FEW
                 run = lowered.compile(QUICKLY if small else None)
                 pairs = zip(*map(jax.device_get, run(at, by)), strict=True)
