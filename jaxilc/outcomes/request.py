@@ -98,7 +98,7 @@ class Request:
                 f"{self.source} has no scheme; needed is a table [schemes.NAME] at least"
             )
         if here.params is not None:
-            chosen = with_parameters(chosen, here.params)
+            chosen = with_parameters(chosen, here.params, here.schemes)
         chosen = here._with_trials(chosen.with_values(rest)).select(here.schemes)
         chosen.check()
         chosen = judged(here._widened(chosen), here.metric)

@@ -143,7 +143,7 @@ def need_recorded(machine: Machine, campaign: Campaign, record: Measured) -> Non
 
 def _parameters(bare: Scenario, scheme: str, path: Path) -> Manifest:
     """The values of a parameter file for the scheme, as the recipe holds them."""
-    tuned = with_parameters(bare, path)
+    tuned = with_parameters(bare, path, (scheme,))
     values = as_json(differing(tuned.schemes[scheme], bare.schemes[scheme]))
     return {"given": str(path), "sha256": digest_of(path), "values": values}
 

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -55,11 +55,13 @@ def write_parameters(
     return path
 
 
-def with_parameters(scenario: Scenario, path: Path) -> Scenario:
+def with_parameters(scenario: Scenario, path: Path, asked: Sequence[str] = ()) -> Scenario:
     """The scenario with the values of a parameter file.
 
-    Raises ValueError for a file that is not a parameter file, is of another scenario, or names what
-    cannot be set, and FileNotFoundError for a file that does not exist.
+    asked: names of the schemes that are used, all if empty
+    Raises ValueError for a file that is not a parameter file, is of another scenario, has none of
+    the schemes asked for, or names what cannot be set, and FileNotFoundError for a file that does
+    not exist.
     """
     try:
         content = read_json(path)
@@ -81,6 +83,10 @@ def with_parameters(scenario: Scenario, path: Path) -> Scenario:
         if scheme not in scenario.schemes:
             what = f"{path}: scheme = {brief(scheme)}"
             raise ValueError(not_one_of(what, scheme, scenario.schemes))
+    used = asked or scenario.schemes
+    if not {*used} & {*schemes}:
+        has = f"parameters of {', '.join(schemes)}, and " if schemes else ""
+        raise ValueError(f"{path} has {has}none of {', '.join(used)}")
     with at_place(path):
         return scenario.with_values(values)
 

@@ -159,16 +159,22 @@ def test_a_parameter_file_reaches_other_commands_and_set_goes_on_top(
     np.testing.assert_allclose(printed["settled_error"]["4"], ours, rtol=1e-12)
 
 
-@pytest.mark.parametrize("command", ["sweep", "certify", "tune", "worst-case"])
-def test_every_command_names_a_parameter_file_of_another_scenario(command, tmp_path):
-    file = write_parameters(tmp_path / "p.json", "dai-2014", {"pid": {"kp": 1.0}}, {})
-    more = {"tune": ("--weights", "kp")}.get(command, ())
-    code, _, err = call(
-        command, "cao-2019", "--scheme", "pid", "--params", file, *more, "--out", tmp_path / "out"
-    )
+@pytest.mark.parametrize(
+    ("of", "message"),
+    [("dai-2014", "'dai-2014', not of 'cao-2019'"), ("cao-2019", "pid, and none of cfdl-mfailc")],
+)
+@pytest.mark.parametrize("command", ["sweep", "certify", "tune", "worst-case", "next"])
+def test_every_command_names_a_parameter_file_of_another_scenario_or_scheme(
+    command, of, message, tmp_path
+):
+    file = write_parameters(tmp_path / "p.json", of, {"pid": {"kp": 1.0}}, {})
+    where = ("--scenario",) if command == "next" else ()
+    more = {"tune": ("--weights", "lam"), "next": ("--state", tmp_path / "out")}.get(command, ())
+    asked = (*where, "cao-2019", "--scheme", "cfdl-mfailc", "--params", file, *more)
+    code, _, err = call(command, *asked, "--out", tmp_path / "out.csv")
     assert code == 2
-    assert f"{file} has parameters of 'dai-2014', not of 'cao-2019'" in err
-    assert not (tmp_path / "out").exists()
+    assert f"{file} has parameters of {message}" in err
+    assert [*tmp_path.iterdir()] == [file]
 
 
 # pareto
@@ -453,6 +459,7 @@ def test_a_parameter_file_holds_what_differs(scenario, tmp_path):
         ("{", "is not a parameter file: it needs `scenario` and `schemes`"),
         ("[1]", "is not a parameter file"),
         ('{"schemes": {}}', "is not a parameter file"),
+        ('{"scenario": "cao-2019", "schemes": {}}', "has none of pid, cfdl-mfailc"),
         ('{"scenario": "cao-2019", "schemes": {"pid": 3}}', "is not a parameter file"),
         ('{"scenario": "cao-2019", "schemes": {"smc": {"lam": 1}}}',
          "scheme = 'smc' is not one of pid, cfdl-mfailc"),
