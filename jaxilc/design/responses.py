@@ -157,7 +157,9 @@ def family_of(
         drawn = {name: np.concatenate([drawn[name], corners[name][1:]]) for name in drawn}
     if besides:
         drawn = {name: np.concatenate([drawn[name], besides[name]]) for name in drawn}
-    several = drawn_machines(machine.unlimited().noiseless(), uncertainty, drawn)
+    several = jax.vmap(lambda one: one.unlimited().noiseless())(  # once limits are drawn, too
+        drawn_machines(machine, uncertainty, drawn)
+    )
     short = Task(np.zeros((SHORT, task.outputs)), dt=task.dt, inputs=task.inputs)
     free = None if feedback is None else feedback.unlimited()
     loops = [Loop(*one) for one in zip(*map(np.asarray, _loops(several, free, short)), strict=True)]

@@ -590,7 +590,7 @@ def tried_plants(
     task = machine.at_trial(task, None)[1]
     names, law = tuple(uncertainty.items()), law_of(scheme, task)
     points = _points(population)
-    common = (machine.unlimited(), scheme.unlimited(), task)
+    common = (machine, scheme.unlimited(), task)
 
     def tried(points):
         whole = loops_at(machine, scheme, task, uncertainty, points)
@@ -619,7 +619,7 @@ def loops_at(
 
     points: (S, names) the numbers of each plant
     """
-    common = (machine.unlimited(), scheme.unlimited(), task)
+    common = (machine, scheme.unlimited(), task)
     run = tiled_with(_loop_of, names=tuple(uncertainty.items()))
     matrices = run(common, jnp.asarray(points))
     return [Loop(*one) for one in zip(*map(np.asarray, matrices), strict=True)]
@@ -740,7 +740,7 @@ def _points(population: Population) -> np.ndarray:
 def _loop_of(common, point, *, names):
     machine, scheme, task = common
     values = {name: point[i] for i, (name, _) in enumerate(names)}
-    return linear_loop(drawn_machine(machine, dict(names), values), scheme, task)
+    return linear_loop(drawn_machine(machine, dict(names), values).unlimited(), scheme, task)
 
 
 def _climb(common, start, *, names, steps):
@@ -876,13 +876,13 @@ def _curved(machine, scheme, task, uncertainty: Uncertainty) -> list[str]:
         name in ("plant.B", "plant.C") and uncertainty[name].relative for name in names
     ):  # the zero-order hold is linear in B, which the program of a matrix exponential hides
         machine = machine.sampled(task.dt)
-    fixed = (machine.unlimited(), scheme.unlimited(), task)
+    fixed = (machine, scheme.unlimited(), task)
     middle = {name: jnp.asarray(np.mean(uncertainty[name].corners())) for name in names}
 
     def loop(fixed, value, name):
         *common, values = fixed
         machine = drawn_machine(common[0], uncertainty, values | {name: value})
-        return linear_loop(machine, *common[1:])
+        return linear_loop(machine.unlimited(), *common[1:])
 
     def curves(name):
         parts = dependence(partial(loop, name=name), (*fixed, middle), middle[name])

@@ -23,12 +23,13 @@ from jaxilc.design.candidates import (
 from jaxilc.design.judging import Question, judged_trials, limits_of, ranked, verdict
 from jaxilc.design.responses import designed_on, family_of, resonance_band
 from jaxilc.filters import ZeroPhaseBandStop, ZeroPhaseButterworth
-from jaxilc.learning import Disturbance, learn
+from jaxilc.learning import Actuator, Disturbance, Sensor, learn
 from jaxilc.learning.metrics import root_mean_square
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import PID, ErrorFiltered, Filtered, PIDType, WithFeedback
 from jaxilc.sweeps.summary import SchemeSummary
-from jaxilc.theory.law import learning_law
+from jaxilc.theory.frequency import bound_of_set, tried_plants
+from jaxilc.theory.law import law_of, learning_law
 from jaxilc.theory.on_lines import low_pass
 from jaxilc.uncertainty import Population, drawn_machine
 
@@ -181,6 +182,19 @@ def test_a_machine_whose_sign_is_not_known_has_reasons_instead_of_weights():
     found = list(candidates(family, None, TASK, TRIALS, MARGIN, tuple(LAWS)))
     assert all(isinstance(one, Absent) for one in found)
     assert "sign" in found[0].why
+
+
+def test_limits_and_noise_that_are_uncertain_change_no_response():
+    """They were taken away before they were drawn: None was not a valid value for an array."""
+    machine = dataclasses.replace(MACHINE, actuator=Actuator(limit=1.5), sensor=Sensor(noise=1e-9))
+    spread = dict.fromkeys(("actuator.limit", "sensor.noise"), WIDE["plant.gain"])
+    drawn = family_of(designed_on(machine, spread, machines=2), None, TASK)
+    assert drawn.population.drawn.keys() == spread.keys()
+    np.testing.assert_array_equal(drawn.P[1:], drawn.P[:1].repeat(len(drawn.P) - 1, axis=0))
+    scheme, population = PIDType(gamma_p=0.1), drawn.population
+    found = tried_plants(population, scheme, TASK, climbers=0)
+    whole = bound_of_set(population, scheme, TASK, law_of(scheme, TASK), found)
+    np.testing.assert_allclose([*found.values, whole.bound], found.values[0], rtol=1e-9)
 
 
 @pytest.mark.parametrize(
