@@ -709,9 +709,9 @@ def budget_verdict(case: Case, scheme: str, numbers: Numbers, folder: Path) -> V
     """The fewest trials with which the error is near the least, on machines not seen."""
     rows = {int(J): row for J, row in numbers["budgets"].items()}
     least = min(row["tuned"]["median"] for row in rows.values())
-    J = min((J for J, row in rows.items() if row["tuned"]["median"] <= NEAR * least), default=None)
-    if J is None:
+    if not math.isfinite(least):
         return Verdict(("No number of trials leads to a finite error.",))
+    J = min(J for J, row in rows.items() if row["tuned"]["median"] <= NEAR * least)
     tuned, given = rows[J]["tuned"], rows[J]["given"]
     fewer = [rows[K]["tuned"]["median"] for K in rows if K < J]
     if max(rows) == J and fewer:

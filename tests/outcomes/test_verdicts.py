@@ -615,6 +615,10 @@ def test_a_trade_off_names_one_of_its_points(tmp_path):
     name, options = parsed(found)
     assert (name, options["trials"]) == ("run", 10)
     assert options["params"] == tmp_path / "params-10-trials.json"
+    for row in budgets.values():
+        row["tuned"]["median"] = math.inf
+    none = budget_verdict(OF_TUNING, "c", numbers, tmp_path)
+    assert (none.said, none.following) == (("No number of trials leads to a finite error.",), "")
 
 
 def test_a_trade_off_says_which_of_its_tunings_had_not_ended(tmp_path):
