@@ -345,11 +345,11 @@ def yield_table(numbers: Numbers) -> Table:
         "scheme", right=columns, title=f"{several(numbers['samples'], 'machine')}, {what}"
     )
     for name, row in numbers["schemes"].items():
-        interval = " ({:.1%} – {:.1%})".format(*row["yield_interval"]) if claimed else ""
+        ends = " – ".join(map(share_text, row["yield_interval"])) if claimed else ""
         table.add_row(
             name,
             *trials[name],
-            *([share_text(row["yield"]) + interval] if known else []),
+            *([share_text(row["yield"]) + f" ({ends})" * claimed] if known else []),
             _share(row["semi_converged"], row["grown_from"]),
             _share(row["diverged"], row["diverged_at"]),
         )
@@ -440,8 +440,7 @@ def _yield(case: Case, numbers: Numbers, row: Numbers) -> str:
         return f"the only machine {ends} within {case.size(numbers['tolerance'])}; "
     which = f"{_percent(row['yield'])} of {machines} machines"
     if row["yield_interval"]:
-        low, high = row["yield_interval"]
-        which += f" (95 % interval {100 * low:.1f} % to {100 * high:.1f} %)"
+        which += f" (95 % interval {' to '.join(map(_percent, row['yield_interval']))})"
     if row["yield"] == 1:
         which = f"all {machines} machines"
     return f"{which} end within {case.size(numbers['tolerance'])}; "

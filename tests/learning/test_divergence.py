@@ -180,10 +180,12 @@ def test_tables_and_figures_say_so(swept):
         judged_by="rms",
     )
     figures_ = sweep_numbers(scenario, summarise(dataset, 0.1, metric="rms"), 0.1, plan.machines)
+    figures_["schemes"]["steady"] |= {"yield": 0.99995, "yield_interval": [0.9997, 0.99999]}
     cells = {
         str(column.header): list(column.cells) for column in sweeping.yield_table(figures_).columns
     }
     assert str(cells["diverged (from)"][0]) == "0.0%"
+    assert str(cells["yield (95 % interval)"][0]) == "99.995% (99.97% – 99.999%)"
     assert f"({figures_['schemes']['growing']['diverged_at']})" in str(cells["diverged (from)"][1])
     assert f"({figures_['schemes']['growing']['grown_from']})" in str(cells["grown (from)"][1])
     bare = sweeping.spread_table(figures_ | {"unit": ""})

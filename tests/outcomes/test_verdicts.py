@@ -43,7 +43,7 @@ from jaxilc.scenarios.published import NOTHING, Fit, Published
 from jaxilc.scenarios.reproduction import Row
 from jaxilc.schemes import NormOptimal, PIDType
 from jaxilc.signals import Task
-from jaxilc.sweeps.summary import SchemeSummary
+from jaxilc.sweeps.summary import SchemeSummary, wilson_interval
 from jaxilc.tuning import Tuning
 from jaxilc.tuning.weights import Weights
 from jaxilc.uncertainty import Normal, Uniform
@@ -292,8 +292,10 @@ def test_sweep_says_yield_worst_machine_and_what_is_lost():
         "1.6 % of the machines diverge, the first in trial 9.",
     )
     assert parsed(found)[0] == "design"
-    found = swept(CASE, 4095 / 4096, high, np.inf, 4096, diverged=1 / 4096, diverged_at=9)
-    assert "ilc: 99.98 % of 4096 machines" in found.said[0]
+    ends = {"yield_interval": wilson_interval(4095, 4096), "diverged": 1 / 4096, "diverged_at": 9}
+    found = swept(CASE, 4095 / 4096, high, np.inf, 4096, **ends)
+    said = "ilc: 99.98 % of 4096 machines (95 % interval 99.9 % to 99.996 %)"
+    assert said in found.said[0], "only where no machine failed it reaches to 100.0 %"
     assert found.said[1].startswith("0.02 % of the machines diverge")
     found = swept(CASE, None, [*high[:-1], math.inf], np.inf, semi_converged=0.5, grown_to=3.0)
     assert "fewer than 95 % of 64 machines end with an error that has not diverged" in found.said[0]
