@@ -834,13 +834,14 @@ def worst_case(
 def outside(uncertainty: Uncertainty) -> tuple[float, str]:
     """The share of the machines outside the box that is searched, and a sentence if there are any.
 
-    Only a normal distribution reaches beyond its corners.
+    Only a normal distribution reaches beyond its corners, between which it is drawn as if uniform.
     """
     names = [name for name, of in uncertainty.items() if isinstance(of, Normal)]
     share = 1.0 - math.erf(math.sqrt(2.0)) ** len(names)
     said = (
-        f"The search stays within two standard deviations of the mean of {listed(names)}; "
-        f"{100 * share:.2g} % of the machines lie outside."
+        f"The search stays within two standard deviations of the mean of {listed(names)}, beyond "
+        f"which {100 * share:.2g} % of the machines lie, and its draws are spread evenly there, "
+        "unlike those of a sweep."
     )
     return share, said if names else ""
 

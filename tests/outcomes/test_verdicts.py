@@ -724,17 +724,17 @@ def test_where_nothing_that_is_drawn_matters_no_machine_is_the_worst():
     assert "worst machine" in worst_case_verdict(OF_TUNING, "c", numbers).said[0]
 
 
-def test_a_search_within_two_standard_deviations_says_how_many_machines_lie_outside():
+def test_a_search_within_two_standard_deviations_says_what_it_draws_and_how_many_lie_outside():
     """Of a normal distribution 4.55 % lie beyond two deviations, of two at once 8.89 %."""
     normal, uniform = Normal(1.0, 0.1), Uniform(0.9, 1.1)
     assert outside({"a": uniform}) == (0.0, "")
     share, said = outside({"a": uniform, "b": normal})
     assert abs(share - 0.0455003) < 1e-7
     assert said == (
-        "The search stays within two standard deviations of the mean of b; 4.6 % of the machines "
-        "lie outside."
+        "The search stays within two standard deviations of the mean of b, beyond which 4.6 % of "
+        "the machines lie, and its draws are spread evenly there, unlike those of a sweep."
     )
-    assert "of b, c; 8.9 % of the machines lie outside" in outside({"b": normal, "c": normal})[1]
+    assert "of b, c, beyond which 8.9 % of" in outside({"b": normal, "c": normal})[1]
     search = {"value": 7.0, "over_noise": None, "loss": 1.0, "set": ["x=1"], "needed": 24}
     numbers = {"nominal": 2.0, "trial": 15, "searches": {"gradient": search}}
     assert worst_case_verdict(OF_TUNING, "c", numbers, said).said[-1] == said
