@@ -22,8 +22,10 @@ import numpy as np
 from ..pytree.aliases import Leaf, Value
 from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
+from ..pytree.named_paths import replaced, settable
 from ..pytree.ranges import require
 from ..runtime.provenance import describe, environment, need_described, need_same
+from ..schemes import Scheme
 from ..storage.files import need_free
 from ..storage.sealed import Damaged, as_json, json_text, read_json, sealed, unsealed, write_json
 from ..tuning import Tuning
@@ -290,11 +292,20 @@ class LearnedLaw(Question):
         return Candidate(LEARNED, words, scheme, {}, passed.largest, np.nan)
 
     def _safe(self, family: Family, told: Told) -> list[Candidate]:
-        """The safe laws of a few weights, the best one first; none for several channels."""
+        """The safe laws of a few weights, the best one first; none for several channels.
+
+        What they learn is limited as the taps are.
+        """
         if family.P.ndim > 2:
             return []
         laws, _ = self.safe(family, STARTS["safe"], told)
+        laws = [law._replace(scheme=self._limited(law.scheme)) for law in laws]
         return sorted(laws, key=lambda one: one.predicted)
+
+    def _limited(self, scheme: Value) -> Scheme:
+        learning = scheme if self.feedback is None else scheme.learning
+        paths = (path for path in settable(learning) if path.rpartition(".")[2] == "limit")
+        return under(replaced(learning, dict.fromkeys(paths, self.limit)), self.feedback)
 
     def _start_of(self, safe: list[Candidate]) -> Candidate | None:
         """The safe law to begin with, None for none; raises ValueError for one that is not safe."""

@@ -14,11 +14,12 @@ from jaxilc.design.by_response import FirstTaps, by_response, moved, sizes_of
 from jaxilc.design.candidates import UNSAFE, Candidate, candidates, contraction, penalty
 from jaxilc.design.judging import Proof, _further
 from jaxilc.design.learned import Passed, better_of, gate, kept_or
-from jaxilc.design.responses import designed_on, family_of
+from jaxilc.design.responses import designed_on, family_of, under
 from jaxilc.design.window import Filters, ShapedFilter, window_of
 from jaxilc.outcomes.designing import safety_said
 from jaxilc.plants import ProcessModel, StateSpace
-from jaxilc.schemes import PIDType
+from jaxilc.scenarios.parameters import differing
+from jaxilc.schemes import PID, PIDType
 from jaxilc.storage.sealed import sealed, write_json
 from jaxilc.theory.law import law_of, learning_law
 
@@ -91,6 +92,15 @@ def test_a_law_of_a_few_weights_is_held_by_a_window_that_is_wide_enough(family, 
     wide = window_of(family, TASK, (101, 101))
     held = wide.of(wide.holding(law_of(safe.scheme, TASK)))
     np.testing.assert_allclose(contraction(family, held, TASK), safe.largest, atol=3e-3)
+
+
+def test_the_safe_law_beside_a_limited_one_is_limited_too(family, safe, monkeypatch):
+    """It was judged without the limit, and said to be the better one."""
+    for feedback, path in ((None, ""), (PID(kp=2.0, limit=9.0), "learning.")):
+        law = safe._replace(scheme=under(safe.scheme, feedback))
+        monkeypatch.setattr(LearnedLaw, "safe", lambda *_, law=law: ([law], []))
+        (one,) = LearnedLaw(MACHINE, TASK, 5, WIDE, feedback, limit=0.3)._safe(family, print)
+        assert differing(one.scheme, law.scheme) == {f"{path}scheme.limit": 0.3}
 
 
 def test_the_steps_from_some_taps_to_others_lead_there(family, window, safe, found):
