@@ -283,9 +283,8 @@ def _beyond(proof: Proof) -> str:
     said = ""
     if proof.whole is not None:
         at_most = f"proved to be at most {proof.whole.bound:.3f}, " if proof.whole.proved else ""
-        said += (
-            f"; of the machines between these it is {at_most or 'not proved: '}{proof.whole.how}"
-        )
+        which = "all machines between the ends of these numbers" if proof.machine else "the machine"
+        said += f"; of {which} it is {at_most or 'not proved: '}{proof.whole.how}"
     if proof.further > 0:
         said += (
             "; each stable response from what is learned to the output may differ from its model "

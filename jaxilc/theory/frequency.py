@@ -48,7 +48,7 @@ from ..runtime.earlier_names import takes_also
 from ..runtime.tiles import tiled_with
 from ..schemes import NormOptimal, Scheme, WithFeedback
 from ..signals.task import Task
-from ..uncertainty import Population, Uncertainty, drawn_machine, drawn_machines
+from ..uncertainty import Normal, Population, Uncertainty, drawn_machine, drawn_machines
 from .condition import Condition, Premise, condition, premise, share_alike
 from .enclosure import Arc, Disc, arc_of_loop, arc_of_taps, balanced, exactly, size, supremum
 from .law import Law, Taps, at_points, law_of, law_response, learning_law
@@ -832,7 +832,7 @@ def bound_of_set(
       |Q (keep - L P)| is largest at one of its ends.
 
     law:   of the scheme
-    tried: the plants of the box that were tried, such as its corners
+    tried: the plants that were tried, such as the corners of the box; some may lie beyond it
     """
     machine, uncertainty = population.machine, population.uncertainty
     if not np.all(stable(tried.radii)):
@@ -840,11 +840,16 @@ def bound_of_set(
     if not uncertainty:
         return WholeSet(float(tried.values[tried.top]), "there is one plant only")
     curved = _curved(machine, scheme, task, uncertainty)
-    at_end = np.isclose(tried.points[:, None], _box(uncertainty), rtol=1e-12, atol=0)
+    low, high = _box(uncertainty)
+    at_end = np.isclose(tried.points[:, None], [low, high], rtol=1e-12, atol=0)
     corners = np.unique(np.argmax(at_end, 1)[np.all(np.any(at_end, 1), 1)], axis=0)
+    within = (low <= tried.points) & (tried.points <= high) | np.any(at_end, 1)
+    largest = float(np.max(tried.values[np.all(within, 1)], initial=tried.values[0]))
+    normal = ", ".join(name for name, d in uncertainty.items() if isinstance(d, Normal))
+    ends = f"; the box ends two standard deviations from the mean of {normal}" if normal else ""
     if not curved and len(corners) == 2 ** len(uncertainty):
         how = "P is affine in each uncertain number, so the worst plant is a corner of the box"
-        return WholeSet(float(tried.values[tried.top]), how)
+        return WholeSet(largest, how + ends)
     what = f"P is not affine in {', '.join(curved)}" if curved else "not all corners were tried"
     why = _not_a_process_model(machine, scheme, uncertainty)
     if not why and law.L.taps.shape[1:] != (1, 1):
@@ -854,7 +859,8 @@ def bound_of_set(
         if box.departure(tried) > share_alike(SAME):
             why = "the loop is more than the plant and a delay of whole samples"
         else:
-            return WholeSet(*box.bound(float(tried.values[tried.top])))
+            bound, how = box.bound(largest)
+            return WholeSet(bound, how + ends)
     return WholeSet(np.inf, f"{what}, and {why}: nothing is proved between the plants tried")
 
 

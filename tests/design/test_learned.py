@@ -165,11 +165,17 @@ def test_what_a_machine_may_differ_by_is_rounded_down_and_of_its_closed_loop(fur
     assert "(of trials without variation.late = 40) is at most 0.9" in told
 
 
+@pytest.fixture
+def without_claims(monkeypatch):
+    """Proofs of the frequencies alone: the claims of theory are tested elsewhere."""
+    told = SimpleNamespace(claim=("", ""), reason=("", ""))
+    monkeypatch.setattr(judging, "long_run", lambda *_: told)
+
+
+@pytest.mark.usefixtures("without_claims")
 def test_the_proof_of_a_whole_set_encloses_its_corners(monkeypatch):
     """A peak lies between the lines of the grid, on a corner that is not the worst on the grid."""
     monkeypatch.setattr(judging, "ENCLOSED", 0)
-    told = SimpleNamespace(claim=("", ""), reason=("", ""))
-    monkeypatch.setattr(judging, "long_run", lambda *_: told)  # of the claims, which others test
     drawn = designed_on(MACHINE, {"plant.gain": WIDE["plant.gain"]}, machines=3)
     family, scheme = family_of(drawn, None, TASK, points=4), PIDType(gamma_p=0.3)
     whole = judging.proof_of(family, scheme, TASK, between=True).whole
@@ -178,12 +184,19 @@ def test_the_proof_of_a_whole_set_encloses_its_corners(monkeypatch):
     assert whole.bound >= np.abs(1 - 0.3 * z * dense.P).max() - 1e-9
 
 
+@pytest.mark.usefixtures("without_claims")
 def test_the_corners_of_a_normal_distribution_are_found_though_drawn_numbers_lie_beyond():
+    """The proof ends at them, and so do its bound and what is said of it."""
     normal = {"plant.gain": Normal(1.0, 0.05, relative=True)}
     family = family_of(designed_on(MACHINE, normal, machines=200), None, TASK, points=4)
     gains = family.drawn["plant.gain"][judging._corners(family)]
     np.testing.assert_allclose(gains, [0.9, 1.1])
     assert np.ptp(family.drawn["plant.gain"]) > 0.2
+    proof = judging.proof_of(family, PIDType(gamma_p=0.6), TASK, between=True)
+    within = np.abs(family.drawn["plant.gain"] - 1) < 0.1001
+    law = family._replace(P=family.P[within]).sizes(1, 0.6 * family.advance(1, DT))
+    assert np.max(law) <= proof.whole.bound < np.max(law) * 1.02 < proof.worst
+    assert "two standard deviations from the mean of plant.gain" in safety_said(proof)
 
 
 def test_shaped_is_a_learning_filter(window, found):
