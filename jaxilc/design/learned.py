@@ -23,7 +23,8 @@ from ..pytree.aliases import Leaf, Value
 from ..pytree.closest import not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import replaced, settable
-from ..pytree.ranges import require
+from ..pytree.needs import need_channels
+from ..pytree.ranges import allowed, as_numbers, brief, fits, is_whole, require
 from ..runtime.provenance import describe, environment, need_described, need_same
 from ..schemes import Scheme
 from ..storage.files import need_free
@@ -52,6 +53,7 @@ WATCH = 129  # machines that watch the search by frequency
 RISE = 0.5  # weight of the largest error of all trials
 RATE = 0.002  # share of 1 / |P| by which a step changes the taps at one frequency
 LEARNED, SAFE = "learned", "safe"
+KINDS = {"coupled": bool, "objective": Objective | None, "risk": Risk}
 WAYS = np.linspace(0.0, 1.0, 21)  # from what was learned to a law that is known to be safer
 BEGUN = "start.json"  # the taps with which a tuning begins, in its folder
 STARTS = {
@@ -179,18 +181,19 @@ class LearnedLaw(Question):
                 f"LearnedLaw: start = {self.start!r} is not possible with {self.task.inputs} "
                 f"inputs and {self.task.outputs} outputs; allowed is 'nothing'"
             )
+        for name, kind in KINDS.items():
+            if not fits(value := getattr(self, name), kind):
+                raise ValueError(f"LearnedLaw: {name} = {brief(value)}; {allowed(kind)}")
         if self.limit is not None:
-            require("LearnedLaw", "limit", float(np.min(self.limit)), "(0, inf)")
+            require("LearnedLaw", "limit", self.limit, "(0, inf)", many=True)
+            need_channels(self, self.task.inputs, "limit")
         most = min(1001, 2 * ((self.task.N - 1) // 2) - 1)
-        if len(self.taps) != 2 or any(
-            n != int(n) or n % 2 == 0 or not 1 <= n <= most for n in self.taps
-        ):
+        if not _whole(self.taps, 2) or any(n % 2 == 0 or not 1 <= n <= most for n in self.taps):
             raise ValueError(
                 f"LearnedLaw: taps = {self.taps} are not allowed; allowed are two odd numbers, of "
                 f"L and of Q, from 1 to {most} for a trial of {self.task.N} samples"
             )
-        places = (0, *self.starts, self.task.N)
-        if any(k != int(k) for k in places) or np.any(np.diff(places) <= 0):
+        if not _whole(self.starts) or np.any(np.diff([0, *self.starts, self.task.N]) <= 0):
             raise ValueError(
                 f"LearnedLaw: starts = {self.starts} are not allowed; allowed are whole samples "
                 f"that rise within a trial of {self.task.N}"
@@ -352,6 +355,13 @@ class LearnedLaw(Question):
 
         tuned = tuning.run(out, resume=resume and out.exists(), progress=tell)
         return moved(window, start, np.array(list(tuned.values.values())))
+
+
+def _whole(values: Value, count: int | None = None) -> bool:
+    """Whether these are whole numbers in a row, so many if it is given."""
+    found = as_numbers(values)
+    right = found is not None and found.ndim == 1 and count in (None, len(found))
+    return right and all(map(is_whole, values))
 
 
 def kept_or(

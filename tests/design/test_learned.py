@@ -329,6 +329,16 @@ def test_damaged_taps_are_computed_again(tmp_path, caplog):
         ({"margin": 0.0}, "margin = 0"),
         ({"steps": -1}, "steps = -1"),
         ({"trials": 1}, "trials = 1"),
+        ({"taps": 61}, "taps = 61 .*odd"),
+        ({"taps": (9.0, np.inf)}, r"taps = \(9.0, inf\)"),
+        ({"starts": (60.0,)}, r"starts = \(60.0,\) .*whole samples"),
+        ({"starts": ("a",)}, "starts"),
+        ({"metric": "foo"}, "metric = 'foo' is not one of .*settled_error"),
+        ({"limit": [1.0, 2.0]}, "limit"),
+        ({"objective": "final"}, "objective = 'final'; allowed"),
+        ({"risk": "mean"}, "risk = 'mean'; allowed"),
+        ({"coupled": "no"}, "coupled = 'no'; allowed is True or False"),
+        ({"highest": np.nan}, "highest = nan"),
     ],
 )
 def test_a_setting_that_is_not_allowed_is_named_before_anything_runs(setting, message):
