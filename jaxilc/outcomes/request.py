@@ -87,7 +87,7 @@ class Request:
         """
         from ..runtime.start import warn_of_single
         from ..scenarios.from_file import with_options
-        from ..scenarios.parameters import with_parameters
+        from ..scenarios.parameters import warn_of_another, with_parameters
         from ..scenarios.scenario import judged
 
         warn_of_single()
@@ -100,6 +100,8 @@ class Request:
         if here.params is not None:
             chosen = with_parameters(chosen, here.params, here.schemes)
         chosen = here._with_trials(chosen.with_values(rest)).select(here.schemes)
+        if here.params is not None:
+            warn_of_another(chosen, here.params, settings_of(here.set))
         chosen.check()
         chosen = judged(here._widened(chosen), here.metric)
         limit = chosen.tolerance if here.tolerance is None else here.tolerance

@@ -23,7 +23,7 @@ from ..runtime.provenance import differences
 from ..storage.sealed import as_json
 from .campaign_source import digest_of, said_of_change
 from .from_file import SCENARIOS, with_options
-from .parameters import differing, with_parameters
+from .parameters import differing, warn_of_another, with_parameters
 from .scenario import Scenario
 
 # Rules that are kept from the first call on, until a new value is given.
@@ -99,6 +99,8 @@ def open_campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False
     values = recipe.get("parameters", {}).get("values", {})
     chosen = bare.with_values({f"{name}.{path}": value for path, value in values.items()})
     chosen = chosen.with_values(settings)
+    if new and given.params is not None:
+        warn_of_another(chosen, given.params, settings)
     need_one_reference("a campaign", chosen.machine)
     recipe["stop"] = None if chosen.potential is None else chosen.potential.stop
     subject = (state, chosen.schemes[name], chosen.task)

@@ -6,7 +6,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,13 @@ from ..pytree.aliases import Value
 from ..pytree.closest import not_one_of
 from ..pytree.named_paths import settable
 from ..pytree.ranges import brief
-from ..runtime.provenance import environment
+from ..runtime.provenance import describe, differences, environment
 from ..schemes import Scheme
-from ..storage.sealed import read_json, write_json
+from ..storage.sealed import as_json, read_json, write_json
 from . import Scenario
 from .specification import at_place
+
+SHOWN = 3  # differences of the machine that are told
 
 
 def differing(scheme: Scheme, printed: Scheme) -> dict[str, Value]:
@@ -89,6 +92,30 @@ def with_parameters(scenario: Scenario, path: Path, asked: Sequence[str] = ()) -
         raise ValueError(f"{path} has {has}none of {', '.join(used)}")
     with at_place(path):
         return scenario.with_values(values)
+
+
+def warn_of_another(scenario: Scenario, path: Path, settings: Iterable[str] = ()) -> None:
+    """Warn of parameters that were found for other options, or for a machine with other numbers.
+
+    settings: paths that were set, whose numbers are known to be others
+    """
+    obtained = read_json(path).get("obtained")
+    there = obtained if isinstance(obtained, Mapping) else {}
+    made = there.get("configuration")
+    machine = made.get("machine") if isinstance(made, Mapping) else None
+    given = {path.removeprefix("machine.").partition("[")[0] for path in settings}
+    here = as_json(describe(scenario.machine))
+    lines = [
+        line
+        for then, now in ((there.get("options"), dict(scenario.options)), (machine, here))
+        if isinstance(then, Mapping)
+        for line in differences(then, now)
+        if not any(line.startswith((f"{path}:", f"{path}.")) for path in given)
+    ]
+    if lines:
+        more = f" and {len(lines) - SHOWN} more" if len(lines) > SHOWN else ""
+        said = f"{path} was found for another machine: {'; '.join(lines[:SHOWN])}{more}"
+        warnings.warn(said, RuntimeWarning, stacklevel=3)
 
 
 def same(one: Value, other: Value) -> bool:

@@ -20,8 +20,15 @@ from jaxilc.outcomes import Request
 from jaxilc.outcomes.terms import limits_not_met, objective_of, risk_of, with_limits
 from jaxilc.outcomes.words import number
 from jaxilc.plants import StateSpace
-from jaxilc.scenarios.parameters import differing, with_parameters, write_parameters
+from jaxilc.runtime.provenance import describe
+from jaxilc.scenarios.parameters import (
+    differing,
+    warn_of_another,
+    with_parameters,
+    write_parameters,
+)
 from jaxilc.schemes import CFDLMFAILC, Filtered, PIDType
+from jaxilc.storage.sealed import as_json
 from jaxilc.tuning import Tuning, monte_carlo_search, trade_off
 from jaxilc.tuning import descent as of_tuning
 from jaxilc.tuning import worst_case as of_worst
@@ -451,6 +458,23 @@ def test_a_parameter_file_holds_what_differs(scenario, tmp_path):
         name: values for name, values in differing(printed, again).items() if name in changed
     }
     assert json.loads(file.read_text())["versions"]["jaxilc"]
+
+
+def test_parameters_of_another_machine_or_other_options_are_told(scenario, tmp_path):
+    """Nothing was said of a file that had been found for another drive of the same name."""
+    machine = as_json(describe(scenario.machine))
+    found = {"options": dict(scenario.options), "configuration": {"machine": machine}}
+    file = tmp_path / "p.json"
+    for obtained in ({}, {"options": []}, {"configuration": 1}, found):  # of earlier versions, too
+        write_parameters(file, "cao-2019", {"pid": {}}, obtained)
+        Request("cao-2019", set="frequency=50", params=file).scenario()
+    other = scenario.with_values({"plant.gain": 1.0})
+    with pytest.warns(RuntimeWarning, match=r"p.json was found for another machine: plant.gain: "):
+        warn_of_another(other, file)
+    warn_of_another(other, file, ["machine.plant.gain"])
+    with pytest.warns(RuntimeWarning, match="another machine: frequency: 50.0 there, 0.5 here"):
+        Request("cao-2019", params=file).scenario()
+    Request("cao-2019", set="frequency=2", params=file).scenario()
 
 
 @pytest.mark.parametrize(
