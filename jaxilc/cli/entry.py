@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Annotated, Any
@@ -20,7 +21,7 @@ from rich.markup import escape
 from typer import Option
 
 from . import commands
-from .console import ended, err, prefer, speak, tracebacks
+from .console import ended, err, prefer, speak, tracebacks, warn
 from .explore import explore
 from .hardware import SETTINGS, Refused, next_, trials
 from .options import DESIGN, MACHINE, PROVE, SIMULATE, Commands, add, figures_as, of_list
@@ -160,8 +161,9 @@ def main() -> None:
     """Run the command line.
 
     A mistake of the user gives one line on standard error without a traceback, and exit code 2. A
-    measured trial that is refused gives exit code 3.
+    measured trial that is refused gives exit code 3. A warning of the library is one line, too.
     """
+    warnings.showwarning = lambda message, *_: warn(f"warning: {_short(str(message))}")
     gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
     heed()
     try:

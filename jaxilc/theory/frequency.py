@@ -847,10 +847,12 @@ def bound_of_set(
     largest = float(np.max(tried.values[np.all(within, 1)], initial=tried.values[0]))
     normal = ", ".join(name for name, d in uncertainty.items() if isinstance(d, Normal))
     ends = f"; the box ends two standard deviations from the mean of {normal}" if normal else ""
-    if not curved and len(corners) == 2 ** len(uncertainty):
+    few = len(uncertainty) <= CORNERS  # else what moves is not looked at
+    if not curved and few and len(corners) == 2 ** len(uncertainty):
         how = "P is affine in each uncertain number, so the worst plant is a corner of the box"
         return WholeSet(largest, how + ends)
-    what = f"P is not affine in {', '.join(curved)}" if curved else "not all corners were tried"
+    what = "not all corners were tried" if few else f"more than {CORNERS} numbers are uncertain"
+    what = f"P is not affine in {', '.join(curved)}" if curved else what
     why = _not_a_process_model(machine, scheme, uncertainty)
     if not why and law.L.taps.shape[1:] != (1, 1):
         why = "the law has several channels"

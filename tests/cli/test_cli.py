@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from functools import partial
 from types import SimpleNamespace
 
@@ -31,7 +32,7 @@ from typer.testing import CliRunner
 
 import jaxilc
 from jaxilc import outcomes
-from jaxilc.cli import app, console, present, progress
+from jaxilc.cli import app, console, main, present, progress
 from jaxilc.cli.hardware import OF_CAMPAIGN
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE, Pages
 from jaxilc.outcomes import Request, demonstrating, running, sweeping
@@ -65,6 +66,15 @@ def jaxilc_command(monkeypatch, tmp_path, unpainted):
     """Return a function that runs the command in a folder of the test's own."""
     monkeypatch.chdir(tmp_path)
     return call
+
+
+def test_a_warning_of_the_library_is_one_line(monkeypatch, capsys):
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)  # which main exchanges
+    monkeypatch.setattr(sys, "argv", ["jaxilc", "--version"])
+    with pytest.raises(SystemExit):
+        main()
+    warnings.showwarning(RuntimeWarning("one\ntwo"), RuntimeWarning, "file.py", 3)
+    assert capsys.readouterr().err == "warning: one two\n"
 
 
 def test_list_names_scenarios_and_all_that_can_be_set(jaxilc_command):

@@ -387,10 +387,12 @@ def test_the_printed_condition_is_its_inequality():
     rng, w, seen = np.random.default_rng(0), 2 * np.pi * np.geomspace(1.0, 5000.0, 300), set()
     for _ in range(20):
         K_P, K_D, lam0 = rng.choice([0.2, 1e3, 4e4]), rng.uniform(50, 1200), rng.choice([0.0, 30.0])
-        scheme = WithFeedback(ExponentialPD(K_P=K_P, K_D=K_D, lam0=lam0, b=B), SMC(**MODEL))
+        lam2 = rng.choice([LAM2, 1e4, 1e5])
+        law = SMC(**MODEL | {"lam2": lam2})
+        scheme = WithFeedback(ExponentialPD(K_P=K_P, K_D=K_D, lam0=lam0, b=B), law)
         found = printed_condition(scheme, TASK, frequencies=w / (2 * np.pi))
         for curve, G in zip(found.curves, (1.0, np.exp(lam0 * TASK.duration)), strict=True):
-            below = G * (K_P**2 + w**2 * K_D**2) < 2 * (K_P * LAM2 + w**2 * (K_D * LAM1 - K_P))
+            below = G * (K_P**2 + w**2 * K_D**2) < 2 * (K_P * lam2 + w**2 * (K_D * LAM1 - K_P))
             np.testing.assert_array_equal(curve < 1, below)
             seen |= set(below)
         assert found.condition.value == np.max(found.curves)

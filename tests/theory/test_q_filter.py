@@ -124,6 +124,19 @@ def law_matrices():
     return Q, GAMMA * Q @ np.eye(N, k=LEAD)
 
 
+def test_nothing_is_proved_by_the_corners_of_more_numbers_than_are_looked_at():
+    """A pole among nine was taken for affine: a machine within diverged, proved to be safe."""
+    A, n = np.diag(np.full(9, 0.5)), 9
+    plant = Machine(StateSpace(A, np.full((n, 1), 0.1), np.ones((1, n)), dt=DT))
+    box = {f"plant.A[{i}][{i}]": Uniform(0.4, 0.6) for i in range(n)}
+    law, of = PIDType(gamma_p=0.5), Population(plant, box, sampling="corners")
+    tried = tried_plants(of, law, SHORT, climbers=0)
+    proof = bound_of_set(of, law, SHORT, law_of(law, SHORT), tried)
+    assert len(tried.points) >= 2**n
+    assert not proof.proved
+    assert "more than 8 numbers" in proof.how
+
+
 def test_gains_are_proved_by_their_corners_and_a_pole_is_not():
     plant = Machine(StateSpace([[0.9]], [[0.1]], [[1.0]], dt=DT))
     law = Filtered(PIDType(gamma_p=0.8, lead=LEAD), ZeroPhaseButterworth(40.0))
