@@ -21,7 +21,7 @@ from ..identification import Record, Repeats
 from ..learning.machine import Actuator, Machine
 from ..learning.metrics import measure
 from ..learning.over_trials import check_length, measured_trial, need_kinds
-from ..learning.playback import replay, schedules
+from ..learning.playback import applied, replay, schedules
 from ..learning.within_trial import run_trial
 from ..pytree.aliases import Leaf, Value
 from ..pytree.in_short import in_short
@@ -384,8 +384,9 @@ class Campaign:
         beside = 0.0  # else the input depends on y, unless its share of the feedback was recorded
         if closed := "feedforward" in played and "feedback" in measured.others:
             beside = measured.others["feedback"]
-            held = checks.at_a_limit(u, self.actuator, self.task)
-            commanded = np.where(held, u, beside + played["feedforward"])
+            commanded = beside + played["feedforward"]
+            if self.actuator is not None:
+                commanded = np.asarray(applied(self.actuator, commanded, self.task.dt))
         if (closed or alone) and not findings:
             past = {m["trial"]: self.journal.arrays(m, TRIAL) for m in live[-PAST:] if m["trial"]}
             others = {j: of["u"] - closed * of.get(FED, 0.0) + beside for j, of in past.items()}

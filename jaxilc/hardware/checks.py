@@ -114,13 +114,6 @@ def saturation(u, actuator: Actuator | None, rules: Rules) -> list[Finding]:
     return [Finding("warning", text)]
 
 
-def at_a_limit(u, actuator: Actuator | None, task: Task) -> np.ndarray:
-    """(N, n_u) whether a limit of the actuator holds the measured input, whatever is commanded."""
-    limits = {} if actuator is None else actuator.limits(jnp.asarray(u), task.dt)
-    held = [np.abs(signal) >= (1 - AT_LIMIT) * bound for signal, bound in limits.values()]
-    return np.any([np.zeros(np.shape(u), bool), *held], axis=0)
-
-
 def spaced(unit: str) -> str:
     """A unit behind its number; empty where there is none, as of an input without one."""
     return f" {unit}" if unit else ""

@@ -85,3 +85,12 @@ def replay(
     start = (scheme.initial_state(task), rest, None if actuator is None else rest)
     found: tuple[Array, dict[str, Array]] = over_samples(tick, start, rows)[1]
     return found
+
+
+@jax.jit
+def applied(actuator: Actuator, u: Array, dt: float) -> Array:
+    """(N, n_u) the input that an actuator at rest applies of a command u (N, n_u) [unit of u]."""
+    found: tuple[Array, Array] = over_samples(
+        lambda v, now: actuator.apply(now, v, dt), jnp.zeros_like(u[0]), u
+    )
+    return found[1]

@@ -880,19 +880,23 @@ def test_a_recorded_feedback_leaves_the_feedforward_to_play_or_is_refused(tmp_pa
     machine, scheme, task = case("p_type_over_pid")
     campaign = Campaign.start(tmp_path / "state", scheme, task)
 
-    def turn(sign=1.0, actuator=None, memory=None):
+    def turn(sign=1.0, actuator=None, memory=None, digits=17):
         of = dataclasses.replace(machine, actuator=actuator, sensor=Sensor(noise=1e-5))
         key = jax.random.key(campaign.trials + (memory is not None))
         trial = run_trial(of, scheme, task, memory or campaign.memory(), key)
         y, u, fed = (np.asarray(x) for x in (trial.y, trial.u, trial.signals["feedback"]))
-        record = Measured(y, u, {"feedback": sign * fed}, (), "a trial")
+        record = Measured(y, u.round(digits), {"feedback": sign * fed}, (), "a trial")
         return dataclasses.replace(campaign, actuator=actuator).turn(record), u
 
     (refused,) = turn(-1.0)[0].refusals
     assert refused.endswith("another sign, unit or file; --set campaign.accept=schedule accepts it")
     first, u = turn()
-    clipped = Actuator(limit=0.2 * np.max(np.abs(u)), rate=1.0)
-    assert not [one for one in turn(actuator=clipped)[0].refusals if "to play" in one]
+    top, fastest = np.max(np.abs(u)), np.max(np.abs(np.diff(u, axis=0))) / task.dt
+    slow = {"rate": 0.1 * fastest, "resolution": 0.02 * top}
+    for limits in ({"limit": 0.2 * top, "rate": 1.0}, slow):
+        held, _ = turn(actuator=Actuator(**limits), digits=round(2 - np.log10(top)))
+        assert not [one for one in held.refusals if "to play" in one], limits
+    assert "to play" in str(turn(-1.0, Actuator(**slow))[0].refusals)
     campaign.keep(first)
     (refused,) = turn(memory=scheme.initial_memory(task))[0].refusals
     assert "it is that of trial 1" in refused
