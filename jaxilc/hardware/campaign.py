@@ -378,7 +378,8 @@ class Campaign:
             how = {"still": still, "share": share}
             findings += checks.frozen("y", y[1:], expected[1:], u, accept, **how)
         findings += checks.frozen("u", u, commanded, commanded, accept)
-        findings += checks.as_the_reference(y[1:], r[1:], accept)
+        if not any(m["learned"] for m in live[1:]):  # an axis learns to within half a count
+            findings += checks.as_the_reference(y[1:], r[1:], accept)
         if not by_part:
             findings += checks.jumped(y, r, last, accept, self.task.unit)
         beside = 0.0  # else the input depends on y, unless its share of the feedback was recorded
@@ -422,13 +423,14 @@ class Campaign:
         """The refusal of a trial whose error is more than some times the best, and what changed.
 
         The best is that since the last trial that was accepted in spite of it: from a changed
-        machine, learning leads to the best again.
+        machine, learning leads to the best again. It is no less than a count of the encoder.
 
         error: RMS error over all outputs [unit of y]
         """
         task = self.task
         errors = [e for _, e in checks.comparable(self.scheme, task, self.journal.live())]
-        best = max(min(errors, default=np.inf), checks.LEAST * np.ptp(task.reference))
+        least = max(checks.LEAST * np.ptp(task.reference), checks.count_of(np.asarray(record.y)))
+        best = max(min(errors, default=np.inf), least)
         if not best or error <= times * best or record.weight is not None:
             return []
         changed = self.what_changed(record, expected)

@@ -358,6 +358,17 @@ def last_digit(signal) -> float:
     return float(np.max(_steps(np.ravel(np.asarray(signal, float)), decimals=False)))
 
 
+def count_of(y) -> float:
+    """The count of an encoder of which all steps of y (rows, n_y) are multiples; 0 without one."""
+    steps = np.abs(np.diff(y, axis=0))
+    least = float(np.min(steps[steps > 0], initial=np.inf))
+    for parts in range(1, 101 if np.isfinite(least) else 1):
+        counts = steps * parts / least
+        if np.max(np.abs(counts - np.round(counts))) < 1e-3:
+            return least / parts
+    return 0.0
+
+
 def _steps(x: np.ndarray, decimals: bool) -> np.ndarray:
     """The value of the last digit of each sample, or of the last decimal; 0 beyond eight digits.
 
@@ -483,7 +494,7 @@ def frozen(
 
 
 def as_the_reference(y, r, accept: tuple[str, ...]) -> list[Finding]:
-    """Outputs that are the reference to the last digit, which no machine follows so well.
+    """Outputs that are the reference to the last digit: none follows it so well before it learns.
 
     y: (rows, n_y) output, as far as it was measured;  r: (N, n_y) reference
     """

@@ -917,6 +917,18 @@ def test_a_campaign_goes_on_from_an_error_that_was_zero(tmp_path):
         assert "of that of trial 1" not in said
 
 
+def test_an_axis_that_has_learned_to_within_half_a_count_is_no_column_of_set_points(tmp_path):
+    r = np.round(5 - 5 * np.cos(2 * np.pi * np.arange(41) / 40), 2)[:, None]
+    campaign = Campaign.start(tmp_path / "state", PIDType(gamma_p=0.8), Task(r, dt=0.01))
+    near = r + 0.01 * (np.arange(41) == 20)[:, None]  # a count of the encoder, once
+    for y, refused in ((r, 1), (np.round(0.9 * r, 2), 0), (r, 0), (near, 0)):
+        measured = Measured(y, np.asarray(campaign.schedules()["u"]), {}, (), "a trial")
+        turn = campaign.turn(measured)
+        assert ["y is the reference" in one for one in turn.refusals] == [True] * refused
+        if not refused:
+            campaign.keep(turn)
+
+
 def test_learning_that_diverges_smoothly_is_refused_at_ten_times_the_best(tmp_path):
     """The band of the trials so far grows as they do; what was accepted is learned from again."""
     r = np.sin(2 * np.pi * np.arange(101) / 100)
