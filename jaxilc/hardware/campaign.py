@@ -53,7 +53,8 @@ class Turn(NamedTuple):
     memory, schedules: memory and schedules for the next trial
     metrics: metrics of this trial by name: those of `Metrics`, and `error`, the RMS error over all
         outputs
-    hashes: hashes of the measured signals and of the schedules that were played
+    hashes: hashes of the measured signals, of the schedules that were played, and under a law of
+        several trials a step of the file with its path and the time when it was written
     learned: False for a trial that was only inspected
     input: `measured`, or `replayed` where the file had no u and the scheme's law gave it
     peaks: the largest value of each schedule that was played in this trial
@@ -261,7 +262,7 @@ class Campaign:
         expected: what the trials before expect of this one, see `calibration`
         Raises ValueError for a trial without an input, for one that was measured already, even if
         its file was rounded to four digits, unless a law that takes several trials a step plays its
-        schedule again and the file has another name, for one that ended early under such a law:
+        schedule again and the file was written anew, for one that ended early under such a law:
         what its trials have in common, or how they differ, is not known of its rest, and for one
         whose error is not finite.
         """
@@ -285,6 +286,9 @@ class Campaign:
         record = jax.device_get(measured_trial(task, measured.y, u))._replace(signals=signals)
         record = ended(record, measured)
         hashes = {"measured": _hash_of(measured.y, u), "played": _hash_of(*played.values())}
+        if scheme.trials_a_step > 1 and (file := Path(measured.source).resolve()).is_file():
+            written = f"{file} {file.stat().st_mtime_ns}".encode()
+            hashes["file"] = hashlib.sha256(written + file.read_bytes()).hexdigest()
         error = checks.rms_over_all(record)
         if not np.isfinite(error):
             largest = np.max(np.abs(measured.y))
@@ -294,7 +298,11 @@ class Campaign:
         for entry in live[1:]:
             if self._is_measured(entry, measured, error, last_digit):
                 repeats = entry["hashes"].get("played") == hashes["played"]
-                if repeats and scheme.trials_a_step > 1 and entry["source"] != measured.source:
+                if (
+                    repeats
+                    and scheme.trials_a_step > 1
+                    and not _same_file(entry, measured.source, hashes)
+                ):
                     text = f"the record is that of trial {entry['trial']}, whose schedule the law "
                     text += "has played again, up to the resolution of the encoder"
                     findings.append(Finding("note", text))
@@ -535,6 +543,19 @@ def _known_as(entry: Manifest) -> str:
         return "which was learned from already;"
     undo = f"--undo {entry['trial'] - 1}"
     return f"which was looked at already; {undo} forgets it, so that it can be learned from; or"
+
+
+def _same_file(entry: Manifest, source: str, hashes: dict[str, str]) -> bool:
+    """Whether an entry is of the file of a trial, which was not written anew since.
+
+    Older entries do not know their file, and count as of one of the same path and signals.
+    """
+    known, name = entry["hashes"], "file"
+    if name not in known or name not in hashes:
+        name = "measured"
+        if Path(entry["source"]).resolve() != Path(source).resolve():
+            return False
+    return known.get(name) == hashes[name]
 
 
 def _hash_of(*arrays) -> str:

@@ -641,19 +641,28 @@ def test_a_trial_that_ended_early_is_no_part_of_a_step_of_several(tmp_path):
     [Ladder(PIDType(gamma_p=0.5), 2), ModelFreeGradient(step=0.5, amplitude=0.1, about="mean")],
 )
 def test_a_repeat_that_the_law_asks_for_may_be_the_same_in_all_counts(tmp_path, law):
-    """At rest a coarse encoder shows each trial the same, which was refused for ever."""
+    """At rest a coarse encoder shows each trial the same, which was refused for ever.
+
+    The same file is no repeat, however its path is spelled; one that was written anew is.
+    """
     task = case("p_type")[2]
     campaign = Campaign.start(tmp_path / "state", law, task, rules=Rules(accept=ACCEPTED))
-    repeats = []
-    for name in ("trial 1", "trial 2", "trial 3"):
+    repeats, file = [], tmp_path / "trial.csv"
+    for j in (1, 2, 3):
+        file.write_bytes(b"the same counts")
+        os.utime(file, (0, j))
         u = np.asarray(campaign.schedules()["u"])
-        measured = Measured(np.vstack([np.zeros((1, 1)), u]).round(1), u, {}, (), name)
+        measured = Measured(np.vstack([np.zeros((1, 1)), u]).round(1), u, {}, (), str(file))
         turn = campaign.turn(measured)
-        repeats += [name for _, text in turn.findings if "has played again" in text]
+        repeats += [j for _, text in turn.findings if "has played again" in text]
         campaign.keep(turn)
         played_again = np.array_equal(campaign.schedules()["u"], u)
-        if played_again:  # the same file is no repeat
-            with pytest.raises(ValueError, match=f"{name} is {name}, which was learned from"):
+        if played_again:
+            for same in (file, tmp_path / "state" / ".." / "trial.csv"):
+                with pytest.raises(ValueError, match=f"trial.csv is trial {j}, which was learned"):
+                    campaign.turn(measured._replace(source=str(same)))
+            file.unlink()  # as of an entry of before, which knows its path only
+            with pytest.raises(ValueError, match=f"trial.csv is trial {j}, which was learned"):
                 campaign.turn(measured)
     assert len(repeats) == 1
 
