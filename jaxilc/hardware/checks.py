@@ -467,14 +467,16 @@ def frozen(
         of its range
     moved: (N, n) what makes the signal move; where it stands still too, nothing is said
     still: share of the expected range below which a channel counts as constant
-    share: times what it is compared with, since it was moved by so much less; nothing is said where
-        that is less than two steps of an encoder
+    share: times what it is compared with, since it was moved by so much less
+
+    Nothing is said of an output that was expected to move by less than two counts of the encoder.
     """
     found = []
     for i, (s, x) in enumerate(zip(np.transpose(signal), np.transpose(expected), strict=True)):
         called = name if np.shape(signal)[1] == 1 else f"{name}{i}"
         steps = np.abs(np.diff(x))
-        count = float(np.min(steps[steps > 0], initial=np.inf)) if share < 1 else 0.0
+        of_encoder = name == "y" and still == STILL  # and not of the reference
+        count = float(np.min(steps[steps > 0], initial=np.inf)) if of_encoder else 0.0
         span, x = share * np.ptp(x), share * x[: len(s)]
         if np.ptp(x) <= max(TRAVEL * span, 2 * count) or not np.any(np.ptp(moved, axis=0) > 0):
             continue

@@ -32,6 +32,10 @@ def test_a_channel_that_stands_still_is_seen_and_one_that_rests_is_not():
     (found,) = said(checks.frozen("y", dead, LAST, U, (), share=0.1))
     assert f"where a range of {0.1 * np.ptp(LAST):.3g} was expected" in found
     assert checks.frozen("y", dead, LAST.round(), U, (), share=1.9 / np.ptp(LAST)) == []
+    # An axis is held at rest, where one count came and went; a command of two values is no count.
+    count = 1e-3 * (np.arange(len(LAST)) == 20)[:, None]
+    assert checks.frozen("y", 0 * count, count, U, ()) == []
+    assert len(checks.frozen("u", 0 * U, np.sign(U), np.sign(U), ())) == 1
     # The first trial of a law that has learned nothing plays nothing, and nothing moves.
     assert checks.frozen("y", dead, R[:, None], 0 * U, (), still=checks.DEAD) == []
 
