@@ -13,7 +13,7 @@ import traceback
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 import typer.core
@@ -163,7 +163,7 @@ def main() -> None:
     A mistake of the user gives one line on standard error without a traceback, and exit code 2. A
     measured trial that is refused gives exit code 3. A warning of the library is one line, too.
     """
-    warnings.showwarning = lambda message, *_: warn(f"warning: {_short(str(message))}")
+    warnings.showwarning = cast(Any, _in_one_line)
     gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
     heed()
     try:
@@ -183,6 +183,11 @@ def main() -> None:
         sys.exit(3 if isinstance(error, Refused) else 2)
     finally:
         ended()
+
+
+def _in_one_line(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning of Python's kind, without the line of code that gave it."""
+    warn(f"warning: {_short(str(message))}")
 
 
 def _of_usage(error: Any) -> str:
