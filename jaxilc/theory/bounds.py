@@ -502,7 +502,8 @@ def _best(known, common):
     """
     if not len(common):
         return common
-    size = jnp.sqrt(jnp.diagonal(known) + jnp.finfo(known.dtype).tiny)
+    square = jnp.diagonal(known)
+    size = jnp.sqrt(jnp.where(square > 0, square, 1.0))  # 1 where the window is empty, as at first
     ridge = RIDGE * jnp.finfo(known.dtype).eps * jnp.eye(len(common))
     return jnp.linalg.solve(known / jnp.outer(size, size) + ridge, common / size) / size
 
