@@ -232,7 +232,9 @@ class ByPosition(Around):
         if self.error is not None:
             after = new + self.error.at(new, (new - now) / dt)
         if self.backlash is not None:
-            after = jnp.clip(x.after, after - self.backlash / 2, after + self.backlash / 2)
+            low, high = after - self.backlash / 2, after + self.backlash / 2
+            held = jnp.where(x.after >= low, x.after, low)  # `clip` halves slopes where low is high
+            after = jnp.where(x.after > high, high, held)
         return Placed(plant, now, after)
 
     def _driven(self, u: Array, x: Array, v: Array) -> Array:

@@ -87,6 +87,19 @@ def test_the_plant_is_driven_by_its_maps():
     assert np.ptp(wanted) > 0.3
 
 
+@pytest.mark.parametrize("backlash", [0.0, 0.01])
+def test_the_slope_by_a_backlash_is_that_of_larger_ones(backlash):
+    u = 3 * np.sin(np.arange(200) / 30)[:, None]
+
+    @jax.jit
+    def moved(b):
+        return motion(ByPosition(PLANT, backlash=b), jnp.asarray(u), DT)[:, 0]
+
+    expected = (moved(backlash + 1e-9) - moved(backlash)) / 1e-9
+    np.testing.assert_allclose(jax.jacfwd(moved)(backlash), expected, atol=1e-6)
+    assert {-0.5, 0.5} <= set(np.round(np.asarray(expected), 3))
+
+
 def test_forces_are_right_to_second_order():
     """Halved sample times, against an integration in continuous time."""
     bins = np.array([1.0, 0.2, -1.0, 0.5])
