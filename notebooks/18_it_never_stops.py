@@ -109,7 +109,7 @@ assert proof.worst < series.worst
 # ## A period that drifts
 #
 # The spindle slows down by 4 %. Where the period is wrong, what the law corrects lies along the
-# slope of what it plays, and `PeriodTracking` follows it. The proof holds for whatever it tracks.
+# slope of what it plays, and `PeriodTracking` follows it. Whatever it tracks, all stays bounded.
 
 # %%
 slowing = np.cumsum(DT / (0.25 * (1 + 0.04 * t / t[-1])))

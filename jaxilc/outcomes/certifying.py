@@ -586,7 +586,12 @@ def period_sentences(name: str, numbers: Numbers) -> list[str]:
         f"{number(numbers['condition'])}, at {number(numbers['condition_at'])} Hz{worst}"
     )
     if numbers["verdict"] == HOLDS:
-        head = f"converges from period to period of {period} on {whose}: {value}"
+        moving = (
+            "stays bounded whatever is tracked, and once that is constant "
+            if numbers["tracked"]
+            else ""
+        )
+        head = f"{moving}converges from period to period of {period} on {whose}: {value}"
     else:
         why = f"; not held is {'; '.join(numbers['reasons'])}" if numbers["reasons"] else ""
         head = f"is not certified from period to period of {period.rstrip(',')}: {value}{why}"

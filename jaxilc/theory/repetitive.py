@@ -66,13 +66,14 @@ from .outlook import NO_LIMIT
 ROUNDED = 2e-6  # above 1, within which a supremum is enclosed
 POINTS = 32  # frequencies between two harmonics
 FROM_PERIOD_TO_PERIOD = (
-    "sup |Q - L T| < 1: by small gain the loop through the delay of a period is stable, and each "
-    "frequency comes nearer to its limit by about this factor or more in every period (Hara, "
-    "Yamamoto, Omata, Nakano 1988)"
+    "sup |Q - L T| < 1: by small gain the loop through the delay of a period is stable, and while "
+    "the period stays, each frequency comes nearer to its limit by about this factor or more in "
+    "every period (Hara, Yamamoto, Omata, Nakano 1988)"
 )
 ON_LINES = (
     "|Q - L T| < 1 on the measured lines and within their doubt: between periods each of these "
-    "frequencies comes nearer to its limit by this factor or more, if the loop is stable"
+    "frequencies comes nearer to its limit by this factor or more, if the loop is stable and the "
+    "period stays"
 )
 SLOPE = 1.61  # largest 2-norm of the derivatives of the four weights of `lagrange`
 MOST, AT_ONCE = 2**20, 2**12  # frequencies of a sensitivity, and that are computed at once
@@ -136,8 +137,9 @@ def repetitive_condition(
         and `harmonics` are those of the true one
     sigmas: standard deviations by which a measured line may be off
 
-    Where the period is tracked, the condition claims that all stays bounded and converges whatever
-    is tracked, right or wrong; `sensitivity` and `left` are those of the period of the scheme.
+    Where the period is tracked, the condition claims that all stays bounded whatever is tracked,
+    right or wrong, and converges once it stays; `sensitivity` and `left` are those of the period of
+    the scheme.
 
     Raises ValueError for another scheme, for lines of several channels, for a period of more than
     2^20 frequencies, for lines without a harmonic or above the Nyquist frequency, and where

@@ -207,6 +207,16 @@ def test_the_condition_of_a_tracked_period_holds_whatever_is_tracked():
     assert np.max(np.abs(e)) < 4.0
 
 
+def test_a_period_that_is_tracked_wrong_stays_bounded_and_converges_once_it_stays():
+    """An angle that counts wrong in the first half, of what repeats in the period of the scheme."""
+    scheme = with_angle(PeriodTracking(within=0.2, fastest=2e-3, angle=1))
+    t, half = DT * np.arange(N + 1), N // 2
+    rate = 1 + 0.25 * np.sin(2 * np.pi * t) * (t < DT * half)
+    e, _ = run_with_angle(scheme, np.sin(2 * np.pi * t / PERIOD), np.cumsum(DT / PERIOD * rate))
+    wrong, rest = (np.abs(part).max() for part in (e[half - 500 : half], e[-500:]))
+    assert 100 * rest < wrong < 4.0, (wrong, rest)
+
+
 def test_what_does_not_fit_is_said():
     task = Task(np.zeros(101), dt=DT)
     with pytest.raises(ValueError, match=r"period has shape \(2,\); allowed is \(\), one period, "):
