@@ -618,7 +618,7 @@ def bounds_numbers(found: Checked) -> Numbers:
 
     premises: on how many machines each held, and where it was broken
     bound: on how many it is claimed and holds, is claimed and fails, and is not claimed
-    care: how many times the bound is above what was observed; None without a claim
+    care: how many times the bound is above what was observed; None without a claim or an error
     """
     of_premises = {p.name: {"held": p.held, "share_broken": p.share_broken} for p in found.premises}
     return {"premises": of_premises, "bound": found.verdicts, "care": found.care}

@@ -435,7 +435,7 @@ class Checked(NamedTuple):
     verdicts: on how many machines |e_j| <= d2 |e_(j-1)| is claimed and holds at every sample of
               every trial, is claimed and fails, and is not claimed
     care:     median over the machines with a claim of d2 / the largest ratio observed, which is 1
-              where the bound is met exactly; None without a claim
+              where the bound is met exactly; None without a claim, or without an error to compare
     """
 
     premises: list[PremiseShare]
@@ -459,10 +459,12 @@ def checked(found: Mapping[str, Leaf]) -> Checked:
     holds = claimed & np.all(np.asarray(found["share_kept"])[:, 1:] == 1.0, axis=1)
     verdicts = {"holds": holds, "fails": claimed & ~holds, "not claimed": ~claimed}
     counts = {verdict: int(np.sum(of)) for verdict, of in verdicts.items()}
-    if not np.any(claimed):
+    ratios = np.asarray(found["contraction_worst"])[:, 1:]
+    compared = claimed & ~np.all(np.isnan(ratios), axis=1)  # at rest there is no error
+    if not np.any(compared):
         return Checked(shares, counts, None)
-    worst = np.nanmax(np.asarray(found["contraction_worst"])[claimed, 1:], axis=1)
-    return Checked(shares, counts, float(np.median(np.asarray(found["d2"])[claimed] / worst)))
+    worst = np.nanmax(ratios[compared], axis=1)
+    return Checked(shares, counts, float(np.median(np.asarray(found["d2"])[compared] / worst)))
 
 
 def checked_machines(

@@ -526,6 +526,19 @@ def test_a_claim_that_fails_is_counted():
     assert checked(of_two).verdicts["fails"] == 1
 
 
+def test_a_machine_without_an_error_to_compare_is_not_in_the_median():
+    still = Task(np.zeros(N + 1), dt=DT)
+    moved, rest = (run(static_machine(1.2), SCHEME, 3, of)[0] for of in (TASK, still))
+    both = {name: np.stack([moved[name], rest[name]]) for name in moved}
+    alone, mixed, none = (
+        checked({name: value[rows] for name, value in both.items()})
+        for rows in ([0], [0, 1], [1, 1])
+    )
+    assert none.care is None
+    assert none.verdicts["holds"] == 2
+    assert mixed.care == alone.care > 1.0 - 1e-9
+
+
 def test_a_law_that_does_not_learn_in_every_trial_has_no_claim():
     found = watched(static_machine(1.2), Ladder(SCHEME, repeats=2), 6)
     assert found["claimed"] == 0.0
