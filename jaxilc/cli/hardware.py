@@ -634,6 +634,8 @@ def next_(
     if measured is None:
         for kind, text in too_fast(schedules, now.task, now.actuator):
             warn(f"{kind}: {text}")
+    if undo is not None and (doubt := now.doubt(undo)):
+        warn(f"warning: {doubt}")
     if undo is not None and not dry_run:
         now.undo(undo)
     turn, place, prediction, expected = None, None, None, None

@@ -483,6 +483,10 @@ class Campaign:
             to = self._after(trial)["serial"]
             self._append({"event": "undo", "trial": trial, "parent": None, "to": to}, {})
 
+    def doubt(self, trial: int) -> str:
+        """Why a trial to go back to may have been undone before; else an empty text."""
+        return str(self._after(trial).get("wrong", ""))
+
     def _after(self, trial: int | None) -> Manifest:
         """The entry after an earlier trial, or the last entry for None."""
         if trial is None:

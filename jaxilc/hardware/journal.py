@@ -150,7 +150,8 @@ class Journal:
         """The manifests to which an undo can go back.
 
         These are the manifests of `live` without the last one. Where `live` raises, these are all
-        manifests of what was live whose entries can be read from the start on.
+        manifests of what was live whose entries can be read from the start on; `wrong` says of one
+        that it may have been undone.
         """
         try:
             return self.live()[:-1]
@@ -362,13 +363,18 @@ def _branch(manifests: Sequence[Manifest]) -> list[Manifest]:
     """The entries that led to the last one, those that cannot be read left out, in order.
 
     A trial is stored after the last one that was live then, and so is an undo. So what was live
-    before an entry that cannot be read is what the entry before it led to.
+    before an entry that cannot be read is what the entry before it led to, unless it is an undo
+    itself; it is none where an entry that can be read names it as the one before.
     """
-    serial, found = len(manifests) - 1, list[Manifest]()
+    serial, found, doubt, named = len(manifests) - 1, list[Manifest](), "", False
     while serial >= 0:
         now = manifests[serial]
+        if now["event"] == DAMAGED and not (named or doubt):
+            doubt = f"entry {serial} cannot be read, and may be an undo of"
         if now["event"] in ("start", "trial"):
-            found.insert(0, now)
+            of = f"trial {now['trial']}, {now.get('source')} of {now.get('time')}"
+            found.insert(0, now | ({"wrong": f"{doubt} {of}"} if doubt and now["trial"] else {}))
+        named = now["event"] != DAMAGED
         before = {"start": -1, "trial": now.get("parent", -1), "undo": now.get("to", -1)}
         serial = before.get(now["event"], serial - 1)
     return found

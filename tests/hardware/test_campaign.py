@@ -552,6 +552,9 @@ def test_a_damaged_entry_is_named_and_can_be_left_behind(copied):
     with pytest.raises(ValueError, match=f"000003/manifest.json {back}"):
         go_on(state, folder / "next.csv")
     assert re.search(f"warning: .*000003/manifest.json {back}", call("trials", "--state", state)[2])
+    shutil.rmtree(state / "000011")  # the undo
+    _, _, err = go_on(state, folder / "next.csv", "--undo", 2)
+    assert "warning: entry 11 cannot be read, and may be an undo of trial 2, " in err
 
 
 def _ladder():

@@ -139,6 +139,26 @@ def test_a_trial_that_was_undone_does_not_come_back_where_its_successor_is_damag
     np.testing.assert_array_equal(opened(folder).schedules()["u"], played[1])
 
 
+def test_an_entry_that_cannot_be_read_may_be_an_undo_and_a_trial_before_it_undone(copied):
+    folder, _ = copied
+    opened(folder).undo(1)
+    for name in ("manifest.json", "manifest.copy.json"):
+        (folder / "000004" / name).write_bytes(b"")
+    doubted = [opened(folder).doubt(trial) for trial in range(4)]
+    told = [f"entry 4 cannot be read, and may be an undo of trial {j}, " for j in (1, 2, 3)]
+    assert [text[: len(told[0])] for text in doubted] == ["", *told]
+    opened(folder).undo(3)
+    opened(folder).keep(opened(folder).turn(TRIALS[3]))
+    assert opened(folder).doubt(3) == ""
+    for name in ("manifest.json", "manifest.copy.json"):
+        (folder / "000006" / name).write_bytes(b"")
+    (told,) = {opened(folder).doubt(trial)[:23] for trial in (1, 2, 3)}
+    assert told == "entry 6 cannot be read,"
+    shutil.rmtree(folder / "000006")
+    (folder / "head.json").unlink()
+    assert [opened(folder).doubt(trial) for trial in (1, 2)] == ["", ""], "no entry is damaged"
+
+
 def test_without_its_head_a_campaign_goes_on_from_its_last_trial(copied):
     folder, played = copied
     (folder / "head.json").unlink()
