@@ -298,11 +298,8 @@ class Campaign:
         for entry in live[1:]:
             if self._is_measured(entry, measured, error, last_digit):
                 repeats = entry["hashes"].get("played") == hashes["played"]
-                if (
-                    repeats
-                    and scheme.trials_a_step > 1
-                    and not _same_file(entry, measured.source, hashes)
-                ):
+                repeats &= scheme.trials_a_step > 1
+                if repeats and not _same_file(entry, measured.source, hashes):
                     text = f"the record is that of trial {entry['trial']}, whose schedule the law "
                     text += "has played again, up to the resolution of the encoder"
                     findings.append(Finding("note", text))
@@ -320,8 +317,8 @@ class Campaign:
         if "feedback" not in measured.others:
             findings += checks.as_commanded(u, commanded, self.actuator, task)
         findings += self._against_those_before(record, error, hashes["played"], expected)
-        begun = checks.learned_so_far(live)[0] > 0
-        law = scheme if measured.samples is None else keeping(scheme, begun=begun)
+        learned_before = checks.learned_so_far(live)[0] > 0
+        law = scheme if measured.samples is None else keeping(scheme, begun=learned_before)
         following = learned(law, task, memory, record) if learn else memory
         following_schedules = schedules(scheme, following, task)
         findings += told_of_end(measured, played, following_schedules, task)

@@ -453,13 +453,12 @@ def ended(record: Trial, measured: Measured) -> Trial:
 def keeping(scheme: Scheme, *, begun: bool) -> Scheme:
     """The scheme; its `PIDType` leaves what was not measured: neither adds its sum nor forgets.
 
-    A law that estimates keeps there what it has of the trials before, and begins with the reference
-    where there are none, which is no error.
+    A filter around it is given there what it was given before, and smooths over the end. Within
+    `AtSamples`, whose weights are zero beside its windows, it learns as from a whole trial. MFAILC
+    keeps there what it has of the trials before; where there are none, it begins with the reference
+    as its output, which is no error.
 
     begun: whether a whole trial was learned from before
-
-    A filter around it is given there what it was given before, and smooths over the end. Within
-    `AtSamples`, whose weights are zero beside its windows, it learns as from a whole trial.
     """
     laws = (PIDType, FFDLMFAILC) if begun else (PIDType,)
     return jax.tree.map(
