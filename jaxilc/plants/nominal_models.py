@@ -23,6 +23,7 @@ from ..pytree.aliases import Tree, Value
 from ..pytree.needs import known
 from .from_python_control import Matrices, system_matrices
 from .linear import StateSpace
+from .to_python_control import as_system
 
 
 def cascade(P_M: Value, P_Z: Value, dt: float) -> StateSpace:
@@ -122,11 +123,7 @@ def _block(name: str, system: Value, dt: float) -> Matrices:
     import control
 
     if isinstance(system, StateSpace):
-        system = control.ss(
-            *(np.asarray(M) for M in (system.A, system.B, system.C)),
-            np.zeros((system.n_y, system.n_u)),
-            system.dt,
-        )
+        system = as_system(system.A, system.B, system.C, system.dt)
     if not isinstance(system, control.StateSpace | control.TransferFunction) or (
         system.ninputs,
         system.noutputs,
