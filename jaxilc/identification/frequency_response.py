@@ -99,15 +99,10 @@ def read_frequency_response(path: str | Path, *, averages: int | None = None) ->
     response = _response(read, columns)
     averages = _averages(path, columns.get("coherence"), averages)
     std, coherence = _std(read, columns, response, averages)
-    if np.any(f < 0):
-        read.refuse(int(np.argmin(f)), columns["frequency"], "a negative frequency")
-    if np.any(np.diff(f) <= 0):
-        k = int(np.argmax(np.diff(f) <= 0)) + 1
-        read.refuse(
-            k,
-            columns["frequency"],
-            "not above the line before; sort the lines and keep one of each frequency",
-        )
+    read.refuse(f < 0, columns["frequency"], "a negative frequency")
+    falls = np.append(False, np.diff(f) <= 0)
+    said = "not above the line before; sort the lines and keep one of each frequency"
+    read.refuse(falls, columns["frequency"], said)
     above = f > 0
     if np.sum(above) < FEWEST:
         raise ValueError(
@@ -131,20 +126,21 @@ class _Reader(NamedTuple):
 
     def numbers(self, column: _Column) -> np.ndarray:
         found = np.array([numbers_in(row, [column.at])[0] for _, row in self.rows])
-        for k in np.flatnonzero(~np.isfinite(found)):
-            self.refuse(k, column, "not a finite number; leave the line out")
+        self.refuse(~np.isfinite(found), column, "not a finite number; leave the line out")
         return found
 
     def complex_numbers(self, column: _Column) -> np.ndarray:
         cells = [row[column.at : column.at + 1] for _, row in self.rows]
         found = np.array([*map(_complex, cells)], complex)
-        for k in np.flatnonzero(~np.isfinite(found)):
-            self.refuse(k, column, "not a finite complex number, such as 1.2+0.3j")
+        said = "not a finite complex number, such as 1.2+0.3j"
+        self.refuse(~np.isfinite(found), column, said)
         return found
 
-    def refuse(self, k: int, column: _Column, what: str) -> None:
-        """Raise ValueError for row k of a column."""
-        line, row = self.rows[k]
+    def refuse(self, wrong: np.ndarray, column: _Column, what: str) -> None:
+        """Raises ValueError for the first row (rows,) of a column that is wrong."""
+        if not np.any(wrong):
+            return
+        line, row = self.rows[int(np.argmax(wrong))]
         text = row[column.at].strip() if column.at < len(row) else ""
         seen = quoted(self.path, brief(text))
         raise ValueError(f"{self.path}, line {line}: {column.heading} = {seen} is {what}")
@@ -213,11 +209,9 @@ def _response(read: _Reader, columns: dict[str, _Column]) -> np.ndarray:
     size = read.numbers(magnitude)
     if magnitude.unit == "db":
         # beyond 10^15 the numbers would be no response of a machine
-        if np.any(np.abs(size) > 300):
-            read.refuse(int(np.argmax(np.abs(size))), magnitude, "beyond 300 dB")
+        read.refuse(np.abs(size) > 300, magnitude, "beyond 300 dB")
         size = 10 ** (size / 20)
-    elif np.any(size < 0):
-        read.refuse(int(np.argmin(size)), magnitude, "negative; is it in dB? Write `[dB]`")
+    read.refuse(size < 0, magnitude, "negative; is it in dB? Write `[dB]`")
     return size * np.exp(1j * radians * read.numbers(phase))
 
 
@@ -248,15 +242,14 @@ def _std(
                     "the unit of the response, output per input"
                 )
             values = read.numbers(column)
-            if np.any(values < 0):
-                read.refuse(int(np.argmin(values)), column, "negative")
+            read.refuse(values < 0, column, "negative")
             return (values if kind == "std" else np.sqrt(values)), None
     if "coherence" not in columns:
         return np.zeros(len(response)), None
     column = columns["coherence"]
     c = read.numbers(column)
-    for k in np.flatnonzero((c <= 0) | (c > 1)):
-        read.refuse(k, column, "outside (0, 1]; leave the line out, and take the squared coherence")
+    said = "outside (0, 1]; leave the line out, and take the squared coherence"
+    read.refuse((c <= 0) | (c > 1), column, said)
     return np.abs(response) * np.sqrt((1 - c) / (c * ((averages or 2) - 1))), c
 
 
