@@ -169,6 +169,14 @@ REAL = dataclasses.replace(
 )
 
 
+def friction(part, v):
+    """Return the Stribeck curve by NumPy."""
+    level = part.coulomb_force + (part.static_force - part.coulomb_force) * np.exp(
+        -((v / part.stribeck_velocity) ** 2)
+    )
+    return level * np.tanh(v / part.transition_velocity) + part.viscous * v
+
+
 def sampled_loop(drive, u, dt=DT):
     """Return (N+1, 2) positions [mm], of a speed loop in NumPy around a drive that scipy solves."""
     drive = jax.tree.map(
@@ -176,12 +184,6 @@ def sampled_loop(drive, u, dt=DT):
     )
     p = {f.name: getattr(drive, f.name) for f in dataclasses.fields(drive)}
     lead, table = p["lead_error"], p["compensation"]
-
-    def friction(part, v):
-        level = part.coulomb_force + (part.static_force - part.coulomb_force) * np.exp(
-            -((v / part.stribeck_velocity) ** 2)
-        )
-        return level * np.tanh(v / part.transition_velocity) + part.viscous * v
 
     def rates(t, x, commanded):
         x_M, v_M, x_T, v_T, force = x
@@ -223,16 +225,8 @@ def test_the_real_drive_is_its_differential_equation_under_a_sampled_speed_loop(
     found = np.asarray(simulate(REAL, COMMAND)[0])
     assert_close(found, expected, 2e-5)
     assert 5 < clipped < N / 2, "the limit should act, though not always"
-    frictionless = {"coulomb_force": 0.0, "static_force": 0.0, "viscous": 0.0}
-    without = {
-        f"{part}.{name}": zero
-        for part in ("motor_friction", "table_friction")
-        for name, zero in frictionless.items()
-    }
-    absent = [
-        {name: zero for name, zero in without.items() if name.startswith(part)}
-        for part in ("motor", "table")
-    ]
+    forces = ("coulomb_force", "static_force", "viscous")
+    absent = [{f"{part}_friction.{name}": 0.0 for name in forces} for part in ("motor", "table")]
     absent += [
         {"lead_error.amplitude": 0.0},
         {"compensation.force": np.zeros(4)},
@@ -340,8 +334,7 @@ def test_the_encoder_is_rounded_and_its_gradient_is_not():
 def test_a_friction_table_holds_its_ends_and_is_linear_between_its_points():
     velocity = np.linspace(-0.1, 0.1, 6)
     table = FrictionTable.of(GREASE, velocity)
-    force = 4.0 + 2.0 * np.exp(-((velocity / 0.05) ** 2))
-    np.testing.assert_allclose(table.force, force * np.tanh(velocity / 0.02) + velocity, rtol=1e-12)
+    np.testing.assert_allclose(table.force, friction(GREASE, velocity), rtol=1e-12)
     np.testing.assert_allclose(table.at(0.0), (table.force[2] + table.force[3]) / 2, atol=1e-12)
     np.testing.assert_allclose(
         table.at(0.07), 0.75 * table.force[4] + 0.25 * table.force[5], rtol=1e-12
@@ -361,10 +354,8 @@ def test_at_constant_speed_the_integral_carries_what_the_table_does_not():
         compensation=FrictionTable([-0.1, 0.1], [-9.0, 9.0]),
     )
     _, states = simulate(drive, np.full(2500, 1e3 * v / DRIVE["command_scale"]))
-    friction = (4.0 + 2.0 * np.exp(-((v / 0.05) ** 2))) * np.tanh(v / 0.02) + v
-    expected = (
-        2 * friction + (DRIVE["motor_damping"] + DRIVE["table_damping"]) * v - 90.0 * v
-    ) / DRIVE["force_gain"]
+    damping = DRIVE["motor_damping"] + DRIVE["table_damping"]
+    expected = (2 * friction(GREASE, v) + damping * v - 90.0 * v) / DRIVE["force_gain"]
     np.testing.assert_allclose(states.integral[-1], expected, rtol=1e-6)
     # The tolerance is 1e-6 only. An explicit step holds the friction at its stages, so a constant
     # force is met by a slightly different stretch of the spring.

@@ -20,14 +20,14 @@ def bend(x):
     return jnp.stack([0.0 * x[0], -20.0 * jnp.sin(2 * x[0]) - x[1] * x[1], jnp.tanh(x[1])])
 
 
-def exponential(x, h, n):
+def exponential(x, h, n, A=A, B=B, f=bend, u=U):
     linear = propagator(A, B, h)
-    return jax.lax.fori_loop(0, n, lambda _, x: exponential_runge_kutta(linear, bend, x, U, h), x)
+    return jax.lax.fori_loop(0, n, lambda _, x: exponential_runge_kutta(linear, f, x, u, h), x)
 
 
-def classical(x, h, n):
+def classical(x, h, n, A=A, B=B, f=bend, u=U):
     return jax.lax.fori_loop(
-        0, n, lambda _, x: runge_kutta(lambda x: A @ x + B @ U + bend(x), x, h), x
+        0, n, lambda _, x: runge_kutta(lambda x: A @ x + B @ u + f(x), x, h), x
     )
 
 
@@ -69,17 +69,8 @@ def test_the_stiffness_of_the_linear_part_does_not_limit_the_step():
         return stiff @ x + push @ held + [0.0, 9.0 * (x[0] - np.sin(x[0])), 0.0]
 
     h, n = 0.01, 200
-
-    @jax.jit
-    def both(x):
-        linear = propagator(stiff, push, h)
-        found = jax.lax.fori_loop(
-            0, n, lambda _, x: exponential_runge_kutta(linear, f, x, held, h), x
-        )
-        return found, jax.lax.fori_loop(
-            0, n, lambda _, x: runge_kutta(lambda x: stiff @ x + push @ held + f(x), x, h), x
-        )
-
+    methods = exponential, classical
+    both = jax.jit(lambda x: [method(x, h, n, stiff, push, f, held) for method in methods])
     found, lost = both(START)
     expected = scipy.integrate.solve_ivp(
         rates, (0.0, h * n), START, "Radau", rtol=1e-10, atol=1e-12
@@ -97,12 +88,7 @@ def test_what_is_faster_than_the_step_is_stable_but_not_accurate_under_f():
 
     @jax.jit
     def settled(a):
-        linear = propagator(-a[None, None], jnp.zeros((1, 1)), h)
-
-        def step(_, x):
-            return exponential_runge_kutta(linear, jnp.ones_like, x, none, h)
-
-        return jax.lax.fori_loop(0, 3000, step, none)
+        return exponential(none, h, 3000, -a[None, None], jnp.zeros((1, 1)), jnp.ones_like, none)
 
     for a, agree in ((20.0, True), (1e4, False)):
         x = settled(jnp.array(a))
