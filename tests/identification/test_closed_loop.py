@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.signal
+from command import write_columns
 
 from jaxilc import outcomes
 from jaxilc.identification import Record, identify
@@ -50,13 +51,10 @@ def test_the_reference_gives_a_fit_without_bias():
 
 
 def test_the_command_uses_the_reference_of_a_file_and_asks_for_it(tmp_path):
-    r, u, y = played(0, 3.0)
-    table = np.column_stack([np.arange(N + 1) * DT, r, u, y])
-    found = []
-    for columns in ([0, 1, 2, 3], [0, 2, 3]):
-        head = ",".join("truy"[i] for i in columns)
-        file = tmp_path / f"{len(columns)}.csv"
-        np.savetxt(file, table[:, columns], delimiter=",", header=head, comments="")
+    signals, found = dict(zip("truy", (np.arange(N + 1) * DT, *played(0, 3.0)), strict=True)), []
+    for columns in ("truy", "tuy"):
+        file = tmp_path / f"{columns}.csv"
+        write_columns(file, ",".join(columns), *(signals[name] for name in columns))
         found.append(outcomes.identify(file, reading={"structure": STRUCTURE}))
     with_r, without = found
     assert "fitted from its reference" in " ".join(with_r.verdict.said)
@@ -73,9 +71,8 @@ def test_an_output_that_answers_within_its_sample_is_no_closed_loop(tmp_path):
     y = scipy.signal.lfilter([GAIN * (1 - kept)], [1, -kept], u)
     y, said = (y + 0.01 * rng.standard_normal(len(y)))[: N + 1], []
     for first in (0, 1):
-        table = np.column_stack([np.arange(N + 1) * DT, u[first : first + N + 1], y])
         file = tmp_path / "a.csv"
-        np.savetxt(file, table, delimiter=",", header="t,u,y", comments="")
+        write_columns(file, "t,u,y", np.arange(N + 1) * DT, u[first : first + N + 1], y)
         found = outcomes.identify(file, reading={"structure": STRUCTURE})
         said.append(" ".join(found.verdict.said))
     assert "write the outputs one row later" in said[0]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import write_columns
 
 from jaxilc.identification import (
     grow_response,
@@ -212,9 +213,7 @@ def test_a_structure_whose_search_fails_does_not_take_the_grown_model_with_it(
     f = np.linspace(3.0, 300.0, 16)
     s = 2j * np.pi * f
     G = 1 / (1 + 2 * 0.05 * s / 500 + (s / 500) ** 2)
-    rows = np.column_stack([f, G.real, G.imag, 0.01 * np.abs(G)])
-    header = "f [Hz],re,im,std"
-    np.savetxt(tmp_path / "frf.csv", rows, delimiter=",", header=header, comments="")
+    write_columns(tmp_path / "frf.csv", "f [Hz],re,im,std", f, G.real, G.imag, 0.01 * np.abs(G))
 
     def failing(*_, **__):
         raise ValueError("ProcessModel: dampings = [0.] is outside its allowed range (0, inf)")

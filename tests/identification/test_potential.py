@@ -134,11 +134,9 @@ def test_files_of_every_kind_hold_the_same_trials(tmp_path):
     e, t = repeats(np.random.default_rng(5), 3), np.arange(N) * DT
     np.savez(tmp_path / "a.npz", e=e, t=t)
     savemat(tmp_path / "b.mat", {"y": -e.T, "r": np.zeros((N, 1)), "t": t})
-    head = "t [s],e_1 [mm],e_2 [mm],e_3 [mm]"
-    columns = {"delimiter": ",", "comments": "", "fmt": "%.17g"}
-    np.savetxt(tmp_path / "c.csv", np.column_stack([t, e.T]), header=head, **columns)
+    write_columns(tmp_path / "c.csv", "t [s],e_1 [mm],e_2 [mm],e_3 [mm]", t, *e)
     for j in range(3):
-        np.savetxt(tmp_path / f"{j}.csv", np.column_stack([t, e[j]]), header="t,e", **columns)
+        write_columns(tmp_path / f"{j}.csv", "t,e", t, e[j])
     several = [tmp_path / f"{j}.csv" for j in range(3)]
     for files in ([tmp_path / "a.npz"], [tmp_path / "b.mat"], [tmp_path / "c.csv"], several):
         read = read_repeats(files)
@@ -172,14 +170,9 @@ def test_times_are_those_of_the_file_in_its_unit(tmp_path, kind):
 
 
 def test_errors_of_several_units_are_refused(tmp_path):
-    t, columns = np.arange(N) * DT, {"delimiter": ",", "comments": ""}
-    for name, head in (
-        ("a", "t [s],y [um],r [mm]"),
-        ("b", "t [s],y [mm],r"),
-        ("c", "t [s],e [µm]"),
-    ):
-        table = np.column_stack([t] * len(head.split(",")))
-        np.savetxt(tmp_path / f"{name}.csv", table, header=head, **columns)
+    heads = {"a": "t [s],y [um],r [mm]", "b": "t [s],y [mm],r", "c": "t [s],e [µm]"}
+    for name, head in heads.items():
+        write_columns(tmp_path / f"{name}.csv", head, *[np.arange(N) * DT] * len(head.split(",")))
     assert read_repeats([tmp_path / "b.csv"]).unit == "mm"
     for files, said in (("a", "a.csv: the errors are in um, mm; "), ("bc", "c.csv: .* in mm, µm;")):
         with pytest.raises(ValueError, match=said):

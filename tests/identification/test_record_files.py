@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy.io
+from command import write_columns
 
 from jaxilc.identification import read_record, read_repeats
 from jaxilc.identification.record_files import Signal, read_record_file, resampled
@@ -61,24 +62,51 @@ def test_round_brackets_around_no_unit_are_part_of_a_name(tmp_path):
     assert (found.output_units, found.record.y[0, 0]) == (("",), 3.0)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("t [ms],u,y\n" + rows(",", ","), r"line 3: 4 cells where the header has 3; are these d"),
-        ("t [ms];u;y\n0;1,5;2\n1;2.5;3\n",
-         r"decimal commas \(line 2\) and decimal points \(line 3"),
-        (rows(), r"no header: its line 1 holds 3 numbers. Name the columns .* --columns t,u,y"),
-        ("t [ms],u,y,u\n0,1,2,3\n1,2,3,4\n", "has 2 columns 'u'; allowed is one of a signal"),
-        ("t [ms],u,y [mm],y (um)\n0,1,2,3\n1,2,3,4\n", "has 2 columns 'y'; allowed is one"),
-        ("t [ms],u,y\nfoo,1,2\n" + rows(), "line 2: t = 'foo' is not a finite number"),
-        ("t [ms],u,y\n" + rows(times=(0, 1, 2, 3.5)),
-         r"line 5: t steps by 0.0015 s where .* dt = 0.001 s; .* or --dt 0.001"),
-    ],
-)  # fmt: skip
-def test_what_is_not_clear_is_refused(tmp_path, text, said):
+STEPS = "{},u,y\n0,1,0\n2,1,1\n4,1,2\n"
+REFUSED = [
+    ("t [ms],u,y\n" + rows(",", ","), r"line 3: 4 cells where the header has 3; are these d"),
+    ("t [ms];u;y\n0;1,5;2\n1;2.5;3\n", r"decimal commas \(line 2\) and decimal points \(line 3"),
+    (rows(), r"no header: its line 1 holds 3 numbers. Name the columns .* --columns t,u,y"),
+    ("# nothing\n\n", "is empty; allowed is a line of headings with numbers below it"),
+    ("t,u,y\n0,1,2\n", "has 1 rows of data; allowed are at least 2"),
+    ("t [ms],u,y,u\n0,1,2,3\n1,2,3,4\n", "has 2 columns 'u'; allowed is one of a signal"),
+    ("t [ms],u,y [mm],y (um)\n0,1,2,3\n1,2,3,4\n", "has 2 columns 'y'; allowed is one"),
+    ("t,u,z\n0,1,2\n1,1,2\n",
+     r"no column 'y'; present are t, u, z; --output \(output\) names another"),
+    ("t [ms],u,y\nfoo,1,2\n" + rows(), "line 2: t = 'foo' is not a finite number"),
+    ("t,u,y\n0,1,2\n1,x,2\n", "line 3: u = 'x' is not a finite number"),
+    ("t,u,y\n0,1,2\n\n1,1,2\n2,1,nan\n", "line 5: y = 'nan' is not a finite number"),
+    ("t,u,y\n0,1,2\n1,1\n", "line 3: y = '' is not a finite number"),
+    ("t [s],u [V],y [mm]\n0,1,0\n1,,2\n2,1,2\n", "line 3: u = '' is not a finite number"),
+    ("t [s],u,y\n0,1,2\n1,1,2\n0.5,1,2\n2,1,2\n", "line 4: t = 0.5 s does not increase from 1 s"),
+    ("t [s],u,y\n0,1,2\n1,1,2\n1,1,2\n", "line 4: t = 1 s does not increase from 1 s"),
+    ("t [s],u,y\n0,1,2\n1,1,2\n2,1,2\n4,1,2\n",
+     "line 5: t steps by 2 s where the sample time is dt = 1 s; allowed is a deviation of 1%"),
+    ("t [ms],u,y\n" + rows(times=(0, 1, 2, 3.5)),
+     r"line 5: t steps by 0.0015 s where .* dt = 0.001 s; .* or --dt 0.001"),
+    (STEPS.format("t"),
+     r"t steps by 2 and has no unit; in seconds .* 0.5 samples a second, in milli.*"
+     r"Write its unit into the heading, as `t \[ms\]`, .* as t_ms; or tell it by --time"),
+    (STEPS.format("t [furlong]"), r"the unit 'furlong' of 't \[furlong\]' is not one of s, ms, us"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "said"), REFUSED)
+def test_what_is_wrong_or_not_clear_is_refused_with_the_file_and_the_line(tmp_path, text, said):
     (tmp_path / "record.csv").write_text(text)
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=f"record.csv.*{said}"):
         read_record(tmp_path / "record.csv")
+
+
+def test_a_unit_of_time_that_is_another_one_or_none_is_refused(tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text(STEPS.format("t [ms]"))
+    with pytest.raises(
+        ValueError, match=r"the heading 't \[ms\]' has another unit than --time-unit"
+    ):
+        read_record(path, time_unit="s")
+    with pytest.raises(ValueError, match="time_unit = 'h' is not one of s, ms, us"):
+        read_record(path, time_unit="h")
 
 
 # halsampler
@@ -317,9 +345,8 @@ def test_resampling_keeps_the_area_of_the_input_and_interpolates_the_output():
 def test_a_record_of_uneven_times_is_resampled_when_asked(tmp_path):
     rng = np.random.default_rng(9)
     t = np.cumsum(rng.uniform(0.8e-3, 1.2e-3, 200))
-    table = np.column_stack([t, np.ones(200), 5 * t])
-    path = tmp_path / "record.csv"
-    np.savetxt(path, table, delimiter=",", header="t [s],u,y", comments="")
+    table, path = (t, np.ones(200), 5 * t), tmp_path / "record.csv"
+    write_columns(path, "t [s],u,y", *table)
     with pytest.raises(ValueError, match=r"or --dt 0.00\d+ \(dt\)"):
         read_record(path)
     found = read_record(path, resample=1e-3)
@@ -330,6 +357,6 @@ def test_a_record_of_uneven_times_is_resampled_when_asked(tmp_path):
     np.testing.assert_allclose(held, 1.0, rtol=1e-9)  # until the last time, which has no input
     with pytest.raises(ValueError, match=r"--dt 1e-09 \(resample\) is outside its allowed"):
         read_record(path, resample=1e-9)
-    np.savetxt(path, np.delete(table, np.s_[50:90], 0), delimiter=",", header="t,u,y", comments="")
+    write_columns(path, "t,u,y", *np.delete(table, np.s_[50:90], 1))
     with pytest.raises(ValueError, match=r"line 52: 0.04\d* s without a sample"):
         read_record(path, resample=1e-3)

@@ -5,7 +5,7 @@ import pytest
 import scipy.signal
 
 from jaxilc import outcomes
-from jaxilc.identification import Record, grow, identify
+from jaxilc.identification import Record, grow, identify, write_record
 from jaxilc.identification.estimation import validated
 from jaxilc.identification.problem import checked_record, free_elements, problem_of
 from jaxilc.plants import Pendulum, ProcessModel
@@ -120,9 +120,8 @@ def test_a_second_record_may_begin_in_motion(tmp_path):
     for before in (0, 400):
         assert validated(played(5, before=before), plant).fit[0] > 98.5
     assert validated(played(5), plant, 0.5).fit[0] > 98.5
-    file, record = tmp_path / "r.csv", played(6)
-    table = np.column_stack([np.arange(N) * DT, record.u, record.y[:-1]])
-    np.savetxt(file, table, delimiter=",", header="t [s],u,y", comments="")
+    file = tmp_path / "r.csv"
+    write_record(file, played(6))
     said = outcomes.identify(file, reading={"structure": MODE}).verdict.said
     assert any("The record does not begin at rest" in line for line in said)
 
