@@ -10,6 +10,7 @@ import jax.scipy.linalg
 
 from ..pytree.aliases import Array, Tree
 from ..pytree.fields import child, pytree
+from ..pytree.ranges import need_one_of
 from ..signals.task import Task
 from .linear import StateSpace
 from .plant import Plant
@@ -33,10 +34,7 @@ def cnc_axis(form: str = "double_integrator", gain: float = 1.0) -> StateSpace:
     Raises ValueError for another form.
     """
     coefficients = {"printed": 0.8502, "double_integrator": 0.85}
-    if form not in coefficients:
-        raise ValueError(
-            f"cnc_axis: form = {form!r} is not one of {', '.join(map(repr, coefficients))}"
-        )
+    need_one_of("cnc_axis", "form", form, coefficients)
     A = [[2.85, -1.35, coefficients[form]], [2.0, 0.0, 0.0], [0.0, 0.5, 0.0]]
     return StateSpace(A, [[0.25 * gain], [0.0], [0.0]], [[0.19, 0.0, -0.01899]], dt=SAMPLE_TIME)
 

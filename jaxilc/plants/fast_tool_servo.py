@@ -17,7 +17,7 @@ from jax import lax
 from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.fields import child, leaf, pytree, scalar, static
 from ..pytree.needs import known
-from ..pytree.ranges import require
+from ..pytree.ranges import need_one_of, require
 from .hysteresis import BoucWen, Dahl, InputHysteresis
 from .integration import Propagator, exponential_runge_kutta, propagator
 from .linear import StateSpace, matching
@@ -363,18 +363,16 @@ def fast_tool_servo(form: str = "identified") -> FastToolServo:
     strokes, with which it was identified. The amplifier is a constant, as in section 2.2. Loads and
     cutting are for the task to add. Raises ValueError for another form.
     """
-    match form:
-        case "identified":
-            return FastToolServo()
-        case "full":
-            A = 0.2
-            return FastToolServo(
-                conversion=1e-6 * B * MASS / AMPLIFIER_GAIN / (1 - A),
-                hysteresis=BoucWen(initial_slope=A, beta=0.7, gamma=0.1),
-                mode=FlexibleMode(frequency=900.0, damping=0.03, share=0.005),
-                creep=Creep(shares=(0.015, 0.015), time_constants=(0.05, 0.5)),
-            )
-    raise ValueError(f"fast_tool_servo: form = {form!r} is not one of 'identified', 'full'")
+    need_one_of("fast_tool_servo", "form", form, ("identified", "full"))
+    if form == "identified":
+        return FastToolServo()
+    A = 0.2
+    return FastToolServo(
+        conversion=1e-6 * B * MASS / AMPLIFIER_GAIN / (1 - A),
+        hysteresis=BoucWen(initial_slope=A, beta=0.7, gamma=0.1),
+        mode=FlexibleMode(frequency=900.0, damping=0.03, share=0.005),
+        creep=Creep(shares=(0.015, 0.015), time_constants=(0.05, 0.5)),
+    )
 
 
 Index = TypeVar("Index", bound=tuple[int, ...])

@@ -17,7 +17,7 @@ from jax import lax
 from ..pytree.aliases import Array, Leaf, Numbers, Tree
 from ..pytree.fields import child, pytree, scalar, static
 from ..pytree.needs import known
-from ..pytree.ranges import require
+from ..pytree.ranges import need_one_of, require
 from ..signals.task import Task
 from .friction import StribeckFriction
 from .integration import RK4_RADIUS, runge_kutta
@@ -331,19 +331,17 @@ def voice_coil_motor(form: str = "identified") -> VoiceCoilMotor:
     In the second form a step of 0.6 V already takes the whole bus voltage, and `reduced` is within
     3 % up to 50 Hz. Raises ValueError for another form.
     """
-    match form:
-        case "identified":
-            return VoiceCoilMotor()
-        case "printed":
-            return VoiceCoilMotor(
-                speed_gain=130.0,
-                speed_integral_gain=26e3,
-                setpoint_weight=1.0,
-                command_scale=-4.798e-3 * 6.404,
-                holding_gain=0.0,
-                command_delay=None,
-            )
-    raise ValueError(f"voice_coil_motor: form = {form!r} is not one of 'identified', 'printed'")
+    need_one_of("voice_coil_motor", "form", form, ("identified", "printed"))
+    if form == "identified":
+        return VoiceCoilMotor()
+    return VoiceCoilMotor(
+        speed_gain=130.0,
+        speed_integral_gain=26e3,
+        setpoint_weight=1.0,
+        command_scale=-4.798e-3 * 6.404,
+        holding_gain=0.0,
+        command_delay=None,
+    )
 
 
 def _clip(x: Array, limit: Leaf) -> Array:

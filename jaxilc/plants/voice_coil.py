@@ -7,6 +7,7 @@ import numpy as np
 
 from ..pytree.aliases import Leaf, Tree
 from ..pytree.fields import leaf, pytree, scalar
+from ..pytree.ranges import need_one_of
 from .linear import DifferenceEquation, StateSpace, zoh
 from .plant import Plant
 
@@ -105,13 +106,6 @@ def voice_coil(form: str = "exact") -> VoiceCoil:
 
     Raises ValueError for another form.
     """
-    match form:
-        case "exact":
-            return VoiceCoil()
-        case "printed":
-            return held(*CAO_2019_EQ_29, dt=1e-3)
-        case "dai_2014_printed":
-            return held(*DAI_2014_EQ_24, dt=1e-3)
-    raise ValueError(
-        f"voice_coil: form = {form!r} is not one of 'exact', 'printed', 'dai_2014_printed'"
-    )
+    printed = {"printed": CAO_2019_EQ_29, "dai_2014_printed": DAI_2014_EQ_24}
+    need_one_of("voice_coil", "form", form, ["exact", *printed])
+    return held(*printed[form], dt=1e-3) if form in printed else VoiceCoil()

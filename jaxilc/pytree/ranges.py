@@ -7,6 +7,7 @@ import numbers
 import re
 import types
 import typing
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -84,6 +85,14 @@ def require(
             f"{name} = {brief(values)} is a {type(values).__name__}; allowed is a whole number in "
             f"{wanted}{note}"
         )
+
+
+def need_one_of(owner: str, name: str, value: str, choices: Iterable[str]) -> None:
+    """Raises ValueError for a value that is none of its choices, naming them."""
+    names = list(choices)
+    if value not in names:
+        allowed = ", ".join(map(repr, names))
+        raise ValueError(f"{owner}: {name} = {value!r} is not one of {allowed}")
 
 
 def as_numbers(value: Value) -> np.ndarray | None:

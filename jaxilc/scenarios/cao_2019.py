@@ -17,7 +17,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import largest
 from ..plants import voice_coil
 from ..pytree.aliases import Leaf
-from ..pytree.ranges import require
+from ..pytree.ranges import need_one_of, require
 from ..schemes import (
     CFDLMFAILC,
     CFDLMFAPC,
@@ -31,7 +31,7 @@ from ..schemes import (
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import Readings, need_one_of, printed
+from .published import Readings, printed
 from .scenario import Quantity, Scenario
 
 

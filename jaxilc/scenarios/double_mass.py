@@ -19,12 +19,13 @@ from ..learning.metrics import root_mean_square
 from ..plants import StateSpace, motion
 from ..pytree.aliases import Leaf
 from ..pytree.fields import child, leaf, pytree
+from ..pytree.ranges import need_one_of
 from ..runtime.lanes import over_samples
 from ..schemes import ConstrainedNormOptimal, GradientILC, ModelFreeGradient, NormOptimal, Scheme
 from ..schemes.scheme import Feedforward
 from ..signals.task import Task, Trial, product
 from ..uncertainty import Uniform
-from .published import need_one_of, printed
+from .published import printed
 from .scenario import Quantity, Scenario
 
 

@@ -23,6 +23,7 @@ from ..learning.metrics import largest, root_mean_square
 from ..learning.quantities import contour_metrics
 from ..plants import TwoAxes, cnc_axis
 from ..plants.cnc_axis import SAMPLE_TIME
+from ..pytree.ranges import need_one_of
 from ..schemes import (
     PID,
     ErrorFiltered,
@@ -37,7 +38,7 @@ from ..schemes import (
 from ..signals import paths
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import need_one_of, printed
+from .published import printed
 from .scenario import Quantity, Scenario
 
 # With these gains the loop's spectral radius is 0.913.

@@ -28,11 +28,12 @@ from ..plants import (
     multivariable_model,
 )
 from ..pytree.aliases import Leaf
+from ..pytree.ranges import need_one_of
 from ..schemes import PID, MultivariableILC, NormOptimal, OnOutputs, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import Readings, need_one_of, printed
+from .published import Readings, printed
 from .scenario import Quantity, Scenario
 
 DT = 1 / 4000

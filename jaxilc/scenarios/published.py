@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from decimal import Decimal
 from functools import cache
 from importlib import resources
@@ -15,13 +15,6 @@ if TYPE_CHECKING:
     from ..pytree.aliases import Value
 
 T = TypeVar("T")
-
-
-def need_one_of(paper: str, option: str, value: str, choices: Iterable[str]) -> None:
-    """Raises ValueError for an option of a scenario that is none of its choices, naming them."""
-    if value not in choices:
-        allowed = ", ".join(map(repr, choices))
-        raise ValueError(f"{paper}: {option} = {value!r} is not one of {allowed}")
 
 
 class Fit(NamedTuple):

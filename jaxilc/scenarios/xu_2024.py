@@ -17,12 +17,12 @@ from ..learning.machine import Actuator, Machine, Sensor
 from ..learning.metrics import chattering
 from ..plants import BoucWen, FastToolServo, PeriodicForce, fast_tool_servo
 from ..pytree.aliases import Leaf
-from ..pytree.ranges import require
+from ..pytree.ranges import need_one_of, require
 from ..schemes import ASMC, PID, SMC, ExponentialPD, Scheme, WithFeedback
 from ..signals import references
 from ..signals.task import Task
 from ..uncertainty import Uniform
-from .published import Readings, file_of, need_one_of, printed
+from .published import Readings, file_of, printed
 from .scenario import Quantity, Scenario
 
 DT = 1e-4
