@@ -31,7 +31,7 @@ from .problem import (
     problem_of,
 )
 from .records import Record, as_columns, output_from_rest
-from .verdict import Identified, autoregression, fit_of, is_white, judged
+from .verdict import WHITE, Identified, autoregression, fit_of, judged, whiteness_of
 
 MOST = 50  # largest number of poles, pairs or zeros; a record can determine far fewer
 LITTLE = 0.02  # of what is left: a loop or a start that explains less is none
@@ -119,7 +119,7 @@ def identify(
     search = functools.partial(from_many_starts, starts=starts, seed=seed)
     found = minimum(problem, problem.start(plant)) if given else search(problem)
     may_move = from_rest is None and long_enough_to_move(problem)
-    if may_move and not is_white(problem, found.theta):
+    if may_move and np.any(whiteness_of(problem.residual(found.theta)[: problem.samples]) < WHITE):
         near = [found.theta]
         if not given and np.any(record.u[0]):  # where a machine often rests
             at_first = record._replace(u=record.u - record.u[0])

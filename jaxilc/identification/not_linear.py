@@ -32,7 +32,7 @@ from ..pytree.named_paths import get_at
 from ..pytree.ranges import require
 from .problem import free_elements, simulated_output
 from .records import Record, as_columns, delayed, task_of
-from .verdict import Estimate, Identified, estimates, fit_of, inverse_of_normal, widened
+from .verdict import WIDE, Estimate, Identified, estimates, fit_of, inverse_of_normal, widened
 
 LEAST = 0.2  # share of the residual that a suspicion explains at least
 SURE = 4.0  # standard deviations of r that it has at least
@@ -347,7 +347,6 @@ def _step(position: np.ndarray) -> float:
 ORDER, LEAST_SAMPLES = 4, 50  # of the filter; samples at which the axis moves
 SLOWEST = 0.02  # of the largest speed, below which the sign of a speed is not taken
 RINGS = 1.5  # periods of the cutoff, during which the filter answers a jump
-WIDE = 1.96
 ABOVE, LOWEST = 30.0, 12.0  # times the highest frequency of the motion: the cutoff of the filter
 ROUNDING = 1e-4  # share of the power of the acceleration that the encoder's step may add
 

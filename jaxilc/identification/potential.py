@@ -32,7 +32,7 @@ from scipy.stats import f as ratio_of_variances
 
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
-from .verdict import Estimate
+from .verdict import WIDE, Estimate
 
 LEVEL = 0.95  # of all intervals
 TAILS = (1 + LEVEL) / 2, (1 - LEVEL) / 2
@@ -125,14 +125,12 @@ def potential_of(e, dt: float) -> Potential:
         settling = float(np.sqrt(np.mean((alike[0] - alike[1:].mean(axis=0)) ** 2)))
     free = len(alike) - 1 - (along is not None)  # contrasts that hold what is new alone
     n, N = alike.shape
-    power = float(np.sum(new**2)) / (free * N)
-    spectrum = _spectrum(mean, new, free, n, dt)
-    nu = _freedom(spectrum, new, free)
+    spectrum, power, nu = _told(mean, new, free, n, dt)
     low, high = (chi2.ppf(p, nu * free) / (nu * free) for p in TAILS)
     sigma = Estimate(np.sqrt(power), np.sqrt(power / low), np.sqrt(power / high))
     repeats = max(float(np.mean(mean**2)) - power / n, 0.0)
     met = _met(spectrum, mean, new, N * dt)
-    unsure = 1.96 * np.sqrt(4 * repeats * met / n + 2 * (power / n) ** 2 * (1 + 1 / free) / nu)
+    unsure = WIDE * np.sqrt(4 * repeats * met / n + 2 * (power / n) ** 2 * (1 + 1 / free) / nu)
     slope = 0.0
     if along is not None:
         slope = max(float(np.mean(along**2)) - power / (_steps(n) @ _steps(n)), 0.0)
@@ -170,13 +168,12 @@ def _checked(e) -> np.ndarray:
     if not np.all(np.isfinite(e)):
         j, k = np.argwhere(~np.isfinite(e))[0]
         raise ValueError(f"potential: sample {k} of trial {j + 1} is not a finite number")
-    for i in range(len(e)):
-        for j in range(i):
-            if np.array_equal(e[i], e[j]):
-                raise ValueError(
-                    f"potential: trials {j + 1} and {i + 1} are equal in every sample: they are "
-                    "copies of one trial, or the error is below the resolution"
-                )
+    for i, j in zip(*np.tril_indices(len(e), -1), strict=True):
+        if np.array_equal(e[i], e[j]):
+            raise ValueError(
+                f"potential: trials {j + 1} and {i + 1} are equal in every sample: they are "
+                "copies of one trial, or the error is below the resolution"
+            )
     return e
 
 
@@ -187,8 +184,7 @@ def _unlike(e: np.ndarray, dt: float, chance: float) -> float:
     """
     mean, rest = e[1:].mean(axis=0), e[1:] - e[1:].mean(axis=0)
     n, free = len(rest), len(rest) - 1
-    power = np.sum(rest**2) / (free * e.shape[1])
-    nu = _freedom(_spectrum(mean, rest, free, n, dt), rest, free)
+    _, power, nu = _told(mean, rest, free, n, dt)
     ratio = np.mean((e[0] - mean) ** 2) / (1 + 1 / n) / power
     return float(ratio) if ratio_of_variances.sf(ratio, nu, nu * free) < chance else 0.0
 
@@ -201,12 +197,20 @@ def _parted(e: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray | None, np
     steps, free = _steps(len(e)), len(e) - 2
     along = steps @ e / (steps @ steps)
     rest = new - np.outer(steps, along)
-    power = np.sum(rest**2) / (free * e.shape[1])
-    nu = _freedom(_spectrum(mean, rest, free, len(e), dt), rest, free)
+    _, power, nu = _told(mean, rest, free, len(e), dt)
     ratio = np.mean(along**2) * (steps @ steps) / power
     if ratio_of_variances.sf(ratio, nu, nu * free) < DRIFTS:
         return mean, along, rest
     return mean, None, new
+
+
+def _told(
+    mean: np.ndarray, new: np.ndarray, free: int, trials: int, dt: float
+) -> tuple[Spectrum, float, float]:
+    """What is new tells its spectra, its power, and the degrees of freedom of that in one trial."""
+    spectrum = _spectrum(mean, new, free, trials, dt)
+    power = float(np.sum(new**2)) / (free * new.shape[1])
+    return spectrum, power, _freedom(spectrum, new, free)
 
 
 def _steps(trials: int) -> np.ndarray:

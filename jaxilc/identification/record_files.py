@@ -535,9 +535,9 @@ def _mat_signal(
     dt: float | None,
 ) -> Signal:
     level, value = _found(path, content, name)
-    own = _own_times(value) if isinstance(value, dict) else None
     timed = True
     if isinstance(value, dict):
+        own = _own_times(value)
         if own is None:
             raise ValueError(
                 f"read_record: {path}: {name} is a structure of {', '.join(value) or 'nothing'}; "
@@ -550,15 +550,16 @@ def _mat_signal(
         if not any(k in level for k in spellings):
             level = level | content  # the times of the file
         key = next((k for k in spellings if k in level), None)
-        if key is None and dt is None:
+        timed = key is not None
+        if key is not None:
+            times = _vector(path, key, level[key])
+        elif dt is not None:
+            times = np.arange(len(values)) * dt
+        else:
             raise ValueError(
                 f"read_record: {path} has no times {time!r} beside {name}; present are "
                 f"{listed(level)}. Name them with --time, or give --dt (dt)"
             )
-        timed = key is not None
-        times = np.arange(len(values)) * (dt or 0.0)
-        if key is not None:
-            times = _vector(path, key, level[key])
     if len(times) != len(values):
         raise ValueError(
             f"read_record: {path}: {name} has {len(values)} values and {len(times)} times"

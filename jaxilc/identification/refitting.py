@@ -24,12 +24,11 @@ from ..uncertainty import Normal, Uncertainty
 from .estimation import identify, validated
 from .problem import checked_record, free_elements, problem_of
 from .records import Record
-from .verdict import Estimate, Identified, inverse_of_normal, widened
+from .verdict import WIDE, Estimate, Identified, inverse_of_normal, widened
 
 UNKNOWN = 0.5  # half-width of a number without an interval, as a share of it
 FITTED = 0.7  # share of the record
 ROUNDED = 1e-6  # share up to which the imaginary part of a zero, or a zero, is rounding
-WIDE = 1.96  # standard deviations of the ends of an interval
 _OF_POLES = ("poles", "frequencies")
 
 

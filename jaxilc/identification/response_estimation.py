@@ -33,6 +33,7 @@ from .problem import LARGEST, SAMPLES_PER_PARAMETER, Coordinates, Minimum, free_
 from .verdict import (
     CONFIDENCE,
     WHITE,
+    WIDE,
     Estimate,
     Identified,
     correlations,
@@ -548,8 +549,8 @@ def response_band(identified: Identified, dt: float) -> ResponseBand:
         return ResponseBand(f, P, phase, None, None)
     variances = [np.einsum("fi,ij,fj->f", part, S, part) for part in (g.real, g.imag)]
     of_log, of_phase = np.sqrt(np.maximum(variances, 0))
-    factor = np.exp(1.96 * np.minimum(of_log, MOST_SPREAD))
-    return ResponseBand(f, P, phase, factor, 1.96 * np.minimum(of_phase, np.pi) * 180 / np.pi)
+    factor = np.exp(WIDE * np.minimum(of_log, MOST_SPREAD))
+    return ResponseBand(f, P, phase, factor, WIDE * np.minimum(of_phase, np.pi) * 180 / np.pi)
 
 
 def _of_modes(identified: Identified, plant: ModalModel, dt: float, f: np.ndarray) -> Lines:

@@ -11,7 +11,7 @@ from ..plants import ModalModel, Plant, ProcessModel
 from ..pytree.in_short import in_short
 from .problem import Minimum, Problem, poles_at, unit_columns
 
-CONFIDENCE = 0.95
+CONFIDENCE, WIDE = 0.95, 1.96  # of the intervals; half of one of 95 % in standard deviations
 LAGS = 20  # lags of the residual's autocorrelation that are tested
 WHITE = 0.8  # share of autocorrelations within their bounds from which on a residual is white
 NEAR, LEFT = 1.2, 0.5  # ratio of frequencies taken together; share of the output left at them
@@ -133,8 +133,7 @@ def judged(problem: Problem, found: Minimum) -> Identified:
         / freedom
         * inverse_of_normal(J.reshape(-1, len(theta)))
     )
-    whiteness = np.array([_whiteness(residual[:samples, i]) for i in range(problem.plant.n_y)])
-    white = bool(np.all(whiteness >= WHITE))
+    whiteness = whiteness_of(residual[:samples])
     plain = np.diag(covariance)
     covariance = widened(covariance, J, residual[:samples] / problem.scale)
     variance = np.diag(covariance)
@@ -164,7 +163,7 @@ def judged(problem: Problem, found: Minimum) -> Identified:
         validation_fit=fit_of(y[samples:], residual[samples:], noise, error),
         residual_std=std,
         whiteness=whiteness,
-        white=white,
+        white=bool(np.all(whiteness >= WHITE)),
         converged=found.converged,
         from_rest=problem.from_rest,
     )
@@ -293,16 +292,10 @@ def explained_up_to(y, residual, dt: float) -> float:
     return float(left[0] / ((len(y) - 1) * dt)) if len(left) else np.inf
 
 
-def is_white(problem: Problem, theta) -> bool:
-    """Whether the residual of the fitted part is white, of each output."""
-    residual = problem.residual(theta)[: problem.samples]
-    return all(_whiteness(one) >= WHITE for one in residual.T)
-
-
-def _whiteness(residual) -> float:
-    """Share of the autocorrelations within the 95 % bounds of white noise."""
-    r = correlations(residual - np.mean(residual))
-    return float(np.mean(np.abs(r) <= 1.96 / np.sqrt(len(residual))))
+def whiteness_of(residual) -> np.ndarray:
+    """(n_y,) share of autocorrelations of (n, n_y) within the 95 % bounds of white noise."""
+    found = [correlations(one - np.mean(one)) for one in residual.T]
+    return np.array([np.mean(np.abs(r) <= WIDE / np.sqrt(len(residual))) for r in found])
 
 
 def correlations(e) -> np.ndarray:
