@@ -312,15 +312,10 @@ class ResponseProblem(NamedTuple):
     def scale(self) -> np.ndarray:
         return np.ones(1)
 
-    @property
-    def counts(self) -> tuple[int, int, int]:
-        plant = self.plant
-        return np.size(plant.zeros), np.size(plant.poles), np.size(plant.frequencies)
-
     def _evaluated(self, theta):
         values = theta if self.delay is None else np.append(theta, self.delay)
         response, slopes = response_and_slopes(
-            values, self.counts, self.measured.frequencies, self.dt
+            values, counts_of(self.plant), self.measured.frequencies, self.dt
         )
         return response, slopes[:, : len(theta)]
 
@@ -411,7 +406,7 @@ def best_of_many_starts(problem: ResponseProblem, starts: int, seed: int) -> Min
 def _scored(problem: ResponseProblem, plant: ProcessModel, delays):
     """The least sum of squares of a denominator, and the plant with its numerator and delay."""
     measured, w = problem.measured, problem.weights
-    s, m = 2j * np.pi * measured.frequencies, problem.counts[0]
+    s, m = 2j * np.pi * measured.frequencies, np.size(plant.zeros)
     held = 1.0 if problem.dt is None else -np.expm1(-s * problem.dt) / (s * problem.dt)
     slow = np.prod(1 + s[:, None] / plant.poles, axis=1)
     at = s[:, None] / plant.frequencies
@@ -437,10 +432,14 @@ def _scored(problem: ResponseProblem, plant: ProcessModel, delays):
 Lines: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 # Of the complex step; the derivative is exact to rounding, since nothing is subtracted.
 STEP = 1e-30
-FIELDS = ("gain", "zeros", "poles", "frequencies", "dampings", "delay")
 LINES, LOWEST = 400, 1e-4  # frequencies, and the lowest one as a share of the sample rate
 LATER = 1e-4  # samples, by which a delay is changed for its derivative
 MOST_SPREAD = 5.0  # standard deviation of log |P| that is told at most
+
+
+def counts_of(plant: ProcessModel) -> tuple[int, int, int]:
+    """The numbers of zeros, real poles and pairs."""
+    return np.size(plant.zeros), np.size(plant.poles), np.size(plant.frequencies)
 
 
 def response_and_slopes(
@@ -580,13 +579,10 @@ def _sampled_response(values, names, plant, dt, f):
 
 def _of_process(identified: Identified, plant: ProcessModel, dt: float, f: np.ndarray) -> Lines:
     """The same, of a ProcessModel."""
-    fields = [np.atleast_1d(np.asarray(getattr(plant, name), float)) for name in FIELDS]
-    counts = (len(fields[1]), len(fields[2]), len(fields[3]))
-    P, slopes = response_and_slopes(np.concatenate(fields), counts, f, dt)
-    names = [f"{n}[{i}]" for n, of in zip(FIELDS, fields, strict=True) for i in range(len(of))]
-    place = {name: i for i, name in enumerate(names)}
-    place |= {name: place[f"{name}[0]"] for name in FIELDS if f"{name}[0]" in place}
-    known = [(k, place[n]) for k, n in enumerate(identified.parameters) if n in place]
+    names = (*free_elements(plant, None), "delay")
+    values = np.array([*(float(get_at(plant, name)) for name in names[:-1]), plant.delay])
+    P, slopes = response_and_slopes(values, counts_of(plant), f, dt)
+    known = [(k, names.index(n)) for k, n in enumerate(identified.parameters) if n in names]
     rows, columns = (np.array(x, int) for x in zip(*known, strict=True))
     covariance = np.asarray(identified.covariance)[np.ix_(rows, rows)]
     return P, (slopes / P[:, None])[:, columns], covariance

@@ -237,12 +237,7 @@ class BallScrewDrive(Plant):
         ]
         n = 4 if self.current_bandwidth is None else 5
         B = [0.0, 1 / m_M, 0.0, 0.0] if n == 4 else [0.0, 0.0, 0.0, 0.0, lag]
-        C = np.eye(n)[[0, 2]]
-        return StateSpace(
-            jnp.stack([jnp.stack(list(map(jnp.asarray, row[:n]))) for row in A[:n]]),
-            jnp.stack(B)[:, None],
-            C,
-        )
+        return StateSpace(jnp.array(A)[:n, :n], jnp.array(B)[:, None], np.eye(n)[[0, 2]])
 
     def transmission(self) -> tuple[Array, Array]:
         """Numerator (2,) and denominator (3,) of P_Z(s), from x_M to x_T, high order first.
