@@ -23,8 +23,11 @@ def motion(plant: Plant, u: Array, dt: float) -> Array:
     """
     # arrays of NumPy, such as a table of the samples, cannot be looked up within a loop
     plant = jax.tree.map(jnp.asarray, plant.sampled(dt))
-    if plant.response is not None:
-        return plant.response(u, dt)
+    return stepped(plant, u, dt) if plant.response is None else plant.response(u, dt)
+
+
+def stepped(plant: Plant, u: Array, dt: float) -> Array:
+    """The same of a plant that is prepared for dt [s], step by step."""
 
     def step(x: Tree, u_k: Array) -> tuple[Tree, Tree]:
         x = plant.step(x, u_k, dt)

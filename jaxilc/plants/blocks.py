@@ -18,7 +18,7 @@ from ..pytree.fields import child, pytree, static
 from ..runtime.capacity import check_size
 from ..runtime.lanes import machines_side_by_side, over_samples
 from ..signals.task import Task, product
-from .along_motion import flat
+from .along_motion import flat, stepped
 from .cnc_axis import Axes
 from .linear import DifferenceEquation, StateSpace
 from .plant import Around, Plant
@@ -108,7 +108,7 @@ class InBlocks(Around):
 
     def response(self, u: Array, dt: float) -> Array:
         if machines_side_by_side():
-            return _stepped(self.plant, jnp.pad(u, ((0, 1), (0, 0))), dt)
+            return stepped(self.plant, u, dt)
         N, L, block = len(u), self.length, _block(self.plant, dt, self.length)
         U = jnp.pad(u, ((0, L - N % L), (0, 0))).reshape(-1, L * self.n_u)
         x = ravel_pytree(self.plant.initial_state())[0]
@@ -124,7 +124,7 @@ class InBlocks(Around):
         Y = lax.cond(
             good,
             lambda: Y,
-            lambda: _stepped(self.plant, U.reshape(-1, self.n_u), dt).reshape(Y.shape),
+            lambda: stepped(self.plant, U.reshape(-1, self.n_u)[:-1], dt).reshape(Y.shape),
         )
         return Y.reshape(-1, self.n_y)[: N + 1]
 
@@ -164,12 +164,3 @@ def _chain(A: Array, x: Array, f: Array) -> Array:
     """(M, n) the states x[0] = x, x[i+1] = x[i] A + f[i]."""
     columns = A.T
     return over_samples(lambda x, f: (product(columns, x) + f, x), x, f)[1]
-
-
-def _stepped(plant: Plant, u: Array, dt: float) -> Array:
-    """The outputs y[k] at the inputs u[k], step by step."""
-
-    def tick(x: Tree, u: Array) -> tuple[Tree, Array]:
-        return plant.step(x, u, dt), plant.output(x)
-
-    return over_samples(tick, plant.initial_state(), u)[1]

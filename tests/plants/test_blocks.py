@@ -26,7 +26,7 @@ OVERFLOWING = DifferenceEquation((1e8,), (1.0,), dt=DT)
 def no_steps(monkeypatch):
     """Make every step of a plant return NaN, so that a finite number must come from the blocks."""
     monkeypatch.setattr(
-        blocks, "_stepped", lambda plant, u, dt: jnp.full((len(u), plant.n_y), jnp.nan)
+        blocks, "stepped", lambda plant, u, dt: jnp.full((len(u) + 1, plant.n_y), jnp.nan)
     )
 
 
