@@ -321,8 +321,7 @@ def reduced_poles(signals: Signals, delay: int, clip: bool = True) -> Callable[[
             h[k] = b[:, k].T
         for i in range(min(k, m)):
             h[k] += a[:, i].T @ h[k - 1 - i]
-    if not np.all(np.isfinite(h)):
-        h = np.nan_to_num(h, posinf=0.0, neginf=0.0)
+    h = np.nan_to_num(h, posinf=0.0, neginf=0.0)
     index = np.arange(L)[:, None] + np.arange(L)
     H, H_later = (np.moveaxis(h[index + k], 2, 1).reshape(L * n_y, L * n_u) for k in range(2))
     U, size, V = np.linalg.svd(H)

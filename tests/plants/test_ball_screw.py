@@ -366,35 +366,30 @@ def test_at_constant_speed_the_integral_carries_what_the_table_does_not():
 # --------------------------------------------------------------------------------------------------
 
 STIFF = dataclasses.replace(GREASE, transition_velocity=1e-3)
-BAD = {
-    r"FrictionTable: velocity \(2,\) and force \(3,\) must both": lambda: FrictionTable(
-        [0.0, 1.0], [0.0, 1.0, 2.0]
-    ),
-    r"FrictionTable: velocity \(1,\) and force \(1,\) must both": lambda: FrictionTable(
-        [0.0], [0.0]
-    ),
-    r"FrictionTable: velocity = \[0. 1. 1.\] must increase": lambda: FrictionTable(
-        [0.0, 1.0, 1.0], [0.0, 1.0, 2.0]
-    ),
+BAD = [
+    (lambda: FrictionTable([0.0, 1.0], [0.0, 1.0, 2.0]),
+     r"FrictionTable: velocity \(2,\) and force \(3,\) must both"),
+    (lambda: FrictionTable([0.0], [0.0]),
+     r"FrictionTable: velocity \(1,\) and force \(1,\) must both"),
+    (lambda: FrictionTable([0.0, 1.0, 1.0], [0.0, 1.0, 2.0]),
+     r"FrictionTable: velocity = \[0. 1. 1.\] must increase"),
     # 6 N / 1 mm/s + 1 N s/m on 1 kg, compared with 2.6 / 1 ms
-    r"BallScrewDrive: table_friction damps at rest with 6001 1/s, .* longest_dt = 0.001 s "
-    r".* lower longest_dt to 0.000433": lambda: BallScrewDrive(**DRIVE, table_friction=STIFF),
-    "BallScrewDrive: motor_friction damps at rest with 3000 1/s": lambda: BallScrewDrive(
-        **DRIVE, motor_friction=STIFF
-    ),
-    r"BallScrewDrive: dt = 0.002 s is outside its allowed range \(0, 0.001\]": lambda: REAL.sampled(
-        2e-3
-    ),
-    "BallScrewDrive is sampled at 0.001 s but the task at 0.002 s": lambda: LINEAR.sampled(
-        1e-3
-    ).sampled(2e-3),
-}
+    (lambda: BallScrewDrive(**DRIVE, table_friction=STIFF),
+     r"BallScrewDrive: table_friction damps at rest with 6001 1/s, .* longest_dt = 0.001 s "
+     r".* lower longest_dt to 0.000433"),
+    (lambda: BallScrewDrive(**DRIVE, motor_friction=STIFF),
+     "BallScrewDrive: motor_friction damps at rest with 3000 1/s"),
+    (lambda: REAL.sampled(2e-3),
+     r"BallScrewDrive: dt = 0.002 s is outside its allowed range \(0, 0.001\]"),
+    (lambda: LINEAR.sampled(1e-3).sampled(2e-3),
+     "BallScrewDrive is sampled at 0.001 s but the task at 0.002 s"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("message", BAD)
-def test_bad_parameters_are_named(message):
+@pytest.mark.parametrize(("build", "message"), BAD)
+def test_bad_parameters_are_named(build, message):
     with pytest.raises(ValueError, match=message):
-        BAD[message]()
+        build()
 
 
 def test_a_task_too_slow_for_the_friction_is_refused_before_anything_is_compiled():
