@@ -35,6 +35,7 @@ from ..storage.columns import (
     name_and_unit,
     need_one,
     numbers_in,
+    plain_unit,
     read_columns,
 )
 from ..storage.files import atomically
@@ -961,7 +962,7 @@ def _step(path: Path, heading: str, times: np.ndarray, given: float | None) -> f
 
 def _one_unit(path: Path, units: Iterable[str | None]) -> str:
     """The unit of errors, "" where none is told; raises ValueError for several."""
-    told = {re.sub("[µμ]", "u", unit): unit for unit in units if unit}
+    told = {plain_unit(unit): unit for unit in units if unit}
     if len(told) > 1:
         raise ValueError(
             f"{path}: the errors are in {', '.join(told.values())}; allowed is one unit of all "

@@ -174,6 +174,8 @@ def test_errors_of_several_units_are_refused(tmp_path):
     for name, head in heads.items():
         write_columns(tmp_path / f"{name}.csv", head, *[np.arange(N) * DT] * len(head.split(",")))
     assert read_repeats([tmp_path / "b.csv"]).unit == "mm"
+    write_columns(tmp_path / "d.csv", "t [s],y [deg],r [°]", *[np.arange(N) * DT] * 3)
+    assert read_repeats([tmp_path / "d.csv"]).unit == "°"
     for files, said in (("a", "a.csv: the errors are in um, mm; "), ("bc", "c.csv: .* in mm, µm;")):
         with pytest.raises(ValueError, match=said):
             read_repeats([tmp_path / f"{name}.csv" for name in files])
