@@ -390,21 +390,23 @@ def test_several_channels_and_foreign_columns(tmp_path):
     np.testing.assert_array_equal(read.y, two.y[:, 1:])
     with pytest.raises(ValueError, match=r"write_record: u has 2 rows and y 4, .* one experiment"):
         write_record(tmp_path / "two.csv", two._replace(u=two.u[:2], trials=2))
-    (tmp_path / "scope.txt").write_text(
-        "\ufeffCH1 [V]; t [s] ;note;pos [mm]\n1;0.5;start;0\n\n-1;0.52;;0.25\n1;0.54;end;0.5\n"
-    )
-    read = read_record(tmp_path / "scope.txt", time="t [s]", input="CH1 [V]", output="pos [mm]")
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("\ufeffCH1 [V]; t [s] ;note;pos [mm]\n1;0.5;start;0\n\n-1;0.52;;0.25\n1;0.54;end;0.5\n",
+         {"time": "t [s]", "input": "CH1 [V]", "output": "pos [mm]"}),
+        ("y [mm],t [s],u [V]\n0,0.5,1\n0.25,0.52,-1\n0.5,0.54,\n", {}),
+    ],
+    ids=["scope", "measured trial"],
+)  # fmt: skip
+def test_columns_stand_in_any_order_and_the_last_row_needs_no_input(text, names, tmp_path):
+    (tmp_path / "record.txt").write_text(text)
+    read = read_record(tmp_path / "record.txt", **names)
     np.testing.assert_array_equal(read.u, [[1.0], [-1.0]])
     np.testing.assert_array_equal(read.y, [[0.0], [0.25], [0.5]])
     assert read.dt == pytest.approx(0.02, rel=1e-12)
-
-
-def test_a_record_is_read_from_the_file_of_a_measured_trial(tmp_path):
-    """The columns have names with units, in any order, and the last row has no input."""
-    (tmp_path / "trial.csv").write_text("y [mm],t [s],u [V]\n0,0.5,1\n0.25,0.52,-1\n0.5,0.54,\n")
-    read = read_record(tmp_path / "trial.csv")
-    np.testing.assert_array_equal(read.u, [[1.0], [-1.0]])
-    np.testing.assert_array_equal(read.y, [[0.0], [0.25], [0.5]])
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import write_columns
+from command import call, write_columns
 from scipy.io import savemat
 from scipy.signal import lfilter
-from typer.testing import CliRunner
 
 import jaxilc
-from jaxilc.cli import app
 from jaxilc.design import Design
 from jaxilc.identification import potential_of, read_repeats
 from jaxilc.scenarios import load_scenario
@@ -199,12 +197,11 @@ def test_what_are_no_repeats_is_refused_in_one_line(tmp_path, given, said):
         jaxilc.potential(tmp_path / "e.npz")
 
 
-def call(*arguments):
-    """Return what a command prints; a mistake raises."""
-    result = CliRunner().invoke(app, [*map(str, arguments)])
-    if result.exception is not None:
-        raise result.exception
-    return " ".join(result.stdout.split())
+def printed(*words):
+    """Return what a command prints."""
+    code, out, err = call(*words)
+    assert code == 0, err
+    return " ".join(out.split())
 
 
 PLANT = """
@@ -226,7 +223,7 @@ def test_the_command_tells_it_and_the_plant_file_carries_it_to_design(
     e = repeats(np.random.default_rng(6), 4)
     np.savez("e.npz", other=e, t=np.arange(N) * DT)
     (tmp_path / "axis.toml").write_text(PLANT)
-    said = call("potential", "e.npz", "--error", "other", "--unit", "mm", "--report", "p.json")
+    said = printed("potential", "e.npz", "--error", "other", "--unit", "mm", "--report", "p.json")
     found = json.loads((tmp_path / "p.json").read_text())
     expected = potential_of(e, DT)
     assert found["new"]["value"] == pytest.approx(expected.new.value)
@@ -234,7 +231,7 @@ def test_the_command_tells_it_and_the_plant_file_carries_it_to_design(
     assert found["next"] == "jaxilc potential e.npz --error other --unit mm --into axis.toml"
     again = shlex.split(found["next"])[1:]
     for _ in range(2):  # the second time in place of the first
-        assert "jaxilc design axis.toml" in call(*again)
+        assert "jaxilc design axis.toml" in printed(*again)
     known = load_scenario("axis.toml").potential
     assert known.cutoff == pytest.approx(expected.cutoff.value)
     assert known.floor == pytest.approx(expected.new.value)
