@@ -44,7 +44,7 @@ def atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
             write(file)
         return
     path = Path(os.path.realpath(path))
-    with _named(path):
+    try:
         with _aside(path.parent, Path.touch) as unfinished:
             with open(unfinished, "wb") as file:
                 write(file)
@@ -52,14 +52,7 @@ def atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
                 os.fsync(file.fileno())
             os.replace(unfinished, path)
         to_disk(path.parent)
-
-
-@contextlib.contextmanager
-def _named(path: Path) -> Generator[None]:
-    """A context whose errors of input and output name this file, not its temporary name."""
-    try:
-        yield
-    except OSError as error:
+    except OSError as error:  # which may name the temporary name
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
