@@ -128,8 +128,7 @@ def tree_of(text: str, parser: Callable[[str], Value], source: str | Path) -> Va
     except RecursionError:
         _too_deep(source)
     except ValueError as error:
-        said = _place(text, error, lambda there: quoted(str(source), there))
-        raise ValueError(f"{source}{said}") from None
+        raise ValueError(f"{source}{_place(source, text, error)}") from None
     level = [tree]
     for _ in range(DEEPEST):
         level = [
@@ -152,7 +151,7 @@ def _table(pairs: list[tuple[str, Value]]) -> dict[str, Value]:
     return dict(pairs)
 
 
-def _place(text: str, error: ValueError, quote: Callable[[str], str]) -> str:
+def _place(source: str | Path, text: str, error: ValueError) -> str:
     """Where a text is not as its parser needs it, what stands there, and what is allowed."""
     from ..pytree.ranges import brief  # NumPy, which the completion of a shell does not wait for
 
@@ -165,7 +164,7 @@ def _place(text: str, error: ValueError, quote: Callable[[str], str]) -> str:
     if comma := _COMMA.search(there):
         wanted = f"a number has a decimal point, {comma[0].replace(',', '.')}"
     wanted = f"{wanted[:1].lower()}{wanted[1:]}"
-    return f": line {line}, column {column}: found {quote(brief(there))}; {wanted}"
+    return f": line {line}, column {column}: found {quoted(source, brief(there))}; {wanted}"
 
 
 def _too_deep(source: str | Path) -> NoReturn:
