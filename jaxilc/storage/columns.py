@@ -22,11 +22,13 @@ import re
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from ..pytree.closest import listed
 from ..pytree.ranges import brief
 from .reading import LARGEST_TABLE, quoted, read_text
 
+T = TypeVar("T")
 Rows = Iterator[tuple[int, list[str]]]
 LONGEST_LINE = 1_000_000  # characters
 SEPARATORS = ";\t,"
@@ -65,7 +67,7 @@ def read_columns(path: str | Path, names: Sequence[str] = ()) -> tuple[list[str]
     its own, and, also during the iteration, for a line that is not a row of these columns.
     """
     lines = _Lines(path, read_text(path, LARGEST_TABLE))
-    header, first = _header(path, lines, names)
+    header, first = _header(lines, names)
     if header and names and [*names] != header:
         raise ValueError(
             f"{path} has a header, {quoted(path, listed(header))}; allowed are names of columns "
@@ -74,12 +76,12 @@ def read_columns(path: str | Path, names: Sequence[str] = ()) -> tuple[list[str]
     header = header or [*names]
     if not header:
         raise ValueError(f"{path} is empty; allowed is a line of headings with numbers below it")
-    return header, _checked_rows(path, lines, header, first)
+    return header, _checked_rows(lines, header, first)
 
 
 def is_number(cell: str) -> bool:
     """Whether a cell holds a number, with a decimal point or a decimal comma."""
-    return _is_float(cell) or bool(_DECIMAL_COMMA.match(cell.strip()))
+    return _number(cell, None) is not None or bool(_DECIMAL_COMMA.match(cell.strip()))
 
 
 def name_and_unit(heading: str) -> tuple[str, str | None]:
@@ -131,7 +133,7 @@ def need_one(path: str | Path, headings: Sequence[str], at: int) -> None:
 
 def numbers_in(row: list[str], at: Sequence[int]) -> list[float]:
     """The numbers of a row in the columns `at`; NaN for a cell that is missing or not a number."""
-    return [_number(row[i]) if i < len(row) else math.nan for i in at]
+    return [_number(row[i], math.nan) if i < len(row) else math.nan for i in at]
 
 
 # How it is done
@@ -200,9 +202,7 @@ class _Lines:
                 yield self.number, row
 
 
-def _header(
-    path: str | Path, lines: _Lines, names: Sequence[str]
-) -> tuple[list[str], list[tuple[int, list[str]]]]:
+def _header(lines: _Lines, names: Sequence[str]) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """The headings, and the rows that were read in order to find them."""
     line = lines.first()
     cells = lines.split(line)
@@ -214,8 +214,8 @@ def _header(
         header = above if len(above) == len(data) and not any(map(is_number, above)) else []
         if not header and not names:
             raise ValueError(
-                f"{path} has no header: its line {number} holds {len(data)} numbers. Name the "
-                "columns in their order with --columns (columns), such as --columns t,u,y"
+                f"{lines.path} has no header: its line {number} holds {len(data)} numbers. Name "
+                "the columns in their order with --columns (columns), such as --columns t,u,y"
             )
         return header, [(number, data)]
     second = next(((n, row) for n, row in lines.rows()), None)
@@ -241,9 +241,7 @@ def _are_units(row: list[str]) -> bool:
     )
 
 
-def _checked_rows(
-    path: str | Path, lines: _Lines, header: list[str], first: list[tuple[int, list[str]]]
-) -> Rows:
+def _checked_rows(lines: _Lines, header: list[str], first: list[tuple[int, list[str]]]) -> Rows:
     """The rows with decimal points, none of them longer than the header."""
     comma, point = 0, 0  # lines on which a decimal comma and a decimal point were seen first
     for rows in (iter(first), lines.rows()):
@@ -255,7 +253,7 @@ def _checked_rows(
                 point = point or number * any(map(_DECIMAL_POINT.match, cells))
                 if comma and point:
                     raise ValueError(
-                        f"{path} has decimal commas (line {comma}) and decimal points (line "
+                        f"{lines.path} has decimal commas (line {comma}) and decimal points (line "
                         f"{point}); allowed is one of them, since a comma could group thousands"
                     )
                 row = [
@@ -263,30 +261,17 @@ def _checked_rows(
                     for cell, decimal in zip(row, with_comma, strict=True)
                 ]
             if any(cell.strip() for cell in row[len(header) :]):
-                raise ValueError(_too_long(path, number, row, header, lines.separator))
+                said = f"{len(row)} cells where the header has {len(header)}"
+                if lines.separator == ",":
+                    said += "; are these decimal commas? Separate the columns by semicolons or "
+                    said += "tabs then"
+                raise ValueError(f"{lines.path}, line {number}: {said}")
             yield number, row
 
 
-def _too_long(
-    path: str | Path, number: int, row: list[str], header: list[str], separator: str | None
-) -> str:
-    """The text for a row of more cells than the header."""
-    said = f"{path}, line {number}: {len(row)} cells where the header has {len(header)}"
-    if separator == ",":
-        said += "; are these decimal commas? Separate the columns by semicolons or tabs then"
-    return said
-
-
-def _is_float(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _number(cell: str) -> float:
+def _number(cell: str, other: T) -> float | T:
+    """The number in a cell, with a decimal point; where it holds none, the other value."""
     try:
         return float(cell)
     except ValueError:
-        return math.nan
+        return other
