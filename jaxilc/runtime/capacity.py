@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import jax
-import numpy as np
 
 from ..pytree.aliases import Tree, Value
+from ..pytree.ranges import concrete
 
 try:
     import resource
@@ -41,8 +41,8 @@ def check_size(what: str, each: float | Callable[..., float], **counts: float) -
     counts: the counts, such as the number of machines, by name
     For each count the message gives the largest value that fits while the others do not change.
     """
-    each = each.item() if isinstance(each, np.number) else each
-    counts = {n: x.item() if isinstance(x, np.number) else x for n, x in counts.items()}
+    each = concrete(each)
+    counts = {name: concrete(count) for name, count in counts.items()}
 
     def need(**counts: float) -> float:
         return (

@@ -144,7 +144,10 @@ def lanes_for(
     if room < of_a_machine:
         taken = f"{what}: one machine"
         taken += f" beside {capacity.shown(beside)} of results takes" if beside else " takes"
-        instead = _instead(room / max(of_a_machine, 1))
+        share = room / max(of_a_machine, 1)  # of the machine, most of whose memory are its signals
+        instead = f"with {math.floor(100 * share)} % of its samples it would fit"
+        if share < 0.01:
+            instead = "take fewer samples, trials or machines"
         of = f" of the {capacity.shown(memory)} of a device"
         raise capacity.refused(taken, of_a_machine, SHARE * memory, instead, of)
     if not of_a_machine or enough <= room / of_a_machine:
@@ -189,10 +192,3 @@ def fitting_lanes(
     inner = analysis.temp_size_in_bytes / few
     beside = 2 * signals * -(-held // devices)  # the rows of all tiles, and their copy in order
     return lanes_for(memory, signals + inner, of_a_device, beside=beside, what=what)
-
-
-def _instead(share: float) -> str:
-    """What would fit, where a part of a machine does; its signals take most of its memory."""
-    if share < 0.01:
-        return "take fewer samples, trials or machines"
-    return f"with {math.floor(100 * share)} % of its samples it would fit"
