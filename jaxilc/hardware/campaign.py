@@ -6,8 +6,6 @@ A journal stores what was learned from each measured trial, which determines the
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 from collections.abc import Mapping
 from itertools import pairwise, takewhile
 from pathlib import Path
@@ -26,12 +24,12 @@ from ..learning.within_trial import run_trial
 from ..pytree.aliases import Leaf, Value
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import named_leaves
-from ..runtime.provenance import describe, environment, need_same
+from ..runtime.provenance import checksum_of, describe, environment, need_same
 from ..schemes import Scheme
 from ..schemes.scheme import Memory, growth_of, trials_of_step
 from ..signals.task import Task, Trial
 from ..storage.files import only_one
-from ..storage.sealed import as_json
+from ..storage.sealed import as_json, checksum
 from . import calibration, checks
 from .calibration import Expected
 from .checks import Finding, Rules
@@ -176,7 +174,7 @@ class Campaign:
 
     @property
     def configuration_hash(self) -> str:
-        return hashlib.sha256(json.dumps(self.configuration, sort_keys=True).encode()).hexdigest()
+        return checksum_of(self.configuration)
 
     @property
     def trials(self) -> int:
@@ -288,7 +286,7 @@ class Campaign:
         hashes = {"measured": _hash_of(measured.y, u), "played": _hash_of(*played.values())}
         if scheme.trials_a_step > 1 and (file := Path(measured.source).resolve()).is_file():
             written = f"{file} {file.stat().st_mtime_ns}".encode()
-            hashes["file"] = hashlib.sha256(written + file.read_bytes()).hexdigest()
+            hashes["file"] = checksum(written + file.read_bytes())
         error = checks.rms_over_all(record)
         if not np.isfinite(error):
             largest = np.max(np.abs(measured.y))
@@ -563,10 +561,8 @@ def _same_file(entry: Manifest, source: str, hashes: dict[str, str]) -> bool:
 
 
 def _hash_of(*arrays) -> str:
-    """SHA-256 of the values of arrays, in double precision."""
-    return hashlib.sha256(
-        b"".join(np.ascontiguousarray(a, dtype=float).tobytes() for a in arrays)
-    ).hexdigest()
+    """The checksum of the values of arrays, in double precision."""
+    return checksum(b"".join(np.ascontiguousarray(a, dtype=float).tobytes() for a in arrays))
 
 
 _measured = jax.jit(measure)  # one program instead of one for each operation

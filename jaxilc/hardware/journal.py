@@ -18,7 +18,6 @@ import csv
 import dataclasses
 import datetime
 import functools
-import hashlib
 import io
 import re
 import secrets
@@ -36,6 +35,7 @@ from ..storage.sealed import (
     Damaged,
     archive,
     as_json,
+    checksum,
     json_content,
     json_of,
     json_text,
@@ -183,7 +183,7 @@ class Journal:
             "format": FORMAT,
             "serial": serial,
             "time": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            "files": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+            "files": {name: checksum(content) for name, content in files.items()},
             "previous": _seal(before[-1]) if before else secrets.token_hex(32),
         }
         try:

@@ -12,8 +12,6 @@ too short is computed again; nothing else depends on it.
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 from collections.abc import Sequence
 from functools import reduce
 from itertools import accumulate
@@ -26,7 +24,7 @@ from ..learning.machine import Machine
 from ..pytree.aliases import Value
 from ..pytree.ranges import is_number, is_whole
 from ..runtime.lanes import usual_lanes
-from ..runtime.provenance import describe
+from ..runtime.provenance import checksum_of, describe
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..storage.sealed import Damaged, read_json, sealed, unsealed, write_json
@@ -368,8 +366,7 @@ def kept(folder: Path, configuration: str, key: str | None = None) -> Prediction
 
 def key_of(subject: Subject) -> str:
     """A hash of all that the prediction depends on, besides the number of trials."""
-    described = describe([*subject, MACHINES, SEED])
-    return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
+    return checksum_of(describe([*subject, MACHINES, SEED]))
 
 
 def _from_json(content: dict[str, Value]) -> Prediction | None:

@@ -7,7 +7,6 @@ with the same parameters.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import inspect
 import json
 import sys
@@ -25,6 +24,7 @@ import numpy as np
 
 from ..pytree.aliases import Json, Value
 from ..pytree.closest import listed
+from ..storage.sealed import checksum
 from .earlier_names import in_todays_names
 
 LONG = 120  # characters of a value in a difference that is told
@@ -187,7 +187,7 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
         fields = {f.name: again(getattr(value, f.name)) for f in dataclasses.fields(value)}
         own = {name: again(of) for name, of in _own_attributes(type(value)).items()}
         if own:
-            own[CODE] = _hash(json.dumps(own[CODE]))
+            own[CODE] = checksum(json.dumps(own[CODE]).encode())
         return {"class": type(value).__name__, **own, **fields}
     if isinstance(value, partial):
         return {"partial": again([value.func, value.args, value.keywords])}
@@ -201,12 +201,17 @@ def describe(value: Value, *, within: tuple[int, ...] = ()) -> Json:
         return {"name": _name(value), **{name: again(of) for name, of in _parts(value).items()}}
     return {
         "name": _name(value),
-        "body": _hash(repr(_body(value.__code__))),
+        "body": checksum(repr(_body(value.__code__)).encode()),
         "settings": again(
             (value.__defaults__, value.__kwdefaults__, getattr(value, "__self__", None))
         ),
         "closes over": [again(cell.cell_contents) for cell in value.__closure__ or ()],
     }
+
+
+def checksum_of(description: Json) -> str:
+    """The checksum of a description, whatever the order of the names in its mappings."""
+    return checksum(json.dumps(description, sort_keys=True).encode())
 
 
 def _is_named_in_jax(value: Value) -> bool:
@@ -282,10 +287,6 @@ def _own_attributes(cls: Value) -> dict[str, dict[str, Value]]:
     return {CODE: methods, CONSTANTS: constants} if of_a_user else {}
 
 
-def _hash(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def _of_array(array: np.ndarray) -> Json:
     if np.iscomplexobj(array):
         return {"real": _of_array(array.real), "imaginary": _of_array(array.imag)}
@@ -295,7 +296,7 @@ def _of_array(array: np.ndarray) -> Json:
         return array.tolist()
     return {
         "shape": list(array.shape),
-        "sha256": hashlib.sha256(np.asarray(array, dtype=float).tobytes()).hexdigest(),
+        "sha256": checksum(np.asarray(array, dtype=float).tobytes()),
     }
 
 
