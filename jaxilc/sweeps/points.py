@@ -158,8 +158,8 @@ def _best(
     best = np.unravel_index(order[0], error.shape)
     near = error <= NEAR * error[best]
 
-    def at(labels: list[xr.DataArray]) -> tuple[dict[str, Value], Ends, Ends]:
-        """The point, what is near along its axes, and the edges, as values of these labels."""
+    def told(labels: list[xr.DataArray]) -> BestPoint:
+        """The best point by the names and values of these labels, without sentences."""
         point: dict[str, Value] = {}
         along: Ends = {}
         edges: Ends = {}
@@ -177,11 +177,10 @@ def _best(
                 known[low] if low >= 0 else None,
                 known[high] if high < len(known) else None,
             )
-        return point, along, edges
+        shares = float(near.mean()), along, float(lost.mean())
+        return BestPoint(name, point, float(passed[best]), float(error[best]), *shares, edges, ())
 
-    shares = float(error[best]), float(near.mean()), float(lost.mean())
-    point, along, edges = at([dataset[axis] for axis in axes])
-    found = BestPoint(name, point, float(passed[best]), *shares[:2], along, shares[2], edges, ())
+    found = told([dataset[axis] for axis in axes])
     if not found.anywhere:
         nowhere = f"{name}: more than 5 % of the machines diverge at every point."
         return found._replace(sentences=(nowhere,))
@@ -192,8 +191,7 @@ def _best(
         line = (*best[:i], slice(None), *best[i + 1 :])
         if str(label.name).startswith(f"{name}."):
             at_end += _at_end(label, best[i], passed[line], error[line])
-    said = _sentences(name, least, shares, *at(labels))
-    return found._replace(sentences=(*said, *at_end))
+    return found._replace(sentences=(*_sentences(told(labels), least), *at_end))
 
 
 def _at_end(label: xr.DataArray, at: int, passed: np.ndarray, error: np.ndarray) -> list[str]:
@@ -213,37 +211,30 @@ def _at_end(label: xr.DataArray, at: int, passed: np.ndarray, error: np.ndarray)
     return []
 
 
-def _sentences(
-    name: str,
-    least: bool,
-    shares: tuple[float, float, float],
-    point: dict[str, Value],
-    along: Ends,
-    edges: Ends,
-) -> tuple[str, ...]:
-    error, near, lost = shares
-    best = " and ".join(f"{axis} = {value_text(at)}" for axis, at in point.items())
-    flat = f"The error is at most twice as large at {share_text(near)} of the points"
+def _sentences(best: BestPoint, least: bool) -> tuple[str, ...]:
+    """The sentences on a best point; `least`: whether it has the least error of all points."""
+    at = " and ".join(f"{axis} = {value_text(value)}" for axis, value in best.point.items())
+    flat = f"The error is at most twice as large at {share_text(best.near)} of the points"
     wide = " and ".join(
         f"{axis} = {value_text(low)} to {value_text(high)}"
-        for axis, (low, high) in along.items()
+        for axis, (low, high) in best.along.items()
         if low != high
     )
     ends = [
         f"{axis} = {value_text(end)} {words}"
-        for axis, of in edges.items()
+        for axis, of in best.edges.items()
         for end, words in zip(of, ("down", "up"), strict=True)
         if end is not None
     ]
-    gone = f"A machine diverges at {share_text(lost)} of the points"
+    gone = f"A machine diverges at {share_text(best.diverged)} of the points"
     gone += f", seen from the best one from {' and from '.join(ends)}" if ends else ""
     wide = f", along the axes for {wide}." if wide else "."
-    if not np.isfinite(error):
+    if not np.isfinite(best.error):
         flat, wide = "More than 5 % of the machines diverge there", "."
     return (
-        f"{name} has its {'least error' if least else 'largest yield'} at {best}.",
+        f"{best.scheme} has its {'least error' if least else 'largest yield'} at {at}.",
         flat + wide,
-        f"{gone}." if lost else "No machine diverges at any point.",
+        f"{gone}." if best.diverged else "No machine diverges at any point.",
     )
 
 
