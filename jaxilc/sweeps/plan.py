@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import NamedTuple
 
@@ -82,8 +82,38 @@ class Plan:
 
     @property
     def variables(self) -> dict[str, Variable]:
-        """The variables of the dataset, see `variables_of`, by the precision that is set now."""
-        return variables_of(self.task, self.keep, self.quantities, self.watch)
+        """The variables by name: metrics, further quantities, signals that are kept, a watch's.
+
+        A task with one output has no dimension `channel`, one with one input no dimension `input`.
+        Numbers have the precision that is set now.
+        Raises ValueError for a quantity with the name of a variable of the watch.
+        """
+        task, watch = self.task, self.watch
+        dropped = {"channel"} if task.outputs == 1 else set()
+        dropped |= {"input"} if task.inputs == 1 else set()
+        real = "f8" if jax.config.jax_enable_x64 else "f4"
+
+        def along(*axes: str) -> tuple[str, ...]:
+            return ("scheme", "sample", *(axis for axis in axes if axis not in dropped))
+
+        found = {
+            m.name: Variable(
+                along(*m.axes), real if m.dtype == "float" else m.dtype, m.unit_of(task), m.text
+            )
+            for m in METRICS
+            if m.swept
+        }
+        for name in self.quantities:
+            found[name] = Variable(along("trial"), real, "", "figure of a trial")
+        for name in self.keep:
+            unit = task.input_unit if name == "u" else task.unit
+            found[name] = Variable(along(*SIGNALS[name]), real, unit, f"{name} of the last trial")
+        for name, one in ({} if watch is None else watch.variables(task)).items():
+            if name in found:
+                said = "is a variable of the watch; choose another name"
+                raise ValueError(f"quantity = {name!r} {said}")
+            found[name] = Variable(along(*["trial"][: one.of_trials]), real, one.unit, one.text)
+        return found
 
     @property
     def longest(self) -> int:
@@ -180,36 +210,3 @@ class Plan:
         for axis, at in zip(self.axes.static, at_all.T, strict=True):
             found |= {name: (("scheme",), labels[at]) for name, labels in axis.labels.items()}
         return found
-
-
-def variables_of(
-    task: Task, keep: tuple[str, ...], quantities: Iterable[str], watch: Watch | None = None
-) -> dict[str, Variable]:
-    """The variables by name: metrics, further quantities, the signals that are kept, and a watch's.
-
-    A task with one output has no dimension `channel`, one with one input no dimension `input`.
-    Raises ValueError for a quantity with the name of a variable of the watch.
-    """
-    dropped = {"channel"} if task.outputs == 1 else set()
-    dropped |= {"input"} if task.inputs == 1 else set()
-    real = "f8" if jax.config.jax_enable_x64 else "f4"
-
-    def along(*axes: str) -> tuple[str, ...]:
-        return ("scheme", "sample", *(axis for axis in axes if axis not in dropped))
-
-    found = {
-        m.name: Variable(
-            along(*m.axes), real if m.dtype == "float" else m.dtype, m.unit_of(task), m.text
-        )
-        for m in METRICS
-        if m.swept
-    }
-    found |= {name: Variable(along("trial"), real, "", "figure of a trial") for name in quantities}
-    for name in keep:
-        unit = task.input_unit if name == "u" else task.unit
-        found[name] = Variable(along(*SIGNALS[name]), real, unit, f"{name} of the last trial")
-    for name, one in ({} if watch is None else watch.variables(task)).items():
-        if name in found:
-            raise ValueError(f"quantity = {name!r} is a variable of the watch; choose another name")
-        found[name] = Variable(along(*["trial"][: one.of_trials]), real, one.unit, one.text)
-    return found
