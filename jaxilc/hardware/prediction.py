@@ -159,15 +159,13 @@ class Place(NamedTuple):
     level: str
 
 
-def predict(subject: Subject, trials: int, *, seed: int = SEED) -> Prediction:
+def predict(subject: Subject, trials: int) -> Prediction:
     """The band of errors by trial, from the simulation of drawn machines.
 
     trials: J >= 1; fewer are predicted where their simulation would take long, see `WORK`
-    seed: seed of the drawn machines and of their noise
     Raises ValueError where the uncertainty does not fit the machine, or the task does not fit RAM.
     """
-    errors, largest = simulated(subject, trials, seed=seed)
-    return prediction_of(errors, largest, subject)
+    return prediction_of(*simulated(subject, trials), subject)
 
 
 def longest(subject: Subject) -> int:
@@ -175,12 +173,12 @@ def longest(subject: Subject) -> int:
     return max(1, int(WORK / (subject.machines * subject.task.N)))
 
 
-def simulated(subject: Subject, trials: int, *, seed: int = SEED) -> tuple[np.ndarray, np.ndarray]:
+def simulated(subject: Subject, trials: int) -> tuple[np.ndarray, np.ndarray]:
     """(S, J) the RMS errors over all outputs, and the largest errors, of drawn machines."""
     machine, scheme, task, uncertainty = subject
     machines = subject.machines
     plan = Plan(
-        Population(machine, uncertainty, count=machines + 1, seed=seed),
+        Population(machine, uncertainty, count=machines + 1, seed=SEED),
         {"law": scheme},
         task,
         min(trials, longest(subject)),
