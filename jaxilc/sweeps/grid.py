@@ -168,10 +168,6 @@ class Grid:
         """The number of all points."""
         return math.prod(axis.size for axis in self.axes)
 
-    def longest(self, trials: int) -> int:
-        """The largest number of trials of a variant, where the sweep has so many."""
-        given = (max(axis.values[TRIALS]) for axis in self.axes if TRIALS in axis.values)
-        return max(given, default=trials)
 
     def places(self, points: np.ndarray) -> Iterator[tuple[Axis, np.ndarray]]:
         """Each axis of leaves with the positions in it of points of a variant, by their numbers."""

@@ -22,7 +22,7 @@ from ..runtime.tiles import OPEN
 from ..schemes import Scheme
 from ..signals.task import Task, Trial
 from ..uncertainty import Population
-from .grid import Grid, Parts, Variant
+from .grid import TRIALS, Grid, Parts, Variant
 from .store import Coordinate, Variable
 
 SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
@@ -118,7 +118,8 @@ class Plan:
     @property
     def longest(self) -> int:
         """The largest number of trials of a variant."""
-        return self.axes.longest(self.trials)
+        given = (max(axis.values[TRIALS]) for axis in self.axes.axes if TRIALS in axis.values)
+        return max(given, default=self.trials)
 
     @property
     def machines(self) -> int:
