@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import os
 import sys
 import threading
 from collections.abc import Sequence
@@ -22,6 +21,7 @@ from types import ModuleType
 import jax
 
 from ..runtime.jax_internals import seal
+from ..runtime.start import cores
 from ..storage.files import atomically
 from .llvm import ALIGNED, Lines, aligned
 from .program import Unknown
@@ -407,7 +407,3 @@ def address_of(name: str) -> int:
             continue
         return ctypes.cast(found, ctypes.c_void_p).value or 0
     raise Unknown(f"{name}, which is not in the C library")
-
-
-def cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -20,12 +20,12 @@ from ..learning.machine import Machine
 from ..learning.over_trials import learn
 from ..runtime.capacity import host_bytes, shown
 from ..runtime.lanes import all_stored
-from ..runtime.start import native_unwanted
+from ..runtime.start import cores, native_unwanted
 from ..runtime.tiles import tiled
 from ..runtime.xla_options import QUICKLY
 from ..schemes import Scheme
 from ..signals.task import Task
-from .code import agree, agreed, cores, key_of, of_compiler, width
+from .code import agree, agreed, key_of, of_compiler, width
 from .loops import Back, Blocks, ByValue, Loop, Memories, There, Whole, real, size_of
 from .operations import foreign
 from .program import (

@@ -48,10 +48,7 @@ def setup(
     """
     if precision not in ("float64", "float32"):
         raise ValueError(f"setup: precision = {precision!r} is not one of 'float64', 'float32'")
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    devices = cores if devices is None else devices
+    devices = cores() if devices is None else devices
     require("setup", "devices", devices, "[1, 4096]", whole=True)
     if jax.__version__ == "0.11.1":
         warnings.warn(
@@ -71,7 +68,7 @@ def setup(
         jax.config.update("jax_default_matmul_precision", "highest")
     # XLA's pool has a thread per core. If every device makes a batched LAPACK call at once, all
     # threads wait for each other; additional threads prevent this. XLA reads this variable.
-    os.environ.setdefault("NPROC", str(2 * max(cores, devices)))
+    os.environ.setdefault("NPROC", str(2 * max(cores(), devices)))
     flags = os.environ.get("XLA_FLAGS", "")
     too_late = False
     if "xla_backend_extra_options" not in flags:
@@ -93,6 +90,11 @@ def setup(
             RuntimeWarning,
             stacklevel=2,
         )
+
+
+def cores() -> int:
+    """The number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def warn_of_single() -> None:
