@@ -84,10 +84,7 @@ def over_samples(
 
 
 def rows_scanned() -> bool:
-    """Whether sums over samples are faster in a scan over them than over whole arrays; starts JAX.
-
-    They are on a CPU. On an accelerator each pass of a loop costs the launch of its kernels.
-    """
+    """Whether a scan over samples sums them faster than operations on whole arrays; starts JAX."""
     return jax.default_backend() in SCANNED
 
 
