@@ -245,7 +245,8 @@ class Journal:
                 seals[serial - 1],
             ):
                 for k in range(serial - (serial > len(head)), serial + 1):  # either may be another
-                    wrong = self._place(k, OTHER)
+                    file = self.path / f"{k:06d}" / MANIFEST
+                    wrong = f"{file} cannot be read ({OTHER})"
                     manifests[k] |= {"event": DAMAGED, "wrong": wrong, "trial": 0}
         return manifests, head
 
@@ -281,9 +282,6 @@ class Journal:
     def _write_head(self, manifests: Sequence[Manifest], known: Sequence[str]) -> None:
         entries = [*known, *map(_seal, manifests[len(known) :])]
         write_json(self.path / HEAD, sealed({"entries": entries}))
-
-    def _place(self, serial: int, wrong: str) -> str:
-        return f"{self.path / f'{serial:06d}' / MANIFEST} cannot be read ({wrong})"
 
     def _manifest(self, serial: int, head: Sequence[str]) -> tuple[Manifest, str]:
         """The manifest of an entry, and its checksum: an empty text where it cannot be read."""

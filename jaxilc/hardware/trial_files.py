@@ -125,7 +125,13 @@ def read_measured(
     an uneven step of the time, for another sample time or length (nothing is resampled), and for
     another reference.
     """
-    shapes = _shapes(task, others)
+    shapes = {
+        "t": (task.N + 1, 1),
+        "y": (task.N + 1, task.outputs),
+        "r": (task.N + 1, task.outputs),
+        "u": (task.N, task.inputs),
+        **(others or {}),
+    }  # of a whole trial
     names = names or {}
     found = _read(path, shapes, names, columns, task.dt)
     last = len(found.columns["t"][0]) - 1
@@ -175,18 +181,6 @@ def _checked(
         _check_reference(path, signals["r"], found.places, task)
     besides = {name: values for name, values in signals.items() if name not in ("t", "r", "y", "u")}
     return Measured(signals["y"], signals.get("u"), besides, found.ignored, str(path))
-
-
-def _shapes(task: Task, others: Shapes | None) -> dict[str, tuple[int, int]]:
-    """The shape (rows, channels) of each signal of a whole trial."""
-    N = task.N
-    return {
-        "t": (N + 1, 1),
-        "y": (N + 1, task.outputs),
-        "r": (N + 1, task.outputs),
-        "u": (N, task.inputs),
-        **(others or {}),
-    }
 
 
 def _read(

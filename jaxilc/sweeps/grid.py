@@ -168,7 +168,6 @@ class Grid:
         """The number of all points."""
         return math.prod(axis.size for axis in self.axes)
 
-
     def places(self, points: np.ndarray) -> Iterator[tuple[Axis, np.ndarray]]:
         """Each axis of leaves with the positions in it of points of a variant, by their numbers."""
         if self.leaves:

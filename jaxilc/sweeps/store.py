@@ -303,7 +303,10 @@ def _harmful(path: Path) -> Iterator[tuple[Path, str]]:
                 yield file, f"{file} is no file"
     for file in path.glob(f"*/{METADATA}"):
         try:
-            largest = _largest_chunk(read_json(file))
+            array = read_json(file)
+            kind, grid = array["data_type"], array["chunk_grid"]["configuration"]
+            of_each = LONGEST_TEXT if kind == "string" else np.dtype(kind).itemsize
+            largest = of_each * math.prod(grid["chunk_shape"])
         except (OSError, ValueError, TypeError, KeyError):
             continue  # a damaged description is told, or mended, later
         for chunk in filter(Path.is_file, file.parent.glob("c/**/*")):
@@ -311,13 +314,6 @@ def _harmful(path: Path) -> Iterator[tuple[Path, str]]:
                 size = _unpacked_size(opened.read(18))
             if size > largest:
                 yield chunk, f"{chunk} would unpack to {size:,} bytes; a chunk has {largest:,}"
-
-
-def _largest_chunk(array: Mapping[str, Value]) -> int:
-    """The number of bytes of a chunk of an array, from its description."""
-    shape = array["chunk_grid"]["configuration"]["chunk_shape"]
-    kind = array["data_type"]
-    return math.prod(shape) * (LONGEST_TEXT if kind == "string" else np.dtype(kind).itemsize)
 
 
 def _unpacked_size(head: bytes) -> float:
