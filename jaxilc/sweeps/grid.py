@@ -18,7 +18,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sized
 from contextlib import suppress
 from functools import cached_property
 from itertools import combinations, product
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, TypedDict, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -80,21 +80,6 @@ class Parts(NamedTuple):
     schemes: Mapping[str, Scheme]
     task: Task
     trials: int
-
-
-class DescribedAxis(TypedDict):
-    name: str
-    units: dict[str, str]
-    static: bool
-    size: int
-    values: Json
-
-
-class DescribedGrid(TypedDict):
-    """All that determines the numbers of a grid, and how its store is laid out."""
-
-    schemes: list[str]
-    axes: list[DescribedAxis]
 
 
 class Variant(NamedTuple):
@@ -297,15 +282,16 @@ class Grid:
                         _named(check, here.machine, scheme, here.task)
                 _named(allow, here.machine, here.task)
 
-    def described(self, schemes: Mapping[str, Scheme]) -> DescribedGrid:
+    def described(self, schemes: Mapping[str, Scheme]) -> Json:
+        """All that determines the numbers of a grid, and how its store is laid out, as JSON."""
         axes = [
-            DescribedAxis(
-                name=axis.name,
-                units=dict(axis.units),
-                static=axis.static,
-                size=axis.size,
-                values=describe(axis.values),
-            )
+            {
+                "name": axis.name,
+                "units": dict(axis.units),
+                "static": axis.static,
+                "size": axis.size,
+                "values": describe(axis.values),
+            }
             for axis in self.axes
         ]
         return {"schemes": list(schemes), "axes": axes}
@@ -345,8 +331,8 @@ def values_at(names: Collection[str], of: HasParts) -> dict[str, Value]:
     return found
 
 
-def unfolded(flat: xr.Dataset, of: DescribedGrid) -> xr.Dataset:
-    """The dataset with a dimension for each axis, of one as it is stored."""
+def unfolded(flat: xr.Dataset, of: Value) -> xr.Dataset:
+    """The dataset with a dimension for each axis, of one as it is stored; see `Grid.described`."""
     import xarray as xr
 
     sizes = {axis["name"]: axis["size"] for axis in of["axes"]}
