@@ -435,12 +435,8 @@ def growth_accepted(live: list[Manifest]) -> int:
 
     live: manifests of the start and of the trials
     """
-    seen = (m["trial"] for m in live[1:] for _, said in m["findings"] if _of_growth(said))
-    return max(seen, default=0)
-
-
-def _of_growth(text: str) -> bool:
-    return TIMES in text and text.endswith(TAKEN)
+    texts = ((m["trial"], text) for m in live[1:] for _, text in m["findings"])
+    return max((j for j, text in texts if TIMES in text and text.endswith(TAKEN)), default=0)
 
 
 def _refused(name: str, text: str, accept: tuple[str, ...]) -> Finding:
