@@ -173,14 +173,16 @@ def session(tmp_path_factory):
             words = ("next", "--state", state, "--out", folder / "again.csv")
             subprocess.run([sys.executable, "-c", program, *map(str, words)], check=True)
             assert (folder / "again.csv").read_bytes() == then.read_bytes()
+    rig.measure(then, TRIALS + 1, folder / f"trial-{TRIALS + 1}.csv")
     return rig, state, played
 
 
 @pytest.fixture
 def copied(session, tmp_path):
-    """Return a copy of the session's campaign in another folder, to continue it there."""
+    """Return a copy of the session's campaign in another folder, with `trial.csv` to go on."""
     rig, state, _ = session
     shutil.copytree(state, tmp_path / "state")
+    shutil.copy(rig.folder / "trial-11.csv", tmp_path / "trial.csv")
     return rig, tmp_path / "state", tmp_path
 
 
@@ -274,8 +276,7 @@ KILLED_IN = {
 @pytest.mark.thorough(but=["manifest"])
 @pytest.mark.parametrize("when", KILLED_IN)
 def test_killed_at_any_moment_nothing_is_lost(copied, monkeypatch, when):
-    rig, state, folder = copied
-    rig.measure(rig.folder / "next-11.csv", 11, folder / "trial.csv")
+    _, state, folder = copied
     before = {f: f.read_bytes() for f in state.rglob("*") if f.is_file()}
 
     def killed(*_, **__):
@@ -301,7 +302,6 @@ def test_killed_at_any_moment_nothing_is_lost(copied, monkeypatch, when):
 
 def test_two_calls_at_once_are_one_entry(copied, monkeypatch):
     rig, state, folder = copied
-    rig.measure(rig.folder / "next-11.csv", 11, folder / "trial.csv")
     campaign = Campaign.open(state, rig.scheme, rig.task, actuator=rig.axis.machine.actuator)
     turn = campaign.turn(read_measured(folder / "trial.csv", rig.task))
 
@@ -330,7 +330,6 @@ def test_two_calls_at_once_are_one_entry(copied, monkeypatch):
 
 def test_a_dry_run_reports_and_changes_nothing(copied):
     rig, state, folder = copied
-    rig.measure(rig.folder / "next-11.csv", 11, folder / "trial.csv")
     before = sorted(folder.rglob("*"))
     code, out, _ = go_on(
         state, folder / "next.csv", "--measured", folder / "trial.csv", "--dry-run"
@@ -345,7 +344,6 @@ def test_a_dry_run_reports_and_changes_nothing(copied):
 
 def test_a_trial_of_the_same_table_tells_how_repeatable_the_machine_is(copied):
     rig, state, folder = copied
-    rig.measure(rig.folder / "next-11.csv", 11, folder / "trial.csv")
     y21 = read_trace(folder / "trial.csv")
     go_on(state, folder / "next.csv", "--measured", folder / "trial.csv", "--no-learn")
     assert (folder / "next.csv").read_bytes() == (rig.folder / "next-11.csv").read_bytes()
@@ -457,8 +455,7 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
     ],
 )  # fmt: skip
 def test_a_trace_that_is_not_of_this_task_is_refused(copied, change, message):
-    rig, state, folder = copied
-    rig.measure(rig.folder / "next-11.csv", 11, folder / "trial.csv")
+    _, state, folder = copied
     (folder / "trial.csv").write_text(
         "\n".join(change((folder / "trial.csv").read_text().splitlines()))
     )
