@@ -64,7 +64,9 @@ class Subject(NamedTuple):
     @property
     def machines(self) -> int:
         """The number of machines to draw; one where all of them would be the same."""
-        return MACHINES if self.noisy or self.uncertainty else 1
+        variation = self.machine.variation
+        drawn = self.noisy or self.uncertainty or (variation is not None and variation.draws)
+        return MACHINES if drawn else 1
 
 
 class Band(NamedTuple):
@@ -81,7 +83,8 @@ class Band(NamedTuple):
 class Prediction(NamedTuple):
     """The predicted errors of the trials 1 .. J.
 
-    machines: number of drawn machines, 1 where the file gives neither uncertainty nor noise
+    machines: number of drawn machines, 1 where the file gives neither uncertainty nor noise, and
+        draws nothing for each trial
     noisy: whether the file gives the machine noise
     rms: band of the RMS error over all outputs
     largest: band of the largest error of all outputs
@@ -104,7 +107,7 @@ class Prediction(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether there is no band, because the file gives neither uncertainty nor noise."""
+        """Whether there is no band, because the file gives nothing that is drawn."""
         return self.machines == 1
 
     def bands(self) -> dict[str, dict[str, list[float]]]:
@@ -364,7 +367,7 @@ def kept(folder: Path, configuration: str, key: str | None = None) -> Prediction
 
 def key_of(subject: Subject) -> str:
     """A hash of all that the prediction depends on, besides the number of trials."""
-    return checksum_of(describe([*subject, MACHINES, SEED]))
+    return checksum_of(describe([*subject, subject.machines, SEED]))
 
 
 def _from_json(content: dict[str, Value]) -> Prediction | None:

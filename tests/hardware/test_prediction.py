@@ -1,5 +1,6 @@
 """What a campaign should measure: the band by trial, its alarms, and the file that holds it."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from jaxilc.hardware import checks
 from jaxilc.hardware import prediction as predictions
 from jaxilc.hardware.calibration import Expected
 from jaxilc.hardware.prediction import Band, Subject, distance, place_of, prediction_of
+from jaxilc.learning import Variation
 from jaxilc.schemes import ModelFreeGradient, PIDType
 from jaxilc.signals import Task
 from jaxilc.storage.sealed import sealed
@@ -41,6 +43,14 @@ def test_the_band_is_that_of_machines_that_each_learn_by_themselves(predicted):
     inside = (errors > predicted.rms.low) & (errors < predicted.rms.high)
     assert list(np.sum(~inside, axis=0)) == [0] + [12] * (TRIALS - 1)
     np.testing.assert_allclose(predicted.rms.high[0] / predicted.rms.median[0], 1.01)
+
+
+def test_what_is_drawn_for_each_trial_gives_a_band():
+    """Of one machine it was predicted without, as of a file that draws nothing."""
+    alone = SUBJECT._replace(uncertainty={})
+    assert alone.machines == 1
+    varied = dataclasses.replace(STATIC, variation=Variation(scatter=0.1))
+    assert alone._replace(machine=varied).machines == predictions.MACHINES
 
 
 def noisy_machines(rng, count, trials=20):
