@@ -398,10 +398,8 @@ def _corners(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
             f"sampling = 'corners' of {len(uncertainty)} names would be 2^{len(uncertainty)} "
             "machines; allowed are at most 16 names"
         )
-    ends = [d.corners() for d in uncertainty.values()]
-    corners = list(itertools.product(*ends))
-    points = np.array(corners).reshape(len(corners), len(uncertainty))  # one, of no parameters
-    return {name: points[:, i] for i, name in enumerate(uncertainty)}
+    points = [*itertools.product(*(d.corners() for d in uncertainty.values()))]
+    return dict(zip(uncertainty, np.array(points).T, strict=True))
 
 
 def need_ranges(machine: Tree, uncertainty: Uncertainty, drawn: Mapping[str, np.ndarray]) -> None:

@@ -209,15 +209,14 @@ def _header(lines: _Lines, names: Sequence[str]) -> tuple[list[str], list[tuple[
     if not cells:
         return [], []
     if all(map(is_number, filter(None, cells))):
-        number, data = lines.number, [cell for cell in cells if lines.separator or cell]
         above = lines.split(lines.comment)
-        header = above if len(above) == len(data) and not any(map(is_number, above)) else []
+        header = above if len(above) == len(cells) and not any(map(is_number, above)) else []
         if not header and not names:
             raise ValueError(
-                f"{lines.path} has no header: its line {number} holds {len(data)} numbers. Name "
-                "the columns in their order with --columns (columns), such as --columns t,u,y"
+                f"{lines.path} has no header: its line {lines.number} holds {len(cells)} numbers. "
+                "Name the columns in their order with --columns (columns), such as --columns t,u,y"
             )
-        return header, [(number, data)]
+        return header, [(lines.number, cells)]
     second = next(((n, row) for n, row in lines.rows()), None)
     if second is None or not _are_units(second[1]):
         return cells, [second] if second else []
