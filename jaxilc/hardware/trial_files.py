@@ -35,7 +35,6 @@ from ..identification.record_files import (
 )
 from ..learning.playback import unit_of
 from ..pytree.aliases import Leaf
-from ..pytree.closest import listed
 from ..pytree.in_short import in_short
 from ..pytree.ranges import brief
 from ..schemes import FFDLMFAILC, AtSamples, KeepUnmeasured, PIDType, Scheme
@@ -326,10 +325,7 @@ def _read_mat(
             continue
         if variable not in contents:
             if name in ("t", "y") or variable != name:
-                raise ValueError(
-                    f"{path} has no variable {brief(variable)}; present are {listed(contents)}; "
-                    f"{OPTIONS[name]} names another"
-                )
+                raise ValueError(missing(path, variable, contents, OPTIONS[name], "variable"))
             continue
         values = contents[variable]
         unit = units.get(variable)

@@ -112,13 +112,15 @@ def need_unit(path: str | Path, name: str, declared: str, wanted: str) -> None:
         )
 
 
-def missing(path: str | Path, name: str, present: Iterable[str], option: str = "") -> str:
-    """The message that a file has no such column.
+def missing(
+    path: str | Path, name: str, present: Iterable[str], option: str = "", what: str = "column"
+) -> str:
+    """The message that a file has no such column, or no such variable.
 
     option: what gives the name of another one, if anything does
     """
     other = f"; {option} names another" if option else ""
-    return f"{path} has no column {brief(name)}; present are {quoted(path, listed(present))}{other}"
+    return f"{path} has no {what} {brief(name)}; present are {quoted(path, listed(present))}{other}"
 
 
 def need_one(path: str | Path, headings: Sequence[str], at: int) -> None:
