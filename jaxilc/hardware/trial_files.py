@@ -242,25 +242,21 @@ def _read_text(
     headings = [name_and_unit(cell) for cell in header]
     names, units = [name for name, _ in headings], [unit for _, unit in headings]
     columns, used = {}, set()
-    if place_of_time(called["t"], header) is None and (given or SAMPLE in names):
-        counts = np.arange(len(rows))
-        if SAMPLE in names:
-            used.add(names.index(SAMPLE))
-            counts = np.array([numbers_in(row, [names.index(SAMPLE)])[0] for _, row in rows])
-        columns["t"] = dt * counts[:, None].astype(float), "s"
+
+    def values_in(at: Sequence[int]) -> np.ndarray:
+        used.update(at)
+        return np.array([numbers_in(row, at) for _, row in rows], float).reshape(-1, len(at))
+
+    if (time := place_of_time(called["t"], header)) is not None:
+        columns["t"] = values_in([time]), name_and_unit_of_time(header[time])[1]
+    elif SAMPLE in names:
+        columns["t"] = dt * values_in([names.index(SAMPLE)]), "s"
+    elif given:
+        columns["t"] = dt * np.arange(float(len(rows)))[:, None], "s"
     for name, (_, channels) in shapes.items():
-        if name in columns:
-            continue
-        time = place_of_time(called[name], header) if name == "t" else None
-        if time is not None:
-            values = np.array([numbers_in(row, [time]) for _, row in rows], float).reshape(-1, 1)
-            used.add(time)
-            columns[name] = values, name_and_unit_of_time(header[time])[1]
-            continue
-        at = _channels(path, name, channels, names, called[name])
+        at = None if name in columns else _channels(path, name, channels, names, called[name])
         if at is None:
             continue
-        used.update(at)
         for i in at:
             need_one(path, names, i)
         if len({plain_unit(units[i] or "") for i in at}) > 1:
@@ -268,8 +264,7 @@ def _read_text(
             raise ValueError(
                 f"{path}: the channels of {name} have the units {several}; allowed is one"
             )
-        values = [numbers_in(row, at) for _, row in rows]
-        columns[name] = np.array(values, float).reshape(-1, channels), units[at[0]]
+        columns[name] = values_in(at), units[at[0]]
     return _File(
         columns,
         [f"line {line}" for line, _ in rows],
@@ -321,10 +316,8 @@ def _read_mat(
             signal = read_mat_signals(path, called["t"], [variable], None, None)[0]
             contents[variable] = signal.values[:, None]
             columns.setdefault("t", (signal.times[:, None], "s"))
-        if name in columns and variable not in contents:
-            continue
         if variable not in contents:
-            if name in ("t", "y") or variable != name:
+            if name not in columns and (name in ("t", "y") or variable != name):
                 raise ValueError(missing(path, variable, contents, OPTIONS[name], "variable"))
             continue
         values = contents[variable]
