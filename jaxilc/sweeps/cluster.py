@@ -119,13 +119,12 @@ class Workers:
         The bytes are None if unknown; the worker is given as text.
         """
         sharing = Counter(found.host for found in self._found.values())
-        rooms = {
-            address: found.room(stored, sharing[found.host])
+        known = [
+            (room, f" on the worker {address}")
             for address, found in self._found.items()
-        }
-        known = {address: room for address, room in rooms.items() if room is not None}
-        least = min(known, key=lambda address: known[address], default=None)
-        return (None, "") if least is None else (known[least], f" on the worker {least}")
+            if (room := found.room(stored, sharing[found.host])) is not None
+        ]
+        return min(known, default=(None, ""))
 
     def chunk_bytes(self, names: tuple[str, ...], size: int) -> Iterator[tuple[str, int]]:
         """Name and `Host.bytes_of` of each scheme; several workers compile them at once."""
