@@ -251,30 +251,26 @@ def beyond_limits(
     """Check the next schedules against the input limit and the largest reference correction."""
     findings = []
     for name, schedule in schedules.items():
-        departure, unit, limits = schedule, task.input_unit, None
-        of_reference = kind(name) == "reference"
-        if of_reference:
-            unit, away = task.unit, from_references(schedule, task)
-            nearest = np.argmin(np.max(np.abs(away), axis=0), axis=-1)
-            departure = np.take_along_axis(away, nearest[None, :, None], axis=-1)[..., 0]
-            limits = (
-                None if rules.correction is None else np.full(schedule.shape[1], rules.correction)
-            )
+        departure, away, limits, option = schedule, "", None, "campaign.limit"
+        if kind(name) == "reference" and rules.correction is not None:
+            far = from_references(schedule, task)
+            nearest = np.argmin(np.max(np.abs(far), axis=0), axis=-1)
+            departure = np.take_along_axis(far, nearest[None, :, None], axis=-1)[..., 0]
+            away, option = " away from the task's", "campaign.largest_correction"
+            limits = np.full(schedule.shape[1], rules.correction)
         elif kind(name) in INPUTS:
             limits = rules.limits(actuator, schedule.shape[1])
+            if rules.limit is None:
+                option = (
+                    "machine.actuator.limit of the plant; --set campaign.limit=LARGER lets the "
+                    "machine clip it, or begin a campaign with a `limit` of the law, if it has one"
+                )
         if not np.all(np.isfinite(schedule)):
             k = int(np.argmin(np.isfinite(schedule).all(axis=1)))
             findings.append(Finding("refusal", f"the next {name} is not finite at sample {k}"))
         elif limits is not None and np.any(np.abs(departure) > limits):
             k, i = np.unravel_index(int(np.argmax(np.abs(departure) / limits)), schedule.shape)
-            option = "campaign.largest_correction" if of_reference else "campaign.limit"
-            if not of_reference and rules.limit is None:
-                option = (
-                    "machine.actuator.limit of the plant; --set campaign.limit=LARGER lets the "
-                    "machine clip it, or begin a campaign with a `limit` of the law, if it has one"
-                )
-            away = " away from the task's" if of_reference else ""
-            unit = spaced(unit)
+            unit = spaced(unit_of(name, task))
             text = (
                 f"the next {name} is {departure[k, i]:.6g}{unit}{away} at sample {k}; "
                 f"allowed are +-{limits[i]:g}{unit} ({option})"
@@ -296,7 +292,7 @@ def too_fast(
         shares = np.mean(slew > (1 + AT_LIMIT) * limits, axis=0)
         i = int(np.argmax(shares))
         if shares[i]:
-            most, unit = np.max(slew[:, i]), spaced(task.input_unit)
+            most, unit = np.max(slew[:, i]), spaced(unit_of(name, task))
             text = (
                 f"the next {name} changes by up to {most:.3g}{unit} a second, beyond the "
                 f"rate {limits[i]:g} of the actuator in {shares[i]:.2%} of the samples, so that "
