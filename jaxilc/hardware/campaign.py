@@ -302,13 +302,16 @@ class Campaign:
                     text += "has played again, up to the resolution of the encoder"
                     findings.append(Finding("note", text))
                     continue
-                text = f"{measured.source} is trial {entry['trial']}, {_known_as(entry)}"
+                known = "which was learned from already;"
                 again = "whose input a call without --measured writes once more"
                 if not entry["learned"]:
+                    undo = f"--undo {entry['trial'] - 1} forgets it, so that it can be learned from"
+                    known = f"which was looked at already; {undo}; or"
                     again += (
                         "; leave out a new trial that is the same up to the resolution of the "
                         "encoder: it tells nothing more"
                     )
+                text = f"{measured.source} is trial {entry['trial']}, {known}"
                 raise ValueError(f"{text} measure trial {number}, {again}")
         findings += checks.saturation(u[: measured.samples], self.actuator, self.rules)
         findings += checks.as_played(measured.others, played, self.actuator)
@@ -537,14 +540,6 @@ def refuse(findings: list[Finding]) -> None:
     texts = [f.text for f in findings if f.kind == "refusal"]
     if texts:
         raise ValueError("; ".join(texts))
-
-
-def _known_as(entry: Manifest) -> str:
-    """A text that says as which trial an entry is stored already."""
-    if entry["learned"]:
-        return "which was learned from already;"
-    undo = f"--undo {entry['trial'] - 1}"
-    return f"which was looked at already; {undo} forgets it, so that it can be learned from; or"
 
 
 def _same_file(entry: Manifest, source: str, hashes: dict[str, str]) -> bool:
