@@ -24,14 +24,14 @@ import scipy.linalg
 import scipy.optimize
 
 from ..learning.metrics import largest
-from ..pytree.aliases import Numbers, Tree
+from ..pytree.aliases import Tree
 from ..schemes import Scheme
 from ..signals.task import Task
 from ..theory.law import law_of, learning_law
 from ..tuning.risks import Mean, Risk
 from .candidates import impulse_response
 from .responses import Family
-from .window import Filters, Window, along, leads_of, moved_by
+from .window import Filters, Window, along, leads_of
 
 MEAN = Mean()
 EARLY = 0.1  # weight of the error of half as many trials
@@ -63,20 +63,18 @@ def by_response(
     early = ((max(2, (trials + 1) // 2), EARLY),) if trials > 2 else ()
     counted = ((trials, 1.0), *early)
     no_arrays: dict[str, Tree] = {"loops": [], "drawn": {}, "population": None}
-    problem = Problem(
-        family._replace(**no_arrays), start, window.of_L, window.of_keep, window.unit,
-        *window.responses(family.frequencies, task.dt),
-    )  # fmt: skip
-
+    # one program serves all windows of a size
+    problem = family._replace(**no_arrays), window._replace(limit=None), start
+    responses = window.responses(family.frequencies, task.dt)
     z, least = np.zeros(window.number_of_steps()), np.inf
     for of in dict.fromkeys((MEAN, risk)):  # the mean, which is smooth, leads near another risk
 
         def numbers(z, of=of):
-            value, slope = _value_and_slope(z, problem, below, counted, of)
+            value, slope = _value_and_slope(z, *problem, responses, below, counted, of)
             return float(value), np.asarray(slope, float)
 
         z, least = _lowest(numbers, z, steps)
-    return moved(window, start, z), least
+    return window.moved(start, z), least
 
 
 def _lowest(numbers, z, steps: int) -> tuple[np.ndarray, float]:
@@ -94,11 +92,6 @@ def _lowest(numbers, z, steps: int) -> tuple[np.ndarray, float]:
     return z, least
 
 
-def moved(window: Window, start: Filters, z) -> Filters:
-    """The taps after steps z along the directions of the window, first those of L."""
-    return moved_by(start, window.of_L, window.of_keep, z, window.unit)
-
-
 def sizes_of(family: Family, window: Window, filters: Filters, dt: float) -> np.ndarray:
     """(S, F) |keep - L P| of taps on a family, the largest singular value, and of all segments."""
     of_L, of_keep = window.responses(family.frequencies, dt)
@@ -108,28 +101,18 @@ def sizes_of(family: Family, window: Window, filters: Filters, dt: float) -> np.
     return family.sizes(keep, L)
 
 
-class Problem(NamedTuple):
-    """What the loss of steps z depends on; one program serves all windows of a size.
+def _loss(
+    z, family: Family, window: Window, start: Filters, responses, below: float, counted, risk: Risk
+):
+    """The loss of steps z from the taps of a start.
 
-    family: without its loops;  start: taps at z = 0;  of_L, of_keep, unit: as in `Window`
-    to_L, to_keep: from the taps to responses, as `Window.responses` has them
+    family: without its loops;  responses: those of `Window.responses`
+    counted: (trial, weight) of the errors that count
     """
-
-    family: Family
-    start: Filters
-    of_L: Numbers
-    of_keep: Numbers
-    unit: Numbers | None
-    to_L: Numbers
-    to_keep: Numbers
-
-
-def _loss(z, of: Problem, below: float, counted, risk: Risk):
-    """The loss of steps z. counted: (trial, weight) of the errors that count."""
-    filters = moved_by(of.start, of.of_L, of.of_keep, z, of.unit)
-    keep, L = along(of.to_keep, filters.keep), along(of.to_L, filters.L)
-    predicted = _of_numbers if of.family.P.ndim == 2 else of_matrices
-    size, squares = predicted(of.family, keep, L, tuple(j for j, _ in counted), NEAR)
+    filters, (of_L, of_keep) = window.moved(start, z), responses
+    keep, L = along(of_keep, filters.keep), along(of_L, filters.L)
+    predicted = _of_numbers if family.P.ndim == 2 else of_matrices
+    size, squares = predicted(family, keep, L, tuple(j for j, _ in counted), NEAR)
     total = sum(
         weight * 0.5 * risk(jnp.log(square))
         for (_, weight), square in zip(counted, squares, strict=True)

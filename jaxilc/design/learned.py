@@ -33,15 +33,7 @@ from ..tuning import Tuning
 from ..tuning.objectives import Final, Holding, Objective
 from ..tuning.risks import Mean, Risk
 from ..uncertainty import takes_population
-from .by_response import (
-    FirstTaps,
-    best_of_leads,
-    exchanged,
-    held,
-    moved,
-    radius_in_a_trial,
-    sizes_of,
-)
+from .by_response import FirstTaps, best_of_leads, exchanged, held, radius_in_a_trial, sizes_of
 from .candidates import Candidate, penalty
 from .judging import Proof, Question, Told, Verdict, judged_trials, proof_of
 from .responses import Family, under
@@ -354,7 +346,7 @@ class LearnedLaw(Question):
             told("tuning", (step, float(np.min(losses))))
 
         tuned = tuning.run(out, resume=resume and out.exists(), progress=tell)
-        return moved(window, start, np.array(list(tuned.values.values())))
+        return window.moved(start, np.array(list(tuned.values.values())))
 
 
 def _whole(values: Value, count: int | None = None) -> bool:

@@ -112,6 +112,22 @@ class Window(NamedTuple):
             found.append(z.ravel())
         return np.concatenate(found)
 
+    def moved(self, start: Filters, z) -> Filters:
+        """The taps after steps z along the directions, first those of L; also of tracers.
+
+        Of inputs that learn from no output in common, keep passes nothing from one to the other.
+        """
+        found, after, unit = [], 0, self.unit
+        shared = None if unit is None else (unit > 0) @ (unit > 0).T
+        for taps, of, factor in ((start.L, self.of_L, unit), (start.keep, self.of_keep, shared)):
+            axis = 0 if taps.ndim % 2 else 1
+            shape = (*taps.shape[:axis], of.shape[1], *taps.shape[axis + 1 :])
+            size = int(np.prod(shape))
+            steps = z[after : after + size].reshape(shape)
+            found.append(taps + along(of, steps if factor is None else steps * factor))
+            after += size
+        return Filters(*found)
+
     def of(self, filters: Filters) -> LearningFilter:
         """The scheme with these taps."""
         return LearningFilter(
@@ -131,23 +147,6 @@ def along(matrix, taps):
     front = taps if taps.ndim % 2 else taps.swapaxes(0, 1)
     found = (matrix @ front.reshape(front.shape[0], -1)).reshape(-1, *front.shape[1:])
     return found if taps.ndim % 2 else found.swapaxes(0, 1)
-
-
-def moved_by(start: Filters, of_L, of_keep, z, unit=None) -> Filters:
-    """The taps after steps z along directions as columns, first those of L; also of tracers.
-
-    Of inputs that learn from no output in common, keep passes nothing from one to the other.
-    """
-    found, after = [], 0
-    shared = None if unit is None else (unit > 0) @ (unit > 0).T
-    for taps, of, factor in ((start.L, of_L, unit), (start.keep, of_keep, shared)):
-        axis = 0 if taps.ndim % 2 else 1
-        shape = (*taps.shape[:axis], of.shape[1], *taps.shape[axis + 1 :])
-        size = int(np.prod(shape))
-        steps = z[after : after + size].reshape(shape)
-        found.append(taps + along(of, steps if factor is None else steps * factor))
-        after += size
-    return Filters(*found)
 
 
 def window_of(
@@ -239,9 +238,9 @@ class ShapedFilter(Scheme):
 
     def taps(self) -> LearningFilter:
         """The filter by its taps."""
-        start = Filters(self.L, self.keep)
-        L, keep = moved_by(start, self.of_L, self.of_keep, self.z, self.unit)
-        return LearningFilter(L, keep, self.limit, lead=self.lead, starts=self.starts)
+        directions = self.of_L, self.of_keep, self.unit
+        window = Window(self.lead, *directions, self.starts, self.limit)
+        return window.of(window.moved(Filters(self.L, self.keep), self.z))
 
     def segments(self) -> list[LearningFilter]:
         """As of a `LearningFilter`."""

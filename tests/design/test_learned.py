@@ -10,7 +10,7 @@ import pytest
 
 from jaxilc import Machine, Normal, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw, judging
-from jaxilc.design.by_response import FirstTaps, by_response, moved, sizes_of
+from jaxilc.design.by_response import FirstTaps, by_response, sizes_of
 from jaxilc.design.candidates import UNSAFE, Candidate, candidates, contraction, penalty
 from jaxilc.design.judging import Proof, _further
 from jaxilc.design.learned import Passed, better_of, gate, kept_or
@@ -105,7 +105,7 @@ def test_the_safe_law_beside_a_limited_one_is_limited_too(family, safe, monkeypa
 
 def test_the_steps_from_some_taps_to_others_lead_there(family, window, safe, found):
     held = window.holding(law_of(safe.scheme, TASK))
-    there = moved(window, found, window.steps(found, held))
+    there = window.moved(found, window.steps(found, held))
     for one, other in zip(there, held, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-9)
 
@@ -124,7 +124,7 @@ def test_a_tuning_begins_with_the_taps_of_less_loss(window, found, losses, best)
     problem = SimpleNamespace(start=dict.fromkeys(names), held_out_losses=held_out_losses)
     assert better_of(problem, window, *ends) is ends[best]
     for z, end in zip(asked, ends, strict=True):
-        np.testing.assert_allclose(moved(window, found, z).L, end.L, atol=1e-9)
+        np.testing.assert_allclose(window.moved(found, z).L, end.L, atol=1e-9)
 
 
 def test_by_response_beats_the_safe_law_and_keeps_the_bound(family, window, safe, found):

@@ -7,7 +7,7 @@ import pytest
 
 from jaxilc import Machine, Sensor, Task, Uniform
 from jaxilc.design import LearnedLaw
-from jaxilc.design.by_response import by_response, moved, of_matrices, sizes_of
+from jaxilc.design.by_response import by_response, of_matrices, sizes_of
 from jaxilc.design.judging import Proof
 from jaxilc.design.responses import designed_on, family_of
 from jaxilc.design.window import ShapedFilter, along, window_of
@@ -105,10 +105,10 @@ def test_steps_along_the_directions_lead_from_taps_to_taps_of_channels_and_segme
         window = window_of(family, TASK, (7, 5), starts=starts)
         start = window.nothing()
         z = RNG.standard_normal(window.number_of_steps())
-        there = moved(window, start, z)
+        there = window.moved(start, z)
         shaped = dataclasses.replace(ShapedFilter.around(window, start), z=z).taps()
         np.testing.assert_allclose(shaped.L, there.L, atol=1e-12)
-        back = moved(window, start, window.steps(start, there))
+        back = window.moved(start, window.steps(start, there))
         for one, other in zip(back, there, strict=True):
             np.testing.assert_allclose(one, other, atol=1e-9)
         assert there.L.shape == ((3,) if starts else ()) + (7, 2, 2)
