@@ -143,7 +143,7 @@ def best_of_grid(case: Case, family: Family) -> Scheme:
     laws = predicted_best(family, laws, dt, case.trials)
     few = max(1, int(4e7 / (len(loops) * case.task.N * 8)))  # at a time, to spare memory
     parts = [
-        rms_of(loops, family.first_error, laws[i : i + few], dt, case.trials, ORDER)
+        rms_of(loops, family.first_error, laws[i : i + few], dt, case.trials)
         for i in range(0, len(laws), few)
     ]
     errors = np.nan_to_num(np.concatenate(parts), nan=np.inf)

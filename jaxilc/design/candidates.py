@@ -82,16 +82,21 @@ def candidates(
     names: Sequence[str],
 ) -> Iterator[Candidate | Absent]:
     """Each of the laws of these names with its safe weights, or the reason why it has none."""
+    within = "" if feedback is None else "learning."
     for name in names:
-        found = LAWS[name](family, feedback, task, trials, margin)
-        yield Absent(name, found) if isinstance(found, str) else found._replace(name=name)
+        found = LAWS[name](family, task, trials, margin)
+        if isinstance(found, str):
+            yield Absent(name, found)
+            continue
+        bounds = {within + weight: ends for weight, ends in found.bounds.items()}
+        yield found._replace(name=name, scheme=under(found.scheme, feedback), bounds=bounds)
 
 
-# The laws, each with its safe weights, or why it has none
+# The laws without feedback, each with its safe weights, or why it has none
 # --------------------------------------------------------------------------------------------------
 
 
-def pd_type(family, feedback, task, trials, margin, *, derivative=True) -> Candidate | str:
+def pd_type(family, task, trials, margin, *, derivative=True) -> Candidate | str:
     """Q (u + z^(1 + lead) (gamma_p + gamma_d (1 - z^-1)) e); P-type without the derivative."""
     if _sign(family) == 0:
         return _NO_SIGN
@@ -101,10 +106,10 @@ def pd_type(family, feedback, task, trials, margin, *, derivative=True) -> Candi
     names = ("gamma_p", "gamma_d")[: 1 + derivative]
     bounds = {f"scheme.{w}": _around(found.weights[w]) for w in names}
     words = f"{'PD' if derivative else 'P'}-type with lead and filter"
-    return _candidate(words, _pid_type(found, names), found, feedback, bounds, task, family.highest)
+    return _candidate(words, _pid_type(found, names), found, bounds, family, task)
 
 
-def p_type_notch(family, feedback, task, trials, margin) -> Candidate | str:
+def p_type_notch(family, task, trials, margin) -> Candidate | str:
     """Q (u + gamma_p z^(1 + lead) F e), where F stops the band of the highest resonance"""
     band = resonance_band(family, task.dt)
     if band is None:
@@ -132,10 +137,10 @@ def p_type_notch(family, feedback, task, trials, margin) -> Candidate | str:
         ),
     }
     words = "P-type with lead, a notch around the resonance, and filter"
-    return _candidate(words, learning, best, feedback, bounds, task, family.highest)
+    return _candidate(words, learning, best, bounds, family, task)
 
 
-def model_inverse(family, feedback, task, trials, margin) -> Candidate | str:
+def model_inverse(family, task, trials, margin) -> Candidate | str:
     """u' = Q u + gamma (Q P^-1) e, with the stable inverse of the nominal loop.
 
     Q P^-1 is one filter. If P^-1 came first and was cut off at the end of the trial, as in
@@ -163,12 +168,11 @@ def model_inverse(family, feedback, task, trials, margin) -> Candidate | str:
             why = str(error)
             continue
         words = f"model inverse with a filter as one, gain = {gain:.3g}, cutoff = {cutoff:.4g} Hz"
-        scheme = under(law, feedback)
-        return Candidate("", words, scheme, {}, found[0].largest, found[0].predicted)
+        return Candidate("", words, law, {}, found[0].largest, found[0].predicted)
     return why
 
 
-def norm_optimal(family, feedback, task, trials, margin) -> Candidate | str:
+def norm_optimal(family, task, trials, margin) -> Candidate | str:
     """Q argmin |e|^2 + w_r |u' - u|^2 + w_s |u'|^2, by the nominal loop"""
     G = family.P[0]
     size = float(np.max(np.abs(G))) ** 2
@@ -188,7 +192,7 @@ def norm_optimal(family, feedback, task, trials, margin) -> Candidate | str:
     learning = NormOptimal(_model(family, task), w_r=weights["w_r"], w_s=weights["w_s"])
     bounds = {f"scheme.{w}": (value / FREER, value * FREER) for w, value in weights.items()}
     words = "norm-optimal by the nominal model, with a filter"
-    return _candidate(words, learning, found, feedback, bounds, task, family.highest)
+    return _candidate(words, learning, found, bounds, family, task)
 
 
 LAWS: dict[str, Callable[..., Candidate | str]] = {
@@ -235,14 +239,12 @@ def _pid_type(found: Found, names: Sequence[str]) -> PIDType:
     return PIDType(**{w: found.weights[w] for w in names}, lead=int(found.weights["lead"]))
 
 
-def _candidate(words, learning, found: Found, feedback, bounds, task, highest: float) -> Candidate:
-    """A law under the robustness filter whose cutoff was found, with a bound of it at most."""
+def _candidate(words, learning, found: Found, bounds, family, task) -> Candidate:
+    """A law under the robustness filter whose cutoff was found."""
     cutoff = found.weights["cutoff"]
     scheme = Filtered(learning, ZeroPhaseButterworth(cutoff=cutoff, order=ORDER))
-    bounds["filter.cutoff"] = (cutoff / WIDER, min(cutoff * WIDER, 0.49 / task.dt, highest))
-    if feedback is not None:
-        bounds = {f"learning.{weight}": ends for weight, ends in bounds.items()}
-    return Candidate("", words, under(scheme, feedback), bounds, found.largest, found.predicted)
+    bounds["filter.cutoff"] = (cutoff / WIDER, min(cutoff * WIDER, 0.49 / task.dt, family.highest))
+    return Candidate("", words, scheme, bounds, found.largest, found.predicted)
 
 
 def _around(value: float) -> tuple[float, float]:
@@ -337,7 +339,7 @@ def best_simulated(
     quiet = family._replace(error=0 * family.error)
 
     def errors_of(laws):
-        errors = rms_of(loops, family.first_error, laws, task.dt, trials, ORDER)
+        errors = rms_of(loops, family.first_error, laws, task.dt, trials)
         noise = [np.max(quiet.rms(*_responses(family, law, task.dt), trials)) for law in laws]
         return np.nan_to_num(np.hypot(np.max(errors, axis=1), noise), nan=np.inf)
 
@@ -403,12 +405,7 @@ def response_of_pd(family: Family, law, dt: float) -> np.ndarray:
 
 
 def rms_of(
-    loops: Sequence[Loop],
-    error,
-    laws: Sequence[dict[str, float]],
-    dt: float,
-    trial: int,
-    order: int,
+    loops: Sequence[Loop], error, laws: Sequence[dict[str, float]], dt: float, trial: int
 ) -> np.ndarray:
     """(laws, S) root mean square error of a trial, over its samples after the first.
 
@@ -429,7 +426,7 @@ def rms_of(
     P = scipy.fft.rfft(np.stack([impulse_response(loop, N) for loop in loops]), size)
     cutoffs = np.array([law["cutoff"] for law in laws])
     lines = np.arange(N) / (2 * N * dt)
-    Q = low_pass(lines, cutoffs[:, None], dt, order)[:, None]
+    Q = low_pass(lines, cutoffs[:, None], dt, ORDER)[:, None]
     angles = np.pi / 2 * np.arange(N + 1) / (N + 1)
     F = np.stack([notch_of(law, angles, dt) for law in laws])[:, None]
     u = np.zeros((len(laws), len(loops), N))

@@ -101,9 +101,7 @@ def test_the_search_around_the_best_law_keeps_the_margin_and_lowers_the_error(fa
     start = Found({"gamma_p": 0.2 / size, "gamma_d": 0.0, "lead": 1, "cutoff": 20.0}, np.inf, 0.0)
     found = best_simulated(family, [start], TASK, TRIALS, MARGIN)
     laws = [start.weights, found.weights]
-    before, after = np.max(
-        rms_of(family.loops, family.first_error, laws, DT, TRIALS, ORDER), axis=1
-    )
+    before, after = np.max(rms_of(family.loops, family.first_error, laws, DT, TRIALS), axis=1)
     assert after < 0.5 * before
     Q = low_pass(f, found.weights["cutoff"], DT, ORDER)
     L = found.weights["gamma_p"] * np.exp(2j * np.pi * f * DT * (1 + found.weights["lead"]))
@@ -338,9 +336,8 @@ def test_laws_simulated_by_transforms_learn_as_schemes_do(family, safe):
         {"gamma_p": 0.2, "gamma_d": 1.1, "lead": 0, "cutoff": 35.0},
         {"gamma_p": 0.3, "gamma_d": 0.0, "lead": 7, "cutoff": 90.0, "low": 70.0, "high": 200.0},
     ]
-    found = rms_of(
-        [family.loops[i] for i in machines], TASK.reference[:, 0], laws, DT, TRIALS, order=2
-    )
+    loops = [family.loops[i] for i in machines]
+    found = rms_of(loops, TASK.reference[:, 0], laws, DT, TRIALS)
     for row, law in zip(found, laws, strict=True):
         gains = PIDType(gamma_p=law["gamma_p"], gamma_d=law["gamma_d"], lead=law["lead"])
         if "low" in law:
