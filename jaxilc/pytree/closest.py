@@ -62,16 +62,16 @@ def not_one_of(what: str, given: object, known: Iterable[str]) -> str:
     return f"{what} is unknown; {known_names(given, names)}"
 
 
-def listed(names: Iterable[object], none: str = "none") -> str:
+def listed(names: Iterable[object]) -> str:
     """Names with commas between them; where they would fill pages, the first and how many follow.
 
-    none: the text for no names
+    It is `none` for no names.
     """
     texts = [text if len(text) <= LONGEST else f"{text[:LONGEST]} ..." for text in map(str, names)]
     ends = list(accumulate(len(text) + 2 for text in texts))
     shown = texts[: max(1, sum(end <= ROOM for end in ends))]
     left = len(texts) - len(shown)
-    return (", ".join(shown) + f" and {left} more" * bool(left)) or none
+    return (", ".join(shown) + f" and {left} more" * bool(left)) or "none"
 
 
 def _plain(name: str) -> str:

@@ -128,6 +128,7 @@ def pytree(cls: type[T]) -> type[T]:
     fields = dataclasses.fields(made)
     children = tuple(f.name for f in fields if kind_of(f) != "static")
     statics = tuple(f.name for f in fields if kind_of(f) == "static")
+    both = (*children, *statics)
 
     def flatten(tree: Tree) -> tuple[Tree, Tree]:
         return tuple(getattr(tree, n) for n in children), tuple(getattr(tree, n) for n in statics)
@@ -138,9 +139,7 @@ def pytree(cls: type[T]) -> type[T]:
 
     def unflatten(aux: Value, values: Value) -> Value:
         tree = object.__new__(made)
-        for name, value in zip(children, values, strict=True):
-            object.__setattr__(tree, name, value)
-        for name, value in zip(statics, aux, strict=True):
+        for name, value in zip(both, (*values, *aux), strict=True):
             object.__setattr__(tree, name, value)
         return tree
 
