@@ -9,15 +9,17 @@ import time
 from pathlib import Path
 from typing import Any
 
+from pages import anchor_of
+
 PAGE = Path(__file__).parent / "gallery.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```$|^## ([^\n]*)$", re.MULTILINE | re.DOTALL)
 OVERVIEW = "<!-- pictures -->"
 
 
-def write(folder: Path) -> bool:
+def write(folder: Path) -> list[str]:
     """Execute the blocks of the page in order, and write it with a picture above each of them.
 
-    A block that makes `axes` has a figure. Returns that there is a page.
+    A block that makes `axes` has a figure. Returns the name of the page.
     """
     import matplotlib.pyplot as plt
 
@@ -47,7 +49,7 @@ def write(folder: Path) -> bool:
         whole.replace(OVERVIEW, ":::{container} thumbs\n" + "".join(small) + ":::"),
         encoding="utf-8",
     )
-    return True
+    return ["gallery"]
 
 
 def _draw(axes: Any, place: Path) -> None:
@@ -59,11 +61,6 @@ def _draw(axes: Any, place: Path) -> None:
     figure.savefig(f"{place}.png", dpi=90)
     darken(figure)
     figure.savefig(f"{place}-dark.png", dpi=90)
-
-
-def anchor(title: str) -> str:
-    """The anchor of a heading, as `pages.anchors` makes it."""
-    return re.sub(r"[^\w\- ]", "", title).strip().lower().replace(" ", "-")
 
 
 def shown(name: str, title: str) -> str:
@@ -81,4 +78,4 @@ def thumb(name: str, title: str) -> str:
         f'<img class="{page}" src="{place}{of}.png" alt="{title}">'
         for page, of in (("only-light", ""), ("only-dark", "-dark"))
     )
-    return f'<a href="#{anchor(title)}">{pictures}</a>\n'
+    return f'<a href="#{anchor_of(title)}">{pictures}</a>\n'

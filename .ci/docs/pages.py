@@ -50,10 +50,9 @@ HEADING = re.compile(r"^#+ +(.*)$", re.MULTILINE)
 COMMENT = re.compile(r"^[ >*+-]*%.*$", re.MULTILINE)  # also amid a paragraph, or in a list
 
 
-def anchors(text: str) -> set[str]:
-    """The anchors of a Markdown text: one for each heading, in lower case, spaces as hyphens."""
-    headings = HEADING.findall(FENCED.sub("", text))
-    return {re.sub(r"[^\w\- ]", "", h).strip().lower().replace(" ", "-") for h in headings}
+def anchor_of(heading: str) -> str:
+    """The anchor of a heading: in lower case, spaces as hyphens."""
+    return re.sub(r"[^\w\- ]", "", heading).strip().lower().replace(" ", "-")
 
 
 def need_whole(file: str, text: str) -> str:
@@ -92,7 +91,8 @@ def links(file: str) -> list[tuple[str, str, str]]:
         leads = posixpath.normpath(posixpath.join(posixpath.dirname(file), path)) if path else file
         if not (ROOT / leads).exists():
             raise ValueError(f"{file}: the link {target} leads to {leads}, which is not there")
-        if anchor and anchor not in anchors((ROOT / leads).read_text(encoding="utf-8")):
+        text = (ROOT / leads).read_text(encoding="utf-8") if anchor else ""
+        if anchor and anchor not in map(anchor_of, HEADING.findall(FENCED.sub("", text))):
             raise ValueError(f"{file}: the link {target} leads to a heading that is not there")
         found.append((target, leads, anchor))
     return found
@@ -122,18 +122,10 @@ def linked(file: str) -> str:
     return LINK.sub(to_page, need_whole(file, written(file)))
 
 
-def write(
-    folder: Path,
-    notebooks: list[str],
-    api: list[str],
-    gallery: bool,
-    papers: list[str],
-    live: str = "",
-) -> None:
+def write(folder: Path, made: dict[str, list[str]], live: str) -> None:
     """Write all pages of the guide as sources into a folder, the start page with the contents.
 
-    notebooks, api, papers: names of the pages of the notebooks, of the modules and of the papers
-    gallery: whether there is a page `gallery`
+    made: names of further pages by the title of their part
     live: what the start page shows of the live page
     Raises ValueError as `linked`.
     """
@@ -143,10 +135,7 @@ def write(
         path.write_text(linked(file), encoding="utf-8")
     shutil.copytree(ROOT / PICTURES, folder / "pictures", dirs_exist_ok=True)
     trees = {title: [f"guide/{name}" for name in names] for title, names in CHAPTERS.items()}
-    trees["Tutorials"] = notebooks
-    trees["Papers"] = papers
-    trees["Figures"] = ["gallery"] if gallery else []
-    trees["API"] = api
+    trees |= made
     trees["Inside"] = [f"guide/{name}" for name in ("design", "map", "contributing", "changelog")]
     start = folder / "index.md"
     text = start.read_text(encoding="utf-8")

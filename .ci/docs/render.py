@@ -50,6 +50,7 @@ def notebooks_in(folder: Path, *, execute: bool) -> list[str]:
 
 def main(out: Path | None) -> int:
     """Gather the sources in a folder of their own, and build them."""
+    drawn = out is not None
     with tempfile.TemporaryDirectory() as staged:
         source = Path(staged) / "source"
         source.mkdir()
@@ -59,24 +60,22 @@ def main(out: Path | None) -> int:
         for name in ("pages.css", "pages.js"):
             shutil.copy(HERE / name, source / "_static")
         (source / "_extra").mkdir()
-        if out is not None:
+        if drawn:
             live.write(source / "_extra")
-        drawn = gallery.write(source) if out is not None else False
-        tutorials = notebooks_in(
-            source, execute=out is not None and "JAXILC_FAST" not in os.environ
-        )
-        of_papers = papers.write(source) if out is not None else []
-        shown = live.SHOWN if out is not None else ""
-        pages.write(source, tutorials, api.write(source), drawn, of_papers, shown)
+        figures = gallery.write(source) if drawn else []
+        made = {
+            "Tutorials": notebooks_in(source, execute=drawn and "JAXILC_FAST" not in os.environ),
+            "Papers": papers.write(source) if drawn else [],
+            "Figures": figures,
+            "API": api.write(source),
+        }
+        pages.write(source, made, live.SHOWN if drawn else "")
         plant_file.extend(source / "guide" / "plant_file.md")
-        if out is not None:
+        if drawn:
             printer.extend(source / "guide" / "printer.md")
         built = Path(staged) / "built"
-        kind = "html" if out is not None else "dummy"
-        tagged = ["-t", "pages"] if out is not None else []
-        code = build_main(
-            ["-b", kind, *tagged, "-q", "-W", "--keep-going", str(source), str(built)]
-        )
+        kind = ["html", "-t", "pages"] if drawn else ["dummy"]
+        code = build_main(["-b", *kind, "-q", "-W", "--keep-going", str(source), str(built)])
         if code == 0 and out is not None:
             pages.check_built(built)
             shutil.rmtree(out, ignore_errors=True)
