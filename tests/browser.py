@@ -14,12 +14,10 @@ from matplotlib import image
 CHROMIUM = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 )
-SILENT = (
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-quic",
+HEADLESS = (
+    *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update"),
+    *("--disable-sync", "--disable-quic"),
 )
 # Wheels cannot hold a browser, so the pinned versions do not give it.
 needs_chromium = pytest.mark.skipif(
@@ -27,34 +25,26 @@ needs_chromium = pytest.mark.skipif(
 )
 
 
+def seen(page, folder, *options):
+    """Let a browser open a page and end; return what it prints."""
+    command = [*HEADLESS, f"--user-data-dir={folder / 'profile'}", *options, page.as_uri()]
+    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=120).stdout
+
+
 def photographed(page, folder):
     """Return what a browser shows of a page, (rows, columns, 3) in 0..255."""
     shot = folder / "shot.png"
-    command = [
-        CHROMIUM,
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        *SILENT,
-        f"--user-data-dir={folder / 'profile'}",
-    ]
-    subprocess.run(
-        [*command, "--window-size=900,1400", f"--screenshot={shot}", page.as_uri()],
-        check=True,
-        capture_output=True,
-        timeout=60,
-    )
+    seen(page, folder, "--window-size=900,1400", f"--screenshot={shot}")
     return np.round(255 * image.imread(shot)[:, :, :3]).astype(int)
 
 
 @contextlib.contextmanager
 def looking_at(address, folder, *options):
     """A context in which a browser has a page open."""
-    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", *SILENT, *options]
     profile = f"--user-data-dir={folder / 'profile'}"
     debugging = "--remote-debugging-port=0"  # keeps the browser open
     with subprocess.Popen(
-        [*command, profile, debugging, address],
+        [*HEADLESS, *options, profile, debugging, address],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     ) as browser:
@@ -78,16 +68,6 @@ def opened(page, folder, script):
     )
     body, _, end = text.rpartition("</body>")  # the library has this text, too
     (folder / "asked.html").write_text(body + asking + end, encoding="utf-8")
-    found = subprocess.run(
-        [
-            *(CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"),
-            *(f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=8000"),
-            (folder / "asked.html").as_uri(),
-        ],
-        check=True,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    ).stdout
+    found = seen(folder / "asked.html", folder, "--dump-dom", "--virtual-time-budget=8000")
     said = html.unescape(re.search(r"<title>said:(.*?)</title>", found, re.DOTALL).group(1))
     return json.loads(said)

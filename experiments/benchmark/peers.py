@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -293,17 +293,9 @@ def c_program(threads: int, target: str = "native") -> Peer:
     Raises FileNotFoundError where there is no compiler, and OSError where it cannot build the
     program.
     """
-    loaded = _library("limit.c", target)
-
-    def run(problem: Problem) -> np.ndarray:
-        law = loaded.cfdl if len(problem.phi0) == 1 else loaded.ffdl
-        metrics = np.empty((len(problem.b), problem.trials, 4))
-        _filled(
-            "limit.c", partial(law, *_sizes(problem), problem.settled, threads), problem, metrics
-        )
-        return metrics
-
-    return run
+    return _of_library(
+        "limit.c", target, lambda of: (of.settled, threads), lambda of: (len(of.b), of.trials, 4)
+    )
 
 
 def c_adjoint(threads: int, target: str = "native") -> Peer:
@@ -312,15 +304,9 @@ def c_adjoint(threads: int, target: str = "native") -> Peer:
     Its result (S, 1+P) is the mean square error of the last trial of each plant, with the slopes
     by lam, rho, eta, mu and the components of phi0. Raises as `c_program` does.
     """
-    loaded = _library("adjoint.c", target)
-
-    def run(problem: Problem) -> np.ndarray:
-        law = loaded.cfdl if len(problem.phi0) == 1 else loaded.ffdl
-        slopes = np.empty((len(problem.b), 5 + len(problem.phi0)))
-        _filled("adjoint.c", partial(law, *_sizes(problem), threads), problem, slopes)
-        return slopes
-
-    return run
+    return _of_library(
+        "adjoint.c", target, lambda of: (threads,), lambda of: (len(of.b), 5 + len(of.phi0))
+    )
 
 
 def target_of_c(target: str = "native") -> Target:
@@ -331,18 +317,29 @@ def target_of_c(target: str = "native") -> Target:
     return Target(*(text.decode() for text in texts if text), lanes)
 
 
-def _sizes(problem: Problem) -> tuple[int, int, int]:
-    return len(problem.b), problem.trials, len(problem.r) - 1
+def _of_library(
+    name: str,
+    target: str,
+    more: Callable[[Problem], tuple[int, ...]],
+    shape: Callable[[Problem], tuple[int, ...]],
+) -> Peer:
+    """What a program in C computes, whose functions take `more` numbers after the sizes."""
+    loaded = _library(name, target)
 
+    def run(problem: Problem) -> np.ndarray:
+        law = loaded.cfdl if len(problem.phi0) == 1 else loaded.ffdl
+        found = np.empty(shape(problem))
+        arrays = [
+            np.ascontiguousarray(x, float)
+            for x in (problem.a, problem.b, problem.r, problem.weights, problem.phi0)
+        ]
+        sizes = len(problem.b), problem.trials, len(problem.r) - 1
+        places = (ctypes.c_void_p(x.ctypes.data) for x in (*arrays, found))
+        if law(*sizes, *more(problem), *places):
+            raise MemoryError(f"{name} could not allocate its tiles")
+        return found
 
-def _filled(name: str, law: Callable[..., int], problem: Problem, found: np.ndarray) -> None:
-    """Let a function of a program in C write its results into the array `found`."""
-    arrays = [
-        np.ascontiguousarray(x, float)
-        for x in (problem.a, problem.b, problem.r, problem.weights, problem.phi0)
-    ]
-    if law(*(ctypes.c_void_p(x.ctypes.data) for x in (*arrays, found))):
-        raise MemoryError(f"{name} could not allocate its tiles")
+    return run
 
 
 @cache
