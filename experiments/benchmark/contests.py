@@ -25,6 +25,7 @@ from jaxilc.native.program import Unknown
 from jaxilc.native.run import Compiled
 from jaxilc.plants import InBlocks
 from jaxilc.pytree.named_paths import replaced
+from jaxilc.pytree.ranges import require
 from jaxilc.runtime.capacity import check_size
 from jaxilc.runtime.lanes import usual_lanes
 from jaxilc.runtime.tiles import tiled
@@ -107,8 +108,7 @@ def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
         ("trials", trials, 1),
         ("samples", samples, 4),
     ):
-        if value < least:
-            raise ValueError(f"bench: {name} = {value} is outside its allowed range [{least}, inf)")
+        require("bench", name, value, f"[{least}, inf)")
     need_room(plants, trials, samples)
     chosen = scenarios.load("cao-2019", reading="amplitude")
     task = Task(sinusoid(samples, chosen.task.dt), dt=chosen.task.dt)

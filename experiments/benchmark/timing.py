@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxilc.pytree.ranges import require
 from jaxilc.runtime.provenance import environment
 
 OURS = "jaxilc"
@@ -97,8 +98,7 @@ def in_turns(
         `agreement_with_ours`
     Raises ArithmeticError where numbers differ, and ValueError for repeats < 1.
     """
-    if repeats < 1:
-        raise ValueError(f"bench: repeats = {repeats} is outside its allowed range [1, inf)")
+    require("bench", "repeats", repeats, "[1, inf)")
     results, firsts, peaks = {}, {}, {}
     for name, entry in entries.items():
         peak, start = _Peak(), time.perf_counter()
