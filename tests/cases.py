@@ -455,30 +455,20 @@ SCHEMES = {
 }
 
 # What is simulated: every scheme on a plant with the right shape, and every plant under a scheme.
-_PLANT_OF = {
-    "p_type_on_table": "motor_and_table",
-    "norm_optimal": "mimo",
-    "cross_coupled": "mimo",
-    "norm_optimal_lifted": "discrete",
-    "constrained": "discrete",
-    "gradient": "discrete",
-    "model_free": "motor_and_table",
-    "estimated_disturbance": "mimo",
-    "two_step": "pendulum",
-    "basis_functions": "mimo",
-    "basis_gradient": "discrete",
-    "position_basis": "discrete",
-    "at_samples": "discrete",
-    "basis_rational": "discrete",
-    "inverses": "discrete",
-    "dilc": "motor_and_table",
-    "milc": "motor_and_table",
-    **dict.fromkeys(("smc", "smc_hold_limited", "asmc", "asmc_carried_limited", "ilc_asmc"), "arx"),
+_SIMULATED_ON = {
+    "arx": ("smc", "smc_hold_limited", "asmc", "asmc_carried_limited", "ilc_asmc"),
+    "discrete": (
+        *("norm_optimal_lifted", "constrained", "gradient", "basis_gradient", "position_basis"),
+        *("at_samples", "basis_rational", "inverses"),
+    ),
+    "mimo": ("norm_optimal", "cross_coupled", "estimated_disturbance", "basis_functions"),
+    "motor_and_table": ("p_type_on_table", "model_free", "dilc", "milc"),
+    "pendulum": ("two_step",),
 }
+_PLANT_OF = {name: plant for plant, names in _SIMULATED_ON.items() for name in names}
 _SCHEME_OF = {
     "motor_and_table": OnOutputs(PID(kp=0.5, kd=1e-4), (0,)),
-    "ball_screw": OnOutputs(PID(kp=6.0, kd=1e-3), (0,)),
-    "ball_screw_real": OnOutputs(PID(kp=6.0, kd=1e-3), (0,)),
+    **dict.fromkeys(("ball_screw", "ball_screw_real"), OnOutputs(PID(kp=6.0, kd=1e-3), (0,))),
 }
 _FEW = {
     "at_samples",

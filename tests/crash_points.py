@@ -13,14 +13,7 @@ import threading
 from contextlib import contextmanager
 from pathlib import Path
 
-CHANGES = {
-    "os.mkdir": 0,
-    "os.rename": 0,
-    "os.remove": 0,
-    "os.rmdir": 0,
-    "os.link": 0,
-    "os.truncate": 0,
-}
+CHANGES = {"os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.truncate"}
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 

@@ -292,10 +292,6 @@ def test_the_simplest_of_equal_laws_is_first_and_lost_ones_are_left_out():
 # --------------------------------------------------------------------------------------------------
 
 
-class Enough(Exception):
-    """Raised where a test has seen what it wants."""
-
-
 @pytest.mark.usefixtures("compiled_once", "tuned_by_one_program")
 def test_a_design_that_is_resumed_recommends_the_same_law(tmp_path):
     machine = Machine(StateSpace([[0.86]], [[0.28]], [[1.0]], dt=DT))
@@ -309,10 +305,10 @@ def test_a_design_that_is_resumed_recommends_the_same_law(tmp_path):
         stages.append(stage)
         if stage == "proving":
             laws.append(json.dumps(str(what.scheme)))
-            raise Enough  # tests/cli/test_cli_design.py goes on to the end
+            raise InterruptedError  # tests/cli/test_cli_design.py goes on to the end
 
     for resume in (False, True):
-        with pytest.raises(Enough):
+        with pytest.raises(InterruptedError):
             asked.run(tmp_path / "state", resume=resume, told=told)
     order = ["safe", "tuning", "tuned", "judging", "judged", "proving"]
     assert list(dict.fromkeys(stages)) == order

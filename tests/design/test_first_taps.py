@@ -30,14 +30,14 @@ RESONANT, SHARP = resonant_machine(0.02), resonant_machine(0.015)
 SPREAD = {"plant.frequencies[1]": Uniform(0.85, 1.15, relative=True)}
 
 
+def of(machine, spread, besides=None, **drawn):
+    population = designed_on(machine, spread, **drawn)
+    return family_of(population, None, TASK, points=60, taps=21, besides=besides)
+
+
 @pytest.fixture(scope="module")
 def lag():
-    return family_of(designed_on(LAG, {}), None, TASK, points=60, taps=21)
-
-
-@pytest.fixture(scope="module")
-def resonant():
-    return family_of(designed_on(RESONANT, SPREAD, machines=2), None, TASK, points=60, taps=21)
+    return of(LAG, {})
 
 
 def test_a_slow_pole_delays_what_is_slow_and_its_inverse_lies_at_the_start(lag):
@@ -96,15 +96,11 @@ def test_of_the_leads_one_with_safe_ends_is_taken_and_of_these_the_best(lag, mon
 @pytest.mark.thorough
 def test_machines_between_those_of_a_family_join_it_until_none_breaks_the_bound():
     def joined(besides):
-        return family_of(
-            designed_on(SHARP, SPREAD, machines=2), None, TASK, points=60, taps=21, besides=besides
-        )
+        return of(SHARP, SPREAD, besides, machines=2)
 
     resonant = joined({})
     window = window_of(resonant, TASK, (21, 11))
-    watch = family_of(
-        designed_on(SHARP, SPREAD, machines=33, seed=4), None, TASK, points=60, taps=21
-    )
+    watch = of(SHARP, SPREAD, machines=33, seed=4)
     args = (TASK, TRIALS, BELOW)
     alone, _ = by_response(resonant, window, window.nothing(), *args)
     assert sizes_of(watch, window, alone, DT).max() > BELOW + 0.1
@@ -121,7 +117,8 @@ def test_machines_between_those_of_a_family_join_it_until_none_breaks_the_bound(
 
 
 @pytest.mark.thorough
-def test_another_risk_makes_the_worst_machines_better(resonant):
+def test_another_risk_makes_the_worst_machines_better():
+    resonant = of(RESONANT, SPREAD, machines=2)
     window = window_of(resonant, TASK, (21, 11))
     args = (resonant, window, window.nothing(), TASK, TRIALS, BELOW)
     to_L, to_keep = window.responses(resonant.frequencies, DT)

@@ -247,10 +247,6 @@ def test_a_law_is_refused_in_a_task_of_another_sample_time(window, found):
         law.check(Task(np.zeros(121), dt=DT / 2))
 
 
-class Enough(Exception):
-    """Raised where a test has seen what it wants."""
-
-
 @pytest.mark.usefixtures("compiled_once", "tuned_by_one_program")
 def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, monkeypatch):
     monkeypatch.setattr("jaxilc.design.learned.DENSE", 3)
@@ -269,10 +265,10 @@ def test_a_run_that_was_killed_and_is_resumed_learns_the_same_taps(tmp_path, mon
             shutil.copytree(whole, killed)  # what a run that is killed now leaves
         if stage == "gate":
             passed.append(what)
-            raise Enough
+            raise InterruptedError
 
     for folder, resume in ((whole, False), (killed, True)):
-        with pytest.raises(Enough):
+        with pytest.raises(InterruptedError):
             asked.run(folder, resume=resume, told=told)
     for one, other in zip(passed[0].filters, passed[1].filters, strict=True):
         np.testing.assert_array_equal(one, other)
