@@ -103,12 +103,9 @@ def setting(scheme: str, plants: int, trials: int, samples: int) -> Setting:
     """
     if scheme not in SCHEMES:
         raise ValueError(f"bench: scheme = {scheme!r} is not one of {', '.join(SCHEMES)}")
-    for name, value, least in (
-        ("plants", plants, 1),
-        ("trials", trials, 1),
-        ("samples", samples, 4),
-    ):
-        require("bench", name, value, f"[{least}, inf)")
+    require("bench", "plants", plants, "[1, inf)")
+    require("bench", "trials", trials, "[1, inf)")
+    require("bench", "samples", samples, "[4, inf)")
     need_room(plants, trials, samples)
     chosen = scenarios.load("cao-2019", reading="amplitude")
     task = Task(sinusoid(samples, chosen.task.dt), dt=chosen.task.dt)

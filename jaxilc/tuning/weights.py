@@ -57,44 +57,46 @@ class Bijection:
     def of(cls, low: float, high: float, start: float) -> Bijection:
         """The map that reaches a start, however near to an end, unless it lies on the end."""
         whole = cls(low, high, abs(start) or 1.0)
-        if not np.isfinite([low, high]).all():
+        if len(whole._ends) < 2:
             return whole
         share = whole._share(start)
         margin = min(MARGIN, min(share, 1.0 - share) / 20) or MARGIN
         rounding = float(jnp.finfo(jnp.result_type(float)).eps)
         return dataclasses.replace(whole, margin=max(margin, rounding))
 
+    @property
+    def _ends(self) -> tuple[tuple[float, float], ...]:
+        """The finite ends, each with the sign of the direction into the interval."""
+        both = (self.low, 1.0), (self.high, -1.0)
+        return tuple(one for one in both if np.isfinite(one[0]))
+
     def __call__(self, z):
-        low, high = self.low, self.high
-        if np.isinf(low) and np.isinf(high):
-            return self.scale * z
-        if np.isinf(high) or np.isinf(low):
-            end, sign = (low, 1.0) if np.isinf(high) else (high, -1.0)
-            nearest = np.log(MARGIN * abs(end)) if end else -FAR
-            return end + sign * jnp.exp(jnp.clip(z, nearest, FAR))
+        match self._ends:
+            case ():
+                return self.scale * z
+            case ((end, sign),):
+                nearest = np.log(MARGIN * abs(end)) if end else -FAR
+                return end + sign * jnp.exp(jnp.clip(z, nearest, FAR))
         return self._at(self.margin + (1.0 - 2.0 * self.margin) * jax.nn.sigmoid(z))
 
     def inverse(self, value: float) -> float:
         """The number z that is mapped to this value inside the interval."""
-        low, high = self.low, self.high
-        if np.isinf(low) and np.isinf(high):
-            return value / self.scale
-        if np.isinf(high):
-            return float(np.log(value - low))
-        if np.isinf(low):
-            return float(np.log(high - value))
+        match self._ends:
+            case ():
+                return value / self.scale
+            case ((end, sign),):
+                return float(np.log(sign * (value - end)))
         share = (self._share(value) - self.margin) / (1.0 - 2.0 * self.margin)
         return float(np.log(share / (1.0 - share)))
 
     def inside(self, value: float) -> float:
         """The value, moved inside the interval if it lies on an end of it."""
-        low, high = self.low, self.high
-        if np.isinf(low) and np.isinf(high):
-            return value
-        if np.isinf(high) or np.isinf(low):  # 0 is approached exponentially, without a distance
-            end, sign = (low, 1.0) if np.isinf(high) else (high, -1.0)
-            near = sign * (value - end) <= 10 * MARGIN * abs(end)
-            return end + sign * NUDGE * (abs(end) or 1.0) if near else value
+        match self._ends:
+            case ():
+                return value
+            case ((end, sign),):  # 0 is approached exponentially, without a distance
+                near = sign * (value - end) <= 10 * MARGIN * abs(end)
+                return end + sign * NUDGE * (abs(end) or 1.0) if near else value
         share = self._share(value)
         near = not 10 * self.margin < share < 1.0 - 10 * self.margin
         return float(self._at(NUDGE if share < 0.5 else 1.0 - NUDGE)) if near else value
@@ -104,7 +106,7 @@ class Bijection:
 
         None for a value inside, and for one that has not gone nine tenths of its way to the end.
         """
-        if not np.isfinite([self.low, self.high]).all():
+        if len(self._ends) < 2:
             return None
         first, last = self._share(self.inside(start)), self._share(value)
         if last < min(CLOSE, first / 10):
