@@ -230,12 +230,11 @@ def _findings(found: dict[str, Any]) -> list[str]:
     for what in ("forward", "gradient"):
         best = best_unroll(found["rows"], what, "float64")
         if best is not None:
-            fastest = (
-                f"{what}: {best[0]} samples in a pass are fastest, {best[1]:.3g} times as fast"
-            )
-            lines.append(f"{fastest} as 1")
-            takes = f"jaxilc takes {found['usual_unroll']} (UNROLL in jaxilc/runtime/lanes.py)"
-            lines.append(f"  {takes}")
+            count, times = f"{best[0]} samples in a pass", f"{best[1]:.3g} times"
+            lines += [
+                f"{what}: {count} are fastest, {times} as fast as 1",
+                f"  jaxilc takes {found['usual_unroll']} (UNROLL in jaxilc/runtime/lanes.py)",
+            ]
     if "cpu_seconds_1024" in found:
         seconds = f"{found['cpu_seconds_1024']:.3g} s"
         lines.append(f"1024 machines x 80 x 2000 take {seconds} on {found['cpu_cores']} CPU cores")

@@ -42,11 +42,6 @@ class Problem(NamedTuple):
     weights: np.ndarray
     phi0: np.ndarray
 
-    @property
-    def steps(self) -> int:
-        """The number of sample-steps; each is one sample of one trial of one plant."""
-        return len(self.b) * self.trials * (len(self.r) - 1)
-
     def part(self, plants: int, trials: int) -> Problem:
         """The same problem with the first plants and trials only."""
         return self._replace(b=self.b[:plants], trials=min(self.trials, trials))

@@ -149,41 +149,32 @@ def by_gradient(
     return Method(optimiser.init, step)
 
 
-class Damped(NamedTuple):
-    """The state of `by_least_squares`.
-
-    damping: () damping of the next step
-    """
-
-    damping: jax.Array
-    at: Evaluation
-
-
 def by_least_squares(evaluate: Callable[[jax.Array], Evaluation]) -> Method:
     """Levenberg-Marquardt on the residuals r with the Jacobian J (Marquardt 1963).
 
         (J^T J + damping diag(J^T J)) dz = -J^T r
 
     The step is taken only if |r| falls. Then the damping is divided by 3;
-    otherwise it is multiplied by 4.
+    otherwise it is multiplied by 4. The state is the damping of the next step, and what is known
+    of the present point.
     """
 
     def init(z):
-        return Damped(jnp.full((), DAMPING, z.dtype), evaluate(z))
+        return jnp.full((), DAMPING, z.dtype), evaluate(z)
 
     def step(z, state):
-        r, J = state.at.residuals, state.at.slopes
+        damping, here = state
+        r, J = here.residuals, here.slopes
         normal = J.T @ J
-        ridge = state.damping * jnp.diag(normal) + jnp.finfo(z.dtype).tiny ** 0.5
+        ridge = damping * jnp.diag(normal) + jnp.finfo(z.dtype).tiny ** 0.5
         moved = z - jnp.linalg.solve(normal + jnp.diag(ridge), J.T @ r)
         there = evaluate(moved)
         better = jnp.sum(there.residuals**2) < jnp.sum(r**2)
-        at = jax.tree.map(lambda new, old: jnp.where(better, new, old), there, state.at)
-        state_after = Damped(jnp.where(better, state.damping / 3.0, state.damping * 4.0), at)
+        at = jax.tree.map(lambda new, old: jnp.where(better, new, old), there, here)
         return (
             jnp.where(better, moved, z),
-            state_after,
-            Step(state.at.value, jnp.linalg.norm(state.at.gradient), state.at.dropped),
+            (jnp.where(better, damping / 3.0, damping * 4.0), at),
+            Step(here.value, jnp.linalg.norm(here.gradient), here.dropped),
         )
 
     return Method(init, step)

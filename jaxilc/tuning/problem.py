@@ -234,10 +234,8 @@ class Tuning:
     @cached_property
     def _losses(self) -> Losses:
         """The losses, with the lanes that suit them where they were left open."""
-        losses = Losses(self, self._weights, self.lanes or 1)
-        if self.lanes is not None:
-            return losses
-        return dataclasses.replace(losses, lanes=losses.fitting_lanes())
+        lanes = self.lanes or Losses(self, self._weights, 1).fitting_lanes()
+        return Losses(self, self._weights, lanes)
 
     @property
     def start(self) -> dict[str, float]:
@@ -418,11 +416,8 @@ class Tuning:
     @cached_property
     def _programs(self) -> tuple[Method, jax.stages.Wrapped]:
         """The optimiser for all starts and the held-out losses, compiled once for a problem."""
-        return for_starts(self._method()), jax.jit(over_starts(self.held_out_loss))
-
-    def _method(self) -> Method:
-        """The optimiser on the training loss."""
-        return method_of(self.optimiser, self.evaluation[0], self.rate, self.steps)
+        method = method_of(self.optimiser, self.evaluation[0], self.rate, self.steps)
+        return for_starts(method), jax.jit(over_starts(self.held_out_loss))
 
     @cached_property
     def evaluation(self) -> tuple[Callable[[jax.Array], Evaluation], bool]:

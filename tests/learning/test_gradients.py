@@ -18,7 +18,6 @@ from jax.flatten_util import ravel_pytree
 from jaxilc import tiled
 from jaxilc.learning.metrics import largest
 from jaxilc.tuning import Tuning
-from jaxilc.tuning.descent import for_starts
 from jaxilc.tuning.objectives import Effort, EveryTrial, Final, Growth, Holding, InputRate, TrialsTo
 from jaxilc.tuning.risks import CVaR, Worst
 from jaxilc.uncertainty import Uniform
@@ -131,7 +130,7 @@ def test_the_loss_of_a_robust_tuning_has_the_slope_of_its_differences(name):
         mode=mode,
         clip=np.inf,
     )
-    method, z, h = for_starts(problem._method()), problem._weights.starts(1, 0.0, 0)[0], 1e-6
+    method, z, h = problem._programs[0], problem._weights.starts(1, 0.0, 0)[0], 1e-6
     direction = np.random.default_rng(3).standard_normal(len(z))
     starts = jnp.stack([z, z + h * direction, z - h * direction])
     moved, _, record = method.step(starts, method.init(starts))
