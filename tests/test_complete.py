@@ -286,7 +286,6 @@ PLACES = {
         re.findall(r"[\w-]+", get_args(options.Sampling)[1].help),
     ),
     # families, pages, notebooks
-    "jaxilc/README.md": lambda: (test_imports.ORDER, said("jaxilc/README.md", form=r"\| \[{}\]")),
     "the order of imports in CONTRIBUTING.md": lambda: (
         test_imports.ORDER,
         said(".github/CONTRIBUTING.md", form=r"(?m){}(?=(?:, \w+)*(?: →.*)?$)"),
@@ -515,10 +514,7 @@ ADDED = {
     "sampling": (longer(uncertainty, "SAMPLINGS", "unheard-of"), {"--sampling"}),
     "family": (
         longer(test_imports, "ORDER", "unheard_of"),
-        {
-            *("jaxilc/README.md", "the order of imports in CONTRIBUTING.md"),
-            "the order of imports in design.md",
-        },
+        {"the order of imports in CONTRIBUTING.md", "the order of imports in design.md"},
     ),
     "page": (file(GUIDE, "unheard_of.md"), {"CHAPTERS of pages.py"}),
     "notebook": (

@@ -1,40 +1,20 @@
 """These tests check the order of imports, and the names that users import.
 
-Each family imports from those before it, and from none after it.
+Each family imports from those before it in the map of the package, and from none after it.
 """
 
 import ast
 import functools
 import importlib
+import re
 import tomllib
 from pathlib import Path
 
 import jaxilc
 
-ORDER = [
-    "pytree",
-    "storage",
-    "runtime",
-    "signals",
-    "uncertainty",
-    "plants",
-    "filters",
-    "schemes",
-    "learning",
-    "native",
-    "sweeps",
-    "theory",
-    "identification",
-    "tuning",
-    "design",
-    "hardware",
-    "export",
-    "scenarios",
-    "figures",
-    "outcomes",
-    "cli",
-]
 ROOT = Path(jaxilc.__file__).parent
+MAP = (ROOT / "README.md").read_text(encoding="utf-8")
+ORDER = re.findall(r"^\| \[(\w+)\]", MAP, re.MULTILINE)  # of the families
 
 
 @functools.cache
