@@ -28,15 +28,16 @@ CHAPTERS = {  # title of a part: files of the repository
     "Reference": ("plant_file", "theory", "contents", "notebooks", "citation"),
     "Findings": ("papers", "learned_laws", "printer"),
 }
+INSIDE = {
+    f"{GUIDE}design.md": "guide/design",
+    "jaxilc/README.md": "guide/map",
+    ".github/CONTRIBUTING.md": "guide/contributing",
+    "CHANGELOG.md": "guide/changelog",
+}
 PAGES = (
     {"README.md": "index"}
     | {f"{GUIDE}{name}.md": f"guide/{name}" for names in CHAPTERS.values() for name in names}
-    | {
-        f"{GUIDE}design.md": "guide/design",
-        "jaxilc/README.md": "guide/map",
-        ".github/CONTRIBUTING.md": "guide/contributing",
-        "CHANGELOG.md": "guide/changelog",
-    }
+    | INSIDE
 )  # file of the repository: page without its ending
 PICTURES = ".github/pictures"
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
@@ -135,8 +136,7 @@ def write(folder: Path, made: dict[str, list[str]], live: str) -> None:
         path.write_text(linked(file), encoding="utf-8")
     shutil.copytree(ROOT / PICTURES, folder / "pictures", dirs_exist_ok=True)
     trees = {title: [f"guide/{name}" for name in names] for title, names in CHAPTERS.items()}
-    trees |= made
-    trees["Inside"] = [f"guide/{name}" for name in ("design", "map", "contributing", "changelog")]
+    trees |= made | {"Inside": [*INSIDE.values()]}
     start = folder / "index.md"
     text = start.read_text(encoding="utf-8")
     start.write_text(text.replace(AFTER, f"{live}\n{AFTER}", 1), encoding="utf-8")

@@ -176,7 +176,9 @@ def family_of(
             "task a reference that the machine does not follow by itself"
         )
     least = NOT_REPEATED * np.sqrt(np.sum(np.abs(error) ** 2, axis=0 if one else (0, 2)))
-    return Family(f, P, error, e, _noise(machine, task, f, P[0], least), loops, drawn, population)
+    noise = _noise(machine, task, f, P[0].reshape(len(f), task.outputs, task.inputs), least)
+    noise = noise[:, 0] if one else noise
+    return Family(f, P, error, e, noise, loops, drawn, population)
 
 
 def under(scheme: Scheme, feedback: Scheme | None) -> Scheme:
@@ -278,21 +280,16 @@ def gathered(e, f, dt: float) -> np.ndarray:
 
 
 def _noise(machine: Machine, task: Task, f, P, least) -> np.ndarray:
-    """(F,) or (F, n_y) what sensor and disturbances add to each trial anew, white within it."""
+    """(F, n_y) what sensor and disturbances add to each trial anew, white within it."""
 
     def variance(part, name):
         value = None if part is None else getattr(part, name)
-        if P.ndim == 1:
-            return 0.0 if value is None else float(np.max(value)) ** 2
-        return 0.0 if value is None else np.asarray(value) ** 2
+        return 0.0 if value is None else np.asarray(value, float) ** 2
 
     sensor, disturbance = machine.sensor, machine.disturbance
     at_output = variance(sensor, "noise") + variance(disturbance, "output_noise")
     at_output += variance(sensor, "resolution") / 12
     of_input = variance(disturbance, "input_noise") * np.abs(P) ** 2
-    share = np.gradient(f) / (0.5 / task.dt)
-    if P.ndim == 1:
-        density = at_output + of_input
-        return np.sqrt(np.where(np.max(density) > 0, density, least**2) * share)
+    share = np.gradient(f)[:, None] / (0.5 / task.dt)
     density = at_output + np.sum(of_input, axis=2)
-    return np.sqrt(np.where(np.max(density, axis=0) > 0, density, least**2) * share[:, None])
+    return np.sqrt(np.where(np.max(density, axis=0) > 0, density, least**2) * share)

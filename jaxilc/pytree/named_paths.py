@@ -162,12 +162,12 @@ def read_at(tree: Tree, path: str, value: Value, shown: str) -> Value:
         return None
     parts = [part.strip() for part in value.strip("()[] ").split(",")]
     try:
+        read = float if kind == "leaf" else _READ.get(choices[0], float)
         origin: Value = typing.get_origin(annotation)
-        if kind == "leaf" or origin is not tuple:
-            read = float if kind == "leaf" else _READ.get(choices[0], float)
-            numbers = [read(part) for part in parts]
-            return numbers if len(numbers) > 1 else numbers[0]
-        return tuple(_READ.get(choices[0], float)(part) for part in parts if part)
+        if kind == "static" and origin is tuple:
+            return tuple(read(part) for part in parts if part)
+        numbers = [read(part) for part in parts]
+        return numbers if len(numbers) > 1 else numbers[0]
     except (ValueError, KeyError):
         said = (
             "a number, or numbers with commas between them" if kind == "leaf" else named(annotation)
