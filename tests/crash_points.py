@@ -18,19 +18,12 @@ WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
 class Recorder:
-    """The recorder copies the states of a folder.
-
-    snapshots: folders, each a state of `root`, in order.
-    """
+    """What copies the states of a folder `root`, in order, to the folders `snapshots`."""
 
     def __init__(self, root, kept):
         self.root, self.kept, self.snapshots = root, kept, []
-        self.seen, self.written, self.lock, self.busy = (
-            set(),
-            None,
-            threading.Lock(),
-            threading.local(),
-        )
+        self.seen, self.written = set(), None
+        self.lock, self.busy = threading.Lock(), threading.local()
 
     def __call__(self, event, arguments):
         if getattr(self.busy, "now", False):

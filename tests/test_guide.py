@@ -239,10 +239,7 @@ def test_the_start_page_is_short():
 
 
 def test_files_that_the_pages_name_are_there():
-    """The files that the pages name exist.
-
-    They are paths such as `jaxilc/cli/entry.py` or `experiments/...py` in backquotes.
-    """
+    """They are paths such as `jaxilc/cli/entry.py` or `experiments/...py` in backquotes."""
     for file in [*DOCS.glob("guide/*.md"), ROOT / "README.md", ROOT / ".github/CONTRIBUTING.md"]:
         text = file.read_text(encoding="utf-8")
         named = re.findall(r"`((?:jaxilc|tests|experiments|notebooks|\.ci)/[\w./]*)`", text)

@@ -80,11 +80,7 @@ def test_experiments_and_notebooks_import_what_is_there():
 
 
 def test_no_circle_within_a_family():
-    """There is no circle of imports within a family.
-
-    Modules of one family import one another in one direction only. This holds for imports at the
-    head, for a type checker, and within a function.
-    """
+    """This holds for imports at the head, for a type checker, and within a function."""
     graph: dict[str, set[str]] = {}
     for file in ROOT.rglob("*.py"):
         folder = file.relative_to(ROOT.parent).parts[:-1]

@@ -22,7 +22,6 @@ def test_the_recipe_has_the_dependencies_of_the_project():
     needed = re.search(r"\n  run:\n((?:    - .*\n)+)", recipe)
     asked = [re.split(r"(?=[><=!])", one, maxsplit=1) for one in project["dependencies"]]
     wanted = {f"{RENAMED.get(name, name)} {bounds}" for name, bounds in asked}
-    assert needed is not None
     wanted |= {f"python {project['requires-python']}"}
     assert {*re.findall(r"- (.*)", needed[1])} == wanted
     assert f'version: "{__version__}"' in recipe
@@ -40,13 +39,10 @@ def test_the_history_times_what_is_there():
 def test_the_paper_counts_as_the_project_does():
     """The numbers of the paper are those of the start page, which test_promises.py computes."""
     paper, start = (" ".join(text_of(f).split()) for f in (".github/paper.md", "README.md"))
-    numbers = re.search(r"(\d+) independent printed numbers", start)
-    assert numbers is not None
-    assert f"{numbers[1]} independent numbers" in paper
-    told = re.search(r"Of (\d+) comparisons with what papers conclude", start)
-    assert told is not None
-    assert f"of {told[1]} comparisons with their conclusions" in paper
-    agreed = re.search(r"(\d+) numbers of other software agree", start)
-    assert agreed is not None
-    assert f"on {agreed[1]} of their printed numbers" in paper
+    for of_start, of_paper in (
+        (r"(\d+) independent printed numbers", "{} independent numbers"),
+        (r"Of (\d+) comparisons with what papers", "of {} comparisons with their conclusions"),
+        (r"(\d+) numbers of other software agree", "on {} of their printed numbers"),
+    ):
+        assert of_paper.format(re.search(of_start, start)[1]) in paper
     assert all(f"`{command}`" in paper for command in ("jaxilc reproduce", "jaxilc"))

@@ -69,11 +69,8 @@ class Row(NamedTuple):
 
         clock: `seconds` or `cpu_seconds`
         """
-        return (
-            np.array(getattr(self, clock))
-            / self.steps
-            / (np.array(getattr(ours, clock)) / ours.steps)
-        )
+        mine, theirs = (np.array(getattr(row, clock)) / row.steps for row in (self, ours))
+        return mine / theirs
 
 
 class Entry(NamedTuple):

@@ -17,15 +17,9 @@ pytestmark = pytest.mark.usefixtures("quickly_and_quietly")
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory):
-    """Return a problem, the folder of a stopped tuning, and the result without the stop.
-
-    The tuning was stopped after the third of four steps.
-    """
-    problem, folder = (
-        dataclasses.replace(PROBLEM, steps=4, clip=np.inf),
-        tmp_path_factory.mktemp("tuned") / "state",
-    )
-
+    """Return a problem, its folder stopped after three of four steps, and the result without it."""
+    problem = dataclasses.replace(PROBLEM, steps=4, clip=np.inf)
+    folder = tmp_path_factory.mktemp("tuned") / "state"
     with pytest.raises(Killed):
         problem.run(folder, progress=kill_after(3))
     return problem, folder, problem.run()
