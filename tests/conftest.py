@@ -202,12 +202,18 @@ def quickly_and_quietly(monkeypatch, caplog):
     caplog.set_level(logging.ERROR, "jaxilc")
 
 
-@pytest.fixture
-def tuned_by_one_program(monkeypatch):
-    """Compile the first tuning of a test alone: the others are the same, begun anew or resumed."""
-    make, programs = Tuning._programs.func, []
-    once = property(lambda self: (programs or programs.append(make(self)) or programs)[0])
-    monkeypatch.setattr(Tuning, "_programs", once)
+@pytest.fixture(scope="module")
+def tuned_by_one_program():
+    """Compile equal tunings of a module once, which are begun anew, resumed, or asked for again."""
+    make, known = Tuning._programs.func, {}
+
+    def found(self):
+        key = repr((self.objective, self.trials, self.optimiser, self.steps, self.weights))
+        return known[key] if key in known else known.setdefault(key, make(self))
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Tuning, "_programs", property(found))
+        yield
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ PROBLEM = Tuning(
 )
 
 
-pytestmark = pytest.mark.usefixtures("compiled_once", "programs")
+pytestmark = pytest.mark.usefixtures("compiled_once", "tuned_by_one_program")
 
 
 def both(p, d):
@@ -45,21 +45,7 @@ def both(p, d):
 
 
 @pytest.fixture(scope="module")
-def programs():
-    """Keep the programs of equal problems, which each call would compile again."""
-    make, known = Tuning._programs.func, {}
-
-    def found(self):
-        key = repr((self.objective, self.trials, self.optimiser, self.steps, self.weights))
-        return known.setdefault(key, make(self))
-
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(Tuning, "_programs", property(found))
-        yield
-
-
-@pytest.fixture(scope="module")
-def front(programs):
+def front(tuned_by_one_program):
     return pareto(PROBLEM, SquaredError(), Effort(SCALE), (0.2, 0.6))
 
 
