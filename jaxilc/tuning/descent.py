@@ -93,14 +93,10 @@ def repaired(losses, slopes, clip: float):
 
 
 class Method(NamedTuple):
-    """An optimiser for one start, with two pure functions.
-
-    programs: both functions, compiled for many starts, see `for_starts`
-    """
+    """An optimiser for one start, with two pure functions."""
 
     init: Callable[[Z], Tree]
     step: Callable[[Z, Tree], tuple[Z, Tree, Step]]
-    programs: tuple[jax.stages.Wrapped, ...] = ()
 
 
 class Step(NamedTuple):
@@ -217,10 +213,12 @@ def over_starts(f: Callable) -> Callable:
     return of_all
 
 
-def for_starts(method: Method) -> Method:
-    """The method for many starts at once, compiled into one program for all steps.
+def for_starts(method: Method) -> tuple[jax.stages.Wrapped, jax.stages.Wrapped]:
+    """Both functions of a method for many starts at once, compiled into one program for all steps.
 
-    It takes and returns NumPy arrays, for a random key the array of its data.
+    They take arrays of the host, for a random key the array of its data. What they return is to be
+    copied there: a compiled program depends on the device of its arguments, and would be compiled
+    again for others.
     """
 
     @jax.jit
@@ -241,12 +239,7 @@ def for_starts(method: Method) -> Method:
             record,
         )
 
-    # Results are copied to the host after each step: a compiled program depends on the device of
-    # its arguments, and would be compiled again for others.
-    programs = (init, step)
-    return Method(
-        lambda z: jax.device_get(init(z)), lambda z, state: jax.device_get(step(z, state)), programs
-    )
+    return init, step
 
 
 def _without_keys(tree: Tree) -> Tree:
@@ -327,7 +320,7 @@ class State(NamedTuple):
 
 
 def descended(
-    method: Method,
+    step: jax.stages.Wrapped,
     now: State,
     held_out: Callable[[Z], Leaf],
     *,
@@ -337,6 +330,7 @@ def descended(
 ) -> tuple[State, str]:
     """The state at the end of the descent, and the reason why it ended.
 
+    step: of a method, see `for_starts`
     validate_every: steps from one computation of the held-out losses to the next
     patience: number of computations without improvement that are allowed
     """
@@ -346,7 +340,7 @@ def descended(
             now = now.validated(jax.device_get(held_out(now.z)))
         if now.step == steps or now.stale > patience:
             return now, "steps" if now.step == steps else "patience"
-        z, inner, record = method.step(now.z, now.inner)
+        z, inner, record = jax.device_get(step(now.z, now.inner))
         if not np.any(np.isfinite(record.loss)):
             return now, "no machine has a finite loss"
         now = now.advanced(z, inner, record)

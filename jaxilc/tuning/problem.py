@@ -67,7 +67,6 @@ from .descent import (
     OPTIMISERS,
     Evaluation,
     Folder,
-    Method,
     State,
     Step,
     counted,
@@ -309,7 +308,7 @@ class Tuning:
                 again = dataclasses.replace(self, lanes=begun)
                 return again.run(out, resume=True, progress=progress)
         z = self._weights.starts(self.starts, self.scatter, self.seed)
-        method, held_out = self._programs
+        init, step, held_out = self._programs
         with ExitStack() as opened:
             place = None
             if resume and out is not None and Path(out).exists():  # refused before it is compiled
@@ -317,7 +316,7 @@ class Tuning:
             self._compile(z)
             if out is not None and place is None:
                 place = opened.enter_context(Folder(Path(out), self.configuration(), resume))
-            now = State.start(z, method.init(z), self.steps)
+            now = State.start(z, jax.device_get(init(z)), self.steps)
 
             def after_step(now: State, record: Step) -> None:
                 if place is not None:
@@ -326,7 +325,7 @@ class Tuning:
                     progress(int(now.step), np.asarray(record.loss), float(now.best))
 
             now, reason = descended(
-                method,
+                step,
                 now if place is None else place.latest(now),
                 lambda z: held_out(self._weights.at(z)),
                 validate_every=self.validate_every,
@@ -340,12 +339,11 @@ class Tuning:
 
     def held_out_losses(self, rows: Mapping[str, np.ndarray]) -> np.ndarray:
         """(n,) the held-out losses of n values of each weight, by the program that `run` uses."""
-        return in_rounds(self._programs[1], rows, self.starts)
+        return in_rounds(self._programs[2], rows, self.starts)
 
     def _compile(self, z: np.ndarray) -> None:
         """Compile both programs; raises ValueError for a step that the RAM cannot hold."""
-        method, held_out = self._programs
-        init, step = method.programs
+        init, step, held_out = self._programs
         # Python traces one program at a time, and this one takes longer to compile than the other
         state = jax.eval_shape(init, z)
         strong = jax.tree.map(lambda s: jax.ShapeDtypeStruct(s.shape, s.dtype), state)
@@ -414,10 +412,10 @@ class Tuning:
         return planned
 
     @cached_property
-    def _programs(self) -> tuple[Method, jax.stages.Wrapped]:
-        """The optimiser for all starts and the held-out losses, compiled once for a problem."""
+    def _programs(self) -> tuple[jax.stages.Wrapped, ...]:
+        """Both functions of the optimiser, and the held-out losses, compiled once for a problem."""
         method = method_of(self.optimiser, self.evaluation[0], self.rate, self.steps)
-        return for_starts(method), jax.jit(over_starts(self.held_out_loss))
+        return *for_starts(method), jax.jit(over_starts(self.held_out_loss))
 
     @cached_property
     def evaluation(self) -> tuple[Callable[[jax.Array], Evaluation], bool]:

@@ -130,10 +130,10 @@ def test_the_loss_of_a_robust_tuning_has_the_slope_of_its_differences(name):
         mode=mode,
         clip=np.inf,
     )
-    method, z, h = problem._programs[0], problem._weights.starts(1, 0.0, 0)[0], 1e-6
+    (init, step, _), z, h = problem._programs, problem._weights.starts(1, 0.0, 0)[0], 1e-6
     direction = np.random.default_rng(3).standard_normal(len(z))
     starts = jnp.stack([z, z + h * direction, z - h * direction])
-    moved, _, record = method.step(starts, method.init(starts))
+    moved, _, record = step(starts, init(starts))
     _, after, before = np.asarray(record.loss)
     assert not np.any(record.dropped)
     np.testing.assert_allclose(

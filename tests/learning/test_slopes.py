@@ -517,9 +517,10 @@ def test_chaotic_slopes_do_not_drown_the_others(clip, found):
         losses, slopes, _ = repaired(jnp.append(jnp.full(9, (z[0] - 1.0) ** 2), 0.0), slopes, clip)
         return Evaluation(jnp.mean(losses), jnp.mean(slopes, axis=0), losses, slopes, jnp.zeros(()))
 
-    method = for_starts(by_gradient(evaluate, optax.adam(optax.cosine_decay_schedule(0.1, 100))))
+    optimiser = optax.adam(optax.cosine_decay_schedule(0.1, 100))
+    init, step = for_starts(by_gradient(evaluate, optimiser))
     z = np.array([[-2.0]])
-    state = method.init(z)
+    state = init(z)
     for _ in range(100):
-        z, state, _ = method.step(z, state)
+        z, state, _ = step(z, state)
     assert (abs(z[0, 0] - 1.0) < 0.1) == found

@@ -17,7 +17,7 @@ from jaxilc.hardware import Campaign, Measured, Rules
 from jaxilc.hardware.checks import ACCEPTED
 from jaxilc.storage.files import UNFINISHED
 from jaxilc.sweeps import Sweep, open_dataset
-from jaxilc.tuning import Tuning, trade_off
+from jaxilc.tuning import trade_off
 
 
 def nothing_left_over(folder):
@@ -88,12 +88,8 @@ def test_a_tuning_resumes_from_every_state_of_its_folder(tmp_path):
 
 
 @pytest.mark.thorough
-def test_a_trade_off_resumes_from_every_state_of_its_folder(tmp_path, monkeypatch):
-    problem, programs = dataclasses.replace(PROBLEM, steps=1), {}
-    make = Tuning._programs.func
-    monkeypatch.setattr(
-        Tuning, "_programs", property(lambda self: programs.setdefault(self.trials, make(self)))
-    )
+def test_a_trade_off_resumes_from_every_state_of_its_folder(tmp_path, tuned_by_one_program):
+    problem = dataclasses.replace(PROBLEM, steps=1)
     with recorded(tmp_path / "out", tmp_path) as states:
         whole = trade_off.by_trials(problem, (2, 3), tmp_path / "out" / "state")
     assert len(states) > 20

@@ -154,11 +154,11 @@ def test_least_squares_agrees_with_scipy():
         r, J = residuals(z), jax.jacfwd(residuals)(z)
         return Evaluation(0.5 * jnp.sum(r**2), J.T @ r, r, J, jnp.zeros(()))
 
-    method = for_starts(by_least_squares(evaluate))
+    init, step = for_starts(by_least_squares(evaluate))
     z = np.array([[2.0, -1.5]])
-    state = method.init(z)
+    state = init(z)
     for _ in range(30):
-        z, state, _ = method.step(z, state)
+        z, state, _ = step(z, state)
     np.testing.assert_allclose(
         z[0],
         scipy.optimize.least_squares(lambda z: np.asarray(residuals(z)), [0.1, 0.1]).x,
@@ -174,11 +174,11 @@ def test_the_line_search_of_lbfgs_uses_the_given_gradient():
         )
         return Evaluation(value, gradient, z, jnp.eye(2), jnp.zeros(()))
 
-    method = for_starts(by_gradient(evaluate, optax.lbfgs()))
+    init, step = for_starts(by_gradient(evaluate, optax.lbfgs()))
     z = np.array([[-1.2, 1.0], [2.0, -1.0]])
-    state = method.init(z)
+    state = init(z)
     for _ in range(60):
-        z, state, record = method.step(z, state)
+        z, state, record = step(z, state)
     np.testing.assert_allclose(z, 1.0, atol=1e-4)
     assert record.loss.shape == (2,)
 
