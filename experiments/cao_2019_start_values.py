@@ -61,9 +61,7 @@ for ax, (reading, s) in zip(axes, LOADED.items(), strict=True):
             rows.append(row | {"ours": float(ours[j - 1]), "ratio": float(ours[j - 1] / value)})
         ax.plot(list(table), list(table.values()), "o", mfc="none", color=line.get_color())
     ax.set(xlabel="trial", ylabel="settled error [µm]", title=f"{reading}; circles: Table 1")
-    ax.legend(fontsize="small")
-    ax.grid(True, which="both", alpha=0.25)
-axes[0].figure.savefig(folder / "start-values.png")
+output.save(axes, folder / "start-values.png", fontsize="small")
 output.write_rows(folder / "rows.csv", rows)
 for reading in READINGS:
     judged = [r for r in rows if r["role"] == "judged" and r["reading"] == reading]

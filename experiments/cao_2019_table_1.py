@@ -24,9 +24,7 @@ for i, (name, printed) in enumerate(CAO_1.items()):
     ax.semilogy(np.arange(1, len(ours) + 1), ours, color=f"C{i}", label=name)
     ax.plot(list(printed), list(printed.values()), "o", mfc="none", color=f"C{i}")
 ax.set(xlabel="trial", ylabel="steady-state error [µm]", title="lines: simulated; circles: Table 1")
-ax.grid(True, which="both", alpha=0.25)
-ax.legend()
-ax.figure.savefig(folder / "table-1.png")
+output.save(ax, folder / "table-1.png")
 figures.save(
     figures.error_by_trial(dataset, metric="max_error", published=s.due, **shown),
     folder / "figure-5.png",

@@ -26,8 +26,6 @@ ax.set(
 )
 output.plain(ax)
 ax.set_xticks(list(CAO_2["pid"]))
-ax.grid(True, which="both", alpha=0.25)
-ax.legend()
 STEPS = (1, 2, 3, 4, 5, 10, 20, 40, 80)
 ours = []
 for steps in STEPS:
@@ -46,9 +44,7 @@ by_steps.set(
 )
 by_steps.minorticks_off()
 output.plain(by_steps, (1.0,))
-by_steps.grid(True, alpha=0.25)
-by_steps.legend()
-ax.figure.savefig(folder / "table-2.png")
+output.save((ax, by_steps), folder / "table-2.png")
 s = jaxilc.scenarios.load("cao-2019-rig", frequency=0.5)
 dataset, _ = jaxilc.run_schemes(s.machine, s.schemes, s.task, 1)
 for name, trials in {"pid": (1,), "cfdl-mfailc": (1,)}.items():

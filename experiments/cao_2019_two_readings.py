@@ -71,8 +71,6 @@ for reading, colour in (("amplitude", "#0072b2"), ("stroke", "#d55e00")):
         }
     )
 ax.set(xlabel="trial", ylabel="error [µm]", title="CFDL-MFAILC under two readings of Cao 2019")
-ax.grid(True, which="both", alpha=0.25)
-ax.legend(fontsize="small")
-ax.figure.savefig(folder / "errors.png")
+output.save(ax, folder / "errors.png", fontsize="small")
 output.write_rows(folder / "readings.csv", judged)
 output.write_rows(folder / "rows.csv", rows)

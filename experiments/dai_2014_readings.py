@@ -118,9 +118,7 @@ def draw(folder, found) -> None:
     ax.axhline(PRINTED[2.5], color="k", linewidth=0.8, label="published")
     ax.set(xlabel="-phi0 [mm/V]", ylabel="settled error [mm]", ylim=(0.02, 10))
     ax.set_title("2.5 Hz, P = 250, P_u = 1")
-    ax.legend(fontsize="small")
-    ax.grid(True, which="both", alpha=0.25)
-    ax.figure.savefig(folder / "start-values.png")
+    output.save(ax, folder / "start-values.png", fontsize="small")
 
 
 if __name__ == "__main__":

@@ -49,14 +49,8 @@ def errors(s, scheme, trials, key=0):
 
 def saved(axes, name: str, label="sample") -> None:
     """Label, grid and legend of the axes of a figure, and its file."""
-    axes = np.ravel(axes)
-    for ax in axes:
-        ax.grid(True, which="both", alpha=0.25)
-        if ax.get_legend_handles_labels()[0]:
-            ax.legend(fontsize="small", loc="upper right")
-    if label:
-        axes[-1].set(xlabel=label)
-    axes[0].figure.savefig(folder / name)
+    axes[-1].set(xlabel=label)
+    output.save(axes, folder / name, fontsize="small", loc="upper right")
 
 
 def rms(e):

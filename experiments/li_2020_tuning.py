@@ -73,9 +73,7 @@ def main() -> None:
     for name in schemes:
         ax.semilogy(dataset["trial"], rms.sel(scheme=name).median("sample"), label=name)
     ax.set(xlabel="trial", ylabel="RMSE [µm], median", title="32 axes and noise never seen")
-    ax.grid(True, which="both", alpha=0.25)
-    ax.legend()
-    ax.figure.savefig(folder / "tuned.png")
+    output.save(ax, folder / "tuned.png")
 
 
 if __name__ == "__main__":

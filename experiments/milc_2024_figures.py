@@ -21,18 +21,11 @@ folder = output.folder(__file__)
 s = jaxilc.scenarios.load("milc-2024")
 drive, time, dt = s.machine.plant, np.asarray(s.task.time), s.task.dt
 COLOURS = {"dilc": "#0072b2", "milc": "#d55e00"}
+LEGEND = {"fontsize": "small", "loc": "upper right"}
 
 
 def decibels(response):
     return 20 * np.log10(np.abs(response))
-
-
-def saved(axes, name: str) -> None:
-    for ax in np.ravel(axes):
-        ax.grid(True, which="both", alpha=0.25)
-        if ax.get_legend_handles_labels()[0]:
-            ax.legend(fontsize="small", loc="upper right")
-    np.ravel(axes)[0].figure.savefig(folder / name)
 
 
 # Fig. 7, with Fig. 2d and e
@@ -53,7 +46,7 @@ for ax in axes:
     for value, name in ((drive.antiresonance, "antiresonance"), (drive.resonance, "resonance")):
         ax.axvline(float(value), color="#777777", ls=":", lw=1.0)
         ax.annotate(name, (float(value), ax.get_ylim()[0]), rotation=90, fontsize="small")
-saved(axes, "figure-7.png")
+output.save(axes, folder / "figure-7.png", **LEGEND)
 
 # Fig. 8 and 10
 r = np.asarray(s.task.reference)[:, 0]
@@ -81,4 +74,4 @@ for ax in axes[3:]:
 axes[0].set(title="Fig. 8: the path")
 axes[3].set(title="Fig. 10: the paper's trial 10")
 axes[4].set(title="Fig. 10, magnified: the stroke back", xlabel="time [s]")
-saved(axes, "figures-8-10.png")
+output.save(axes, folder / "figures-8-10.png", **LEGEND)

@@ -36,73 +36,39 @@ for (name, trial, quantity), value in MILC_1.items():
     rows.append(row | {"published": value, "ours": ours, "ratio": ours / value})
 output.write_rows(folder / "rows.csv", rows)
 
+COLOURS = {"dilc": "#0072b2", "milc": "#d55e00"}
 ax = output.axes()
 trials = np.arange(s.trials)  # counted as in the paper
-for name, colour in (("dilc", "#0072b2"), ("milc", "#d55e00")):
-    ax.semilogy(
-        trials,
-        1e3 * np.asarray(found[name]["table_rms"]),
-        "o-",
-        color=colour,
-        label=f"{name}, table",
-    )
-    ax.semilogy(
-        trials,
-        1e3 * np.asarray(found[name]["motor_rms"]),
-        "s--",
-        color=colour,
-        label=f"{name}, motor",
-    )
-    ax.semilogy(
-        trials,
-        1e3 * np.asarray(found_quiet[name]),
-        ":",
-        color=colour,
-        label=f"{name}, table, without noise",
-    )
+for name, colour in COLOURS.items():
+    for errors, look, label in (
+        (found[name]["table_rms"], "o-", "table"),
+        (found[name]["motor_rms"], "s--", "motor"),
+        (found_quiet[name], ":", "table, without noise"),
+    ):
+        ax.semilogy(trials, 1e3 * np.asarray(errors), look, color=colour, label=f"{name}, {label}")
     for quantity, marker in (("table_rms", "o"), ("motor_rms", "s")):
-        ax.plot(
-            [0, 10],
-            [MILC_1[name, j, quantity] for j in (1, 11)],
-            marker,
-            mfc="none",
-            ms=11,
-            color=colour,
-            ls="none",
-        )
+        printed = [MILC_1[name, j, quantity] for j in (1, 11)]
+        ax.plot([0, 10], printed, marker, mfc="none", ms=11, color=colour, ls="none")
 ax.set(
     xlabel="trial (0: feedback alone)",
     ylabel="RMS error [µm]",
     title="Fig. 9; large open markers: published",
 )
 output.plain(ax)
-ax.grid(True, which="both", alpha=0.25)
-ax.legend(fontsize="small")
-ax.figure.savefig(folder / "figure-9.png")
+output.save(ax, folder / "figure-9.png", fontsize="small")
 
 top, bottom = output.axes(2, 1, size=(7.2, 6.0))
 time = s.task.time
-for name, colour in (("dilc", "#0072b2"), ("milc", "#d55e00")):
-    top.plot(
-        time,
-        1e3 * np.asarray(found[name]["e"])[-1, :, 1],
-        color=colour,
-        lw=0.6,
-        label=f"{name}: table's error, trial 10",
-    )
-    bottom.plot(
-        time[:-1],
-        np.asarray(found[name]["feedback"])[-1],
-        color=colour,
-        lw=0.6,
-        label=f"{name}: feedback's share, trial 10",
-    )
+for name, colour in COLOURS.items():
+    for ax, signal, label in (
+        (top, 1e3 * np.asarray(found[name]["e"])[-1, :, 1], "table's error"),
+        (bottom, np.asarray(found[name]["feedback"])[-1], "feedback's share"),
+    ):
+        label = f"{name}: {label}, trial 10"
+        ax.plot(time[: len(signal)], signal, color=colour, lw=0.6, label=label)
 top.set(ylabel="error [µm]", title="Fig. 10 and 11; reading: short-stroke")
 bottom.set(ylabel="input [V]", xlabel="time [s]")
-for ax in (top, bottom):
-    ax.grid(True, alpha=0.25)
-    ax.legend(fontsize="small")
-top.figure.savefig(folder / "figures-10-11.png")
+output.save((top, bottom), folder / "figures-10-11.png", "major", fontsize="small")
 
 effort = {name: float(kept["feedback_effort"][-1]) for name, kept in found.items()}
 times = effort["dilc"] / effort["milc"]

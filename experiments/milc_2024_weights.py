@@ -74,9 +74,7 @@ def main() -> None:
             }
             rows.append(row | (tuned.start if which == "given" else tuned.values))
         ax.set(title=f"{name}: 64 drives never seen", xlabel="trial", ylabel="table RMS [µm]")
-        ax.grid(True, which="both", alpha=0.25)
-        ax.legend(fontsize="small")
-    axes[0].figure.savefig(folder / "tuned.png")
+    output.save(axes, folder / "tuned.png", fontsize="small")
     for row in rows:
         print(
             "  ".join(

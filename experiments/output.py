@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
@@ -64,6 +65,19 @@ def write_rows(path: Path, rows: list[dict], shown: int | None = None) -> None:
 def axes(rows: int = 1, columns: int = 1, *, size=(7.2, 4.2)):
     """The axes of a new figure."""
     return Figure(figsize=size, layout="constrained", dpi=150).subplots(rows, columns)
+
+
+def save(axes, path: Path, which: str = "both", **legend) -> None:
+    """Write the figure of axes, with a grid, and with a legend where they name something.
+
+    which: ticks that have lines of the grid;  legend: as for `Axes.legend`
+    """
+    axes = np.ravel(axes)
+    for ax in axes:
+        ax.grid(True, which=which, alpha=0.25)
+        if ax.get_legend_handles_labels()[0]:
+            ax.legend(**legend)
+    axes[0].figure.savefig(path)
 
 
 def plain(ax, subs=(1.0, 2.0, 5.0)) -> None:

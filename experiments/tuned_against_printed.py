@@ -301,7 +301,7 @@ def main(names: list[str]) -> None:
             flush=True,
         )
         draw_curves(ax, s, case, errors[case.judged[0]])
-    axes[0].figure.savefig(folder / "tuned.png")
+    output.save(axes, folder / "tuned.png", fontsize="small")
     print()
     output.write_rows(folder / "rows.csv", rows)
     names = list(dict.fromkeys(k for row in verdicts for k in row))
@@ -331,8 +331,6 @@ def draw_curves(ax, s, case: Case, errors) -> None:
         xlabel="trial",
         ylabel=f"{case.judged[0]} [{s.shown_unit}]",
     )
-    ax.grid(True, which="both", alpha=0.25)
-    ax.legend(fontsize="small")
 
 
 if __name__ == "__main__":

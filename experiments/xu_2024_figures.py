@@ -24,6 +24,7 @@ from jaxilc.scenarios.xu_2024 import servo
 jaxilc.setup()
 folder = output.folder(__file__)
 COLOURS = {"pid": "#777777", "smc": "#e69f00", "asmc": "#0072b2", "ilc-asmc": "#d55e00"}
+LEGEND = {"fontsize": "small", "loc": "upper right"}
 
 
 def scenario(**options):
@@ -57,10 +58,7 @@ def compared(s, names, printed, title, name):
     reach = 1.2 * max(np.max(np.abs(line.get_ydata()[1000:])) for line in bottom.lines)
     bottom.set(ylabel="error [nm]", xlabel="time [s]", ylim=(-reach, 2.0 * reach))
     bottom.set_title("error: largest / RMS from 0.1 s on (before it, cut off)", fontsize="medium")
-    for ax in (top, bottom):
-        ax.grid(True, alpha=0.25)
-        ax.legend(fontsize="small", loc="upper right")
-    top.figure.savefig(folder / name)
+    output.save((top, bottom), folder / name, "major", **LEGEND)
 
 
 def responses() -> None:
@@ -90,10 +88,7 @@ def responses() -> None:
         bottom.semilogx(f, np.rad2deg(np.unwrap(np.angle(G))), look)
     top.set(ylabel="magnitude [dB of µm/V]", title="Fig. 5: open loop")
     bottom.set(ylabel="phase [°]", xlabel="frequency [Hz]")
-    for ax in (top, bottom):
-        ax.grid(True, which="both", alpha=0.25)
-    top.legend(fontsize="small")
-    top.figure.savefig(folder / "figure-5.png")
+    output.save((top, bottom), folder / "figure-5.png", fontsize="small")
 
 
 def disturbed() -> None:
@@ -114,11 +109,7 @@ def disturbed() -> None:
         bottom.plot(time, e[j - 1], lw=0.6, label=f"trial {j}")
     middle.set(ylabel="position [µm]", title="Fig. 11: ILC-ASMC under it; grey: reference")
     bottom.set(ylabel="error [nm]", xlabel="time [s]")
-    for ax in (top, middle, bottom):
-        ax.grid(True, alpha=0.25)
-    middle.legend(fontsize="small", loc="upper right")
-    bottom.legend(fontsize="small", loc="upper right")
-    top.figure.savefig(folder / "figures-10-11.png")
+    output.save((top, middle, bottom), folder / "figures-10-11.png", "major", **LEGEND)
 
 
 responses()
