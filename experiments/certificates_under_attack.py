@@ -57,7 +57,6 @@ REASONS = (
     "beyond the digits of the numbers",
     "learns by",
     "acts within the trial by",
-    "learns no feedforward",
 )
 P, Q = PIDType(gamma_p=0.5), ZeroPhaseButterworth(80.0)
 MODEL = {
@@ -300,17 +299,7 @@ def attacked(name: str, groups, oracle) -> tuple[dict, Counter]:
 
 
 def in_short(reason: str) -> str:
-    for part in (
-        "is met in trial",
-        "is met later cannot be excluded",
-        "no power of the learning map",
-        "beyond the digits of the numbers",
-        "learns by",
-        "acts within the trial by",
-    ):
-        if part in reason:
-            return part
-    return reason
+    return next((part for part in REASONS if part in reason), reason)
 
 
 def main(count: int, names: list[str]) -> None:

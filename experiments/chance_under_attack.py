@@ -187,13 +187,9 @@ def main(machines: range, laws_named: list[str], kinds: list[str], seed: int) ->
                 print(wrong[-1], machines[i], hows[i], found.reason[i], flush=True)
         rows.append({"law": law, "kind": kind, "machines": len(rngs)} | dict(count))
         print(rows[-1], flush=True)
-    keys = list(dict.fromkeys(key for row in rows for key in row))
-    total = {key: sum(row.get(key, 0) for row in rows) for key in keys[2:]}
-    folder = output.folder(__file__)
-    output.write_rows(
-        folder / "chance.csv", [{key: row.get(key, 0) for key in keys} for row in rows]
-    )
-    print(f"{total}; contradicted: {len(wrong)}")
+    rows = output.filled(rows)
+    output.write_rows(output.folder(__file__) / "chance.csv", rows)
+    print(f"{output.sums(rows)}; contradicted: {len(wrong)}")
 
 
 if __name__ == "__main__":

@@ -467,10 +467,8 @@ def main(names: list[str], seeds: list[int]) -> None:
         print(f"{time.perf_counter() - start:.0f} s", row, flush=True)
         for one in wrong[:8]:
             print("   WRONG", *one, flush=True)
-    numbers = [key for key, value in rows[0].items() if isinstance(value, int)]
-    total = {key: sum(row[key] for row in rows) for key in numbers}
     output.write_rows(output.folder(__file__) / "rows.csv", rows)
-    print("all", total)
+    print("all", output.sums(rows))
 
 
 if __name__ == "__main__":

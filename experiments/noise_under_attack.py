@@ -135,13 +135,9 @@ def main(machines: int, kinds: list[str]) -> None:
                     print(wrong[-1], found.reason[i], flush=True)
             rows.append({"law": law, "kind": kind, "machines": each} | dict(count))
             print(rows[-1], flush=True)
-    keys = list(dict.fromkeys(key for row in rows for key in row))
-    total = {key: sum(row.get(key, 0) for row in rows) for key in keys[2:]}
-    output.write_rows(
-        output.folder(__file__) / "noise.csv",
-        [{key: row.get(key, 0) for key in keys} for row in rows],
-    )
-    print(f"{total}; contradicted: {len(wrong)}")
+    rows = output.filled(rows)
+    output.write_rows(output.folder(__file__) / "noise.csv", rows)
+    print(f"{output.sums(rows)}; contradicted: {len(wrong)}")
     for name, ratios in care.items():
         print(f"care, {name}: {np.quantile(ratios, (0, 0.5, 0.9, 1))} (least, median, 90 %, most)")
 

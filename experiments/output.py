@@ -62,6 +62,18 @@ def write_rows(path: Path, rows: list[dict], shown: int | None = None) -> None:
         )
 
 
+def filled(rows: list[dict], missing: object = 0) -> list[dict]:
+    """Rows of which each has the keys of all."""
+    keys = dict.fromkeys(key for row in rows for key in row)
+    return [dict.fromkeys(keys, missing) | row for row in rows]
+
+
+def sums(rows: list[dict]) -> dict[str, int]:
+    """The sums of the counts of rows by name."""
+    counted = [name for name, value in rows[0].items() if isinstance(value, int)]
+    return {name: sum(row[name] for row in rows) for name in counted}
+
+
 def axes(rows: int = 1, columns: int = 1, *, size=(7.2, 4.2)):
     """The axes of a new figure."""
     return Figure(figsize=size, layout="constrained", dpi=150).subplots(rows, columns)

@@ -34,64 +34,47 @@ KP, KI = 0.1, 2.0
 EYE, ZERO = np.eye(SAMPLES), np.zeros((SAMPLES, SAMPLES))
 SMOOTH, FIR = filter_matrix("mirrored"), filter_matrix("FIR")
 BUTTERWORTH, TAPS = ZeroPhaseButterworth(80.0), ZeroPhaseFIR((0.4, 0.2, 0.1))
-# scheme; of the inputs, newest first; of the errors, likewise; whether there are limits, feedback
-LAWS = {
-    "P": (PIDType(gamma_p=0.5), [EYE], [0.5 * EYE], ""),
-    "P, fast": (PIDType(gamma_p=1.0), [EYE], [EYE], ""),
-    "P, lead": (PIDType(gamma_p=0.5, lead=2), [EYE], [0.5 * shifted(2)], ""),
-    "P, leak": (PIDType(gamma_p=0.5, leak=0.1), [0.9 * EYE], [0.5 * EYE], ""),
+# scheme; of the inputs, newest first; of the errors, likewise
+OPEN = {
+    "P": (PIDType(gamma_p=0.5), [EYE], [0.5 * EYE]),
+    "P, fast": (PIDType(gamma_p=1.0), [EYE], [EYE]),
+    "P, lead": (PIDType(gamma_p=0.5, lead=2), [EYE], [0.5 * shifted(2)]),
+    "P, leak": (PIDType(gamma_p=0.5, leak=0.1), [0.9 * EYE], [0.5 * EYE]),
     "PI, leak": (
         PIDType(gamma_p=0.4, gamma_i=0.01, leak=0.05),
         [0.95 * EYE],
         [0.4 * EYE + 0.01 * np.tri(SAMPLES)],
-        "",
     ),
     "Q": (
         Filtered(PIDType(gamma_p=0.5, lead=2), BUTTERWORTH),
         [SMOOTH],
         [0.5 * SMOOTH @ shifted(2)],
-        "",
     ),
-    "Q, FIR": (Filtered(PIDType(gamma_p=0.5, lead=1), TAPS), [FIR], [0.5 * FIR @ shifted(1)], ""),
+    "Q, FIR": (Filtered(PIDType(gamma_p=0.5, lead=1), TAPS), [FIR], [0.5 * FIR @ shifted(1)]),
     "higher order": (
         HigherOrder((0.7, 0.2), (0.4, 0.1)),
         [0.7 * EYE, 0.2 * EYE],
         [0.4 * EYE, 0.1 * EYE],
-        "",
     ),
-    "over PID": (
-        WithFeedback(PIDType(gamma_p=0.5), PID(kp=KP, ki=KI)),
-        [EYE],
-        [0.5 * EYE],
-        "feedback",
-    ),
-    "Q over PID": (
-        WithFeedback(Filtered(PIDType(gamma_p=0.5, lead=2), BUTTERWORTH), PID(kp=KP, ki=KI)),
-        [SMOOTH],
-        [0.5 * SMOOTH @ shifted(2)],
-        "feedback",
-    ),
-    "P, leak, limits": (PIDType(gamma_p=0.5, leak=0.1), [0.9 * EYE], [0.5 * EYE], "limits"),
-    "Q, limits": (
-        Filtered(PIDType(gamma_p=0.5, lead=2), BUTTERWORTH),
-        [SMOOTH],
-        [0.5 * SMOOTH @ shifted(2)],
-        "limits",
-    ),
-    "P, hysteresis": (PIDType(gamma_p=0.5), [EYE], [0.5 * EYE], "hysteresis"),
-    "P, leak, hysteresis": (PIDType(gamma_p=0.5, leak=0.1), [0.9 * EYE], [0.5 * EYE], "hysteresis"),
-    "Q, hysteresis": (
-        Filtered(PIDType(gamma_p=0.5, lead=2), BUTTERWORTH),
-        [SMOOTH],
-        [0.5 * SMOOTH @ shifted(2)],
-        "hysteresis",
-    ),
-    "over PID, hysteresis": (
-        WithFeedback(PIDType(gamma_p=0.5), PID(kp=KP, ki=KI)),
-        [EYE],
-        [0.5 * EYE],
-        "feedback, hysteresis",
-    ),
+}
+
+
+def over_pid(name: str) -> tuple:
+    """A law of `OPEN` over a PID controller."""
+    scheme, keep, gain = OPEN[name]
+    return WithFeedback(scheme, PID(kp=KP, ki=KI)), keep, gain
+
+
+# the same, and whether there are limits, feedback, hysteresis
+LAWS = {name: (*law, "") for name, law in OPEN.items()} | {
+    "over PID": (*over_pid("P"), "feedback"),
+    "Q over PID": (*over_pid("Q"), "feedback"),
+    "P, leak, limits": (*OPEN["P, leak"], "limits"),
+    "Q, limits": (*OPEN["Q"], "limits"),
+    "P, hysteresis": (*OPEN["P"], "hysteresis"),
+    "P, leak, hysteresis": (*OPEN["P, leak"], "hysteresis"),
+    "Q, hysteresis": (*OPEN["Q"], "hysteresis"),
+    "over PID, hysteresis": (*over_pid("P"), "feedback, hysteresis"),
 }
 
 
@@ -269,12 +252,9 @@ def main(count: int, names: list[str]) -> None:
             wrong += broken
             for one in broken:
                 print(one, flush=True)
-    keys = list(dict.fromkeys(key for row in rows for key in row))
-    output.write_rows(
-        output.folder(__file__) / "rounding.csv",
-        [{key: row.get(key, 0) for key in keys} for row in rows],
-    )
-    total = {key: sum(row.get(key, 0) for row in rows) for key in keys[2:]}
+    rows = output.filled(rows)
+    output.write_rows(output.folder(__file__) / "rounding.csv", rows)
+    total = {name: n for name, n in output.sums(rows).items() if name != "channels"}
     every = np.concatenate([np.asarray(one) for one in ratios.values()])
     at = np.quantile(every, (0, 0.5, 0.9))
     print(f"{total}; contradicted: {len(wrong)}; slack of the ball: {at} (least, median, 90 %)")

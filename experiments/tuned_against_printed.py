@@ -304,11 +304,8 @@ def main(names: list[str]) -> None:
     output.save(axes, folder / "tuned.png", fontsize="small")
     print()
     output.write_rows(folder / "rows.csv", rows)
-    names = list(dict.fromkeys(k for row in verdicts for k in row))
     print()
-    output.write_rows(
-        folder / "targets.csv", [{k: row.get(k, "") for k in names} for row in verdicts]
-    )
+    output.write_rows(folder / "targets.csv", output.filled(verdicts, ""))
 
 
 def draw_curves(ax, s, case: Case, errors) -> None:
