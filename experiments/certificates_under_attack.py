@@ -20,10 +20,9 @@ from collections import Counter
 import jax
 import numpy as np
 import output
-import scipy.fft
 import scipy.linalg
 import scipy.signal
-from conditions_under_attack import lifted
+from conditions_under_attack import lifted, mirrored, symmetric
 
 import jaxilc
 from jaxilc import Actuator, Disturbance, Machine, Task
@@ -197,23 +196,14 @@ def difference():
 
 
 def filter_matrix(kind: str):
+    sections = scipy.signal.butter(2, 80.0, fs=1 / DT, output="sos")
     if kind == "mirrored":
-        f = np.arange(SAMPLES) / (2 * SAMPLES * DT)
-        _, response = scipy.signal.sosfreqz(
-            scipy.signal.butter(2, 80.0, fs=1 / DT, output="sos"), f, fs=1 / DT
-        )
-        return scipy.fft.idct(
-            np.abs(response[:, None]) ** 2 * scipy.fft.dct(np.eye(SAMPLES), axis=0), axis=0
+        return mirrored(
+            lambda f: np.abs(scipy.signal.sosfreqz(sections, f, fs=1 / DT)[1]) ** 2, SAMPLES
         )
     if kind == "odd":
-        return scipy.signal.sosfiltfilt(
-            scipy.signal.butter(2, 80.0, fs=1 / DT, output="sos"), np.eye(SAMPLES), axis=0, padlen=9
-        )
-    held = np.pad(np.eye(SAMPLES), ((2, 2), (0, 0)), mode="edge")
-    return sum(
-        tap * held[2 + i : 2 + i + SAMPLES]
-        for i, tap in zip(range(-2, 3), (0.1, 0.2, 0.4, 0.2, 0.1), strict=True)
-    )
+        return scipy.signal.sosfiltfilt(sections, np.eye(SAMPLES), axis=0, padlen=9)
+    return symmetric((0.4, 0.2, 0.1), SAMPLES)
 
 
 def matrices() -> dict:

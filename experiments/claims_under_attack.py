@@ -32,9 +32,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import output
-import scipy.fft
 import scipy.signal
-from conditions_under_attack import lifted
+from conditions_under_attack import lifted, mirrored, symmetric
 from jax.flatten_util import ravel_pytree
 
 import jaxilc
@@ -185,19 +184,18 @@ def by_taps(scheme, task):
 
 
 def zero_phase(q, samples: int):
-    """A filter that is mirrored at the ends of its signal, by SciPy's cosine transform."""
-    f = np.arange(samples) / (2 * samples * DT)
-    if hasattr(q, "a"):
-        response = scipy.signal.freqz(np.asarray(q.b), np.asarray(q.a), f, fs=1 / DT)[1]
-    else:
+    """A filter that is mirrored at the ends of its signal."""
+
+    def once(f):
+        if hasattr(q, "a"):
+            return scipy.signal.freqz(np.asarray(q.b), np.asarray(q.a), f, fs=1 / DT)[1]
         edges = [q.low, q.high] if hasattr(q, "low") else [q.cutoff]
         kind = "bandstop" if len(edges) > 1 else "lowpass"
         edges = np.squeeze(np.array(edges, float))
         sections = scipy.signal.butter(q.order, edges, kind, fs=1 / DT, output="sos")
-        response = scipy.signal.sosfreqz(sections, f, fs=1 / DT)[1]
-    return scipy.fft.idct(
-        abs(response[:, None]) ** 2 * scipy.fft.dct(np.eye(samples), axis=0), axis=0
-    )
+        return scipy.signal.sosfreqz(sections, f, fs=1 / DT)[1]
+
+    return mirrored(lambda f: abs(once(f)) ** 2, samples)
 
 
 def filtered(scheme, task):
@@ -212,10 +210,7 @@ def error_filtered(scheme, task):
 
 
 def fir(scheme, task):
-    held = np.pad(np.eye(task.N), ((2, 2), (0, 0)), mode="edge")
-    a, b, c = np.asarray(scheme.filter.taps)
-    kernel = zip(range(-2, 3), (c, b, a, b, c), strict=True)
-    Q = sum(tap * held[2 + i : 2 + i + task.N] for i, tap in kernel)
+    Q = symmetric(np.asarray(scheme.filter.taps), task.N)
     return Q, Q @ p_type(scheme.scheme, task)[1]
 
 

@@ -35,8 +35,11 @@ from conditions_under_attack import (
     Counted,
     ends,
     lifted,
+    mirrored,
     q_response,
     response,
+    sampled,
+    symmetric,
     task_of,
     within,
 )
@@ -94,29 +97,18 @@ def small_law(rng):
         a, b = rng.uniform(0.4, 0.7), rng.uniform(0.1, 0.15)
         taps = (a, b, (1 - a - 2 * b) / 2)
 
-        def matrix(N):
-            held_ends = np.pad(np.eye(N), ((2, 2), (0, 0)), mode="edge")
-            kernel = zip(range(-2, 3), (taps[2], taps[1], *taps), strict=True)
-            return sum(tap * held_ends[2 + i : 2 + i + N] for i, tap in kernel)
-
         def over(f):
             w = 2 * np.pi * f * DT
             return np.abs(taps[0] + 2 * taps[1] * np.cos(w) + 2 * taps[2] * np.cos(2 * w))
 
-        return Filtered(P, ZeroPhaseFIR(taps)), gamma, lead, matrix, over
+        return Filtered(P, ZeroPhaseFIR(taps)), gamma, lead, lambda N: symmetric(taps, N), over
     cutoff = rng.uniform(15, 200)
 
-    def mirrored(N):
-        r = q_response(cutoff, np.arange(N) / (2 * N * DT))
-        return scipy.fft.idct(r[:, None] * scipy.fft.dct(np.eye(N), axis=0), axis=0)
+    def over(f):
+        return q_response(cutoff, f)
 
-    return (
-        Filtered(P, ZeroPhaseButterworth(cutoff)),
-        gamma,
-        lead,
-        mirrored,
-        lambda f: q_response(cutoff, f),
-    )
+    scheme = Filtered(P, ZeroPhaseButterworth(cutoff))
+    return scheme, gamma, lead, lambda N: mirrored(over, N), over
 
 
 def map_of(scheme, gamma, lead, matrix, plant, N, D=None):
@@ -286,10 +278,7 @@ def whole(rng, kind, count):
                 z = zeta * x[2] if len(x) > 2 else zeta
                 wn = w * x[1]
                 den = np.polymul([1 / pole, 1.0], [1 / wn**2, 2 * z / wn, 1.0])
-                A, B, C, D = scipy.signal.tf2ss([x[0]], den)
-                scale = scipy.linalg.matrix_balance(A, permute=False, separate=True)[1][0]
-                A, B, C = A / scale[:, None] * scale, B / scale[:, None], C * scale
-                return scipy.signal.cont2discrete((A, B, C, D), DT)[:3]
+                return sampled([x[0]], den)
 
         task = task_of(60)
         of = Population(machine, box, count=4, sampling="latin-hypercube")
@@ -362,13 +351,13 @@ def servo(rng):
     """A servo, its model of a1, a2, b, and the machine that differs from it by up to 10 %."""
     a1, a2, b = rng.uniform(0, 5e4), rng.uniform(50, 500), 1e5
     true = np.array([a1, a2, b]) * (1 + rng.choice([0.0, 0.1]) * rng.uniform(-1, 1, 3))
-    A, B, C = (
-        np.array([[0.0, 1.0], [-true[0], -true[1]]]),
-        np.array([[0.0], [true[2]]]),
-        np.array([[1.0, 0.0]]),
-    )
-    Ad, Bd, _ = scipy.signal.cont2discrete((A, B, C, np.zeros((1, 1))), DT)[:3]
-    return {"a1": a1, "a2": a2, "b": b}, (Ad, Bd, C)
+    return {"a1": a1, "a2": a2, "b": b}, held_servo(*true)
+
+
+def held_servo(a1, a2, b):
+    """(A, B, C) of y'' = b u - a1 y - a2 y', sampled with a hold."""
+    A, B, C = np.array([[0.0, 1.0], [-a1, -a2]]), np.array([[0.0], [b]]), np.array([[1.0, 0.0]])
+    return (*scipy.signal.cont2discrete((A, B, C, np.zeros((1, 1))), DT)[:2], C)
 
 
 def xu(rng, kind, count=120):
@@ -391,8 +380,7 @@ def xu(rng, kind, count=120):
         if kind == "sampled":
             test = sampled_condition(Machine(StateSpace(*plant, dt=DT)), scheme, task).condition
         else:
-            nominal = servo_of(model)
-            plant = nominal
+            plant = held_servo(**model)
             test = printed_condition(scheme, task, reaching=k_n).condition
         wrong = False
         if test.holds:
@@ -419,15 +407,6 @@ def xu(rng, kind, count=120):
                 wrong |= bool(errors[-1] > errors[0])
         found.add(test, wrong)
     return found.row()
-
-
-def servo_of(model):
-    A, B, C = (
-        np.array([[0.0, 1.0], [-model["a1"], -model["a2"]]]),
-        np.array([[0.0], [model["b"]]]),
-        np.array([[1.0, 0.0]]),
-    )
-    return (*scipy.signal.cont2discrete((A, B, C, np.zeros((1, 1))), DT)[:2], C)
 
 
 def slides(rng, count=120):

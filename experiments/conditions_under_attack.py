@@ -88,7 +88,12 @@ def held(modes, gain=1.0):
     top, bottom = gain, np.array([1.0])
     for w, zeta in modes:
         top, bottom = top * w * w, np.polymul(bottom, [1.0, 2 * zeta * w, w * w])
-    A, B, C, D = scipy.signal.tf2ss([top], bottom)
+    return sampled([top], bottom)
+
+
+def sampled(top, bottom):
+    """(A, B, C) of top(s) / bottom(s), sampled with a hold, by SciPy."""
+    A, B, C, D = scipy.signal.tf2ss(top, bottom)
     scale = scipy.linalg.matrix_balance(A, permute=False, separate=True)[1][0]
     A, B, C = A / scale[:, None] * scale, B / scale[:, None], C * scale
     return scipy.signal.cont2discrete((A, B, C, D), DT)[:3]
@@ -111,11 +116,27 @@ def q_response(cutoff, f):
     return 1 / (1 + (np.tan(np.pi * f * DT) / np.tan(np.pi * cutoff * DT)) ** 4)
 
 
+def mirrored(response, samples: int) -> np.ndarray:
+    """A zero-phase filter of a signal that is mirrored at its ends, by SciPy's cosine transform.
+
+    response: function of frequencies [Hz]
+    """
+    f = np.arange(samples) / (2 * samples * DT)
+    return scipy.fft.idct(response(f)[:, None] * scipy.fft.dct(np.eye(samples), axis=0), axis=0)
+
+
+def symmetric(taps, samples: int) -> np.ndarray:
+    """A symmetric FIR filter by its taps from the middle on; the signal is held at its ends."""
+    n = len(taps) - 1
+    held_ends = np.pad(np.eye(samples), ((n, n), (0, 0)), mode="edge")
+    kernel = zip(range(-n, n + 1), (*taps[:0:-1], *taps), strict=True)
+    return sum(tap * held_ends[n + i : n + i + samples] for i, tap in kernel)
+
+
 def map_of(plant, law: Filtered, samples: int) -> np.ndarray:
     """Q (I - L G), for P-type with a lead and a filter with mirrored ends."""
     G = lifted(*plant, samples)
-    response = q_response(float(law.filter.cutoff), np.arange(samples) / (2 * samples * DT))
-    Q = scipy.fft.idct(response[:, None] * scipy.fft.dct(np.eye(samples), axis=0), axis=0)
+    Q = mirrored(lambda f: q_response(float(law.filter.cutoff), f), samples)
     L = float(law.scheme.gamma_p) * np.eye(samples, k=law.scheme.lead)
     return Q @ (np.eye(samples) - L @ G)
 
