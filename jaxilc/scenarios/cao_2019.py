@@ -16,7 +16,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.metrics import largest
 from ..plants import voice_coil
-from ..pytree.aliases import Leaf
+from ..pytree.aliases import Leaf, Value
 from ..pytree.ranges import need_one_of, require
 from ..schemes import (
     CFDLMFAILC,
@@ -80,16 +80,13 @@ def cao_2019(
     sample time.
     """
     require("cao-2019", "frequency", frequency, "[0.01, 50]", " Hz")
-    of, of_paper = READINGS[reading], printed("cao-2019", reading)
-    if (reference, frequency) != ("sinusoid", 0.5):
-        of_paper |= {"published": (), "conclusions": ()}
+    of, other = READINGS[reading], (reference, frequency) != ("sinusoid", 0.5)
+    unprinted = {"published": (), "conclusions": ()} if other else {}
     return Scenario(
-        **of_paper,
-        title="Voice-coil motor for noncircular turning, MFAILC (Cao 2019)",
+        **printed("cao-2019", reading, **unprinted),
         machine=Machine(voice_coil(plant)),
         task=task_of(reference, frequency, reading),
         schemes=schemes_of(of),
-        trials=80,
         uncertainty=MOTOR_UNCERTAINTY,
         tolerance=5.0,
         shown_unit="µm",
@@ -122,17 +119,14 @@ def task_of(reference: str, frequency: float, reading: str) -> Task:
 
 def schemes_of(of: Reading) -> dict[str, Scheme]:
     """The schemes of section IV with the printed weights, and what a reading adds to them."""
+    forms: dict[str, Value] = {"lam": 1.2, "eta": 1.0, "mu": 1.1, "rho": 0.98, "reset": of.reset}
     return {
         "pid": PID(kp=-11.3, ki=-0.028),
         "cfdl-mfailc": CFDLMFAILC(
             lam=1.0, eta=0.9, mu=1.0, rho=1.0, phi0=of.phi0["cfdl-mfailc"], reset=of.reset
         ),
-        "pfdl-mfailc": PFDLMFAILC(
-            lam=1.2, eta=1.0, mu=1.1, rho=0.98, phi0=of.phi0["pfdl-mfailc"], reset=of.reset
-        ),
-        "ffdl-mfailc": FFDLMFAILC(
-            lam=1.2, eta=1.0, mu=1.1, rho=0.98, phi0=of.phi0["ffdl-mfailc"], reset=of.reset
-        ),
+        "pfdl-mfailc": PFDLMFAILC(phi0=of.phi0["pfdl-mfailc"], **forms),
+        "ffdl-mfailc": FFDLMFAILC(phi0=of.phi0["ffdl-mfailc"], **forms),
         "ilc-mfapc": WithFeedback(
             learning=PIDType(gamma_p=-0.2, gamma_i=0.0, gamma_d=-1.0),
             feedback=CFDLMFAPC(P=10, lam=of.lam, eta=0.9, mu=1.0, phi0=of.phi0["ilc-mfapc"]),

@@ -59,14 +59,16 @@ def cao_2019_rig(
     r = references.sinusoid(1.0, frequency, duration=10.0, dt=1e-3)
     drift = Disturbance(input=np.full((len(r) - 1, 1), offset)) if offset else None
     return Scenario(
-        **printed("cao-2019-rig", reading),
-        title=f"Voice-coil motor on the laboratory rig at {frequency:g} Hz (Cao 2019)",
+        **printed(
+            "cao-2019-rig",
+            reading,
+            title=f"Voice-coil motor on the laboratory rig at {frequency:g} Hz (Cao 2019)",
+        ),
         machine=Machine(
             motor, Actuator(limit=10.0, resolution=20.0 / 2**16), Sensor(resolution=1e-4), drift
         ),
         task=Task(reference=r, dt=1e-3, unit="mm", input_unit="V"),
         schemes={"pid": pid, "cfdl-mfailc": cfdl_mfailc(reading, pid, passes)},
-        trials=80,
         uncertainty={
             name: Uniform(0.9, 1.1, relative=True)
             for name in (

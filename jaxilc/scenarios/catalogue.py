@@ -8,8 +8,8 @@ from typing import NamedTuple
 class Listed(NamedTuple):
     """A scenario as `jaxilc list` shows it.
 
-    title, schemes: as in the scenario
-    trials: number J of trials
+    title, trials: number J of them; the scenario has both from here, but where an option changes it
+    schemes: names as in the scenario
     samples: number N of samples of a trial
     """
 

@@ -49,8 +49,10 @@ def dai_2014(plant: str = "printed", frequency: float = 0.5) -> Scenario:
     setting = SETTINGS[frequency]
     duration = setting.periods * period
     return Scenario(
-        **printed("dai-2014"),
-        title=f"Voice-coil motor under predictive MFAC at {frequency:g} Hz (Dai 2014)",
+        **printed(
+            "dai-2014",
+            title=f"Voice-coil motor under predictive MFAC at {frequency:g} Hz (Dai 2014)",
+        ),
         machine=Machine(voice_coil(plant)),
         task=Task(
             reference=references.sinusoid(1.0, frequency, duration=duration, dt=dt),
@@ -61,7 +63,6 @@ def dai_2014(plant: str = "printed", frequency: float = 0.5) -> Scenario:
             input_unit="V",
         ),
         schemes={"pid": PID(**setting.pid), "cfdl-mfapc": CFDLMFAPC(**setting.mfapc)},
-        trials=1,
         uncertainty=MOTOR_UNCERTAINTY,
         tolerance=0.03,
         shown_unit="mm",

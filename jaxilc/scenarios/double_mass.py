@@ -250,13 +250,11 @@ def double_mass(
     norm = of_position if second == "controller" else error_norm
     return Scenario(
         **printed("double-mass"),
-        title="Two masses on a spring, the tests of IterativeLearningControl2.jl",
         machine=Machine(plant, disturbance=Disturbance(output=without_learning(loop, r, second))),
         task=Task(r, dt=SAMPLE_TIME, unit="m", input_unit="N", inputs=plant.n_u),
         schemes=schemes_for(
             loop_from(closed_loop(MODELLED), at, second).sampled(SAMPLE_TIME), at, second
         ),
-        trials=28,
         uncertainty={"plant.B": Uniform(0.9, 1.1, relative=True)},
         shown_unit="mm",
         shown_scale=1e3,

@@ -151,9 +151,10 @@ def li_2020(
         }
     name = "plant.x.B" if two else "plant.B"
     return Scenario(
-        **printed("li-2020"), title=f"CNC axis along a butterfly, {setting} (Li 2020)",
+        **printed("li-2020", title=f"CNC axis along a butterfly, {setting} (Li 2020)",
+                  trials=trials),
         machine=machine, task=Task(r, dt=SAMPLE_TIME, unit="mm", names=("x", "y") if two else ()),
-        schemes=schemes_for(gain, r), trials=trials,
+        schemes=schemes_for(gain, r),
         uncertainty={name: Uniform(0.9, 1.1, relative=True)}, tolerance=5.0, shown_unit="µm",
         shown_scale=1e3, show_trials=(1, 2, 3, 4, 5, 9, 15, 22, 30, 40, 60, 100),
         quantities=quantities, judged_by="rms",

@@ -166,11 +166,9 @@ def milc_2024(axis: str = "x", reading: str = "short-stroke") -> Scenario:
     drive, r = nominal_drive(of.antiresonance, of.force_gain, of.unit), path(of)
     return Scenario(
         **printed("milc-2024", reading),
-        title="Flexible ball-screw drive, direct and multivariable norm-optimal ILC (MILC 2024)",
         machine=real_machine(drive, of.noise, PITCH[axis]),
         task=Task(reference=np.stack([r, r], axis=1), dt=DT, inputs=1, unit="mm", input_unit="V"),
         schemes={"dilc": direct_ilc(drive), "milc": multivariable_ilc(drive)},
-        trials=11,
         uncertainty={
             f"plant.{name}": Uniform(0.9, 1.1, relative=True)
             for name in ("stiffness", "table_mass", "motor_mass", "force_gain")

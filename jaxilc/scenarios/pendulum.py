@@ -41,14 +41,12 @@ def pendulum() -> Scenario:
     weights: dict[str, Leaf] = {"w_y": 1e8, "w_alpha": 1e-10, "w_q": 1e8, "w_s": 1e-10}
     return Scenario(
         **printed("pendulum"),
-        title="Pendulum swung upright, two-step nonlinear ILC (gILC)",
         machine=Machine(Pendulum()),
         task=Task(swing(), dt=SAMPLE_TIME, unit="rad", input_unit="N m"),
         schemes={
             "two-step": TwoStep(model, **weights),
             "two-step-limited": TwoStep(model, **weights, limit=LIMIT),
         },
-        trials=5,
         uncertainty={
             "plant.mass": Uniform(0.98, 1.02, relative=True),
             "plant.damping": Uniform(0.9, 1.1, relative=True),

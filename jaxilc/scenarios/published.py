@@ -10,6 +10,7 @@ from importlib import resources
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from ..pytree.closest import not_one_of
+from .catalogue import LISTED
 
 if TYPE_CHECKING:
     from ..pytree.aliases import Value
@@ -209,19 +210,24 @@ def conclusions(name: str, reading: str = "") -> tuple[Conclusion, ...]:
     return tuple(several)
 
 
-def printed(name: str, reading: str = "") -> dict[str, Value]:
-    """The fields of the scenario of a paper that follow from its file.
+def printed(name: str, reading: str = "", **others: Value) -> dict[str, Value]:
+    """The fields of the scenario of a paper that follow from its file and from the list.
 
-    These are its name, its printed rows, its conclusions, and what was chosen where it is open.
+    These are its name, title and number of trials, its printed rows, its conclusions, and what was
+    chosen where it is open.
+
+    others: values that fields have in place of these
     """
     found = file_of(name)
     of_reading = found["readings"][reading]["chosen"] if reading else ()
     return {
         "name": name,
+        "title": LISTED[name].title,
+        "trials": LISTED[name].trials,
         "published": published(name, reading),
         "conclusions": conclusions(name, reading),
         "chosen": (*found["chosen"], *of_reading),
-    }
+    } | others
 
 
 def _row(found: dict[str, Value], fields: dict[str, Value], reading: str) -> Published:

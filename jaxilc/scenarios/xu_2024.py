@@ -28,7 +28,6 @@ from .scenario import Quantity, Scenario
 DT = 1e-4
 MODEL: dict[str, Leaf] = {"a1": 2.413e6, "a2": 70.16, "b": 2.229e7}  # printed; µm per V
 FITTED = file_of("xu-2024")["fitted"]
-LEARNED_TRIAL = 10
 
 
 class Reading(NamedTuple):
@@ -95,16 +94,10 @@ def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "large-
     of = READINGS[reading]
     need_one_of("xu-2024", "disturbance", disturbance, ("none", "multi"))
     require("xu-2024", "load", load, "[-5, 5]", " N")
-    names = [
-        "stiffness",
-        "damping",
-        "conversion",
-        "hysteresis.initial_slope",
-        *(["load"] if load else []),
-    ]
+    names = ["stiffness", "damping", "conversion", "hysteresis.initial_slope"]
+    names += ["load"] if load else []
     return Scenario(
         **printed("xu-2024", reading),
-        title="Piezo fast tool servo, adaptive sliding mode and iterative learning (Xu 2024)",
         machine=Machine(
             servo(FITTED["A"], load or None, disturbance),
             Actuator(limit=10.0, resolution=20.0 / 2**16),
@@ -118,7 +111,6 @@ def xu_2024(load: float = 0.0, disturbance: str = "none", reading: str = "large-
             input_unit="V",
         ),
         schemes=schemes_for(FITTED, of),
-        trials=LEARNED_TRIAL,
         uncertainty={f"plant.{name}": Uniform(0.8, 1.2, relative=True) for name in names},
         tolerance=1000.0,
         shown_unit="nm",
