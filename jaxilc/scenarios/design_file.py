@@ -89,17 +89,18 @@ def write_with_scheme(path: Path, source: str, name: str, scheme: Scheme) -> tup
     """
     table = f"\n# Found by `jaxilc filter`.\n{toml_of({name: scheme})}"
     before = Path(source).read_text(encoding="utf-8") if Path(source).suffix == ".toml" else ""
-    _write(path, before + table)
+    write_text(path, before + table)
     if before:
         try:
             read_scenario(path)
             return path, True
         except (ValueError, OSError):
-            _write(path, table)
+            write_text(path, table)
     return path, False
 
 
-def _write(path: Path, text: str) -> None:
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file completely or not at all."""
     atomically(path, lambda file: file.write(text.encode()))
 
 
@@ -177,5 +178,5 @@ def _with_tables(
         written = json.dumps(kept, indent=1, ensure_ascii=False) + "\n"
     else:
         written = f"{head}{without_tables(text, changed).rstrip()}\n\n{toml}"
-    _write(path, written)
+    write_text(path, written)
     return path

@@ -14,6 +14,7 @@ the unit of the task, times in s. A path is measured from its start, since a pla
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
@@ -35,13 +36,10 @@ from .specification import Table, at_place, list_of_numbers, number, numbers, on
 
 UNITS = "lengths in the `unit` of the task, times in s, feeds in that unit per s"
 LARGEST_PROGRAM = 16_000_000  # bytes
+_number = functools.partial(number, units=UNITS)
 MILLIMETRE = {"mm": 1.0, "": 1.0, "µm": 1e3, "um": 1e3, "m": 1e-3}  # in units of the task
 POINTS = 100_000  # of a file, at most
-
-
 Limits: TypeAlias = dict[str, np.ndarray]  # of acceleration and jerk
-
-
 AXES = ("x", "y", "z")
 
 
@@ -262,10 +260,6 @@ def _limit(value: Value, where: str, d: int) -> np.ndarray:
         )
     require("", where, limit, "(0, inf)", many=True)
     return limit
-
-
-def _number(value: Value, where: str) -> float:
-    return number(value, where, UNITS)
 
 
 def _corner(value: Value, where: str) -> float | None:

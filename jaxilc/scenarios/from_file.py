@@ -41,7 +41,18 @@ from .li_2020 import li_2020
 from .milc_2024 import milc_2024
 from .pendulum import pendulum
 from .scenario import Learnable, Quantity, Scenario, judged
-from .specification import Table, at_place, by_name, list_of, named_in, number, scheme, text, whole
+from .specification import (
+    Kind,
+    Table,
+    at_place,
+    by_name,
+    list_of,
+    named_in,
+    number,
+    scheme,
+    text,
+    whole,
+)
 from .xu_2024 import xu_2024
 
 # Scenarios of papers, by name
@@ -173,7 +184,6 @@ def read_scenario(path: str | Path) -> Scenario:
         },
         {},
     )
-    uncertainty = file.take("uncertainty", uncertainty_of, {})
     path_given = is_path(file.values["task"].get("reference"))
     of_contour = task.outputs in (2, 3) and (path_given or isinstance(plant, Axes))
     further = contour_metrics(task) if of_contour else {}
@@ -183,35 +193,37 @@ def read_scenario(path: str | Path) -> Scenario:
         with at_place(path, "task"):
             further |= counted_metrics(task, windows_of("task.windows", windows))
         usual = "counted_max"
-    name = file.take("name", text, stem)
-    title = file.take("title", text, f"{stem}: {type(plant).__name__}")
-    trials, tolerance = file.take("trials", whole, 20), file.take("tolerance", number, None)
-    shown_unit = file.take("shown_unit", text, task.unit)
-    shown_scale = file.take("shown_scale", number, 1.0)
-    judged_by = file.take("judged_by", text, usual)
-    show_trials = tuple(file.take("show_trials", list_of(whole), []))
-    grid = file.take("grid", _axes, {})
-    potential = file.take("potential", _potential, None)
+    keys: dict[str, tuple[Kind[Value], Value]] = {  # what each is, and what it is if left out
+        "uncertainty": (uncertainty_of, {}),
+        "name": (text, stem),
+        "title": (text, f"{stem}: {type(plant).__name__}"),
+        "trials": (whole, 20),
+        "tolerance": (number, None),
+        "shown_unit": (text, task.unit),
+        "shown_scale": (number, 1.0),
+        "judged_by": (text, usual),
+        "show_trials": (lambda v, at: tuple(list_of(whole)(v, at)), ()),
+        "grid": (_axes, {}),
+        "potential": (_potential, None),
+    }
+    of_file = {key: file.take(key, *of) for key, of in keys.items()}
     file.done()
     with at_place(path, ""):
-        require("", "trials", trials, "[1, inf)")
-        require("", "show_trials", show_trials, "[1, inf)", many=True)
-    with at_place(path, ""):
+        require("", "trials", of_file["trials"], "[1, inf)")
+        require("", "show_trials", of_file["show_trials"], "[1, inf)", many=True)
         made = Scenario(
-            name=name, title=title, machine=machine, task=task, schemes=found, trials=trials,
-            uncertainty=uncertainty, grid=grid, tolerance=tolerance, shown_unit=shown_unit,
-            shown_scale=shown_scale, judged_by=judged_by, show_trials=show_trials,
-            potential=potential, chosen=tuple(notes),
-            quantities={metric: Quantity(of) for metric, of in further.items()},
+            machine=machine, task=task, schemes=found, chosen=tuple(notes),
+            quantities={metric: Quantity(of) for metric, of in further.items()}, **of_file,
         )  # fmt: skip
+    parts = Parts(machine, found, task, made.trials)
     with at_place(path, "grid"):
-        grid_of(grid, machine, found, task).variants(Parts(machine, found, task, trials))
+        grid_of(made.grid, machine, found, task).variants(parts)
     with at_place(path, "judged_by"):
         judged(made, made.judged_by)
     with at_place(path, "machine"):
         machine.check(task)
     with at_place(path, "uncertainty"):
-        check_uncertainty(machine, uncertainty)
+        check_uncertainty(machine, made.uncertainty)
     for called, one in found.items():
         with at_place(path, f"schemes.{called}"):
             check(machine, one, task)

@@ -10,7 +10,7 @@ import re
 import typing
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
 from types import UnionType
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -253,14 +253,20 @@ def classes() -> dict[str, type[DataclassInstance]]:
     return {n: c for n, c in found.items() if isinstance(c, type) and dataclasses.is_dataclass(c)}
 
 
+class Own(NamedTuple):
+    """What "plant" stands for: the plant of the file, and the task's sample time [s]."""
+
+    plant: Plant
+    dt: float
+
+
 def built(
     values: Value,
     where: str,
     *,
     cls: type[DataclassInstance] | None = None,
     hint: object = None,
-    plant: Plant | None = None,
-    dt: float | None = None,
+    own: Own | None = None,
 ) -> Tree:
     """The object that a table describes: `class` names its class, the other keys are its fields.
 
@@ -270,7 +276,7 @@ def built(
 
     cls: the class, where the table does not name it
     hint: what the object must be, where a table names another class
-    plant, dt: the plant of the file, and the task's sample time [s]
+    own: None where "plant" stands for nothing
     Raises ValueError naming the key: for an unknown class or field, for a missing field, and for a
     value of another kind or outside its range.
     """
@@ -279,19 +285,16 @@ def built(
     if cls is None:
         suited, named = _suited(hint), table.values.get("class")
         if isinstance(named, str) and named in classes() and named not in suited:
-            raise ValueError(f"{where} is a {named}; {_kinds(hint, values, plant)}")
+            raise ValueError(f"{where} is a {named}; {_kinds(hint, values, own)}")
         cls = classes()[table.take("class", one_of(suited))]
         table.known = [field.name for field in dataclasses.fields(cls)]
     hints, fields = typing.get_type_hints(cls), {}
     for field in dataclasses.fields(cls):
         if field.name in HIDDEN:
             continue
-        kind = functools.partial(_field, field, hints[field.name], plant, dt)
-        value = table.take(
-            field.name,
-            kind,
-            dataclasses.MISSING if field.default is dataclasses.MISSING else _DEFAULT,
-        )
+        kind = functools.partial(_field, field, hints[field.name], own)
+        default = dataclasses.MISSING if field.default is dataclasses.MISSING else _DEFAULT
+        value = table.take(field.name, kind, default)
         if value is not _DEFAULT:
             fields[field.name] = value
     table.done()
@@ -303,12 +306,7 @@ _DEFAULT = object()
 
 
 def _field(
-    field: dataclasses.Field,
-    hint: object,
-    plant: Plant | None,
-    dt: float | None,
-    value: Value,
-    where: str,
+    field: dataclasses.Field, hint: object, own: Own | None, value: Value, where: str
 ) -> Value:
     kind = field.metadata.get("kind", "child")
     if kind == "leaf":
@@ -316,18 +314,18 @@ def _field(
     if kind == "static":
         return tuple(value) if isinstance(value, list) else value
     if typing.get_origin(hint) is tuple and isinstance(value, list):  # parts of one kind
-        kind_of = functools.partial(_field, field, typing.get_args(hint)[0], plant, dt)
+        kind_of = functools.partial(_field, field, typing.get_args(hint)[0], own)
         return tuple(kind_of(one, f"{where}[{i}]") for i, one in enumerate(value))
     if value == "plant":
-        value = plant if hint is Plant and plant else _nominal(where, plant, dt)
+        value = own.plant if hint is Plant and own else _nominal(where, own)
     elif isinstance(value, Mapping) and "function" in value:
-        value = _model(value, where, plant, dt)
+        value = _model(value, where, own)
     elif isinstance(value, Mapping):
-        value = built(value, where, hint=hint, plant=plant, dt=dt)
+        value = built(value, where, hint=hint, own=own)
     if isinstance(hint, type | UnionType) and not isinstance(value, hint):
         plain = isinstance(value, str | int | float | list)
         found = f" = {brief(value)}" if plain else f" is a {type(value).__name__}"
-        raise ValueError(f"{where}{found}{' is no table' * plain}; {_kinds(hint, value, plant)}")
+        raise ValueError(f"{where}{found}{' is no table' * plain}; {_kinds(hint, value, own)}")
     return value
 
 
@@ -343,7 +341,7 @@ def _suited(hint: object) -> list[str]:
     return sorted(name for name, c in classes().items() if issubclass(c, wanted))
 
 
-def _kinds(hint: object, value: Value, plant: Plant | None = None) -> str:
+def _kinds(hint: object, value: Value, own: Own | None) -> str:
     """What is allowed for a part, as text for a message on a value that is not.
 
     Text that is close to a class, or to "plant", is answered with it first.
@@ -355,28 +353,26 @@ def _kinds(hint: object, value: Value, plant: Plant | None = None) -> str:
     written = {name: f'{{ class = "{name}", ... }}' for name in named}
     if issubclass(plants.StateSpace, wanted):
         allowed += f", or a table with function = {' | '.join(_MODELS)}"
-        if plant is not None:
+        if own is not None:
             written["plant"] = '"plant"'
             allowed = f'"plant", which stands for the plant of this file, {allowed}'
     near = [written[name] for name in closest(value, written)]
     return (f"did you mean {' or '.join(near)}? Allowed is " if near else "allowed is ") + allowed
 
 
-def _model(values: Mapping, where: str, plant: Plant | None, dt: float | None) -> plants.StateSpace:
+def _model(values: Mapping, where: str, own: Own | None) -> plants.StateSpace:
     table = Table(values, where)
     function = _MODELS[table.take("function", one_of(sorted(_MODELS)))]
     gains = () if function is schemes.with_jerk else (table.take("C_P", number),)
-    model = table.take("P", functools.partial(_state_space, plant, dt))
+    model = table.take("P", functools.partial(_state_space, own))
     table.done()
     with at_place(where, also=TypeError):
         return function(*gains, model)
 
 
-def _state_space(
-    plant: Plant | None, dt: float | None, value: Value, where: str
-) -> plants.StateSpace:
+def _state_space(own: Own | None, value: Value, where: str) -> plants.StateSpace:
     if value == "plant":
-        return _nominal(where, plant, dt)
+        return _nominal(where, own)
     if isinstance(value, str):
         raise ValueError(
             f'{where} = {brief(value)} is no table; allowed is "plant", which stands for the plant '
@@ -385,14 +381,14 @@ def _state_space(
     return built(value, where, cls=plants.StateSpace)
 
 
-def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateSpace:
+def _nominal(where: str, own: Own | None) -> plants.StateSpace:
     """The file's own plant as a discrete linear model."""
-    if plant is None or dt is None:
+    if own is None:
         raise ValueError(f"{where} = 'plant' has no plant to stand for")
     with at_place(where, also=TypeError):
-        linear = getattr(plant, "linear", plant.sampled)(dt)
+        linear = getattr(own.plant, "linear", own.plant.sampled)(own.dt)
     if not isinstance(linear, plants.StateSpace):
-        name = type(plant).__name__
+        name = type(own.plant).__name__
         raise ValueError(
             f"{where} = 'plant' is a {name}, which is no linear model; allowed is a table with "
             "class = StateSpace"
@@ -402,7 +398,7 @@ def _nominal(where: str, plant: Plant | None, dt: float | None) -> plants.StateS
 
 def scheme(values: Value, where: str, plant: Plant, dt: float) -> Scheme:
     """The scheme with its parts that a table describes; raises ValueError as `built` does."""
-    return built(values, where, hint=Scheme, plant=plant, dt=dt)
+    return built(values, where, hint=Scheme, own=Own(plant, dt))
 
 
 def called(function: Callable[..., T], table: Table, units: str, **given: Value) -> T:
@@ -414,20 +410,20 @@ def called(function: Callable[..., T], table: Table, units: str, **given: Value)
     given: further arguments of the function
     Raises ValueError naming the argument that does not fit.
     """
+
+    def in_units(value: Value, where: str) -> np.ndarray:
+        return numbers(value, where, units)[()]
+
     arguments, parameters = {}, inspect.signature(function).parameters
     table.known = [*parameters]
     for name, parameter in parameters.items():
         if name in given:
             continue
         default = dataclasses.MISSING if parameter.default is parameter.empty else _DEFAULT
-        read = text if isinstance(parameter.default, str) else _numbers_in(units)
+        read = text if isinstance(parameter.default, str) else in_units
         value = table.take(name, read, default)
         if value is not _DEFAULT:
             arguments[name] = value
     table.done()
     with at_place(table.where, also=TypeError):
         return function(**arguments, **given)
-
-
-def _numbers_in(units: str) -> Kind[np.ndarray]:
-    return lambda value, where: numbers(value, where, units)[()]
