@@ -70,6 +70,17 @@ def vector_fitting(f, G, weights, order, at, sweeps=30):
     return basis(at) @ x
 
 
+def plant_at(one, f):
+    """P of a grown model at frequencies [Hz]."""
+    return grown_response.columns(one.found.theta, one.parts, f, DT) @ one.found.N
+
+
+def feedback_at(num, den, f):
+    """C(z) at frequencies [Hz]."""
+    z = np.exp(-2j * np.pi * f * DT)
+    return np.polyval(num[::-1], z) / np.polyval(den[::-1], z)
+
+
 def quality(G, P, good):
     """Unweighted fit, and on lines of good coherence the median error and the shares within it."""
     error = (np.abs(G - P) / np.abs(G))[good]
@@ -97,7 +108,7 @@ def compared(measured):
             P = vector_fitting(f[among], G[among], weights[among], order, f[judged])
             rows.append({**row, "by": "vector fitting", **quality(G[judged], P, good)})
             one = next(one for one in grown if one.parts.order == order)
-            P = grown_response.columns(one.found.theta, one.parts, f[judged], DT) @ one.found.N
+            P = plant_at(one, f[judged])
             by = "grown, chosen" if one is chosen else "grown"
             rows.append({**row, "by": by, **quality(G[judged], P, good)})
     return rows, {one.parts.order: one for one in models}, chosen
@@ -203,9 +214,7 @@ def learned(loop, design, num, den, trials):
         ends = scipy.signal.windows.tukey(N, 2 * ENDS / (N * DT))
         f = np.fft.rfftfreq(2 * N, DT)
         at = np.maximum(f, f[1] / 10)
-        P = grown_response.columns(design.found.theta, design.parts, at, DT) @ design.found.N
-        later = np.exp(-2j * np.pi * at * DT)
-        C = np.polyval(num[::-1], later) / np.polyval(den[::-1], later)
+        P, C = plant_at(design, at), feedback_at(num, den, at)
         Q, inverse = 1 / (1 + (f / CUTOFF) ** 4), (1 + P * C) / P
         u, errors = np.zeros(N), []
         for _ in range(TRIALS):
@@ -225,7 +234,7 @@ def learned(loop, design, num, den, trials):
 def drawn(out, measured, one, told, errors, floor) -> None:
     """The pictures: the response and its model, an error that was predicted, and learning."""
     f, G = measured.frequencies, measured.response
-    P = grown_response.columns(one.found.theta, one.parts, f, DT) @ one.found.N
+    P = plant_at(one, f)
     place = axes(size=(7.2, 3.6))
     place.loglog(f, np.abs(G), ".", color="0.6", ms=3, label="measured")
     place.loglog(f, np.abs(P), color="C0", lw=1.2, label=f"model of order {one.parts.order}")

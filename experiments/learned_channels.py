@@ -24,10 +24,10 @@ import time
 import jax.numpy as jnp
 import numpy as np
 import output
-from learned_families import Case, relative
+from learned_families import Case, errors_of, relative
 
 import jaxilc
-from jaxilc import Machine, Sensor, Sweep, Task, figures
+from jaxilc import Machine, Sensor, Task, figures
 from jaxilc.design.learned import LearnedLaw
 from jaxilc.design.responses import designed_on, family_of
 from jaxilc.filters import ZeroPhaseButterworth
@@ -145,13 +145,8 @@ def norm_optimal(case: Case, folder) -> tuple[Scheme, dict]:
 
 def row_of(case: Case, scheme: Scheme) -> dict:
     """Medians of the rms error of the worse channel, in units of the noise, and the worst one."""
-    dataset = Sweep(
-        case.machine, {"law": scheme}, case.task, LAST, case.uncertainty, machines=case.judged_on,
-        seed=JUDGES,
-    ).run()  # fmt: skip
-    lost = ~dataset["finite"].values[0] | dataset["diverged"].values[0]
-    errors = dataset[METRIC].values[0].reshape(case.judged_on, LAST, -1).max(-1) / NOISE
-    errors = np.where(lost, np.inf, errors)
+    errors, lost = errors_of(case, scheme, METRIC, LAST, case.judged_on, JUDGES)
+    errors = errors / NOISE
     row = {f"trial {j}": float(np.median(errors[:, j - 1])) for j in SHOWN}
     return row | {"worst, 100": float(np.max(errors[:, -1])), "lost": int(np.sum(lost.any(1)))}
 

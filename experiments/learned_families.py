@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxilc import Machine, Sensor, Task, Uniform
+from jaxilc import Machine, Sensor, Sweep, Task, Uniform
 from jaxilc.plants import ProcessModel
 from jaxilc.plants.plant import Plant
 from jaxilc.pytree import Leaf, child, leaf, pytree
@@ -50,6 +50,19 @@ class Case(NamedTuple):
     def named(self, bounds: dict) -> dict:
         prefix = "" if self.feedback is None else "learning."
         return {prefix + name: of for name, of in bounds.items()}
+
+
+def errors_of(
+    case: Case, scheme: Scheme, metric: str, trials: int, machines: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(machines, trials) errors of the worst channel, and which are lost; their errors are inf."""
+    dataset = Sweep(
+        case.real or case.machine, {"law": scheme}, case.task, trials, case.uncertainty,
+        machines=machines, seed=seed,
+    ).run()  # fmt: skip
+    lost = ~dataset["finite"].values[0] | dataset["diverged"].values[0]
+    errors = dataset[metric].values[0].reshape(machines, trials, -1).max(-1)
+    return np.where(lost, np.inf, errors), lost
 
 
 def relative(**widths: float) -> Uncertainty:

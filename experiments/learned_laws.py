@@ -33,11 +33,10 @@ from pathlib import Path
 import numpy as np
 import output
 import scipy.stats
-from learned_families import FAMILIES, Case
-from learned_opponents import KEPT, MARGIN, METRIC, RISK, SEED, best_of_grid, opponents
+from learned_families import FAMILIES, Case, errors_of
+from learned_opponents import KEPT, MARGIN, METRIC, SEED, best_of_grid, learned_law, opponents
 
 import jaxilc
-from jaxilc import Sweep
 from jaxilc.design.candidates import Absent, candidates, contraction
 from jaxilc.design.judging import proof_of
 from jaxilc.design.learned import STARTS, LearnedLaw
@@ -84,10 +83,7 @@ def judged(name: str, folder: Path, laws_of) -> dict:
 
 def laws_by_grid(case: Case, family: Family, safe: list, folder: Path, taps: dict):
     """As `tuned_laws`, without any tuning through learning."""
-    asked = LearnedLaw(
-        case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-        margin=MARGIN, seed=SEED, risk=RISK, steps=0,
-    )  # fmt: skip
+    asked = learned_law(case, steps=0)
     found, seconds = taps_of(case, asked, family, safe, folder / "learned", {})
     if isinstance(found.passed, str):
         print(f"  learned: refused, {found.passed}", flush=True)
@@ -115,11 +111,8 @@ def tuned_laws(case: Case, family: Family, safe: list, folder: Path, taps: dict)
         if name == SCHEDULED and not starts:
             continue
         seen = {}
-        asked = LearnedLaw(
-            case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-            margin=MARGIN, seed=SEED, risk=RISK, steps=case.steps, trained_on=case.tuned_on,
-            held_out=case.tuned_on, starts=starts,
-        )  # fmt: skip
+        trained = {"steps": case.steps, "trained_on": case.tuned_on, "held_out": case.tuned_on}
+        asked = learned_law(case, starts=starts, **trained)
         state = folder / name.replace(", ", "-").replace(" ", "-")
         found, seconds = taps_of(case, asked, family, safe, state, seen)
         if isinstance(found.passed, str):
@@ -162,13 +155,7 @@ def row_of(case: Case, law: str, scheme: Scheme, seconds: float, folder: Path) -
     kept = folder / f"{law.replace(', ', '-').replace(' ', '-')}.json"
     if kept.exists():
         return json.loads(kept.read_text())
-    dataset = Sweep(
-        case.real or case.machine, {"law": scheme}, case.task, case.last, case.uncertainty,
-        machines=case.judged_on, seed=JUDGES,
-    ).run()  # fmt: skip
-    lost = ~dataset["finite"].values[0] | dataset["diverged"].values[0]
-    errors = dataset[METRIC].values[0].reshape(case.judged_on, case.last, -1).max(-1)
-    errors = np.where(lost, np.inf, errors)
+    errors, lost = errors_of(case, scheme, METRIC, case.last, case.judged_on, JUDGES)
     row = {
         str(trial): [float(x) for x in quantiles(errors[:, trial - 1])]
         for trial in SHOWN

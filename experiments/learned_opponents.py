@@ -29,6 +29,7 @@ from jaxilc.design.candidates import (
     tuned,
     widest,
 )
+from jaxilc.design.learned import LearnedLaw
 from jaxilc.design.responses import Family
 from jaxilc.filters import ZeroPhaseButterworth, stable_inverse, zpetc
 from jaxilc.plants import StateSpace
@@ -45,6 +46,14 @@ RISK = CVaR(0.75)
 GAINS, SHARES, LEADS = np.geomspace(0.1, 1.2, 8), np.geomspace(0.004, 0.3, 16), 16
 SIMULATED = 160  # laws of this grid that are simulated: those of least error by the responses
 KEPT = ("p-type", "pd-type", "p-type-notch", "model-inverse", "norm-optimal")
+
+
+def learned_law(case: Case, **settings) -> LearnedLaw:
+    """The learned law of a case, judged as its opponents are."""
+    return LearnedLaw(
+        case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
+        margin=MARGIN, seed=SEED, risk=RISK, **settings,
+    )  # fmt: skip
 
 
 def opponents(

@@ -13,13 +13,13 @@ import dataclasses
 
 import numpy as np
 import output
-from learned_families import FAMILIES, Case
-from learned_laws import JUDGES, MARGIN, METRIC, RISK, SEED
+from learned_families import FAMILIES, Case, errors_of
+from learned_laws import JUDGES, MARGIN, METRIC, SEED
+from learned_opponents import learned_law
 
 import jaxilc
-from jaxilc import Sweep
 from jaxilc.design.candidates import Candidate, candidates, contraction
-from jaxilc.design.learned import STARTS, LearnedLaw
+from jaxilc.design.learned import STARTS
 from jaxilc.design.responses import Family, designed_on, family_of
 from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import LearningFilter
@@ -45,11 +45,7 @@ def responses(case: Case) -> Family:
 
 def law_of(case: Case, family: Family, folder) -> LearningFilter | str:
     """The law of a family by frequency response, or why there is none."""
-    asked = LearnedLaw(
-        case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-        margin=MARGIN, seed=SEED, risk=RISK, steps=0,
-    )  # fmt: skip
-    names = STARTS["safe"]
+    asked, names = learned_law(case, steps=0), STARTS["safe"]
     found = candidates(family, case.feedback, case.task, case.trials, MARGIN, names)
     safe = sorted((x for x in found if isinstance(x, Candidate)), key=lambda x: x.predicted)
     taps = asked.learned_taps(
@@ -61,13 +57,7 @@ def law_of(case: Case, family: Family, folder) -> LearningFilter | str:
 def row_of(case: Case, family: Family, law: LearningFilter) -> dict:
     """What a law does on a family."""
     scheme = case.under(law)
-    dataset = Sweep(
-        case.machine, {"law": scheme}, case.task, TRIALS, case.uncertainty,
-        machines=MACHINES, seed=JUDGES,
-    ).run()  # fmt: skip
-    lost = ~dataset["finite"].values[0] | dataset["diverged"].values[0]
-    errors = dataset[METRIC].values[0].reshape(MACHINES, TRIALS, -1).max(-1)
-    errors = np.where(lost, np.inf, errors)
+    errors, lost = errors_of(case._replace(real=None), scheme, METRIC, TRIALS, MACHINES, JUDGES)
     return {
         "sup": contraction(family, scheme, case.task),
         "left in trial 10": float(np.median(errors[:, 9] / errors[:, 0])),

@@ -20,7 +20,7 @@ functions (`arizona_x_repetitive.npz`).
 import jax.numpy as jnp
 import numpy as np
 import scipy.signal
-from flatbed_printer import DT, MOTIONS, closed_loop, rms
+from flatbed_printer import DT, MOTIONS, closed_loop, feedback_at, plant_at, rms
 from output import folder, measured_folder, write_rows
 
 import jaxilc
@@ -123,21 +123,11 @@ def row(run, told, e, recorded):
     }  # fmt: skip
 
 
-def plant_at(one, f):
-    """P of a model at frequencies [Hz]."""
-    return grown_response.columns(one.found.theta, one.parts, f, DT) @ one.found.N
-
-
 def transfer(one, num, den, f):
     """T = P / (1 + P C) of a model at frequencies [Hz]."""
     at = np.maximum(f, 1e-3)
     P = plant_at(one, at)
     return P / (1 + P * feedback_at(num, den, at))
-
-
-def feedback_at(num, den, f):
-    z = np.exp(-2j * np.pi * f * DT)
-    return np.polyval(num[::-1], z) / np.polyval(den[::-1], z)
 
 
 def taps_of(one, num, den):
