@@ -27,13 +27,13 @@ from pathlib import Path
 
 import numpy as np
 import output
-from learned_families import Case, motion, servo
-from learned_laws import JUDGES, MARGIN, METRIC, RISK, SEED, noise_of
+from learned_families import Case, errors_of, motion, servo
+from learned_laws import JUDGES, MARGIN, METRIC, SEED, noise_of
+from learned_opponents import learned_law
 
 import jaxilc
-from jaxilc import Machine, Sweep, Task
+from jaxilc import Machine, Task
 from jaxilc.design.candidates import Candidate, candidates, contraction, tuned
-from jaxilc.design.learned import LearnedLaw
 from jaxilc.design.responses import designed_on, family_of
 from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import Scheme
@@ -82,11 +82,7 @@ def laws_of(case: Case, folder: Path):
                 margin=MARGIN, out=state, resume=state.exists(), **case.budget(SEED),
             )  # fmt: skip
             yield f"{one.name}, tuned", better.scheme, time.perf_counter() - began
-    asked = LearnedLaw(
-        case.machine, case.task, case.trials, case.uncertainty, case.feedback, metric=METRIC,
-        margin=MARGIN, seed=SEED, risk=RISK, steps=0,
-        trained_on=case.tuned_on, held_out=case.tuned_on,
-    )  # fmt: skip
+    asked = learned_law(case, steps=0, trained_on=case.tuned_on, held_out=case.tuned_on)
     starts = sorted((one for one in safe if one.name != "norm-optimal"), key=lambda x: x.predicted)
     objectives = {"last": None, "every": EveryTrial(METRIC)}
     for segments, where in (("", ()), (", two segments", (case.task.N - END,))):
@@ -107,17 +103,13 @@ def laws_of(case: Case, folder: Path):
             yield f"{name}{segments}", law.scheme, time.perf_counter() - began
 
 
-def row_of(case: Case, family, scheme: Scheme) -> dict:
+def row_of(case: Case, scheme: Scheme) -> dict:
     """Medians of the error in units of the noise, and of what repeats of it."""
 
     def errors(machine: Machine):
-        dataset = Sweep(
-            machine, {"law": scheme}, case.task, LAST, case.uncertainty, machines=case.judged_on,
-            seed=JUDGES,
-        ).run()  # fmt: skip
-        lost = ~dataset["finite"].values[0] | dataset["diverged"].values[0]
-        found = dataset[METRIC].values[0].reshape(case.judged_on, LAST, -1).max(-1)
-        return np.median(np.where(lost, np.inf, found), axis=0) / noise_of(case)
+        judged = case._replace(machine=machine, real=None)
+        found, _ = errors_of(judged, scheme, METRIC, LAST, case.judged_on, JUDGES)
+        return np.median(found, axis=0) / noise_of(case)
 
     noisy, quiet = errors(case.machine), errors(case.machine.noiseless())
     row = {f"trial {j}": float(noisy[j - 1]) for j in SHOWN}
@@ -139,16 +131,12 @@ def main(*names: str) -> None:
         for law, scheme, seconds in laws_of(case, folder):
             kept = folder / f"{law}.json"
             if not kept.exists():
-                row = row_of(case, dense, scheme) | {"seconds": round(seconds)}
-                if not scheme_is_scheduled(scheme):
+                row = row_of(case, scheme) | {"seconds": round(seconds)}
+                if not getattr(scheme, "starts", ()):  # of a scheduled law
                     row["sup"] = contraction(dense, scheme, case.task)
                 kept.write_text(json.dumps(row))
             rows.append({"case": name, "law": law} | json.loads(kept.read_text()))
             print(rows[-1], flush=True)
-
-
-def scheme_is_scheduled(scheme: Scheme) -> bool:
-    return bool(getattr(scheme, "starts", ()))
 
 
 if __name__ == "__main__":

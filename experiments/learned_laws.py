@@ -84,7 +84,7 @@ def judged(name: str, folder: Path, laws_of) -> dict:
 def laws_by_grid(case: Case, family: Family, safe: list, folder: Path, taps: dict):
     """As `tuned_laws`, without any tuning through learning."""
     asked = learned_law(case, steps=0)
-    found, seconds = taps_of(case, asked, family, safe, folder / "learned", {})
+    found, seconds = taps_of(asked, safe, folder / "learned", {})
     if isinstance(found.passed, str):
         print(f"  learned: refused, {found.passed}", flush=True)
     else:
@@ -114,7 +114,7 @@ def tuned_laws(case: Case, family: Family, safe: list, folder: Path, taps: dict)
         trained = {"steps": case.steps, "trained_on": case.tuned_on, "held_out": case.tuned_on}
         asked = learned_law(case, starts=starts, **trained)
         state = folder / name.replace(", ", "-").replace(" ", "-")
-        found, seconds = taps_of(case, asked, family, safe, state, seen)
+        found, seconds = taps_of(asked, safe, state, seen)
         if isinstance(found.passed, str):
             print(f"  {name}: refused, {found.passed}", flush=True)
             continue
@@ -128,7 +128,7 @@ def tuned_laws(case: Case, family: Family, safe: list, folder: Path, taps: dict)
     yield from opponents(case, family, safe, folder)
 
 
-def taps_of(case: Case, asked: LearnedLaw, family: Family, safe: list, state: Path, seen: dict):
+def taps_of(asked: LearnedLaw, safe: list, state: Path, seen: dict):
     """The taps that passed the gate, or why none did, and the seconds that this took.
 
     safe: the laws of a few weights, with safe ones or absent

@@ -40,7 +40,7 @@ OTHER = {
 NOT_RUN = ("test_notebooks.py", "test_examples.py", "test_promises.py", "test_guide.py")
 
 
-def mistakes_in(path: Path, text: str) -> dict[int, list]:
+def mistakes_in(text: str) -> dict[int, list]:
     """Return for each line of a module what can be changed there: (line, start, end, new)."""
     found: dict[int, list] = {}
     lines = text.splitlines()
@@ -85,7 +85,7 @@ def drawn(count: int, seed: int) -> list[dict]:
     for path in sorted((ROOT / "jaxilc").rglob("*.py")):
         text = path.read_text(encoding="utf-8")
         where = path.relative_to(ROOT).as_posix()
-        lines += [(where, text.splitlines(), c) for c in mistakes_in(path, text).values()]
+        lines += [(where, text.splitlines(), c) for c in mistakes_in(text).values()]
     chosen = []
     for where, text, changes in rng.sample(lines, count):
         row, start, end, new = rng.choice(changes)

@@ -325,7 +325,7 @@ def main(names: list[str], count: int = MACHINES) -> None:
         for kind, cases in Counter(w[1] for w in of_it).items():
             print("   WRONG", kind, cases, next(w for w in of_it if w[1] == kind), flush=True)
     output.write_rows(output.folder(__file__) / "rows.csv", rows)
-    print({key: sum(row[key] for row in rows) for key in rows[0] if key != "class"})
+    print(output.sums(rows))
 
 
 if __name__ == "__main__":
