@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ..identification import Identified, Record
     from ..identification.potential import Potential
     from ..identification.record_files import Repeats
+    from ..pytree.aliases import Value
     from ..theory.on_lines import MeasuredResponse
 
 
@@ -38,14 +39,22 @@ def record_figure(record: Record, *, input_unit: str = "", output_unit: str = ""
     """Input and output of an experiment against time (Cao 2019, Fig. 2 and 3); two axes."""
     panels = []
     for name, signal, unit in (("input", record.u, input_unit), ("output", record.y, output_unit)):
-        values, time = np.reshape(signal, (len(signal), -1)).T, np.arange(len(signal)) * record.dt
-        layers = [
-            Curve(time, of, steps=name == "input", width=0.8, colour=colour_of(i),
-                  name=f"{i}" * (len(values) > 1))
-            for i, of in enumerate(values)
-        ]  # fmt: skip
+        time = np.arange(len(signal)) * record.dt
+        layers = _channels(time, signal, "{}", steps=name == "input", width=0.8)
         panels.append(Panel(TIME, Axis(name, unit), layers))
     return Figure(panels, "The recorded experiment: what was put in, and what was measured.")
+
+
+def _channels(x, values, name: str = "", first: int = 0, **look: Value) -> list[Layer]:
+    """A curve for each channel of values (n, channels); of several each has its number in its name.
+
+    first: number of the first colour
+    """
+    lines = np.reshape(values, (len(values), -1)).T
+    return [
+        Curve(x, of, name=name.format(i) * (len(lines) > 1), colour=colour_of(first + i), **look)
+        for i, of in enumerate(lines)
+    ]
 
 
 @drawn
@@ -70,7 +79,6 @@ def validation_figure(
     time, last = np.arange(len(y)) * record.dt, len(y) - 1
     along = TIME._replace(ends=(time[0], time[-1]))
     outputs: list[Layer] = []
-    residuals: list[Layer] = []
     for i, (measured, simulated) in enumerate(zip(y.T, identified.simulated.T, strict=True)):
         which, colour = f" {i}" * (y.shape[1] > 1), colour_of(i)
         fits = f"fit {identified.fit[i]:.2f} %"
@@ -79,23 +87,19 @@ def validation_figure(
         said = f"simulated{which}: {fits}"
         outputs += [Curve(time, measured, width=3, colour=PALE, name=f"measured{which}"),
                     Curve(time, simulated, width=1, colour=colour, name=said)]  # fmt: skip
-        difference = scale * (measured - simulated)
-        residuals.append(Curve(time, difference, width=0.8, colour=colour))
     untouched, said = [], ""
     if identified.samples <= last:
         untouched.append(Shade(time[identified.samples], time[-1], name="not fitted"))
         said = " The shaded part was not fitted: it tests the model."
     output, residual = Axis("output", output_unit), Axis("residual", unit)
+    residuals = _channels(time, scale * (y - identified.simulated), width=0.8)
     panels = [
         Panel(along, output, [*outputs, *untouched], legend="above", columns=3),
         Panel(along, residual, [*residuals, *untouched], legend=""),
     ]
     if input_unit is not None:
-        inputs = [
-            Curve(time, np.append(of, of[-1:])[: len(time)], steps=True, width=1,
-                  colour=colour_of(i + 2), name=f"input {i}" * (u.shape[1] > 1))
-            for i, of in enumerate(u.T)
-        ]  # fmt: skip
+        held = np.append(u, u[-1:], axis=0)[: len(time)]
+        inputs = _channels(time, held, "input {}", 2, steps=True, width=1)
         panels.insert(0, Panel(along, Axis("input", input_unit), [*inputs, *untouched]))
     return Figure(
         panels,
@@ -377,15 +381,14 @@ def _last_trial(last: LastTrial, unit: str, input_unit: str) -> list[Panel]:
             Curve(last.time, r[:, i], width=3, colour=PALE, name=f"reference{which}"),
             Curve(last.time, y[:, i], width=1, colour=colour, name=f"output{which}"),
         ]
-    errors = [Curve(last.time, e, width=0.8, colour=colour_of(i)) for i, e in enumerate((r - y).T)]
-    inputs = [
-        Curve(last.time[:-1], of, width=0.8, steps=True, colour=colour_of(i + 2))
-        for i, of in enumerate(u.T)
-    ]
     along = TIME._replace(ends=(last.time[0], last.time[-1]))
     silent = along._replace(name="")
     return [
         Panel(silent, Axis("output", unit), outputs, f"trial {last.number}"),
-        Panel(silent, Axis("error", unit), errors),
-        Panel(along, Axis("input", input_unit), inputs),
+        Panel(silent, Axis("error", unit), _channels(last.time, r - y, width=0.8)),
+        Panel(
+            along,
+            Axis("input", input_unit),
+            _channels(last.time[:-1], u, first=2, width=0.8, steps=True),
+        ),
     ]
