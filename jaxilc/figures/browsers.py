@@ -77,21 +77,17 @@ def trials(dataset: xr.Dataset, *, scale: float = 1.0, unit: str = "") -> Live:
     last = np.fmax.reduce(np.abs(dataset["e"].isel(trial=-1).values), axis=None)
     factor, unit = shown_in(scale * last, unit)
     columns = {"t": thinned(dataset["time"].values, points, times=True)}
-    signals = {n: dataset[n].values for n in ("y", "e", "u")}
     r = dataset["r"].values
     for c in range(len(outputs)):
         of_trials = {f"r_{i}_{c}": r[j, :, c] for i, j in enumerate(chosen)} if r.ndim > 2 else {}
         for name, values in (of_trials or {f"r_{c}": r[:, c]}).items():
             columns[name] = thinned(values, points)
-    for k in range(len(schemes)):
-        for i, j in enumerate(chosen):
-            for c in range(len(outputs)):
-                columns[f"y_{k}_{i}_{c}"] = thinned(signals["y"][k, j, :, c], points)
-                columns[f"e_{k}_{i}_{c}"] = thinned(
-                    factor * scale * signals["e"][k, j, :, c], points
-                )
-            for c, u in enumerate(signals["u"][k, j].T):
-                columns[f"u_{k}_{i}_{c}"] = thinned(np.append(u, u[-1]), points)
+    for name, times in (("y", 1.0), ("e", factor * scale), ("u", 1.0)):
+        values = dataset[name].values
+        for k, i, c in np.ndindex(len(schemes), len(chosen), values.shape[-1]):
+            x = times * values[k, chosen[i], :, c]
+            held = np.append(x, x[-1]) if name == "u" else x  # up to the end of the trial
+            columns[f"{name}_{k}_{i}_{c}"] = thinned(held, points)
     last = len(chosen) - 1
     every = ColumnDataSource(columns)
     of_r = "r_0" if r.ndim == 2 else f"r_{last}_0"

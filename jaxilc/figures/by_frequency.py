@@ -144,8 +144,8 @@ def time_frequency(
         if samples % 2 == 0:
             whole[-1] *= np.sqrt(2.0)  # the last line is the Nyquist frequency, as in `spectrum`
         maps.append(np.max(whole, axis=1)[SLOWEST:])
-    top = np.max(maps, where=np.isfinite(maps), initial=0.0) or 1.0
     tops = [np.max(one, where=np.isfinite(one), initial=0.0) for one in maps]
+    top = max(tops, default=0.0) or 1.0
     lowest = min((one for one in tops if one > 0), default=top)
     ends = max(lowest * 10.0**-SHADES, top * 10.0**-DECADES), top
     shows = Colours("amplitude of the error", unit, ends, palette="viridis", cut=True)

@@ -340,19 +340,15 @@ def contraction_map(
         held = {n: _only((values == 1).all("sample"), drawn) for n, values in known.items()}
         of_maps.append((places, lines, held))
         along, up = axes_of_map(labels, shown)
-        layers: list[Layer] = []
-        if len(places) == 2:
-            x, y = places
-            layers.append(Cells(x, y, np.clip(here, 1 / WIDEST, WIDEST), shown))
-        else:
-            (x,), up = places, up._replace(ends=None)
-            ends = seen.sel(scheme=name).quantile(
-                (0.05, 0.95), "sample", method="inverted_cdf", skipna=False
-            )
-            low, high = (_only(end, drawn) for end in ends)
-            layers += [Band(x, low, high), Curve(x, here, name="observed"), Rule(1.0, colour=GREY)]
+        within = np.clip(here, 1 / WIDEST, WIDEST) if len(places) == 2 else here
+        members = _only(seen.sel(scheme=name), [*drawn, "sample"])
+        gone = np.zeros(here.shape, bool)  # has its colour: the factor is infinite
+        layers = layers_of(labels, within, members, gone, shown, 0, name="observed")
+        if len(places) == 1:
+            up = up._replace(ends=None)
+            layers.append(Rule(1.0, colour=GREY))
             for n, values in lines.items():
-                layers.append(Curve(x, values, LINES[n][0], colour=LINES[n][1], name=n))
+                layers.append(Curve(*places, values, LINES[n][0], colour=LINES[n][1], name=n))
         for (mark, point), sign in zip((marks or {}).items(), cycle(MARKS), strict=False):
             layers += marked(mark, sign, labels, point, here)
         lost = [premise for premise, where in held.items() if not where.any()]

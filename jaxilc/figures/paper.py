@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeAlias
 
@@ -33,6 +33,11 @@ Drawing: TypeAlias = Any  # axes, or an array of those of one figure, as of `pyp
 Handles: TypeAlias = "dict[str, Artist]"  # of a legend, by name
 P = ParamSpec("P")
 BAR = 12.0  # width of a band at a single point [pt]
+# Of legends outside their panel, the corner that stands at a place in shares of the panel.
+PLACES: Mapping[str, tuple[LegendLocType, tuple[float, float]]] = {
+    "beside": ("upper left", (1.0, 1.02)),
+    "above": ("lower left", (0.0, 1.0)),
+}
 
 
 class Drawn(Protocol[P]):
@@ -86,13 +91,8 @@ def draw(figure: Figure, ax: Drawing = None) -> Drawing:
         here = named(one)
         if figure.below:
             all_named = here | all_named
-        elif here:
-            if panel.legend == "beside":
-                _legend(one, here, panel.columns, "upper left", (1.0, 1.02))
-            elif panel.legend == "above":
-                _legend(one, here, panel.columns, "lower left", (0.0, 1.0))
-            elif panel.legend:
-                _legend(one, here, panel.columns, panel.legend)
+        elif here and panel.legend:
+            _legend(one, here, panel.columns, *PLACES.get(panel.legend, (panel.legend,)))
     if figure.below:
         _legend(flat[0].figure, all_named, 6, "outside lower center")
     _leave_out_labels(figure, flat)
