@@ -17,15 +17,13 @@ no limit is reached in 1500 trials of u_{j+1} = keep u_j + L e_j.
 import sys
 from collections import Counter
 
-import jax
 import numpy as np
 import output
 import scipy.linalg
 import scipy.signal
-from conditions_under_attack import lifted, mirrored, symmetric
+from conditions_under_attack import lifted, mirrored, stacked_machines, symmetric, task_of
 
 import jaxilc
-from jaxilc import Actuator, Disturbance, Machine, Task
 from jaxilc.filters import SwitchableFilter, ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import (
@@ -170,15 +168,7 @@ def stacked(rng, count: int, channels: int, limited: bool):
     limits = (
         [10 ** rng.uniform(-0.5, 2.5, count), 10 ** rng.uniform(2, 5, count)] if limited else []
     )
-    machine = Machine(
-        StateSpace(A[0], B[0], C[0], dt=DT),
-        Actuator(limit=1.0, rate=1.0) if limited else None,
-        None,
-        Disturbance(output=d[0]),
-    )
-    bump = np.sin(np.pi * np.arange(SAMPLES + 1) / SAMPLES) ** 2
-    task = Task(bump[:, None] * (1 + 0.5 * np.arange(channels)), dt=DT, inputs=channels)
-    return jax.tree.unflatten(jax.tree.structure(machine), [A, B, C, *limits, d]), task
+    return stacked_machines(A, B, C, d, limits), task_of(SAMPLES, channels)
 
 
 # The true result, by a second calculation

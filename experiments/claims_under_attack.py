@@ -33,13 +33,11 @@ import jax.numpy as jnp
 import numpy as np
 import output
 import scipy.signal
-from conditions_under_attack import lifted, mirrored, symmetric
+from conditions_under_attack import lifted, mirrored, stacked_machines, symmetric, task_of
 from jax.flatten_util import ravel_pytree
 
 import jaxilc
-from jaxilc import Actuator, Disturbance, Machine, Task
 from jaxilc.learning import learn
-from jaxilc.plants import StateSpace
 from jaxilc.pytree import named_leaves, replaced
 from jaxilc.schemes import ConstrainedNormOptimal
 from jaxilc.theory.certificates import CONVERGES, DIVERGES, MONOTONE, NOTHING, long_run
@@ -132,16 +130,7 @@ def machines_of(rng, name: str, count: int, limited: bool, samples: int | None) 
     N = samples or (FEW if name in _FEW else SAMPLES)
     d = 0.1 * rng.standard_normal((count, N + 1, n_y))
     limits = [10 ** rng.uniform(-0.5, 4.0, count), 10 ** rng.uniform(3, 7, count)]
-    machine = Machine(
-        StateSpace(A[0], B[0], C[0], dt=DT),
-        Actuator(limit=1.0, rate=1.0) if limited else None,
-        None,
-        Disturbance(output=d[0]),
-    )
-    leaves = [A, B, C, *(limits if limited else []), d]
-    bump = np.sin(np.pi * np.arange(N + 1) / N) ** 2
-    task = Task(bump[:, None] * (1 + 0.5 * np.arange(n_y)), dt=DT, inputs=n_u)
-    return jax.tree.unflatten(jax.tree.structure(machine), leaves), task
+    return stacked_machines(A, B, C, d, limits if limited else ()), task_of(N, n_y, n_u)
 
 
 def moved(rng, scheme):

@@ -16,6 +16,7 @@ import sys
 import time
 from collections import Counter
 
+import jax
 import numpy as np
 import output
 import scipy.fft
@@ -23,7 +24,7 @@ import scipy.linalg
 import scipy.signal
 
 import jaxilc
-from jaxilc import Machine, Task
+from jaxilc import Actuator, Disturbance, Machine, Task
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.schemes import Filtered, PIDType
@@ -76,8 +77,22 @@ class Counted:
         return {"class": self.name} | {n: self.counts[n] for n in names} | {"why": why}
 
 
-def task_of(samples: int) -> Task:
-    return Task(np.sin(np.pi * np.arange(samples + 1) / samples) ** 2, dt=DT)
+def task_of(samples: int, outputs: int = 1, inputs: int | None = None) -> Task:
+    """A bump, higher by a half for each further output; inputs: None for as many as outputs."""
+    bump = np.sin(np.pi * np.arange(samples + 1) / samples) ** 2
+    r = bump[:, None] * (1 + 0.5 * np.arange(outputs))
+    return Task(r, dt=DT, inputs=inputs or outputs)
+
+
+def stacked_machines(A, B, C, d, limits=()) -> Machine:
+    """Machines with a leading axis, of plants, disturbances of the output, and limit and rate."""
+    machine = Machine(
+        StateSpace(A[0], B[0], C[0], dt=DT),
+        Actuator(limit=1.0, rate=1.0) if len(limits) else None,
+        None,
+        Disturbance(output=d[0]),
+    )
+    return jax.tree.unflatten(jax.tree.structure(machine), [A, B, C, *limits, d])
 
 
 def held(modes, gain=1.0):

@@ -19,9 +19,10 @@ import jax
 import numpy as np
 import output
 from certificates_under_attack import DT, SAMPLES, filter_matrix, plants, shifted
+from conditions_under_attack import task_of
 
 import jaxilc
-from jaxilc import Actuator, Disturbance, Machine, Sensor, Task
+from jaxilc import Actuator, Disturbance, Machine, Sensor
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.plants import Dahl, InputHysteresis, StateSpace
 from jaxilc.schemes import PID, Filtered, HigherOrder, PIDType, WithFeedback
@@ -209,9 +210,8 @@ def contradicted(found, i: int, real, exact) -> str:
 
 def attacked(name: str, channels: int, machines: dict, ratios: dict) -> tuple[dict, list]:
     law = LAWS[name]
-    reference = np.sin(np.pi * np.arange(SAMPLES + 1) / SAMPLES) ** 2
-    r = reference[:, None] * (1 + 0.5 * np.arange(channels))
-    task = Task(r, dt=DT, inputs=channels)
+    task = task_of(SAMPLES, channels)
+    r = np.asarray(task.reference)
     several = stacked(machines, law[3])
     found = certify_each(several, law[0], task, TRIALS)
     due = np.isin(long_run(linear_part(several), law[0], task).claim, ("monotone", "converges"))
