@@ -348,7 +348,7 @@ def contraction_map(
             up = up._replace(ends=None)
             layers.append(Rule(1.0, colour=GREY))
             for n, values in lines.items():
-                layers.append(Curve(*places, values, LINES[n][0], colour=LINES[n][1], name=n))
+                layers.append(Curve(places[0], values, LINES[n][0], colour=LINES[n][1], name=n))
         for (mark, point), sign in zip((marks or {}).items(), cycle(MARKS), strict=False):
             layers += marked(mark, sign, labels, point, here)
         lost = [premise for premise, where in held.items() if not where.any()]

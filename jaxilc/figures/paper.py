@@ -33,10 +33,12 @@ Drawing: TypeAlias = Any  # axes, or an array of those of one figure, as of `pyp
 Handles: TypeAlias = "dict[str, Artist]"  # of a legend, by name
 P = ParamSpec("P")
 BAR = 12.0  # width of a band at a single point [pt]
-# Of legends outside their panel, the corner that stands at a place in shares of the panel.
-PLACES: Mapping[str, tuple[LegendLocType, tuple[float, float]]] = {
+PLACES: Mapping[str, tuple[LegendLocType, tuple[float, float] | None]] = {  # corner, and where
     "beside": ("upper left", (1.0, 1.02)),
     "above": ("lower left", (0.0, 1.0)),
+    "best": ("best", None),
+    "lower left": ("lower left", None),
+    "upper right": ("upper right", None),
 }
 
 
@@ -92,7 +94,7 @@ def draw(figure: Figure, ax: Drawing = None) -> Drawing:
         if figure.below:
             all_named = here | all_named
         elif here and panel.legend:
-            _legend(one, here, panel.columns, *PLACES.get(panel.legend, (panel.legend,)))
+            _legend(one, here, panel.columns, *PLACES[panel.legend])
     if figure.below:
         _legend(flat[0].figure, all_named, 6, "outside lower center")
     _leave_out_labels(figure, flat)
