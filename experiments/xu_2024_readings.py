@@ -29,8 +29,8 @@ from reading_search import Reading, search
 
 import jaxilc
 from jaxilc import Machine
-from jaxilc.scenarios.xu_2024 import DT, FITTED, MODEL, servo
-from jaxilc.schemes import ASMC, ExponentialPD, WithFeedback
+from jaxilc.scenarios import xu_2024
+from jaxilc.scenarios.xu_2024 import DT, FITTED, schemes_for, servo
 
 jaxilc.setup()
 S = jaxilc.scenarios.load("xu-2024", reading="small-gain")
@@ -69,12 +69,10 @@ def machine(force, added):
 
 
 def schemes(share, zone, growth, carry):
-    lam1, k_n = 500.0, FITTED["k_n"]
-    asmc = ASMC(
-        **MODEL, phi=FITTED["phi"], Delta=FITTED["Delta"], k_n=k_n, epsilon=zone, carry=carry
-    )
-    gains = {"K_P": share * lam1 * k_n, "K_D": share * (lam1 + k_n), "lam0": growth}
-    return asmc, WithFeedback(ExponentialPD(**gains, b=MODEL["b"]), asmc)
+    """ASMC, and learning over it, of the paper with these numbers of a reading."""
+    found = schemes_for(FITTED, xu_2024.Reading(share, zone, growth))
+    asmc = dataclasses.replace(found["asmc"], carry=carry)
+    return asmc, dataclasses.replace(found["ilc-asmc"], feedback=asmc)
 
 
 def simulated(carry: bool):
