@@ -29,7 +29,6 @@ from learned_families import Case, errors_of, relative
 import jaxilc
 from jaxilc import Machine, Sensor, Task, figures
 from jaxilc.design.learned import LearnedLaw
-from jaxilc.design.responses import designed_on, family_of
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.plants import ProcessModel, StateSpace
 from jaxilc.plants.plant import Plant
@@ -129,9 +128,7 @@ def learned(case: Case, folder):
 
 def norm_optimal(case: Case, folder) -> tuple[Scheme, dict]:
     """Norm-optimal learning by the nominal model of both channels, its weights by gradient."""
-    family = family_of(
-        designed_on(case.machine, case.uncertainty, seed=SEED), None, case.task, several=True
-    )
+    family = case.family(SEED, several=True)
     model = StateSpace(*minimal(family.loops[0], case.task.N), dt=case.task.dt)
     start = Filtered(NormOptimal(model, w_r=0.1, w_s=1e-5), ZeroPhaseButterworth(100.0))
     bounds = {"scheme.w_r": (1e-3, 1e2), "scheme.w_s": (1e-9, 1e-1), "filter.cutoff": (20.0, 400.0)}

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxilc import Machine, Sensor, Sweep, Task, Uniform
+from jaxilc.design.responses import Family, designed_on, family_of
 from jaxilc.plants import ProcessModel
 from jaxilc.plants.plant import Plant
 from jaxilc.pytree import Leaf, child, leaf, pytree
@@ -43,6 +44,14 @@ class Case(NamedTuple):
         return {
             "machines": self.tuned_on, "held_out": self.tuned_on, "steps": self.steps, "seed": seed
         }  # fmt: skip
+
+    def family(self, seed: int, drawn: dict | None = None, **how) -> Family:
+        """The frequency responses of its machines.
+
+        drawn: further arguments of `designed_on`;  how: of `family_of`
+        """
+        some = designed_on(self.machine, self.uncertainty, seed=seed, **drawn or {})
+        return family_of(some, self.feedback, self.task, **how)
 
     def under(self, scheme: Scheme) -> Scheme:
         return scheme if self.feedback is None else WithFeedback(scheme, self.feedback)

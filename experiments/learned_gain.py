@@ -34,7 +34,6 @@ from learned_opponents import learned_law
 import jaxilc
 from jaxilc import Machine, Task
 from jaxilc.design.candidates import Candidate, candidates, contraction, tuned
-from jaxilc.design.responses import designed_on, family_of
 from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import Scheme
 from jaxilc.tuning.objectives import EveryTrial
@@ -63,9 +62,7 @@ CASES = {"long": long, "short": short}
 
 def laws_of(case: Case, folder: Path):
     """Name, scheme and seconds of each law."""
-    family = family_of(
-        designed_on(case.machine, case.uncertainty, seed=SEED), case.feedback, case.task
-    )
+    family = case.family(SEED)
     names = (*FEW, "p-type", "model-inverse")
     safe = [
         one
@@ -122,11 +119,7 @@ def main(*names: str) -> None:
     for name in names or CASES:
         case, folder = CASES[name](), output.folder(__file__) / name
         folder.mkdir(exist_ok=True)
-        dense = family_of(
-            designed_on(case.machine, case.uncertainty, machines=257, seed=SEED + 3),
-            case.feedback,
-            case.task,
-        )
+        dense = case.family(SEED + 3, {"machines": 257})
         rows = []
         for law, scheme, seconds in laws_of(case, folder):
             kept = folder / f"{law}.json"

@@ -40,7 +40,7 @@ import jaxilc
 from jaxilc.design.candidates import Absent, candidates, contraction
 from jaxilc.design.judging import proof_of
 from jaxilc.design.learned import STARTS, LearnedLaw
-from jaxilc.design.responses import Family, designed_on, family_of
+from jaxilc.design.responses import Family
 from jaxilc.design.window import Filters, Window
 from jaxilc.plants import StateSpace
 from jaxilc.runtime.start import keep_programs
@@ -63,11 +63,8 @@ def judged(name: str, folder: Path, laws_of) -> dict:
     laws_of: `tuned_laws` or `laws_by_grid`
     """
     case = FAMILIES[name]()
-    gate = designed_on(case.machine, case.uncertainty, machines=DENSE, seed=SEED + 3)
-    dense = family_of(gate, case.feedback, case.task, points=CLOSE, taps=LINES_FOR)
-    family = family_of(
-        designed_on(case.machine, case.uncertainty, seed=SEED), case.feedback, case.task
-    )
+    dense = case.family(SEED + 3, {"machines": DENSE}, points=CLOSE, taps=LINES_FOR)
+    family = case.family(SEED)
     safe = list(candidates(family, case.feedback, case.task, case.trials, MARGIN, KEPT))
     rows, taps = [], {}
     for law, scheme, seconds in laws_of(case, family, safe, folder, taps):

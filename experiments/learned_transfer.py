@@ -20,7 +20,7 @@ from learned_opponents import learned_law
 import jaxilc
 from jaxilc.design.candidates import Candidate, candidates, contraction
 from jaxilc.design.learned import STARTS
-from jaxilc.design.responses import Family, designed_on, family_of
+from jaxilc.design.responses import Family
 from jaxilc.runtime.start import keep_programs
 from jaxilc.schemes import LearningFilter
 
@@ -35,12 +35,6 @@ def wider(case: Case, times: float) -> Case:
         middle, half = (of.high + of.low) / 2, times * (of.high - of.low) / 2
         spread[name] = dataclasses.replace(of, low=middle - half, high=middle + half)
     return case._replace(uncertainty=spread)
-
-
-def responses(case: Case) -> Family:
-    return family_of(
-        designed_on(case.machine, case.uncertainty, seed=SEED), case.feedback, case.task
-    )
 
 
 def law_of(case: Case, family: Family, folder) -> LearningFilter | str:
@@ -71,7 +65,7 @@ def main() -> None:
     keep_programs()
     folder, rows = output.folder(__file__), []
     cases = {name: FAMILIES[name]() for name in OF}
-    families = {name: responses(case) for name, case in cases.items()}
+    families = {name: case.family(SEED) for name, case in cases.items()}
     laws = {name: law_of(cases[name], families[name], folder / name) for name in OF}
     for name, law in laws.items():
         if isinstance(law, str):
@@ -83,7 +77,7 @@ def main() -> None:
             for times in WIDER if on == name else (1.0,):
                 one = wider(case, times)
                 row = {"law of": name, "on": on, "spread": times}
-                rows.append(row | row_of(one, responses(one), scaled))
+                rows.append(row | row_of(one, one.family(SEED), scaled))
                 print(rows[-1], flush=True)
     output.write_rows(folder / "transfer.csv", rows)
 
