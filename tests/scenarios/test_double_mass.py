@@ -46,19 +46,6 @@ def test_a_number_agrees_to_the_digits_that_it_has(name):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"load": -1.0}, "load = -1.0 is outside its allowed range"),
-        ({"at": "output"}, "at = 'output' is not one of 'input', 'reference'"),
-        ({"second": "torque"}, "second = 'torque' is not one of"),
-    ],
-)
-def test_other_options_are_named(options, said):
-    with pytest.raises(ValueError, match=said):
-        load("double-mass", **options)
-
-
-@pytest.mark.parametrize(
     ("name", "options", "values"),
     [
         ("double-mass", {"load": 1.0, "reference": "square", "second": "controller"}, [4.94069]),

@@ -70,6 +70,9 @@ def test_tables_of_xu_2024():
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
+        ("double-mass", {"load": -1.0}, "load = -1.0 is outside its allowed range"),
+        ("double-mass", {"at": "output"}, "at = 'output' is not one of 'input', 'reference'"),
+        ("double-mass", {"second": "torque"}, "second = 'torque' is not one of"),
         ("milc-2024", {"axis": "y"}, "axis = 'y' is not one of 'x', 'z'"),
         ("milc-2024", {"reading": "short"}, "reading = 'short' is unknown.*short-stroke"),
         ("xu-2024", {"disturbance": "loud"}, "disturbance = 'loud' is not one of 'none', 'multi'"),

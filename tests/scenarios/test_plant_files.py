@@ -178,32 +178,26 @@ def test_state_space_and_any_class_by_its_name(tmp_path):
 def test_a_plant_is_identified_from_a_record_beside_the_file(tmp_path):
     lag, moves = plants.ProcessModel(2.0, (), (60.0,)), references.m_sequence(6, hold=2)
     write_record(tmp_path / "record.csv", excite(Machine(lag), np.pad(moves, (0, 9)), DT))
-    structure = {"poles": 1, "pairs": 0, "zeros": 0}
-    made = read_scenario(
-        write(tmp_path, plant={"kind": "identified", "record": "record.csv", **structure})
-    )
-    np.testing.assert_allclose(
-        [made.machine.plant.gain, made.machine.plant.poles[0]], [2.0, 60.0], rtol=1e-6
-    )
-    assert "identified from record.csv: gain = 2" in made.chosen[0]
-    assert "begin at rest" not in made.chosen[0]
+
+    def of(record, **structure):
+        structure = {"poles": 1, "pairs": 0, "zeros": 0} | structure
+        plant = {"kind": "identified", "record": record, **structure}
+        made = read_scenario(write(tmp_path, plant=plant))
+        return made.machine.plant, made.chosen[0]
+
+    plant, said = of("record.csv")
+    np.testing.assert_allclose([plant.gain, plant.poles[0]], [2.0, 60.0], rtol=1e-6)
+    assert "identified from record.csv: gain = 2" in said
+    assert "begin at rest" not in said
     moved = excite(Machine(lag), np.pad(moves, (9, 0)), DT)
     write_record(tmp_path / "far.csv", moved._replace(u=moved.u + 100, y=moved.y + 200))
-    made = read_scenario(
-        write(tmp_path, plant={"kind": "identified", "record": "far.csv", **structure})
-    )
-    np.testing.assert_allclose(
-        [made.machine.plant.gain, made.machine.plant.poles[0]], [2.0, 60.0], rtol=1e-6
-    )
-    assert "does not begin at rest" in made.chosen[0]
-    vague = structure | {"poles": 2}  # of a plant that has one
+    plant, said = of("far.csv")
+    np.testing.assert_allclose([plant.gain, plant.poles[0]], [2.0, 60.0], rtol=1e-6)
+    assert "does not begin at rest" in said
     rng = np.random.default_rng(0)
     noisy = moved.y + 200 + 0.01 * rng.standard_normal(moved.y.shape)
     write_record(tmp_path / "noisy.csv", moved._replace(y=noisy))
-    made = read_scenario(
-        write(tmp_path, plant={"kind": "identified", "record": "noisy.csv", **vague})
-    )
-    assert "not significant" in made.chosen[0]
+    assert "not significant" in of("noisy.csv", poles=2)[1]  # of a plant that has one
 
 
 @pytest.mark.parametrize(
