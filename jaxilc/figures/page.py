@@ -187,7 +187,7 @@ class _Way(NamedTuple):
 
 
 def _shown_as(panel: Panel, way: str) -> _Way:
-    """An axis in the unit in which its curves are read best, as `units.name_axis` does on paper."""
+    """An axis in the unit in which its curves are read best, as `style.name_axis` does on paper."""
     axis: Axis = getattr(panel, way)
     found = [np.ravel(getattr(of, way)) for of in panel.layers if isinstance(of, Curve)]
     values = np.concatenate([*found, []])
