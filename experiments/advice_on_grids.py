@@ -89,6 +89,22 @@ ADVICE = (
 )  # fmt: skip
 
 
+def swept(chosen, name: str, grid: dict) -> tuple[xr.Dataset, xr.DataArray]:
+    """The sweep of a scheme of a scenario on its nominal machine, and its errors as shown."""
+    dataset = jaxilc.Sweep(
+        chosen.machine,
+        {name: chosen.schemes[name]},
+        chosen.task,
+        chosen.trials,
+        uncertainty={},
+        machines=1,
+        quantities=chosen.functions,
+        grid=grid,
+    ).run()
+    scale, _ = chosen.shown(chosen.judged_by)
+    return dataset, scale * errors_of(dataset, chosen.judged_by).isel(scheme=0, sample=0)
+
+
 def errors_at(advice: Advice) -> tuple[np.ndarray, str]:
     """(factors, trials) the metric of the scenario in its unit, and this unit.
 
@@ -100,21 +116,10 @@ def errors_at(advice: Advice) -> tuple[np.ndarray, str]:
     printed = float(get_at(chosen.schemes[scheme], path))
     allowed = interval_at(chosen.schemes[scheme], path)
     inside = [i for i, x in enumerate(printed * FACTORS) if allowed is None or allowed.contains(x)]
-    sweep = jaxilc.Sweep(
-        chosen.machine,
-        {scheme: chosen.schemes[scheme]},
-        chosen.task,
-        chosen.trials,
-        uncertainty={},
-        machines=1,
-        quantities=chosen.functions,
-        grid={advice.path: printed * FACTORS[inside]},
-    )
-    scale, unit = chosen.shown(chosen.judged_by)
-    found = errors_of(sweep.run(), chosen.judged_by).isel(scheme=0, sample=0)
+    _, found = swept(chosen, scheme, {advice.path: printed * FACTORS[inside]})
     errors = np.full((len(FACTORS), found.sizes["trial"]), np.nan)
-    errors[inside] = scale * found.transpose(advice.path, "trial").values
-    return errors, unit
+    errors[inside] = found.transpose(advice.path, "trial").values
+    return errors, chosen.shown(chosen.judged_by)[1]
 
 
 def seen(rule: str, errors: np.ndarray, grown: np.ndarray) -> bool:
@@ -144,20 +149,7 @@ def windows() -> tuple[xr.Dataset, list[dict[str, float]]]:
     starts = [(*of_y, 0.0, 0.0)[:L_y] + (*of_u, 0.0, 0.0)[:L_u] for L_y, L_u in WINDOWS]
     parts = {"phi0": starts, "L_y": [L for L, _ in WINDOWS], "L_u": [L for _, L in WINDOWS]}
     names = tuple(f"{name}.{part}" for part in parts)
-    sweep = jaxilc.Sweep(
-        chosen.machine,
-        {name: law},
-        chosen.task,
-        chosen.trials,
-        uncertainty={},
-        machines=1,
-        quantities=chosen.functions,
-        grid={names: list(parts.values())},
-    )
-    dataset = sweep.run()
-    errors = chosen.shown(chosen.judged_by)[0] * errors_of(dataset, chosen.judged_by).isel(
-        scheme=0, sample=0
-    )
+    dataset, errors = swept(chosen, name, {names: list(parts.values())})
     rows = []
     for (L_y, L_u), phi0, error in zip(WINDOWS, starts, errors.values, strict=True):
         scheme = dataclasses.replace(law, L_y=L_y, L_u=L_u, phi0=jnp.asarray(phi0))

@@ -202,24 +202,18 @@ CASES = {
         unseen=65,
         lowest=8,
     ),
-    "dilc": Case(
-        "milc-2024",
-        "dilc",
-        milc_2024_weights.problem_of("dilc"),
-        ("table_rms", (2, 6, 11)),
-        (11, 2.0),
-        unseen=65,
-        lowest=8,
-    ),
-    "milc": Case(
-        "milc-2024",
-        "milc",
-        milc_2024_weights.problem_of("milc"),
-        ("table_rms", (2, 6, 11)),
-        (11, 2.0),
-        unseen=65,
-        lowest=8,
-    ),
+    **{
+        name: Case(
+            "milc-2024",
+            name,
+            milc_2024_weights.problem_of(name),
+            ("table_rms", (2, 6, 11)),
+            (11, 2.0),
+            unseen=65,
+            lowest=8,
+        )
+        for name in ("dilc", "milc")
+    },
     "servo": Case("xu-2024", "ilc-asmc", servo, ("settled_error", (2, 10, 40)), (10, 2.0)),
 }
 
