@@ -16,7 +16,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..learning.metrics import largest
 from ..plants import voice_coil
-from ..pytree.aliases import Leaf, Value
+from ..pytree.aliases import Leaf
 from ..pytree.ranges import need_one_of, require
 from ..schemes import (
     CFDLMFAILC,
@@ -119,14 +119,14 @@ def task_of(reference: str, frequency: float, reading: str) -> Task:
 
 def schemes_of(of: Reading) -> dict[str, Scheme]:
     """The schemes of section IV with the printed weights, and what a reading adds to them."""
-    forms: dict[str, Value] = {"lam": 1.2, "eta": 1.0, "mu": 1.1, "rho": 0.98, "reset": of.reset}
+    weights: dict[str, Leaf] = {"lam": 1.2, "eta": 1.0, "mu": 1.1, "rho": 0.98}
     return {
         "pid": PID(kp=-11.3, ki=-0.028),
         "cfdl-mfailc": CFDLMFAILC(
             lam=1.0, eta=0.9, mu=1.0, rho=1.0, phi0=of.phi0["cfdl-mfailc"], reset=of.reset
         ),
-        "pfdl-mfailc": PFDLMFAILC(phi0=of.phi0["pfdl-mfailc"], **forms),
-        "ffdl-mfailc": FFDLMFAILC(phi0=of.phi0["ffdl-mfailc"], **forms),
+        "pfdl-mfailc": PFDLMFAILC(phi0=of.phi0["pfdl-mfailc"], reset=of.reset, **weights),
+        "ffdl-mfailc": FFDLMFAILC(phi0=of.phi0["ffdl-mfailc"], reset=of.reset, **weights),
         "ilc-mfapc": WithFeedback(
             learning=PIDType(gamma_p=-0.2, gamma_i=0.0, gamma_d=-1.0),
             feedback=CFDLMFAPC(P=10, lam=of.lam, eta=0.9, mu=1.0, phi0=of.phi0["ilc-mfapc"]),
