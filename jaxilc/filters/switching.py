@@ -14,7 +14,7 @@ from ..pytree.aliases import Leaf
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known
 from ..pytree.ranges import require
-from .zero_phase import Filter, ZeroPhaseButterworth, need_padding
+from .zero_phase import Filter, ZeroPhaseButterworth, need_cutoff, need_padding
 
 
 @pytree
@@ -60,22 +60,11 @@ class SwitchableFilter(Filter):
 
     def check(self, samples: int, dt: float) -> None:
         need_padding(self, samples)
+        name, end = "SwitchableFilter", float(samples * dt)
+        need_cutoff(name, self.cutoff, dt)
         if not known(self):
             return
-        for i, cutoff in enumerate(np.asarray(self.cutoff)):
-            if cutoff >= 0.5 / dt:
-                allowed = f"(0, {0.5 / dt:g}), Nyquist at dt = {dt:g} s"
-                raise ValueError(
-                    f"SwitchableFilter: cutoff[{i}] = {cutoff:g} Hz is outside its allowed range "
-                    f"{allowed}"
-                )
-        end = samples * dt
-        for i, time in enumerate(np.asarray(self.times)):
-            if time >= end:
-                raise ValueError(
-                    f"SwitchableFilter: times[{i}] = {time:g} s is outside its allowed range (0, "
-                    f"{end:g}), the trial"
-                )
+        require(name, "times", self.times, f"(0, {end})", " s", many=True, note=", the trial")
         self._need_segments(np.concatenate([[0.0], self.times, [end]]), f" of a trial of {end:g} s")
 
     def weights(self, samples: int, dt: float) -> jax.Array:
@@ -200,10 +189,7 @@ def segments(
     """
     frequency = instantaneous_frequency(reference, dt, of=of, window=window, floor=floor)
     N = len(frequency) - 1
-    if np.shape(cutoffs) != (2,) or not 0 < cutoffs[0] <= cutoffs[1]:
-        raise ValueError(
-            f"segments: cutoffs = {cutoffs} Hz; allowed is a pair (low, high) with 0 < low <= high"
-        )
+    _need_pair("segments", "cutoffs", cutoffs, " Hz")
     require("segments", "threshold", threshold, "(0, inf)", " Hz")
     require("segments", "shortest", shortest, f"[0, {N * dt:.9g})", " s")
     fast = np.any(frequency.reshape(N + 1, -1) > threshold, axis=1)[:N]
@@ -228,11 +214,15 @@ def cutoffs_below(critical, *, shares=(0.2, 0.8)) -> tuple[float, float]:
     Raises ValueError for a value outside its range. An infinite critical frequency needs no filter.
     """
     require("cutoffs_below", "critical", critical, "(0, inf)", " Hz")
-    if np.shape(shares) != (2,) or not 0 < shares[0] <= shares[1]:
-        raise ValueError(
-            f"cutoffs_below: shares = {shares}; allowed is a pair (low, high) with 0 < low <= high"
-        )
+    _need_pair("cutoffs_below", "shares", shares)
     return float(shares[0] * critical), float(shares[1] * critical)
+
+
+def _need_pair(owner: str, name: str, pair, unit: str = "") -> None:
+    if np.shape(pair) != (2,) or not 0 < pair[0] <= pair[1]:
+        raise ValueError(
+            f"{owner}: {name} = {pair}{unit}; allowed is a pair (low, high) with 0 < low <= high"
+        )
 
 
 def _merged(starts, fast, shortest):

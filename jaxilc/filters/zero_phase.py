@@ -18,6 +18,7 @@ import numpy as np
 from ..pytree.aliases import Leaf
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known
+from ..pytree.ranges import require
 from ..runtime.lanes import over_samples
 
 
@@ -79,11 +80,7 @@ class ZeroPhaseButterworth(Filter):
     padding: int | None = static(default=None, interval="[0, inf)", whole=True, optional=True)
 
     def check(self, samples: int, dt: float) -> None:
-        if known(self) and np.any(np.asarray(self.cutoff) >= 0.5 / dt):
-            raise ValueError(
-                f"ZeroPhaseButterworth: cutoff = {self.cutoff} Hz is outside its allowed range (0, "
-                f"{0.5 / dt:g}), Nyquist at dt = {dt:g} s"
-            )
+        need_cutoff("ZeroPhaseButterworth", self.cutoff, dt)
         need_padding(self, samples)
 
     def __call__(self, signal, dt):
@@ -223,6 +220,13 @@ class ZeroPhaseIIR(Filter):
             return over_samples(tick, rest[:, None] * x[0], x)[1]
 
         return forward_and_backward(one_pass, signal, self.padding)
+
+
+def need_cutoff(owner: str, cutoff: Leaf, dt: float) -> None:
+    """Raises ValueError unless all cutoffs [Hz] that are known are below half the sample rate."""
+    if known(cutoff):
+        below, note = f"(0, {float(0.5 / dt)})", f", Nyquist at dt = {dt:g} s"
+        require(owner, "cutoff", cutoff, below, " Hz", many=True, note=note)
 
 
 def need_padding(q, samples: int) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.signal import find_peaks, peak_widths
 
 from ..filters import ZeroPhaseButterworth
+from ..filters.zero_phase import need_cutoff
 from ..learning.machine import Machine
 from ..pytree.aliases import Value
 from ..pytree.named_paths import child_of, get_at, replaced
@@ -445,11 +446,7 @@ class PLaw(NamedTuple):
         require("", "order", self.order, "[1, 100]", whole=True)
         if not np.isfinite(self.gain) or self.gain == 0:
             raise ValueError(f"gain = {self.gain:g} is not allowed; allowed is any other number")
-        if not 0 < self.cutoff < 0.5 / self.dt:
-            raise ValueError(
-                f"cutoff = {self.cutoff:g} Hz is outside its allowed range (0, {0.5 / self.dt:g}), "
-                f"Nyquist at dt = {self.dt:g} s"
-            )
+        need_cutoff("", self.cutoff, self.dt)
 
 
 class Spacing(NamedTuple):
