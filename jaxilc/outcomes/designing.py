@@ -26,7 +26,7 @@ from ..storage.columns import plain_unit
 from ..storage.files import need_unused
 from ..storage.sealed import Damaged, checksum, read_json, sealed, unsealed, write_json
 from ..sweeps.store import open_dataset
-from ..theory.q_filter import rounded
+from ..theory.on_lines import rounded
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .repeating import Following, following, recurs, repeats_in, within_numbers, within_trial
 from .request import Request

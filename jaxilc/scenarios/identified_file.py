@@ -31,7 +31,7 @@ from ..storage.reading import LARGEST_TREE, printable, read_text, tree_of
 from ..theory.frequency import Largest, Loop, grid, largest_of, linear_loop, response
 from ..theory.law import law_of
 from ..theory.loop import minimal
-from ..theory.on_lines import Lines, MeasuredResponse, low_pass, widest
+from ..theory.on_lines import Lines, MeasuredResponse, low_pass, rounded, widest
 from ..uncertainty import Population, Uncertainty, Uniform
 from .design_file import toml_lines, toml_value, without_tables, write_text
 from .file_task import distributions_in
@@ -132,7 +132,7 @@ def starting_law(
     loops, P = _responses(machines, Task(np.zeros(16), dt=dt), f)
     for largest in LARGEST:
         law = _largest_cutoff(P, f, dt, long, largest, round(plant.delay / dt))
-        law = law and law._replace(cutoff=min(law.cutoff, _rounded(highest, 2)))
+        law = law and law._replace(cutoff=min(law.cutoff, rounded(highest, 2)))
         for _ in range(4):
             if law is None:
                 break
@@ -145,7 +145,7 @@ def starting_law(
             )
             if law.worst < (1 + largest) / 2:
                 return law
-            law = law._replace(cutoff=_rounded(0.7 * law.cutoff, 2))
+            law = law._replace(cutoff=rounded(0.7 * law.cutoff, 2))
     if without is None or without == uncertainty:
         return None
     law = starting_law(plant, without, dt, samples, highest=highest)
@@ -169,7 +169,7 @@ def starting_task(
     slowest = 1e-3 * frequency  # for the gain at rest, also where the plant integrates
     gain = np.abs([_response_of(plant, 2j * np.pi * f) for f in (slowest, frequency)])
     allowed = 0.5 * largest_input / np.sum(1 / gain)
-    return StartingTask(_rounded(float(allowed), 1), float(frequency), samples * dt)
+    return StartingTask(rounded(float(allowed), 1), float(frequency), samples * dt)
 
 
 # How it is done
@@ -200,14 +200,14 @@ def _largest_cutoff(P, f, dt, task, largest, delay: int) -> StartingLaw | None:
     leads = np.r_[0, np.geomspace(1, max(1, min(500, task.N // 8)), 40).astype(int)]
     leads = np.unique(np.r_[leads, delay + leads])
     unit = 1 / np.max(np.abs(steady))
-    gains = [_rounded(share * unit, 3) * np.sign(steady[0]) for share in SHARES]
+    gains = [rounded(share * unit, 3) * np.sign(steady[0]) for share in SHARES]
     lowest = min(2 / task.duration, 0.1 / dt)
     ahead = np.exp(2j * np.pi * f * dt)  # of a law of gain 1 and lead 0
     lines = Lines(f, P, np.zeros(P.shape), np.ones(len(f)), ahead, dt)
     law = widest([lines], ORDER, gains, leads, largest, lowest)
     if law is None:
         return None
-    cutoff = _rounded(min(law.cutoff, 0.4 / dt), 2)
+    cutoff = rounded(min(law.cutoff, 0.4 / dt), 2)
     return StartingLaw(law.gain, law.lead, cutoff, len(P), np.inf, np.inf, np.nan)
 
 
@@ -228,14 +228,6 @@ def _response_of(plant: Fittable, s: complex) -> complex:
     )
     slow = np.prod(1 + s / poles) * np.prod(1 + 2 * zeta * s / w + (s / w) ** 2)
     return complex(float(plant.gain) * np.prod(1 - s / zeros) / slow)
-
-
-def _rounded(value: float, digits: int) -> float:
-    """The value rounded towards 0 to so many significant digits."""
-    if not value or not np.isfinite(value):
-        return value
-    unit = 10.0 ** (np.floor(np.log10(abs(value))) - digits + 1)
-    return float(f"{np.trunc(value / unit * (1 + 1e-12)) * unit:.{digits}g}")
 
 
 # The plant file

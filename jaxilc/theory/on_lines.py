@@ -158,6 +158,14 @@ def low_pass(f, cutoff, dt: float, order: int) -> np.ndarray:
         return 1 / (1 + np.abs(ratio) ** (2 * order))
 
 
+def rounded(value: float, digits: int = 3) -> float:
+    """The value rounded towards 0 to so many significant digits."""
+    if not value or not np.isfinite(value):
+        return value
+    unit = 10.0 ** (np.floor(np.log10(abs(value))) - digits + 1)
+    return float(f"{np.trunc(value / unit * (1 + 1e-12)) * unit:.{digits}g}")
+
+
 def unfiltered(lines: Lines, gain: float = 1.0, lead: int = 0) -> np.ndarray:
     """(F,) the largest |K - g z^d L P| + |g L| s of the plants, without the filter."""
     L = gain * np.exp(2j * np.pi * lines.f * lines.dt * lead) * lines.L

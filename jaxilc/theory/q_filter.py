@@ -42,6 +42,7 @@ from .on_lines import (
     largest_cutoff,
     largest_gain,
     low_pass,
+    rounded,
 )
 from .rounding import ball_of
 
@@ -54,7 +55,6 @@ FINENESS = 1e-4
 NEAREST = 4  # of the worst plants on the grid, whose largest value is enclosed for an offer
 LEADS = 30  # longest change of the lead that is tried, at least [samples]
 MOST_LEAD = 1000  # that is tried, or asked for on a record: each takes its time [samples]
-DIGITS = 3  # of cutoffs and gains that are offered
 LINES_IN_WIDTH = 4  # lines within the half-power width of a resonance that show it well
 HEIGHT = 3.0  # dB by which a peak stands out
 FEWEST = 3  # lines below the cutoff
@@ -154,14 +154,6 @@ def with_law(scheme: Scheme, law: Scheme) -> Scheme:
         f"{type(scheme).__name__} has no learning part that can be replaced; allowed is one of "
         f"{known}, or a Filtered around it"
     )
-
-
-def rounded(value: float) -> float:
-    """The value rounded towards 0 to three significant digits."""
-    if not value or not np.isfinite(value):
-        return value
-    unit = 10.0 ** (np.floor(np.log10(abs(value))) - DIGITS + 1)
-    return float(f"{np.trunc(value / unit * (1 + 1e-12)) * unit:.{DIGITS}g}")
 
 
 def scheme_of(scheme: Scheme, places: Places, change: Change) -> Scheme:
