@@ -300,9 +300,7 @@ def _closed(
     C, lines = _feedback_of(law, task), measured.frequencies
 
     def closed(f):
-        P = np.interp(f, lines, measured.response.real) + 1j * np.interp(
-            f, lines, measured.response.imag
-        )
+        P = np.interp(f, lines, measured.response)
         return (P / (1 + C(f) * P))[:, None, None]
 
     return closed
@@ -415,9 +413,7 @@ class PeriodTest(NamedTuple):
     condition: Condition
     period: float
     at: dict[str, float]
-
-    def __repr__(self) -> str:
-        return in_short(self)
+    __repr__ = in_short
 
 
 def basis_condition(machine: Machine | Population, scheme: Scheme, task: Task) -> PeriodTest:
