@@ -424,7 +424,7 @@ def _judged(
     run = _Run(parts, moments, n_y)
     moving = parts.M @ parts.start + parts.c != parts.start
     at = reachable(possible, moving | (np.diag(run.added(parts.start)) > 0))
-    if not np.all(at):
+    if len(at):  # else no trial moves anything
         parts, A = parts.within(np.eye(len(A))[:, at]), A[np.ix_(at, at)]
     whole = _Pattern.of(A, parts, moments, n_y)
     drifts = _drifting(A, parts, moments, n_y) if len(parts.t) == 1 else ""
@@ -460,7 +460,7 @@ def _judged(
     if factor < 1:
         said = f"{two} in the end; it grows at most {growth**0.5:.3g} times before"
         return found(SQUARE, CONVERGES, said)
-    if whole.exponent > -np.log(ALONE) and len(parts.t) == 1:  # no limit would hold it
+    if len(at) and whole.exponent > -np.log(ALONE) and len(parts.t) == 1:  # no limit holds it
         said = f"a run grows by {np.exp(whole.exponent):.4g} in a trial, in the long run"
         return found(ALMOST, DIVERGES, said)
     if drifts:

@@ -210,8 +210,10 @@ def test_an_error_that_falls_for_100_trials_and_is_pushed_by_chance_is_claimed_t
     assert abs(r[2] - 0.5 * u) > 100 * found.runs[0, :, 0].max()
     at_zero = replaced(TASK, {"reference": np.where(np.arange(N + 1) == 1, 0.0, r)[:, None]})
     found = certify(machine, PIDType(gamma_p=gain), at_zero, TRIALS, {}, {})
-    assert (found.claim[0], found.sense[0]) == (DIVERGES, "in mean square")
+    assert (found.claim[0], found.sense[0]) == (DIVERGES, "almost surely")
     assert found.runs[0, 0, 1] < found.runs[0, 0, 0]  # nothing pushes u[0]; r[2] pushes u[1]
+    u = gain * r[2] * np.sum(rng.random(30_000) >= dropped)
+    assert abs(r[3] - 0.5 * u) > 100 * found.runs[0, :, 0].max()
 
 
 def test_where_the_mean_of_all_runs_diverges_their_mean_square_does():
@@ -226,6 +228,16 @@ def test_where_the_mean_of_all_runs_diverges_their_mean_square_does():
     for _ in range(200):
         e = e - 0.1 * (rng.random((16, N, 1)) >= 0.2) * (e @ np.asarray(plant.B))
     assert np.all(np.linalg.norm(e, axis=(1, 2)) > 1e3 * np.linalg.norm(r, axis=(1, 2)))
+
+
+@pytest.mark.parametrize(("gains", "moves"), [((2.5, 0.5), (0, 1)), ((0.5, 2.5), (1, 0)), (2.5, 0)])
+def test_an_axis_at_rest_does_not_diverge(gains, moves):
+    """With the axis at rest as the first one its runs were said to diverge; its error stays 0."""
+    plant = StateSpace(np.zeros((2, 2)), np.eye(2), np.eye(2), dt=DT)
+    task = Task(np.sin(np.arange(1.0, 10.0))[:, None] * np.broadcast_to(moves, 2), DT, inputs=2)
+    machines = drawn_machines(Machine(plant, variation=Variation(dropped=0.2)), {}, {})
+    found = long_run(machines, PIDType(gamma_p=np.broadcast_to(gains, 2)), task)
+    assert found.claim[0] == (MONOTONE if np.any(moves) else NOTHING)
 
 
 def test_of_a_law_that_is_another_for_each_record_and_of_carried_states_nothing_is_claimed():
