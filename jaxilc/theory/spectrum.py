@@ -220,13 +220,11 @@ def reachable(M, moves) -> np.ndarray:
     M: (n, n) whose entry i, k is other than 0 where w_i follows from w_k
     moves: (n,) whether the first trial moves a place
     """
-    acts = scipy.sparse.csr_array(np.asarray(M) != 0)
-    there = np.asarray(moves, bool)
-    while True:
-        grown = there | (acts @ there.astype(float) > 0)
-        if np.all(grown == there):
-            return np.flatnonzero(there)
-        there = grown
+    first = len(M)  # the trial that moves some, as one more place
+    follows = np.zeros((first + 1, first + 1), bool)
+    follows[:first, :first], follows[first, :first] = np.transpose(M) != 0, moves
+    found = scipy.sparse.csgraph.breadth_first_order(follows, first, return_predecessors=False)
+    return np.sort(found[1:])
 
 
 def drifting(M, push, Y, L, *, least: float, outputs: int, alike=True, seen=True):
