@@ -5,6 +5,8 @@ The segments are chosen from the reference.
 
 from __future__ import annotations
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -86,18 +88,11 @@ class SwitchableFilter(Filter):
 
     def _need_segments(self, bounds, where):
         """Raises ValueError where a segment is empty, or shorter than a change."""
-        for i, length in enumerate(np.diff(bounds)):
-            if length <= 0:
-                allowed = f"({bounds[i]:g}, inf): the segments must follow one another"
-                raise ValueError(
-                    f"SwitchableFilter: times[{i}] = {bounds[i + 1]:g} s is outside its allowed "
-                    f"range {allowed}"
-                )
-            if self.width > length:
-                raise ValueError(
-                    f"SwitchableFilter: width = {self.width:g} s is outside its allowed range [0, "
-                    f"{length:g}], the length of segment {i}{where}"
-                )
+        name, one_another = "SwitchableFilter", ": the segments must follow one another"
+        for i, (start, end) in enumerate(itertools.pairwise(map(float, bounds))):
+            require(name, f"times[{i}]", end, f"({start}, inf)", " s", note=one_another)
+            segment = f", the length of segment {i}{where}"
+            require(name, "width", self.width, f"[0, {end - start}]", " s", note=segment)
 
 
 def instantaneous_frequency(reference, dt, *, of="velocity", window=0.0, floor=0.01) -> np.ndarray:
