@@ -27,6 +27,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from ..learning.machine import Machine
 from ..learning.variation import Variation
@@ -135,7 +136,7 @@ def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball |
     for i in range(count):  # the matrices of one alone are large
         parts = parts_of((scheme, task), alone(machines, i))
         with np.errstate(over="ignore", invalid="ignore"):
-            found.append(_ball(_sizes(names, task), *(np.asarray(part)[0] for part in parts)))
+            found.append(_ball(_shapes(names, task), *(np.asarray(part)[0] for part in parts)))
     return Ball(of, *map(np.array, zip(*found, strict=True)))
 
 
@@ -143,9 +144,9 @@ def ball_of(machines: Machine, scheme: Scheme, task: Task, view: View) -> Ball |
 # --------------------------------------------------------------------------------------------------
 
 
-def _ball(sizes: dict[str, int], moved, M, D, E, F, T, G) -> tuple:
+def _ball(shapes: list[tuple[int, int]], moved, M, D, E, F, T, G) -> tuple:
     eps, far, share = np.finfo(M.dtype).eps, len(T) - 1, 1 / np.sqrt(len(E))
-    ends = np.cumsum([*sizes.values()])[:-1]
+    ends = np.cumsum(np.prod(shapes, axis=1))[:-1]
     M, D, E, F, T, G = (np.asarray(part, float) for part in (M, D, E, F, T[1:], G[1:]))
     of_each = [np.split(part, ends, axis=1) for part in (D, E @ D, F)]
     moves, of_error, shown = (sum(map(_furthest, each)) for each in of_each)
@@ -289,24 +290,22 @@ class _Adding(Wrapper):
         return self.scheme.limits(task, memory, trial)
 
 
-def _sizes(names: tuple[str, ...], task: Task) -> dict[str, int]:
-    of_input, of_output = task.N * task.inputs, (task.N + 1) * task.outputs
-    return {name: of_output if name == "sensor" else of_input for name in names}
+def _shapes(names: tuple[str, ...], task: Task) -> list[tuple[int, int]]:
+    """Of the disturbance in a trial that stands for what each of these does."""
+    of_input, of_output = (task.N, task.inputs), (task.N + 1, task.outputs)
+    return [of_output if name == "sensor" else of_input for name in names]
 
 
 def _parts(common, machine, *, view: View, names: tuple[str, ...]) -> tuple:
     """F(w_1) - w_1 and the matrices M, D, E, F, T, G of a machine, in units of half a step."""
     scheme, task = common
     still = linear_part(machine)
-    sizes, channels = _sizes(names, task), dict.fromkeys(names, task.inputs)
-    channels["sensor"] = task.outputs
     start = learning_of(still, scheme, task, view).start
+    none, unravel = ravel_pytree([*map(jnp.zeros, _shapes(names, task))])
 
     def at(w, d):
-        one, acting, first = still, scheme, 0
-        for name in names:
-            part = d[first : first + sizes[name]].reshape(-1, channels[name])
-            first += sizes[name]
+        one, acting = still, scheme
+        for name, part in zip(names, unravel(d), strict=True):
             if name == "sensor":
                 one = disturbed(one, "output", 0.5 * machine.sensor.resolution * part)
             elif name == "converter":
@@ -318,6 +317,5 @@ def _parts(common, machine, *, view: View, names: tuple[str, ...]) -> tuple:
         limits = [jnp.zeros(1), *limits.values()]  # never empty, as `tiled` needs
         return following, error, jnp.concatenate(limits)
 
-    none = jnp.zeros(sum(sizes.values()))
     (following, *_), ((M, E, T), (D, F, G)) = slopes(at, start, none)
     return following - start, M, D, E, F, T, G
