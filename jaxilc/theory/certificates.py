@@ -693,9 +693,10 @@ def peaks(
 
 def growth_of(errors) -> np.ndarray:
     """(S,) the largest rise of errors (S, J) above a lower one before it, as a factor."""
+    least = np.minimum.accumulate(errors, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        rises = errors / np.minimum.accumulate(errors, axis=1)
-    return np.max(np.nan_to_num(rises, nan=np.inf), axis=1)
+        rises = np.where(errors == least, 1.0, errors / least)
+    return np.max(_finite_or_infinite(rises), axis=1)
 
 
 def _finite_or_infinite(errors) -> np.ndarray:

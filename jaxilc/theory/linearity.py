@@ -243,7 +243,7 @@ def keeps_all(scheme: Scheme, task: Task, *, off: bool = False) -> bool:
     random = np.random.default_rng(6)
     w = random.standard_normal(learned_shape(scheme, task))
     e0 = random.standard_normal(task.outputs) * off
-    kept = np.asarray(_after_no_error(free, task, w, e0))
+    kept = _after_no_error(free, task, w, e0)  # an array of JAX, from which w is taken as rounded
     return bool(np.max(np.abs(kept - w)) <= 1e-12 * np.max(np.abs(w)))
 
 

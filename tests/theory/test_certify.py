@@ -32,7 +32,8 @@ from jaxilc.schemes import (
     WithFeedback,
 )
 from jaxilc.theory import certify, learning_map, outlook
-from jaxilc.theory.certificates import OfScheme, certify_each, course, long_run
+from jaxilc.theory.certificates import OfScheme, certify_each, course, growth_of, long_run
+from jaxilc.theory.linearity import keeps_all
 from jaxilc.uncertainty import draw, drawn_machines
 
 DT, N = 1e-3, 100
@@ -552,6 +553,19 @@ def test_in_single_precision_no_claim_rests_on_its_rounding():
         found = long_run(whole, PIDType(gamma_p=0.7), task)
     assert not {"monotone", "converges"} & {*found.claim}
     assert np.all(found.sigma >= 1)
+
+
+def test_in_single_precision_a_law_that_keeps_all_is_known_to():
+    """What was played, in double precision, was compared with itself as rounded."""
+    with jax.enable_x64(False):
+        assert keeps_all(PIDType(gamma_p=0.8), TASK)
+        assert not keeps_all(PIDType(gamma_p=0.8, leak=1e-3), TASK)
+
+
+def test_an_error_that_stays_at_zero_does_not_grow():
+    """It rose by 0 / 0 above itself."""
+    errors = np.array([[0.5, 0.0, 0.0], [0.5, 0.2, 0.3], [0.5, 0.0, 0.1], [0.5, np.nan, 0.1]])
+    np.testing.assert_allclose(growth_of(errors), [1.0, 1.5, np.inf, np.inf])
 
 
 def test_of_a_plant_that_no_input_moves_the_error_is_known():
