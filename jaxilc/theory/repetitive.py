@@ -413,7 +413,9 @@ class PeriodTest(NamedTuple):
     condition: Condition
     period: float
     at: dict[str, float]
-    __repr__ = in_short
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
 
 def basis_condition(machine: Machine | Population, scheme: Scheme, task: Task) -> PeriodTest:
