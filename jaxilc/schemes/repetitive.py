@@ -112,16 +112,13 @@ class PeriodTracking:
             along = jnp.sum(correction * slope)
             moved = size > 0
             found = -jnp.where(moved, along / jnp.where(moved, size, 1.0), 0.0) * dt / share
-        drift = jnp.clip(was.drift + self.rate**2 / 4 * found * share / was.period, *self._most)
-        step = jnp.clip(self.rate * found * share + drift * dt, *(dt * x for x in self._most))
+        drift = was.drift + self.rate**2 / 4 * found * share / was.period
+        drift = limited(drift, self.fastest)
+        step = limited(self.rate * found * share + drift * dt, dt * self.fastest)
         low, high = guess * (1 - self.within), guess * (1 + self.within)
         period = was.period + step
         inside = (period > low) & (period < high)
         return Tracked(jnp.clip(period, low, high), jnp.where(inside, drift, 0.0), power, angle)
-
-    @property
-    def _most(self) -> tuple[Leaf, Leaf]:
-        return -self.fastest, self.fastest
 
 
 def _time_since(angle: Array, dt: float, unknown: Array) -> Array:
@@ -206,10 +203,10 @@ class RepetitiveControl(Scheme):
     def initial_state(self, task: Task) -> Passed:
         # as many samples before the newest as the longest period and the taps look back
         past = int(np.ceil(self._longest / task.dt)) + AROUND[-1] + 1
-        of = {"v": task.inputs, "e": self._seen_by_law(task).outputs}
+        of = {"keep": task.inputs, "L": self._seen_by_law(task).outputs}
         if self.tracking is not None:
             past = max(past, self._back + 2)  # also the slope
-        v, e = (jnp.zeros((past - self._ends(n)[0], of[n])) for n in of)
+        v, e = (jnp.zeros((past - self._ends(name)[0], n)) for name, n in of.items())
         start = None if self.tracking is None else self.tracking.start(self.period, past + 1)
         return Passed(v, e, start)
 
@@ -231,8 +228,8 @@ class RepetitiveControl(Scheme):
             whole = jnp.floor(periods)
             weights = sign * lagrange(periods - whole)
             weights = jnp.where(self._fits(sample.dt), weights, jnp.nan)
-            v = v + self._of_period("v", self.law.keep, v_past, whole - 1, weights)
-            v = v + self._of_period("e", self.law.L, e, whole, weights)
+            v = v + self._of_period("keep", v_past, whole - 1, weights)
+            v = v + self._of_period("L", e, whole, weights)
         v = limited(v, self.law.limit)
         return Passed(_with(v_past, v), e, tracked), v
 
@@ -255,7 +252,7 @@ class RepetitiveControl(Scheme):
     @property
     def _least(self) -> int:
         """The shortest period in samples, with which nothing is needed that is yet to come."""
-        return max(self._ends("e")[1], self._ends("v")[1] + 1) + 2
+        return max(self._ends("L")[1], self._ends("keep")[1] + 1) + 2
 
     def _fits(self, dt: float) -> Leaf:
         """Whether memory and law reach over the period, and over all of its range."""
@@ -276,31 +273,28 @@ class RepetitiveControl(Scheme):
     @property
     def _back(self) -> int:
         """Samples back to the newest place of which correction and slope of v are known."""
-        return max(self._ends("e")[1], 2)
+        return max(self._ends("L")[1], 2)
 
     def _shifted(self, v: Array, e: Array) -> tuple[Array, Array]:
         """(n_u,) L e and the change of v per sample at the newest place where both are known."""
-        later = self._back - self._ends("e")[1]
+        later = self._back - self._ends("L")[1]
         newest = len(e) - later
         correction = _through(self.law.L, e[newest - self.law._taps("L") : newest])
         at = len(v) - self._back  # the newest of v is of a sample ago
         return correction, (v[at + 1] - v[at - 1]) / 2
 
     def _ends(self, name: str) -> tuple[int, int]:
-        """The first and the last sample that the taps see, from the same place a period later."""
-        middle = self.law._taps("L" if name == "e" else "keep") // 2
-        ahead = 1 + self.law.lead if name == "e" else 0
+        """The first and the last sample that L or keep sees, from the same place a period later."""
+        middle = self.law._taps(name) // 2
+        ahead = 1 + self.law.lead if name == "L" else 0
         return min(ahead - middle, 0), ahead + middle
 
-    def _of_period(
-        self, name: str, taps: Array, past: Array, whole: Array, weights: Array
-    ) -> Array:
-        """(n_u,) the taps on the samples a period ago; the newest of `past` is `whole` later."""
-        last = self._ends(name)[1]
-        count = taps.shape[0] + len(AROUND) - 1
-        first = len(past) - whole.astype(int) + last - taps.shape[0] - AROUND[-1]
-        seen = lax.dynamic_slice_in_dim(past, first, count)
-        windows = [AROUND[-1] - j + np.arange(taps.shape[0]) for j in AROUND]
+    def _of_period(self, name: str, past: Array, whole: Array, weights: Array) -> Array:
+        """(n_u,) L or keep on the samples a period ago; the newest of `past` is `whole` later."""
+        taps, count, last = getattr(self.law, name), self.law._taps(name), self._ends(name)[1]
+        first = len(past) - whole.astype(int) + last - count - AROUND[-1]
+        seen = lax.dynamic_slice_in_dim(past, first, count + len(AROUND) - 1)
+        windows = [AROUND[-1] - j + np.arange(count) for j in AROUND]
         return _through(taps, jnp.tensordot(weights, seen[np.stack(windows)], axes=1))
 
 
