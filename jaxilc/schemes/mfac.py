@@ -26,26 +26,6 @@ from .scheme import Scheme, limited, need_square
 RESETS = ("book", "sign", "none", "smooth")
 
 
-def pseudo_gradient(
-    phi: Sequence[Array], dh: Sequence[Array], dy: Array, *, eta: Leaf, mu: Leaf
-) -> list[Array]:
-    """One step of the pseudo-gradient estimator (Cao 2019, eq. 27).
-
-        phi' = phi + eta dh / (mu + |dh|^2) (dy - phi . dh)
-
-    For a window of one it is eq. 13 of Cao 2019 and eq. 11 of Dai 2014.
-
-    phi: (...) each, L components of the estimate
-    dh: (...) each, the L increments that these components multiply
-    dy: (...) output increment that the increments dh caused
-    eta: () step of the estimator
-    mu: () > 0, with the unit of |dh|^2
-    """
-    miss = dy - sum(p * h for p, h in zip(phi, dh, strict=True))
-    step = eta * miss / (mu + sum(h * h for h in dh))
-    return [p + step * h for p, h in zip(phi, dh, strict=True)]
-
-
 def reset_estimate(
     phi: list[Array], du: Tree, phi0: Leaf, *, component: int, epsilon: Leaf, mode: str
 ) -> list[Array]:
@@ -83,6 +63,37 @@ def reset_estimate(
     if mode == "book":
         useless = useless | (jnp.abs(du) <= epsilon)
     return [jnp.where(useless, p0, p) for p, p0 in zip(phi, phi0, strict=True)]
+
+
+def estimated(
+    scheme: Tree,
+    phi: Sequence[Array],
+    dh: Sequence[Array],
+    dy: Array,
+    phi0: Leaf,
+    *,
+    component: int,
+    eta: Leaf,
+) -> list[Array]:
+    """One step of the pseudo-gradient estimator (Cao 2019, eq. 27), and its `reset_estimate`.
+
+        phi' = phi + eta dh / (mu + |dh|^2) (dy - phi . dh)
+
+    For a window of one it is eq. 13 of Cao 2019 and eq. 11 of Dai 2014.
+
+    scheme: the scheme whose mu, epsilon and reset they are
+    phi, phi0: (...) each, L components of the estimate and of its start value
+    dh: (...) each, the L increments that these components multiply
+    dy: (...) output increment that the increments dh caused
+    component: index of the increment of u(k)
+    eta: () step of the estimator
+    """
+    miss = dy - sum(p * h for p, h in zip(phi, dh, strict=True))
+    step = eta * miss / (scheme.mu + sum(h * h for h in dh))
+    moved = [p + step * h for p, h in zip(phi, dh, strict=True)]
+    return reset_estimate(
+        moved, dh[component], phi0, component=component, epsilon=scheme.epsilon, mode=scheme.reset
+    )
 
 
 def need_window(scheme: FFDLMFAC | FFDLMFAILC) -> None:
@@ -165,13 +176,11 @@ class FFDLMFAC(Scheme):
 
     def act(self, state: State, sample: Sample) -> tuple[State, Array]:
         dy_now = state.seen * (sample.y - state.y)
-        phi = pseudo_gradient(state.phi, state.dy + state.du, dy_now, eta=self.eta, mu=self.mu)
-        phi0 = jnp.atleast_1d(self.phi0)
-        phi = reset_estimate(
-            phi, state.du[0], phi0, component=self.L_y, epsilon=self.epsilon, mode=self.reset
-        )
-        dy = (dy_now, *state.dy)[: self.L_y]
-        rho, c = jnp.broadcast_to(self.rho, (self.L_y + self.L_u,)), self.L_y
+        phi0, c = jnp.atleast_1d(self.phi0), self.L_y
+        dh = state.dy + state.du
+        phi = estimated(self, state.phi, dh, dy_now, phi0, component=c, eta=self.eta)
+        dy = (dy_now, *state.dy)[:c]
+        rho = jnp.broadcast_to(self.rho, (c + self.L_u,))
         held = sum(rho[i] * phi[i] * dy[i] for i in range(c)) + sum(
             rho[c + i] * phi[c + i] * state.du[i - 1] for i in range(1, self.L_u)
         )
@@ -300,12 +309,8 @@ class CFDLMFAPC(Scheme):
         return PredictiveState(rest, rest, rest, phi, theta)
 
     def act(self, state: PredictiveState, sample: Sample) -> tuple[PredictiveState, Array]:
-        (phi_now,) = pseudo_gradient(
-            [state.phi[0]], [state.du], sample.y - state.y, eta=self.eta, mu=self.mu
-        )
-        (phi_now,) = reset_estimate(
-            [phi_now], state.du, [self.phi0], component=0, epsilon=self.epsilon, mode=self.reset
-        )
+        was, dy = [state.phi[0]], sample.y - state.y
+        (phi_now,) = estimated(self, was, [state.du], dy, [self.phi0], component=0, eta=self.eta)
         theta = self._forecaster(state, phi_now)
         phi = jnp.concatenate([phi_now[None], state.phi[:-1]])
         u = limited(
@@ -479,14 +484,14 @@ class FFDLMFAILC(Scheme):
 
     def initial_memory(self, task: Task) -> Memory:
         N, n = task.N, task.inputs
-        phi = tuple(jnp.broadcast_to(p, (N, n)) for p in self._start())
+        phi = tuple(jnp.broadcast_to(p, (N, n)) for p in jnp.atleast_1d(self.phi0))
         return Memory(jnp.zeros((N, n)), jnp.zeros((N + 1, n)), phi, jnp.zeros(()))
 
     def learn(self, memory: Memory, trial: Trial) -> Memory:
         du, dy = trial.u - memory.u, trial.y - memory.y
         outputs = [delay(dy[:-1], i) for i in range(self.L_y)]
         inputs = [delay(du, i) for i in range(self.L_u)]
-        rows = memory.phi, outputs + inputs, advance(dy, 1 + self.lead), du
+        rows = memory.phi, outputs + inputs, advance(dy, 1 + self.lead)
         phi = _estimated((self, memory.seen * self.eta), *rows)
         if self.lead:
             phi = [
@@ -518,28 +523,19 @@ class FFDLMFAILC(Scheme):
         du = (u - row.u_last, *du)[: self.L_u - 1]
         return Window(dy[: max(self.L_y - 1, 0)], du, row.u_last), u
 
-    def _start(self) -> Array:
-        return jnp.atleast_1d(jnp.asarray(self.phi0))
-
 
 @by_row
 def _estimated(
-    of: tuple[FFDLMFAILC, Array],
-    phi: Sequence[Array],
-    increments: Sequence[Array],
-    dy: Array,
-    du: Array,
+    of: tuple[FFDLMFAILC, Array], phi: Sequence[Array], increments: Sequence[Array], dy: Array
 ) -> list[Array]:
-    """The estimate for the next trial, see `pseudo_gradient` and `reset_estimate`.
+    """The estimate for the next trial.
 
     of: the scheme, and the step of its estimator: 0 after the first trial, whose increments tell
         nothing
     """
     scheme, eta = of
-    moved = pseudo_gradient(phi, increments, dy, eta=eta, mu=scheme.mu)
-    return reset_estimate(
-        moved, du, scheme._start(), component=scheme.L_y, epsilon=scheme.epsilon, mode=scheme.reset
-    )
+    phi0 = jnp.atleast_1d(scheme.phi0)
+    return estimated(scheme, phi, increments, dy, phi0, component=scheme.L_y, eta=eta)
 
 
 @by_row
