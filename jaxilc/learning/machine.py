@@ -15,6 +15,8 @@ from ..plants import Plant
 from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_channels, need_scalars
+from ..schemes.scheme import limited
+from ..signals.rows import plus
 from ..signals.task import Limit, Task, Trial, quantise
 from .variation import Variation
 
@@ -49,8 +51,10 @@ class Actuator:
         v = u
         if self.rate is not None:
             v = v_last + jnp.clip(u - v_last, -self.rate * dt, self.rate * dt)
-        v = self._within_limit(v)
-        return v, v if self.resolution is None else self._within_limit(quantise(v, self.resolution))
+        v = limited(v, self.limit)
+        if self.resolution is None:
+            return v, v
+        return v, limited(quantise(v, self.resolution), self.limit)
 
     def limits(self, u: Array, dt: float) -> dict[str, Limit]:
         """The signals that must stay within their bounds so that no limit has an effect, by name.
@@ -65,9 +69,6 @@ class Actuator:
             for name, (signal, bound) in found.items()
             if bound is not None
         }
-
-    def _within_limit(self, u: Array) -> Array:
-        return u if self.limit is None else jnp.clip(u, -self.limit, self.limit)
 
 
 @pytree
@@ -238,8 +239,8 @@ class Machine:
         d, shape_u, shape_y = self.disturbance, (task.N, task.inputs), (task.N + 1, task.outputs)
         noisy = self.sensor is not None and self.sensor.noise is not None
         return Draws(
-            None if d is None else _total("input", d.input, d.input_noise, of_input, shape_u),
-            None if d is None else _total("output", d.output, d.output_noise, of_output, shape_y),
+            None if d is None else _total(d.input, d.input_noise, of_input, shape_u),
+            None if d is None else _total(d.output, d.output_noise, of_output, shape_y),
             jax.random.normal(of_sensor, shape_y) if noisy else None,
         )
 
@@ -296,9 +297,6 @@ def _without(part: Value, *names: str) -> Value:
 
 
 def _total(
-    name: str, repetitive: Leaf | None, std: Leaf | None, key: Array, shape: tuple[int, ...]
+    repetitive: Leaf | None, std: Leaf | None, key: Array, shape: tuple[int, ...]
 ) -> Leaf | None:
-    if std is None:
-        return repetitive
-    noise = std * jax.random.normal(key, shape)
-    return noise if repetitive is None else repetitive + noise
+    return repetitive if std is None else plus(std * jax.random.normal(key, shape), repetitive)

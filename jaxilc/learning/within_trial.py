@@ -12,7 +12,7 @@ from ..runtime.capacity import bytes_of
 from ..runtime.lanes import over_samples
 from ..schemes import Scheme
 from ..schemes.weights import weighed
-from ..signals.rows import for_scan
+from ..signals.rows import for_scan, plus
 from ..signals.task import Sample, Task, Trial
 from .machine import Machine
 from .metrics import Tally, measure
@@ -78,8 +78,8 @@ def run_and_measure(
         ahead = next_r[None] if preview == 1 else lax.dynamic_slice_in_dim(future, k, preview)
         state, command = scheme.act(state, Sample(r_k, ahead, y, row, dt, u_last))
         v, u = machine.actuate(command, v_last, dt)
-        x = plant.step(x, _plus(u, d_u), dt)
-        y = machine.measure(_plus(plant.output(x), d_y), noise)
+        x = plant.step(x, plus(u, d_u), dt)
+        y = machine.measure(plus(plant.output(x), d_y), noise)
         if measured:
             e = next_r - y if counted is None else counted * (next_r - y)
             tally = tally.add(*lax.stop_gradient((e, u)), settled)
@@ -87,7 +87,7 @@ def run_and_measure(
 
     d_y, noise, unaltered = draws.output, draws.sensor, machine.actuator is None
     begun = first_start(machine, scheme, task, key) if start is None else start
-    y = machine.measure(_plus(plant.output(begun.plant), _at(d_y, 0)), _at(noise, 0))
+    y = machine.measure(plus(plant.output(begun.plant), _at(d_y, 0)), _at(noise, 0))
     tally: Tree = None
     if measured:
         at_0 = lax.stop_gradient(r[0] - y)
@@ -152,7 +152,7 @@ def _at_once(machine: Machine, command: Array, task: Task, key: Array) -> Trial:
     draws = machine.draws(key, task)
     u = machine.actuate(command, command, task.dt)[1]
     y = machine.measure(
-        _plus(machine.plant.response(_plus(u, draws.input), task.dt), draws.output), draws.sensor
+        plus(machine.plant.response(plus(u, draws.input), task.dt), draws.output), draws.sensor
     )
     return Trial(jnp.asarray(task.reference), y, u, task.dt)
 
@@ -162,10 +162,6 @@ def _is_settled(task: Task) -> np.ndarray:
     settled = np.zeros(task.N + 1, bool)
     settled[task.settled] = True
     return settled
-
-
-def _plus(signal: Array, d: Array | None) -> Array:
-    return signal if d is None else signal + d
 
 
 def _at(rows: Array | None, index: Value) -> Tree:

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import need_channels
+from ..signals.rows import plus
 from ..signals.task import Sample, Task
 from .scheme import Scheme, limited, need_square
+from .sliding_mode import filtered_difference
 
 
 class PIDState(NamedTuple):
@@ -89,7 +91,7 @@ class PID(Scheme):
 
     def act(self, state: PIDState, sample: Sample) -> tuple[PIDState, Array]:
         e = sample.r - sample.y
-        slope = (self.tau * state.slope + e - state.e) / (self.tau + sample.dt)
+        slope = filtered_difference(state.slope, e, state.e, self.tau, sample.dt)
         f, r = self._feedforward(state, sample), None if self.ka is None else sample.r
         if self.form == "increment":
             u = (
@@ -101,11 +103,11 @@ class PID(Scheme):
             u = limited(u if f is None else u + (f - state.feedforward), self.limit)
             return PIDState(state.integral, e, slope, u, r, f), u
         integral = state.integral + self.ki * sample.dt * e
-        u = _plus(self.kp * e + integral + self.kd * slope, f)
+        u = plus(self.kp * e + integral + self.kd * slope, f)
         if self.limit is not None:
             winding = (jnp.abs(u) > self.limit) & (u * self.ki * e > 0)
             integral = jnp.where(winding, state.integral, integral)
-            u = limited(_plus(self.kp * e + integral + self.kd * slope, f), self.limit)
+            u = limited(plus(self.kp * e + integral + self.kd * slope, f), self.limit)
         return PIDState(integral, e, slope, u, r, None), u
 
     def _feedforward(self, state: PIDState, sample: Sample) -> Array | None:
@@ -114,11 +116,7 @@ class PID(Scheme):
         if self.kv is not None:
             f = self.kv * (sample.ahead[0] - sample.r) / dt
         if self.ka is not None:
-            f = _plus(
+            f = plus(
                 self.ka * (sample.ahead[1] - sample.ahead[0] - sample.r + state.r) / (2 * dt**2), f
             )
         return f
-
-
-def _plus(u: Array, f: Array | None) -> Array:
-    return u if f is None else u + f

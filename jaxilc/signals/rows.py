@@ -68,6 +68,11 @@ def ahead_of(rows: Array, preview: int) -> Array:
     return jnp.stack([held[i : i + len(rows)] for i in range(preview)], axis=1)
 
 
+def plus(signal: Array, other: Array | None) -> Array:
+    """The sum of a signal and another one, where there is another one."""
+    return signal if other is None else signal + other
+
+
 def running_sum(signal: Array) -> Array:
     """The sums over i <= k of the rows signal[i], as (N, n).
 
