@@ -51,6 +51,7 @@ class Problem(NamedTuple):
     beside: (N+1, n_y) signal that is added to the model's output
     w_q, w_r, w_s, w_d: weights as matrices; w_d may be None
     limit, rate, y_low, y_high, tube: bounds as those of `ConstrainedNormOptimal`, each may be None
+    total, contour, feedback: None; this problem never has rows of these kinds
     """
 
     model: Tree
@@ -67,14 +68,9 @@ class Problem(NamedTuple):
     y_low: Array | None = None
     y_high: Array | None = None
     tube: Array | None = None
-
-    # the kinds of rows that this problem never has
-    @property
-    def total(self) -> None: ...
-    @property
-    def contour(self) -> None: ...
-    @property
-    def feedback(self) -> None: ...
+    total: None = None
+    contour: None = None
+    feedback: None = None
 
     @property
     def bounded(self) -> bool:
