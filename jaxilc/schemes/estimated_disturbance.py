@@ -11,9 +11,10 @@ from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .constrained_norm_optimal import ConstrainedNormOptimal
+from .guards import Guard
 from .norm_optimal import NormOptimal
 from .riccati import System, answer
-from .scheme import Memory, Part, Wrapper, under
+from .scheme import Memory, under
 from .weights import counts_at_all, output_weighed
 
 
@@ -31,7 +32,7 @@ class Estimate(NamedTuple):
 
 
 @pytree
-class EstimatedDisturbance(Wrapper):
+class EstimatedDisturbance(Guard):
     """Norm-optimal learning from the repetitive disturbance that a Kalman filter estimates.
 
     Over the trials the disturbance d of the output is a random walk, which each trial measures with
@@ -73,9 +74,6 @@ class EstimatedDisturbance(Wrapper):
     def check(self, task: Task) -> None:
         super().check(task)
         need_channels(self, task.outputs, "process_std", "measurement_std", "initial_std")
-
-    def parts(self, task: Task, memory: Memory) -> dict[str, Part]:
-        return {"scheme": Part(self.scheme, task, memory.scheme)}
 
     def frozen(self) -> EstimatedDisturbance:
         """The linear law that this one becomes, with the gain of the long run."""
