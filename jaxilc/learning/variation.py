@@ -21,7 +21,7 @@ from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import known, need_numbers
 from ..runtime.jax_internals import once
-from ..schemes.weights import weighed
+from ..schemes.weights import output_weighed, weighed
 from ..signals.task import Task, Trial
 
 SALT = 7919  # folded into the key of a trial, so that noise is that of a machine that does not vary
@@ -302,17 +302,15 @@ class Variation:
 
     def _at_last(self, trial: Trial, key: Array) -> Trial:
         """The record with the samples that are there at each instant."""
-        W, e = trial.weight, trial.e
-        if W is not None:  # of trials that end early, a number for each sample
-            share = W[:, :1, 0]
-            e = jnp.where(share > 0, e / jnp.where(share > 0, share, 1.0), e)
-        y = trial.r - e
+        y, e = trial.y, trial.e
+        if trial.weight is not None:  # of trials that end early, a number for each sample
+            share = trial.weight[:, :1, 0]
+            y = trial.r - jnp.where(share > 0, e / jnp.where(share > 0, share, 1.0), e)
         if self.late:
             y = shifted(y, self.late, self._of(key, 3))
         if self.delayed is not None:
             y = newest(y, self.delayed, self.delay, self._of(key, 4))
-        e = trial.r - y
-        return trial._replace(y=trial.r - (e if W is None else jnp.einsum("kij,kj->ki", W, e)))
+        return trial._replace(y=output_weighed(trial, y))
 
     def _of(self, key: Array, number: int) -> Array | None:
         """The random key of one kind of draw of a trial; None for the mean."""
