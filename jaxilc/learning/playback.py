@@ -47,12 +47,9 @@ def _compiled(scheme: Scheme, memory: Tree, task: Task) -> dict[str, Tree]:
 
 def unit_of(name: str, task: Task) -> str:
     """The unit of a signal or schedule, by its name; an empty text for the weights of a law."""
-    last = name.rpartition(".")[2]
-    if last in ("r", "y", "reference"):
-        return task.unit
-    return {"t": "s"}.get(
-        last, task.input_unit if last in ("u", "u_last", "feedforward", "feedback") else ""
-    )
+    of_output = dict.fromkeys(("r", "y", "reference"), task.unit)
+    of_input = dict.fromkeys(("u", "u_last", "feedforward", "feedback"), task.input_unit)
+    return ({"t": "s"} | of_output | of_input).get(name.rpartition(".")[2], "")
 
 
 @jax.jit
