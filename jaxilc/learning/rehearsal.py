@@ -99,11 +99,7 @@ def _step(plant: Plant, dt: float) -> None:
             "allowed is the same again"
         )
     _need_alike(f"{name}: a step", "state", before, after, "initial_state gives")
-    if getattr(y, "shape", None) != (plant.n_y,):
-        shape = getattr(y, "shape", type(y).__name__)
-        raise ValueError(
-            f"{name}: the output has shape {shape}; allowed is (n_y,) = ({plant.n_y},)"
-        )
+    _need_vector(f"{name}: the output has", y, "n_y", plant.n_y)
 
 
 @partial(jax.jit, static_argnames="actuated")
@@ -120,11 +116,7 @@ def _turn(scheme: Scheme, task: Task, *, actuated: bool) -> None:
     if not isinstance(acted, tuple | list) or len(acted) != 2:
         raise ValueError(f"{name}: act gives {_in_words(acted)}; allowed is a pair (state, u)")
     after, u = acted
-    if getattr(u, "shape", None) != (task.inputs,):
-        shape = getattr(u, "shape", type(u).__name__)
-        raise ValueError(
-            f"{name}: act gives an input of shape {shape}; allowed is (n_u,) = ({task.inputs},)"
-        )
+    _need_vector(f"{name}: act gives an input of", u, "n_u", task.inputs)
     _need_alike(f"{name}: act", "state", before, after, "initial_state gives")
     signals = {
         signal: jnp.zeros((task.N, *jnp.shape(value)), jnp.result_type(value))
@@ -145,6 +137,13 @@ def _continued(scheme: Scheme, task: Task, memory: Tree) -> None:
         where, needed, given = clash
         where = f"memory.{where}" if where not in ("memory", "a memory") else "memory"
         raise ValueError(f"{where} is {given}; {type(scheme).__name__} and this task need {needed}")
+
+
+def _need_vector(who: str, x: Tree, axis: str, size: int) -> None:
+    """Raises ValueError unless x is an array of one axis of this size."""
+    if getattr(x, "shape", None) != (size,):
+        shape = getattr(x, "shape", type(x).__name__)
+        raise ValueError(f"{who} shape {shape}; allowed is ({axis},) = ({size},)")
 
 
 def _need_rows(scheme: Scheme, task: Task, memory: Tree) -> None:
