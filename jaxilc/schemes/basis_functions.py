@@ -18,7 +18,7 @@ from .bases import Basis, pushed
 from .compose import need_feedforward
 from .gradient import Ready, answers, need_answers, varies
 from .guards import Guard
-from .quadratic_cost import largest_eigenvalue, need_weight, weights_of
+from .quadratic_cost import largest_eigenvalue, need_weights, weights_of
 from .scheme import Feedforward, Memory, Schedule, Scheme, Wrapper, limited, need_no_experiments
 from .weights import answers_weighed
 
@@ -81,9 +81,7 @@ class BasisFunctions(Scheme):
 
     def __post_init__(self) -> None:
         need_numbers(self, "step")
-        need_weight("BasisFunctions", "w_q", self.w_q, self.model.n_y)
-        for name in ("w_r", "w_s"):
-            need_weight("BasisFunctions", name, getattr(self, name), self.model.n_u)
+        need_weights(self, "w_q", "w_r", "w_s")
 
     def check(self, task: Task) -> None:
         self.basis.check(task)
@@ -106,10 +104,7 @@ class BasisFunctions(Scheme):
         )
 
     def schedule(self, memory: Parameters, task: Task) -> Feedforward:
-        r = jnp.asarray(task.reference)
-        return Feedforward(
-            limited(self.basis.signal(memory.theta, r, task.dt, task.inputs), self.limit)
-        )
+        return Feedforward(limited(input_of(self.basis, memory.theta, task), self.limit))
 
     def learn(self, memory: Parameters, trial: Trial) -> Parameters:
         dt = trial.dt if self.solved is None else self.solved.dt
@@ -168,6 +163,11 @@ class BasisFunctions(Scheme):
         scale = _scale(G)
         h = largest_eigenvalue(lambda v: (G * jnp.outer(scale, scale)) @ v, theta)
         return theta + self.step * scale**2 * down / jnp.where(h > 0, h, 1.0)
+
+
+def input_of(basis: Basis, theta: Array, task: Task) -> Array:
+    """(N, n_u) the input that the parameters theta (m,) make for the reference of a task."""
+    return basis.signal(theta, jnp.asarray(task.reference), task.dt, task.inputs)
 
 
 def fitted(
@@ -309,8 +309,8 @@ class OnBasis(Guard):
         return OnBasisMemory(following, theta)
 
     def schedule(self, memory: OnBasisMemory, task: Task) -> Schedule:
-        u = self.basis.signal(memory.theta, jnp.asarray(task.reference), task.dt, task.inputs)
-        return self.scheme.play(limited(u, self.limit), memory.scheme, task)
+        u = limited(input_of(self.basis, memory.theta, task), self.limit)
+        return self.scheme.play(u, memory.scheme, task)
 
     def feedforward(self, memory: OnBasisMemory, task: Task) -> Array:
         return self.schedule(memory, task).u
@@ -365,11 +365,8 @@ class WarmStart(Wrapper):
         super().check(task)
         self.basis.check(task)
         need_parameters(self, "theta", self.theta, self.basis, task)
-        started(self.scheme, self.scheme.initial_memory(task), self._input(task), task)
+        self.initial_memory(task)  # raises for a scheme that learns no input
 
     def initial_memory(self, task: Task) -> Memory:
-        return started(self.scheme, super().initial_memory(task), self._input(task), task)
-
-    def _input(self, task: Task) -> Array:
-        r = jnp.asarray(task.reference)
-        return self.basis.signal(jnp.asarray(self.theta), r, task.dt, task.inputs)
+        u = input_of(self.basis, jnp.asarray(self.theta), task)
+        return started(self.scheme, super().initial_memory(task), u, task)

@@ -16,7 +16,7 @@ from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial
 from .constraints import Rows, need_feasible, rows_of, side_by_side, system_of, weight_of
 from .interior_point import Problem, solve
-from .quadratic_cost import need_convex, need_model_of, need_stable, need_weight, weights_of
+from .quadratic_cost import need_convex, need_model_of, need_stable, need_weights, weights_of
 from .riccati import Factor, factor, newton
 from .scheme import Scheme
 from .weights import model_weighed
@@ -121,7 +121,7 @@ class ConstrainedNormOptimal(Scheme):
         need_convex(self)
         need_stable(self)
         if self.w_d is not None:
-            need_weight(owner, "w_d", self.w_d, model.n_u)
+            need_weights(self, "w_d")
         n = model.A.shape[-1]
         if self.feedback is not None and self.feedback.shape != (model.n_u, n):
             raise ValueError(

@@ -22,6 +22,7 @@ from .quadratic_cost import (
     largest_eigenvalue,
     need_channels_of,
     need_weight,
+    need_weights,
     symmetric_of,
     weights_of,
 )
@@ -104,8 +105,7 @@ class GradientILC(Scheme):
 
     def __post_init__(self) -> None:
         need_numbers(self, "step")
-        need_weight("GradientILC", "w_q", self.w_q, self.model.n_y)
-        need_weight("GradientILC", "w_s", self.w_s, self.model.n_u)
+        need_weights(self, "w_q", "w_s")
 
     @property
     def of_one_length(self) -> bool:

@@ -67,10 +67,9 @@ WithModel: TypeAlias = Tree  # a scheme with a model, and weights as `NormOptima
 
 def need_convex(scheme: WithModel) -> None:
     """Raises ValueError unless the cost of a scheme is convex, with one optimum."""
-    owner, n_u = type(scheme).__name__, scheme.model.n_u
-    for name, size in (("w_q", scheme.model.n_y), ("w_r", n_u), ("w_s", n_u)):
-        need_weight(owner, name, getattr(scheme, name), size)
-    need_definite(owner, {"w_r": scheme.w_r, "w_s": scheme.w_s}, n_u)
+    need_weights(scheme, "w_q", "w_r", "w_s")
+    sums = {"w_r": scheme.w_r, "w_s": scheme.w_s}
+    need_definite(type(scheme).__name__, sums, scheme.model.n_u)
 
 
 def need_definite(owner: str, weights: dict[str, Leaf], size: int) -> None:
@@ -84,6 +83,16 @@ def need_definite(owner: str, weights: dict[str, Leaf], size: int) -> None:
             f"{owner}: {' + '.join(weights)} has the eigenvalues {both}; allowed are positive ones "
             "only"
         )
+
+
+def need_weights(scheme: WithModel, *names: str) -> None:
+    """Raises ValueError unless each named weight is one of the outputs or inputs of the model."""
+    for name in names:
+        need_weight(type(scheme).__name__, name, getattr(scheme, name), _size_of(scheme, name))
+
+
+def _size_of(scheme: WithModel, name: str) -> int:
+    return scheme.model.n_y if name in ("w_q", "w_y") else scheme.model.n_u
 
 
 def need_weight(owner: str, name: str, weight: Leaf, size: int) -> None:
@@ -147,10 +156,7 @@ def need_model_of(scheme: WithModel, task: Task) -> None:
 
 def weights_of(scheme: WithModel, *names: str) -> tuple[Array, ...]:
     """The symmetric parts of the weights, so that a gradient step keeps a weight symmetric."""
-    n_y, n_u = scheme.model.n_y, scheme.model.n_u
-    return tuple(
-        symmetric_of(getattr(scheme, name), n_y if name == "w_q" else n_u) for name in names
-    )
+    return tuple(symmetric_of(getattr(scheme, name), _size_of(scheme, name)) for name in names)
 
 
 def symmetric_of(weight: Leaf, size: int) -> Array:

@@ -21,6 +21,7 @@ from .quadratic_cost import (
     need_definite,
     need_model_of,
     need_weight,
+    need_weights,
     symmetric_of,
     weights_of,
 )
@@ -118,7 +119,7 @@ class TwoStep(Scheme):
 
     def __post_init__(self) -> None:
         need_convex(self)
-        need_weight("TwoStep", "w_y", self.w_y, self.model.n_y)
+        need_weights(self, "w_y")
         of_alpha = {"w_alpha": self.w_alpha, "w_change": self.w_change}
         for name, weight in of_alpha.items():
             need_weight("TwoStep", name, weight, self._corrections)
