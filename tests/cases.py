@@ -105,6 +105,15 @@ ALGEBRA = {"rtol": 1e-10, "atol": 1e-12}
 DIFFERENCES = {"rtol": 2e-6, "atol": 1e-8}
 SIGMAS = 6.0
 
+
+def assert_close(found, expected, name=""):
+    """Compare to rounding, in units of the largest number that is expected where it is above 1."""
+    scale = max(1.0, np.max(np.abs(expected), initial=0.0))
+    np.testing.assert_allclose(
+        found, expected, rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * scale, err_msg=name
+    )
+
+
 DT = 1e-3
 PRINTED = ((2.2386, -1.6246, 0.385), (0.0018, -0.0036, -0.0025))  # Cao 2019, eq. 29
 ARX = ((1.6, -0.65), (0.06, 0.03))  # stable, with its zero at -0.5: minimum phase

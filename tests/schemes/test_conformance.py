@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALGEBRA, CASES, DIFFERENCES, FEW, case, task_for
+from cases import ALGEBRA, CASES, DIFFERENCES, FEW, assert_close, case, task_for
 from turns import drawn
 
 from jaxilc import tiled
@@ -94,10 +94,7 @@ def lane(tree, i):
 
 def assert_same(one, other):
     for (name, a), b in zip(named_leaves(one).items(), named_leaves(other).values(), strict=True):
-        scale = np.max(np.abs(a), initial=0.0)
-        np.testing.assert_allclose(
-            a, b, rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * max(scale, 1.0), err_msg=name
-        )
+        assert_close(a, b, name)
 
 
 def test_leaves_are_strongly_typed_floats(run):

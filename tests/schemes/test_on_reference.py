@@ -8,7 +8,7 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from cases import ALGEBRA, ARX, DT
+from cases import ALGEBRA, ARX, DT, assert_close
 
 from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.learning import Machine, feedforward, learn, measured_trial, next_memory
@@ -65,10 +65,7 @@ def series(feedback, gamma_p, gamma_d=0.0, lead=0, trials=TRIALS, q=lambda w: w)
 
 def assert_same(one, other, names):
     for name in names:
-        scale = max(1.0, np.max(np.abs(other[name])))
-        np.testing.assert_allclose(
-            one[name], other[name], rtol=ALGEBRA["rtol"], atol=ALGEBRA["atol"] * scale, err_msg=name
-        )
+        assert_close(one[name], other[name], name)
 
 
 def fir(w):
