@@ -36,6 +36,8 @@ REAL = dataclasses.replace(MODEL, A=[[0.86, 0.1], [-0.15, 0.82]])
 POINTS = (8, 15, 24)
 WEIGHT = np.isin(np.arange(N + 1), POINTS).astype(float)
 TASK = Task(np.where(WEIGHT > 0, np.arange(N + 1) / N, 0.0), DT)  # zero where nothing is asked
+TIME, EFFORT = 2e-3, 1e-5  # the weights of the jerk and of the input
+SMOOTH = AtSamples(NormOptimal(with_jerk(MODEL), w_s=EFFORT), weight=WEIGHT, jerk_time=TIME)
 
 
 def test_norm_optimal_learning_comes_to_the_points_with_the_least_effort():
@@ -51,48 +53,48 @@ def test_norm_optimal_learning_comes_to_the_points_with_the_least_effort():
     np.testing.assert_allclose(exact, np.linalg.pinv(H) @ r, rtol=1e-6, atol=1e-9)
 
 
+H = lifted(MODEL, N)
+JERK = np.eye(N) - 3 * np.eye(N, k=-1) + 3 * np.eye(N, k=-2) - np.eye(N, k=-3)
+J = (TIME / DT) ** 3 * JERK @ H
+
+
+def smooth_input(weight, r, kept):
+    """Return the input of the least cost of weighted errors, jerk and effort.
+
+    kept: (N,) what the jerk, times its weight, shall be
+    """
+    P = np.diag(weight[1:])
+    cost = H.T @ P @ H + J.T @ J + EFFORT * np.eye(N)
+    return np.linalg.solve(cost, H.T @ P @ r[1:] + J.T @ kept)
+
+
 def test_the_jerk_of_the_motion_is_part_of_the_cost():
-    times, w_s = 2e-3, 1e-5
-    scheme = AtSamples(NormOptimal(with_jerk(MODEL), w_s=w_s), weight=WEIGHT, jerk_time=times)
-    history = learn(Machine(MODEL), scheme, TASK, 2)
-    H, P = lifted(MODEL, N), np.diag(WEIGHT[1:])
-    third = np.eye(N) - 3 * np.eye(N, k=-1) + 3 * np.eye(N, k=-2) - np.eye(N, k=-3)
-    J = (times / DT) ** 3 * third @ H
-    r = np.asarray(TASK.reference)[1:, 0]
-    cost = H.T @ P @ H + J.T @ J + w_s * np.eye(N)
+    u = learn(Machine(MODEL), SMOOTH, TASK, 2).memory.u[:, 0]
+    expected = smooth_input(WEIGHT, np.asarray(TASK.reference)[:, 0], np.zeros(N))
+    np.testing.assert_allclose(u, expected, rtol=1e-6, atol=1e-8)
     np.testing.assert_allclose(
-        history.memory.u[:, 0], np.linalg.solve(cost, H.T @ P @ r), rtol=1e-6, atol=1e-8
-    )
-    np.testing.assert_allclose(
-        lifted(with_jerk(MODEL), N)[1::2], third @ H / DT**3, rtol=1e-6, atol=1
+        lifted(with_jerk(MODEL), N)[1::2], JERK @ H / DT**3, rtol=1e-6, atol=1
     )
 
 
 def test_a_sample_that_was_lost_is_no_jump_of_the_motion():
     """Of its jerk and those of the three samples after it the change counts, from what it is."""
-    times, w_s = 2e-3, 1e-5
-    scheme = AtSamples(NormOptimal(with_jerk(MODEL), w_s=w_s), weight=WEIGHT, jerk_time=times)
     r, lost, u = 1 + np.arange(N + 1) / N, (5, 15, 16), np.linspace(1, -1, N)
     measured = np.where(np.isin(np.arange(N + 1), lost), 0.0, 1.0)
-    H = lifted(MODEL, N)
     y = np.append(0.0, H @ u)
 
     @jax.jit
     def learned(r, y, u):
-        memory = scheme.initial_memory(Task(r, DT))._replace(u=u)
-        return scheme.learn(memory, weighed(Trial(r, y, u, DT), measured[:, None])).u[:, 0]
+        memory = SMOOTH.initial_memory(Task(r, DT))._replace(u=u)
+        return SMOOTH.learn(memory, weighed(Trial(r, y, u, DT), measured[:, None])).u[:, 0]
 
     found = learned(r[:, None], y[:, None], u[:, None])
-    P = np.diag((WEIGHT * measured)[1:])
-    third = np.eye(N) - 3 * np.eye(N, k=-1) + 3 * np.eye(N, k=-2) - np.eye(N, k=-3)
-    J = (times / DT) ** 3 * third @ H
     kept = J @ u * [bool(set(range(k - 3, k + 1)) & set(lost)) for k in range(1, N + 1)]
-    cost = H.T @ P @ H + J.T @ J + w_s * np.eye(N)
-    expected = np.linalg.solve(cost, H.T @ P @ r[1:] + J.T @ kept)
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(
+        found, smooth_input(WEIGHT * measured, r, kept), rtol=1e-6, atol=1e-8
+    )
 
 
-SMOOTH = AtSamples(NormOptimal(with_jerk(MODEL), w_s=1e-5), weight=WEIGHT, jerk_time=2e-3)
 LAWS = {
     "norm_optimal": NormOptimal(MODEL, w_r=0.01),
     "gradient": GradientILC(MODEL),

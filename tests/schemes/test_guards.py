@@ -36,14 +36,14 @@ def everything(trial):
     return trial.y, trial.u
 
 
-def run(machine, scheme, trials, task=TASK, **options):
+def run(machine, scheme, trials):
     """Return outputs (J, N+1, n), inputs (J, N, n) and the history."""
-    history = learn(machine, scheme, task, trials, save=everything, **options)
+    history = learn(machine, scheme, TASK, trials, save=everything)
     return (*map(np.asarray, history.saved), history)
 
 
-def rms_of(y, r=TASK.reference):
-    return np.sqrt(np.mean((r - y)[1:] ** 2))
+def rms_of(y):
+    return np.sqrt(np.mean((TASK.reference - y)[1:] ** 2))
 
 
 def replayed(y, *, max_error=np.inf, rms=np.inf, growth=np.inf, trials):

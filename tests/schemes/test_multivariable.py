@@ -38,23 +38,23 @@ DRIVE_OF_BLOCKS = cascade(P_M, P_Z, DT)
 C_P = {"gain": 0.4, "pi": control.tf([0.5, -0.45], [1.0, -1.0], DT)}
 
 
-def impulse(system, samples=N):
-    """Return the impulse response (n_y, n_u, samples) of a system, from its feedthrough on."""
-    u = np.zeros((system.ninputs, system.ninputs, samples))
+def impulse(system):
+    """Return the impulse response (n_y, n_u, N) of a system, from its feedthrough on."""
+    u = np.zeros((system.ninputs, system.ninputs, N))
     u[range(system.ninputs), range(system.ninputs), 0] = 1.0
     answers = [
-        control.forced_response(
-            control.ss(system), DT * np.arange(samples), one, squeeze=False
-        ).outputs
+        control.forced_response(control.ss(system), DT * np.arange(N), one, squeeze=False).outputs
         for one in u
     ]
     return np.stack(answers, axis=1)
 
 
-def of_model(model, samples=N):
-    return impulse(
-        control.ss(*(np.asarray(M) for M in (model.A, model.B, model.C)), 0.0, DT), samples
-    )
+def system_of(model):
+    return control.ss(*(np.asarray(M) for M in (model.A, model.B, model.C)), 0.0, DT)
+
+
+def of_model(model):
+    return impulse(system_of(model))
 
 
 def blocks(controller):
@@ -211,21 +211,13 @@ def gains(H, w_q, w_r, w_s):
     return inverted @ (w_q * H.T @ H + w_r * unit), w_q * inverted @ H.T
 
 
-def updated(H, u, e, w_q, w_r, w_s):
-    """Return L_u u + L_e e."""
-    normal = w_q * H.T @ H
-    return np.linalg.solve(
-        normal + (w_s + w_r) * np.eye(len(u)), normal @ u + w_r * u + w_q * H.T @ e
-    )
-
-
 def direct(model=MODEL, **weights):
     learning = NormOptimal(direct_model(GAIN, model), **WEIGHTS | weights)
     return WithFeedback(OnOutputs(learning, (1,)), OnOutputs(PID(kp=GAIN), (0,)))
 
 
-def multivariable(model=MODEL, **weights):
-    learning = NormOptimal(multivariable_model(GAIN, model), **WEIGHTS | weights)
+def multivariable(**weights):
+    learning = NormOptimal(multivariable_model(GAIN, MODEL), **WEIGHTS | weights)
     return MultivariableILC(learning, PID(kp=GAIN), prefilter=INVERSE)
 
 
@@ -276,12 +268,8 @@ def test_models_and_simulator_have_the_same_loop(name):
     assert relative(lifted.lifted_plant(machine, multivariable(), TASK), of_outputs) < 1e-10
     f = np.geomspace(1.0, 499.0, 40)
     loop = linear_loop(machine, OnOutputs(PID(kp=GAIN), (0,)), TASK)
-    model = direct_model(GAIN, model)
-    system = control.ss(*(np.asarray(M) for M in (model.A, model.B, model.C)), 0.0, DT)
-    assert (
-        relative(frequency.response(loop, f, DT)[:, 1, 0], system(np.exp(2j * np.pi * f * DT)))
-        < 1e-10
-    )
+    expected = system_of(direct_model(GAIN, model))(np.exp(2j * np.pi * f * DT))
+    assert relative(frequency.response(loop, f, DT)[:, 1, 0], expected) < 1e-10
 
 
 # MILC and DILC
@@ -306,7 +294,7 @@ def test_a_trial_of_milc_is_the_equation(name):
     """e = (0, r_d) - H (u, r), then [u; r] <- L_u [u; r] + L_e e (MILC 2024, eq. 28 and 29)."""
     machine, model = DRIVES[name]
     run, H = played(machine, multivariable()), multivariable_matrix(model)
-    known = multivariable_matrix(MODEL)
+    L_u, L_e = gains(multivariable_matrix(MODEL), **WEIGHTS)
     learned, errors = (
         np.stack(pair, axis=-1).reshape(TRIALS, -1) for pair in ((run.u, run.r), (run.e_c, run.e_z))
     )
@@ -314,7 +302,7 @@ def test_a_trial_of_milc_is_the_equation(name):
     after = [*learned[1:], np.asarray(run.history.memory.learning.u).ravel()]
     for j in range(TRIALS):
         np.testing.assert_allclose(errors[j], wanted - H @ learned[j], atol=1e-10)
-        assert relative(after[j], updated(known, learned[j], errors[j], **WEIGHTS)) < 1e-9
+        assert relative(after[j], L_u @ learned[j] + L_e @ errors[j]) < 1e-9
     np.testing.assert_allclose(run.feedback[:, 1:], GAIN * run.e_c[:, :-1], atol=1e-10)
 
 
@@ -325,7 +313,8 @@ def test_milc_learns_from_the_input_as_it_was_applied():
     own, e = (
         np.stack([a[0], b[0]], axis=-1).ravel() for a, b in ((run.u, run.r), (run.e_c, run.e_z))
     )
-    assert relative(run.r[1], updated(multivariable_matrix(MODEL), own, e, **WEIGHTS)[1::2]) < 1e-9
+    L_u, L_e = gains(multivariable_matrix(MODEL), **WEIGHTS)
+    assert relative(run.r[1], (L_u @ own + L_e @ e)[1::2]) < 1e-9
 
 
 @pytest.mark.thorough(but=["multivariable_model"])

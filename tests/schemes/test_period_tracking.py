@@ -50,10 +50,10 @@ def run(scheme, r, noise=0.0, limit=1e6):
 
 
 @jax.jit
-def run_with_angle(scheme, r, angle, noise=0.0):
-    """The machine has a second output: the angle, measured with noise."""
+def run_with_angle(scheme, r, angle):
+    """The machine has a second output: the angle."""
     beside = Disturbance(output=jnp.stack([jnp.zeros_like(angle), angle], axis=1))
-    machine = Machine(TWO, disturbance=beside, sensor=Sensor(noise=jnp.array([0.0, noise])))
+    machine = Machine(TWO, disturbance=beside)
     task = Task(jnp.stack([r, jnp.zeros_like(r)], axis=1), dt=DT, inputs=1)
     trial = run_trial(machine, scheme, task, scheme.initial_memory(task), jax.random.key(0))
     return trial.e[:, 0], trial.signals["learning.period"][:, 0]
@@ -64,8 +64,8 @@ def with_angle(tracking, law=LAW):
     return WithFeedback(learning, OnOutputs(PID(kp=0.4), (0,)))
 
 
-def last(e, samples=N // 2):
-    return float(np.sqrt(np.mean(np.square(np.asarray(e)[-samples:]))))
+def last(e):
+    return float(np.sqrt(np.mean(np.square(np.asarray(e)[-N // 2 :]))))
 
 
 def between(x, at):

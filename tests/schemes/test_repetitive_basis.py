@@ -22,9 +22,9 @@ HARMONICS = Harmonics(n * DT, (1, 2, 3))
 WAVE = np.random.default_rng(1).normal(size=(3, 2))
 
 
-def repeating(samples, phase=0.0):
+def repeating(samples):
     """Three harmonics of the period."""
-    angle = 2 * np.pi * (np.arange(samples) / n + phase)
+    angle = 2 * np.pi * np.arange(samples) / n
     return sum(
         a * np.cos(h * angle) + b * np.sin(h * angle) for h, (a, b) in enumerate(WAVE, start=1)
     )

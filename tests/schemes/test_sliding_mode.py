@@ -46,26 +46,19 @@ def plant(dt=DT):
     return StateSpace(A, Bd, C, dt=dt)
 
 
-def time(n=N, dt=DT):
-    return np.arange(n + 1) * dt
-
-
 def bump(n=N, dt=DT):
     """Return a motion of 20 um peak to peak at 40 Hz that starts and ends at rest."""
-    return 10.0 * (1 - np.cos(2 * np.pi * 40 * time(n, dt)))
+    return 10.0 * (1 - np.cos(2 * np.pi * 40 * dt * np.arange(n + 1)))
 
 
-def force(n=N, dt=DT):
-    """Return a disturbance at the input that is the same in each trial [V]."""
-    t = time(n, dt)[:-1]
-    return 0.05 * np.sin(2 * np.pi * 40 * t - 1) + 0.03 * np.sin(2 * np.pi * 120 * t)
-
-
+T = DT * np.arange(N)
+# a disturbance at the input that is the same in each trial [V]
+FORCE = 0.05 * np.sin(2 * np.pi * 40 * T - 1) + 0.03 * np.sin(2 * np.pi * 120 * T)
 PLANT = plant()
 TASK = Task(bump(), dt=DT)
 FREE = Machine(PLANT, disturbance=Disturbance(input=np.zeros((N, 1))))
 # The structure is the same, so that a program is compiled once for both.
-FORCED = Machine(PLANT, disturbance=Disturbance(input=force()[:, None]))
+FORCED = Machine(PLANT, disturbance=Disturbance(input=FORCE[:, None]))
 
 one_trial, loop_of = jax.jit(run_trial), jax.jit(frequency.linear_loop)
 
@@ -92,16 +85,7 @@ class Loop:
     """
 
     def __init__(
-        self,
-        weights,
-        *,
-        adaptive,
-        d,
-        start=None,
-        learned=None,
-        tau=0.0,
-        limit=None,
-        centre="sample",
+        self, weights, *, adaptive, start=None, learned=None, tau=0.0, limit=None, centre="sample"
     ):
         r, A, Bd = bump(), np.asarray(PLANT.A), np.asarray(PLANT.B)[:, 0]
         before = np.concatenate([r[:1], r])  # before[k] = r[k-1]
@@ -142,7 +126,7 @@ class Loop:
                 u = min(max(u, -limit), limit)
             integral, eta_hat, e_last, second_last = grown, gain, e, second
             self.y[k], self.u[k], self.sigma[k], self.eta_hat[k] = y, u, sigma, eta_hat
-            x = A @ x + Bd * (u + d[k] + (0.0 if learned is None else learned[k]))
+            x = A @ x + Bd * (u + FORCE[k] + (0.0 if learned is None else learned[k]))
         self.y[N] = x[0]
 
 
@@ -165,7 +149,7 @@ def built(weights, options):
 def test_a_trial_equals_the_equations(name):
     weights, options = LAWS[name]
     trial = run(FORCED, built(weights, options))
-    loop = Loop(weights, adaptive="phi" in weights, d=force(), **options)
+    loop = Loop(weights, adaptive="phi" in weights, **options)
     shown = (trial.y, trial.u, trial.signals["sigma"], trial.signals["eta_hat"])
     for found, expected in zip(shown, (loop.y, loop.u, loop.sigma, loop.eta_hat), strict=True):
         np.testing.assert_allclose(
@@ -200,7 +184,7 @@ def test_the_gain_is_carried_to_the_next_trial_or_not(carry):
     history = learn(FORCED, ASMC(**ADAPTIVE, carry=carry), TASK, 3, save=signals)
     start = None
     for j in range(3):
-        loop = Loop(ADAPTIVE, adaptive=True, d=force(), start=start)
+        loop = Loop(ADAPTIVE, adaptive=True, start=start)
         np.testing.assert_allclose(history.saved[0][j], loop.y, rtol=1e-9, atol=1e-8)
         np.testing.assert_allclose(history.saved[2]["eta_hat"][j, :, 0], loop.eta_hat, rtol=1e-9)
         start = loop.eta_hat[-1] if carry else None
@@ -218,7 +202,7 @@ def test_learning_equals_the_equations(lead, limit):
     history = learn(FORCED, scheme, TASK, 3, save=signals)
     learned, r = np.zeros(N), bump()
     for j in range(3):
-        loop = Loop(ADAPTIVE, adaptive=True, d=force(), learned=learned)
+        loop = Loop(ADAPTIVE, adaptive=True, learned=learned)
         np.testing.assert_allclose(history.saved[0][j], loop.y, rtol=1e-9, atol=1e-8)
         np.testing.assert_allclose(history.saved[1][j], loop.u + learned, rtol=1e-9, atol=1e-9)
         e = r - loop.y
@@ -485,15 +469,15 @@ BAD = {
     "lead = 250": lambda: check(FREE, ExponentialPD(lead=N), TASK),
     "works channel by channel": lambda: SMC(**MODEL).check(Task(np.zeros((9, 2)), dt=DT, inputs=1)),
     "no signal 'eta_hat'": lambda: ASMC(**MODEL, carry=True).learn(
-        None, measured_trial(TASK, bump(), force())
+        None, measured_trial(TASK, bump(), FORCE)
     ),
     "no signal 'sigma'": lambda: sliding(
-        SMC(**MODEL), measured_trial(TASK, bump(), force(), eta_hat=force())
+        SMC(**MODEL), measured_trial(TASK, bump(), FORCE, eta_hat=FORCE)
     ),
     "sliding: the trial has N = 1 sample": lambda: sliding(
-        SMC(**MODEL), measured_trial(Task(bump()[:2], dt=DT), bump()[:2], force()[:1], **ONE)
+        SMC(**MODEL), measured_trial(Task(bump()[:2], dt=DT), bump()[:2], FORCE[:1], **ONE)
     ),
-    "sliding: PID": lambda: sliding(PID(), measured_trial(TASK, bump(), force())),
+    "sliding: PID": lambda: sliding(PID(), measured_trial(TASK, bump(), FORCE)),
     "within_layer: PIDType": lambda: within_layer(PIDType()),
     "printed_condition: WithFeedback -> PIDType": lambda: printed_condition(
         WithFeedback(PIDType(), SMC(**MODEL)), TASK

@@ -83,7 +83,7 @@ def solved():
     return problems, learned(*batch(problems))
 
 
-def costs(scheme, trial, model):
+def costs(trial, model):
     """Return the residuals of both steps, as functions of alpha, and of u and alpha."""
     r, y, u = trial
     root = {name: np.sqrt(value) for name, value in WEIGHTS.items()}
@@ -104,8 +104,8 @@ def costs(scheme, trial, model):
 @pytest.mark.thorough
 def test_the_correction_is_that_of_least_squares(solved):
     problems, memory = solved
-    for i, (scheme, trial, model) in enumerate(problems[:NAN]):
-        estimation, _ = costs(scheme, trial, model)
+    for i, (_, trial, model) in enumerate(problems[:NAN]):
+        estimation, _ = costs(trial, model)
         found = scipy.optimize.least_squares(
             estimation, np.zeros(N), xtol=1e-15, ftol=1e-15, gtol=1e-13
         )
@@ -130,7 +130,7 @@ def test_the_input_is_that_of_another_solver_within_all_bounds(solved):
     for i, (scheme, trial, model) in enumerate(problems[:IMPOSSIBLE]):
         assert memory.converged[i] == 1
         alpha, ours = np.asarray(memory.alpha[i, :, 0]), np.asarray(memory.u[i, :, 0])
-        _, control = costs(scheme, trial, model)
+        _, control = costs(trial, model)
 
         def cost(u, control=control, alpha=alpha):
             return np.sum(control(u, alpha) ** 2) / 2
