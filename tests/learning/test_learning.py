@@ -6,9 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.linalg
-import scipy.signal
 from cases import ALGEBRA, ARX, DT, PLANTS, PRINTED, SCHEMES, case
+from dense import lifted_difference
 
 from jaxilc.learning import (
     Disturbance,
@@ -24,17 +23,13 @@ from jaxilc.learning import (
 )
 from jaxilc.learning.over_trials import _blocks
 from jaxilc.plants import DifferenceEquation
-from jaxilc.pytree import leaf, pytree, replaced
-from jaxilc.schemes import CFDLMFAILC, PID, PIDType, Scheme, WithFeedback
+from jaxilc.pytree import replaced
+from jaxilc.schemes import CFDLMFAILC, PID, PIDType, WithFeedback
 from jaxilc.signals import Task, Trial
 from jaxilc.signals.task import product
 from jaxilc.sweeps import Sweep
 
 TRIALS = 5
-
-
-def errors(trial):
-    return trial.e
 
 
 def y_and_u(trial):
@@ -147,16 +142,14 @@ def test_cfdl_on_a_static_plant_contracts_by_d1_and_d2(task):
 def test_lifted_error_recursion(plant, m, task):
     """The errors obey the lifted recursion e_{j+1} = ((1 - leak) I - G L) e_j + leak r.
 
-    G (of Markov parameters) and L are dense matrices, and e = e(1..N).
+    G and L are dense matrices, and e = e(1..N).
     """
     (a, b), N, r = plant, task.N, np.asarray(task.reference)[1:, 0]
     p, i, d, leak = *(np.sign(sum(b)) * np.array([0.6, 0.02, 1.5])), 0.1
     scheme = PIDType(gamma_p=p, gamma_i=i, gamma_d=d, leak=leak, lead=m)
-    e = np.asarray(
-        learn(Machine(DifferenceEquation(a, b, dt=DT)), scheme, task, TRIALS, save=errors).saved
-    )[:, 1:, 0]
-    markov = scipy.signal.lfilter((0.0, *b), (1.0, *(-c for c in a)), np.eye(1, N + 1)[0])[1:]
-    G = scipy.linalg.toeplitz(markov, np.zeros(N))
+    machine = Machine(DifferenceEquation(a, b, dt=DT))
+    saved = learn(machine, scheme, task, TRIALS, save=lambda trial: trial.e).saved
+    e, G = np.asarray(saved)[:, 1:, 0], lifted_difference(a, b, N)
     D = np.eye(N, k=m) - np.eye(N, k=m - 1)
     D[N - m :] = 0.0  # no difference extends beyond the end of the trial
     L = p * np.eye(N, k=m) + i * np.tril(np.ones((N, N))) + d * D
@@ -181,14 +174,6 @@ def test_feedforward_of_a_scheme_with_feedback_is_its_learned_part(machine, task
     np.testing.assert_allclose(
         feedforward(scheme, task, before), history.final.u - share, **ALGEBRA
     )
-
-
-def test_a_measured_trial_without_the_feedback_signal_is_refused(machine, task):
-    scheme = WithFeedback(PIDType(gamma_p=-1.0), PID(kp=-4.0))
-    with pytest.raises(ValueError, match="WithFeedback: the trial has no signal 'feedback'"):
-        next_memory(
-            scheme, task, scheme.initial_memory(task), np.zeros(task.N + 1), np.zeros(task.N)
-        )
 
 
 @pytest.mark.parametrize("shape", [(3, 1), (4, 8), (2, 12)])
@@ -315,34 +300,6 @@ def test_gradient_of_a_figure_that_is_zero_is_finite():
 
     for r in (np.zeros(11), np.append(np.zeros(5), np.ones(6))):
         assert np.all(np.isfinite(totals(0.5, r)))
-
-
-@pytree
-class Looker(Scheme):
-    """A test scheme applies gain times the reference three samples ahead.
-
-    It records what it gets.
-    """
-
-    gain: jax.Array = leaf(default=2.0)
-    preview = 3
-
-    def initial_state(self, task):
-        return jnp.zeros((3, task.outputs))
-
-    def act(self, state, sample):
-        return sample.ahead, self.gain * sample.ahead[2]
-
-    def signals(self, state):
-        return {"ahead": state}
-
-
-def test_preview_is_the_reference_ahead_held_at_its_end(machine):
-    r = np.arange(8.0)
-    final = learn(machine, Looker(), Task(r, dt=DT), 1).final
-    expected = [[min(k + i, 7) for i in (1, 2, 3)] for k in range(7)]
-    np.testing.assert_array_equal(final.signals["ahead"][..., 0], expected)
-    np.testing.assert_array_equal(final.u[:, 0], [2 * row[2] for row in expected])
 
 
 MEASURED = [

@@ -242,7 +242,7 @@ def test_gain_of_the_ladder(law):
 
 def test_ladder_by_hand_needs_the_signals_of_what_it_is_around():
     scheme = Ladder(WithFeedback(PIDType(gamma_p=0.5), FEEDBACK), 2)
-    with pytest.raises(ValueError, match="no signal 'feedback'"):
+    with pytest.raises(ValueError, match="WithFeedback: the trial has no signal 'feedback'"):
         next_memory(scheme, TASK, scheme.initial_memory(TASK), np.zeros(N + 1), np.zeros(N))
     share = np.linspace(0.0, 1.0, N)
     memory = scheme.initial_memory(TASK)
