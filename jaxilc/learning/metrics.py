@@ -21,7 +21,7 @@ from ..pytree.ranges import brief, native
 from ..runtime.jax_internals import with_slope
 from ..runtime.lanes import over_samples
 from ..signals.rows import for_scan
-from ..signals.task import Task, Trial
+from ..signals.task import Task, Trial, root
 from .known_metrics import GATHERED, METRICS, Gathering, Metrics
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class Tally(NamedTuple):
             count = self._samples(how, trial, task)
             whole = isinstance(count, int)  # each sample was measured
             if how.of == "root mean square":
-                value = _root(value / (count if whole else jnp.maximum(count, 1.0)))
+                value = root(value / (count if whole else jnp.maximum(count, 1.0)))
                 # if the sum of the squares of all samples is finite, each sample is finite
                 finite = finite if how.settled else finite & jnp.all(jnp.isfinite(value))
             found[name] = value if whole else jnp.where(count > 0, value, jnp.nan)
@@ -347,11 +347,7 @@ def chattering(trial: Trial) -> Array:
 
 def root_mean_square(signal: Array) -> Array:
     """The root mean square (n,) of a (N, n) signal; where it is zero, its gradient is also zero."""
-    return _root(jnp.mean(signal**2, axis=0))
-
-
-def _root(mean: Array) -> Array:
-    return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), 0.0 * mean)
+    return root(jnp.mean(signal**2, axis=0))
 
 
 # What looks at each trial beside the one before it

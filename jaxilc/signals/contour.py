@@ -11,6 +11,7 @@ from jax import lax
 
 from ..pytree.aliases import Array, Tree, Value
 from ..pytree.ranges import require
+from .task import root
 
 
 def contour_error(y: Value, path: Value, *, window: int, closed: bool | None = None) -> Array:
@@ -68,7 +69,7 @@ def _contour_error(y: Array, path: Array, window: int, closed: bool | None) -> A
     i = search(*lax.stop_gradient((y, path)), window, round_it)
     start, step = path[:-1][i], (path[1:] - path[:-1])[i]
     apart, inside, squared = _away(y, start, step)
-    distance = _length(apart)
+    distance = root(jnp.sum(apart**2, axis=-1))
     if y.shape[1] > 2:
         return distance
     tangent = step / jnp.sqrt(jnp.where(squared > 0, squared, 1.0))[:, None]
@@ -152,9 +153,3 @@ def _nearest_among(y: Array, start: Array, step: Array) -> Array:
 def _meet(path: Array) -> Array:
     """() whether the path ends where it starts."""
     return jnp.max(jnp.abs(path[-1] - path[0])) <= 1e-6 * jnp.max(jnp.ptp(path, axis=0))
-
-
-def _length(vectors: Array) -> Array:
-    """(M,) of (M, d); the gradient of a vector of length zero is zero, not NaN."""
-    squared = jnp.sum(vectors**2, axis=-1)
-    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0 * squared)

@@ -215,6 +215,11 @@ def quantise(x: Array, step: Array) -> Array:
     return x + lax.stop_gradient(jnp.round(x / step) * step - x)
 
 
+def root(squared: Array) -> Array:
+    """The square root; where it is zero, its gradient is also zero, not NaN."""
+    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0 * squared)
+
+
 def product(matrix: Array, vector: Array) -> Array:
     """matrix @ vector, for a loop over samples.
 
