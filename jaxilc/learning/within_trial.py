@@ -11,6 +11,7 @@ from ..pytree.aliases import Array, Tree, Value
 from ..runtime.capacity import bytes_of
 from ..runtime.lanes import over_samples
 from ..schemes import Scheme
+from ..schemes.scheme import silent
 from ..schemes.weights import weighed
 from ..signals.rows import for_scan, plus
 from ..signals.task import Sample, Task, Trial
@@ -136,10 +137,8 @@ def bytes_of_trial(scheme: Scheme, task: Task) -> int:
     def signals() -> Tree:
         ready = scheme.prepared(task)
         memory = ready.initial_memory(task)
-        beside = ready.signals(ready.initial_state(task))
         record = jnp.zeros((task.N, task.outputs + task.inputs))
-        rows = jax.tree.map(lambda x: jnp.zeros((task.N, *jnp.shape(x))), beside)
-        return memory, ready.schedule(memory, task), record, rows
+        return memory, ready.schedule(memory, task), record, silent(ready, task)
 
     return bytes_of(jax.eval_shape(signals))
 

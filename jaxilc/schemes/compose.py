@@ -26,6 +26,7 @@ from .scheme import (
     limited,
     limits_of_parts,
     need_no_experiments,
+    silent,
     under,
 )
 
@@ -107,11 +108,6 @@ class LearningAndFeedback(Scheme):
                 f"{type(self).__name__}: {type(self.learning).__name__} acts within the trial; "
                 "allowed are schemes that play back a learned signal"
             )
-
-    def _silent(self, task: Task) -> dict[str, Array]:
-        """The signals over a trial in which they are all zero."""
-        shapes = jax.eval_shape(lambda: self.signals(self.initial_state(task)))
-        return {name: jnp.zeros((task.N, *one.shape), one.dtype) for name, one in shapes.items()}
 
 
 def seen_of(trial: Trial, outputs: tuple[int, ...]) -> Trial:
@@ -248,7 +244,7 @@ class WithFeedback(LearningAndFeedback):
 
     def record(self, learned: Array, e: Array, task: Task) -> Trial:
         trial = self.learning.record(learned, e, task)
-        return trial._replace(signals=self._silent(task) | under("learning", trial.signals))
+        return trial._replace(signals=silent(self, task) | under("learning", trial.signals))
 
 
 class ReferenceSchedule(NamedTuple):
@@ -326,7 +322,7 @@ class OnReference(LearningAndFeedback):
 
     def record(self, learned: Array, e: Array, task: Task) -> Trial:
         still = super().record(jnp.zeros((task.N, task.inputs)), e, task)
-        return still._replace(signals=self._silent(task) | {"correction": learned})
+        return still._replace(signals=silent(self, task) | {"correction": learned})
 
 
 @pytree
@@ -448,7 +444,7 @@ class MultivariableILC(LearningAndFeedback):
         return own | self._of_feedback(schedule, task)
 
     def record(self, learned: Array, e: Array, task: Task) -> Trial:
-        signals = self._silent(task) | {"reference": learned[:, 1:]}
+        signals = silent(self, task) | {"reference": learned[:, 1:]}
         return super().record(learned[:, :1], e, task)._replace(signals=signals)
 
 

@@ -12,7 +12,7 @@ from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels, need_numbers
 from ..signals.task import Task, Trial
-from .scheme import Memory, Part, Scheme, Wrapper, need_no_comparing, need_no_experiments
+from .scheme import Memory, Part, Scheme, Wrapper, need_no_comparing, need_no_experiments, silent
 
 T = TypeVar("T")
 
@@ -202,9 +202,8 @@ class Ladder(Guard):
         super().check(task)
 
     def initial_memory(self, task: Task) -> LadderMemory:
-        signals = jax.eval_shape(lambda: self.scheme.signals(self.scheme.initial_state(task)))
-        blank = {name: jnp.zeros((task.N, *s.shape), s.dtype) for name, s in signals.items()}
-        sums = Sums(jnp.zeros((task.N + 1, task.outputs)), jnp.zeros((task.N, task.inputs)), blank)
+        y, u = jnp.zeros((task.N + 1, task.outputs)), jnp.zeros((task.N, task.inputs))
+        sums = Sums(y, u, silent(self.scheme, task))
         adapted = (
             (None, None) if self.slow is None else (jnp.ones(()), jnp.full((), jnp.inf, float))
         )

@@ -405,6 +405,12 @@ def limited(u: Array, limit: Array | None) -> Array:
     return u if limit is None else jnp.clip(u, -limit, limit)
 
 
+def silent(scheme: Law, task: Task) -> dict[str, Array]:
+    """The signals of a scheme over a trial in which they are all zero."""
+    shapes = jax.eval_shape(lambda: scheme.signals(scheme.initial_state(task)))
+    return {name: jnp.zeros((task.N, *one.shape), one.dtype) for name, one in shapes.items()}
+
+
 # What is asked of all parts of a scheme
 # --------------------------------------------------------------------------------------------------
 

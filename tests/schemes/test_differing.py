@@ -12,7 +12,7 @@ import pytest
 from cases import DT, FEW, PLANTS, SCHEMES, case, task_for
 
 from jaxilc.schemes import AtSamples, CrossCoupled, KeepUnmeasured, OnBasis, PolynomialBasis
-from jaxilc.schemes.scheme import with_all_parts
+from jaxilc.schemes.scheme import silent, with_all_parts
 from jaxilc.schemes.weights import weighed
 from jaxilc.signals.task import Trial
 
@@ -76,10 +76,8 @@ def turn(scheme, task):
     scheme, r = scheme.prepared(task), jnp.asarray(task.reference)
     memory = scheme.initial_memory(task)
     W = jnp.broadcast_to((jnp.arange(FEW + 1) % 3 / 2.0)[:, None], r.shape)
-    signals = jax.eval_shape(lambda: scheme.signals(scheme.initial_state(task)))
-    rows = {name: jnp.zeros((task.N, *s.shape), s.dtype) for name, s in signals.items()}
     u = jnp.zeros((task.N, task.inputs))
-    trial = weighed(Trial(r, jnp.zeros_like(r), u, task.dt, rows), W)
+    trial = weighed(Trial(r, jnp.zeros_like(r), u, task.dt, silent(scheme, task)), W)
     return memory, scheme.learn(memory, trial)
 
 
