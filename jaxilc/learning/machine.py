@@ -188,10 +188,12 @@ class Machine:
 
     def at_trial(self, task: Task, j: Tree) -> tuple[Machine, Task]:
         """This machine, sampled, and the task, as they are in trial j; None for the long run."""
-        if self.variation is None:
-            return self, task
-        plant = self.variation.plant_at(self.plant, j)
-        return dataclasses.replace(self, plant=plant), self.variation.task_at(task, j)
+        machine, varies = self, self.variation
+        if varies is not None and varies.change is not None:
+            machine = dataclasses.replace(self, plant=varies.change.plant_at(self.plant, j))
+        if varies is not None and varies.references is not None:
+            task = dataclasses.replace(task, reference=varies.references.at(j))
+        return machine, task
 
     def after_changes(self, task: Task) -> tuple[Machine, Task]:
         """This machine and the task as they are after the last change, from the first trial on.
@@ -219,7 +221,7 @@ class Machine:
 
     def said_of_claims(self) -> str:
         """Of which trials a claim is made, as the beginning of a sentence; empty for all alike."""
-        return "" if self.variation is None else self.variation.said_of_claims()
+        return f"from trial {self.last_change} on: " if self.last_change > 1 else ""
 
     @property
     def carries(self) -> bool:

@@ -242,20 +242,8 @@ class Variation:
         drifted = 1 if self.change is None else self.change.first + self.change.over - 1
         return max(drifted, *(() if self.references is None else self.references.first), 1)
 
-    def said_of_claims(self) -> str:
-        """What a claim of theory is about, as the beginning of a sentence; empty for all trials."""
-        return f"from trial {self.last_change} on: " if self.last_change > 1 else ""
-
     # Of a trial
     # ----------------------------------------------------------------------------------------------
-
-    def plant_at(self, plant: Plant, j: Array) -> Plant:
-        return plant if self.change is None else self.change.plant_at(plant, j)
-
-    def task_at(self, task: Task, j: Array) -> Task:
-        if self.references is None:
-            return task
-        return dataclasses.replace(task, reference=self.references.at(j))
 
     def initial_state(self, plant: Plant, key: Array) -> Tree:
         """The state at the start of a trial, of a machine that does not carry it."""
