@@ -182,8 +182,9 @@ class Machine:
         """
         wide = as_computed(self)
         plant, variation = wide.plant.sampled(dt), wide.variation
-        if variation is not None and plant is not wide.plant:
-            variation = variation.sampled(wide.plant, dt)
+        if variation is not None and variation.change is not None and plant is not wide.plant:
+            change = variation.change.sampled(wide.plant, dt)
+            variation = dataclasses.replace(variation, change=change)
         return dataclasses.replace(wide, plant=plant, variation=variation)
 
     def at_trial(self, task: Task, j: Tree) -> tuple[Machine, Task]:

@@ -199,11 +199,6 @@ def _slopes(x: Array, dx: Array, counted: list[np.ndarray], largest: list[bool])
     return over_samples(tick, [zero] * len(largest), ((rows, x), dx))[0]
 
 
-def _dot(a: Array, b: Array) -> Array:
-    """The sum of a b over time, as (n,); `jnp.sum` would add the products one after another."""
-    return jnp.einsum("kn,kn->n", a, b)
-
-
 def measure(trial: Trial, task: Task) -> Metrics:
     """The metrics of one trial, from its record.
 
@@ -213,7 +208,9 @@ def measure(trial: Trial, task: Task) -> Metrics:
 
     def gathered(how: Gathering) -> Array:
         x = _rows(how, e, u, task.settled)
-        return jnp.max(jnp.abs(x), axis=0) if how.of == "largest" else _dot(x, x)
+        if how.of == "largest":
+            return jnp.max(jnp.abs(x), axis=0)
+        return jnp.einsum("kn,kn->n", x, x)  # `jnp.sum` would add one product after another
 
     found = tuple(gathered(how) for _, how in GATHERED)
     return Tally(found, (None,) * len(found)).metrics(trial, task)

@@ -219,12 +219,6 @@ class Variation:
                 f"plant, a {type(plant).__name__}; allowed is one of the same class and shapes"
             )
 
-    def sampled(self, plant: Plant, dt: float) -> Variation:
-        """This variation of a plant with all that depends on dt computed before the scans."""
-        if self.change is None:
-            return self
-        return dataclasses.replace(self, change=self.change.sampled(plant, dt))
-
     @property
     def alike(self) -> bool:
         """Whether each trial has the same samples in its record, at the same instants."""

@@ -63,7 +63,8 @@ def contour_error(y: Value, path: Value, *, window: int, closed: bool | None = N
 
 @partial(jax.jit, static_argnums=(2, 3))
 def _contour_error(y: Array, path: Array, window: int, closed: bool | None) -> Array:
-    round_it = _meet(path) if closed is None else jnp.asarray(closed)
+    meet = jnp.max(jnp.abs(path[-1] - path[0])) <= 1e-6 * jnp.max(jnp.ptp(path, axis=0))
+    round_it = meet if closed is None else jnp.asarray(closed)
     # Which chord is the nearest one is a choice, and has no derivative.
     search = _nearest_of_as_many if len(y) == len(path) > 2 * window else _nearest
     i = search(*lax.stop_gradient((y, path)), window, round_it)
@@ -148,8 +149,3 @@ def _nearest_among(y: Array, start: Array, step: Array) -> Array:
     """
     candidates, _, squared = _away(y[:, None], start, step)
     return jnp.argmin(jnp.where(squared > 0, jnp.sum(candidates**2, axis=-1), jnp.inf), axis=1)
-
-
-def _meet(path: Array) -> Array:
-    """() whether the path ends where it starts."""
-    return jnp.max(jnp.abs(path[-1] - path[0])) <= 1e-6 * jnp.max(jnp.ptp(path, axis=0))

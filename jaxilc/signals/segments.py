@@ -48,12 +48,8 @@ class Arc:
 
     @property
     def length(self) -> float:
-        along = (self.end - self.start)[self._others]
+        along = np.delete(self.end - self.start, self.plane)
         return float(np.hypot(np.mean(self.radii) * self.sweep, np.linalg.norm(along)))
-
-    @property
-    def _others(self) -> list[int]:
-        return [i for i in range(len(self.start)) if i not in self.plane]
 
     @property
     def _first_angle(self) -> float:
