@@ -63,8 +63,9 @@ def contour_error(y: Value, path: Value, *, window: int, closed: bool | None = N
 
 @partial(jax.jit, static_argnums=(2, 3))
 def _contour_error(y: Array, path: Array, window: int, closed: bool | None) -> Array:
-    meet = jnp.max(jnp.abs(path[-1] - path[0])) <= 1e-6 * jnp.max(jnp.ptp(path, axis=0))
-    round_it = meet if closed is None else jnp.asarray(closed)
+    round_it = jnp.asarray(bool(closed))
+    if closed is None:  # where the ends meet
+        round_it = jnp.max(jnp.abs(path[-1] - path[0])) <= 1e-6 * jnp.max(jnp.ptp(path, axis=0))
     # Which chord is the nearest one is a choice, and has no derivative.
     search = _nearest_of_as_many if len(y) == len(path) > 2 * window else _nearest
     i = search(*lax.stop_gradient((y, path)), window, round_it)
