@@ -52,16 +52,11 @@ WEIGHTS = {
 }
 
 
-def weights_of(scheme):
-    """Return W_q, W_r and W_s of the whole trial."""
-    n_u, n_y = scheme.model.n_u, scheme.model.n_y
-    per_sample = ((scheme.w_q, n_y), (scheme.w_r, n_u), (scheme.w_s, n_u))
-    return [np.kron(np.eye(N), w if w.ndim == 2 else w * np.eye(n)) for w, n in per_sample]
-
-
 def next_input(scheme, H, e, u):
     """Return the equation of norm-optimal learning (MILC 2024, eq. 7 and 8), in lifted matrices."""
-    Q, R, S = weights_of(scheme)
+    n_u, n_y = scheme.model.n_u, scheme.model.n_y
+    per_sample = ((scheme.w_q, n_y), (scheme.w_r, n_u), (scheme.w_s, n_u))
+    Q, R, S = (np.kron(np.eye(N), w if w.ndim == 2 else w * np.eye(n)) for w, n in per_sample)
     new = np.linalg.solve(H.T @ Q @ H + S + R, (H.T @ Q @ H + R) @ u.ravel() + H.T @ Q @ e.ravel())
     return new.reshape(u.shape)
 

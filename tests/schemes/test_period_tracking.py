@@ -71,8 +71,12 @@ def last(e):
 def between(x, at):
     """x at a place between samples, by the cubic through four of them; zero before the start."""
     first = int(np.floor(at)) - 1
-    seen = [x[i] if 0 <= i < len(x) else 0.0 for i in range(first, first + 4)]
-    return np.polyval(np.polyfit(np.arange(4.0), seen, 3), at - first)
+    return cubic([x[i] if 0 <= i < len(x) else 0.0 for i in range(first, first + 4)], at - first)
+
+
+def cubic(four, at):
+    """The cubic through four numbers or rows, at a place from 0 to 3."""
+    return np.polyval(np.polyfit(np.arange(4.0), four, 3), at)
 
 
 def by_hand(r, angle, tracking):
@@ -177,17 +181,10 @@ def test_a_delay_that_changes_makes_nothing_larger_than_is_claimed():
             W = np.zeros((160, 300))
             for i in k:
                 row = np.eye(300)[i + 100 - int(n[i]) - 2 : i + 100 - int(n[i]) + 2]
-                W[i] = between_rows(row, n[i] % 1)
+                W[i] = cubic(row, 2 - n[i] % 1)
             assert np.linalg.norm(W, 2) < most, fastest
     assert 1 < largest_gain(1e-5) < 1.02
     assert largest_gain(0.0) == 1.0
-
-
-def between_rows(rows, share):
-    """The cubic through four rows, oldest first, `share` of a sample before the third."""
-    return np.linalg.solve(np.vander(np.arange(4.0), increasing=True), rows).T @ (
-        (2 - share) ** np.arange(4)
-    )
 
 
 def test_the_condition_of_a_tracked_period_holds_whatever_is_tracked():

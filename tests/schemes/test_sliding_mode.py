@@ -141,15 +141,12 @@ LAWS = {
 }
 
 
-def built(weights, options):
-    return (ASMC if "phi" in weights else SMC)(**weights, **options)
-
-
 @pytest.mark.parametrize("name", LAWS)
 def test_a_trial_equals_the_equations(name):
     weights, options = LAWS[name]
-    trial = run(FORCED, built(weights, options))
-    loop = Loop(weights, adaptive="phi" in weights, **options)
+    adaptive = "phi" in weights
+    trial = run(FORCED, (ASMC if adaptive else SMC)(**weights, **options))
+    loop = Loop(weights, adaptive=adaptive, **options)
     shown = (trial.y, trial.u, trial.signals["sigma"], trial.signals["eta_hat"])
     for found, expected in zip(shown, (loop.y, loop.u, loop.sigma, loop.eta_hat), strict=True):
         np.testing.assert_allclose(
