@@ -68,13 +68,11 @@ def run(machine, scheme, task=TASK) -> Trial:
     return one_trial(machine, scheme, task, scheme.initial_memory(task), jax.random.key(0))
 
 
-def control(weights, adaptive, eq, fast, eta_hat, integral, *, grows):
+def control(weights, eq, fast, eta_hat, integral, *, grows):
     """Return sigma, eta_hat and u of eq. 6 to 13, with fast = e' + lam1 e."""
-    sigma = fast + LAM2 * integral
+    sigma, layer = fast + LAM2 * integral, weights.get("Delta", 0.0)
     gain = eta_hat + DT * weights["phi"] * abs(sigma) if grows else eta_hat
-    switch = (
-        sigma / weights["Delta"] if adaptive and abs(sigma) <= weights["Delta"] else np.sign(sigma)
-    )
+    switch = sigma / layer if abs(sigma) < layer else np.sign(sigma)
     return sigma, gain, (eq - gain * switch - weights["k_n"] * sigma) / weights["b"]
 
 
@@ -84,19 +82,13 @@ class Loop:
     It holds y (N+1,) and u, sigma, eta_hat (N,).
     """
 
-    def __init__(
-        self, weights, *, adaptive, start=None, learned=None, tau=0.0, limit=None, centre="sample"
-    ):
+    def __init__(self, weights, *, start=None, learned=None, tau=0.0, limit=None, centre="sample"):
         r, A, Bd = bump(), np.asarray(PLANT.A), np.asarray(PLANT.B)[:, 0]
         before = np.concatenate([r[:1], r])  # before[k] = r[k-1]
         x, integral, e_last, slope, second_last = np.zeros(2), 0.0, 0.0, 0.0, 0.0
         eta_hat = weights["eta"] if start is None else start
-        self.y, self.u, self.sigma, self.eta_hat = (
-            np.zeros(N + 1),
-            np.zeros(N),
-            np.zeros(N),
-            np.zeros(N),
-        )
+        self.y, (self.u, self.sigma, self.eta_hat) = np.zeros(N + 1), np.zeros((3, N))
+        dead_zone = weights.get("epsilon", np.inf)
         for k in range(N):
             y, e = x[0], x[0] - r[k]
             slope = (tau * slope + e - e_last) / (tau + DT)
@@ -116,8 +108,8 @@ class Loop:
             )
 
             grown = integral + DT * e
-            now = (weights, adaptive, eq, slope + LAM1 * e, eta_hat)
-            sigma, gain, u = control(*now, grown, grows=adaptive and abs(e) > weights["epsilon"])
+            now = (weights, eq, slope + LAM1 * e, eta_hat)
+            sigma, gain, u = control(*now, grown, grows=abs(e) > dead_zone)
             if limit is not None and abs(u) > limit:
                 # a rising integral lowers u
                 pushes = (u > 0) == (e < 0)
@@ -144,9 +136,8 @@ LAWS = {
 @pytest.mark.parametrize("name", LAWS)
 def test_a_trial_equals_the_equations(name):
     weights, options = LAWS[name]
-    adaptive = "phi" in weights
-    trial = run(FORCED, (ASMC if adaptive else SMC)(**weights, **options))
-    loop = Loop(weights, adaptive=adaptive, **options)
+    trial = run(FORCED, (ASMC if "phi" in weights else SMC)(**weights, **options))
+    loop = Loop(weights, **options)
     shown = (trial.y, trial.u, trial.signals["sigma"], trial.signals["eta_hat"])
     for found, expected in zip(shown, (loop.y, loop.u, loop.sigma, loop.eta_hat), strict=True):
         np.testing.assert_allclose(
@@ -181,7 +172,7 @@ def test_the_gain_is_carried_to_the_next_trial_or_not(carry):
     history = learn(FORCED, ASMC(**ADAPTIVE, carry=carry), TASK, 3, save=signals)
     start = None
     for j in range(3):
-        loop = Loop(ADAPTIVE, adaptive=True, start=start)
+        loop = Loop(ADAPTIVE, start=start)
         np.testing.assert_allclose(history.saved[0][j], loop.y, rtol=1e-9, atol=1e-8)
         np.testing.assert_allclose(history.saved[2]["eta_hat"][j, :, 0], loop.eta_hat, rtol=1e-9)
         start = loop.eta_hat[-1] if carry else None
@@ -199,7 +190,7 @@ def test_learning_equals_the_equations(lead, limit):
     history = learn(FORCED, scheme, TASK, 3, save=signals)
     learned, r = np.zeros(N), bump()
     for j in range(3):
-        loop = Loop(ADAPTIVE, adaptive=True, learned=learned)
+        loop = Loop(ADAPTIVE, learned=learned)
         np.testing.assert_allclose(history.saved[0][j], loop.y, rtol=1e-9, atol=1e-8)
         np.testing.assert_allclose(history.saved[1][j], loop.u + learned, rtol=1e-9, atol=1e-9)
         e = r - loop.y
