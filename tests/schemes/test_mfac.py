@@ -46,9 +46,9 @@ class Loop:
     due. Before the first sample the increments and the input are zero.
     """
 
-    def __init__(self, plant, phi0, epsilon, reset, limit, offset=0.0):
+    def __init__(self, plant, *, epsilon, reset="book", limit=None, offset=0.0):
         self.a, self.b = PLANTS[plant]
-        self.phi0, self.epsilon, self.reset, self.limit = phi0, epsilon, reset, limit
+        self.epsilon, self.reset, self.limit = epsilon, reset, limit
         self.motion, self.offset, self.u, self.due = np.zeros(N + 1), offset, np.zeros(N), Counter()
         self.phi = np.zeros(N)
 
@@ -69,12 +69,8 @@ class Loop:
         clauses = {"small phi": abs(phi) <= self.epsilon, "sign": np.sign(phi) != np.sign(phi0)}
         if self.reset == "book" and du is not None:
             clauses["small du"] = abs(du) <= self.epsilon
-        self.due.update(
-            {
-                (name if du is not None else f"forecast {name}"): int(fired)
-                for name, fired in clauses.items()
-            }
-        )
+        for name, fired in clauses.items():
+            self.due[name if du is not None else f"forecast {name}"] += fired
         return any(clauses.values())
 
     def apply(self, k, u):
@@ -87,19 +83,17 @@ class Loop:
         return self.motion + self.offset, self.u, self.phi
 
 
-def mfac_loop(
-    plant, L_y, L_u, *, lam, rho, eta, mu, phi0, epsilon=1e-5, limit=None, reset="book", offset=0.0
-):
+def mfac_loop(plant, L_y, L_u, *, lam, rho, eta, mu, phi0, **options):
     """Run a trial in full form; component i of the papers is [i - 1] here."""
     phi0, rho = np.atleast_1d(phi0).astype(float), np.broadcast_to(rho, L_y + L_u)
-    loop, phi = Loop(plant, phi0, epsilon, reset, limit, offset), phi0
+    loop, phi = Loop(plant, **options), phi0
     for k in range(N):
         dh = np.array(
             [loop.dy(k - i) for i in range(1, L_y + 1)]
             + [loop.du(k - i) for i in range(1, L_u + 1)]
         )
         phi = phi + eta * dh / (mu + dh @ dh) * (loop.dy(k) - phi @ dh)
-        if reset != "none" and loop.useless(phi[L_y], phi0[L_y], loop.du(k - 1)):
+        if loop.reset != "none" and loop.useless(phi[L_y], phi0[L_y], loop.du(k - 1)):
             phi = phi0
         miss = rho[L_y] * (R[k + 1] - loop.y(k))
         for i in range(1, L_y + 1):
@@ -119,26 +113,23 @@ def mfapc_loop(
     eta,
     mu,
     phi0,
+    delta,
+    theta0,
+    theta_limit,
     P_u=1,
     n_p=3,
-    delta=1.0,
-    theta0=None,
-    theta_limit=10.0,
-    epsilon=1e-5,
-    limit=None,
-    reset="book",
     reference="preview",
-    offset=0.0,
     closed_form=False,
+    **options,
 ):
     """Run a trial by Dai 2014, eq. 11 to 18, with the matrix A_1 (P, P_u), or by eq. 10."""
     theta0 = np.eye(n_p)[0] if theta0 is None else np.asarray(theta0)
     # `before` holds phi(k-1), ..., phi(k-n_p).
-    loop, theta, before = (Loop(plant, phi0, epsilon, reset, limit, offset), theta0, [phi0] * n_p)
+    loop, theta, before = Loop(plant, **options), theta0, [phi0] * n_p
     for k in range(N):
         du = loop.du(k - 1)
         phi = before[0] + eta * du / (mu + du**2) * (loop.dy(k) - before[0] * du)  # (11)
-        if reset != "none" and loop.useless(phi, phi0, du):  # (12)
+        if loop.reset != "none" and loop.useless(phi, phi0, du):  # (12)
             phi = phi0
         regressor = np.array(before)
         # Dai 2014, (13)
