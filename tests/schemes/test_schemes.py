@@ -126,8 +126,10 @@ def pid(form, kp, ki, kd, tau=0.0, limit=None, kv=0.0, ka=0.0):
 
 
 class PIDTypeLoop:
-    def __init__(self, gamma_p=0.0, gamma_i=0.0, gamma_d=0.0, leak=0.0, lead=0, limit=None, q=None):
-        self.weights, self.m, self.limit, self.q = (gamma_p, gamma_i, gamma_d, leak), lead, limit, q
+    q = None
+
+    def __init__(self, gamma_p=0.0, gamma_i=0.0, gamma_d=0.0, leak=0.0, lead=0, limit=None):
+        self.weights, self.m, self.limit = (gamma_p, gamma_i, gamma_d, leak), lead, limit
 
     def prepare(self, j, Y, W):
         p, i, d, leak = self.weights
@@ -162,28 +164,12 @@ class HigherOrderLoop:
 class MFAILCLoop:
     """MFAILC by Cao 2019, eq. 12 and 13, 25 and 27, with the reset of Dai 2014, eq. 12."""
 
+    q = None
+
     def __init__(
-        self,
-        L_y,
-        L_u,
-        phi0,
-        lam,
-        rho,
-        eta,
-        mu,
-        epsilon=1e-5,
-        mode="book",
-        lead=0,
-        limit=None,
-        q=None,
+        self, L_y, L_u, phi0, lam, rho, eta, mu, epsilon=1e-5, mode="book", lead=0, limit=None
     ):
-        self.L, self.phi0, self.m, self.limit, self.q = (
-            (L_y, L_u),
-            np.atleast_1d(phi0),
-            lead,
-            limit,
-            q,
-        )
+        self.L, self.phi0, self.m, self.limit = (L_y, L_u), np.atleast_1d(phi0), lead, limit
         self.lam, self.rho, self.eta, self.mu = lam, np.broadcast_to(rho, L_y + L_u), eta, mu
         self.epsilon, self.mode = epsilon, mode
         self.phi = np.tile(self.phi0, (N, 1)).astype(float)
