@@ -28,6 +28,12 @@ def lifted_difference(a, b, N):
     return scipy.linalg.toeplitz(h, np.zeros(N))
 
 
+def derivatives(signal, dt):
+    """Return the first three differences of a sampled signal that is at rest before and after."""
+    held = np.pad(signal, ((3, 3), (0, 0)), mode="edge")
+    return [np.diff(held, i, axis=0) / dt**i for i in (1, 2, 3)]
+
+
 def relative(found, expected):
     """Return the largest difference as a share of the largest number that is expected."""
     return np.max(np.abs(np.asarray(found) - expected)) / np.max(np.abs(expected))

@@ -32,6 +32,11 @@ MACHINE, TASK, TRIALS = Machine(STATIC), task_for(STATIC, 20), 12
 GROWING, STEADY = (PIDType(gamma_p=5.0), PIDType(gamma_p=0.5))
 
 
+def scenario_of(**changes):
+    known = scenarios.load("cao-2019")
+    return dataclasses.replace(known, task=TASK, trials=TRIALS, published=(), **changes)
+
+
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_a_trial_diverges_at_a_thousand_times_the_reference_in_either_precision(precision):
     """In float32 the errors overflow at trial 65; in float64 they do not within 200 trials."""
@@ -170,15 +175,7 @@ def test_a_sweep_counts_what_diverged_though_it_stayed_finite(swept):
 
 def test_tables_and_figures_say_so(swept):
     plan, dataset = swept
-    scenario = dataclasses.replace(
-        scenarios.load("cao-2019"),
-        schemes=plan.schemes,
-        task=TASK,
-        trials=TRIALS,
-        show_trials=(1, 5),
-        published=(),
-        judged_by="rms",
-    )
+    scenario = scenario_of(schemes=plan.schemes, show_trials=(1, 5), judged_by="rms")
     figures_ = sweep_numbers(scenario, summarise(dataset, 0.1, metric="rms"), 0.1, plan.machines)
     figures_["schemes"]["steady"] |= {"yield": 0.99995, "yield_interval": [0.9997, 0.99999]}
     cells = {
@@ -207,15 +204,7 @@ def test_a_run_says_what_diverged_and_what_has_grown():
     dataset, _ = run_schemes(MACHINE, schemes, TASK, TRIALS)
     np.testing.assert_array_equal(dataset["diverged_at"], [0, 0, 6])
     np.testing.assert_array_equal(dataset["grown_from"], [0, 2, 0])
-    scenario = dataclasses.replace(
-        scenarios.load("cao-2019"),
-        schemes=schemes,
-        task=TASK,
-        trials=TRIALS,
-        published=(),
-        quantities={},
-        show_trials=(5,),
-    )
+    scenario = scenario_of(schemes=schemes, quantities={}, show_trials=(5,))
     numbers = run_numbers(scenario, dataset)
     assert numbers["schemes"]["lost"]["rms"]["12"] == np.inf
     assert np.isfinite(numbers["schemes"]["lost"]["rms"]["5"])
@@ -231,9 +220,7 @@ def test_a_run_says_what_diverged_and_what_has_grown():
 
 
 def test_a_published_row_beside_a_diverged_trial_is_open():
-    scenario = dataclasses.replace(
-        scenarios.load("cao-2019"), machine=MACHINE, schemes={"lost": GROWING}, task=TASK
-    )
+    scenario = scenario_of(machine=MACHINE, schemes={"lost": GROWING})
     rows = [Published("lost", j, "rms", 1.0, "") for j in (1, 9)]
     ours = reproduction._simulated(scenario, rows)
     assert np.isfinite(ours[rows[0]])

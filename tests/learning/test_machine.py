@@ -55,13 +55,7 @@ def test_machine_equals_a_loop_by_hand(part):
     of_package = signals(machine, PID(kp=kp), Task(r, dt=DT))
 
     (a1, a2), (b1, b2) = ARX
-    true, y, u, v, reached = (
-        np.zeros(N + 1),
-        np.zeros(N + 1),
-        np.zeros(N),
-        np.zeros(N),
-        dict.fromkeys(chosen, 0),
-    )
+    (true, y), (u, v), reached = np.zeros((2, N + 1)), np.zeros((2, N)), dict.fromkeys(chosen, 0)
     for k in range(N + 1):
         y[k] = step * np.round((true[k] + d_y[k]) / step)
         if k == N:

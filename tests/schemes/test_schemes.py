@@ -279,20 +279,14 @@ def test_feedforward_of_the_reference_in_closed_form():
     )
 
 
+GAINS = {"gamma_p": 0.6, "gamma_i": 0.02, "gamma_d": 1.5}
 P_TYPES = {
     "p": {"gamma_p": 0.6},
     "pd": {"gamma_p": 0.6, "gamma_d": 1.5},
-    "pid": {"gamma_p": 0.6, "gamma_d": 1.5, "gamma_i": 0.02},
+    "pid": GAINS,
     "leak": {"gamma_p": 0.6, "gamma_i": 0.02, "leak": 0.1},
-    "lead": {"gamma_p": 0.6, "gamma_i": 0.02, "gamma_d": 1.5, "lead": 3},
-    "lead_leak_limit": {
-        "gamma_p": 0.6,
-        "gamma_i": 0.02,
-        "gamma_d": 1.5,
-        "lead": 3,
-        "leak": 0.1,
-        "limit": 0.8,
-    },
+    "lead": GAINS | {"lead": 3},
+    "lead_leak_limit": GAINS | {"lead": 3, "leak": 0.1, "limit": 0.8},
 }
 
 

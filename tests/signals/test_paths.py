@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import ALGEBRA, DIFFERENCES
+from dense import derivatives
 from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxilc.learning import Machine, learn
@@ -34,12 +35,6 @@ def helix(s):
 
 def parabola(s):
     return np.stack([s, s**2 / 8], axis=-1)
-
-
-def derivatives(signal, dt):
-    """Return the first three differences of a sampled signal that is at rest before and after."""
-    held = np.pad(signal, ((3, 3), (0, 0)), mode="edge")
-    return [np.diff(held, i, axis=0) / dt**i for i in (1, 2, 3)]
 
 
 # Limits
