@@ -17,6 +17,7 @@ import scipy.integrate
 from cases import DIFFERENCES, PLANTS, SCHEMES, case
 from dense import lifted
 from gain_case import PROBLEM, STATIC, TASK, N
+from jax.flatten_util import ravel_pytree
 
 from jaxilc import schemes
 from jaxilc.learning import Machine, learn
@@ -79,14 +80,9 @@ def line_through(scheme):
 
     The line has one random direction. At x = 1 each leaf has moved by a tenth of its size.
     """
-    leaves, shape = jax.tree.flatten(scheme)
-    rng = np.random.default_rng(2)
-    direction = [
-        0.1 * rng.standard_normal(np.shape(leaf)) * np.maximum(np.abs(leaf), 0.1) for leaf in leaves
-    ]
-    return lambda x: shape.unflatten(
-        [leaf + x * d for leaf, d in zip(leaves, direction, strict=True)]
-    )
+    at, unravel = ravel_pytree(scheme)
+    direction = np.random.default_rng(2).standard_normal(at.size)
+    return lambda x: unravel(at + x * 0.1 * direction * np.maximum(np.abs(at), 0.1))
 
 
 class Each(Sum):
