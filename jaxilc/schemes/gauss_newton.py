@@ -68,9 +68,9 @@ class Problem(NamedTuple):
     y_low: Array | None = None
     y_high: Array | None = None
     tube: Array | None = None
-    total: None = None
-    contour: None = None
-    feedback: None = None
+    total: Array | None = None
+    contour: Array | None = None
+    feedback: Array | None = None
 
     @property
     def bounded(self) -> bool:
