@@ -538,8 +538,7 @@ def applied(n: Numbers, step: Step, arrays: Sequence[Array],
     """
     out, name, params = step.outs[0], step.name, step.params
     shape = tuple(out.shape if shape is None else shape)
-    if math.prod(shape) > LARGEST:
-        raise Unknown(f"{name} with a result of {math.prod(shape)} numbers that are no rows")
+    check_size(step, shape)
     if elementwise(name):
         return n.each(one_by_one(n, step), *arrays)
     if on_arrays(name):
@@ -552,6 +551,12 @@ def applied(n: Numbers, step: Step, arrays: Sequence[Array],
     if name == "iota":
         return n.array(counted(params, shape).astype(out.dtype))
     raise Unknown(name)
+
+
+def check_size(step: Step, shape: Sequence[int]) -> None:
+    """Raise Unknown for a step whose result of this shape has too many numbers for single ones."""
+    if (size := math.prod(shape)) > LARGEST:
+        raise Unknown(f"{step.name} with a result of {size} numbers that are no rows")
 
 
 # What steps do with arrays, of nodes or of numbers
@@ -692,8 +697,9 @@ MOVES: dict[str, Callable[..., Array]] = {
 }
 
 
-# further ones, with operands that say where
-TO_PLACES = ("gather", "scatter", "scatter-add", "dynamic_slice", "dynamic_update_slice")
+# further ones, with the operands that say where
+TO_PLACES = dict.fromkeys(("gather", "scatter", "scatter-add"), slice(1, 2))
+TO_PLACES |= {"dynamic_slice": slice(1, None), "dynamic_update_slice": slice(2, None)}
 
 
 def constants(array: Array, dtype: DTypeLike) -> np.ndarray | None:
@@ -704,28 +710,39 @@ def constants(array: Array, dtype: DTypeLike) -> np.ndarray | None:
 
 
 def _to_places(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[int]) -> Array:
-    """The result of a step that moves numbers from places, or to them.
-
-    A gather of JAX moves the numbers of the elements in place of the elements.
-    """
-    name, first = step.name, 2 if step.name == "dynamic_update_slice" else 1
-    last = len(arrays) if name.startswith("dynamic") else 2
-    known = {i: constants(arrays[i], step.ins[i].dtype) for i in range(first, last)}
+    """The result of a step that moves nodes from places, or to them."""
+    where = range(len(arrays))[TO_PLACES[step.name]]
+    known = {i: constants(arrays[i], step.ins[i].dtype) for i in where}
     places = [x for x in known.values() if x is not None]
     if len(places) < len(known):
         unknown = [i for i, x in known.items() if x is None]
         return _anywhere(n, step, arrays, shape, unknown)
-    if name == "dynamic_slice":
-        return arrays[0][clamped(arrays[0].shape, shape, places)]
-    if name == "dynamic_update_slice":
-        return updated(arrays[0], arrays[1], places)
-    found = places_of(step, arrays[0].shape, places[0], arrays[-1].shape).ravel()
-    if name == "gather":
-        return _filled(shape, arrays[0].ravel()[found])
+    if step.name != "scatter-add":
+        return at_places(step, arrays, places, shape)
     out = arrays[0].copy()
-    for place, x in zip(found, arrays[2].flat, strict=True):
+    found = places_of(step, out.shape, places[0], arrays[2].shape)
+    for place, new in zip(found.flat, arrays[2].flat, strict=True):
         if place >= 0:
-            out.flat[place] = n.of("add", out.flat[place], x) if "add" in name else x
+            out.flat[place] = n.of("add", out.flat[place], new)
+    return out
+
+
+def at_places(step: Step, arrays: Sequence[Array], places: Sequence[np.ndarray],
+              shape: Sequence[int]) -> Array:  # fmt: skip
+    """The elements of arrays, nodes or numbers, moved from places that are known, or to them.
+
+    A gather of JAX moves the numbers of the elements in place of the elements.
+    """
+    name, x = step.name, arrays[0]
+    if name == "dynamic_slice":
+        return x[clamped(x.shape, shape, places)]
+    if name == "dynamic_update_slice":
+        return updated(x, arrays[1], places)
+    found = places_of(step, x.shape, places[0], arrays[-1].shape).ravel()
+    if name == "gather":
+        return x.ravel()[found].reshape(shape)
+    out = x.copy()
+    out.flat[found[found >= 0]] = arrays[2].ravel()[found >= 0]
     return out
 
 

@@ -25,6 +25,7 @@ from .operations import (
     GATHERED,
     MOVES,
     RUNNING,
+    TO_PLACES,
     Array,
     At,
     AtIndex,
@@ -35,13 +36,14 @@ from .operations import (
     Numbers,
     Sample,
     applied,
-    clamped,
+    at_places,
+    check_size,
     constants,
     counted,
-    elementwise,
     known,
     neutral,
     numbered,
+    places_of,
 )
 from .program import Const, Program, Step, Unknown, Value, loops, lowered
 
@@ -103,15 +105,15 @@ class Taken(Row):
 
 
 class Part(NamedTuple):
-    """Some rows among others, from a sample on; or a small array in their place."""
+    """Some rows among others, from a sample on."""
 
     first: int
     length: int
-    rows: Item
+    rows: Row
 
 
 class Joined(Row):
-    """Rows and small arrays one after another."""
+    """Rows one after another."""
 
     def __init__(self, shape: Sequence[int], axis: int, dtype: np.dtype, parts: list[Part]):
         super().__init__(shape, axis, dtype, *(part.rows for part in parts))
@@ -125,11 +127,6 @@ class Computed(Row):
                  function: Callable[..., Array], operands: Sequence[Item]):  # fmt: skip
         super().__init__(shape, axis, dtype, *operands)
         self.function, self.operands = function, operands
-
-
-def _same(shape: Sequence[int], axis: int, dtype: np.dtype, one: Array) -> Row:
-    """The same row at each sample."""
-    return Computed(shape, axis, dtype, lambda x: x, [one])
 
 
 class Result(Row):
@@ -318,8 +315,11 @@ class Trials:
         ends = [0, *(np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1), len(rows)]
         if len(ends) - 1 > (FEW_RUNS if array.dtype.kind == "b" else 1):
             return self._given(array, axis)
-        parts = [(b - a, self.n.array(array.take([a], axis))) for a, b in itertools.pairwise(ends)]
-        return rows_of(_joined(array.shape, axis, array.dtype, parts))
+        return _joined([
+            Computed(_with(array.shape, axis, b - a), axis, array.dtype, lambda x: x,
+                     [self.n.array(array.take([a], axis))])
+            for a, b in itertools.pairwise(ends)
+        ])  # fmt: skip
 
     def _given(self, array: np.ndarray, axis: int) -> Row:
         """The rows of an array of constants, which becomes a further operand of the program."""
@@ -411,17 +411,20 @@ class Trials:
             return np.empty(out.shape, object)
         if not rows:
             return self._from_small(step, [*map(small, operands)], axis)
-        row = rows[0]
         if step.name not in HANDLED and not known(step.name):
             raise Unknown(step.name)
         if step.name in HANDLED and (found := HANDLED[step.name](self, step, operands)) is not None:
             return found
         if axis is None or any(x.length != out.shape[axis] for x in rows):
             raise Unknown(f"{step.name} of samples")
-        if not _keeps_axis(step, operands, axis):
+        # Each sample stays where it is: no other axis of an array of rows is as long as theirs.
+        of_rows = [isinstance(x, Row) for x in operands]
+        numbers = [x for x in operands if not isinstance(x, Row)]
+        apart = step.name in TO_PLACES and of_rows != [True, False, True][: len(operands)]
+        if apart or any(self.axis_of(x.shape) is not None for x in numbers):
             raise Unknown(f"{step.name} that moves the axis of samples")
         if step.name == "gather":
-            sizes = {"slice_sizes": _with(step.params["slice_sizes"], row.axis, 1)}
+            sizes = {"slice_sizes": _with(step.params["slice_sizes"], rows[0].axis, 1)}
             step = Step("gather", step.params | sizes, step.ins, step.outs, lax.gather_p)
         shape = _with(out.shape, axis, 1)
         return Computed(out.shape, axis, out.dtype,
@@ -431,20 +434,13 @@ class Trials:
         if axis is None:
             return applied(self.n, step, operands)
         out = step.outs[0]
-        shape = _with(out.shape, axis, 1)
-        if step.name == "iota":
-            if step.params["dimension"] == axis:
-                return Count(out.shape, axis, out.dtype)
-            raise Unknown("iota beside samples")
-        if step.name == "broadcast_in_dim":
-            for i, to in enumerate(step.params["broadcast_dimensions"]):
-                if to == axis and operands[0].shape[i] != 1:
-                    raise Unknown("broadcast_in_dim to samples")
-            return _same(out.shape, axis, out.dtype, applied(self.n, step, operands, shape))
-        found = HANDLED[step.name](self, step, [*operands]) if step.name in MADE else None
-        if found is None:
+        if step.name in MADE:
+            return _moves(self, step, [*operands])
+        if step.name != "iota":
             raise Unknown(f"{step.name} that makes samples")
-        return found
+        if step.params["dimension"] != axis:
+            raise Unknown("iota beside samples")
+        return Count(out.shape, axis, out.dtype)
 
     def whole_numbers(self, x: Item) -> np.ndarray | None:
         """The whole numbers of an array or of rows; None where they are not known beforehand."""
@@ -489,11 +485,9 @@ class Trials:
             self.loop(number).direction = direction
         scan = Scan(step, operands, number)
         self.loop(number).scans.append(scan)
-        for x, out in zip(operands[consts : consts + carry], step.outs, strict=False):
+        for out in step.outs[:carry]:
             scan.cells.append(self.new_cells(out.shape, out.dtype, loop=number + 1))
             self._known[out] = scan.cells[-1]
-            if x.shape != out.shape:
-                raise Unknown("a scan whose carry changes its shape")
         for i, out in enumerate(step.outs[carry:]):
             scan.results.append(Result(out.shape, out.dtype, scan, carry + i))
             self._known[out] = scan.results[-1]
@@ -524,189 +518,173 @@ class Trials:
         return table
 
 
-# Steps on rows that move them along the axis of samples
+# Steps that move numbers among the rows
 # --------------------------------------------------------------------------------------------------
-
-
-def _slice(of: Trials, step: Step, operands: list[Item]) -> Item | None:
-    row, params = rows_of(operands[0]), step.params
-    first, last = params["start_indices"][row.axis], params["limit_indices"][row.axis]
-    if (params["strides"] or (1,) * len(row.shape))[row.axis] != 1:
-        raise Unknown("slice of every other sample")
-    if (first, last) == (0, row.length):
-        return None
-    rest = params | {
-        "start_indices": _with(params["start_indices"], row.axis, 0),
-        "limit_indices": _with(params["limit_indices"], row.axis, last - first),
-    }
-    of_channels = Step("slice", rest, [], step.outs)
-    if last - first < of.shortest:
-        picked = np.concatenate([_Picked(of).row(row, 0, i) for i in range(first, last)], row.axis)
-        return applied(of.n, of_channels, [picked])
-    return of._result(of_channels, [_some(row, row.axis, first, last)])
 
 
 def _with(values: Sequence[int], at: int, value: int) -> tuple[int, ...]:
     return (*values[:at], value, *values[at + 1 :])
 
 
-def _some(x: Item, axis: int, first: int, last: int) -> Item:
-    """The samples from `first` to before `last`."""
-    if not isinstance(x, Row):
-        return x.take(range(first, last), axis)
-    return x if (first, last) == (0, x.length) else Taken(x, first, last - first)
+def _joined(rows: Sequence[Row]) -> Row:
+    """Rows one after another."""
+    if len(rows) == 1:
+        return rows[0]
+    firsts = itertools.accumulate((x.length for x in rows), initial=0)
+    parts = [Part(first, x.length, x) for first, x in zip(firsts, rows, strict=False)]
+    shape = _with(rows[0].shape, rows[0].axis, sum(x.length for x in rows))
+    return Joined(shape, rows[0].axis, rows[0].dtype, parts)
 
 
-def _joined(shape: Sequence[int], axis: int, dtype: np.dtype,
-            parts: Iterable[tuple[int, Row | Array]]) -> Item:  # fmt: skip
-    """Rows from parts one after another, each with its number of samples.
+def _moved(of: Trials, step: Step, operands: Sequence[Item]) -> Item | None:
+    """The result of a step that only moves numbers; None where places are not known beforehand.
 
-    A part with one row, or less, has it at each of its samples.
+    The numbers of the elements, counted through all operands, are moved in their place.
     """
-    found: list[Part] = []
-    for length, part in parts:
-        if length > 0:
-            if not isinstance(part, Row) and part.shape[axis] != length:
-                part = _same(_with(shape, axis, length), axis, dtype, part)
-            found.append(Part(sum(p.length for p in found), length, part))
-    return found[0].rows if len(found) == 1 else Joined(shape, axis, dtype, found)
-
-
-def _concatenate(of: Trials, step: Step, operands: list[Item]) -> Item | None:
-    out, axis = step.outs[0], step.params["dimension"]
-    if of.axis_of(out.shape) != axis:
+    out, name = step.outs[0], step.name
+    found = [of.whole_numbers(x) for x in operands[TO_PLACES.get(name, slice(0))]]
+    places = [x for x in found if x is not None]
+    if len(places) < len(found):
         return None
-    return _joined(out.shape, axis, out.dtype, [(x.shape[axis], x) for x in operands])
+    if name == "scatter-add":
+        return _added(of, step, operands, places[0])
+    firsts = itertools.accumulate((math.prod(x.shape) for x in operands), initial=0)
+    numbers = [first + np.arange(math.prod(x.shape)).reshape(x.shape)
+               for first, x in zip(firsts, operands, strict=False)]  # fmt: skip
+    source = (MOVES[name](step.params, numbers, out.shape) if name in MOVES
+              else at_places(step, numbers, places, out.shape))  # fmt: skip
+    return _from_elements(of, step, operands, source, math.inf if name == "concatenate" else RUNS)
 
 
-def _pad(of: Trials, step: Step, operands: list[Item]) -> Item | None:
-    """Rows, or a small array that becomes rows, with the same number before and behind them."""
-    x, value, out = operands[0], small(operands[1]), step.outs[0]
-    axis = x.axis if isinstance(x, Row) else of.axis_of(out.shape)
-    config = [tuple(map(int, c)) for c in step.params["padding_config"]]
-    assert axis is not None
-    low, high, between = config[axis]
-    if between:
-        raise Unknown("pad between samples")
-    if any(c != (0, 0, 0) for i, c in enumerate(config) if i != axis):
-        if (low, high) == (0, 0):
-            return None
-        raise Unknown("pad of samples and channels")
-    first, last = max(0, -low), x.shape[axis] - max(0, -high)
-    least = of.shortest if isinstance(x, Row) else 0
-    if last - first < least or of.axis_of(out.shape) is None:
-        raise Unknown("pad of a few samples")
-    filled = np.full(_with(out.shape, axis, 1), value[()], object)
-    parts = [(low, filled), (last - first, _some(x, axis, first, last)), (high, filled)]
-    return _joined(out.shape, axis, out.dtype, parts)
+def _added(of: Trials, step: Step, operands: Sequence[Item], places: np.ndarray) -> Item:
+    """The rows to which others are added, each time to other elements."""
+    (row, _, new), out = operands, step.outs[0]
+    found = places_of(step, out.shape, places, new.shape).ravel()
+    zero, added = of.n.array(np.zeros((), out.dtype)), [rows_of(row)]
+    left = np.flatnonzero(found >= 0)
+    while left.size:
+        first = np.unique(found[left], return_index=True)[1]
+        source = np.zeros(out.shape, int)
+        source.flat[found[left[first]]] = 1 + left[first]
+        added.append(rows_of(_from_elements(of, step, [zero, new], source)))
+        left = np.delete(left, first)
+        if len(added) > RUNS:
+            raise Unknown("samples in so many parts")
+    return Computed(out.shape, added[0].axis, out.dtype,
+                    lambda *x: reduce(of.n.elements("add"), x), added)  # fmt: skip
 
 
-def _dynamic_slice(of: Trials, step: Step, operands: list[Item]) -> Item | None:
-    """Rows from a sample on that is known beforehand."""
-    row, given = rows_of(operands[0]), [constants(small(x), int) for x in operands[1:]]
-    starts = [x for x in given if x is not None]
-    if len(starts) < len(given):
-        raise Unknown("dynamic_slice of samples that are found while it runs")
-    ranges = clamped(row.shape, step.params["slice_sizes"], starts)
-    params = {"start_indices": tuple(x.start for x in ranges),
-              "limit_indices": tuple(x.stop for x in ranges), "strides": None}  # fmt: skip
-    return _slice(of, Step("slice", params, [], step.outs), [row])
+def _from_elements(of: Trials, step: Step, operands: Sequence[Item], source: np.ndarray,
+                   most: float = RUNS) -> Item:  # fmt: skip
+    """The result of a step, of elements of the operands by numbers counted through all of these.
 
-
-def _inside(places: np.ndarray | None, within: int) -> None:
-    if places is not None and places.size and not 0 <= places.min() <= places.max() < within:
-        raise Unknown("samples beyond the end")
-
-
-def _runs(places: np.ndarray, within: int) -> list[tuple[int, int, int]]:
-    """The places as runs of those that follow one another: first, length, and place less number."""
-    _inside(places, within)
-    ends = [0, *(np.flatnonzero(np.diff(places) != 1) + 1), len(places)]
-    if len(ends) > RUNS:
+    most: parts into which its samples may fall apart, in each of which all come from as far away,
+        or from a small array
+    """
+    out, axis = step.outs[0], of.axis_of(step.outs[0].shape)
+    labels = np.concatenate([_labels(i, x) for i, x in enumerate(operands)], axis=1)
+    wide = [x for x in operands if isinstance(x, Row) and of.axis_of(x.of_one) is not None]
+    if wide and axis is not None:  # of as many channels as there are samples
+        samples = np.moveaxis(labels[1][source], axis, 0)
+        axis = None if np.all(samples == samples[0]) else axis
+    if axis is None:
+        check_size(step, out.shape)
+    along, shape = axis or 0, out.shape if axis is not None else (1, *out.shape)
+    at = np.moveaxis(source.reshape(shape), along, 0).reshape(shape[along], -1)
+    owner, sample, place = labels[:, at]
+    moving, k = sample >= 0, np.arange(len(at))[:, None]
+    turns = np.diff(sample, axis=0)[moving[1:] & moving[:-1]]
+    sign = -1 if turns.size and np.all(turns == -1) else 1
+    away = np.where(moving, sample - sign * k, 0)
+    turned = np.any(np.diff([owner, away, place], axis=1), axis=2)
+    ends = [0, *(np.flatnonzero(turned.any(axis=0)) + 1), len(at)]
+    if np.count_nonzero(turned[:2].any(axis=0)) >= most:
         raise Unknown("samples in so many parts")
-    return [(int(a), int(b - a), int(places[a] - a)) for a, b in itertools.pairwise(ends)]
+
+    def part(first: int, last: int) -> Row:
+        pairs, which = np.unique([owner[first], away[first]], axis=1, return_inverse=True)
+        given = [_some(operands[i], by + sign * first, last - first, sign) for i, by in pairs.T]
+        widths = [math.prod(x.of_one if isinstance(x, Row) else x.shape) for x in given]
+        index = np.cumsum([0, *widths])[which] + place[first]
+        rows, of_part = given[0] if len(given) == 1 else None, _with(shape, along, last - first)
+        if isinstance(rows, Row) and rows.shape == of_part and rows.axis == along and (
+            np.array_equal(index, np.arange(widths[0]))
+        ):  # fmt: skip
+            return rows
+        return Computed(of_part, along, out.dtype, partial(_chosen, index), given)
+
+    found = _joined([part(a, b) for a, b in itertools.pairwise(ends)])
+    return found if axis is not None else _Picked(of).row(found, 0, 0).reshape(out.shape)
+
+
+def _labels(i: int, x: Item) -> np.ndarray:
+    """(3, size) of each element: which operand, which of its samples or -1, which number there."""
+    one = x.of_one if isinstance(x, Row) else x.shape
+    sample = counted({"dimension": x.axis}, x.shape) if isinstance(x, Row) else np.full(one, -1)
+    place = np.broadcast_to(np.arange(math.prod(one)).reshape(one), x.shape)
+    return np.stack([np.full(x.shape, i), sample, place]).reshape(3, -1)
+
+
+def _some(x: Item, first: int, length: int, sign: int) -> Item:
+    """Some samples of rows, see `Taken`; a small array as it is."""
+    if not isinstance(x, Row) or (first, length, sign) == (0, x.length, 1):
+        return x
+    return Taken(x, int(first), int(length), sign)
+
+
+def _chosen(index: np.ndarray, *arrays: Array) -> Array:
+    """The elements of arrays by their numbers, counted through all of these."""
+    return np.concatenate([np.empty(0, object), *(x.ravel() for x in arrays)])[index]
+
+
+def _moves(of: Trials, step: Step, operands: list[Item]) -> Item:
+    found = _moved(of, step, operands)
+    if found is None:
+        raise Unknown(f"{step.name} of samples that are found while it runs")
+    return found
+
+
+def _slice(of: Trials, step: Step, operands: list[Item]) -> Item:
+    row, strides = rows_of(operands[0]), step.params["strides"]
+    if strides and strides[row.axis] != 1:
+        raise Unknown("slice of every other sample")
+    return _moves(of, step, operands)
 
 
 def _scatter(of: Trials, step: Step, operands: list[Item]) -> Item | None:
-    """Rows of which some are replaced, or have others added; None for the same in each row."""
-    (item, index, new), out = operands, step.outs[0]
-    numbers, axis = step.params["dimension_numbers"], of.axis_of(out.shape)
-    to, inserted = numbers.scatter_dims_to_operand_dims, numbers.inserted_window_dims
-    if axis is not None and axis not in to and not isinstance(index, Row):
-        return None
-    at, row = of.whole_numbers(index), rows_of(item)
-    if at is None or axis is None:
-        raise Unknown(f"{step.name} of samples that are found while it runs")
-    if axis not in inserted and at.size == 1 and len(step.ins[2].shape) == len(out.shape):
-        at = at.ravel() + np.arange(step.ins[2].shape[axis])  # one window
-    shape = _with(out.shape, axis, at.size)
-    batch = [i for i in range(len(shape)) if i not in numbers.update_window_dims]
-    if to != (axis,) or inserted not in ((), to) or not (
-        (step.ins[2].shape == shape and (not inserted or batch == [axis]))
-        or step.ins[2].shape == (*shape[:axis], *shape[axis + 1 :])
-    ):  # fmt: skip
-        raise Unknown(f"{step.name} of samples")
-    if not isinstance(new, Row):
-        new = new.reshape(shape)
-    runs = _runs(at.ravel(), out.shape[axis])
-    if step.name == "scatter-add":
-        zero = np.full(_with(shape, axis, 1), of.n.const(0, out.dtype), object)
-        added = [
-            _joined(out.shape, axis, out.dtype, [
-                (first + by, zero), (length, _some(new, axis, first, first + length)),
-                (out.shape[axis] - first - by - length, zero),
-            ]) for first, length, by in runs
-        ]  # fmt: skip
-        return Computed(out.shape, axis, out.dtype, lambda *x: reduce(of.n.elements("add"), x),
-                        [row, *added])  # fmt: skip
-    parts: list[tuple[int, Item]] = []
-    end = 0
-    for first, length, by in runs:
-        if first + by < end:
-            raise Unknown("scatter of samples that are not in order")
-        parts += [(first + by - end, _some(row, axis, end, first + by)),
-                  (length, _some(new, axis, first, first + length))]  # fmt: skip
-        end = first + by + length
-    parts.append((row.length - end, _some(row, axis, end, row.length)))
-    return _joined(row.shape, axis, row.dtype, parts)
+    """Rows of which some are replaced, or have others added; None for places in each row."""
+    axis, to = of.axis_of(step.outs[0].shape), step.params["dimension_numbers"]
+    if axis in to.scatter_dims_to_operand_dims or isinstance(operands[1], Row):
+        return _moves(of, step, [rows_of(operands[0]), *operands[1:]])
+    return _moved(of, step, operands)
 
 
 def _gather_rows(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     """Samples at other places; None for what is gathered at each sample."""
     row, index = operands
     kept, out = step.params["dimension_numbers"], step.outs[0]
-    if not isinstance(row, Row) or row.axis not in kept.start_index_map:
+    if not isinstance(row, Row):
         return None
-    axis, at = of.axis_of(out.shape), of.whole_numbers(index)
+    if (found := _moved(of, step, operands)) is not None:
+        return found
+    if row.axis not in kept.start_index_map:
+        return None
+    axis = of.axis_of(out.shape)
     if kept.start_index_map != (row.axis,):
         raise Unknown("gather of samples and channels")
     if row.axis not in kept.collapsed_slice_dims:  # one window
-        if at is None or at.size != 1 or len(out.shape) != len(row.shape):
-            raise Unknown("gather of this kind of samples")
-        places = [of.n.array(np.int64(at.flat[0] if i == row.axis else 0))
-                  for i in range(len(out.shape))]  # fmt: skip
-        _inside(at.ravel() + np.arange(out.shape[row.axis]), row.length)
-        sizes = {"slice_sizes": step.params["slice_sizes"]}
-        return _dynamic_slice(of, Step("", sizes, [], step.outs), [row, *places])
-    batch = [i for i in range(len(out.shape)) if i not in kept.offset_dims]
+        raise Unknown("gather of this kind of samples")
+    read = _rows_at(of, step, row)
     if axis is None:
-        count = math.prod(step.ins[1].shape[:-1])
-        picked = [_Picked(of).row(row, 0, int(i)) for i in at.ravel()] if at is not None else (
-            _rows_at(of, step, row)(small(index)))  # fmt: skip
-        _inside(at, row.length)
-        new = np.arange(count, dtype=step.ins[1].dtype).reshape(step.ins[1].shape)
-        return applied(of.n, step, [np.concatenate(picked, row.axis), of.n.array(new)])
+        picked = np.concatenate(read(small(index)), row.axis)
+        new = np.arange(picked.shape[row.axis], dtype=step.ins[1].dtype).reshape(index.shape)
+        return applied(of.n, step, [picked, of.n.array(new)])
+    batch = [i for i in range(len(out.shape)) if i not in kept.offset_dims]
     if batch != [row.axis] or out.shape != _with(row.shape, row.axis, index.shape[0]):
         raise Unknown("gather that moves the axis of samples")
-    if at is None:
-        read = _rows_at(of, step, row)
-        found = Computed(out.shape, axis, out.dtype, lambda i: read(i)[0], [index])
-        found.loop = max(found.loop, row.loop + 1)
-        return found
-    runs = _runs(at.ravel(), row.length)
-    parts = [(length, _some(row, row.axis, first + by, first + by + length))
-             for first, length, by in runs]  # fmt: skip
-    return _joined(out.shape, axis, out.dtype, parts)
+    rows = Computed(out.shape, axis, out.dtype, lambda i: read(i)[0], [index])
+    rows.loop = max(rows.loop, row.loop + 1)
+    return rows
 
 
 def _rows_at(of: Trials, step: Step, row: Row) -> Callable[[Array], list[Array]]:
@@ -728,15 +706,6 @@ def _rows_at(of: Trials, step: Step, row: Row) -> Callable[[Array], list[Array]]
         return numbered(row.of_one, number)
 
     return lambda places: [at(place) for place in places.flat]
-
-
-def _rev(of: Trials, step: Step, operands: list[Item]) -> Item | None:
-    row, turned = rows_of(operands[0]), step.params["dimensions"]
-    if row.axis not in turned:
-        return None
-    if tuple(turned) != (row.axis,):
-        raise Unknown("rev of samples and channels")
-    return Taken(row, row.length - 1, row.length, -1)
 
 
 def _gather(of: Trials, step: Step, operands: list[Item]) -> Item | None:
@@ -856,15 +825,11 @@ def _convolved(of: Trials, step: Step, operands: list[Item]) -> Item | None:
     return _by_jax(of, summed, row, kernel)
 
 
-MADE = ("concatenate", "pad")  # of which small arrays make rows, too
+MADE = ("concatenate", "pad", "broadcast_in_dim")  # of which small arrays make rows, too
 HANDLED: dict[str, Callable[[Trials, Step, list[Item]], Item | None]] = {
+    **dict.fromkeys((*MOVES, "dynamic_slice", "dynamic_update_slice"), _moves),
     "slice": _slice,
-    "concatenate": _concatenate,
-    "pad": _pad,
-    "rev": _rev,
-    "dynamic_slice": _dynamic_slice,
-    "scatter": _scatter,
-    "scatter-add": _scatter,
+    **dict.fromkeys(("scatter", "scatter-add"), _scatter),
     "gather": _gather_rows,
     "argmax": _place_of_best,
     "argmin": _place_of_best,
@@ -873,56 +838,6 @@ HANDLED: dict[str, Callable[[Trials, Step, list[Item]], Item | None]] = {
     **dict.fromkeys(GATHERED, _gather),
     **dict.fromkeys(RUNNING, _running),
 }
-
-
-def _keeps_axis(step: Step, operands: list[Item], axis: int) -> bool:
-    """Whether a step leaves each sample where it is, along the axis of its result."""
-    name, params, out = step.name, step.params, step.outs[0]
-    rows = [x for x in operands if isinstance(x, Row)]
-    if elementwise(name):
-        return all(x.axis == axis for x in rows) and all(
-            isinstance(x, Row) or not x.ndim or x.shape[axis] == 1 for x in operands
-        )
-    if name in MOVES:  # the numbers of the samples, and -1 for what is no sample
-        numbers = [counted({"dimension": x.axis}, x.shape) if isinstance(x, Row)
-                   else np.full(x.shape, -1) for x in operands]  # fmt: skip
-        found = np.moveaxis(MOVES[name](params, numbers, out.shape), axis, -1)
-        return bool(np.all((found < 0) | (found == np.arange(out.shape[axis]))))
-    if name == "dot_general":
-        return _axis_of_product(params["dimension_numbers"], operands) == axis
-    if name.startswith("reduce_"):
-        return axis == rows[0].axis - sum(a < rows[0].axis for a in params["axes"])
-    if name in ("scatter", "scatter-add"):
-        kept = params["dimension_numbers"]
-        left = [i for i in range(len(out.shape)) if i not in kept.inserted_window_dims]
-        to, _, new = operands
-        return isinstance(to, Row) and isinstance(new, Row) and len(rows) == 2 and (
-            axis in left and new.axis == kept.update_window_dims[left.index(axis)]
-        )  # fmt: skip
-    if name == "gather":
-        kept = params["dimension_numbers"]
-        return len(rows) == 1 and isinstance(operands[0], Row) and operands[0].axis not in (
-            *kept.start_index_map, *kept.collapsed_slice_dims
-        )  # fmt: skip
-    return name in RUNNING and rows[0].axis == axis
-
-
-def _axis_of_product(numbers: lax.DotDimensionNumbers, operands: list[Item]) -> int | None:
-    """Which axis of a product is that of the samples; None where they are mixed up."""
-    contracted, batch = numbers
-    places = set()
-    before = len(batch[0])
-    for i, x in enumerate(operands):
-        free = [a for a in range(len(x.shape)) if a not in (*contracted[i], *batch[i])]
-        if isinstance(x, Row):
-            if x.axis in batch[i]:
-                places.add(list(batch[i]).index(x.axis))
-            elif x.axis in free:
-                places.add(before + free.index(x.axis))
-            else:
-                return None
-        before += len(free)
-    return places.pop() if len(places) == 1 else None
 
 
 # The segments of a loop
