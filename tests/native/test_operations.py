@@ -179,6 +179,24 @@ def test_a_few_numbers_become_rows_where_they_are_padded_or_joined():
         np.testing.assert_allclose(found, wanted, rtol=1e-14, err_msg=name)
 
 
+def test_numbers_move_to_other_samples_and_channels_as_by_jax():
+    """To places that are known beforehand, also to one more than once and beyond the end."""
+    functions = {
+        "turned": lambda x: x[np.arange(len(x))[::-1]],
+        "both ways": lambda x: x[::-1, ::-1],
+        "wider": lambda x: jnp.pad(x[2:], ((2, 0), (1, 1)))[:, 1:],
+        "narrower": lambda x: jax.lax.pad(x, 1.0, [(1, -1, 0), (-1, 1, 0)]),
+        "replaced": lambda x: jax.lax.dynamic_update_slice(x, 2 * x[3:30], (4, 0)),
+        "set": lambda x: x.at[np.array([3, 4, 9, 99])].set(x[:4]),
+        "added": lambda x: x.at[np.array([3, 4, 3, 3, -40])].add(x[:5], mode="drop"),
+        "few": lambda x: x + x[np.array([5, 1, 5])].sum(axis=0),
+        "beside": lambda x: x.at[:, np.array([1, 1])].add(x),
+    }
+    x = np.random.default_rng(0).normal(size=(3, 32, 2))
+    for name, found, wanted in applied(functions, x):
+        np.testing.assert_allclose(found, wanted, rtol=1e-14, err_msg=name)
+
+
 def test_a_sample_reads_a_table_and_runs_short_loops_either_way():
     """At its own sample, beyond both ends, and at another one in each machine."""
     N, few = 40, jnp.array([0.5, -0.2, 0.3])
