@@ -20,6 +20,81 @@ KINDS = ("mix", "product", "bend", "delay", "ahead", "flip", "scan", "back", "su
          "filter", "gain", "worst", "around", "search", "solve")  # fmt: skip
 
 
+NUMBERS = ("sum", "max", "pick", "largest", "dot", "worst", "solve")  # the other kinds make rows
+
+
+def both_channels(x, y, c):
+    found = jnp.stack([x, y], axis=1) @ jnp.array([[1.0, c], [0.2, -0.3]])
+    return found[:, 0] * 0.5 + found[:, 1]
+
+
+def solved(x, y, z, c, d):
+    """Return the first of two unknowns, of whose rows none is always the larger one."""
+    A = jnp.array([[z, 1 + x[d] ** 2], [2.0, y[d]]])
+    return jnp.tanh(jnp.linalg.solve(A, jnp.array([1.0, c]))[0])
+
+
+# by kind, but for the scans: of rows x and y, a number z, constants c and d, and the trial j
+BY_JAX = {
+    "mix": lambda x, y, z, c, d, j: c * x + y,
+    "product": lambda x, y, z, c, d, j: x * y / (1 + y * y),
+    "bend": lambda x, y, z, c, d, j: jnp.where(x > 0, x, c * x) - jnp.minimum(jnp.abs(y), 1.0),
+    "delay": lambda x, y, z, c, d, j: jnp.concatenate([jnp.zeros(d), x[:-d]]),
+    "ahead": lambda x, y, z, c, d, j: jnp.pad(x[d:], (0, d)),
+    "flip": lambda x, y, z, c, d, j: x[::-1],
+    "sum": lambda x, y, z, c, d, j: jnp.sum(x) / len(x),
+    "max": lambda x, y, z, c, d, j: jnp.max(x) + jnp.min(y),
+    "scale": lambda x, y, z, c, d, j: x * (z / (1 + jnp.abs(z))),
+    "first": lambda x, y, z, c, d, j: x.at[0].set(z),
+    "pick": lambda x, y, z, c, d, j: x[d] + c * y[-1],
+    "cumsum": lambda x, y, z, c, d, j: jnp.cumsum(x) / len(x),
+    "cummax": lambda x, y, z, c, d, j: jax.lax.cummax(x),
+    "cummin": lambda x, y, z, c, d, j: jax.lax.cummin(x, reverse=True),
+    "difference": lambda x, y, z, c, d, j: jnp.diff(jnp.concatenate([z[None], x])),
+    "largest": lambda x, y, z, c, d, j: jnp.argmax(x) / len(x),
+    "channels": lambda x, y, z, c, d, j: both_channels(x, y, c),
+    "dot": lambda x, y, z, c, d, j: x @ y / len(x),
+    "filter": lambda x, y, z, c, d, j: jnp.convolve(x, jnp.array([0.25, 0.5, c]), mode="same"),
+    "gain": lambda x, y, z, c, d, j: x / (2 + x * x) + 0.01 * j,
+    "worst": lambda x, y, z, c, d, j: jnp.where(jnp.any(x > 1), 1.0, 0.5 * jnp.all(y < 2)),
+    "around": lambda x, y, z, c, d, j: x[jnp.clip(jnp.arange(len(x)) - d, 0, len(x) - 1)],
+    "search": lambda x, y, z, c, d, j: x[(jnp.abs(y) * len(x)).astype(int) % len(x)],
+    "solve": lambda x, y, z, c, d, j: solved(x, y, z, c, d),
+}
+BY_NUMPY = {
+    "mix": lambda x, y, z, c, d, j: c * x + y,
+    "product": lambda x, y, z, c, d, j: x * y / (1 + y**2),
+    "bend": lambda x, y, z, c, d, j: [(v if v > 0 else c * v) - min(abs(w), 1)
+                                      for v, w in zip(x, y, strict=True)],
+    "delay": lambda x, y, z, c, d, j: [x[k - d] if k >= d else 0 for k in range(len(x))],
+    "ahead": lambda x, y, z, c, d, j: [x[k + d] if k + d < len(x) else 0 for k in range(len(x))],
+    "flip": lambda x, y, z, c, d, j: [x[len(x) - 1 - k] for k in range(len(x))],
+    "sum": lambda x, y, z, c, d, j: sum(x) / len(x),
+    "max": lambda x, y, z, c, d, j: max(x) + min(y),
+    "scale": lambda x, y, z, c, d, j: x * z / (1 + abs(z)),
+    "first": lambda x, y, z, c, d, j: [z, *x[1:]],
+    "pick": lambda x, y, z, c, d, j: x[d] + c * y[len(x) - 1],
+    "cumsum": lambda x, y, z, c, d, j: [*itertools.accumulate(x / len(x))],
+    "cummax": lambda x, y, z, c, d, j: [max(x[: k + 1]) for k in range(len(x))],
+    "cummin": lambda x, y, z, c, d, j: [min(x[k:]) for k in range(len(x))],
+    "difference": lambda x, y, z, c, d, j: [now - before for before, now in
+                                            itertools.pairwise([z, *x])],
+    "largest": lambda x, y, z, c, d, j: list(x).index(max(x)) / len(x),
+    "channels": lambda x, y, z, c, d, j: 0.5 * (x + 0.2 * y) + c * x - 0.3 * y,
+    "dot": lambda x, y, z, c, d, j: sum(v * w for v, w in zip(x, y, strict=True)) / len(x),
+    "filter": lambda x, y, z, c, d, j: [0.25 * after + 0.5 * now + c * before for
+                                        before, now, after in zip([0, *x[:-1]], x, [*x[1:], 0],
+                                                                  strict=True)],
+    "gain": lambda x, y, z, c, d, j: x / (2 + x**2) + 0.01 * j,
+    "worst": lambda x, y, z, c, d, j: 1.0 if any(v > 1 for v in x) else 0.5 * all(y < 2),
+    "around": lambda x, y, z, c, d, j: [x[max(k - d, 0)] for k in range(len(x))],
+    "search": lambda x, y, z, c, d, j: [x[int(abs(v) * len(x)) % len(x)] for v in y],
+    "solve": lambda x, y, z, c, d, j: np.tanh(
+        np.linalg.solve([[z, 1 + x[d] ** 2], [2.0, y[d]]], [1.0, c])[0]
+    ),
+}  # fmt: skip
+
+
 def program(rng, without=()):
     """Return N, instructions, which rows and numbers are remembered, and which numbers are kept."""
     N, rows, numbers, lines = int(rng.integers(12, 40)), 3, 2, []
@@ -29,7 +104,7 @@ def program(rng, without=()):
         b = int(rng.integers(rows))
         s, c = int(rng.integers(numbers)), float(np.round(rng.uniform(-1, 1), 2))
         lines.append((kind, a, b, s, c, int(rng.integers(1, 4))))
-        if kind in ("sum", "max", "pick", "largest", "dot", "worst", "solve"):
+        if kind in NUMBERS:
             numbers += 1
         elif kind in ("scan", "back"):
             rows, numbers = rows + 1, numbers + 1
@@ -50,68 +125,18 @@ def by_jax(of):
         rows, numbers = [r, *carry[0]], [gain, carry[1]]
         for kind, a, b, s, c, d in lines:
             x, y, z = rows[a], rows[b], numbers[s]
-            zeros = jnp.zeros(d)
-            match kind:
-                case "mix":
-                    rows.append(c * x + y)
-                case "product":
-                    rows.append(x * y / (1 + y * y))
-                case "bend":
-                    rows.append(jnp.where(x > 0, x, c * x) - jnp.minimum(jnp.abs(y), 1.0))
-                case "delay":
-                    rows.append(jnp.concatenate([zeros, x[:-d]]))
-                case "ahead":
-                    rows.append(jnp.pad(x[d:], (0, d)))
-                case "flip":
-                    rows.append(x[::-1])
-                case "scan" | "back":
+            if kind not in ("scan", "back"):
+                (numbers if kind in NUMBERS else rows).append(BY_JAX[kind](x, y, z, c, d, j))
+                continue
 
-                    def tick(state, now, c=c):
-                        x, y = now
-                        state = 0.7 * state + x + c * jnp.tanh(y)
-                        return state, state - 0.5 * y
+            def tick(state, now, c=c):
+                x, y = now
+                state = 0.7 * state + x + c * jnp.tanh(y)
+                return state, state - 0.5 * y
 
-                    last, found = jax.lax.scan(tick, 0.1 * z, (x, y), reverse=kind == "back")
-                    rows.append(found)
-                    numbers.append(last)
-                case "sum":
-                    numbers.append(jnp.sum(x) / N)
-                case "max":
-                    numbers.append(jnp.max(x) + jnp.min(y))
-                case "scale":
-                    rows.append(x * (z / (1 + jnp.abs(z))))
-                case "first":
-                    rows.append(x.at[0].set(z))
-                case "pick":
-                    numbers.append(x[d] + c * y[-1])
-                case "cumsum":
-                    rows.append(jnp.cumsum(x) / N)
-                case "cummax":
-                    rows.append(jax.lax.cummax(x))
-                case "cummin":
-                    rows.append(jax.lax.cummin(x, reverse=True))
-                case "difference":
-                    rows.append(jnp.diff(jnp.concatenate([z[None], x])))
-                case "largest":
-                    numbers.append(jnp.argmax(x) / N)
-                case "channels":
-                    both = jnp.stack([x, y], axis=1) @ jnp.array([[1.0, c], [0.2, -0.3]])
-                    rows.append(both[:, 0] * 0.5 + both[:, 1])
-                case "dot":
-                    numbers.append(x @ y / N)
-                case "filter":
-                    rows.append(jnp.convolve(x, jnp.array([0.25, 0.5, c]), mode="same"))
-                case "gain":
-                    rows.append(x / (2 + x * x) + 0.01 * j)
-                case "around":
-                    rows.append(x[jnp.clip(jnp.arange(N) - d, 0, N - 1)])
-                case "search":
-                    rows.append(x[(jnp.abs(y) * N).astype(int) % N])
-                case "solve":  # of which no row is always the first
-                    A = jnp.array([[z, 1 + x[d] ** 2], [2.0, y[d]]])
-                    numbers.append(jnp.tanh(jnp.linalg.solve(A, jnp.array([1.0, c]))[0]))
-                case "worst":
-                    numbers.append(jnp.where(jnp.any(x > 1), 1.0, 0.5 * jnp.all(y < 2)))
+            last, found = jax.lax.scan(tick, 0.1 * z, (x, y), reverse=kind == "back")
+            rows.append(found)
+            numbers.append(last)
         kept = [rows[i] for i in memory]
         kept = [x / (1 + jnp.max(jnp.abs(x))) for x in kept]
         seen = [jnp.arange(1, N + 1) @ x / N for x in rows]  # so that each row is read by somebody
@@ -133,20 +158,6 @@ def by_numpy(of, r, gain):
         rows, numbers = [r, *kept], [gain, carried]
         for kind, a, b, s, c, d in lines:
             x, y, z = rows[a], rows[b], numbers[s]
-            if kind == "mix":
-                rows.append(c * x + y)
-            if kind == "product":
-                rows.append(x * y / (1 + y**2))
-            if kind == "bend":
-                rows.append(
-                    [(v if v > 0 else c * v) - min(abs(w), 1) for v, w in zip(x, y, strict=True)]
-                )
-            if kind == "delay":
-                rows.append([x[k - d] if k >= d else 0 for k in range(N)])
-            if kind == "ahead":
-                rows.append([x[k + d] if k + d < N else 0 for k in range(N)])
-            if kind == "flip":
-                rows.append([x[N - 1 - k] for k in range(N)])
             if kind in ("scan", "back"):
                 state, out = 0.1 * z, np.zeros(N)
                 for k in range(N) if kind == "scan" else range(N - 1, -1, -1):
@@ -154,46 +165,10 @@ def by_numpy(of, r, gain):
                     out[k] = state - 0.5 * y[k]
                 rows.append(out)
                 numbers.append(state)
-            if kind == "sum":
-                numbers.append(sum(x) / N)
-            if kind == "max":
-                numbers.append(max(x) + min(y))
-            if kind == "scale":
-                rows.append(x * z / (1 + abs(z)))
-            if kind == "first":
-                rows.append([z, *x[1:]])
-            if kind == "pick":
-                numbers.append(x[d] + c * y[N - 1])
-            if kind == "cumsum":
-                rows.append([*itertools.accumulate(x / N)])
-            if kind == "cummax":
-                rows.append([max(x[: k + 1]) for k in range(N)])
-            if kind == "cummin":
-                rows.append([min(x[k:]) for k in range(N)])
-            if kind == "difference":
-                rows.append([x[k] - (x[k - 1] if k else z) for k in range(N)])
-            if kind == "largest":
-                numbers.append(list(x).index(max(x)) / N)
-            if kind == "channels":
-                rows.append(0.5 * (x + 0.2 * y) + c * x - 0.3 * y)
-            if kind == "dot":
-                numbers.append(sum(v * w for v, w in zip(x, y, strict=True)) / N)
-            if kind == "filter":
-                wide = [0, *x, 0]
-                rows.append([0.25 * wide[k + 2] + 0.5 * wide[k + 1] + c * wide[k]
-                             for k in range(N)])  # fmt: skip
-            if kind == "gain":
-                rows.append(x / (2 + x**2) + 0.01 * j)
-            if kind == "around":
-                rows.append([x[max(k - d, 0)] for k in range(N)])
-            if kind == "search":
-                rows.append([x[int(abs(v) * N) % N] for v in y])
-            if kind == "solve":
-                A = [[z, 1 + x[d] ** 2], [2.0, y[d]]]
-                numbers.append(np.tanh(np.linalg.solve(A, [1.0, c])[0]))
-            if kind == "worst":
-                numbers.append(1.0 if any(v > 1 for v in x) else 0.5 * all(w < 2 for w in y))
-            rows[-1] = np.asarray(rows[-1], float)
+            elif kind in NUMBERS:
+                numbers.append(BY_NUMPY[kind](x, y, z, c, d, j))
+            else:
+                rows.append(np.asarray(BY_NUMPY[kind](x, y, z, c, d, j), float))
         kept = [rows[i] for i in memory]
         kept = [x / (1 + max(abs(x))) for x in kept]
         carried = np.tanh(numbers[number])
