@@ -23,11 +23,12 @@ from .c import REAL, Printed, field_name, number, printed, started, table, type_
 from .law import Field, Law, said_of_scheme
 
 WRONG_THREAD = -1  # the code of a component of HAL in a thread of another period
-ARGUMENTS = {
-    "begin": "law *l",
-    "sample": "law *l, int k, const law_real y[LAW_OUTPUTS], law_real u[LAW_INPUTS]",
-    "end": "law *l, const law_real y[LAW_OUTPUTS]",
-}
+HEADS = {
+    "begin": "void law_begin(law *l)",
+    "sample": "void law_sample(law *l, int k, const law_real y[LAW_OUTPUTS], "
+              "law_real u[LAW_INPUTS])",
+    "end": "int law_end(law *l, const law_real y[LAW_OUTPUTS])",
+}  # fmt: skip
 MEANING = {
     "begin": "Before the first sample of each trial.",
     "sample": "At sample k = 0 ... LAW_SAMPLES - 1: from the measured output y to the input u.",
@@ -131,8 +132,7 @@ def _header(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) 
     codes = "".join(f"    LAW_{name} = {i}, /* {said} */\n" for i, (name, said) in enumerate(
         zip(guard.CODES, guard.MEANINGS, strict=True)))  # fmt: skip
     limits = ", ".join(number(x, float, single) for x in law.limit)
-    begun = "".join(f"/* {MEANING[name]} */\n{_returns(name)} law_{name}({of});\n\n"
-                    for name, of in ARGUMENTS.items())  # fmt: skip
+    begun = "".join(f"/* {MEANING[name]} */\n{head};\n\n" for name, head in HEADS.items())
     return f"""#ifndef LAW_H
 #define LAW_H
 
@@ -178,10 +178,6 @@ def members_of(fields: Mapping[str, Field], work: Mapping[str, int]) -> list[str
     return members + [f"    {kind} work_{kind}[{room}];" for kind, room in work.items()]
 
 
-def _returns(name: str) -> str:
-    return "int" if name == "end" else "void"
-
-
 def _source(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) -> str:
     parts = ['#include "law.h"\n\n#include <math.h>\n']
     parts.append(f"#define LAW_F(name) {'name##f' if single else 'name'}\n")
@@ -195,10 +191,9 @@ def _source(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) 
         unused = [
             f"    (void) {x};"
             for x in ("k", "y", "l")
-            if x in _words(ARGUMENTS[name]) and x not in _words("\n".join(body.lines))
+            if x in _words(HEADS[name]) and x not in _words("\n".join(body.lines))
         ]
-        head = f"{_returns(name)} law_{name}({ARGUMENTS[name]})"
-        parts.append(comment_of(about) + function_of(head, body, unused))
+        parts.append(comment_of(about) + function_of(HEADS[name], body, unused))
     return "\n" + "\n".join(parts)
 
 

@@ -297,21 +297,16 @@ def _description(block: Block, token: str, sources: Mapping[str, str],
         "fmiVersion": f"{version}.0", "modelName": block.name,
         "guid" if two else "instantiationToken": token, "description": block.about,
         "generationTool": "jaxilc", "variableNamingConvention": "structured"})  # fmt: skip
-    kind = {"modelIdentifier": block.name}
+    state = "FMUstate" if two else "FMUState"
+    kind = {"modelIdentifier": block.name, "canHandleVariableCommunicationStepSize": "true",
+            f"canGetAndSet{state}": "true", f"canSerialize{state}": "true"}  # fmt: skip
+    simulated = add(root, "CoSimulation", kind)
     if two:
-        kind |= {"canHandleVariableCommunicationStepSize": "true", "canGetAndSetFMUstate": "true",
-                 "canSerializeFMUstate": "true"}  # fmt: skip
-        files = add(add(root, "CoSimulation", kind), "SourceFiles")
+        files = add(simulated, "SourceFiles")
         for name in _compiled_files(sources):
             add(files, "File", {"name": name})
     else:
-        kind |= {
-            "canHandleVariableCommunicationStepSize": "true",
-            "canGetAndSetFMUState": "true",
-            "canSerializeFMUState": "true",
-            "fixedInternalStepSize": repr(float(task.dt)),
-        }
-        add(root, "CoSimulation", kind)
+        simulated.set("fixedInternalStepSize", repr(float(task.dt)))
     units = sorted({v.unit for v in block.variables if v.unit} | (set() if two else {"s"}))
     if units:
         into = add(root, "UnitDefinitions")
@@ -339,15 +334,13 @@ def _description(block: Block, token: str, sources: Mapping[str, str],
         add(listed, "Float64", clock | {"causality": "independent", "variability": "continuous"})
     places = [(i, v) for i, v in enumerate(block.variables, 1) if not v.input]
     root.append(structure)
-    if two:
-        for name in ("Outputs", "InitialUnknowns"):
-            into = add(structure, name)
-            for i, _ in places:
+    for name in ("Output", "InitialUnknown"):
+        into = add(structure, f"{name}s") if two else structure
+        for i, v in places:
+            if two:
                 add(into, "Unknown", {"index": str(i)})
-    else:
-        for name in ("Output", "InitialUnknown"):
-            for _, v in places:
-                add(structure, name, {"valueReference": str(_reference(block, v))})
+            else:
+                add(into, name, {"valueReference": str(_reference(block, v))})
     return root
 
 
