@@ -191,6 +191,9 @@ def test_numbers_move_to_other_samples_and_channels_as_by_jax():
         "added": lambda x: x.at[np.array([3, 4, 3, 3, -40])].add(x[:5], mode="drop"),
         "few": lambda x: x + x[np.array([5, 1, 5])].sum(axis=0),
         "beside": lambda x: x.at[:, np.array([1, 1])].add(x),
+        "wide": lambda x: jax.lax.scan(lambda s, v: (s, s + v[0] * jnp.arange(32.0)), 0.0, x)[1][
+            np.array([5, 1, 5])
+        ].sum(),
     }
     x = np.random.default_rng(0).normal(size=(3, 32, 2))
     for name, found, wanted in applied(functions, x):
