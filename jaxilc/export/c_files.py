@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import re
-import textwrap
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -21,6 +20,7 @@ from ..signals.task import Task
 from . import guard
 from .c import REAL, Printed, field_name, number, printed, started, table, type_of
 from .law import Field, Law, said_of_scheme
+from .printer import wrapped
 
 WRONG_THREAD = -1  # the code of a component of HAL in a thread of another period
 HEADS = {
@@ -84,8 +84,8 @@ def files_of(law: Law, about: Sequence[str], digest: str, trials: Sequence[np.nd
 
 
 def comment_of(lines: Sequence[str]) -> str:
-    wrapped = [part for line in lines for part in textwrap.wrap(_plain(line), 94) or [""]]
-    return "/*\n" + "".join(f" * {line}\n".replace(" \n", "\n") for line in wrapped) + " */\n"
+    short = (f" * {line}\n".replace(" \n", "\n") for line in wrapped(map(_plain, lines)))
+    return "/*\n" + "".join(short) + " */\n"
 
 
 def _plain(text: str) -> str:

@@ -479,33 +479,31 @@ class Body(ABC):
             return self.of_reshape(step, ins)
         to = None if math.prod(out.shape) == 1 else self.array(out.shape, out.dtype)
         with self.along(sizes) as outer:
-            total = self.total(step)
+            total = self.total(TOGETHER[step.name], out.dtype)
             with self.along(over) as inner:
-                self.line(self.more(step, total, _at(x, outer | inner)))
+                self.line(self.more(TOGETHER[step.name], total, _at(x, outer | inner), out.dtype))
             if to is not None:
                 self.line(self.assigned(_at(to, outer), total))
         return to or View(total, out.shape)
 
-    def total(self, step: Step) -> str:
+    def total(self, how: str, dtype: np.dtype) -> str:
         """A variable in which numbers are put together, with what it begins with."""
-        name, dtype = self.name("t"), step.outs[0].dtype
-        first = self.number(neutral(TOGETHER[step.name], dtype), dtype)
-        self.set(name, dtype, first, changes=True)
+        name = self.name("t")
+        self.set(name, dtype, self.number(neutral(how, dtype), dtype), changes=True)
         return name
 
-    def more(self, step: Step, total: str, term: str) -> str:
-        how = TOGETHER[step.name]
-        return self.assigned(total, self.together(how, total, term, step.outs[0].dtype))
+    def more(self, how: str, total: str, term: str, dtype: np.dtype) -> str:
+        return self.assigned(total, self.together(how, total, term, dtype))
 
     def in_this_loop(self, step: Step) -> bool:
         """Whether all numbers of the present loop are put together, in the loop itself."""
-        x = step.ins[0]
-        if x not in self.local or math.prod(step.outs[0].shape) != 1:
+        x, out, how = step.ins[0], step.outs[0], TOGETHER[step.name]
+        if x not in self.local or math.prod(out.shape) != 1:
             return False
-        total = self.total(step)
-        self.inner.append(self.more(step, total, self.read(x)))
-        self.views[step.outs[0]] = View(total, step.outs[0].shape)
-        self.unread.add(step.outs[0])
+        total = self.total(how, out.dtype)
+        self.inner.append(self.more(how, total, self.read(x), out.dtype))
+        self.views[out] = View(total, out.shape)
+        self.unread.add(out)
         return True
 
     def together(self, name: str, a: str, b: str, dtype: np.dtype) -> str:
@@ -529,7 +527,7 @@ class Body(ABC):
             self.line(self.assigned(at(to, outer, first), total))
             with self.loop(k, n - 1, back=back):
                 here = k if back else f"{k} + 1"
-                self.line(self.more(step, total, at(x, outer, here)))
+                self.line(self.more(RUNNING[step.name], total, at(x, outer, here), out.dtype))
                 self.line(self.assigned(at(to, outer, here), total))
         return to
 
@@ -547,8 +545,7 @@ class Body(ABC):
                           (*batch, *range(len(axes_a) - len(of_a), len(out.shape)), *summed),
                           strict=True))  # fmt: skip
         with self.along(dict(enumerate(out.shape))) as outer:
-            total = self.name("t")
-            self.set(total, out.dtype, self.number(0.0, out.dtype), changes=True)
+            total = self.total("add", out.dtype)
             with self.along(summed) as inner:
                 known = outer | inner
                 left, right = (
@@ -556,8 +553,7 @@ class Body(ABC):
                     for x, axes in ((a, axes_a), (b, axes_b))
                 )
                 product = self.together("mul", left, right, out.dtype)
-                added = self.together("add", total, product, out.dtype)
-                self.line(self.assigned(total, added))
+                self.line(self.more("add", total, product, out.dtype))
             self.line(self.assigned(_at(to, outer), total))
         return to
 
@@ -667,6 +663,11 @@ def _is_closed(text: str) -> bool:
         if depth == 0:
             return letter == ")" and i == len(text) - 1
     return False
+
+
+def wrapped(lines: Iterable[str]) -> list[str]:
+    """Lines of up to 94 characters; an empty one stays."""
+    return [part for line in lines for part in textwrap.wrap(line, 94) or [""]]
 
 
 def filled(words: Iterable[str]) -> list[str]:

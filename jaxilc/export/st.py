@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import re
-import textwrap
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from ..native.program import Unknown
 from . import guard
 from .c import field_name
 from .law import Law
-from .printer import Body, View, closed, filled, opened
+from .printer import Body, View, closed, filled, opened, wrapped
 
 BYTES = {"LREAL": 8, "LINT": 8, "DINT": 4, "UDINT": 4, "BOOL": 1}
 TYPES = {"f": "LREAL", "b": "BOOL", "int32": "DINT", "int64": "LINT", "uint32": "UDINT"}
@@ -292,12 +291,8 @@ def function_block(law: Law, about: Sequence[str], digest: str) -> FunctionBlock
         for name, (kind, numbers) in declared.constants.items()
         for line in (f"    {name} : {_many(kind, len(numbers))} := [", *filled(numbers), "    ];")
     ]
-    said = "".join(
-        f"   {line}\n"
-        for line in _wrapped(
-            [*about, f"certificate {digest}", *(one.format(N=task.N) for one in ABOUT)]
-        )
-    )
+    told = [*about, f"certificate {digest}", *(one.format(N=task.N) for one in ABOUT)]
+    said = "".join(f"   {line}\n" for line in wrapped(map(_plain, told)))
     codes = "".join(f"   {i} {meaning}\n" for i, meaning in enumerate(guard.MEANINGS))
     of_y, of_u = (_plain(unit) or "1" for unit in (task.unit, task.input_unit))
     join = "\n".join
@@ -374,7 +369,3 @@ def _many(kind: str, count: int) -> str:
 def _plain(text: str) -> str:
     """A text that neither ends a comment nor begins another."""
     return text.replace("*)", "* )").replace("(*", "( *")
-
-
-def _wrapped(lines: Sequence[str]) -> list[str]:
-    return [part for line in lines for part in textwrap.wrap(_plain(line), 94) or [""]]
