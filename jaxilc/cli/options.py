@@ -389,20 +389,14 @@ def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
     A parameter of the function whose type is a dataclass is a group: the command has an option for
     each of its fields, and the function gets the object.
     """
-    hints = get_type_hints(function, include_extras=True)
-    shown: dict[str, inspect.Parameter] = {}
+    shown: list[inspect.Parameter] = []
     groups: dict[str, tuple[type, list[str]]] = {}
-    for parameter in inspect.signature(function).parameters.values():
-        kind = hints[parameter.name]
-        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
-            of_group = get_type_hints(kind, include_extras=True)
-            groups[parameter.name] = kind, [one.name for one in dataclasses.fields(kind)]
-            for one in dataclasses.fields(kind):
-                missing = one.default is dataclasses.MISSING
-                default = inspect.Parameter.empty if missing else one.default
-                shown[one.name] = _option(one.name, of_group[one.name], default)
-        else:
-            shown[parameter.name] = _option(parameter.name, kind, parameter.default)
+    for one in _parameters(function):
+        of_group = [one]
+        if dataclasses.is_dataclass(kind := one.annotation):
+            of_group = _parameters(kind)
+            groups[one.name] = kind, [option.name for option in of_group]
+        shown += of_group
 
     @functools.wraps(function)
     def command(**values: Value) -> None:
@@ -412,7 +406,7 @@ def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
         }
         function(**of_groups, **values)
 
-    ordered = sorted(shown.values(), key=lambda one: one.default is not inspect.Parameter.empty)
+    ordered = sorted(shown, key=lambda one: one.default is not inspect.Parameter.empty)
     made: Value = command
     made.__signature__ = inspect.Signature(ordered)
     made.__annotations__ = {one.name: one.annotation for one in ordered}
@@ -420,8 +414,11 @@ def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
     app.command(name, rich_help_panel=panel)(command)
 
 
-def _option(name: str, kind: object, default: object) -> inspect.Parameter:
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:
+    """The parameters of a function, or of a class for its fields, with the types that they name."""
+    hints = get_type_hints(function, include_extras=True)
+    given = inspect.signature(function).parameters.values()
+    return [one.replace(annotation=hints[one.name], kind=one.KEYWORD_ONLY) for one in given]
 
 
 # Options that have another name since this version: they are taken, with a warning
