@@ -26,6 +26,26 @@ def call(*words):
     return code, out.getvalue(), err.getvalue()
 
 
+def done(*words):
+    """Run `jaxilc`, which must end without an error; return what it printed."""
+    code, out, err = call(*words)
+    assert code == 0, err
+    return out
+
+
+def refused(*words):
+    """Run `jaxilc`, which must refuse that; return its message, the last line."""
+    code, _, err = call(*words)
+    *_, said = err.splitlines()
+    assert (code, said[:7]) == (2, "error: "), err
+    return said
+
+
+def flat(text):
+    """Return a text without the ends of its lines."""
+    return " ".join(text.split())
+
+
 def write_columns(path, header, *columns):
     """Write a measured file: columns of numbers below a header."""
     np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="")

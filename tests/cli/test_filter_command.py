@@ -6,7 +6,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from command import call, mistakes, write_columns
+from command import call, done, flat, mistakes, refused, write_columns
 
 from jaxilc.filters import ZeroPhaseButterworth
 from jaxilc.outcomes import filter_, filter_measured
@@ -88,13 +88,12 @@ def test_the_answer_for_a_machine(here, monkeypatch, value, proof, said, bound):
     monkeypatch.setattr("jaxilc.outcomes.filtering._lead_of", lambda *_: 0.0)
     asked = ("--vary", "machine.plant.gain=15%", "--report", "o.json", "--out", "o")
     asked += ("--set", "plant.poles[0]=61", "--set", "ilc.scheme.lead=2", "--taps", "3")
-    code, out, err = call("filter", "axis.toml", *asked)
-    assert code == 0, err
+    out = done("filter", "axis.toml", *asked)
     found = json.loads((here / "o.json").read_text())["schemes"]["ilc"]
     assert (found["peak"], found["safe"]) == (bound, bound < 1)
     assert found["machine"] == {"plant.gain": 0.85}
     assert found["offers"][0]["set"] == better
-    text = " ".join(out.split())
+    text = flat(out)
     assert said in text
     rest = "proved for all of them" if np.isfinite(proof.bound) else "on the machines tried"
     assert f"Synthesised with 3 taps: |Q (1 - L P)| is at most {bound:g} ({rest})" in text
@@ -107,10 +106,8 @@ def test_the_answer_for_a_machine(here, monkeypatch, value, proof, said, bound):
 
 
 def test_the_answer_for_a_record(here):
-    code, out, _ = call("filter", "a.csv", *LAW, "--report", "o.json")
-    assert code == 0
+    said = flat(done("filter", "a.csv", *LAW, "--report", "o.json"))
     found = json.loads((here / "o.json").read_text())
-    said = " ".join(out.split())
     assert "Safe on every line with 3 standard deviations" in said
     assert "Between the lines, below the first and above the last nothing is proved" in said
     f = np.arange(1.0, 200.0)
@@ -127,8 +124,7 @@ def test_a_record_without_scatter_is_not_said_to_be_safe_with_it(here):
     for name, std in (("bare.csv", ""), ("zero.csv", ",std")):
         P = 1 / (1 + 2j * np.pi * f / 80)
         write_columns(name, f"f [Hz],re,im{std}", f, P.real, P.imag, *[0 * f] * bool(std))
-        _, out, _ = call("filter", name, *LAW)
-        said = " ".join(out.split())
+        said = flat(done("filter", name, *LAW))
         assert "Safe on every line: |Q (1 - L P)| is at most" in said
         assert f"{name}: no scatter of its lines is told, so that none is allowed for" in said
         assert not any(text in said for text in ("deviations", "included", "|Q L| s"))
@@ -155,8 +151,7 @@ def test_the_next_command_for_a_record_asks_the_same(here):
     write_columns("c.csv", "f [Hz],re,im,coherence", f, 1 / (1 + (f / 800) ** 2), 0 * f, c)
     asked = {"sigmas": 2.0, "averages": 100, "margin": 0.2}
     found = filter_measured(["c.csv"], gain=0.5, cutoff=300.0, dt=dt, **asked)
-    code, out, _ = call(*shlex.split(found.verdict.following)[1:], "--report", "o.json")
-    assert code == 0, out
+    done(*shlex.split(found.verdict.following)[1:], "--report", "o.json")
     peak = json.loads((here / "o.json").read_text())["peak"]
     assert peak == pytest.approx(max(one["peak"] for one in found.numbers["offers"]), rel=1e-9)
 
@@ -172,7 +167,7 @@ def test_the_file_tells_the_averages_behind_its_coherence(here):
             assert (code, out) == (2, "")
             assert "write it into the heading, as `coherence [16 averages]`" in err
     assert (code, err) == (0, "")
-    assert "scatter and the doubt of 20 averages: |Q" in " ".join(out.split())
+    assert "scatter and the doubt of 20 averages: |Q" in flat(out)
     assert "--averages" not in out
     peak = json.loads((here / "o.json").read_text())["peak"]
     Q = 1 / (1 + (np.tan(np.pi * f * 1e-3) / np.tan(np.pi * 0.03)) ** 4)
@@ -216,9 +211,7 @@ a.csv --gain 1 --cutoff 30 --dt 0.001 --scheme ilc => --scheme is for a scenario
 """),
 )
 def test_what_is_refused(here, words, message):
-    code, _, err = call("filter", *words)
-    assert code == 2
-    assert message in err
+    assert message in refused("filter", *words)
     assert not (here / "out").exists()
 
 

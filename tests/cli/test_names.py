@@ -8,7 +8,7 @@ import json
 import re
 
 import pytest
-from command import call
+from command import call, refused
 
 from jaxilc import figures, scenarios
 from jaxilc.scenarios.from_file import read_scenario
@@ -134,12 +134,9 @@ def test_brackets_and_colons_of_the_user_are_printed_as_they_are(tmp_path, unpai
     assert (code, err) == (0, "")
     assert title in out
     assert re.search(r"written: .*o\[b\]:x:/error-by-trial\.png", out)
-    code, _, err = call("run", tmp_path / "[red]none[/].json")
-    assert code == 2
-    assert "[red]none[/].json: no such file" in err
-    code, _, err = call("run", "cao-2019", "--scheme", "\x1b[31m:x:")
-    assert code == 2
-    assert r"scheme = '\x1b[31m:x:' is not one of" in err
+    assert "[red]none[/].json: no such file" in refused("run", tmp_path / "[red]none[/].json")
+    said = refused("run", "cao-2019", "--scheme", "\x1b[31m:x:")
+    assert r"scheme = '\x1b[31m:x:' is not one of" in said
 
 
 def test_every_scheme_of_a_figure_has_a_place_in_its_legend(tmp_path):
