@@ -396,18 +396,13 @@ def certify_verdict(
                 f"{since_words(row)}learning {_how(row)}{senses_words(row)} and leaves "
                 f"{left_words(row, scale, case.unit)}"
             )
-            first = np.inf if row["first"] is None else row["first"]
-            if not (row["floor"] >= first or (row["quantile"] or 0.0) >= first):
-                certified.append(name)
-                said.append(
-                    f"{name} is certified on {_all(machines)}: {what}.{transient_words(row)}"
-                )
+            first, does = row["first"], "is certified"
+            if first is not None and (row["floor"] >= first or (row["quantile"] or 0.0) >= first):
+                does = "is no gain"
+                what += f", where the first trial has {case.size(scale * first)}"
             else:
-                first = f"{number(scale * row['first'])} {case.unit}".rstrip()
-                said.append(
-                    f"{name} is no gain on {_all(machines)}: {what}, where the first trial has "
-                    f"{first}.{transient_words(row)}"
-                )
+                certified.append(name)
+            said.append(f"{name} {does} on {_all(machines)}: {what}.{transient_words(row)}")
         else:
             claim = DIVERGES if claims[DIVERGES] else NOTHING
             does = "diverges" if claims[DIVERGES] else "is not certified"
@@ -577,20 +572,15 @@ def period_sentences(name: str, numbers: Numbers) -> list[str]:
     if numbers["tracked"]:
         period += f", which is tracked and changes by {number(numbers['tracked'])} s/s at most,"
     whose, worst = _machines(numbers)
-    times, L = (
-        f"{number(several)} " if several > 1 else "",
-        "L" if parallel == 1 else f"{parallel} L",
-    )
+    times = f"{number(several)} " if several > 1 else ""
+    L = "L" if parallel == 1 else f"{parallel} L"
     value = (
         f"{times}|Q (1 - {L} T)| is at most "
         f"{number(numbers['condition'])}, at {number(numbers['condition_at'])} Hz{worst}"
     )
     if numbers["verdict"] == HOLDS:
-        moving = (
-            "stays bounded whatever is tracked, and once that is constant "
-            if numbers["tracked"]
-            else ""
-        )
+        moving = "stays bounded whatever is tracked, and once that is constant "
+        moving *= bool(numbers["tracked"])
         head = f"{moving}converges from period to period of {period} on {whose}: {value}"
     else:
         why = f"; not held is {'; '.join(numbers['reasons'])}" if numbers["reasons"] else ""

@@ -461,7 +461,8 @@ def _grown_response(
             best = identification.best_order(compared)
             P = best.found.simulated[:, 0]
             if criterion(measured, chosen, P, best.parameters) <= chosen.bic + AS_GOOD:
-                return best.found, _structure(best), [orders_table(compared, best, dt)], ()
+                structure = {"poles": best.poles, "pairs": best.pairs, "zeros": best.zeros}
+                return best.found, structure, [orders_table(compared, best, dt)], ()
     noise = share_of_noise(measured, chosen, dt)
     told = bool(np.any(measured.std))
     known = told and measured.averages_known
@@ -471,10 +472,6 @@ def _grown_response(
     structure |= {"within_10_percent": chosen.within[0], "within_30_percent": chosen.within[1]}
     structure |= {"unweighted_fit": chosen.fit, "share_of_noise": noise}
     return found, structure, tables, tuple(on_lines(orders, chosen, noise, known, told=told))
-
-
-def _structure(best: Order) -> Numbers:
-    return {"poles": best.poles, "pairs": best.pairs, "zeros": best.zeros}
 
 
 def identification_table(title: str, rows: Sequence[tuple[str, float, float, float]]) -> Table:
@@ -541,10 +538,8 @@ def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) 
     rms is that of the residual in the unit of the output; of a frequency response, divided by the
     standard deviation of each line. A delay is in samples of dt, or else in ms.
     """
-    of_response, delayed = (
-        best.found.of_response,
-        any(_delay(one.found.plant) > 0 for one in orders),
-    )
+    of_response = best.found.of_response
+    delayed = any(_delay(one.found.plant) > 0 for one in orders)
     shown = list(orders)
     if len(shown) > MOST_ORDERS:
         shown = sorted(shown, key=lambda one: one.bic)[:MOST_ORDERS]
