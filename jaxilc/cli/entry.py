@@ -235,12 +235,10 @@ _watching: list[threading.Thread] = []
 
 def heed() -> None:
     """Watch for Ctrl-C from now on; only the main thread of a program can."""
-    if threading.current_thread() is not threading.main_thread() or os.name == "nt":
+    if threading.current_thread() is not threading.main_thread() or os.name == "nt" or _watching:
         return
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return  # ignored, as by what a shell starts in the background, or a host's own
-    if _watching:
-        return
     seen, told = os.pipe()
     os.set_blocking(told, False)
     signal.set_wakeup_fd(told, warn_on_full_buffer=False)

@@ -426,7 +426,8 @@ def verdict(
     best, least = min((one for one in errors if one[0] >= changed), key=lambda one: one[1])
     said = f"verdict: trial {trial} has an RMS error of {error:.4g} {unit}".rstrip()
     if len(errors) > 1 and begun:
-        said += f", {_share(error, begun)} of that of trial {first}"
+        share = f"{error / begun:.3g} times" if error > begun else f"{error / begun:.2%}"
+        said += f", {share} of that of trial {first}"
     if stop is not None and error <= stop:
         below = f"{stop:.3g} {unit}".rstrip()
         return [
@@ -449,10 +450,6 @@ def verdict(
         said += f"; it has not fallen by {LITTLE:.0%} in any {PATIENCE} trials: learning is slow, "
         said += "or has nothing left to learn"
     return [said]
-
-
-def _share(error: float, begun: float) -> str:
-    return f"{error / begun:.3g} times" if error > begun else f"{error / begun:.2%}"
 
 
 def next_command(

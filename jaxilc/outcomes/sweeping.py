@@ -513,18 +513,13 @@ def _maps(
     draw = partial(figures.grid_map, whole, best=[*best], marks=marks, **chosen.look)
     maps = {name: Figure(MAPS[name], partial(draw, shows=of)) for name, of in shows.items()}
     if nominal is not None:
-        at = _first(best).point
+        at = min(best, key=lambda of: of.rank).point
         longest = sorted(at, key=lambda axis: -whole.sizes[axis])
         others = {axis: [at[axis]] for axis in longest[2:]}
         bounds = nominal.sel(others)
         by_trial = partial(figures.contraction_map, whole.sel(others), bounds=bounds, marks=marks)
         maps["contraction"] = Figure(MAPS["contraction"], by_trial)
     return maps
-
-
-def _first(best: Sequence[BestPoint]) -> BestPoint:
-    """The best of the best points of all schemes."""
-    return min(best, key=lambda of: of.rank)
 
 
 def _at(request: Request, dataset: xr.Dataset, best: BestPoint) -> Request:

@@ -56,17 +56,15 @@ def objective_of(text: str, metric: str, scale: Callable[[str], float]) -> Objec
     from ..tuning import objectives as o
 
     kinds = {
-        "final": lambda m, x: o.Final(m, None if x is None else _whole("final", x)),
-        "every-trial": lambda m, x: o.EveryTrial(m),
-        "holding": lambda m, x: o.Holding(1 if x is None else _whole("holding", x), m),
+        "final": lambda m, x: o.Final(m, x and _whole("final", x)),
+        "every-trial": lambda m, _: o.EveryTrial(m),
+        "holding": lambda m, x: o.Holding(_whole("holding", x or "1"), m),
         "trials-to": lambda m, x: o.TrialsTo(_positive("trials-to", x) / scale(m), m),
-        "growth": lambda m, x: o.Growth(m, 1 if x is None else _whole("growth", x)),
-        "effort": lambda m, x: o.Effort(1.0 if x is None else _positive("effort", x)),
-        "input-rate": lambda m, x: o.InputRate(1.0 if x is None else _positive("input-rate", x)),
-        "contraction": lambda m, x: o.Contraction(
-            1.0 if x is None else _positive("contraction", x)
-        ),
-        "d2": lambda m, x: o.D2(1.0 if x is None else _positive("d2", x)),
+        "growth": lambda m, x: o.Growth(m, _whole("growth", x or "1")),
+        "effort": lambda _, x: o.Effort(_positive("effort", x or "1")),
+        "input-rate": lambda _, x: o.InputRate(_positive("input-rate", x or "1")),
+        "contraction": lambda _, x: o.Contraction(_positive("contraction", x or "1")),
+        "d2": lambda _, x: o.D2(_positive("d2", x or "1")),
     }
     total: o.Objective = o.Sum(())
     for term in re.split(r"(?<![\d.][eE])\+", text):  # a number may be 1e+3

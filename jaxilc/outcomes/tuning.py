@@ -265,7 +265,8 @@ def tuning_tables(scenario: Scenario, numbers: Numbers) -> list[Table]:
         )
         for j in rows["given"]:
             given, tuned = (rows[which][j] for which in WHICH)
-            ratios = (_ratio(given[q], tuned[q]) for q in ("median", "worst"))
+            both = ((given[q], tuned[q]) for q in ("median", "worst"))
+            ratios = (number(one / other) if other else "–" for one, other in both)
             table.add_row(j, quantiles(given), quantiles(tuned), *ratios)
         found.append(table)
     return found
@@ -331,10 +332,6 @@ def quantiles(row: dict[str, float]) -> str:
 
 def _share(share: float) -> str:
     return {0.0: "none", 1.0: "all"}.get(share) or share_text(share)
-
-
-def _ratio(one: float, other: float) -> str:
-    return number(one / other) if other else "–"
 
 
 def tune_verdict(case: Case, numbers: Numbers, params: Path, *, by_last: bool = True) -> Verdict:
