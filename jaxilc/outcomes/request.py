@@ -34,7 +34,6 @@ REPEATED = {
     "next": ("set", "params"),
     "list": (),
 }
-NAMES_ITS_FILE = {"next": "--scenario"}  # commands that take the scenario by an option
 
 
 @dataclasses.dataclass(frozen=True)
@@ -217,9 +216,7 @@ class Request:
 
     def following(self, command: str, *words: str, scheme: str = "", **changed: object) -> str:
         """The words of a command for the same scenario; an option changed to None is left out."""
-        line = ["jaxilc", command]
-        option = NAMES_ITS_FILE.get(command)
-        line += [option] if option else []
+        line = ["jaxilc", command, *(["--scenario"] if command == "next" else [])]
         line.append(f"./{self.source}" if self.source.startswith("-") else self.source)
         line += ["--scheme", scheme] if scheme else []
         return shlex.join([*line, *self.repeated(command, **changed), *words])

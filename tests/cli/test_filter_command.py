@@ -46,15 +46,22 @@ filter = { class = "ZeroPhaseButterworth", cutoff = 20.0 }
 """
 pytestmark = pytest.mark.usefixtures("compiled_once")
 LAW = ("--gain", 0.5, "--lead", 2, "--cutoff", 30, "--dt", 0.001)
+LINES = np.arange(1.0, 200.0)  # [Hz] of a plant, and of L and Q of that law
+PLANT = 1 / (1 + 2j * np.pi * LINES / 80)
+L = 0.5 * np.exp(2j * np.pi * LINES * 3e-3)
+Q = 1 / (1 + (np.tan(np.pi * LINES * 1e-3) / np.tan(np.pi * 0.03)) ** 4)
+
+
+def write_response(path, scatter="", *columns):
+    """Write the measured response of that plant, with columns that tell its scatter."""
+    write_columns(path, f"f [Hz],re,im{scatter}", LINES, PLANT.real, PLANT.imag, *columns)
 
 
 @pytest.fixture
 def here(tmp_path, monkeypatch, unpainted):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "axis.toml").write_text(AXIS)
-    f = np.arange(1.0, 200.0)
-    P = 1 / (1 + 2j * np.pi * f / 80)
-    write_columns("a.csv", "f [Hz],re,im,std", f, P.real, P.imag, 0.02 * np.abs(P))
+    write_response("a.csv", ",std", 0.02 * np.abs(PLANT))
     return tmp_path
 
 
@@ -110,20 +117,15 @@ def test_the_answer_for_a_record(here):
     found = json.loads((here / "o.json").read_text())
     assert "Safe on every line with 3 standard deviations" in said
     assert "Between the lines, below the first and above the last nothing is proved" in said
-    f = np.arange(1.0, 200.0)
-    Q = 1 / (1 + (np.tan(np.pi * f * 1e-3) / np.tan(np.pi * 0.03)) ** 4)
-    LP = 0.5 * np.exp(2j * np.pi * f * 3e-3) / (1 + 2j * np.pi * f / 80)
-    robust = Q * (np.abs(1 - LP) + 3 * 0.02 * np.abs(LP))
+    robust = Q * (np.abs(1 - L * PLANT) + 3 * 0.02 * np.abs(L * PLANT))
     assert found["peak"] == pytest.approx(np.max(robust), rel=1e-9)
     assert "Next: jaxilc filter a.csv --gain 0.5" in said
 
 
 def test_a_record_without_scatter_is_not_said_to_be_safe_with_it(here):
     """Lines of re and im alone were "safe with 3 standard deviations", "scatter included"."""
-    f = np.arange(1.0, 200.0)
-    for name, std in (("bare.csv", ""), ("zero.csv", ",std")):
-        P = 1 / (1 + 2j * np.pi * f / 80)
-        write_columns(name, f"f [Hz],re,im{std}", f, P.real, P.imag, *[0 * f] * bool(std))
+    for name, *std in (("bare.csv",), ("zero.csv", ",std", 0 * LINES)):
+        write_response(name, *std)
         said = flat(done("filter", name, *LAW))
         assert "Safe on every line: |Q (1 - L P)| is at most" in said
         assert f"{name}: no scatter of its lines is told, so that none is allowed for" in said
@@ -158,10 +160,8 @@ def test_the_next_command_for_a_record_asks_the_same(here):
 
 def test_the_file_tells_the_averages_behind_its_coherence(here):
     """They were asked for by an option that no help shows, and that warned when it was given."""
-    f, c = np.arange(1.0, 200.0), np.full(199, 0.99)
-    P = 1 / (1 + 2j * np.pi * f / 80)
     for heading in ("coherence", "coherence [20 averages]"):
-        write_columns("c.csv", f"f [Hz],re,im,{heading}", f, P.real, P.imag, c)
+        write_response("c.csv", f",{heading}", np.full(199, 0.99))
         code, out, err = call("filter", "c.csv", *LAW, "--report", "o.json")
         if heading == "coherence":
             assert (code, out) == (2, "")
@@ -170,12 +170,10 @@ def test_the_file_tells_the_averages_behind_its_coherence(here):
     assert "scatter and the doubt of 20 averages: |Q" in flat(out)
     assert "--averages" not in out
     peak = json.loads((here / "o.json").read_text())["peak"]
-    Q = 1 / (1 + (np.tan(np.pi * f * 1e-3) / np.tan(np.pi * 0.03)) ** 4)
-    L = 0.5 * np.exp(2j * np.pi * f * 3e-3)
     # the F distribution with 2 and 38 degrees of freedom exceeds x with (1 + x / 19)^-19
-    std = np.abs(P) * np.sqrt(0.01 / 0.99 / 19)
+    std = np.abs(PLANT) * np.sqrt(0.01 / 0.99 / 19)
     s = std * np.sqrt(19 * (np.exp(9 / 19) - 1))
-    assert peak == pytest.approx(np.max(Q * (np.abs(1 - L * P) + 0.5 * s)), rel=1e-9)
+    assert peak == pytest.approx(np.max(Q * (np.abs(1 - L * PLANT) + 0.5 * s)), rel=1e-9)
 
 
 def test_records_of_one_name_in_several_folders_are_told_apart(here):

@@ -21,6 +21,8 @@ PLANTS = {  # other plants that the comments speak of, with what the file's plan
     "state_space": "A = [[-40.0]]\nB = [[40.0]]\nC = [[1.0]]",
     "VoiceCoil": "",
 }
+S = np.clip(np.arange(401) / 200, 0, 1)
+MOVE = 5 * (10 * S**3 - 15 * S**4 + 6 * S**5)  # a set-point
 
 
 @pytest.fixture(autouse=True)
@@ -59,24 +61,22 @@ def test_a_set_point_is_corrected_from_the_error_of_the_drive_on(tmp_path):
 
 
 def recorded(folder, w=30.16, dt=0.005):
-    """Write a move of a drive that SciPy simulates; return its set-point and position.
+    """Write the move of a drive that SciPy simulates; return its position.
 
     w: square root of its stiffness per mass [rad/s];  dt: sample time [s]
     """
     drive = scipy.signal.tf2ss([w * w], [1.0, 1.2 * w, w * w])
     A, B, C, *_ = scipy.signal.cont2discrete(drive, dt)
-    s = np.clip(np.arange(401) / 200, 0, 1)
-    r = 5 * (10 * s**3 - 15 * s**4 + 6 * s**5)
     x, y = np.zeros((2, 1)), [0.0]
-    for held in r[:-1]:
+    for held in MOVE[:-1]:
         x = A @ x + B * held
         y.append((C @ x).item())
     rows = [
         f"{1e3 * dt * k:g};{a:.9g};{b:.9g}".replace(".", ",")
-        for k, (a, b) in enumerate(zip(r, y, strict=True))
+        for k, (a, b) in enumerate(zip(MOVE, y, strict=True))
     ]
     (folder / "move.csv").write_text("time [ms];set [mm];pos_act [mm]\n" + "\n".join(rows))
-    return r, np.array(y)
+    return np.array(y)
 
 
 def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
@@ -84,7 +84,7 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
 
     It is that up to 6 %, which the filter leaves out of the reference; the stroke is 20 times it.
     """
-    r, y = recorded(tmp_path)
+    y = recorded(tmp_path)
     columns = ("--time", "time", "--input", "set", "--output", "pos_act")
     way = ("init", "--set-point", "--record", "move.csv", *columns, "plants/drive.toml")
     code, out, err = call(*way)
@@ -93,9 +93,9 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
     assert "is assumed" not in out
     made = read_scenario(tmp_path / "plants" / "drive.toml")
     assert (made.task.dt, made.task.unit, made.task.input_unit) == (0.005, "mm", "mm")
-    np.testing.assert_allclose(np.asarray(made.task.reference)[:, 0], r, atol=1e-8)
+    np.testing.assert_allclose(np.asarray(made.task.reference)[:, 0], MOVE, atol=1e-8)
     errors = np.asarray(learn(made.machine, made.schemes["ilc"], made.task, 8).metrics.rms)[:, 0]
-    np.testing.assert_allclose(errors[0], np.sqrt(np.mean((r - y)[1:] ** 2)), rtol=0.1)
+    np.testing.assert_allclose(errors[0], np.sqrt(np.mean((MOVE - y)[1:] ** 2)), rtol=0.1)
     assert errors[-1] < 0.02 * errors[0]
     move = (tmp_path / "move.csv").read_text()
     (tmp_path / "um.csv").write_text(move.replace("act [mm]", "act [um]"))
@@ -111,7 +111,7 @@ def test_a_recorded_move_gives_the_file_of_a_set_point(tmp_path):
     ):
         assert said in refused(*wrong)
         assert not (tmp_path / "b.toml").exists()
-    write_columns("far.csv", "t,u,y", 0.005 * np.arange(len(r)), r + 100, y + 100)
+    write_columns("far.csv", "t,u,y", 0.005 * np.arange(401), MOVE + 100, y + 100)
     said = refused("init", "--set-point", "--record", "far.csv", "b.toml")
     assert "far.csv: u begins at 100, where the move must begin at 0" in said
     assert not (tmp_path / "b.toml").exists()
@@ -155,10 +155,8 @@ def test_the_law_of_a_record_stays_where_the_record_shows_the_drive(tmp_path):
     slow, fast = np.array([1, 1.2 * w, w * w]), np.array([1, 0.06 * v, v * v])
     top = np.polyadd(0.7 * w * w * fast, 0.3 * v * v * slow)
     b, a, _ = scipy.signal.cont2discrete((top, np.polymul(slow, fast)), dt)
-    s = np.clip(np.arange(401) / 200, 0, 1)
-    r = 5 * (10 * s**3 - 15 * s**4 + 6 * s**5)
-    y = scipy.signal.lfilter(b[0], a, r) + 1e-4 * np.random.default_rng(0).normal(size=401)
-    write_columns("move.csv", "t [s],u [mm],y [mm]", dt * np.arange(401), r, y)
+    y = scipy.signal.lfilter(b[0], a, MOVE) + 1e-4 * np.random.default_rng(0).normal(size=401)
+    write_columns("move.csv", "t [s],u [mm],y [mm]", dt * np.arange(401), MOVE, y)
     code, out, err = call("init", "--set-point", "--record", "move.csv", "a.toml")
     assert (code, err) == (0, "")
     for said in ("The residual is not white", "is not significant", "jaxilc filter T.csv --gain"):

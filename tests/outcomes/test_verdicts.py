@@ -655,10 +655,14 @@ def test_a_trade_off_says_which_of_its_tunings_had_not_ended(tmp_path):
     )
 
 
+def searched(**found):
+    """Return a search, with what it found in place of the usual, and the numbers of it alone."""
+    search = {"value": 7.0, "loss": 1.0, "set": ["x=1"], "needed": 24, "over_noise": None} | found
+    return search, {"nominal": 2.0, "trial": 15, "searches": {"gradient": search}}
+
+
 def test_worst_case_leads_to_its_machine():
-    search = {"value": 7.0, "loss": 1.0, "set": ["machine.plant.poles[0]=7.5"], "numbers": {}}
-    search |= {"needed": 24, "over_noise": None}
-    numbers = {"nominal": 2.0, "trial": 15, "searches": {"gradient": search}}
+    search, numbers = searched(set=["machine.plant.poles[0]=7.5"])
     found = worst_case_verdict(OF_TUNING._replace(tolerance=5.0), "c", numbers)
     assert found.said == (
         "c: the worst machine has a settled error of 7 µm in trial 15, 3.5 times that of the "
@@ -698,8 +702,7 @@ def test_worst_case_leads_to_its_machine():
 
 def test_a_worst_machine_with_noise_is_judged_by_many_draws_of_it():
     """Within the tolerance with the draw that was searched with, but not with 5 % of others."""
-    search = {"value": 7.0, "over_noise": 9.0, "loss": 1.0, "set": ["x=1"], "needed": 24}
-    numbers = {"nominal": 2.0, "trial": 15, "searches": {"gradient": search}}
+    search, numbers = searched(over_noise=9.0)
     said = worst_case_verdict(OF_TUNING._replace(tolerance=8.0), "c", numbers).said
     assert said[1:] == (
         "That is with one draw of its noise: with 100 others, the error that 95% of them do not "
@@ -712,8 +715,7 @@ def test_a_worst_machine_with_noise_is_judged_by_many_draws_of_it():
 
 
 def test_where_nothing_that_is_drawn_matters_no_machine_is_the_worst():
-    search = {"loss": 1.0, "value": 2.0005, "needed": 24, "set": ["x=1"], "over_noise": None}
-    numbers = {"nominal": 2.0, "trial": 15, "searches": {"gradient": search}}
+    search, numbers = searched(value=2.0005)
     found = worst_case_verdict(OF_TUNING._replace(tolerance=5.0), "c", numbers)
     assert found.said[0] == (
         "c: of the machines that were tried none is worse by 0.1 % than the nominal one, whose "
@@ -735,9 +737,7 @@ def test_a_search_within_two_standard_deviations_says_what_it_draws_and_how_many
         "the machines lie, and its draws are spread evenly there, unlike those of a sweep."
     )
     assert "of b, c, beyond which 8.9 % of" in outside({"b": normal, "c": normal})[1]
-    search = {"value": 7.0, "over_noise": None, "loss": 1.0, "set": ["x=1"], "needed": 24}
-    numbers = {"nominal": 2.0, "trial": 15, "searches": {"gradient": search}}
-    assert worst_case_verdict(OF_TUNING, "c", numbers, said).said[-1] == said
+    assert worst_case_verdict(OF_TUNING, "c", searched()[1], said).said[-1] == said
 
 
 # reproduce
