@@ -392,8 +392,8 @@ def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
     shown: list[inspect.Parameter] = []
     groups: dict[str, tuple[type, list[str]]] = {}
     for one in _parameters(function):
-        of_group = [one]
-        if dataclasses.is_dataclass(kind := one.annotation):
+        of_group, kind = [one], one.annotation
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
             of_group = _parameters(kind)
             groups[one.name] = kind, [option.name for option in of_group]
         shown += of_group

@@ -461,8 +461,8 @@ def _grown_response(
             best = identification.best_order(compared)
             P = best.found.simulated[:, 0]
             if criterion(measured, chosen, P, best.parameters) <= chosen.bic + AS_GOOD:
-                structure = {"poles": best.poles, "pairs": best.pairs, "zeros": best.zeros}
-                return best.found, structure, [orders_table(compared, best, dt)], ()
+                real: Numbers = {"poles": best.poles, "pairs": best.pairs, "zeros": best.zeros}
+                return best.found, real, [orders_table(compared, best, dt)], ()
     noise = share_of_noise(measured, chosen, dt)
     told = bool(np.any(measured.std))
     known = told and measured.averages_known
