@@ -225,8 +225,8 @@ class TimedState(NamedTuple):
 class NonlinearSystem(Plant):
     """A system that is given by two functions, as `control.nlsys` takes them.
 
-        continuous:  dx/dt  = update(t, x, u, parameters),  y = read(t, x, 0, parameters)
-        discrete:    x[k+1] = update(t, x, u, parameters),  y = read(t, x, 0, parameters)
+        continuous:  dx/dt  = update(t, x, u, parameters),  y = read(t, x, parameters)
+        discrete:    x[k+1] = update(t, x, u, parameters),  y = read(t, x, parameters)
 
     A continuous system is integrated by the classical Runge-Kutta method of order 4 under an input
     that is held over the sample, in ceil(dt / substep) equal steps a sample.
@@ -234,7 +234,7 @@ class NonlinearSystem(Plant):
     parameters: numbers by name; each is a leaf, so that it can be drawn, tuned and differentiated
     x0:         (n,) initial state
     update:     function (t, x, u, parameters) -> (n,), which JAX can trace
-    read:       function (t, x, u, parameters) -> (n_y,), which JAX can trace; it gets a u of zeros
+    read:       function (t, x, parameters) -> (n_y,), which JAX can trace
     n_in, n_out: number of inputs and of outputs
     timed:      whether the functions depend on the time t, which is 0 at the start of each trial
     dt:         sample time of a discrete system [s]; 0 for a continuous one
@@ -274,16 +274,16 @@ class NonlinearSystem(Plant):
 
     def output(self, x: Tree) -> Array:
         t, x = (x.time, x.x) if self.timed else (jnp.zeros((), x.dtype), x)
-        return jnp.asarray(self.read(t, x, jnp.zeros(self.n_in, x.dtype), self.parameters), x.dtype)
+        return _vector(self.read(t, x, self.parameters), x.dtype)
 
     def _next(self, t: Array, x: Tree, u: Array, dt: float) -> Array:
         if self.dt:
-            return jnp.asarray(self.update(t, x, u, self.parameters), x.dtype)
+            return _vector(self.update(t, x, u, self.parameters), x.dtype)
         steps = max(math.ceil(dt / self.substep - 1e-9), 1)
 
         def rates(now: Tree) -> tuple[Tree, Tree]:
             t, x = now
-            return jnp.ones_like(t), jnp.asarray(self.update(t, x, u, self.parameters), x.dtype)
+            return jnp.ones_like(t), _vector(self.update(t, x, u, self.parameters), x.dtype)
 
         def one(_: object, now: Tree) -> Array:
             return runge_kutta(rates, now, dt / steps)
@@ -301,12 +301,14 @@ def _nonlinear(system: Value, x0: Array, substep: float | None) -> NonlinearSyst
             "the longest step of the integrator (Runge-Kutta of order 4) in s, above 0"
         )
     n, n_u, n_y = system.nstates, system.ninputs, system.noutputs
-    update, read = system.updfcn, system.outfcn or _the_state
+    updfcn, outfcn = system.updfcn, system.outfcn
     plant = NonlinearSystem(
         {name: _number(name, value) for name, value in (system.params or {}).items()},
         np.zeros(n) if x0 is None else x0,
-        update,
-        read,
+        updfcn,
+        _the_state
+        if outfcn is None
+        else lambda t, x, parameters: outfcn(t, x, jnp.zeros(n_u, x.dtype), parameters),
         n_in=n_u,
         n_out=n_y,
         dt=float(system.dt),
@@ -314,6 +316,13 @@ def _nonlinear(system: Value, x0: Array, substep: float | None) -> NonlinearSyst
     )
     if plant.x0.shape != (n,):
         raise ValueError(f"from_control: x0 has shape {plant.x0.shape}; allowed is ({n},)")
+
+    def update(parameters: Value, now: Tree) -> Array:
+        return _vector(updfcn(*now, parameters))
+
+    def read(parameters: Value, now: Tree) -> Array:
+        return _vector(now[1] if outfcn is None else outfcn(*now, parameters))
+
     now = jnp.zeros(()), jnp.asarray(plant.x0), jnp.zeros(n_u)
     update_timed, *_ = _followed("update", update, plant.parameters, now, (n,))
     read_timed, _, fed_through = _followed("output", read, plant.parameters, now, (n_y,))
@@ -325,7 +334,12 @@ def _nonlinear(system: Value, x0: Array, substep: float | None) -> NonlinearSyst
     return dataclasses.replace(plant, timed=update_timed or read_timed)
 
 
-def _the_state(t: Array, x: Tree, u: Array, parameters: Value) -> Array:
+def _vector(values: Value, dtype: Value = None) -> Array:
+    """What a function of the system returns, a list of numbers or an array, as one array."""
+    return jnp.asarray(values, dtype)
+
+
+def _the_state(t: Array, x: Tree, parameters: Value) -> Array:
     return x
 
 
@@ -340,16 +354,12 @@ def _number(name: str, value: Value) -> Array:
 
 
 def _followed(
-    what: str, function: Function, parameters: Value, now: Tree, shape: tuple[int, ...]
+    what: str, f: Function, parameters: Value, now: Tree, shape: tuple[int, ...]
 ) -> list[bool]:
-    """Whether the value of function(*now, parameters) depends on each of now = (t, x, u).
+    """Whether the value of f depends on each of now = (t, x, u).
 
-    Raises ValueError unless JAX can trace it and it returns an array of that shape.
+    Raises ValueError unless JAX can trace f and it returns an array of that shape.
     """
-
-    def f(parameters: Value, now: Tree) -> Array:
-        return jnp.asarray(function(*now, parameters))
-
     try:
         found = jax.eval_shape(f, parameters, now).shape
     except Exception as error:  # whatever a user's function raises when it is given tracers

@@ -33,7 +33,7 @@ def _swung(t, x, u, parameters):
     return 0.9 * x[0] + 0.1 * x[1], 0.8 * x[1] + force
 
 
-def _angle(t, x, u, parameters):
+def _angle(t, x, parameters):
     return (x[0] + 0.5 * x[1],)
 
 
@@ -108,7 +108,7 @@ def _cubed(t, x, u, parameters):
     return u + parameters["cubic"] * u**3
 
 
-def _state(t, x, u, parameters):
+def _state(t, x, parameters):
     return x
 
 
