@@ -39,6 +39,8 @@ OUTSIDE = 0.025  # share of the machines that lies beyond each side of the band
 RARE = 0.01  # share of the machines whose whole course goes further out than the band of a course
 SAME = 0.01  # share by which an error may differ from the median without meaning anything
 SMALLEST = 1e-12  # share of the largest reference; errors below it are rounding
+# What a machine may draw for each trial, with the number of each by which nothing is drawn.
+STILL = {"scatter": 0, "shortest": 1, "dropped": 0, "late": 0, "delayed": 0}
 WORK = 1e8  # samples that are simulated at most, of all machines and trials
 
 
@@ -64,9 +66,9 @@ class Subject(NamedTuple):
     @property
     def machines(self) -> int:
         """The number of machines to draw; one where all of them would be the same."""
-        variation = self.machine.variation
-        drawn = self.noisy or self.uncertainty or (variation is not None and variation.draws)
-        return MACHINES if drawn else 1
+        values = {name: getattr(self.machine.variation, name, None) for name in STILL}
+        varied = (v is not None and np.any(np.asarray(v) != STILL[n]) for n, v in values.items())
+        return MACHINES if self.noisy or self.uncertainty or any(varied) else 1
 
 
 class Band(NamedTuple):
@@ -335,7 +337,7 @@ def of_campaign(
     """
     key, needed = key_of(subject), min(needed, longest(subject))
     before = kept(folder, configuration, key)
-    if before is not None and before.trials >= needed:
+    if before is not None and before.trials >= needed and before.machines == subject.machines:
         return before
     trials = max(1, expected)
     while trials < needed:
@@ -367,7 +369,7 @@ def kept(folder: Path, configuration: str, key: str | None = None) -> Prediction
 
 def key_of(subject: Subject) -> str:
     """A hash of all that the prediction depends on, besides the number of trials."""
-    return checksum_of(describe([*subject, subject.machines, SEED]))
+    return checksum_of(describe([*subject, MACHINES, SEED]))
 
 
 def _from_json(content: dict[str, Value]) -> Prediction | None:

@@ -49,8 +49,13 @@ def test_what_is_drawn_for_each_trial_gives_a_band():
     """Of one machine it was predicted without, as of a file that draws nothing."""
     alone = SUBJECT._replace(uncertainty={})
     assert alone.machines == 1
-    varied = dataclasses.replace(STATIC, variation=Variation(scatter=0.1))
-    assert alone._replace(machine=varied).machines == predictions.MACHINES
+    for of, machines in (
+        (Variation(scatter=0.1), predictions.MACHINES),
+        (Variation(late=1), predictions.MACHINES),
+        (Variation(scatter=0.0, shortest=1.0, dropped=0.0), 1),
+    ):
+        varied = dataclasses.replace(STATIC, variation=of)
+        assert alone._replace(machine=varied).machines == machines
 
 
 def noisy_machines(rng, count, trials=20):
@@ -194,6 +199,10 @@ def test_the_file_is_computed_once_and_again_where_it_is_damaged(tmp_path, predi
     assert ask(whole) == [TRIALS]
     assert ask(whole) == []
     assert predictions.kept(whole, "c") is not None
+    monkeypatch.setattr(Subject, "machines", 1)  # as if the file drew nothing
+    assert ask(whole) == [TRIALS]
+    monkeypatch.undo()
+    monkeypatch.setattr(predictions, "predict", computed)
     assert predictions.kept(whole, "another configuration") is None
     content = file.read_bytes()
     for part in (b"", content[:100], b"{}", b"[]", b"\xff"):
