@@ -695,7 +695,7 @@ def growth_of(errors) -> np.ndarray:
     """(S,) the largest rise of errors (S, J) above a lower one before it, as a factor."""
     least = np.minimum.accumulate(errors, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        rises = np.where(errors == least, 1.0, errors / least)
+        rises = np.where((errors == least) & np.isfinite(errors), 1.0, errors / least)
     return np.max(_finite_or_infinite(rises), axis=1)
 
 

@@ -465,6 +465,8 @@ def _judged(
         return found(ALMOST, DIVERGES, said)
     if drifts:
         return found(ALMOST, DIVERGES, drifts)
+    if not len(at):
+        return found(MEAN, NOT_CLAIMED, "no trial moves what is learned")
     exponent = drawn()
     if exponent < np.log(ALONE):
         by = f"to {np.exp(exponent):.4g} of itself in a trial, or below, in the long run"

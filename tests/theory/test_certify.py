@@ -566,6 +566,7 @@ def test_an_error_that_stays_at_zero_does_not_grow():
     """It rose by 0 / 0 above itself."""
     errors = np.array([[0.5, 0.0, 0.0], [0.5, 0.2, 0.3], [0.5, 0.0, 0.1], [0.5, np.nan, 0.1]])
     np.testing.assert_allclose(growth_of(errors), [1.0, 1.5, np.inf, np.inf])
+    assert np.all(growth_of(np.array([[np.inf, np.inf], [np.inf, 1.0]])) == np.inf)
 
 
 def test_of_a_plant_that_no_input_moves_the_error_is_known():

@@ -238,6 +238,7 @@ def test_an_axis_at_rest_does_not_diverge(gains, moves):
     machines = drawn_machines(Machine(plant, variation=Variation(dropped=0.2)), {}, {})
     found = long_run(machines, PIDType(gamma_p=np.broadcast_to(gains, 2)), task)
     assert found.claim[0] == (MONOTONE if np.any(moves) else NOTHING)
+    assert ("no trial moves" in found.reason[0]) == (not np.any(moves))
 
 
 def test_of_a_law_that_is_another_for_each_record_and_of_carried_states_nothing_is_claimed():
