@@ -149,3 +149,10 @@ def test_the_criterion_chooses_the_order_and_a_fixed_delay_is_kept():
 def test_what_cannot_be_fitted_is_refused(change, said):
     with pytest.raises(ValueError, match=said):
         identify_response(measured(None), **change)
+
+
+def test_lines_that_are_no_response_are_refused():
+    """The same lines as `grow_response` refuses."""
+    lines = measured(None)
+    with pytest.raises(ValueError, match="frequencies above 0 that increase"):
+        identify_response(lines._replace(frequencies=lines.frequencies[::-1]))
