@@ -721,7 +721,9 @@ def _to_places(n: Numbers, step: Step, arrays: Sequence[Array], shape: Sequence[
         return at_places(step, arrays, places, shape)
     out = arrays[0].copy()
     found = places_of(step, out.shape, places[0], arrays[2].shape)
-    for place, new in zip(found.flat, arrays[2].flat, strict=True):
+    turn = in_turn(step, found.ndim)
+    of_each = (x.transpose(turn).flat for x in (found, arrays[2]))
+    for place, new in zip(*of_each, strict=True):
         if place >= 0:
             out.flat[place] = n.of("add", out.flat[place], new)
     return out
@@ -738,12 +740,19 @@ def at_places(step: Step, arrays: Sequence[Array], places: Sequence[np.ndarray],
         return x[clamped(x.shape, shape, places)]
     if name == "dynamic_update_slice":
         return updated(x, arrays[1], places)
-    found = places_of(step, x.shape, places[0], arrays[-1].shape).ravel()
+    found = places_of(step, x.shape, places[0], arrays[-1].shape)
     if name == "gather":
-        return x.ravel()[found].reshape(shape)
-    out = x.copy()
-    out.flat[found[found >= 0]] = arrays[2].ravel()[found >= 0]
+        return x.ravel()[found.ravel()].reshape(shape)
+    out, turn = x.copy(), in_turn(step, found.ndim)
+    found, new = found.transpose(turn), arrays[2].transpose(turn)
+    out.flat[found[found >= 0]] = new[found >= 0]
     return out
+
+
+def in_turn(step: Step, axes: int) -> list[int]:
+    """The axes of what a scatter writes, in the order in which it does: place after place."""
+    windows = step.params["dimension_numbers"].update_window_dims
+    return [*(i for i in range(axes) if i not in windows), *windows]
 
 
 def _window(step: Step, axes: int, new: Sequence[int]) -> list[int]:
@@ -763,13 +772,16 @@ def places_of(step: Step, shape: Sequence[int], index: Known, new: Sequence[int]
     index: the places
     new: the shape of what a scatter writes
     """
-    numbered, index = jnp.arange(math.prod(shape)).reshape(shape), jnp.asarray(index)
+    numbered = jnp.arange(math.prod(shape)).reshape(shape)
+    index = jnp.asarray(index, step.ins[1].dtype)  # which knows what is beyond its largest number
     if step.name == "gather":
         found = np.asarray(step.bound(numbered, index, fill_value=-1)[0])
         if found.size and found.min() < 0:
             raise Unknown("gather beyond the end")
         return found
-    of = step.params["dimension_numbers"]
+    of, update = step.params["dimension_numbers"], step.params.get("update_jaxpr")
+    if step.name == "scatter" and update is not None:
+        raise Unknown("scatter of a function of the numbers")
     clip, fill = lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP
     numbers = lax.GatherDimensionNumbers(
         of.update_window_dims, of.inserted_window_dims, of.scatter_dims_to_operand_dims,

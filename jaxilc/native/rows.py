@@ -52,6 +52,7 @@ LATELY = 3  # samples back to which what a scan found stays in registers
 FEW_RUNS = 4  # of a constant condition, at whose ends a loop over samples is divided
 FEW_SAMPLES = 100  # for which a loop over samples is not printed in two forms
 RUNS = 18  # into which samples that are gathered may fall apart
+MOST = {"concatenate": math.inf, "scatter": 2 * RUNS}  # a sample that is set parts what it is among
 
 
 class Row:
@@ -553,7 +554,7 @@ def _moved(of: Trials, step: Step, operands: Sequence[Item]) -> Item | None:
                for first, x in zip(firsts, operands, strict=False)]  # fmt: skip
     source = (MOVES[name](step.params, numbers, out.shape) if name in MOVES
               else at_places(step, numbers, places, out.shape))  # fmt: skip
-    return _from_elements(of, step, operands, source, math.inf if name == "concatenate" else RUNS)
+    return _from_elements(of, step, operands, source, MOST.get(name, RUNS))
 
 
 def _added(of: Trials, step: Step, operands: Sequence[Item], places: np.ndarray) -> Item:
@@ -566,7 +567,7 @@ def _added(of: Trials, step: Step, operands: Sequence[Item], places: np.ndarray)
         first = np.unique(found[left], return_index=True)[1]
         source = np.zeros(out.shape, int)
         source.flat[found[left[first]]] = 1 + left[first]
-        added.append(rows_of(_from_elements(of, step, [zero, new], source)))
+        added.append(rows_of(_from_elements(of, step, [zero, new], source, MOST["scatter"])))
         left = np.delete(left, first)
         if len(added) > RUNS:
             raise Unknown("samples in so many parts")
@@ -919,10 +920,8 @@ class _Build:
             return
         seen.add((row, sign, c))
         if isinstance(row, Joined):
-            for first, length, part in row.parts:
-                each = range(first, first + length + 1) if not isinstance(part, Row) else (
-                    first, first + length)  # fmt: skip
-                cuts.update(p - c if sign > 0 else c - p + 1 for p in each)
+            for first, length, _ in row.parts:
+                cuts.update(p - c if sign > 0 else c - p + 1 for p in (first, first + length))
         for inner, turned, by in _inner(row):
             self._cuts(inner, sign * turned, c * turned + by, cuts, seen)
 
@@ -952,7 +951,7 @@ def _inner(row: Row) -> list[tuple[Row, int, int]]:
     if isinstance(row, Taken):
         return [(row.row, row.sign, row.first)]
     if isinstance(row, Joined):
-        return [(part, 1, -first) for first, _, part in row.parts if isinstance(part, Row)]
+        return [(part, 1, -first) for first, _, part in row.parts]
     if isinstance(row, Computed):
         return [(x, 1, 0) for x in row.operands if isinstance(x, Row)]
     return []
@@ -982,10 +981,7 @@ class _Rows:
                 p for p in row.parts if p.first <= lowest < p.first + p.length
             )
             assert highest < first + length
-            if isinstance(part, Row):
-                return self.row(part, sign, c - first)
-            assert lowest == highest
-            return part.take([lowest - first], row.axis)
+            return self.row(part, sign, c - first)
         if isinstance(row, Computed):
             return row.function(*(self.row(x, sign, c) if isinstance(x, Row) else x
                                   for x in row.operands))  # fmt: skip

@@ -188,6 +188,14 @@ def test_numbers_move_to_other_samples_and_channels_as_by_jax():
         "narrower": lambda x: jax.lax.pad(x, 1.0, [(1, -1, 0), (-1, 1, 0)]),
         "replaced": lambda x: jax.lax.dynamic_update_slice(x, 2 * x[3:30], (4, 0)),
         "set": lambda x: x.at[np.array([3, 4, 9, 99])].set(x[:4]),
+        "set again": lambda x: x.at[np.array([3, 4, 3])].set(x[:3]),
+        "overlapping": lambda x: jax.lax.scatter(
+            x,
+            np.array([[4], [6], [5]]),
+            x[:12].reshape(4, 3, 2),
+            jax.lax.ScatterDimensionNumbers((0, 2), (), (0,)),
+        ),
+        "apart": lambda x: x.at[np.arange(1, 30, 3)].set(x[:10]),
         "added": lambda x: x.at[np.array([3, 4, 3, 3, -40])].add(x[:5], mode="drop"),
         "few": lambda x: x + x[np.array([5, 1, 5])].sum(axis=0),
         "beside": lambda x: x.at[:, np.array([1, 1])].add(x),
@@ -198,6 +206,21 @@ def test_numbers_move_to_other_samples_and_channels_as_by_jax():
     x = np.random.default_rng(0).normal(size=(3, 32, 2))
     for name, found, wanted in applied(functions, x):
         np.testing.assert_allclose(found, wanted, rtol=1e-14, err_msg=name)
+
+
+def test_a_place_beyond_all_whole_numbers_of_single_precision_is_the_last(single):
+    """4294967295 was taken for -1."""
+    far, of = np.array([[2**32 - 1]], np.uint32), jax.lax.ScatterDimensionNumbers((), (0,), (0,))
+    functions = {"far": lambda x: jax.lax.scatter(x, far, x[3:4], of, mode="clip")}
+    x = np.random.default_rng(0).normal(size=(3, 32)).astype(np.float32)
+    ((_, found, wanted),) = applied(functions, x)
+    np.testing.assert_array_equal(found, wanted)
+
+
+def test_a_function_of_the_numbers_at_some_places_is_left_to_xla():
+    """They were set to 0."""
+    with pytest.raises(program.Unknown, match="scatter of a function"):
+        applied({"sines": lambda x: x.at[np.array([3, 5])].apply(jnp.sin)}, np.ones((3, 32)))
 
 
 def test_a_sample_reads_a_table_and_runs_short_loops_either_way():
