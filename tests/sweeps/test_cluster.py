@@ -66,6 +66,7 @@ def client(tmp_path_factory):
         distributed.LocalCluster(n_workers=2, **options) as local,
         distributed.Client(local, set_as_default=False) as client,
     ):
+        client.run(jaxilc.setup)  # before a test that sends a function of its own starts JAX there
         yield client
 
 
@@ -195,6 +196,7 @@ def odd_worker(client):
 
 def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, written):
     late, early = tmp_path / "late.zarr", tmp_path / "early.zarr"
+    many = dataclasses.replace(SMALL, chunk=1)  # some are left for a worker that starts slowly
     devices = jax.device_count()
     with contextlib.ExitStack() as stack:
 
@@ -207,7 +209,7 @@ def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, writ
             match=rf"the worker tcp://\S+ is not like.*devices: {devices + 1} there, "
             rf"{devices} here",
         ):
-            SMALL.run(late, cluster=client, progress=join)
+            many.run(late, cluster=client, progress=join)
         assert written
         written.clear()
         with pytest.raises(
