@@ -193,7 +193,7 @@ axis.toml --vary plant.gian=0.1 => plant.gian
 axis.toml --vary plant.gain=120% => share in (0, 1)
 axis.toml --vary plant.gain=0.1 --spread 0.1 => exclude each other
 axis.toml --spread 0.1 => spread = 0.1 widens nothing, since no uncertainty of axis.toml is rel
-axis.toml --set ilc.filter.cutoff=250 => cutoff = 250.0 Hz is outside
+axis.toml --set ilc.filter.cutoff=250 => cutoff = 250 Hz is outside
 axis.toml --taps 0 => taps = 0 is outside its allowed range [3, 501]
 a.csv --gain 1 --cutoff 30 --dt 0.001 --taps 4 => taps = 4 is even; allowed are odd numbers
 a.csv --gain 0.5 --cutoff 30 --dt 0.001 --taps 5 --band 0 => band = 0 Hz is outside

@@ -62,7 +62,7 @@ def test_learning_from_a_filtered_error():
 
 def test_the_filter_of_the_error_is_checked():
     with pytest.raises(
-        ValueError, match=r"cutoff = 600.0 Hz is outside its allowed range \(0, 500\)"
+        ValueError, match=r"cutoff = 600 Hz is outside its allowed range \(0, 500\)"
     ):
         learn(
             Machine(PLANTS["arx"]),
