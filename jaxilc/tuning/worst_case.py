@@ -291,17 +291,18 @@ def worst_machine(
     need_learned_at_last("worst_machine", scheme, task, trials)
     require("worst_machine", "starts", starts, "[1, inf)", whole=True)
     of_a_step = starts * (1 + GRADIENT_COST)
-    population = Population.of(machine, uncertainty)
-    each = bytes_of_a_draw(population.uncertainty)
-    check_size("worst-case", 4 * bytes_of_metrics(task), trial=trials, starts=starts)
     for name, count, least in (("evaluations", evaluations, of_a_step), ("draws", draws, 1)):
         if count is not None:
             require("worst_machine", name, count, f"[{least}, inf)", whole=True)
-            check_size("worst-case", each, **{name: count})
+    steps = steps if evaluations is None else evaluations // of_a_step
+    population = Population.of(machine, uncertainty)
+    each = bytes_of_a_draw(population.uncertainty)
+    check_size("worst-case", 4 * bytes_of_metrics(task), trial=trials, starts=starts)
     if evaluations is None:
         check_size("worst-case", each * (1 + GRADIENT_COST), starts=starts, steps=steps)
-    else:
-        steps = evaluations // of_a_step
+    for name, count in (("evaluations", evaluations), ("draws", draws)):
+        if count is not None:
+            check_size("worst-case", each, **{name: count})
     objective, keep = _Largest(metric), Keep.of(quantities or {})
 
     key = jax.random.key(seed)
