@@ -208,7 +208,7 @@ def tuned_by_one_program():
     make, known = Tuning._programs.func, {}
 
     def found(self):
-        key = repr((self.objective, self.trials, self.optimiser, self.steps, self.weights))
+        key = repr(self.configuration())
         return known[key] if key in known else known.setdefault(key, make(self))
 
     with pytest.MonkeyPatch.context() as patched:

@@ -63,8 +63,9 @@ def by_response(
     early = ((max(2, (trials + 1) // 2), EARLY),) if trials > 2 else ()
     counted = ((trials, 1.0), *early)
     no_arrays: dict[str, Tree] = {"loops": [], "drawn": {}, "population": None}
-    # one program serves all windows of a size
-    problem = family._replace(**no_arrays), window._replace(limit=None), start
+    # one program serves all windows of a size: only their directions and units count here
+    counting = window._replace(lead=0, starts=(), limit=None, dt=None)
+    problem = family._replace(**no_arrays), counting, start
     responses = window.responses(family.frequencies, task.dt)
     z, least = np.zeros(window.number_of_steps()), np.inf
     for of in dict.fromkeys((MEAN, risk)):  # the mean, which is smooth, leads near another risk

@@ -342,7 +342,7 @@ def contraction_map(
         along, up = axes_of_map(labels, shown)
         within = np.clip(here, 1 / WIDEST, WIDEST) if len(places) == 2 else here
         members = _only(seen.sel(scheme=name), [*drawn, "sample"])
-        gone = np.zeros(here.shape, bool)  # has its colour: the factor is infinite
+        gone = np.zeros(here.shape, bool)  # none: what diverged has a factor, which is infinite
         layers = layers_of(labels, within, members, gone, shown, 0, name="observed")
         if len(places) == 1:
             up = up._replace(ends=None)

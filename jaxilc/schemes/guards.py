@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class Guard(Wrapper):
-    """A wrapper that decides when its scheme learns, and from which trial.
+    """A wrapper that decides when its scheme learns, and from which trial or from which part of it.
 
     Within a trial it does the same as its scheme. The field `scheme` of its memory is the memory of
     the scheme.
