@@ -58,7 +58,9 @@ def contour_error(y: Value, path: Value, *, window: int, closed: bool | None = N
             f"contour_error: y {shape} and path {path_shape} must be (M, d) and (L+1, d) with d >= "
             "2, L >= 1"
         )
-    return _contour_error(jnp.asarray(y), jnp.asarray(path), int(window), closed)
+    y, path = jnp.asarray(y), jnp.asarray(path)
+    kind = jnp.result_type(y, path, float)
+    return _contour_error(y.astype(kind), path.astype(kind), int(window), closed)
 
 
 @partial(jax.jit, static_argnums=(2, 3))

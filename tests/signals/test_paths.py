@@ -413,6 +413,16 @@ def test_a_closed_path_has_no_start():
         contour_error(y, path, window=12, closed=1)
 
 
+@pytest.mark.parametrize("kind", ["float32", "int64", "uint8"])
+def test_measured_numbers_may_be_of_another_type_than_the_path(kind):
+    y = np.random.default_rng(5).integers(0, 9, (20, 2)).astype(kind)
+    path = np.stack([np.arange(20), 4 + np.arange(20) % 2], axis=1)[::-1]
+    expected = contour_error(y.astype(float), path.astype(float), window=3)
+    for one in (path, path.astype(float), path.astype(kind)):
+        found = contour_error(y, one, window=3)
+        assert_allclose(found, expected, rtol=1e-6 if found.dtype == "float32" else 1e-12)
+
+
 def test_a_path_that_dwells_is_no_obstacle():
     path = np.array([[0.0, 0.0]] * 4 + [[1.0, 0.0], [2.0, 0.0]] + [[2.0, 0.0]] * 3)
     y = path + np.array([0.1, -0.2])
