@@ -205,9 +205,11 @@ class ModalModel(Plant):
                 f"as_process_model: the model has {why}; allowed are stable poles and real zeros "
                 "of one input and one output"
             )
-        gain = jnp.sum(jnp.asarray(self.pole_gains)) + jnp.sum(jnp.asarray(self.mode_gains))
+        R, a, b = (np.ravel(N) for N in (self.pole_gains, self.mode_gains, self.mode_rates))
+        lags, modes = R != 0, (a != 0) | (b != 0)  # those of which anything is seen
+        w, zeta = self.frequencies[modes], self.dampings[modes]
         return ProcessModel(
-            gain, zeros.real, self.poles, self.frequencies, self.dampings, self.delay
+            np.sum(R) + np.sum(a), zeros.real, self.poles[lags], w, zeta, self.delay
         )
 
     def _numerators(self) -> Array:

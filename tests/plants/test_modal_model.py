@@ -202,6 +202,11 @@ def test_a_system_with_feedthrough_and_a_process_model_and_back():
     back = modal_model(plant).as_process_model()
     for name in ("gain", "zeros", "poles", "frequencies", "dampings", "delay"):
         np.testing.assert_allclose(getattr(back, name), getattr(plant, name), rtol=1e-7)
+    # of a lag and a mode of no gain nothing is seen
+    unseen = ModalModel((20.0, 5.0), (1.0, 0.0), (90.0, 40.0), (0.2, 0.1), (2.0, 0.0), (0.0, 0.0))
+    x = 1j * np.array([1.0, 30.0, 200.0])
+    other = modal_model(unseen.as_process_model())
+    np.testing.assert_allclose(other.transfer(x), unseen.transfer(x), rtol=1e-7)
     with pytest.raises(ValueError, match="the model has complex zeros; allowed are"):
         ModalModel(**FLEXIBLE).as_process_model()
 
