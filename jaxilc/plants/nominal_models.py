@@ -90,7 +90,7 @@ def _loop(function: str, C_P: Value, P: StateSpace) -> Tree:
     xp: ModuleType = np if host else jnp
     A_m, B_m, C = (xp.asarray(M) for M in (P.A, P.B, P.C))
     C_M, C_T = C[:1], C[1:]
-    if isinstance(C_P, int | float | np.ndarray | jax.Array):
+    if isinstance(C_P, int | float | np.number | np.ndarray | jax.Array):
         A_c, B_c, C_c = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))
         D_c = xp.asarray(C_P, float).reshape(1, 1)
     else:

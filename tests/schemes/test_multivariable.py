@@ -134,10 +134,11 @@ def test_blocks_that_do_not_fit_are_refused(message):
 
 
 def test_the_gain_of_a_controller_may_be_its_field():
-    kp = PID(kp=jnp.asarray(0.4)).kp
-    np.testing.assert_array_equal(
-        direct_model(kp, DRIVE_OF_BLOCKS).A, direct_model(0.4, DRIVE_OF_BLOCKS).A
-    )
+    kp = PID(kp=jnp.asarray(0.5)).kp
+    for same in (kp, np.float32(0.5)):
+        np.testing.assert_array_equal(
+            direct_model(same, DRIVE_OF_BLOCKS).A, direct_model(0.5, DRIVE_OF_BLOCKS).A
+        )
 
 
 # The drive under its position loop, in lifted matrices
