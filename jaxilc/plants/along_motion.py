@@ -68,7 +68,8 @@ def linearised(plant: Plant, u: Array, dt: float) -> TimeVaryingStateSpace:
     where x, u and y are the changes. A and B are the derivatives of `step` at the state and the
     input of the sample k, C is that of `output` one sample later. Time and memory are linear in N.
     """
-    start, step, output = flat(plant.sampled(dt), dt)
+    plant = jax.tree.map(jnp.asarray, plant.sampled(dt))  # as for `motion`
+    start, step, output = flat(plant, dt)
 
     def along(x: Array, u_k: Array) -> tuple[Array, Tree]:
         A, B = jax.jacfwd(step, (0, 1))(x, u_k)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from cases import ALGEBRA, DIFFERENCES, DT, PLANTS
 
-from jaxilc.plants import StateSpace, linearised, motion
+from jaxilc.plants import Plant, StateSpace, linearised, motion
+from jaxilc.pytree import leaf, pytree
 
 N = 12
 
@@ -48,3 +49,27 @@ def test_of_a_linear_plant_it_is_the_plant_at_each_sample():
     found = linearised(plant, jnp.ones((N, 1)), DT)
     for here, there in ((found.A, plant.A), (found.B, plant.B), (found.C, plant.C)):
         np.testing.assert_allclose(here, np.broadcast_to(there, (N, *there.shape)), **ALGEBRA)
+
+
+@pytree
+class Scheduled(Plant):
+    """A gain that is looked up by the number of the sample."""
+
+    gains: np.ndarray = leaf()
+
+    def initial_state(self):
+        return jnp.zeros((), int), jnp.zeros(1)
+
+    def step(self, x, u, dt):
+        return x[0] + 1, 0.5 * x[1] + self.gains[x[0]] * u
+
+    def output(self, x):
+        return x[1]
+
+
+def test_a_table_of_the_samples_is_looked_up():
+    gains = np.random.default_rng(3).standard_normal(N)
+    u = jnp.ones((N, 1))
+    found = linearised(Scheduled(gains), u, DT)
+    np.testing.assert_allclose(found.B[:, 1, 0], gains, **ALGEBRA)
+    np.testing.assert_allclose(motion(found, u, DT), motion(Scheduled(gains), u, DT), **ALGEBRA)
