@@ -182,6 +182,7 @@ def m_sequence(
     require("m_sequence", "amplitude", amplitude, FINITE)
     require("m_sequence", "hold", hold, "[1, inf)", whole=True)
     require("m_sequence", "periods", periods, "[1, inf)", whole=True)
+    order, hold, periods = int(order), int(hold), int(periods)  # NumPy's short ones overflow
     require("m_sequence", "seed", seed, f"[1, {2**order - 1}]", whole=True)
     samples = periods * hold * 2**order
     check_size(f"m_sequence: order = {order}", 8 * 4, samples=samples)

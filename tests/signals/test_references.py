@@ -247,6 +247,11 @@ def test_m_sequence_has_a_two_valued_autocorrelation(order, seed):
     assert_array_equal(correlation, [period] + [-1] * (period - 1))
 
 
+def test_m_sequence_takes_short_whole_numbers_of_numpy():
+    short = m_sequence(np.uint8(10), hold=np.int8(7), periods=np.int8(3))
+    assert_array_equal(short, m_sequence(10, hold=7, periods=3))
+
+
 def test_m_sequence_holds_and_repeats():
     u = m_sequence(4)
     assert_array_equal(m_sequence(4, hold=3, periods=2), np.concatenate([np.repeat(u, 3)] * 2))
