@@ -382,6 +382,7 @@ def s_curve(
     _require_limits("s_curve", velocity, acceleration, jerk)
     require("s_curve", "dwell", dwell, NONNEGATIVE, " s")
     require("s_curve", "dt", dt, POSITIVE, " s")
+    dt = float(dt)
     moves = [
         s_curve_move(d, velocity=velocity, acceleration=acceleration, jerk=jerk)
         for d in np.diff(positions)

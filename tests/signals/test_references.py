@@ -224,6 +224,12 @@ def test_s_curve_starts_at_its_first_position_however_fast_it_moves():
     assert s_curve([3.0, 4.0, 2.0], dwell=2e-3, dt=1e-3, **at_once).tolist() == [3, 4, 4, 2, 2]
 
 
+def test_s_curve_takes_a_sample_time_in_single_precision():
+    dt = np.float32(1e-3)
+    moves = [0.0, 30.0, 10.0]
+    assert_array_equal(s_curve(moves, dt=dt, **LIMITS), s_curve(moves, dt=float(dt), **LIMITS))
+
+
 def test_s_curve_holds_its_end():
     r = s_curve([0.0, 30.0], **LIMITS, dt=1e-3, duration=1.0)
     assert len(r) == 1001
