@@ -179,7 +179,7 @@ def samples_of(delay: float, dt: float, owner: str = "ProcessModel") -> tuple[in
     Raises ValueError for more than 1000 samples.
     """
     samples = delay / dt
-    if samples > LONGEST_DELAY:
+    if samples > LONGEST_DELAY + ROUNDING:
         raise ValueError(
             f"{owner}: delay = {delay:g} s is {samples:g} samples of {dt:g} s; allowed are at "
             f"most {LONGEST_DELAY}"

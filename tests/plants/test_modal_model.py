@@ -143,6 +143,7 @@ def test_a_delay_has_no_continuous_state_space():
 
 def test_whole_samples_and_the_largest_delay():
     assert samples_of(0.1 + 0.2, 0.1) == (3, 0.0)
+    assert samples_of(1.07, 0.00107) == (1000, 0.0)
     whole, rest = samples_of(2.5 * DT, DT)
     assert (whole, pytest.approx(0.5 * DT)) == (2, rest)
     for model in (PROCESS, MODEL):
