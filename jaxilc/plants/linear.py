@@ -35,7 +35,8 @@ def zoh(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     n, m = B.shape
     states = _balancing(A)
     A, B = A * states / states[:, None], B / states[:, None]
-    ratio = jnp.max(jnp.abs(B), axis=0) / jnp.max(jnp.abs(A))
+    size = jnp.max(jnp.abs(A))
+    ratio = jnp.max(jnp.abs(B), axis=0) / jnp.where(size > 0, size, 1.0)
     inputs = _power_of_two(jnp.log2(jnp.where(jnp.isfinite(ratio), jnp.maximum(ratio, 1.0), 1.0)))
     block = jnp.zeros((n + m, n + m), jnp.result_type(A, B)).at[:n, :n].set(A)
     transition = exponential(block.at[:n, n:].set(B / inputs) * dt)

@@ -127,6 +127,12 @@ def test_single_precision_samples_a_companion_form_to_its_digits():
     np.testing.assert_allclose(*impulses, rtol=0, atol=1e-5 * np.max(np.abs(impulses[1])))
 
 
+@pytest.mark.parametrize("gain", [1e-20, 1.0, 1e16])
+def test_an_integrator_alone_is_held_whatever_its_gain(gain):
+    held = StateSpace([[0.0]], [[gain]], [[1.0]]).sampled(1e-3)
+    np.testing.assert_allclose([held.A[0, 0], held.B[0, 0]], [1.0, 1e-3 * gain], rtol=1e-12)
+
+
 @pytest.mark.parametrize("hertz", [5.0, 500.0])
 def test_a_companion_form_is_sampled_to_all_digits(hertz):
     """Its numbers are powers of the frequencies: 1e14 for a fourth order at 500 Hz.
