@@ -3,9 +3,9 @@
 Read are G0, G1, G2, G3, G4 (P in seconds), G17, G18, G19, G20, G21, G90, G91, and the words X, Y,
 Z, I, J, K, R, P and F (a minute). I, J and K are measured from the start of the arc. Comments,
 block numbers, and words that move no axis (M, S, T, G64 with its P and Q, and G codes that are off
-at the start of a program, such as G40) have no effect here, but M2 and M30 end the program, and
-after G80 the next move names its motion. All else is refused with the number of its line, a call of
-another program (M97, M98, M99) too.
+at the start of a program, such as G40) have no effect here, but M2, M30 and a % after the first
+step end the program, and after G80 the next move names its motion. All else is refused with the
+number of its line, a call of another program (M97, M98, M99) too.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class _Reader:
         """Read a line; return whether the program goes on after it."""
         block = _COMMENT.sub(" ", raw).strip().upper()
         if not block or block == "%":
-            return True
+            return not (block and self.steps)
         codes, words = _words(block)
         if ("G", 64.0) in codes:  # its tolerances
             words = {letter: value for letter, value in words.items() if letter not in "PQ"}

@@ -177,6 +177,11 @@ def test_the_tolerances_of_g64_have_no_effect(preamble):
     assert_allclose(move.segment.end, [3, 0])
 
 
+def test_nothing_is_read_after_the_end_of_the_tape():
+    (move,) = read_gcode("%\nG1 X3 F60\n\n%\nX5\nof another tape", "xy")
+    assert_allclose(move.segment.end, [3, 0])
+
+
 def test_a_full_circle_is_one_turn_from_where_it_begins_to_there():
     """No warning comes of its chord of length zero."""
     made = follow(read_gcode("G1 X1 F1200\nG2 I-5", "xy"), corner=None, **LIMITS)
