@@ -205,7 +205,7 @@ class FastToolServo(Plant):
             0.0 if part_ is None else getattr(part_, name) for part_, name in parts
         )
         resonance = np.sqrt(1e6 * (self.stiffness + sprung + cut) / self.mass) / (2 * np.pi)
-        fastest = max(float(np.max(f)) for f in (resonance, *forced))
+        fastest = max(float(np.max(f, initial=0.0)) for f in (resonance, *forced))
         longest = 1 / (SAMPLES_PER_PERIOD * fastest)
         if self.longest_dt > longest * (1 + 1e-9):
             raise ValueError(

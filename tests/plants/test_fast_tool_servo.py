@@ -524,6 +524,11 @@ FASTEST = [
 ]
 
 
+def test_a_force_of_no_parts_is_none():
+    plant, none = FastToolServo(periodic=PeriodicForce((), (), ())), FastToolServo()
+    np.testing.assert_array_equal(plant.linear().A, none.linear().A)
+
+
 @pytest.mark.parametrize(("parts", "samples", "said"), FASTEST)
 def test_too_few_samples_a_period_of_the_fastest_mode_are_refused(parts, samples, said):
     said = rf"s leaves {samples} samples a period of the fastest mode, {said}"
