@@ -251,10 +251,10 @@ class DifferenceEquation(Plant):
     dt: float = static(interval="(0, inf)")
 
     def __post_init__(self) -> None:
-        if self.a.shape != self.b.shape or self.a.ndim < 1:
+        if self.a.shape != self.b.shape or self.a.ndim != 1 or not self.a.size:
             raise ValueError(
                 f"DifferenceEquation: a {self.a.shape} and b {self.b.shape} must both have shape "
-                "(n,); pad with zeros"
+                "(n,), n >= 1; pad with zeros"
             )
         if self.a.shape[-1] > MOST_TERMS:
             raise ValueError(

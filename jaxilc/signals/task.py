@@ -53,10 +53,10 @@ class Task:
         r = self.reference
         if r.ndim == 1:
             r = r[:, None]
-        if r.ndim != 2 or len(r) < 2:
+        if r.ndim != 2 or len(r) < 2 or not r.shape[1]:
             raise ValueError(
                 f"Task: reference has shape {self.reference.shape}; allowed are (N+1,) and (N+1, "
-                "n_y) with N >= 1"
+                "n_y) with N >= 1 and n_y >= 1"
             )
         if known(r) and 0 < np.max(np.abs(r)) < SMALLEST:
             raise ValueError(

@@ -404,6 +404,7 @@ def test_what_is_to_learn_is_what_it_is_called(name, machine, task):
 TASKS = [
     ({"reference": np.zeros(1)}, r"reference has shape \(1,\)"),
     ({"reference": np.zeros((4, 4, 4))}, r"reference has shape \(4, 4, 4\)"),
+    ({"reference": np.zeros((4, 0))}, r"reference has shape \(4, 0\); .* and n_y >= 1"),
     ({"reference": [0.0, np.nan]}, "reference = .*nan.* is outside"),
     ({"reference": [0.0, 1e300]}, r"reference = .* is outside its .* \[-1e\+12, 1e\+12\]"),
     (

@@ -233,6 +233,8 @@ def test_another_sample_time_is_refused(plant):
             lambda: DifferenceEquation((1.0, 0.5), (1.0,), dt=DT),
             r"DifferenceEquation: a \(2,\) and b \(1,\) must both",
         ),
+        (lambda: DifferenceEquation((), (), dt=DT), r"a \(0,\) and b .* shape \(n,\), n >= 1"),
+        (lambda: DifferenceEquation([[0.5]], [[1.0]], dt=DT), r"a \(1, 1\) and b \(1, 1\) must"),
         (lambda: VoiceCoil(poles=(474.0, 6.404)), r"VoiceCoil: .*poles"),
         (
             lambda: StribeckFriction(10.0, 8.0),
