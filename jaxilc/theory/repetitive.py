@@ -46,7 +46,7 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..plants import StateSpace
-from ..plants.position import Harmonics
+from ..plants.position import Harmonics, Splines
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..schemes import OnOutputs, RepetitiveBasis, RepetitiveControl, Scheme, WithFeedback
@@ -424,9 +424,9 @@ def basis_condition(machine: Machine | Population, scheme: Scheme, task: Task) -
     machine: one, or a `Population`, for the worst of those that are drawn
     scheme: `WithFeedback(RepetitiveBasis(...), feedback)`, or a `RepetitiveBasis` alone
 
-    Raises ValueError for another scheme, for functions of an angle, which follow the motion, for a
-    period of which no 64 make a whole number of samples, for more than 2^17 of these samples, and
-    where machine, scheme and task do not fit.
+    Raises ValueError for another scheme, for functions of an angle, which follow the motion, for
+    splines that are not closed, for a period of which no 64 make a whole number of samples, for
+    more than 2^17 of these samples, and where machine, scheme and task do not fit.
     """
     basis, feedback = basis_of(scheme)
     if basis is None or basis.angle is not None:
@@ -437,12 +437,17 @@ def basis_condition(machine: Machine | Population, scheme: Scheme, task: Task) -
         )
     basis.check(task)
     functions = basis.functions
+    if isinstance(functions, Splines) and not functions.closed:
+        raise ValueError(
+            "basis_condition: the splines are open, so that the last one goes on after a period; "
+            "allowed are Splines(..., closed=True)"
+        )
     period = float(
         functions.pitch if isinstance(functions, Harmonics) else functions.high - functions.low
     )
     count, samples = _whole(period / float(task.dt))
     machines, drawn = members(machine)
-    plays, learns, ends = _of_samples(basis, samples, float(task.dt), period)
+    plays, learns, ends = _of_samples(basis, samples, float(task.dt))
     parts, found = np.array_split(np.arange(samples), -(-samples // MAPS)), []
     without_limits = _without_limits(machines[0], scheme, task)  # and so are all others
     for one in machines:
@@ -484,14 +489,14 @@ def _whole(samples: float) -> tuple[int, int]:
 
 
 def _of_samples(
-    basis: RepetitiveBasis, samples: int, dt: float, period: float
+    basis: RepetitiveBasis, samples: int, dt: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(K, m) what each function plays and learns by, and (K,) whether a period has ended there."""
     t = jnp.arange(samples) * dt
     plays = np.asarray(basis.functions.at(t))
     lead = jnp.broadcast_to(basis.lead, plays.shape[1])
     each = [basis.functions.at(t - one)[:, i] for i, one in enumerate(lead)]
-    turn = np.floor(np.arange(-1, samples) * dt / period + BEFORE)
+    turn = np.floor(np.asarray(basis._turns(np.arange(-1, samples) * dt)) + BEFORE)
     return plays, np.asarray(basis.gain * jnp.stack(each, axis=1)), np.diff(turn) > 0
 
 

@@ -170,11 +170,27 @@ def test_the_map_of_a_period_tells_how_fast_the_error_falls_or_grows():
         (RepetitiveBasis(HARMONICS, 0.1, angle=0), "scheme is a RepetitiveBasis of an angle"),
         (RepetitiveBasis(Harmonics(np.pi * 1e-2, (1,)), 0.1), "the period is 31.4159265 samples"),
         (RepetitiveBasis(Harmonics(3e3, (1,)), 0.1), "take 3,000,000; allowed are 131,072"),
+        (RepetitiveBasis(Splines(0.0, n * DT, 5), 0.1), "the splines are open"),
     ],
 )
 def test_what_has_no_map_of_a_period_is_refused(scheme, said):
     with pytest.raises(ValueError, match=said):
         basis_condition(Machine(PLANT), scheme, Task(np.zeros(60), dt=DT))
+
+
+def test_splines_that_begin_later_have_the_map_of_a_period_of_those_from_0():
+    """All of the loop is 3 samples later, the end of the period at which weights change, too."""
+    early, late = (
+        basis_condition(
+            Machine(PLANT),
+            RepetitiveBasis(
+                Splines(low, low + n * DT, 5, degree=1, closed=True), 0.05, by_period=True
+            ),
+            Task(np.zeros(60), dt=DT),
+        ).condition.value
+        for low in (0.0, 3 * DT)
+    )
+    np.testing.assert_allclose(late, early, rtol=1e-9)
 
 
 def test_a_limit_and_a_family_are_told():
