@@ -47,6 +47,7 @@ import numpy as np
 from ..learning.machine import Machine
 from ..plants import StateSpace
 from ..plants.position import Harmonics, Splines
+from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..schemes import OnOutputs, RepetitiveBasis, RepetitiveControl, Scheme, WithFeedback
@@ -316,7 +317,7 @@ def _feedback_of(law: Scheme, task: Task) -> Callable[[np.ndarray], np.ndarray]:
 def _within(measured: MeasuredResponse, f: np.ndarray, dt: float) -> np.ndarray:
     low, high = measured.frequencies[[0, -1]]
     within = f[(f >= low) & (f <= high)]
-    if high > 0.5 / dt or not len(within):
+    if high > 0.5 / dt * (1 + 1e-9) or not len(within):  # the last line is rounded
         raise ValueError(
             f"repetitive_condition: the lines go from {low:g} to {high:g} Hz; allowed are those up "
             f"to {0.5 / dt:g} Hz, the Nyquist frequency, with a harmonic of the period among them"
@@ -496,7 +497,8 @@ def _of_samples(
     plays = np.asarray(basis.functions.at(t))
     lead = jnp.broadcast_to(basis.lead, plays.shape[1])
     each = [basis.functions.at(t - one)[:, i] for i, one in enumerate(lead)]
-    turn = np.floor(np.asarray(basis._turns(np.arange(-1, samples) * dt)) + BEFORE)
+    before: Value = np.arange(-1, samples) * dt  # with its sample before
+    turn = np.floor(np.asarray(basis._turns(before)) + BEFORE)
     return plays, np.asarray(basis.gain * jnp.stack(each, axis=1)), np.diff(turn) > 0
 
 

@@ -210,6 +210,10 @@ def test_on_measured_lines_the_condition_holds_all_that_their_doubt_allows():
     np.testing.assert_allclose(exact.sensitivity, np.abs(S), rtol=0.02)
     with pytest.raises(ValueError, match=r"lines go from 4 to 600 Hz; allowed are those up to 500"):
         theory.repetitive_condition(beyond, scheme, task)
+    up_to = np.fft.rfftfreq(120, DT)[1:]
+    assert up_to[-1] > 0.5 / DT, "the last line is the Nyquist frequency, but for rounding"
+    there = MeasuredResponse(up_to, at(up_to)[0], 0 * up_to)
+    assert len(theory.repetitive_condition(there, scheme, task).test.magnitude) == 60
 
 
 def test_a_wrong_period_costs_what_is_told():
