@@ -225,7 +225,7 @@ class Search(NamedTuple):
     level_with_chance: number of evaluations until the loss reached that of the random search, None
         if it never did
     course: (n,) the largest metric so far, at even steps up to all evaluations of the search; inf
-        for an error that diverged
+        for an error that diverged, nan before a quantity is a number
     over_noise: the metric that a share ENOUGH of DRAWS further draws of the noise do not exceed,
         inf for one that diverged; None for a machine without noise
     """
@@ -246,7 +246,7 @@ class WorstMachine(NamedTuple):
     searches: searches by name: `gradient`, `chance` with as many evaluations, and `more chance` if
         asked for
     by_chance: (n,) metric of each machine of the largest random search; inf for an error that
-        diverged
+        diverged, nan for a quantity that is no finite number
     """
 
     nominal: float
@@ -325,8 +325,10 @@ def worst_machine(
 
     def of_losses(losses: np.ndarray) -> np.ndarray:
         """Metrics from losses; an error beyond the ceiling is that of a trial that diverged."""
-        level = np.sqrt(np.maximum(np.exp(2.0 * losses) - 1.0, 0.0)) * objective.floor
-        diverged = (level > CEILING) & (metric in (m.name for m in ERRORS))
+        is_error, told = metric in (m.name for m in ERRORS), np.isfinite(losses)
+        level = objective.floor * np.exp(losses) * np.sqrt(np.maximum(-np.expm1(-2 * losses), 0.0))
+        level = np.where(told, level, np.inf if is_error else np.nan)
+        diverged = is_error & (level > CEILING)
         return np.where(diverged, np.inf, scale * float(jnp.max(peak(task))) * level)
 
     ascent = of_a_step * steps

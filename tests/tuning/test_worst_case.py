@@ -241,6 +241,16 @@ def test_drawn_machines_that_diverge_have_no_finite_error():
     np.testing.assert_allclose(found.by_chance, expected, rtol=1e-6, atol=1e-6)
 
 
+def test_drawn_machines_whose_error_overflows_have_diverged():
+    """y[k+1] = a y[k] + u[k] of 40 samples: from a = 8900 on the square of y is no number."""
+    law, box = PIDType(gamma_p=0.4), {"plant.A[0][0]": LogUniform(0.1, 6e8)}
+    machine = dataclasses.replace(STATIC, plant=dataclasses.replace(STATIC.plant, A=[[1.0]]))
+    found = worst_machine(machine, law, TASK, 2, box, metric="max_error", starts=1, steps=4)
+    a = 0.1 * 6e9 ** np.random.default_rng(0).random(16)
+    assert np.any(np.isneginf(found.searches["chance"].case.found))
+    np.testing.assert_array_equal(np.isinf(found.by_chance), a > 1.5)
+
+
 def test_noise_is_drawn_anew_for_what_was_found_and_by_the_seed():
     """In trial 1 nothing is played: e is the noise, and its largest of 40 samples is judged."""
     noisy = dataclasses.replace(STATIC, disturbance=Disturbance(output_noise=0.1))
