@@ -403,8 +403,8 @@ class Contraction(Objective):
         f, at = last_of(lax.stop_gradient(run.scheme))
         v = lax.stop_gradient(singular_value(f, at, steps=self.steps).direction)
         f, at = last_of(run.scheme)
-        sigma = jnp.linalg.norm(jax.jvp(f, (at,), (v,))[1])
-        return jax.nn.relu(jnp.log(sigma / self.below))
+        square = jnp.sum((jax.jvp(f, (at,), (v,))[1] / self.below) ** 2)
+        return 0.5 * jnp.log(jnp.maximum(square, 1.0))  # with the slope 0 where sigma = 0, too
 
 
 @dataclasses.dataclass(frozen=True)
@@ -431,7 +431,7 @@ class D2(Objective):
                 "proves nothing of the error of other schemes"
             )
         found = bounds_of(run.machine, run.scheme, run.task)
-        return jax.nn.relu(jnp.log(found.d2 / self.below))
+        return jnp.log(jnp.maximum(found.d2 / self.below, 1.0))  # with the slope 0 where d2 = 0, too
 
 
 def levels(run: Run, metric: str, floor: Leaf, *, one_unit: bool = False) -> jax.Array:

@@ -303,6 +303,20 @@ def test_contraction_and_its_slope_equal_those_of_the_dense_matrix():
     np.testing.assert_allclose(slope, (dense(0.7 + 1e-5) - dense(0.7 - 1e-5)) / 2e-5, rtol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("objective", "law"),
+    [
+        (Contraction(steps=4), lambda one: PIDType(gamma_p=one)),
+        (D2(), lambda one: CFDLMFAILC(phi0=one, lam=1e-20)),
+    ],
+)
+def test_a_factor_of_0_has_the_slope_0(objective, law):
+    """Of y[k+1] = u[k] one trial removes all of an error; the logarithm of 0 has no slope."""
+    run = lambda one: objectives.Run(STATIC, law(one), TASK, None)  # noqa: E731
+    value, slope = jax.value_and_grad(lambda one: objective(run(one)))(1.0)
+    assert (value, slope) == (0, 0)
+
+
 def test_terms_are_what_they_say():
     errors = np.array([1.0, 0.3, 0.45, 0.45, 0.1])
     law = PIDType(gamma_p=0.5)
