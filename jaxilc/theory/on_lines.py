@@ -118,7 +118,7 @@ class Curves(NamedTuple):
         """(F,) |1 - Q| / |1 - Q (1 - L P)|: the share of a repeated error that is never learned."""
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.abs(1 - self.Q) / np.abs(1 - self.Q + self.Q * self.LP)
-        return np.where(np.isnan(share), 0.0, share)
+        return np.where(np.isnan(share), 1.0, share)  # where nothing is learned, all of it
 
     @property
     def learned_up_to(self) -> float:

@@ -14,7 +14,15 @@ from jaxilc.theory.frequency import bound_of_set, learning_condition, tried_plan
 from jaxilc.theory.law import law_of
 from jaxilc.theory.linearity import whole_trials
 from jaxilc.theory.loop import linear_loop
-from jaxilc.theory.on_lines import Change, Lines, best_lead, largest_cutoff, largest_gain, peak
+from jaxilc.theory.on_lines import (
+    Change,
+    Lines,
+    best_lead,
+    curves_of,
+    largest_cutoff,
+    largest_gain,
+    peak,
+)
 from jaxilc.theory.q_filter import need_linear, offers_of, question
 from jaxilc.uncertainty import Population, Uniform
 
@@ -197,6 +205,13 @@ def test_the_best_lead_is_that_of_a_scan():
     each = [largest_cutoff([lines], now._replace(lead=d), 0.9, 1.0) or 0 for d in range(-8, 20)]
     assert cutoff == max(each)
     assert lead == int(np.argmax(each)) - 8
+
+
+def test_of_a_plant_that_answers_at_some_lines_no_error_is_learned_at_the_others():
+    f, P = np.array([1.0, 2.0, 3.0]), np.array([[1.0, 0.0, 1.0]])
+    curves = curves_of(Lines(f, P + 0j, 0 * P, np.ones(3, complex), np.ones(3, complex), 0.01))
+    np.testing.assert_array_equal(curves.left, [0, 1, 0])
+    assert curves.learned_up_to == 1.0
 
 
 def test_nothing_is_safe_or_offered_where_a_machine_is_unstable():
