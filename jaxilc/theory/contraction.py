@@ -28,6 +28,8 @@ from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..plants.structure import acting, blind, obstacle
 from ..pytree.named_paths import named_leaves
+from ..pytree.needs import known
+from ..pytree.ranges import require
 from ..schemes import Scheme
 from ..schemes.scheme import Memory
 from ..signals.task import Task
@@ -107,17 +109,18 @@ def learning_map(
              either is zero; `y` keeps its unit. Of several names that fit a leaf, the longest
              counts
 
-    Raises ValueError for a name that is not in the memory, or a memory without anything that
-    varies.
+    Raises ValueError for a name that is not in the memory, a weight that is not above 0, or a
+    memory without anything that varies.
     """
+    _need_weights(weights or {})
     scheme = scheme.prepared(task)
     memory = learned_memory(machine, scheme, task) if memory is None else memory
     found = named_leaves(memory)
     names, values = list(found), [jnp.asarray(v) for v in found.values()]
     for name in (*(leaves or ()), *(weights or ())):
         if not any(_names(name, of) for of in names):
-            known = ", ".join(names) or "nothing"
-            raise ValueError(f"learning_map: {name!r} is not in this memory; known: {known}")
+            there = ", ".join(names) or "nothing"
+            raise ValueError(f"learning_map: {name!r} is not in this memory; known: {there}")
 
     def turn(fixed, memory):
         machine, scheme, task = fixed
@@ -188,6 +191,12 @@ def error_map(
     return Map(f, first.e[1:].ravel())
 
 
+def _need_weights(weights: Mapping[str, float]) -> None:
+    for name, weight in weights.items():
+        if known(weight):
+            require("learning_map", f"weights[{name!r}]", weight, "(0, inf)")
+
+
 def _names(name: str, leaf: str) -> bool:
     """Whether a name means this leaf, or an object that this leaf is a part of."""
     return leaf == name or leaf.startswith((f"{name}.", f"{name}["))
@@ -218,10 +227,11 @@ def contracting(
     weights: as for `learning_map`
     options: `leaves` as for `learning_map`; `steps`, `tolerance` as for `spectrum.singular_value`
 
-    Raises ValueError where machine, scheme and task do not fit, or for a name that is not in the
-    memory.
+    Raises ValueError where machine, scheme and task do not fit, for a name that is not in the
+    memory, or for a weight that is not above 0.
     """
     check(machine, scheme, task)
+    _need_weights(weights or {})
     found, distance = _singular_of_memory(machine, scheme, task, memory, weights, **options)
     premises, where = _where(machine, scheme, task, memory, options.get("leaves"), distance)
     theorem = CONTRACTION.format(where=where)

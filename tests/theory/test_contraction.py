@@ -162,6 +162,9 @@ def test_names_and_weights_of_the_memory():
     for bad, value in (("leaves", ("v",)), ("weights", {"learning.u": 1.0})):
         with pytest.raises(ValueError, match=r"not in this memory; known: u, y, phi\[0\]"):
             contraction.learning_map(MACHINE, scheme, task, memory, **{bad: value})
+    for of in (contraction.learning_map, contraction.contracting):
+        with pytest.raises(ValueError, match=r"weights\['y'\] = 0 .* allowed range \(0, inf\)"):
+            of(MACHINE, scheme, task, memory, weights={"u": 1.0, "y": 0.0})
     with pytest.raises(ValueError, match="PID has no floating leaf"):
         contraction.learning_map(MACHINE, PID(kp=0.1), task)
 
