@@ -63,7 +63,7 @@ def spectral_radius(M) -> np.ndarray:
 
     It is exact for triangular matrices, also permuted ones, and block by block.
     """
-    M = np.asarray(M)
+    M = 1.0 * np.asarray(M)  # also of whole numbers
     return np.reshape([radius_with_doubt(m)[0] for m in M.reshape(-1, *M.shape[-2:])], M.shape[:-2])
 
 
@@ -100,7 +100,7 @@ def asymptotic(M, *, premises: Iterable[Premise] = ()) -> Condition:
     floating point. Then rho < 1 is claimed only if a power of M contracts, since rho^k <= ||M^k||;
     otherwise a premise is broken.
     """
-    M = np.asarray(M)
+    M = 1.0 * np.asarray(M)
     maps = M.reshape(-1, *M.shape[-2:])
     value, doubt = np.array([radius_with_doubt(m) for m in maps]).T
     of_each = zip(maps, value, doubt, strict=True)

@@ -262,6 +262,12 @@ def test_spectral_radius_of_triangular_and_permuted_matrices_is_exact():
     assert several.verdict.tolist() == ["holds", "not claimed", "fails"]
 
 
+def test_a_map_of_whole_numbers_is_that_of_numbers():
+    shift, growing = np.eye(4, k=1, dtype=int), [[1, 5], [0, -2]]
+    assert lifted.spectral_radius(growing) == 2.0
+    assert [lifted.asymptotic(M).verdict for M in (shift, growing)] == ["holds", "fails"]
+
+
 def test_nothing_is_claimed_where_a_premise_is_broken():
     tight = Machine(PLANTS["arx"], actuator=Actuator(limit=0.1))
     for machine, scheme, broken in (
