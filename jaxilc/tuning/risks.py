@@ -54,7 +54,7 @@ class CVaR(Risk):
         # partitioner crashes where the losses are on many devices.
         place = jnp.argsort(jnp.argsort(-lax.stop_gradient(losses)))
         share = jnp.clip(size - place, 0.0, 1.0)
-        return jnp.sum(share * losses) / size
+        return jnp.sum(jnp.where(share > 0, share * losses, 0.0)) / size  # losses may be infinite
 
 
 @dataclasses.dataclass(frozen=True)

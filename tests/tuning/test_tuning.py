@@ -468,6 +468,11 @@ def test_bad_input_is_named_before_anything_runs(change, message):
         dataclasses.replace(PROBLEM, **change)
 
 
+@pytest.mark.parametrize("risk", [Mean(), Worst(), CVaR(0.5), SmoothMax()])
+def test_a_risk_of_machines_of_which_none_is_finite_is_infinite(risk):
+    assert risk(jnp.full(4, jnp.inf)) == np.inf
+
+
 def test_risks_name_what_is_wrong():
     with pytest.raises(ValueError, match=r"alpha = 1 is outside its allowed range \[0, 1\)"):
         CVaR(1.0)
