@@ -123,7 +123,7 @@ def instantaneous_frequency(reference, dt, *, of="velocity", window=0.0, floor=0
             "n_y) with N >= 3"
         )
     require(name, "dt", dt, "(0, inf)", " s")
-    require(name, "window", window, f"[0, {(len(r) - 1) * dt:.9g}]", " s")
+    require(name, "window", window, f"[0, {float((len(r) - 1) * dt)}]", " s")
     require(name, "floor", floor, "[0, 1)")
     if of not in ("velocity", "position"):
         raise ValueError(f"{name}: of = {of!r} is not one of 'velocity', 'position'")
@@ -133,7 +133,7 @@ def instantaneous_frequency(reference, dt, *, of="velocity", window=0.0, floor=0
     nothing = np.zeros_like(pairs[:1])
     turn = np.concatenate([nothing, pairs]) + np.concatenate([pairs, nothing])
     power = np.abs(z) ** 2
-    reach = round(window / (2 * dt))
+    reach = min(round(window / (2 * dt)), (len(r) - 1) // 2)
     g = np.hanning(2 * reach + 3)[1:-1]
     turn, power = (
         np.apply_along_axis(np.convolve, 0, x, g / g.sum(), mode="same") for x in (turn, power)
@@ -186,7 +186,7 @@ def segments(
     N = len(frequency) - 1
     _need_pair("segments", "cutoffs", cutoffs, " Hz")
     require("segments", "threshold", threshold, "(0, inf)", " Hz")
-    require("segments", "shortest", shortest, f"[0, {N * dt:.9g})", " s")
+    require("segments", "shortest", shortest, f"[0, {float(N * dt)})", " s")
     fast = np.any(frequency.reshape(N + 1, -1) > threshold, axis=1)[:N]
     starts, kinds = _merged(np.flatnonzero(np.diff(fast)) + 1, fast, shortest / dt)
     found = SwitchableFilter(

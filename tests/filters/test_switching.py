@@ -188,6 +188,13 @@ def test_where_nothing_moves_there_is_no_frequency():
     np.testing.assert_array_equal(instantaneous_frequency(np.full(50, 3.0), DT), 0.0)
 
 
+@pytest.mark.parametrize("samples", [4, 7, 8, 31])
+def test_a_window_as_long_as_the_reference_has_a_frequency_at_each_sample(samples):
+    dt = 1 / 3e3
+    r = np.sin(0.9 * np.arange(samples))
+    assert instantaneous_frequency(r, dt, window=(samples - 1) * dt).shape == (samples,)
+
+
 def burst(*spans, N=2000, dt=2e-3, slow=2.0, fast=16.0):
     """Return a reference of 2 Hz, and of 16 Hz within the spans [s].
 

@@ -148,6 +148,15 @@ def test_the_step_of_an_encoder_does_not_hide_the_mass():
         assert mass.low < 2 < mass.high, "of a cutoff that lets the step through"
 
 
+def test_the_largest_cutoff_is_allowed_with_all_its_digits():
+    dt = 3e-4
+    t = dt * np.arange(3000)
+    force = -49 * np.sin(7 * (t + dt / 2)) + np.sign(np.cos(7 * t))
+    assert friction_of(force, np.sin(7 * t), dt, cutoff=0.4 / dt).mass.value == pytest.approx(
+        1, 1e-2
+    )
+
+
 def test_a_motion_that_goes_one_way_is_refused():
     t = np.arange(500) * DT
     with pytest.raises(ValueError, match="does not move both ways"):
