@@ -73,7 +73,7 @@ class SwitchableFilter(Filter):
         """(S, N) the share of each segment's filter at each sample; they sum to 1."""
         t, times = jnp.arange(samples) * dt, jnp.asarray(self.times)[:, None]
         # k dt is rounded: a sample that lies on a switching time shall not fall before it
-        after = t >= times - 1e-9 * dt
+        after = t >= times * (1 - 4 * jnp.finfo(t.dtype).eps) - 1e-9 * dt
         share = jnp.clip((t - times) / jnp.where(self.width > 0, self.width, 1.0) + 0.5, 0.0, 1.0)
         h = jnp.where(self.width > 0, 0.5 - 0.5 * jnp.cos(jnp.pi * share), after)
         whole = jnp.concatenate([jnp.ones_like(t)[None], h, jnp.zeros_like(t)[None]])

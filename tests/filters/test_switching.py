@@ -72,6 +72,14 @@ def test_each_segment_has_its_own_butterworth(order, width):
     np.testing.assert_allclose(filtered(q, SIGNAL), expected, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.parametrize("double", [False, True])
+def test_a_sample_on_a_switching_time_is_after_it(double):
+    with jax.enable_x64(double):
+        for k in range(1, 300, 13):
+            share = SwitchableFilter([20.0, 40.0], [k * 7e-4]).weights(300, 7e-4)[1]
+            assert np.flatnonzero(share)[0] == k
+
+
 def test_one_segment_is_a_butterworth():
     for options in ({"order": 4, "padding": 15}, {"padding": 5}, {}):
         one = filtered(SwitchableFilter((31.0,), **options), SIGNAL)
