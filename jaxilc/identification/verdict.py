@@ -205,8 +205,8 @@ def widened(covariance, J, residual):
     middle, power = np.zeros((P, P)), 0.0
     for i in range(residual.shape[1]):
         _, r = autoregression(residual[:, i])
-        if not r[0] > 0:
-            return covariance
+        if not r[0] > 0:  # an output without a residual
+            continue
         a = _of_least_bic(r, n)
         left = max(r[0] - a @ r[1 : len(a) + 1], 0.0)
         if len(a):
@@ -218,6 +218,8 @@ def widened(covariance, J, residual):
         twice = np.where((lines == 0) | (lines == 0.5), 1.0, 2.0) / n
         middle += np.real((J_f.conj().T * (twice * S)) @ J_f)
         power += r[0] / residual.shape[1]
+    if not power > 0:
+        return covariance
     coloured = np.diag(inverse @ middle @ inverse)
     plain = power * np.diag(inverse)
     factor = np.sqrt(np.maximum(np.where(known, coloured, 1.0) / np.where(known, plain, 1.0), 1.0))

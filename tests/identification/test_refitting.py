@@ -115,3 +115,15 @@ def test_intervals_hold_of_a_short_record_whose_noise_the_test_of_whiteness_miss
         found = identify(Record(u, y, 0.01), plant, fit_share=1.0).parameters
         inside += [of.low < x < of.high for of, x in zip(found.values(), (2, 8, 0), strict=True)]
     assert np.all(inside >= 34), inside
+
+
+def test_an_output_without_a_residual_leaves_the_intervals_as_wide():
+    n, rng = 400, np.random.default_rng(0)
+    t = np.arange(n) / 40
+    J = np.stack([np.sin(t), np.cos(1.5 * t)], axis=1)[:, None].repeat(2, axis=1)
+    e = scipy.signal.lfilter([1.0], [1.0, -0.95], rng.standard_normal(n))
+    plain = inverse_of_normal(J.reshape(-1, 2))
+    none, hardly = (widened(plain, J, np.stack([e, of * e], axis=1)) for of in (0.0, 1e-9))
+    np.testing.assert_allclose(none, hardly, rtol=1e-6)
+    assert np.all(np.diag(none) > 10 * np.diag(plain))
+    np.testing.assert_array_equal(widened(plain, J, np.zeros((n, 2))), plain)
