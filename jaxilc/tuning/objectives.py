@@ -431,9 +431,7 @@ class D2(Objective):
                 "proves nothing of the error of other schemes"
             )
         found = bounds_of(run.machine, run.scheme, run.task)
-        return jnp.log(
-            jnp.maximum(found.d2 / self.below, 1.0)
-        )  # with the slope 0 where d2 = 0, too
+        return jnp.log(jnp.maximum(found.d2 / self.below, 1.0))  # with the slope 0 at d2 = 0, too
 
 
 def levels(run: Run, metric: str, floor: Leaf, *, one_unit: bool = False) -> jax.Array:
