@@ -545,10 +545,11 @@ def _with_learning(drawn: GridMap, metric: str) -> UIElement:
     from ..sweeps.summary import QUANTILES as LEVELS
     from ..sweeps.summary import errors_of
 
-    count = drawn.dataset.sizes["trial"]
+    errors = drawn.factor * errors_of(drawn.dataset, metric)
+    count = errors.sizes["trial"]
     most = int(np.clip(ROOM // (len(CURVES) * len(drawn.values)), 2, count))
     some = np.unique(np.round(np.linspace(0, count - 1, most)).astype(int))
-    errors = drawn.factor * errors_of(drawn.dataset, metric).isel(trial=some)
+    errors = errors.isel(trial=some)
     found = np.quantile(errors.values, LEVELS, axis=-2, method="inverted_cdf")
     shown = np.where(np.isfinite(found) & (found > 0), found, np.nan).astype(np.float32)
     shown = shown.reshape(len(LEVELS), -1)
@@ -556,7 +557,7 @@ def _with_learning(drawn: GridMap, metric: str) -> UIElement:
     part = slice(chosen * len(some), (chosen + 1) * len(some))
     first = dict(zip(CURVES, (of[part] for of in shown), strict=True))
     every = ColumnDataSource(dict(zip(CURVES, shown, strict=True)))
-    now = ColumnDataSource({"j": drawn.dataset["trial"].values[some], **first})
+    now = ColumnDataSource({"j": errors["trial"].values, **first})
     names = [
         ", ".join(f"{name} = {value_text(x)}" for name, x in point.items())
         for point in drawn.values

@@ -75,6 +75,17 @@ def test_a_click_shows_how_the_point_learns():
     assert np.all(np.isnan(every["median"].reshape(6, 3)[4]))
 
 
+def test_a_click_shows_the_trials_of_the_best_point_where_their_number_is_not_drawn():
+    """Learning diverges in the third trial, so that two trials are best."""
+    errors = np.stack([np.array([4.0, 2, *last]) for last in ([np.nan] * 2, [np.inf] * 2)])
+    whole = np.broadcast_to(errors[None, :, None, None, None], (1, 2, 3, 3, 1, 4))
+    dataset = sweep_of(whole, trials=[2, 4], a=[1.0, 2, 3], b=[1.0, 2, 3])
+    page = live_grid(dataset, metric="rms", best=best_points(dataset, metric="rms"))
+    (react,) = live_source(page).selected.js_property_callbacks["change:indices"]
+    assert react.args["shown"].data["j"].tolist() == [1, 2]
+    assert react.args["all"].data["high"].tolist() == [4.0, 2.0] * 9
+
+
 def live_source(page):
     from bokeh.models import ColumnDataSource
 
