@@ -193,7 +193,7 @@ def prefixed(value: float, unit: str) -> tuple[float, str]:
 
 def written(value: float, unit: str, digits: int = 3) -> str:
     """A value as text with its prefix and unit, such as `63 nm`."""
-    number, name = prefixed(value, unit)
+    number, name = prefixed(float(f"{value:.{digits}g}"), unit)  # 999.9 nm is 1 µm, not 1e+03 nm
     return f"{number:.{digits}g} {name}".rstrip()
 
 

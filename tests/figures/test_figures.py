@@ -194,6 +194,8 @@ def test_figures_of_errors_take_a_tolerance_in_the_unit_of_the_dataset():
         (6.3e-5, "mm", "63 nm"),
         (1.0, "µm", "1 µm"),
         (999.99999999999, "nm", "1 µm"),
+        (0.9996, "mm", "1 mm"),
+        (-9.997e-7, "m", "-1 µm"),
         (2000.0, "m", "2e+03 m"),  # nobody reads kilometres on a machine tool
         (-0.02, "rad", "-20 mrad"),
         (0.004, "deg", "0.004 deg"),
