@@ -13,7 +13,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, TypeVar
 from . import console
 
 if TYPE_CHECKING:
+    import numpy as np
     import xarray as xr
 
     from ..sweeps import Sweep
@@ -133,12 +134,12 @@ def run_sweep(
         }
 
         def told(name: str, done: int, fresh: int) -> None:
-            nonlocal counted
-            counted += fresh * plan.trials * plan.task.N
             rate = f"{counted / (time.perf_counter() - start):.2g} steps/s"
             bar.update(bars[name], completed=done, now=progress(name, done, fresh) or rate)
 
-        def computed(name: str, values: object) -> None:
+        def computed(name: str, values: Mapping[str, np.ndarray]) -> None:
+            nonlocal counted
+            counted += (values["finite"] | values["diverged"]).sum() * plan.task.N
             results(name, values)
             if now := progress(name, 0, 0):
                 bar.update(bars[name], now=now)

@@ -102,18 +102,18 @@ def sweep(
     stores = [unless_there(place / "dataset.zarr", resume)]
     if bounds and any(axis.size > 1 for axis in plan.axes.axes):
         stores.append(unless_there(place / NOMINAL, resume))
-    start, fresh, errors = time.perf_counter(), [], {name: np.zeros(0) for name in plan.schemes}
+    start, trials, errors = time.perf_counter(), [], {name: np.zeros(0) for name in plan.schemes}
 
-    def progress(name: str, _: int, machines: int) -> str:
-        fresh.append(machines)
+    def progress(name: str, _: int, __: int) -> str:
         told = errors[name].size and plan.axes.size == 1
         return f"median {size_of(chosen, np.median(errors[name]))}" if told else ""
 
     def results(name: str, values: Mapping[str, np.ndarray]) -> None:
         errors[name] = np.append(errors[name], last_errors(values, chosen.judged_by))
+        trials.append(int((values["finite"] | values["diverged"]).sum()))  # a run may have fewer
 
     dataset = run(plan, stores[0], resume=resume, progress=progress, results=results)
-    steps, seconds = sum(fresh) * plan.trials * plan.task.N, time.perf_counter() - start
+    steps, seconds = sum(trials) * plan.task.N, time.perf_counter() - start
     nominal = run(_nominal(plan), stores[1], resume=resume) if stores[1:] else None
     return _told(chosen, request, dataset, nominal, stores, steps, seconds)
 

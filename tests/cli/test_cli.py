@@ -179,6 +179,12 @@ def test_a_grid_is_told_at_its_best_point(here, tmp_path):
     assert f"--set reading={best['point']['reading']}" in out
 
 
+def test_the_sample_steps_of_a_grid_are_those_of_each_point(here, tmp_path):
+    of, grid = Request("cao-2019", ("pid",), ("frequency=50",)), "trials=2,5"
+    found = outcomes.sweep(of, machines=2, grid=grid, folder=tmp_path)
+    assert found.numbers["sample_steps"] == 2 * (2 + 5) * 20
+
+
 def test_bounds_over_a_grid_have_a_map(here, tmp_path, monkeypatch):
     monkeypatch.setattr(sweeping, "SIGMA_STEPS", 4)
     grid = ("cfdl-mfailc.lam=0.5,2", "cfdl-mfailc.mu=1,3")
