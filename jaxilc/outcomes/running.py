@@ -390,9 +390,10 @@ def run_verdict(case: Case, numbers: Numbers, errors: Mapping[str, Sequence[floa
         )
     if last > EXACT * first:
         course = _with_rms(course, numbers["schemes"][best])
-    begun = f", after {case.size(first)} in trial 1" if trials > 1 else ""
+    played = trials - (trials - 1) % case.steps.get(best, 1)  # the last trial that is no experiment
+    begun = f", after {case.size(first)} in trial 1" if played > 1 else ""
     it = f"; {course.words}" if course.words and case.learns[best] else ""
-    ends = f"trial {trials} has {case.an_error} of {case.size(last)}{begun}{it}."
+    ends = f"trial {played} has {case.an_error} of {case.size(last)}{begun}{it}."
     head = f"{case.head(best, alike)}{ends}"
     passed = case.tolerance is None or last <= case.tolerance
     sentences = said(head, _larger_elsewhere(case, best, numbers), case.beside_tolerance(last))
