@@ -40,7 +40,7 @@ MARKS = {
 ROUNDED = "return String(Number(tick.toPrecision(2)))"
 NUMBER = """
 const size = Math.abs(tick);
-if (size < 1e-15) return "0";
+if (!tick || size < 1e-9 * Math.abs(ticks[1] - ticks[0])) return "0";
 const text = Number(tick.toPrecision(6));
 return size >= 1e6 || size < 1e-4 ? text.toExponential() : String(text);
 """

@@ -1,5 +1,8 @@
 """The interactive figures of searches and of published numbers show the numbers put in."""
 
+import json
+import shutil
+import subprocess
 import warnings
 from types import SimpleNamespace
 
@@ -12,8 +15,8 @@ from made_datasets import run_of, sweep_of
 from jaxilc.figures import browsers, certificate, searches
 from jaxilc.figures.by_trial import band_together
 from jaxilc.figures.description import Axis, Band, Curve, Panel
+from jaxilc.figures.page import NUMBER, panel_of
 from jaxilc.figures.page import live as page_of
-from jaxilc.figures.page import panel_of
 from jaxilc.figures.report import html_report, write_report
 from jaxilc.figures.style import COLOURS, luminance, readable
 from jaxilc.sweeps.summary import summarise
@@ -215,6 +218,25 @@ def test_of_few_machines_no_bar_says_that_a_parameter_explains_nothing(machines)
     assert len(drawn.children) == (1 if machines < 12 else 2)
     assert ("Of fewer than 12 machines it cannot be said" in seen.caption) == (machines < 12)
     assert ("The bars say" in seen.caption) == (machines == 12)
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node, which runs scripts of pages")
+@pytest.mark.parametrize(
+    ("ticks", "shown"),
+    [
+        ([1e-17, 1e-15, 1e-13], ["1e-17", "1e-15", "1e-13"]),  # errors down to rounding
+        ([-2e-17, 0.0, 2e-17], ["-2e-17", "0", "2e-17"]),
+        ([-0.1, 5.6e-17, 0.1], ["-0.1", "0", "0.1"]),  # rounded while ticks are counted
+        ([1e-9, 1.0, 1e9], ["1e-9", "1", "1e+9"]),
+        ([0.0], ["0"]),
+        ([1e-16], ["1e-16"]),
+    ],
+)
+def test_a_tick_is_0_only_where_it_is_that_beside_the_others(ticks, shown):
+    of_each = f"new Function('tick', 'ticks', {json.dumps(NUMBER)})"
+    program = f"console.log(JSON.stringify({ticks}.map((x) => {of_each}(x, {ticks}))))"
+    said = subprocess.run(["node", "-e", program], check=True, capture_output=True, text=True)
+    assert json.loads(said.stdout) == shown
 
 
 def test_a_unit_is_no_markup_under_the_pointer():
