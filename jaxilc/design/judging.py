@@ -54,7 +54,7 @@ class Verdict(NamedTuple):
         the sweep after that [unit of the metric]
     median: the same for 50 %
     worst: the same for all machines
-    settled_at: first trial whose 95 % error is at most 5 % above `error`
+    settled_at: first trial whose 95 % error is at most 5 % above `error`; 0 if that is infinite
     tolerated_from: first trial from which on 95 % of the machines stay within the tolerance, 0 if
         there is none
     lost: why the law is out of question, empty if it is not
@@ -97,7 +97,7 @@ def verdict(
     return Verdict(
         candidate, error=error, median=float(np.max(summary.median[last:])),
         worst=float(np.max(summary.worst[last:])),
-        settled_at=1 + int(np.argmax(high <= SETTLED * error)),
+        settled_at=1 + int(np.argmax(high <= SETTLED * error)) if np.isfinite(error) else 0,
         tolerated_from=_stays_from(high, tolerance), lost=lost, summary=summary,
         gained_later=_gain(high, trials),
     )  # fmt: skip

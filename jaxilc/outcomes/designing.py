@@ -355,13 +355,14 @@ def _table(chosen: Scenario, designed: Designed) -> Table:
     best = None if designed.chosen is None else designed.chosen.verdict
     for one in (*((best,) if best else ()), *designed.others):
         verdict = "lost" if one.lost else "larger error"
+        settled = f"trial {one.settled_at}" if one.settled_at else "–"
         if best is not None and not one.lost and one.error <= LIKE * best.error:
             verdict = "recommended" if one is best else "as good"
         table.add_row(
             one.candidate.name,
             f"{one.candidate.largest:.3f}",
             f"{one.error * scale:.4g}",
-            "still falls" if _falls(one) else f"trial {one.settled_at}",
+            "still falls" if _falls(one) else settled,
             verdict,
         )
     for one in designed.absent:

@@ -14,12 +14,13 @@ from command import call, done, flat, mistakes, refused, write_columns
 from jaxilc.cli import commands
 from jaxilc.design import LAWS, Designed, Recommended, search
 from jaxilc.design.candidates import Candidate
-from jaxilc.design.judging import Verdict
+from jaxilc.design.judging import Verdict, verdict
 from jaxilc.design.learned import STARTS, LearnedLaw, Taps
 from jaxilc.outcomes import Request
 from jaxilc.outcomes.designing import _table, _with_weights, need_replaceable, state_of, written_by
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import LearningFilter, PIDType
+from jaxilc.sweeps.summary import SchemeSummary
 
 FILE = f"""tolerance = 0.9
 trials = 4
@@ -102,6 +103,11 @@ def test_a_law_that_is_as_good_as_the_simpler_one_has_no_larger_error():
     best = Recommended(verdicts[0], None, None)
     table = _table(chosen, Designed(best, tuple(verdicts[1:]), (), 4, 9, 3))
     assert [*map(str, table.columns[-1].cells)] == ["recommended", "as good", "larger error"]
+    high = np.array([1.0, 0.5, np.inf, np.inf])  # a law that diverges has not settled in trial 1
+    summary = dict.fromkeys(SchemeSummary._fields, 1.0) | {"high": high, "worst": high}
+    lost = verdict(verdicts[0].candidate, SchemeSummary(**summary | {"median": high}), 2, None)
+    table = _table(chosen, Designed(best, (lost,), (), 4, 9, 3))
+    assert [*map(str, table.columns[-2].cells)] == ["trial 1", "–"]
 
 
 def test_a_state_is_resumed_replaced_or_refused(tmp_path):
