@@ -183,11 +183,13 @@ class Case(NamedTuple):
         )
 
     def of_learned(self, errors: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
-        """The errors by scheme; an experiment has that of the learned trial before it."""
+        """The errors by scheme; an experiment has that of the learned trial before it, or ∞."""
         every = {name: self.steps.get(name, 1) for name in errors}
         return {
-            name: [of_scheme[j - j % every[name]] for j in range(len(of_scheme))]
-            for name, of_scheme in errors.items()
+            name: [
+                of[j - j % every[name]] if math.isfinite(of[j]) else of[j] for j in range(len(of))
+            ]
+            for name, of in errors.items()
         }
 
     @property

@@ -134,6 +134,8 @@ def test_run_names_the_best_scheme_how_far_it_came_and_what_to_do():
     assert ran(CASE, grows, ilc=1e-17 * J + (J == 1)).said[0].endswith("settled since trial 2.")
     found = ran(CASE._replace(steps={"ilc": 3}), ilc=[8.0, 9, 9, 4, 9, 9, 2, 9])
     assert "trial 7 has a settled error of 2 mm, after 8 mm in trial 1" in found.said[0]
+    gone = ran(CASE._replace(steps={"ilc": 2}), ilc=[8.0, np.inf, 2, 4])
+    assert gone.said == ("ilc diverges within 4 trials.",), "also where an experiment does"
 
 
 def test_a_design_keeps_the_settings_of_machine_and_feedback():
