@@ -136,6 +136,8 @@ def _told(
     if best:
         dataset = at_best(dataset, best)
         chosen = dataclasses.replace(chosen, trials=dataset.sizes["trial"])
+    case = Case.of(chosen, request)
+    dataset = _played(dataset, case.steps)
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])
     numbers |= axes_numbers(chosen, dataset, tolerance)
@@ -145,7 +147,6 @@ def _told(
         if sizes:
             numbers["grid"]["bounds"] = watched_numbers(chosen, whole)
     highs = {row.scheme: (drawn["scale"] * row.high).tolist() for row in summary}
-    case = Case.of(chosen, request)
     winner = _winner(case, numbers, highs)
     for point in (of for of in best if of.scheme == winner):
         case = case._replace(request=_at(request, whole, point))
@@ -177,6 +178,20 @@ def _told(
         live=partial(live_sweep, dataset, summary, drawn, whole if several else None, best),
         configuration=dataset.attrs["configuration"],
     )
+
+
+def _played(dataset: xr.Dataset, steps: Mapping[str, int]) -> xr.Dataset:
+    """The dataset of which the last trial of each scheme is no experiment, or one that diverged.
+
+    steps: trials of a learning step by scheme, of which the first alone plays what was learned
+    """
+    ends = [*np.resize(dataset.coords.get("trials", dataset.sizes["trial"]), len(steps))]
+    last = []
+    for name, J in zip(dataset["scheme"].values, ends, strict=True):
+        played = J - (J - 1) % steps[str(name)]
+        lost = (dataset["diverged_at"].sel(scheme=name) > played).any()
+        last.append(J if lost else played)
+    return dataset if last == ends else dataset.assign_coords(trials=("scheme", last))
 
 
 def live_sweep(
@@ -395,7 +410,7 @@ def _last_trials(numbers: Numbers) -> tuple[str, tuple[str, ...], dict[str, tupl
     """What a title calls the last trial, and a column with its number if the schemes' differ."""
     last = {name: str([*row["by_trial"]][-1]) for name, row in numbers["schemes"].items()}
     if len({*last.values()}) == 1:
-        return f"trial {numbers['trials']}", (), dict.fromkeys(last, ())
+        return f"trial {next(iter(last.values()))}", (), dict.fromkeys(last, ())
     return "the last trial", ("trial",), {name: (of,) for name, of in last.items()}
 
 

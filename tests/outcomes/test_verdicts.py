@@ -270,6 +270,35 @@ def test_the_winner_of_a_grid_of_trials_is_told_at_its_own_last_trial(tmp_path):
     ]
 
 
+def test_an_experiment_at_the_end_of_a_sweep_says_nothing_of_what_was_learned(tmp_path):
+    """It errs more than the trial before, and its machines have neither grown nor failed."""
+    (tmp_path / "one.toml").write_text(
+        "tolerance = 3.0\n[plant]\nkind = 'state_space'\nA = [[0.2]]\nB = [[0.8]]\nC = [[1.0]]\n"
+        "dt = 0.001\n[task]\ndt = 0.001\nunit = 'mm'\n"
+        "reference = {function = 'sinusoid', amplitude = 1.0, frequency = 20.0, duration = 0.05}\n"
+        "[schemes.ilc]\nclass = 'ModelFreeGradient'\nstep = 0.5\n"
+    )
+    dims, errors = ("scheme", "sample", "trial"), np.array([[[8.0, 100, 2, 50], [9, 100, 1, 50]]])
+    dataset = xr.Dataset(
+        {"settled_error": (dims, errors), "finite": (dims, errors > 0),
+         "diverged_at": (dims[:-1], np.zeros((1, 2), int))},
+        {"scheme": ["ilc"], "sample": [0, 1], "trial": range(1, 5)}, {"configuration": {}},
+    )  # fmt: skip
+
+    def asked(dataset):
+        of_file = Request(str(tmp_path / "one.toml"))
+        return outcomes.sweep(of_file, folder=tmp_path, run=lambda *of, **how: dataset)
+
+    found = asked(dataset)
+    row = found.numbers["schemes"]["ilc"]
+    assert (row["yield"], row["semi_converged"], [*row["by_trial"]][-1]) == (1.0, 0.0, "3")
+    assert "all 2 machines end within 3 mm; 95 % of them end with" in found.verdict.said[0]
+    assert "of at most 2 mm" in found.verdict.said[0]
+    assert "of trial 3" in str(found.tables[0].title)
+    lost = dataset.assign(finite=dataset["trial"] < 4, diverged_at=(dims[:-1], [[4, 4]]))
+    assert asked(lost).numbers["schemes"]["ilc"]["diverged"] == 1.0
+
+
 def test_sweep_says_yield_worst_machine_and_what_is_lost():
     high = [float(x) for x in 0.01 + 0.7**J]
     found = swept(CASE, 1.0, high, 0.015)
