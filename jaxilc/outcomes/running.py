@@ -19,6 +19,7 @@ from ..learning.known_metrics import ERRORS, OF_TRIALS
 from ..runtime.provenance import differences
 from ..scenarios import Published, Scenario
 from ..scenarios.reproduction import met
+from ..schemes.scheme import trials_of_step
 from ..storage.files import whole_folder
 from ..sweeps import runs
 from ..uncertainty import key_of
@@ -191,7 +192,7 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> Numbers:
     With several channels the largest counts. The errors of a trial that diverged are infinite.
     """
     schemes: Numbers = {}
-    for name in scenario.schemes:
+    for name, scheme in scenario.schemes.items():
         chosen = _largest(dataset, name)
         known = (*(m.name for m in OF_TRIALS), *scenario.quantities)
         shown = {metric: _shown(scenario, chosen, metric) for metric in known}
@@ -202,7 +203,8 @@ def run_numbers(scenario: Scenario, dataset: xr.Dataset) -> Numbers:
         published = [_beside(p, scenario, shown) for p in scenario.due if p.scheme == name]
         axes = _by_axis(scenario, dataset.sel(scheme=name))
         course = {event: int(chosen[event]) for event in ("diverged_at", "grown_from")}
-        schemes[name] = by_metric | course | _grown(chosen) | axes | {"published": published}
+        grown = _grown(chosen, trials_of_step(scheme, scenario.task))
+        schemes[name] = by_metric | course | grown | axes | {"published": published}
     return {
         "scenario": scenario.name,
         "trials": scenario.trials,
@@ -246,11 +248,17 @@ def _by_axis(scenario: Scenario, chosen: xr.Dataset) -> Numbers:
     return {"axes": axes}
 
 
-def _grown(chosen: xr.Dataset) -> Numbers:
-    """The rms error of the last trial in units of that of the best trial, and its number."""
-    rms = chosen["rms"].values
+def _grown(chosen: xr.Dataset, every: int) -> Numbers:
+    """The rms error of the last trial in units of that of the best trial, and its number.
+
+    every: as `schemes.scheme.trials_of_step`, by which experiments are left out
+    """
+    rms = chosen["rms"].values[::every]
     best = int(np.nanargmin(np.where(np.isfinite(rms), rms, np.inf)))
-    return {"best": best + 1, "grown_to": float(rms[-1] / rms[best]) if rms[best] > 0 else 1.0}
+    return {
+        "best": best * every + 1,
+        "grown_to": float(rms[-1] / rms[best]) if rms[best] > 0 else 1.0,
+    }
 
 
 def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) -> Numbers:

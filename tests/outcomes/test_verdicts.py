@@ -20,7 +20,7 @@ from jaxilc.outcomes.certifying import certify_verdict
 from jaxilc.outcomes.outcome import Console, Verdict
 from jaxilc.outcomes.reproducing import _by_paper, reproduce_verdict
 from jaxilc.outcomes.request import REPEATED, Request
-from jaxilc.outcomes.running import run_verdict
+from jaxilc.outcomes.running import run_numbers, run_verdict
 from jaxilc.outcomes.sweeping import sweep_verdict
 from jaxilc.outcomes.terms import objective_of
 from jaxilc.outcomes.tuning import (
@@ -39,10 +39,12 @@ from jaxilc.outcomes.tuning import (
 )
 from jaxilc.outcomes.words import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, Case, trend_of
 from jaxilc.plants import StateSpace
+from jaxilc.scenarios import Scenario
 from jaxilc.scenarios.published import NOTHING, Fit, Published
 from jaxilc.scenarios.reproduction import Row
-from jaxilc.schemes import NormOptimal, PIDType
+from jaxilc.schemes import ModelFreeGradient, NormOptimal, PIDType
 from jaxilc.signals import Task
+from jaxilc.sweeps.runs import run_schemes
 from jaxilc.sweeps.summary import SchemeSummary, wilson_interval
 from jaxilc.tuning import Tuning
 from jaxilc.tuning.weights import Weights
@@ -268,6 +270,20 @@ def test_the_winner_of_a_grid_of_trials_is_told_at_its_own_last_trial(tmp_path):
         ["8 (8)", "4 (4)", "1 (1)", "0.125 (0.125)"],
         ["8 (8)", "0.5 (0.5)", "0.5 (0.5)", "–"],
     ]
+
+
+def test_the_growth_of_a_run_leaves_experiments_out():
+    """The experiments err more, of which the last trial is one."""
+    machine = Machine(StateSpace([[0.5]], [[0.5]], [[1.0]], dt=1e-3))
+    task = Task(np.sin(np.linspace(0, 2 * np.pi, 41)), dt=1e-3)
+    s = Scenario(
+        "a", "a", machine, task, {"ilc": ModelFreeGradient(step=2.6, amplitude=5.0)}, 6, {}
+    )
+    dataset, _ = run_schemes(machine, s.schemes, task, 6)
+    row, rms = run_numbers(s, dataset)["schemes"]["ilc"], dataset["rms"].values.ravel()
+    assert row["grown_from"] == 5
+    assert (row["best"], row["grown_to"]) == (1, pytest.approx(rms[4] / rms[0]))
+    assert rms[5] > 3 * rms[4]
 
 
 def test_an_experiment_at_the_end_of_a_sweep_says_nothing_of_what_was_learned(tmp_path):
