@@ -86,7 +86,8 @@ def grid_map(
     lost = (dataset["diverged_at"] > 0).any("sample")
     seen = numbers if len(drawn) == 2 else errors  # beside a line stands its band
     limits = limits_of(seen.values, pad=1.2) if of_error else None
-    ends = limits or ((1, dataset.sizes["trial"]) if shows == "best_trial" else (0, 1))
+    of_trials = tuple(dataset["trial"].values[[0, -1]].tolist())
+    ends = limits or (of_trials if shows == "best_trial" else (0, 1))
     unit = unit if of_error else ""
     shown = Colours(SHOWN[shows].format(metric), unit, ends, log=limits is not None)
     chosen = [(of, at) for of in best for at in _beside(dataset, by_size[2:], of)]
@@ -184,7 +185,8 @@ def numbers_of(dataset, errors, shows, metric, tolerance) -> xr.DataArray:
     if shows == "diverged":
         return (dataset["diverged_at"] > 0).mean("sample")
     if shows == "best_trial":
-        return (1 + errors_of(dataset, metric).argmin("trial")).median("sample")
+        at = errors_of(dataset, metric).argmin("trial")
+        return at.copy(data=dataset["trial"].values[at.values]).median("sample")
     found = np.quantile(errors.values, QUANTILES[shows], axis=-1, method="inverted_cdf")
     return errors.isel(sample=0, drop=True).copy(data=found)
 

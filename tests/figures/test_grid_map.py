@@ -66,6 +66,14 @@ def test_a_map_shows_other_numbers_of_each_point(shows, expected):
     np.testing.assert_allclose(shown[:, ::-1].T, np.array(expected)[::-1])
 
 
+def test_the_best_trial_of_a_selection_has_its_own_number():
+    rms = np.array([9.0, 1, 8, 4, 5, 6])  # of trials 3 to 6 the fourth is best
+    dataset = sweep_of(np.broadcast_to(rms, (1, 2, 2, 1, 6)), a=[1.0, 2], b=[1.0, 2])
+    (ax,) = figures.grid_map(dataset.isel(trial=slice(2, 6)), shows="best_trial", metric="rms")
+    assert set(ax.collections[0].get_array().ravel()) == {4}
+    assert ax.collections[0].get_clim() == (3, 6)
+
+
 def test_where_all_diverges_no_point_is_best():
     dataset = dataset_of([[np.inf, np.inf], [np.inf, np.inf]], ["p", "q"])
     (ax,) = figures.grid_map(dataset, metric="rms", marks={"off": {"a": 99.0, "b": "p"}})
