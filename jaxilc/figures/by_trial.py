@@ -183,7 +183,7 @@ RATIOS = (0.1, 1e3)  # of given and tuned errors that are shown
 SAME = 1e-3  # relative difference of medians below which no trial is better than the others
 TITLE = 26  # letters of a line of a title, which is no wider than its panel
 MANY = 4  # schemes from which on three panels stand side by side
-ALONE = (0.8, 1.2)  # from where to where a single trial is drawn
+ALONE = (-0.2, 0.2)  # from where to where a single trial is drawn, around its number
 
 
 def error_band(
@@ -216,9 +216,10 @@ def error_band(
     limits = _limits(rows, scale, limit)
     last = scale * np.array([of[:, -1] for of in errors_by_scheme(dataset, metric)])
     lengths = sorted({len(row.median) for row in rows})
+    numbers = dataset["trial"].values if "trial" in dataset.coords else 1 + np.arange(lengths[-1])
     looks = numbers_of(row.scheme for row in rows)
     panels = [
-        _panel(row, look, scale, limit, (metric, unit), limits, lengths[-1])
+        _panel(row, look, scale, limit, (metric, unit), limits, numbers[: lengths[-1]])
         for row, look in zip(rows, looks, strict=True)
     ]
     shares = _shares(names_of(dataset), last, (metric, unit, limit), limits)
@@ -365,16 +366,16 @@ def top_of(median) -> float:
 
 def _panel(
     row: SchemeSummary, i: int, scale: float, limit: float | None, shown: tuple[str, str], limits,
-    longest: int,
+    numbers: np.ndarray,
 ) -> Panel:  # fmt: skip
     """Median, band, worst machine, tolerance and best trial of one scheme.
 
-    shown: metric, unit;  longest: the most trials of a panel
+    shown: metric, unit;  numbers: of the trials of the panel with most of them
     """
     hue, top = colour_of(i), limits[1]
     low, median, high, worst = _quantiles(row, scale)
-    trial = np.arange(1, len(median) + 1)
-    at = trial if len(trial) > 1 else np.array(ALONE)
+    trial = numbers[: len(median)]
+    at = trial if len(trial) > 1 else trial + np.array(ALONE)
     band = np.where(low < top, low, np.nan), np.minimum(high, top)  # none that begins beyond it
     lower, upper, middle, most = (np.resize(of, len(at)) for of in (*band, median, worst))
     layers: list[Layer] = [
@@ -389,15 +390,16 @@ def _panel(
         best = int(np.argmin(np.where(np.isfinite(median) & (median > 0), median, np.inf)))
         here = [trial[best]], [median[best]]
         layers.append(Curve(*here, dash="", mark="o", filled=False, colour=hue))
-    along = TRIAL._replace(most=6, ends=(0.5, longest + 0.5))
-    note = _said(row, high > top * 1.001, worst > top * 1.001, written(worst[-1], shown[1]))
+    along = TRIAL._replace(most=6, ends=(numbers[0] - 0.5, numbers[-1] + 0.5))
+    note = _said(row, high > top * 1.001, worst > top * 1.001, written(worst[-1], shown[1]), trial)
     return Panel(along, Axis(shown[0], shown[1], log=True, ends=limits), layers, note=note)
 
 
-def _said(row, band: np.ndarray, worst: np.ndarray, last: str) -> str:
+def _said(row, band: np.ndarray, worst: np.ndarray, last: str, trial: np.ndarray) -> str:
     """What a panel tells in words: the yield, machines that diverged, and what leaves it.
 
     band, worst: in which trials the band and the worst machine do;  last: the worst error at last
+    trial: their numbers
     """
     lines = []
     if np.isfinite(row.yield_share):
@@ -406,17 +408,19 @@ def _said(row, band: np.ndarray, worst: np.ndarray, last: str) -> str:
         lines.append(f"{share_text(row.diverged)} diverged")
     last = f"{last} in the last" if np.isfinite(row.worst[-1]) else ""
     if np.any(band):
-        lines.append(f"band cut off at the top\n{_when(band)}")
+        lines.append(f"band cut off at the top\n{_when(band, trial)}")
         lines += [f"worst machine {last}"] * bool(last)
     elif np.any(worst):
-        lines.append(f"worst machine beyond the top\n{_when(worst)}" + f", {last}" * bool(last))
+        lines.append(
+            f"worst machine beyond the top\n{_when(worst, trial)}" + f", {last}" * bool(last)
+        )
     return "\n".join(lines)
 
 
-def _when(holds: np.ndarray) -> str:
+def _when(holds: np.ndarray, trial: np.ndarray) -> str:
     """In which trials something holds that does in some."""
     first = np.argmax(holds)
-    always = f"from trial {first + 1} on"
+    always = f"from trial {trial[first]} on"
     return always if np.all(holds[first:]) else f"in {np.sum(holds)} of {len(holds)} trials"
 
 

@@ -139,6 +139,16 @@ def test_a_single_trial_is_seen():
     assert ticks_of(above.xaxis) == [1]
 
 
+def test_the_trials_of_a_selection_keep_their_numbers():
+    rms = np.array([[9.0, 8, 4, 5, 6], [9, 8, 4, 500, 600]])
+    panel, _ = figures.error_band(sweep_of(rms[None]).isel(trial=slice(2, 5)), metric="rms")
+    assert [line.get_xdata().tolist() for line in panel.lines][:2] == [[3, 4, 5]] * 2
+    assert panel.get_xlim() == (2.5, 5.5)
+    assert "from trial 4 on" in panel.texts[0].get_text()
+    alone, _ = figures.error_band(sweep_of(rms[None]).isel(trial=[2]), metric="rms")
+    np.testing.assert_allclose(alone.lines[0].get_xdata(), [2.8, 3.2])
+
+
 def test_many_machines_are_for_the_band():
     many = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0)]).expand_dims(sample=3)
     with pytest.raises(ValueError, match="has 3 machines; allowed is one, and error_band"):
