@@ -681,7 +681,7 @@ def _gain(learned: Learned) -> float:
     ours, safe = (
         _errors(learned.verdicts[role], learned.trials)["median"] for role in (LEARNED, SAFE)
     )
-    return safe / ours if ours > 0 else math.inf
+    return 1.0 if safe == ours else safe / ours if ours > 0 else math.inf
 
 
 def _behind(learned: Learned) -> bool:
@@ -697,7 +697,7 @@ def _compared(learned: Learned) -> str:
         return f"In the median that is {gain:.3g} times less than with {law}{began}."
     if gain > 1 / SAME:
         return f"In the median that is as much as with {law}{began}: more taps gain nothing here."
+    times = f"{1 / gain if gain else math.inf:.3g} times"
     return (
-        f"In the median that is {1 / gain:.3g} times more than with {law}{began}: take that one, "
-        "or more --taps."
+        f"In the median that is {times} more than with {law}{began}: take that one, or more --taps."
     )

@@ -3,6 +3,7 @@
 import math
 import shlex
 from functools import partial
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -178,6 +179,24 @@ def test_a_design_tells_of_uncertain_machines_where_there_are_some():
     )
     assert said(uncertain=False) == f"{both}."
     assert said(uncertain=True) == f"{both}, and 95 % of the uncertain machines 5.5 mm."
+
+
+@pytest.mark.parametrize(
+    ("ours", "safe", "said"),
+    [
+        (0.0, 0.0, "that is as much as with"),
+        (0.0, 1.0, "that is inf times less than"),
+        (1.0, 0.0, "that is inf times more than"),
+        (1.0, 0.5, "that is 2 times more than"),
+    ],
+)
+def test_a_learned_law_is_compared_with_a_law_without_an_error(ours, safe, said):
+    candidate, found = SimpleNamespace(name="p-type"), {}
+    for role, error in (("learned", ours), ("safe", safe)):
+        of = dict.fromkeys(("median", "high", "worst"), np.array([1.0, error]))
+        found[role] = SimpleNamespace(summary=SimpleNamespace(**of), candidate=candidate)
+    learned = SimpleNamespace(verdicts=found, trials=2, start=None)
+    assert said in designing._compared(learned)
 
 
 def test_run_compares_schemes_and_the_tolerance():
