@@ -168,7 +168,7 @@ class WithFeedback(LearningAndFeedback):
     The learning part is shown the input minus the contribution of the feedback, so that it learns
     its own contribution only, and the contribution of the feedback as the signal `beside`. A
     feedback that learns is shown its own contribution as the input. What an actuator cuts off from
-    u is counted as cut off from the learned part.
+    u is counted as cut off from the learned part, also within the trial.
     The signal `feedback` of the trial records the contribution of the feedback. The signals of the
     parts are recorded as `learning.NAME` and `feedback.NAME`.
     `learn` raises ValueError for a trial without the signal `feedback`.
@@ -209,12 +209,14 @@ class WithFeedback(LearningAndFeedback):
         )
 
     def act(self, state: PairState, sample: Sample) -> tuple[PairState, Array]:
-        own = None if sample.applied is None else sample.applied - state.u
+        own = of_feedback = None
+        if sample.applied is not None:
+            own, of_feedback = sample.applied - state.u, state.u
         learning, u_learning = self.learning.act(
             state.learning, sample._replace(row=sample.row.learning, applied=own)
         )
         feedback, u_feedback = self.feedback.act(
-            state.feedback, sample._replace(row=sample.row.feedback)
+            state.feedback, sample._replace(row=sample.row.feedback, applied=of_feedback)
         )
         return PairState(learning, feedback, u_feedback), u_learning + u_feedback
 
@@ -427,9 +429,9 @@ class MultivariableILC(LearningAndFeedback):
 
     def act(self, state: Followed, sample: Sample) -> tuple[Followed, Array]:
         row = sample.row
-        seen = sample._replace(
-            r=row.now, ahead=row.ahead, y=sample.y[self.motor_output][None], row=row.feedback
-        )
+        own = None if sample.applied is None else state.told["feedback"]
+        y = sample.y[self.motor_output][None]
+        seen = sample._replace(r=row.now, ahead=row.ahead, y=y, row=row.feedback, applied=own)
         feedback, u = self.feedback.act(state.feedback, seen)
         return Followed(feedback, {"feedback": u, "reference": row.ahead[0]}), row.u + u
 

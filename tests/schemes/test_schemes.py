@@ -21,8 +21,10 @@ from jaxilc.schemes import (
     PID,
     Filtered,
     HigherOrder,
+    LearningFilter,
     OnOutputs,
     PIDType,
+    RepetitiveControl,
     WithFeedback,
 )
 from jaxilc.signals import Task
@@ -458,6 +460,15 @@ SLOW = {"limit": 0.5, "rate": 200.0, "resolution": 0.05}
 def test_a_wrapper_hands_on_what_was_applied(wrapped):
     scheme, _ = mfailc("arx", "ffdl", {"mode": "none"})
     assert_equal(run("arx", wrapped(scheme), 5, **SLOW), run("arx", scheme, 5, **SLOW))
+
+
+def test_an_actuator_that_cuts_nothing_off_changes_nothing_of_a_feedback_that_learns():
+    """It took what was learned beside it for its own."""
+    ffdl, _ = mfailc("arx", "ffdl", {"mode": "none"})
+    repeats = RepetitiveControl(LearningFilter((0.4,)), period=12 * DT)
+    for feedback in (ffdl, WithFeedback(repeats, PID(kp=0.3))):
+        scheme = WithFeedback(PIDType(gamma_p=0.6, lead=1), feedback)
+        assert_equal(run("arx", scheme, 4, limit=1e6), run("arx", scheme, 4))
 
 
 def test_a_replay_knows_what_the_actuator_applied():
