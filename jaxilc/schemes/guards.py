@@ -171,7 +171,8 @@ class Ladder(Guard):
 
     A sample that was not measured has the error zero in the mean: where m of the R repeats lost it,
     it is learned from with (R - m) / R of the gain. A law with a model is shown the weight that the
-    samples of the last repeat have.
+    samples of the last repeat have, and a law beside a feedback, within `WithFeedback`, what that
+    contributed to the last repeat.
 
     scheme: the scheme that learns from the mean trial
     repeats: R, number of trials for each learning step
@@ -219,7 +220,8 @@ class Ladder(Guard):
         count = memory.count + 1
         full = count >= self.repeats
         y, u, signals = jax.tree.map(lambda total: total / self.repeats, sums)
-        mean = trial._replace(y=y, u=u, signals={name: signals[name] for name in names})
+        signals = trial.signals | {name: signals[name] for name in names}
+        mean = trial._replace(y=y, u=u, signals=signals)
         gain = rms = None
         if self.slow is not None:
             now_rms = _root_mean_square(lax.stop_gradient(mean.e[1:]))

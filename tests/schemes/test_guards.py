@@ -13,6 +13,7 @@ from jaxilc.schemes import (
     CFDLMFAILC,
     FFDLMFAILC,
     PID,
+    ConstrainedNormOptimal,
     Filtered,
     Ladder,
     OnReference,
@@ -253,6 +254,16 @@ def test_ladder_by_hand_needs_the_signals_of_what_it_is_around():
     np.testing.assert_allclose(
         scheme.feedforward(memory, TASK)[:, 0], 0.5 * (R[1:] - 2.0), **ALGEBRA
     )
+
+
+def test_a_ladder_beside_a_feedback_shows_its_law_what_that_contributes():
+    plant = StateSpace([[0.6]], [[0.4]], [[1.0]], dt=DT)
+    law = ConstrainedNormOptimal(plant, w_r=0.1, total=0.8, feedback=[[-0.3]])
+    machine, feedback = Machine(plant), PID(kp=0.3)
+    plain, once = (
+        learn(machine, WithFeedback(one, feedback), TASK, 3) for one in (law, Ladder(law, 1))
+    )
+    np.testing.assert_allclose(once.rms, plain.rms, **ALGEBRA)
 
 
 def test_a_sample_that_repeats_lost_is_learned_from_with_a_smaller_gain():
