@@ -376,13 +376,17 @@ class MultivariableILC(LearningAndFeedback):
         start, r = trial.r[:1, self.table_output, None], trial.signals["reference"]
         seen = seen_of(trial, (self.motor_output, self.table_output))
         followed = jnp.concatenate([start, r])
+        y = seen.y
+        if seen.weight is not None:  # by which the error from the learned reference counts, too
+            y = y + (jnp.eye(2)[0] - seen.weight[..., 0]) * (followed - seen.r[:, :1])
         own = seen._replace(
             r=seen.r.at[:, :1].set(followed),
+            y=y,
             u=jnp.concatenate([trial.u - trial.signals["feedback"], r], axis=1),
             signals={},
         )
         signals = signals_of_part("feedback", trial.signals)
-        of_motor = trial._replace(r=followed, y=seen.y[:, :1], signals=signals, weight=None)
+        of_motor = seen_of(own, (0,))._replace(u=trial.signals["feedback"], signals=signals)
         return {"learning": own, "feedback": of_motor}
 
     def check(self, task: Task) -> None:

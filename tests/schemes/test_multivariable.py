@@ -21,7 +21,8 @@ from jaxilc.filters import inverse, output_ratio
 from jaxilc.learning import Actuator, Keep, Machine, learn, measured_trial
 from jaxilc.plants import BallScrewDrive, StateSpace, cascade, direct_model, multivariable_model
 from jaxilc.schemes import PID, MultivariableILC, NormOptimal, OnOutputs, PIDType, WithFeedback
-from jaxilc.signals import Task
+from jaxilc.schemes.weights import weighed
+from jaxilc.signals import Task, Trial
 from jaxilc.theory import frequency, lifted
 from jaxilc.theory.certificates import printed_conditions
 
@@ -296,6 +297,27 @@ def test_a_trial_of_milc_is_the_equation(name):
         np.testing.assert_allclose(errors[j], wanted - H @ learned[j], atol=1e-10)
         assert relative(after[j], updated(known, learned[j], errors[j], **WEIGHTS)) < 1e-9
     np.testing.assert_allclose(run.feedback[:, 1:], GAIN * run.e_c[:, :-1], atol=1e-10)
+
+
+def test_milc_learns_nothing_from_what_was_not_measured_and_its_feedback_from_its_own_share():
+    rng = np.random.default_rng(4)
+    within = WithFeedback(PIDType(gamma_p=0.1), PID(kp=GAIN))
+    scheme = MultivariableILC(PIDType(gamma_p=0.5), within)
+    signals = {
+        name: rng.standard_normal((N, 1)) for name in ("feedback", "reference", "feedback.feedback")
+    }
+    r, y, u = (
+        jnp.asarray(TASK.reference),
+        rng.standard_normal((N + 1, 2)),
+        rng.standard_normal((N, 1)),
+    )
+    trial, W = Trial(r, y, u, DT, signals), np.ones((N + 1, 2))
+    W[5:9] = 0.0
+    whole, some = (scheme.shown(one) for one in (trial, weighed(trial, jnp.asarray(W))))
+    np.testing.assert_allclose(some["learning"].e, W * whole["learning"].e, **ALGEBRA)
+    np.testing.assert_allclose(some["feedback"].e, W[:, :1] * whole["feedback"].e, **ALGEBRA)
+    assert some["feedback"].weight.shape == (N + 1, 1, 1)
+    np.testing.assert_array_equal(whole["feedback"].u, signals["feedback"])
 
 
 def test_milc_learns_from_the_input_as_it_was_applied():
