@@ -12,7 +12,16 @@ from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels, need_numbers
 from ..signals.task import Task, Trial
-from .scheme import Memory, Part, Scheme, Wrapper, need_no_comparing, need_no_experiments, silent
+from .scheme import (
+    Memory,
+    Part,
+    Scheme,
+    Wrapper,
+    law_within,
+    need_no_comparing,
+    need_no_experiments,
+    silent,
+)
 
 T = TypeVar("T")
 
@@ -271,10 +280,7 @@ class KeepUnmeasured(Wrapper):
         if trial.weight is None:
             return following
         there, N = jnp.any(trial.weight != 0, axis=(1, 2)), len(trial.u)
-        law: Value = self.scheme
-        while isinstance(law, StopWhen | Ladder | KeepUnmeasured):
-            law = law.scheme
-        lead = getattr(law, "lead", 0)
+        lead = getattr(law_within(self.scheme), "lead", 0)
         m = lead if isinstance(lead, int) else 0  # that of a basis is a time
         ahead = jnp.minimum(jnp.arange(N) + 1 + m, N)
 

@@ -27,7 +27,7 @@ from jaxilc import (
     run_schemes,
 )
 from jaxilc.figures import browsers
-from jaxilc.filters import ZeroPhaseButterworth
+from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import run_trial
 from jaxilc.learning.metrics import measure
 from jaxilc.learning.over_trials import check, truncated
@@ -55,6 +55,7 @@ from jaxilc.schemes import (
     Ladder,
     LearningFilter,
     NormOptimal,
+    OnOutputs,
     PeriodTracking,
     PIDType,
     RepetitiveBasis,
@@ -587,6 +588,23 @@ def test_laws_that_compare_trials_keep_what_was_not_measured():
     assert float(kept.rms[-1, 0]) < 1e-3
     whole, plain = (learn(Machine(PLANT), one, TASK, 8) for one in (KeepUnmeasured(law), law))
     np.testing.assert_array_equal(whole.rms, plain.rms)
+
+
+def test_the_samples_that_are_kept_are_those_that_the_law_within_learns_from():
+    law, rng = PIDType(gamma_p=0.5, leak=0.1, lead=3), np.random.default_rng(2)
+    e, u = rng.standard_normal((N + 1, 1)), jnp.asarray(rng.standard_normal((N, 1)))
+    lost = np.ones((N + 1, 1))
+    lost[10:13] = 0.0
+    r = jnp.asarray(TASK.reference)
+    trial = weighed(Trial(r, r - e, u, DT), jnp.asarray(lost))
+    for one in (law, Filtered(law, ZeroPhaseFIR((1.0,))), OnOutputs(law, (0,))):
+        kept = KeepUnmeasured(one).learn(Feedforward(u), trial)
+        np.testing.assert_array_equal(np.flatnonzero((kept.u == u)[:, 0]), [6, 7, 8])
+    beside = KeepUnmeasured(WithFeedback(law, PID()))
+    memory = beside.initial_memory(TASK)
+    memory = memory._replace(learning=Feedforward(u))
+    kept = beside.learn(memory, trial._replace(signals={"feedback": jnp.zeros((N, 1))}))
+    np.testing.assert_array_equal(np.flatnonzero((kept.learning.u == u)[:, 0]), [6, 7, 8])
 
 
 @pytest.mark.parametrize(
