@@ -378,7 +378,8 @@ class Memory(NamedTuple):
     """The memory of MFAILC after trial j.
 
     u: (N, n) input of trial j [unit of u]
-    y: (N+1, n) output of trial j [unit of y]
+    y: (N+1, n) output of trial j; before the first trial the reference, as if without an error, so
+        that `KeepUnmeasured` learns nothing where nothing was measured yet [unit of y]
     phi: (N, n) each, L_y+L_u components of the estimate for the next trial
     seen: () 0 before the first trial, else 1
     """
@@ -485,7 +486,7 @@ class FFDLMFAILC(Scheme):
     def initial_memory(self, task: Task) -> Memory:
         N, n = task.N, task.inputs
         phi = tuple(jnp.broadcast_to(p, (N, n)) for p in jnp.atleast_1d(self.phi0))
-        return Memory(jnp.zeros((N, n)), jnp.zeros((N + 1, n)), phi, jnp.zeros(()))
+        return Memory(jnp.zeros((N, n)), jnp.asarray(task.reference, float), phi, jnp.zeros(()))
 
     def learn(self, memory: Memory, trial: Trial) -> Memory:
         du, dy = trial.u - memory.u, trial.y - memory.y

@@ -607,6 +607,18 @@ def test_the_samples_that_are_kept_are_those_that_the_law_within_learns_from():
     np.testing.assert_array_equal(np.flatnonzero((kept.learning.u == u)[:, 0]), [6, 7, 8])
 
 
+def test_of_a_sample_that_no_trial_has_measured_nothing_is_learned():
+    """MFAILC took its output for zero, and learned from all of the reference."""
+    law = KeepUnmeasured(CFDLMFAILC(phi0=0.3, lam=0.02, mu=0.05, rho=0.6, reset="sign"))
+    seen, memory, r = np.ones((N + 1, 1)), law.initial_memory(TASK), jnp.asarray(TASK.reference)
+    seen[8:12] = 0.0
+    for _ in range(2):
+        trial = weighed(Trial(r, r - 0.01, memory.u, DT), jnp.asarray(seen))
+        memory = law.learn(memory, trial)
+        u = np.asarray(law.feedforward(memory, TASK))[:, 0]
+        np.testing.assert_array_equal(u == 0.0, seen[1:, 0] == 0.0)
+
+
 @pytest.mark.parametrize(
     "guard", [partial(Ladder, repeats=3), partial(StopWhen, growth=0.02)], ids=["ladder", "stop"]
 )
