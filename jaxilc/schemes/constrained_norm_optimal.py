@@ -14,7 +14,15 @@ from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_channels, need_numbers
 from ..pytree.ranges import brief
 from ..signals.task import Limit, Task, Trial
-from .constraints import Rows, need_feasible, rows_of, side_by_side, system_of, weight_of
+from .constraints import (
+    Rows,
+    bounds_where_measured,
+    need_feasible,
+    rows_of,
+    side_by_side,
+    system_of,
+    weight_of,
+)
 from .interior_point import Problem, solve
 from .quadratic_cost import need_convex, need_model_of, need_stable, need_weights, weights_of
 from .riccati import Factor, factor, newton
@@ -59,6 +67,7 @@ class ConstrainedNormOptimal(Scheme):
     With step = 1 this is the cost of the next trial, J plus |D u'|^2_Wd. y' = y + H d is what
     the model predicts, from the output y that was measured. On a machine that is not the model,
     the output may therefore leave its bounds; the input never does, as far as the scheme commands.
+    `y_low` and `y_high` bind no sample that was not measured, whose output is not known.
 
     An interior point with Riccati steps solves it in time and memory linear in N; see
     `interior_point` for its accuracy. Where the bounds cannot be met together, or the tolerances
@@ -167,7 +176,9 @@ class ConstrainedNormOptimal(Scheme):
         ready = self._prepared(trial.r, trial.dt)
         if trial.weight is None:
             return ready
-        seen = dataclasses.replace(ready, model=model_weighed(ready.model, trial), solved=None)
+        bounds: Tree = bounds_where_measured(ready, trial)
+        model = model_weighed(ready.model, trial)
+        seen = dataclasses.replace(ready, model=model, solved=None, **bounds)
         return seen._prepared(trial.r, trial.dt)
 
     def _weights(self) -> tuple[Array, ...]:

@@ -139,6 +139,16 @@ def output_bounds(scheme: Bounded, r: Leaf, xp: ModuleType = jnp) -> tuple[Leaf,
     return low, high
 
 
+def bounds_where_measured(scheme: Bounded, trial: Trial) -> dict[str, Array]:
+    """The bounds `y_low` and `y_high` of a scheme, by name, infinite at samples that were lost.
+
+    There the record has the reference, which may lie beyond them, in place of an output.
+    """
+    lost = jnp.all(trial.weight == 0, axis=2)
+    bounds = (("y_low", scheme.y_low, -jnp.inf), ("y_high", scheme.y_high, jnp.inf))
+    return {name: jnp.where(lost, far, y) for name, y, far in bounds if y is not None}
+
+
 def need_feasible(scheme: Bounded, task: Task) -> None:
     """Raises ValueError for bounds of the output that leave nothing, or exclude the start."""
     owner = type(scheme).__name__

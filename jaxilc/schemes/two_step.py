@@ -14,7 +14,7 @@ from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..signals.task import Limit, Task, Trial
 from .constrained_norm_optimal import limits_of_rows
-from .constraints import need_feasible, rows_of
+from .constraints import bounds_where_measured, need_feasible, rows_of
 from .gauss_newton import Problem, optimum
 from .quadratic_cost import (
     need_convex,
@@ -207,7 +207,8 @@ def _seen(problem: Problem, trial: Trial) -> Problem:
     if trial.weight is None:
         return problem
     beside = output_weighed(trial, problem.beside)
-    return problem._replace(model=WeighedOutput(problem.model, trial.weight), beside=beside)
+    model = WeighedOutput(problem.model, trial.weight)
+    return problem._replace(model=model, beside=beside, **bounds_where_measured(problem, trial))
 
 
 def _delay(size: int, dtype: Value, dt: float) -> StateSpace:

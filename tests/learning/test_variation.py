@@ -62,6 +62,7 @@ from jaxilc.schemes import (
     RepetitiveControl,
     Scheme,
     StopWhen,
+    TwoStep,
     WithFeedback,
 )
 from jaxilc.schemes.weights import weighed
@@ -617,6 +618,22 @@ def test_of_a_sample_that_no_trial_has_measured_nothing_is_learned():
         memory = law.learn(memory, trial)
         u = np.asarray(law.feedforward(memory, TASK))[:, 0]
         np.testing.assert_array_equal(u == 0.0, seen[1:, 0] == 0.0)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        ConstrainedNormOptimal(PLANT, w_r=1e-2, y_low=-0.7, y_high=0.8),
+        TwoStep(PLANT, w_alpha=1e-3, w_r=1e-2, y_low=-0.7, y_high=0.8),
+    ],
+    ids=["constrained", "two_step"],
+)
+def test_bounds_within_the_reference_bind_no_sample_that_was_lost(law):
+    assert np.max(np.abs(R)) > 0.9
+    history = learn(vary(dropped=0.1), law, TASK, 6, save=y_of)
+    assert float(history.memory.unsolved) == 0
+    plain = learn(Machine(PLANT), law, TASK, 6, save=y_of)
+    np.testing.assert_allclose(history.saved[-1], plain.saved[-1], atol=2e-2)
 
 
 @pytest.mark.parametrize(
