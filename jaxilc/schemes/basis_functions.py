@@ -331,7 +331,7 @@ def started(scheme: Scheme, memory: Memory, u: Value, task: Task) -> Memory:
     own = getattr(scheme, "started", None)
     if own is not None:
         return own(memory, u, task)
-    if hasattr(memory, "u"):
+    if hasattr(memory, "u") and not isinstance(scheme, Wrapper):
         if jnp.shape(u) != jnp.shape(memory.u):
             raise ValueError(
                 f"started: u has shape {jnp.shape(u)}; {type(scheme).__name__} learns "

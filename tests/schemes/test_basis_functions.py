@@ -20,6 +20,7 @@ from jaxilc.schemes import (
     GivenBasis,
     JoinedBasis,
     OnBasis,
+    OnOutputs,
     PIDType,
     PolynomialBasis,
     PositionBasis,
@@ -287,6 +288,10 @@ def test_a_law_of_higher_order_stays_where_it_was_started():
     known = started(scheme, scheme.initial_memory(task), u, task)
     kept = scheme.learn(known, scheme.record(u, np.zeros((11, 1)), task))
     np.testing.assert_allclose(kept.u, u, **ALGEBRA)
+    within = OnOutputs(scheme, (0,))
+    jax.tree.map(np.testing.assert_array_equal, started(within, known, u, task), known)
+    blank = started(within, within.initial_memory(task), u, task)
+    jax.tree.map(np.testing.assert_array_equal, blank, known)
 
 
 def test_the_descent_meets_the_conditions_of_the_optimum():
