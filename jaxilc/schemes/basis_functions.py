@@ -19,7 +19,16 @@ from .compose import need_feedforward
 from .gradient import Ready, answers, need_answers, varies
 from .guards import Guard
 from .quadratic_cost import largest_eigenvalue, need_weights, weights_of
-from .scheme import Feedforward, Memory, Schedule, Scheme, Wrapper, limited, need_no_experiments
+from .scheme import (
+    Feedforward,
+    Memory,
+    Schedule,
+    Scheme,
+    Wrapper,
+    law_within,
+    limited,
+    need_no_experiments,
+)
 from .weights import answers_weighed
 
 ROUNDING = 100.0  # in units of the last place, of a scaled Gram matrix
@@ -351,7 +360,8 @@ class WarmStart(Wrapper):
     """A scheme whose first trial plays Psi(r) theta in place of nothing.
 
     theta is known from other references, by `fitted` or from the memory of `BasisFunctions`. From
-    there the scheme learns as ever, also what the basis cannot make.
+    there the scheme learns as ever, also what the basis cannot make. Where the law has a `limit`,
+    it is also that of the first trial.
 
     scheme: any scheme that learns an input
     theta: (m,) its parameters
@@ -369,4 +379,5 @@ class WarmStart(Wrapper):
 
     def initial_memory(self, task: Task) -> Memory:
         u = input_of(self.basis, jnp.asarray(self.theta), task)
+        u = limited(u, getattr(law_within(self.scheme), "limit", None))
         return started(self.scheme, super().initial_memory(task), u, task)

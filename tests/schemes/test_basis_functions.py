@@ -15,8 +15,10 @@ from jaxilc import Machine, Task, learn
 from jaxilc.plants import DifferenceEquation, Splines, StateSpace
 from jaxilc.pytree import pytree
 from jaxilc.schemes import (
+    PID,
     Basis,
     BasisFunctions,
+    ConstrainedNormOptimal,
     GivenBasis,
     JoinedBasis,
     OnBasis,
@@ -27,6 +29,7 @@ from jaxilc.schemes import (
     RationalBasis,
     SelectedBasis,
     WarmStart,
+    WithFeedback,
     fitted,
     select_basis,
     started,
@@ -292,6 +295,16 @@ def test_a_law_of_higher_order_stays_where_it_was_started():
     jax.tree.map(np.testing.assert_array_equal, started(within, known, u, task), known)
     blank = started(within, within.initial_memory(task), u, task)
     jax.tree.map(np.testing.assert_array_equal, blank, known)
+
+
+def test_the_first_trial_of_a_warm_start_is_within_the_limit_of_the_law():
+    laws = PIDType(limit=0.3), ConstrainedNormOptimal(MODEL, w_r=1.0, limit=0.3)
+    for law in (*laws, WithFeedback(laws[0], PID())):
+        scheme, task = WarmStart(law, PolynomialBasis((0,)), theta=[5.0]), moved(40)
+        memory = scheme.initial_memory(task)
+        assert np.max(np.abs(scheme.feedforward(memory, task))) == 0.3
+        free = scheme.unlimited()
+        assert np.max(np.abs(free.feedforward(free.initial_memory(task), task))) > 4
 
 
 def test_the_descent_meets_the_conditions_of_the_optimum():
