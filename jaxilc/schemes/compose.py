@@ -25,6 +25,7 @@ from .scheme import (
     Wrapper,
     limited,
     limits_of_parts,
+    need_no_comparing,
     need_no_experiments,
     silent,
     under,
@@ -489,7 +490,8 @@ class ErrorFiltered(Wrapper):
 
         u_{j+1} = u_j + L F e_j
 
-    scheme: any scheme that learns from the error
+    scheme: any scheme that learns from the error, but none that compares outputs within the trial
+        (FFDL-MFAILC)
     filter: zero-phase filter F, applied to each channel of e
 
     At frequencies that F blocks, nothing is learned, and nothing that was learned is forgotten:
@@ -503,6 +505,7 @@ class ErrorFiltered(Wrapper):
     def check(self, task: Task) -> None:
         super().check(task)
         self.filter.check(task.N + 1, task.dt)
+        need_no_comparing(self, task)
 
     def shown(self, trial: Trial) -> dict[str, Trial]:
         return {"scheme": trial._replace(y=trial.r - self.filter(trial.e, trial.dt))}

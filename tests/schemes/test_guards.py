@@ -14,6 +14,7 @@ from jaxilc.schemes import (
     FFDLMFAILC,
     PID,
     ConstrainedNormOptimal,
+    ErrorFiltered,
     Filtered,
     Ladder,
     OnReference,
@@ -303,6 +304,10 @@ ERRORS = {
     "within_the_trial": (
         lambda: Ladder(WithFeedback(FFDLMFAILC(), PID()), 2, slow=0.9),
         "L_y = 2 of FFDLMFAILC",
+    ),
+    "within_the_trial_filtered": (
+        lambda: ErrorFiltered(WithFeedback(FFDLMFAILC(), PID()), ZeroPhaseFIR()),
+        "ErrorFiltered: L_y = 2 of FFDLMFAILC",
     ),
     "one_run": (lambda: repeatability(np.ones((1, 2))), r"repeatability: rms has shape \(1, 2\)"),
 }
