@@ -14,10 +14,8 @@ from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import known, need_numbers
 from ..signals.task import Task, Trial, samples_within
 from .gradient import Ready
-from .scheme import Part, Scheme, Wrapper, need_no_comparing, need_no_experiments, with_all_parts
-from .weights import need_no_jerk, weighed
-
-BOUNDS = ("y_low", "y_high", "tube", "contour")  # of outputs, which need all of an output
+from .scheme import Part, Scheme, Wrapper, need_no_comparing, need_no_experiments
+from .weights import need_no_bounds, need_no_jerk, weighed
 
 
 @pytree
@@ -91,17 +89,7 @@ class AtSamples(Wrapper):
 
     def check(self, task: Task) -> None:
         self._check_samples(task)
-        for scheme, _, _ in with_all_parts(self.scheme, task):
-            bound = [
-                name
-                for name in BOUNDS
-                if name in scheme.clips and getattr(scheme, name) is not None
-            ]
-            if bound:
-                raise ValueError(
-                    f"AtSamples: {type(scheme).__name__} bounds the output by {bound[0]}, which "
-                    "needs all of the motion; allowed are bounds of the input"
-                )
+        need_no_bounds(self, self.scheme, task, "needs all of the motion")
         if self.jerk_time is not None and not self.scheme.plays_back:
             raise ValueError(
                 f"AtSamples: jerk_time needs a law that plays back its input, not "

@@ -23,6 +23,8 @@ from ..pytree.needs import need_numbers
 from ..signals.task import Task, Trial
 from .scheme import Scheme, Wrapper, need_no_comparing, need_no_experiments, with_all_parts
 
+BOUNDS = ("y_low", "y_high", "tube", "contour")  # of outputs
+
 
 def weighed(trial: Trial, W: Array) -> Trial:
     """The trial with the errors W e, on top of a weight that it has already.
@@ -71,6 +73,17 @@ def counts_at_all(trial: Trial) -> Array | float:
     if trial.weight is None:
         return 1.0
     return jnp.where(jnp.any(trial.weight[1:] != 0, axis=2), 1.0, 0.0)
+
+
+def need_no_bounds(wrapper: Scheme, inner: Scheme, task: Task, why: str) -> None:
+    """Raises ValueError where a part of the inner scheme bounds outputs, which it is not shown."""
+    for part, _, _ in with_all_parts(inner, task):
+        for name in BOUNDS:
+            if name in part.clips and getattr(part, name) is not None:
+                raise ValueError(
+                    f"{type(wrapper).__name__}: {type(part).__name__} bounds the output by {name}, "
+                    f"which {why}; allowed are bounds of the input"
+                )
 
 
 def need_no_jerk(wrapper: Scheme, inner: Scheme, task: Task) -> None:
@@ -142,7 +155,7 @@ class CrossCoupled(Wrapper):
     The metrics `contour_max` and `contour_rms` look for the nearest point.
 
     `check` raises ValueError for a task of one output, and for a scheme that makes experiments,
-    compares outputs within the trial (FFDL-MFAILC) or weighs their jerk (`jerk_time`).
+    compares outputs within the trial (FFDL-MFAILC), weighs their jerk (`jerk_time`) or bounds them.
     """
 
     scheme: Scheme = child()
@@ -158,6 +171,7 @@ class CrossCoupled(Wrapper):
             )
         need_no_jerk(self, self.scheme, task)
         super().check(task)
+        need_no_bounds(self, self.scheme, task, "would hold for e~ in place of the error")
         need_no_experiments(self, task, "whose errors are not those of the path")
         need_no_comparing(self, task)
 

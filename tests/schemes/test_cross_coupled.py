@@ -11,7 +11,14 @@ from dense import lifted
 from jaxilc.learning import Machine, learn
 from jaxilc.learning.quantities import contour_metrics
 from jaxilc.plants import DifferenceEquation, StateSpace, TwoAxes
-from jaxilc.schemes import FFDLMFAILC, CrossCoupled, ModelFreeGradient, NormOptimal, PIDType
+from jaxilc.schemes import (
+    FFDLMFAILC,
+    ConstrainedNormOptimal,
+    CrossCoupled,
+    ModelFreeGradient,
+    NormOptimal,
+    PIDType,
+)
 from jaxilc.schemes.weights import across, tangents
 from jaxilc.signals import Task
 from jaxilc.theory import certify
@@ -137,6 +144,11 @@ def test_a_certificate_counts_what_lies_along_the_path():
         (PIDType(), Task(PATH[:, 0], dt=DT), "1 outputs; allowed are the 2 or 3 axes"),
         (FFDLMFAILC(), TASK, "L_y = 2 of FFDLMFAILC, which compares outputs"),
         (ModelFreeGradient(1.0, inputs=2, outputs=2), TASK, "makes experiments"),
+        (
+            ConstrainedNormOptimal(AXES, w_r=1.0, y_high=0.5),
+            TASK,
+            "ConstrainedNormOptimal bounds the output by y_high, which would hold for e~",
+        ),
     ],
 )
 def test_what_it_cannot_serve_is_refused(scheme, task, said):
