@@ -229,7 +229,10 @@ class ASMC(SMC):
         return jnp.clip(sigma / self.Delta, -1.0, 1.0)
 
     def _start(self, state: SlidingState, sample: Sample) -> Array:
-        return state.eta_hat + sample.row.eta_hat if self.carry else state.eta_hat
+        if not self.carry:
+            return state.eta_hat
+        start = sample.row.eta_hat  # which a machine that carries its state has in its state, too
+        return jnp.where(start > 0, start, state.eta_hat + start)
 
     def _adapted(self, eta_hat: Array, e: Array, sigma: Array, dt: float) -> Array:
         return eta_hat + jnp.where(jnp.abs(e) > self.epsilon, dt * self.phi * jnp.abs(sigma), 0.0)

@@ -16,6 +16,7 @@ from jaxilc.filters import ZeroPhaseFIR
 from jaxilc.learning import (
     Disturbance,
     Machine,
+    Variation,
     chattering,
     check,
     learn,
@@ -178,6 +179,13 @@ def test_the_gain_is_carried_to_the_next_trial_or_not(carry):
         start = loop.eta_hat[-1] if carry else None
     assert (history.saved[2]["eta_hat"][2, 0, 0] > 1e6) == carry
     assert ASMC(**ADAPTIVE, carry=carry).learns == carry
+
+
+def test_a_gain_that_the_state_carries_too_is_carried_once():
+    scheme = ASMC(**ADAPTIVE | {"epsilon": 1e9, "eta": 2.0}, carry=True)  # it never adapts
+    machine = dataclasses.replace(FORCED, variation=Variation(carried=1.0))
+    history = learn(machine, scheme, TASK, 3, save=signals)
+    np.testing.assert_allclose(history.saved[2]["eta_hat"], 2.0, rtol=1e-12)
 
 
 LEARNING = {"K_P": 6e5, "K_D": 1.5e3, "lam0": 12.0, "b": B}
