@@ -293,7 +293,7 @@ def best_trial(rms: Array) -> np.ndarray:
 
     rms: (J, n_y) root mean square errors [unit of y]
     """
-    errors = np.max(np.nan_to_num(np.asarray(rms, float), nan=np.inf), axis=1)
+    errors = np.max(np.nan_to_num(np.asarray(rms, float), nan=np.inf, posinf=np.inf), axis=1)
     better = errors < np.concatenate([[np.inf], np.minimum.accumulate(errors)[:-1]])
     return 1 + np.maximum.accumulate(np.where(better, np.arange(len(errors)), 0))
 

@@ -26,6 +26,7 @@ from jaxilc.tuning.objectives import Final, judge
 def test_best_trial_and_quantities():
     rms = np.array([[3.0, 1.0], [2.0, 2.5], [2.0, 1.0], [np.nan, 0.1], [2.5, 0.0]])
     np.testing.assert_array_equal(best_trial(rms), [1, 2, 3, 3, 3])
+    np.testing.assert_array_equal(best_trial([[np.nan], [np.inf], [1.0]]), [1, 1, 3])
     with pytest.raises(ValueError, match="quantity = 'rms' is a metric or a signal that"):
         Keep.of({"rms": measure})
     with pytest.raises(ValueError, match=r"schemes is empty; at least one is needed"):
