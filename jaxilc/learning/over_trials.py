@@ -343,22 +343,22 @@ def measured_trial(task: Task, y: Value, u: Value, **signals: Value) -> Trial:
 
     y: (N+1, n_y) or (N+1,) output, with y[0] measured before the first input [unit of y]
     u: (N, n_u) or (N,) input as it was applied [unit of u]
-    signals: (N, n_u) or (N,) further signals that the scheme needs, by name, such as `feedback`,
-        the contribution of the feedback to u, for `WithFeedback`
+    signals: (N, n_u), (N, n_y) or (N,) further signals that the scheme needs, by name, such as
+        `feedback`, the contribution of the feedback to u, for `WithFeedback`
     Raises ValueError, naming the signal, where its length or its number of channels does not fit
     the task, and where a value is not finite.
     """
-    shapes = {"y": (task.N + 1, task.outputs)} | dict.fromkeys(
-        ("u", *signals), (task.N, task.inputs)
-    )
+    of_u, of_y = (task.N, task.inputs), (task.N, task.outputs)
+    of_all = dict.fromkeys(signals, (of_u, of_y) if of_u != of_y else (of_u,))
+    shapes = of_all | {"y": ((task.N + 1, task.outputs),), "u": (of_u,)}
     measured = {}
     for name, values in {"y": y, "u": u, **signals}.items():
-        shape = shapes[name]
         values = np.ma.filled(np.ma.asarray(values, dtype=float), np.nan)
         values = values[:, None] if values.ndim == 1 else values
-        if values.shape != shape:
+        if values.shape not in shapes[name]:
+            needed = " or ".join(map(str, shapes[name]))
             raise ValueError(
-                f"measured_trial: {name} has shape {np.shape(values)}; this task needs {shape}"
+                f"measured_trial: {name} has shape {np.shape(values)}; this task needs {needed}"
             )
         if not np.all(np.isfinite(values)):
             raise ValueError(

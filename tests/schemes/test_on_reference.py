@@ -268,6 +268,10 @@ def test_the_correction_has_the_channels_of_the_outputs():
     e = np.asarray(task.reference - history.saved["y"][0])
     np.testing.assert_allclose(history.saved["correction"][1], 0.4 * e[1:], **ALGEBRA)
     assert feedforward(scheme, task, history.memory).shape == (N, 2)
+    y, u, signals = history.final.y, history.final.u, history.final.signals
+    before = learn(TWO, scheme, task, 1).memory
+    found = feedforward(scheme, task, next_memory(scheme, task, before, y, u, **signals))
+    np.testing.assert_allclose(found, feedforward(scheme, task, history.memory), **ALGEBRA)
     with pytest.raises(ValueError, match="PID works channel by channel"):
         dataclasses.replace(scheme, feedback=PID()).check(task)
 
