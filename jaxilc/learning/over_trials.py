@@ -327,6 +327,7 @@ def truncated(
     before = learn(
         *lax.stop_gradient((machine, scheme)), task, trials - last, first=first, **options
     )
+    before = lax.stop_gradient(before)  # also by the task and by a memory to continue from
     goes_on: dict[str, Tree] = options | {"memory": before.memory, "start": before.start}
     after = learn(machine, scheme, task, last, first=first + trials - last, **goes_on)
     metrics, saved = jax.tree.map(

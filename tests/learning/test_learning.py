@@ -1,5 +1,6 @@
 """These tests compare the loop over trials with the same loop by hand, and check the metrics."""
 
+import dataclasses
 import functools
 
 import jax
@@ -104,6 +105,24 @@ def test_truncated_learning_is_learning_from_any_first_trial(name):
     parts = truncated(machine, scheme, task, TRIALS, 2, first=3)
     assert_trees_close(parts, whole)
     assert_trees_close(truncated(machine, scheme, task, TRIALS, TRIALS, first=3), whole)
+
+
+def test_truncated_learning_has_the_gradient_of_the_last_trials_by_the_task_too():
+    machine, scheme, task = case("p_type")
+    before = learn(machine, scheme, task, TRIALS - 1)
+
+    def last(x, run):
+        scaled = dataclasses.replace(task, reference=x * jnp.asarray(task.reference))
+        return jnp.sum(run(machine, scheme, scaled).rms[-1])
+
+    def alone(*of):
+        return learn(*of, 1, first=TRIALS, memory=before.memory)
+
+    found, wanted = (
+        jax.jit(jax.grad(lambda x, run=run: last(x, run)))(1.0)
+        for run in (lambda *of: truncated(*of, TRIALS, 1), alone)
+    )
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
 
 
 def test_truncated_learning_refuses_what_it_cannot_do(machine, task):
