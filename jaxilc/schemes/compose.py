@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ..filters.zero_phase import Filter
-from ..pytree.aliases import Array, Tree
+from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.fields import child, pytree, static
 from ..signals.rows import ahead_of, delay
 from ..signals.task import Limit, Sample, Task, Trial
@@ -52,6 +52,10 @@ class LearningAndFeedback(Scheme):
     @property
     def preview(self) -> int:
         return self.feedback.preview
+
+    @property
+    def limit(self) -> Leaf | None:
+        return getattr(self.learning, "limit", None)
 
     @property
     def trials_a_step(self) -> int:

@@ -199,6 +199,19 @@ def test_what_is_around_it_is_as_around_its_learning(around):
     assert np.ptp(within["u"], axis=0).max() > 1e-2
 
 
+def test_a_filter_around_it_knows_the_limit_of_its_learning():
+    law, sharp, task = PIDType(gamma_p=0.9, limit=0.5), ZeroPhaseFIR((1.4, -0.2)), Task(R, dt=DT)
+    around, within = (
+        feedforward(scheme, task, learn(PLANT, scheme, task, 4).memory)
+        for scheme in (
+            Filtered(OnReference(law, PID(**GAINS)), sharp),
+            OnReference(Filtered(law, sharp), PID(**GAINS)),
+        )
+    )
+    assert np.max(np.abs(within)) == 0.5
+    np.testing.assert_allclose(around, within, **ALGEBRA)
+
+
 def test_two_corrections_add_up():
     """The inner correction, too, is learned from the error against r, not r + w."""
     gammas = (0.2, 0.3)
