@@ -269,11 +269,17 @@ class KeepUnmeasured(Wrapper):
     rows of their scheme.
 
     scheme: any scheme that learns from the error
+    `check` raises ValueError for a scheme that makes experiments (`ModelFreeGradient`): what was
+    kept of an experiment would be played in the next one.
     """
 
     weighs = True  # another law for each set of samples that are measured
 
     scheme: Scheme = child()
+
+    def check(self, task: Task) -> None:
+        super().check(task)
+        need_no_experiments(self, task, "which must be played as they are")
 
     def learn(self, memory: Memory, trial: Trial) -> Memory:
         following = super().learn(memory, trial)

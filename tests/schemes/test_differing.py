@@ -24,13 +24,15 @@ KINDS = {
     "a basis": lambda law: OnBasis(law, PolynomialBasis((0, 1), coupled=True)),
 }
 NOTHING_LEARNED = "learns no feedforward signal u"
+EXPERIMENTS = "ModelFreeGradient makes experiments between its steps"
 COMPARES = "FFDLMFAILC, which compares outputs within the trial"
 JERK = "of AtSamples weighs the jerk"
 ONE_AXIS = "the model has 1 inputs but the task 2"
 # which schemes of cases.py refuse, and what they say; all other pairs run
 REFUSED = {
+    "what is unmeasured is kept": {"model_free": EXPERIMENTS},
     "points": {
-        "model_free": "ModelFreeGradient makes experiments between its steps",
+        "model_free": EXPERIMENTS,
         "ffdl_book": COMPARES,
         "ffdl_fir": COMPARES,
         "constrained": "ConstrainedNormOptimal bounds the output by y_low",
@@ -39,7 +41,7 @@ REFUSED = {
     "a contour": {
         "ffdl_book": COMPARES,
         "ffdl_fir": COMPARES,
-        "model_free": "ModelFreeGradient makes experiments between its steps",
+        "model_free": EXPERIMENTS,
         "gradient": ONE_AXIS,
         "constrained": ONE_AXIS,
         "two_step": ONE_AXIS,
@@ -53,7 +55,7 @@ REFUSED = {
             NOTHING_LEARNED,
         ),
         **dict.fromkeys(("ilc_mfapc", "p_type_over_pid", "dilc", "ilc_asmc"), NOTHING_LEARNED),
-        "model_free": "ModelFreeGradient makes experiments between its steps",
+        "model_free": EXPERIMENTS,
         "repetitive": "learns no feedforward signal u",
         "repetitive_basis": "learns no feedforward signal u",
     },
