@@ -148,6 +148,20 @@ def test_a_thorough_test_has_a_turn_in_one_of_sixteen_commits_or_so(monkeypatch)
     assert np.mean([*turns_of.values()]) == pytest.approx(800 / turns.SHARE, rel=0.1)
 
 
+def test_thorough_tests_of_a_family_are_due_where_the_package_changes_there(monkeypatch):
+    changed = "jaxilc/outcomes/words.py\njaxilc/uncertainty.py\ntests/theory/test_bounds.py\n"
+    said = {"rev-parse": "0" * 40, "diff": changed}
+    monkeypatch.setattr(turns, "git", lambda name, *_: said[name])
+    monkeypatch.setattr(turns, "_changed", turns._changed.__wrapped__)
+    tests = {
+        family: [f"tests/{family}/test_a.py::test_{i}" for i in range(50)]
+        for family in ("outcomes", "cli", "theory")
+    }
+    due = {family: sum(map(turns.drawn, names)) for family, names in tests.items()}
+    assert due["outcomes"] == due["cli"] == 50
+    assert due["theory"] < 15
+
+
 # Numbers
 # --------------------------------------------------------------------------------------------------
 

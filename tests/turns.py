@@ -27,9 +27,25 @@ def _head() -> str:
     return "" if os.environ.get("JAXILC_ALL") == "1" else git("rev-parse", "HEAD")
 
 
+@cache
+def _changed() -> set[str]:
+    """Return the families of the package that the commit, or what is not committed yet, changes.
+
+    The commands change with what they find.
+    """
+    files = map(Path, git("diff", "--name-only", "HEAD~1").splitlines())
+    changed = {file.parts[1] for file in files if file.parts[0] == "jaxilc"}
+    return changed | {"cli"} if "outcomes" in changed else changed
+
+
 def drawn(test: str) -> bool:
-    """Return whether the commit draws a `thorough` test, which has one turn in `SHARE` commits."""
-    return not _head() or zlib.crc32((_head() + test).encode()) % SHARE == 0
+    """Return whether a `thorough` test is due: its family changes, or the commit draws it.
+
+    It is drawn by one in `SHARE` commits.
+    """
+    if not _head() or Path(test).parts[1] in _changed():
+        return True
+    return zlib.crc32((_head() + test).encode()) % SHARE == 0
 
 
 def due(paths: list[Path], count: int) -> list[Path]:

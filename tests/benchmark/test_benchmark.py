@@ -40,6 +40,7 @@ def small(request):
     return of, of.ours(lanes=2)()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["NumPy loop", "NumPy batch", "Numba parallel", "C limit"])
 def test_every_opponent_has_our_numbers(small, name):
     if name not in OPPONENTS:
@@ -58,6 +59,7 @@ def test_every_opponent_has_our_numbers(small, name):
     assert len(np.unique(ours[:, -1, 1])) == 3  # the plants differ
 
 
+@pytest.mark.thorough
 def test_the_reset_is_the_same_for_all():
     """The estimator's reset gives the same numbers in every opponent.
 
@@ -184,6 +186,7 @@ def slope_of(name, plants, trials, samples):
     return Slope.of(of, Weights.of(of.scheme, WEIGHTS))
 
 
+@pytest.mark.thorough
 @WITHOUT_C
 @pytest.mark.parametrize(
     ("name", "shape"), [("cfdl", (5, 2, 8)), ("cfdl", (3, 30, 200)), ("ffdl", (3, 41, 97))]

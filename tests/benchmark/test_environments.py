@@ -24,6 +24,7 @@ def test_speed_stands_side_by_side_with_the_median_ratio_of_the_turns():
     assert row.split() == ["run", "2.00", "(1.00)", "3.00", "(1.50)"]
 
 
+@pytest.mark.thorough
 def test_an_environment_measures_runs_and_gradients(monkeypatch):
     rows = {OURS: 2.0, "1 weight forward": 6.0, "2 weights reverse": 5.0}
     took = {name: SimpleNamespace(cpu=cpu) for name, cpu in rows.items()}

@@ -110,6 +110,7 @@ def test_run_prints_ours_beside_the_published_and_writes_everything(here, tmp_pa
         assert (tmp_path / "here" / name).exists()
 
 
+@pytest.mark.thorough
 def test_settings_reach_leaves_statics_and_options_together(here, tmp_path):
     settings = (
         "plant=exact", "ffdl-mfailc.L_y=1", "ffdl-mfailc.phi0=0.5,-0.06,0",
@@ -498,6 +499,7 @@ def test_every_option_is_explained():
                 assert getattr(one, "help", None), f"{command.name}: {one.name} has no help"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("command", "words"), [*examples()])
 def test_the_example_of_a_command_is_one_of_it(command, words):
     """The options of each example exist, and their values are of the right type.
@@ -804,6 +806,7 @@ def test_the_time_left_is_known_from_the_last_time(monkeypatch, tmp_path):
     assert progress.taken(key) is None
 
 
+@pytest.mark.thorough
 def test_quiet_and_verbose(here, tmp_path):
     (tmp_path / "mine.toml").write_text(PLANT + LEARNER)
     run = ("run", "mine.toml", "--trials", 2, "--report", "run.json")

@@ -148,6 +148,7 @@ def test_a_resumed_tuning_gives_the_numbers_of_the_library_at_once(tuned, file):
     assert all(part in page for part in ("jaxilc tune", "held-out loss", "<td>gamma_d</td>"))
 
 
+@pytest.mark.thorough
 def test_a_parameter_file_reaches_other_commands_and_set_goes_on_top(
     tuned, file, tmp_path, unpainted
 ):

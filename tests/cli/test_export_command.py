@@ -93,6 +93,7 @@ def test_other_languages_carry_the_certificate_too(tmp_path, kind, files):
     assert call(*given, "--number", "float")[0] == 2
 
 
+@pytest.mark.thorough
 def test_nothing_is_claimed_of_a_law_that_needs_more_than_its_limit():
     """Such a law does not learn from the trials that it cannot play, whatever theory says."""
     out = done("export", "axis.toml", "--limit", "0.2", "--machines", "1", "--out", "l")

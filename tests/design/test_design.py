@@ -70,6 +70,7 @@ def test_the_responses_are_scipys(family):
         )
 
 
+@pytest.mark.thorough
 def test_the_lines_meet_the_resonance_of_each_machine():
     """Lines near the poles of the nominal machine alone missed the peaks of the others."""
     plant = ProcessModel(1.0, frequencies=[300.0, 1000.0], dampings=[0.9, 0.01])
@@ -160,6 +161,7 @@ def test_noise_is_learned_as_theory_says(family):
         np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_the_model_inverse_also_learns_at_the_end_of_the_trial(family, safe):
     """With the inverse cut off at the end before Q smooths it, eigenvalues above 1.3 arise."""
     law = learning_law(safe["model-inverse"].scheme, TASK)
@@ -182,6 +184,7 @@ def test_a_machine_whose_sign_is_not_known_has_reasons_instead_of_weights():
     assert "sign" in found[0].why
 
 
+@pytest.mark.thorough
 def test_limits_and_noise_that_are_uncertain_change_no_response():
     """They were taken away before they were drawn: None was not a valid value for an array."""
     machine = dataclasses.replace(MACHINE, actuator=Actuator(limit=1.5), sensor=Sensor(noise=1e-9))
@@ -326,6 +329,7 @@ def test_a_design_that_is_resumed_recommends_the_same_law(tmp_path):
             Design(*given, **settings | wrong)
 
 
+@pytest.mark.thorough
 def test_laws_simulated_by_transforms_learn_as_schemes_do(family, safe):
     machines = [0, len(family.P) - 1]
     laws = [

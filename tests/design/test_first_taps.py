@@ -40,6 +40,7 @@ def lag():
     return of(LAG, {})
 
 
+@pytest.mark.thorough
 def test_a_slow_pole_delays_what_is_slow_and_its_inverse_lies_at_the_start(lag):
     """P = 0.01 / (z - 0.99): a delay of some 100 samples at rest, and P^-1 = 100 z - 99."""
     slow, middle, inverse = leads_of(lag, TASK)
@@ -51,6 +52,7 @@ def test_a_slow_pole_delays_what_is_slow_and_its_inverse_lies_at_the_start(lag):
     assert abs(slow - (np.sum(weight * delay) / np.sum(weight) - 1)) < 3
 
 
+@pytest.mark.thorough
 def test_lines_for_taps_leave_no_gap_in_which_a_response_could_rise(lag):
     coarse = family_of(designed_on(LAG, {}), None, TASK, points=60)
     assert (

@@ -71,6 +71,7 @@ def test_the_sizes_of_taps_are_those_of_the_matrix_of_the_scheme(family, window,
     np.testing.assert_allclose(contraction(family, window.of(found), TASK), expected.max())
 
 
+@pytest.mark.thorough
 def test_the_directions_are_peaks_of_one_frequency(family, window):
     """A step along one of them changes |L P| by 1 at its frequency, where |P| is not small."""
     of_L, _ = window.responses(np.arange(1, 10) / (21 * DT), DT)
@@ -88,6 +89,7 @@ def test_no_step_changes_keep_at_rest_nor_its_curvature(window):
     assert np.linalg.matrix_rank(window.of_keep, tol=1e-9) == 4
 
 
+@pytest.mark.thorough
 def test_a_law_of_a_few_weights_is_held_by_a_window_that_is_wide_enough(family, safe):
     wide = window_of(family, TASK, (101, 101))
     held = wide.of(wide.holding(law_of(safe.scheme, TASK)))
@@ -103,6 +105,7 @@ def test_the_safe_law_beside_a_limited_one_is_limited_too(family, safe, monkeypa
         assert differing(one.scheme, law.scheme) == {f"{path}scheme.limit": 0.3}
 
 
+@pytest.mark.thorough
 def test_the_steps_from_some_taps_to_others_lead_there(family, window, safe, found):
     held = window.holding(law_of(safe.scheme, TASK))
     there = window.moved(found, window.steps(found, held))
@@ -137,6 +140,7 @@ def test_by_response_beats_the_safe_law_and_keeps_the_bound(family, window, safe
     assert np.all(learned < 0.7 * family.rms(Q, family.of_taps(law.L, DT) / Q, TRIALS))
 
 
+@pytest.mark.thorough
 def test_the_penalty_begins_at_the_bound_and_not_before(family, window, found):
     """A law that just keeps the bound is not pushed away from it."""
     largest = sizes_of(family, window, found, DT).max()
@@ -172,6 +176,7 @@ def without_claims(monkeypatch):
     monkeypatch.setattr(judging, "long_run", lambda *_: told)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("without_claims")
 def test_the_proof_of_a_whole_set_encloses_its_corners(monkeypatch):
     """A peak lies between the lines of the grid, on a corner that is not the worst on the grid."""
@@ -184,6 +189,7 @@ def test_the_proof_of_a_whole_set_encloses_its_corners(monkeypatch):
     assert whole.bound >= np.abs(1 - 0.3 * z * dense.P).max() - 1e-9
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("without_claims")
 def test_the_corners_of_a_normal_distribution_are_found_though_drawn_numbers_lie_beyond():
     """The proof ends at them, and so do its bound and what is said of it."""
@@ -199,6 +205,7 @@ def test_the_corners_of_a_normal_distribution_are_found_though_drawn_numbers_lie
     assert "two standard deviations from the mean of plant.gain" in safety_said(proof)
 
 
+@pytest.mark.thorough
 def test_shaped_is_a_learning_filter(window, found):
     shaped = ShapedFilter.around(window, found)
     np.testing.assert_array_equal(shaped.taps().L, window.of(found).L)

@@ -46,6 +46,7 @@ def response(taps, middle, f):
     return np.einsum("fp,pij->fij", np.exp(2j * np.pi * DT * np.outer(f, powers)), taps)
 
 
+@pytest.mark.thorough
 def test_the_responses_and_the_first_error_are_those_of_the_matrices(family):
     z = np.exp(2j * np.pi * DT * family.frequencies)[:, None, None]
     P = np.linalg.solve(z * np.eye(2) - A, B + 0j)

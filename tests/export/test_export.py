@@ -245,6 +245,7 @@ def test_the_guard_lets_an_axis_that_sticks_learn_to_break_away(beside):
         assert found == codes
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("largest", "code"), [(0.9, 0), (1.1, 2)])
 def test_the_guard_takes_any_input_for_that_of_an_axis_where_there_are_more(largest, code):
     r = jnp.linspace(0, 1, FEW + 1)[:, None]
@@ -280,6 +281,7 @@ def test_the_guard_lets_a_law_of_higher_order_learn_from_an_error_that_stays():
     assert [CODES[played.trial(y)[1]] for _ in range(3)] == ["LEARNED"] * 3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("law", [
     WarmStart(PIDType(gamma_p=0.5), PolynomialBasis((0,)), theta=[0.1]),
     BasisFunctions(PolynomialBasis((0,)), StateSpace([[0.0]], [[0.5]], [[1.0]], dt=1e-3),
@@ -411,6 +413,7 @@ int main(void)
 """
 
 
+@pytest.mark.thorough
 @needs_c
 @pytest.mark.parametrize("name", ["ilc_asmc", "ffdl_lead_limited"])
 def test_no_output_of_a_sensor_makes_an_input_beyond_its_limit(name, tmp_path):

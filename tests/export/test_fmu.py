@@ -146,6 +146,7 @@ def test_a_law_plays_in_an_fmu_what_it_plays_here(exported, version, tmp_path):
     fmu.call("FreeInstance")
 
 
+@pytest.mark.thorough
 @compiled
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_step_of_several_samples_begins_from_rest_once(version, tmp_path):
@@ -163,6 +164,7 @@ def test_a_step_of_several_samples_begins_from_rest_once(version, tmp_path):
         assert fmu.get("y") == x
 
 
+@pytest.mark.thorough
 @compiled
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_plant_answers_in_an_fmu_as_it_answers_here(exported, version, tmp_path):

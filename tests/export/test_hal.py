@@ -25,6 +25,7 @@ def test_a_description_of_several_lines_is_put_on_one():
     assert text.splitlines()[0] == """component law "A 'law' of two lines.";"""
 
 
+@pytest.mark.thorough
 def test_the_pins_are_those_of_the_task_and_no_name_of_the_law(text):
     head, _, code = text.partition(";;")
     pins = re.findall(r"pin (?:in|out) \w+ ([\w-]+)(?:-#\[(\d+)\])?", head)

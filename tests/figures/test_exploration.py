@@ -67,6 +67,7 @@ def test_a_slider_gives_what_learning_gives(explored):
     np.testing.assert_allclose(found.size[0, low], np.abs(1 - 0.5 * z**3 * P)[low], atol=2e-3)
 
 
+@pytest.mark.thorough
 def test_a_resonance_between_the_frequencies_of_the_page_is_not_called_safe(tmp_path):
     """A mode of a width of 2 mHz lies between two lines, at which |Q - L P| is below 1."""
     z = np.exp(2j * np.pi * DT * 30.05)
@@ -81,6 +82,7 @@ def test_a_resonance_between_the_frequencies_of_the_page_is_not_called_safe(tmp_
     assert "at 240 frequencies: 0." in page.told.text
 
 
+@pytest.mark.thorough
 def test_moving_a_weight_compiles_nothing(explored):
     explored.outcome({"scheme.gamma_p": 0.4}, 0.15)
     before = _computed._cache_size()
@@ -427,6 +429,7 @@ def test_the_last_trial_shows_the_largest_error_of_every_output(tmp_path):
         assert [item.label.value for item in one.legend[0].items] == ["x", "y"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("ends", [(0.2, 1.8), (0.5, 0.9)])
 def test_a_spread_that_no_slider_reaches_stays_until_its_slider_is_moved(ends, tmp_path):
     wide = dataclasses.replace(axis(), uncertainty={"plant.B": Uniform(*ends, relative=True)})

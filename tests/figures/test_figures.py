@@ -98,6 +98,7 @@ def test_a_trial_in_which_every_machine_diverges_has_no_ratio():
     assert np.array_equal(below.layers[1].y, [1.0, np.nan], equal_nan=True)
 
 
+@pytest.mark.thorough
 def test_names_of_schemes_stand_over_their_own_panels():
     long = [f"a-very-long-name-of-a-learning-law-{i}" for i in range(2)]
     axes = figures.error_band(sweep_of([[[1.0]]] * 5, [*long, *"abc"]), metric="rms")
@@ -560,6 +561,7 @@ def law_of(passed, refused=""):
     return Learned(None, refused, None, {}, None, passed, WINDOW, FAMILY, 3, 9, 5)
 
 
+@pytest.mark.thorough
 def test_the_figure_shows_the_taps_and_their_responses():
     axes = figures.learned_law_figure(law_of(Passed(TAPS, 0.0, 0.9)), DT, unit="V/mm")
     shift, taps = axes[0, 0].lines[0].get_data()
@@ -653,6 +655,7 @@ def test_a_zoom_at_the_end_of_the_trial_lies_within_it():
         assert time[0] <= low < high <= time[-1]
 
 
+@pytest.mark.thorough
 def test_labels_do_not_overlap():
     """Ticks, labels of axes and the legend, with as many schemes as a scenario has."""
     dataset = dataset_of([sinusoid(a, 10.0) for a in (4.0, 2.0, 1e-3)])

@@ -207,6 +207,7 @@ def test_more_marks_than_there_are_signs_are_all_drawn():
         assert marks.keys() <= {*named(ax)}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("factor", [[[1e3, 1e3]] * 2, [[np.nan, np.nan]] * 2, [[0.0, 0.0]] * 2])
 def test_a_map_on_which_nothing_contracts_or_nothing_is_known_is_drawn(factor, tmp_path):
     unknown = dict.fromkeys(("d2", *PREMISES), np.nan)

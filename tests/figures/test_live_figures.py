@@ -70,6 +70,7 @@ def test_a_machine_that_diverged_has_its_place_in_the_legend():
     assert on_paper[1:] == ["nominal machine: 1.5", "gradient: diverged"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("inputs", [1, 2, 3])
 def test_each_output_of_a_trial_has_its_own_input(inputs):
     """Of as many inputs as outputs the output's own is shown, of others a menu chooses."""

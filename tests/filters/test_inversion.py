@@ -92,6 +92,7 @@ def applied(q, signal):
     return q(signal, q.dt)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", MINIMUM_PHASE)
 def test_minimum_phase_is_inverted_exactly(name):
     P = PLANTS[name]
@@ -130,6 +131,7 @@ def test_error_of_missing_pre_actuation_falls_with_the_rest_before_the_motion(na
     assert errors[-1] > 1e-9, "the tolerance of the long rest should be out of reach of a short one"
 
 
+@pytest.mark.thorough
 def test_extension_leaves_the_ratio_of_the_slowest_zeros_to_its_power():
     P, r = PLANTS["slow"], moving(rest=1)
     exact, extensions = two_sided(P, r[:, 0]), np.arange(10, 61, 10)
@@ -157,6 +159,7 @@ def response(q, omega, samples=2400):
     return np.exp(-1j * np.outer(omega, np.arange(samples) - at)) @ h
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("zeros", "radius", "mirrored"),
     [
@@ -310,6 +313,7 @@ def test_ratio_of_two_outputs_recovers_one_from_the_other():
     assert np.max(np.abs(y[inside, 0] - y[inside, 1])) > 1e-3 * np.abs(y).max()
 
 
+@pytest.mark.thorough
 def test_held_motor_position_puts_the_table_half_a_sample_ahead():
     """The force comes from the inverse of the motor, which follows r_0 exactly.
 

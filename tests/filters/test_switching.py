@@ -57,6 +57,7 @@ def share_after(t, time, width):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("order", [2, 3])
 @pytest.mark.parametrize("width", [0.0, 0.0117])
 def test_each_segment_has_its_own_butterworth(order, width):
@@ -80,6 +81,7 @@ def test_a_sample_on_a_switching_time_is_after_it(double):
             assert np.flatnonzero(share)[0] == k
 
 
+@pytest.mark.thorough
 def test_one_segment_is_a_butterworth():
     for options in ({"order": 4, "padding": 15}, {"padding": 5}, {}):
         one = filtered(SwitchableFilter((31.0,), **options), SIGNAL)
@@ -109,6 +111,7 @@ def test_a_change_makes_no_step_in_what_every_segment_passes():
     assert soft < step(butterworth(60.0, signal=noise))
 
 
+@pytest.mark.thorough
 def test_derivatives_of_the_filter():
     def level(q):
         return jnp.sum(q(SIGNAL, DT) ** 2 * (1 + jnp.arange(N))[:, None])

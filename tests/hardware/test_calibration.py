@@ -84,6 +84,7 @@ def test_a_trial_without_any_error_has_a_band():
         assert not np.any(np.isnan([found.rms, found.largest]))
 
 
+@pytest.mark.thorough
 def test_after_a_change_of_the_gain_the_bands_begin_anew():
     """It is told once, where every later trial was told to be another machine before."""
     told, within = [], []

@@ -186,6 +186,7 @@ def copied(session, tmp_path):
     return rig, tmp_path / "state", tmp_path
 
 
+@pytest.mark.thorough
 def test_a_measured_trial_takes_four_programs(tmp_path):
     # An operation on arrays of JAX would be a program of its own: there were 17 of the metrics.
     (tmp_path / "axis.toml").write_text(AXIS.replace("duration = 0.25", "duration = 0.251"))
@@ -667,6 +668,7 @@ def test_a_repeat_that_the_law_asks_for_may_be_the_same_in_all_counts(tmp_path, 
     assert len(repeats) == 1
 
 
+@pytest.mark.thorough
 def test_an_experiment_that_moves_little_is_no_dead_encoder(tmp_path):
     k, rng = np.arange(101), np.random.default_rng(0)
     task = Task(np.sin(2 * np.pi * k / 100) * np.sin(np.pi * k / 100) ** 2, dt=0.01)
@@ -713,6 +715,7 @@ def test_an_output_whose_square_is_infinite_is_refused(rests):
         campaign.turn(trial._replace(y=trial.y + 1e160))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("samples", [10, 40])  # at rest, and in the motion
 @pytest.mark.parametrize("first", [1, 2, 3])
 def test_a_trial_that_ended_early_is_no_alarm_and_the_next_one_is_none(rests, first, samples):
@@ -841,6 +844,7 @@ def test_every_table_is_looked_at_before_it_is_played():
     assert ["feedback.feedforward would reach" in one.text for one in grown] == [True]
 
 
+@pytest.mark.thorough
 def test_a_law_that_does_not_begin_with_zero_is_bound_from_there(tmp_path):
     """A constant error of -4 moves u by -2 a trial, from +-1 to -6 +- 1; then to -10.6."""
     law = WarmStart(PIDType(gamma_p=0.5), PolynomialBasis((0,)), theta=[1.0])

@@ -268,6 +268,7 @@ def test_another_format_is_refused(tmp_path):
             write_schedules(path, two_schedules(), TWO, trial=1, number=number)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["p_type_on_reference", "milc"])
 def test_the_feedback_alone_along_the_learned_reference_makes_the_scheme_s_trial(name):
     machine, scheme, task = case(name)

@@ -40,6 +40,7 @@ def test_linuxcnc_reads_each_line_as_three_numbers(tmp_path):
     np.testing.assert_array_equal(lines, np.column_stack(table))
 
 
+@pytest.mark.thorough
 def test_linuxcnc_comes_to_the_commanded_position(tmp_path):
     """A screw with an error and backlash, under what LinuxCNC makes of the file by its type."""
 
@@ -61,6 +62,7 @@ def test_linuxcnc_comes_to_the_commanded_position(tmp_path):
     assert np.max(off) > 0.1  # a file of type 1 read as one of type 0, which is the default
 
 
+@pytest.mark.thorough
 def test_a_table_in_structured_text_is_what_the_language_takes(tmp_path):
     """As IEC 61131-3 writes it: a real literal has a point, and the range holds all."""
     table = write_map(tmp_path / "map.st", MAP, np.r_[X, 1e5, 1e22])

@@ -27,6 +27,7 @@ def played(seed, feedback):
     return r, u, y
 
 
+@pytest.mark.thorough
 def test_a_closed_loop_is_seen_and_an_open_one_is_not():
     for seed in range(4):
         for feedback in (0.0, 3.0):
@@ -37,6 +38,7 @@ def test_a_closed_loop_is_seen_and_an_open_one_is_not():
             assert feedback_seen(record, y[:, None] - found.simulated) == bool(feedback)
 
 
+@pytest.mark.thorough
 def test_the_reference_gives_a_fit_without_bias():
     direct, staged = [], []
     for seed in range(12):
@@ -64,6 +66,7 @@ def test_the_command_uses_the_reference_of_a_file_and_asks_for_it(tmp_path):
     assert "record the reference as a column r" in said
 
 
+@pytest.mark.thorough
 def test_an_output_that_answers_within_its_sample_is_no_closed_loop(tmp_path):
     """Rows of measured files may hold the output after the input of the same row has acted."""
     rng, kept = np.random.default_rng(0), np.exp(-POLE * DT)
@@ -80,6 +83,7 @@ def test_an_output_that_answers_within_its_sample_is_no_closed_loop(tmp_path):
     assert "loop" not in said[1]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_not_linear_is_no_closed_loop(seed):
     """Of a stiffness that hardens, a little of the residual predicts a periodic input, too."""

@@ -35,6 +35,7 @@ def test_without_an_answer_there_is_no_delay():
     assert first_lag(Record(np.zeros((100, 1)), np.zeros((101, 1)), DT)) == 0
 
 
+@pytest.mark.thorough
 def test_a_fixed_delay_is_in_the_plant_and_not_in_the_poles():
     found = identify(record(4), poles=1, pairs=0, zeros=0, delay=4, starts=16)
     assert found.plant.delay == pytest.approx(4 * DT, rel=1e-12)

@@ -55,6 +55,7 @@ def test_the_slopes_of_the_residual_are_those_of_differences(inputs, outputs):
         np.testing.assert_allclose(J[..., i], (ahead - behind) / 2e-6, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("channels", [1, 2])
 def test_the_plant_answers_as_the_columns_do(channels):
     """Of two experiments, with every kind of part, a delay and two channels."""
@@ -72,6 +73,7 @@ def test_the_plant_answers_as_the_columns_do(channels):
         np.testing.assert_allclose(found, want[101 * half : 101 * (half + 1)], rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.thorough
 def test_what_is_not_linear_is_asked_of_what_the_plant_answers():
     record = Record(U, RNG.normal(size=(901, 1)), DT)
     of = grown.Signals.of(record, 700)

@@ -136,6 +136,7 @@ def test_impossible_process_models_are_refused(build, message):
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_record_holds_the_input_as_applied_and_the_output_as_the_encoder_shows_it():
     record = excite(Machine(EQ_7, Actuator(limit=0.5, resolution=0.4), Sensor(ENCODER)), U[:50], DT)
     np.testing.assert_allclose(np.abs(record.u), 0.4, **ALGEBRA)
@@ -219,6 +220,7 @@ def test_intervals_cover_the_truth_as_often_as_they_say():
     assert np.mean([f.white for f in found]) > 0.9
 
 
+@pytest.mark.thorough
 def test_intervals_scale_with_the_noise():
     quiet, loud = (
         identify(excite(Machine(EQ_7, sensor=Sensor(noise=s * NOISE)), U, DT), EQ_7)
@@ -257,6 +259,7 @@ def test_a_lightly_damped_drive_is_found_without_a_start():
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_chosen_leaves_and_elements_of_a_given_plant(record):
     start = VoiceCoil(gain=5000.0, zero=500.0, poles=(474.0, 474.0, 20.0))
     found = identify(record, start, free=("gain", "zero", "poles[2]"), fit_share=1.0)
@@ -274,6 +277,7 @@ def test_where_an_output_rests_it_has_no_fit():
     np.testing.assert_allclose(fit_of(y, 0.1 * np.std(moved) * y), [np.nan, 90], rtol=0.02)
 
 
+@pytest.mark.thorough
 def test_where_an_output_rests_but_for_noise_it_has_no_fit():
     """Noise of 1 after a stroke of 1000 that the model explains; a model that drifts is told."""
     rng = np.random.default_rng(4)
@@ -294,6 +298,7 @@ def test_where_an_output_rests_but_for_noise_it_has_no_fit():
     assert np.isnan(found.validation_fit[0])
 
 
+@pytest.mark.thorough
 def test_what_the_model_errs_in_a_motion_is_no_noise():
     """A lag without a mode at 40 Hz fits 96 %; then the mode alone moves, and the lag misses it."""
     rng, t, step = np.random.default_rng(3), np.arange(1201) * 1e-3, 1e-3
@@ -339,6 +344,7 @@ def test_what_the_record_cannot_tell_apart_has_no_interval():
     assert float(found.plant.B[0, 0] * found.plant.C[0, 0]) == pytest.approx(100.0, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_a_double_pole_needs_a_pair(record):
     """Two equal `poles` have the same derivative. The pair is determined to 0.2 %."""
     twice = identify(record, ProcessModel(TRUE["gain"], [928.2], [6.404, 474.0, 474.0]))
@@ -348,6 +354,7 @@ def test_a_double_pole_needs_a_pair(record):
     assert width(pair.parameters["frequencies[0]"]) < 2e-3 * 474.0
 
 
+@pytest.mark.thorough
 def test_two_outputs_are_weighted_by_their_noise():
     stage = StateSpace([[-50.0, 0.0], [200.0, -200.0]], [[50.0], [0.0]], [[1.0, 0.0], [0.0, 1.0]])
     noise = np.array([1e-3, 5e-2])
@@ -492,6 +499,7 @@ def test_single_precision_is_refused():
         identify(GOOD)
 
 
+@pytest.mark.thorough
 def test_an_excitation_that_does_not_fit_is_named():
     with pytest.raises(ValueError, match=r"excite: u is not finite at sample 1"):
         excite(MOTOR, [1.0, np.nan], DT)
@@ -505,6 +513,7 @@ def test_an_excitation_that_does_not_fit_is_named():
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_figures_show_the_record_and_the_residual(record, tmp_path):
     identified = identify(record, EQ_7)
     top, bottom = figures.record_figure(record, input_unit="V", output_unit="mm")
@@ -545,6 +554,7 @@ def test_the_band_of_the_response_is_that_of_the_parameters():
     assert size[200] == pytest.approx(abs((C @ np.linalg.solve(z * np.eye(len(A)) - A, B)).item()))
 
 
+@pytest.mark.thorough
 def test_the_pole_of_an_exact_fit_has_no_spread():
     """Its interval was not a number, with a warning of NumPy."""
     lag = ProcessModel(gain=2.0, zeros=(), poles=(60.0,))

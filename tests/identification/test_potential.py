@@ -43,6 +43,7 @@ def test_what_is_new_is_unbiased_and_its_interval_holds():
     assert 0.90 <= within / 200 <= 0.99
 
 
+@pytest.mark.thorough
 def test_the_interval_of_what_repeats_knows_that_the_noise_is_strong_where_it_is():
     rng, t, inside = np.random.default_rng(8), np.arange(1000) * DT, 0
     pulse = np.exp(-(((t - 0.3) / 0.07) ** 2)) - np.exp(-(((t - 0.7) / 0.07) ** 2))
@@ -216,6 +217,7 @@ reference = { function = "sinusoid", amplitude = 1.0, frequency = 1.0, duration 
 """
 
 
+@pytest.mark.thorough
 def test_the_command_tells_it_and_the_plant_file_carries_it_to_design(
     tmp_path, monkeypatch, unpainted
 ):

@@ -62,6 +62,7 @@ def sampled():
     return identify_response(measured(DT), dt=DT, starts=32)
 
 
+@pytest.mark.thorough
 def test_the_parameters_lie_within_their_errors(sampled):
     """The squared errors by the covariance are chi-square of 6 degrees: 22.5 is 1 in 1000."""
     error = np.array([sampled.parameters[name].value for name in NAMES]) - TRUE
@@ -112,6 +113,7 @@ def test_the_intervals_of_few_averages_hold():
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.thorough
 def test_without_a_scatter_the_relative_error_is_fitted():
     lines = measured(None, share=0.02, floor=0.0)
     found = identify_response(lines._replace(std=0 * lines.std), starts=32)

@@ -70,6 +70,7 @@ def test_the_intervals_hold_the_machine_as_often_as_they_say():
     assert np.mean(held) >= 0.85  # 0.95 is expected; fewer by chance once in 100 times
 
 
+@pytest.mark.thorough
 def test_the_free_motions_of_a_pole_move_with_it():
     """Without their derivatives the search ended beside the minimum, and intervals were too narrow.
 
@@ -93,6 +94,7 @@ def test_the_free_motions_of_a_pole_move_with_it():
     np.testing.assert_allclose(gradient / scale, differences / scale, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_slow_noise_and_a_wrong_model_are_no_motion():
     mode, lag = (ProcessModel(GAIN, [], *of) for of in (([], [50.0], [0.05]), ([50.0], [], [])))
     for seed in range(3):
@@ -126,6 +128,7 @@ def test_a_second_record_may_begin_in_motion(tmp_path):
     assert any("The record does not begin at rest" in line for line in said)
 
 
+@pytest.mark.thorough
 def test_a_free_motion_as_slow_as_a_bias_takes_its_place():
     record, slow = played(2), ProcessModel(GAIN, [], [1e-12], [FREQUENCY], [DAMPING])
     found = identify(record, slow, free=["gain"], from_rest=False)
@@ -158,6 +161,7 @@ def of_lag(seed, n, *, late=0, noise=0.5):
     return Record(u[:, None], (y + noise * y.std() * slow / slow.std())[:, None], DT)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("n", "late"), [(30, 20), (60, 30)])
 def test_a_record_too_short_to_tell_a_motion_begins_at_rest(n, late):
     """With free motions as many as samples it was fitted to 100 %, with intervals of NaN."""
@@ -169,6 +173,7 @@ def test_a_record_too_short_to_tell_a_motion_begins_at_rest(n, late):
         identify(record, **lag, delay=late, from_rest=False)
 
 
+@pytest.mark.thorough
 def test_growing_takes_no_direct_term_that_a_short_record_cannot_tell():
     """The last fit refused what growing had chosen: 29 samples to fit 6 parameters."""
     for seed in range(3):

@@ -37,6 +37,7 @@ def scenario_of(**changes):
     return dataclasses.replace(known, task=TASK, trials=TRIALS, published=(), **changes)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_a_trial_diverges_at_a_thousand_times_the_reference_in_either_precision(precision):
     """In float32 the errors overflow at trial 65; in float64 they do not within 200 trials."""
@@ -108,6 +109,7 @@ def test_growth_of_many_at_once(xp):
     np.testing.assert_array_equal(divergence.grown_from(errors, 0.2), [3, 3, 0, 0])
 
 
+@pytest.mark.thorough
 def test_it_maps_over_machines_and_leaves_gradients_alone():
     def learned(gain):
         return learn(MACHINE, PIDType(gamma_p=gain), TASK, TRIALS)
@@ -120,6 +122,7 @@ def test_it_maps_over_machines_and_leaves_gradients_alone():
     np.testing.assert_allclose(slope, 7 * 4.0**6 * rms, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_trials_that_go_on_keep_their_numbers():
     before = learn(MACHINE, GROWING, TASK, 3)
     after = learn(MACHINE, GROWING, TASK, 4, memory=before.memory, first=4)

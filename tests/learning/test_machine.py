@@ -80,6 +80,7 @@ def test_machine_equals_a_loop_by_hand(part):
     assert all(3 < count <= N for count in reached.values()), reached
 
 
+@pytest.mark.thorough
 def test_learning_sees_the_input_as_applied():
     """The law starts from the saturated input, so it does not wind up: u_{j+1} = clip(u_j) + gamma
     e_j.
@@ -96,6 +97,7 @@ def noisy(sensor=0.0, output=0.0, input=0.0):
     return Machine(DELAY, None, Sensor(noise=sensor), disturbance)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("source", ["sensor", "output", "input"])
 def test_noise_is_white_of_the_given_deviation_and_new_in_each_trial(source):
     """With u = 0 and y[k+1] = u[k] + d_u[k] the output is the noise.
@@ -126,6 +128,7 @@ def test_noise_sources_are_independent_and_add_up():
     assert abs(np.var(y[0, 1:]) - variance) < SIGMAS * variance * np.sqrt(2 / N)
 
 
+@pytest.mark.thorough
 def test_repetitive_part_repeats_and_the_rest_follows_the_key():
     N = 20
     task, wave = Task(np.zeros(N + 1), dt=DT), np.sin(np.arange(N + 1.0))[:, None]
@@ -144,6 +147,7 @@ def test_repetitive_part_repeats_and_the_rest_follows_the_key():
     np.testing.assert_array_equal(unkeyed, signals(both, ZERO, task, 3)[0])
 
 
+@pytest.mark.thorough
 def test_noise_of_each_channel_is_its_own():
     N, deviations = 3000, np.array([0.1, 0.4])
     plant = StateSpace(np.zeros((2, 2)), np.eye(2), np.eye(2), dt=DT)
@@ -179,6 +183,7 @@ def test_gradients_of_the_discontinuous_parts():
     assert jax.jit(jax.grad(lambda y: Sensor(resolution=0.3).measure(y, None)))(0.4) == 1.0
 
 
+@pytest.mark.thorough
 def test_gradient_through_learning_on_quantised_signals_is_straight_through():
     """For y[k+1] = Q(u[k]) the derivative of the law is that of the smooth loop, evaluated at the
     quantised values.

@@ -317,6 +317,7 @@ def test_a_factor_of_0_has_the_slope_0(objective, law):
     assert (value, slope) == (0, 0)
 
 
+@pytest.mark.thorough
 def test_terms_are_what_they_say():
     errors = np.array([1.0, 0.3, 0.45, 0.45, 0.1])
     law = PIDType(gamma_p=0.5)
@@ -351,6 +352,7 @@ def test_terms_are_what_they_say():
     assert found(np.zeros(5))[-1] == 0.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("tolerance", [2e-2, 1e-6, 1e-9])
 def test_a_tolerance_is_one_number_for_all_outputs_however_small(tolerance):
     errors = tolerance * np.array([[4.0, 0.5], [0.5, 3.0], [0.2, 0.1], [0.0, 0.0]])
@@ -366,6 +368,7 @@ def test_a_tolerance_is_one_number_for_all_outputs_however_small(tolerance):
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_scheme_within_bounds_is_the_scheme():
     for name in ("ffdl_book", "p_type_on_reference"):
         machine, scheme, task = case(name)
@@ -396,6 +399,7 @@ def test_the_largest_of_errors_that_are_all_zero_has_no_slope():
     assert slopes.tolist() == [[0.0, 0.0], [3.0, 7.0], [-3.0, -7.0]]
 
 
+@pytest.mark.thorough
 def test_divergence_has_the_loss_of_the_trial_that_passed_the_ceiling_and_its_slope():
     # With gamma g = 3, |e_j| = 2^(j-1) exceeds 1000 in the 11th trial, which all later trials
     # repeat.
@@ -425,6 +429,7 @@ def test_after_the_trial_that_passed_the_ceiling_no_trial_counts():
         kept_for(each, Keep.of({"input rate": jnp.mean}))
 
 
+@pytest.mark.thorough
 def test_divergence_outside_the_settled_window_is_seen():
     # The reference is constant in its second half. There is nothing to learn there, while the first
     # half diverges as before.
@@ -508,6 +513,7 @@ class NotOfTheNominal(Objective):
         return jnp.where(gain == 1.0, jnp.nan, (run.scheme.gamma_p - gain) ** 2)
 
 
+@pytest.mark.thorough
 def test_the_worst_machine_that_has_a_slope_is_followed_where_the_first_has_none():
     problem = dataclasses.replace(PROBLEM, trials=1, objective=NotOfTheNominal(), risk=Worst())
     gains = problem.population.drawn["plant.B"][1:]
@@ -516,6 +522,7 @@ def test_the_worst_machine_that_has_a_slope_is_followed_where_the_first_has_none
     np.testing.assert_allclose(found.gradient, [min(0.8 * (0.5 - gains))])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("clip", "found"), [(3.0, True), (np.inf, False)])
 def test_chaotic_slopes_do_not_drown_the_others(clip, found):
     # Nine plants have their optimum at z = 1. The slope of the tenth is very large, with either

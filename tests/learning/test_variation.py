@@ -111,12 +111,14 @@ def response(u, x0=0.0, a=A, b=B):
     return y
 
 
+@pytest.mark.thorough
 def test_nothing_differs_without_a_variation_in_it():
     plain, same = (learn(machine, LAW, TASK, 5) for machine in (Machine(PLANT), vary()))
     np.testing.assert_array_equal(plain.rms, same.rms)
     assert same.start is None
 
 
+@pytest.mark.thorough
 def test_an_offset_is_the_same_and_scatter_another_in_each_trial():
     history = learn(vary(offset=0.2, scatter=0.0), LAW, TASK, 3, save=y_of)
     np.testing.assert_allclose(history.saved[:, 0], 0.2)
@@ -129,6 +131,7 @@ def test_an_offset_is_the_same_and_scatter_another_in_each_trial():
     np.testing.assert_allclose(again[:, 0], firsts[4:7], **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_what_is_drawn_of_the_state_is_new_in_each_trial_where_the_state_is_carried_too():
     """With nothing carried, x[0] of trials 1 and 2 are two draws: their correlation is none."""
     machine = vary(scatter=0.1, carried=0.0)
@@ -171,6 +174,7 @@ def test_the_time_of_a_system_is_that_of_the_trial_whatever_is_added_to_its_stat
     np.testing.assert_allclose(y, exact.y[0], rtol=0, atol=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("over", [1, 3])
 def test_it_is_the_parameters_of_a_plant_that_change(over):
     """A drive of 33 Hz, where 30 Hz become 20 Hz, ends with 23 Hz; the drive is SciPy's."""
@@ -199,6 +203,7 @@ def test_the_plants_of_a_drift_are_kept_only_where_they_are_sampled_anew():
     assert {x.shape[0] for x in jax.tree.leaves(anew.variation.change.course)} == {50}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("over", [1, 4])
 def test_a_plant_jumps_or_drifts_from_a_trial_on(over):
     after = dataclasses.replace(PLANT, B=[[0.5]])
@@ -214,6 +219,7 @@ def test_a_plant_jumps_or_drifts_from_a_trial_on(over):
     np.testing.assert_allclose(y, response(np.ones(N), a=0.6, b=0.5), **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_what_was_not_measured_is_not_learned_from():
     machine = vary(shortest=0.5)
     history = learn(machine, LAW, TASK, 6, save=lambda trial: (trial.u, trial.y, trial.weight))
@@ -265,6 +271,7 @@ def test_a_trial_that_ends_before_its_window_has_no_error_of_it(tmp_path):
         read_scenario(path)
 
 
+@pytest.mark.thorough
 def test_dropped_samples_count_in_the_error_but_not_in_learning():
     history = learn(vary(dropped=0.4), LAW, TASK, 5, save=both_of)
     played, y = (np.asarray(x) for x in history.saved)
@@ -276,6 +283,7 @@ def test_dropped_samples_count_in_the_error_but_not_in_learning():
     assert 0.2 < lost.mean() < 0.6
 
 
+@pytest.mark.thorough
 def test_a_late_record_is_learned_from_as_it_is():
     history = learn(vary(late=3), LAW, TASK, 8, save=both_of)
     played, y = (np.asarray(x) for x in history.saved)
@@ -309,6 +317,7 @@ def test_a_delayed_sample_is_held_until_the_next_one_arrives(most):
     np.testing.assert_allclose(expected[:, 0], mean, **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_delayed_samples_are_learned_from_as_they_are():
     machine = vary(delayed=0.4, shortest=0.6)
     history = learn(machine, LAW, TASK, 6, save=lambda t: (t.u, t.y, t.weight))
@@ -405,6 +414,7 @@ def test_a_carried_state_is_that_of_plant_feedback_and_actuator():
     np.testing.assert_allclose(cut.rms, history.rms, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_carried_state_comes_to_rest_on_the_plant_and_reference_of_the_trial_that_starts():
     """It was the rest of the trial before: an input of -2875 where there is none, at a change."""
     rest = np.where(np.arange(1, 6) >= 3, 5.0, 1.0)
@@ -424,6 +434,7 @@ def test_a_carried_state_comes_to_rest_on_the_plant_and_reference_of_the_trial_t
     np.testing.assert_allclose(*inputs, **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_a_carried_state_begins_at_rest_on_the_plant_and_reference_of_the_first_trial():
     """A plant that is another one from trial 1 on rested as the one before in its first trial."""
     before, after = (dataclasses.replace(PLANT, x0=[x]) for x in (0.0, 1.0))
@@ -454,6 +465,7 @@ def basis_by_hand(share, by_period, trials):
     return np.array(rows)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("by_period", [False, True])
 def test_the_clock_of_a_law_goes_on_where_the_state_is_carried(by_period):
     law = RepetitiveBasis(Harmonics(8 * DT, (1,)), gain=0.3, by_period=by_period)
@@ -474,6 +486,7 @@ def test_the_clock_of_a_law_goes_on_where_the_state_is_carried(by_period):
     np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-6, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.thorough
 def test_a_period_that_is_longer_than_a_trial_is_found_where_the_state_is_carried():
     """An output grows by one turn in 20.6 samples, of which no trial sees a whole one."""
     turning = StateSpace(
@@ -490,6 +503,7 @@ def test_a_period_that_is_longer_than_a_trial_is_found_where_the_state_is_carrie
     np.testing.assert_allclose(found.signals["period"][-1] / DT, 20.6, rtol=1e-4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gain", [0.8, 3.0, 9.0])
 def test_repetitive_control_is_certified_by_its_whole_map(gain):
     machine, law = vary(carried=1.0), PIDType(gamma_p=gain, leak=0.01)
@@ -518,6 +532,7 @@ def test_what_is_said_of_a_machine_that_carries_its_state_holds_for_a_share_of_0
     assert "leave `carried` out where it is 0" in said
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("law", "w"),
     [(GradientILC(PLANT, step=1.0), None), (ConstrainedNormOptimal(PLANT, w_r=0.2), 0.2)],
@@ -582,6 +597,7 @@ def test_what_theory_cannot_say_it_does_not():
     assert "changes after every trial" in carried.reason
 
 
+@pytest.mark.thorough
 def test_laws_that_compare_trials_keep_what_was_not_measured():
     law = CFDLMFAILC(phi0=0.3, lam=0.02, mu=0.05, rho=0.6, reset="sign")
     machine = vary(dropped=0.3)
@@ -684,6 +700,7 @@ def test_slopes_go_through_what_differs():
     np.testing.assert_allclose(slope, (loss(1 + 1e-6) - loss(1 - 1e-6)) / 2e-6, rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_the_dataset_and_the_figures_of_a_run_have_the_reference_of_each_trial():
     values = np.stack([R, 2 * R])[..., None]
     dataset, histories = run_schemes(vary(references=References(values, (3,))), {"p": LAW}, TASK, 4)
@@ -696,6 +713,7 @@ def test_the_dataset_and_the_figures_of_a_run_have_the_reference_of_each_trial()
     assert "each trial" in browsers.trials(dataset).caption
 
 
+@pytest.mark.thorough
 def test_a_sweep_draws_what_differs():
     machine = vary(scatter=0.01, change=PlantChange(PLANT, 2))
     spread = {

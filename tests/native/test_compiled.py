@@ -97,6 +97,7 @@ def test_every_case_learns_as_by_xla_or_is_refused_by_name(name):
     assert differs(found, wanted) is None
 
 
+@pytest.mark.thorough
 def test_a_window_of_samples_divides_a_loop_and_is_not_read_in_each_sample(monkeypatch, of_p_type):
     common, found, masks = arguments("p_type"), [], []
     monkeypatch.setattr(rows, "FEW_RUNS", 0)
@@ -109,6 +110,7 @@ def test_a_window_of_samples_divides_a_loop_and_is_not_read_in_each_sample(monke
         np.testing.assert_array_equal(x, y)
 
 
+@pytest.mark.thorough
 def test_what_the_sample_before_has_computed_is_not_computed_again(monkeypatch):
     """FFDL-MFAILC reads the increments of two samples, of which one was read a sample before."""
     handed, common = [], arguments("ffdl_none")

@@ -154,6 +154,7 @@ def test_what_a_trial_begins_with_is_stored_once_unless_it_is_read_later(monkeyp
     assert [len(of) for of in found] == [once]
 
 
+@pytest.mark.thorough
 def test_a_loop_keeps_no_rows_that_only_dead_steps_read():
     """As of a solve, whose matrix no slope reads: for such rows there is no room."""
 

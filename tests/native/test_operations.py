@@ -115,6 +115,7 @@ def test_an_operation_on_real_numbers_is_that_of_jax(functions):
     compared(functions, *(X, Y)[: 1 if functions is OF_ONE else 2], near=1e-14)
 
 
+@pytest.mark.thorough
 def test_quotients_are_rounded_once_beside_reciprocals_of_the_same_number():
     """49 times 1/49 is below 1, so that a product in place of the quotient had 0 whole turns."""
     functions = {

@@ -75,6 +75,7 @@ def test_no_loop_is_told_of_a_record_at_another_rate_than_its_own(tmp_path):
             assert (f"own sample time is {1 / rate:.5g}" in said) == (step == other)
 
 
+@pytest.mark.thorough
 def test_a_campaign_whose_plant_is_a_transfer_function_is_fitted_in_its_structure():
     """SciPy's plant of a gain 5 % lower; no pole and zero that cancel are added to its pair."""
     A, B, C, _ = scipy.signal.tf2ss([4000.0], [1.0, 80.0, 4000.0])
@@ -91,6 +92,7 @@ def test_a_campaign_whose_plant_is_a_transfer_function_is_fitted_in_its_structur
     assert again.after < 0.1 * again.before
 
 
+@pytest.mark.thorough
 def test_a_campaign_of_a_sum_of_modes_is_fitted_in_its_structure():
     """Two modes with a pair of complex zeros, by SciPy, whose gains are 10 % lower than known."""
     (w, v), z = (37.0, 80.0), 0.02
@@ -110,6 +112,7 @@ def test_a_campaign_of_a_sum_of_modes_is_fitted_in_its_structure():
     assert again.after < 0.1 * again.before
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rests_at", [0.0, 100.0])
 def test_a_machine_that_rests_at_its_first_input_is_fitted_from_there(rests_at, tmp_path):
     """A plant here rests at an input of 0, so that a position of 100 mm looks like a start."""
@@ -188,6 +191,7 @@ def test_a_plant_that_integrates_is_told_to_get_a_feedback_first(tmp_path, monke
         assert (float(feedback.kp), float(feedback.kd)) == (20.0, 0.5)
 
 
+@pytest.mark.thorough
 def test_the_plant_file_of_the_next_command_is_not_there_yet(tmp_path, monkeypatch):
     """--out replaces no plant file, so that a second record ended in an error."""
     monkeypatch.chdir(tmp_path)

@@ -63,6 +63,7 @@ def test_what_the_error_repeats_in_is_told_with_the_law(tmp_path, position, of_t
         assert found.numbers["within"][name]["period"] == pytest.approx(size, rel=0.02)
 
 
+@pytest.mark.thorough
 def test_the_pitch_is_told_in_the_unit_of_the_position(tmp_path):
     """A pitch of 16 mm, of y in m, was told as 16 µm and written where the error was in mm."""
     rng, files = np.random.default_rng(2), []
@@ -81,6 +82,7 @@ def test_the_pitch_is_told_in_the_unit_of_the_position(tmp_path):
         design(axis, record=files)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("count", [60, 90, 150, 200])
 def test_a_smooth_error_of_few_samples_has_no_period_of_two(count):
     x = np.linspace(0, 1, count)

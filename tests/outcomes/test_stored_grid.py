@@ -81,6 +81,7 @@ def test_a_point_of_shared_axes_and_of_arrays_is_whole(tmp_path):
         assert np.asarray(law.phi0).tolist() == list(phi0[i])
 
 
+@pytest.mark.thorough
 def test_a_point_of_matrices_has_their_shape_and_their_digits():
     plant = StateSpace([[0.5, 0.1], [0.0, 0.4]], [[1.0], [0.0]], [[1.0, 0.0]], dt=1e-3)
     B = "plant.B"

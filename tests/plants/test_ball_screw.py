@@ -143,6 +143,7 @@ def test_the_three_loop_drive_is_that_of_python_control(drive):
     )
 
 
+@pytest.mark.thorough
 def test_the_model_is_differentiable_in_every_parameter():
     """Along one direction that changes them all, each by a share of its own."""
     rng = np.random.default_rng(6)
@@ -220,6 +221,7 @@ def sampled_loop(drive, u, dt=DT):
     return np.array(rows), clipped
 
 
+@pytest.mark.thorough
 def test_the_real_drive_is_its_differential_equation_under_a_sampled_speed_loop():
     expected, clipped = sampled_loop(REAL, COMMAND)
     found = np.asarray(simulate(REAL, COMMAND)[0])
@@ -268,6 +270,7 @@ def energy(drive, x):
     ) / 2, drive.stiffness * stretch**2 / 2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("damping", [0.0, 30.0])
 def test_the_lead_error_does_no_work(damping):
     """While it coasts, lost motion is in the spring, or in its damper, which returns none."""
@@ -288,6 +291,7 @@ def test_the_lead_error_does_no_work(damping):
         np.testing.assert_allclose(total, total[0], rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_at_the_force_limit_the_drive_falls_freely_and_its_integral_stops():
     """The centre of mass of an undamped drive moves as F t^2 / 2 m.
 
@@ -342,6 +346,7 @@ def test_a_friction_table_holds_its_ends_and_is_linear_between_its_points():
     np.testing.assert_allclose([table.at(-3.0), table.at(3.0)], table.force[[0, -1]])
 
 
+@pytest.mark.thorough
 def test_at_constant_speed_the_integral_carries_what_the_table_does_not():
     """The balance of forces is g q + F_table(v) = F_friction,M(v) + F_friction,T(v) + (c_M + c_T)
     v.

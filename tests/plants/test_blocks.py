@@ -74,6 +74,7 @@ def test_two_inputs_and_outputs_are_python_controls(no_steps, x0):
     np.testing.assert_allclose(response(plant, u, 8), expected, **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_two_axes_are_each_on_its_own(no_steps):
     x, y, u = DifferenceEquation(*ARX, dt=DT), PLANTS["discrete"], RNG.normal(size=(30, 2))
     alone = np.hstack([response(x, u[:, :1], 4), response(y, u[:, 1:], 16)])
@@ -85,6 +86,7 @@ def outputs(plant, task, u):
     return run_trial(Machine(plant), Scheme(), task, Feedforward(u), jax.random.key(0)).y
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["continuous", "motor_and_table"])
 def test_a_linear_plant_moves_in_blocks_as_in_steps(no_steps, name):
     plant = PLANTS[name]
@@ -131,6 +133,7 @@ def test_learning_in_blocks_is_that_in_steps(no_steps, part, settle):
     assert plain.rms[-1, 0] != plain.rms[0, 0]
 
 
+@pytest.mark.thorough
 def test_an_adaptive_law_learns_the_same_in_blocks(no_steps):
     scheme = CFDLMFAILC(phi0=-0.065, lam=0.02, mu=0.05, rho=0.9, limit=0.9)
     coil = jax.jit(lambda plant: plant.sampled(DT))(VoiceCoil())
@@ -159,6 +162,7 @@ def test_what_blocks_cannot_do_is_done_in_steps(scheme, parts):
     jax.tree.map(np.testing.assert_array_equal, wrapped, plain)
 
 
+@pytest.mark.thorough
 def test_digits_that_blocks_would_lose_are_kept(monkeypatch):
     """The poles are close together, and rounding accumulates over the long reference."""
     u = RNG.normal(size=(4000, 1))
@@ -178,6 +182,7 @@ def test_growth_is_kept_as_long_as_it_is_finite(no_steps):
     np.testing.assert_allclose(y[1:], 1.05 ** np.arange(1000), rtol=1e-11)
 
 
+@pytest.mark.thorough
 def test_a_plant_that_overflows_diverges_where_its_steps_do():
     task = Task(np.ones(61), dt=DT)
     plain, wrapped = (
@@ -189,6 +194,7 @@ def test_a_plant_that_overflows_diverges_where_its_steps_do():
     assert 30 < np.sum(np.isfinite(plain.saved[1])) < 60
 
 
+@pytest.mark.thorough
 def test_single_precision_stays_single_and_close():
     with jax.enable_x64(False):
         plant = jax.tree.map(np.array, PLANTS["voice_coil_printed"])  # nobody else's arrays

@@ -31,6 +31,7 @@ def test_poles_and_first_markov_parameter(form, poles):
     np.testing.assert_allclose(impulse[1:, 0], markov, rtol=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("axes", [TwoAxes, ThreeAxes])
 def test_axes_are_machines_of_their_own(axes):
     one, other = PLANTS["arx"], StateSpace([[0.8]], [[0.3]], [[1.0]], dt=DT)
@@ -47,6 +48,7 @@ def test_axes_are_machines_of_their_own(axes):
             np.testing.assert_allclose(both[name][..., i], single[name][..., 0], **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_learning_from_a_filtered_error():
     """It is u_{j+1}[k] = u_j[k] + gamma (F e_j)[k+1] with scipy's zero-phase filter F."""
     task, cutoff, gamma = task_for(PLANTS["arx"], 80), 60.0, 0.4
@@ -89,6 +91,7 @@ def test_the_path_has_its_sharp_points_where_it_says(s):
     np.testing.assert_allclose(slow, [2915, 4788, 5708, 7581], atol=3)
 
 
+@pytest.mark.thorough
 def test_noise_turns_the_error_and_a_filter_does_not_let_it(s):
     """This is the paper's observation, on two seconds of its path."""
     short = dataclasses.replace(
@@ -125,6 +128,7 @@ def test_options_are_refused(option, value):
         scenarios.load("li-2020", **{option: value})
 
 
+@pytest.mark.thorough
 def test_the_limit_of_a_law_that_sees_some_outputs_holds_behind_a_filter():
     plant = PLANTS["motor_and_table"]
     scheme = Filtered(OnOutputs(PIDType(gamma_p=3.0, limit=0.4), (1,)), ZeroPhaseButterworth(150.0))

@@ -81,6 +81,7 @@ LINEAR = {
 ALL = {name: part for parts, _ in LINEAR.values() for name, part in parts.items()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("parts", "system"), LINEAR.values(), ids=LINEAR)
 def test_each_part_has_its_transfer_function(parts, system):
     s = 2j * np.pi * np.array([0.1, 40.0, 247.0, 900.0, 3000.0])
@@ -91,6 +92,7 @@ def test_each_part_has_its_transfer_function(parts, system):
 TOGETHER = control.ss(LAG) * (control.ss(G) + control.ss(MODE) + control.ss(CREEP))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("parts", "system"), [({}, control.ss(G)), (ALL, TOGETHER)], ids=["identified", "all_parts"]
 )
@@ -101,6 +103,7 @@ def test_response_is_the_zero_order_hold_of_the_transfer_function(parts, system)
     assert_close(outputs(FastToolServo(**parts), U), y, 1e-12)
 
 
+@pytest.mark.thorough
 def test_a_load_of_one_newton_moves_the_tool_by_one_micrometre():
     """It is the step -F/k (1 - e^(-zeta w t) (cos + zeta/sqrt(1 - zeta^2) sin))."""
     w, zeta = np.sqrt(2.413e6), 70.16 / (2 * np.sqrt(2.413e6))
@@ -112,11 +115,13 @@ def test_a_load_of_one_newton_moves_the_tool_by_one_micrometre():
     assert_close(outputs(FastToolServo(load=-0.5, damping=1e-3), np.zeros(3 * N))[-1], 0.5, 1e-12)
 
 
+@pytest.mark.thorough
 def test_drift_adds_a_ramp():
     y, still = outputs(FastToolServo(drift=300.0), U), outputs(FastToolServo(), U)
     assert_close(y - still, 300.0 * TIME, 1e-11)
 
 
+@pytest.mark.thorough
 def test_periodic_force_is_the_sum_of_its_sines():
     """The forced motion, and the free one that makes position and speed zero at the start."""
     a, f, phase = np.array([[1.0, 0.5, 0.2], [40.0, 120.0, 700.0], [0.3, -1.0, 2.0]])
@@ -132,6 +137,7 @@ def test_periodic_force_is_the_sum_of_its_sines():
     assert_close(outputs(FastToolServo(periodic=PeriodicForce(a, f, phase)), np.zeros(N)), y, 1e-11)
 
 
+@pytest.mark.thorough
 def test_creep_spaced_by_decades_is_logarithmic():
     """y / y(t_0) = 1 + c log10(t / t_0): each decade of time adds the share c, within 1 %, between
     the fastest and the slowest operator.
@@ -262,6 +268,7 @@ def test_integrator_is_of_order_four_where_forces_are_smooth():
     assert smallest > 1e-11
 
 
+@pytest.mark.thorough
 def test_friction_costs_order_where_the_motion_turns():
     slope, smallest = slope_of_error(FastToolServo(friction=FRICTION), U[:40], (2, 8, 32))
     assert 1.7 < slope < 3.0
@@ -290,6 +297,7 @@ def test_full_servo_moves_as_by_solve_ivp(parts, relative):
         ) > 1e-2 * np.max(np.abs(y))
 
 
+@pytest.mark.thorough
 def test_default_step_is_enough_for_the_task():
     """At 40 Hz (section 5) one step a sample errs by less than the 1 nm of the encoder."""
     servo = FastToolServo(damping=3e-4, friction=Dahl(0.2, 0.5, exponent=1.0))
@@ -306,6 +314,7 @@ def gain_at_40_hz(servo, amplitude):
     return (np.asarray(outputs(servo, u))[1500:3000] @ wave) / (u[1500:] @ wave)
 
 
+@pytest.mark.thorough
 def test_full_form_answers_small_strokes_like_the_identified_one():
     """Section 5.2 identified G with 10 mV; at 20 um the gain and the lag are larger."""
     small, large = (gain_at_40_hz(fast_tool_servo("full"), amplitude) for amplitude in (0.01, 2.16))
@@ -371,6 +380,7 @@ def test_hysteresis_is_that_of_solve_ivp_for_any_jumps(h):
     assert np.ptp(exact) > 1.3 * h.limit  # the path passed branches below and above zero
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("h", [*BOUC_WEN.values(), *DAHL.values()])
 def test_hysteresis_is_rate_independent(h):
     """At common points z does not depend on how densely the motion was sampled."""
@@ -382,6 +392,7 @@ def test_hysteresis_is_rate_independent(h):
     assert abs(fast[-1]) > 0.05 * h.limit  # it has a memory, since x is back at 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("n", "error"), [(1.0, 0.02), (2.5, 0.04), (8.0, 0.12)])
 @pytest.mark.parametrize("gamma", [0.7, -0.6])
 def test_few_substeps_go_along_travels_of_any_length(n, error, gamma):
@@ -425,6 +436,7 @@ def test_hysteresis_stays_within_its_bound(h):
     assert 0.98 * limit < np.max(z) <= limit * (1 + 1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "h",
     [

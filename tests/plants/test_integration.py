@@ -31,6 +31,7 @@ def classical(x, h, n, A=A, B=B, f=bend, u=U):
     )
 
 
+@pytest.mark.thorough
 def test_the_linear_part_is_exact():
     block = np.block([[A, (B @ U)[:, None]], [np.zeros((1, 4))]])
 
@@ -43,6 +44,7 @@ def test_the_linear_part_is_exact():
         np.testing.assert_allclose(step(h), expected, **ALGEBRA)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", [exponential, classical])
 def test_the_order_is_four(method):
     def rates(t, x):
@@ -57,6 +59,7 @@ def test_the_order_is_four(method):
     np.testing.assert_allclose(np.polyfit(np.log(steps), np.log(error), 1)[0], -4.0, atol=0.25)
 
 
+@pytest.mark.thorough
 def test_the_stiffness_of_the_linear_part_does_not_limit_the_step():
     """A pole of 1e6 1/s acts beside a slow pendulum, at steps of 10 ms."""
     stiff = np.array([[0.0, 1.0, 0.0], [-9.0, -0.5, 1.0], [0.0, 0.0, -1e6]])
@@ -79,6 +82,7 @@ def test_the_stiffness_of_the_linear_part_does_not_limit_the_step():
     assert not np.all(np.isfinite(lost))
 
 
+@pytest.mark.thorough
 def test_what_is_faster_than_the_step_is_stable_but_not_accurate_under_f():
     """For x' = -a x + 1 with the 1 in f, x settles at 1/a. With e = exp(-a h) the method settles at
 

@@ -111,6 +111,7 @@ PROCESS = ProcessModel(2.0, (-300.0,), (60.0,), (200.0,), (0.3,))
 LAGS = control.tf([2 / 300, 2.0], np.polymul([1 / 60, 1.0], [1 / 4e4, 0.6 / 200, 1.0]))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("model", "G", "direct", "samples"),
     [
@@ -131,6 +132,7 @@ def test_delay_and_direct_term_are_those_of_the_held_input(model, G, direct, sam
     np.testing.assert_allclose(found, y, atol=1e-10 * np.max(abs(y)))
 
 
+@pytest.mark.thorough
 def test_a_delay_has_no_continuous_state_space():
     late = dataclasses.replace(PROCESS, delay=3 * DT)
     assert PROCESS.continuous() is not None
@@ -154,6 +156,7 @@ def test_whole_samples_and_the_largest_delay():
             dataclasses.replace(model, delay=-0.1)
 
 
+@pytest.mark.thorough
 def test_zeros_are_those_of_the_polynomials():
     model = ModalModel(**FLEXIBLE, direct=0.2)
     want = np.sort_complex(np.roots(rational(model).num[0][0]))
@@ -169,6 +172,7 @@ def test_zeros_are_those_of_the_polynomials():
     np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(want), rtol=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "plant",
     [

@@ -230,6 +230,7 @@ FULL = {
 }
 
 
+@pytest.mark.thorough
 def test_integrator_is_of_order_four():
     """By regression of the log error over the log step, with all smooth forces."""
     motor = VoiceCoilMotor(**UNLIMITED, **FULL)
@@ -242,6 +243,7 @@ def test_integrator_is_of_order_four():
     assert errors[-1] > 1e-13
 
 
+@pytest.mark.thorough
 def test_sample_time_does_not_change_the_motion():
     """The same steps are taken within twice as many samples."""
     motor = VoiceCoilMotor(**FULL)
@@ -331,6 +333,7 @@ class WindingUp(VoiceCoilMotor):
         return drive._replace(wanted_current=drive.current)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("motor", "low", "high"), [(VoiceCoilMotor, 0.0, 0.05), (WindingUp, 0.5, 1.0)]
 )
@@ -398,6 +401,7 @@ def test_friction_holds_against_a_small_force_and_yields_to_a_large_one():
     assert x.speed[-1] > 1.0
 
 
+@pytest.mark.thorough
 def test_cogging_is_periodic_in_position():
     motor, u = pushed(5.0, cogging=Cogging(20.0, 0.016, 0.2))
     here, next_pitch, half = (
@@ -415,6 +419,7 @@ def test_cogging_is_periodic_in_position():
     )
 
 
+@pytest.mark.thorough
 def test_end_effect_weakens_the_motor_and_the_buffer_stops_it():
     motor, u = pushed(50.0, end_effect=EndEffect(0.05, 0.4))
     speeds = [float(states(motor, u, rest(motor, x0)).speed[4]) for x0 in (0.0, 0.025, 0.05, 0.2)]
@@ -430,6 +435,7 @@ def test_end_effect_weakens_the_motor_and_the_buffer_stops_it():
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_motor_learns_like_its_reduced_form():
     """On Cao 2019's task, shortened to 1 mm at 2 Hz, down to the error of eq. 7's structure."""
     task = Task(np.sin(4 * np.pi * np.arange(501) * DT), dt=DT, unit="mm", input_unit="V")

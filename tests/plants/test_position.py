@@ -39,6 +39,7 @@ def test_splines_are_those_of_scipy_and_add_up_to_one(degree):
     np.testing.assert_allclose(np.asarray(at(turn, x)).sum(axis=1), 1.0, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_harmonics_are_waves_whose_pitch_has_a_slope():
     x = np.linspace(0, 1, 7)
     found = Harmonics(0.3, (0, 2)).at(x)
@@ -52,6 +53,7 @@ def test_harmonics_are_waves_whose_pitch_has_a_slope():
     assert slope == pytest.approx(-4 * np.pi * 0.2 / 0.09 * np.cos(4 * np.pi * 0.2 / 0.3))
 
 
+@pytest.mark.thorough
 def test_the_plant_is_driven_by_its_maps():
     """The same plant, sample by sample in plain NumPy."""
     bins = np.array([1.0, 2.0, 0.5, -1.0, 0.3, 0.1, -0.2, 0.7])
@@ -100,6 +102,7 @@ def test_the_slope_by_a_backlash_is_that_of_larger_ones(backlash):
     assert {-0.5, 0.5} <= set(np.round(np.asarray(expected), 3))
 
 
+@pytest.mark.thorough
 def test_forces_are_right_to_second_order():
     """Halved sample times, against an integration in continuous time."""
     bins = np.array([1.0, 0.2, -1.0, 0.5])

@@ -188,6 +188,7 @@ def test_it_learns_and_its_gradient_is_that_of_differences():
         assert abs(slope) > 1e-6
 
 
+@pytest.mark.thorough
 def test_its_weights_are_drawn_and_tuned_by_name():
     uncertainty = {
         "plant.law.layers[1].weight": Uniform(0.8, 1.2, relative=True),

@@ -52,6 +52,7 @@ def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tm
         dataclasses.replace(PLAN, chunk=chunk + 2 * TILE).run(tmp_path / "larger.zarr")
 
 
+@pytest.mark.thorough
 def test_where_no_chunk_fits_it_says_so(monkeypatch, tmp_path):
     with_memory(monkeypatch, PLAN.bytes_stored() + 10_000)
     with pytest.raises(ValueError, match=f"{2 * TILE} machines at a time take .* already"):

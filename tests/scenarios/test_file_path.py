@@ -99,6 +99,7 @@ def test_a_path_is_a_reference_from_its_start(kind, tmp_path):
         assert "1 stop on the way, none rounded" in note
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("unit", "scale"), [("m", 1e-3), ("um", 1e3)])
 def test_points_in_another_unit_are_followed_as_those_in_millimetres(unit, scale, tmp_path):
     """A joint that is no corner is smoothed within 0.001 mm, not within 0.001 m or 0.001 um."""

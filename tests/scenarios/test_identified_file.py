@@ -55,6 +55,7 @@ def largest(gain, pole, law, delay=0.0):
     return np.max(np.abs(Q * (1 - law.gamma_p * z ** (1 + law.lead) * P)))
 
 
+@pytest.mark.thorough
 def test_the_file_holds_the_fitted_numbers_and_their_intervals(written):
     made = read_scenario(written[0])
     assert float(made.machine.plant.gain) == -2.0
@@ -84,6 +85,7 @@ def test_its_law_is_stable_at_the_ends_of_the_intervals(written):
     assert max(largest(-1.8, pole, law._replace(cutoff=2 * law.cutoff)) for pole in (50, 70)) > 0.9
 
 
+@pytest.mark.thorough
 def test_it_learns_at_once(written):
     made = read_scenario(written[0])
     rms = learn(made.machine, made.schemes["ilc"], made.task, made.trials).rms[:, 0]

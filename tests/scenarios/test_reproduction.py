@@ -368,6 +368,7 @@ def made_up(monkeypatch):
     return published, runs
 
 
+@pytest.mark.thorough
 def test_rows_of_a_made_up_scenario(made_up):
     """Each row has its own options, trial and quantity; a scheme learns once for each setting."""
     published, runs = made_up

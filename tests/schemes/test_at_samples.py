@@ -40,6 +40,7 @@ TIME, EFFORT = 2e-3, 1e-5  # the weights of the jerk and of the input
 SMOOTH = AtSamples(NormOptimal(with_jerk(MODEL), w_s=EFFORT), weight=WEIGHT, jerk_time=TIME)
 
 
+@pytest.mark.thorough
 def test_norm_optimal_learning_comes_to_the_points_with_the_least_effort():
     scheme = AtSamples(NormOptimal(MODEL, w_r=1e-4), weight=WEIGHT)
     history = learn(Machine(REAL), scheme, TASK, 60)
@@ -68,6 +69,7 @@ def smooth_input(weight, r, kept):
     return np.linalg.solve(cost, H.T @ P @ r[1:] + J.T @ kept)
 
 
+@pytest.mark.thorough
 def test_the_jerk_of_the_motion_is_part_of_the_cost():
     u = learn(Machine(MODEL), SMOOTH, TASK, 2).memory.u[:, 0]
     expected = smooth_input(WEIGHT, np.asarray(TASK.reference)[:, 0], np.zeros(N))
@@ -77,6 +79,7 @@ def test_the_jerk_of_the_motion_is_part_of_the_cost():
     )
 
 
+@pytest.mark.thorough
 def test_a_sample_that_was_lost_is_no_jump_of_the_motion():
     """Of its jerk and those of the three samples after it the change counts, from what it is."""
     r, lost, u = 1 + np.arange(N + 1) / N, (5, 15, 16), np.linspace(1, -1, N)
@@ -108,6 +111,7 @@ LAWS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", LAWS)
 def test_what_is_free_is_not_learned_from(name):
     """The references differ where nothing counts, by far more than at the points."""
@@ -164,6 +168,7 @@ def test_waypoints_are_a_batch():
     assert np.all(np.asarray(found) < 1e-3 * np.abs(heights))
 
 
+@pytest.mark.thorough
 def test_windows_are_the_weights_of_their_samples():
     by_window = AtSamples(
         PIDType(gamma_p=1.0), windows=(8 * DT, (15 * DT, 15 * DT), (0.024, 0.024))

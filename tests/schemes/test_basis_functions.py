@@ -165,6 +165,7 @@ def test_a_rational_law_meets_a_plant_whose_inverse_has_a_pole():
     assert errors["rational"] < 0.1 * errors["polynomial"]
 
 
+@pytest.mark.thorough
 def test_on_a_basis_any_law_is_projected_after_each_trial():
     task, basis = moved(25), PolynomialBasis((0, 1, 2))
     plant, law = DifferenceEquation((0.7,), (0.3,), dt=DT), PIDType(gamma_p=0.5)
@@ -193,6 +194,7 @@ def test_the_limit_of_a_law_on_a_basis_is_also_that_of_what_the_functions_make()
     np.testing.assert_allclose(limits["fitted.limit"].signal[:, 0], fit, rtol=1e-7)
 
 
+@pytest.mark.thorough
 def test_columns_that_make_each_other_leave_no_rounding_in_what_is_fitted():
     """Along a circle the velocity of an axis is the position of the other one."""
     angle, random = 0.2 * np.arange(25), np.random.default_rng(3)
@@ -213,6 +215,7 @@ def test_columns_that_make_each_other_leave_no_rounding_in_what_is_fitted():
         np.testing.assert_allclose(made(u, circle, start), expected, atol=1e-5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("places", [0, 3])
 def test_a_certificate_of_a_law_on_a_basis_does_not_depend_on_the_units_of_its_parameters(places):
     """Those of jerk and snap are so small that they counted as nothing beside the input."""
@@ -385,6 +388,7 @@ class Saw(Basis):
         return jnp.stack([r[:-1], r[:-1] ** 2], axis=-1)
 
 
+@pytest.mark.thorough
 def test_a_users_own_basis_and_given_functions_are_the_same():
     task = moved(20)
     given, e = GivenBasis(np.asarray(Saw().columns(task.reference, DT, 1))), np.ones((21, 1))

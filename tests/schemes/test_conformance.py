@@ -68,7 +68,9 @@ batched = jax.jit(jax.vmap(jax.value_and_grad(loss, has_aux=True), in_axes=(0, N
 sampled = jax.jit(lambda machine, dt: machine.sampled(dt), static_argnums=1)
 
 
-@pytest.fixture(scope="module", params=[x for x in CASES if x in PARTED or drawn(x)])
+@pytest.fixture(
+    scope="module", params=[x for x in CASES if x in PARTED or drawn(f"tests/schemes/{x}")]
+)
 def run(request) -> Run:
     machine, scheme, task = case(request.param)
     if request.param not in LONG:

@@ -195,6 +195,7 @@ def few_against_many(model, r, y, u):
     return law.learn(memory, Trial(r, y, u, DT, {}))
 
 
+@pytest.mark.thorough
 def test_an_optimum_that_rounding_keeps_away_is_told_from_bounds_that_cannot_be_met():
     """`violation` is zero where SciPy's linear programme finds an input within all bounds."""
     rng, count = np.random.default_rng(0), 30

@@ -58,6 +58,7 @@ def test_it_is_its_equations(initial):
         np.testing.assert_allclose(history.memory.std, np.sqrt(variance), rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_without_noise_of_measurement_it_is_the_scheme_within():
     within = NormOptimal(MODEL, **WEIGHTS)
     law = EstimatedDisturbance(within, process_std=0.1, measurement_std=0.0)
@@ -66,6 +67,7 @@ def test_without_noise_of_measurement_it_is_the_scheme_within():
     np.testing.assert_array_equal(found.rms, alone.rms)
 
 
+@pytest.mark.thorough
 def test_the_scheme_within_may_have_bounds():
     laws = [
         EstimatedDisturbance(within(MODEL, **WEIGHTS), 0.1, 0.2)
@@ -75,6 +77,7 @@ def test_the_scheme_within_may_have_bounds():
     np.testing.assert_allclose(*inputs, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_it_leaves_the_error_of_the_steady_kalman_filter_and_less_than_without():
     """Its next error has the variance q^2 / kappa; norm-optimal learning leaves q^2 + m^2."""
     q, m, samples, trials, first = 0.1, 0.2, 256, 60, 20

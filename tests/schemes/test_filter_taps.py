@@ -58,6 +58,7 @@ def test_with_the_inverse_of_the_plant_a_fifth_of_the_error_is_left(kind):
     np.testing.assert_allclose(e[1:], 0.2 * e[:-1], rtol=1e-9, atol=1e-13)
 
 
+@pytest.mark.thorough
 def test_a_zero_outside_the_circle_is_inverted_backward_in_time():
     """Far from the start of the trial, which lacks the input before it, a fifth is left."""
     for given in (stable_inverse(OUTSIDE), 1 / OUTSIDE):

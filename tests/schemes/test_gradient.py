@@ -49,6 +49,7 @@ def after(scheme, u, e):
     return scheme.learn(scheme.initial_memory(task), trial)
 
 
+@pytest.mark.thorough
 def test_it_goes_down_the_gradient_of_the_cost_of_many_channels():
     G = lifted(WIDE, N)
     u, e = RANDOM.standard_normal((N, 3)), RANDOM.standard_normal((N, 2))

@@ -85,6 +85,7 @@ def unguarded():
     return run(COIL, LAW, 9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
 def test_stop_rule(unguarded, rule):
     shown, stopped = replayed(unguarded[0], **rule, trials=9)
@@ -97,6 +98,7 @@ def test_stop_rule(unguarded, rule):
     assert not fires or shown[-1] == {"rms": 2}.get(" ".join(rule), 3)
 
 
+@pytest.mark.thorough
 def test_every_output_must_meet_its_own_tolerance():
     law = PIDType(gamma_p=(0.8, 0.5))
     errors = np.asarray(learn(TWO, law, TASK_2, 8).max_error)
@@ -108,6 +110,7 @@ def test_every_output_must_meet_its_own_tolerance():
     np.testing.assert_allclose(history.max_error, errors[[0, 1, 2, 3, 4, 4, 4, 4]], **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_a_trial_that_is_not_finite_is_gone_back_from():
     # The plant is y[k+1] = u[k], so e_j = (1 - gamma)^(j-1) r.
     machine = Machine(StateSpace([[0.0]], [[1.0]], [[1.0]], dt=DT))
@@ -173,6 +176,7 @@ def test_guards_with_nothing_to_do_change_nothing(nest):
         np.testing.assert_allclose(feedforward, plain.feedforward(expected.memory, TASK), **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_guards_fire_within_each_other():
     """The rule inside judges the mean trial; around the ladder it judges each repeat."""
     y, _, _ = run(SERVO, PIDType(gamma_p=0.6, lead=1), 6)
@@ -190,6 +194,7 @@ def test_guards_fire_within_each_other():
 NOISY = Machine(SERVO.plant, sensor=Sensor(noise=0.02))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("feedback", [None, FEEDBACK], ids=["alone", "around_feedback"])
 def test_ladder_learns_from_the_mean_of_its_repeats(feedback):
     gamma, repeats = 0.4, 3

@@ -19,6 +19,7 @@ TASK = Task(np.sin(np.arange(N + 1) / 4.0), dt=1e-3)
 LAW = LearningFilter((0.3, -0.2, 0.5, 0.1, 0.05), keep=(0.2, 0.7, -0.1), lead=2)
 
 
+@pytest.mark.thorough
 def test_theory_reads_its_taps():
     law = law_of(LAW, TASK)
     np.testing.assert_array_equal(law.L.powers, [5, 4, 3, 2, 1])
@@ -28,6 +29,7 @@ def test_theory_reads_its_taps():
     assert law.invariant.held
 
 
+@pytest.mark.thorough
 def test_one_tap_is_p_type_learning():
     machine = Machine(StateSpace([[0.8]], [[0.2]], [[1.0]], dt=1e-3))
     one, other = (
@@ -46,6 +48,7 @@ SCHEDULED = LearningFilter(
 )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("law", [LAW, SCHEDULED], ids=["numbers", "matrices and segments"])
 def test_it_is_the_sum_over_its_taps(law):
     n_u, n_y = law.L.shape[2:] or (1, 1)

@@ -276,6 +276,7 @@ def test_mfapc(options):
     )
 
 
+@pytest.mark.thorough
 def test_mfapc_without_resets():
     """No forecast changes its sign, so that nothing depends on eq. 16 in mode `none`."""
     scheme, loop = mfapc("arx", P_u=3, reset="none", theta0=None, theta_limit=10.0)
@@ -283,6 +284,7 @@ def test_mfapc_without_resets():
     assert not +loop.due
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("P_u", [1, 2])
 def test_a_horizon_of_250_samples_beyond_the_end_of_the_trial(P_u):
     """The reference is held at its end.
@@ -295,6 +297,7 @@ def test_a_horizon_of_250_samples_beyond_the_end_of_the_trial(P_u):
         assert_equal(run(machine_of(plant), scheme), loop)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("law", ["cfdl", "ffdl", "mfapc"])
 def test_a_machine_that_does_not_start_at_zero(law):
     """A machine need not start at zero, and y[0] = 0.3 is not an increment of the output."""
@@ -309,6 +312,7 @@ DEADBEAT = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("law", DEADBEAT)
 def test_the_true_model_without_a_price_on_moves_is_deadbeat(law):
     """The plant is the data model with phi0: y is r wherever the input can reach."""
@@ -328,6 +332,7 @@ CHANNELS = {
 PREDICTIVE = CHANNELS | {"phi0": (0.12, -0.3), "delta": (0.05, 0.6), "theta_limit": (1.2, 1.5)}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "build",
     [

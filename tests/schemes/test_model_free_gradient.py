@@ -66,6 +66,7 @@ def test_it_is_gradient_learning_by_the_exact_model(about, feedback):
     np.testing.assert_allclose(found.final.u, expected.final.u, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("about", ["trial", "mean"])
 def test_with_an_experiment_for_each_pair_it_is_exact_for_many_channels(about):
     scheme = ModelFreeGradient(0.02, 5.0, Q, about=about, inputs=2, outputs=3)
@@ -115,6 +116,7 @@ def test_what_each_experiment_plays():
     np.testing.assert_allclose(learned(scheme, memory, third).u, np.clip(new, -0.2, 0.2), **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_repeated_experiments_are_averaged():
     scheme = ModelFreeGradient(0.8)
     ladder = Ladder(scheme, repeats=2)
@@ -144,6 +146,7 @@ def test_the_forecast_is_of_each_trial_of_a_step(scheme):
     )
 
 
+@pytest.mark.thorough
 def test_a_machine_plays_the_experiments_and_their_errors_are_no_growth(tmp_path):
     scheme = ModelFreeGradient(0.8, 3.0)
     campaign = Campaign.start(tmp_path / "machine", scheme, TASK)

@@ -269,6 +269,7 @@ def test_models_and_simulator_have_the_same_loop(name):
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_milc_starts_from_the_filtered_reference():
     """P_Z r_0 = r_d and u_0 = 0: a motor that follows r_0 moves the table along the path."""
     memory = multivariable().initial_memory(TASK)
@@ -405,6 +406,7 @@ def test_a_model_of_the_wrong_sign_doubles_the_error_every_trial():
     np.testing.assert_allclose(errors[1:] / errors[:-1], 2.0, rtol=0.01)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", DRIVES)
 def test_proposition_1a_the_errors_of_dilc_bound_each_other(name):
     """e_z = P_Z e_c + (1 - P_Z) r_d, so |(1 - P_Z) r_d| <= |e_z| + |P_Z| |e_c| (eq. 19)."""
@@ -441,6 +443,7 @@ def test_proposition_1b_the_feedback_of_dilc_cancels_what_was_learned():
     assert np.corrcoef(u[-1], feedback[-1])[0, 1] < -0.3, "they should pull against each other"
 
 
+@pytest.mark.thorough
 def test_milc_brings_both_errors_down_where_dilc_cannot():
     """DILC leaves the motor at (1 - 1/P_Z) r_d, while the table is on r. There
 

@@ -104,6 +104,7 @@ def test_small_weights_cost_the_recursion_no_digits(w_r):
     assert relative(*found) < 1e-15 * np.linalg.cond(lifted(MODEL, N)) ** 2 + 1e-12
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("form", ["riccati", "lifted"])
 def test_a_limit_is_respected_and_learning_goes_on(form):
     free = np.asarray(
@@ -128,6 +129,7 @@ def test_a_limit_is_respected_and_learning_goes_on(form):
     )
 
 
+@pytest.mark.thorough
 def test_without_a_weight_on_the_change_one_trial_is_enough():
     """With w_r = 0 and the right model, u_2 = (H' W_q H + W_s)^-1 H' W_q r, and it stays there.
 
@@ -195,6 +197,7 @@ def test_bad_weights_and_models_are_named(message):
         NormOptimal(**{"model": MODEL} | BAD[message])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
 def test_a_weight_is_symmetric_up_to_rounding(precision):
     """A congruence T' D T is symmetric in exact arithmetic only; its symmetric part is used."""
@@ -245,6 +248,7 @@ def test_a_model_that_does_not_fit_the_task_is_refused(message):
         NormOptimal(**{"model": MODEL, "w_r": 1.0} | changes).check(task)
 
 
+@pytest.mark.thorough
 def test_a_continuous_model_is_sampled_with_the_task():
     """A continuous model is sampled with the task, and equals a discrete one that scipy sampled."""
     import scipy.signal
@@ -282,6 +286,7 @@ def test_models_need_not_be_square(form):
         assert relative(u[2], next_input(scheme, lifted(model, N), e[1], u[1])) < 1e-9
 
 
+@pytest.mark.thorough
 def test_known_weights_are_looked_at_within_a_transformation_too():
     learned = jax.jit(lambda gain: gain * learn(MACHINE, NormOptimal(MODEL, w_r=0.1), TASK, 3).rms)
     np.testing.assert_allclose(

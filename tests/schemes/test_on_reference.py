@@ -100,6 +100,7 @@ def test_on_reference(feedback, law):
     assert (np.ptp(expected["u"], axis=0).max() > 1e-2) == (law != "nothing")
 
 
+@pytest.mark.thorough
 def test_the_inverse_of_the_closed_loop_is_deadbeat():
     """Learning from e[k+2] + e[k+1] makes y equal to r at once.
 
@@ -133,6 +134,7 @@ def test_the_dense_matrix_foretells_convergence_and_growth():
     assert falls[1][-1] > 10 * np.min(falls[1])
 
 
+@pytest.mark.thorough
 def test_series_and_parallel_are_one_for_a_linear_feedback():
     """A correction w through the PID C is an input C z^-1 w.
 
@@ -177,6 +179,7 @@ NESTED = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NESTED)
 def test_signals_of_the_parts_carry_their_names(name):
     scheme, names = NESTED[name]
@@ -185,6 +188,7 @@ def test_signals_of_the_parts_carry_their_names(name):
     assert all(signal.shape == (N, 1) for signal in trial.signals.values())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "around",
     [
@@ -212,6 +216,7 @@ def test_a_filter_around_it_knows_the_limit_of_its_learning():
     np.testing.assert_allclose(around, within, **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_two_corrections_add_up():
     """The inner correction, too, is learned from the error against r, not r + w."""
     gammas = (0.2, 0.3)
@@ -227,6 +232,7 @@ def test_two_corrections_add_up():
         np.testing.assert_allclose(together[name], share, **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_two_inputs_that_are_learned_add_up():
     """A feedback that learns, too, is shown what it contributed, and not what is added to it."""
     feedback, gammas = PID(**GAINS), (0.2, 0.3)
@@ -250,6 +256,7 @@ def test_a_machine_is_told_all_that_parts_of_parts_have_learned():
     }  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_a_feedback_that_learns_on_the_input_and_the_reference_learn_from_the_same_error():
     scheme = OnReference(PIDType(gamma_p=0.3), WithFeedback(PIDType(gamma_p=0.2), PID(**GAINS)))
     saved = run(scheme, trials=3)
@@ -258,6 +265,7 @@ def test_a_feedback_that_learns_on_the_input_and_the_reference_learn_from_the_sa
         np.testing.assert_allclose(np.diff(signal, axis=0), gamma * e[:-1, 1:], **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_learning_from_some_of_the_outputs():
     """There are one input and two outputs, of which the second is followed and corrected."""
     scheme = OnOutputs(OnReference(PIDType(gamma_p=0.5, lead=1), PID(kp=0.5)), (1,))
@@ -274,6 +282,7 @@ def test_learning_from_some_of_the_outputs():
     assert np.max(np.abs(w)) > 0.1
 
 
+@pytest.mark.thorough
 def test_the_correction_has_the_channels_of_the_outputs():
     scheme = OnReference(PIDType(gamma_p=0.4), OnOutputs(PID(kp=0.5), (0,)))
     task = Task(np.stack([R, R[::-1]], axis=1), dt=DT, inputs=1)

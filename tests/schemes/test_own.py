@@ -175,6 +175,7 @@ def test_they_learn(case):
     np.testing.assert_allclose(ours.rms, theirs.rms, **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_a_memory_may_begin_with_numbers_of_python():
     at_once = learn(MACHINE, Slowing(), TASK, 4)
     u = np.zeros((N, 1))
@@ -190,6 +191,7 @@ def test_a_memory_may_begin_with_numbers_of_python():
     np.testing.assert_array_equal(on.rms, at_once.rms[2:])
 
 
+@pytest.mark.thorough
 @both
 def test_a_machine_plays_them(case, tmp_path):
     memories = [learn(MACHINE, s, TASK, TRIALS).memory for s in (case.own, case.theirs)]
@@ -228,6 +230,7 @@ def test_theory_claims_the_same_of_them(case):
     np.testing.assert_allclose(ours.value, theirs.value, rtol=1e-8)
 
 
+@pytest.mark.thorough
 @both
 def test_a_sweep_runs_them(case):
     schemes = {"ours": case.own, "theirs": case.theirs}
@@ -316,6 +319,7 @@ class OneMethod(Scheme):
         return Feedforward(limited(trial.u + self.gain * trial.e[1:], self.limit))
 
 
+@pytest.mark.thorough
 def test_a_law_of_one_method_starts_from_zero_and_is_limited_in_what_it_learns():
     own, theirs = OneMethod(0.5, limit=0.3), PIDType(gamma_p=0.5, limit=0.3)
     ours, known = (learn(MACHINE, one, TASK, TRIALS) for one in (own, theirs))

@@ -140,6 +140,7 @@ def test_a_drifting_period_costs_no_more_than_if_it_were_known(by):
     np.testing.assert_allclose(found[1500:], period[1500:-1], rtol=1e-3)
 
 
+@pytest.mark.thorough
 def test_it_locks_from_a_wrong_guess_up_to_half_of_the_shortest_wave():
     k = np.arange(N + 1)
     for harmonics, off, locks in (
@@ -157,6 +158,7 @@ def test_it_locks_from_a_wrong_guess_up_to_half_of_the_shortest_wave():
         assert (abs(found[-1] / PERIOD - 1) < 1e-3) == locks, (harmonics, off, found[-1])
 
 
+@pytest.mark.thorough
 def test_noise_limits_and_nothing_to_track_keep_it_near():
     phase, period = drifting(0.04)
     r = np.sin(2 * np.pi * phase)

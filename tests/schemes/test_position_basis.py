@@ -121,6 +121,7 @@ def test_any_law_learns_a_map_and_keeps_what_it_does_not_visit():
     np.testing.assert_allclose(again, memory.learning.theta, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_selection_of_a_map_keeps_what_a_trial_does_not_visit():
     basis = SelectedBasis(PositionBasis(Splines(0, 50, 6, degree=1)), (1, 2, 5))
     r = there_and_back(30.0, stroke=15.0).reference
@@ -160,6 +161,7 @@ def test_the_map_is_what_the_machine_lacks():
     np.testing.assert_allclose(found.at(x), -COGGING.at(x), atol=0.05)
 
 
+@pytest.mark.thorough
 def test_a_trial_tells_the_bins_it_visits_and_how_well():
     basis = PositionBasis(Splines(0, 50, 11, degree=1))
     part = there_and_back(30.0, stroke=15.0)
@@ -198,6 +200,7 @@ def test_the_rate_is_that_with_which_learning_comes_to_its_end():
         assert ratio < 1.15 * found.rate
 
 
+@pytest.mark.thorough
 def test_the_rate_counts_what_the_model_cannot_tell_where_it_moves_and_acts():
     """Two inputs that act alike on the model, and not on the machine; w_r moves them unlike."""
     r = np.sin(np.linspace(0, 2 * np.pi, 41))[:, None] ** 2 * [1.0, 0.5]

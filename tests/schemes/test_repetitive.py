@@ -62,6 +62,7 @@ def by_hand(r, period):
     return y, v
 
 
+@pytest.mark.thorough
 def test_it_is_the_law_of_the_trial_a_period_later():
     r = np.sin(2 * np.pi * np.arange(301) / 50) + 0.3 * np.random.default_rng(0).normal(size=301)
     found = run(WithFeedback(RepetitiveControl(LAW, PERIOD), FEEDBACK), r)
@@ -159,6 +160,7 @@ def test_over_a_long_period_the_dense_map_contracts_as_the_condition_tells():
         assert off[1] < min(0.06, 0.3 * off[0]), off
 
 
+@pytest.mark.thorough
 def test_of_a_family_the_worst_machine_and_the_largest_sensitivity_are_told():
     law = learning_filter((0.0, 0.8, 0.0), (0.1, 0.2, 0.4, 0.2, 0.1), lead=3)
     scheme, task = WithFeedback(RepetitiveControl(law, PERIOD), FEEDBACK), task_of(np.zeros(101))
@@ -254,6 +256,7 @@ def test_two_periods_at_once_are_each_learned_and_what_is_left_is_told():
     assert np.all(left < 0.35)
 
 
+@pytest.mark.thorough
 def test_of_two_channels_the_largest_singular_values_are_told():
     """Condition and sensitivity by NumPy, of a plant whose channels act on each other."""
     A, B = np.array([[0.8, 0.05], [0.1, 0.7]]), np.array([[0.2, 0.02], [0.0, 0.3]])

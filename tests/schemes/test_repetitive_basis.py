@@ -64,6 +64,7 @@ def test_harmonics_are_resonators():
     np.testing.assert_allclose(answer(scheme, e), expected, atol=1e-10)
 
 
+@pytest.mark.thorough
 def test_all_harmonics_of_a_period_are_repetitive_control():
     e, g, lead = np.random.default_rng(0).normal(size=200), 0.6, 3
     orders = tuple(range((n + 1) // 2))
@@ -91,6 +92,7 @@ def test_splines_are_the_dense_sums_over_the_samples_before(by_period):
     np.testing.assert_allclose(answer(scheme, e), u, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_it_learns_what_its_functions_can_make_beside_a_feedback():
     r, h = repeating(3001), np.arange(1, 4)
     z = np.exp(2j * np.pi * h / n)
@@ -193,6 +195,7 @@ def test_splines_that_begin_later_have_the_map_of_a_period_of_those_from_0():
     np.testing.assert_allclose(late, early, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_limit_and_a_family_are_told():
     task, basis = Task(np.zeros(60), dt=DT), RepetitiveBasis(HARMONICS, 0.1, lead=5 * DT)
     found = basis_condition(Machine(PLANT, actuator=Actuator(limit=1.0)), basis, task).condition

@@ -168,6 +168,7 @@ def signals(trial):
     return trial.y[:, 0], trial.u[:, 0], trial.signals
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("carry", [False, True])
 def test_the_gain_is_carried_to_the_next_trial_or_not(carry):
     history = learn(FORCED, ASMC(**ADAPTIVE, carry=carry), TASK, 3, save=signals)
@@ -261,6 +262,7 @@ def test_gradients_through_the_switching():
 # --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_sigma_slides_in_a_band_proportional_to_the_sample_time():
     """On the exact model |sigma| <= (eta + 2 |f|) dt, of first order, and |e| < |sigma| / lam1."""
     bands, errors, steps = [], [], (2e-4, 1e-4, 5e-5)

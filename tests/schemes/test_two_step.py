@@ -152,6 +152,7 @@ def test_the_input_is_that_of_another_solver_within_all_bounds(solved):
     assert active == {"limit", "rate", "low", "high"}
 
 
+@pytest.mark.thorough
 def test_a_member_that_cannot_be_solved_is_flagged_and_spoils_no_other(solved):
     """Bounds that cannot be met keep the input; a trial that is NaN keeps the correction too."""
     problems, memory = solved
@@ -166,6 +167,7 @@ def test_a_member_that_cannot_be_solved_is_flagged_and_spoils_no_other(solved):
         np.testing.assert_allclose(ours[0], theirs[1], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_the_optimum_has_the_derivative_of_its_differences():
     """The derivative in all numbers of a problem, where bounds are active, in one direction."""
     scheme, (r, _, u), _ = problem(2)

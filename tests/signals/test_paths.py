@@ -51,6 +51,7 @@ PLANS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", PLANS)
 def test_the_sampled_reference_keeps_its_limits_and_uses_them(name):
     curve, interval, limits, dt = PLANS[name]
@@ -142,6 +143,7 @@ def test_a_circle_is_driven_at_the_speed_of_the_closed_form(jerk, speed):
     assert_allclose(np.median(planned.speed), speed, rtol=5e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("beyond", ["feed", "jerk"])
 def test_a_limit_far_beyond_what_samples_show_is_none(beyond):
     """A quarter of a circle of 1 mm takes as many samples as with a limit that is merely large."""
@@ -220,6 +222,7 @@ def test_butterfly_has_two_equal_wings():
     assert_allclose(np.ptp(p, axis=0), [80.0, 48.5], atol=0.05)
 
 
+@pytest.mark.thorough
 def test_butterfly_of_ten_thousand_samples():
     """Two numbers are fitted to a picture, and three of four sharp points are met.
 
@@ -322,6 +325,7 @@ def test_factories_refuse_what_is_no_curve():
 ANGLES = np.linspace(0, 2 * np.pi, 401)
 
 
+@pytest.mark.thorough
 def test_on_a_circle_it_is_the_error_of_the_radius():
     """The inside is on the left; chords lie inside by r (1 - cos(half a step)) at most."""
     radius = 10 + 0.05 * np.cos(3 * ANGLES)
@@ -332,6 +336,7 @@ def test_on_a_circle_it_is_the_error_of_the_radius():
     assert np.max(np.abs(y - circle(10.0)(ANGLES))) > 0.15
 
 
+@pytest.mark.thorough
 def test_on_a_line_it_is_the_signed_offset():
     k = np.arange(41)
     path = np.outer(k, [0.6, 0.8])
@@ -372,6 +377,7 @@ def test_with_a_wide_window_it_is_the_distance_from_the_whole_path(measured):
     )
 
 
+@pytest.mark.thorough
 def test_a_lag_beyond_the_window_is_overstated_never_understated(measured):
     y, path = measured
     narrow, wide = (np.abs(contour_error(y, path, window=w)) for w in (2, 8))
@@ -423,6 +429,7 @@ def test_measured_numbers_may_be_of_another_type_than_the_path(kind):
         assert_allclose(found, expected, rtol=1e-6 if found.dtype == "float32" else 1e-12)
 
 
+@pytest.mark.thorough
 def test_a_path_that_dwells_is_no_obstacle():
     path = np.array([[0.0, 0.0]] * 4 + [[1.0, 0.0], [2.0, 0.0]] + [[2.0, 0.0]] * 3)
     y = path + np.array([0.1, -0.2])
@@ -455,6 +462,7 @@ def test_vmapped_it_equals_a_loop(measured):
     )
 
 
+@pytest.mark.thorough
 def test_it_is_saved_by_learning():
     """The task has two equal axes, and the tracking error is halved in each trial."""
     dt = 1e-2

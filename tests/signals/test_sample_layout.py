@@ -70,6 +70,7 @@ def test_only_arrays_of_rows_are_placed_and_trees_keep_their_shape():
         assert str(jax.make_jaxpr(place)(tree)).count("by_sample") == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scheme", [CFDLMFAILC(), FFDLMFAILC()], ids=["cfdl", "ffdl"])
 def test_a_batch_goes_from_trial_to_trial_with_its_samples_side_by_side(scheme):
     batch = jax.jit(jax.vmap(lambda b: learned(b, scheme).metrics.rms))
@@ -82,6 +83,7 @@ def test_a_batch_goes_from_trial_to_trial_with_its_samples_side_by_side(scheme):
     assert set(carry) == {"2,0,1"}  # from minor to major: the axis of the samples is the slowest
 
 
+@pytest.mark.thorough
 def test_rows_out_of_a_batch_are_those_of_its_members():
     last = functools.partial(learned, scheme=FFDLMFAILC())
     together = jax.vmap(last)(GAINS).final

@@ -61,6 +61,7 @@ def used(reference):
     return v, a / LIMITS["acceleration"], j / LIMITS["jerk"]
 
 
+@pytest.mark.thorough
 def test_a_program_is_the_path_that_geometry_says_and_keeps_its_limits():
     steps = read_gcode(PROGRAM, ("x", "y"))
     lengths = [10, 2.5 * np.pi, 2.5 * np.pi, 10, 2.5 * np.pi]
@@ -110,6 +111,7 @@ NEARLY_REVERSED = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NEARLY_REVERSED)
 def test_a_rounding_that_nearly_reverses_is_followed_within_its_tolerance(name):
     corners, rounded = NEARLY_REVERSED[name]

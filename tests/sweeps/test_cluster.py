@@ -129,6 +129,7 @@ def test_a_grid_is_computed_by_workers(client):
     xr.testing.assert_identical(plan.run(cluster=client), plan.run())
 
 
+@pytest.mark.thorough
 def test_precision_goes_along(client):
     jax.config.update("jax_enable_x64", False)
     try:

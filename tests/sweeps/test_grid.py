@@ -213,6 +213,7 @@ def test_long_values_are_told_in_short_and_alike_ones_are_told_apart():
     assert labels.tolist() == ["1 2 3", "1.000000001 2 3"]
 
 
+@pytest.mark.thorough
 def test_values_that_are_wholes_replace_machine_schemes_and_task():
     other = dataclasses.replace(PLAN, machine=GRID.at(
         {"learning.lam": 1.0, "learning.lead": 0, "machine.plant.gain": 0.5 * GAIN}

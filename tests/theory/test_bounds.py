@@ -185,6 +185,7 @@ def test_what_no_paper_proves_is_not_a_number():
     np.testing.assert_allclose(wide.d1, 0.9, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_in_single_precision_a_small_reaction_to_earlier_inputs_leaves_nothing_claimed():
     """The second output is 2000, of which the pole leaves 0.2 in a third that should be 0.001."""
     with jax.enable_x64(False):
@@ -218,6 +219,7 @@ def test_d2_is_the_spectral_radius_of_the_frozen_law_and_sigma_its_growth(a, b):
     assert sigma > bounds.d2  # what the diagonal does not show
 
 
+@pytest.mark.thorough
 def test_the_radius_of_ffdl_is_read_off_its_diagonal_too():
     scheme = FFDLMFAILC(lam=0.5, rho=0.9, phi0=(0.3, 0.1, 0.8, -0.2), reset="sign", eta=1e-30)
     machine = dynamic_machine()
@@ -287,6 +289,7 @@ def test_nothing_is_claimed_of_a_run_that_goes_on_from_the_memory_of_another_mac
     assert np.min(found["share_kept"][1:]) < 1
 
 
+@pytest.mark.thorough
 def test_the_error_of_the_estimate_falls_by_d1_and_keeps_its_closed_bound():
     scheme, machine = dataclasses.replace(SCHEME, epsilon=0.02, phi0=0.9), static_machine(1.2)
     bounds, memory, errors, moved = bounds_of(machine, scheme, TASK), None, [], []
@@ -370,6 +373,7 @@ def test_a_gain_that_varies_along_the_trial_has_an_interval_and_its_bound_holds(
     assert float(bounds.signs) == float(bounds.claimed) == 0.0, "its sign changes"
 
 
+@pytest.mark.thorough
 def test_the_rows_of_a_plant_that_varies_are_those_of_its_trial_map():
     gains = 1.0 + 0.4 * np.sin(np.arange(N) / 5.0)
     machine = varying(gains, 0.6)
@@ -410,6 +414,7 @@ def test_each_premise_can_break_and_then_nothing_is_claimed(premise, machine, sc
     assert float(bounds.claimed) == 0.0
 
 
+@pytest.mark.thorough
 def test_the_clause_on_small_increments_bursts_by_as_much_as_d2_says():
     """A reset to a start far from phi makes the error grow, where lam < b^2 / 4.
 
@@ -424,6 +429,7 @@ def test_the_clause_on_small_increments_bursts_by_as_much_as_d2_says():
     assert np.nanmin(found["share_kept"]) == 1.0
 
 
+@pytest.mark.thorough
 def test_a_disturbance_that_repeats_changes_nothing():
     parts = {"disturbance": Disturbance(output=np.linspace(0, 0.2, N + 1)[:, None])}
     found = watched(static_machine(1.2, **parts), SCHEME)
@@ -525,6 +531,7 @@ def test_a_claim_that_fails_is_counted():
     assert checked(of_two).verdicts["fails"] == 1
 
 
+@pytest.mark.thorough
 def test_a_machine_without_an_error_to_compare_is_not_in_the_median():
     still = Task(np.zeros(N + 1), dt=DT)
     moved, rest = (run(static_machine(1.2), SCHEME, 3, of)[0] for of in (TASK, still))
@@ -538,6 +545,7 @@ def test_a_machine_without_an_error_to_compare_is_not_in_the_median():
     assert mixed.care == alone.care > 1.0 - 1e-9
 
 
+@pytest.mark.thorough
 def test_a_law_that_does_not_learn_in_every_trial_has_no_claim():
     found = watched(static_machine(1.2), Ladder(SCHEME, repeats=2), 6)
     assert found["claimed"] == 0.0
@@ -567,6 +575,7 @@ def test_on_the_paper_s_motor_weights_with_a_smaller_d2_spoil_learning():
     assert printed == [0.92, 7.0, 19.0, 450.0]
 
 
+@pytest.mark.thorough
 def test_channels_are_named():
     task = Task(reference=np.zeros((N + 1, 2)), dt=DT)
     with pytest.raises(ValueError, match="2 inputs and 2 outputs; allowed is one of each"):

@@ -76,6 +76,7 @@ def test_machines_are_drawn_where_none_are_given():
     np.testing.assert_array_equal(found.sigma, long_run(machines, law, short).sigma)
 
 
+@pytest.mark.thorough
 def test_nothing_claimed_is_broken_whatever_is_drawn():
     wide = {"plant.a[0]": Uniform(0.14, 0.91), "plant.b[0]": Uniform(0.03, 2.4)}
     scheme = WithFeedback(PIDType(gamma_p=0.8), PID(kp=0.1))
@@ -209,6 +210,7 @@ def test_a_filter_makes_learning_converge_where_dead_time_alone_makes_it_grow():
     np.testing.assert_allclose(found.sigma[0], largest, rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_inputs_that_grow_are_told_beside_an_axis_that_looks_ahead():
     """Three random machines of two axes: the first has too little lead, the other one too much.
 
@@ -244,6 +246,7 @@ def test_inputs_that_grow_are_told_beside_an_axis_that_looks_ahead():
     np.testing.assert_array_equal(maps.radius()[0], 1.0)
 
 
+@pytest.mark.thorough
 def test_nothing_is_pushed_by_an_error_of_zero_or_beyond_a_limit():
     late = StateSpace([[0.5, 0.0], [1.0, 0.0]], [[0.5], [0.0]], [[0.0, 1.0]], dt=DT)
 
@@ -264,6 +267,7 @@ def test_semi_convergence_is_predicted_with_its_turning_trial():
     assert sum(sum(row.values()) for row in found.confusion().values()) == 6
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "scheme",
     [
@@ -291,6 +295,7 @@ def test_of_a_law_that_changes_nothing_nothing_is_claimed(scheme):
     np.testing.assert_allclose(decay.norm, 1.0, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_an_error_that_stays_ends_no_higher_than_it_began():
     found = certified(FIRST_ORDER, PIDType(), 15, B)
     assert set(found.claim) == {"not claimed"}
@@ -438,6 +443,7 @@ def test_an_error_that_rises_to_its_limit_after_the_trials_is_told():
     np.testing.assert_allclose([found.floor[0], found.peak[0]], 6.0, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_experiments_are_no_part_of_the_course():
     """Experiments with a large error between the steps say nothing of what was learned."""
     scheme = ModelFreeGradient(step=0.3, amplitude=20.0)
@@ -540,6 +546,7 @@ def test_of_a_trial_of_more_than_512_samples_the_one_eigenvalue_decides(a, gain,
     assert (radius[0] - doubt[0] > 1) == (abs(1 - gain * 0.3) > 1) == grows
 
 
+@pytest.mark.thorough
 def test_in_single_precision_no_claim_rests_on_its_rounding():
     """What lies across v is added to the input in each trial, and no input moves its error."""
     random, machines = np.random.default_rng(0), []
@@ -576,6 +583,7 @@ def test_of_a_plant_that_no_input_moves_the_error_is_known():
     np.testing.assert_allclose(found.outlook.floor[0], np.sqrt(np.mean(TASK.reference[1:] ** 2)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("trials", [0, -1, 2.0, "3", None])
 def test_certificates_need_a_number_of_trials(trials):
     with pytest.raises(ValueError, match="certify: trials = "):

@@ -268,6 +268,7 @@ def test_a_limit_that_noise_may_meet_late_in_a_transient_is_in_the_way():
     assert "; no limit is met within 5 standard deviations" in found.reason[1]
 
 
+@pytest.mark.thorough
 def test_a_limit_that_noise_may_meet_in_an_early_trial_is_in_the_way():
     """The mean begins 2 % below it, where nothing was drawn yet, and moves away from there on."""
     law = WarmStart(PIDType(gamma_p=0.1), PolynomialBasis((0,)), theta=[1.96])

@@ -130,6 +130,7 @@ def test_a_law_from_more_than_the_last_trial_is_no_map_of_its_input(machine, sch
         assert not contraction.attracting(machine, scheme, task).holds
 
 
+@pytest.mark.thorough
 def test_a_condition_is_on_the_plant_after_its_change():
     """That of the plant before, 0.57, was said to hold while the error grew to 1e14."""
     after = DifferenceEquation((0.7,), (-0.3,), dt=DT)
@@ -180,6 +181,7 @@ def test_limits_are_met_from_what_was_learned_before_the_last_change(limit, clai
     assert "2 trials, begun after the last change" in said
 
 
+@pytest.mark.thorough
 def test_what_a_basis_learns_is_claimed_of_the_reference_after_its_change():
     """An rms error of 0.49, within 2e-15, was said to be left where none is."""
     r, basis = np.sin(np.arange(9.0) / 4)[:, None], PolynomialBasis((0, 1))
@@ -211,6 +213,7 @@ def test_contraction_everywhere_is_claimed_of_affine_maps_alone():
     assert "the derivative is that of the simulation" in [p.name for p in rounded.broken]
 
 
+@pytest.mark.thorough
 def test_with_a_leak_the_distance_from_the_limit_falls_and_not_each_error():
     """The plant is a static gain of 1, and the leak is 0.5.
 
@@ -294,6 +297,7 @@ def test_no_peak_lies_above_its_enclosure(seed):
     assert not above(found.bound * (1 - 1e-5))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(4))
 def test_norm_optimal_learning_looks_at_the_poles_of_model_and_machine(seed):
     """The frequency grid was refined around the machine's poles only.
@@ -358,6 +362,7 @@ def test_the_inequality_of_xu_2024_says_nothing_with_a_lead():
     assert found.verdict != "holds"
 
 
+@pytest.mark.thorough
 def test_sigma_that_leaves_its_layer_slides_nowhere():
     """The inequality concerns each sample, and was 0.18 where sigma left the layer 277 times.
 
@@ -379,6 +384,7 @@ def test_sigma_that_leaves_its_layer_slides_nowhere():
     assert [p.name for p in left.broken] == ["sigma, once in its band, is seen to stay"]
 
 
+@pytest.mark.thorough
 def test_sigma_that_rises_beyond_its_band_falls_nowhere():
     """The trial starts 0.0231 off its path, so that the first velocity estimated is a jump.
 

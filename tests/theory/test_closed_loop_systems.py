@@ -105,6 +105,7 @@ def test_the_loop_of_a_proportional_gain_is_that_of_python_control():
         )
 
 
+@pytest.mark.thorough
 def test_a_closed_loop_comes_back_as_a_plant():
     w, r = np.random.default_rng(5).normal(size=(2, N + 1, 1))
     loop = Machine(DifferenceEquation(*ARX, dt=DT)), PID(kp=0.4, ki=4.0), Task(r, dt=DT)

@@ -200,6 +200,7 @@ def both(M):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "kind", ["complex pair", "negative", "repeated", "low rank", "opposite signs"]
 )
@@ -225,6 +226,7 @@ def test_singular_values_of_very_different_sizes_have_a_bound():
     assert np.all((found.bound >= 0.5) & (found.bound <= 0.5 * 1.1))
 
 
+@pytest.mark.thorough
 def test_the_zero_map_and_a_map_that_is_not_square():
     singular, radius = both(np.zeros((120, 120)))
     assert (float(singular.value), float(radius.value)) == (0.0, 0.0)
@@ -288,6 +290,7 @@ def test_designed_to_contract_and_designed_to_diverge():
     assert errors[-1] > 100 * errors[0]
 
 
+@pytest.mark.thorough
 def test_away_from_its_fixed_point_an_adaptive_map_claims_nothing():
     task = task_for(LAG.plant, 30)
     scheme = CFDLMFAILC(phi0=0.7, lam=0.1, rho=0.9, mu=0.1, reset="book")
@@ -361,6 +364,7 @@ def test_the_map_of_gradient_learning_on_a_nonlinear_machine():
     assert 0.5 < np.max(np.abs(np.linalg.eigvals(J))) < 0.99
 
 
+@pytest.mark.thorough
 def test_a_value_above_1_that_is_no_eigenvalue_is_not_told_to_be_one():
     """The one eigenvalue is 1 - 2.5 * 0.3 = 0.25; of a hundred steps the value is above 4."""
     plant = StateSpace([[0.5, 1.0], [0.0, 0.5]], [[0.3], [0.5]], [[1.0, 0.0]], dt=1e-3)

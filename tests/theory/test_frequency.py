@@ -79,6 +79,7 @@ def test_the_plant_is_that_of_python_control(name):
     )
 
 
+@pytest.mark.thorough
 def test_the_identified_motor_is_its_transfer_function_sampled():
     exact = control.sample_system(
         control.zpk([928.2], [-474.0, -474.0, -6.404], 7437.7769), DT, "zoh"
@@ -110,6 +111,7 @@ def test_the_loop_is_that_of_python_control(form):
     np.testing.assert_allclose(series, C * P / (1 + C * P) / Z, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_derivatives_with_respect_to_plant_and_feedback():
     def level(parts, task):
         loop = frequency.linear_loop(parts["machine"], parts["feedback"], task)
@@ -170,6 +172,7 @@ def test_laws_and_filters():
         np.testing.assert_allclose(found, butterworth(F, 70.0, 3), rtol=1e-8, atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("N", [40, 5000])
 def test_the_law_of_a_filter_with_a_low_cutoff_is_the_same_throughout(N):
     """At 1 kHz the taps of 2 Hz take some 9000 samples to die out."""
@@ -180,6 +183,7 @@ def test_the_law_of_a_filter_with_a_low_cutoff_is_the_same_throughout(N):
     np.testing.assert_allclose(found, butterworth(f, 2.0), atol=1e-10)
 
 
+@pytest.mark.thorough
 def test_a_scheme_on_one_of_two_outputs():
     """L has a column for each output; the columns of unused outputs are zero."""
     plant = PLANTS["motor_and_table"]
@@ -276,6 +280,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("premise", BROKEN)
 def test_nothing_is_claimed_where_a_premise_is_broken(premise):
     machine, scheme = BROKEN[premise]
@@ -284,6 +289,7 @@ def test_nothing_is_claimed_where_a_premise_is_broken(premise):
     assert premise in [p.name for p in found.broken]
 
 
+@pytest.mark.thorough
 def test_a_limit_breaks_the_premise_and_an_unused_integrator_does_not():
     machine = Machine(PLANTS["arx"], actuator=Actuator(limit=0.5, rate=1e6))
     filtered = Filtered(PIDType(gamma_p=0.5), ZeroPhaseButterworth(40.0))
@@ -328,6 +334,7 @@ def test_robust_condition_is_the_worst_of_all_perturbed_plants():
     assert frequency.learning_condition(louder, scheme, TASK).condition.value <= some.value
 
 
+@pytest.mark.thorough
 def test_norm_optimal_condition_is_the_norm_of_the_lifted_map():
     """It is sigma_max of (W_e G'G + W_u + W_D)^-1 (W_D + W_e G'(G - G_t)) at N = 100."""
     task, weights = Task(np.zeros(101), dt=DT), {"w_e": 1.0, "w_u": 1e-3, "w_delta": 0.05}
@@ -347,6 +354,7 @@ def test_norm_optimal_condition_is_the_norm_of_the_lifted_map():
     np.testing.assert_allclose(by_function.magnitude, found.magnitude)
 
 
+@pytest.mark.thorough
 def test_two_channels_take_the_largest_singular_value():
     plant = PLANTS["mimo"]
     machine, task = Machine(plant), task_for(plant)
@@ -420,6 +428,7 @@ def test_ascent_finds_the_worst_within_a_box():
     )
 
 
+@pytest.mark.thorough
 def test_unstable_plants_of_a_family_are_counted():
     plant, box = StateSpace([[0.9]], [[0.1]], [[1.0]], dt=DT), {"plant.A[0][0]": Uniform(0.8, 1.2)}
     found = frequency.family_condition(
@@ -455,6 +464,7 @@ def test_what_does_not_fit_is_named(message):
         BAD[message]()
 
 
+@pytest.mark.thorough
 def test_single_precision_claims_what_its_rounding_leaves_room_for():
     task = Task(np.sin(np.linspace(0, 6, 41)), dt=DT)
     A, B = np.array([[0.9, 0.07], [0.0, 0.3]]), np.array([[-0.31], [-0.77]])

@@ -51,6 +51,7 @@ def test_open_loop_matrix_is_the_toeplitz_matrix_of_the_impulse_response():
     np.testing.assert_allclose(by_columns, G, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.thorough
 def test_closed_loop_matrix_is_P_over_1_plus_C_P():
     """u_fb[k] uses e[k], one sample before the row of y[k+1].
 
@@ -78,6 +79,7 @@ def test_the_adjoint_is_the_plant_run_backward_in_time():
     np.testing.assert_allclose(pulled, answer(v[::-1])[::-1], rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.thorough
 def test_a_nonlinear_loop_is_linearised_where_it_is_asked_to_be():
     """With adaptive feedback and a limit the matrix is not Toeplitz.
 
@@ -100,6 +102,7 @@ def test_a_nonlinear_loop_is_linearised_where_it_is_asked_to_be():
     assert (broken.held, broken.share_broken) == (False, 1.0)
 
 
+@pytest.mark.thorough
 def test_noise_is_left_out_and_what_repeats_is_not():
     d = 0.1 * np.ones((N + 1, 1))
     machine = Machine(
@@ -268,6 +271,7 @@ def test_a_map_of_whole_numbers_is_that_of_numbers():
     assert [lifted.asymptotic(M).verdict for M in (shift, growing)] == ["holds", "fails"]
 
 
+@pytest.mark.thorough
 def test_nothing_is_claimed_where_a_premise_is_broken():
     tight = Machine(PLANTS["arx"], actuator=Actuator(limit=0.1))
     for machine, scheme, broken in (

@@ -134,6 +134,7 @@ def parts_of(scheme) -> list:
     return [scheme, *(one for value in below for one in parts_of(value))]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5, 7, 8, 10, 11, 12])  # of other parts each
 def test_any_composition_superposes_if_it_is_said_to(seed):
     """The map from one memory to the next is tested with large and small changes.
@@ -280,6 +281,7 @@ EXTRA = {
 OF_CASES = ["pid_type_leaky_limited", "higher_order_leaky_limited", "norm_optimal_lifted"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [*OF_CASES, *EXTRA])
 def test_limits_that_are_declared_decide_whether_anything_changes(name):
     """The free run equals the limited one up to the first trial beyond a bound, and no further."""
@@ -379,6 +381,7 @@ TRUE = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", MADE_UP | TRUE)
 def test_a_map_whose_derivative_is_made_up_is_not_taken_for_its_matrix(name):
     f, a, x = (MADE_UP | TRUE)[name], jnp.ones(4), np.random.default_rng(3).normal(size=4)

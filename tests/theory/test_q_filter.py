@@ -226,6 +226,7 @@ def test_nothing_is_safe_or_offered_where_a_machine_is_unstable():
     assert offers_of(found, inner, plant, law, task, 0.05) == []
 
 
+@pytest.mark.thorough
 def test_a_law_that_is_not_linear_is_named():
     with pytest.raises(
         ValueError, match=r"CFDLMFAILC: the condition .* needs: learning law linear"
@@ -238,6 +239,7 @@ def test_a_law_that_is_not_linear_is_named():
     assert test.condition.verdict == "not claimed"
 
 
+@pytest.mark.thorough
 def test_a_law_of_windows_that_learns_nothing_in_the_middle_is_not_called_safe():
     """There it is 0.8 by its leak, and in the window the error goes from 1 to 1e14."""
     plant = Machine(StateSpace([[0.9]], [[0.1]], [[1.0]], dt=DT))

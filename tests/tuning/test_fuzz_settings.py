@@ -43,6 +43,7 @@ def path_of(rng, known):
             return path
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NAMES)
 def test_paths_and_values(name):
     scenario = scenarios.load(name)

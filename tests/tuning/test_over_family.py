@@ -33,6 +33,7 @@ def by_numpy(scheme):
     return np.abs(Q - (of_L if scheme is ALONE else Q * of_L) * P)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scheme", [ALONE, FILTERED], ids=["alone", "filtered"])
 def test_the_sizes_are_those_of_the_sums_of_the_taps(scheme):
     found = contraction_sizes(scheme, TASK, F, P)

@@ -133,6 +133,7 @@ def test_the_best_gain_of_p_type_learning_is_found_by_one_program(optimiser):
     assert tuned.after < 0.01 < tuned.before
 
 
+@pytest.mark.thorough
 def test_the_gain_for_the_worst_of_two_plants_is_the_minimax_one():
     # The maximum of |1 - gamma g| over g is least where both ends are equal, at
     # gamma = 2 / (g_low + g_high).
@@ -233,6 +234,7 @@ def test_a_whole_number_of_numpy_is_one():
     assert json.dumps(problem.configuration()) == json.dumps(PROBLEM.configuration())
 
 
+@pytest.mark.thorough
 def test_patience_ends_it():
     still = dataclasses.replace(
         PROBLEM, optimiser=optax.set_to_zero(), steps=30, validate_every=1, patience=2
@@ -353,6 +355,7 @@ class Nominal(Final):
     nominal = True
 
 
+@pytest.mark.thorough
 def test_an_experiment_counts_as_the_learned_trial_before_it():
     """Those of trials 2, 4 and 6 err more, while what is learned errs less in each step."""
     machine, law = Machine(StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3)), ModelFreeGradient(0.1)
@@ -366,6 +369,7 @@ def test_an_experiment_counts_as_the_learned_trial_before_it():
     np.testing.assert_allclose(found, [held.mean(), 0.0, held[3], held[1]], rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_nominal_term_is_asked_once_and_counts():
     # With two trials at the start gain of 0.4, e_3 = 0.36 r on the nominal plant.
     problem = dataclasses.replace(PROBLEM, objective=2.0 * Nominal("rms", floor=0.1), steps=1)
@@ -393,6 +397,7 @@ def test_the_comparison_is_on_plants_nobody_has_seen(tuned):
         PROBLEM.compare(tuned, trials=0)
 
 
+@pytest.mark.thorough
 def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
     scheme = Filtered(PIDType(gamma_p=0.5, leak=0.0), ZeroPhaseFIR((0.5, 0.25)))
     weights = {
@@ -413,6 +418,7 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
     )
 
 
+@pytest.mark.thorough
 def test_weights_that_no_step_has_bettered_stay_as_given():
     """A forgetting of 0 is best and lies on an end: the tuning starts, and stays, beside it."""
     scheme = PIDType(gamma_p=0.9, leak=0.0)

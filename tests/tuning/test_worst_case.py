@@ -89,6 +89,7 @@ def test_a_linear_quadratic_case_has_its_worst_initial_state_at_the_far_end():
     np.testing.assert_allclose(found.loss, max(corners.values()), **ALGEBRA)
 
 
+@pytest.mark.thorough
 def test_every_constraint_is_respected_in_every_step():
     box = {
         "x[0]": Uniform(-2.0, 1.0),
