@@ -195,15 +195,17 @@ def odd_worker(client):
         until(lambda: len(client.nthreads()) == 2)
 
 
-def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, written):
+def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, written, monkeypatch):
     late, early = tmp_path / "late.zarr", tmp_path / "early.zarr"
     many = dataclasses.replace(SMALL, chunk=1)  # some are left for a worker that starts slowly
-    devices = jax.device_count()
+    devices, before = jax.device_count(), {*client.nthreads()}
     with contextlib.ExitStack() as stack:
 
         def join(name, done, fresh):
             if len(written) == 1:
                 stack.enter_context(odd_worker(client))
+                odd = [*{*client.nthreads()} - before]  # which gets all chunks from now on
+                monkeypatch.setattr(client, "submit", partial(client.submit, workers=odd))
 
         with pytest.raises(
             ValueError,
@@ -211,6 +213,7 @@ def test_a_worker_that_would_round_differently_is_refused(tmp_path, client, writ
             rf"{devices} here",
         ):
             many.run(late, cluster=client, progress=join)
+        monkeypatch.delattr(client, "submit")
         assert written
         written.clear()
         with pytest.raises(
