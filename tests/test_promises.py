@@ -150,8 +150,8 @@ def test_a_thorough_test_has_a_turn_in_one_of_sixteen_commits_or_so(monkeypatch)
 
 def test_thorough_tests_of_a_family_are_due_where_the_package_changes_there(monkeypatch):
     changed = "jaxilc/outcomes/words.py\njaxilc/uncertainty.py\ntests/theory/test_bounds.py\n"
-    said = {"rev-parse": "0" * 40, "diff": changed}
-    monkeypatch.setattr(turns, "git", lambda name, *_: said[name])
+    monkeypatch.setattr(turns, "_head", lambda: "0" * 40)
+    monkeypatch.setattr(turns, "git", lambda *_: changed)
     monkeypatch.setattr(turns, "_changed", turns._changed.__wrapped__)
     tests = {
         family: [f"tests/{family}/test_a.py::test_{i}" for i in range(50)]
