@@ -21,7 +21,7 @@ from ..plants.from_python_control import system_matrices
 from ..pytree.aliases import Leaf
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known
-from ..pytree.ranges import require
+from ..pytree.ranges import need_one_of, require
 from ..runtime.lanes import over_samples
 from .zero_phase import Filter
 
@@ -219,8 +219,7 @@ def inverse(
 
     Raises ValueError for another method.
     """
-    if method not in ("stable", "zpetc"):
-        raise ValueError(f"inverse: method = {method!r} is not one of 'stable', 'zpetc'")
+    need_one_of("inverse", "method", method, ("stable", "zpetc"))
     return (stable_inverse if method == "stable" else zpetc)(system, dt, **options)
 
 

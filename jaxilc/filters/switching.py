@@ -15,7 +15,7 @@ import scipy
 from ..pytree.aliases import Leaf
 from ..pytree.fields import leaf, pytree, static
 from ..pytree.needs import known
-from ..pytree.ranges import require
+from ..pytree.ranges import need_one_of, require
 from .zero_phase import Filter, ZeroPhaseButterworth, need_cutoff, need_padding
 
 
@@ -125,8 +125,7 @@ def instantaneous_frequency(reference, dt, *, of="velocity", window=0.0, floor=0
     require(name, "dt", dt, "(0, inf)", " s")
     require(name, "window", window, f"[0, {float((len(r) - 1) * dt)}]", " s")
     require(name, "floor", floor, "[0, 1)")
-    if of not in ("velocity", "position"):
-        raise ValueError(f"{name}: of = {of!r} is not one of 'velocity', 'position'")
+    need_one_of(name, "of", of, ("velocity", "position"))
     v = np.gradient(r, dt, axis=0) if of == "velocity" else scipy.signal.detrend(r, axis=0)
     z = _analytic(v)
     pairs = np.conj(z[:-1]) * z[1:]

@@ -88,11 +88,11 @@ def require(
 
 
 def need_one_of(owner: str, name: str, value: str, choices: Iterable[str]) -> None:
-    """Raises ValueError for a value that is none of its choices, naming them."""
+    """Raises ValueError for a value that is none of its choices, naming them; owner: as above."""
     names = list(choices)
     if value not in names:
-        allowed = ", ".join(map(repr, names))
-        raise ValueError(f"{owner}: {name} = {value!r} is not one of {allowed}")
+        name, allowed = f"{owner}: {name}" if owner else name, ", ".join(map(repr, names))
+        raise ValueError(f"{name} = {value!r} is not one of {allowed}")
 
 
 def as_numbers(value: Value) -> np.ndarray | None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import jax
 
-from ..pytree.ranges import require
+from ..pytree.ranges import need_one_of, require
 from .jax_internals import sealed_programs
 from .xla_options import chosen
 
@@ -46,8 +46,7 @@ def setup(
     JAX 0.11.1, whose loops take time quadratic in the number of samples, is reported likewise.
     Raises ValueError for another precision, devices < 1, or another value of JAXILC_NATIVE.
     """
-    if precision not in ("float64", "float32"):
-        raise ValueError(f"setup: precision = {precision!r} is not one of 'float64', 'float32'")
+    need_one_of("setup", "precision", precision, ("float64", "float32"))
     devices = cores() if devices is None else devices
     require("setup", "devices", devices, "[1, 4096]", whole=True)
     if jax.__version__ == "0.11.1":
@@ -130,8 +129,7 @@ def native_unwanted(steps: Callable[[], float]) -> str | None:
 
 def _native_setting() -> str:
     given = os.environ.get(NATIVE) or "auto"
-    if given not in SETTINGS:
-        raise ValueError(f"{NATIVE} = {given!r} is not one of {', '.join(map(repr, SETTINGS))}")
+    need_one_of("", NATIVE, given, SETTINGS)
     return given
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ..pytree.aliases import Numbers, Value
-from ..pytree.ranges import require
+from ..pytree.ranges import need_one_of, require
 from ..runtime.capacity import check_size
 
 __all__ = [
@@ -151,8 +151,7 @@ def chirp(
     require("chirp", "amplitude", amplitude, FINITE, " mm")
     require("chirp", "f_start", f_start, f"(0, {0.5 / dt})", " Hz")
     require("chirp", "f_stop", f_stop, f"(0, {0.5 / dt})", " Hz")
-    if method not in ("linear", "logarithmic"):
-        raise ValueError(f"chirp: method = {method!r} is not one of 'linear', 'logarithmic'")
+    need_one_of("chirp", "method", method, ("linear", "logarithmic"))
     growth = np.log(f_stop / f_start)
     if method == "linear" or growth == 0:
         cycles = f_start * time + (f_stop - f_start) * time**2 / (2 * duration)
