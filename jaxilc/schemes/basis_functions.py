@@ -19,16 +19,7 @@ from .compose import need_feedforward
 from .gradient import Ready, answers, need_answers, varies
 from .guards import Guard
 from .quadratic_cost import largest_eigenvalue, need_weights, weights_of
-from .scheme import (
-    Feedforward,
-    Memory,
-    Schedule,
-    Scheme,
-    Wrapper,
-    law_within,
-    limited,
-    need_no_experiments,
-)
+from .scheme import Feedforward, Memory, Schedule, Scheme, Wrapper, limited, need_no_experiments
 from .weights import answers_weighed
 
 ROUNDING = 100.0  # in units of the last place, of a scaled Gram matrix
@@ -379,5 +370,4 @@ class WarmStart(Wrapper):
 
     def initial_memory(self, task: Task) -> Memory:
         u = input_of(self.basis, jnp.asarray(self.theta), task)
-        u = limited(u, getattr(law_within(self.scheme), "limit", None))
-        return started(self.scheme, super().initial_memory(task), u, task)
+        return started(self.scheme, super().initial_memory(task), limited(u, self.limit), task)

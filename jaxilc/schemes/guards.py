@@ -12,16 +12,7 @@ from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels, need_numbers
 from ..signals.task import Task, Trial
-from .scheme import (
-    Memory,
-    Part,
-    Scheme,
-    Wrapper,
-    law_within,
-    need_no_comparing,
-    need_no_experiments,
-    silent,
-)
+from .scheme import Memory, Part, Scheme, Wrapper, need_no_comparing, need_no_experiments, silent
 
 T = TypeVar("T")
 
@@ -286,7 +277,7 @@ class KeepUnmeasured(Wrapper):
         if trial.weight is None:
             return following
         there, N = jnp.any(trial.weight != 0, axis=(1, 2)), len(trial.u)
-        lead = getattr(law_within(self.scheme), "lead", 0)
+        lead = getattr(_law_within(self.scheme), "lead", 0)
         m = lead if isinstance(lead, int) else 0  # that of a basis is a time
         ahead = jnp.minimum(jnp.arange(N) + 1 + m, N)
 
@@ -307,3 +298,12 @@ class KeepUnmeasured(Wrapper):
 
 def _is_of_guard(memory: Value) -> bool:
     return isinstance(memory, StopMemory | LadderMemory)
+
+
+def _law_within(scheme: Scheme) -> Scheme:
+    """The law that learns what is played, within its wrappers and beside a feedback."""
+    while True:
+        inner: Value = getattr(scheme, "scheme", getattr(scheme, "learning", None))
+        if not isinstance(inner, Scheme):
+            return scheme
+        scheme = inner

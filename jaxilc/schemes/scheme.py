@@ -400,15 +400,6 @@ def need_square(scheme: Scheme, task: Task) -> None:
         )
 
 
-def law_within(scheme: Scheme) -> Scheme:
-    """The law that learns what is played, within its wrappers and beside a feedback."""
-    while True:
-        inner: Value = getattr(scheme, "scheme", getattr(scheme, "learning", None))
-        if not isinstance(inner, Scheme):
-            return scheme
-        scheme = inner
-
-
 def limited(u: Array, limit: Array | None) -> Array:
     """The signal u, clipped to +-limit; with None there is no limit."""
     return u if limit is None else jnp.clip(u, -limit, limit)
