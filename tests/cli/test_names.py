@@ -136,7 +136,6 @@ def test_brackets_and_colons_of_the_user_are_printed_as_they_are(tmp_path, unpai
     assert r"scheme = '\x1b[31m:x:' is not one of" in said
 
 
-@pytest.mark.thorough
 def test_every_scheme_of_a_figure_has_a_place_in_its_legend(tmp_path):
     scenario = read_scenario(write(tmp_path, schemes={"X 1+2": FILE["schemes"]["ilc"]}))
     dataset, _ = run_schemes(scenario.machine, scenario.schemes, scenario.task, 2)

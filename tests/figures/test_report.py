@@ -176,7 +176,6 @@ def test_versions_are_those_installed():
     assert rows["precision"] == "float64"
 
 
-@pytest.mark.thorough
 def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     chosen = dataclasses.replace(scenarios.load("dai-2014").select(("pid",)), trials=1)
     dataset, _ = runs.run_schemes(chosen.machine, chosen.schemes, chosen.task, 1)
@@ -287,7 +286,6 @@ def test_a_page_is_small_whatever_it_shows():
     assert text.count('<figure class="live">') == 1
 
 
-@pytest.mark.thorough
 def test_a_live_page_is_whole_and_small(tmp_path):
     """Every script is within the page; it is well formed, small, and shows no JSON as text."""
     text = lively(tmp_path)[0].read_text(encoding="utf-8")

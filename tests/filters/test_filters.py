@@ -99,7 +99,6 @@ def test_a_gain_is_a_recursive_filter_too():
     np.testing.assert_allclose(by_gain, 2.25 * SIGNAL, **ALGEBRA)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     "q", [ZeroPhaseButterworth(40.0), ZeroPhaseIIR(*scipy.signal.butter(3, 200.0, fs=1 / DT))]
 )
@@ -113,7 +112,6 @@ def test_mirrored_nothing_comes_out_larger_and_a_constant_stays(q):
     assert np.linalg.norm(np.asarray(extended), 2) > 1.02
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("order", [1, 2, 5])
 def test_in_single_precision_a_padded_filter_far_below_the_sample_rate_keeps_its_numbers(order):
     for cutoff in (0.01, 1.0):
@@ -137,7 +135,6 @@ def test_derivative_with_respect_to_the_cutoff(padding):
         assert float(derivative(cutoff)) == pytest.approx(float(expected), rel=1e-5)
 
 
-@pytest.mark.thorough
 def test_the_derivatives_of_a_band_stop_are_differences_and_finite_where_it_is_zero():
     @jax.jit
     def level(low, high):
@@ -189,7 +186,6 @@ def test_what_a_filter_cannot_do_is_named(message):
         Filtered(PIDType(), ERRORS[message]()).check(Task(np.zeros(N + 1), dt=DT))
 
 
-@pytest.mark.thorough
 def test_no_rounding_of_the_nyquist_angle_makes_a_filter_nan():
     """Some lengths round pi N / (2 N) to an angle beyond pi / 2, with a negative tangent."""
     N = 13

@@ -29,7 +29,6 @@ def found():
     return fit(linear, WIDE, starts=20, refine=3)
 
 
-@pytest.mark.thorough
 def test_linear_least_squares_within_wide_bounds(found):
     expected, (squares,), *_ = np.linalg.lstsq(DESIGN, DATA)
     assert all(low < x < high for (low, high), x in zip(WIDE.values(), expected, strict=True))
@@ -62,7 +61,6 @@ def test_linear_least_squares_on_the_bounds():
     assert all(low <= result.values[name] <= high for name, (low, high) in ranges.items())
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_range_of_one_sign_is_searched_by_its_logarithm(sign):
     """Over eight decades there is one start in each of 64 equal parts of the logarithm."""
@@ -79,7 +77,6 @@ def test_a_range_of_one_sign_is_searched_by_its_logarithm(sign):
     )
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("ends", [(-3.0, 5.0), (0.0, 8.0), (-8.0, 0.0)])
 def test_a_range_with_zero_is_searched_evenly(ends):
     low = ends[0]
@@ -106,7 +103,6 @@ def test_many_starts_find_the_global_minimum_among_many():
     assert max(few) > 0.1, "if any start led there, this problem would show nothing"
 
 
-@pytest.mark.thorough
 def test_a_fit_is_repeatable_and_does_not_depend_on_the_tiles():
     ranges = {"x": (-5.0, 5.0), "y": (-5.0, 5.0)}
     one, other = (fit(bumpy, ranges, starts=10, refine=1, seed=3, lanes=lanes) for lanes in (8, 3))

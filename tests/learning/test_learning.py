@@ -133,7 +133,6 @@ def test_truncated_learning_refuses_what_it_cannot_do(machine, task):
         truncated(machine, SCHEMES["p_type"], task, TRIALS, 2, watch=object())
 
 
-@pytest.mark.thorough
 def test_cfdl_on_a_static_plant_contracts_by_d1_and_d2(task):
     """CFDL-MFAILC on a static plant contracts by d1 and d2, sample by sample.
 
@@ -183,7 +182,6 @@ def test_lifted_error_recursion(plant, m, task):
     assert np.max(np.abs(e[1] - e[0])) > 0.05
 
 
-@pytest.mark.thorough
 def test_feedforward_of_a_scheme_with_feedback_is_its_learned_part(machine, task):
     """The feedback is added within the trial, so a controller is given the learned part only."""
     learning, feedback = PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0)
@@ -206,7 +204,6 @@ def test_small_products_are_products(shape):
     )
 
 
-@pytest.mark.thorough
 def test_save_keeps_what_it_returns(machine, task):
     assert learn(machine, SCHEMES["p_type"], task, 3).saved is None
     saved = learn(
@@ -368,7 +365,6 @@ def test_whole_numbers_may_be_0d_arrays_and_are_told_what_they_are(machine, task
             learn(machine, law, task, 1, first=first)
 
 
-@pytest.mark.thorough
 def test_a_memory_in_the_byte_order_of_another_machine_goes_on_as_it_was(machine, task):
     law = SCHEMES["cfdl_sign"]
     memory = learn(machine, law, task, 2).memory
@@ -382,7 +378,6 @@ def test_a_memory_in_the_byte_order_of_another_machine_goes_on_as_it_was(machine
         np.testing.assert_array_equal(after(other), after(wide))
 
 
-@pytest.mark.thorough
 def test_what_a_user_asks_of_the_ranks_of_his_own_arrays_is_not_asked_of_learning(machine, task):
     law = SCHEMES["ilc_mfapc"]
     wanted = learn(machine, law, task, 2).rms

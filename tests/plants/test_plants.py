@@ -113,7 +113,6 @@ def test_the_matrix_exponential_is_scipy_s(size):
     assert np.all(np.isfinite(exponential(np.array([[-1e9, 1.0], [0.0, -1.0]]))))
 
 
-@pytest.mark.thorough
 def test_single_precision_samples_a_companion_form_to_its_digits():
     system = scipy.signal.tf2ss([1.0], np.poly(-2 * np.pi * np.array([20.0, 30.0, 40.0, 50.0])))[:3]
     single, double = (
@@ -134,7 +133,6 @@ def test_an_integrator_alone_is_held_whatever_its_gain(gain):
     np.testing.assert_allclose([held.A[0, 0], held.B[0, 0]], [1.0, 1e-3 * gain], rtol=1e-12)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("hertz", [5.0, 500.0])
 def test_a_companion_form_is_sampled_to_all_digits(hertz):
     """Its numbers are powers of the frequencies: 1e14 for a fourth order at 500 Hz.

@@ -103,7 +103,6 @@ def test_a_command_starts_without_packages_that_it_does_not_need(tmp_path):
     assert found.stdout == "[]\n", found.stderr
 
 
-@pytest.mark.thorough
 def test_several_channels_are_lists_of_lists(tmp_path):
     num = [[[1.0], [5.0]], [[0.0], [2.0, 1.0]]]
     den = [[[1.0, 9.0], [1.0, 30.0]], [[1.0], [1.0, 8.0, 20.0]]]
@@ -118,7 +117,6 @@ def test_several_channels_are_lists_of_lists(tmp_path):
     np.testing.assert_allclose(made.task.reference[:, 1], 2 * made.task.reference[:, 0])
 
 
-@pytest.mark.thorough
 def test_zeros_poles_and_gain_keep_the_digits_of_poles_that_lie_close_together(tmp_path):
     plant = plant_of(
         tmp_path, kind="zeros_poles_gain", zeros=[-900.0],
@@ -365,7 +363,6 @@ def test_a_reference_in_another_unit_is_refused(tmp_path, unit, heading, fits):
             task_of(values, "task", tmp_path, plant, [])
 
 
-@pytest.mark.thorough
 def test_what_a_file_describes_learns_as_what_the_library_makes(tmp_path):
     table = {
         "class": "WithFeedback",

@@ -300,7 +300,6 @@ ORDERS = {
 }
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("weights", ORDERS.values(), ids=ORDERS)
 def test_higher_order(weights):
     by_hand = loops("arx", HigherOrderLoop(**weights))
@@ -308,7 +307,6 @@ def test_higher_order(weights):
     assert_limit_acts(weights, by_hand[1])
 
 
-@pytest.mark.thorough
 def test_higher_order_takes_gains_for_each_channel():
     plant = StateSpace([[0.7, 0.1], [0.0, 0.5]], [[0.3, 0.0], [0.1, 0.5]], np.eye(2), dt=DT)
     task, gains = Task(np.stack([R, R[::-1]], axis=1), dt=DT), (0.8, -0.2)
@@ -317,7 +315,6 @@ def test_higher_order_takes_gains_for_each_channel():
     np.testing.assert_allclose(one, other, **ALGEBRA)
 
 
-@pytest.mark.thorough
 def test_higher_order_converges_as_its_characteristic_roots_say():
     """On y[k+1] = u[k] every sample obeys e_{j+1} = sum_i (alpha_i - gamma_i) e_{j-i}.
 
@@ -354,7 +351,6 @@ def test_orders_that_cannot_be_are_named(message):
         HigherOrder(*WRONG_ORDERS[message])
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("options", P_TYPES.values(), ids=P_TYPES)
 def test_pid_type(options):
     for plant, sign in SIGN.items():
@@ -456,7 +452,6 @@ def test_increments_are_of_what_the_actuator_applied(law, over):
 SLOW = {"limit": 0.5, "rate": 200.0, "resolution": 0.05}
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     "wrapped",
     [lambda s: OnOutputs(s, (0,)), lambda s: Bounded.around(s, Task(R, dt=DT))],
@@ -476,7 +471,6 @@ def test_an_actuator_that_cuts_nothing_off_changes_nothing_of_a_feedback_that_le
         assert_equal(run("arx", scheme, 4, limit=1e6), run("arx", scheme, 4))
 
 
-@pytest.mark.thorough
 def test_a_replay_knows_what_the_actuator_applied():
     machine, task = machine_of("arx", **SLOW), Task(R, dt=DT)
     scheme, _ = mfailc("arx", "ffdl", {"mode": "none"})
@@ -520,7 +514,6 @@ def test_filtered(law, q):
     assert_equal(run("arx", Filtered(scheme, q)), loops("arx", loop))
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("law", ["p_type", "filtered", "ffdl"])
 def test_with_feedback(law):
     """The learning law gets its own part of the input only."""
@@ -537,7 +530,6 @@ def test_with_feedback(law):
     )
 
 
-@pytest.mark.thorough
 def test_feedback_loops_nest():
     """Two nested proportional loops are one loop with the sum of their gains, in either order."""
     law = PIDType(gamma_p=0.6, lead=1)
@@ -545,7 +537,6 @@ def test_feedback_loops_nest():
     assert_equal(run("arx", WithFeedback(WithFeedback(law, PID(kp=0.5)), PID(kp=0.2))), expected)
 
 
-@pytest.mark.thorough
 def test_on_outputs():
     """A scheme that gets output 1 of (0, 1) learns from that output alone."""
     A, B, C = np.array([[0.9, 0.1], [0.3, 0.6]]), np.array([0.2, 0.0]), np.eye(2)
@@ -571,7 +562,6 @@ def test_on_outputs():
     assert np.max(np.abs(u)) > 0.1
 
 
-@pytest.mark.thorough
 def test_ffdl_with_the_true_model_takes_off_a_share_rho_of_the_error_in_each_trial():
     """Equation 25 with Phi the ARX vector and lam -> 0 gives e_{j+1} = (1 - rho_c) e_j.
 

@@ -40,7 +40,6 @@ def strictly(text):
     return json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
 
 
-@pytest.mark.thorough
 def test_results_are_whole_at_every_moment(tmp_path):
     dataset, axes = xr.Dataset({"rms": ("trial", np.arange(3.0))}), Figure().subplots()
     out, numbers = tmp_path / "out", {"worst": float("inf"), "rows": [float("nan")] * 50}

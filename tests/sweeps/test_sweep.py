@@ -138,7 +138,6 @@ def test_a_store_under_earlier_names_is_resumed_and_opened(tmp_path, dataset, mo
     xr.testing.assert_identical(jaxilc.open_dataset(store), whole)
 
 
-@pytest.mark.thorough
 def test_the_results_of_each_chunk_are_told_when_they_are_computed(dataset, tmp_path):
     told = {name: [] for name in PLAN.schemes}
 
@@ -155,7 +154,6 @@ def test_the_results_of_each_chunk_are_told_when_they_are_computed(dataset, tmp_
     assert not any(told.values()), "nothing was left to compute"
 
 
-@pytest.mark.thorough
 def test_the_first_chunk_is_told_before_other_schemes_are_compiled(dataset, tmp_path, monkeypatch):
     store, first, host = tmp_path / "store.zarr", [], Sweep.host(PLAN)
 
@@ -497,7 +495,6 @@ def test_a_sweep_of_which_a_part_is_computed_has_no_summary(tmp_path):
     assert row.diverged == 0
 
 
-@pytest.mark.thorough
 def test_several_channels_stay_apart():
     two = StateSpace(np.diag([0.9, 0.8]), np.eye(2), np.eye(2), dt=1e-3)
     task = Task(reference=np.ones((31, 2)), dt=1e-3)
@@ -569,7 +566,6 @@ def test_summary_counts_yield_growth_and_divergence():
     np.testing.assert_allclose([row.yield_low, row.yield_high], wanted, rtol=1e-12)
 
 
-@pytest.mark.thorough
 def test_the_interval_of_the_yield_is_claimed_of_drawn_machines_only():
     """A nominal machine that always passes would have it miss a yield of 5 % in 3 cases of 10."""
     rng, held = np.random.default_rng(3), 0
