@@ -133,8 +133,7 @@ def test_what_the_sample_before_has_computed_is_not_computed_again(monkeypatch):
 @pytest.mark.parametrize("name", ["ffdl_lead_limited", "fast_tool_servo_nonlinear"])
 def test_single_precision_is_compiled_too(name):
     """As precisely as the numbers of XLA, which are singles; one has functions of the C library."""
-    common = jax.tree.map(np.asarray, arguments(name))  # an array of JAX would stay in double
-    gains = GAINS.astype(np.float32)
+    common, gains = arguments(name), GAINS.astype(np.float32)
     jax.config.update("jax_enable_x64", False)
     try:
         found = Compiled(of_machine, common, gains[0])(common, gains)
