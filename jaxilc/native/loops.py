@@ -21,7 +21,7 @@ import numpy as np
 from .code import callable_by_xla, in_vectors, room, target
 from .llvm import OPERANDS, Lines, Text, aligned, module
 from .program import Const, Known, Step, Value, by_jax, in_order, without_dead_of_loop
-from .rows import Trials
+from .rows import Trials, in_turn
 
 FEW = 64  # real numbers of an operand that are written into the program where they never change
 ByValue: TypeAlias = dict[Value, jax.Array]
@@ -54,6 +54,13 @@ class Function:
         self.text = Text(self.plan, lanes, wanted, partial(in_vectors, lanes, real().itemsize),
                          name)  # fmt: skip
         self.constants = [np.ascontiguousarray(x) for x in self.plan.given]
+
+    @property
+    def operations(self) -> int:
+        """The operations of a trial that are not known before its loops over samples."""
+        segments = [segment for loop in self.plan.loops for segment in loop.segments]
+        return sum((of.last - of.first) * sum(x.varies and bool(x.args) for x in in_turn(of.wanted))
+                   for of in segments)  # fmt: skip
 
     def operands(self, known: ByValue, groups: int, without: Iterable[int] = ()) -> list[jax.Array]:
         """What it reads, for groups of machines, but for some operands; and the constants."""
@@ -134,6 +141,7 @@ class Whole(Loop):
         wanted = [x in read for x in step.outs]
         self._function = Function(before, step, varying, wanted, lanes)
         self.step, self.each, self.work = step, self._function.each(), self._function.text.work
+        self.operations = self._function.operations
         self._found = [i for i, w in enumerate(wanted) if w]
         self.shown = [step.outs[i] for i in self._found]
 

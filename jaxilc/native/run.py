@@ -18,7 +18,7 @@ from jax import lax
 from ..learning.known_metrics import Metrics
 from ..learning.machine import Machine
 from ..learning.over_trials import learn
-from ..runtime.capacity import host_bytes, shown
+from ..runtime.capacity import cache_bytes, host_bytes, shown
 from ..runtime.lanes import all_stored
 from ..runtime.start import cores, native_unwanted
 from ..runtime.tiles import tiled
@@ -58,6 +58,11 @@ AT_ONCE = 2**27  # bytes of operands that are in the RAM at once
 # Bytes of what is held from loop to loop, that are in the RAM at once. With 2**27, slopes of eight
 # trials of FFDL-MFAILC took half again as long, most of it to get pages from the system.
 HELD_AT_ONCE = 2**24
+# Operations of a trial for each number that it stores for the way back, up to which it takes less
+# time to compute trials again than to wait for the RAM. MFAILC has 10, laws with filters 190 and
+# more, which took 1.1 to 1.3 times as long; value and slopes of FFDL took 0.92 of the time on one
+# core and 0.79 on two.
+FEW_OPERATIONS = 32
 # of the largest number of a machine, by which the check may find a difference, by bytes of a number
 TOLERANCE = {8: 1e-9, 4: 1e-4}
 
@@ -72,8 +77,8 @@ class Compiled(Generic[Common, One, Found]):
     common, one: its arguments, of which shapes and types are read
     lanes: number of machines in a group; None: as many as a register of the processor holds
     blocks: number of blocks of trials, of which a gradient stores the memories of one at a time;
-        None: 1 where the memories of all trials take at most SHARE of the RAM that is free, else
-        about the square root of the number of trials
+        None: 1 where the memories of all trials take at most SHARE of the RAM that is free, and
+        blocks would not save time, see `_waits`; else about the square root of the number of trials
     memories: what a gradient stores, in words; empty where nothing waits for a way back
     learns: whether the trials differ, see `ONCE`
     Raises Unknown, which says why, where the function cannot be compiled.
@@ -147,7 +152,7 @@ class Compiled(Generic[Common, One, Found]):
         (_, there), (_, back) = self._parts[of.there], self._parts[of.back]
         trials, tape = there.params["length"], {*of.tape.values()}
         stored, fits = shown(sum(map(size_of, tape))), self._room_for(self._held) is None
-        if count == 1 or (count is None and fits):
+        if count == 1 or (count is None and fits and not self._waits(of)):
             return f"a gradient stores the memories of all {trials} trials, {stored} a machine"
         blocks = Blocks.of(trials, count)
         self._parts = [([x for x in before if x not in of.between], step)
@@ -163,6 +168,18 @@ class Compiled(Generic[Common, One, Found]):
         taken = shown(sum(map(size_of, first.kept)) + last.work / self.lanes)
         return (f"a gradient runs the trials once more, in {blocks.count} blocks of {blocks.each}, "
                 f"and stores {taken} a machine in place of {stored}")  # fmt: skip
+
+    def _waits(self, of: Memories) -> bool:
+        """Whether a way back waits for the RAM, which it would not in blocks that a cache holds."""
+        there, step, cache = self._loops[of.there], self._parts[of.there][1], cache_bytes()
+        assert isinstance(there, Whole)
+        stored, trials = sum(map(size_of, {*of.tape.values()})), step.params["length"]
+        rows = step.params["consts"] + step.params["carry"]
+        read = sum(size_of(x) for x in {*step.ins[rows:]}.intersection(there.each))  # once more
+        numbers = (stored - read) / trials / real().itemsize
+        large = cache is not None and self.lanes * stored > 2 * cache
+        block = self.lanes * stored * Blocks.of(trials).each / trials
+        return large and 2 * block <= cache and there.operations <= FEW_OPERATIONS * numbers
 
     @property
     def _held(self) -> int:

@@ -21,6 +21,7 @@ try:
 except ImportError:  # Windows has no such limits of processes
     resource = None  # type: ignore[assignment]
 
+CACHES = Path("/sys/devices/system/cpu/cpu0/cache")
 GROUPS = Path("/sys/fs/cgroup")
 OF_PROCESS = Path("/proc/self")
 OF_GROUP_1 = ("memory.limit_in_bytes", "memory.usage_in_bytes")
@@ -98,6 +99,16 @@ def host_bytes() -> int | None:
     """
     known = [size for size in (_system(), *_of_process(), *_of_groups()) if size is not None]
     return max(0, min(known)) if known else None
+
+
+def cache_bytes() -> int | None:
+    """The bytes of the processor's last cache, for each core that shares it; None if unknown."""
+    try:
+        last = max(CACHES.glob("index*"), key=lambda of: int((of / "level").read_text()))
+        shared = int((last / "shared_cpu_map").read_text().replace(",", ""), 16).bit_count()
+        return 1024 * int((last / "size").read_text().rstrip("K\n")) // shared
+    except (OSError, ValueError, ZeroDivisionError):
+        return None
 
 
 def device_bytes() -> int | None:

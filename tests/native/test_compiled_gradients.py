@@ -233,6 +233,21 @@ def test_memories_that_the_ram_cannot_hold_are_in_blocks_and_it_is_told(monkeypa
     assert "the memories of" in told(0.99 * of_blocks)[0]
 
 
+def test_memories_are_in_blocks_where_the_cache_holds_one_of_them_and_not_all(monkeypatch):
+    """And where few operations compute them again; nothing is known of the cache elsewhere."""
+
+    def told(share, few=run.FEW_OPERATIONS):
+        cache = None if share is None else int(share * stored)
+        monkeypatch.setattr(run, "cache_bytes", lambda: cache)
+        monkeypatch.setattr(run, "FEW_OPERATIONS", few)
+        return Compiled(of_37_trials, FIRST, 1.0).memories
+
+    stored = Compiled(of_37_trials, FIRST, 1.0, blocks=1)._between
+    assert "once more, in 6 blocks of 7" in told(0.45)
+    for whole in (told(None), told(0.6), told(0.3), told(0.45, few=1)):
+        assert "the memories of all 37 trials" in whole
+
+
 @pytest.mark.thorough
 def test_a_wrong_slope_is_refused(monkeypatch, caplog):
     """Of an operation that only the way back has."""

@@ -176,6 +176,20 @@ def test_the_limits_of_control_groups_count(monkeypatch, tmp_path):
     assert capacity.host_bytes() == 4000
 
 
+def test_the_last_cache_is_shared_by_cores(monkeypatch, tmp_path):
+    monkeypatch.setattr(capacity, "CACHES", tmp_path)
+    assert capacity.cache_bytes() is None
+    for name, level, size, shared in (("0", 1, "48K", "1"), ("3", 3, "32768K", "0000,000000ff"),
+                                      ("2", 2, "1024K", "3")):  # fmt: skip
+        (folder := tmp_path / f"index{name}").mkdir()
+        for file, text in (("level", level), ("size", size), ("shared_cpu_map", shared)):
+            (folder / file).write_text(f"{text}\n")
+    assert capacity.cache_bytes() == 4 * 2**20
+    (folder / "level").write_text("4\n")
+    (folder / "size").write_text("64M\n")
+    assert capacity.cache_bytes() is None
+
+
 COMMANDS = """
 sweep cao-2019 --samples 300000
 sweep cao-2019 --samples 300000 --sampling latin-hypercube
