@@ -14,25 +14,15 @@ from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels
 from ..pytree.ranges import brief
-from ..signals.task import Task, Trial, product
+from ..signals.task import Task, Trial
+from .constraints import stacked
 from .quadratic_cost import need_convex, need_model_of, need_stable, weights_of
-from .riccati import scan
+from .riccati import Factor, System, cholesky, cholesky_solve, newton, scan
 from .scheme import Feedforward, Scheme, limited
 from .weights import model_weighed
 
 # rows or columns of the dense form: in float64, H and the factor then take half a gigabyte each
 LARGEST_LIFTED = 8192
-
-
-class Recursion(NamedTuple):
-    """The result of the Riccati recursion.
-
-    K: (N, n_u, n) gain on the deviation of the state
-    G: (N, n_u, n_u) inverse of the cost of the input
-    """
-
-    K: Array
-    G: Array
 
 
 class Lifted(NamedTuple):
@@ -56,14 +46,11 @@ class NormOptimal(Scheme):
         e_{j+1} = e_j - H (u_{j+1} - u_j)
         u_{j+1} = u_j + (H' W_q H + W_s + W_r)^-1 (H' W_q e_j - W_s u_j)
 
-    `riccati` solves it in time and memory linear in N. With d = u_{j+1} - u_j, x' = A x + B d and
-    the start values x[0] = 0, P[N] = 0, p[N] = 0:
+    `riccati.newton` solves it in time and memory linear in N. With d = u_{j+1} - u_j and
+    x' = A x + B d, it takes the gain K and the factor L of the cost of the input, from P[N] = 0 on:
 
-        Z = P[k+1] + C' w_q C,           G[k] = (B' Z B + w_r + w_s)^-1
-        K[k] = G[k] B' Z A,              P[k] = A' Z (A - B K[k])
-        z = p[k+1] + C' w_q e_j[k+1],    g[k] = G[k] (B' z - w_s u_j[k])
-        p[k] = A' z - K[k]' (B' z - w_s u_j[k])
-        d[k] = g[k] - K[k] x[k]
+        Z = P[k+1] + C' w_q C,       L L' = B' Z B + w_r + w_s
+        K[k] = (L L')^-1 B' Z A,     P[k] = A' Z (A - B K[k])
 
     These equations were derived anew, because Appendix A of MILC 2024 has errors. `lifted`
     solves the same problem in dense form, with N n_u and N n_y up to 8192.
@@ -91,7 +78,7 @@ class NormOptimal(Scheme):
     clips = ("limit",)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.solved, Recursion | Lifted | None):
+        if not isinstance(self.solved, Factor | Lifted | None):
             raise ValueError(
                 f"NormOptimal: solved = {brief(self.solved)} is a {type(self.solved).__name__}; "
                 "allowed is None"
@@ -131,7 +118,7 @@ class NormOptimal(Scheme):
     def _weights(self) -> tuple[Array, ...]:
         return weights_of(self, "w_q", "w_r", "w_s")
 
-    def _solve(self, model: StateSpace | TimeVaryingStateSpace, N: int) -> Recursion | Lifted:
+    def _solve(self, model: StateSpace | TimeVaryingStateSpace, N: int) -> Factor | Lifted:
         Q, R, S = self._weights()
         if self.form == "lifted":
             H = _lifted(model, N)
@@ -144,38 +131,31 @@ class NormOptimal(Scheme):
         def back(P: Array, now: Tree) -> tuple[Tree, Tree]:
             ((A, B, C),) = now
             Z = P + C.T @ Q @ C
-            G = _inverse(B.T @ Z @ B + R + S)
-            K = G @ B.T @ Z @ A
+            L = cholesky(B.T @ Z @ B + R + S)
+            K = cholesky_solve(L, B.T @ Z @ A)
             P = A.T @ Z @ (A - B @ K)
-            return (P + P.T) / 2, (K, G)
+            return (P + P.T) / 2, (K, L)
 
         start = jnp.zeros_like(model.A, shape=model.A.shape[-1:] * 2)
-        return Recursion(*scan(back, start, (model.A, model.B, model.C), N, reverse=True)[1])
+        return Factor(*scan(back, start, (model.A, model.B, model.C), N, reverse=True)[1])
 
     def _step_riccati(self, e: Array, u: Array) -> Array:
         """The change u_{j+1} - u_j of the input, as (N, n_u)."""
-        (Q, _, S), model, solved = self._weights(), self.model, self.solved
-
-        def back(p: Array, now: Tree) -> tuple[Tree, Tree]:
-            (A, B, C), K, G, e_next, u_k = now
-            z = p + product(C.T, product(Q, e_next))
-            force = product(B.T, z) - product(S, u_k)
-            return product(A.T, z) - product(K.T, force), product(G, force)
-
-        def forth(x: Array, now: Tree) -> tuple[Tree, Tree]:
-            (A, B, _), K, g = now
-            d = g - product(K, x)
-            return product(A, x) + product(B, d), d
-
-        rest = jnp.zeros_like(model.A, shape=model.A.shape[-1:])
-        matrices, N = (model.A, model.B, model.C), len(u)
-        g = scan(back, rest, matrices, N, solved.K, solved.G, e, u, reverse=True)[1]
-        return scan(forth, rest, matrices, N, solved.K, g)[1]
+        Q, _, S = self._weights()
+        q = jnp.concatenate([u @ S, -e @ Q], axis=1)
+        return newton(_system(self.model), self.solved, q)[0]
 
     def _step_lifted(self, e: Array, u: Array) -> Array:
         (Q, _, S), solved = self._weights(), self.solved
         pull = solved.H.T @ (e @ Q).reshape(-1) - (u @ S).reshape(-1)
         return cho_solve((solved.factor, False), pull).reshape(u.shape)
+
+
+def _system(model: StateSpace | TimeVaryingStateSpace) -> System:
+    """The system from a change of the input to itself and to the change of the output."""
+    A, B, C = (jnp.asarray(M) for M in (model.A, model.B, model.C))
+    still, eye = jnp.zeros((model.n_u, A.shape[-1]), A.dtype), jnp.eye(model.n_u, dtype=A.dtype)
+    return System(A, B, stacked([still, C @ A]), stacked([eye, C @ B]))
 
 
 def _lifted(model: StateSpace | TimeVaryingStateSpace, N: int) -> Array:
@@ -190,16 +170,3 @@ def _lifted(model: StateSpace | TimeVaryingStateSpace, N: int) -> Array:
     start = jnp.zeros_like(model.A, shape=(model.A.shape[-1], N * n_u))
     rows = scan(forth, start, (model.A, model.B, model.C), N, jnp.arange(N))[1]
     return rows.reshape(N * n_y, N * n_u)
-
-
-def _inverse(M: Array) -> Array:
-    """The inverse of a small symmetric matrix, in closed form for one or two rows.
-
-    For so few rows LAPACK would take longer than the rest of a step.
-    """
-    if M.shape[0] == 1:
-        return 1 / M
-    if M.shape[0] == 2:
-        (a, b), (_, d) = M
-        return jnp.stack([jnp.stack([d, -b]), jnp.stack([-b, a])]) / (a * d - b * b)
-    return jnp.linalg.inv(M)
