@@ -11,7 +11,8 @@ second derivatives in reverse mode, which lose a part. The fallbacks are used
     if the environment variable JAXILC_JAX_INTERNALS is `off`, without a warning.
 
 `sealed_programs` gives each program in the cache of JAX a checksum; without the part that it
-replaces, `jax._src.compilation_cache`, the cache stays as JAX has it.
+replaces, `jax._src.compilation_cache`, the cache stays as JAX has it. So does that of
+`arrays_by_precision`, without `jax._src.dtypes`.
 
 `jax.core.Tracer`, which other modules use, is a documented part of JAX.
 """
@@ -171,6 +172,27 @@ def sealed_programs() -> None:
         return Sealed(path, max_size=jax.config.jax_compilation_cache_max_size), path
 
     compilation_cache.get_file_cache = opened  # ty: ignore[invalid-assignment]
+
+
+@cache
+def arrays_by_precision() -> None:
+    """Let JAX keep what it makes of an array of NumPy for each precision apart.
+
+    JAX keeps it by the array alone, while anything holds it, such as a program with this array
+    among its constants. After a change of the precision it would hand it, in the other precision,
+    to each program of which the array is an argument: an error of JAX (E0102).
+    """
+    try:
+        from jax._src import dtypes, lib
+        from jax._src.literals import TypedNdArray
+
+        kept_by: Function = vars(lib)["weakref_lru_cache"].weak_key_weak_value_cache
+    except (ImportError, KeyError, AttributeError):
+        return
+    made = cache(lambda dtype: kept_by(lambda x: TypedNdArray(np.asarray(x, dtype))))
+    dtypes.register_canonicalize_value_handler(
+        np.ndarray, lambda x: made(dtypes.canonicalize_dtype(x.dtype))(x)
+    )
 
 
 def seal(key: str, value: bytes) -> bytes:

@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 
 from ..pytree.ranges import need_one_of, require
-from .jax_internals import sealed_programs
+from .jax_internals import arrays_by_precision, sealed_programs
 from .xla_options import chosen
 
 NATIVE = "JAXILC_NATIVE"
@@ -62,7 +62,7 @@ def setup(
     _chosen["precision"] = precision
     if jax.config.jax_enable_x64 != (precision == "float64"):
         jax.config.update("jax_enable_x64", precision == "float64")
-        jax.clear_caches()  # programs may hold arrays of the other precision
+        arrays_by_precision()
     if precision == "float32" and _accelerated() and not jax.config.jax_default_matmul_precision:
         jax.config.update("jax_default_matmul_precision", "highest")
     # XLA's pool has a thread per core. If every device makes a batched LAPACK call at once, all

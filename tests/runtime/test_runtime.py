@@ -1,15 +1,21 @@
 """These tests check how JAX is started."""
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxilc
+from jaxilc import Machine, Task, learn
+from jaxilc.plants import StateSpace
 from jaxilc.runtime import start
+from jaxilc.schemes import PIDType
 
 
 def python(program, *arguments, **environment):
@@ -54,6 +60,13 @@ CASES = {
     "accelerated": {}, "without plugins": {"plugins": False}, "wide": CPU,
     "asked": CPU | {"given": "--xla_cpu_prefer_vector_width=128"}, "kept": {"given": KEPT_AS_IT_IS},
 }  # fmt: skip
+
+
+@contextlib.contextmanager
+def setup_for(double):
+    jaxilc.setup(precision="float64" if double else "float32", devices=jax.device_count())
+    yield
+    jaxilc.setup(devices=jax.device_count())
 
 
 def flags_after_setup(cases):
@@ -155,16 +168,18 @@ def test_setup_too_late_for_loops_says_so_even_where_the_devices_are_given():
     assert python(twice, XLA_FLAGS=given).stderr == ""
 
 
-@pytest.mark.thorough
-def test_the_precision_can_be_changed_after_something_was_computed():
-    """JAX keeps a double in a program that it traced, and would give it to one of singles."""
-    program = (
-        "import jaxilc, jax, numpy; jaxilc.setup(); from jaxilc.schemes import PIDType; "
-        "s = jaxilc.scenarios.load('cao-2019'); "
-        "f = jax.jit(lambda g: jaxilc.learn(s.machine, PIDType(gamma_p=g), s.task, 2).rms); "
-        "print(f(1.0).dtype); jaxilc.setup(precision='float32'); print(f(1.0).dtype)"
-    )
-    assert python(program).stdout.split() == ["float64", "float32"]
+@pytest.mark.parametrize("change", [setup_for, jax.enable_x64])
+def test_programs_get_arrays_in_the_precision_at_hand_whatever_others_hold(change):
+    """JAX kept what it had made of an array, and gave it to programs of the other precision."""
+    law, machine = PIDType(gamma_p=0.5), Machine(StateSpace([[0.9]], [[0.1]], [[1.0]], dt=1e-3))
+    task, holding = Task(np.sin(np.arange(9.0)), dt=1e-3), []
+    closed = jax.jit(lambda gain: learn(machine, law, task, 2).rms * gain)
+    for double in (True, False) * 2:
+        with change(double):
+            holding.append([jax.make_jaxpr(lambda gain: gain * task.reference)(1.0)])
+            holding.append(jax.tree.map(jnp.asarray, (machine, task)))
+            for found in (closed(1.0), learn(machine, law, task, 2).rms):
+                assert found.dtype == (np.float64 if double else np.float32)
 
 
 KEPT = """
