@@ -41,6 +41,8 @@ def number(value: float | Number, dtype: DTypeLike, single: bool) -> str:
     if kind == "b":
         return "true" if value else "false"
     if kind != "f":
+        if value < 0 and value == np.iinfo(dtype).min:  # the sign is an operation of its own
+            return f"INT{8 * np.dtype(dtype).itemsize}_MIN"
         return str(int(value)) if value >= 0 else f"({int(value)})"
     if single:
         with np.errstate(over="ignore"):  # which is infinite then

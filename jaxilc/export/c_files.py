@@ -220,12 +220,12 @@ def _test(law: Law, trials: Sequence[np.ndarray], single: bool) -> str:
     for i, name in enumerate(law.fields):
         if not name.startswith(("memory", "schedule", "seen")):
             continue
-        values, member = np.ravel(played.known[name]), f"l.{field_name(name)}"
+        values, member = np.ravel(played.known[name]), field_name(name)
         if values.dtype.kind != "f":
             continue
         tables += table(REAL, f"known_{i}", _numbers(values, single))
-        pointer = f"&{member}" if values.size == 1 else member
-        checked.append(f'    wrong += compared("{name}", {pointer}, known_{i}, {values.size});')
+        at = f"&l.{member}" if values.size == 1 else f"l.{member}"
+        checked.append(f'    wrong += compared("{member}", {at}, known_{i}, {values.size});')
     codes = ", ".join(str(code) for _, code in found)
     lines = [
         *table(REAL, "outputs", _numbers(outputs, single)),
@@ -309,9 +309,9 @@ def hal_component(task: Task, files: Mapping[str, str], about: str) -> str:
     at = ["(i)" if more else "" for more in many]
     inlined = files["law.h"] + files["law.c"].replace('#include "law.h"\n', "")
     inlined = inlined.replace("#include <math.h>", "#include <rtapi_math.h>")
-    unit = {name: f" [{text}]" if text else "" for name, text in
-            (("y", task.unit), ("u", task.input_unit))}  # fmt: skip
-    about = " ".join(about.replace('"', "'").split())
+    about, *units = (" ".join(text.replace('"', "'").replace("\\", "/").split())
+                     for text in (about, task.unit, task.input_unit))  # fmt: skip
+    of_y, of_u = (f" [{unit}]" if unit else "" for unit in units)
     return f'''component law "{about}";
 description """
 A law that learns from trial to trial. It begins a trial when begin-trial is true and none is
@@ -319,8 +319,8 @@ running, reads measured and sets command at each of its {task.N} samples, and le
 after them. Between trials command is 0. It takes a thread of {task.dt:g} s; in another it does
 nothing, and last-code is {WRONG_THREAD}. The codes are those of law_code below.
 """;
-pin in float measured{number[0]} "measured output{unit["y"]}";
-pin out float command{number[1]} "input of the plant{unit["u"]}";
+pin in float measured{number[0]} "measured output{of_y}";
+pin out float command{number[1]} "input of the plant{of_u}";
 pin in bit begin_trial "a trial begins where none is running";
 pin out bit running "a trial is running";
 pin out s32 trials "trials that have ended";

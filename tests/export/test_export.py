@@ -21,6 +21,7 @@ from jaxilc.export.steps import dft
 from jaxilc.native.program import Unknown
 from jaxilc.outcomes.exporting import trials_of_test
 from jaxilc.plants import StateSpace
+from jaxilc.pytree import pytree
 from jaxilc.schemes import (
     PID,
     BasisFunctions,
@@ -93,6 +94,31 @@ def test_the_program_in_c_equals_the_interpreter_to_the_last_bit(name, tmp_path)
     for single in (False, True) if name in SINGLE else (False,):
         ran = compiled(tmp_path, files_of(law, [], "0" * 64, trials_of_test(law), single=single))
         assert (ran.returncode, ran.stdout) == (0, "law: all numbers are equal\n"), ran.stdout
+
+
+@pytree
+class OfLastRise(PIDType):
+    """A law that learns a sum of powers, here of one, behind the last rise of the error."""
+
+    def initial_memory(self, task):
+        return {'input "u"\\': jnp.zeros((task.N, 1))}
+
+    def schedule(self, memory, task):
+        return Feedforward(*memory.values())
+
+    def learn(self, memory, trial):
+        ((name, u),), e = memory.items(), trial.e[1:]
+        last = jnp.max(jnp.where(e[1:] > e[:-1], jnp.arange(1, len(e))[:, None], -1))
+        bent = jnp.where(e > 0.5, jnp.tanh(e), jnp.sin(e + 0.1 * jnp.abs(u)))
+        powers = sum(0.1 * bent**i for i in range(1))
+        return {name: jnp.where(jnp.arange(len(e))[:, None] > last, powers, u)}
+
+
+@needs_c
+def test_the_least_whole_number_a_power_of_0_and_any_name_are_printed_without_a_warning(tmp_path):
+    law = law_of(OfLastRise(), task_of("p_type"), 1e3)
+    ran = compiled(tmp_path, files_of(law, [], "0" * 64, trials_of_test(law)), *CHECKED)
+    assert (ran.returncode, ran.stdout) == (0, "law: all numbers are equal\n"), ran.stderr
 
 
 @jax.jit

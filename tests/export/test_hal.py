@@ -1,5 +1,6 @@
 """A law as a component of LinuxCNC's HAL."""
 
+import dataclasses
 import re
 import shutil
 import subprocess
@@ -19,10 +20,13 @@ def text(request):
     return hal_component(task, files, "A law.")
 
 
-def test_a_description_of_several_lines_is_put_on_one():
+def test_what_is_told_stays_on_one_line_between_its_quotes():
     _, _, task = case("cfdl_book")
-    text = hal_component(task, {"law.h": "", "law.c": ""}, 'A "law"\nof two\tlines.')
-    assert text.splitlines()[0] == """component law "A 'law' of two lines.";"""
+    task = dataclasses.replace(task, unit='"', input_unit="V\\\n")
+    lines = hal_component(task, {"law.h": "", "law.c": ""}, 'A "law"\nof two\tlines.').splitlines()
+    assert lines[0] == """component law "A 'law' of two lines.";"""
+    told = [re.search(r' "((?:\\.|[^\\"])*)";$', one)[1] for one in lines if one[:4] == "pin "]
+    assert told[:2] == ["measured output [']", "input of the plant [V/]"]
 
 
 @pytest.mark.thorough
