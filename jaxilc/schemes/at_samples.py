@@ -14,8 +14,8 @@ from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import known, need_numbers
 from ..signals.task import Task, Trial, samples_within
 from .gradient import Ready
-from .scheme import Part, Scheme, Wrapper, need_no_comparing, need_no_experiments
-from .weights import need_no_bounds, need_no_jerk, weighed
+from .scheme import Part, Scheme, Wrapper, need_no_experiments
+from .weights import need_no_true_outputs, weighed
 
 
 @pytree
@@ -89,16 +89,14 @@ class AtSamples(Wrapper):
 
     def check(self, task: Task) -> None:
         self._check_samples(task)
-        need_no_bounds(self, self.scheme, task, "needs all of the motion")
+        need_no_true_outputs(self, task, "needs all of the motion")
         if self.jerk_time is not None and not self.scheme.plays_back:
             raise ValueError(
                 f"AtSamples: jerk_time needs a law that plays back its input, not "
                 f"{type(self.scheme).__name__}, which acts within the trial"
             )
-        need_no_jerk(self, self.scheme, task)
         super().check(task)
         need_no_experiments(self, task, "whose answers are needed at all samples")
-        need_no_comparing(self, task)
 
     def _check_samples(self, task: Task) -> None:
         for window in self.windows:

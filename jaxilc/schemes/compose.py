@@ -25,11 +25,11 @@ from .scheme import (
     Wrapper,
     limited,
     limits_of_parts,
-    need_no_comparing,
     need_no_experiments,
     silent,
     under,
 )
+from .weights import need_no_true_outputs
 
 
 class Pair(NamedTuple):
@@ -495,7 +495,7 @@ class ErrorFiltered(Wrapper):
         u_{j+1} = u_j + L F e_j
 
     scheme: any scheme that learns from the error, but none that compares outputs within the trial
-        (FFDL-MFAILC)
+        (FFDL-MFAILC), weighs their jerk (`jerk_time`) or bounds them
     filter: zero-phase filter F, applied to each channel of e
 
     At frequencies that F blocks, nothing is learned, and nothing that was learned is forgotten:
@@ -507,9 +507,9 @@ class ErrorFiltered(Wrapper):
     filter: Filter = child()
 
     def check(self, task: Task) -> None:
+        need_no_true_outputs(self, task, "would hold for r - F e in its place")
         super().check(task)
         self.filter.check(task.N + 1, task.dt)
-        need_no_comparing(self, task)
 
     def shown(self, trial: Trial) -> dict[str, Trial]:
         return {"scheme": trial._replace(y=trial.r - self.filter(trial.e, trial.dt))}

@@ -12,7 +12,8 @@ from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels, need_numbers
 from ..signals.task import Task, Trial
-from .scheme import Memory, Part, Scheme, Wrapper, need_no_comparing, need_no_experiments, silent
+from .scheme import Memory, Part, Scheme, Wrapper, need_no_experiments, silent
+from .weights import need_no_true_outputs
 
 T = TypeVar("T")
 
@@ -182,8 +183,8 @@ class Ladder(Guard):
         is 1
 
     The comparisons carry no gradient, so the gradient with respect to `slow` is zero.
-    `check` raises ValueError if the gain adapts and the scheme, such as FFDL-MFAILC, compares the
-    output of the running trial with the output that it was shown.
+    `check` raises ValueError if the gain adapts and the scheme compares the output of the running
+    trial with the one that it was shown (FFDL-MFAILC), weighs its jerk (`jerk_time`) or bounds it.
     """
 
     scheme: Scheme = child()
@@ -199,7 +200,8 @@ class Ladder(Guard):
     def check(self, task: Task) -> None:
         need_numbers(self, "growth_of_gain", "largest", "slow")
         if self.slow is not None:
-            need_no_comparing(self, task, f"slow = {self.slow} with ", "are None, or")
+            found = f"slow = {self.slow} with ", "are slow = None, or"
+            need_no_true_outputs(self, task, "would hold for r - gain e in its place", *found)
         super().check(task)
 
     def initial_memory(self, task: Task) -> LadderMemory:

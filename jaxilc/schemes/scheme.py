@@ -456,22 +456,6 @@ def need_no_experiments(wrapper: Scheme, task: Task, why: str) -> None:
             )
 
 
-def need_no_comparing(wrapper: Scheme, task: Task, found: str = "", instead: str = "is") -> None:
-    """Raises ValueError where a part of the scheme compares outputs within the trial.
-
-    found: what of the wrapper does not allow it, at the start of the message
-    instead: what is allowed instead, before the field of the part that has to be zero
-    """
-    for scheme, _, _ in with_all_parts(wrapper, task):
-        for name in scheme.compares:
-            if getattr(scheme, name):
-                raise ValueError(
-                    f"{type(wrapper).__name__}: {found}{name} = {getattr(scheme, name)} of "
-                    f"{type(scheme).__name__}, which compares outputs within the trial; allowed "
-                    f"{instead} {name} = 0"
-                )
-
-
 def need_second_derivatives(scheme: Scheme) -> None:
     """Raises ValueError where a part of the scheme has first derivatives only."""
 

@@ -21,7 +21,7 @@ from ..pytree.aliases import Array, Function, Leaf, Tree
 from ..pytree.fields import child, leaf, pytree
 from ..pytree.needs import need_numbers
 from ..signals.task import Task, Trial
-from .scheme import Scheme, Wrapper, need_no_comparing, need_no_experiments, with_all_parts
+from .scheme import Scheme, Wrapper, need_no_experiments, with_all_parts
 
 BOUNDS = ("y_low", "y_high", "tube", "contour")  # of outputs
 
@@ -75,27 +75,36 @@ def counts_at_all(trial: Trial) -> Array | float:
     return jnp.where(jnp.any(trial.weight[1:] != 0, axis=2), 1.0, 0.0)
 
 
-def need_no_bounds(wrapper: Scheme, inner: Scheme, task: Task, why: str) -> None:
-    """Raises ValueError where a part of the inner scheme bounds outputs, which it is not shown."""
-    for part, _, _ in with_all_parts(inner, task):
+def need_no_true_outputs(
+    wrapper: Wrapper, task: Task, why: str, found: str = "", instead: str = "is"
+) -> None:
+    """Raises ValueError where a part of the scheme needs the outputs as the machine gives them.
+
+    Such are those that bound outputs, weigh their jerk, or compare them within the trial.
+
+    why: what a bound would do
+    found, instead: what of the wrapper does not allow it, and what is allowed instead
+    """
+    for part, _, _ in with_all_parts(wrapper.scheme, task):
+        owner, of = f"{type(wrapper).__name__}: {found}", type(part).__name__
         for name in BOUNDS:
             if name in part.clips and getattr(part, name) is not None:
                 raise ValueError(
-                    f"{type(wrapper).__name__}: {type(part).__name__} bounds the output by {name}, "
-                    f"which {why}; allowed are bounds of the input"
+                    f"{owner}{name} of {of} bounds the output, which {why}; allowed {instead} "
+                    f"{name} = None, with bounds of the input in its place"
                 )
-
-
-def need_no_jerk(wrapper: Scheme, inner: Scheme, task: Task) -> None:
-    """Raises ValueError where a part of the inner scheme takes the jerk of outputs it is shown."""
-    for part, _, _ in with_all_parts(inner, task):
-        found = getattr(part, "jerk_time", None)
-        if found is not None:
+        jerk_time = getattr(part, "jerk_time", None)
+        if jerk_time is not None:
             raise ValueError(
-                f"{type(wrapper).__name__}: jerk_time = {found} of {type(part).__name__} "
-                "weighs the jerk of the outputs, which it would be shown as their errors count; "
-                "allowed is jerk_time = None"
+                f"{owner}jerk_time = {jerk_time} of {of} weighs the jerk of the outputs, which it "
+                f"would not be shown as they are; allowed {instead} jerk_time = None"
             )
+        for name in part.compares:
+            if getattr(part, name):
+                raise ValueError(
+                    f"{owner}{name} = {getattr(part, name)} of {of}, which compares outputs within "
+                    f"the trial; allowed {instead} {name} = 0"
+                )
 
 
 @pytree
@@ -169,11 +178,9 @@ class CrossCoupled(Wrapper):
                 f"CrossCoupled: the task has {task.outputs} outputs; allowed are the 2 or 3 axes "
                 "of a path"
             )
-        need_no_jerk(self, self.scheme, task)
+        need_no_true_outputs(self, task, "would hold for e~ in place of the error")
         super().check(task)
-        need_no_bounds(self, self.scheme, task, "would hold for e~ in place of the error")
         need_no_experiments(self, task, "whose errors are not those of the path")
-        need_no_comparing(self, task)
 
     def shown(self, trial: Trial) -> dict[str, Trial]:
         t, eye = tangents(trial.r), jnp.eye(trial.r.shape[1])

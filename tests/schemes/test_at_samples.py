@@ -199,7 +199,7 @@ def test_windows_are_the_weights_of_their_samples():
             lambda: AtSamples(
                 ConstrainedNormOptimal(MODEL, w_r=1.0, y_high=2.0), weight=WEIGHT
             ).check(TASK),
-            "bounds the output by y_high",
+            "y_high of ConstrainedNormOptimal bounds the output",
         ),
         (lambda: with_jerk(StateSpace([[-1.0]], [[1.0]], [[1.0]])), "in discrete time"),
         (

@@ -147,7 +147,7 @@ def test_a_certificate_counts_what_lies_along_the_path():
         (
             ConstrainedNormOptimal(AXES, w_r=1.0, y_high=0.5),
             TASK,
-            "ConstrainedNormOptimal bounds the output by y_high, which would hold for e~",
+            "y_high of ConstrainedNormOptimal bounds the output, which would hold for e~",
         ),
     ],
 )

@@ -26,6 +26,7 @@ KINDS = {
 NOTHING_LEARNED = "learns no feedforward signal u"
 EXPERIMENTS = "ModelFreeGradient makes experiments between its steps"
 COMPARES = "FFDLMFAILC, which compares outputs within the trial"
+BOUNDS = "y_low of ConstrainedNormOptimal bounds the output"
 JERK = "of AtSamples weighs the jerk"
 ONE_AXIS = "the model has 1 inputs but the task 2"
 # which schemes of cases.py refuse, and what they say; all other pairs run
@@ -35,7 +36,7 @@ REFUSED = {
         "model_free": EXPERIMENTS,
         "ffdl_book": COMPARES,
         "ffdl_fir": COMPARES,
-        "constrained": "ConstrainedNormOptimal bounds the output by y_low",
+        "constrained": BOUNDS,
         "at_samples": JERK,
     },
     "a contour": {
@@ -43,7 +44,7 @@ REFUSED = {
         "ffdl_fir": COMPARES,
         "model_free": EXPERIMENTS,
         "gradient": ONE_AXIS,
-        "constrained": ONE_AXIS,
+        "constrained": BOUNDS,
         "two_step": ONE_AXIS,
         "at_samples": JERK,
         "warm_start": r"theta has shape \(2,\); allowed is \(4,\)",

@@ -13,6 +13,7 @@ from jaxilc.schemes import (
     CFDLMFAILC,
     FFDLMFAILC,
     PID,
+    AtSamples,
     ConstrainedNormOptimal,
     ErrorFiltered,
     Filtered,
@@ -299,6 +300,7 @@ def test_repeatability():
     )
 
 
+BOUNDED = ConstrainedNormOptimal(StateSpace([[0.6]], [[0.4]], [[1.0]], dt=DT), w_r=0.1, y_high=0.5)
 ERRORS = {
     "nothing": (lambda: StopWhen(LAW), "StopWhen: max_error, rms and growth are all None"),
     "inner": (lambda: StopWhen(PIDType(lead=N), rms=1.0), f"PIDType: lead = {N} is outside"),
@@ -313,6 +315,18 @@ ERRORS = {
     "within_the_trial_filtered": (
         lambda: ErrorFiltered(WithFeedback(FFDLMFAILC(), PID()), ZeroPhaseFIR()),
         "ErrorFiltered: L_y = 2 of FFDLMFAILC",
+    ),
+    "bounds_with_a_gain": (
+        lambda: Ladder(BOUNDED, 2, slow=0.9),
+        "slow = 0.9 with y_high of ConstrainedNormOptimal bounds the output, which would hold for",
+    ),
+    "bounds_filtered": (
+        lambda: ErrorFiltered(StopWhen(BOUNDED, rms=1.0), ZeroPhaseFIR()),
+        "ErrorFiltered: y_high of ConstrainedNormOptimal bounds the output, which would hold for",
+    ),
+    "jerk_with_a_gain": (
+        lambda: Ladder(AtSamples(PIDType(), windows=(0.01,), jerk_time=1e-3), 2, slow=0.9),
+        "slow = 0.9 with jerk_time = 0.001 of AtSamples weighs the jerk of the outputs",
     ),
     "one_run": (lambda: repeatability(np.ones((1, 2))), r"repeatability: rms has shape \(1, 2\)"),
 }
