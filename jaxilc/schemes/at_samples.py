@@ -14,7 +14,8 @@ from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import known, need_numbers
 from ..signals.task import Task, Trial, samples_within
 from .gradient import Ready
-from .scheme import Part, Scheme, Wrapper, need_no_experiments
+from .guards import KeepUnmeasured
+from .scheme import Part, Scheme, Wrapper, need_no_experiments, with_all_parts
 from .weights import need_no_true_outputs, weighed
 
 
@@ -45,8 +46,9 @@ class AtSamples(Wrapper):
     solved: leave None
     `check` raises ValueError unless either windows or weight are given and lie within the task, and
     for bounds of the output, which need all of the motion. It raises, too, for a scheme that makes
-    experiments (`ModelFreeGradient`) or compares outputs within the trial (FFDL-MFAILC), and for
-    `jerk_time` of a scheme within, which is shown other outputs than the machine has.
+    experiments (`ModelFreeGradient`) or compares outputs within the trial (FFDL-MFAILC), for
+    `KeepUnmeasured` within, which takes samples that do not count for lost, and for `jerk_time` of
+    a scheme within, which is shown other outputs than the machine has.
     """
 
     scheme: Scheme = child()
@@ -94,6 +96,11 @@ class AtSamples(Wrapper):
             raise ValueError(
                 f"AtSamples: jerk_time needs a law that plays back its input, not "
                 f"{type(self.scheme).__name__}, which acts within the trial"
+            )
+        if any(isinstance(one.scheme, KeepUnmeasured) for one in with_all_parts(self, task)):
+            raise ValueError(
+                "AtSamples: KeepUnmeasured within takes samples that do not count for lost ones; "
+                "allowed is KeepUnmeasured around AtSamples"
             )
         super().check(task)
         need_no_experiments(self, task, "whose answers are needed at all samples")

@@ -12,7 +12,7 @@ from ..pytree.aliases import Array, Leaf, Tree, Value
 from ..pytree.fields import child, leaf, pytree, static
 from ..pytree.needs import need_channels, need_numbers
 from ..signals.task import Task, Trial
-from .scheme import Memory, Part, Scheme, Wrapper, need_no_experiments, silent
+from .scheme import Memory, Part, Scheme, Wrapper, need_no_experiments, silent, with_all_parts
 from .weights import need_no_true_outputs
 
 T = TypeVar("T")
@@ -263,7 +263,8 @@ class KeepUnmeasured(Wrapper):
 
     scheme: any scheme that learns from the error
     `check` raises ValueError for a scheme that makes experiments (`ModelFreeGradient`): what was
-    kept of an experiment would be played in the next one.
+    kept of an experiment would be played in the next one. It raises, too, for `OnBasis` within,
+    which fits its parameters before rows are kept; write OnBasis(KeepUnmeasured(...), basis).
     """
 
     weighs = True  # another law for each set of samples that are measured
@@ -273,6 +274,12 @@ class KeepUnmeasured(Wrapper):
     def check(self, task: Task) -> None:
         super().check(task)
         need_no_experiments(self, task, "which must be played as they are")
+        for part, _, _ in with_all_parts(self.scheme, task):
+            if isinstance(part, Guard) and hasattr(part, "basis"):
+                raise ValueError(
+                    f"KeepUnmeasured: {type(part).__name__} within it fits its parameters before "
+                    f"rows are kept; allowed is {type(part).__name__} around KeepUnmeasured"
+                )
 
     def learn(self, memory: Memory, trial: Trial) -> Memory:
         following = super().learn(memory, trial)

@@ -31,13 +31,17 @@ JERK = "of AtSamples weighs the jerk"
 ONE_AXIS = "the model has 1 inputs but the task 2"
 # which schemes of cases.py refuse, and what they say; all other pairs run
 REFUSED = {
-    "what is unmeasured is kept": {"model_free": EXPERIMENTS},
+    "what is unmeasured is kept": {
+        "model_free": EXPERIMENTS,
+        "on_basis": "allowed is OnBasis around KeepUnmeasured",
+    },
     "points": {
         "model_free": EXPERIMENTS,
         "ffdl_book": COMPARES,
         "ffdl_fir": COMPARES,
         "constrained": BOUNDS,
         "at_samples": JERK,
+        "keep_unmeasured": "allowed is KeepUnmeasured around AtSamples",
     },
     "a contour": {
         "ffdl_book": COMPARES,
