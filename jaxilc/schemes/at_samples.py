@@ -85,6 +85,7 @@ class AtSamples(Wrapper):
             r=jnp.concatenate([trial.r, jnp.zeros_like(jerk)], axis=1),
             y=jnp.concatenate([trial.y, jerk], axis=1),
             weight=None if trial.weight is None else _beside(trial.weight),
+            signals=trial.signals | {"jerk": jerk[1:]},
         )
         W = jnp.concatenate([Phi, jnp.broadcast_to(self.jerk_time**3, Phi.shape)], axis=1)
         return {"scheme": weighed(both, W)}

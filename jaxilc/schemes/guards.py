@@ -59,7 +59,7 @@ class StopWhen(Guard):
     The maximum and the RMS are over the samples k = 1..N. After that each trial plays back the same
     schedule, and later errors are not examined any more. A sample that was not measured counts with
     the error zero: a trial that ended early, or lost samples, may pass for a good one, and with
-    `growth` the whole ones after it for grown ones.
+    `growth` the whole ones after it for grown ones. The jerks that `AtSamples` shows do not count.
 
     scheme: the scheme whose learning is stopped
     max_error: () or (n_y,) tolerance of the largest error [unit of y]; None: no such tolerance
@@ -97,7 +97,7 @@ class StopWhen(Guard):
         return StopMemory(start, jnp.zeros(()), jnp.zeros(()), *best)
 
     def learn(self, memory: StopMemory, trial: Trial) -> StopMemory:
-        e = lax.stop_gradient(trial.e[1:])
+        e = lax.stop_gradient(_errors(trial))
         frozen = memory.frozen > 0
         stay = frozen | self._within_tolerance(e)
         following = _choose(stay, memory.scheme, self.scheme.learn(memory.scheme, trial))
@@ -117,9 +117,11 @@ class StopWhen(Guard):
         """Whether the error e (N, n_y) meets every tolerance that is given, as ()."""
         met = []
         if self.max_error is not None:
-            met.append(jnp.max(jnp.abs(e), axis=0) <= self.max_error)
+            most = jnp.atleast_1d(self.max_error)[: e.shape[1]]
+            met.append(jnp.max(jnp.abs(e), axis=0) <= most)
         if self.rms is not None:
-            met.append(jnp.sqrt(jnp.mean(e**2, axis=0)) <= self.rms)
+            most = jnp.atleast_1d(self.rms)[: e.shape[1]]
+            met.append(jnp.sqrt(jnp.mean(e**2, axis=0)) <= most)
         return jnp.all(jnp.stack(met)) if met else jnp.asarray(False)
 
 
@@ -226,7 +228,7 @@ class Ladder(Guard):
         mean = trial._replace(y=y, u=u, signals=signals)
         gain = rms = None
         if self.slow is not None:
-            now_rms = _root_mean_square(lax.stop_gradient(mean.e[1:]))
+            now_rms = _root_mean_square(lax.stop_gradient(_errors(mean)))
             slowly = (now_rms > lax.stop_gradient(self.slow) * memory.rms) & (now_rms <= memory.rms)
             gain = jnp.where(
                 full & slowly,
@@ -242,6 +244,12 @@ class Ladder(Guard):
 def _choose(condition: Array, one: T, other: T) -> T:
     """The tree `one` where the condition holds, else the tree `other`, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
+
+
+def _errors(trial: Trial) -> Array:
+    """(N, n_y) the errors of a trial, without the jerks that `AtSamples` shows beside them."""
+    n, e = trial.signals["jerk"].shape[1] if "jerk" in trial.signals else 0, trial.e[1:]
+    return e[:, :n] if e.shape[1] == 2 * n else e
 
 
 def _root_mean_square(e: Array) -> Array:

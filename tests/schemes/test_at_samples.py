@@ -23,6 +23,7 @@ from jaxilc.schemes import (
     NormOptimal,
     PIDType,
     PolynomialBasis,
+    StopWhen,
     TwoStep,
     with_jerk,
 )
@@ -77,6 +78,19 @@ def test_the_jerk_of_the_motion_is_part_of_the_cost():
     np.testing.assert_allclose(
         lifted(with_jerk(MODEL), N)[1::2], JERK @ H / DT**3, rtol=1e-6, atol=1
     )
+
+
+@pytest.mark.parametrize(("rule", "of"), [("max_error", np.max), ("rms", np.mean)])
+def test_a_rule_within_judges_the_points_and_not_the_jerk(rule, of):
+    law = SMOOTH.scheme
+    saved = learn(Machine(REAL), SMOOTH, TASK, 5, save=lambda trial: (trial.e, trial.y)).saved
+    points = np.square(saved[0])[:, 1:, 0] * WEIGHT[1:]
+    jerk = (TIME / DT) ** 3 * np.diff(np.pad(saved[1][-1][:, 0], (3, 0), mode="edge"), 3)[1:]
+    third = of(points, axis=1)[2]
+    assert third < min(of(points, axis=1)[1], 0.9 * of(jerk**2))
+    stop = StopWhen(law, **{rule: np.sqrt(third) * (1 + 1e-9)})
+    memory = learn(Machine(REAL), dataclasses.replace(SMOOTH, scheme=stop), TASK, 5).memory
+    assert (float(memory.frozen), float(memory.trials)) == (1.0, 3.0)
 
 
 @pytest.mark.thorough
