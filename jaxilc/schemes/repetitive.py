@@ -418,7 +418,8 @@ class RepetitiveBasis(Scheme):
     keep: () what is left of a weight after a step; below 1 it forgets, and is more robust
     by_period: whether the weights change at the end of a period only, by the sum over it
     angle: number of the output that is taken in the place of t, in the units of the functions, such
-        as that of a spindle; the law does not see its error. None: none
+        as that of a spindle, or a position on its stroke with open `Splines`; the law does not see
+        its error. None: none
     """
 
     functions: Harmonics | Splines = child()
@@ -434,6 +435,12 @@ class RepetitiveBasis(Scheme):
             raise ValueError(
                 f"RepetitiveBasis: functions.pitch has shape {functions.pitch.shape}; allowed is "
                 "(), one period"
+            )
+        ends = isinstance(functions, Splines) and not functions.closed
+        if ends and (self.angle is None or self.by_period):
+            raise ValueError(
+                "RepetitiveBasis: functions.closed = False, of splines that end with the first "
+                "period; allowed is closed = True, or an angle with by_period = False"
             )
         for name in ("gain", "lead"):
             shape = getattr(self, name).shape

@@ -46,7 +46,7 @@ import numpy as np
 
 from ..learning.machine import Machine
 from ..plants import StateSpace
-from ..plants.position import Harmonics, Splines
+from ..plants.position import Harmonics
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
@@ -438,11 +438,6 @@ def basis_condition(machine: Machine | Population, scheme: Scheme, task: Task) -
         )
     basis.check(task)
     functions = basis.functions
-    if isinstance(functions, Splines) and not functions.closed:
-        raise ValueError(
-            "basis_condition: the splines are open, so that the last one goes on after a period; "
-            "allowed are Splines(..., closed=True)"
-        )
     period = float(
         functions.pitch if isinstance(functions, Harmonics) else functions.high - functions.low
     )

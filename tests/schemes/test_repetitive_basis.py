@@ -172,7 +172,10 @@ def test_the_map_of_a_period_tells_how_fast_the_error_falls_or_grows():
         (RepetitiveBasis(HARMONICS, 0.1, angle=0), "scheme is a RepetitiveBasis of an angle"),
         (RepetitiveBasis(Harmonics(np.pi * 1e-2, (1,)), 0.1), "the period is 31.4159265 samples"),
         (RepetitiveBasis(Harmonics(3e3, (1,)), 0.1), "take 3,000,000; allowed are 131,072"),
-        (RepetitiveBasis(Splines(0.0, n * DT, 5), 0.1), "the splines are open"),
+        (
+            RepetitiveBasis(Splines(0.0, n * DT, 5), 0.1),
+            "functions.closed = False, of splines that end",
+        ),
     ],
 )
 def test_what_has_no_map_of_a_period_is_refused(scheme, said):
