@@ -43,8 +43,8 @@ class Inverse(Filter):
     def check(self, samples: int, dt: float) -> None:
         if known(dt) and abs(self.dt - dt) > 1e-9 * dt:
             raise ValueError(
-                f"{type(self).__name__}: dt = {dt:g} s is not that of the design; allowed is dt = "
-                f"{self.dt:g}"
+                f"{type(self).__name__}: dt = {dt:.10g} s is not that of the design; allowed is "
+                f"dt = {self.dt:.10g}"
             )
         for name, columns in (("forward", (5,)), ("backward", (5,)), ("gain", ())):
             shape = np.shape(getattr(self, name, np.zeros((0, 5))))
@@ -371,8 +371,8 @@ def _sample_time(system, dt) -> tuple[float, float]:
         )
     if own and dt and abs(own - dt) > 1e-9 * dt:
         raise ValueError(
-            f"factors: the system is sampled at {own:g} s but dt = {dt:g} s; allowed is dt = "
-            f"{own:g}"
+            f"factors: the system is sampled at {own:.10g} s but dt = {dt:.10g} s; allowed is "
+            f"dt = {own:.10g}"
         )
     return float(own), float(own or dt)
 

@@ -123,11 +123,7 @@ class ZeroPhaseBandStop(Filter):
             )
 
     def check(self, samples: int, dt: float) -> None:
-        if known(self) and np.any(np.asarray(self.high) >= 0.5 / dt):
-            raise ValueError(
-                f"ZeroPhaseBandStop: high = {self.high} Hz is outside its allowed range (low, "
-                f"{0.5 / dt:g}), Nyquist at dt = {dt:g} s"
-            )
+        need_cutoff("ZeroPhaseBandStop", self.high, dt, "high")
 
     def __call__(self, signal, dt):
         return mirrored(signal, self.response(half_angles(len(signal)), dt))
@@ -222,11 +218,11 @@ class ZeroPhaseIIR(Filter):
         return forward_and_backward(one_pass, signal, self.padding)
 
 
-def need_cutoff(owner: str, cutoff: Leaf, dt: float) -> None:
+def need_cutoff(owner: str, cutoff: Leaf, dt: float, name: str = "cutoff") -> None:
     """Raises ValueError unless all cutoffs [Hz] that are known are below half the sample rate."""
     if known(cutoff):
         below, note = f"(0, {float(0.5 / dt)})", f", Nyquist at dt = {dt:g} s"
-        require(owner, "cutoff", cutoff, below, " Hz", many=True, note=note)
+        require(owner, name, cutoff, below, " Hz", many=True, note=note)
 
 
 def need_padding(q, samples: int) -> None:

@@ -99,8 +99,8 @@ def matching(plant: Sampled, dt: float) -> Sampled:
     """`plant`, if its own sample time is the task's dt; else ValueError."""
     if abs(plant.dt - dt) > 1e-9 * dt:
         raise ValueError(
-            f"{type(plant).__name__} is sampled at {plant.dt:g} s but the task at {dt:g} s; "
-            f"allowed is dt = {plant.dt:g}"
+            f"{type(plant).__name__} is sampled at {plant.dt:.10g} s but the task at {dt:.10g} s; "
+            f"allowed is dt = {plant.dt:.10g}"
         )
     return plant
 

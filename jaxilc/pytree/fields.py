@@ -29,7 +29,7 @@ from .ranges import (
     fits,
     is_number,
     is_whole,
-    shown,
+    outside,
 )
 
 T = TypeVar("T")
@@ -222,10 +222,7 @@ def _without_loose_leaves(value: Value) -> Value:
 def _checked_leaf(owner: str, field: dataclasses.Field[Value], value: Value) -> Value:
     value = _as_float(owner, field.name, value)
     if not isinstance(value, jax.core.Tracer) and not field.metadata["interval"].contains(value):
-        raise ValueError(
-            f"{owner}: {field.name} = {shown(value)} is outside its allowed range "
-            f"{field.metadata['interval']}"
-        )
+        raise ValueError(f"{owner}: {field.name} = {outside(value, field.metadata['interval'])}")
     return value
 
 

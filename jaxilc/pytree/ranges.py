@@ -47,8 +47,12 @@ class Interval(NamedTuple):
         return bool(np.all(above & below))
 
     def __str__(self) -> str:
+        return self.text(6)
+
+    def text(self, digits: int) -> str:
+        """The interval with its ends to a number of digits."""
         opening, closing = "[" if self.closed_low else "(", "]" if self.closed_high else ")"
-        return f"{opening}{self.low:g}, {self.high:g}{closing}"
+        return f"{opening}{self.low:.{digits}g}, {self.high:.{digits}g}{closing}"
 
 
 def require(
@@ -76,10 +80,8 @@ def require(
         raise ValueError(f"{name} {TRACED if hasattr(values, 'aval') else said}")
     for i, value in np.ndenumerate(found):
         if not wanted.contains(value) or (whole and value % 1):
-            said = f"{wanted}{' of whole numbers' * whole}{note}"
-            raise ValueError(
-                f"{name}{list(i) or ''} = {value:g}{unit} is outside its allowed range {said}"
-            )
+            said = f"{outside(value, wanted, unit)}{' of whole numbers' * whole}{note}"
+            raise ValueError(f"{name}{list(i) or ''} = {said}")
     if whole and not is_whole(values):
         raise ValueError(
             f"{name} = {brief(values)} is a {type(values).__name__}; allowed is a whole number in "
@@ -179,12 +181,23 @@ def brief(value: Value) -> str:
     return text if len(text) <= _LONG else f"{text[: _LONG - 4]} ..."
 
 
-def shown(values: Value) -> str:
+def shown(values: Value, digits: int = 6) -> str:
     """A number, or the numbers of an array, in a few characters."""
     values = np.asarray(values)
     if values.ndim == 0:
-        return f"{values:g}"
-    return np.array2string(values, threshold=8, precision=6).replace("\n", "")
+        return f"{values:.{digits}g}"
+    return np.array2string(values, threshold=8, precision=digits).replace("\n", "")
+
+
+def outside(values: Value, wanted: Interval, unit: str = "") -> str:
+    """What a message says of values outside an interval, with the digits that tell them from it."""
+    numbers, ends = np.asarray(values, float).reshape(-1, 1), np.array(wanted[:2])
+    for digits in range(6, 18):
+        of = [np.array([float(f"{x:.{digits}g}") for x in some.flat]) for some in (numbers, ends)]
+        told = of[0][:, None], of[1]
+        if all(np.array_equal(by(numbers, ends), by(*told)) for by in (np.less, np.greater)):
+            break
+    return f"{shown(values, digits)}{unit} is outside its allowed range {wanted.text(digits)}"
 
 
 def value_text(value: object) -> str:

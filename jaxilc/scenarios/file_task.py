@@ -163,8 +163,8 @@ def _reference(value: Value, where: str, setting: Setting) -> np.ndarray:
     record, (unit,) = found.record, found.output_units
     if abs(record.dt / setting.dt - 1) > 1e-6:
         raise ValueError(
-            f"{where}: {path} is sampled at {record.dt:g} s but the task at {setting.dt:g} s; "
-            "nothing is resampled"
+            f"{where}: {path} is sampled at {record.dt:.10g} s but the task at "
+            f"{setting.dt:.10g} s; nothing is resampled"
         )
     if unit and setting.unit:
         with at_place(where):

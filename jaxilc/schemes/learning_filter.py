@@ -140,8 +140,8 @@ def _of_filter(
     own = given.dt if isinstance(given, Inverse) else None
     if own and dt and abs(own - dt) > 1e-9 * dt:
         raise ValueError(
-            f"{name}: {what} is designed for dt = {own:g} s but dt = {dt:g} s; allowed is dt = "
-            f"{own:g}"
+            f"{name}: {what} is designed for dt = {own:.10g} s but dt = {dt:.10g} s; allowed "
+            f"is dt = {own:.10g}"
         )
     if not (own or dt or isinstance(given, ZeroPhaseFIR)):
         raise ValueError(f"{name}: {what} needs dt, the sample time [s]; allowed is (0, inf)")
@@ -252,7 +252,7 @@ class LearningFilter(Scheme):
         need_channels(self, task.inputs, "limit")
         if self.dt and known(task.dt) and abs(self.dt - task.dt) > 1e-9 * task.dt:
             raise ValueError(
-                f"LearningFilter: dt = {self.dt:g} s is not that of the task, {task.dt:g} s; "
+                f"LearningFilter: dt = {self.dt:.10g} s is not that of the task, {task.dt:.10g} s; "
                 "allowed are the same, and None for taps of any sample time"
             )
         for name, seen in (("L", task.outputs), ("keep", task.inputs)):

@@ -38,7 +38,7 @@ from ..pytree.named_paths import (
     settable,
     unit_at,
 )
-from ..pytree.ranges import Interval, as_numbers, brief, fits, require, shown
+from ..pytree.ranges import Interval, as_numbers, brief, fits, outside, require
 from ..runtime.capacity import check_size
 from ..runtime.provenance import describe
 from ..schemes import Scheme
@@ -520,7 +520,7 @@ def _leaf(name: str, values: Values, objects: Mapping[str, Tree]) -> np.ndarray:
     allowed = interval_at(tree, path) or Interval.parse("(-inf, inf)")
     if not allowed.contains(found):
         wrong = next(value for value in found if not allowed.contains(value))
-        raise ValueError(f"grid: {name} = {shown(wrong)} is outside its allowed range {allowed}")
+        raise ValueError(f"grid: {name} = {outside(wrong, allowed)}")
     return found
 
 

@@ -529,8 +529,8 @@ def need_lines(record: MeasuredResponse, law: PLaw, name: str) -> None:
     f, nyquist = record.frequencies, 0.5 / law.dt
     if f[-1] > nyquist * (1 + 1e-9):
         raise ValueError(
-            f"{name} has a line at {f[-1]:g} Hz; allowed is up to {nyquist:g} Hz, Nyquist at dt = "
-            f"{law.dt:g} s"
+            f"{name} has a line at {f[-1]:.10g} Hz; allowed is up to {nyquist:.10g} Hz, Nyquist at "
+            f"dt = {law.dt:g} s"
         )
     below = int(np.sum(f <= law.cutoff))
     if below < FEWEST:

@@ -319,8 +319,8 @@ def _within(measured: MeasuredResponse, f: np.ndarray, dt: float) -> np.ndarray:
     within = f[(f >= low) & (f <= high)]
     if high > 0.5 / dt * (1 + 1e-9) or not len(within):  # the last line is rounded
         raise ValueError(
-            f"repetitive_condition: the lines go from {low:g} to {high:g} Hz; allowed are those up "
-            f"to {0.5 / dt:g} Hz, the Nyquist frequency, with a harmonic of the period among them"
+            f"repetitive_condition: the lines go from {low:g} to {high:.10g} Hz; allowed are those "
+            f"up to Nyquist, {0.5 / dt:.10g} Hz, with a harmonic of the period among them"
         )
     return within
 

@@ -25,7 +25,7 @@ from jaxilc.pytree import (
     static,
 )
 from jaxilc.pytree.fields import Interval
-from jaxilc.pytree.ranges import share_text
+from jaxilc.pytree.ranges import outside, share_text
 from jaxilc.schemes import (
     ASMC,
     CFDLMFAILC,
@@ -458,3 +458,19 @@ def test_statics_belong_to_the_structure_and_own_checks_run():
     with pytest.raises(ValueError, match="Outer: order"):
         replaced(Outer(Inner()), {"inner.order": 6})
     assert hash(Inner()) is not None
+
+
+def test_a_message_tells_a_number_from_the_range_that_it_is_outside_of():
+    """500.00001 Hz was told as 500 Hz, and 1666.668 Hz as outside (0, 1666.67)."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        low, high = np.sort(rng.uniform(-1e3, 1e3, 2))
+        wanted = Interval(low, high, *rng.random(2) < 0.5)
+        at, by = (low, -1) if rng.random() < 0.5 else (high, 1)
+        value = at + by * abs(at) * 10.0 ** rng.uniform(-15, 1)
+        text = outside(value, wanted, " Hz")
+        said = re.fullmatch(r"(\S+) Hz is outside its allowed range (.*)", text)
+        told, within = float(said[1]), Interval.parse(said[2])
+        assert np.sign(told - within.low) == np.sign(value - low)
+        assert np.sign(told - within.high) == np.sign(value - high)
+    assert outside(2.5, Interval.parse("[1, 2]")) == "2.5 is outside its allowed range [1, 2]"
