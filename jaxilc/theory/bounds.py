@@ -460,11 +460,10 @@ def checked(found: Mapping[str, Leaf]) -> Checked:
     verdicts = {"holds": holds, "fails": claimed & ~holds, "not claimed": ~claimed}
     counts = {verdict: int(np.sum(of)) for verdict, of in verdicts.items()}
     ratios = np.asarray(found["contraction_worst"])[:, 1:]
-    compared = claimed & ~np.all(np.isnan(ratios), axis=1)  # at rest there is no error
-    if not np.any(compared):
-        return Checked(shares, counts, None)
-    worst = np.nanmax(ratios[compared], axis=1)
-    return Checked(shares, counts, float(np.median(np.asarray(found["d2"])[compared] / worst)))
+    worst = np.max(np.where(np.isnan(ratios), 0.0, ratios), axis=1, initial=0.0)
+    compared = claimed & (worst > 0)  # at rest, and after an error falls to 0, there is none
+    care = np.asarray(found["d2"])[compared] / worst[compared]
+    return Checked(shares, counts, float(np.median(care)) if len(care) else None)
 
 
 def checked_machines(

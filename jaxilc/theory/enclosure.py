@@ -47,10 +47,12 @@ class Arc(NamedTuple):
     def times(self, other: Arc, h) -> Arc:
         """The product of two responses on arcs of half width h (F,)."""
         a, b = (np.stack([size(part.value), size(part.slope)]) for part in (self, other))
-        curve = a[0] * other.curve + self.curve * b[0] + a[1] * b[1]
-        curve = curve + h * (a[1] * other.curve + self.curve * b[1])
+        with np.errstate(invalid="ignore"):  # of an infinite curve times 0
+            curve = a[0] * other.curve + self.curve * b[0] + a[1] * b[1]
+            curve = curve + h * (a[1] * other.curve + self.curve * b[1])
+            curve = curve + h**2 * self.curve * other.curve
         slope = self.slope @ other.value + self.value @ other.slope
-        return Arc(self.value @ other.value, slope, curve + h**2 * self.curve * other.curve)
+        return Arc(self.value @ other.value, slope, curve)
 
     @property
     def adjoint(self) -> Arc:
@@ -60,14 +62,16 @@ class Arc(NamedTuple):
     def inverse(self, h) -> Arc:
         """The inverse of a square response on arcs of half width h (F,).
 
-        It is unbounded where the response may be singular.
+        It is unbounded where the response may be singular, and NaN where it is at the centre.
         """
-        inverse = np.linalg.inv(self.value)
+        none = (np.linalg.slogdet(self.value)[0] == 0)[:, None, None]
+        inverse = np.linalg.inv(np.where(none, np.eye(self.value.shape[-1]), self.value))
+        inverse = np.where(none, np.nan, inverse)
         away = size(inverse) * (h * size(self.slope) + h**2 * self.curve)
         reach = size(inverse) / np.where(away < 1, 1 - away, np.nan)
         steep = size(self.slope) + 2 * h * self.curve
         curve = reach**3 * steep**2 + reach**2 * self.curve
-        return Arc(inverse, -inverse @ self.slope @ inverse, np.where(away < 1, curve, np.inf))
+        return Arc(inverse, -inverse @ self.slope @ inverse, np.where(away >= 1, np.inf, curve))
 
     def scaled(self, factor) -> Arc:
         """The response times a number (F,) on each arc."""
@@ -193,7 +197,7 @@ def arc_of_loop(loop: Loop, centre, h) -> Arc:
 
 
 def size(X) -> np.ndarray:
-    """(...,) largest singular value of (..., n, m)."""
+    """(...,) largest singular value of (..., n, m); NaN of what is not finite."""
     X = np.asarray(X)
     if 0 in X.shape[-2:]:
         return np.zeros(X.shape[:-2])
@@ -201,7 +205,9 @@ def size(X) -> np.ndarray:
         return np.abs(X[..., 0, 0])
     if 1 in X.shape[-2:]:
         return np.sqrt(np.sum(np.abs(X) ** 2, axis=(-2, -1)))
-    return np.linalg.norm(X, 2, axis=(-2, -1))
+    finite = np.all(np.isfinite(X), axis=(-2, -1))
+    X = np.where(finite[..., None, None], X, 0.0)
+    return np.where(finite, np.linalg.norm(X, 2, axis=(-2, -1)), np.nan)
 
 
 def balanced(loop: Loop) -> Loop:

@@ -21,6 +21,7 @@ from jax import lax
 
 from ..learning.machine import Machine
 from ..learning.over_trials import check
+from ..pytree.ranges import require
 from ..schemes import NormOptimal, Scheme
 from ..schemes.scheme import Memory
 from ..signals.task import Task
@@ -143,11 +144,11 @@ def mfailc_map(G, phi, lam, rho=1.0, *, lead: int = 0) -> np.ndarray:
     phi:      (N, n) or (N,) the estimate, frozen; leading axes give one map for each, so (J, N, n)
               gives those of J trials
     lam, rho: (), or (n,) of each channel
-    lead:     samples by which learning looks further ahead
+    lead:     samples by which learning looks further ahead, as many as the trial has at most
 
     This is the exact map of a linear machine. |1 - rho phi phi_hat / (lam + phi_hat^2)| < 1 (eq.
     15) looks at its diagonal only: it ignores that y[k+1] also depends on the inputs before u[k].
-    Raises ValueError for a phi that does not fit G.
+    Raises ValueError for a phi that does not fit G, and for a lead outside of the trial.
     """
     G, phi = np.asarray(G), np.asarray(phi, float)
     size = G.shape[-1]
@@ -158,6 +159,7 @@ def mfailc_map(G, phi, lam, rho=1.0, *, lead: int = 0) -> np.ndarray:
             "N, n) with G (N n, N n)"
         )
     phi = phi[..., None] if phi.shape[-1] == size else phi
+    require("mfailc_map", "lead", lead, f"[0, {phi.shape[-2]}]", whole=True)
     gamma = np.asarray(rho * phi / (lam + phi**2)).reshape(*phi.shape[:-2], 1, size)
     weighted, shift = G * gamma, lead * phi.shape[-1]
     shifted = np.zeros_like(weighted[..., :shift]), weighted[..., : size - shift]

@@ -535,6 +535,12 @@ def test_a_claim_that_fails_is_counted():
 def test_a_machine_without_an_error_to_compare_is_not_in_the_median():
     still = Task(np.zeros(N + 1), dt=DT)
     moved, rest = (run(static_machine(1.2), SCHEME, 3, of)[0] for of in (TASK, still))
+    # phi^2 = lam, in the middle of what is claimed: from trial 2 on the error is 0
+    at_once = dataclasses.replace(SCHEME, phi0=0.5, lam=np.nextafter(0.25, 1), rho=1.0, eta=0.5)
+    gone = run(static_machine(1.0), at_once, 3, TASK)[0]
+    assert gone["contraction_worst"][1] == 0.0
+    found = checked({name: value[None] for name, value in gone.items()})
+    assert (found.care, found.verdicts["holds"]) == (None, 1)
     both = {name: np.stack([moved[name], rest[name]]) for name in moved}
     alone, mixed, none = (
         checked({name: value[rows] for name, value in both.items()})

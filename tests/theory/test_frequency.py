@@ -33,6 +33,7 @@ from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task
 from jaxilc.theory import frequency, lifted
 from jaxilc.theory.certificates import printed_conditions
+from jaxilc.theory.enclosure import Arc
 from jaxilc.theory.law import law_of
 from jaxilc.uncertainty import Normal, Uniform
 
@@ -335,6 +336,21 @@ def test_robust_condition_is_the_worst_of_all_perturbed_plants():
 
 
 @pytest.mark.thorough
+def test_a_response_that_is_singular_has_no_bounded_inverse():
+    rng = np.random.default_rng(0)
+    value, slope = (rng.standard_normal((2, 2, 2)) + 0j for _ in range(2))
+    value[0] = [[1.0, 2.0], [0.5, 1.0]]
+    found, h = Arc(value, slope, np.ones(2)).inverse(np.full(2, 1e-3)), np.full(2, 1e-3)
+    sizes, upper = found.times(Arc(value, slope, np.ones(2)), h).bounds(h)
+    assert np.isnan([sizes[0], upper[0]]).all()
+    np.testing.assert_allclose(found.value[1], np.linalg.inv(value[1]))
+    assert 1 <= upper[1] < 1.1
+    two = StateSpace([[0.5]], [[1.0, 1.0]], [[1.0]], dt=DT)  # what they share alone is seen
+    task, weights = task_for(two, 20), {"w_e": 1.0, "w_u": 0.0, "w_delta": 0.0}
+    condition = frequency.norm_optimal_condition(Machine(two), Machine(two), None, task, **weights)
+    assert not condition.condition.holds
+
+
 def test_norm_optimal_condition_is_the_norm_of_the_lifted_map():
     """It is sigma_max of (W_e G'G + W_u + W_D)^-1 (W_D + W_e G'(G - G_t)) at N = 100."""
     task, weights = Task(np.zeros(101), dt=DT), {"w_e": 1.0, "w_u": 1e-3, "w_delta": 0.05}

@@ -308,6 +308,9 @@ BAD = {
     "about has shape": lambda: lifted.lifted_plant(ARX_MACHINE, None, TASK, about=np.zeros(3)),
     "learns no feedforward": lambda: lifted.learning_law(LOOP, TASK),
     "phi has shape": lambda: lifted.mfailc_map(np.eye(4), np.zeros(3), 1.0),
+    r"lead = 5 is outside its allowed range \[0, 4\]": lambda: lifted.mfailc_map(
+        np.eye(4), np.ones(4), 1.0, lead=5
+    ),
     "error_map: L has shape": lambda: lifted.error_map(np.eye(4), np.eye(3)),
     "transient_growth: M": lambda: lifted.transient_growth(np.eye(4)),
     "the task has 2 inputs": lambda: lifted.lifted_plant(
