@@ -178,14 +178,14 @@ def in_order(dataset: xr.Dataset) -> tuple[xr.Dataset, list[str], list[str]]:
 
 def numbers_of(dataset, errors, shows, metric, tolerance) -> xr.DataArray:
     """(scheme, axes) what is shown of each point; a quantile of errors may be infinite."""
-    from ..sweeps.summary import errors_of
+    from ..sweeps.summary import errors_of, learned_errors
 
     if shows == "yield":
         return (errors <= tolerance).mean("sample")
     if shows == "diverged":
         return (dataset["diverged_at"] > 0).mean("sample")
     if shows == "best_trial":
-        at = errors_of(dataset, metric).argmin("trial")
+        at = learned_errors(errors_of(dataset, metric)).argmin("trial")
         return at.copy(data=dataset["trial"].values[at.values]).median("sample")
     found = np.quantile(errors.values, QUANTILES[shows], axis=-1, method="inverted_cdf")
     return errors.isel(sample=0, drop=True).copy(data=found)

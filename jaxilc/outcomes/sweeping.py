@@ -19,7 +19,7 @@ from ..learning.known_metrics import ERRORS
 from ..pytree.ranges import share_text, value_text
 from ..scenarios import Scenario
 from ..scenarios.scenario import Look
-from ..sweeps.grid import values_at
+from ..sweeps.grid import STEPS, values_at
 from ..sweeps.points import BestPoint, at_best, best_points, labels_for, labels_of, point_of
 from ..sweeps.summary import SchemeSummary, axes_of, last_errors, summarise
 from ..sweeps.sweep import Sweep
@@ -137,6 +137,9 @@ def _told(
         dataset = at_best(dataset, best)
         chosen = dataclasses.replace(chosen, trials=dataset.sizes["trial"])
     case = Case.of(chosen, request)
+    if STEPS in dataset.coords:  # an axis may have other ones than the scenario
+        names, steps_of = dataset["scheme"].values, dataset[STEPS].values.tolist()
+        case = case._replace(steps=dict(zip(map(str, names), steps_of, strict=True)))
     dataset = _played(dataset, case.steps)
     summary = summarise(dataset, tolerance, metric=chosen.judged_by)
     numbers = sweep_numbers(chosen, summary, tolerance, dataset.sizes["sample"])

@@ -56,6 +56,7 @@ _COMMA = re.compile(r",(?![^(\[]*[)\]])")  # none within brackets
 WAYS = "LOW:HIGH:COUNT, LOW:HIGH:COUNTlog, or values with commas between them"
 OF_A_VALUE = 64  # bytes
 TRIALS = "trials"
+STEPS = "trials_of_step"  # coordinate of schemes that make experiments
 EARLIEST = "variation.shortest"
 _OTHERS = {"machine", "task"}  # first parts of a path that are no schemes
 _TAKEN = {TRIALS, "scheme", "sample", "trial", "channel", "input", "time", "input_time"}

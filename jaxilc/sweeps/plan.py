@@ -20,9 +20,10 @@ from ..pytree.aliases import Value
 from ..runtime import capacity
 from ..runtime.tiles import OPEN
 from ..schemes import Scheme
+from ..schemes.scheme import trials_of_step
 from ..signals.task import Task, Trial
 from ..uncertainty import Population
-from .grid import TRIALS, Grid, Parts, Variant
+from .grid import STEPS, TRIALS, Grid, Parts, Variant
 from .store import Coordinate, Variable
 
 SIGNALS = {"y": ("time", "channel"), "e": ("time", "channel"), "u": ("input_time", "input")}
@@ -185,7 +186,10 @@ class Plan:
         capacity.check_size("Sweep", need, machines=self.machines, trials=self.longest, **points)
 
     def coordinates(self) -> dict[str, Coordinate]:
-        """Dimensions and values of each coordinate, with the drawn numbers and the grid's axes."""
+        """Dimensions and values of each coordinate, with the drawn numbers and the grid's axes.
+
+        Where a scheme makes experiments there are also the trials of a learning step.
+        """
         task = self.task
         known = {
             "scheme": np.array(list(self.variants)),
@@ -207,6 +211,8 @@ class Plan:
         points = np.arange(self.members) // self.machines
         for axis, at in self.axes.places(points):
             found |= {name: (("sample",), labels[at]) for name, labels in axis.labels.items()}
+        steps = np.array([trials_of_step(of.scheme, of.task) for of in self.variants.values()])
+        found |= {STEPS: (("scheme",), steps)} if steps.max() > 1 else {}
         at_all = np.array([variant.fixed for variant in self.variants.values()])
         for axis, at in zip(self.axes.static, at_all.T, strict=True):
             found |= {name: (("scheme",), labels[at]) for name, labels in axis.labels.items()}

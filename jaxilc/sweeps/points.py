@@ -10,8 +10,8 @@ import numpy as np
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import share_text, value_text
-from .grid import TRIALS, labels_along
-from .summary import QUANTILES, axes_of, errors_of
+from .grid import STEPS, TRIALS, labels_along
+from .summary import QUANTILES, axes_of, errors_of, learned_errors
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -123,13 +123,14 @@ def at_best(dataset: xr.Dataset, best: list[BestPoint]) -> xr.Dataset:
 
 
 def last_errors(dataset: xr.Dataset, metric: str) -> xr.DataArray:
-    """(scheme, axes, sample) the metric of the last trial, as `errors_of` has it.
+    """(scheme, axes, sample) the metric of the last trial, as `learned_errors` has it.
 
     Where `trials` is on an axis it is the last trial of each point.
     """
-    if TRIALS in dataset.coords:
-        dataset = dataset.sel(trial=dataset[TRIALS]).drop_vars("trial").expand_dims("trial")
-    return errors_of(dataset.isel(trial=[-1]), metric).isel(trial=0)
+    if STEPS not in dataset.coords and TRIALS not in dataset.coords:
+        dataset = dataset.isel(trial=[-1])
+    errors = learned_errors(errors_of(dataset, metric))
+    return errors.sel(trial=dataset.coords.get(TRIALS, errors["trial"][-1]))
 
 
 def labels_of(dataset: xr.Dataset) -> list[str]:

@@ -12,6 +12,7 @@ import numpy as np
 from ..learning.divergence import GROWTH, grown_from
 from ..pytree.in_short import in_short
 from ..pytree.ranges import brief, require
+from .grid import STEPS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,7 +27,8 @@ class SchemeSummary(NamedTuple):
     """The summary of one scheme over all machines, by one metric.
 
     The metric has the unit of the dataset, and is infinite in a trial that diverged (see
-    `learning.divergence`).
+    `learning.divergence`). Yield and growth leave out experiments, whose errors say nothing of what
+    was learned; the quantiles have all trials.
 
     yield_share: share of machines within the tolerance at the last trial; NaN without a tolerance
     yield_low, yield_high: ends of the 95 % Wilson interval of this share, by the machines that were
@@ -112,7 +114,9 @@ def summarise(
             for d, first in (("sample", 0), ("trial", 1))
         )
         drawn = (machines != 0) & (not corners)
-        rows.append(_one_scheme(str(name), of.values, machines, drawn, trials, tolerance, growth))
+        learned = learned_errors(of).values
+        of_scheme = str(name), of.values, learned, machines, drawn, trials
+        rows.append(_one_scheme(*of_scheme, tolerance, growth))
     return rows
 
 
@@ -138,6 +142,20 @@ def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:
     errors = errors.max([d for d in errors.dims if d not in order], skipna=False)
     sound = dataset["finite"] & ~dataset["diverged"] if "diverged" in dataset else dataset["finite"]
     return _own(errors.where(sound).transpose(*order).fillna(np.inf))
+
+
+def learned_errors(errors: xr.DataArray) -> xr.DataArray:
+    """Errors as `errors_of` has them, where an experiment has that of the learned trial before it.
+
+    Infinite ones are kept, and so are those of a selection before its first learned trial.
+    """
+    if STEPS not in errors.coords:
+        return errors
+    j = errors["trial"].copy(data=np.arange(errors.sizes["trial"]))
+    played = j.where((errors["trial"] - 1) % errors[STEPS] == 0, -1)
+    at = played.copy(data=np.maximum.accumulate(played.values, played.get_axis_num("trial")))
+    held = errors.drop_vars("trial").isel(trial=at.where(at >= 0, j))
+    return held.where(np.isfinite(errors), np.inf).transpose(*errors.dims)
 
 
 def errors_by_scheme(dataset: xr.Dataset, metric: str) -> list[xr.DataArray]:
@@ -173,16 +191,17 @@ def axes_of(dataset: xr.Dataset) -> tuple[str, ...]:
 def _one_scheme(
     name: str,
     errors: np.ndarray,
+    learned: np.ndarray,
     machines: np.ndarray,
     drawn: np.ndarray,
     trials: np.ndarray,
     tolerance: float | None,
     growth: float,
 ) -> SchemeSummary:
-    """machines, trials: their numbers;  drawn: which of the machines were drawn"""
+    """learned: as `learned_errors`;  machines, trials: their numbers;  drawn: which were drawn"""
     share, interval = math.nan, (math.nan, math.nan)
     if tolerance is not None:
-        passed = errors[:, -1] <= tolerance
+        passed = learned[:, -1] <= tolerance
         share = float(np.mean(passed))
         if drawn.any():
             interval = wilson_interval(int(np.sum(passed & drawn)), int(np.sum(drawn)))
@@ -190,8 +209,8 @@ def _one_scheme(
     low, median, high = np.quantile(
         of_a_trial, QUANTILES, axis=1, method="inverted_cdf", overwrite_input=True
     )
-    since, lost = grown_from(errors, growth), ~np.isfinite(errors)
-    grown = errors[since > 0]
+    since, lost = grown_from(learned, growth), ~np.isfinite(errors)
+    grown = learned[since > 0]
     least = grown.min(axis=1)
     times = np.divide(grown[:, -1], least, out=np.full(len(grown), np.inf), where=least > 0)
     return SchemeSummary(

@@ -330,6 +330,8 @@ def test_an_experiment_at_the_end_of_a_sweep_says_nothing_of_what_was_learned(tm
     assert "all 2 machines end within 3 mm; 95 % of them end with" in found.verdict.said[0]
     assert "of at most 2 mm" in found.verdict.said[0]
     assert "of trial 3" in str(found.tables[0].title)
+    of_axis = asked(dataset.assign_coords(trials_of_step=("scheme", [3]))).numbers["schemes"]["ilc"]
+    assert (of_axis["yield"], [*of_axis["by_trial"]][-1]) == (0.0, "4")
     lost = dataset.assign(finite=dataset["trial"] < 4, diverged_at=(dims[:-1], [[4, 4]]))
     assert asked(lost).numbers["schemes"]["ilc"]["diverged"] == 1.0
 

@@ -13,7 +13,7 @@ from jaxilc import Sweep
 from jaxilc.figures import error_band
 from jaxilc.figures.within_trial import signal_of
 from jaxilc.runtime import capacity
-from jaxilc.schemes import FFDLMFAILC, PID
+from jaxilc.schemes import FFDLMFAILC, PID, ModelFreeGradient
 from jaxilc.sweeps import at_best, best_points, summarise
 from jaxilc.sweeps.store import open_dataset
 
@@ -375,6 +375,23 @@ def test_a_best_point_at_an_end_of_an_axis_is_told(errors, end):
     for one in (dataset, dataset.isel({"law.lam": [1, 0, 3, 2]})):
         (best,) = best_points(one)
         assert best.sentences[3:] == ((f"{end}: beyond it may be a better one.",) if end else ())
+
+
+@pytest.mark.thorough
+def test_an_experiment_at_the_end_of_a_point_does_not_judge_it():
+    """A learning step takes two trials, or three; the first alone plays what was learned."""
+    grid = {"law.about": ["trial", "mean"], "trials": [3, 6]}
+    laws = {"law": ModelFreeGradient(step=0.3)}
+    dataset = dataclasses.replace(ONE, schemes=laws, grid=grid).run()
+    of = dataset["settled_error"].isel(scheme=0).max("sample").values
+    last = np.array([[of[0, 0, 2], of[0, 1, 4]], [of[1, 0, 0], of[1, 1, 3]]])
+    (best,) = best_points(dataset)
+    assert (best.error, best.near) == (last.min(), np.mean(last <= 2 * last.min()))
+    (row,) = summarise(at_best(dataset, [best]), last.min(), growth=0.1)
+    assert (row.yield_share, row.semi_converged) == (1.0, 0.0)
+    assert row.worst[-1] > 1.1 * last.min(), "the error of the experiment itself is among them"
+    gone = dataset.assign(finite=dataset["finite"] & (dataset["trial"] < 6))
+    assert best_points(gone)[0].point == {"law.about": "trial", "trials": 3}
 
 
 def test_anything_as_a_grid_is_run_or_refused():
