@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 NEAR = (0.12, 0.06)  # shares of the axes within which two points have one label
 WIDE = 10.0  # ratio of the ends of an axis beyond which it is logarithmic
+NO_NUMBER = "without a number"
 ROOM = 0.12  # share of the spread of points beyond them
 
 
@@ -62,19 +63,21 @@ def worst_against_chance(
     """A search for the worst machine: the metric of drawn machines and the result of each search.
 
     The curve shows which share of the drawn machines errs no more than so much; it ends below 100 %
-    where some diverged. Each search is a line at the error that it found, and the nominal machine
-    has one, too; the legend says which of them diverged.
+    where some diverged, or a quantity is not a number. Each search is a line at the error that it
+    found, and the nominal machine has one, too; the legend says which of them have none, and why.
 
-    drawn: (S,) the metric of the machines drawn at random
+    drawn: (S,) the metric of the machines drawn at random, as `WorstMachine.by_chance`
     found: the largest value by the name of the search
     nominal: the value of the nominal machine
     metric, unit: name and unit of the metric
     machines: parameters by path of the machine that each search found, for the pointer
     """
-    count, drawn = np.size(drawn), np.sort(np.asarray(drawn)[np.isfinite(drawn)])
-    share = 100 * np.arange(1, len(drawn) + 1) / max(count, 1)
-    diverged = f", {count - len(drawn)} diverged" if len(drawn) < count else ""
-    name = f"{count} machines drawn{diverged}: share that errs less"
+    count, unknown = np.size(drawn), int(np.sum(np.isnan(drawn)))
+    drawn = np.sort(np.asarray(drawn)[np.isfinite(drawn)])
+    share, lost = 100 * np.arange(1, len(drawn) + 1) / max(count, 1), count - unknown - len(drawn)
+    of = ((lost, "diverged"), (unknown, NO_NUMBER))
+    without = "".join(f", {many} {why}" for many, why in of if many)
+    name = f"{count} machines drawn{without}: share that errs less"
     layers: list[Layer] = [
         Curve(drawn, share, steps=True, width=1.4, name=name, colour=GREY),
         Band(drawn, 0.0 * share, share, steps=True, colour=GREY, alpha=0.12),
@@ -84,7 +87,8 @@ def worst_against_chance(
     for i, (name, value) in enumerate(values.items()):
         colour, dash = looks[i and 1 + (i - 1) % len(COLOURS)]
         if not np.isfinite(value):
-            layers.append(Curve([], [], dash, name=f"{name}: diverged", colour=colour))
+            why = NO_NUMBER if np.isnan(value) else "diverged"
+            layers.append(Curve([], [], dash, name=f"{name}: {why}", colour=colour))
             continue
         tips = {path: [of] for path, of in (machines or {}).get(name, {}).items()}
         said = f"{name}: {written(value, unit, 4)}"

@@ -54,8 +54,12 @@ def test_the_worst_machine_stands_beside_those_drawn():
     assert [x[0] for (x,) in lines if len(x) == 1] == [1.5, 4.0, 3.0]
     shares = columns(chance(WorstMachine(1.5, found, DRAWN), **of), "x", "y")
     np.testing.assert_allclose(shares[0], [[1.0, 2.0, 3.0], [25.0, 50.0, 75.0]])  # of four
-    (panel,) = searches.worst_against_chance.described(DRAWN, {}, nominal=1.5).panels
-    assert panel.layers[0].name == "4 machines drawn, 1 diverged: share that errs less"
+    described = searches.worst_against_chance.described
+    for all_of, said in ((DRAWN, ""), ([*DRAWN, np.nan, np.nan], ", 2 without a number")):
+        (panel,) = described(all_of, {}, nominal=np.nan).panels
+        drawn, nominal = (layer.name for layer in (panel.layers[0], panel.layers[-1]))
+        assert drawn == f"{len(all_of)} machines drawn, 1 diverged{said}: share that errs less"
+        assert nominal == "nominal machine: without a number"
     steps = columns(page_of(searches.worst_by_effort.described(found, **of)), "x", "y")
     np.testing.assert_allclose(steps[0], [[8, 16, 24], [1.0, 4.0, 4.0]])
     np.testing.assert_allclose(steps[2], [[1, 24], [3.0, 3.0]])
