@@ -21,9 +21,20 @@ def motion(plant: Plant, u: Array, dt: float) -> Array:
     The plant is prepared for dt [s] here. Where it knows its outputs from all inputs at once
     (`Plant.response`), they are asked for; otherwise it steps.
     """
-    # arrays of NumPy, such as a table of the samples, cannot be looked up within a loop
-    plant = jax.tree.map(jnp.asarray, plant.sampled(dt))
+    plant, u = _prepared(plant, u, dt)
     return stepped(plant, u, dt) if plant.response is None else plant.response(u, dt)
+
+
+def _prepared(plant: Plant, u: Array, dt: float) -> tuple[Plant, Array]:
+    """The plant, sampled for dt [s], and the input, in the larger precision of both.
+
+    They are arrays of JAX: those of NumPy, such as a table of the samples, cannot be looked up
+    within a loop.
+    """
+    u = jnp.asarray(u)
+    real = jnp.result_type(u, *jax.tree.leaves(plant))
+    plant, u = jax.tree.map(lambda x: jnp.asarray(x, real), (plant, u))
+    return jax.tree.map(jnp.asarray, plant.sampled(dt)), u
 
 
 def stepped(plant: Plant, u: Array, dt: float) -> Array:
@@ -68,7 +79,7 @@ def linearised(plant: Plant, u: Array, dt: float) -> TimeVaryingStateSpace:
     where x, u and y are the changes. A and B are the derivatives of `step` at the state and the
     input of the sample k, C is that of `output` one sample later. Time and memory are linear in N.
     """
-    plant = jax.tree.map(jnp.asarray, plant.sampled(dt))  # as for `motion`
+    plant, u = _prepared(plant, u, dt)
     start, step, output = flat(plant, dt)
 
     def along(x: Array, u_k: Array) -> tuple[Array, Tree]:

@@ -51,6 +51,19 @@ def test_of_a_linear_plant_it_is_the_plant_at_each_sample():
         np.testing.assert_allclose(here, np.broadcast_to(there, (N, *there.shape)), **ALGEBRA)
 
 
+def test_a_plant_in_single_precision_moves_in_that_of_its_input():
+    plant, u = PLANTS["arx"], np.random.default_rng(4).standard_normal((N, 1))
+    single = jax.tree.map(jnp.float32, plant)
+    double = jax.tree.map(jnp.float64, single)
+    for of in (motion, lambda *given: linearised(*given).B):
+        wanted = of(double, u, DT)
+        assert of(single, np.float32(u), DT).dtype == jnp.float32
+        np.testing.assert_allclose(of(single, u.tolist(), DT), wanted, rtol=1e-6)
+        found = of(single, u, DT)
+        assert found.dtype == wanted.dtype
+        np.testing.assert_array_equal(found, wanted)
+
+
 @pytree
 class Scheduled(Plant):
     """A gain that is looked up by the number of the sample."""
