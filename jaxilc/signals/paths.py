@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from ..pytree.aliases import Function, Numbers, Value
-from ..pytree.ranges import require
+from ..pytree.ranges import brief, require
 from .fastest_profile import Groups, Profile, Spline, fastest
 from .references import POSITIVE
 
@@ -364,17 +364,18 @@ def circle(radius: float, *, centre: Value = (0.0, 0.0)) -> Curve:
 
 
 def nurbs(points: Value, knots: Value, weights: Value = None) -> Curve:
-    """Non-uniform rational B-spline over (knots[0], knots[-1]).
+    """Non-uniform rational B-spline over (knots[degree], knots[-degree - 1]).
 
         C(s) = sum_i w_i N_i(s) P_i / sum_i w_i N_i(s)
 
     Its degree is len(knots) - len(points) - 1.
 
     points:  (n, d) control points [mm]
-    knots:   clamped, not falling
+    knots:   not falling; where they are clamped, the interval goes from the first to the last
     weights: (n,) > 0; None for all one
 
-    Raises ValueError where the shapes do not fit or a weight is not positive.
+    Raises ValueError where the shapes do not fit, the knots fall or do not rise, or a weight is not
+    positive, and the curve for a parameter outside the interval.
     """
     points, knots = np.asarray(points, float), np.asarray(knots, float)
     weights = np.ones(len(points)) if weights is None else np.asarray(weights, float)
@@ -389,11 +390,17 @@ def nurbs(points: Value, knots: Value, weights: Value = None) -> Curve:
             f"nurbs: {shapes}; allowed are (n, d), (n + degree + 1,), (n,) with degree >= 1"
         )
     require("nurbs", "weights", weights, POSITIVE, many=True)
+    degree = len(knots) - len(points) - 1
+    low, high = knots[[degree, -degree - 1]]
+    if not (np.all(np.diff(knots) >= 0) and low < high):
+        raise ValueError(f"nurbs: knots = {brief(knots.tolist())} must not fall, and must rise")
     homogeneous = scipy.interpolate.BSpline(
-        knots, np.column_stack([points * weights[:, None], weights]), len(knots) - len(points) - 1
+        knots, np.column_stack([points * weights[:, None], weights]), degree
     )
 
     def curve(s: Numbers) -> Numbers:
+        for end in (np.min(s), np.max(s)):
+            require("nurbs", "s", end, f"[{low}, {high}]")
         h = homogeneous(s)
         return h[..., :-1] / h[..., -1:]
 

@@ -317,6 +317,18 @@ def test_factories_refuse_what_is_no_curve():
         nurbs(np.ones((3, 2)), [0, 0, 1, 1])
     with pytest.raises(ValueError, match=r"nurbs: weights\[1\] = 0"):
         nurbs(np.eye(2), [0, 0, 1, 1], [1, 0])
+    for knots in ([0, 1, 1, 0], [1, 1, 1, 1], [0, 0, np.nan, 1]):
+        with pytest.raises(ValueError, match=r"nurbs: knots = \[.* must not fall, and must rise"):
+            nurbs(np.eye(2), knots)
+
+
+def test_knots_that_are_not_clamped_end_the_curve_where_they_no_longer_define_it():
+    """Beyond it they do not sum to 1, and the polynomials leave the hull of the points."""
+    spread = nurbs([[0, 0], [10, 0], [10, 10]], [0, 1, 2, 3, 4, 5])
+    np.testing.assert_allclose(spread([2.0, 2.5, 3.0]), [[5, 0], [8.75, 1.25], [10, 5]])
+    for s in (1.9, [2.5, 3.1], np.nan):
+        with pytest.raises(ValueError, match=r"nurbs: s = .* allowed range \[2, 3\]"):
+            spread(s)
 
 
 # Contour error
