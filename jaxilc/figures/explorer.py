@@ -275,12 +275,15 @@ class Exploration:
 
     def save(self, values: Mapping[str, float], path: str | Path) -> Path:
         """Write the values of the scheme as a parameter file, for `--params`."""
+        from ..runtime.provenance import describe
         from ..scenarios.parameters import differing, write_parameters
 
         Path(path).parent.mkdir(parents=True, exist_ok=True)
+        s, moved = self.scenario, self._read(values)[1]
         changed = {self.name: differing(self.scheme_with(values), self.given)}
-        how = {"command": "jaxilc explore", "options": dict(self.scenario.options)}
-        return write_parameters(Path(path), self.scenario.name, changed, how)
+        made = {"machine": describe(replaced(s.machine, moved))}
+        how = {"command": "jaxilc explore", "options": dict(s.options), "configuration": made}
+        return write_parameters(Path(path), s.name, changed, how)
 
 
 def _control(tree: Tree, path: str, dt: float) -> Control | None:

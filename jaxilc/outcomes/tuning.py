@@ -533,13 +533,15 @@ class _Of(NamedTuple):
 
     def outcome(self, points: Mapping[str, tuple[Tuned, Numbers]], **found: Value) -> Outcome:
         """What was found; each tuning, with its numbers, by the name of its parameter file."""
+        asked, configuration = (self.chosen, self.request), self.problem.configuration()
+        made = {"machine": configuration["machine"]}
         files = {
-            name: parameter_file("pareto", self.chosen, self.request, tuned, point=point)
+            name: parameter_file("pareto", *asked, tuned, point=point, configuration=made)
             for name, (tuned, point) in points.items()
         }
         return Outcome(
             command="pareto", folder=self.folder, scenario=self.chosen, files=files,
-            configuration=self.problem.configuration(), **found,
+            configuration=configuration, **found,
         )  # fmt: skip
 
 

@@ -223,6 +223,8 @@ def test_pareto_gives_the_losses_of_the_weights_that_it_writes(
         assert f"{points[share]['second']:.6g}" in out
         params = json.loads((tmp_path / f"params-share-{share}.json").read_text())
         assert params["schemes"]["ilc"] == points[share]["weights"] | {"lead": 1}
+        machine = params["obtained"]["configuration"]["machine"]
+        assert machine == as_json(describe(axis.machine)), "of which another one is told"
     assert (tmp_path / "front.png").exists()
     assert "share of first" in (tmp_path / "page.html").read_text()
 

@@ -25,7 +25,7 @@ from jaxilc.figures.explorer import Exploration, Explorer, _computed
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios import Scenario
-from jaxilc.scenarios.parameters import with_parameters
+from jaxilc.scenarios.parameters import warn_of_another, with_parameters
 from jaxilc.schemes import AtSamples, Filtered, Ladder, PIDType
 from jaxilc.uncertainty import Uniform, draw, drawn_machine
 
@@ -219,6 +219,9 @@ def test_what_the_parameter_file_leaves_out_is_told_beside_it(tmp_path):
     page._save()
     said = html.unescape(page.told.text).partition("; beside it ")[2].partition(", which")[0]
     of_file = with_parameters(s, tmp_path / "params.json")
+    with pytest.warns(RuntimeWarning, match="another machine: plant.B: .*0.2.* there, .*0.1"):
+        warn_of_another(s, tmp_path / "params.json")
+    warn_of_another(s.with_values({moved: 0.2}), tmp_path / "params.json", [moved])
     assert np.asarray(of_file.machine.plant.B).item() == 0.1
     words = shlex.split(said)
     assert words == ["--set", f"{moved}=0.2", "--spread", "0.2"]
