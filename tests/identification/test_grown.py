@@ -160,6 +160,16 @@ def test_an_order_that_is_asked_for_is_fitted():
     assert model.chosen.order == 3
     assert {one.order for one in model.tried} <= {1, 2, 3}
     assert {one.delay for one in model.tried} == {2}
+    for one in model.tried:  # of each pole itself and its gain; a constant, and the delay
+        assert one.parameters == 2 * one.order - one.integrators + one.direct + 2
+
+
+def test_an_integrator_more_or_less_stands_in_for_a_slow_pole():
+    slow, fast = np.log([1e-3, 50.0])
+    (one,) = grown.at_rest(grown.Parts(np.zeros((0, 2)), np.array([slow, fast]), 1), 1.0)
+    assert (one.integrators, one.lags.tolist()) == (2, [fast])
+    (one,) = grown.at_rest(grown.Parts(np.zeros((0, 2)), np.array([fast]), 2), 1.0)
+    assert (one.integrators, len(one.lags)) == (1, 2)
 
 
 @pytest.mark.thorough

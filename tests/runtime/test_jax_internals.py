@@ -131,7 +131,7 @@ def test_derivatives_of_a_product_by_columns(batched, rows):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
 
 
-def test_a_product_by_columns_where_jax_follows_what_differs_between_devices():
+def test_a_product_by_columns_where_jax_follows_what_differs_between_devices(monkeypatch):
     """The slope of a matrix that all devices share is the sum over all of them."""
     matrix, vectors = jnp.arange(6.0).reshape(3, 2), jnp.arange(1.0, 9.0).reshape(4, 2)
     mesh = jax.sharding.Mesh(np.array(jax.devices()[:2]), ("machines",))
@@ -150,6 +150,9 @@ def test_a_product_by_columns_where_jax_follows_what_differs_between_devices():
         for product in (jax_internals.product_by_columns, jnp.matmul)
     )
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+    monkeypatch.setattr(jax_internals, "_found", lambda: (None, "off"))
+    plain = jax_internals.product_by_columns(matrix, vectors[1])
+    np.testing.assert_array_equal(plain, matrix @ vectors[1])
 
 
 @pytest.mark.thorough

@@ -83,6 +83,11 @@ def test_its_law_is_stable_at_the_ends_of_the_intervals(written):
     assert law.machines == 5
     # the cutoff cannot be doubled
     assert max(largest(-1.8, pole, law._replace(cutoff=2 * law.cutoff)) for pole in (50, 70)) > 0.9
+    # of wide intervals only some corners are enclosed, and the worst one is among them
+    wide = {"plant.gain": Uniform(-2.6, -1.4), "plant.poles[0]": Uniform(42.0, 78.0)}
+    law = starting_law(PLANT, wide, DT, 1000)
+    corners = [largest(gain, pole, law) for gain in (-2.6, -1.4) for pole in (42.0, 78.0)]
+    assert law.worst == pytest.approx(max(corners), rel=1e-3)
 
 
 @pytest.mark.thorough

@@ -293,6 +293,7 @@ def test_of_a_law_that_changes_nothing_nothing_is_claimed(scheme):
     # its learning map is the identity on all that it could learn
     decay = outlook.decays(machines, scheme, TASK)
     np.testing.assert_allclose(decay.norm, 1.0, rtol=1e-9)
+    assert not decay.converges.any()
 
 
 @pytest.mark.thorough
