@@ -143,7 +143,7 @@ def family_of(
     several: whether the machine may have several inputs and outputs
     besides: {name: (S,)} numbers of further machines;  taps: that the frequencies must resolve
     Raises ValueError for a machine of more inputs or outputs than are allowed, one that is not
-    stable, and one whose first trial has no error.
+    stable or does not move, and one whose first trial has no error.
     """
     one = task.inputs == task.outputs == 1
     if not (one or several):
@@ -166,6 +166,11 @@ def family_of(
     _need_stable(loops, task)
     f = _lines(task, loops, points, taps)
     P = np.asarray(_responses(Loop(*map(np.stack, zip(*loops, strict=True))), f, task.dt))
+    if not np.any(np.abs(P[0]) ** 2):
+        raise ValueError(
+            "design: the machine does not answer its input, its response is 0 at all frequencies; "
+            "give its plant a gain"
+        )
     P = P[..., 0, 0] if one else P
     e = _first_error(machine, feedback, task)
     e = e[:, 0] if one else e

@@ -287,15 +287,18 @@ def q_filter_figure(
 
 def _ends_of_families(
     families: Sequence[Curves],
-) -> tuple[tuple[float, float], tuple[float, float], float]:
-    """Frequencies up to which Q passes anything, |P| within three decades, and the largest test."""
+) -> tuple[tuple[float, float], tuple[float, float] | None, float]:
+    """Frequencies up to which Q passes anything, |P| within three decades, and the largest test.
+
+    A plant that stands still has no such decades.
+    """
     passed = max(np.max(c.f[np.abs(c.Q) > PASSED], initial=c.f[0]) for c in families)
     lowest = max(min(c.f[0] for c in families), SLOWEST_SHOWN * passed)
     sizes = np.concatenate([np.abs(c.P[(c.f >= lowest) & (c.f <= passed)]) for c in families])
     largest = float(np.max(sizes))
     least = max(float(np.min(sizes)), LEAST * largest)
     tall = max(float(np.max(c.high)) for c in families)
-    return (lowest, passed), (least / 2, 2 * largest), tall
+    return (lowest, passed), (least / 2, 2 * largest) if largest > 0 else None, tall
 
 
 def _same_plant(one: Curves, other: Curves) -> bool:

@@ -635,12 +635,13 @@ def watched_numbers(scenario: Scenario, dataset: xr.Dataset) -> dict[str, Number
         norm, worst, median = (
             one[f"contraction_{of}"][:, 1:] for of in ("norm", "worst", "median")
         )
+        grown = norm[~np.isnan(norm)] > 1.0 + GREW
         found[name] = bounds_numbers(checked(one)) | {
             "d2": _spread(one["d2"]),
             "left_out": _spread(one["left_out"]),
             "norm": _typical(norm, norm),
             "pointwise": _typical(median, worst),
-            "growing": float(np.mean(norm[~np.isnan(norm)] > 1.0 + GREW)),
+            "growing": float(np.mean(grown)) if grown.size else math.nan,
         }
     return found
 

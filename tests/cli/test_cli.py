@@ -36,6 +36,7 @@ from jaxilc.cli import app, console, main, present, progress
 from jaxilc.cli.hardware import OF_CAMPAIGN
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE, Pages
 from jaxilc.outcomes import Request, demonstrating, running, sweeping
+from jaxilc.outcomes.certifying import watched_numbers
 from jaxilc.pytree import settable
 from jaxilc.scenarios import LISTED, identified_file
 from jaxilc.scenarios.from_file import read_scenario
@@ -240,6 +241,9 @@ def test_sweep_tells_the_bounds_beside_the_contraction(here, tmp_path):
     norm = dataset["contraction_norm"].sel(scheme="cfdl-mfailc").isel(trial=slice(1, None))
     assert compact["norm"][0] == pytest.approx(float(norm.median("trial").median()))
     assert compact["growing"] == float((norm > 1).mean())
+    still = dataset.assign(contraction_norm=np.nan * dataset["contraction_norm"])
+    one = jaxilc.scenarios.load("cao-2019").select(("cfdl-mfailc",))
+    assert np.isnan(watched_numbers(one, still)["cfdl-mfailc"]["growing"]), "of no error at all"
     assert full["d2"] is None, "the paper proves nothing of its error"
     assert full["left_out"][2] < 0.01
     assert "watch" in refused(*sweep, "--resume"), "a store without bounds is another sweep"

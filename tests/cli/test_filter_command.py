@@ -146,6 +146,14 @@ def test_taps_of_one_by_one_matrices_are_written_as_they_are_set(here, monkeypat
     assert shlex.split(said)[-1] == "ilc.L=[0.123456,0.5]"
 
 
+def test_a_machine_that_stands_still_has_figures_and_no_design(here):
+    """The limits of a logarithmic axis were 0, and NaN could not become the number of a lead."""
+    (here / "still.toml").write_text(AXIS.replace("gain = 2.0", "gain = 0.0"))
+    assert "ilc: not safe" in flat(done("filter", "still.toml"))
+    for command in ("design", "learn-law"):
+        assert "does not answer its input" in refused(command, "still.toml")
+
+
 def test_the_next_command_for_a_record_asks_the_same(here):
     """A rounded sample time refused the line at its Nyquist frequency; sigmas were left out."""
     f, dt = np.linspace(30.0, 3000.0, 100), 1 / 6000
