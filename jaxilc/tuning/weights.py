@@ -206,7 +206,8 @@ class Tuned:
 
     values: weights by name, of the iterate with the least held-out loss, or `start`
     loss: (steps, K) training loss of each step and start
-    slope: (steps, K) length of the gradient
+    slope: (steps, K) length of the gradient by z, which falls to 0 where a weight nears an end of
+        its range, however the loss changes with the weight itself
     dropped: (steps, K) how many machines had no finite gradient
     weights: (steps, K) values by name at which the loss was computed
     held_out: (steps + 1, K) held-out loss, NaN where it was not computed
