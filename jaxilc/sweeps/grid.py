@@ -464,8 +464,8 @@ def _values(name: str, given: Value, objects: Mapping[str, Tree]) -> Values:
         text = _RANGE.fullmatch(given.strip())
         if text is None and ":" in given:
             raise ValueError(f"grid: {name} = {brief(given)} is not {WAYS}")
-        given = _spread(name, *text.groups()) if text else _COMMA.split(given)
-        given = [one for one in given if not isinstance(one, str) or one.strip()]
+        texts = [] if text else [one for one in _COMMA.split(given) if one.strip()]
+        given = _spread(name, *text.groups()) if text else texts
     elif not isinstance(given, list | tuple) and np.ndim(given) == 0:
         given = [given]
     _need_some(name, given)
