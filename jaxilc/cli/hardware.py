@@ -652,7 +652,8 @@ def next_(
         prediction = _predicted(opened, compute=new or measured is not None, store=True)
         expected = _expected(opened, prediction)
     files = measured, out_file, plot, pages.file(".json")
-    _close(opened, turn, place, (prediction, expected), source, trial, files, columns, dry_run)
+    told = turn, place, (prediction, expected)
+    _close(opened, *told, source, trial, files, columns, dry_run=dry_run, undo=undo)
 
 
 def _of_campaign(settings: dict[str, str]) -> tuple[dict[str, str], Numbers]:
@@ -776,7 +777,11 @@ def _predicted(opened: Opened, *, compute: bool, store: bool) -> Prediction | No
 
 def _expected(opened: Opened, prediction: Prediction | None) -> Expected | None:
     """What the campaign expects of its next trial, None where nothing is predicted."""
-    return None if prediction is None else opened.campaign.expected(opened.subject.machine)
+    try:
+        return None if prediction is None else opened.campaign.expected(opened.subject.machine)
+    except ValueError as error:  # a trial is damaged, which a later one need not be compared with
+        say(f"note: nothing is predicted by the trials so far: {error}")
+        return None
 
 
 def _turn(
@@ -854,16 +859,24 @@ def _close(
     trial: int,
     files: tuple[Path | None, Path | None, Path | None, Path | None],
     columns: dict[str, str],
+    *,
     dry_run: bool,
+    undo: int | None,
 ) -> None:
-    """Print the verdict and the next command; write the figure and the numbers, if asked for."""
+    """Print the verdict and the next command; write the figure and the numbers, if asked for.
+
+    An undo in a dry run is judged by the trials that would be left, which can be read.
+    """
     from ..scenarios.campaign_source import belongs_to, for_verdict
     from ..schemes.scheme import trials_of_step
 
     measured, out_file, plot, json_file = files
     prediction = predicted[0]
     now, journal = opened.campaign, opened.campaign.journal
-    live = journal.live() if journal.exists else []
+    if dry_run and undo is not None:
+        live = [m for m in journal.behind() if m["trial"] <= undo]
+    else:
+        live = journal.live() if journal.exists else []
     unit = now.task.unit
     by = for_verdict(opened.recipe, trials_of_step(now.scheme, now.task))
     said = verdict(live, turn, prediction, unit, **by)

@@ -211,6 +211,18 @@ def test_a_limit_of_a_call_without_a_trial_holds_and_is_said_to_be_forgotten(cop
         export(state=folder / "x", folder=folder / "law", limit=0.1)
 
 
+def test_an_undo_in_a_dry_run_says_what_the_undo_says_of_a_damaged_campaign(copied):
+    """It judged the trials that would be forgotten, and ended in the error of a damaged one."""
+    folder, go_on = copied
+    (folder / "x" / "000001" / "trial.npz").write_bytes(b"")
+    assert "note: nothing is predicted by the trials so far: " in " ".join(go_on()[0].split())
+    for file in (folder / "x" / "000002").glob("manifest*.json"):
+        file.write_bytes(b"")
+    dry = call("next", "--state", folder / "x", "--undo", 1, "--dry-run")[0]
+    verdicts = [re.findall("verdict: trial .*", said) for said in (dry, go_on("--undo", 1)[0])]
+    assert verdicts[0] == verdicts[1] != []
+
+
 def test_trials_are_numbers_and_a_figure(copied):
     folder, go_on = copied
     path, rms = measure(folder, 3, 1.02)

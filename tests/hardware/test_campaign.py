@@ -338,7 +338,6 @@ def test_a_dry_run_reports_and_changes_nothing(copied):
     assert code == 0
     assert "trial 11: RMS error" in out
     assert "dry run: nothing was written" in out
-    call("next", "--state", state, "--undo", 3, "--dry-run")
     call("next", "--state", folder / "new", "--scenario", rig.file, "--dry-run")
     assert sorted(folder.rglob("*")) == before
 
