@@ -373,16 +373,19 @@ class Campaign:
         y, u = np.asarray(record.y)[: measured.end + 1], np.asarray(record.u)
         whole, findings = whole_trials(live), list[Finding]()
         before = self.journal.arrays(whole[-1], TRIAL) if whole else {}
-        last, share, alone = before.get("y"), 1.0, set(played) == {"u"}
-        moved = last is not None and bool(np.any(np.ptp(last, axis=0) > 0))
-        expected, still = (last, checks.STILL) if moved else (r, checks.DEAD)
-        if moved and alone and np.any(was := np.ptp(before["u"], axis=0)):  # as of an experiment
-            share = min(1.0, np.max(np.ptp(u, axis=0)[was > 0] / was[was > 0]))
+        last, alone, share = before.get("y"), set(played) == {"u"}, 1.0
+        now, was = (np.ptp(x, axis=0) for x in (u, before.get("u", 0 * u)))
+        if alone and np.any(was):  # as of an experiment
+            share = min(1.0, np.max(now[was > 0] / was[was > 0]))
+        against = [(r, {"still": checks.DEAD})]  # where nothing moved the machine before
+        if last is not None and np.any(np.ptp(last, axis=0) > 0):  # it may be a flickering count
+            rested = bool(np.all(was < checks.TRAVEL * now))
+            against = [(last, {"share": share}), *against[:rested]]
         # What the part of a trial has taught may move the machine little, and steps at its end.
         by_part = any(m["learned"] for m in takewhile(is_part, reversed(live[1:])))
         if whole or not by_part or not alone:
-            how = {"still": still, "share": share}
-            findings += checks.frozen("y", y[1:], expected[1:], u, accept, **how)
+            found = [checks.frozen("y", y[1:], x[1:], u, accept, **how) for x, how in against]
+            findings += found[0] or found[-1]
         findings += checks.frozen("u", u, commanded, commanded, accept)
         if not any(m["learned"] for m in live[1:]):  # an axis learns to within half a count
             findings += checks.as_the_reference(y[1:], r[1:], accept)
