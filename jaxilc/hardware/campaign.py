@@ -387,8 +387,10 @@ class Campaign:
             found = [checks.frozen("y", y[1:], x[1:], u, accept, **how) for x, how in against]
             findings += found[0] or found[-1]
         findings += checks.frozen("u", u, commanded, commanded, accept)
-        if not any(m["learned"] for m in live[1:]):  # an axis learns to within half a count
-            findings += checks.as_the_reference(y[1:], r[1:], accept)
+        commands = {"the reference": r, "the input": u}
+        commands |= {f"the schedule {name}": played[name] for name in {*played} - {"u"}}
+        taught = last if any(m["learned"] for m in live[1:]) else None
+        findings += checks.as_the_command(y, taught, commands, accept)
         if not by_part:
             findings += checks.jumped(y, r, last, accept, self.task.unit)
         beside = 0.0  # else the input depends on y, unless its share of the feedback was recorded

@@ -487,17 +487,26 @@ def frozen(
     return found
 
 
-def as_the_reference(y, r, accept: tuple[str, ...]) -> list[Finding]:
-    """Outputs that are the reference to the last digit: none follows it so well before it learns.
+def as_the_command(y, last_y, commands: Mapping[str, np.ndarray], accept) -> list[Finding]:
+    """Outputs that are what was commanded to the last digit: none follows it so well.
 
-    y: (rows, n_y) output, as far as it was measured;  r: (N, n_y) reference
+    y: (rows, n_y) output, as far as it was measured
+    last_y: (N+1, n_y) output of the last whole trial, None before one was learned from; an axis
+        that was within 100 counts of its command may have learned it to the last digit
+    commands: (N or N+1, n) reference, input and schedules, each by what it is called
     """
     found = []
-    for i, (s, x) in enumerate(zip(np.transpose(y), np.transpose(r), strict=True)):
-        if np.ptp(x[: len(s)]) > TRAVEL * np.ptp(x) and same(s, x[: len(s)]):
-            called = "y" if np.shape(y)[1] == 1 else f"y{i}"
-            text = f"{called} is the reference to the last digit; suspected is the column of the "
-            found.append(_refused("frozen", f"{text}file", accept))
+    for i, s in enumerate(np.transpose(y)):
+        near = 100 * max(count_of(s[:, None]), last_digit(s), SAME * np.max(np.abs(s)))
+        for called, x in ((of, x) for of, command in commands.items() for x in command.T):
+            n = min(len(s), len(x))
+            if np.ptp(x[:n]) <= TRAVEL * np.ptp(x) or not same(s[:n], x[:n]):
+                continue
+            if last_y is None or np.max(np.abs(x[:n] - last_y[:n, i])) > near:
+                name = "y" if np.shape(y)[1] == 1 else f"y{i}"
+                text = f"{name} is {called} to the last digit; suspected is the column of the file"
+                found.append(_refused("frozen", text, accept))
+                break
     return found
 
 

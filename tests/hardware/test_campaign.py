@@ -934,7 +934,7 @@ def test_an_axis_that_has_learned_to_within_half_a_count_is_no_column_of_set_poi
     r = np.round(5 - 5 * np.cos(2 * np.pi * np.arange(41) / 40), 2)[:, None]
     campaign = Campaign.start(tmp_path / "state", PIDType(gamma_p=0.8), Task(r, dt=0.01))
     near = r + 0.01 * (np.arange(41) == 20)[:, None]  # a count of the encoder, once
-    for y, refused in ((r, 1), (np.round(0.9 * r, 2), 0), (r, 0), (near, 0)):
+    for y, refused in ((r, 1), (np.round(0.95 * r, 2), 0), (r, 0), (near, 0)):
         measured = Measured(y, np.asarray(campaign.schedules()["u"]), {}, (), "a trial")
         turn = campaign.turn(measured)
         assert ["y is the reference" in one for one in turn.refusals] == [True] * refused

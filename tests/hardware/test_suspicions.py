@@ -50,15 +50,22 @@ def test_of_a_trial_that_ended_early_only_what_was_measured_stands_still():
     assert checks.frozen("y", 0 * LAST[:rest], LAST, U, ()) == []
 
 
-def test_an_output_that_is_the_reference_is_its_column_and_not_a_perfect_trial():
-    r = R[:, None]
-    for y in (r, r.round(4), np.float32(r)):
-        (found,) = said(checks.as_the_reference(y, r, ()))
+def test_an_output_that_is_a_command_is_its_column_and_not_a_perfect_trial():
+    """It was looked for until the first trial that was learned from, and in the reference only."""
+    r, noise = R[:, None], 1e-3 * np.random.default_rng(0).normal(size=(len(R), 1))
+    commands, learned = {"the reference": r, "the input": r[:-1] + noise[:-1]}, LAST
+    for y, last in ((r, None), (r.round(4), None), (np.float32(r), learned)):
+        (found,) = said(checks.as_the_command(y, last, commands, ()))
         assert found.startswith("refusal: y is the reference to the last digit; suspected is the c")
+    (found,) = said(checks.as_the_command(r + noise, learned, commands, ()))
+    assert found.startswith("refusal: y is the input to the last digit")
     rest = np.argmax(R > 0)  # a trial that ended there says nothing
-    for y in (r[:rest], LAST, r + 1e-5 * np.random.default_rng(0).normal(size=r.shape), LAST[:200]):
-        assert checks.as_the_reference(y, r, ()) == []
-    assert checks.as_the_reference(0 * r, 0 * r, ()) == [], "an axis is held at rest"
+    for y in (r[:rest], LAST, r + 1e-2 * noise, LAST[:200]):
+        assert checks.as_the_command(y, None, {"the reference": r}, ()) == []
+    assert checks.as_the_command(0 * r, None, {"r": 0 * r}, ()) == [], "an axis is held at rest"
+    counts = {"the reference": r.round(2)}  # an encoder of 10 µm, and an axis that has learned
+    assert checks.as_the_command(r.round(2), (r + 10 * noise).round(2), counts, ()) == []
+    assert len(checks.as_the_command(r.round(2), LAST.round(2), counts, ())) == 1
 
 
 def test_lost_counts_and_another_unit_are_steps_that_no_motion_makes():
