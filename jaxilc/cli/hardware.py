@@ -10,7 +10,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from typer import Option
+from typer import Context, Option
 
 from ..outcomes.outcome import Figure, Interactive, Numbers, Table, Verdict
 from ..outcomes.request import settings_of
@@ -542,6 +542,7 @@ class Refused(ValueError):
 
 
 def next_(
+    context: Context,
     state: Folder,
     pages: Pages,
     measured: Annotated[
@@ -589,10 +590,11 @@ def next_(
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
-    from ..hardware.campaign import refuse
+    from ..hardware.campaign import AGAIN, refuse
     from ..hardware.checks import beyond_limits, too_fast
     from ..hardware.trial_files import OPTIONS, read_measured
     from ..scenarios.campaigns import Given, open_campaign
+    from ..storage.files import only_one
 
     if (page := pages.file(".html")) is not None:
         raise ValueError(
@@ -616,6 +618,8 @@ def next_(
         stop_on_growth=of.get("stop_on_growth", False),
         accept=tuple(accept),
     )  # fmt: skip
+    if not (new or dry_run):  # to the end, so that what is written belongs to the last entry
+        context.with_resource(only_one(state, AGAIN))
     opened = open_campaign(state, given, new=new, dry_run=dry_run)
     now = opened.campaign
     if not (new or now.journal.bound or dry_run or undo is not None):
@@ -634,7 +638,7 @@ def next_(
     if undo is not None and (doubt := now.doubt(undo)):
         warn(f"warning: {doubt}")
     if undo is not None and not dry_run:
-        now.undo(undo)
+        now.undo(undo, alone=True)
     turn, place, prediction, expected = None, None, None, None
     if measured is not None:
         short = of.get("short_trial", False)
@@ -644,7 +648,7 @@ def next_(
         replayed = of.get("replayed_input", False)
         turn, place = _turn(opened, record, prediction, learn=not no_learn, replay_input=replayed)
         if not dry_run:
-            now.keep(turn)
+            now.keep(turn, alone=True)
         schedules, trial = turn.schedules, turn.trial + 1
     _played(None if dry_run else out_file, schedules, now.task, trial, of.get("number", "double"))
     if not dry_run and (measured is None or prediction is not None):

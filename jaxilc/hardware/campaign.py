@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from contextlib import nullcontext
 from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import NamedTuple
@@ -128,10 +129,12 @@ class Campaign:
         refuse(checks.beyond_limits(campaign.first_schedules(), task, actuator, campaign.rules))
         if not dry_run:
             campaign.journal.create()
-            campaign._append(
-                {"event": "start", "trial": 0, "parent": None},
-                {MEMORY: _arrays_of(scheme.initial_memory(task))},
-            )
+            with only_one(campaign.journal.path, AGAIN):
+                campaign.journal.create()  # another process may have begun a campaign meanwhile
+                campaign._append(
+                    {"event": "start", "trial": 0, "parent": None},
+                    {MEMORY: _arrays_of(scheme.initial_memory(task))},
+                )
         return campaign
 
     @classmethod
@@ -456,9 +459,10 @@ class Campaign:
         output = self.journal.arrays(last, TRIAL)["y"] if expected is None else expected.output
         return checks.what_changed(np.asarray(record.y), output, self.task.dt)
 
-    def keep(self, turn: Turn) -> None:
+    def keep(self, turn: Turn, *, alone: bool = False) -> None:
         """Store a turn; the campaign then continues from it.
 
+        alone: whether the caller holds the folder already, see `storage.files.only_one`
         Raises ValueError if it has refusals, if another process has stored a trial or an undo since
         the turn was made, and while one does.
         """
@@ -471,7 +475,7 @@ class Campaign:
         elif turn.predicted is not None:
             manifest["predicted"] = turn.predicted.as_json()
         arrays = {MEMORY: _arrays_of(turn.memory), TRIAL: stored(turn.record)}
-        with only_one(self.journal.path, AGAIN):
+        with nullcontext() if alone else only_one(self.journal.path, AGAIN):
             parent = self.journal.live()[-1]
             if turn.after != parent["serial"]:
                 said = f"trial {turn.trial} does not follow on trial {parent['trial']}"
@@ -479,13 +483,14 @@ class Campaign:
                 raise ValueError(f"{self.journal.path}: {said}, {by}")
             self._append({"event": "trial", "parent": parent["serial"], **manifest}, arrays)
 
-    def undo(self, trial: int) -> None:
+    def undo(self, trial: int, *, alone: bool = False) -> None:
         """Go back to the memory after a trial; 0 stands for the start.
 
+        alone: as of `keep`
         Raises ValueError for a trial that is not one of the past, and while another process stores
         one.
         """
-        with only_one(self.journal.path, AGAIN):
+        with nullcontext() if alone else only_one(self.journal.path, AGAIN):
             to = self._after(trial)["serial"]
             self._append({"event": "undo", "trial": trial, "parent": None, "to": to}, {})
 

@@ -23,6 +23,7 @@ from jaxilc.scenarios import load_scenario
 from jaxilc.scenarios.campaigns import need_recorded
 from jaxilc.schemes import PID, PIDType, WithFeedback
 from jaxilc.signals import Task
+from jaxilc.storage.files import only_one
 
 N, DT, POLE = 40, 0.01, 20.0
 AXIS = f"""trials = 8
@@ -209,6 +210,18 @@ def test_a_limit_of_a_call_without_a_trial_holds_and_is_said_to_be_forgotten(cop
     assert "--undo stores --params, and" in call(*begin, "--params", folder / "same.json")[1]
     with pytest.raises(ValueError, match=r"begins beyond a limit: the next u .* V \(--limit\)"):
         export(state=folder / "x", folder=folder / "law", limit=0.1)
+
+
+def test_what_is_written_belongs_to_the_last_entry_since_one_call_goes_on_at_a_time(copied):
+    """A slow call wrote the input of before over that of a trial that another had learned from."""
+    folder, go_on = copied
+    with only_one(folder / "x"):
+        for words in ((), ("--undo", 1), ("--measured", measure(folder, 3, 1.02)[0])):
+            with pytest.raises(ValueError, match=r"in use by process \d+, .* written; wait for"):
+                go_on(*words)
+        assert "trial 3, u up to" in call("next", "--state", folder / "x", "--dry-run")[0]
+        assert "verdict: trial 2" in call("trials", "--state", folder / "x")[0]
+    assert "next: trial 4" in go_on("--measured", folder / "trial-3.csv")[0]
 
 
 def test_an_undo_in_a_dry_run_says_what_the_undo_says_of_a_damaged_campaign(copied):

@@ -329,6 +329,21 @@ def test_two_calls_at_once_are_one_entry(copied, monkeypatch):
             stale.append({}, {})
 
 
+def test_of_two_starts_at_once_one_is_refused(tmp_path, monkeypatch):
+    """Both wrote an entry, and the campaign could never go on."""
+    state, (_, scheme, task), make = tmp_path / "state", case("p_type"), Journal.create
+
+    def slowly(of):
+        make(of)
+        monkeypatch.undo()
+        Campaign.start(state, scheme, task)
+
+    monkeypatch.setattr(Journal, "create", slowly)
+    with pytest.raises(FileExistsError, match="or go on with the campaign there"):
+        Campaign.start(state, scheme, task)
+    assert [m["event"] for m in Journal(state).live()] == ["start"]
+
+
 def test_a_dry_run_reports_and_changes_nothing(copied):
     rig, state, folder = copied
     before = sorted(folder.rglob("*"))
