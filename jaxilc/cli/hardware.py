@@ -436,11 +436,9 @@ def verdict(
         ]
     if error > (1 + growth) * least:
         return [f"{said}; the best was trial {best} with {least:.4g} {unit}".rstrip()]
-    inputs = [*of_inputs.values()]
-    fell = [
-        min(inputs[: i + PATIENCE]) <= (1 - LITTLE) * min(inputs[:i])
-        for i in range(1, len(inputs) - PATIENCE + 1)
-    ]
+    least_so_far = [*accumulate(of_inputs.values(), min)]
+    before = zip(least_so_far, least_so_far[PATIENCE:], strict=False)
+    fell = [after <= (1 - LITTLE) * of for of, after in before]
     if any(fell) and not fell[-1]:
         return [
             f"{said}; it has not fallen by {LITTLE:.0%} in the last {PATIENCE} trials: learning "

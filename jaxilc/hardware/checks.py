@@ -224,7 +224,8 @@ def learned_so_far(
 
 
 def _largest(peaks: list[Mapping[str, float]]) -> dict[str, float]:
-    return {name: max(of.get(name, 0.0) for of in peaks) for of in peaks for name in of}
+    names = {name for of in peaks for name in of}
+    return {name: max(of.get(name, 0.0) for of in peaks) for name in names}
 
 
 def grown(error: float, history: list[tuple[int, float]], rules: Rules, unit: str) -> list[Finding]:

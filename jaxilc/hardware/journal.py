@@ -297,7 +297,7 @@ class Journal:
         return {"serial": serial, "event": DAMAGED, "trial": 0, "wrong": wrong[0]}, ""
 
 
-@functools.lru_cache(maxsize=1024)  # a command reads every manifest some thirty times
+@functools.lru_cache(maxsize=2**15)  # a command reads every manifest some thirty times
 def _read_once(file: Path, text: str, serial: int) -> tuple[Manifest, str]:
     """The manifest in the text of a file, and its checksum; raises as `_checked`."""
     manifest = _checked(json_of(file, text), serial)
@@ -349,12 +349,13 @@ def _is_finding(value: object) -> bool:
 def _led_to(manifests: Sequence[Manifest], last: Manifest) -> list[Manifest]:
     """The manifests from the start to the entry `last`; raises Damaged where one is damaged."""
     chain = [manifests[last["to"]] if last["event"] == "undo" else last]
-    while chain[0]["event"] == "trial":
-        chain.insert(0, manifests[chain[0]["parent"]])
-    if chain[0]["serial"] != 0:  # entry 0 is always the start
-        wrong = chain[0].get("wrong", f"entry {chain[0]['serial']} is no trial to go on from")
+    while chain[-1]["event"] == "trial":
+        chain.append(manifests[chain[-1]["parent"]])
+    first = chain[-1]
+    if first["serial"] != 0:  # entry 0 is always the start
+        wrong = first.get("wrong", f"entry {first['serial']} is no trial to go on from")
         raise Damaged(f"{wrong}; {BACK}")
-    return chain
+    return chain[::-1]
 
 
 def _branch(manifests: Sequence[Manifest]) -> list[Manifest]:

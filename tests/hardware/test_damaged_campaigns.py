@@ -20,6 +20,7 @@ from fuzz import damaged, dumped, flipped, fuzz, pick, refusal
 from jaxilc.cli.hardware import _bind
 from jaxilc.hardware import Campaign, Journal, Measured, Rules
 from jaxilc.hardware import campaign as of_campaign
+from jaxilc.hardware import journal as of_journal
 from jaxilc.hardware.checks import ACCEPTED, same
 from jaxilc.storage.sealed import archive, json_text, read_arrays, sealed
 
@@ -279,6 +280,19 @@ def test_a_campaign_of_before_goes_on_and_is_bound_from_then_on(copied):
     (folder / "000003" / "manifest.copy.json").unlink()
     with pytest.raises(ValueError, match=r"000003/manifest.json cannot be read"):
         journal.live()
+
+
+def test_each_entry_of_a_long_campaign_is_checked_once(tmp_path, monkeypatch):
+    """From the 1025th on all of them were checked anew at each of thirty readings."""
+    plain = {"format": 1, "recipe": {}, "configuration": {}, "hashes": {}, "findings": []}
+    plain |= {"figures": {"error": 1.0}, "source": "", "learned": True}
+    for k in range(1100):
+        (tmp_path / f"{k:06d}").mkdir()
+        of = {"event": "trial" if k else "start", "serial": k, "trial": k, "parent": k - 1}
+        (tmp_path / f"{k:06d}" / "manifest.json").write_text(json.dumps(plain | of))
+    assert len(Journal(tmp_path).live()) == 1100
+    monkeypatch.setattr(of_journal, "_checked", None)
+    assert len(Journal(tmp_path).live()) == 1100
 
 
 def test_a_campaign_that_was_stopped_at_its_start_is_not_called_older(tmp_path, capsys):
