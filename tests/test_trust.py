@@ -28,6 +28,14 @@ def test_the_recipe_has_the_dependencies_of_the_project():
     assert all(f"{name} = {to}" in recipe for name, to in project["scripts"].items())
 
 
+def test_the_oldest_scipy_that_is_allowed_draws_as_it_is_asked_to():
+    """Its quasi-random sequences take `rng` from 1.15 on; 1.14 ended in a TypeError."""
+    wanted = tomllib.loads(text_of("pyproject.toml"))["project"]["dependencies"]
+    (oldest,) = (one.removeprefix("scipy>=") for one in wanted if one.startswith("scipy>="))
+    assert "qmc.Sobol(dimensions, rng=" in text_of("jaxilc/uncertainty.py")
+    assert tuple(map(int, oldest.split("."))) >= (1, 15)
+
+
 def test_the_history_times_what_is_there():
     settings = json.loads(text_of(".ci/history/asv.conf.json"))
     folder = ROOT / ".ci/history" / settings["benchmark_dir"]
