@@ -62,8 +62,7 @@ COMMANDS = {
 RESUMED = ("learn-law", "design")
 KILLS = {"run": 70, "worst-case": 60, "learn-law": 10, "design": 10, "next": 50}  # by their time
 # Loaded once; the processes that are killed are forks of this one.
-LOADED = ("scipy.signal", "jaxilc.outcomes.designing", "jaxilc.outcomes.designing",
-          "jaxilc.outcomes.running", "jaxilc.outcomes.tuning")  # fmt: skip
+LOADED = ("scipy.signal", *(f"jaxilc.outcomes.{x}" for x in ("designing", "running", "tuning")))
 # Numbers of a report that are other ones at each call: times, and the versions and files of it.
 TIMES = re.compile(r"time|second|took|date|duration|environment|version|path|file|folder")
 

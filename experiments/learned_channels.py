@@ -135,7 +135,7 @@ def norm_optimal(case: Case, folder) -> tuple[Scheme, dict]:
     state, began = folder / "norm-optimal", time.perf_counter()
     found = Tuning(
         case.machine, start, case.task, case.trials, bounds, case.uncertainty, EveryTrial(METRIC),
-        CVaR(0.75), **case.budget(SEED),
+        CVaR(0.75), **case.budget(), seed=SEED,
     ).run(state, resume=state.exists())  # fmt: skip
     return found.scheme, {"seconds": round(time.perf_counter() - began)}
 

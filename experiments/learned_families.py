@@ -39,11 +39,9 @@ class Case(NamedTuple):
     tuned_on: int = 32
     steps: int = 60
 
-    def budget(self, seed: int) -> dict:
+    def budget(self) -> dict:
         """The settings that every tuning has."""
-        return {
-            "machines": self.tuned_on, "held_out": self.tuned_on, "steps": self.steps, "seed": seed
-        }  # fmt: skip
+        return {"machines": self.tuned_on, "held_out": self.tuned_on, "steps": self.steps}
 
     def family(self, seed: int, drawn: dict | None = None, **how) -> Family:
         """The frequency responses of its machines.

@@ -76,7 +76,7 @@ def laws_of(case: Case, folder: Path):
             state = folder / one.name
             better = tuned(
                 one, family, case.task, case.trials, metric=METRIC,
-                margin=MARGIN, out=state, resume=state.exists(), **case.budget(SEED),
+                margin=MARGIN, out=state, resume=state.exists(), quantities={}, **case.budget(),
             )  # fmt: skip
             yield f"{one.name}, tuned", better.scheme, time.perf_counter() - began
     asked = learned_law(case, steps=0, trained_on=case.tuned_on, held_out=case.tuned_on)

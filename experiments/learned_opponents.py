@@ -82,7 +82,7 @@ def opponents(
         state = folder / f"tuning-{one.name}"
         better = tuned(
             one, family, case.task, case.trials, metric=METRIC,
-            margin=MARGIN, out=state, resume=state.exists(), **case.budget(SEED),
+            margin=MARGIN, out=state, resume=state.exists(), quantities={}, **case.budget(),
         )  # fmt: skip
         yield one.name, better.scheme, time.perf_counter() - began
         began = time.perf_counter()
@@ -105,7 +105,7 @@ def tuning_of(case: Case, scheme: Scheme, bounds: dict) -> Tuning:
     first = max(1, round(0.75 * case.trials))
     return Tuning(
         case.machine, scheme, case.task, case.trials, bounds, case.uncertainty,
-        Holding(first, METRIC) + 0.02 * EveryTrial(METRIC), RISK, **case.budget(SEED),
+        Holding(first, METRIC) + 0.02 * EveryTrial(METRIC), RISK, **case.budget(), seed=SEED,
     )  # fmt: skip
 
 
