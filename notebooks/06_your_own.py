@@ -137,7 +137,7 @@ ax.figure
 # %% [markdown]
 # ## They batch
 #
-# `vmap` over friction and mass, against the same machines one by one.
+# `vmap` over the friction, against the same machines one by one.
 
 
 # %%
