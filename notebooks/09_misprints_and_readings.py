@@ -129,7 +129,8 @@ print(f"first move by eq. 17 with '+': {matrix_law:.6e}, by eq. 10: {scalar_law:
 assert np.isclose(matrix_law, scalar_law, rtol=1e-12)
 
 # %% [markdown]
-# **PID at 2.5 Hz** prints $K_i = 0.2$, of the other sign than $K_p = -9$. It is read as $-0.2$.
+# **PID** prints $K_i = 0.1$ and $0.2$, of the other sign than $K_p = -10$ and $-9$. Both are taken
+# as printed: the loops drift, but so slowly that the few seconds of a trial do not show it.
 #
 # ## Li 2020: CNC axis
 #
@@ -207,7 +208,7 @@ assert np.isclose(table / motor, (c_s * s + k) / (m_T * s**2 + (c_s + c_T) * s +
 # %% [markdown]
 # **Appendix A**, the recursion for norm-optimal learning, has errors; it is derived anew in
 # `jaxilc.schemes.NormOptimal`, which agrees with the dense form to rounding. **The unit of the
-# input** is not printed, and decides how the printed weights act: 50 mm/s per volt is chosen.
+# input** is not printed, and decides how the printed weights act: 12.3 mm/s per volt is fitted.
 #
 # ## What was chosen, and what was fitted
 #
