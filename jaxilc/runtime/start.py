@@ -62,6 +62,7 @@ def setup(
     _chosen["precision"] = precision
     if jax.config.jax_enable_x64 != (precision == "float64"):
         jax.config.update("jax_enable_x64", precision == "float64")
+        jax.clear_caches()  # programs may hold arrays of the other precision
         arrays_by_precision()
     if precision == "float32" and _accelerated() and not jax.config.jax_default_matmul_precision:
         jax.config.update("jax_default_matmul_precision", "highest")
