@@ -201,6 +201,8 @@ class _InText(Body):
         if kind == "b":
             return "TRUE" if value else "FALSE"
         if kind != "f":
+            if value < 0 and value == np.iinfo("int64").min:  # the sign is an operation of its own
+                return f"({int(value) + 1} - 1)"
             return str(int(value)) if value >= 0 else f"({int(value)})"
         if np.isnan(value):
             return "nan"

@@ -64,7 +64,8 @@ class Own(Scheme):
         return state, sample.row.u
 
     def learn(self, memory, trial):
-        return Learned(memory.u + jnp.tanh(trial.e[1:]), memory.φ + jnp.sum(trial.e))
+        last = jnp.max(jnp.where(trial.e[:, 0] > 0, jnp.arange(len(trial.e)), -1))
+        return Learned(memory.u + jnp.tanh(trial.e[1:]), memory.φ + last + jnp.sum(trial.e))
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +81,7 @@ def test_no_unit_and_no_name_of_a_field_leaves_its_place(own):
     code = re.sub(r"\(\*.*?\*\)", "", text, flags=re.S)
     assert code.isascii()
     assert "*)" not in code
+    assert max(map(int, re.findall(r"(?<![\w.#])\d+(?![\w.])", code))) < 2**63  # as LINT holds them
     block, played = Block(text), law.played()
     for j in range(2):
         y = (1 + j) * np.asarray(law.task.reference) / 4
