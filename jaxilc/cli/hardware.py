@@ -72,6 +72,7 @@ def trials(
     from ..hardware.journal import Journal, units, write_log
     from ..hardware.prediction import kept
     from ..scenarios.campaign_source import belongs_to, for_verdict
+    from ..schemes.scheme import trials_of_step
 
     journal, report = Journal(state), pages.file(".html")
     rows = journal.log()
@@ -88,8 +89,11 @@ def trials(
     files = []
     if table is not None:
         files.append(write_log(table, rows))
-    now = _opened(state) if live and (plot or report) else None
+    old = bool(recipe) and ("stop" not in recipe or "trials_of_step" not in known)
+    now = _opened(state) if live and (plot or report or old) else None
     by = for_verdict(recipe, known.get("trials_of_step"))
+    if now is not None:
+        by = for_verdict(now.recipe, trials_of_step(now.scheme, now.task))
     sentences = verdict(live, None, prediction, units(journal)[0], **by) if live else []
     measured = Path(live[-1]["source"]) if len(live) > 1 else None
     following = next_command(state, len(live) or 1, measured, None)
@@ -159,7 +163,7 @@ def _opened(state: Path) -> Campaign | None:
     try:
         return open_campaign(state, Given(), new=False).campaign
     except (ValueError, OSError) as error:
-        warn(f"warning: the figure has no reference: {error}")
+        warn(f"warning: neither reference nor experiments of the campaign are known: {error}")
         return None
 
 

@@ -24,6 +24,7 @@ from jaxilc.scenarios.campaigns import need_recorded
 from jaxilc.schemes import PID, PIDType, WithFeedback
 from jaxilc.signals import Task
 from jaxilc.storage.files import only_one
+from jaxilc.storage.sealed import json_text, sealed
 
 N, DT, POLE = 40, 0.01, 20.0
 AXIS = f"""trials = 8
@@ -186,7 +187,7 @@ def test_a_changed_plant_file_is_told_with_what_it_means(copied):
         go_on()
     out, warned = call("trials", "--state", folder / "x", "--plot", folder / "t.png")
     assert "has changed" in warned
-    assert "the figure has no reference" in warned
+    assert "neither reference nor experiments of the campaign are known" in warned
     assert (folder / "t.png").stat().st_size > 10_000
     assert "verdict: trial 3" in out
 
@@ -387,7 +388,24 @@ def test_trials_without_learning_tell_when_to_stop(copied, unpainted):
     assert error <= 0.05
     (line,) = re.findall("verdict: .*", said)
     assert line in call("trials", "--state", folder / "x")[0]
+
+
+def test_an_experiment_is_none_to_judge_by_in_journals_that_do_not_know_it_either(copied):
+    """The log of a campaign of before took the experiment for a trial whose error had grown."""
+    folder, _ = copied
     text = AXIS.replace('"PIDType"\ngamma_p = 1.0\nlead = 3', '"ModelFreeGradient"\nstep = 0.8')
-    file.write_text(text)
-    start = ("--state", folder / "z", "--scenario", file, "--out", folder / "z.csv")
-    assert "for trial 7" in call("next", *start)[0], "trial 8 is an experiment"
+    (folder / "axis.toml").write_text(text)
+    words = ("next", "--state", folder / "z", "--out", folder / "next.csv")
+    said = call(*words, "--scenario", folder / "axis.toml")[0]
+    assert "for trial 7" in said, "trial 8 is an experiment"
+    for j in (1, 2):
+        said = call(*words, "--measured", measure(folder, j, 1.02)[0])[0]
+    (folder / "z" / "head.json").unlink()
+    for file in (folder / "z").glob("*/manifest*.json"):
+        old = json.loads(file.read_text())
+        for name in ("files", "previous", "sha256", "trials_of_step"):
+            del old[name]
+        del old["recipe"]["stop"]
+        file.write_text(json_text(sealed(old | {"format": 2})))
+    (line,) = re.findall("verdict: trial 2 is experiment 1.*", said)
+    assert line in call("trials", "--state", folder / "z")[0]
