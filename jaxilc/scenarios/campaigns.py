@@ -91,7 +91,11 @@ def open_campaign(state: Path, given: Given, *, new: bool, dry_run: bool = False
         stop_on_growth=given.stop_on_growth,
         accept=given.accept,
     )
-    bare, settings = with_options(recipe["scenario"], recipe["settings"])
+    try:
+        bare, settings = with_options(recipe["scenario"], recipe["settings"])
+    except FileNotFoundError as error:
+        moved = f"{error.strerror}; if it was moved, name it by --scenario"
+        raise FileNotFoundError(error.errno, moved, error.filename) from None
     name = recipe["scheme"] = _learning_scheme(bare, recipe["scheme"])
     if given.params is not None:
         found = _parameters(bare, name, given.params)

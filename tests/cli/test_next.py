@@ -178,6 +178,10 @@ def test_a_changed_plant_file_is_told_with_what_it_means(copied):
     path, _ = measure(folder, 3, 1.02)
     _, warned = go_on("--scenario", file, "--measured", path)
     assert warned == ""
+    moved = file.rename(folder / "moved.toml")
+    with pytest.raises(FileNotFoundError, match="if it was moved, name it by --scenario"):
+        go_on()
+    assert "next: trial 4" in go_on("--scenario", moved)[0]
     file.write_text(AXIS.replace("gain = 1.0", "gain = 1.01"))
     _, warned = go_on()
     assert "has changed since the campaign took it" in warned
