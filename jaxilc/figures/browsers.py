@@ -187,12 +187,13 @@ def machines(
     from bokeh.layouts import column
     from bokeh.models import ColumnDataSource, CustomJS, Div, FactorRange, Select
 
-    from ..sweeps.summary import FEWEST, errors_by_scheme, explained_shares
+    from ..sweeps.summary import FEWEST, errors_by_scheme, explained_shares, learned_errors
 
     columns = tips_of(drawn)
     if not columns:
         return None
-    last = scale * np.array([of[:, -1] for of in errors_by_scheme(dataset, metric)])
+    by_scheme = errors_by_scheme(dataset, metric)
+    last = scale * np.array([learned_errors(of)[:, -1] for of in by_scheme])
     factor, unit = shown_in(last, unit)
     last, limit = factor * last, None if tolerance is None else scale * factor * tolerance
     schemes, names = names_of(dataset), list(columns)

@@ -208,13 +208,14 @@ def error_band(
     scale, unit: the errors are shown as `scale` times those of the dataset, in `unit`
     summary: what `summarise` gives for this dataset and metric, None to have it computed
     """
-    from ..sweeps.summary import errors_by_scheme, over_all, summarise
+    from ..sweeps.summary import errors_by_scheme, learned_errors, over_all, summarise
 
     dataset = over_all(dataset)
     rows = summarise(dataset, tolerance, metric=metric) if summary is None else summary
     limit = None if tolerance is None else scale * tolerance
     limits = _limits(rows, scale, limit)
-    last = scale * np.array([of[:, -1] for of in errors_by_scheme(dataset, metric)])
+    by_scheme = errors_by_scheme(dataset, metric)
+    last = scale * np.array([learned_errors(of)[:, -1] for of in by_scheme])
     lengths = sorted({len(row.median) for row in rows})
     numbers = dataset["trial"].values if "trial" in dataset.coords else 1 + np.arange(lengths[-1])
     looks = numbers_of(row.scheme for row in rows)

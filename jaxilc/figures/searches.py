@@ -72,11 +72,10 @@ def worst_against_chance(
     metric, unit: name and unit of the metric
     machines: parameters by path of the machine that each search found, for the pointer
     """
-    count, unknown = np.size(drawn), int(np.sum(np.isnan(drawn)))
+    count, unknown = np.size(drawn), {"diverged": np.isinf(drawn), NO_NUMBER: np.isnan(drawn)}
     drawn = np.sort(np.asarray(drawn)[np.isfinite(drawn)])
-    share, lost = 100 * np.arange(1, len(drawn) + 1) / max(count, 1), count - unknown - len(drawn)
-    of = ((lost, "diverged"), (unknown, NO_NUMBER))
-    without = "".join(f", {many} {why}" for many, why in of if many)
+    share = 100 * np.arange(1, len(drawn) + 1) / max(count, 1)
+    without = "".join(f", {np.sum(of)} {why}" for why, of in unknown.items() if np.any(of))
     name = f"{count} machines drawn{without}: share that errs less"
     layers: list[Layer] = [
         Curve(drawn, share, steps=True, width=1.4, name=name, colour=GREY),

@@ -397,6 +397,8 @@ def test_an_experiment_at_the_end_of_a_point_does_not_judge_it():
     (row,) = summarise(at_best(dataset, [best]), last.min(), growth=0.1)
     assert (row.yield_share, row.semi_converged) == (1.0, 0.0)
     assert row.worst[-1] > 1.1 * last.min(), "the error of the experiment itself is among them"
+    (line,) = error_band(at_best(dataset, [best]))[-1].lines
+    assert line.get_xdata()[-2] == last.min(), "the largest error of the shares of the machines"
     gone = dataset.assign(finite=dataset["finite"] & (dataset["trial"] < 6))
     assert best_points(gone)[0].point == {"law.about": "trial", "trials": 3}
 
