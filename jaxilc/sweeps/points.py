@@ -135,7 +135,7 @@ def last_errors(dataset: xr.Dataset, metric: str) -> xr.DataArray:
 
 def labels_of(dataset: xr.Dataset) -> list[str]:
     """The coordinates along the axes of the grid, axis by axis, the name of the axis first."""
-    of = {str(name): x.dims[0] for name, x in dataset.coords.items() if x.ndim}
+    of = {str(name): x.dims[0] for name, x in dataset.coords.items() if x.ndim and name != STEPS}
     axes = axes_of(dataset)
     found = (name for name, axis in of.items() if axis in axes)
     return sorted(found, key=lambda name: (axes.index(of[name]), name != of[name], name))
