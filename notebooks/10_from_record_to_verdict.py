@@ -108,7 +108,7 @@ write("move.csv", ["t", "r"], DT * np.arange(len(r)), r)
 plant = Path("axis.toml").read_text().partition("\n[uncertainty]")[0]
 law = Path("axis.toml").read_text().partition("\n[schemes")[2]
 five = '{ distribution = "uniform", low = 0.95, high = 1.05, relative = true }'
-Path("axis.toml").write_text(
+_ = Path("axis.toml").write_text(
     f"""{plant}
 [uncertainty]
 "plant.gain" = {five}

@@ -93,6 +93,7 @@ ax.semilogy(7 + np.arange(6), um * anew.rms[:6, 0], "s--", label="sample-wise, a
 ax.axvline(6.5, color="grey", lw=1)
 ax.set(xlabel="trial", ylabel="rms error [um]", title="The reference changes after trial 6")
 ax.legend()
+plt.show()
 
 # %% [markdown]
 # ## Any law on a basis, and any law from a basis

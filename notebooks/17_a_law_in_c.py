@@ -118,7 +118,7 @@ plant = Path("axis.toml").read_text().partition("\n[task]")[0].partition("\n[unc
 N = 200
 r = 5.0 * (1 - np.cos(2 * np.pi * np.arange(N + 1) / N))
 Path("move.csv").write_text("t,r\n" + "".join(f"{k * DT:.3f},{x}\n" for k, x in enumerate(r)))
-Path("axis.toml").write_text(f"""{plant}
+_ = Path("axis.toml").write_text(f"""{plant}
 [uncertainty]
 "plant.gain" = {{ distribution = "uniform", low = 0.95, high = 1.05, relative = true }}
 

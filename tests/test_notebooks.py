@@ -1,6 +1,6 @@
 """Notebooks are executed as notebooks: those that changed lately, and another in turn.
 
-There is no display and no network, no file is left behind, and every figure is shown.
+There is no display and no network, no file is left behind, every figure is shown, and no object.
 """
 
 import os
@@ -100,6 +100,7 @@ def test_runs_as_a_notebook(path, tmp_path):
         sum("image/png" in output.get("data", ()) for output in outputs) == FIGURES[path.name[:2]]
     )
     assert [output.text for output in outputs if output.get("name") == "stderr"] == []
+    assert not [out for out in outputs if [*out.get("data", ())] == ["text/plain"]], "an object"
     assert list(here.iterdir()) == []
     assert [
         p.name for p in folders["TMPDIR"].iterdir() if not p.name.startswith("matplotlib")
