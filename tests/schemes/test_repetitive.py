@@ -210,7 +210,8 @@ def test_on_measured_lines_the_condition_holds_all_that_their_doubt_allows():
     W = np.exp(-2j * np.pi * PERIOD * exact.frequencies)
     S = (1 - W * Q) / (1 - W * (Q - L * P / (1 + C * P)))
     np.testing.assert_allclose(exact.sensitivity, np.abs(S), rtol=0.02)
-    with pytest.raises(ValueError, match=r"lines go from 4 to 600 Hz; allowed are those up to 500"):
+    wanted = r"lines go from 4 to 600 Hz; allowed are those up to Nyquist, 500"
+    with pytest.raises(ValueError, match=wanted):
         theory.repetitive_condition(beyond, scheme, task)
     up_to = np.fft.rfftfreq(120, DT)[1:]
     assert up_to[-1] > 0.5 / DT, "the last line is the Nyquist frequency, but for rounding"
