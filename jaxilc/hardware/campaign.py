@@ -406,6 +406,9 @@ class Campaign:
             past = {m["trial"]: self.journal.arrays(m, TRIAL) for m in live[-PAST:] if m["trial"]}
             others = {j: of["u"] - closed * of.get(FED, 0.0) + beside for j, of in past.items()}
             findings += checks.misplayed(u, commanded, others, accept)
+            if closed and not findings:
+                of = self.actuator, self.task, checks.OF_FEEDBACK
+                findings += checks.as_commanded(u, commanded, *of)
         return findings
 
     def _against_those_before(

@@ -119,18 +119,23 @@ def spaced(unit: str) -> str:
     return f" {unit}" if unit else ""
 
 
-def as_commanded(u, replayed, actuator: Actuator | None, task: Task) -> list[Finding]:
-    """Compare the measured input with that of the scheme, replayed over the measured output."""
+OF_SCHEME = (
+    "the scheme's over the measured output: was another schedule played, or is the machine's "
+    "feedback, its delay or its limit not the scheme's?"
+)
+OF_FEEDBACK = "its schedule with the recorded feedback: is that of another sample, unit or limit?"
+
+
+def as_commanded(
+    u, replayed, actuator: Actuator | None, task: Task, of: str = OF_SCHEME
+) -> list[Finding]:
+    """Compare the measured input with what it should be, which `of` says."""
     off = np.max(np.abs(u - replayed), axis=1)
     allowed = AS_COMMANDED * np.max(np.abs(u), initial=0.0) + np.max(_resolution(actuator))
     if np.max(off) <= allowed:
         return []
     k, unit = int(np.argmax(off)), spaced(task.input_unit)
-    text = (
-        f"the measured input is up to {off[k]:.3g}{unit} away (sample {k}) from the scheme's "
-        "over the measured output: was another schedule played, or is the machine's feedback, "
-        "its delay or its limit not the scheme's?"
-    )
+    text = f"the measured input is up to {off[k]:.3g}{unit} away (sample {k}) from {of}"
     return [Finding("warning", text)]
 
 

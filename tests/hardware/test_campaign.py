@@ -908,22 +908,25 @@ def test_a_recorded_feedback_leaves_the_feedforward_to_play_or_is_refused(tmp_pa
     machine, scheme, task = case("p_type_over_pid")
     campaign = Campaign.start(tmp_path / "state", scheme, task)
 
-    def turn(sign=1.0, actuator=None, memory=None, digits=17):
+    def turn(sign=1.0, actuator=None, memory=None, digits=17, late=0):
         of = dataclasses.replace(machine, actuator=actuator, sensor=Sensor(noise=1e-5))
         key = jax.random.key(campaign.trials + (memory is not None))
         trial = run_trial(of, scheme, task, memory or campaign.memory(), key)
         y, u, fed = (np.asarray(x) for x in (trial.y, trial.u, trial.signals["feedback"]))
-        record = Measured(y, u.round(digits), {"feedback": sign * fed}, (), "a trial")
+        fed = sign * (fed - late * np.diff(fed, axis=0, prepend=fed[:1]))
+        record = Measured(y, u.round(digits), {"feedback": fed}, (), "a trial")
         return dataclasses.replace(campaign, actuator=actuator).turn(record), u
 
     (refused,) = turn(-1.0)[0].refusals
     assert refused.endswith("another sign, unit or file; --set campaign.accept=schedule accepts it")
-    first, u = turn()
+    (first, u), late = turn(), turn(late=0.3)[0].findings
+    assert ["with the recorded feedback" in str(of) for of in (first.findings, late)] == [0, 1]
     top, fastest = np.max(np.abs(u)), np.max(np.abs(np.diff(u, axis=0))) / task.dt
     slow = {"rate": 0.1 * fastest, "resolution": 0.02 * top}
     for limits in ({"limit": 0.2 * top, "rate": 1.0}, slow):
         held, _ = turn(actuator=Actuator(**limits), digits=round(2 - np.log10(top)))
         assert not [one for one in held.refusals if "to play" in one], limits
+        assert "recorded feedback" not in str(held.findings)
     assert "to play" in str(turn(-1.0, Actuator(**slow))[0].refusals)
     campaign.keep(first)
     (refused,) = turn(memory=scheme.initial_memory(task))[0].refusals
