@@ -242,11 +242,10 @@ class Store:
 
         Raises FileNotFoundError where the folder was removed, and ValueError where it was damaged.
         """
-        import xarray as xr
 
         self._need_folder()
         try:
-            found = xr.open_zarr(self._store, chunks=None, consolidated=False)
+            found = _opened(self._store)
             known = {n: (found[n].dims, of, found[n].attrs) for n, of in self._known.items()}
             return _labelled(found.assign(known).load(), self.layout.recipe)
         except (KeyError, OSError, ValueError) as error:
@@ -274,7 +273,6 @@ def open_dataset(path: str | Path) -> xr.Dataset:
 
     Raises FileNotFoundError where there is none, and ValueError naming what is damaged.
     """
-    import xarray as xr
 
     path = Path(path)
     if not ((path / METADATA).exists() or (path / DONE / METADATA).exists()):
@@ -288,7 +286,7 @@ def open_dataset(path: str | Path) -> xr.Dataset:
         for name, checksum in known["checksums"].items():
             if sum_of((path / name).read_bytes()) != checksum:
                 raise Damaged(f"{name} is not as it was written")
-        dataset = xr.open_zarr(path, chunks=None, consolidated=False).load()
+        dataset = _opened(path).load()
         _check_marks(dataset, known["configuration"], known["chunk"])
     except Exception as error:  # any error of a codec on damaged bytes
         raise Damaged(_damaged(path, error)) from None
@@ -339,6 +337,13 @@ def stored_configuration(path: Path) -> dict[str, Value]:
             continue
     said = f"{path} is not a store that can be resumed"
     raise ValueError(f"{said}; choose another folder, or remove it")
+
+
+def _opened(store: Path | ZarrStore) -> xr.Dataset:
+    """The dataset of a store; a unit such as `days since` is one of an output, and no date's."""
+    import xarray as xr
+
+    return xr.open_zarr(store, chunks=None, consolidated=False, decode_times=False)
 
 
 def _check_marks(dataset: xr.Dataset, recipe: Mapping[str, Value], chunk: int) -> None:

@@ -66,6 +66,18 @@ def test_a_pipe_or_a_bomb_in_a_store_takes_neither_time_nor_memory(tmp_path, pla
     xr.testing.assert_identical(open_dataset(tmp_path / "store.zarr"), whole)
 
 
+def test_a_unit_that_reads_like_that_of_a_date_changes_no_value(tmp_path):
+    unit = "days since 2000-01-01"
+    rms = dataclasses.replace(LAYOUT.variables["rms"], unit=unit)
+    layout = dataclasses.replace(LAYOUT, variables={**LAYOUT.variables, "rms": rms})
+    given = {"rms": np.array([0.1, 3.0, 2.0]), "finite": np.ones(3, bool)}
+    with Store.create(tmp_path / "x", layout) as store:
+        store.write(0, 0, slice(0, 3), given)
+        for found in (store.dataset(), open_dataset(tmp_path / "x")):
+            np.testing.assert_array_equal(found["rms"][0, :3], given["rms"])
+            assert found["rms"].attrs["units"] == unit
+
+
 def test_a_folder_around_or_without_a_dataset_is_not_called_damaged(tmp_path):
     filled(tmp_path / "results" / "dataset.zarr")
     said = r"in the folder of a command it is dataset\.zarr"
