@@ -242,7 +242,6 @@ class Store:
 
         Raises FileNotFoundError where the folder was removed, and ValueError where it was damaged.
         """
-
         self._need_folder()
         try:
             found = _opened(self._store)
@@ -273,7 +272,6 @@ def open_dataset(path: str | Path) -> xr.Dataset:
 
     Raises FileNotFoundError where there is none, and ValueError naming what is damaged.
     """
-
     path = Path(path)
     if not ((path / METADATA).exists() or (path / DONE / METADATA).exists()):
         raise FileNotFoundError(
