@@ -399,7 +399,7 @@ def nurbs(points: Value, knots: Value, weights: Value = None) -> Curve:
     )
 
     def curve(s: Numbers) -> Numbers:
-        for end in (np.min(s), np.max(s)):
+        for end in (np.min(s, initial=high), np.max(s, initial=low)):
             require("nurbs", "s", end, f"[{low}, {high}]")
         h = homogeneous(s)
         return h[..., :-1] / h[..., -1:]

@@ -11,7 +11,7 @@ from cases import ALGEBRA, ARX, DT, PLANTS, PRINTED, task_for
 from jaxilc.learning import Actuator, Disturbance, Machine, Sensor, learn, run_trial
 from jaxilc.plants import DifferenceEquation, InBlocks, StateSpace, TwoAxes, VoiceCoil, blocks
 from jaxilc.pytree import replaced
-from jaxilc.schemes import CFDLMFAILC, PID, GradientILC, PIDType, Scheme, WithFeedback
+from jaxilc.schemes import CFDLMFAILC, PID, GradientILC, NormOptimal, PIDType, Scheme, WithFeedback
 from jaxilc.schemes.scheme import Feedforward
 from jaxilc.signals import Task
 
@@ -212,8 +212,10 @@ def test_parameters_in_single_precision_serve_in_double_precision():
     for plant in (narrow, InBlocks(narrow, 8)):
         found, expected = (learn(Machine(p), PIDType(0.5), TASK, 2).rms for p in (plant, wide))
         np.testing.assert_allclose(found, expected, rtol=1e-12)
-    with pytest.raises(ValueError, match=r"GradientILC: model.A, model.B, .* allowed is float64"):
-        learn(Machine(wide), GradientILC(narrow), TASK, 2)
+    found, expected = (learn(Machine(wide), GradientILC(of), TASK, 2).rms for of in (narrow, wide))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    with pytest.raises(ValueError, match=r"NormOptimal: model.A, model.B, .* allowed is float64"):
+        learn(Machine(wide), NormOptimal(narrow, w_r=1.0), TASK, 2)
 
 
 def test_its_parameters_have_names():
