@@ -60,8 +60,8 @@ AT_ONCE = 2**27  # bytes of operands that are in the RAM at once
 HELD_AT_ONCE = 2**24
 # Operations of a trial for each number that it stores for the way back, up to which it takes less
 # time to compute trials again than to wait for the RAM. MFAILC has 10, laws with filters 190 and
-# more, which took 1.1 to 1.3 times as long; value and slopes of FFDL took 0.92 of the time on one
-# core and 0.68 on two.
+# more, which took 1.1 to 1.3 times as long; value and slopes of FFDL took 0.9 of the time on one
+# core and 0.7 to 0.8 on two.
 FEW_OPERATIONS = 32
 # of the largest number of a machine, by which the check may find a difference, by bytes of a number
 TOLERANCE = {8: 1e-9, 4: 1e-4}
