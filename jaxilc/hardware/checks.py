@@ -229,7 +229,7 @@ def learned_so_far(
 
 
 def _largest(peaks: list[Mapping[str, float]]) -> dict[str, float]:
-    names = {name for of in peaks for name in of}
+    names = dict.fromkeys(name for of in peaks for name in of)
     return {name: max(of.get(name, 0.0) for of in peaks) for name in names}
 
 

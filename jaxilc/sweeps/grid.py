@@ -59,7 +59,7 @@ TRIALS = "trials"
 STEPS = "trials_of_step"  # coordinate of schemes that make experiments
 EARLIEST = "variation.shortest"
 _OTHERS = {"machine", "task"}  # first parts of a path that are no schemes
-_TAKEN = {TRIALS, "scheme", "sample", "trial", "channel", "input", "time", "input_time"}
+_TAKEN = {TRIALS, STEPS, "scheme", "sample", "trial", "channel", "input", "time", "input_time"}
 _TAKEN |= {"y", "e", "u", *(metric.name for metric in METRICS)}
 
 
