@@ -26,6 +26,21 @@ from .scheme import Scheme, limited, need_square
 RESETS = ("book", "sign", "none", "smooth")
 
 
+@jax.custom_jvp
+def _quotient(a: Array, b: Array) -> Array:
+    """The quotient q = a / b.
+
+    Its derivative dq = (da - q db) / b takes one reciprocal, that of a division two, of b and b^2.
+    """
+    return a / b
+
+
+@_quotient.defjvp
+def _(at: tuple[Array, Array], by: tuple[Array, Array]) -> tuple[Array, Array]:
+    q = _quotient(*at)
+    return q, (by[0] - q * by[1]) * (1.0 / at[1])
+
+
 def reset_estimate(
     phi: list[Array], du: Tree, phi0: Leaf, *, component: int, epsilon: Leaf, mode: str
 ) -> list[Array]:
@@ -89,7 +104,7 @@ def estimated(
     eta: () step of the estimator
     """
     miss = dy - sum(p * h for p, h in zip(phi, dh, strict=True))
-    step = eta * miss / (scheme.mu + sum(h * h for h in dh))
+    step = _quotient(eta * miss, scheme.mu + sum(h * h for h in dh))
     moved = [p + step * h for p, h in zip(phi, dh, strict=True)]
     return reset_estimate(
         moved, dh[component], phi0, component=component, epsilon=scheme.epsilon, mode=scheme.reset
@@ -185,7 +200,7 @@ class FFDLMFAC(Scheme):
             rho[c + i] * phi[c + i] * state.du[i - 1] for i in range(1, self.L_u)
         )
         miss = rho[c] * (sample.ahead[0] - sample.y) - held
-        u = limited(state.u + phi[c] / (self.lam + phi[c] ** 2) * miss, self.limit)
+        u = limited(state.u + _quotient(phi[c], self.lam + phi[c] ** 2) * miss, self.limit)
         du = (u - state.u, *state.du)[: self.L_u]
         return State(u, sample.y, jnp.ones_like(state.seen), dy, du, tuple(phi)), u
 
@@ -470,6 +485,7 @@ class FFDLMFAILC(Scheme):
     estimator_steps = ("eta",)
     clips = ("limit",)
     compares = ("L_y",)
+    elementwise = True
 
     def __post_init__(self) -> None:
         need_window(self)
@@ -549,7 +565,7 @@ def _law(
     """
     scheme, rho = of
     c = scheme.L_y
-    gain = phi[c] / (scheme.lam + phi[c] ** 2)
+    gain = _quotient(phi[c], scheme.lam + phi[c] ** 2)
     if len(phi) > 1:  # each weight uses it: laid out once, not once for each
         gain = for_scan(gain)
     gains = [gain * r for r in rho] if rho.ndim else [gain * rho] * len(phi)

@@ -13,6 +13,7 @@ from cases import ALGEBRA, ARX, DT, PRINTED, assert_close
 from jaxilc.learning import Disturbance, Machine, check, run_trial
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
+from jaxilc.schemes.mfac import _quotient
 from jaxilc.signals import Task
 
 N = 70
@@ -23,6 +24,15 @@ PLANTS = {"printed": PRINTED, "arx": tuple((*c, 0.0) for c in ARX)}
 SIGN = {"printed": -1.0, "arx": 1.0}  # of the plant's gain
 
 one_trial = jax.jit(run_trial)
+
+
+@pytest.mark.parametrize("of", [jax.jacfwd, jax.jacrev, jax.hessian])
+def test_the_derivatives_of_a_quotient_are_those_of_a_division(of):
+    rng = np.random.default_rng(1)
+    both = rng.uniform(-2.0, 2.0, 5), rng.uniform(0.1, 3.0)
+    by_rule, plain = (of(f, (0, 1))(*both) for f in (_quotient, lambda a, b: a / b))
+    for x, y in zip(jax.tree.leaves(by_rule), jax.tree.leaves(plain), strict=True):
+        np.testing.assert_allclose(x, y, rtol=1e-14, atol=1e-14)
 
 
 def run(machine, scheme, r=R):
