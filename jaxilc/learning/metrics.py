@@ -19,7 +19,7 @@ from jax import lax
 from ..pytree.aliases import Array, Tree
 from ..pytree.ranges import brief, native
 from ..runtime.jax_internals import with_slope
-from ..runtime.lanes import over_samples
+from ..runtime.lanes import over_samples, stored
 from ..signals.rows import for_scan
 from ..signals.task import Task, Trial, root
 from .known_metrics import GATHERED, METRICS, Gathering, Metrics
@@ -195,7 +195,7 @@ def _slopes(x: Array, dx: Array, counted: list[np.ndarray], largest: list[bool])
 
     first = [(zero, zero.astype(int))] * len(largest)
     found = over_samples(place, first, (rows, x))[0]
-    places = [jnp.where(size > 0, at, -1) for size, at in found]  # none where all are zero
+    places = [stored(jnp.where(size > 0, at, -1)) for size, at in found]  # none if all are zero
     return over_samples(tick, [zero] * len(largest), ((rows, x), dx))[0]
 
 

@@ -14,12 +14,13 @@ import numpy as np
 from jax import lax
 
 from ..plants import Plant
+from ..plants.structure import obstacle
 from ..pytree.aliases import Array, Tree, Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import brief, concrete, native, require
 from ..runtime.capacity import bytes_of, check_size
 from ..runtime.jax_internals import of_any_ranks
-from ..runtime.lanes import usual_stored
+from ..runtime.lanes import STORED_BESIDES, machines_side_by_side, usual_stored
 from ..schemes import Scheme
 from ..schemes.scheme import trials_of_step
 from ..signals.rows import for_carry
@@ -247,16 +248,17 @@ def _learn(
         start = first_start(at, scheme, of, jax.random.fold_in(key, first))
     memory, start = jax.tree.map(jnp.asarray, (memory, start))  # users' numbers are arrays, too
 
-    @jax.checkpoint
+    names = [STORED_BESIDES] if outputs_suffice(machine, scheme, task) else []
+
+    @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(*names))
     def trial_and_learning(memory: Tree, start: Tree, j: Array) -> Tree:
-        now = jax.random.fold_in(key, j)
+        now, memory = jax.random.fold_in(key, j), scheme.resumed(memory)
         trial, metrics, start = run_and_measure(machine, scheme, task, memory, now, j, start)
         learned = scheme.learn(memory, machine.shown(trial, now))
         return learned, trial, start, (metrics, save(trial))
 
     def body(carry: Tree, j: Array) -> tuple[Tree, Tree]:
-        memory = scheme.resumed(carry[0])
-        memory, trial, start, kept = trial_and_learning(for_carry(memory), carry[2], j)
+        memory, trial, start, kept = trial_and_learning(for_carry(carry[0]), carry[2], j)
         return (for_carry(memory), trial, start), (*kept, compared(carry[1], trial, j))
 
     def compared(before: Tree, trial: Trial, j: Array) -> dict[str, Value]:
@@ -282,6 +284,24 @@ def _learn(
     every = trials_of_step(scheme, task)
     judged = course(metrics, task, first, every)
     return History(metrics, saved, *judged, final, memory, start, dict(known) | seen)
+
+
+def outputs_suffice(machine: Machine, scheme: Scheme, task: Task) -> bool:
+    """Whether a gradient stores the outputs of each trial, and numbers gathered from its samples.
+
+    With them, the way back of a compiled program need not run the trial again, where the law is
+    elementwise and the plant linear. CFDL-MFAILC takes 0.9 of the time. A gradient of XLA, or of
+    another law, would only read more from the RAM.
+    """
+    if not (machines_side_by_side() and scheme.elementwise) or machine.actuator is not None:
+        return False
+
+    def after(plant: Plant, before: tuple[Tree, Array]) -> tuple[Tree, Array]:
+        x = plant.step(*before, task.dt)
+        return x, plant.output(x)
+
+    plant = machine.plant
+    return not obstacle(after, plant, (plant.initial_state(), jnp.zeros(plant.n_u)))
 
 
 def _blocks(trials: int, memory: Tree, stored: int) -> int:

@@ -9,7 +9,7 @@ from jax import lax
 
 from ..pytree.aliases import Array, Tree, Value
 from ..runtime.capacity import bytes_of
-from ..runtime.lanes import over_samples
+from ..runtime.lanes import over_samples, stored
 from ..schemes import Scheme
 from ..schemes.scheme import silent
 from ..schemes.weights import weighed
@@ -107,10 +107,10 @@ def run_and_measure(
     )
     carry, record = over_samples(tick, carry, for_scan(rows))
     y_next, u, signals = for_scan(record)
-    trial = Trial(r, jnp.concatenate([y[None], y_next]), u, dt, signals)
+    trial = Trial(r, jnp.concatenate([y[None], stored(y_next)]), u, dt, signals)
     if there is not None:
         trial = weighed(trial, jnp.broadcast_to(there[:, None], r.shape))
-    metrics = carry[-1].metrics(trial, task) if measured else None
+    metrics = stored(carry[-1]).metrics(trial, task) if measured else None
     if not machine.carries:
         return trial, metrics, None
     machine, task = every.at_trial(of_all, None if number is None else number + 1)

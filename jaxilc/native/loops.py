@@ -20,7 +20,7 @@ import numpy as np
 
 from .code import callable_by_xla, in_vectors, room, target
 from .llvm import OPERANDS, Lines, Text, aligned, module
-from .program import Const, Known, Step, Value, by_jax, in_order, without_dead_of_loop
+from .program import Const, Known, Parts, Step, Value, by_jax, in_order, without_dead_of_loop
 from .rows import Trials, in_turn
 
 FEW = 64  # real numbers of an operand that are written into the program where they never change
@@ -178,7 +178,7 @@ class Memories(NamedTuple):
     between: set[Step]
 
     @classmethod
-    def of(cls, parts: list[tuple[list[Step], Step]], rest: list[Step],
+    def of(cls, parts: Parts, rest: list[Step],
            outs: Sequence[Value]) -> Memories | None:  # fmt: skip
         """Those of a program: its loops with the steps before each, those after, and its results.
 
@@ -188,7 +188,7 @@ class Memories(NamedTuple):
         return next(filter(None, (cls._of(*way, parts, rest, outs) for way in ways)), None)
 
     @classmethod
-    def _of(cls, there: int, loop: Step, parts: list[tuple[list[Step], Step]], rest: list[Step],
+    def _of(cls, there: int, loop: Step, parts: Parts, rest: list[Step],
             outs: Sequence[Value]) -> Memories | None:  # fmt: skip
         origin = {x: x for x in loop.outs[loop.params["carry"] :]}
         shaping: dict[Step, Value] = {}

@@ -7,7 +7,7 @@ algebra and parts of arrays. `without_dead` drops the steps that nobody reads.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import compress
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
@@ -84,6 +84,9 @@ class Step:
         assert self.primitive is not None
         found = self.primitive.bind(*map(_as_jax, arrays), **self.params | changed)
         return [found] if isinstance(found, jax.Array) else [*found]
+
+
+Parts: TypeAlias = list[tuple[list[Step], Step]]  # loops over trials, with the steps before each
 
 
 class Program:
@@ -169,12 +172,12 @@ class Lowering:
         if name in CALLS:
             names = ("jaxpr", "call_jaxpr", "fun_jaxpr", "call")
             return self.inlined(next(params[name] for name in names if params.get(name)), ins)
-        if name in SAME:
+        if name in SAME or (name == "reduce_precision" and _whole(params, ins[0].dtype)):
             return ins
         if name == "custom_linear_solve":  # of whose functions it needs one
-            counts = params["const_lengths"]
-            first, last = counts.matvec + counts.vecmat, sum(counts)
-            own = ins[first : first + counts.solve]
+            lengths = params["const_lengths"]
+            first, last = lengths.matvec + lengths.vecmat, sum(lengths)
+            own = ins[first : first + lengths.solve]
             return self.inlined(params["jaxprs"].solve, [*own, *ins[last:]])
         if name == "platform_index":
             of = params["platforms"]
@@ -246,6 +249,12 @@ class Lowering:
             outs = [self._add("select_n", [here, x, y], x.shape, x.dtype)
                     for x, y in zip(outs, of, strict=True)]  # fmt: skip
         return outs
+
+
+def _whole(params: Parameters, dtype: np.dtype) -> bool:
+    """Whether numbers of a type keep all their digits when their precision is reduced so."""
+    own = jnp.finfo(dtype)
+    return params["exponent_bits"] >= own.nexp and params["mantissa_bits"] >= own.nmant
 
 
 def _expanded(eqn: JaxprEqn) -> ClosedJaxpr:
@@ -441,6 +450,234 @@ def without_dead_of_loop(step: Step, wanted: Sequence[bool]) -> Step:
     return Step("scan", params | of, [*compress(step.ins, stay)], [*compress(step.outs, wanted)])
 
 
+# What is computed twice
+# --------------------------------------------------------------------------------------------------
+
+
+class Numbering:
+    """Numbers of values, by value numbering (Alpern, Wegman and Zadeck 1988).
+
+    Values with the same number are computed in the same way from the same operands. The samples of
+    a loop are numbered by what they need of that loop alone; what they compute of rows alone, as
+    if a loop of its own computed it, in which JAX may do so before all trials.
+
+    numbers: by what they stand for
+    length: number of samples, within a loop
+    """
+
+    def __init__(self, numbers: dict[Hashable, int] | None = None, length: int = 0):
+        self._numbers = {} if numbers is None else numbers
+        self._length = length
+        self._of: dict[Value, int] = {}
+        self._samples: dict[int, int] = {}  # the number of all samples, by that of each one
+        self._carried: set[int] = set()
+
+    def __call__(self, x: Value) -> int:
+        """The number of a value, which is new if it is no result of what was added."""
+        if isinstance(x, Const) and not jnp.issubdtype(x.dtype, jax.dtypes.extended):
+            return self._number("const", *_key(x.array))
+        return self._of.setdefault(x, self._number(x))
+
+    def _number(self, *key: Hashable) -> int:
+        return self._numbers.setdefault(key, len(self._numbers))
+
+    def same(self, x: Value, number: int) -> None:
+        """Let a value have this number."""
+        self._of[x] = number
+
+    def add(self, steps: Iterable[Step]) -> None:
+        """Number the results of steps, whose operands are known."""
+        for step in map(_as_lowered, steps):
+            operands = [*map(self, step.ins)]
+            carried = not self._carried.isdisjoint(operands)
+            for i, x in enumerate(step.outs):
+                found = self._result(step, i, operands)
+                if carried:
+                    self._carried.add(found)
+                elif not self._samples.keys().isdisjoint(operands):
+                    found = self._of_rows(self._number("samples", self._length, found))
+                self._of[x] = found
+
+    def _of_rows(self, samples: int) -> int:
+        found = self._number("row", samples)
+        self._samples[found] = samples
+        return found
+
+    def _result(self, step: Step, i: int, operands: Sequence[int]) -> int:
+        x, params = step.outs[i], step.params
+        if "body" in params:
+            found = self.samples(step, params["body"].outs[i])
+            return self._number("last", found) if i < params["carry"] else found
+        if isinstance(step.primitive, _ForEach) or any(_jaxprs_among(params)):
+            return self._number(x)
+        keys = (y for name in sorted(params) for y in (name, *_key(params[name])))
+        return self._number(step.name, *keys, i, str(x), *operands)
+
+    def samples(self, step: Step, x: Value) -> int:
+        """The number of what a value in the body of a loop is at all samples."""
+        params, body = step.params, step.params["body"]
+        more = Program(body.ins, body.steps, [*body.outs, x])
+        loop = Step("scan", params | {"body": more}, step.ins, [*step.outs, x])
+        loop = without_dead_of_loop(loop, [False] * len(step.outs) + [True])
+        consts, carry = loop.params["consts"], loop.params["carry"]
+        within = self.within(loop, "carried")
+        within.add(loop.params["body"].steps)
+        *after, found = map(within, loop.params["body"].outs)
+        if found in within._samples:
+            return within._samples[found]
+        begins = map(self, loop.ins[consts : consts + carry])
+        return self._number("samples", params["length"], params["reverse"], *begins, *after, found)
+
+    def within(self, loop: Step, carried: str) -> Numbering:
+        """The numbers of the operands of a pass of a loop.
+
+        carried: what a number that is carried is called
+        """
+        params, body = loop.params, loop.params["body"]
+        found = Numbering(self._numbers, params["length"])
+        consts, carry = params["consts"], params["carry"]
+        for i, (x, given) in enumerate(zip(body.ins, loop.ins, strict=True)):
+            if consts <= i < consts + carry:
+                found._of[x] = self._number(carried, i - consts)
+                found._carried.add(found._of[x])
+            else:
+                found._of[x] = self(given) if i < consts else found._of_rows(self(given))
+        return found
+
+
+def _key(value: object) -> tuple[Hashable, ...]:
+    if isinstance(value, Known):
+        value = np.asarray(value)
+        return str(value.dtype), value.shape, value.tobytes()
+    return (repr(value),)
+
+
+def _as_lowered(step: Step) -> Step:
+    """A loop with its body, where it can be lowered."""
+    if step.name != "scan" or "body" in step.params:
+        return step
+    try:
+        body = lowered(step.params["jaxpr"])
+    except Unknown:
+        return step
+    return Step("scan", step.params | _counts(step.params) | {"body": body}, step.ins, step.outs)
+
+
+def spared(before: list[Step], there: Step, back: Step, tape: Mapping[int, Value]) -> Step:
+    """The way back of a gradient, which reads what the way there computed, not computing it again.
+
+    That is what is stored of each trial, and what the next trial began with. The latter is carried
+    from the way back of the next trial. A loop over samples of which all else is known becomes
+    rows.
+
+    before: the steps before the two ways
+    tape: by the number of an operand of the way back, the result of the way there that is stored
+    """
+    numbers = Numbering()
+    numbers.add(before)
+    begun, again = numbers.within(there, "memory"), numbers.within(back, "slope")
+    inside, own = there.params["body"], back.params["body"]
+    begun.add(inside.steps)
+    for i, x in tape.items():
+        again.same(own.ins[i], begun(inside.outs[there.outs.index(x)]))
+    again.add(own.steps)
+    first, rows = there.params["consts"], back.params["consts"] + back.params["carry"]
+    have = {again(own.ins[i]): own.ins[i] for i in tape}
+    begins: dict[Value, tuple[Value, Value]] = {}  # stored of a trial, and after the last one
+    for x, after, last in zip(inside.ins[first:], inside.outs, there.outs, strict=False):
+        stored, number = have.get(begun(x)), begun(after)
+        if stored is not None and number not in have and not isinstance(after, Const):
+            have[number] = Value(stored.shape, stored.dtype)
+            begins[have[number]] = stored, last
+    known: dict[Value, Value] = {}
+    steps: list[Step] = []
+    read = {x for step in own.steps for x in step.ins} | {*own.outs}
+    for step in own.steps:
+        known |= {x: have[again(x)] for x in step.outs if again(x) in have}
+        left = [x in read and x not in known for x in step.outs]
+        now = Step(step.name, step.params, [known.get(x, x) for x in step.ins], step.outs,
+                   step.primitive)  # fmt: skip
+        if any(left) and "body" in step.params and not step.params["reverse"]:
+            outs = step.params["body"].outs
+            samples = {x: have[n] for x in outs if (n := again.samples(step, x)) in have}
+            made, found = _as_rows(now, samples, left) or ([now], [])
+            steps += made
+            known |= zip(compress(step.outs, left), found, strict=False)
+        elif any(left):
+            steps.append(now)
+    body = Program([*own.ins[:rows], *begins, *own.ins[rows:]], steps, [])
+    carry = back.params["carry"]
+    stored_of = [x for x, _ in begins.values()]
+    body.outs = [known.get(x, x) for x in (*own.outs[:carry], *stored_of, *own.outs[carry:])]
+    ins = [*back.ins[:rows], *(last for _, last in begins.values()), *back.ins[rows:]]
+    outs = [*back.outs[:carry], *begins, *back.outs[carry:]]
+    params = back.params | {"body": body, "carry": carry + len(begins)}
+    return without_dead_of_loop(Step("scan", params, ins, outs), [x not in begins for x in outs])
+
+
+def _as_rows(
+    step: Step, known: Mapping[Value, Value], wanted: Sequence[bool]
+) -> tuple[list[Step], list[Value]] | None:
+    """The steps that compute the wanted results of a loop over samples as rows, and these results.
+
+    None where a number that it carries depends on itself.
+
+    known: the rows of values of its body
+    """
+    params, body = step.params, step.params["body"]
+    consts, carry = params["consts"], params["carry"]
+    source = {x: (one, i) for one in body.steps for i, x in enumerate(one.outs)}
+    place = {x: i for i, x in enumerate(body.ins)}
+
+    def rows(given: list[jax.Array], of_known: list[jax.Array]) -> list[jax.Array]:
+        found: dict[Value, tuple[Known, bool]] = {
+            x: (rows, True) for x, rows in zip(known, of_known, strict=True)
+        }  # with whether it is one for each sample
+
+        def row(x: Value) -> tuple[Known, bool]:
+            if isinstance(x, Const):
+                return x.array, False
+            if x not in found:
+                if x in asked:
+                    raise Unknown("a number that depends on itself")
+                asked.add(x)
+                found[x] = computed(x)
+            return found[x]
+
+        def computed(x: Value) -> tuple[Known, bool]:
+            if x in place:
+                i = place[x]
+                if not consts <= i < consts + carry:
+                    return given[i], i >= consts
+                return jnp.concatenate([given[i][None], whole(body.outs[i - consts])[:-1]]), True
+            one, i = source[x]
+            if one.primitive is None:
+                raise Unknown("a loop within a loop")
+            operands = [row(y) for y in one.ins]
+            arrays, each = [y for y, _ in operands], [0 if r else None for _, r in operands]
+            if each.count(None) == len(each):
+                return one.bound(*arrays)[i], False
+            return jax.vmap(one.bound, each)(*arrays)[i], True
+
+        def whole(x: Value) -> jax.Array:
+            array, each = row(x)
+            array = _as_jax(array)
+            return array if each else jnp.broadcast_to(array, (params["length"], *array.shape))
+
+        asked: set[Value] = set()
+        return [whole(x)[-1] if i < carry else whole(x)
+                for i, x in enumerate(body.outs) if wanted[i]]  # fmt: skip
+
+    ins = [step.ins, [*known.values()]]
+    like = [[jax.ShapeDtypeStruct(x.shape, x.dtype) for x in some] for some in ins]
+    try:
+        closed = jax.make_jaxpr(rows)(*like)
+    except Unknown:
+        return None
+    lowering = Lowering(0)
+    return lowering.steps, lowering.inlined(closed, [*ins[0], *ins[1]])
+
+
 # The loops over trials
 # --------------------------------------------------------------------------------------------------
 
@@ -449,7 +686,7 @@ def of_trials(
     program: Program,
     foreign: Callable[[Step], bool] = lambda step: False,
     left: Collection[int] = (),
-) -> tuple[list[tuple[list[Step], Step]], list[Step]]:
+) -> tuple[Parts, list[Step]]:
     """Each loop over trials, lowered, with the steps before it; and the steps after the last one.
 
     It is a loop that contains a loop; a gradient has one for the way back. A loop over blocks of
@@ -459,7 +696,7 @@ def of_trials(
     left: the numbers of such loops that are steps like others
     Raises Unknown where there is no such loop.
     """
-    found: list[tuple[list[Step], Step]] = []
+    found: Parts = []
     before: list[Step] = []
     steps = without_dead(program).steps
     nested = [step for step in steps if step.name == "scan" and _has_loop(step.params["jaxpr"])]
@@ -480,11 +717,20 @@ def of_trials(
         before = shaped
     if not found:
         raise Unknown("there is no loop over samples in a loop over trials")
-    read_later = {*program.outs, *(x for step in before for x in step.ins)}
-    for i, (steps, loop) in reversed([*enumerate(found)]):
-        found[i] = steps, without_dead_of_loop(loop, [x in read_later for x in loop.outs])
-        read_later |= {x for step in (*steps, found[i][1]) for x in step.ins}
-    return found, before
+    return read_alone(found, before, program.outs), before
+
+
+def read_alone(parts: Parts, rest: list[Step], outs: Sequence[Value]) -> Parts:
+    """The loops over trials, with the steps before each, with the results alone that are read.
+
+    rest: the steps after the last one;  outs: the results of the program
+    """
+    read_later, found = {*outs, *(x for step in rest for x in step.ins)}, []
+    for steps, loop in reversed(parts):
+        loop = without_dead_of_loop(loop, [x in read_later for x in loop.outs])
+        read_later |= {x for step in (*steps, loop) for x in step.ins}
+        found.append((steps, loop))
+    return found[::-1]
 
 
 def in_order(step: Step) -> bool:
@@ -505,8 +751,12 @@ def _has_loop(jaxpr: Jaxpr | ClosedJaxpr) -> bool:
 
 def jaxprs_within(eqn: JaxprEqn) -> Iterator[Jaxpr | ClosedJaxpr]:
     """The jaxprs among the parameters of a step of another."""
-    expanded = [_expanded(eqn)] if eqn.primitive.name == OBJECT else []
-    for value in (*eqn.params.values(), expanded):
+    expanded = {"": _expanded(eqn)} if eqn.primitive.name == OBJECT else {}
+    return _jaxprs_among(eqn.params | expanded)
+
+
+def _jaxprs_among(params: Parameters) -> Iterator[Jaxpr | ClosedJaxpr]:
+    for value in params.values():
         for one in value if isinstance(value, tuple | list) else (value,):
             if hasattr(one, "eqns"):
                 yield one

@@ -31,6 +31,7 @@ from .operations import foreign
 from .program import (
     Const,
     Known,
+    Parts,
     Program,
     Step,
     Unknown,
@@ -42,6 +43,8 @@ from .program import (
     loops,
     made_from,
     of_trials,
+    read_alone,
+    spared,
 )
 
 if TYPE_CHECKING:
@@ -114,6 +117,11 @@ class Compiled(Generic[Common, One, Found]):
         """
         program = self._program
         self._parts, self._after = of_trials(program, foreign, left)
+        if (of := Memories.of(self._parts, self._after, program.outs)) is not None:
+            before = [x for steps, _ in self._parts[: of.back + 1] for x in steps]
+            own, back = self._parts[of.back]
+            self._parts[of.back] = own, spared(before, self._parts[of.there][1], back, of.tape)
+            self._parts = read_alone(self._parts, self._after, program.outs)
         awaited = _awaited(self._parts)
         self._read = self._by_stretch()
         self._varying = {*program.ins[self._shared :]}
@@ -443,7 +451,7 @@ def differs(found: Found, wanted: Found) -> str | None:
 # --------------------------------------------------------------------------------------------------
 
 
-def _awaited(parts: list[tuple[list[Step], Step]]) -> set[Value]:
+def _awaited(parts: Parts) -> set[Value]:
     """The results of loops that a later one reads as they are, or in another shape."""
     origin: dict[Value, Value] = {}
     found: set[Value] = set()

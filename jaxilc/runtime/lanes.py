@@ -18,9 +18,11 @@ import math
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import partial
 
 import jax
 from jax import lax
+from jax.ad_checkpoint import checkpoint_name
 
 from ..pytree.aliases import Tree
 from ..pytree.ranges import require
@@ -45,6 +47,7 @@ SCANNED = {"cpu"}
 # the time and compiled in 0.6 to 0.9 of it. With twice as many, FFDL-MFAILC of a few machines took
 # 1.3 times as long. An accelerator takes more machines instead.
 STORED = {"cpu": 4 * 2**20}
+STORED_BESIDES = "stored"
 _STORED: ContextVar[int | None] = ContextVar("stored", default=None)
 WIDE = 4096  # lanes where a device does not say how much memory it has
 SHARE = 0.75  # of the memory of a device that may be planned for a tile
@@ -104,6 +107,12 @@ def all_stored() -> Generator[None]:
 def machines_side_by_side() -> bool:
     """Whether what is traced here becomes a program with the machines of a batch side by side."""
     return _STORED.get() is not None
+
+
+def stored(x: Tree) -> Tree:
+    """Arrays that a gradient by a compiled program may store of a trial besides its memories."""
+    named = partial(checkpoint_name, name=STORED_BESIDES)
+    return jax.tree.map(named, x) if machines_side_by_side() else x
 
 
 def usual_stored() -> int:

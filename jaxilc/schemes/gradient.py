@@ -304,6 +304,7 @@ class ModelFreeGradient(Scheme):
     seed: int = static(default=0, interval="[0, 1e9]", whole=True)
     clips = ("limit",)
     experiments = True
+    elementwise = True
 
     def __post_init__(self) -> None:
         need_numbers(self, "step", "amplitude")

@@ -113,6 +113,7 @@ class HigherOrder(Scheme):
     limit: Leaf | None = leaf(default=None, interval="(0, inf)", optional=True)
     lead: int = static(default=0, interval="[0, inf)", whole=True)
     clips = ("limit",)
+    elementwise = True
 
     def __post_init__(self) -> None:
         P = self.alpha.shape[-1] if self.alpha.ndim == 1 else 0

@@ -45,6 +45,8 @@ class Law:
     trials_a_step: number of trials that are run before the scheme learns once
     grows: times the factor j / (j - 1) by which an error that stays makes the learned input grow
         after trial j, at most, see `hardware.checks.larger`
+    elementwise: whether all that it computes at a sample follows from the memory, the inputs and
+        the outputs at this sample and a few others, see `learning.over_trials.outputs_suffice`
     """
 
     # `@pytree` makes a dataclass of each subclass
@@ -52,6 +54,7 @@ class Law:
     preview: int = 1
     trials_a_step: int = 1
     grows: float = 1.0
+    elementwise: bool = False
 
     def __init__(self, *values: Value, **named: Value) -> None:
         if type(self) is not Scheme or values or named:

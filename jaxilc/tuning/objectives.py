@@ -92,6 +92,10 @@ class Bounded(Guard):
         """The scheme with a level of `ceiling` times the peak of the reference."""
         return cls(scheme, lax.stop_gradient(ceiling * peak(task)))
 
+    @property
+    def elementwise(self) -> bool:
+        return self.scheme.elementwise
+
     def prepared(self, task: Task) -> Self:
         scheme = self.scheme.prepared(task)
         return self._with({"scheme": scheme, "fresh": scheme.initial_memory(task)})

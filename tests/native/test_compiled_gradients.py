@@ -11,6 +11,7 @@ from jax import lax
 
 from jaxilc.learning import Disturbance, learn
 from jaxilc.native import llvm, operations, rows, run
+from jaxilc.native.program import Const, Numbering, loops, lowered
 from jaxilc.native.run import Compiled, Native, differs
 from jaxilc.tuning import Tuning, worst_case_search
 from jaxilc.tuning.objectives import Final, judge
@@ -123,11 +124,13 @@ def test_numbers_are_rounded_alike_with_and_without_a_choice(monkeypatch, share)
 
 @pytest.mark.parametrize(
     ("read", "once"),
-    [("what begins", 1), ("what was before", 0), ("another choice", 1), ("without a choice", 1),
+    [("what begins", 0), ("what was before", 0), ("another choice", 0), ("without a choice", 1),
      ("a result", 0)],
 )  # fmt: skip
-def test_what_a_trial_begins_with_is_stored_once_unless_it_is_read_later(monkeypatch, read, once):
-    """Where another choice takes its place, and a later sample reads what was there."""
+def test_what_a_trial_begins_with_is_stored_once_unless_something_else_is_chosen(
+    monkeypatch, read, once
+):
+    """A later sample reads what was there, or something else."""
     found, taped = [], llvm._taped
     monkeypatch.setattr(llvm, "_taped", lambda plan: found.append(taped(plan)) or found[-1])
     fresh = jnp.linspace(0.1, 1.0, 40)
@@ -152,6 +155,160 @@ def test_what_a_trial_begins_with_is_stored_once_unless_it_is_read_later(monkeyp
     program = Compiled(learning, 0.0, 1.0, lanes=4)
     assert differs(program(0.0, gains), jax.vmap(learning, (None, 0))(0.0, gains)) is None
     assert [len(of) for of in found] == [once]
+
+
+def runs_again(program):
+    """The loops over samples in which the way back of a gradient runs forward."""
+    back = next(step for _, step in program._parts if step.params["reverse"])
+    return [loop for loop in loops(back.params["body"]) if not loop.params["reverse"]]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [*(pytest.param(n, marks=pytest.mark.thorough) for n in
+       ("cfdl_book", "pfdl_sign", "ffdl_none", "ffdl_smooth", "higher_order", "model_free")),
+     "ffdl_lead_limited"],
+)  # fmt: skip
+@pytest.mark.parametrize("blocks", [1, 3])
+def test_a_way_back_runs_no_trial_again_whose_outputs_tell_it(name, blocks):
+    """Of a linear machine under an elementwise law; the memory after a trial is read, too."""
+    common = arguments(name)
+
+    def slope(common, gain):
+        ((machine, scheme), _), task = common
+
+        def loss(gain):
+            moved = jax.tree.map(
+                lambda x: x * gain if jnp.issubdtype(jnp.asarray(x).dtype, jnp.floating) else x,
+                scheme,
+            )
+            return judge(machine, moved, task, TRIALS, Final("rms"), ceiling=1e3)
+
+        return jax.value_and_grad(loss)(gain)
+
+    program = Compiled(slope, common, 1.0, blocks=blocks)
+    assert not runs_again(program)
+    wanted = jax.jit(jax.vmap(slope, (None, 0)))(common, GAINS)
+    assert differs(program(common, GAINS), wanted) is None
+
+
+@pytest.mark.parametrize("blocks", [1, 2])
+def test_what_is_carried_a_sample_late_becomes_rows_where_it_is_stored(blocks):
+    """The plant would run again; what is carried is its output and that of two samples before."""
+    reference = jnp.sin(jnp.arange(12.0))
+
+    def loss(gain, memory):
+        def sample(carry, u):
+            x, y, before = carry
+            u = u - 0.3 * y * before
+            x = 0.7 * x + u
+            return (x, x - 0.1, y), (x - 0.1, y * before)
+
+        def trial(carry, j):
+            u, _ = carry
+            _, (y, products) = lax.scan(sample, (0.0, 0.5, 0.2), u)
+            e = reference - jnp.concatenate([y[1:], y[-1:]])
+            after = u + gain * e / (1.0 + u * u) + 0.01 * products
+            return (after, y), jnp.sum(e * e)
+
+        stored = jax.checkpoint(trial)
+        return jnp.sum(lax.scan(stored, (memory, memory), jnp.arange(6.0))[1])
+
+    def slopes(memory, gain):
+        return jax.grad(loss, (0, 1))(gain, memory * gain)
+
+    memory, gains = 0.1 * reference, np.array([0.1, 0.2, 0.3])
+    program = Compiled(slopes, memory, 0.1, lanes=2, blocks=blocks)
+    wanted = jax.vmap(slopes, (None, 0))(memory, gains)
+    assert differs(program(memory, gains), wanted) is None
+
+
+def test_a_product_less_itself_is_zero():
+    """Else the slopes of a choice between it and 0 are those of another choice."""
+
+    def slopes(_, gain):
+        def trial(u, _):
+            y = lax.scan(lambda x, v: (0.9 * x + v * gain, x * v - x * v), gain, u)[1]
+            return 0.9 * u + jnp.maximum(y, u - lax.stop_gradient(u)), jnp.sum(y)
+
+        return jax.value_and_grad(lambda u: jnp.sum(lax.scan(trial, u, jnp.arange(3.0))[0]))(
+            gain * jnp.sin(jnp.arange(1.0, 9.0))
+        )
+
+    gains = np.linspace(0.3, 1.7, 7)
+    found = Compiled(slopes, 0.0, 1.0, lanes=2)(0.0, gains)
+    assert differs(found, jax.vmap(slopes, (None, 0))(0.0, gains)) is None
+
+
+def numbers_of(fn, *arguments):
+    program = lowered(jax.make_jaxpr(fn)(*arguments), 1)
+    found = Numbering()
+    found.add(program.steps)
+    return [found(x) for x in program.outs]
+
+
+def test_values_have_the_same_number_where_they_are_computed_alike():
+    rows, more = np.arange(3000.0), np.where(np.arange(3000) == 1500, 0.5, np.arange(3000.0))
+
+    def sums(x, k, first=0.0, reverse=False):
+        return lax.scan(lambda s, a: (s + k * a, s * k), first, x, reverse=reverse)
+
+    def of(x, y):
+        late = lax.scan(lambda s, a: (a, s), 0.0, x)[1]
+        return [
+            x * y, x * y, y * x, *(x * jnp.asarray(known) for known in (rows, rows, more)),
+            *sums(x, 2.0), *sums(x, 2.0), *sums(x, 3.0), *sums(x, 2.0, 1.0),
+            *sums(x, 2.0, reverse=True), *sums(y, 2.0), late,
+            lax.scan(lambda s, a: (a, a), 0.0, x)[1],
+            lax.scan(lambda s, a: (s + 2.0 * a, (s * 2.0, 2.0 * a)), 0.0, x)[1][0],
+            lax.scan(lambda s, a: (s, 2.0 * a), 0.0, x)[1],
+            lax.scan(lambda s, a: (s + a, 2.0 * a), 0.0, x)[1],
+        ]  # fmt: skip
+
+    found = numbers_of(of, rows, more)
+    same = [(0, 1), (3, 4), (6, 8), (7, 9), (7, 20), (9, 20), (21, 22)]
+    for i, x in enumerate(found):
+        for j, y in enumerate(found[:i]):
+            assert (x == y) == ((j, i) in same), (j, i)
+    assert Numbering()(Const(rows)) == 0
+
+
+@pytest.mark.parametrize("samples", [4, 5, 40])
+def test_what_is_begun_early_or_asked_for_changes_no_bit(monkeypatch, samples):
+    """Of trials as short as what is read ahead, too."""
+    begun, early = [], rows.begun_early
+    monkeypatch.setattr(
+        llvm, "begun_early", lambda *given: begun.append(early(*given)) or begun[-1]
+    )
+
+    def loss(gain, lam):
+        def trial(carry, _):
+            u, phi, y = carry
+            wide = u + phi / (lam + phi * phi) * (1.0 - y)
+            out = lax.scan(lambda x, v: (0.5 * x + gain * v,) * 2, 0.0, wide)[1]
+            du, dy = wide - u, out - y
+            last = jnp.concatenate([du[:1], du[:-1]])
+            phi = phi + du / (0.1 + du * du + last * last) * (dy - phi * du)
+            return (wide, jnp.sqrt(phi * phi + 1e-3), out), jnp.sum((1.0 - out) ** 2)
+
+        first = (jnp.zeros(samples), jnp.full(samples, 0.8), jnp.zeros(samples))
+        return jnp.sum(lax.scan(jax.checkpoint(trial), first, None, length=7)[1])
+
+    def slopes(_, gain):
+        return jax.value_and_grad(loss, (0, 1))(gain, 0.5 * gain)
+
+    gains, found = np.array([0.5, 0.9, 1.1]), []
+    for share, followed in ((0.0, 999), (0.3, 999), (0.9, 0)):
+        monkeypatch.setattr(rows, "EARLY", share)
+        monkeypatch.setattr(llvm, "FOLLOWED", followed)
+        begun.clear()
+        found.append(jax.tree.leaves(Compiled(slopes, 0.0, 1.0, lanes=2)(0.0, gains)))
+        assert any(begun) == (share > 0.0)
+    wanted = jax.tree.leaves(jax.vmap(slopes, (None, 0))(0.0, gains))
+    for one, two, three, x in zip(*found, wanted, strict=True):
+        np.testing.assert_allclose(one, x, rtol=1e-10)
+        np.testing.assert_array_equal(one, two)
+        np.testing.assert_array_equal(one, three)
 
 
 @pytest.mark.thorough
