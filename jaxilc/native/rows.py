@@ -53,6 +53,7 @@ FEW_RUNS = 4  # of a constant condition, at whose ends a loop over samples is di
 TAKES = {"div": 13, "sqrt": 20}  # cycles until a result is there
 USUALLY = 4
 EARLY = 0.3  # of the longest chain of a sample, what is computed a sample early
+MOST_EARLY = 10  # numbers of it, for which the processor has registers beside those of the rest
 FEW_SAMPLES = 100  # for which a loop over samples is not printed in two forms
 RUNS = 18  # into which samples that are gathered may fall apart
 MOST = {"concatenate": math.inf, "scatter": 2 * RUNS}  # a sample that is set parts what it is among
@@ -1217,6 +1218,8 @@ def begun_early(of: Trials, stores: Sequence[tuple[Buffer, int, Array]], wanted:
         needed = [y for x in in_turn(todo, ahead.__contains__) for y in x.args if y in ahead]
         todo = [x for y in needed if (x := ahead[y]) not in found and x not in ahead]
         found |= dict.fromkeys(todo)
+    if len(found) > MOST_EARLY:
+        return []
     return [(of.new_cells((1,), x.dtype, loop=0).item(), x) for x in found]
 
 
