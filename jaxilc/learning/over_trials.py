@@ -101,10 +101,11 @@ def learn(
         long, and a gradient gains nothing. It counts as 1 where it does not divide J / B, see below
     watch: what looks at each trial beside the one before it; None: nothing
 
-    The function is compatible with `grad` and `vmap`. A gradient stores no samples, but the
-    memories of all trials where they take up to 4 MiB (on a CPU). Beyond that, it stores those of
-    B + J / B trials, where B is the largest divisor of J that is not larger than its square root
-    (20 memories for J = 100; for a prime J about J), and runs all trials once more.
+    The function is compatible with `grad` and `vmap`. A gradient stores no samples (see also
+    `outputs_suffice`), but the memories of all trials where they take up to 4 MiB (on a CPU).
+    Beyond that, it stores those of B + J / B trials, where B is the largest divisor of J that is
+    not larger than its square root (20 memories for J = 100; for a prime J about J), and runs all
+    trials once more.
     Raises ValueError, before anything is compiled, where machine, scheme, task, memory and start do
     not fit.
     """

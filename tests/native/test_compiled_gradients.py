@@ -9,12 +9,14 @@ import pytest
 from cases import SCHEMES, case
 from jax import lax
 
-from jaxilc.learning import Disturbance, learn
+from jaxilc.learning import Actuator, Disturbance, learn
+from jaxilc.learning.over_trials import outputs_suffice
 from jaxilc.native import llvm, operations, rows, run
 from jaxilc.native.program import Const, Numbering, loops, lowered
 from jaxilc.native.run import Compiled, Native, differs
+from jaxilc.runtime.lanes import all_stored
 from jaxilc.tuning import Tuning, worst_case_search
-from jaxilc.tuning.objectives import Final, judge
+from jaxilc.tuning.objectives import Bounded, Final, judge
 from jaxilc.uncertainty import Uniform
 
 TRIALS = 5
@@ -190,6 +192,20 @@ def test_a_way_back_runs_no_trial_again_whose_outputs_tell_it(name, blocks):
     assert not runs_again(program)
     wanted = jax.jit(jax.vmap(slope, (None, 0)))(common, GAINS)
     assert differs(program(common, GAINS), wanted) is None
+
+
+def test_outputs_are_stored_of_elementwise_laws_on_linear_machines_alone():
+    machine, scheme, task = case("ffdl_sign")
+    limited = dataclasses.replace(machine, actuator=Actuator(limit=1e9))
+    real = case("motor_real")[0]
+    feedback = case("cfdl_mfapc")[1]
+    assert not outputs_suffice(machine, scheme, task)  # by XLA
+    with all_stored():
+        assert outputs_suffice(machine, scheme, task)
+        assert not outputs_suffice(limited, scheme, task)
+        assert not outputs_suffice(real, scheme, task)
+        assert not outputs_suffice(machine, feedback, task)
+        assert outputs_suffice(machine, Bounded.around(scheme, task), task)
 
 
 @pytest.mark.parametrize("blocks", [1, 2])
