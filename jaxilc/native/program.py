@@ -672,7 +672,7 @@ def _as_rows(
     like = [[jax.ShapeDtypeStruct(x.shape, x.dtype) for x in some] for some in ins]
     try:
         closed = jax.make_jaxpr(rows)(*like)
-    except Unknown:
+    except (Unknown, RecursionError):  # of a long chain of steps, too
         return None
     lowering = Lowering(0)
     return lowering.steps, lowering.inlined(closed, [*ins[0], *ins[1]])
