@@ -462,12 +462,12 @@ class Numbering:
     if a loop of its own computed it, in which JAX may do so before all trials.
 
     numbers: by what they stand for
-    length: number of samples, within a loop
+    of: what stands for a pass of the loop, within one: "trial" or "sample", and how many there are
     """
 
-    def __init__(self, numbers: dict[Hashable, int] | None = None, length: int = 0):
+    def __init__(self, numbers: dict[Hashable, int] | None = None, of: tuple[str, int] = ("", 0)):
         self._numbers = {} if numbers is None else numbers
-        self._length = length
+        self._pass = of
         self._of: dict[Value, int] = {}
         self._samples: dict[int, int] = {}  # the number of all samples, by that of each one
         self._carried: set[int] = set()
@@ -495,11 +495,11 @@ class Numbering:
                 if carried:
                     self._carried.add(found)
                 elif not self._samples.keys().isdisjoint(operands):
-                    found = self._of_rows(self._number("samples", self._length, found))
+                    found = self._of_rows(self._number("samples", *self._pass, found))
                 self._of[x] = found
 
     def _of_rows(self, samples: int) -> int:
-        found = self._number("row", samples)
+        found = self._number("row", self._pass[0], samples)
         self._samples[found] = samples
         return found
 
@@ -520,7 +520,7 @@ class Numbering:
         loop = Step("scan", params | {"body": more}, step.ins, [*step.outs, x])
         loop = without_dead_of_loop(loop, [False] * len(step.outs) + [True])
         consts, carry = loop.params["consts"], loop.params["carry"]
-        within = self.within(loop, "carried")
+        within = self.within(loop, "carried", "sample")
         within.add(loop.params["body"].steps)
         *after, found = map(within, loop.params["body"].outs)
         if found in within._samples:
@@ -528,13 +528,13 @@ class Numbering:
         begins = map(self, loop.ins[consts : consts + carry])
         return self._number("samples", params["length"], params["reverse"], *begins, *after, found)
 
-    def within(self, loop: Step, carried: str) -> Numbering:
+    def within(self, loop: Step, carried: str, each: str = "trial") -> Numbering:
         """The numbers of the operands of a pass of a loop.
 
-        carried: what a number that is carried is called
+        carried: what a number that is carried is called;  each: what a pass is
         """
         params, body = loop.params, loop.params["body"]
-        found = Numbering(self._numbers, params["length"])
+        found = Numbering(self._numbers, (each, params["length"]))
         consts, carry = params["consts"], params["carry"]
         for i, (x, given) in enumerate(zip(body.ins, loop.ins, strict=True)):
             if consts <= i < consts + carry:
@@ -631,7 +631,7 @@ def _as_rows(
 
     def rows(given: list[jax.Array], of_known: list[jax.Array]) -> list[jax.Array]:
         found: dict[Value, tuple[Known, bool]] = {
-            x: (rows, True) for x, rows in zip(known, of_known, strict=True)
+            x: (array, True) for x, array in zip(known, of_known, strict=True)
         }  # with whether it is one for each sample
 
         def row(x: Value) -> tuple[Known, bool]:

@@ -12,7 +12,7 @@ from jax import lax
 from jaxilc.learning import Actuator, Disturbance, learn
 from jaxilc.learning.over_trials import outputs_suffice
 from jaxilc.native import llvm, operations, rows, run
-from jaxilc.native.program import Const, Numbering, loops, lowered
+from jaxilc.native.program import Const, Numbering, flat, loops, lowered, of_trials
 from jaxilc.native.run import Compiled, Native, differs
 from jaxilc.runtime.lanes import all_stored
 from jaxilc.tuning import Tuning, worst_case_search
@@ -287,6 +287,27 @@ def test_values_have_the_same_number_where_they_are_computed_alike():
         for j, y in enumerate(found[:i]):
             assert (x == y) == ((j, i) in same), (j, i)
     assert Numbering()(Const(rows)) == 0
+
+
+def test_a_number_of_each_trial_is_told_from_one_of_each_sample():
+    """Of an array that is read both ways, with as many trials as samples."""
+    given = np.arange(1.0, 7.0)
+
+    def learning(u):
+        def trial(u, now):
+            by_trial = lax.scan(lambda s, a: (s, a * now), 0.0, u)[1]
+            by_sample = lax.scan(lambda s, both: (s, both[0] * both[1]), 0.0, (u, given))[1]
+            return 0.5 * u, (by_trial, by_sample)
+
+        return lax.scan(trial, u, jnp.asarray(given))[1]
+
+    ((before, loop),) = of_trials(flat(jax.make_jaxpr(learning)(given)))[0]
+    numbers = Numbering()
+    numbers.add(before)
+    found, body = numbers.within(loop, "memory"), loop.params["body"]
+    found.add(body.steps)
+    by_trial, by_sample = map(found, body.outs[loop.params["carry"] :])
+    assert by_trial != by_sample
 
 
 @pytest.mark.parametrize("samples", [4, 5, 40])
