@@ -30,15 +30,17 @@ RESETS = ("book", "sign", "none", "smooth")
 def _quotient(a: Array, b: Array) -> Array:
     """The quotient q = a / b.
 
-    Its derivative dq = (da - q db) / b takes one reciprocal, that of a division two, of b and b^2.
+    Where it is differentiated, q = a (1 / b) and dq = (da - q db) (1 / b), with one division in
+    place of three: a / b, and those by b and b^2.
     """
     return a / b
 
 
 @_quotient.defjvp
 def _(at: tuple[Array, Array], by: tuple[Array, Array]) -> tuple[Array, Array]:
-    q = _quotient(*at)
-    return q, (by[0] - q * by[1]) * (1.0 / at[1])
+    inverse = 1.0 / at[1]
+    q = at[0] * inverse
+    return q, (by[0] - q * by[1]) * inverse
 
 
 def reset_estimate(

@@ -35,6 +35,13 @@ def test_the_derivatives_of_a_quotient_are_those_of_a_division(of):
         np.testing.assert_allclose(x, y, rtol=1e-14, atol=1e-14)
 
 
+def test_a_quotient_takes_one_division_with_its_derivatives():
+    def divisions(f):
+        return str(jax.make_jaxpr(jax.value_and_grad(f, (0, 1)))(1.0, 2.0)).count(" div ")
+
+    assert divisions(_quotient) == 1 < divisions(lambda a, b: a / b)
+
+
 def run(machine, scheme, r=R):
     """Return outputs (N+1, n), inputs (N, n) and estimates (N, n) of the package."""
     task = Task(r, dt=DT)
