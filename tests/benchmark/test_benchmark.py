@@ -40,6 +40,11 @@ def small(request):
     return of, of.ours(lanes=2)()
 
 
+def test_the_opponents_leave_the_arithmetic_of_the_process_as_it_is():
+    """Linked another way, the program in C let NumPy take denormal numbers as zero."""
+    assert np.float64(5e-324) * 1.0 > 0
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["NumPy loop", "NumPy batch", "Numba parallel", "C limit"])
 def test_every_opponent_has_our_numbers(small, name):
