@@ -53,7 +53,7 @@ mypy:
 pages:
 	JAX_PLATFORMS=cpu $(BIN)/python .ci/docs/render.py
 
-matrix:  ## all tests with Python 3.11 and 3.13, where these are, and the speed of both
+matrix:  ## all tests with Python 3.11, 3.12 and 3.13, where these are, and their speed
 	.ci/matrix
 
 papers: $(VENV)/.ready  ## each figure of the papers, ours beside the print, to out/experiments

@@ -187,9 +187,7 @@ def arrays_by_precision() -> None:
         from jax._src.literals import TypedNdArray
 
         kept_by: Function = vars(lib)["weakref_lru_cache"].weak_key_weak_value_cache
-        of = vars(dtypes)  # JAX before 0.10.2 has a dictionary in place of the function
-        name = "register_canonicalize_value_handler"
-        register = of[name] if name in of else of["canonicalize_value_handlers"].__setitem__
+        register: Function = vars(dtypes)["register_canonicalize_value_handler"]
     except (ImportError, KeyError, AttributeError):
         return
     made = cache(lambda dtype: kept_by(lambda x: TypedNdArray(np.asarray(x, dtype))))

@@ -1,6 +1,7 @@
 """`make matrix`: a Python that is missing is named, and speed stands side by side."""
 
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -37,7 +38,7 @@ def test_an_environment_measures_runs_and_gradients(monkeypatch):
 @pytest.mark.skipif(os.name == "nt", reason="the matrix is a script for a POSIX shell")
 def test_a_python_that_is_missing_is_named_and_a_matrix_without_lines_fails(tmp_path):
     """A shim that does not run, as pyenv has for versions that are not active, is none."""
-    for version in ("3.11", "3.13"):
+    for version in ("3.11", "3.12", "3.13"):
         shim = tmp_path / f"python{version}"
         shim.write_text("#!/bin/sh\nexit 127\n")
         shim.chmod(0o755)
@@ -50,20 +51,29 @@ def test_a_python_that_is_missing_is_named_and_a_matrix_without_lines_fails(tmp_
     )
     assert found.stdout.splitlines() == [
         f"Python 3.{minor} is left out: no interpreter (PYTHON3_{minor} names one)"
-        for minor in (11, 13)
+        for minor in (11, 12, 13)
     ]
     assert found.returncode != 0
 
 
-def test_the_newest_list_replaces_packages_of_the_pinned_one():
-    """The versions of JAX in both lists are those that pyproject.toml says are tested."""
-    lists = [
-        dict(line.split("==") for line in (ROOT / ".ci" / name).read_text().split())
-        for name in ("requirements.txt", "requirements-newest.txt")
-    ]
-    pinned, newest = lists
+def test_the_other_lists_replace_packages_of_the_pinned_one():
+    """The versions of JAX are those that pyproject.toml says are tested, the oldest its bounds."""
+    pinned, newest, oldest = (
+        dict(line.lower().split("==") for line in (ROOT / ".ci" / name).read_text().split())
+        for name in ("requirements.txt", "requirements-newest.txt", "requirements-oldest.txt")
+    )
     assert newest.keys() < pinned.keys()
+    assert oldest.keys() < pinned.keys()
     text = (ROOT / "pyproject.toml").read_text()
-    assert f'"jax>=0.10,!=0.11.1",  # tested: {pinned["jax"]} and {newest["jax"]};' in text
-    classifiers = tomllib.loads(text)["project"]["classifiers"]
-    assert {"3.11", "3.13"} <= {one.rpartition(" ")[2] for one in classifiers}
+    assert f'"jax>=0.10.2,!=0.11.1",  # tested: {pinned["jax"]} and {newest["jax"]};' in text
+    project = tomllib.loads(text)["project"]
+    extras = project["optional-dependencies"]
+    used = [one for name, some in extras.items() if name not in ("test", "docs") for one in some]
+    for one in (*project["dependencies"], *used):
+        name, least = re.match(r"([\w-]+)>=([\d.]+)", one).groups()
+        if name in oldest:
+            assert re.fullmatch(rf"{re.escape(least)}(\.0)*", oldest[name])
+        else:
+            assert name in ("jupytext", "nbclient", "nbconvert", "ipykernel")
+    versions = {one.rpartition(" ")[2] for one in project["classifiers"]}
+    assert {"3.11", "3.12", "3.13"} <= versions
