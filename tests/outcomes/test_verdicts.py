@@ -59,14 +59,19 @@ CASE = Case(FILE, {"ilc": True}, designable=True, unit="mm")
 
 
 def parsed(verdict):
-    """Parse the next command by the program itself; return its name and its parameters."""
+    """Parse the next command by the program itself; return its name and its parameters.
+
+    Older versions of typer give lists as tuples, and paths as texts.
+    """
     jaxilc, name, *words = shlex.split(verdict.following)
     assert jaxilc == "jaxilc"
     command = get_command(app).commands[name]
     with command.make_context(name, words) as context:
         assert not context.args
-        lists = {key: [*x] if isinstance(x, tuple) else x for key, x in context.params.items()}
-        return name, lists  # which older versions of typer give as tuples
+        options = {key: [*x] if isinstance(x, tuple) else x for key, x in context.params.items()}
+    if options.get("params"):
+        options["params"] = Path(options["params"])
+    return name, options
 
 
 @pytest.mark.parametrize(
@@ -528,7 +533,7 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
         "error of trial 15 is 0.4 µm in place of 1.2 µm, the worst 1 µm in place of 3 µm.",
     )
     name, options = parsed(found)
-    assert (name, Path(options["params"]), options["scheme"]) == ("sweep", params, ["c"])
+    assert (name, options["params"], options["scheme"]) == ("sweep", params, ["c"])
     assert options["set_"] == ["plant=printed"], "the file of parameters holds those of the scheme"
     assert "become worse" in tune_verdict(OF_TUNING, tuned(4.0), params).said[1]
     last = tune_verdict(OF_TUNING, tuned(step=20), params).said[1]
@@ -574,7 +579,7 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     for numbers in (another_start, tuned(tuned=2.0), tuned(tuned=2.1)):
         nothing = tune_verdict(OF_TUNING, numbers, params)
         assert "No step was better" in nothing.said[0]
-        assert Path(parsed(nothing)[1]["params"]).name == "old.json"
+        assert parsed(nothing)[1]["params"].name == "old.json"
     certain = tune_verdict(OF_TUNING._replace(uncertain=False), another_start, params)
     assert parsed(certain)[0] == "certify", "worst-case needs machines to draw"
     none = tuned(given=np.inf, tuned=np.inf, step=0, steps=0)
@@ -668,7 +673,7 @@ def test_a_trade_off_names_one_of_its_points(tmp_path):
         "of 4 and 4 with the weights as given.",
         "Over 3 points final goes from 1 to 6, effort from 9 to 2.5.",
     )
-    assert Path(parsed(found)[1]["params"]) == tmp_path / "params-share-0.5.json"
+    assert parsed(found)[1]["params"] == tmp_path / "params-share-0.5.json"
     budgets = {
         J: {"tuned": {"median": m, "worst": 2 * m}, "given": {"median": 9.0, "worst": 10.0},
             "held_out": ended}
@@ -688,7 +693,7 @@ def test_a_trade_off_names_one_of_its_points(tmp_path):
     )
     name, options = parsed(found)
     assert (name, options["trials"]) == ("run", 10)
-    assert Path(options["params"]) == tmp_path / "params-10-trials.json"
+    assert options["params"] == tmp_path / "params-10-trials.json"
     for row in budgets.values():
         row["tuned"]["median"] = math.inf
     none = budget_verdict(OF_TUNING, "c", numbers, tmp_path)

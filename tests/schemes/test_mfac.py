@@ -42,6 +42,16 @@ def test_a_quotient_takes_one_division_with_its_derivatives():
     assert divisions(_quotient) == 1 < divisions(lambda a, b: a / b)
 
 
+@pytest.mark.parametrize(("dtype", "low", "high"), [("float64", -307, 307), ("float32", -37, 37)])
+def test_a_quotient_that_is_differentiated_is_that_of_a_division(dtype, low, high):
+    """Its product with a reciprocal is off by its rounding, as far as the reciprocal is normal."""
+    rng = np.random.default_rng(2)
+    b = (10.0 ** rng.uniform(low, high, 500)).astype(dtype)
+    a = (b * rng.uniform(0.5, 1.0, 500)).astype(dtype)
+    found, _ = jax.jvp(_quotient, (a, b), (np.ones_like(a), np.ones_like(b)))
+    np.testing.assert_allclose(found, a / b, rtol=2 * np.finfo(dtype).eps)
+
+
 def run(machine, scheme, r=R):
     """Return outputs (N+1, n), inputs (N, n) and estimates (N, n) of the package."""
     task = Task(r, dt=DT)
