@@ -225,9 +225,6 @@ MISFITS = [
         r"ZeroPhaseFIR: taps has shape \(21,\).*N = 20",
     ),
     (Machine(PLANT), Filtered(ZERO, ZeroPhaseFIR()), "Filtered: PID learns no feedforward"),
-    # the weights have the wrong length
-    (Machine(PLANT), PID(kp=TWO), "PID: kp has shape"),
-    (Machine(PLANT), PIDType(gamma_p=TWO), "PIDType: gamma_p has shape"),
     (Machine(PLANT, sensor=Sensor(noise=TWO)), ZERO, "Sensor: noise has shape"),
     (Machine(PLANT, Actuator(limit=TWO)), ZERO, r"limit has shape \(2,\); allowed are \(\) and"),
 ]
