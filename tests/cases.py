@@ -239,7 +239,7 @@ PLANTS = {
 }
 
 # These are models of discrete, of mimo, and of motor_and_table.
-_MODEL = StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
+MODEL = StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
 _MODEL_OF_TWO = StateSpace(
     [[0.94, 0.03], [0.01, 0.9]], [[0.06, 0.01], [-0.02, 0.07]], [[1.0, 0.05], [0.25, 1.0]], dt=DT
 )
@@ -357,8 +357,8 @@ SCHEMES = {
     "norm_optimal": NormOptimal(
         _MODEL_OF_TWO, w_q=((4.0, 0.5), (0.5, 3.0)), w_r=(0.02, 0.03), w_s=0.001
     ),
-    "norm_optimal_lifted": NormOptimal(_MODEL, w_r=0.05, w_s=0.01, limit=0.6, form="lifted"),
-    "gradient": GradientILC(_MODEL, w_q=2.0, w_s=0.01, limit=1.5),
+    "norm_optimal_lifted": NormOptimal(MODEL, w_r=0.05, w_s=0.01, limit=0.6, form="lifted"),
+    "gradient": GradientILC(MODEL, w_q=2.0, w_s=0.01, limit=1.5),
     # A step takes four trials, and the limit cuts off some of its experiments.
     "model_free": ModelFreeGradient(
         2.0,
@@ -371,7 +371,7 @@ SCHEMES = {
     ),
     # Every bound is met: each has a derivative.
     "constrained": ConstrainedNormOptimal(
-        _MODEL,
+        MODEL,
         w_r=0.05,
         w_s=0.01,
         w_d=0.02,
@@ -422,7 +422,7 @@ SCHEMES = {
     ),
     "basis_gradient": BasisFunctions(
         SelectedBasis(PolynomialBasis((0, 1, 2), lead=2e-4), (0, 1)),
-        _MODEL,
+        MODEL,
         start=(0.8, 3e-3),
         step=0.7,
         w_q=2.0,
@@ -430,13 +430,13 @@ SCHEMES = {
         update="gradient",
     ),
     "basis_rational": BasisFunctions(
-        RationalBasis(PolynomialBasis((0, 1)), least=0.02), _MODEL, w_r=0.05, iterations=2
+        RationalBasis(PolynomialBasis((0, 1)), least=0.02), MODEL, w_r=0.05, iterations=2
     ),
     "position_basis": BasisFunctions(
         JoinedBasis(
             (PolynomialBasis((1,)), PositionBasis(Splines(-0.2, 1.2, 4), turning=50.0, lead=3e-4))
         ),
-        _MODEL,
+        MODEL,
         w_r=0.05,
         w_s=0.01,
     ),
@@ -447,7 +447,7 @@ SCHEMES = {
         PIDType(gamma_p=-1.0, lead=2), PolynomialBasis((0, 1), lead=3e-4), (-0.5, -2e-3)
     ),
     "at_samples": AtSamples(
-        NormOptimal(with_jerk(_MODEL), w_r=0.02, w_s=1e-3),
+        NormOptimal(with_jerk(MODEL), w_r=0.02, w_s=1e-3),
         weight=np.where(np.arange(FEW + 1) % 4 == 0, 1.0, 0.1),
         jerk_time=5e-4,
     ),
@@ -554,9 +554,9 @@ def follows(hertz, seconds, amplitude=1.0):
     return f'reference = {{ function = "sinusoid", {given} }}\n'
 
 
-def p_type(gain):
-    """Return a scheme, ilc."""
-    return f'[schemes.ilc]\nclass = "PIDType"\ngamma_p = {gain}\n'
+def p_type(gain, name="ilc"):
+    """Return a scheme."""
+    return f'[schemes.{name}]\nclass = "PIDType"\ngamma_p = {gain}\n'
 
 
 def known_to(share, gain="plant.B"):

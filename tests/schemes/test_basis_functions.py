@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALGEBRA, DT, SCHEMES, case
+from cases import ALGEBRA, DT, MODEL, SCHEMES, case
 from dense import lifted
 from numpy.polynomial import Polynomial
 
@@ -40,7 +40,6 @@ from jaxilc.theory.learning_map import view_of
 from jaxilc.theory.outlook import outlooks
 from jaxilc.uncertainty import drawn_machines
 
-MODEL = StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
 STEP = Polynomial([0] * 5 + [126, -420, 540, -315, 70])  # from 0 to 1, four derivatives at rest
 
 

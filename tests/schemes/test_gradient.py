@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALGEBRA, DIFFERENCES, DT
+from cases import ALGEBRA, DIFFERENCES, DT, MODEL
 from dense import lifted
 
 from jaxilc import Machine, Task
@@ -18,7 +18,6 @@ from jaxilc.theory.law import law_of, learning_law
 
 N = 12
 BUMP = Task(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(N + 1) / N), dt=DT)
-MODEL = StateSpace([[0.88, 0.12], [-0.15, 0.8]], [[0.02], [0.09]], [[1.0, 0.4]], dt=DT)
 RANDOM = np.random.default_rng(4)
 WIDE = StateSpace(
     RANDOM.uniform(-0.5, 0.5, (3, 3)),

@@ -6,10 +6,9 @@ import jax.test_util
 import numpy as np
 import pytest
 
-from jaxilc import Machine, Task, learn
+from jaxilc import Task
 from jaxilc.filters import SwitchableFilter
 from jaxilc.learning.over_trials import measured_trial
-from jaxilc.plants import StateSpace
 from jaxilc.schemes import Filtered, LearningFilter, PIDType
 from jaxilc.schemes.learning_filter import correlated
 from jaxilc.theory.law import law_of
@@ -27,16 +26,6 @@ def test_theory_reads_its_taps():
     np.testing.assert_array_equal(law.keep.powers, [1, 0, -1])
     np.testing.assert_allclose(law.keep.taps[:, 0, 0], np.asarray(LAW.keep)[::-1])
     assert law.invariant.held
-
-
-@pytest.mark.thorough
-def test_one_tap_is_p_type_learning():
-    machine = Machine(StateSpace([[0.8]], [[0.2]], [[1.0]], dt=1e-3))
-    one, other = (
-        learn(machine, scheme, TASK, trials=6).rms
-        for scheme in (LearningFilter((0.0, 0.6, 0.0), lead=1), PIDType(gamma_p=0.6, lead=1))
-    )
-    np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
 RANDOM = np.random.default_rng(4)

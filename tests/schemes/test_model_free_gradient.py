@@ -14,7 +14,6 @@ from jaxilc.outcomes.exporting import _seen
 from jaxilc.plants import StateSpace
 from jaxilc.schemes import (
     PID,
-    AtSamples,
     Filtered,
     GradientILC,
     Ladder,
@@ -178,10 +177,6 @@ def test_a_machine_plays_the_experiments_and_their_errors_are_no_growth(tmp_path
         (
             lambda: StopWhen(Ladder(ModelFreeGradient(1.0), 2), growth=0.5),
             "StopWhen: ModelFreeGradient makes experiments",
-        ),
-        (
-            lambda: AtSamples(ModelFreeGradient(1.0), weight=np.ones(N + 1)),
-            "AtSamples: ModelFreeGradient makes experiments .* at all samples",
         ),
     ],
 )

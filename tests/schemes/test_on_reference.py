@@ -265,7 +265,6 @@ def test_a_feedback_that_learns_on_the_input_and_the_reference_learn_from_the_sa
         np.testing.assert_allclose(np.diff(signal, axis=0), gamma * e[:-1, 1:], **ALGEBRA)
 
 
-@pytest.mark.thorough
 def test_learning_from_some_of_the_outputs():
     """There are one input and two outputs, of which the second is followed and corrected."""
     scheme = OnOutputs(OnReference(PIDType(gamma_p=0.5, lead=1), PID(kp=0.5)), (1,))
@@ -317,14 +316,6 @@ REFUSED = {
         "OnReference: WithFeedback learns no feedforward",
     ),
     "lead": (OnReference(PIDType(lead=N), PID()), rf"PIDType: lead = {N} .*\[0, {N - 1}\]"),
-    "gain_of_learning": (
-        OnReference(PIDType(gamma_p=(0.1, 0.2)), PID()),
-        r"PIDType: gamma_p has shape \(2,\); allowed are \(\) and \(1,\)",
-    ),
-    "filter_of_feedback": (
-        OnReference(Filtered(PID(), ZeroPhaseFIR((1.0,))), PID()),
-        "PID learns no feedforward",
-    ),
     # it corrects its schedule by increments of the running trial (Cao 2019, eq. 25)
     "within_the_trial": (
         OnReference(FFDLMFAILC(phi0=(0.5, 0.3, 0.4, 0.2)), PID()),

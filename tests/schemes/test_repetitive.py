@@ -43,34 +43,6 @@ def run(scheme, r, plant=PLANT):
     return run_trial(Machine(plant), scheme, task, scheme.initial_memory(task), jax.random.key(0))
 
 
-def by_hand(r, period):
-    """(y, v) of plant, PID and the law of `LAW`, sample by sample; a period of whole samples."""
-    A, B, C = np.array([[0.9, 0.1], [0.0, 0.7]]), np.array([0.0, 0.3]), np.array([1.0, 0.0])
-    N, x = len(r) - 1, np.zeros(2)
-    y, e, v = np.zeros(N + 1), np.zeros(N + 1), np.zeros(N)
-    for k in range(N):
-        y[k] = C @ x
-        e[k] = r[k] - y[k]
-        for i, tap in enumerate((0.2, 0.55, 0.2)):
-            if k - period + i - 1 >= 0:
-                v[k] += tap * v[k - period + i - 1]
-        for i, tap in enumerate((0.3, 0.9, 0.3)):
-            if k - period + 3 + i - 1 >= 0:
-                v[k] += tap * e[k - period + 3 + i - 1]
-        x = A @ x + B * (v[k] + 0.4 * e[k])
-    y[N] = C @ x
-    return y, v
-
-
-@pytest.mark.thorough
-def test_it_is_the_law_of_the_trial_a_period_later():
-    r = np.sin(2 * np.pi * np.arange(301) / 50) + 0.3 * np.random.default_rng(0).normal(size=301)
-    found = run(WithFeedback(RepetitiveControl(LAW, PERIOD), FEEDBACK), r)
-    y, v = by_hand(r, 50)
-    np.testing.assert_allclose(found.y[:, 0], y, atol=1e-10)
-    np.testing.assert_allclose(found.u[:, 0] - found.signals["feedback"][:, 0], v, atol=1e-10)
-
-
 @pytest.mark.thorough(but=["0.0504"])
 @pytest.mark.parametrize("period", [PERIOD, 0.0504, 0.0621])
 def test_what_is_left_at_each_frequency_is_the_sensitivity(period):
