@@ -7,8 +7,9 @@ import sys
 from unittest import mock
 
 import numpy as np
+from typer.testing import CliRunner
 
-from jaxilc.cli import main
+from jaxilc.cli import app, main
 
 
 def call(*words):
@@ -24,6 +25,14 @@ def call(*words):
         except SystemExit as stop:
             code = stop.code or 0
     return code, out.getvalue(), err.getvalue()
+
+
+def invoked(*words):
+    """Run `jaxilc`; return exit code, standard output and standard error. A mistake raises."""
+    result = CliRunner().invoke(app, [*map(str, words)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
 
 
 def done(*words):

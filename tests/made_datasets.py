@@ -33,17 +33,17 @@ def run_of(errors, reference=None, u=None, *, dt=1e-3, schemes=("a",), **coords)
     )
 
 
-def sweep_of(rms, schemes=("law",), **axes):
-    """The dataset of a sweep; rms: (scheme, axes, sample, trial), infinite where one diverged."""
-    rms = np.asarray(rms, float)
+def sweep_of(errors, schemes=("law",), metric="rms", **axes):
+    """The dataset of a sweep; errors (scheme, axes, sample, trial): infinite where one diverged."""
+    errors = np.asarray(errors, float)
     dims = ("scheme", *axes, "sample", "trial")
-    finite = np.isfinite(rms)
+    finite = np.isfinite(errors)
     return xr.Dataset(
         {
-            "rms": (dims, rms),
+            metric: (dims, errors),
             "finite": (dims, finite),
             "diverged_at": (dims[:-1], np.where(finite[..., -1], 0, 2)),
         },
-        {"scheme": [*schemes], "trial": np.arange(1, rms.shape[-1] + 1)}
+        {"scheme": [*schemes], "trial": np.arange(1, errors.shape[-1] + 1)}
         | {name: (name, *of) if isinstance(of, tuple) else of for name, of in axes.items()},
     )

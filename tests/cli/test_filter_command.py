@@ -6,6 +6,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from cases import follows, lag
 from command import call, done, flat, mistakes, refused, write_columns
 
 from jaxilc.filters import ZeroPhaseButterworth
@@ -29,20 +30,11 @@ from jaxilc.theory.q_filter import (
     without_low_pass,
 )
 
-AXIS = """
-[plant]
-kind = "ProcessModel"
-gain = 2.0
-poles = [60.0]
-[task]
-dt = 0.002
-unit = "mm"
-input_unit = "V"
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 5.0, duration = 0.2 }
-[schemes.ilc]
+AXIS = f"""{lag(60.0, 0.002)}input_unit = "V"
+{follows(5.0, 0.2)}[schemes.ilc]
 class = "Filtered"
-scheme = { class = "PIDType", gamma_p = 0.3, lead = 3 }
-filter = { class = "ZeroPhaseButterworth", cutoff = 20.0 }
+scheme = {{ class = "PIDType", gamma_p = 0.3, lead = 3 }}
+filter = {{ class = "ZeroPhaseButterworth", cutoff = 20.0 }}
 """
 pytestmark = pytest.mark.usefixtures("compiled_once")
 LAW = ("--gain", 0.5, "--lead", 2, "--cutoff", 30, "--dt", 0.001)

@@ -7,10 +7,8 @@ import shutil
 import numpy as np
 import pytest
 import scipy.signal
-from command import write_columns
-from typer.testing import CliRunner
+from command import invoked, write_columns
 
-from jaxilc.cli import app
 from jaxilc.cli.hardware import _log_table
 from jaxilc.hardware import Campaign, Journal, Measured, campaign, prediction
 from jaxilc.hardware.prediction import Place
@@ -56,12 +54,9 @@ lead = 3
 PARAMS = {"scenario": "axis", "schemes": {"ilc": {"gamma_p": 1.2}}}
 
 
-def call(*arguments):
+def call(*words):
     """Return standard output and standard error of a command; a mistake raises."""
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    if result.exception is not None:
-        raise result.exception
-    return result.stdout, result.stderr
+    return invoked(*words)[1:]
 
 
 def measure(folder, j, gain):

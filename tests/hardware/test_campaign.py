@@ -22,9 +22,9 @@ import numpy as np
 import pytest
 import scipy.signal
 from cases import ALGEBRA, case
-from typer.testing import CliRunner
+from command import invoked as call
 
-from jaxilc.cli import app, console
+from jaxilc.cli import console
 from jaxilc.cli.hardware import verdict
 from jaxilc.figures.experiments import campaign_figure
 from jaxilc.filters import ZeroPhaseButterworth
@@ -141,14 +141,6 @@ class Rig:
         y, u = (np.asarray(signal)[:, 0] for signal in (made.y, made.u))
         write_trial(path, played["t [s]"], played["r [mm]"], y, u)
         return y, u
-
-
-def call(*arguments):
-    """Return exit code, standard output and standard error of a command; a mistake raises."""
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
 
 
 def go_on(state, out, *more):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import known_to
 
 from jaxilc import learn, theory
 from jaxilc.outcomes import certify
@@ -26,12 +27,7 @@ law = { class = "LearningFilter", L = [0.1, 0.3, 0.1], keep = [0.1, 0.8, 0.1], l
 [schemes.alone]
 class = "PID"
 kp = 0.5
-[uncertainty."plant.B"]
-distribution = "uniform"
-low = 0.9
-high = 1.1
-relative = true
-"""
+""" + known_to(0.1)
 
 
 @pytest.mark.thorough

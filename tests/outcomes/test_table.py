@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-import xarray as xr
+from made_datasets import sweep_of
 from rich.console import Console
 
 from jaxilc.identification import Grown
@@ -152,14 +152,10 @@ def test_no_point_is_within_twice_an_error_that_diverged(error, near):
 
 
 def test_a_shared_axis_has_the_names_and_values_of_each_scheme():
-    dims = ("scheme", "a.lam", "trials", "sample", "trial")
     errors = np.array([[4.0, 1.0], [2.0, 9.0]])[:, :, None, None, None]
-    dataset = xr.Dataset(
-        {"settled_error": (dims, errors), "finite": (dims, errors > 0),
-         "diverged_at": (dims[:-1], np.zeros((2, 2, 1, 1), int))},
-        {"scheme": ["a", "b"], "a.lam": [0.5, 12.0], "b.mu": ("a.lam", [3.0, 30.0]),
-         "trials": [1], "trial": [1]},
-    )  # fmt: skip
+    axes = {"a.lam": [0.5, 12.0], "trials": [1]}
+    dataset = sweep_of(errors, ("a", "b"), "settled_error", **axes)
+    dataset = dataset.assign_coords({"b.mu": ("a.lam", [3.0, 30.0])})
     numbers = grid_numbers(load("cao-2019"), best_points(dataset), dataset)
     table = grid_table(numbers | {"figure": "settled error", "unit": "mm"})
     assert [str(column.header) for column in table.columns[:3]] == [

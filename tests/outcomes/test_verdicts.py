@@ -10,6 +10,8 @@ from unittest import mock
 import numpy as np
 import pytest
 import xarray as xr
+from cases import first_order, follows, p_type
+from made_datasets import sweep_of
 from typer.main import get_command
 
 from jaxilc import outcomes
@@ -55,6 +57,7 @@ from jaxilc.uncertainty import Normal, Uniform
 J = np.arange(1, 41)
 NOISE = np.random.default_rng(3)
 FILE = Request("my axis.toml")
+AXIS = f"{first_order(0.2, 0.8)}unit = 'mm'\n{follows(20.0, 0.05)}"
 CASE = Case(FILE, {"ilc": True}, designable=True, unit="mm")
 
 
@@ -258,11 +261,7 @@ def swept(case, share, high, worst, machines=64, **lost):
 def test_the_winner_of_a_grid_of_trials_is_told_at_its_own_last_trial(tmp_path):
     """At the fewest trials of the best points the other scheme is ahead."""
     (tmp_path / "two.toml").write_text(
-        "tolerance = 0.2\n[plant]\nkind = 'state_space'\nA = [[0.2]]\nB = [[0.8]]\nC = [[1.0]]\n"
-        "dt = 0.001\n[task]\ndt = 0.001\nunit = 'mm'\n"
-        "reference = {function = 'sinusoid', amplitude = 1.0, frequency = 20.0, duration = 0.05}\n"
-        "[schemes.sure]\nclass = 'PIDType'\ngamma_p = 0.3\n"
-        "[schemes.fast]\nclass = 'PIDType'\ngamma_p = 1.0\n"
+        f"tolerance = 0.2\n{AXIS}{p_type(0.3, 'sure')}{p_type(1.0, 'fast')}"
     )
     course = np.array([[8.0, 4.0, 1.0, 0.125], [8.0, 0.5, 0.5, 512.0]])
     errors = np.stack([np.where(np.arange(4) < J, course, np.nan) for J in (3, 4)], axis=1)
@@ -315,17 +314,10 @@ def test_the_growth_of_a_run_leaves_experiments_out():
 def test_an_experiment_at_the_end_of_a_sweep_says_nothing_of_what_was_learned(tmp_path):
     """It errs more than the trial before, and its machines have neither grown nor failed."""
     (tmp_path / "one.toml").write_text(
-        "tolerance = 3.0\n[plant]\nkind = 'state_space'\nA = [[0.2]]\nB = [[0.8]]\nC = [[1.0]]\n"
-        "dt = 0.001\n[task]\ndt = 0.001\nunit = 'mm'\n"
-        "reference = {function = 'sinusoid', amplitude = 1.0, frequency = 20.0, duration = 0.05}\n"
-        "[schemes.ilc]\nclass = 'ModelFreeGradient'\nstep = 0.5\n"
+        f"tolerance = 3.0\n{AXIS}[schemes.ilc]\nclass = 'ModelFreeGradient'\nstep = 0.5\n"
     )
-    dims, errors = ("scheme", "sample", "trial"), np.array([[[8.0, 100, 2, 50], [9, 100, 1, 50]]])
-    dataset = xr.Dataset(
-        {"settled_error": (dims, errors), "finite": (dims, errors > 0),
-         "diverged_at": (dims[:-1], np.zeros((1, 2), int))},
-        {"scheme": ["ilc"], "sample": [0, 1], "trial": range(1, 5)}, {"configuration": {}},
-    )  # fmt: skip
+    errors = [[[8.0, 100, 2, 50], [9, 100, 1, 50]]]
+    dataset = sweep_of(errors, ("ilc",), "settled_error").assign_attrs(configuration={})
 
     def asked(dataset):
         of_file = Request(str(tmp_path / "one.toml"))
@@ -339,7 +331,7 @@ def test_an_experiment_at_the_end_of_a_sweep_says_nothing_of_what_was_learned(tm
     assert "of trial 3" in str(found.tables[0].title)
     of_axis = asked(dataset.assign_coords(trials_of_step=("scheme", [3]))).numbers["schemes"]["ilc"]
     assert (of_axis["yield"], [*of_axis["by_trial"]][-1]) == (0.0, "4")
-    lost = dataset.assign(finite=dataset["trial"] < 4, diverged_at=(dims[:-1], [[4, 4]]))
+    lost = dataset.assign(finite=dataset["trial"] < 4, diverged_at=(("scheme", "sample"), [[4, 4]]))
     assert asked(lost).numbers["schemes"]["ilc"]["diverged"] == 1.0
 
 
