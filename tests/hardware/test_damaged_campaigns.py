@@ -28,13 +28,8 @@ pytestmark = pytest.mark.usefixtures("quickly_and_quietly")
 
 _, SCHEME, TASK = case("p_type")
 RULES = Rules(accept=ACCEPTED)  # the trials below are no machine's
-TRIALS = [
-    Measured(
-        0.1 * j * np.asarray(TASK.reference), np.full((TASK.N, 1), 0.1 * j), {}, (),
-        f"trial-{j}.csv",
-    )
-    for j in range(1, 5)
-]  # fmt: skip
+Y, U = 0.1 * np.asarray(TASK.reference), np.full((TASK.N, 1), 0.1)
+TRIALS = [Measured(j * Y, j * U, {}, (), f"trial-{j}.csv") for j in range(1, 5)]
 
 
 def made(folder, size=1.0):

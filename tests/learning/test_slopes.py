@@ -14,7 +14,7 @@ import numpy as np
 import optax
 import pytest
 import scipy.integrate
-from cases import DIFFERENCES, PLANTS, SCHEMES, case
+from cases import DIFFERENCES, PLANTS, case
 from dense import lifted
 from gain_case import PROBLEM, STATIC, TASK, N
 from jax.flatten_util import ravel_pytree
@@ -121,18 +121,6 @@ CURVED |= {"p_type": ("forward, reverse", "reverse, reverse")}
 CURVED |= {"pd_type": ("forward, forward", "reverse, forward")}
 
 
-def sum_of_metrics(name, trials):
-    """Return the sum of all metrics of all trials as a function of x of `line_through`."""
-    machine, scheme, task = case(name)
-    moved = line_through(scheme)
-
-    def of(x):
-        metrics = learn(machine, moved(x), task, trials).metrics
-        return sum(jnp.sum(getattr(metrics, metric)) for metric, _ in GATHERED)
-
-    return of
-
-
 @pytest.mark.thorough(but=["p_type"])
 @pytest.mark.parametrize("name", CURVED)
 def test_second_derivatives_of_all_metrics_equal_finite_differences(name):
@@ -141,9 +129,15 @@ def test_second_derivatives_of_all_metrics_equal_finite_differences(name):
     A rule for the derivative of a metric was lost in the parts of a loop that JAX computes before
     it goes back through it, and the error was then a constant to the second derivative.
     """
-    of = sum_of_metrics(name, 1 if SCHEMES[name].first_derivatives_only else 2)
+    machine, scheme, task = case(name)
+    moved, trials = line_through(scheme), 1 if scheme.first_derivatives_only else 2
+
+    def of(x):
+        metrics = learn(machine, moved(x), task, trials).metrics
+        return sum(jnp.sum(getattr(metrics, metric)) for metric, _ in GATHERED)
+
     ways = [NESTINGS[way] for way in CURVED[name]]
-    if SCHEMES[name].first_derivatives_only:
+    if scheme.first_derivatives_only:
         for inner, outer in ways:
             with pytest.raises(ValueError, match="first derivatives only"):
                 jax.eval_shape(outer(inner(of)), 0.0)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
-from cases import ALGEBRA, DT, case
+from cases import ALGEBRA, DT, case, first_order, follows
 from scipy.integrate import solve_ivp
 
 from jaxilc import (
@@ -780,33 +780,20 @@ def test_what_does_not_fit_is_named(make, said):
         make()
 
 
-FILE = """
-[plant]
-kind = "state_space"
-A = [[0.7]]
-B = [[0.3]]
-C = [[1.0]]
-dt = 0.001
-
-[machine.variation]
+FILE = f"""{first_order(0.7, 0.3)}{follows(10.0, 0.1)}[machine.variation]
 scatter = 0.01
 shortest = 0.8
 late = 1
 delayed = 0.1
 delay = 2
-change = { first = 4, over = 2, scale = { B = 1.2 } }
+change = {{ first = 4, over = 2, scale = {{ B = 1.2 }} }}
 
 [[machine.variation.references]]
 first = 6
-reference = { function = "sinusoid", amplitude = 2.0, frequency = 10.0, duration = 0.1 }
-
-[task]
-dt = 0.001
-reference = { function = "sinusoid", amplitude = 1.0, frequency = 10.0, duration = 0.1 }
-
+{follows(10.0, 0.1, amplitude=2.0)}
 [schemes.ilc]
 class = "KeepUnmeasured"
-scheme = { class = "PIDType", gamma_p = 0.5 }
+scheme = {{ class = "PIDType", gamma_p = 0.5 }}
 """
 
 

@@ -30,7 +30,6 @@ from jaxilc.schemes import (
     ASMC,
     CFDLMFAILC,
     FFDLMFAILC,
-    PFDLMFAILC,
     PID,
     Filtered,
     NormOptimal,
@@ -44,17 +43,9 @@ from jaxilc.signals import Task
 MACHINE = Machine(VoiceCoil(), Actuator(limit=5.0), Sensor(resolution=1e-4))
 BOTH = {"machine": MACHINE, "scheme": WithFeedback(PIDType(gamma_p=-1.0, lead=2), PID(kp=-4.0))}
 
-OUTSIDE = [
-    (CFDLMFAILC, "rho", 1.5, "(0, 1]"),
-    (CFDLMFAILC, "rho", 0.0, "(0, 1]"),
-    (CFDLMFAILC, "eta", 1.5, "(0, 1]"),
-    (FFDLMFAILC, "eta", 2.5, "(0, 2]"),
-    (CFDLMFAILC, "L_u", 2, "[1, 1]"),
-    (PFDLMFAILC, "L_y", 1, "[0, 0]"),
+OUTSIDE = [  # schemes/test_declared.py has all fields of the schemes
     (PIDType, "leak", 1.0, "[0, 1)"),
-    (PIDType, "lead", -1, "[0, inf)"),
     (PIDType, "lead", 1.5, "[0, inf)"),
-    (PID, "tau", -1e-3, "[0, inf)"),
     (PID, "kp", np.nan, "(-inf, inf)"),
     (PID, "ki", -np.inf, "(-inf, inf)"),
     (Actuator, "limit", 0.0, "(0, inf)"),

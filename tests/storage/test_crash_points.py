@@ -102,16 +102,8 @@ def test_a_trade_off_resumes_from_every_state_of_its_folder(tmp_path, tuned_by_o
 @pytest.mark.thorough
 def test_a_campaign_goes_on_from_every_state_of_its_folder(tmp_path, quickly_and_quietly):
     _, scheme, task = case("p_type")
-    measured = [
-        Measured(
-            0.1 * j * np.asarray(task.reference),
-            np.full((task.N, 1), 0.1 * j),
-            {},
-            (),
-            f"trial {j}",
-        )
-        for j in (1, 2)
-    ]
+    y, u = 0.1 * np.asarray(task.reference), np.full((task.N, 1), 0.1)
+    measured = [Measured(j * y, j * u, {}, (), f"trial {j}") for j in (1, 2)]
 
     def go_on(folder):
         """Return what a campaign learned from two trials, from some of them maybe before."""
