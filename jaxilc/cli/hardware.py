@@ -94,7 +94,8 @@ def trials(
     by = for_verdict(recipe, known.get("trials_of_step"))
     if now is not None:
         by = for_verdict(now.recipe, trials_of_step(now.scheme, now.task))
-    sentences = verdict(live, None, prediction, units(journal)[0], **by) if live else []
+    unit = units(journal)[0]
+    sentences = verdict(live, None, prediction, unit, **by, state=state) if live else []
     measured = Path(live[-1]["source"]) if len(live) > 1 else None
     following = next_command(state, len(live) or 1, measured, None)
     if measured is not None and _named_otherwise(measured):
@@ -332,7 +333,7 @@ def _unexpected(now: Campaign, turn: Turn, place: Place, fit: str) -> Finding:
     return Finding("warning", f"{text}. It is told once: the next band begins here. {then}: {fit}")
 
 
-def step_back(now: Campaign) -> str:
+def step_back(now: Campaign, out_file: Path | None) -> str:
     """How to play the best input so far again; an empty text before the first trial."""
     from ..hardware.checks import comparable
 
@@ -340,9 +341,16 @@ def step_back(now: Campaign) -> str:
     if not errors:
         return ""
     best, least = min(errors, key=lambda one: one[1])
-    words = ["jaxilc", "next", "--state", str(now.journal.path), "--undo", str(best - 1)]
     said = f"{least:.4g} {now.task.unit}".rstrip()
-    return f"; back to the input of trial {best} ({said}): {shlex.join(words)} --out NEXT"
+    back = back_to(now.journal.path, best, out_file)
+    return f"; back to the input of trial {best} ({said}): {back}"
+
+
+def back_to(state: Path, trial: int, out_file: Path | None) -> str:
+    """The command that writes once more what a trial played, beside the file of the next input."""
+    words = ["jaxilc", "next", "--state", state, "--undo", trial - 1]
+    best = (out_file or Path("next.csv")).with_stem("best")
+    return shlex.join(map(str, [*words, "--out", best]))
 
 
 def new_plant_file(recipe: Numbers) -> str:
@@ -387,6 +395,8 @@ def verdict(
     growth: float = 0.02,
     trials_of_step: int = 1,
     stop: float | None = None,
+    state: Path = Path("STATE"),
+    out_file: Path | None = None,
 ) -> list[str]:
     """One or two sentences on what the campaign has reached since its machine was last another.
 
@@ -394,6 +404,7 @@ def verdict(
     growth: see `Rules`
     trials_of_step: number of trials of a step, of which the first alone plays what was learned
     stop: RMS error below which nothing shows that there is more to learn; None: it is not known
+    state, out_file: folder of the campaign and file with the next input, for a command to type
     """
     from ..hardware.checks import growth_accepted
     from ..hardware.journal import METRICS, is_part
@@ -430,24 +441,21 @@ def verdict(
     best, least = min((one for one in errors if one[0] >= changed), key=lambda one: one[1])
     said = f"verdict: trial {trial} has an RMS error of {error:.4g} {unit}".rstrip()
     if len(errors) > 1 and begun:
-        share = f"{error / begun:.3g} times" if error > begun else f"{error / begun:.2%}"
-        said += f", {share} of that of trial {first}"
+        times = error / begun
+        share = f"{times:.2%}" if times > 0.01 else f"{100 * times:.2g}%"
+        said += f", {f'{times:.3g} times' if times > 1 else share} of that of trial {first}"
+    ended = f"learning has ended, and the input of trial {best} may be played from now on: "
+    ended += back_to(state, best, out_file)
     if stop is not None and error <= stop:
         below = f"{stop:.3g} {unit}".rstrip()
-        return [
-            f"{said}; what is new in each trial explains all of it (below {below}), so "
-            f"learning has ended: the input of trial {best} may be played from now on"
-        ]
+        return [f"{said}; what is new in each trial explains all of it (below {below}): {ended}"]
     if error > (1 + growth) * least:
         return [f"{said}; the best was trial {best} with {least:.4g} {unit}".rstrip()]
     least_so_far = [*accumulate(of_inputs.values(), min)]
     before = zip(least_so_far, least_so_far[PATIENCE:], strict=False)
     fell = [after <= (1 - LITTLE) * of for of, after in before]
     if any(fell) and not fell[-1]:
-        return [
-            f"{said}; it has not fallen by {LITTLE:.0%} in the last {PATIENCE} trials: learning "
-            f"has ended, and the input of trial {best} may be played from now on"
-        ]
+        return [f"{said}; it has not fallen by {LITTLE:.0%} in the last {PATIENCE} trials: {ended}"]
     if fell and not fell[-1]:
         said += f"; it has not fallen by {LITTLE:.0%} in any {PATIENCE} trials: learning is slow, "
         said += "or has nothing left to learn"
@@ -648,7 +656,8 @@ def next_(
         record = read_measured(measured, now.task, recordable, names, headings, short=short)
         prediction = _predicted(opened, compute=True, store=not dry_run)
         replayed = of.get("replayed_input", False)
-        turn, place = _turn(opened, record, prediction, learn=not no_learn, replay_input=replayed)
+        how = {"learn": not no_learn, "replay_input": replayed}
+        turn, place = _turn(opened, record, prediction, out_file, **how)
         if not dry_run:
             now.keep(turn, alone=True)
         schedules, trial = turn.schedules, turn.trial + 1
@@ -791,7 +800,7 @@ def _expected(opened: Opened, prediction: Prediction | None) -> Expected | None:
 
 
 def _turn(
-    opened: Opened, record, prediction: Prediction | None, **how
+    opened: Opened, record, prediction: Prediction | None, out_file: Path | None, **how
 ) -> tuple[Turn, Place | None]:
     """The turn that a measured trial makes, and where it lies on what was expected of it.
 
@@ -827,7 +836,7 @@ def _turn(
     try:
         refuse(turn.findings)
     except ValueError as error:
-        back = step_back(now)
+        back = step_back(now, out_file)
         raise Refused(f"{error}. Nothing was learned or written{back}") from None
     return turn, place
 
@@ -885,7 +894,7 @@ def _close(
         live = journal.live() if journal.exists else []
     unit = now.task.unit
     by = for_verdict(opened.recipe, trials_of_step(now.scheme, now.task))
-    said = verdict(live, turn, prediction, unit, **by)
+    said = verdict(live, turn, prediction, unit, **by, state=journal.path, out_file=out_file)
     following = next_command(journal.path, trial, measured, out_file, columns)
     step = "" if dry_run else coming(live, predicted, trial, unit)
     for line in (*([step] if step else []), *said, following):

@@ -385,7 +385,7 @@ def test_trials_without_learning_tell_when_to_stop(copied, unpainted):
         said, _ = go_on("--measured", path, "--scenario", file)
         assert ("what is new in each trial explains all of it" in said) == (error <= 0.05)
     assert error <= 0.05
-    (line,) = re.findall("verdict: .*", said)
+    (line,) = re.findall("verdict: .*: jaxilc next --state .* --undo", said)
     assert line in call("trials", "--state", folder / "x")[0]
 
 

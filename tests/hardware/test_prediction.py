@@ -258,7 +258,11 @@ def test_a_verdict_says_whether_learning_goes_on():
     assert said() == "no trial is measured yet"
     assert said(2.0, 1.0).endswith("trial 2 has an RMS error of 1 mm, 50.00% of that of trial 1")
     assert "the best was trial 2 with 1 mm" in said(2.0, 1.0, 1.5)
-    assert "learning has ended" in said(2.0, 1.0, 1.0, 0.995, 0.99)
+    assert said(2.0, 1.0, 1.0, 0.995, 0.99).endswith(
+        "learning has ended, and the input of trial 5 may be played from now on: "
+        "jaxilc next --state STATE --undo 4 --out best.csv"
+    )
+    assert said(31.74, 5e-4).endswith("0.0016% of that of trial 1"), "it was told as 0.00%"
     assert "has ended" not in said(2.0, 1.0, 0.99, 0.98, 0.97)
     slow = 2.0 * 0.994 ** np.arange(9)  # which goes on
     assert all("in any 3 trials: learning is slow" in said(*slow[:j]) for j in range(4, 10))

@@ -1,5 +1,7 @@
 """What is not of a machine, or not of this trial, is refused: seen on a drive in plain NumPy."""
 
+import shlex
+
 import campaigns_with_faults as faults
 import numpy as np
 import pytest
@@ -162,5 +164,10 @@ def test_each_suspicion_can_be_accepted_by_name(tmp_path):
             code, told = faults.call(*arguments)
             assert code == 3
             assert "accept=frozen" in told
+            *back, beside = shlex.split(told.split("back to the input of trial 1 ")[1])[3:]
+            assert beside == str(tmp_path / "best.csv")
+            assert faults.call(*back, beside)[0] == 0, "it is typed as it stands"
+            np.testing.assert_array_equal(read_schedule(beside), 0.0)
+            assert faults.call(*start, "--measured", tmp_path / "1.csv")[0] == 0
             arguments += ("--set", "campaign.accept=frozen,input,growth")
         assert faults.call(*arguments)[0] == 0

@@ -268,10 +268,6 @@ def pole(s):
     return np.stack([s, np.where(s > 0.4, np.nan, 0.0)], axis=-1)
 
 
-def hairpin(s):
-    return np.stack([np.tanh(1e6 * (s - 0.5)), 1e-3 * s], axis=-1)
-
-
 REFUSED = {
     "cusp": (cycloid, (1.0, 9.0), {},
              r"corner or cusp of 180 deg at parameter 6\.2831\d*, position \[6\.28.*"
