@@ -19,8 +19,8 @@ NOT_WHITE = (
     "what its spectrum says."
 )
 IN_MOTION = (
-    "The record does not begin at rest at an input of 0: what its start adds to the output, free "
-    "motions of the poles, is fitted, too."
+    "It is fitted clearly better as a record that does not begin at rest at an input of 0: what "
+    "its start then adds to the output, free motions of the poles, is fitted, too."
 )
 WIDENED = (
     "The residual is not white: neighbouring lines err alike, and the intervals are wider for it."

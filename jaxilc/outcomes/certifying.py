@@ -43,14 +43,14 @@ from ..theory.repetitive import (
 from ..uncertainty import Population
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .words import Case, counted, number, several
+from .words import Case, beside_1, counted, number, several
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from ..theory.bounds import Checked
 
-COURSE_WORDS = {TURNS: "have a best trial and then turn", GROWS: "end above their start"}
+COURSE_WORDS = {TURNS: "turned after a best trial", GROWS: "ended above the start"}
 
 
 def certify(
@@ -274,7 +274,7 @@ def reason_lines(name: str, numbers: Numbers) -> list[str]:
 def printed_lines(name: str, numbers: Numbers) -> list[str]:
     """A sentence on each condition that a paper prints for a scheme, of its nominal model alone."""
     return [
-        f"{name}, by {place}, of the nominal model alone: {number(of['value'])} is "
+        f"{name}, by {place}, of the nominal model alone: {beside_1(of['value'])} is "
         + ("" if of["value"] < 1 else "not ")
         + f"below 1: {of['verdict']}"
         + (f", since it presumes: {'; '.join(of['broken'])}." if of["broken"] else ".")
@@ -374,7 +374,7 @@ def _expected(numbers: Numbers) -> str:
     if not bad:
         return "the error of every machine ends no higher than it began, by theory and simulation"
     courses = ", ".join(
-        f"{e} machines {COURSE_WORDS[c]} by theory and {o} by simulation"
+        f"{several(e, 'machine')} {COURSE_WORDS[c]} by theory and {o} by simulation"
         for c, (e, o) in bad.items()
     )
     best = (

@@ -33,7 +33,7 @@ from ..tuning.synthesis import need_taps, synthesised
 from ..uncertainty import Uncertainty, Uniform, check
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .words import number, several
+from .words import beside_1, number, several
 
 ORDER = 2  # of one pass of the filter of a measured law
 LINES_A_TAP = 4  # of the grid on which filters are synthesised
@@ -314,13 +314,13 @@ def _scheme_answer(asked: _Asked) -> Outcome:
 
 def _scheme_rows(answered: Question, uncertainty, scale, unit) -> list[tuple[str, str]]:
     tried, curves, top = answered.tried, answered.curves, answered.tried.top
-    bound = f"at most {number(answered.proof.bound)}, proved"
+    bound = f"at most {beside_1(answered.proof.bound)}, proved"
     proved = bound if answered.proof.proved else "not proved"
     rms = f"{unit or 'units of y'} rms, nominal machine"
     rows = [
-        ("largest", f"{number(tried.values[top])} at {number(tried.worst[top])} Hz"),
+        ("largest", f"{beside_1(tried.values[top])} at {number(tried.worst[top])} Hz"),
         ("its machine", _machine_said(tried.at, uncertainty) or "the nominal one"),
-        ("nominal machine", f"{number(tried.values[0])} at {number(tried.worst[0])} Hz"),
+        ("nominal machine", f"{beside_1(tried.values[0])} at {number(tried.worst[0])} Hz"),
         ("of the whole set", f"{proved}: {answered.proof.how}"),
         ("margin", f"{number(1 - answered.peak)}, least at {number(tried.worst[top])} Hz"),
         ("|1 - L P| above 1 without Q", _first_above(curves)),
@@ -356,14 +356,14 @@ def _scheme_verdict(name: str, answered: Question, uncertainty) -> str:
             f"{number(1 - value)}; it is largest {where}."
         )
     return (
-        f"{name}: not safe{over}: |Q (1 - L P)| reaches {number(value)} {where}; what is learned "
+        f"{name}: not safe{over}: |Q (1 - L P)| reaches {beside_1(value)} {where}; what is learned "
         "there grows, or never comes nearer to its limit."
     )
 
 
 def _at_most(answered: Question) -> str:
     rest = "proved for all of them" if answered.proof.proved else "on the machines tried"
-    return f"{number(answered.peak)} ({rest})"
+    return f"{beside_1(answered.peak)} ({rest})"
 
 
 def _how_far(answered: Question, best: Offer | None, margin: float, scale, unit) -> str:
@@ -466,7 +466,7 @@ def _size(told: bool) -> str:
 
 
 def _record_rows(test: RecordTest, told: bool) -> list[tuple[str, str]]:
-    largest = f"{number(test.peak)} at {number(test.worst)} Hz" + ", scatter included" * told
+    largest = f"{beside_1(test.peak)} at {number(test.worst)} Hz" + ", scatter included" * told
     resonances = [
         f"{number(one.frequency)} Hz: {one.lines:.1f} lines in its width of {number(one.width)} Hz"
         + ("" if one.fine else ", too few")
@@ -500,10 +500,10 @@ def _records_verdict(
     law += f" and the doubt of {averages:g} averages" if np.isfinite(averages) else ""
     if answered.peak < 1:
         return (
-            f"Safe on every line{law}: {size} is at most {number(answered.peak)}, a margin of "
+            f"Safe on every line{law}: {size} is at most {beside_1(answered.peak)}, a margin of "
             f"{number(1 - answered.peak)}; it is largest {where}."
         )
-    return f"Not safe{law}: {size} reaches {number(answered.peak)} {where}."
+    return f"Not safe{law}: {size} reaches {beside_1(answered.peak)} {where}."
 
 
 def _between(answered: MeasuredQuestion) -> str:
@@ -584,7 +584,7 @@ def _offers_table(now: Offer, offers: Sequence[Offer], margin: float, scale=1.0,
     for one in (now, *offers):
         reach = f"{number(one.learned_up_to)} Hz" if one.peak < 1 else "–"
         left = [number(scale * one.floor)] * known
-        table.add_row(one.what, _changes_said(one), number(one.peak), reach, *left)
+        table.add_row(one.what, _changes_said(one), beside_1(one.peak), reach, *left)
     return table
 
 

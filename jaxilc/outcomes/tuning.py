@@ -286,7 +286,7 @@ def _drawn(uncertain: bool, machines: int, *rows: Numbers) -> str:
 def _over(machines: int, drawn: str) -> str:
     """The machines whose quantiles are shown, in words; drawn: what `_drawn` says."""
     of = {
-        "machines": f"{machines} machines never seen",
+        "machines": f"{machines} machines",
         "runs": f"{machines} runs of the machine, each drawn anew",
         "": "the machine, nothing being drawn",
     }

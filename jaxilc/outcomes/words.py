@@ -21,13 +21,19 @@ from .request import Request
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
 
-def number(value: float) -> str:
+def number(value: float, digits: int = 3) -> str:
     """A number with three significant digits; ∞ for an error that diverged, – for NaN."""
     if not np.isfinite(value):
         return "∞" if value == np.inf else "–"
     if value == 0 or 1e-3 <= abs(value) < 1e5:
-        return np.format_float_positional(value, precision=3, fractional=False, trim="-")
-    return f"{value:.2e}"
+        return np.format_float_positional(value, precision=digits, fractional=False, trim="-")
+    return f"{value:.{digits - 1}e}"
+
+
+def beside_1(value: float) -> str:
+    """A number with the digits that tell on which side of 1 it is, three at least."""
+    texts = (number(value, digits) for digits in range(3, 18))
+    return next((text for text in texts if text != "1" or value == 1), "1")
 
 
 def sized(value: float, unit: str) -> str:

@@ -41,7 +41,7 @@ from jaxilc.outcomes.tuning import (
     without_size,
     worst_case_verdict,
 )
-from jaxilc.outcomes.words import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, Case, trend_of
+from jaxilc.outcomes.words import DIVERGES, FALLS, GROWS, SETTLED, SINGLE, Case, beside_1, trend_of
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios import Scenario
 from jaxilc.scenarios.published import NOTHING, Fit, Published
@@ -447,6 +447,12 @@ def test_certify_says_what_is_certified_what_not_and_why():
     assert one.said == ("ilc diverges on the nominal machine: an eigenvalue.",)
     turns = certificate({"not claimed": {"it is nonlinear": 2}}, None, "turns")
     assert parsed(certify_verdict(published, {"a": turns}, 1.0))[0] == "worst-case"
+    turns["expected"]["turns"] = 1
+    said = certifying.certificate_sentence("a", 5, turns, 1.0, "mm")
+    assert "1 machine turned after a best trial by theory and 2 by simulation" in said
+    near = {"MILC": {"value": 1 - 2e-7, "verdict": "holds", "broken": []}}
+    assert "0.9999998 is below 1" in certifying.printed_lines("a", {"printed": near})[0]
+    assert [*map(beside_1, (1, 1 + 1e-9, 0.99951))] == ["1", "1.000000001", "0.9995"]
 
 
 def test_certify_sends_no_law_to_the_machine_whose_noise_is_not_followed():
@@ -581,7 +587,7 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
 @pytest.mark.parametrize(
     ("uncertain", "machines", "said"),
     [
-        (True, 9, "9 machines never seen"),
+        (True, 9, "9 machines"),
         (False, 9, "9 runs of the machine, each drawn anew"),
         (True, 1, "the machine, nothing being drawn"),
     ],

@@ -120,7 +120,7 @@ def test_a_law_for_the_fitted_plant_only_says_so(tmp_path):
     assert not law.within
     said = "on the fitted plant only; within all intervals of the file no such law was found"
     assert said in law.told
-    assert "# Chosen for the fitted plant only (1 machines):\n# no such law was found within" in (
+    assert "# Chosen for the fitted plant only (machines: 1):\n# no such law was found within" in (
         path.read_text(encoding="utf-8")
     )
     assert abs(1 - law.gamma_p * -50.0) > 1, "at rest, where Q is 1"
