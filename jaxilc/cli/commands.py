@@ -417,6 +417,10 @@ def export(
     Example: jaxilc export axis.design.toml --limit 10 --out law
     """
     if check is not None:
+        if source is not None:
+            raise ValueError(f"{source} and --check exclude each other; the folder has its own law")
+        given = {"limit": limit, "scheme": scheme, "set": set_, "params": params}
+        _only_for("a law to write", state=state, **given)
         tell("check_export", pages, check, bar=False)
         return
     if state is not None:

@@ -37,6 +37,8 @@ axis.toml --limit 1 --scheme pid => export takes one scheme that learns
 axis.toml --limit 1 --state s => a scenario and --state exclude each other
 --limit 1 --state s --scheme ilc => --scheme is for a scenario only
 --check nowhere => nowhere/certificate.json: no such file
+axis.toml --check law => axis.toml and --check exclude each other
+--check law --limit 1 => --limit is for a law to write only
 """),
 )
 def test_a_mistake_is_one_line_and_nothing_is_written(tmp_path, words, message):
