@@ -22,8 +22,8 @@ LITTLE = 32  # elements of an array on the stack
 REAL = "law_real"
 TYPES = {"f": REAL, "b": "bool", "int32": "int32_t", "int64": "int64_t", "uint32": "uint32_t"}
 UNSIGNED = {"int32": "uint32_t", "int64": "uint64_t", "uint32": "uint32_t"}
-INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "eq": "==", "ne": "!=", "lt": "<",
-         "le": "<=", "gt": ">", "ge": ">="}  # fmt: skip
+INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "rem": "%", "eq": "==", "ne": "!=",
+         "lt": "<", "le": "<=", "gt": ">", "ge": ">="}  # fmt: skip
 OF_BITS = {"and": ("&&", "&"), "or": ("||", "|"), "xor": ("!=", "^")}
 OF_LIBRARY = {"abs": "fabs", "round_even": "rint", "round_away": "round"} | {
     name: name for name in ("sqrt", "floor", "ceil", "copysign", *LIBRARY)
@@ -43,7 +43,7 @@ def number(value: float | Number, dtype: DTypeLike, single: bool) -> str:
     if kind != "f":
         if value < 0 and value == np.iinfo(dtype).min:  # the sign is an operation of its own
             return f"INT{8 * np.dtype(dtype).itemsize}_MIN"
-        return str(int(value)) if value >= 0 else f"({int(value)})"
+        return f"{value}{'u' if kind == 'u' else ''}" if value >= 0 else f"({value})"
     if single:
         with np.errstate(over="ignore"):  # which is infinite then
             value = np.float32(value)
@@ -167,8 +167,6 @@ class _InC(Body):
                 wide = UNSIGNED[x.dtype.name]
                 inner = f" {INFIX[x.name]} ".join(f"({wide}) {one}" for one in near)
                 return f"({type_of(x.dtype)}) ({inner})"
-            if kind != "f" and x.name == "div":
-                raise Unknown("a division of whole numbers")
             return f" {INFIX[x.name]} ".join(near)
         if x.name == "neg":
             return f"-{near[0]}"

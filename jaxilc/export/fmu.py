@@ -334,13 +334,11 @@ def _description(block: Block, token: str, sources: Mapping[str, str],
         add(listed, "Float64", clock | {"causality": "independent", "variability": "continuous"})
     places = [(i, v) for i, v in enumerate(block.variables, 1) if not v.input]
     root.append(structure)
-    for name in ("Output", "InitialUnknown"):
-        into = add(structure, f"{name}s") if two else structure
+    for name in ("Output", "InitialUnknown"):  # which no input changes before the next step
+        into, tag = (add(structure, f"{name}s"), "Unknown") if two else (structure, name)
         for i, v in places:
-            if two:
-                add(into, "Unknown", {"index": str(i)})
-            else:
-                add(into, name, {"valueReference": str(_reference(block, v))})
+            place = {"index": str(i)} if two else {"valueReference": str(_reference(block, v))}
+            add(into, tag, place | {"dependencies": ""})
     return root
 
 

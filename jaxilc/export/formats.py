@@ -67,7 +67,7 @@ def _fmu(asked: Asked) -> Made:
         model = model_of(asked.machine, task)
         of_plant = files_of_plant(model, [about])
     except Unknown as error:
-        warnings.append(f"The plant has no FMU: {error} cannot be a part of one.")
+        warnings.append(f"The plant has no FMU: {error}.")
     else:
         blocks.append(fmu.plant_block(task, of_plant, about, model.first))
     made: dict[str, str | bytes] = {

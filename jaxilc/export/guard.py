@@ -149,7 +149,8 @@ def of_next(scheme: Scheme, task: Task, seen: Seen, memory: Tree, schedule: Tree
 
     peak <= 1.1 g (largest + (largest + |u_1|) / j),    as in `hardware.checks.larger`
     """
-    good = [jnp.all(~jnp.isnan(x)) for x in jax.tree.leaves(memory)]
+    of_reals = [x for x in jax.tree.leaves(memory) if jnp.issubdtype(x.dtype, jnp.floating)]
+    good = [jnp.all(~jnp.isnan(x)) for x in of_reals]
     for name, of in scheme.played(schedule, task).items():
         good.append(jnp.all(jnp.isfinite(of)))
         if kind(name) in INPUTS:

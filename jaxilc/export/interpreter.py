@@ -48,7 +48,8 @@ def interpret(
 
 def known(name: str) -> bool:
     """Whether a step of this name has a meaning here, and so can be exported."""
-    return name in ARRAYS or name in ("scan", "while") or elementwise(name) or on_arrays(name)
+    single = elementwise(name) and name not in ("lt_to", "le_to")  # which read the bits of a number
+    return single or name in ARRAYS or name in ("scan", "while") or on_arrays(name)
 
 
 def carried_out(step: Step, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -53,7 +53,7 @@ def model_of(machine: Machine, task: Task) -> Model:
     """
     for name in ("disturbance", "variation"):
         if getattr(machine, name) is not None:
-            raise Unknown(f"the {name} of the machine")
+            raise Unknown(f"the {name} of the machine cannot be a part of one")
     ready = machine.noiseless().sampled(task.dt)
     plant, rest = ready.plant, ready.plant.initial_state()
 

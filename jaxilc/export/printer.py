@@ -33,10 +33,10 @@ from ..native.operations import (
     formula,
     neutral,
     padded,
+    uniform,
 )
 from ..native.program import Const, Program, Step, Unknown, Value
 from .law import Field, Function
-from .steps import uniform
 
 LONGEST = 60  # characters of a number that is written where it is used
 _NAME = re.compile(r"(?:\w+->)?\w+")

@@ -17,15 +17,16 @@ from jax.typing import DTypeLike
 from ..native.operations import Node, Number
 from ..native.program import Unknown
 from . import guard
-from .c import field_name
+from .c import OF_BITS, field_name
 from .law import Law
 from .printer import Body, View, closed, filled, opened, wrapped
 
 BYTES = {"LREAL": 8, "LINT": 8, "DINT": 4, "UDINT": 4, "BOOL": 1}
 TYPES = {"f": "LREAL", "b": "BOOL", "int32": "DINT", "int64": "LINT", "uint32": "UDINT"}
 GIVEN = {"k": "sample", "y": "measured", "u": "command", "code": "code"}
-INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "eq": "=", "ne": "<>", "lt": "<",
-         "le": "<=", "gt": ">", "ge": ">=", "and": "AND", "or": "OR", "xor": "XOR"}  # fmt: skip
+INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "rem": "MOD", "eq": "=", "ne": "<>",
+         "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "and": "AND", "or": "OR",
+         "xor": "XOR"}  # fmt: skip
 CALLS = {"abs": "ABS", "sqrt": "SQRT", "exp": "EXP", "log": "LN", "sin": "SIN", "cos": "COS",
          "tan": "TAN", "pow": "EXPT", "floor": "LAW_FLOOR", "ceil": "LAW_CEIL",
          "round_even": "LAW_ROUND", "copysign": "LAW_COPYSIGN", "tanh": "LAW_TANH",
@@ -58,7 +59,7 @@ ELSIF place > last THEN
     LAW_PLACE := last;
 ELSE
     LAW_PLACE := TO_DINT(place);
-END_IF
+END_IF;
 END_FUNCTION
 
 (* Whole numbers near a number. From 2^52 on every number is whole. *)
@@ -71,8 +72,8 @@ IF ABS(x) < 4503599627370496.0 THEN
     LAW_FLOOR := TO_LREAL(LREAL_TO_LINT(x));
     IF LAW_FLOOR > x THEN
         LAW_FLOOR := LAW_FLOOR - 1.0;
-    END_IF
-END_IF
+    END_IF;
+END_IF;
 END_FUNCTION
 
 FUNCTION LAW_CEIL : LREAL
@@ -95,7 +96,7 @@ rest := x - below;
 LAW_ROUND := below;
 IF rest > 0.5 OR rest = 0.5 AND LAW_FLOOR(below / 2.0) * 2.0 <> below THEN
     LAW_ROUND := below + 1.0;
-END_IF
+END_IF;
 END_FUNCTION
 
 FUNCTION LAW_COPYSIGN : LREAL
@@ -120,7 +121,7 @@ IF z < -40.0 THEN
     less := -1.0;
 ELSIF power <> 1.0 THEN
     less := (power - 1.0) * (z / LN(power));
-END_IF
+END_IF;
 LAW_TANH := LAW_COPYSIGN(less / (less + 2.0), x);
 END_FUNCTION
 
@@ -135,7 +136,7 @@ ELSIF x <= -2147483648.0 THEN
     LAW_TO_DINT := -2147483648;
 ELSIF x = x THEN
     LAW_TO_DINT := TO_DINT(SEL(x < 0.0, LAW_FLOOR(x), -LAW_FLOOR(-x)));
-END_IF
+END_IF;
 END_FUNCTION
 
 FUNCTION LAW_TO_LINT : LINT
@@ -148,7 +149,7 @@ ELSIF x <= -9.2E18 THEN
     LAW_TO_LINT := -9223372036854775807;
 ELSIF x = x THEN
     LAW_TO_LINT := LREAL_TO_LINT(SEL(x < 0.0, LAW_FLOOR(x), -LAW_FLOOR(-x)));
-END_IF
+END_IF;
 END_FUNCTION
 """
 
@@ -183,7 +184,7 @@ class _Declared:
 
 
 class _InText(Body):
-    index, end = "DINT", "END_FOR"
+    index, end = "DINT", "END_FOR;"
 
     def __init__(self, declared: _Declared, depth: int):
         super().__init__(depth, declared.count, declared.tables)
@@ -240,7 +241,7 @@ class _InText(Body):
         return f"FOR {name} := {places} DO"
 
     def leave_unless(self, text: str) -> list[str]:
-        return [f"IF NOT {text} THEN", "    EXIT;", "END_IF"]
+        return [f"IF NOT {text} THEN", "    EXIT;", "END_IF;"]
 
     def clamped(self, place: str, last: int) -> str:
         return f"LAW_PLACE({place}, {last})"
@@ -258,9 +259,11 @@ class _InText(Body):
                 raise Unknown("a conversion to UDINT in Structured Text")
             way = f"LAW_TO_{to}" if kind == "f" and to in ("DINT", "LINT") else f"TO_{to}"
             return args[0] if to == self.type_of(x.args[0].dtype) else f"{way}({listed})"
+        if x.name in OF_BITS and kind != "b":  # operations of words of bits, and not of numbers
+            word = "LWORD" if x.dtype.itemsize == 8 else "DWORD"
+            words = f" {INFIX[x.name]} ".join(f"TO_{word}({opened(one)})" for one in args)
+            return f"TO_{self.type_of(x.dtype)}({words})"
         if x.name in INFIX:
-            if kind in "iu" and x.name == "div":
-                raise Unknown("a division of whole numbers")
             return f" {INFIX[x.name]} ".join(map(closed, args))
         if x.name == "neg":
             return f"-{closed(args[0])}"
@@ -322,7 +325,7 @@ VAR
 {join(variables)}
 END_VAR
 VAR CONSTANT
-    certificate : STRING(80) := '{digest}';
+    certificate : STRING[80] := '{digest}';
 {join(constants)}
 END_VAR
 IF NOT started THEN
@@ -331,12 +334,12 @@ IF NOT started THEN
     nan := inf - inf;
 {join(first.lines)}
     started := TRUE;
-END_IF
+END_IF;
 IF begin_trial AND NOT running THEN
 {join(begin.lines)}
     sample := 0;
     running := TRUE;
-END_IF
+END_IF;
 IF running THEN
     IF sample < {task.N} THEN
 {join(sample.lines)}
@@ -346,8 +349,8 @@ IF running THEN
         trials := trials + 1;
         running := FALSE;
 {join(f"        command{f'[{i}]' if task.inputs > 1 else ''} := 0.0;" for i in range(task.inputs))}
-    END_IF
-END_IF
+    END_IF;
+END_IF;
 END_FUNCTION_BLOCK
 {OWN}"""
     sizes = [*declared.variables.values(), *(kinds[name] for name in fields)]

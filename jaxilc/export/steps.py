@@ -21,7 +21,7 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 
-from ..native.operations import MOVES, places_of
+from ..native.operations import MOVES, elementwise, formula, places_of, uniform
 from ..native.program import (
     WRITTEN,
     Const,
@@ -47,7 +47,7 @@ REASONS = {
     "random_bits": "the law draws random numbers, which a controller cannot repeat",
     "sort": "the law sorts its samples, which takes a time that is not known beforehand",
     "eigh": "the law needs eigenvalues of a matrix that is known only while it runs",
-}
+} | dict.fromkeys(("lt_to", "le_to"), "a table is searched for what is not known yet")
 
 
 class Pair(Value):
@@ -122,6 +122,8 @@ class _Writer(Lowering):
         self, name: str, params: Parameters, ins: list[Value], outs: Sequence[Value]
     ) -> list[Value]:
         self.steps.append(Step(name, params, ins, [*outs]))
+        if elementwise(name):  # Unknown where operands of these types have no such operation
+            formula(self.steps[-1])
         return [*outs]
 
     def traced(self, function: Function, ins: Sequence[Value]) -> list[Value]:
@@ -199,12 +201,6 @@ def _scanned(step: Step, arrays: list[Known]) -> list[Array]:
     carry, kept = lax.scan(body, list(map(jnp.asarray, arrays[n:m])), rows, length=of["length"],
                            reverse=of["reverse"])  # fmt: skip
     return [*carry, *kept]
-
-
-def uniform(array: Known) -> bool:
-    """Whether all elements of an array are one number, to the last bit."""
-    flat = np.ravel(array)
-    return bool(len(flat)) and flat.tobytes() == flat[:1].tobytes() * len(flat)
 
 
 def _known(x: Value) -> Known | None:

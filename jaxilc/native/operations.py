@@ -20,7 +20,7 @@ import numpy as np
 from jax import lax
 from numpy.typing import ArrayLike, DTypeLike
 
-from .program import UNROLLED, Known, Parameters, Step, Unknown
+from .program import UNROLLED, Const, Known, Parameters, Step, Unknown
 
 Array: TypeAlias = np.ndarray  # of nodes
 Number: TypeAlias = np.bool | np.integer | np.floating
@@ -390,7 +390,8 @@ def numbered(shape: Sequence[int], node: Callable[[int], Node]) -> Array:
 
 def _sign(n: Numbers, _: Parameters, x: Node) -> Node:
     if x.dtype.kind != "f":
-        raise Unknown(f"sign of {x.dtype}")
+        least = n.const(-1 if x.dtype.kind == "i" else 0, x.dtype)
+        return n.of("max", n.of("min", x, n.const(1, x.dtype)), least)
     one = n.of("copysign", n.const(1, x.dtype), x)
     return n.of("select", n.of("gt", n.of("abs", x), n.const(0, x.dtype)), x, one)  # 0, NaN: x
 
@@ -518,11 +519,23 @@ def one_by_one(n: Numbers, step: Step) -> Callable[..., Node]:
 def formula(step: Step) -> Node:
     """What a step computes element by element: a tree of operations of `INSTRUCTIONS`.
 
-    Its operands are nodes of the name `operand`. Raises Unknown for other steps.
+    Its operands are nodes of the name `operand`, and those that are one whole number are constants,
+    by which others may be divided. Raises Unknown for other steps.
     """
     n = Numbers(np.float64)
-    places = [n.place("operand", np.dtype(x.dtype), i) for i, x in enumerate(step.ins)]
+    places = [
+        n.const(np.ravel(x.array)[0], np.dtype(x.dtype))
+        if isinstance(x, Const) and x.dtype.kind in "iu" and uniform(x.array)
+        else n.place("operand", np.dtype(x.dtype), i)
+        for i, x in enumerate(step.ins)
+    ]
     return one_by_one(n, step)(*places)
+
+
+def uniform(array: Known) -> bool:
+    """Whether all elements of an array are one number, to the last bit."""
+    flat = np.ravel(array)
+    return bool(len(flat)) and flat.tobytes() == flat[:1].tobytes() * len(flat)
 
 
 # Steps on small arrays

@@ -49,7 +49,7 @@ class Learned(NamedTuple):
 
 @pytree
 class Own(Scheme):
-    """A law of a user, which adds the tangent of the error and counts in a field of any name."""
+    """A law of a user with the tangent of the error, whole numbers, and a field of any name."""
 
     def initial_memory(self, task):
         return Learned(jnp.zeros((task.N, 1)), jnp.zeros(3))
@@ -65,7 +65,9 @@ class Own(Scheme):
 
     def learn(self, memory, trial):
         last = jnp.max(jnp.where(trial.e[:, 0] > 0, jnp.arange(len(trial.e)), -1))
-        return Learned(memory.u + jnp.tanh(trial.e[1:]), memory.φ + last + jnp.sum(trial.e))
+        whole = (last - 9) // 3 + (last - 9) % 4 + (last & 6) + (~last | 8) + jnp.sign(last ^ 5)
+        u = memory.u + jnp.tanh(trial.e[1:]) + 0.01 * whole
+        return Learned(u, memory.φ + last + jnp.sum(trial.e))
 
 
 @pytest.fixture(scope="module")
