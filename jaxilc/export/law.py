@@ -205,7 +205,8 @@ def _function(
     ins = [*named_leaves(known), *given]
     outs = [*named_leaves(result[0]), *result[1]]
     at_first = dict(zip(program.ins, ins, strict=True))
-    changed = [at_first.get(x) != to for x, to in zip(program.outs, outs, strict=True)]
+    changed = [at_first.get(x) != to and 0 not in x.shape
+               for x, to in zip(program.outs, outs, strict=True)]  # fmt: skip
     kept = without_dead(program, changed)
     live = read(kept)
     kept = Program([*compress(kept.ins, live)], kept.steps, kept.outs)

@@ -302,7 +302,8 @@ class Body(ABC):
         if name in ("scan", "while"):
             getattr(self, name + "_")(step)
         elif not math.prod(shape):
-            self.views[step.outs[0]] = View("0", shape)
+            nothing = step.outs[0].dtype.type(0)
+            self.views[step.outs[0]] = View(self.number(nothing, nothing.dtype), shape)
         elif elementwise(name):
             self.one_by_one(step)
         elif not (name in SHARED and self.shared(step)) and not (

@@ -41,9 +41,10 @@ def test_a_block_plays_what_the_law_plays_to_the_last_bit(name):
 
 
 class Learned(NamedTuple):
-    """What `Own` has learned, one part under a name that is not ASCII."""
+    """What `Own` has learned, one part under a name that is not ASCII, and one without numbers."""
 
     u: jax.Array
+    nothing: jax.Array
     φ: jax.Array
 
 
@@ -52,7 +53,7 @@ class Own(Scheme):
     """A law of a user with the tangent of the error, whole numbers, and a field of any name."""
 
     def initial_memory(self, task):
-        return Learned(jnp.zeros((task.N, 1)), jnp.zeros(3))
+        return Learned(jnp.zeros((task.N, 1)), jnp.zeros((0, 2)), jnp.zeros(3))
 
     def schedule(self, memory, task):
         return Feedforward(memory.u)
@@ -67,7 +68,7 @@ class Own(Scheme):
         last = jnp.max(jnp.where(trial.e[:, 0] > 0, jnp.arange(len(trial.e)), -1))
         whole = (last - 9) // 3 + (last - 9) % 4 + (last & 6) + (~last | 8) + jnp.sign(last ^ 5)
         u = memory.u + jnp.tanh(trial.e[1:]) + 0.01 * whole
-        return Learned(u, memory.φ + last + jnp.sum(trial.e))
+        return Learned(u, 2 * memory.nothing, memory.φ + last + jnp.sum(trial.e))
 
 
 @pytest.fixture(scope="module")
